@@ -1,0 +1,25 @@
+"""Shared by all tests: one thread per library, and where the real data lie."""
+
+import os
+from pathlib import Path
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+import cv2
+import pytest
+from hypothesis import settings
+
+cv2.setNumThreads(1)
+settings.register_profile("wavefield", deadline=None, derandomize=True, max_examples=25)
+settings.load_profile("wavefield")
+
+SHARED = Path(os.environ.get("WAVEFIELD_SHARED", Path(__file__).resolve().parents[2] / "shared"))
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """Folder with the real images and the peers' cases; skips the test where it is absent."""
+    if not (SHARED / "data").is_dir():
+        pytest.skip("needs the real images (set WAVEFIELD_SHARED to their folder)")
+    return SHARED

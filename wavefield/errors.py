@@ -1,0 +1,33 @@
+"""The exceptions that a user can meet.
+
+Every message is one sentence that names the file or the setting at fault and says how to mend it.
+The command line prints it without a traceback.
+"""
+
+
+class WavefieldError(Exception):
+    """Base of all errors that a user can mend."""
+
+
+class ExperimentError(WavefieldError):
+    """The experiment file, a catalog or a workflow does not say what is needed."""
+
+
+class FrameError(WavefieldError):
+    """An image file is missing, corrupt, truncated or of an unexpected size."""
+
+
+class RigError(WavefieldError):
+    """A rig file cannot be read, or the rig does not fit the images or the grid."""
+
+
+class CalibrationError(WavefieldError):
+    """The target images do not give a rig that can be trusted."""
+
+
+class StoreError(WavefieldError):
+    """A cube or wave store cannot be written, resumed or read."""
+
+
+class CubeError(WavefieldError):
+    """A cube does not hold what an analysis needs."""

@@ -1,0 +1,379 @@
+"""One camera: projection, sight lines and Jacobian as pure functions on arrays.
+
+Conventions: physical frame right-handed, metres, z up; image X to the right (column) and Y down (row),
+pixel centres at integers, 0-based. Camera frame Xc = R x + T with zc along the optical axis, outward.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with radial and tangential distortion and a tilted sensor.
+
+    The paper's model is (fx, fy, cx, cy, k1); the further terms are OpenCV's (k2, p1, p2, k3, and the
+    Scheimpflug tilt tau_x, tau_y). Terms that are zero cost nothing.
+
+    Parameters
+    ----------
+    fx, fy : float
+        Focal lengths, px.
+    cx, cy : float
+        Where the optical axis meets the sensor, px.
+    rotation : 3 x 3 nested sequence of float
+        World to camera.
+    translation : sequence of 3 float
+        World to camera, metres: Xc = R x + T.
+    size : tuple of int
+        Image (width, height), px.
+    k1, k2, k3 : float
+        Radial distortion; k1 is the paper's k_c.
+    p1, p2 : float
+        Tangential distortion.
+    tau_x, tau_y : float
+        Tilt of the sensor (Scheimpflug mount), radians, in OpenCV's convention.
+    skew : float
+        Shear of the sensor axes, px: X = fx X' + skew Y' + cx.
+
+    Examples
+    --------
+    A camera 4 m above the water, looking down, with y of the world pointing up in the image:
+
+    >>> down = Camera(2700.0, 2700.0, 511.5, 511.5, ((1, 0, 0), (0, -1, 0), (0, 0, -1)), (0, 0, 4), (1024, 1024))
+    >>> X, Y = down.project(0.1, 0.0, 0.0)
+    >>> print(round(float(X), 6), round(float(Y), 6))
+    579.0 511.5
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    rotation: Any
+    translation: Any
+    size: tuple[int, int]
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+    tau_x: float = 0.0
+    tau_y: float = 0.0
+    skew: float = 0.0
+
+    def __post_init__(self) -> None:
+        rotation = tuple(
+            tuple(float(v) for v in row) for row in np.asarray(self.rotation, float).reshape(3, 3)
+        )
+        object.__setattr__(self, "rotation", rotation)
+        object.__setattr__(self, "translation", tuple(float(v) for v in np.ravel(self.translation)))
+        object.__setattr__(self, "size", (int(self.size[0]), int(self.size[1])))
+        for f in fields(self):
+            if f.type in (float, "float"):
+                object.__setattr__(self, f.name, float(getattr(self, f.name)))
+
+    # -- derived constants ---------------------------------------------------------------------------
+
+    @cached_property
+    def R(self) -> Array:
+        """Rotation, world to camera, (3, 3)."""
+        return np.array(self.rotation)
+
+    @cached_property
+    def T(self) -> Array:
+        """Translation, world to camera, (3,), metres."""
+        return np.array(self.translation)
+
+    @cached_property
+    def centre(self) -> Array:
+        """Position of the camera's centre in the physical frame, (3,), metres."""
+        return -self.R.T @ self.T
+
+    @cached_property
+    def _tilt(self) -> Array | None:
+        """Homography of the tilted sensor (OpenCV's CALIB_TILTED_MODEL), or None."""
+        if self.tau_x == 0.0 and self.tau_y == 0.0:
+            return None
+        cx, sx, cy, sy = np.cos(self.tau_x), np.sin(self.tau_x), np.cos(self.tau_y), np.sin(self.tau_y)
+        rot = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array(
+            [[1, 0, 0], [0, cx, sx], [0, -sx, cx]]
+        )
+        proj = np.array([[rot[2, 2], 0, -rot[0, 2]], [0, rot[2, 2], -rot[1, 2]], [0, 0, 1]])
+        return proj @ rot
+
+    @property
+    def _tangential(self) -> bool:
+        return self.p1 != 0.0 or self.p2 != 0.0
+
+    # -- sensor: tangents of the viewing angles <-> pixels -------------------------------------------
+
+    def _distort(self, a: Array, b: Array) -> tuple[Array, Array]:
+        r2 = a * a + b * b
+        radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        x, y = a * radial, b * radial
+        if self._tangential:
+            ab = 2.0 * a * b
+            x = x + self.p1 * ab + self.p2 * (r2 + 2.0 * a * a)
+            y = y + self.p1 * (r2 + 2.0 * b * b) + self.p2 * ab
+        return x, y
+
+    def _distort_jacobian(self, a: Array, b: Array) -> tuple[Array, Array, Array, Array]:
+        r2 = a * a + b * b
+        radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        slope = 2.0 * (self.k1 + r2 * (2.0 * self.k2 + r2 * 3.0 * self.k3))  # d radial / d(r2) * 2
+        xa = radial + slope * a * a + 2.0 * self.p1 * b + 6.0 * self.p2 * a
+        xb = slope * a * b + 2.0 * self.p1 * a + 2.0 * self.p2 * b
+        yb = radial + slope * b * b + 6.0 * self.p1 * b + 2.0 * self.p2 * a
+        return xa, xb, xb, yb  # the cross terms are equal: the displacement is a gradient
+
+    def _to_pixels(self, a: Array, b: Array) -> tuple[Array, Array]:
+        x, y = self._distort(a, b)
+        if self._tilt is not None:
+            h = self._tilt
+            s = h[2, 0] * x + h[2, 1] * y + h[2, 2]
+            x, y = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / s, (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / s
+        X = self.fx * x + self.cx
+        if self.skew:
+            X = X + self.skew * y
+        return X, self.fy * y + self.cy
+
+    def _to_tangents(self, X: Array, Y: Array) -> tuple[Array, Array]:
+        y = (Y - self.cy) / self.fy
+        x = (X - self.cx - self.skew * y) / self.fx
+        if self._tilt is not None:
+            h = np.linalg.inv(self._tilt)
+            s = h[2, 0] * x + h[2, 1] * y + h[2, 2]
+            x, y = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / s, (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / s
+        if not (self.k1 or self.k2 or self.k3 or self._tangential):
+            return x, y
+        a, b = x.copy(), y.copy()
+        for _ in range(20):  # Newton; three steps reach machine precision for any usable lens
+            fx, fy = self._distort(a, b)
+            xa, xb, ya, yb = self._distort_jacobian(a, b)
+            det = xa * yb - xb * ya
+            da = (yb * (x - fx) - xb * (y - fy)) / det
+            db = (xa * (y - fy) - ya * (x - fx)) / det
+            a, b = a + da, b + db
+            if not np.nanmax(np.abs(da) + np.abs(db), initial=0.0) > 1e-15:
+                break
+        return a, b
+
+    # -- what the other rooms call -------------------------------------------------------------------
+
+    def project(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array]:
+        """Project physical points onto the sensor.
+
+        Parameters
+        ----------
+        x, y, z : array_like, broadcastable
+            Positions, metres.
+
+        Returns
+        -------
+        X, Y : ndarray
+            Pixel coordinates (column, row); NaN for points behind the camera.
+        """
+        a, b, _ = self._tangents_of(x, y, z)
+        return self._to_pixels(a, b)
+
+    def _tangents_of(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array, Array]:
+        x, y, z = np.asarray(x, float), np.asarray(y, float), np.asarray(z, float)
+        (r1, r2, r3), (r4, r5, r6), (r7, r8, r9) = self.rotation
+        tx, ty, tz = self.translation
+        zc = r7 * x + r8 * y + r9 * z + tz
+        zc = np.where(zc > 0.0, zc, np.nan)
+        return (r1 * x + r2 * y + r3 * z + tx) / zc, (r4 * x + r5 * y + r6 * z + ty) / zc, zc
+
+    def unproject(self, X: ArrayLike, Y: ArrayLike, z: ArrayLike = 0.0) -> tuple[Array, Array]:
+        """Apparent position of pixels: where their line of sight meets the plane of height z.
+
+        Parameters
+        ----------
+        X, Y : array_like
+            Pixel coordinates (column, row).
+        z : array_like, default 0
+            Height of the plane, metres.
+
+        Returns
+        -------
+        x, y : ndarray
+            Apparent coordinates, metres; NaN where the line of sight does not meet the plane.
+        """
+        X, Y = np.broadcast_arrays(np.asarray(X, float), np.asarray(Y, float))
+        a, b = self._to_tangents(X, Y)
+        R, c = self.R, self.centre
+        dx = R[0, 0] * a + R[1, 0] * b + R[2, 0]
+        dy = R[0, 1] * a + R[1, 1] * b + R[2, 1]
+        dz = R[0, 2] * a + R[1, 2] * b + R[2, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = (np.asarray(z, float) - c[2]) / dz
+            s = np.where(s > 0.0, s, np.nan)
+            return c[0] + s * dx, c[1] + s * dy
+
+    def sight_line(self, x: ArrayLike, y: ArrayLike, z: ArrayLike = 0.0) -> tuple[Array, Array]:
+        """Coefficients D of the line of sight through physical points.
+
+        A point at height h on the line of sight through (x, y, z) is at
+        (x + Dx (h - z), y + Dy (h - z)). Exact for straight rays; equal to the paper's
+        ratio of derivatives of F and G with its signs corrected.
+
+        Parameters
+        ----------
+        x, y, z : array_like, broadcastable
+            Positions, metres; with z = 0 these are apparent coordinates.
+
+        Returns
+        -------
+        Dx, Dy : ndarray
+            Tangents of the incidence angle along x and y.
+        """
+        c = self.centre
+        depth = np.asarray(z, float) - c[2]
+        return (np.asarray(x, float) - c[0]) / depth, (np.asarray(y, float) - c[1]) / depth
+
+    def jacobian(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Array:
+        """Derivatives of the pixel coordinates with respect to the physical ones.
+
+        Parameters
+        ----------
+        x, y, z : array_like, broadcastable to shape S
+            Positions, metres.
+
+        Returns
+        -------
+        ndarray, S + (2, 3)
+            [[dX/dx, dX/dy, dX/dz], [dY/dx, dY/dy, dY/dz]], px per metre.
+        """
+        x, y, z = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float), np.asarray(z, float))
+        a, b, zc = self._tangents_of(x, y, z)
+        xa, xb, ya, yb = self._distort_jacobian(a, b)
+        if self._tilt is not None:
+            h = self._tilt
+            u, v = self._distort(a, b)
+            s = h[2, 0] * u + h[2, 1] * v + h[2, 2]
+            U = (h[0, 0] * u + h[0, 1] * v + h[0, 2]) / s
+            V = (h[1, 0] * u + h[1, 1] * v + h[1, 2]) / s
+            t00, t01 = (h[0, 0] - U * h[2, 0]) / s, (h[0, 1] - U * h[2, 1]) / s
+            t10, t11 = (h[1, 0] - V * h[2, 0]) / s, (h[1, 1] - V * h[2, 1]) / s
+            xa, xb, ya, yb = (
+                t00 * xa + t01 * ya,
+                t00 * xb + t01 * yb,
+                t10 * xa + t11 * ya,
+                t10 * xb + t11 * yb,
+            )
+        Xa, Xb = self.fx * xa + self.skew * ya, self.fx * xb + self.skew * yb
+        Ya, Yb = self.fy * ya, self.fy * yb
+        out = np.empty((*a.shape, 2, 3))
+        for j, (r1, r4, r7) in enumerate(zip(*self.rotation, strict=True)):
+            da, db = (r1 - r7 * a) / zc, (r4 - r7 * b) / zc
+            out[..., 0, j] = Xa * da + Xb * db
+            out[..., 1, j] = Ya * da + Yb * db
+        return out
+
+    def corners(self, z: float = 0.0) -> Array:
+        """Apparent positions of the image's corners on the plane of height z.
+
+        Parameters
+        ----------
+        z : float, default 0
+            Height of the plane, metres.
+
+        Returns
+        -------
+        ndarray, (4, 2)
+            (x, y) of the outer corners of pixels: upper left, upper right, lower right, lower left, metres.
+        """
+        w, h = self.size
+        X = np.array([-0.5, w - 0.5, w - 0.5, -0.5])
+        Y = np.array([-0.5, -0.5, h - 0.5, h - 0.5])
+        return np.stack(self.unproject(X, Y, z), axis=-1)
+
+    def sees(self, x: ArrayLike, y: ArrayLike, z: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
+        """Whether points fall on the sensor, at least a margin from its edge.
+
+        Parameters
+        ----------
+        x, y, z : array_like, broadcastable
+            Positions, metres.
+        margin : float, default 0
+            Distance kept from the outermost pixel centres, px.
+
+        Returns
+        -------
+        ndarray of bool
+            True where the camera sees the point.
+        """
+        X, Y = self.project(x, y, z)
+        w, h = self.size
+        return (X >= margin) & (X <= w - 1 - margin) & (Y >= margin) & (Y <= h - 1 - margin)
+
+    # -- plain data ----------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists, for YAML and for hashing.
+
+        Returns
+        -------
+        dict
+            Field names to numbers or nested lists; zero optional terms are left out.
+        """
+        out: dict[str, Any] = {}
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if value == 0.0 and f.name in _OPTIONAL:
+                continue
+            out[f.name] = (
+                [list(v) if isinstance(v, tuple) else v for v in value] if isinstance(value, tuple) else value
+            )
+        return out
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "Camera":
+        """Inverse of `to_dict`.
+
+        Parameters
+        ----------
+        data : mapping
+            As given by `to_dict`; unknown keys are refused.
+
+        Returns
+        -------
+        Camera
+        """
+        return cls(**data)
+
+    def scaled(self, factor: float) -> "Camera":
+        """The same camera with images resampled by a factor (0.5: half the pixels along each axis).
+
+        Parameters
+        ----------
+        factor : float
+            New size over old size.
+
+        Returns
+        -------
+        Camera
+        """
+        w, h = self.size
+        return replace(
+            self,
+            fx=self.fx * factor,
+            fy=self.fy * factor,
+            skew=self.skew * factor,
+            cx=(self.cx + 0.5) * factor - 0.5,
+            cy=(self.cy + 0.5) * factor - 0.5,
+            size=(round(w * factor), round(h * factor)),
+        )
+
+
+_OPTIONAL = {"k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew"}
