@@ -13,7 +13,8 @@ class TargetPoints:
     Parameters
     ----------
     node : ndarray of int, (n, 2)
-        Indices (i, j): the node lies at x = i * mesh, y = j * mesh on the target, right-handed seen from above.
+        Indices (i, j): the node lies at x = i * mesh, y = j * mesh on the target;
+        right-handed seen from above.
     pixel : ndarray, (n, 2)
         Position (X, Y) = (column, row), px.
     std : ndarray, (n,)
