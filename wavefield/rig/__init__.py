@@ -1,6 +1,7 @@
 """Cameras and rigs: geometry only, no images."""
 
 from wavefield.rig.camera import Camera
+from wavefield.rig.field import common_field
 from wavefield.rig.rig import Rig
 
-__all__ = ["Camera", "Rig"]
+__all__ = ["Camera", "Rig", "common_field"]

@@ -49,7 +49,8 @@ class Camera:
     --------
     A camera 4 m above the water, looking down, with y of the world pointing up in the image:
 
-    >>> down = Camera(2700.0, 2700.0, 511.5, 511.5, ((1, 0, 0), (0, -1, 0), (0, 0, -1)), (0, 0, 4), (1024, 1024))
+    >>> facing_down = ((1, 0, 0), (0, -1, 0), (0, 0, -1))
+    >>> down = Camera(2700.0, 2700.0, 511.5, 511.5, facing_down, (0, 0, 4), (1024, 1024))
     >>> X, Y = down.project(0.1, 0.0, 0.0)
     >>> print(round(float(X), 6), round(float(Y), 6))
     579.0 511.5

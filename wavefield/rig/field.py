@@ -1,0 +1,99 @@
+"""The field that all cameras of a rig see."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.errors import RigError
+from wavefield.grid import Grid
+from wavefield.rig.camera import Camera
+
+_LATTICE = 401  # candidate corners along each axis: the rectangle is right to a quarter per cent
+
+
+def common_field(
+    cameras: Iterable[Camera], step: float | None = None, height: float = 0.05, margin: float = 16.0
+) -> Grid:
+    """Largest upright rectangle of the water that every camera sees, as a grid.
+
+    Parameters
+    ----------
+    cameras : iterable of Camera
+        The cameras that must see every node.
+    step : float, optional
+        Distance between nodes, metres; if left out, the round number (1, 2, 5, 10 ...) next above five pixels
+        of the coarsest camera.
+    height : float, default 0.05
+        The surface may rise and sink by this much and stay in view, metres.
+    margin : float, default 16
+        Distance kept from the images' edges, px.
+
+    Returns
+    -------
+    Grid
+        Nodes at whole multiples of the step.
+
+    Raises
+    ------
+    RigError
+        If the cameras have no common field, or one narrower than one step.
+
+    Examples
+    --------
+    >>> from wavefield.rig import Camera
+    >>> down = Camera(1000, 1000, 499.5, 499.5, ((1, 0, 0), (0, -1, 0), (0, 0, -1)), (0, 0, 4), (1000, 1000))
+    >>> common_field([down], height=0.0, margin=0.0)
+    Grid(x=(-1.98, 1.98), y=(-1.98, 1.98), step=0.02)
+    """
+    cameras = list(cameras)
+    corners = np.stack([camera.corners() for camera in cameras])
+    if not np.isfinite(corners).all():
+        raise RigError("a camera sees the horizon: state the grid instead of `auto`")
+    lo, hi = corners.min(axis=1).max(axis=0), corners.max(axis=1).min(axis=0)
+    if not (hi > lo).all():
+        raise RigError("the cameras have no common field at z = 0: is it the right rig for these images?")
+    x, y = np.linspace(lo[0], hi[0], _LATTICE), np.linspace(lo[1], hi[1], _LATTICE)
+    seen = np.ones((_LATTICE, _LATTICE), bool)
+    for camera in cameras:
+        for z in {-height, height}:
+            seen &= camera.sees(x[None, :], y[:, None], z, margin)
+    x0, x1, y0, y1 = _largest_rectangle(seen, (hi[1] - lo[1]) / (hi[0] - lo[0]))
+    if step is None:
+        step = _round_up(5.0 * max(_pixel(c, 0.5 * (x[x0] + x[x1]), 0.5 * (y[y0] + y[y1])) for c in cameras))
+    ends = []
+    for first, last in ((x[x0], x[x1]), (y[y0], y[y1])):
+        # both ends are seen; whole multiples inside them are too
+        nodes = np.ceil(first / step - 1e-9), np.floor(last / step + 1e-9)
+        if nodes[1] - nodes[0] < 1:
+            raise RigError(f"the cameras' common field is narrower than one grid step of {step} m")
+        ends.append((round(float(nodes[0] * step), 9), round(float(nodes[1] * step), 9)))
+    return Grid(ends[0], ends[1], step)
+
+
+def _pixel(camera: Camera, x: float, y: float) -> float:
+    """Size of a pixel on the water where it is largest, metres."""
+    return float(1.0 / np.linalg.svd(camera.jacobian(x, y, 0.0)[:, :2], compute_uv=False)[-1])
+
+
+def _round_up(length: float) -> float:
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(round(power * next(m for m in (1, 2, 5, 10) if m * power >= length * (1 - 1e-9)), 12))
+
+
+def _largest_rectangle(seen: NDArray[np.bool_], aspect: float) -> tuple[int, int, int, int]:
+    """Columns and rows (x0, x1, y0, y1) of the largest block of True (largest rectangle under a histogram)."""
+    best, found = 0.0, (0, 0, 0, 0)
+    heights = np.zeros(seen.shape[1] + 1, int)
+    for row, line in enumerate(seen):
+        heights[:-1] = np.where(line, heights[:-1] + 1, 0)
+        stack: list[tuple[int, int]] = []  # (first column, height), heights rising
+        for column, h in enumerate(heights.tolist()):
+            start = column
+            while stack and stack[-1][1] >= h:
+                start, tall = stack.pop()
+                area = (column - start - 1) * (tall - 1) * aspect
+                if area > best:
+                    best, found = area, (start, column - 1, row - tall + 1, row)
+            stack.append((start, h))
+    return found
