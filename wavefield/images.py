@@ -1,4 +1,4 @@
-"""Reading and writing one image file."""
+"""Reading and writing image files: one grey image at a time."""
 
 from pathlib import Path
 
@@ -8,47 +8,100 @@ import tifffile
 
 from wavefield.errors import FrameError
 
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
-def read_image(path: str | Path) -> np.ndarray:
+
+def read_image(path: str | Path, page: int = 0) -> np.ndarray:
     """Read one grey image: TIFF, PNG, BMP, JPEG.
 
     Parameters
     ----------
     path : path
         Image file.
+    page : int, default 0
+        Which image of a TIFF that holds several.
 
     Returns
     -------
     ndarray, (row, column), uint8, uint16 or float32
-        The image; colour is turned to grey.
+        The image as stored (12 bits in 16 stay 12 bits); colour is turned to grey.
 
     Raises
     ------
     FrameError
-        If the file is missing, empty, truncated or not an image.
+        If the file is missing, empty, truncated or not an image, or has no such page.
+
+    Examples
+    --------
+    >>> import numpy as np, tempfile, pathlib
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "img_00000.tif"
+    >>> write_image(path, np.arange(6, dtype="uint16").reshape(2, 3))
+    >>> read_image(path)
+    array([[0, 1, 2],
+           [3, 4, 5]], dtype=uint16)
     """
-    path = Path(path)
+    if page == 0:
+        # OpenCV gives nothing at all for a truncated file of any of these formats, which is what we want
+        try:
+            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        except cv2.error:
+            image = None
+    else:
+        image = _read_page(path, page)
+    if image is None:
+        image = _read_otherwise(Path(path), page)
+    return grey(image)
+
+
+def grey(image: np.ndarray) -> np.ndarray:
+    """Turn a colour image, blue first as OpenCV reads it, to grey.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column) or (row, column, channel)
+        Any image.
+
+    Returns
+    -------
+    ndarray, (row, column)
+        The same image, or its luminance.
+    """
+    if image.ndim == 2:
+        return image
+    if image.shape[2] < 3:
+        return np.ascontiguousarray(image[..., 0])
+    return cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_BGR2GRAY)
+
+
+def _read_page(path: str | Path, page: int) -> np.ndarray | None:
     try:
-        raw = path.read_bytes()
+        ok, images = cv2.imreadmulti(str(path), page, 1, flags=cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+    return images[0] if ok and images else None
+
+
+def _read_otherwise(path: Path, page: int) -> np.ndarray:
+    """Read what OpenCV cannot, or say what is wrong with the file."""
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(4)
     except FileNotFoundError:
         raise FrameError(f"{path}: no such image") from None
     except OSError as error:
         raise FrameError(f"{path} cannot be read: {error.strerror}") from None
-    image = None
-    if raw[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+    if start in _TIFF:
         try:
-            image = tifffile.imread(path, key=0)
+            with tifffile.TiffFile(path) as tiff:
+                if page >= len(tiff.pages):
+                    raise FrameError(f"{path} has {len(tiff.pages)} pages: there is no page {page}")
+                return tiff.pages[page].asarray()
+        except FrameError:
+            raise
         except Exception as error:
             raise FrameError(f"{path} is corrupt or truncated: {error}") from None
-    elif raw:
-        image = cv2.imdecode(np.frombuffer(raw, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise FrameError(
-            f"{path} is {'not an image or corrupt' if raw else 'empty'}; copy it again from the camera"
-        )
-    if image.ndim == 3:
-        image = cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY)
-    return image
+    state = "not an image, corrupt or truncated" if start else "empty"
+    raise FrameError(f"{path} is {state}; copy it again from the camera")
 
 
 def write_image(path: str | Path, image: np.ndarray) -> None:
@@ -60,10 +113,20 @@ def write_image(path: str | Path, image: np.ndarray) -> None:
         File to write; its folder is made.
     image : ndarray, (row, column), uint8 or uint16
         The image.
+
+    Raises
+    ------
+    FrameError
+        If the file cannot be written.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix.lower() in (".tif", ".tiff"):
-        tifffile.imwrite(path, image)
-    elif not cv2.imwrite(str(path), image):
-        raise FrameError(f"{path} cannot be written")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix.lower() in (".tif", ".tiff"):
+            tifffile.imwrite(path, image)
+            return
+        written = cv2.imwrite(str(path), image)
+    except (OSError, cv2.error) as error:
+        raise FrameError(f"{path} cannot be written: {error}") from None
+    if not written:
+        raise FrameError(f"{path} cannot be written: no such format, or no room")

@@ -1,1 +1,6 @@
-"""See CONTRIBUTING.md for what this room holds."""
+"""The experiment file, the frames it names, and the xarray engine that opens them."""
+
+from wavefield.series.experiment import Experiment
+from wavefield.series.frames import Frame, FrameFault, FrameSeries
+
+__all__ = ["Experiment", "Frame", "FrameFault", "FrameSeries"]

@@ -1,0 +1,218 @@
+"""The xarray engine: ``xr.open_datatree("experiment.yaml", engine="wavefield")``."""
+
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from xarray.backends import BackendArray, BackendEntrypoint
+from xarray.core import indexing
+
+from wavefield.series.experiment import Experiment
+from wavefield.series.frames import FrameSeries
+
+# about 100 MB of the paper's largest camera: a fair amount to read at once
+_CHUNK_BYTES = 100_000_000
+
+
+class FrameWarning(UserWarning):
+    """A frame is missing or bad; zeros stand in its place."""
+
+
+class FrameArray(BackendArray):
+    """The images of one camera as a lazy array (time, row, column).
+
+    Parameters
+    ----------
+    series : FrameSeries
+        The frames.
+    """
+
+    def __init__(self, series: FrameSeries) -> None:
+        self.series = series
+        self.shape = (len(series), *series.shape)
+        self.dtype = np.dtype(series.dtype)
+
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
+        return indexing.explicit_indexing_adapter(
+            key, self.shape, indexing.IndexingSupport.OUTER_1VECTOR, self._read
+        )
+
+    def _read(self, key: tuple[Any, ...]) -> np.ndarray:
+        time, *rest = key
+        inside = tuple(rest)
+        if isinstance(time, int | np.integer):
+            return self._frame(int(time))[inside]
+        indices = np.arange(len(self.series))[time]
+        if indices.size == 0:
+            return np.zeros((0, *self.shape[1:]), self.dtype)[(slice(None), *inside)]
+        return np.stack([self._frame(int(i))[inside] for i in indices])
+
+    def _frame(self, index: int) -> np.ndarray:
+        frame = self.series.read(index)
+        if frame.image is not None:
+            return frame.image
+        warnings.warn(f"{frame.message}; zeros stand in its place", FrameWarning, stacklevel=2)
+        return np.zeros(self.shape[1:], self.dtype)
+
+
+class ExperimentBackend(BackendEntrypoint):
+    """Opens the images of an experiment file lazily."""
+
+    description = "image series of the cameras of an experiment file"
+    open_dataset_parameters = ("filename_or_obj", "drop_variables", "group", "folder")
+    supports_groups = True
+
+    def guess_can_open(self, filename_or_obj: Any) -> bool:
+        """Whether this is an experiment file.
+
+        Parameters
+        ----------
+        filename_or_obj : path
+            Any file.
+
+        Returns
+        -------
+        bool
+        """
+        try:
+            path = Path(filename_or_obj)
+            return path.suffix in (".yaml", ".yml") and "cameras:" in path.read_text()
+        except (TypeError, ValueError, OSError):
+            return False
+
+    def open_dataset(  # type: ignore[override]
+        self,
+        filename_or_obj: Any,
+        *,
+        drop_variables: str | Iterable[str] | None = None,
+        group: str | None = None,
+        folder: str | None = None,
+    ) -> xr.Dataset:
+        """Open one camera (``group="cam1"``), or all as variables named after the cameras.
+
+        Parameters
+        ----------
+        filename_or_obj : path
+            Experiment file.
+        drop_variables : str or iterable of str, optional
+            Variables to leave out.
+        group : str, optional
+            Name of a camera.
+        folder : path, optional
+            Folder of the images, in place of the one the file names.
+
+        Returns
+        -------
+        Dataset
+            ``image(time, row, column)`` of the camera; without group one variable per camera, whose rows and
+            columns bear its name because cameras differ in size.
+        """
+        experiment = Experiment.load(filename_or_obj, folder)
+        series = experiment.open_frames()
+        if group and group.strip("/"):
+            name = group.strip("/")
+            if name not in series:
+                raise ValueError(f"{experiment.path} has no camera {name!r}; it has {', '.join(series)}")
+            out = _camera(series[name]).assign_coords(_coordinates(experiment, series[name]))
+        else:
+            parts = [
+                _camera(s).rename(image=name, row=f"{name}_row", column=f"{name}_column", present=f"{name}_present")
+                for name, s in series.items()
+            ]
+            out = xr.merge(parts).assign_coords(_coordinates(experiment, next(iter(series.values()))))
+        out.attrs = _attributes(experiment)
+        return out.drop_vars([drop_variables] if isinstance(drop_variables, str) else drop_variables or [])
+
+    def open_groups_as_dict(  # type: ignore[override]
+        self,
+        filename_or_obj: Any,
+        *,
+        drop_variables: str | Iterable[str] | None = None,
+        folder: str | None = None,
+    ) -> dict[str, xr.Dataset]:
+        """Open the root (time) and one group per camera.
+
+        Parameters
+        ----------
+        filename_or_obj : path
+            Experiment file.
+        drop_variables : str or iterable of str, optional
+            Variables to leave out.
+        folder : path, optional
+            Folder of the images, in place of the one the file names.
+
+        Returns
+        -------
+        dict of str to Dataset
+        """
+        experiment = Experiment.load(filename_or_obj, folder)
+        series = experiment.open_frames()
+        drop = [drop_variables] if isinstance(drop_variables, str) else list(drop_variables or [])
+        coordinates = _coordinates(experiment, next(iter(series.values())))
+        groups = {"/": xr.Dataset(coords=coordinates, attrs=_attributes(experiment))}
+        groups |= {f"/{name}": _camera(s) for name, s in series.items()}
+        return {path: group.drop_vars(drop, errors="ignore") for path, group in groups.items()}
+
+    def open_datatree(  # type: ignore[override]
+        self,
+        filename_or_obj: Any,
+        *,
+        drop_variables: str | Iterable[str] | None = None,
+        folder: str | None = None,
+    ) -> xr.DataTree:
+        """Open all cameras as a tree: ``/cam1``, ``/cam2`` and so on, each with ``image(time, row, column)``.
+
+        Parameters
+        ----------
+        filename_or_obj : path
+            Experiment file.
+        drop_variables : str or iterable of str, optional
+            Variables to leave out.
+        folder : path, optional
+            Folder of the images, in place of the one the file names.
+
+        Returns
+        -------
+        DataTree
+        """
+        groups = self.open_groups_as_dict(filename_or_obj, drop_variables=drop_variables, folder=folder)
+        return xr.DataTree.from_dict(groups)
+
+
+def _camera(series: FrameSeries) -> xr.Dataset:
+    array = FrameArray(series)
+    image = xr.Variable(
+        ("time", "row", "column"),
+        indexing.LazilyIndexedArray(array),
+        {"long_name": f"image of {series.camera}", "units": "1"},
+    )
+    per_frame = int(np.prod(series.shape)) * array.dtype.itemsize
+    frames = int(np.clip(_CHUNK_BYTES // per_frame, 1, 64))
+    image.encoding["preferred_chunks"] = {"time": frames, "row": series.shape[0], "column": series.shape[1]}
+    present = np.ones(len(series), bool)
+    present[series.missing - series.first] = False
+    return xr.Dataset(
+        {"image": image, "present": ("time", present, {"long_name": f"{series.camera} has a file for this frame"})}
+    )
+
+
+def _coordinates(experiment: Experiment, series: FrameSeries) -> dict[str, Any]:
+    number = series.first + np.arange(len(series))
+    return {
+        "time": (
+            "time",
+            experiment.frame_times(series),
+            {"long_name": "time of the frame", "units": "s", "axis": "T"},
+        ),
+        "frame": ("time", number, {"long_name": "frame number", "units": "1"}),
+    }
+
+
+def _attributes(experiment: Experiment) -> dict[str, Any]:
+    out: dict[str, Any] = {"experiment": experiment.name, "frame_rate": experiment.frame_rate}
+    if experiment.water.depth:
+        out["water_depth"] = experiment.water.depth
+    return out

@@ -1,0 +1,300 @@
+"""The experiment file: one YAML file that describes an experiment as a lab note would."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, PrivateAttr, field_validator, model_validator
+
+from wavefield.errors import ExperimentError, RigError
+from wavefield.grid import Grid
+from wavefield.rig import Rig
+from wavefield.series.document import Section, load_section, read_yaml
+from wavefield.series.frames import FrameSeries
+from wavefield.series.listing import make_series, number_frames, place_by_time, read_time_stamps
+
+
+class CameraSection(Section):
+    """Where the images of one camera are."""
+
+    images: str | list[str | None] = Field(
+        examples=['"cam1/img_{frame:05d}.tif"'],
+        description="pattern with the frame number, glob, list, multi-page TIFF, video, Zarr array",
+    )
+    offset: int = Field(0, description="added to this camera's frame numbers")
+    times: str | None = Field(None, description="file of time stamps, one line per image, seconds")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _shorthand(cls, data: Any) -> Any:
+        return {"images": data} if isinstance(data, str | list) else data
+
+
+class CalibrationSection(Section):
+    """Target images and what the target is; read by the calibration."""
+
+    target: dict[str, Any] = Field(examples=["{kind: strings, mesh: 0.10}"])
+    tilted: str | list[str] = Field(examples=['"calib/{camera}/tilt_*.tif"'])
+    flat: str | None = Field(None, examples=['"calib/{camera}/flat.tif"'])
+    model: str | None = Field(None, description="camera model, where the default does not do")
+
+
+class SurfaceSection(Section):
+    """Pairs of cameras that give z."""
+
+    pairs: list[tuple[str, str]] = Field(examples=["[[cam3, cam1], [cam3, cam2]]"], min_length=1)
+
+
+class VelocitySection(Section):
+    """Cameras that give u, v, w."""
+
+    cameras: list[str] = Field(examples=["[cam1, cam2]"], min_length=2)
+
+
+class GridSection(Section):
+    """Nodes of the grid, metres; without x and y the extent is that seen by the cameras."""
+
+    x: tuple[float, float] | None = Field(None, examples=["[-1.0, 1.0]"])
+    y: tuple[float, float] | None = Field(None, examples=["[-0.75, 0.75]"])
+    step: float = Field(gt=0, examples=["0.01"])
+
+    @model_validator(mode="after")
+    def _whole(self) -> "GridSection":
+        if (self.x is None) != (self.y is None):
+            raise ValueError("give both x and y, or neither for the extent seen by the cameras")
+        if self.x is not None and self.y is not None:
+            Grid(self.x, self.y, self.step)
+        return self
+
+
+class WaterSection(Section):
+    """The water."""
+
+    depth: float | None = Field(None, gt=0, examples=["0.70"], description="m")
+    density: float | None = Field(None, gt=0, examples=["1000"], description="kg m-3")
+    surface_tension: float | None = Field(None, ge=0, examples=["0.073"], description="N m-1")
+
+
+class FramesSection(Section):
+    """Range of frame numbers to use, both included."""
+
+    first: int | None = Field(None, examples=["0"])
+    last: int | None = Field(None, examples=["11999"])
+
+
+class Experiment(Section):
+    """An experiment: cameras, rig, grid, and what is known of the water.
+
+    Read one with `Experiment.load`; relative paths in it are relative to the file (images: to ``folder``,
+    if it is given).
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "experiment.yaml"
+    >>> _ = path.write_text('''
+    ... name: basin
+    ... frame_rate: 20.0
+    ... cameras: {cam1: "cam1/*.tif", cam2: "cam2/*.tif"}
+    ... velocity: {cameras: [cam1, cam2]}
+    ... ''')
+    >>> Experiment.load(path).frame_rate
+    20.0
+    """
+
+    name: str = Field(examples=["coriolis-07"], pattern=r"^[^/\\]+$")
+    description: str = ""
+    frame_rate: float = Field(gt=0, examples=["20.0"], description="Hz")
+    folder: str | None = Field(None, description="folder of the images, if not that of this file")
+    cameras: dict[str, CameraSection] = Field(min_length=1, examples=['{cam1: {images: "cam1/*.tif"}}'])
+    frames: FramesSection = FramesSection()
+    calibration: CalibrationSection | None = None
+    rig: str | None = Field(None, examples=["rig.yaml"])
+    surface: SurfaceSection | None = None
+    velocity: VelocitySection | None = None
+    grid: GridSection | Literal["auto"] = Field("auto", examples=["{x: [-1.0, 1.0], y: [-0.75, 0.75], step: 0.01}"])
+    water: WaterSection = WaterSection()
+    probes: str | None = Field(None, examples=["probes.csv"])
+    settings: dict[str, Any] = Field(default_factory=dict, description="measurement settings that differ")
+
+    _path: Path = PrivateAttr(default=Path("experiment.yaml"))
+
+    @field_validator("name", mode="before")
+    @classmethod
+    def _name_is_text(cls, value: Any) -> Any:
+        return str(value) if isinstance(value, int | float) else value  # `name: 7` is a fine name
+
+    @model_validator(mode="after")
+    def _cameras_exist(self) -> "Experiment":
+        known = ", ".join(self.cameras)
+        for a, b in self.surface.pairs if self.surface else ():
+            for name in (a, b):
+                if name not in self.cameras:
+                    raise ValueError(f"surface.pairs names {name!r}, but the cameras are {known}")
+            if a == b:
+                raise ValueError(f"surface.pairs pairs {a!r} with itself")
+        for name in self.velocity.cameras if self.velocity else ():
+            if name not in self.cameras:
+                raise ValueError(f"velocity.cameras names {name!r}, but the cameras are {known}")
+        first, last = self.frames.first, self.frames.last
+        if first is not None and last is not None and last <= first:
+            raise ValueError(f"frames runs from {first} to {last}; a step needs two frames")
+        return self
+
+    # -- reading -------------------------------------------------------------------------------------
+
+    @classmethod
+    def load(cls, path: str | Path, folder: str | Path | None = None) -> "Experiment":
+        """Read and check an experiment file.
+
+        Parameters
+        ----------
+        path : path
+            The file; one that holds only ``experiment: other.yaml`` (and perhaps ``folder``) stands for
+            the other.
+        folder : path, optional
+            Folder of the images, in place of the one the file names.
+
+        Returns
+        -------
+        Experiment
+
+        Raises
+        ------
+        ExperimentError
+            If the file is missing or wrong; the message names the line and the remedy.
+        """
+        path = Path(str(path).removeprefix("file://")).absolute()
+        data = read_yaml(path)
+        if set(data) in ({"experiment"}, {"experiment", "folder"}):
+            if folder is None and data.get("folder"):
+                folder = path.parent / data["folder"]
+            target = path.parent / str(data["experiment"])
+            if not target.is_file():
+                raise ExperimentError(f"{path} points to {target}, which is not there")
+            return cls.load(target, folder)
+        if folder:
+            data["folder"] = str(Path(str(folder).removeprefix("file://")).absolute())
+        out = load_section(cls, path, data)
+        out._path = path
+        return out
+
+    @property
+    def path(self) -> Path:
+        """The file this experiment was read from."""
+        return self._path
+
+    @property
+    def image_folder(self) -> Path:
+        """Folder that the images' names start from."""
+        return self._path.parent / (self.folder or "")
+
+    def resolve(self, name: str | Path) -> Path:
+        """Absolute path of a file that the experiment names (other than an image).
+
+        Parameters
+        ----------
+        name : path
+            As in the file.
+
+        Returns
+        -------
+        Path
+        """
+        return self._path.parent / name
+
+    # -- what follows from it ------------------------------------------------------------------------
+
+    def open_frames(self) -> dict[str, FrameSeries]:
+        """Find the frames of every camera: one listing of each folder, one frame read per camera.
+
+        Returns
+        -------
+        dict of str to FrameSeries
+            All on the same range of frame numbers, gaps kept.
+
+        Raises
+        ------
+        ExperimentError
+            If images are not there or cannot be numbered.
+        """
+        numbered = {
+            name: number_frames(section.images, self.image_folder, name)
+            for name, section in self.cameras.items()
+        }
+        stamped = {
+            name: (self.resolve(section.times), read_time_stamps(self.resolve(section.times), name))
+            for name, section in self.cameras.items()
+            if section.times
+        }
+        if stamped and len(stamped) < len(numbered):
+            without = next(name for name in numbered if name not in stamped)
+            raise ExperimentError(
+                f"{self.path}: {without} has no `times`, but other cameras have; give them all, or none"
+            )
+        if stamped:
+            start = min(times[0] for _, times in stamped.values())
+            for name, (path, times) in stamped.items():
+                numbered[name] = place_by_time(numbered[name], times, start, self.frame_rate, path, name)
+        for name, section in self.cameras.items():
+            if section.offset:
+                numbered[name] = {n + section.offset: entry for n, entry in numbered[name].items()}
+        first = min(min(frames) for frames in numbered.values())
+        last = max(max(frames) for frames in numbered.values())
+        first = first if self.frames.first is None else self.frames.first
+        last = last if self.frames.last is None else self.frames.last
+        if last <= first:
+            raise ExperimentError(f"{self.path}: there is one frame only; a step needs two")
+        return make_series(numbered, first, last)
+
+    def frame_times(self, series: FrameSeries) -> np.ndarray:
+        """Times of the frames, from their numbers and the frame rate.
+
+        Parameters
+        ----------
+        series : FrameSeries
+            Any camera.
+
+        Returns
+        -------
+        ndarray, (n,)
+            Seconds; frame number 0 is at 0.
+        """
+        return (series.first + np.arange(len(series))) / self.frame_rate
+
+    def load_rig(self, path: str | Path | None = None) -> Rig:
+        """Load the rig: of this program, or one that `wavefield.rig` can import.
+
+        Parameters
+        ----------
+        path : path, optional
+            In place of the one that the experiment names.
+
+        Returns
+        -------
+        Rig
+
+        Raises
+        ------
+        RigError
+            If there is none, or cameras of the experiment are not in it.
+        """
+        if path is None and self.rig is None:
+            raise RigError(
+                f"{self.path} names no rig; run `wavefield calibrate {self.path.name}` and add `rig: rig.yaml`"
+            )
+        where = Path(path) if path is not None else self.resolve(str(self.rig))
+        rig = Rig.load(where)
+        absent = [name for name in self.cameras if name not in rig.cameras]
+        if absent:
+            raise RigError(f"{where} has no camera {', '.join(absent)}; it has {', '.join(rig)}")
+        return rig
+
+    @property
+    def measuring_cameras(self) -> list[str]:
+        """Cameras that the measurement uses, in the order of the file."""
+        if self.surface is None and self.velocity is None:
+            return list(self.cameras)
+        used = {name for pair in (self.surface.pairs if self.surface else ()) for name in pair}
+        used |= set(self.velocity.cameras if self.velocity else ())
+        return [name for name in self.cameras if name in used]

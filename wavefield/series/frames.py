@@ -1,0 +1,156 @@
+"""The frames of one camera: where each one is, and reading it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from wavefield.errors import FrameError
+from wavefield.series.readers import Entry, read_entry
+
+
+class FrameFault(IntEnum):
+    """What is wrong with a frame."""
+
+    NONE = 0
+    MISSING = 1
+    UNREADABLE = 2  # corrupt, truncated, or not an image
+    WRONG_SIZE = 3  # other rows, columns or type than the rest
+    BLANK = 4  # black, or all pixels equal
+
+
+class Frame(NamedTuple):
+    """One image, or the reason why there is none."""
+
+    image: np.ndarray | None
+    fault: FrameFault
+    message: str
+
+
+@dataclass(frozen=True)
+class FrameSeries:
+    """Frames of one camera, at their places in time.
+
+    Parameters
+    ----------
+    camera : str
+        Name of the camera.
+    first : int
+        Frame number of index 0.
+    entries : sequence of Entry or None
+        Where the frames are, in order of their numbers; None where one is missing.
+    shape : tuple of int
+        (rows, columns) that every frame must have.
+    dtype : str
+        Type that every frame must have.
+    """
+
+    camera: str
+    first: int
+    entries: Sequence[Entry | None] = field(repr=False)
+    shape: tuple[int, int]
+    dtype: str
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    @property
+    def missing(self) -> np.ndarray:
+        """Numbers of the frames that have no file."""
+        return self.first + np.flatnonzero([entry is None for entry in self.entries])
+
+    def place(self, index: int) -> str:
+        """Which frame this is, for a message.
+
+        Parameters
+        ----------
+        index : int
+            Index in the series.
+
+        Returns
+        -------
+        str
+        """
+        entry = self.entries[index]
+        return f"{self.camera} frame {self.first + index}" + (f" ({entry})" if entry else "")
+
+    def read(self, index: int) -> Frame:
+        """Read one frame; never raises for a bad one.
+
+        Parameters
+        ----------
+        index : int
+            Index in the series, from 0.
+
+        Returns
+        -------
+        Frame
+            The image, (row, column), or the fault and a sentence about it.
+        """
+        entry = self.entries[index]
+        place = self.place(index)
+        if entry is None:
+            return Frame(None, FrameFault.MISSING, f"{place} is missing")
+        try:
+            image = read_entry(entry)
+        except FrameError as error:
+            return Frame(None, FrameFault.UNREADABLE, f"{place}: {error}")
+        return self.judge(image, place)
+
+    def judge(self, image: np.ndarray, place: str) -> Frame:
+        """Check the size, type and content of an image.
+
+        Parameters
+        ----------
+        image : ndarray, (row, column)
+            What was read.
+        place : str
+            Which frame this is, for the message.
+
+        Returns
+        -------
+        Frame
+        """
+        if image.shape != self.shape or image.dtype != self.dtype:
+            found = f"{image.shape[1]} x {image.shape[0]} {image.dtype}"
+            wanted = f"{self.shape[1]} x {self.shape[0]} {self.dtype}"
+            return Frame(None, FrameFault.WRONG_SIZE, f"{place} is {found}, the others are {wanted}")
+        return judge_content(image, place)
+
+    def window(self, start: int, stop: int) -> "FrameSeries":
+        """The frames of one block: small enough to send to a worker.
+
+        Parameters
+        ----------
+        start, stop : int
+            Indices, from 0; parts outside the series are left out.
+
+        Returns
+        -------
+        FrameSeries
+        """
+        start = max(start, 0)
+        return replace(self, first=self.first + start, entries=list(self.entries[start:stop]))
+
+
+def judge_content(image: np.ndarray, place: str) -> Frame:
+    """Mark an image without any contrast.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column)
+        What was read.
+    place : str
+        Which frame this is, for the message.
+
+    Returns
+    -------
+    Frame
+    """
+    # nearly every image shows contrast in a sample of its pixels, so the full look is rare
+    sample = image[::17, ::17]
+    if sample.min() == sample.max() and image.min() == image.max():
+        return Frame(None, FrameFault.BLANK, f"{place} is blank (all pixels are {image.flat[0]})")
+    return Frame(image, FrameFault.NONE, "")

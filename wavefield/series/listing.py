@@ -1,0 +1,299 @@
+"""From what the experiment file says of a camera's images to a place in time for every frame.
+
+A frame's place comes from its number (in its name, in its file, or from its time stamp), never from its
+rank in a listing: a missing file must not shift the rest.
+"""
+
+import fnmatch
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from wavefield.errors import ExperimentError, FrameError
+from wavefield.series.frames import FrameSeries
+from wavefield.series.readers import Entry, count_images, read_entry
+
+Numbered = dict[int, Entry]
+_FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
+
+
+def number_frames(images: str | Sequence[str | None], folder: Path, camera: str) -> Numbered:
+    """Give every image of a camera its frame number.
+
+    Parameters
+    ----------
+    images : str or sequence of str or None
+        A pattern with ``{frame:05d}``, a glob, a multi-page TIFF, a video, a Zarr array; or a list of
+        files (None where a frame is known to be missing), numbered from 0.
+    folder : path
+        Relative names start here.
+    camera : str
+        Name of the camera, put in place of ``{camera}``.
+
+    Returns
+    -------
+    dict of int to Entry
+        Frame number to where it is.
+
+    Raises
+    ------
+    ExperimentError
+        If nothing is found, or numbers are not unique.
+    """
+    if not isinstance(images, str):
+        return _from_list(images, folder, camera)
+    path = folder / images.replace("{camera}", camera)
+    if _FRAME.search(str(path)) or any(c in str(path.name) for c in "*?["):
+        return _from_names(path, camera)
+    kind, count = _counted(path, camera)
+    return {i: Entry(kind, str(path), i) for i in range(count)}
+
+
+def _counted(path: Path, camera: str):  # type: ignore[no-untyped-def]
+    try:
+        return count_images(path)
+    except FrameError as error:
+        raise ExperimentError(f"images of {camera}: {error}") from None
+
+
+def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbered:
+    out: Numbered = {}
+    number = 0
+    for item in images:
+        if item is not None:
+            path = folder / item.replace("{camera}", camera)
+            if path.suffix.lower() in (".png", ".bmp", ".jpg", ".jpeg"):
+                kind, count = "file", 1  # these hold one image: no need to look into each file
+            elif not path.exists():
+                number += 1  # a listed file that is not there keeps its place
+                continue
+            else:
+                kind, count = _counted(path, camera)
+            if kind != "file" or path.exists():
+                out |= {number + i: Entry(kind, str(path), i) for i in range(count)}  # type: ignore[arg-type]
+            number += count - 1
+        number += 1
+    if not out:
+        raise ExperimentError(f"images of {camera}: none of the {len(images)} listed files is there")
+    return out
+
+
+def list_folder(folder: Path, camera: str) -> list[str]:
+    """Names of the files in a folder, in one listing.
+
+    Parameters
+    ----------
+    folder : path
+        Where the images are.
+    camera : str
+        For the message.
+
+    Returns
+    -------
+    list of str
+
+    Raises
+    ------
+    ExperimentError
+        If the folder is missing or cannot be read.
+    """
+    try:
+        return os.listdir(folder)
+    except FileNotFoundError:
+        raise ExperimentError(f"images of {camera}: there is no folder {folder}") from None
+    except NotADirectoryError:
+        raise ExperimentError(f"images of {camera}: {folder} is not a folder") from None
+    except OSError as error:
+        raise ExperimentError(
+            f"images of {camera}: the folder {folder} cannot be read ({error.strerror}); "
+            "check its permissions and that its disk is mounted"
+        ) from None
+
+
+def _from_names(path: Path, camera: str) -> Numbered:
+    folder, pattern = path.parent, path.name
+    if _FRAME.search(str(folder)) or any(c in str(folder) for c in "*?["):
+        raise ExperimentError(f"images of {camera}: {path} has a pattern in its folder; only the file may vary")
+    names = list_folder(folder, camera)
+    if _FRAME.search(pattern):
+        before, after = _FRAME.sub("\0", pattern).split("\0", 1)
+        if "\0" in after:
+            raise ExperimentError(f"images of {camera}: {pattern} has {{frame}} twice")
+        numbered = _numbers_by_pattern(names, before, after)
+    else:
+        numbered = _numbers_by_glob(fnmatch.filter(names, pattern), pattern, camera)
+    if not numbered:
+        raise ExperimentError(
+            f"images of {camera}: no file in {folder} fits {pattern!r}" + _hint(names, folder, pattern)
+        )
+    prefix = str(folder) + os.sep
+    return {number: Entry("file", prefix + name) for number, name in sorted(numbered.items())}
+
+
+def _numbers_by_pattern(names: Sequence[str], before: str, after: str) -> dict[int, str]:
+    head, tail = len(before), len(after)
+    out = {}
+    for name in names:
+        digits = name[head : len(name) - tail]
+        if digits.isdecimal() and name.startswith(before) and name.endswith(after):
+            out[int(digits)] = name
+    return out
+
+
+def _numbers_by_glob(names: Sequence[str], pattern: str, camera: str) -> dict[int, str]:
+    """The one group of digits that varies from name to name is the frame number."""
+    parts = [re.split(r"(\d+)", name) for name in names]
+    if not parts:
+        return {}
+    if len({tuple(p[::2]) for p in parts}) > 1:
+        kinds = sorted({"#".join(p[::2]) for p in parts})
+        raise ExperimentError(
+            f"images of {camera}: {pattern!r} fits names of different kinds ({', '.join(kinds[:3])}, # for "
+            "digits); say where the frame number is, as in img_{frame:05d}.tif"
+        )
+    digits = [[int(d) for d in p[1::2]] for p in parts]
+    varying = [k for k in range(len(digits[0])) if len({d[k] for d in digits}) > 1]
+    if len(names) == 1 and digits[0]:
+        varying = [len(digits[0]) - 1]
+    if len(varying) != 1:
+        problem = "more than one number varies" if varying else "no number varies"
+        raise ExperimentError(
+            f"images of {camera}: {problem} among the names that fit {pattern!r}; say where the frame "
+            "number is, as in img_{frame:05d}.tif"
+        )
+    return {d[varying[0]]: name for d, name in zip(digits, names)}
+
+
+def _hint(names: Sequence[str], folder: Path, pattern: str) -> str:
+    ending = Path(pattern).suffix
+    alike = sorted(name for name in names if name.endswith(ending)) or sorted(names)
+    return f"; the folder holds {alike[0]!r} and others" if alike else f"; {folder} is empty"
+
+
+def read_time_stamps(path: Path, camera: str) -> np.ndarray:
+    """Times of a camera's frames, one per image in order.
+
+    Parameters
+    ----------
+    path : path
+        Text file with one time in seconds per line (in the last column, if there are several); a first line
+        with names and lines that start with ``#`` are skipped.
+    camera : str
+        For the message.
+
+    Returns
+    -------
+    ndarray, (n,)
+        Times, seconds.
+
+    Raises
+    ------
+    ExperimentError
+        If a line holds no time, or times do not increase.
+    """
+    try:
+        lines = path.read_text().splitlines()
+    except OSError as error:
+        raise ExperimentError(f"time stamps of {camera}: {path} cannot be read: {error.strerror}") from None
+    times: list[float] = []
+    for number, line in enumerate(lines, 1):
+        words = line.replace(",", " ").replace(";", " ").split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            times.append(float(words[-1]))
+        except ValueError:
+            if times:
+                raise ExperimentError(f"{path}, line {number}: {words[-1]!r} is not a time in seconds") from None
+    out = np.array(times)
+    if out.size == 0 or np.any(np.diff(out) <= 0):
+        raise ExperimentError(f"time stamps of {camera}: {path} must hold increasing times in seconds")
+    return out
+
+
+def place_by_time(
+    numbered: Numbered, times: np.ndarray, start: float, frame_rate: float, path: Path, camera: str
+) -> Numbered:
+    """Renumber frames by their time stamps, so that frames dropped by the camera leave gaps.
+
+    Parameters
+    ----------
+    numbered : dict of int to Entry
+        Frames in order.
+    times : ndarray, (n,)
+        Their times, seconds.
+    start : float
+        Time of frame 0, seconds.
+    frame_rate : float
+        Hz.
+    path : path
+        The file of time stamps, for the message.
+    camera : str
+        For the message.
+
+    Returns
+    -------
+    dict of int to Entry
+
+    Raises
+    ------
+    ExperimentError
+        If the stamps do not fit the images or the frame rate.
+    """
+    if len(times) != len(numbered):
+        raise ExperimentError(
+            f"{path} holds {len(times)} times, but {camera} has {len(numbered)} images; every image needs one"
+        )
+    place = (times - start) * frame_rate
+    numbers = np.rint(place).astype(int)
+    worst = int(np.argmax(np.abs(place - numbers)))
+    if abs(place[worst] - numbers[worst]) > 0.25 or np.any(np.diff(numbers) < 1):
+        raise ExperimentError(
+            f"{path}: the times do not fit a frame rate of {frame_rate} Hz (image {worst} is "
+            f"{abs(place[worst] - numbers[worst]):.2f} of an interval off); correct frame_rate"
+        )
+    return {int(number): numbered[old] for number, old in zip(numbers, sorted(numbered))}
+
+
+def make_series(numbered: Mapping[str, Numbered], first: int, last: int) -> dict[str, FrameSeries]:
+    """Line up the cameras on a common range of frame numbers; reads one frame of each.
+
+    Parameters
+    ----------
+    numbered : mapping of str to dict
+        Frames of every camera.
+    first, last : int
+        Range of frame numbers, both included.
+
+    Returns
+    -------
+    dict of str to FrameSeries
+
+    Raises
+    ------
+    ExperimentError
+        If a camera has no readable frame in that range.
+    """
+    out = {}
+    for camera, frames in numbered.items():
+        entries = [frames.get(number) for number in range(first, last + 1)]
+        shape, dtype = _first_readable(entries, camera)
+        out[camera] = FrameSeries(camera, first, entries, shape, dtype)
+    return out
+
+
+def _first_readable(entries: Sequence[Entry | None], camera: str) -> tuple[tuple[int, int], str]:
+    present = [entry for entry in entries if entry is not None]
+    tried = present[:20]
+    problem = "there are none in the range of frames"
+    for entry in tried:
+        try:
+            image = read_entry(entry)
+        except FrameError as error:
+            problem = str(error)
+            continue
+        return (image.shape[0], image.shape[1]), str(image.dtype)
+    raise ExperimentError(f"images of {camera}: none of the first {len(tried)} can be read: {problem}")

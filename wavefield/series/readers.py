@@ -1,0 +1,179 @@
+"""Reading one frame from whatever holds it: a file of its own, a multi-page TIFF, a video, a Zarr array."""
+
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from threading import Lock
+from typing import Any, Literal, NamedTuple
+
+import cv2
+import numpy as np
+import tifffile
+
+from wavefield.errors import FrameError
+from wavefield.images import grey, read_image
+
+VIDEO_ENDINGS = (".avi", ".mp4", ".mov", ".mkv")
+
+
+class Entry(NamedTuple):
+    """Where one frame is."""
+
+    kind: Literal["file", "page", "video", "zarr"]
+    path: str
+    index: int = 0
+
+    def __str__(self) -> str:
+        return self.path if self.kind == "file" else f"{self.path}, image {self.index}"
+
+
+def read_entry(entry: Entry) -> np.ndarray:
+    """Read one frame.
+
+    Parameters
+    ----------
+    entry : Entry
+        Where it is.
+
+    Returns
+    -------
+    ndarray, (row, column)
+
+    Raises
+    ------
+    FrameError
+        If it cannot be read.
+    """
+    if entry.kind == "file":
+        return read_image(entry.path)
+    with _lock:  # open files keep a position, which threads would fight over
+        if entry.kind == "page":
+            return _read_page(entry)
+        if entry.kind == "video":
+            return _open(entry.path, _Video).read(entry.index)
+        array = _open(entry.path, _open_array)
+        try:
+            return np.asarray(array[entry.index])
+        except Exception as error:
+            raise FrameError(f"{entry} cannot be read: {error}") from None
+
+
+def count_images(path: Path) -> tuple[Literal["file", "page", "video", "zarr"], int]:
+    """What a single file or store holds.
+
+    Parameters
+    ----------
+    path : path
+        TIFF, video or Zarr array.
+
+    Returns
+    -------
+    kind : str
+        Kind of `Entry`.
+    count : int
+        Number of images in it.
+
+    Raises
+    ------
+    FrameError
+        If it cannot be read.
+    """
+    if path.suffix.lower() in VIDEO_ENDINGS:
+        return "video", _Video(str(path)).count
+    if path.suffix.lower() == ".zarr" or path.is_dir():
+        return "zarr", _open_array(str(path)).shape[0]
+    if path.suffix.lower() in (".tif", ".tiff"):
+        try:
+            with tifffile.TiffFile(path) as tiff:
+                pages = len(tiff.pages)
+        except (OSError, tifffile.TiffFileError, ValueError) as error:
+            raise FrameError(f"{path} cannot be read: {error}") from None
+        return ("page", pages) if pages > 1 else ("file", 1)
+    if not path.is_file():
+        raise FrameError(f"{path}: no such image")
+    return "file", 1
+
+
+# -- files that hold many frames stay open between reads, a few per process -------------------------------
+
+_lock = Lock()
+_open_files: OrderedDict[str, Any] = OrderedDict()
+_MAX_OPEN = 8
+
+
+def _open(path: str, opener: Callable[[str], Any]) -> Any:
+    if path not in _open_files:
+        _open_files[path] = opener(path)
+        while len(_open_files) > _MAX_OPEN:
+            _, old = _open_files.popitem(last=False)
+            if hasattr(old, "close"):
+                old.close()
+    _open_files.move_to_end(path)
+    return _open_files[path]
+
+
+def _open_tiff(path: str) -> tifffile.TiffFile:
+    try:
+        return tifffile.TiffFile(path)
+    except (OSError, tifffile.TiffFileError, ValueError) as error:
+        raise FrameError(f"{path} cannot be read: {error}") from None
+
+
+def _read_page(entry: Entry) -> np.ndarray:
+    tiff = _open(entry.path, _open_tiff)
+    try:
+        page = tiff.pages[entry.index]
+    except IndexError:
+        raise FrameError(f"{entry.path} has no image {entry.index}: is it truncated?") from None
+    except Exception as error:
+        raise FrameError(f"{entry} cannot be read: {error}") from None
+    if page.compression == tifffile.COMPRESSION.NONE and page.bitspersample in (8, 16, 32):
+        try:
+            image = page.asarray()
+        except Exception as error:
+            raise FrameError(f"{entry} is corrupt or truncated: {error}") from None
+        return grey(image[..., ::-1]) if image.ndim == 3 else image
+    return read_image(entry.path, entry.index)
+
+
+def _open_array(path: str) -> Any:
+    import zarr
+
+    try:
+        found = zarr.open(path, mode="r")
+    except Exception as error:
+        raise FrameError(f"{path} is not a Zarr array: {error}") from None
+    if not hasattr(found, "shape"):  # a group, as xarray writes it
+        if "image" not in found:
+            raise FrameError(f"{path} holds no array 'image'; name the array itself, as in {path}/NAME")
+        found = found["image"]
+    if len(found.shape) != 3:
+        raise FrameError(f"{path} has {len(found.shape)} dimensions, images need three: time, row, column")
+    return found
+
+
+class _Video:
+    """A video read forwards where possible; a jump seeks."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+        if not Path(path).is_file():
+            raise FrameError(f"{path}: no such video")
+        self._capture = cv2.VideoCapture(path)
+        if not self._capture.isOpened():
+            raise FrameError(f"{path} cannot be read as a video; convert it to PNG or TIFF frames")
+        self.count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        self._next = 0
+
+    def read(self, index: int) -> np.ndarray:
+        if index != self._next:
+            self._capture.set(cv2.CAP_PROP_POS_FRAMES, index)
+        ok, image = self._capture.read()
+        if not ok:
+            self._next = -1
+            raise FrameError(f"{self.path}, image {index}: cannot be decoded")
+        self._next = index + 1
+        return grey(image)
+
+    def close(self) -> None:
+        self._capture.release()
