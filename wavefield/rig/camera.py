@@ -171,6 +171,21 @@ class Camera:
 
     # -- what the other rooms call -------------------------------------------------------------------
 
+    def tangents(self, X: ArrayLike, Y: ArrayLike) -> tuple[Array, Array]:
+        """Tangents of the viewing angles of pixels: lens and sensor undone.
+
+        Parameters
+        ----------
+        X, Y : array_like
+            Pixel coordinates (column, row).
+
+        Returns
+        -------
+        a, b : ndarray
+            xc / zc and yc / zc of the points that the pixels see.
+        """
+        return self._to_tangents(*np.broadcast_arrays(np.asarray(X, float), np.asarray(Y, float)))
+
     def project(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array]:
         """Project physical points onto the sensor.
 

@@ -82,7 +82,7 @@ def _round_up(length: float) -> float:
 
 
 def _largest_rectangle(seen: NDArray[np.bool_], aspect: float) -> tuple[int, int, int, int]:
-    """Columns and rows (x0, x1, y0, y1) of the largest block of True (largest rectangle under a histogram)."""
+    """Columns and rows (x0, x1, y0, y1) of the largest block of True (by row histograms)."""
     best, found = 0.0, (0, 0, 0, 0)
     heights = np.zeros(seen.shape[1] + 1, int)
     for row, line in enumerate(seen):

@@ -1,14 +1,18 @@
 """A rig: several named cameras that look at the same water."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
+from numpy.typing import ArrayLike
 
 from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
+
+UNITS = {"length": "m", "image": "px", "angle": "rad"}
 
 
 @dataclass(frozen=True)
@@ -20,7 +24,15 @@ class Rig:
     cameras : mapping of str to Camera
         The cameras, in the order of the experiment.
     provenance : mapping, optional
-        Images, date, model, residuals, uncertainties: whatever the calibration has to say.
+        Images, date, model, residuals, uncertainties: whatever the calibration has to say, in plain
+        numbers, texts, lists and mappings.
+
+    Examples
+    --------
+    >>> facing_down = ((1, 0, 0), (0, -1, 0), (0, 0, -1))
+    >>> rig = Rig({"cam1": Camera(2700, 2700, 511.5, 511.5, facing_down, (0, 0, 4), (1024, 1024))})
+    >>> rig["cam1"].centre[2]
+    np.float64(4.0)
     """
 
     cameras: Mapping[str, Camera]
@@ -38,29 +50,61 @@ class Rig:
     def __len__(self) -> int:
         return len(self.cameras)
 
+    def moved(self, axes: ArrayLike, origin: ArrayLike, **provenance: Any) -> "Rig":
+        """Re-express the rig in another physical frame.
+
+        Parameters
+        ----------
+        axes : array_like, (3, 3)
+            The new frame's axes as columns, in the present frame; a rotation.
+        origin : array_like, (3,)
+            The new frame's origin in the present frame, metres.
+        **provenance
+            Added to the provenance.
+
+        Returns
+        -------
+        Rig
+            The same cameras, seen from the new frame.
+        """
+        Q, o = np.asarray(axes, float), np.asarray(origin, float)
+        cameras = {
+            name: replace(camera, rotation=camera.R @ Q, translation=camera.R @ o + camera.T)
+            for name, camera in self.cameras.items()
+        }
+        return Rig(cameras, {**self.provenance, **provenance})
+
     def save(self, path: str | Path) -> None:
-        """Write the rig as readable YAML.
+        """Write the rig as readable YAML, lengths in metres, image quantities in px, angles in radians.
 
         Parameters
         ----------
         path : path
-            File to write.
+            File to write; its folder is made.
         """
         data = {
-            "units": {"length": "m", "image": "px", "angle": "rad"},
+            "units": UNITS,
             "cameras": {name: camera.to_dict() for name, camera in self.cameras.items()},
             "provenance": dict(self.provenance),
         }
-        Path(path).write_text(yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110))
+        text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draft = path.with_name(path.name + ".part")
+        draft.write_text(text, encoding="utf-8")
+        draft.replace(path)  # a rig that is there already is lost only when the new one is complete
 
     @classmethod
-    def load(cls, path: str | Path) -> "Rig":
-        """Read a rig written by `save`.
+    def load(cls, path: str | Path, sizes: Mapping[str, tuple[int, int]] | None = None) -> "Rig":
+        """Read a rig: this package's YAML, or another program's calibration.
 
         Parameters
         ----------
         path : path
-            File to read.
+            A file written by `save`, UVMAT's or VIC-3D's XML, or OpenCV's YAML or XML
+            (`wavefield.rig.formats.load_rig` has further settings).
+        sizes : mapping of str to (width, height), optional
+            Image size per camera, px, for programs that do not store it.
 
         Returns
         -------
@@ -71,11 +115,42 @@ class Rig:
         RigError
             If the file is missing or is not a rig.
         """
-        try:
-            data = yaml.safe_load(Path(path).read_text())
-            cameras = {str(name): Camera.from_dict(c) for name, c in data["cameras"].items()}
-        except FileNotFoundError:
-            raise RigError(f"{path}: no such rig file; make one with `wavefield calibrate`") from None
-        except (yaml.YAMLError, KeyError, TypeError, AttributeError, ValueError) as error:
-            raise RigError(f"{path} is not a rig file: {error}") from None
+        from wavefield.rig.formats import load_rig  # it builds rigs, so it cannot be imported above
+
+        return load_rig(path, sizes=sizes)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "Rig":
+        """Build a rig from the content of its YAML file.
+
+        Parameters
+        ----------
+        data : mapping
+            ``cameras`` and, optionally, ``units`` and ``provenance``.
+
+        Returns
+        -------
+        Rig
+
+        Raises
+        ------
+        RigError
+            If a camera is incomplete, a rotation is none, or the units are others than m, px, rad.
+        """
+        units = data.get("units") or {}
+        for what, unit in units.items():
+            if unit != UNITS.get(what, unit):
+                raise RigError(f"{what} is given in {unit}; a rig file has it in {UNITS[what]}")
+        cameras = {}
+        for name, values in data["cameras"].items():
+            try:
+                camera = Camera.from_dict(values)
+            except (TypeError, ValueError) as error:
+                raise RigError(f"camera {name!r}: {error}") from None
+            wrong = np.abs(camera.R @ camera.R.T - np.eye(3)).max()
+            if not wrong < 1e-6 or np.linalg.det(camera.R) < 0:
+                raise RigError(f"camera {name!r}: `rotation` is not a right-handed rotation matrix")
+            if not (camera.fx > 0 and camera.fy > 0 and min(camera.size) > 0):
+                raise RigError(f"camera {name!r}: focal lengths and image size must be positive")
+            cameras[str(name)] = camera
         return cls(cameras, data.get("provenance") or {})

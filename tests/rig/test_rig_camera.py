@@ -1,0 +1,128 @@
+import pickle
+from dataclasses import replace
+
+import cv2
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rig_cases import TERMS, field, random_camera
+
+from wavefield.rig import Camera
+from wavefield.rig.formats import opencv_distortion
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_projection_is_opencvs_with_all_terms(seed):
+    camera = random_camera(seed, "skew")  # the one term OpenCV has not
+    x, y, z = field(seed)
+    K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    ref = cv2.projectPoints(
+        np.stack([x, y, z], -1), cv2.Rodrigues(camera.R)[0], camera.T, K, opencv_distortion(camera)
+    )[0][:, 0]
+    X, Y = camera.project(x, y, z)
+    assert max(abs(X - ref[:, 0]).max(), abs(Y - ref[:, 1]).max()) < 1e-9
+
+
+@given(
+    st.integers(0, 10_000), st.sampled_from([(), ("k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew"), TERMS])
+)
+def test_pixel_to_plane_and_back(seed, without):
+    camera = random_camera(seed, *without)
+    rng = np.random.default_rng(seed)
+    X, Y = rng.uniform(0, 1023, (2, 50))
+    z = rng.uniform(-0.1, 0.1)
+    back = camera.project(*camera.unproject(X, Y, z), z)
+    assert max(abs(back[0] - X).max(), abs(back[1] - Y).max()) < 1e-9
+
+
+def project_in_50_digits(camera, x, y, z):
+    R = [[mpmath.mpf(v) for v in row] for row in camera.rotation]
+    T = [mpmath.mpf(v) for v in camera.translation]
+    xc, yc, zc = (R[i][0] * x + R[i][1] * y + R[i][2] * z + T[i] for i in range(3))
+    a, b = xc / zc, yc / zc
+    r2 = a * a + b * b
+    radial = 1 + camera.k1 * r2 + camera.k2 * r2**2 + camera.k3 * r2**3
+    u = a * radial + 2 * camera.p1 * a * b + camera.p2 * (r2 + 2 * a * a)
+    v = b * radial + camera.p1 * (r2 + 2 * b * b) + 2 * camera.p2 * a * b
+    cx, sx = mpmath.cos(camera.tau_x), mpmath.sin(camera.tau_x)
+    cy, sy = mpmath.cos(camera.tau_y), mpmath.sin(camera.tau_y)
+    rot = mpmath.matrix([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) * mpmath.matrix(
+        [[1, 0, 0], [0, cx, sx], [0, -sx, cx]]
+    )
+    w = mpmath.matrix([[rot[2, 2], 0, -rot[0, 2]], [0, rot[2, 2], -rot[1, 2]], [0, 0, 1]]) * rot
+    w = w * mpmath.matrix([u, v, 1])
+    u, v = w[0] / w[2], w[1] / w[2]
+    return camera.fx * u + camera.skew * v + camera.cx, camera.fy * v + camera.cy
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_jacobian_against_fifty_digits(seed):
+    camera = random_camera(seed)
+    for point in np.stack(field(seed, 5), -1):
+        J = camera.jacobian(*point)
+        with mpmath.workdps(50):
+            h = mpmath.mpf(10) ** -20
+            for j in range(3):
+                lo, hi = ([mpmath.mpf(v) for v in point] for _ in range(2))
+                lo[j] -= h
+                hi[j] += h
+                a, b = project_in_50_digits(camera, *lo), project_in_50_digits(camera, *hi)
+                exact = np.array([float((b[i] - a[i]) / (2 * h)) for i in range(2)])
+                assert abs(J[:, j] - exact).max() < 1e-8 * np.abs(J).max()
+
+
+@given(st.integers(0, 10_000))
+def test_sight_line_stays_on_its_pixel(seed):
+    camera = random_camera(seed)
+    X, Y = np.random.default_rng(seed).uniform(0, 1023, (2, 20))
+    x, y = camera.unproject(X, Y)
+    Dx, Dy = camera.sight_line(x, y)
+    X1, Y1 = camera.project(x + 0.07 * Dx, y + 0.07 * Dy, 0.07)
+    assert max(abs(X1 - X).max(), abs(Y1 - Y).max()) < 1e-8
+
+
+def test_sight_line_is_the_papers_with_its_signs_corrected():
+    camera = random_camera(3)
+    J = camera.jacobian(0.1, -0.2, 0.0)
+    (Fx, Fy, Fz), (Gx, Gy, Gz) = J
+    det = Fx * Gy - Fy * Gx
+    Dx, Dy = camera.sight_line(0.1, -0.2)
+    assert Dx == pytest.approx((Fy * Gz - Gy * Fz) / det, rel=1e-10)
+    assert Dy == pytest.approx((Gx * Fz - Fx * Gz) / det, rel=1e-10)
+
+
+def test_points_behind_and_rays_upward_give_nan():
+    R = ((1, 0, 0), (0, -1, 0), (0, 0, -1))
+    camera = Camera(1000, 1000, 500, 500, R, (0, 0, 4), (1000, 1000))
+    assert np.isnan(camera.project(0, 0, 5.0)[0])
+    assert not camera.sees(0, 0, 5.0)
+    level = Camera(1000, 1000, 500, 500, ((1, 0, 0), (0, 0, -1), (0, 1, 0)), (0, 0, 0), (1000, 1000))
+    assert np.isnan(level.unproject(500, 100, -1.0)[0])
+    assert np.isfinite(level.unproject(500, 900, -1.0)[0])
+
+
+def test_half_size_images_see_the_same_points():
+    camera = random_camera(5, "k1")
+    half = camera.scaled(0.5)
+    X, Y = camera.project(0.1, 0.2, 0.03)
+    X2, Y2 = half.project(0.1, 0.2, 0.03)
+    # the corner of the image at -0.5 stays
+    assert (X2 + 0.5, Y2 + 0.5) == pytest.approx(((X + 0.5) / 2, (Y + 0.5) / 2))
+    assert half.size == (512, 512)
+
+
+def test_camera_is_a_value():
+    camera = random_camera(6)
+    camera.project(0, 0, 0)
+    twin = pickle.loads(pickle.dumps(camera))
+    assert twin == camera
+    assert hash(twin) == hash(camera)
+    assert Camera.from_dict(camera.to_dict()) == camera
+    assert replace(camera, k1=0.0) != camera
+
+
+def test_corners_are_the_outer_edges_of_the_pixels():
+    camera = Camera(1000, 1000, 499.5, 499.5, ((1, 0, 0), (0, -1, 0), (0, 0, -1)), (0, 0, 4), (1000, 1000))
+    assert camera.corners() == pytest.approx(np.array([[-2, 2], [2, 2], [2, -2], [-2, -2]]))

@@ -1,0 +1,56 @@
+import numpy as np
+import pytest
+from rig_cases import random_camera
+
+from wavefield.errors import RigError
+from wavefield.rig import Camera, common_field
+
+FACING_DOWN = np.diag([1.0, -1.0, -1.0])
+
+
+def down(x=0.0, y=0.0, turn=0.0, f=1000.0):
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ FACING_DOWN
+    return Camera(f, f, 499.5, 499.5, R, -R @ np.array([x, y, 4.0]), (1000, 1000))
+
+
+def test_field_of_two_shifted_cameras_is_their_overlap():
+    grid = common_field([down(), down(x=1.0)], step=0.01, height=0.0, margin=0.0)
+    # the sensor reaches from pixel centre 0 to 999: 1.998 m to each side
+    assert grid.x == pytest.approx((-0.99, 1.99), abs=0.011)
+    assert grid.y == pytest.approx((-1.99, 1.99), abs=0.011)
+
+
+def test_largest_rectangle_in_a_turned_square():
+    grid = common_field([down(turn=np.pi / 4)], step=0.01, height=0.0, margin=0.0)
+    area = np.diff(grid.x) * np.diff(grid.y)
+    assert area == pytest.approx(0.5 * 3.996**2, rel=0.015)  # half of the square is the most that fits
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_node_stays_in_view_when_the_surface_moves(seed):
+    cameras = [random_camera(seed + k) for k in (0, 10, 20)]
+    grid = common_field(cameras, height=0.08, margin=20.0)
+    x, y = np.meshgrid(grid.x_nodes, grid.y_nodes)
+    for camera in cameras:
+        for z in (-0.08, 0.0, 0.08):
+            assert camera.sees(x, y, z, 19.0).all()
+    assert np.allclose(grid.x_nodes / grid.step, np.round(grid.x_nodes / grid.step))
+
+
+def test_a_step_that_suits_the_pixels_is_chosen():
+    assert common_field([down()]).step == 0.02  # five pixels of 4 mm
+    assert common_field([down(f=2700.0)]).step == 0.01  # of 1.5 mm
+
+
+def test_cameras_without_a_common_field_are_told():
+    with pytest.raises(RigError, match="no common field"):
+        common_field([down(), down(x=10.0)])
+    with pytest.raises(RigError, match="narrower"):
+        common_field([down()], step=5.0)
+
+
+def test_a_camera_that_sees_the_horizon_is_told():
+    level = Camera(1000, 1000, 500, 500, ((1, 0, 0), (0, 0, -1), (0, 1, 0)), (0, 2, 0), (1000, 1000))
+    with pytest.raises(RigError, match="horizon"):
+        common_field([level])

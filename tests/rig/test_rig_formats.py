@@ -1,0 +1,251 @@
+import csv
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from rig_cases import TERMS, field, random_camera
+
+from wavefield.errors import RigError
+from wavefield.rig import Rig
+from wavefield.rig.formats import load_rig, save_opencv, save_uvmat, save_vic
+
+
+def same(a, b, tolerance=1e-12):
+    for key, value in a.to_dict().items():
+        other = np.asarray(b.to_dict().get(key, 0.0), float)
+        scale = max(1.0, np.abs(np.asarray(value, float)).max())
+        assert np.abs(np.asarray(value, float) - other).max() <= tolerance * scale, key
+    assert set(b.to_dict()) <= set(a.to_dict()) | set(TERMS)
+
+
+def two(*without):
+    return Rig({"cam1": random_camera(1, *without), "cam2": random_camera(2, *without)})
+
+
+# -- our own -----------------------------------------------------------------------------------------
+
+
+def test_own_file_keeps_every_bit(tmp_path):
+    rig = Rig(two().cameras, {"date": "2026-01-01", "rms_px": {"cam1": 0.01}, "views": ["a", "b"]})
+    rig.save(tmp_path / "new" / "rig.yaml")
+    assert Rig.load(tmp_path / "new" / "rig.yaml") == rig
+    assert not list(tmp_path.glob("**/*.part"))
+
+
+def test_own_file_states_its_units(tmp_path):
+    two().save(tmp_path / "rig.yaml")
+    data = yaml.safe_load((tmp_path / "rig.yaml").read_text())
+    assert data["units"] == {"length": "m", "image": "px", "angle": "rad"}
+    data["units"]["length"] = "mm"
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(data))
+    with pytest.raises(RigError, match="length is given in mm"):
+        Rig.load(tmp_path / "rig.yaml")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c.pop("fx"), "fx"),
+        (lambda c: c.update(fov=3), "fov"),
+        (lambda c: c.update(rotation=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]), "right-handed"),
+        (lambda c: c.update(rotation=[[1, 0, 0], [0, 2, 0], [0, 0, 1]]), "rotation"),
+        (lambda c: c.update(fy=-3.0), "positive"),
+        (lambda c: c.update(translation="far"), "cam1"),
+    ],
+)
+def test_a_spoilt_camera_is_named(tmp_path, change, message):
+    two().save(tmp_path / "rig.yaml")
+    data = yaml.safe_load((tmp_path / "rig.yaml").read_text())
+    change(data["cameras"]["cam1"])
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(data))
+    with pytest.raises(RigError, match=message) as error:
+        Rig.load(tmp_path / "rig.yaml")
+    assert "rig.yaml" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a: [", "hello", "cameras: {}", "cameras: 3", "<a><b></a>", "<html/>", "%YAML:1.0"]
+)
+def test_what_is_no_rig_is_told_in_one_line(tmp_path, text):
+    path = tmp_path / "odd.xml"
+    path.write_text(text)
+    with pytest.raises(RigError, match=r"odd\.xml") as error:
+        Rig.load(path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_rig_says_how_to_make_one(tmp_path):
+    with pytest.raises(RigError, match="wavefield calibrate"):
+        Rig.load(tmp_path / "rig.yaml")
+
+
+def test_an_unknown_camera_is_told_with_the_known_ones():
+    with pytest.raises(RigError, match="cam1, cam2"):
+        two()["cam9"]
+
+
+# -- UVMAT -------------------------------------------------------------------------------------------
+
+
+def uvmat(shared):
+    return shared / "data" / "piv_samples" / "Milestone" / "PCO_top.xml"
+
+
+def test_uvmat_there_and_back(tmp_path, shared):
+    size = (2560, 2160)
+    first = load_rig(uvmat(shared), sizes={"PCO_top": size})["PCO_top"]
+    save_uvmat(first, tmp_path / "PCO_top.xml")
+    second = Rig.load(tmp_path / "PCO_top.xml", sizes={"PCO_top": size})["PCO_top"]
+    same(first, second)
+    save_uvmat(second, tmp_path / "mm.xml", unit="mm")
+    same(first, load_rig(tmp_path / "mm.xml", sizes={"cam1": size}, names=["cam1"])["cam1"])
+
+
+def test_uvmat_points_fall_where_uvmat_says(shared):
+    import xml.etree.ElementTree as ET
+
+    calibration = ET.parse(uvmat(shared)).getroot().find("GeometryCalib")
+    points = np.array([[float(v) for v in p.text.split()] for p in calibration.find("SourceCalib")])
+    camera = load_rig(uvmat(shared), sizes={"PCO_top": (2560, 2160)})["PCO_top"]
+    X, Y = camera.project(*(points[:, :3].T / 100))
+    # UVMAT's origin is the outer corner of the lower left pixel, Y up
+    miss = np.stack([X + 0.5 - points[:, 3], 2160 - 0.5 - Y - points[:, 4]], -1)
+    stated = [float(v) for v in calibration.findtext("ErrorRms").split()]
+    assert np.sqrt(np.mean(miss**2, axis=0)) == pytest.approx(stated, abs=1e-3)
+
+
+def test_uvmat_needs_the_image_size(shared):
+    with pytest.raises(RigError, match="image size"):
+        Rig.load(uvmat(shared))
+
+
+def test_one_uvmat_file_per_camera(tmp_path):
+    rig = two("k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew")
+    for name in rig:
+        save_uvmat(rig[name], tmp_path / f"{name}.xml")
+    files = {name: tmp_path / f"{name}.xml" for name in rig}
+    back = load_rig(files, sizes=dict.fromkeys(files, (1024, 1024)))
+    for name in rig:
+        same(rig[name], back[name])
+    assert list(back) == ["cam1", "cam2"]
+
+
+def test_uvmat_without_a_third_dimension_is_refused(tmp_path, shared):
+    text = (
+        uvmat(shared)
+        .read_text()
+        .replace('<R i="3">', "<Q>")
+        .replace("0.998626\n      </R>", "0.998626\n      </Q>")
+    )
+    (tmp_path / "flat.xml").write_text(text)
+    with pytest.raises(RigError, match="three dimensions"):
+        load_rig(tmp_path / "flat.xml", sizes={"flat": (10, 10)})
+
+
+# -- VIC-3D ------------------------------------------------------------------------------------------
+
+
+def test_vic_calibration_fits_the_references_matches(shared):
+    folder = shared / "data" / "d_specimen"
+    rig = load_rig(folder / "cal.xml", names=["left", "right"])
+    with open(folder / "reference" / "DICe_solution_0.txt") as file:
+        rows = [r for r in csv.DictReader(file) if float(r["MATCH"]) == 0]
+    X, Y, q, r = np.array(
+        [
+            [float(row[k]) for k in ("COORDINATE_X", "COORDINATE_Y", "CROSS_CORR_Q", "CROSS_CORR_R")]
+            for row in rows
+        ]
+    ).T
+    distance = epipolar(rig["left"], rig["right"], X, Y, X + q, Y + r)
+    assert np.median(abs(distance)) <= 0.13
+    assert rig["left"].size == (1920, 1200)
+    assert np.linalg.norm(rig["left"].centre - rig["right"].centre) == pytest.approx(0.1232, abs=1e-4)
+
+
+def epipolar(a, b, Xa, Ya, Xb, Yb):
+    from wavefield.rig.epipolar import epipolar_distance
+
+    return epipolar_distance(a, b, Xa, Ya, Xb, Yb)
+
+
+def test_vic_there_and_back(tmp_path, shared):
+    first = load_rig(shared / "data" / "d_specimen" / "cal.xml")
+    save_vic(first, tmp_path / "cal.xml")
+    second = load_rig(tmp_path / "cal.xml")
+    for name in first:
+        same(first[name], second[name], 1e-11)
+
+
+def test_vic_at_the_pole_of_its_angles(tmp_path):
+    rig = two("p1", "p2", "tau_x", "tau_y")
+    R = np.array([[0.0, 0.6, 0.8], [0.0, 0.8, -0.6], [-1.0, 0.0, 0.0]])
+    from dataclasses import replace
+
+    rig = Rig({"cam1": replace(rig["cam1"], rotation=R)})
+    save_vic(rig, tmp_path / "cal.xml")
+    same(rig["cam1"], load_rig(tmp_path / "cal.xml")["cam1"], 1e-11)
+
+
+@pytest.mark.parametrize("save", [save_vic, lambda rig, path: save_uvmat(rig["cam1"], path)])
+def test_terms_the_other_program_lacks_are_refused(tmp_path, save):
+    with pytest.raises(RigError, match=r"does not know .*p1"):
+        save(two(), tmp_path / "x.xml")
+
+
+# -- OpenCV ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ending", ["yml", "xml"])
+def test_opencv_there_and_back(tmp_path, ending):
+    rig = two()
+    save_opencv(rig, tmp_path / f"rig.{ending}")
+    back = Rig.load(tmp_path / f"rig.{ending}")
+    for name in rig:
+        same(rig[name], back[name], 1e-13)
+
+
+def test_opencv_stereo_files_own_poses(tmp_path):
+    rig = two("k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew")
+    path = tmp_path / "stereo.yml"
+    save_opencv(rig, path)
+    lines = path.read_text().replace("world_", "other_")
+    path.write_text(lines)
+    back = load_rig(path, unit="mm", names=["a", "b"])
+    a, b = rig.cameras.values()
+    assert np.allclose(back["a"].R, np.eye(3))
+    distance = np.linalg.norm(back["a"].centre - back["b"].centre)
+    assert distance == pytest.approx(1e-3 * np.linalg.norm(a.centre - b.centre))
+    assert "first camera" in back.provenance["imported"]["left_out"]
+
+
+def test_opencv_intrinsics_file(shared):
+    rig = Rig.load(shared / "data" / "stereo_chessboard" / "left_intrinsics.yml")
+    camera = rig["cam1"]
+    assert camera.fx == pytest.approx(535.91573396163199)
+    assert camera.size == (640, 480)
+    assert camera.p1 == pytest.approx(1.7831947042852964e-03)
+    x, y, _ = field(1, 5)
+    D = np.array([camera.k1, camera.k2, camera.p1, camera.p2, camera.k3])
+    K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    ref = cv2.projectPoints(np.stack([x, y, 2 + 0 * x], -1), np.zeros(3), np.zeros(3), K, D)[0][:, 0]
+    assert np.allclose(np.stack(camera.project(x, y, 2 + 0 * x), -1), ref, atol=1e-9)
+
+
+def test_opencv_lens_models_that_are_not_ours_are_refused(tmp_path):
+    storage = cv2.FileStorage(str(tmp_path / "rational.yml"), cv2.FILE_STORAGE_WRITE)
+    storage.write("M1", np.eye(3))
+    storage.write("D1", np.arange(8.0))
+    storage.write("image_width", 10)
+    storage.write("image_height", 10)
+    storage.release()
+    with pytest.raises(RigError, match="CALIB_RATIONAL_MODEL"):
+        Rig.load(tmp_path / "rational.yml")
+
+
+def test_opencv_second_camera_without_a_pose_is_refused(shared):
+    with pytest.raises(RigError, match="image size"):
+        Rig.load(shared / "data" / "stereo_chessboard" / "intrinsics.yml")
+    sizes = {"cam1": (640, 480), "cam2": (640, 480)}
+    with pytest.raises(RigError, match="no pose"):
+        Rig.load(shared / "data" / "stereo_chessboard" / "intrinsics.yml", sizes=sizes)

@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+from rig_cases import field, random_camera
+
+from wavefield.errors import RigError
+from wavefield.rig import Rig
+from wavefield.rig.level import fit_plane, level, with_water_level
+
+
+@pytest.fixture
+def rig():
+    return Rig({f"cam{k}": random_camera(k) for k in (1, 2, 3)}, {"date": "today"})
+
+
+def tilted(n=400, noise=0.0, seed=0):
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(-0.5, 0.5, (2, n))
+    return x, y, 0.03 + 0.02 * x - 0.01 * y + noise * rng.normal(size=n)
+
+
+def test_levelled_rig_sees_the_surface_at_zero(rig):
+    x, y, z = tilted()
+    flat, plane = level(rig, x, y, z)
+    new = plane.axes.T @ (np.stack([x, y, z]) - [[0], [0], [plane.height]])
+    assert abs(new[2]).max() < 1e-12
+    for name in rig:
+        assert np.allclose(flat[name].project(*new), rig[name].project(x, y, z), atol=1e-8)
+    assert flat.provenance["date"] == "today"
+    assert flat.provenance["levelled"]["tilt_deg"] == pytest.approx(
+        np.degrees(np.arctan(np.hypot(0.02, 0.01)))
+    )
+
+
+def test_rms_is_that_of_the_surface_and_blunders_do_not_matter():
+    x, y, z = tilted(noise=2e-4)
+    z[::7] += 0.05
+    z[5] = np.nan
+    plane = fit_plane(x, y, z)
+    assert plane.height == pytest.approx(0.03, abs=5e-5)
+    assert plane.slope == pytest.approx((0.02, -0.01), abs=2e-4)
+    assert plane.rms == pytest.approx(2e-4, rel=0.1)
+    assert not plane.kept[::7].any()
+    assert plane.kept.sum() > 330
+
+
+def test_too_few_points_and_a_line_of_points_are_told(rig):
+    x, y, z = tilted(9)
+    with pytest.raises(RigError, match="ten at least"):
+        level(rig, x, y, z)
+    x = np.linspace(0, 1, 50)
+    with pytest.raises(RigError, match="line"):
+        level(rig, x, 2 * x, 0 * x)
+
+
+def test_a_steep_plane_is_refused(rig):
+    x, y, _ = field(1)
+    with pytest.raises(RigError, match="tilted by 27 degrees"):
+        level(rig, x, y, 0.5 * x)
+
+
+def test_water_above_the_target(rig):
+    moved = with_water_level(rig, 0.05)
+    assert np.allclose(moved["cam1"].project(0.1, 0.2, 0.0), rig["cam1"].project(0.1, 0.2, 0.05))

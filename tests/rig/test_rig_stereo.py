@@ -1,0 +1,133 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rig_cases import field, random_camera
+
+from wavefield.rig.stereo import (
+    jacobians,
+    solve_displacement,
+    triangulate,
+    triangulate_pair,
+    triangulate_pairs,
+)
+
+
+def seen(cameras, x, y, z):
+    apparent = np.stack([np.stack(c.unproject(*c.project(x, y, z))) for c in cameras])
+    sight = np.stack([np.stack(c.sight_line(*p)) for c, p in zip(cameras, apparent)])
+    return apparent, sight
+
+
+@given(st.integers(0, 10_000))
+def test_a_point_seen_by_two_cameras_is_found(seed):
+    cameras = random_camera(seed), random_camera(seed + 1)
+    x, y, z = field(seed, 20)
+    p, D = seen(cameras, x, y, z)
+    for got in (triangulate_pair(p[0], p[1], D[0], D[1]), triangulate(p, D)[:3]):
+        for found, true in zip(got, (x, y, z)):
+            assert abs(found - true).max() < 1e-9
+    assert abs(triangulate_pair(p[0], p[1], D[0], D[1])[3]).max() < 1e-10
+
+
+def test_mismatch_across_the_sight_line_leaves_z_alone():
+    a, b = (0.3, 0.1), (-0.2, 0.1)
+    x, y, z, eps = triangulate_pair((0.0, 0.0), (0.5 * 0.02, 0.001), a, b)
+    assert z == pytest.approx(0.02)
+    assert (x, y) == pytest.approx((0.006, 0.002))
+    # dD = (-.5, 0): eps_y = (dD_y d_x - dD_x d_y) / |dD|
+    assert eps == pytest.approx(0.001)
+
+
+def test_parallel_sight_lines_give_nan():
+    assert np.isnan(triangulate_pair((0.0, 0.0), (0.01, 0.0), (0.3, 0.1), (0.3, 0.1))[2])
+    assert np.isnan(triangulate([[0.0, 0.0], [0.01, 0.0]], [[0.3, 0.1], [0.3, 0.1]])[2])
+
+
+def test_pairs_together_weigh_by_their_uncertainty():
+    d = np.array([[[-0.010], [0.0]], [[0.024], [0.0]]])
+    D = np.array([[[0.5], [0.0]], [[-1.0], [0.0]]])
+    z, eps, std = triangulate_pairs(d, D, [1e-3, 2e-3])
+    # each pair alone: .020 +- .002 and .024 +- .002
+    assert z == pytest.approx([0.022])
+    assert std == pytest.approx([0.002 / np.sqrt(2)])
+    assert eps == pytest.approx(np.zeros((2, 1)))
+
+
+def test_a_pair_that_is_missing_is_left_out():
+    d = np.array([[[np.nan, np.nan], [0.0, 0.0]], [[0.024, np.nan], [0.0, 0.0]]])
+    D = np.array([[[0.5, 0.5], [0.0, 0.0]], [[-1.0, -1.0], [0.0, 0.0]]])
+    z, eps, _ = triangulate_pairs(d, D)
+    assert z[0] == pytest.approx(0.024)
+    assert np.isnan(z[1])
+    assert np.isnan(eps[0]).all()
+
+
+def test_all_cameras_together_are_all_pairs_together():
+    rng = np.random.default_rng(1)
+    p, D, std = rng.normal(size=(3, 2, 7)), rng.normal(size=(3, 2, 7)), rng.uniform(1, 2, (3, 7))
+    z = triangulate(p, D, std)[2]
+    pairs = [(0, 1), (0, 2), (1, 2)]
+    zp, _, _ = triangulate_pairs(
+        np.stack([p[b] - p[a] for a, b in pairs]),
+        np.stack([D[b] - D[a] for a, b in pairs]),
+        np.stack([std[a] * std[b] for a, b in pairs]),
+    )
+    assert z == pytest.approx(zp)
+
+
+def test_a_camera_that_does_not_see_a_point_is_left_out():
+    cameras = [random_camera(s) for s in (1, 2, 3)]
+    x, y, z = field(1, 3)
+    p, D = seen(cameras, x, y, z)
+    p[0, :, 0] = np.nan
+    p[:2, :, 1] = np.nan
+    got = triangulate(p, D)
+    assert got[2][[0, 2]] == pytest.approx(z[[0, 2]])
+    assert np.isnan(got[2][1])
+    assert np.isnan(got[3][0, :, 0]).all()
+
+
+@given(st.integers(0, 10_000), st.integers(2, 4))
+def test_displacement_is_the_weighted_least_squares(seed, cameras):
+    rng = np.random.default_rng(seed)
+    J = rng.normal(size=(5, 2 * cameras, 3)) * 500
+    seen = rng.normal(size=(5, 2 * cameras))
+    std = rng.uniform(0.5, 2.0, (5, 2 * cameras))
+    d, eps, d_std = solve_displacement(J, seen, std)
+    for k in range(5):
+        ref = np.linalg.lstsq(J[k] / std[k][:, None], seen[k] / std[k], rcond=None)[0]
+        cov = np.linalg.inv((J[k] / std[k][:, None]).T @ (J[k] / std[k][:, None]))
+        assert d[k] == pytest.approx(ref, rel=1e-6, abs=1e-9)
+        assert eps[k] == pytest.approx(np.sqrt(np.mean((J[k] @ ref - seen[k]) ** 2)), rel=1e-6)
+        assert d_std[k] == pytest.approx(np.sqrt(np.diag(cov)), rel=1e-6)
+
+
+def test_displacement_in_space_is_found_from_the_sensors():
+    cameras = [random_camera(s) for s in (1, 2, 3)]
+    x, y, z = field(4, 50)
+    J = jacobians(cameras, x, y, z)
+    assert J.shape == (50, 6, 3)
+    move = np.array([1e-7, -2e-7, 3e-7])  # small: the Jacobian is exact in the limit
+    seen = np.concatenate(
+        [
+            np.stack(c.project(x + move[0], y + move[1], z + move[2]), -1) - np.stack(c.project(x, y, z), -1)
+            for c in cameras
+        ],
+        axis=-1,
+    )
+    d, eps, _ = solve_displacement(J, seen)
+    assert abs(d - move).max() < 1e-12
+    assert eps.max() < 1e-8
+    seen[:, 2:4] = np.nan  # the second camera's frame is missing
+    assert abs(solve_displacement(J, seen)[0] - move).max() < 1e-12
+    seen[:, 4:] = np.nan
+    assert np.isnan(solve_displacement(J, seen)[0]).all()
+
+
+def test_the_papers_misfit_for_two_cameras():
+    cameras = [random_camera(s) for s in (1, 2)]
+    J = jacobians(cameras, 0.0, 0.0, 0.0)
+    seen = np.array([1.0, 0.3, -0.4, 0.1])
+    d, eps, _ = solve_displacement(J, seen)
+    assert eps == pytest.approx(0.5 * np.linalg.norm(J @ d - seen))

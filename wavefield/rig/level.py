@@ -1,0 +1,141 @@
+"""The reference plane: bring z = 0 to the water at rest."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wavefield.errors import RigError
+from wavefield.rig.rig import Rig
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane fitted to surface points.
+
+    Parameters
+    ----------
+    height : float
+        Of the plane at x = y = 0, metres.
+    slope : tuple of float
+        Along x and y.
+    rms : float
+        Of the points kept, across the plane, metres.
+    kept : ndarray of bool, (n,)
+        Points that belong to the plane.
+    """
+
+    height: float
+    slope: tuple[float, float]
+    rms: float
+    kept: NDArray[np.bool_]
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """Axes of a frame on the plane as columns, (3, 3): z across it, x in the old x-z plane."""
+        bx, by = self.slope
+        z = np.array([-bx, -by, 1.0]) / np.sqrt(1.0 + bx * bx + by * by)
+        x = np.array([1.0, 0.0, bx]) / np.sqrt(1.0 + bx * bx)
+        return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Plane:
+    """Plane through surface points, blunders left out.
+
+    Parameters
+    ----------
+    x, y, z : array_like
+        Points, metres; NaN are ignored.
+
+    Returns
+    -------
+    Plane
+        By least squares over the points within 4 robust standard deviations.
+
+    Raises
+    ------
+    RigError
+        If fewer than ten points are left or they lie on a line.
+    """
+    points = np.stack([np.ravel(v) for v in np.broadcast_arrays(x, y, z)], axis=-1).astype(float)
+    kept = np.isfinite(points).all(axis=1)
+    if kept.sum() < 10:
+        raise RigError(f"{kept.sum()} points of the surface at rest: ten at least are needed for its plane")
+    finite = kept.copy()
+    design = np.column_stack([np.ones(len(points)), points[:, :2]])
+    weight = kept.astype(float)
+    for _ in range(20):
+        # first the median-like fit, which blunders do not move, then least squares on what agrees with it
+        A, b = design[kept] * weight[kept, None], points[kept, 2] * weight[kept]
+        solution, _, rank, _ = np.linalg.lstsq(A, b, rcond=1e-9)
+        if rank < 3:
+            raise RigError("the points of the surface at rest lie on a line: a plane needs a field")
+        miss = np.where(finite, points[:, 2] - design @ solution, np.inf)
+        spread = 1.4826 * np.median(np.abs(miss[finite]))
+        weight = np.where(finite, 1.0 / np.sqrt(np.maximum(np.abs(miss), 0.1 * spread + 1e-12)), 0.0)
+    kept = np.abs(miss) <= 4.0 * spread + 1e-12
+    for _ in range(10):
+        solution = np.linalg.lstsq(design[kept], points[kept, 2], rcond=None)[0]
+        miss = np.where(finite, points[:, 2] - design @ solution, np.inf)
+        new = np.abs(miss) <= 4.0 * 1.4826 * np.median(np.abs(miss[kept])) + 1e-12
+        if (new == kept).all():
+            break
+        kept = new
+    height, bx, by = (float(v) for v in solution)
+    rms = float(np.sqrt(np.mean(miss[kept] ** 2) / (1.0 + bx * bx + by * by)))
+    return Plane(height, (bx, by), rms, kept)
+
+
+def level(rig: Rig, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Rig, Plane]:
+    """Re-express a rig so that the plane of surface points at rest is z = 0.
+
+    Parameters
+    ----------
+    rig : Rig
+        The cameras, in the frame of the points.
+    x, y, z : array_like
+        Points of the water surface at rest, triangulated with this rig, metres.
+
+    Returns
+    -------
+    rig : Rig
+        The same cameras; the origin moves along z only, and the x axis is turned up or down onto the plane.
+    plane : Plane
+        The plane in the old frame; its ``rms`` says how flat the water was.
+
+    Raises
+    ------
+    RigError
+        As `fit_plane`; or if the plane is tilted by more than 10 degrees, which no reference plane is.
+    """
+    plane = fit_plane(x, y, z)
+    tilt = float(np.degrees(np.arctan(np.hypot(*plane.slope))))
+    if tilt > 10.0:
+        raise RigError(
+            f"the surface at rest is tilted by {tilt:.0f} degrees: is it the right rig for these images?"
+        )
+    note = {
+        "height_m": plane.height,
+        "tilt_deg": tilt,
+        "rms_m": plane.rms,
+        "points": int(plane.kept.sum()),
+    }
+    return rig.moved(plane.axes, (0.0, 0.0, plane.height), levelled=note), plane
+
+
+def with_water_level(rig: Rig, height: float) -> Rig:
+    """Re-express a rig when the water stands above or below the flat target by a known height.
+
+    Parameters
+    ----------
+    rig : Rig
+        With z = 0 on the flat target.
+    height : float
+        Of the water at rest above the target, metres; negative if below.
+
+    Returns
+    -------
+    Rig
+        With z = 0 on the water.
+    """
+    return rig.moved(np.eye(3), (0.0, 0.0, height), water_above_target_m=float(height))
