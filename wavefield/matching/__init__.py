@@ -1,1 +1,18 @@
-"""See CONTRIBUTING.md for what this room holds."""
+"""Where a patch of one image went in another: displacements on a lattice of blocks, from arrays alone."""
+
+from wavefield.matching.displacement import Displacement, Reason
+from wavefield.matching.match import match
+from wavefield.matching.prepare import Prepared, prepare
+from wavefield.matching.settings import Settings
+from wavefield.matching.uncertainty import std_from_influence, transfer_kernel
+
+__all__ = [
+    "Displacement",
+    "Prepared",
+    "Reason",
+    "Settings",
+    "match",
+    "prepare",
+    "std_from_influence",
+    "transfer_kernel",
+]

@@ -1,0 +1,333 @@
+"""Block Gauss-Newton matching over a pyramid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wavefield.errors import FrameError
+from wavefield.matching.displacement import Displacement, Reason
+from wavefield.matching.kernels import (
+    BLOCK,
+    F,
+    final_sums,
+    gradient_moments,
+    plain_sums,
+    robust_sums,
+    scratch,
+)
+from wavefield.matching.lattice import (
+    block_weights,
+    filtered,
+    replace_outliers,
+    slopes,
+    smoothed,
+    step,
+    subtract_slopes,
+    to_coarser,
+    to_finer,
+    window_weights,
+)
+from wavefield.matching.prepare import Level, Prepared, prepare
+from wavefield.matching.search import search
+from wavefield.matching.settings import Settings
+
+_RIDGE = 0.01  # of the mean trace of the windowed Hessians: keeps steps small where there is little to see
+_LONGEST_STEP = 1.5  # px
+_SOME = F(1e-6)
+
+Initial = Displacement | tuple[np.ndarray | float, np.ndarray | float] | None
+
+
+def match(
+    a: np.ndarray | Prepared,
+    b: np.ndarray | Prepared,
+    settings: Settings | None = None,
+    mask: np.ndarray | None = None,
+    initial: Initial = None,
+) -> Displacement:
+    """Find where each block of image a went in image b.
+
+    Parameters
+    ----------
+    a, b : (h, w) array, or Prepared
+        The two images; prepare an image that is used in several matches once.
+    settings : Settings, optional
+        Default `Settings.piv()`.
+    mask : (h, w) bool, optional
+        True where pixels of both images may be used; for images that are not prepared.
+    initial : Displacement, or (u, v), optional
+        First estimate, px: fields on the same lattice or two numbers. It replaces the search.
+
+    Returns
+    -------
+    Displacement
+        On blocks of 5 px: centres at 2, 7, 12 ... px. The lattice depends on the size of the image only.
+
+    Raises
+    ------
+    FrameError
+        If the images differ in size or cannot be matched.
+    ValueError
+        If a prepared image does not suit the settings, or `initial` does not suit the lattice.
+
+    Notes
+    -----
+    Local least squares (Lucas-Kanade) iterated from coarse to fine: per block the sums of gx gx, gx gy, gy gy, gx r
+    and gy r, with r the residual between a and b read through the displacement by quintic B-splines; Gaussian
+    windows over the lattice of these sums; one 2 x 2 solve per block; outliers against 5 x 5 medians; a flat
+    smoother. Champagnat et al. (2011), Exp. Fluids 50, 1169.
+
+    Examples
+    --------
+    >>> import numpy as np, cv2
+    >>> noise = np.random.default_rng(1).normal(128, 40, (200, 240)).astype(np.float32)
+    >>> image = cv2.GaussianBlur(noise, (0, 0), 1.2)
+    >>> d = match(image, np.roll(image, (2, 3), (0, 1)))
+    >>> round(float(np.median(d.u[d.valid])), 2), round(float(np.median(d.v[d.valid])), 2)
+    (3.0, 2.0)
+    """
+    settings = Settings.piv() if settings is None else settings
+    a = _prepared(a, settings, mask)
+    b = _prepared(b, settings, mask)
+    if a.shape != b.shape:
+        raise FrameError(f"the images to match differ in size: {a.shape} and {b.shape}")
+    top = min(len(a.levels), settings.levels) - 1
+    u, v = _start(a.levels[top], b.levels[top], top, a.levels[0].blocks, settings, initial)
+    for number in range(top, -1, -1):
+        here, there = a.levels[number], b.levels[number]
+        if number < top:
+            u, v = to_finer(u, here.blocks), to_finer(v, here.blocks)
+        count = settings.iterations[settings.levels - 1 - number]
+        if number == 0:
+            return _finest(here, there, u, v, count, settings)
+        u, v = _plain_steps(here, there, u, v, count, settings)
+    raise AssertionError("a prepared image has at least one level")
+
+
+def _prepared(image: np.ndarray | Prepared, settings: Settings, mask: np.ndarray | None) -> Prepared:
+    if not isinstance(image, Prepared):
+        return prepare(image, settings, mask)
+    if mask is not None:
+        raise ValueError("give the mask when preparing the image")
+    if image.normalization != settings.normalization:
+        raise ValueError(
+            f"the image was prepared with normalization {image.normalization} px but the settings ask for "
+            f"{settings.normalization}: prepare it with the settings of the match"
+        )
+    return image
+
+
+def _start(
+    a: Level, b: Level, levels: int, finest: tuple[int, int], settings: Settings, initial: Initial
+) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement at the coarsest level to begin with, px of that level."""
+    if isinstance(initial, Displacement):
+        initial = initial.u, initial.v
+    if initial is not None:
+        fields = []
+        for value in initial:
+            field = np.asarray(value, np.float32)
+            if field.ndim and field.shape != finest:
+                raise ValueError(
+                    f"initial is on a lattice of {field.shape} blocks but the image has {finest}"
+                )
+            field = np.array(np.broadcast_to(field, finest))
+            known = np.isfinite(field)
+            field[~known] = np.median(field[known]) if known.any() else 0
+            fields.append(to_coarser(field, levels, a.blocks))
+        return fields[0], fields[1]
+    if settings.search_x is not None and settings.search_y is not None:
+        q = 2**levels
+        x_range, y_range = (
+            (int(np.floor(lo / q)), int(np.ceil(hi / q))) for lo, hi in (settings.search_x, settings.search_y)
+        )
+        return search(a, b, x_range, y_range, settings.search_window)
+    return np.zeros(a.blocks, np.float32), np.zeros(a.blocks, np.float32)
+
+
+class _Windows:
+    """Window filters over weighted block sums of one level."""
+
+    def __init__(self, window: float) -> None:
+        self.weights = window_weights(window)
+
+    def __call__(self, fields: np.ndarray) -> np.ndarray:
+        out = np.empty_like(fields)
+        for field, to in zip(fields, out):
+            filtered(field, self.weights, to)
+        return out
+
+
+def _weights(a: Level, b: Level, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    out = np.empty(u.shape, np.float32)
+    block_weights(a.good, b.good, u, v, *b.shape, out)
+    return out
+
+
+def _advance(
+    u: np.ndarray,
+    v: np.ndarray,
+    hessian: np.ndarray,
+    score: np.ndarray,
+    trust: np.ndarray | None,
+    limit: float,
+    settings: Settings,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One step, outliers replaced, smoothed; returns new u, v and where outliers were."""
+    u, v = u.copy(), v.copy()
+    ridge = F(_RIDGE) * F((hessian[0] + hessian[2]).mean()) + F(1e-12)
+    step(hessian, score, ridge, F(settings.relaxation), F(_LONGEST_STEP), u, v)
+    u, v, outlier = replace_outliers(u, v, limit)
+    sigma, order = settings.smoother_sigma, settings.smoother_order
+    return smoothed(u, sigma, order, trust), smoothed(v, sigma, order, trust), outlier
+
+
+def _limit(number: int, settings: Settings) -> float:
+    """The first step of a level may still be wild."""
+    return settings.max_deviation * (2 if number == 0 else 1)
+
+
+class _Hessian:
+    """Windowed Hessian of a with the weights of the blocks, remade only when these change."""
+
+    def __init__(self, moments: np.ndarray, windows: _Windows) -> None:
+        self.moments, self.windows = moments, windows
+        self.weight: np.ndarray | None = None
+
+    def __call__(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The Hessian (3, ny, nx) and the share of the window that is seen (ny, nx)."""
+        if self.weight is None or not np.array_equal(weight, self.weight):
+            self.weight = weight
+            self.value = self.windows(self.moments[:3] * weight)
+            self.share = filtered(weight, self.windows.weights)
+        return self.value, self.share
+
+
+def _trust(share: np.ndarray, masked: bool) -> np.ndarray | None:
+    """Weights for the smoother: only where masks make large holes."""
+    return np.maximum(share, F(1e-3)) if masked else None
+
+
+def _plain_steps(
+    a: Level, b: Level, u: np.ndarray, v: np.ndarray, count: int, settings: Settings
+) -> tuple[np.ndarray, np.ndarray]:
+    """Steps without weights per pixel: the Hessian is that of a alone."""
+    if count == 0:
+        return u, v
+    smooth, gx, gy = a.reference
+    work = scratch(u.shape[1])
+    work.pop("rows")
+    windows = _Windows(settings.window)
+    moments = np.empty((9, *u.shape), np.float32)
+    gradient_moments(gx, gy, work["sums"], moments)
+    hessian = _Hessian(moments, windows)
+    masked = bool(a.good.size or b.good.size)
+    sums = np.empty((2, *u.shape), np.float32)
+    for number in range(count):
+        plain_sums(smooth, gx, gy, b.padded, u, v, out=sums, **work)
+        subtract_slopes(sums, moments, slopes(u, v))
+        weight = _weights(a, b, u, v)
+        sums *= weight
+        value, share = hessian(weight)
+        u, v, _ = _advance(
+            u, v, value, windows(sums), _trust(share, masked), _limit(number, settings), settings
+        )
+    return u, v
+
+
+def _finest(a: Level, b: Level, u: np.ndarray, v: np.ndarray, count: int, settings: Settings) -> Displacement:
+    """Steps of the finest level; the last one also measures correlation and uncertainty."""
+    windows = _Windows(settings.window)
+    masked = bool(a.good.size or b.good.size)
+    smooth, gx, gy = a.reference
+    work = scratch(u.shape[1])
+    c2b2 = F(settings.robust**2 * settings.robust_beta**2 / 4)
+    c2 = np.zeros(u.shape, np.float32)
+    if not settings.robust:
+        u, v = _plain_steps(a, b, u, v, count - 1, settings)
+        first = count - 1
+    else:
+        first = 0
+    for number in range(first, count):
+        last = number == count - 1
+        sums = np.empty((12 if last else 6, *u.shape), np.float32)
+        kernel = final_sums if last else robust_sums
+        kernel(smooth, gx, gy, b.padded, u, v, slopes(u, v), c2, c2b2, out=sums, **work)
+        weight = _weights(a, b, u, v)
+        sums *= weight
+        share = filtered(weight, windows.weights)
+        seen = windows(sums[:6])
+        before = u, v
+        u, v, outlier = _advance(
+            u, v, seen[2:5], seen[:2], _trust(share, masked), _limit(number, settings), settings
+        )
+        if settings.robust:
+            spread = seen[5] / (F(BLOCK * BLOCK) * np.maximum(share, F(1e-3)))
+            least = F(1e-6) * F(spread.mean()) + F(1e-12)
+            c2 = 1 / (F(settings.robust**2) * np.maximum(spread, least))
+    extra = windows(sums[6:])
+    n = np.maximum(share, F(1e-3)) * F(BLOCK * BLOCK)
+    correlation = _correlation(extra[0] / n, extra[1] / n, extra[2] / n, seen[5] / n, extra[3] / n)
+    gain = np.clip(extra[4] / np.maximum(extra[5], _SOME), F(0.3), F(1.05))
+    du, dv = u - before[0], v - before[1]
+    score_x = sums[0] - gain * (sums[2] * du + sums[3] * dv)
+    score_y = sums[1] - gain * (sums[3] * du + sums[4] * dv)
+    xx, xy, yy = seen[2:5] * gain
+    ridge = F(1e-4) * F((xx + yy).mean()) + F(1e-12)
+    xx, yy = xx + ridge, yy + ridge
+    det = np.maximum(xx * yy - xy * xy, F(1e-30))
+    ny, nx = u.shape
+    reason = _reasons(a, b, u, v, outlier, correlation, extra[4] / n, settings)
+    return Displacement(
+        x=np.arange(nx) * float(BLOCK) + (BLOCK - 1) / 2,
+        y=np.arange(ny) * float(BLOCK) + (BLOCK - 1) / 2,
+        u=u,
+        v=v,
+        correlation=correlation,
+        reason=reason,
+        influence_u=(yy * score_x - xy * score_y) / det,
+        influence_v=(xx * score_y - xy * score_x) / det,
+        gain=float(np.median(gain[reason == 0])) if np.any(reason == 0) else 1.0,
+        settings=settings,
+    )
+
+
+def _correlation(a: np.ndarray, aa: np.ndarray, r: np.ndarray, rr: np.ndarray, ar: np.ndarray) -> np.ndarray:
+    """Normalised correlation of a and b = a - r from windowed means."""
+    var_a, var_r, cov_ar = aa - a * a, rr - r * r, ar - a * r
+    var_b = var_a - 2 * cov_ar + var_r
+    product = np.maximum(var_a, 0) * np.maximum(var_b, 0)
+    least = (F(1e-4) * F(np.maximum(var_a, 0).mean()) + F(1e-12)) ** 2
+    return np.clip((var_a - cov_ar) / np.sqrt(np.maximum(product, least)), F(-1), F(1))
+
+
+def _reasons(
+    a: Level,
+    b: Level,
+    u: np.ndarray,
+    v: np.ndarray,
+    outlier: np.ndarray,
+    correlation: np.ndarray,
+    energy: np.ndarray,
+    settings: Settings,
+) -> np.ndarray:
+    """Bits of `Reason` per block."""
+    reason = np.zeros(u.shape, np.uint8)
+    weight = np.empty(u.shape, np.float32)
+    none = np.empty((0, 0), np.uint8)
+    block_weights(none, none, u, v, *b.shape, weight)
+    inside = weight > 0
+    reason[~inside] |= np.uint8(Reason.EDGE)
+    if a.good.size or b.good.size:
+        block_weights(a.good, b.good, u, v, *b.shape, weight)
+        reason[inside & (weight == 0)] |= np.uint8(Reason.MASKED)
+    seen = weight > 0
+    typical = float(np.median(energy[seen])) if seen.any() else 0.0
+    reason[energy <= max(settings.min_gradient_energy * typical, 1e-12)] |= np.uint8(Reason.TEXTURE)
+    reason[correlation < settings.min_correlation] |= np.uint8(Reason.CORRELATION)
+    reason[outlier] |= np.uint8(Reason.NEIGHBOURS)
+    if settings.search_x is not None and settings.search_y is not None:
+        slack = 2 ** (settings.levels - 1)
+        for field, (low, high) in ((u, settings.search_x), (v, settings.search_y)):
+            reason[(field < low - slack) | (field > high + slack)] |= np.uint8(Reason.RANGE)
+    return reason

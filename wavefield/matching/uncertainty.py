@@ -1,0 +1,116 @@
+"""How uncertain a displacement is: from the influence of each block to a standard deviation."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from wavefield.matching.lattice import BORDER, filtered, gaussian, window_weights
+from wavefield.matching.settings import Settings
+
+_N = 128  # blocks: period of the Fourier transforms below
+
+
+@lru_cache(maxsize=32)
+def transfer_kernel(settings: Settings, gain: float = 1.0) -> np.ndarray:
+    """Weight of each block's own displacement in the final vector, linear theory.
+
+    Parameters
+    ----------
+    settings : Settings
+        Window, smoother and number of steps at the finest level.
+    gain : float
+        What a step achieves of the way to the solution (1 on clean images, less where noise shortens steps).
+
+    Returns
+    -------
+    (2 r + 1, 2 r + 1) float32
+        The kernel, its centre at [r, r]; it sums to nearly 1.
+
+    Notes
+    -----
+    Inverse Fourier transform of sum_j [S (1 - gain W)]^j S gain W for window W and smoother S.
+    """
+    k = 2 * np.pi * np.fft.fftfreq(_N)
+
+    def transfer(weights: np.ndarray) -> np.ndarray:
+        reach = len(weights) // 2
+        return np.cos(np.outer(k, np.arange(-reach, reach + 1))) @ weights
+
+    w = transfer(window_weights(settings.window).astype(float))
+    window = gain * w[:, None] * w
+    smoother = np.ones((_N, _N))
+    if settings.smoother_sigma > 0:
+        g = transfer(gaussian(settings.smoother_sigma).astype(float))
+        smoother = 1 - (1 - g[:, None] * g) ** settings.smoother_order
+    total, factor = np.zeros((_N, _N)), np.ones((_N, _N))
+    for _ in range(settings.iterations[-1]):
+        total += factor * smoother * window
+        factor *= smoother * (1 - window)
+    kernel = np.fft.fftshift(np.fft.ifft2(total).real)
+    reach = min(_N // 2 - 1, int(3 * settings.window / 5) + 3)
+    middle = slice(_N // 2 - reach, _N // 2 + reach + 1)
+    return kernel[middle, middle].astype(np.float32)
+
+
+@lru_cache(maxsize=32)
+def _separable(settings: Settings, gain: float, power: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """Kernel (or its square) as a short sum of separable ones: rows and columns of its singular vectors."""
+    kernel = transfer_kernel(settings, gain).astype(float) ** power
+    left, size, right = np.linalg.svd(kernel)
+    keep = int(np.sum(size > 2e-3 * size[0]))
+    return tuple(
+        ((left[:, n] * size[n]).astype(np.float32), right[n].astype(np.float32)) for n in range(keep)
+    )
+
+
+def _convolved(field: np.ndarray, parts: tuple[tuple[np.ndarray, np.ndarray], ...]) -> np.ndarray:
+    total = np.zeros_like(field)
+    for column, row in parts:
+        total += cv2.sepFilter2D(field, -1, row, column, borderType=BORDER)
+    return total
+
+
+def std_from_influence(
+    influence: np.ndarray, settings: Settings, field: np.ndarray | None = None, gain: float = 1.0
+) -> np.ndarray:
+    """Standard uncertainty of a field from the influences of its blocks.
+
+    Parameters
+    ----------
+    influence : (ny, nx) float32
+        Influence of each block: of one displacement component, or any linear combination of several
+        (as the height from several stereo pairs); the result has its unit.
+    settings : Settings
+        Those of the match.
+    field : (ny, nx) float32, optional
+        The measured field itself: adds what window and smoother take away from its short waves.
+    gain : float
+        As for `transfer_kernel`.
+
+    Returns
+    -------
+    (ny, nx) float32
+        Standard uncertainty.
+
+    Notes
+    -----
+    sigma^2 = K^2 * (sum over 3 x 3 of the influences)^2 / 9c, c = 1 - 2 sum_3x3 K + 9 sum K^2 gives back
+    what the fit itself took out of the residuals; * is convolution over the lattice, K the transfer kernel. With
+    `field`, ((1 - K *) field)^2 is added.
+    """
+    gain = round(float(gain), 2)
+    kernel = transfer_kernel(settings, gain).astype(float)
+    r = len(kernel) // 2
+    freedom = max(1 - 2 * kernel[r - 1 : r + 2, r - 1 : r + 2].sum() + 9 * (kernel**2).sum(), 0.25)
+    clusters = filtered(np.ascontiguousarray(influence, np.float32), np.ones(3, np.float32))
+    variance = _convolved(clusters * clusters, _separable(settings, gain, 2))
+    variance *= np.float32(1 / (9 * freedom))
+    if field is not None:
+        lost = field - _convolved(np.ascontiguousarray(field, np.float32), _separable(settings, gain, 1)) / (
+            np.float32(kernel.sum())
+        )
+        variance += lost * lost
+    return np.sqrt(np.maximum(variance, 0))
