@@ -1,0 +1,124 @@
+"""A rectangle of the sea where fields are read quickly at very many points.
+
+The sum over waves is done on a regular lattice (matrix products) whose values a compact kernel spreads;
+dividing each wave by the kernel's transform makes the interpolation spectrally accurate (a non-uniform
+Fourier transform): the error is below 1e-6 of the field's amplitude.
+"""
+
+from collections.abc import Sequence
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.tank.sea import Sea
+
+Array = NDArray[np.float64]
+
+_WIDTH = 8  # lattice points under the kernel along each axis
+_BETA = 2.30 * _WIDTH  # kernel exp(beta (sqrt(1 - s^2) - 1)), for a lattice twice as fine as Nyquist's
+_COARSEST = 0.04  # lattice step where the sea has no short waves, metres
+
+
+def _kernel(r: Array) -> Array:
+    """Kernel at r lattice steps from its centre."""
+    s = 2.0 * r / _WIDTH
+    return np.exp(_BETA * (np.sqrt(np.maximum(1.0 - s * s, 0.0)) - 1.0)) * (np.abs(s) < 1)
+
+
+def _transform(phase: Array) -> Array:
+    """Fourier transform of the kernel at phases per lattice step, by Gauss-Legendre quadrature."""
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    r = nodes * _WIDTH / 2
+    return np.cos(np.outer(phase, r)) @ (weights * _kernel(r)) * _WIDTH / 2
+
+
+class Basin:
+    """Rectangle of a sea.
+
+    Parameters
+    ----------
+    sea : Sea
+        The sea.
+    x, y : tuple of float
+        Limits, metres.
+    """
+
+    def __init__(self, sea: Sea, x: tuple[float, float], y: tuple[float, float]):
+        self.sea, self.x, self.y = sea, x, y
+        step = min(sea.shortest / 4.0, _COARSEST)
+        margin = _WIDTH // 2
+        self._step = step
+        self._origin = (x[0] - margin * step, y[0] - margin * step)
+        count = [int(np.ceil((hi - lo) / step)) + 2 * margin + 1 for lo, hi in (x, y)]
+        kx, ky = sea.axes
+        gx, gy = (origin + step * np.arange(n) for origin, n in zip(self._origin, count, strict=True))
+        self._ex = np.exp(1j * np.outer(kx, gx)) / _transform(kx * step)[:, None]
+        self._ey = np.exp(1j * np.outer(gy, ky)) / _transform(ky * step)
+
+    def snapshot(self, time: float, names: Sequence[str] = ("z",)) -> "Snapshot":
+        """The sea at one time.
+
+        Parameters
+        ----------
+        time : float
+            Seconds.
+        names : sequence of str, default ("z",)
+            Any of z, z_x, z_y, z_t, u, v (w is a product: make it from these).
+
+        Returns
+        -------
+        Snapshot
+        """
+        values = self.sea.sums(self._ex, self._ey, time, names)
+        offset = [self.sea.current["uv".index(name)] if name in ("u", "v") else 0.0 for name in names]
+        stacked = np.stack([values[name] for name in names], axis=-1)
+        return Snapshot(stacked, np.array(offset), self._origin, self._step)
+
+
+class Snapshot:
+    """Fields at one instant, as a function of position; made by `Basin.snapshot`."""
+
+    def __init__(self, values: Array, offset: Array, origin: tuple[float, float], step: float):
+        self._values, self._offset, self._origin, self._step = values, offset, origin, step
+
+    def __call__(self, x: Array, y: Array) -> Array:
+        """Fields at scattered points.
+
+        Parameters
+        ----------
+        x, y : ndarray, S
+            Positions in the basin, metres.
+
+        Returns
+        -------
+        ndarray, (number of names,) + S
+            Metres, slopes or m/s; NaN outside the basin.
+        """
+        out = np.empty((x.size, self._values.shape[-1]))
+        _gather(x.ravel(), y.ravel(), self._values, *self._origin, self._step, out)
+        return (out + self._offset).T.reshape(-1, *x.shape)
+
+
+@nb.njit(cache=True, fastmath=True)
+def _gather(x, y, values, x0, y0, step, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+    ny, nx, nf = values.shape
+    wx, wy = np.empty(_WIDTH), np.empty(_WIDTH)
+    for p in range(x.size):
+        rx, ry = (x[p] - x0) / step, (y[p] - y0) / step
+        jx, jy = int(np.floor(rx)) - _WIDTH // 2 + 1, int(np.floor(ry)) - _WIDTH // 2 + 1
+        if jx < 0 or jy < 0 or jx + _WIDTH > nx or jy + _WIDTH > ny:
+            out[p, :] = np.nan
+            continue
+        for g in range(_WIDTH):
+            sx, sy = 2.0 * (rx - jx - g) / _WIDTH, 2.0 * (ry - jy - g) / _WIDTH
+            wx[g] = np.exp(_BETA * (np.sqrt(max(1.0 - sx * sx, 0.0)) - 1.0))
+            wy[g] = np.exp(_BETA * (np.sqrt(max(1.0 - sy * sy, 0.0)) - 1.0))
+        for f in range(nf):
+            total = 0.0
+            for i in range(_WIDTH):
+                row = 0.0
+                for j in range(_WIDTH):
+                    row += wx[j] * values[jy + i, jx + j, f]
+                total += wy[i] * row
+            out[p, f] = total

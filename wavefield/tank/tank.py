@@ -1,0 +1,204 @@
+"""A tank: the sea, the cameras and the beads of a scene, and the images that the cameras take."""
+
+from collections.abc import Iterable
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.rig import Camera, Rig
+from wavefield.tank import beads as floating
+from wavefield.tank import rigs, scene, sensor, texture
+from wavefield.tank.basin import Basin
+from wavefield.tank.sea import Sea
+
+Array = NDArray[np.float64]
+
+
+class Tank:
+    """The tank of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to simulate.
+
+    Examples
+    --------
+    >>> from wavefield.tank import Scene
+    >>> small = Scene.load("demo").with_(rig={"crop": 0.1}, sea={"shortest": 0.3})
+    >>> tank = Tank(small)
+    >>> tank.render(0)["cam1"].shape
+    (102, 102)
+    """
+
+    def __init__(self, scene: "scene.Scene"):
+        self.scene = scene
+        self.rig: Rig = scene.build_rig()
+        self.sea: Sea = scene.build_sea()
+        reach = max(self.sea.reach, 0.01)
+        self.x, self.y = rigs.bounds(self.rig, -reach, reach, margin=0.05)
+        # what moves between two frames must stay inside the basin
+        air = 0.15 + 2.0 * max(np.hypot(*self.sea.current) / scene.frame_rate, 0.0)
+        self.basin = Basin(self.sea, (self.x[0] - air, self.x[1] + air), (self.y[0] - air, self.y[1] + air))
+
+    def time(self, frame: float) -> float:
+        """Time of the sea at a frame (or between two), s."""
+        return self.scene.start + frame / self.scene.frame_rate
+
+    @cached_property
+    def population(self) -> floating.Population:
+        """The beads."""
+        settings = self.scene.surface
+        if not isinstance(settings, scene.Beads):
+            raise ValueError("this scene has a painted surface, no beads")
+        rng = np.random.default_rng([self.scene.seed, 6])
+        # holes where all cameras look, so that a scene has as many as it says
+        middle = [np.array(self.scene.grid.x), np.array(self.scene.grid.y)]
+        holes = np.stack(
+            [
+                *(rng.uniform(*(0.8 * axis + 0.1 * axis.sum()), settings.holes) for axis in middle),
+                np.full(settings.holes, settings.hole_diameter),
+            ],
+            axis=1,
+        )
+        return floating.Population(
+            self.basin,
+            self.x,
+            self.y,
+            density=settings.density,
+            clustered=settings.clustered,
+            holes=holes,
+            renewal=settings.renewal,
+            one_camera=settings.one_camera,
+            spread=settings.spread,
+            spread_between=settings.spread_between,
+            cameras=len(self.rig),
+            start=self.scene.start,
+            frame_rate=self.scene.frame_rate,
+            seed=self.scene.seed,
+        )
+
+    @cached_property
+    def _light(self) -> dict[str, NDArray[np.float32]]:
+        light = self.scene.light
+        return {
+            name: sensor.uneven(self.rig[name].size, light.unevenness, self.scene.seed * 97 + number)
+            for number, name in enumerate(self.rig)
+        }
+
+    @cached_property
+    def _paint(self) -> texture.Paint:
+        settings = self.scene.surface
+        assert isinstance(settings, scene.Texture)
+        mesh = settings.mesh or 1.5 * max(max(rigs.pixel_footprint(self.rig[name])) for name in self.rig)
+        return texture.Paint(self.basin.x, self.basin.y, mesh, self.scene.seed)
+
+    def spot_width(self, camera: Camera) -> float:
+        """Standard deviation of a bead's image before the pixels integrate it.
+
+        Parameters
+        ----------
+        camera : Camera
+            The camera.
+
+        Returns
+        -------
+        float
+            px: the blur and the bead's own size (variance of a disc: a quarter of its radius squared).
+        """
+        size = self.scene.surface.diameter if isinstance(self.scene.surface, scene.Beads) else 0.0
+        pixel = float(np.sqrt(np.prod(rigs.pixel_footprint(camera))))
+        return float(np.hypot(self.scene.light.blur, size / 4 / pixel))
+
+    def render(self, frame: int, cameras: Iterable[str] | None = None) -> dict[str, NDArray]:
+        """Images that the cameras take at one frame.
+
+        Parameters
+        ----------
+        frame : int
+            Frame number, from 0; ask in rising order (beads are followed from frame to frame).
+        cameras : iterable of str, optional
+            Which cameras; all by default.
+
+        Returns
+        -------
+        dict of str to ndarray, (row, column), uint8 or uint16
+        """
+        if isinstance(self.scene.surface, scene.Beads):
+            return self.photograph(self.population.frame(frame), frame, cameras)
+        return self._painted(frame, cameras)
+
+    def photograph(
+        self, beads: floating.Beads, frame: int, cameras: Iterable[str] | None = None
+    ) -> dict[str, NDArray]:
+        """Images of given beads.
+
+        Parameters
+        ----------
+        beads : Beads
+            Positions and brightness.
+        frame : int
+            Frame number: it chooses the noise and the flicker.
+        cameras : iterable of str, optional
+            Which cameras; all by default.
+
+        Returns
+        -------
+        dict of str to ndarray, (row, column), uint8 or uint16
+        """
+        settings = self.scene.surface
+        assert isinstance(settings, scene.Beads)
+        out = {}
+        for name in self.rig if cameras is None else cameras:
+            camera, number = self.rig[name], list(self.rig).index(name)
+            X, Y = camera.project(beads.x, beads.y, beads.z)
+            sigma = self.spot_width(camera)
+            image = np.zeros(camera.size[::-1], np.float32)
+            flux = settings.brightness * 2 * np.pi * sigma**2 * beads.brightness[number]
+            sensor.splat(image, X, Y, flux, sigma)
+            out[name] = self._expose(image, name, frame)
+        return out
+
+    def _painted(self, frame: int, cameras: Iterable[str] | None) -> dict[str, NDArray]:
+        settings = self.scene.surface
+        assert isinstance(settings, scene.Texture)
+        snapshot = self.basin.snapshot(self.time(frame), ("z",))
+        out = {}
+        for name in self.rig if cameras is None else cameras:
+            x, y = texture.cast(self.rig[name], snapshot)
+            if settings.carried and frame:
+                x, y = self._origin(x, y, frame)
+            image = settings.mean + settings.contrast * self._paint(x, y)
+            out[name] = self._expose(image, name, frame)
+        return out
+
+    def _origin(self, x: Array, y: Array, frame: int) -> tuple[Array, Array]:
+        """Where the water now at (x, y) was at the first frame."""
+        return floating.carry(self.basin, x, y, self.time(frame), self.time(0))
+
+    def _expose(self, image: NDArray[np.float32], name: str, frame: int) -> NDArray:
+        light, number = self.scene.light, list(self.rig).index(name)
+        rng = np.random.Generator(np.random.SFC64([self.scene.seed, 7, number, frame]))
+        factor = light.gain.get(name, 1.0) * max(0.05, 1.0 + light.flicker * rng.standard_normal())
+        image = (image + np.float32(light.background)) * (self._light[name] * np.float32(factor))
+        return sensor.expose(image, light.read_noise, light.shot_noise, light.bits, rng)
+
+
+def render(scene: "scene.Scene", frame: int) -> dict[str, NDArray]:
+    """Images of one frame of a scene.
+
+    For several frames make a `Tank` and use its `render`, which remembers the beads.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to simulate.
+    frame : int
+        Frame number, from 0.
+
+    Returns
+    -------
+    dict of str to ndarray, (row, column), uint8 or uint16
+    """
+    return Tank(scene).render(frame)

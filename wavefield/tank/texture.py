@@ -1,0 +1,112 @@
+"""White noise painted on the surface, seen by ray casting."""
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.rig import Camera
+from wavefield.tank.basin import Snapshot
+
+Array = NDArray[np.float64]
+
+
+class Paint:
+    """Band-limited white noise as a function of position: a cubic B-spline with random coefficients.
+
+    Parameters
+    ----------
+    x, y : tuple of float
+        Rectangle, metres; outside the texture goes on as its mirror image.
+    mesh : float
+        Distance between the random coefficients, metres.
+    seed : int
+        Seed.
+    """
+
+    def __init__(self, x: tuple[float, float], y: tuple[float, float], mesh: float, seed: int):
+        count = [int(np.ceil((hi - lo) / mesh)) + 5 for lo, hi in (x, y)]
+        rng = np.random.default_rng([seed, 5])
+        self._coefficients = rng.standard_normal((count[1], count[0]), np.float32)
+        # the mean of sum B^2 over a cell is 0.479 along each axis: unit variance
+        self._coefficients /= np.float32(0.4794)
+        self._x0, self._y0, self._mesh = x[0] - 2 * mesh, y[0] - 2 * mesh, mesh
+
+    def __call__(self, x: Array, y: Array) -> NDArray[np.float32]:
+        """Texture at points.
+
+        Parameters
+        ----------
+        x, y : ndarray, S
+            Positions, metres.
+
+        Returns
+        -------
+        ndarray of float32, S
+            Mean 0, standard deviation 1.
+        """
+        out = np.empty(x.size, np.float32)
+        _spline(x.ravel(), y.ravel(), self._coefficients, self._x0, self._y0, self._mesh, out)
+        return out.reshape(x.shape)
+
+
+@nb.njit(cache=True, fastmath=True)
+def _spline(x, y, c, x0, y0, mesh, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+    ny, nx = c.shape
+    wx, wy = np.empty(4), np.empty(4)
+    for p in range(x.size):
+        rx, ry = (x[p] - x0) / mesh, (y[p] - y0) / mesh
+        if not (abs(rx) < 1e7 and abs(ry) < 1e7):
+            out[p] = 0.0
+            continue
+        jx, jy = int(np.floor(rx)), int(np.floor(ry))
+        for w, t in ((wx, rx - jx), (wy, ry - jy)):
+            w[0] = (1 - t) ** 3 / 6
+            w[1] = (3 * t**3 - 6 * t**2 + 4) / 6
+            w[2] = (-3 * t**3 + 3 * t**2 + 3 * t + 1) / 6
+            w[3] = t**3 / 6
+        total = 0.0
+        for i in range(4):
+            a = (jy - 1 + i) % (2 * ny)
+            a = a if a < ny else 2 * ny - 1 - a
+            row = 0.0
+            for j in range(4):
+                b = (jx - 1 + j) % (2 * nx)
+                b = b if b < nx else 2 * nx - 1 - b
+                row += wx[j] * c[a, b]
+            total += wy[i] * row
+        out[p] = total
+
+
+def cast(camera: Camera, snapshot: Snapshot) -> tuple[Array, Array]:
+    """Where the line of sight of every pixel meets the water.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    snapshot : Snapshot
+        The elevation (first field) around all that the camera sees.
+
+    Returns
+    -------
+    x, y : ndarray, (row, column)
+        Horizontal position, metres; NaN where the line meets no water of the basin.
+
+    Notes
+    -----
+    Fixed point of x = x_a + D_x z(x, y), which contracts by slope times D: to a tenth of a micrometre.
+    """
+    columns, rows = np.meshgrid(
+        np.arange(camera.size[0], dtype=float), np.arange(camera.size[1], dtype=float)
+    )
+    xa, ya = camera.unproject(columns, rows)
+    dx, dy = camera.sight_line(xa, ya)
+    x, y, z = xa, ya, np.zeros_like(xa)
+    for _ in range(40):
+        (new,) = snapshot(x, y)
+        change = np.nanmax(np.abs(new - z), initial=0.0)
+        z = new
+        x, y = xa + dx * z, ya + dy * z
+        if change < 1e-7:
+            break
+    return x, y
