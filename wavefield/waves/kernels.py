@@ -1,0 +1,271 @@
+"""Inner loops of the spectral estimators, on plain arrays.
+
+Layout: the spatial transform of a piece of a record is held as (cells, steps), cells being ky x kx with
+kx >= 0, so that the transform in time and the sums over rings run along contiguous memory.
+"""
+
+import numba
+import numpy as np
+
+_fast = numba.njit(nogil=True, cache=True)
+
+
+@_fast
+def join(first, second, window, out):
+    """Put two halves of a segment together, take off mean and trend in time, and window.
+
+    Parameters
+    ----------
+    first, second : ndarray, complex, (cells, n / 2)
+        The halves.
+    window : ndarray, (n,)
+        Window in time.
+    out : ndarray, complex, (cells, n)
+        Receives the result.
+    """
+    cells, half = first.shape
+    n = 2 * half
+    middle = (n - 1) / 2
+    norm = n * (n * n - 1) / 12  # sum of (i - middle)^2
+    for c in range(cells):
+        total = 0j
+        moment = 0j
+        for i in range(half):
+            total += first[c, i] + second[c, i]
+            moment += (i - middle) * first[c, i] + (i + half - middle) * second[c, i]
+        mean = total / n
+        slope = moment / norm
+        for i in range(half):
+            out[c, i] = (first[c, i] - mean - slope * (i - middle)) * window[i]
+            j = i + half
+            out[c, j] = (second[c, i] - mean - slope * (j - middle)) * window[j]
+
+
+@_fast
+def ring_powers(f, start, ring, weight, out):
+    """Add the power of every cell to its rings, with +-omega folded so that k points where the wave goes.
+
+    Parameters
+    ----------
+    f : ndarray, complex, (cells, n)
+        Transform in space and time; numpy's signs.
+    start : ndarray, int, (cells + 1,)
+        Where the rings of each cell begin in ``ring`` and ``weight``.
+    ring : ndarray, int
+        Index of the ring.
+    weight : ndarray, float
+        Share of the cell in the ring, doubled where the cell stands for its mirror image as well.
+    out : ndarray, float64, (rings, n // 2 + 1)
+        Sums to add to.
+    """
+    cells, n = f.shape
+    half = n // 2
+    power = np.empty(half + 1)
+    for c in range(cells):
+        row = f[c]
+        power[0] = row[0].real ** 2 + row[0].imag ** 2
+        for j in range(1, half):
+            a = row[n - j]
+            b = row[j]
+            power[j] = a.real**2 + a.imag**2 + b.real**2 + b.imag**2
+        power[half] = row[half].real ** 2 + row[half].imag ** 2
+        for s in range(start[c], start[c + 1]):
+            r = ring[s]
+            g = weight[s]
+            for j in range(half + 1):
+                out[r, j] += g * power[j]
+
+
+@_fast
+def ring_crosses(f, g, start, ring, weight, out):
+    """As `ring_powers`, for conj(f) g; ``out`` is complex.
+
+    The phase is that of waves exp(i (k . x - omega t)), omega > 0.
+    """
+    cells, n = f.shape
+    half = n // 2
+    cross = np.empty(half + 1, np.complex128)
+    for c in range(cells):
+        a = f[c]
+        b = g[c]
+        cross[0] = (np.conj(a[0]) * b[0]).real
+        for j in range(1, half):
+            cross[j] = np.conj(a[n - j]) * b[n - j] + a[j] * np.conj(b[j])
+        cross[half] = (np.conj(a[half]) * b[half]).real
+        for s in range(start[c], start[c + 1]):
+            r = ring[s]
+            h = weight[s]
+            for j in range(half + 1):
+                out[r, j] += h * cross[j]
+
+
+@_fast
+def powers(f, out):
+    """Write |f|^2.
+
+    Parameters
+    ----------
+    f : ndarray, complex, (cells, n)
+        Transform.
+    out : ndarray, float, (cells, n)
+        Receives the power.
+    """
+    for c in range(f.shape[0]):
+        for j in range(f.shape[1]):
+            out[c, j] = f[c, j].real ** 2 + f[c, j].imag ** 2
+
+
+@_fast
+def gradient(z, dy, dx, z_y, z_x):
+    """Gradient of each step by central differences of sixth order, of lower order at the edges.
+
+    Parameters
+    ----------
+    z : ndarray, (steps, y, x)
+        Field; at least 3 nodes along each axis.
+    dy, dx : float
+        Distance between nodes.
+    z_y, z_x : ndarray, (steps, y, x)
+        Receive the derivatives.
+    """
+    steps, ny, nx = z.shape
+    for t in range(steps):
+        for i in range(ny):
+            for j in range(nx):
+                room = min(j, nx - 1 - j)
+                if room >= 3:
+                    d = (
+                        45.0 * (z[t, i, j + 1] - z[t, i, j - 1])
+                        - 9.0 * (z[t, i, j + 2] - z[t, i, j - 2])
+                        + (z[t, i, j + 3] - z[t, i, j - 3])
+                    ) / 60.0
+                elif room == 2:
+                    d = (8.0 * (z[t, i, j + 1] - z[t, i, j - 1]) - (z[t, i, j + 2] - z[t, i, j - 2])) / 12.0
+                elif room == 1:
+                    d = (z[t, i, j + 1] - z[t, i, j - 1]) / 2.0
+                elif j == 0:
+                    d = (-3.0 * z[t, i, 0] + 4.0 * z[t, i, 1] - z[t, i, 2]) / 2.0
+                else:
+                    d = (3.0 * z[t, i, j] - 4.0 * z[t, i, j - 1] + z[t, i, j - 2]) / 2.0
+                z_x[t, i, j] = d / dx
+                room = min(i, ny - 1 - i)
+                if room >= 3:
+                    d = (
+                        45.0 * (z[t, i + 1, j] - z[t, i - 1, j])
+                        - 9.0 * (z[t, i + 2, j] - z[t, i - 2, j])
+                        + (z[t, i + 3, j] - z[t, i - 3, j])
+                    ) / 60.0
+                elif room == 2:
+                    d = (8.0 * (z[t, i + 1, j] - z[t, i - 1, j]) - (z[t, i + 2, j] - z[t, i - 2, j])) / 12.0
+                elif room == 1:
+                    d = (z[t, i + 1, j] - z[t, i - 1, j]) / 2.0
+                elif i == 0:
+                    d = (-3.0 * z[t, 0, j] + 4.0 * z[t, 1, j] - z[t, 2, j]) / 2.0
+                else:
+                    d = (3.0 * z[t, i, j] - 4.0 * z[t, i - 1, j] + z[t, i - 2, j]) / 2.0
+                z_y[t, i, j] = d / dy
+
+
+@_fast
+def histogram(values, mean, std, reach, counts):
+    """Count values in equal bins of (value - mean) / std between -reach and reach; what lies beyond is left out.
+
+    Parameters
+    ----------
+    values : ndarray, (n,)
+        Any numbers; NaN is left out.
+    mean, std, reach : float
+        Scale of the bins.
+    counts : ndarray, int64, (bins,)
+        Counts to add to.
+    """
+    bins = counts.size
+    scale = bins / (2.0 * reach * std)
+    origin = mean - reach * std
+    for i in range(values.size):
+        place = (values[i] - origin) * scale
+        if 0.0 <= place < bins:
+            counts[int(place)] += 1
+
+
+@_fast
+def moments(values, mean, sums):
+    """Add the first four powers of (value - mean) to ``sums`` (5,), the first entry being the count.
+
+    Rows are summed one by one, so that single values do not drown in a long sum.
+
+    Parameters
+    ----------
+    values : ndarray, (rows, n)
+        Finite numbers.
+    mean : float
+        A first guess of the mean: it keeps the sums well conditioned.
+    sums : ndarray, float64, (5,)
+        Sums to add to.
+    """
+    for r in range(values.shape[0]):
+        s1 = 0.0
+        s2 = 0.0
+        s3 = 0.0
+        s4 = 0.0
+        for i in range(values.shape[1]):
+            d = values[r, i] - mean
+            q = d * d
+            s1 += d
+            s2 += q
+            s3 += q * d
+            s4 += q * q
+        sums[0] += values.shape[1]
+        sums[1] += s1
+        sums[2] += s2
+        sums[3] += s3
+        sums[4] += s4
+
+
+@_fast
+def _lagrange(fraction, weights):
+    # weights of the nodes -(m/2 - 1) .. m/2 for a point at `fraction` in [0, 1)
+    m = weights.size
+    first = -(m // 2 - 1)
+    for i in range(m):
+        w = 1.0
+        for j in range(m):
+            if j != i:
+                w *= (fraction - (first + j)) / (i - j)
+        weights[i] = w
+
+
+@_fast
+def sample(field, row, column, out, points):
+    """Interpolate a field at points between its nodes by Lagrange polynomials; NaN where the stencil runs out.
+
+    Parameters
+    ----------
+    field : ndarray, (y, x)
+        Values at nodes.
+    row, column : ndarray, (n,)
+        Positions in nodes.
+    out : ndarray, (n,)
+        Receives the values.
+    points : int
+        Nodes of the stencil along each axis, even.
+    """
+    ny, nx = field.shape
+    wy = np.empty(points)
+    wx = np.empty(points)
+    back = points // 2 - 1
+    for p in range(row.size):
+        i0 = int(np.floor(row[p]))
+        j0 = int(np.floor(column[p]))
+        if i0 - back < 0 or j0 - back < 0 or i0 + points - back > ny or j0 + points - back > nx:
+            out[p] = np.nan
+            continue
+        _lagrange(row[p] - i0, wy)
+        _lagrange(column[p] - j0, wx)
+        total = 0.0
+        for a in range(points):
+            line = 0.0
+            for b in range(points):
+                line += wx[b] * field[i0 - back + a, j0 - back + b]
+            total += wy[a] * line
+        out[p] = total

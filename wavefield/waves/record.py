@@ -1,0 +1,310 @@
+"""The part of a cube that spectra can be taken from: its largest full rectangle, its runs without long gaps."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import dask
+import numpy as np
+import xarray as xr
+from scipy import ndimage
+
+from wavefield.errors import CubeError
+from wavefield.variables import CUBE_DIMS, FrameStatus
+
+LONGEST_BRIDGE = 2  # steps: longer gaps split the record
+_LOOK = 256  # steps looked at in one piece
+_NODE_SHARE = 0.99  # of the good steps in which a node must be there to belong to the rectangle
+_STEP_SHARE = 0.98  # of the rectangle that must be there for a step to count
+_SMALLEST = 8  # nodes along either side of a usable rectangle
+
+
+@dataclass(frozen=True)
+class Record:
+    """Where in a cube the estimators work.
+
+    Parameters
+    ----------
+    y, x : tuple of int
+        First node and one past the last, of the rectangle.
+    runs : tuple of (int, int)
+        First step and one past the last, of each run without long gaps.
+    bridged : tuple of int
+        Missing steps inside the runs: interpolated in time.
+    steps : int
+        Steps of the whole cube.
+    holes : int
+        Single nodes missing inside the rectangle at good steps: filled from their neighbours.
+    dt, dy, dx : float
+        Distances, s and m.
+    """
+
+    y: tuple[int, int]
+    x: tuple[int, int]
+    runs: tuple[tuple[int, int], ...]
+    bridged: tuple[int, ...]
+    steps: int
+    holes: int
+    dt: float
+    dy: float
+    dx: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Nodes of the rectangle, (ny, nx)."""
+        return self.y[1] - self.y[0], self.x[1] - self.x[0]
+
+    @property
+    def longest(self) -> int:
+        """Steps of the longest run."""
+        return max((b - a for a, b in self.runs), default=0)
+
+
+def _spacing(array: Any, name: str) -> float:
+    values = np.asarray(array[name].values, float)
+    if values.size < 2:
+        raise CubeError(f"the cube has {values.size} {name}: at least two are needed")
+    steps = np.diff(values)
+    step = float((values[-1] - values[0]) / (values.size - 1))
+    worst = float(np.abs(steps - step).max())
+    if not worst <= 1e-3 * abs(step):
+        what = (
+            "put the cube on its clock first, for example with cube.reindex(time=...), which marks what is missing"
+            if name == "time"
+            else "interpolate the cube onto a regular grid first"
+        )
+        raise CubeError(
+            f"the steps of {name!r} are unequal (from {steps.min():g} to {steps.max():g}): {what}"
+        )
+    return step
+
+
+def check_axes(array: Any) -> tuple[float, float, float]:
+    """Check that an array has the axes of a cube, evenly spaced.
+
+    Parameters
+    ----------
+    array : xarray.DataArray or xarray.Dataset
+        With dimensions time, y, x and their coordinates.
+
+    Returns
+    -------
+    dt, dy, dx : float
+        Steps, s and m.
+
+    Raises
+    ------
+    CubeError
+        If a dimension or coordinate is missing, descends or has unequal steps.
+    """
+    for name in CUBE_DIMS:
+        if name not in array.dims:
+            raise CubeError(
+                f"the array has dimensions {tuple(array.dims)}: spectra need time, y and x"
+                f" ({name!r} is missing)"
+            )
+        if name not in array.coords:
+            raise CubeError(f"the cube has no coordinate {name!r}: assign it, in seconds or metres")
+    if array["time"].dtype.kind not in "fiu":
+        raise CubeError(
+            f"the cube's time is of type {array['time'].dtype}: it must be in seconds since the start, as numbers"
+        )
+    spacing = {name: _spacing(array, name) for name in CUBE_DIMS}
+    for name, step in spacing.items():
+        if step <= 0:
+            raise CubeError(f"the cube's {name!r} runs backwards: sort it first, cube.sortby({name!r})")
+    return spacing["time"], spacing["y"], spacing["x"]
+
+
+def _finite(blocks: list[np.ndarray]) -> np.ndarray | None:
+    # packed mask of what is there in all variables; None where nothing is missing (the usual case, and quick)
+    if all(bool(np.isfinite(block.sum(dtype=np.float64))) for block in blocks):
+        return None
+    mask = np.isfinite(blocks[0])
+    for block in blocks[1:]:
+        mask &= np.isfinite(block)
+    return np.packbits(mask.reshape(mask.shape[0], -1), axis=1)
+
+
+def largest_rectangle(mask: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Find the largest rectangle without a hole.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, (ny, nx)
+        True where a node can be used.
+
+    Returns
+    -------
+    y, x : tuple of int
+        First node and one past the last along each axis; (0, 0) where nothing is left.
+
+    Examples
+    --------
+    >>> largest_rectangle(np.array([[0, 1, 1], [1, 1, 1], [0, 1, 1]], bool))
+    ((0, 3), (1, 3))
+    """
+    ny, nx = mask.shape
+    height = np.zeros(nx, int)
+    best, where = 0, ((0, 0), (0, 0))
+    for i in range(ny):
+        height = np.where(mask[i], height + 1, 0)
+        stack: list[tuple[int, int]] = []  # (column where it starts, height)
+        for j in range(nx + 1):
+            h = int(height[j]) if j < nx else 0
+            start = j
+            while stack and stack[-1][1] >= h:
+                start, top = stack.pop()
+                if top * (j - start) > best:
+                    best, where = top * (j - start), ((i + 1 - top, i + 1), (start, j))
+            stack.append((start, h))
+    return where
+
+
+def _runs(good: np.ndarray, longest_bridge: int) -> tuple[list[tuple[int, int]], list[int]]:
+    # runs of good steps; gaps up to `longest_bridge` between good steps are bridged
+    edges = np.flatnonzero(np.diff(np.r_[False, good, False].astype(int)))
+    pieces = list(zip(edges[::2].tolist(), edges[1::2].tolist()))
+    runs: list[tuple[int, int]] = []
+    bridged: list[int] = []
+    for a, b in pieces:
+        if runs and a - runs[-1][1] <= longest_bridge:
+            bridged.extend(range(runs[-1][1], a))
+            runs[-1] = (runs[-1][0], b)
+        else:
+            runs.append((a, b))
+    return runs, bridged
+
+
+def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE) -> Record:
+    """Find the largest full rectangle of nodes and the runs of good steps of a cube.
+
+    The values are read once (a cube that is not computed yet is computed for it); nothing is kept but a mask.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset or xarray.DataArray
+        Variables over (time, y, x), metres and seconds; ``frame_status`` is heeded where there is one.
+    longest_bridge : int
+        Longest gap, in steps, that is bridged by interpolation in time; longer ones split the record.
+
+    Returns
+    -------
+    Record
+        What the estimators work on.
+
+    Raises
+    ------
+    CubeError
+        If the axes are uneven, no step is good or no full rectangle is left.
+    """
+    dt, dy, dx = check_axes(cube)
+    arrays = (
+        [cube]
+        if isinstance(cube, xr.DataArray)
+        else [
+            array
+            for array in cube.data_vars.values()
+            if set(array.dims) == set(CUBE_DIMS) and array.dtype.kind == "f"
+        ]
+    )
+    if not arrays:
+        raise CubeError("the cube has no variable over time, y and x")
+    arrays = [array.transpose(*CUBE_DIMS) for array in arrays]
+    steps, ny, nx = arrays[0].shape
+    pieces = [(a, min(a + _LOOK, steps)) for a in range(0, steps, _LOOK)]
+    masks = dask.compute(
+        *(dask.delayed(_finite)([array.data[a:b] for array in arrays]) for a, b in pieces), traverse=True
+    )
+
+    known = np.ones(steps, bool)
+    if "frame_status" in cube:
+        known = np.isin(cube["frame_status"].values, (FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS))
+
+    def unpack(mask: np.ndarray | None, a: int, b: int) -> np.ndarray:
+        if mask is None:
+            return np.ones((b - a, ny, nx), bool)
+        return np.unpackbits(mask, axis=1, count=ny * nx).reshape(b - a, ny, nx).astype(bool)
+
+    there = np.full(steps, ny * nx)
+    for mask, (a, b) in zip(masks, pieces):
+        if mask is not None:
+            there[a:b] = unpack(mask, a, b).sum(axis=(1, 2))
+    alive = known & (there > 0)
+    if not alive.any():
+        raise CubeError("no step of the cube holds a single value: run it first, or look at its frame_status")
+    good = alive & (there >= np.median(there[alive]) / 2)
+
+    seen = np.zeros((ny, nx), int)
+    for mask, (a, b) in zip(masks, pieces):
+        if mask is None:
+            seen += int(good[a:b].sum())
+        else:
+            seen += unpack(mask, a, b)[good[a:b]].sum(axis=0)
+    y, x = largest_rectangle(seen >= _NODE_SHARE * good.sum())
+    if min(y[1] - y[0], x[1] - x[0]) < _SMALLEST:
+        raise CubeError(
+            f"the largest rectangle of nodes that are measured throughout is {y[1] - y[0]} x {x[1] - x[0]}"
+            f" (y, x), less than {_SMALLEST} x {_SMALLEST}: choose a grid inside the field that all cameras see"
+        )
+    size = (y[1] - y[0]) * (x[1] - x[0])
+    holes = 0
+    for mask, (a, b) in zip(masks, pieces):
+        if mask is not None:
+            inside = unpack(mask, a, b)[:, y[0] : y[1], x[0] : x[1]].sum(axis=(1, 2))
+            good[a:b] &= inside >= _STEP_SHARE * size
+            holes += int((size - inside)[good[a:b]].sum())
+    runs, bridged = _runs(good, longest_bridge)
+    return Record(y, x, tuple(runs), tuple(bridged), steps, holes, dt, dy, dx)
+
+
+def whole_record(array: Any) -> Record:
+    """Take every node and step of an array that has nothing missing, without looking at its values.
+
+    Parameters
+    ----------
+    array : xarray.DataArray or xarray.Dataset
+        Variables over (time, y, x).
+
+    Returns
+    -------
+    Record
+        All of it.
+    """
+    dt, dy, dx = check_axes(array)
+    steps, ny, nx = (array.sizes[name] for name in CUBE_DIMS)
+    return Record((0, ny), (0, nx), ((0, steps),), (), steps, 0, dt, dy, dx)
+
+
+def fill(block: np.ndarray, missing: np.ndarray) -> np.ndarray:
+    """Fill what is missing in a piece of a record.
+
+    Parameters
+    ----------
+    block : ndarray, (steps, ny, nx)
+        Values; NaN where there are none.
+    missing : ndarray of bool, (steps,)
+        Steps to be bridged: cubic interpolation in time from two good steps on either side, linear or constant
+        where there are fewer.
+
+    Returns
+    -------
+    ndarray
+        The same array where nothing is missing, else a filled copy; single nodes take the nearest node's value.
+    """
+    if not missing.any() and np.isfinite(block.sum(dtype=np.float64)):
+        return block
+    block = block.copy()
+    good = np.flatnonzero(~missing)
+    for t in good:
+        hole = ~np.isfinite(block[t])
+        if hole.any():
+            nearest = ndimage.distance_transform_edt(hole, return_distances=False, return_indices=True)
+            block[t] = block[t][tuple(nearest)]
+    for t in np.flatnonzero(missing):
+        before, after = good[good < t][-2:], good[good > t][:2]
+        if before.size != after.size:  # at an edge: lean on the nearest
+            before, after = before[-1:], after[:1]
+        nodes = np.r_[before, after].astype(float)
+        weights = [np.prod([(t - q) / (p - q) for q in nodes if q != p]) for p in nodes]
+        block[t] = np.tensordot(np.array(weights, block.dtype), block[nodes.astype(int)], axes=1)
+    return block

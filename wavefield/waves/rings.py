@@ -1,0 +1,125 @@
+"""Integration over the angle of the wave vector: shares of the cells of the k plane in rings of |k|."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy import sparse
+
+SUPERSAMPLING = 8  # per axis: lattice error .23 % rms instead of 7.7 % with whole cells
+
+
+@dataclass(frozen=True, eq=False)
+class Rings:
+    """Rings of the k plane of one rectangle of nodes.
+
+    Attributes
+    ----------
+    k : ndarray, (rings,)
+        Centres, rad/m.
+    dk : float
+        Width, rad/m.
+    coverage : ndarray, (rings,)
+        Share of each ring inside the sampled plane, corners included.
+    cells : ndarray, (rings,)
+        Independent cells of each ring under Hann windows in space.
+    overlap : ndarray, (rings, rings)
+        Squared correlation between the means of rings, so that 1 / (p . overlap . p) is the number of
+        independent cells of a sum with shares p.
+    shares : scipy.sparse.csr_array, (ny * nx, rings)
+        Share of the area of each cell of the full plane (numpy's order) in each ring.
+    start, ring, weight : ndarray
+        The same for the half plane kx >= 0, as `kernels.ring_powers` wants it.
+    """
+
+    k: np.ndarray
+    dk: float
+    coverage: np.ndarray
+    cells: np.ndarray
+    overlap: np.ndarray
+    shares: sparse.csr_array
+    start: np.ndarray
+    ring: np.ndarray
+    weight: np.ndarray
+
+
+def wavenumbers(n: int, step: float) -> np.ndarray:
+    """Wavenumbers of `n` nodes `step` apart in numpy's order, (n,), rad/m."""
+    return 2 * np.pi * np.fft.fftfreq(n, step)
+
+
+def mirror_weights(nx: int) -> np.ndarray:
+    """How often each column kx >= 0 of a real field's transform counts in the full plane, (nx // 2 + 1,)."""
+    weights = np.full(nx // 2 + 1, 2.0)
+    weights[0] = 1
+    if nx % 2 == 0:
+        weights[-1] = 1
+    return weights
+
+
+def _hann_overlap(n: int) -> sparse.csr_array:
+    # squared correlation of neighbouring lines of a Hann-windowed transform: 1, (2/3)^2, (1/6)^2
+    out = sparse.csr_array((n, n))
+    rows = np.arange(n)
+    for shift, value in ((0, 1.0), (1, 4 / 9), (-1, 4 / 9), (2, 1 / 36), (-2, 1 / 36)):
+        out = out + sparse.csr_array((np.full(n, value), (rows, (rows + shift) % n)), shape=(n, n))
+    return out
+
+
+@lru_cache(maxsize=8)
+def rings(ny: int, nx: int, dy: float, dx: float, dk: float | None = None) -> Rings:
+    """Cut the k plane into rings.
+
+    Parameters
+    ----------
+    ny, nx : int
+        Nodes of the rectangle.
+    dy, dx : float
+        Distance between nodes, m.
+    dk : float, optional
+        Width of a ring, rad/m; by default the larger side of a cell.
+
+    Returns
+    -------
+    Rings
+        Shares, coverage and independent cells.
+
+    Notes
+    -----
+    Every cell is split into 8 x 8 parts and each part given to the ring of its centre: energy is conserved to
+    rounding. The corners beyond the Nyquist wavenumber of the axes are kept.
+    """
+    cell_y, cell_x = 2 * np.pi / (ny * dy), 2 * np.pi / (nx * dx)
+    dk = max(cell_y, cell_x) if dk is None else float(dk)
+    part = (np.arange(SUPERSAMPLING) + 0.5) / SUPERSAMPLING - 0.5
+    ky = (wavenumbers(ny, dy)[:, None] + part * cell_y).ravel()
+    kx = (wavenumbers(nx, dx)[:, None] + part * cell_x).ravel()
+    index = (np.hypot(ky[:, None], kx) / dk).astype(np.int64)
+    count = int(index.max()) + 1
+    cell = np.arange(ny * nx).reshape(ny, 1, nx, 1)
+    cell = np.broadcast_to(cell, (ny, SUPERSAMPLING, nx, SUPERSAMPLING)).ravel()
+    value = np.full(cell.size, 1.0 / SUPERSAMPLING**2)
+    shares = sparse.coo_array((value, (cell, index.ravel())), shape=(ny * nx, count)).tocsr()
+
+    area = np.asarray(shares.sum(axis=0)).ravel()
+    edges = np.arange(count + 1) * dk
+    coverage = area * cell_y * cell_x / (np.pi * np.diff(edges**2))
+    overlap = sparse.kron(_hann_overlap(ny), _hann_overlap(nx), format="csr")
+    norm = np.maximum(area, 1e-300)
+    overlap = (shares.T @ overlap @ shares).toarray() / np.outer(norm, norm)
+    # a ring smaller than a cell still holds one cell
+    cells = np.maximum(1 / np.maximum(np.diag(overlap), 1e-300), 1.0)
+
+    half = shares[(np.arange(ny)[:, None] * nx + np.arange(nx // 2 + 1)).ravel()].tocsr()
+    weight = half.data * np.repeat(np.tile(mirror_weights(nx), ny), np.diff(half.indptr))
+    return Rings(
+        k=(np.arange(count) + 0.5) * dk,
+        dk=dk,
+        coverage=np.minimum(coverage, 1.0),
+        cells=cells,
+        overlap=overlap,
+        shares=shares,
+        start=half.indptr.astype(np.int64),
+        ring=half.indices.astype(np.int64),
+        weight=weight,
+    )

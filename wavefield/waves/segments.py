@@ -1,0 +1,204 @@
+"""Welch's method as a graph: every half segment is transformed in space once and used by both its segments.
+
+Half segments and segments are fixed by the record alone, and the sums run in their order: results do not depend
+on how the data are chunked.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from dask import delayed
+from scipy import fft
+
+from wavefield.errors import CubeError
+from wavefield.variables import CUBE_DIMS
+from wavefield.waves import kernels
+from wavefield.waves.record import LONGEST_BRIDGE, Record, fill
+from wavefield.waves.windows import choose_segment, hann, segment_count
+
+_FRAMES = 16  # steps transformed in space at once: they fit the cache
+_CELLS = 1024  # cells transformed in time at once
+
+
+def segment_length(record: Record, segment: int | None) -> int:
+    """Segment length to use, checked against the record.
+
+    Parameters
+    ----------
+    record : Record
+        Where the estimators work.
+    segment : int, optional
+        Wanted length, steps; chosen from the longest run if not given.
+
+    Returns
+    -------
+    int
+        An even number of steps.
+
+    Raises
+    ------
+    CubeError
+        If no run is that long.
+    """
+    longest = record.longest
+    if segment is None:
+        segment = choose_segment(longest)
+    if segment % 2 or segment < 8:
+        raise CubeError(f"the segment length is {segment} steps: choose an even number, 8 at least")
+    if longest < segment:
+        raise CubeError(
+            f"the longest run without gaps has {longest} steps, less than one segment of {segment}:"
+            f" choose a segment of at most {longest - longest % 2} steps"
+        )
+    return segment
+
+
+def count_segments(record: Record, segment: int) -> int:
+    """Number of segments, overlapping by half, in all runs of a record."""
+    return sum(segment_count(b - a, segment) for a, b in record.runs)
+
+
+def _piece(array: xr.DataArray, steps: slice, record: Record) -> Any:
+    # a dask array where the cube is chunked, else a variable that is read when the task runs
+    part = array.transpose(*CUBE_DIMS).isel(time=steps, y=slice(*record.y), x=slice(*record.x))
+    return part.data if part.chunks is not None else part.variable
+
+
+def _read(pieces: Sequence[Any], missing: np.ndarray, inner: slice) -> list[np.ndarray]:
+    out = []
+    for piece in pieces:
+        block = np.asarray(piece)
+        if block.dtype.kind != "f":
+            block = block.astype(np.float64)
+        out.append(fill(block, missing)[inner])
+    return out
+
+
+def _half(
+    make: Callable[..., dict[str, Any]], pieces: Sequence[Any], missing: np.ndarray, inner: slice, first: int
+) -> dict[str, Any]:
+    return make(*_read(pieces, missing, inner), first=first)
+
+
+def half_segments(
+    arrays: Sequence[xr.DataArray], record: Record, half: int, make: Callable[..., dict[str, Any]]
+) -> tuple[list[list[Any]], list[Any]]:
+    """Lay out the tasks that turn half segments of a record into whatever `make` gives.
+
+    Parameters
+    ----------
+    arrays : sequence of DataArray
+        Fields over (time, y, x).
+    record : Record
+        Rectangle and runs.
+    half : int
+        Steps of a half segment.
+    make : callable
+        ``make(*blocks, first=...)`` with blocks (steps, ny, nx) without gaps and the number of the first step;
+        gives a dictionary.
+
+    Returns
+    -------
+    runs : list of list of delayed
+        Half segments, run by run.
+    rests : list of delayed
+        What is left at the end of runs, shorter than half a segment.
+    """
+    task = delayed(_half, pure=False)
+    bridged = np.asarray(record.bridged, int)
+
+    def lay(a: int, b: int, run: tuple[int, int]) -> Any:
+        # interpolation in time wants good steps on either side
+        reach = LONGEST_BRIDGE + 2 if ((bridged >= a - 1) & (bridged <= b)).any() else 0
+        lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
+        missing = np.isin(np.arange(lo, hi), bridged)
+        pieces = [_piece(array, slice(lo, hi), record) for array in arrays]
+        return task(make, pieces, missing, slice(a - lo, b - lo), a)
+
+    runs, rests = [], []
+    for run in record.runs:
+        count = (run[1] - run[0]) // half
+        ends = [run[0] + i * half for i in range(count + 1)]
+        runs.append([lay(a, b, run) for a, b in zip(ends[:-1], ends[1:])])
+        if ends[-1] < run[1]:
+            rests.append(lay(ends[-1], run[1], run))
+    return runs, rests
+
+
+def in_order(parts: Sequence[Any]) -> Any:
+    """Sum delayed dictionaries of arrays one after the other, in their order."""
+    add = delayed(_add, pure=False)
+    total = parts[0]
+    for part in parts[1:]:
+        total = add(total, part)
+    return total
+
+
+def _add(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: a[name] + b[name] for name in a}
+
+
+def spatial_window(ny: int, nx: int) -> np.ndarray:
+    """Hann window of the rectangle, (ny, nx)."""
+    return np.outer(hann(ny), hann(nx))
+
+
+def window_energy(segment: int, ny: int, nx: int) -> float:
+    """Sum of the squared window over a segment."""
+    return float((hann(segment) ** 2).sum() * (hann(ny) ** 2).sum() * (hann(nx) ** 2).sum())
+
+
+def transform_space(block: np.ndarray) -> np.ndarray:
+    """Transform each step in space.
+
+    Parameters
+    ----------
+    block : ndarray, (steps, ny, nx)
+        Field, float32 or float64.
+
+    Returns
+    -------
+    ndarray, complex, (ny * (nx // 2 + 1), steps)
+        Windowed transform, cells first.
+    """
+    steps, ny, nx = block.shape
+    window = spatial_window(ny, nx).astype(block.dtype)
+    out = np.empty((ny, nx // 2 + 1, steps), np.complex64 if block.dtype == np.float32 else np.complex128)
+    for a in range(0, steps, _FRAMES):
+        lines = fft.rfft2(block[a : a + _FRAMES] * window, axes=(1, 2))
+        out[:, :, a : a + _FRAMES] = lines.transpose(1, 2, 0)
+    return out.reshape(-1, steps)
+
+
+def transform_time(
+    first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray], names: Sequence[str]
+) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
+    """Transform a segment in time, a slab of cells after the other.
+
+    Parameters
+    ----------
+    first, second : mapping of str to ndarray, complex, (cells, n / 2)
+        Spatial transforms of the two halves.
+    names : sequence of str
+        Which of them.
+
+    Yields
+    ------
+    cells : slice
+        Which cells.
+    lines : dict of str to ndarray, complex, (cells of the slab, n)
+        Mean and trend taken off, Hann window, numpy's signs.
+    """
+    cells, half = first[names[0]].shape
+    for a in range(0, cells, _CELLS):
+        slab = slice(a, min(a + _CELLS, cells))
+        lines = {}
+        for name in names:
+            one, two = first[name][slab], second[name][slab]
+            window = hann(2 * half).astype(one.real.dtype)
+            joined = np.empty((one.shape[0], 2 * half), one.dtype)
+            kernels.join(one, two, window, joined)
+            lines[name] = fft.fft(joined, axis=-1, overwrite_x=True)
+        yield slab, lines

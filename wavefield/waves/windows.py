@@ -1,0 +1,83 @@
+"""Windows, degrees of freedom and confidence intervals of Welch's method."""
+
+import numpy as np
+from scipy import fft, stats
+
+DEFAULT_SEGMENT = 512  # steps: 25.6 s at 20 Hz
+
+
+def hann(n: int) -> np.ndarray:
+    """Hann window with a half-sample offset, (n,): periodic, symmetric and without a zero sample."""
+    return 0.5 - 0.5 * np.cos(2 * np.pi * (np.arange(n) + 0.5) / n)
+
+
+def segment_count(steps: int, segment: int) -> int:
+    """Segments of length `segment`, overlapping by half, in `steps` steps."""
+    half = segment // 2
+    return max(steps // half - 1, 0)
+
+
+def choose_segment(steps: int) -> int:
+    """Choose a segment length for a record.
+
+    Parameters
+    ----------
+    steps : int
+        Steps of the longest run without gaps.
+
+    Returns
+    -------
+    int
+        512 for long records; a quarter of shorter ones (7 segments), but at least 64 steps where there are as
+        many, for the frequency resolution; always even and quick to transform.
+    """
+    wanted = min(DEFAULT_SEGMENT, max(steps // 4, min(64, steps)))
+    even = wanted - wanted % 2
+    while even > 4 and fft.next_fast_len(even // 2, real=True) != even // 2:
+        even -= 2
+    return even
+
+
+def degrees_of_freedom(segments: float) -> float:
+    """Degrees of freedom of one spectral cell.
+
+    Parameters
+    ----------
+    segments : float
+        Number of Hann-windowed segments that overlap by half.
+
+    Returns
+    -------
+    float
+        nu = 2 K / (1 + (1 - 1 / K) / 18).
+
+    Notes
+    -----
+    Welch (1967): neighbouring segments have a squared correlation of 1/36.
+
+    Examples
+    --------
+    >>> round(degrees_of_freedom(45), 1)
+    85.4
+    """
+    return 2 * segments / (1 + (1 - 1 / segments) / 18)
+
+
+def interval(dof: np.ndarray | float, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+    """Confidence interval of a spectrum as factors.
+
+    Parameters
+    ----------
+    dof : array_like
+        Degrees of freedom, any shape.
+    confidence : float
+        Probability that the interval holds the truth.
+
+    Returns
+    -------
+    low, high : ndarray
+        The truth lies in [low E, high E].
+    """
+    dof = np.asarray(dof, float)
+    tail = (1 - confidence) / 2
+    return dof / stats.chi2.ppf(1 - tail, dof), dof / stats.chi2.ppf(tail, dof)
