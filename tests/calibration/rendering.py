@@ -1,0 +1,168 @@
+"""Pictures of targets with exact truth, drawn by area integration; shares no code with the detectors.
+
+Strings are strips whose area within each square pixel is computed in closed form; everything else is
+supersampled. The picture is then blurred by the lens, lit, and given photon noise, read noise and 8 bits.
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from wavefield.rig import Camera
+
+
+def camera_at(
+    size=(1024, 1024), tilt=0.0, turn=0.0, roll=0.0, distance=4.0, focal=2700.0, at=(0.0, 0.0), k1=-0.1
+):
+    """A camera that looks at the point `at` of the target plane.
+
+    tilt: obliquity, degrees from the plane's normal; turn: azimuth of the camera about z; roll: about its axis.
+    """
+    t, a, r = np.deg2rad([tilt, turn, roll])
+    normal = np.array([np.sin(t) * np.cos(a), np.sin(t) * np.sin(a), np.cos(t)])
+    side = np.array([-np.sin(a), np.cos(a), 0.0])
+    down = np.cross(-normal, side)
+    R = np.stack([np.cos(r) * side + np.sin(r) * down, -np.sin(r) * side + np.cos(r) * down, -normal])
+    target = np.array([*at, 0.0])
+    centre = target + distance * normal
+    w, h = size
+    return Camera(focal, focal, (w - 1) / 2, (h - 1) / 2, R, -R @ centre, size, k1=k1)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """How the picture is taken: lengths in metres, greys in counts of 8 bits."""
+
+    string: float = 0.002  # diameter of a string
+    origin_radius: float = 0.018
+    x_radius: float = 0.011
+    blur: float = 0.6  # lens, px
+    dark: float = 15.0
+    bright: float = 180.0
+    light: float = 0.0  # 0 even, towards 1 uneven
+    gain: float = 100.0  # electrons per count
+    read: float = 0.6  # counts
+    dust: int = 0
+    spots: int = 0
+    ghost: float = 0.0  # strength of a reflection of the strings
+    ghost_shift: float = 0.012
+    seed: int = 0
+
+
+def strip(distance, half, gx, gy):
+    """Part of a unit square pixel covered by a strip of half width `half` at `distance` from its centre."""
+    a, b = np.abs(gx) / 2, np.abs(gy) / 2
+    a, b = np.maximum(a, b), np.maximum(np.minimum(a, b), 1e-4)
+
+    def below(t):
+        p = [np.maximum(t + s, 0) ** 2 for s in (a + b, a - b, b - a, -a - b)]
+        return (p[0] - p[1] - p[2] + p[3]) / (8 * a * b)
+
+    return below(half - distance) - below(-half - distance)
+
+
+def strings_cover(camera, mesh, extent, width, shift=(0.0, 0.0)):
+    """Fraction of every pixel covered by strings; extent = (i0, i1, j0, j1) of the crossings."""
+    w, h = camera.size
+    X, Y = np.meshgrid(np.arange(w, dtype=float), np.arange(h, dtype=float))
+    x, y = camera.unproject(X, Y)
+    x, y = x - shift[0], y - shift[1]
+    i0, i1, j0, j1 = np.array(extent) * mesh
+    free = np.ones_like(x)
+    edge = 0.7 * mesh
+    for q, p, lo, hi, p0, p1 in ((y, x, j0, j1, i0, i1), (x, y, i0, i1, j0, j1)):
+        nearest = np.clip(np.rint(q / mesh) * mesh, lo, hi)
+        gy, gx = np.gradient(q)
+        g = np.hypot(gx, gy)
+        cover = strip((q - nearest) / g, width / 2 / g, gx / g, gy / g)
+        inside = (p > p0 - edge) & (p < p1 + edge)
+        free *= 1 - np.where(inside, np.nan_to_num(cover), 0)
+    return 1 - free, (x, y)
+
+
+def disc_cover(camera, centre, radius, samples=9):
+    """Fraction of every pixel covered by a disc on the plane, by supersampling."""
+    w, h = camera.size
+    cover = np.zeros((h, w))
+    angle = np.linspace(0, 2 * np.pi, 60)
+    X, Y = camera.project(centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle), 0.0)
+    if not np.isfinite(X).all():
+        return cover
+    x0, x1 = int(max(X.min() - 2, 0)), int(min(X.max() + 3, w))
+    y0, y1 = int(max(Y.min() - 2, 0)), int(min(Y.max() + 3, h))
+    if x0 >= x1 or y0 >= y1:
+        return cover
+    o = (np.arange(samples) + 0.5) / samples - 0.5
+    gx, gy = np.meshgrid((np.arange(x0, x1)[:, None] + o).ravel(), (np.arange(y0, y1)[:, None] + o).ravel())
+    px, py = camera.unproject(gx, gy)
+    inside = np.hypot(px - centre[0], py - centre[1]) < radius
+    cover[y0:y1, x0:x1] = inside.reshape(y1 - y0, samples, x1 - x0, samples).mean((1, 3))
+    return cover
+
+
+def expose(scene, picture):
+    """Lens, light, dirt, noise and 8 bits, for a picture of reflectances 0 to 1."""
+    rng = np.random.default_rng(picture.seed)
+    h, w = scene.shape
+    Y, X = np.mgrid[0:h, 0:w]
+    if picture.dust:
+        for _ in range(picture.dust):
+            cx, cy, r = rng.uniform(0, w), rng.uniform(0, h), rng.uniform(0.7, 2.5)
+            x0, x1, y0, y1 = int(max(cx - 9, 0)), int(cx + 9), int(max(cy - 9, 0)), int(cy + 9)
+            patch = np.exp(-((X[y0:y1, x0:x1] - cx) ** 2 + (Y[y0:y1, x0:x1] - cy) ** 2) / (2 * r * r))
+            scene[y0:y1, x0:x1] += (rng.choice([-1, 1]) * 0.6) * patch * (scene[y0:y1, x0:x1] + 0.15)
+    scene = np.clip(cv2.GaussianBlur(scene, (0, 0), picture.blur), 0, None)
+    light = 1.0 - picture.light * (
+        0.5 * np.hypot((X - 0.35 * w) / w, (Y - 0.4 * h) / h) + 0.5 * (X + Y) / (w + h)
+    )
+    counts = (picture.dark + (picture.bright - picture.dark) * scene) * light
+    for _ in range(picture.spots):
+        cx, cy, r = rng.uniform(0, w), rng.uniform(0, h), rng.uniform(1.5, 7)
+        stretch, turn = rng.uniform(1, 3), rng.uniform(0, np.pi)
+        a, b = (X - cx) * np.cos(turn) + (Y - cy) * np.sin(turn), (Y - cy) * np.cos(turn) - (X - cx) * np.sin(turn)
+        counts += 400 * np.exp(-((a / stretch) ** 2 + b**2) / (2 * r * r))
+    noise = np.sqrt(np.maximum(counts, 0) / picture.gain + picture.read**2)
+    return np.clip(np.rint(counts + noise * rng.normal(size=counts.shape)), 0, 255).astype(np.uint8)
+
+
+def string_picture(camera, picture=Picture(), mesh=0.10, extent=(-12, 12, -12, 12), marks=True):  # noqa: B008
+    """A picture of a grid of strings with its two marks."""
+    cover, _ = strings_cover(camera, mesh, extent, picture.string)
+    if picture.ghost:
+        ghost, _ = strings_cover(camera, mesh, extent, picture.string, (picture.ghost_shift,) * 2)
+        cover = np.maximum(cover, picture.ghost * ghost)
+    if marks:
+        for centre, radius in (((0.0, 0.0), picture.origin_radius), ((mesh, 0.0), picture.x_radius)):
+            cover = np.maximum(cover, disc_cover(camera, centre, radius))
+    return expose(cover, picture)
+
+
+def string_truth(camera, mesh=0.10, extent=(-12, 12, -12, 12), margin=5.0, marks=True):
+    """Nodes in view, at least a margin inside the picture, and their exact pixel positions."""
+    i, j = np.meshgrid(np.arange(extent[0], extent[1] + 1), np.arange(extent[2], extent[3] + 1))
+    node = np.c_[i.ravel(), j.ravel()]
+    if marks:
+        node = node[~((node[:, 1] == 0) & ((node[:, 0] == 0) | (node[:, 0] == 1)))]
+    pixel = np.stack(camera.project(node[:, 0] * mesh, node[:, 1] * mesh, 0.0), -1)
+    seen = camera.sees(node[:, 0] * mesh, node[:, 1] * mesh, 0.0, margin)
+    return node[seen], pixel[seen]
+
+
+def cells_picture(camera, inside, picture=Picture(), samples=6):  # noqa: B008
+    """A picture of any pattern: inside(x, y) gives the reflectance, 0 to 1; supersampled."""
+    w, h = camera.size
+    o = (np.arange(samples) + 0.5) / samples - 0.5
+    out = np.empty((h, w))
+    gx = (np.arange(w)[:, None] + o).ravel()
+    for top in range(0, h, 64):
+        rows = np.arange(top, min(top + 64, h))
+        X, Y = np.meshgrid(gx, (rows[:, None] + o).ravel())
+        x, y = camera.unproject(X, Y)
+        out[rows] = inside(x, y).reshape(len(rows), samples, w, samples).mean((1, 3))
+    return expose(out, picture)
+
+
+def with_changes(picture, **changes):
+    """The same picture taken differently."""
+    return replace(picture, **changes)

@@ -1,0 +1,261 @@
+"""A lattice of nodes in an image: candidates, growth from a seed, and the smooth map behind it."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+Array = NDArray[np.float64]
+
+REACH = 100  # nodes a lattice may extend from its seed in each direction
+SNAP = 0.22  # how far from its prediction a node may lie, in meshes
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Places that look like a crossing of two bright strings at one scale.
+
+    Parameters
+    ----------
+    pixel : ndarray, (n, 2)
+        Positions (X, Y), px.
+    strength : ndarray, (n,)
+        Curvature across the weaker of the two strings, grey per px^2.
+    scale : float
+        Standard deviation of the smoothing, px.
+    """
+
+    pixel: Array
+    strength: Array
+    scale: float
+
+    @property
+    def strong(self) -> NDArray[np.bool_]:
+        """Those at least half as strong as the median of the 80 strongest."""
+        return self.strength > 0.5 * np.median(np.sort(self.strength)[::-1][:80])
+
+
+def crossings(image: NDArray[np.float32], scale: float) -> Candidates:
+    """Local maxima of the weaker curvature of the smoothed image.
+
+    Along a plain bright line one principal curvature vanishes; only where two lines cross (or on a
+    blob) are both negative, so that the weaker one singles out crossings.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column)
+        Grey image, strings bright.
+    scale : float
+        Standard deviation of the Gaussian smoothing, px.
+
+    Returns
+    -------
+    Candidates
+        Those above .2 of the median of the 80 strongest.
+    """
+    r = int(np.ceil(4 * scale))
+    t = np.arange(-r, r + 1)
+    g0 = np.exp(-0.5 * (t / scale) ** 2)
+    g0 /= g0.sum()
+    g1 = -t / scale**2 * g0
+    g2 = (t**2 / scale**4 - 1 / scale**2) * g0
+    xx = cv2.sepFilter2D(image, cv2.CV_32F, g2, g0)
+    yy = cv2.sepFilter2D(image, cv2.CV_32F, g0, g2)
+    xy = cv2.sepFilter2D(image, cv2.CV_32F, g1, g1)
+    mean = 0.5 * (xx + yy)
+    weaker = -(mean + np.sqrt((0.5 * (xx - yy)) ** 2 + xy**2))
+    peak = (weaker == cv2.dilate(weaker, np.ones((5, 5), np.uint8))) & (weaker > 0)
+    peak[:2], peak[-2:], peak[:, :2], peak[:, -2:] = False, False, False, False
+    y, x = np.nonzero(peak)
+    strength = weaker[y, x].astype(float)
+    if not len(strength):
+        return Candidates(np.empty((0, 2)), strength, scale)
+    keep = strength > 0.2 * np.median(np.sort(strength)[::-1][:80])
+    x, y, strength = x[keep], y[keep], strength[keep]
+    pixel = np.stack(
+        [
+            x + _vertex(weaker[y, x - 1], strength, weaker[y, x + 1]),
+            y + _vertex(weaker[y - 1, x], strength, weaker[y + 1, x]),
+        ],
+        -1,
+    )
+    return Candidates(pixel, strength, scale)
+
+
+def _vertex(before: Array, at: Array, after: Array) -> Array:
+    """Offset of the vertex of the parabola through three neighbours, at most half a pixel."""
+    bend = before - 2 * at + after
+    return np.clip(0.5 * (before - after) / np.where(bend < 0, bend, -np.inf), -0.5, 0.5)
+
+
+class Lattice:
+    """Positions of nodes over a square of indices, grown outwards from a seed.
+
+    Parameters
+    ----------
+    start : ndarray, (2,)
+        Pixel position of node (0, 0).
+    e1, e2 : ndarray, (2,)
+        Pixel vectors from it to its neighbours (1, 0) and (0, 1).
+    """
+
+    def __init__(self, start: Array, e1: Array, e2: Array) -> None:
+        self.place = np.full((2 * REACH + 1, 2 * REACH + 1, 2), np.nan)  # [i + REACH, j + REACH]
+        self.place[REACH, REACH] = start
+        self.slopes = np.stack([e1, e2])
+
+    def __len__(self) -> int:
+        return int(np.isfinite(self.place[..., 0]).sum())
+
+    @property
+    def node(self) -> NDArray[np.int64]:
+        """Indices of the nodes, (n, 2)."""
+        return np.argwhere(np.isfinite(self.place[..., 0])) - REACH
+
+    @property
+    def pixel(self) -> Array:
+        """Their positions, (n, 2), px, in the order of `node`."""
+        return self.place[np.isfinite(self.place[..., 0])]
+
+    def front(self) -> NDArray[np.int64]:
+        """Indices of the empty nodes that have a filled neighbour, (m, 2)."""
+        known = np.isfinite(self.place[..., 0])
+        near = cv2.dilate(known.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))) > 0
+        empty = np.argwhere(near & ~known)
+        return empty[((empty >= 2) & (empty < 2 * REACH - 1)).all(1)] - REACH
+
+    def predict(self, node: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Where nodes should lie, from the nodes filled within two indices of them.
+
+        A quadratic surface is fitted with weights falling with distance; the seed's vectors serve as a
+        weak prior of its slopes, so that the first rings are well posed too.
+
+        Parameters
+        ----------
+        node : ndarray of int, (m, 2)
+            Indices.
+
+        Returns
+        -------
+        pixel : ndarray, (m, 2)
+            Predicted positions, px.
+        slopes : ndarray, (m, 2, 2)
+            Local mesh vectors: [:, 0] along i, [:, 1] along j, px.
+        """
+        o = np.arange(-2, 3)
+        di, dj = (a.ravel().astype(float) for a in np.meshgrid(o, o, indexing="ij"))
+        basis = np.stack([np.ones(25), di, dj, di * dj, di * di, dj * dj], -1)
+        at = node + REACH
+        window = self.place[at[:, :1] + di.astype(int), at[:, 1:] + dj.astype(int)]  # (m, 25, 2)
+        known = np.isfinite(window[..., 0])
+        weight = known / (1.0 + di * di + dj * dj)
+        prior = np.array([0.0, 1e-4, 1e-4, 0.3, 0.3, 0.3])
+        normal = np.einsum("mp,pa,pb->mab", weight, basis, basis) + np.diag(prior)
+        right = np.einsum("mp,pa,mpc->mac", weight, basis, np.where(known[..., None], window, 0.0))
+        right[:, 1:3] += prior[1:3, None] * self.slopes
+        fit = np.linalg.solve(normal, right)
+        return fit[:, 0], fit[:, 1:3]
+
+    def grow(self, candidates: Candidates, size: tuple[int, int]) -> None:
+        """Fill node after node, ring by ring, with the candidates that lie where the lattice predicts.
+
+        Parameters
+        ----------
+        candidates : Candidates
+            Places to choose from; each is used once.
+        size : tuple of int
+            Image (width, height), px.
+        """
+        tree = cKDTree(candidates.pixel)
+        used = np.zeros(len(candidates.pixel) + 1, bool)
+        used[-1] = True  # stands for "none"
+        used[tree.query(self.place[REACH, REACH])[1]] = True
+        while len(front := self.front()):
+            pixel, slopes = self.predict(front)
+            reach = SNAP * np.hypot(slopes[..., 0], slopes[..., 1]).min(1)
+            inside = ((pixel > 0) & (pixel < size)).all(1) & (reach > 1.0)
+            front, pixel, reach = front[inside], pixel[inside], reach[inside]
+            if not len(front):
+                return
+            distance, choice = tree.query(pixel, k=4, distance_upper_bound=float(reach.max()))
+            strength = np.append(candidates.strength, 0.0)[choice]
+            # the strongest of those near, so that a faint reflection beside a string is passed over
+            merit = np.where(
+                used[choice], 0.0, strength * (1 - np.minimum(distance / reach[:, None], 1) ** 2)
+            )
+            best = merit.argmax(1)
+            row = np.arange(len(front))
+            order = np.argsort(-merit[row, best], kind="stable")
+            filled = 0
+            for k in order[merit[order, best[order]] > 0]:
+                c = choice[k, best[k]]
+                if not used[c]:
+                    used[c] = True
+                    self.place[tuple(front[k] + REACH)] = candidates.pixel[c]
+                    filled += 1
+            if not filled:
+                return
+
+
+class SmoothMap:
+    """From indices to pixels: a homography, and a cubic in the image for what the lens bends.
+
+    Radial distortion is a cubic in image coordinates whatever the obliquity of the target, therefore the
+    correction is a polynomial of the homography's pixels and not of the indices.
+
+    Parameters
+    ----------
+    node : ndarray, (n, 2)
+        Indices.
+    pixel : ndarray, (n, 2)
+        Their positions, px; a minority may be wrong.
+    tolerance : float
+        Distance from the homography beyond which a node does not vote, px.
+    """
+
+    def __init__(self, node: Array, pixel: Array, tolerance: float) -> None:
+        node, pixel = np.asarray(node, float), np.asarray(pixel, float)
+        matrix, vote = cv2.findHomography(node, pixel, cv2.RANSAC, tolerance)
+        if matrix is None:
+            raise ValueError("no homography")
+        vote = vote.ravel().astype(bool)
+        self.matrix = matrix
+        self.shift, self.scale = pixel.mean(0), max(float(np.ptp(pixel)) / 2, 1.0)
+        degree = 3 if vote.sum() >= 40 else 1
+        self.powers = [(a, b) for a in range(degree + 1) for b in range(degree + 1 - a)]
+        q = self._homography(node)
+        basis, rest = self._basis(q), pixel - q
+        weight = vote.astype(float)
+        for _ in range(8):
+            w = weight[:, None]
+            self.cubic = np.linalg.lstsq(basis * w, rest * w, rcond=None)[0]
+            self.misfit = np.hypot(*(rest - basis @ self.cubic).T)
+            self.spread = 1.4826 * float(np.median(self.misfit[vote])) / 1.177 + 1e-4  # per axis
+            weight = 1.0 / np.sqrt(np.maximum(1.0, self.misfit / (3.0 * self.spread)) ** 3)
+
+    def _homography(self, node: Array) -> Array:
+        q = np.c_[node, np.ones(len(node))] @ self.matrix.T
+        return q[:, :2] / np.where(np.abs(q[:, 2:]) > 1e-12, q[:, 2:], np.nan)
+
+    def _basis(self, pixel: Array) -> Array:
+        x, y = ((pixel - self.shift) / self.scale).T
+        return np.stack([x**a * y**b for a, b in self.powers], -1)
+
+    def __call__(self, node: Array) -> Array:
+        """Positions of nodes, (n, 2), px."""
+        q = self._homography(np.asarray(node, float))
+        return q + self._basis(q) @ self.cubic
+
+    def slopes(self, node: Array) -> Array:
+        """Mesh vectors at nodes, (n, 2, 2): [:, 0] along i, [:, 1] along j, px."""
+        node = np.asarray(node, float)
+        h = 0.05
+        return np.stack(
+            [
+                (self(node + step) - self(node - step)) / (2 * h)
+                for step in (np.array([h, 0]), np.array([0, h]))
+            ],
+            1,
+        )

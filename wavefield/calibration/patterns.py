@@ -1,0 +1,382 @@
+"""Printed targets: chessboard, round dots, ChArUco."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from wavefield.calibration.lattice import Candidates, Lattice, SmoothMap
+from wavefield.calibration.points import TargetPoints
+from wavefield.calibration.target import Target
+from wavefield.errors import CalibrationError
+
+Array = NDArray[np.float64]
+Node = NDArray[np.int64]
+
+LARGEST = 1500  # px; larger pictures are first searched at half size
+
+
+def find_chessboard(image: NDArray[np.float32], target: Target) -> TargetPoints:
+    """Find the inner corners of a chessboard that is wholly in view.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column), float32
+        Grey image, 0 to 255.
+    target : Target
+        Its `shape` counts inner corners.
+
+    Returns
+    -------
+    TargetPoints
+        All corners. Of the two (or four) ways to number a board that looks the same when turned, the one
+        whose x axis points most to the right in the image is taken, and a note says so.
+
+    Raises
+    ------
+    CalibrationError
+        If the whole board is not seen.
+    """
+    nx, ny = _shape(target)
+    small, factor = _searchable(image)
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    found, corners = cv2.findChessboardCornersSB(small, (nx, ny), flags=flags)
+    if not found:
+        raise CalibrationError(
+            f"no chessboard with {nx} x {ny} inner corners was found; all of it must be in view, in focus, with "
+            "a white margin around it"
+        )
+    pixel = (corners.reshape(-1, 2).astype(float) + 0.5) * factor - 0.5
+    node = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), -1).reshape(-1, 2)
+    pixel = _corner_subpixel(image, node, pixel)
+    node, notes = _right_handed(image, node, pixel, (nx, ny))
+    return _points(image, node, pixel, notes)
+
+
+def find_charuco(image: NDArray[np.float32], target: Target) -> TargetPoints:
+    """Find the chessboard corners of a ChArUco board, also when it is partly out of view.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column), float32
+        Grey image, 0 to 255.
+    target : Target
+        Its `shape` counts squares; `marker` and `dictionary` as the board was made.
+
+    Returns
+    -------
+    TargetPoints
+        Corners seen; node (0, 0) is the inner corner at the lower left of the printed board.
+
+    Raises
+    ------
+    CalibrationError
+        If fewer than 8 corners are seen, or the picture is mirrored.
+    """
+    nx, ny = _shape(target)
+    code = getattr(cv2.aruco, target.dictionary, None)
+    if not isinstance(code, int):
+        raise CalibrationError(
+            f"marker dictionary {target.dictionary!r} is not known; use OpenCV's name, e.g. DICT_4X4_50"
+        )
+    grey = _bytes(image)
+    dictionary = cv2.aruco.getPredefinedDictionary(code)
+    board = cv2.aruco.CharucoBoard((nx, ny), target.mesh, float(target.marker or 0.0), dictionary)
+
+    def detect(picture: NDArray[np.uint8]) -> tuple[NDArray[np.int64], Array]:
+        most: tuple[NDArray[np.int64], Array] = (np.empty(0, np.int64), np.empty((0, 2)))
+        for legacy in (
+            False,
+            True,
+        ):  # boards with an even number of rows were made otherwise before OpenCV 4.6
+            board.setLegacyPattern(legacy)
+            corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(picture)
+            if ids is not None and len(ids) > len(most[0]):
+                most = ids.ravel().astype(np.int64), corners.reshape(-1, 2).astype(float)
+        return most
+
+    ids, pixel = detect(grey)
+    if len(ids) < 8:
+        if len(detect(np.ascontiguousarray(grey[:, ::-1]))[0]) > len(ids):
+            raise CalibrationError(
+                "the picture of the ChArUco board is mirrored; export it from the camera unflipped"
+            )
+        raise CalibrationError(
+            f"only {len(ids)} corners of a ChArUco board of {nx} x {ny} squares were found; at least 8 are "
+            "needed (check dictionary, focus and light)"
+        )
+    node = np.stack([ids % (nx - 1), ny - 2 - ids // (nx - 1)], -1)
+    pixel = _corner_subpixel(image, node, pixel)
+    return _points(image, node, pixel, ())
+
+
+def find_dots(image: NDArray[np.float32], target: Target) -> TargetPoints:
+    """Find the centres of a rectangular grid of round dots, dark on bright or bright on dark.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column), float32
+        Grey image, 0 to 255.
+    target : Target
+        Its `shape` counts dots; its `diameter` allows the bias of centroids to be removed.
+
+    Returns
+    -------
+    TargetPoints
+        All dots. The x axis is the one that points most to the right in the image; a note says so.
+
+    Raises
+    ------
+    CalibrationError
+        If the whole grid is not seen.
+
+    Notes
+    -----
+    In perspective the centroid of a disc's picture is not the picture of its centre. The difference is
+    computed by integrating the fitted map over the disc, and subtracted.
+    """
+    shape = _shape(target)
+    best: tuple[Node, Array, NDArray[np.float32]] | None = None
+    most = 0
+    for polarity in (image, 255.0 - image):
+        blobs, area = _blobs(polarity)
+        lattice = _dot_lattice(blobs, area, polarity.shape[::-1])
+        if lattice is None:
+            continue
+        node, pixel = lattice.node, lattice.pixel
+        most = max(most, len(node))
+        fit = _window(node, shape)
+        if fit is not None and (best is None or len(fit[0]) > len(best[0])):
+            best = node[fit[0]] - fit[1], pixel[fit[0]], polarity
+    if best is None:
+        raise CalibrationError(
+            f"no grid of {shape[0]} x {shape[1]} dots was found (the largest regular grid of dots has {most}); all "
+            "of it must be in view and in focus"
+        )
+    node, pixel, polarity = best
+    span = node.max(0) + 1
+    if tuple(span) != shape:  # the lattice's first axis is the target's second
+        node = np.stack([node[:, 1], span[0] - 1 - node[:, 0]], -1)
+    node, notes = _right_handed(None, node, pixel, shape)
+    pixel, noise = _centroids(polarity, node, pixel)
+    if target.diameter is None:
+        notes = (*notes, "centroids not corrected for perspective: state the target's diameter")
+    else:
+        pixel = pixel - _centroid_bias(node, pixel, 0.5 * target.diameter / target.mesh)
+    return _points(image, node, pixel, notes, noise)
+
+
+# -- shared -------------------------------------------------------------------------------------------
+
+
+def _shape(target: Target) -> tuple[int, int]:
+    assert target.shape is not None  # Target refuses these kinds without a shape
+    return target.shape
+
+
+def _bytes(image: NDArray[np.float32]) -> NDArray[np.uint8]:
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def _searchable(image: NDArray[np.float32]) -> tuple[NDArray[np.uint8], float]:
+    """The picture as bytes, small enough to be searched, and the factor back to its own pixels."""
+    grey, factor = _bytes(image), 1.0
+    while max(grey.shape) > LARGEST:
+        grey, factor = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), factor * 2
+    return grey, factor
+
+
+def _mesh_length(node: Node, pixel: Array) -> float:
+    """Shortest distance between neighbouring nodes, px (first percentile)."""
+    distance, near = cKDTree(node).query(node, k=5, distance_upper_bound=1.01)
+    a, b = np.nonzero(np.isfinite(distance) & (distance > 0))
+    if not len(a):
+        return 4.0
+    return float(np.percentile(np.hypot(*(pixel[a] - pixel[near[a, b]]).T), 1))
+
+
+def _corner_subpixel(image: NDArray[np.float32], node: Node, pixel: Array) -> Array:
+    half = int(np.clip(0.35 * _mesh_length(node, pixel), 2, 7))
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
+    start = pixel.astype(np.float32).reshape(-1, 1, 2)
+    return cv2.cornerSubPix(image, start, (half, half), (-1, -1), criteria).reshape(-1, 2).astype(float)
+
+
+def _right_handed(
+    image: NDArray[np.float32] | None, node: Node, pixel: Array, shape: tuple[int, int]
+) -> tuple[Node, tuple[str, ...]]:
+    """Number a full grid so that it is right-handed seen from above, and as unambiguously as possible.
+
+    With an image, squares of a chessboard decide: the one between nodes (0, 0) and (1, 1) is dark.
+    """
+    last = np.array(shape) - 1
+    smooth = SmoothMap(node, pixel, np.inf)
+    e1, e2 = smooth.slopes(last[None] / 2)[0]
+    if e1[0] * e2[1] - e1[1] * e2[0] > 0:
+        node = np.stack([node[:, 0], last[1] - node[:, 1]], -1)
+    turns = [node, last - node]
+    if shape[0] == shape[1]:
+        quarter = np.stack([node[:, 1], last[0] - node[:, 0]], -1)
+        turns += [quarter, last - quarter]
+    if image is not None:
+        turns = [turn for turn in turns if _first_square_dark(image, turn, pixel, shape)] or turns
+
+    def to_the_right(turn: Node) -> float:
+        slope = np.linalg.lstsq(np.c_[turn, np.ones(len(turn))], pixel[:, 0], rcond=None)[0]
+        return float(slope[0])
+
+    chosen = max(turns, key=to_the_right)
+    if len(turns) > 1:
+        return chosen, (
+            f"the target looks the same in {len(turns)} positions: x is taken to the right in the image",
+        )
+    return chosen, ()
+
+
+def _first_square_dark(image: NDArray[np.float32], node: Node, pixel: Array, shape: tuple[int, int]) -> bool:
+    a, b = (v.ravel() for v in np.meshgrid(np.arange(shape[0] - 1), np.arange(shape[1] - 1)))
+    x, y = np.rint(SmoothMap(node, pixel, np.inf)(np.stack([a, b], -1) + 0.5)).astype(int).T
+    height, width = image.shape
+    grey = image[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
+    even = (a + b) % 2 == 0
+    return bool(np.median(grey[even]) < np.median(grey[~even]))
+
+
+def _points(
+    image: NDArray[np.float32], node: Node, pixel: Array, notes: tuple[str, ...], noise: Array | float = 0.0
+) -> TargetPoints:
+    """Points with their uncertainty: what noise causes, or the scatter about a smooth map if that is larger."""
+    try:
+        smooth = SmoothMap(node, pixel, max(1.0, 0.1 * _mesh_length(node, pixel)))
+    except ValueError:
+        raise CalibrationError("the points found do not lie on a plane target; photograph it again") from None
+    free = max(len(node) - 4 - len(smooth.powers), 1)
+    scatter = float(
+        np.sqrt(np.minimum(smooth.misfit, 6 * smooth.spread) ** 2 @ np.ones(len(node)) / (2 * free))
+    )
+    keep = smooth.misfit < max(6 * smooth.spread * 1.2, 0.1)
+    if (~keep).any():
+        notes = (*notes, f"{(~keep).sum()} of {len(keep)} points out of place were left out")
+    std = np.maximum(np.broadcast_to(noise, len(node)), scatter)
+    height, width = image.shape
+    return TargetPoints(node[keep], pixel[keep], std[keep], (width, height), notes)
+
+
+# -- dots ---------------------------------------------------------------------------------------------
+
+
+def _blobs(image: NDArray[np.float32]) -> tuple[Array, Array]:
+    """Centres (n, 2) and areas (n,) of bright, elliptical, closed blobs."""
+    ground = cv2.blur(image, (2 * (max(image.shape) // 16) + 1,) * 2)
+    binary = (cv2.GaussianBlur(image, (0, 0), 1.0) > ground + 0.15 * np.std(image)).astype(np.uint8)
+    count, label, box, centre = cv2.connectedComponentsWithStats(binary)
+    height, width = image.shape
+    keep = []
+    for k in range(1, count):
+        x, y, w, h, area = box[k]
+        if area < 12 or x == 0 or y == 0 or x + w == width or y + h == height or area > 0.02 * image.size:
+            continue
+        rows, columns = np.nonzero(label[y : y + h, x : x + w] == k)
+        spread = np.cov(np.stack([columns, rows])) + np.eye(2) / 12
+        fullness = area / (4 * np.pi * np.sqrt(max(np.linalg.det(spread), 1e-9)))  # 1 for an ellipse
+        if 0.9 < fullness < 1.1:
+            keep.append(k)
+    return centre[keep].astype(float), box[keep, 4].astype(float)
+
+
+def _dot_lattice(blobs: Array, area: Array, size: tuple[int, int]) -> Lattice | None:
+    """The largest lattice grown from blobs near the middle and their nearest neighbours."""
+    if len(blobs) < 9:
+        return None
+    tree = cKDTree(blobs)
+    best: Lattice | None = None
+    for k in np.argsort(np.hypot(*(blobs - np.median(blobs, 0)).T))[:6]:
+        _, near = tree.query(blobs[k], min(9, len(blobs)))
+        arms = blobs[near[1:]] - blobs[k]
+        for b in range(1, len(arms)):
+            cross = arms[0][0] * arms[b][1] - arms[0][1] * arms[b][0]
+            if abs(cross) < 0.3 * np.hypot(*arms[0]) * np.hypot(*arms[b]):
+                continue
+            lattice = Lattice(blobs[k], arms[0], arms[b])
+            lattice.grow(Candidates(blobs, area, 1.0), size)
+            if best is None or len(lattice) > len(best):
+                best = lattice
+            break
+    return best
+
+
+def _window(node: Node, shape: tuple[int, int]) -> tuple[NDArray[np.bool_], Node] | None:
+    """Nodes of the full rectangle of this shape (either way round) within a lattice, and its first node."""
+    known = set(map(tuple, node))
+    for nx, ny in {shape, shape[::-1]}:
+        for i in range(node[:, 0].min(), node[:, 0].max() - nx + 2):
+            for j in range(node[:, 1].min(), node[:, 1].max() - ny + 2):
+                if all((i + a, j + b) in known for a in range(nx) for b in range(ny)):
+                    first = np.array([i, j])
+                    inside = ((node >= first) & (node < first + [nx, ny])).all(1)
+                    return (inside, first) if inside.sum() == len(node) else None
+    return None
+
+
+def _centroids(image: NDArray[np.float32], node: Node, pixel: Array) -> tuple[Array, Array]:
+    """Centroids of light of bright dots, the light evened out first, and the uncertainty from noise, px."""
+    half_mesh = 0.5 * SmoothMap(node, pixel, np.inf).slopes(node)
+    inverse = np.linalg.inv(np.moveaxis(half_mesh, 1, 2))
+    reach = np.ceil(np.abs(half_mesh).sum(1)).astype(int)
+    height, width = image.shape
+    windows = []
+    level = np.empty((len(pixel), 2))
+    for k, ((x, y), (rx, ry)) in enumerate(zip(np.rint(pixel).astype(int), reach)):
+        gx, gy = np.meshgrid(
+            np.arange(max(x - rx, 0), min(x + rx + 1, width)),
+            np.arange(max(y - ry, 0), min(y + ry + 1, height)),
+        )
+        inside = (np.abs(inverse[k] @ (np.stack([gx.ravel(), gy.ravel()]) - pixel[k][:, None])) < 0.98).all(0)
+        gx, gy = gx.ravel()[inside], gy.ravel()[inside]
+        windows.append((gx, gy, image[gy, gx].astype(float)))
+        level[k] = np.percentile(windows[-1][2], [10, 98])
+    at = (pixel - pixel.mean(0)) / np.ptp(pixel)
+    basis = np.stack([np.ones(len(at)), *at.T, at[:, 0] ** 2, at[:, 1] ** 2, at[:, 0] * at[:, 1]], -1)
+    light = np.linalg.lstsq(basis, level, rcond=None)[0]
+
+    def lit(x: Array, y: Array) -> tuple[Array, Array]:
+        u, v = (np.stack([x, y], -1) - pixel.mean(0)).T / np.ptp(pixel)
+        ground, bright = (np.stack([np.ones_like(u), u, v, u * u, v * v, u * v], -1) @ light).T
+        return ground, np.maximum(bright - ground, 1.0)
+
+    centre, noise = np.empty_like(pixel), np.empty(len(pixel))
+    for k, (gx, gy, value) in enumerate(windows):
+        ground, contrast = lit(gx.astype(float), gy.astype(float))
+        share = (value - ground) / contrast
+        share -= np.median(share[share < 0.25]) if (share < 0.25).any() else 0.0
+        dot = (
+            cv2.dilate(_raster(gx, gy, share > 0.25), np.ones((7, 7), np.uint8))[
+                gy - gy.min() + 4, gx - gx.min() + 4
+            ]
+            > 0
+        )
+        grain = 1.4826 * np.median(np.abs(share[~dot])) if (~dot).sum() > 20 else 0.02
+        gx, gy, share = gx[dot].astype(float), gy[dot].astype(float), share[dot]
+        centre[k] = np.array([gx @ share, gy @ share]) / share.sum()
+        lever = np.sqrt((((gx - centre[k, 0]) ** 2 + (gy - centre[k, 1]) ** 2).sum()) / 2)
+        noise[k] = grain * lever / share.sum()
+    return centre, noise
+
+
+def _raster(x: NDArray[np.int64], y: NDArray[np.int64], value: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    out = np.zeros((y.max() - y.min() + 9, x.max() - x.min() + 9), np.uint8)
+    out[y - y.min() + 4, x - x.min() + 4] = value
+    return out
+
+
+def _centroid_bias(node: Node, pixel: Array, radius: float) -> Array:
+    """Centroid of the picture of a disc minus the picture of its centre, px; radius in meshes."""
+    smooth = SmoothMap(node, pixel, max(1.0, 0.1 * _mesh_length(node, pixel)))
+    rings, spokes = 4, 12
+    r = radius * np.sqrt((np.arange(rings) + 0.5) / rings)  # rings of equal area
+    a = 2 * np.pi * np.arange(spokes) / spokes
+    offset = (r[:, None, None] * np.stack([np.cos(a), np.sin(a)], -1)).reshape(-1, 2)
+    at = (node[:, None] + offset).reshape(-1, 2)
+    place = smooth(at).reshape(len(node), -1, 2)
+    area = np.abs(np.linalg.det(smooth.slopes(at))).reshape(len(node), -1, 1)
+    return (place * area).sum(1) / area.sum(1) - smooth(node.astype(float))

@@ -1,0 +1,327 @@
+"""The grid of white strings: its crossings, found without clicks and located to a hundredth of a pixel.
+
+The steps: candidates at several scales by curvature; a lattice grown from a seed whose two vectors run
+along strings; the two discs that mark the origin and the x axis; a fit to the raw pixels of every crossing;
+rejection of what does not look like its neighbours or does not lie where they say.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from wavefield.calibration.lattice import REACH, Candidates, Lattice, SmoothMap, crossings
+from wavefield.calibration.points import TargetPoints
+from wavefield.calibration.subpixel import Crossings, fit_crossings, start_parameters
+from wavefield.calibration.target import Target
+from wavefield.errors import CalibrationError
+
+Array = NDArray[np.float64]
+
+SCALES = (1.5, 2.5, 4.0)  # px; a string may be under 2 px wide in one camera and 4 px in another
+FEWEST = 12  # crossings below which a picture is of no use
+
+
+def find_strings(image: NDArray[np.float32], target: Target) -> TargetPoints:
+    """Find the crossings of a grid of white strings on a dark ground.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column), float32
+        Grey image.
+    target : Target
+        Its `kind` is "strings"; only the order of the marks matters here.
+
+    Returns
+    -------
+    TargetPoints
+        Crossings outside the two marks. Seen from above the indices are right-handed.
+
+    Raises
+    ------
+    CalibrationError
+        If there is no grid, too little of it, or its marks are not in view.
+    """
+    lattice, scale = _largest_lattice(image)
+    node, pixel = lattice.node, lattice.pixel
+    mesh = np.median(np.hypot(*np.moveaxis(lattice.predict(node)[1], -1, 0)))
+    try:
+        smooth = SmoothMap(node, pixel, 0.15 * mesh)
+    except ValueError:
+        raise CalibrationError(_NONE) from None
+    node = _oriented(image, smooth, node)
+    fit, node, notes = _fitted(image, node, pixel, 0.15 * mesh, scale)
+    height, width = image.shape
+    return TargetPoints(node, fit.pixel, fit.std, (width, height), notes)
+
+
+_NONE = (
+    "no grid of white strings was found in the image; it needs a dark ground, and strings in focus that "
+    "are brighter than it"
+)
+
+
+# -- the lattice --------------------------------------------------------------------------------------
+
+
+def _largest_lattice(image: NDArray[np.float32]) -> tuple[Lattice, float]:
+    best: Lattice | None = None
+    best_scale = SCALES[0]
+    size = image.shape[::-1]
+    for scale in SCALES:
+        candidates = crossings(image, scale)
+        if len(candidates.pixel) < FEWEST:
+            continue
+        for start, e1, e2 in _seeds(image, candidates):
+            lattice = Lattice(start, e1, e2)
+            lattice.grow(candidates, size)
+            # a coarser scale must earn its place
+            if best is None or len(lattice) > (1.03 if scale == best_scale else 1.05) * len(best):
+                best, best_scale = lattice, scale
+            if len(lattice) > 0.6 * candidates.strong.sum():
+                break
+    if best is None or len(best) < FEWEST:
+        raise CalibrationError(_NONE)
+    return best, best_scale
+
+
+def _seeds(
+    image: NDArray[np.float32], candidates: Candidates, most: int = 12
+) -> list[tuple[Array, Array, Array]]:
+    """Crossings near the middle with two neighbours each along a string: (start, e1, e2), right-handed."""
+    height, width = image.shape
+    ridge = _ridges(image, candidates.scale)
+    strong = candidates.strong
+    pixel = candidates.pixel[strong]
+    if len(pixel) < FEWEST:
+        return []
+    bright = np.median(_sample(ridge, pixel))
+    tree = cKDTree(pixel)
+    middle = np.argsort(np.hypot(*(pixel - [width / 2, height / 2]).T))
+    seeds = []
+    for k in middle[:120:3]:
+        _, near = tree.query(pixel[k], min(13, len(pixel)))
+        arms = pixel[near[1:]] - pixel[k]
+        arms = arms[np.hypot(*arms.T) > 4 * candidates.scale]
+        along = np.linspace(0.2, 0.8, 22)[None, :, None]
+        lit = _sample(ridge, pixel[k] + along * arms[:, None])
+        arms = arms[np.percentile(lit, 15, axis=1) > 0.35 * bright] if len(arms) else arms
+        pair = _independent(arms)
+        if pair is not None:
+            seeds.append((pixel[k], *pair))
+        if len(seeds) == most:
+            break
+    return seeds
+
+
+def _independent(arms: Array) -> tuple[Array, Array] | None:
+    """The shortest arm and the shortest one not along it, ordered to be right-handed seen from above."""
+    for a in range(len(arms)):
+        for b in range(a + 1, len(arms)):
+            cross = arms[a][0] * arms[b][1] - arms[a][1] * arms[b][0]
+            if abs(cross) > 0.3 * np.hypot(*arms[a]) * np.hypot(*arms[b]):
+                # rows run downwards in an image, therefore the cross product is negative
+                return (arms[a], arms[b]) if cross < 0 else (arms[b], arms[a])
+    return None
+
+
+def _ridges(image: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
+    """The image smoothed, less its local ground."""
+    smooth = cv2.GaussianBlur(image, (0, 0), max(1.0, 0.5 * scale))
+    return smooth - cv2.blur(cv2.erode(smooth, np.ones((15, 15), np.uint8)), (31, 31))
+
+
+def _sample(image: NDArray[np.float32], pixel: Array) -> NDArray[np.float32]:
+    """Bilinear values at pixel positions (..., 2); those outside take the nearest pixel's value."""
+    flat = pixel.reshape(-1, 2).astype(np.float32)
+    rows = 30000  # cv2.remap takes no more than 32767 rows
+    parts = [
+        cv2.remap(image, part[:, :1], part[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for part in np.split(flat, range(rows, len(flat), rows))
+    ]
+    return np.concatenate(parts).reshape(pixel.shape[:-1])
+
+
+# -- the marks ----------------------------------------------------------------------------------------
+
+
+def _oriented(image: NDArray[np.float32], smooth: SmoothMap, node: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Renumber nodes so that the larger disc is (0, 0) and the smaller one (1, 0)."""
+    origin, step = _marks(image, smooth, node)
+    rotation = np.array([[step[0], step[1]], [-step[1], step[0]]])
+    return (node - origin) @ rotation.T
+
+
+def _marks(
+    image: NDArray[np.float32], smooth: SmoothMap, node: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Node of the larger disc, and the step from it to the smaller one."""
+    height, width = image.shape
+    around = np.unique(
+        (node[:, None] + np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])).reshape(-1, 2), axis=0
+    )
+    pixel = smooth(around)
+    inside = ((pixel > 2) & (pixel < [width - 3, height - 3])).all(1)
+    around, pixel = around[inside], pixel[inside]
+    area = _disc_area(cv2.GaussianBlur(image, (0, 0), 1.0), pixel, smooth.slopes(around))
+    noise = 1.4826 * np.median(np.abs(area - np.median(area))) + 1e-6
+    table = np.full((2 * REACH + 3, 2 * REACH + 3), -np.inf)
+    table[tuple((around + REACH + 1).T)] = area - np.median(area)
+    best, found = 0.0, None
+    for n in around[np.argsort(-area)[:6]]:
+        here = table[tuple(n + REACH + 1)]
+        steps = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+        beside = np.array([table[tuple(n + s + REACH + 1)] for s in steps])
+        second, first = np.argsort(beside)[-2:]
+        distinct = beside[first] > 2.5 * max(beside[second], 2 * noise)
+        if distinct and beside[first] < 0.85 * here and beside[first] > best:
+            best, found = beside[first], (n, steps[first])
+    if found is None:
+        raise CalibrationError(
+            f"a grid of {len(node)} crossings was found, but not its marks: the larger disc on the origin and "
+            "the smaller one on the next crossing along +x must both be in view"
+        )
+    return found
+
+
+def _disc_area(image: NDArray[np.float32], pixel: Array, slopes: Array) -> Array:
+    """Light gathered around nodes between the strings, grey times mesh squared.
+
+    The median over directions at each radius does not see strings, and few spots of light.
+    """
+    radius = np.linspace(0.04, 0.44, 14)
+    angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
+    angle = angle[np.abs(np.sin(2 * angle)) > 0.5]  # away from the strings
+    offset = radius[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+    value = np.median(
+        _sample(image, pixel[:, None, None] + np.einsum("rak,nkc->nrac", offset, slopes)), axis=2
+    )
+    above = np.maximum(value - value[:, -5:].min(1, keepdims=True), 0)
+    return (above * radius).sum(1) * (radius[1] - radius[0])
+
+
+# -- the fit and what is rejected ------------------------------------------------------------------------
+
+
+def _fitted(
+    image: NDArray[np.float32], node: NDArray[np.int64], pixel: Array, tolerance: float, scale: float
+) -> tuple[Crossings, NDArray[np.int64], tuple[str, ...]]:
+    """Fit all crossings, then those that the lattice lacks; reject; fit once more with the noise found."""
+    height, width = image.shape
+    blur = 0.6
+    free = ~_marked(node)
+    node, pixel = node[free], pixel[free]
+    smooth = _map(node, pixel, tolerance)
+    near = smooth.misfit < tolerance
+    node, pixel = node[near], pixel[near]
+    slopes = smooth.slopes(node)
+    fit = fit_crossings(image, start_parameters(pixel, slopes, 0.6 * scale, blur), slopes, blur)
+    good = _sound(fit, pixel, slopes)
+    if good.sum() < FEWEST:
+        raise CalibrationError(_NONE)
+    sigma = float(np.median(fit.sigma[good]))
+    blur = _blur(image, fit, slopes, good, blur)
+    parameters, node = fit.parameters[good], node[good]
+    for _ in range(3):
+        smooth = _map(node, parameters[:, :2], tolerance)
+        missing = _missing(node)
+        expected = smooth(missing)
+        inside = ((expected > 1) & (expected < [width - 2, height - 2])).all(1)
+        missing, expected = missing[inside], expected[inside]
+        if not len(missing):
+            break
+        slopes = smooth.slopes(missing)
+        extra = fit_crossings(image, start_parameters(expected, slopes, sigma, blur), slopes, blur)
+        sound = _sound(extra, expected, slopes)
+        parameters, node = (
+            np.concatenate([parameters, extra.parameters[sound]]),
+            np.concatenate([node, missing[sound]]),
+        )
+        if not sound.any():
+            break
+    slopes = smooth.slopes(node)
+    fit = fit_crossings(image, parameters, slopes, blur, _noise(fit, good))
+    smooth = _map(node, fit.pixel, tolerance)
+    good = _sound(fit, smooth(node), slopes) & _alike(fit)
+    good &= ((fit.pixel > -0.5) & (fit.pixel < [width - 0.5, height - 0.5])).all(1)
+    smooth = _map(node[good], fit.pixel[good], tolerance)
+    away = np.hypot(*(fit.pixel - smooth(node)).T)
+    good &= away < np.maximum(6 * np.hypot(smooth.spread, fit.std) * 1.2, 0.1)
+    if good.sum() < FEWEST:
+        raise CalibrationError(
+            f"only {good.sum()} sound crossings of strings were found; at least {FEWEST} are needed"
+        )
+    notes = (f"{len(node) - good.sum()} crossings of {len(node)} left out (hidden, spoilt or out of place)",)
+    return _take(fit, good), node[good], notes
+
+
+def _marked(node: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Nodes covered by the two discs."""
+    return (node[:, 1] == 0) & ((node[:, 0] == 0) | (node[:, 0] == 1))
+
+
+def _map(node: NDArray[np.int64], pixel: Array, tolerance: float) -> SmoothMap:
+    try:
+        return SmoothMap(node, pixel, tolerance)
+    except ValueError:
+        raise CalibrationError(_NONE) from None
+
+
+def _missing(node: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Nodes beside the known ones, and holes between them, without the marked ones."""
+    steps = np.array([[a, b] for a in (-1, 0, 1) for b in (-1, 0, 1)])
+    around = np.unique((node[:, None] + steps).reshape(-1, 2), axis=0)
+    known = set(map(tuple, node))
+    return np.array([n for n in around[~_marked(around)] if tuple(n) not in known]).reshape(-1, 2)
+
+
+def _sound(fit: Crossings, expected: Array, slopes: Array) -> NDArray[np.bool_]:
+    """Crossings that were fitted, stayed where they were expected, and have three arms along the mesh."""
+    length = np.hypot(slopes[..., 0], slopes[..., 1])
+    turn = fit.angle - np.arctan2(slopes[..., 1], slopes[..., 0])
+    turn = np.abs((turn + np.pi / 2) % np.pi - np.pi / 2)
+    moved = np.hypot(*(fit.pixel - expected).T)
+    return (
+        (fit.std < 0.3)
+        & (moved < np.minimum(2.5, 0.2 * length.min(1)))
+        & (turn < 0.06).all(1)
+        & (fit.flux > 0).all(1)
+        & ((fit.arms > 0.45).sum(1) >= 3)
+        & (fit.arms.max(1) < 2.2)
+    )
+
+
+def _alike(fit: Crossings) -> NDArray[np.bool_]:
+    """Crossings whose strings are about as wide and bright as those of their neighbours."""
+    _, near = cKDTree(fit.pixel).query(fit.pixel, min(13, len(fit.pixel)))
+    width = fit.sigma / np.median(fit.sigma[near], axis=1)
+    flux = fit.flux / np.median(fit.flux[near], axis=1)
+    misfit = fit.misfit / np.median(fit.misfit[near], axis=1)
+    return ((width > 0.5) & (width < 1.8) & (flux > 0.3) & (flux < 3.0)).all(1) & (misfit < 4.0)
+
+
+def _blur(
+    image: NDArray[np.float32], fit: Crossings, slopes: Array, good: NDArray[np.bool_], blur: float
+) -> float:
+    """The blur that fits best; only wide strings can tell, and only for them it matters."""
+    chosen = np.flatnonzero(good)
+    chosen = chosen[np.linspace(0, len(chosen) - 1, min(40, len(chosen))).astype(int)]
+    misfit = {}
+    for trial in (0.45, 0.6, 0.75, 0.9, 1.2):
+        start = fit.parameters[chosen].copy()
+        start[:, 4:6] = 3.0 * (fit.sigma[chosen] ** 2 - trial**2)
+        again = fit_crossings(image, start, slopes[chosen], trial)
+        misfit[trial] = float(np.median(np.where(again.misfit >= 0, again.misfit, np.inf)))
+    best = min(misfit, key=lambda trial: misfit[trial])
+    return best if misfit[best] < 0.98 * misfit[blur] else blur
+
+
+def _noise(fit: Crossings, good: NDArray[np.bool_]) -> tuple[float, float]:
+    """Variance of a pixel at zero grey and its increase per grey, from the residuals."""
+    ground, at_ground, string, at_string = np.median(fit.noise[good], axis=0)
+    slope = max((at_string - at_ground) / max(string - ground, 1e-3), 0.0)
+    return max(at_ground - slope * ground, 0.1 * at_ground, 1e-4), slope
+
+
+def _take(fit: Crossings, good: NDArray[np.bool_]) -> Crossings:
+    return Crossings(**{name: value[good] for name, value in vars(fit).items()})

@@ -1,0 +1,393 @@
+"""Sub-pixel position of crossings of two strings, by least squares on the raw pixels."""
+
+import math
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# order of the parameters of one crossing
+CX, CY, ANGLE1, ANGLE2, WIDTH1, WIDTH2, FLUX1, FLUX2, GROUND, SLOPE_X, SLOPE_Y, OVERLAP = range(12)
+COUNT = 12
+LINEAR = 6  # the parameters from FLUX1 on enter linearly
+
+
+@dataclass(frozen=True)
+class Crossings:
+    """Crossings fitted in one image; arrays over n crossings.
+
+    Parameters
+    ----------
+    pixel : ndarray, (n, 2)
+        Position (X, Y), px.
+    std : ndarray, (n,)
+        Standard uncertainty per axis, px.
+    angle : ndarray, (n, 2)
+        Directions of the two strings in the image, radians.
+    sigma : ndarray, (n, 2)
+        Standard deviation of the two profiles, px.
+    flux : ndarray, (n, 2)
+        Brightness of the two strings, integrated across them, grey px.
+    arms : ndarray, (n, 4)
+        Brightness of each of the four arms relative to its string's.
+    misfit : ndarray, (n,)
+        Residual relative to the noise; about 1 where the model holds.
+    parameters : ndarray, (n, 12)
+        All parameters, to start a further fit from.
+    noise : ndarray, (n, 4)
+        Mean grey and mean squared residual beside the strings, and the same on the strings.
+    """
+
+    pixel: Array
+    std: Array
+    angle: Array
+    sigma: Array
+    flux: Array
+    arms: Array
+    misfit: Array
+    parameters: Array
+    noise: Array
+
+
+@nb.njit(cache=True, inline="always")
+def _profile(d, u, s):
+    """Profile of a string of unit flux, and its derivatives with respect to d and u.
+
+    A box of half width sqrt(u) convolved with a Gaussian of standard deviation s; for small or negative u
+    a Gaussian of the same variance s^2 + u / 3, which joins smoothly.
+    """
+    if u > 0.1 * s * s:
+        h = math.sqrt(u)
+        p, m = (d + h) / s, (d - h) / s
+        gp = math.exp(-0.5 * p * p) * 0.3989422804014327
+        gm = math.exp(-0.5 * m * m) * 0.3989422804014327
+        f = 0.5 * (math.erf(p * 0.7071067811865476) - math.erf(m * 0.7071067811865476)) / (2.0 * h)
+        return f, (gp - gm) / (2.0 * h * s), ((gp + gm) / (2.0 * h * s) - f / h) / (2.0 * h)
+    v = s * s + u / 3.0
+    f = math.exp(-0.5 * d * d / v) * 0.3989422804014327 / math.sqrt(v)
+    return f, -d * f / v, f * (d * d / v - 1.0) / (6.0 * v)
+
+
+@nb.njit(cache=True)
+def _cholesky_solve(a, b, n):
+    """Solve a x = b for the leading n x n block; a is overwritten, x replaces b. False if not positive."""
+    for j in range(n):
+        t = a[j, j]
+        for k in range(j):
+            t -= a[j, k] * a[j, k]
+        if not t > 0.0:
+            return False
+        t = math.sqrt(t)
+        a[j, j] = t
+        for i in range(j + 1, n):
+            r = a[i, j]
+            for k in range(j):
+                r -= a[i, k] * a[j, k]
+            a[i, j] = r / t
+    for i in range(n):
+        r = b[i]
+        for k in range(i):
+            r -= a[i, k] * b[k]
+        b[i] = r / a[i, i]
+    for i in range(n - 1, -1, -1):
+        r = b[i]
+        for k in range(i + 1, n):
+            r -= a[k, i] * b[k]
+        b[i] = r / a[i, i]
+    return True
+
+
+@nb.njit(cache=True)
+def _fit_one(image, start, arm1, arm2, blur, band, var0, var1, p, covariance, arms, noise):
+    """Fit one crossing in place; returns the misfit relative to the noise, or -1 if there is nothing to fit.
+
+    start: parameters to begin with; arm1, arm2: half lengths of the arms (px vectors along the strings).
+    """
+    rows, columns = image.shape
+    # pixels of the parallelogram of the arms, close to either string
+    det = arm1[0] * arm2[1] - arm1[1] * arm2[0]
+    wide, tall = abs(arm1[0]) + abs(arm2[0]), abs(arm1[1]) + abs(arm2[1])
+    x0, x1 = max(0, int(start[CX] - wide)), min(columns - 1, int(start[CX] + wide) + 1)
+    y0, y1 = max(0, int(start[CY] - tall)), min(rows - 1, int(start[CY] + tall) + 1)
+    room = max(0, x1 - x0 + 1) * max(0, y1 - y0 + 1)
+    c1, s1, c2, s2 = (
+        math.cos(start[ANGLE1]),
+        math.sin(start[ANGLE1]),
+        math.cos(start[ANGLE2]),
+        math.sin(start[ANGLE2]),
+    )
+    px = np.empty(room)
+    py = np.empty(room)
+    value = np.empty(room)
+    n = 0
+    for y in range(y0, y1 + 1):
+        for x in range(x0, x1 + 1):
+            dx, dy = x - start[CX], y - start[CY]
+            if (
+                abs((dx * arm2[1] - dy * arm2[0]) / det) > 1.0
+                or abs((dy * arm1[0] - dx * arm1[1]) / det) > 1.0
+            ):
+                continue
+            if abs(-s1 * dx + c1 * dy) < band or abs(-s2 * dx + c2 * dy) < band:
+                px[n], py[n], value[n] = x, y, image[y, x]
+                n += 1
+    if n < 45:
+        return -1.0
+    p[:] = start
+    residual = np.empty(n)
+    scaled = np.empty(n)
+    a = np.zeros((COUNT, COUNT))
+    damped = np.zeros((COUNT, COUNT))
+    b = np.zeros(COUNT)
+    j = np.zeros(COUNT)
+    order = np.array([6, 7, 8, 9, 10, 11, 0, 1, 2, 3, 4, 5])  # linear parameters first
+    spread = 1e30
+    chi = 0.0
+    for iteration in range(16):
+        free = LINEAR if iteration == 0 else COUNT
+        a[:] = 0.0
+        b[:] = 0.0
+        c1, s1, c2, s2 = math.cos(p[ANGLE1]), math.sin(p[ANGLE1]), math.cos(p[ANGLE2]), math.sin(p[ANGLE2])
+        total, count = 0.0, 0.0
+        for k in range(n):
+            dx, dy = px[k] - p[CX], py[k] - p[CY]
+            d1, d2 = -s1 * dx + c1 * dy, -s2 * dx + c2 * dy
+            f1, g1, u1 = _profile(d1, p[WIDTH1], blur)
+            f2, g2, u2 = _profile(d2, p[WIDTH2], blur)
+            model = (
+                p[GROUND]
+                + p[SLOPE_X] * dx
+                + p[SLOPE_Y] * dy
+                + p[FLUX1] * f1
+                + p[FLUX2] * f2
+                + p[OVERLAP] * f1 * f2
+            )
+            m1 = p[FLUX1] + p[OVERLAP] * f2  # d model / d f1
+            m2 = p[FLUX2] + p[OVERLAP] * f1
+            r = value[k] - model
+            residual[k] = r
+            w = 1.0 / (var0 + var1 * max(model, 0.0))
+            scaled[k] = abs(r) * math.sqrt(w)
+            t = scaled[k] / spread  # biweight: what lies beyond six deviations has no say
+            if t >= 1.0:
+                continue
+            w *= (1.0 - t * t) ** 2
+            total += w * r * r
+            count += 1.0
+            j[0], j[1], j[2], j[3], j[4], j[5] = f1, f2, 1.0, dx, dy, f1 * f2
+            if free == COUNT:
+                j[6] = m1 * g1 * s1 + m2 * g2 * s2 - p[SLOPE_X]
+                j[7] = -m1 * g1 * c1 - m2 * g2 * c2 - p[SLOPE_Y]
+                j[8] = -m1 * g1 * (c1 * dx + s1 * dy)
+                j[9] = -m2 * g2 * (c2 * dx + s2 * dy)
+                j[10] = m1 * u1
+                j[11] = m2 * u2
+            for i in range(free):
+                wj = w * j[i]
+                b[i] += wj * r
+                for m in range(i + 1):
+                    a[i, m] += wj * j[m]
+        if count < 30:
+            return -1.0
+        chi = math.sqrt(total / max(count - COUNT, 1.0))
+        for i in range(free):
+            for m in range(i + 1):
+                damped[i, m] = a[i, m]
+            damped[i, i] *= 1.0 + (1e-9 if iteration == 0 else 1e-3 * 0.2**iteration + 1e-9)
+            damped[i, i] += 1e-12
+        if not _cholesky_solve(damped, b, free):
+            return -1.0
+        largest = 0.0
+        for i in range(free):
+            step = b[i]
+            q = order[i]
+            if q == CX or q == CY:
+                step = min(max(step, -1.0), 1.0)
+                largest = max(largest, abs(step))
+            elif q == ANGLE1 or q == ANGLE2:
+                step = min(max(step, -0.1), 0.1)
+            elif q == WIDTH1 or q == WIDTH2:
+                limit = max(0.5 * abs(p[q]), blur * blur)
+                step = min(max(step, -limit), limit)
+            p[q] += step
+        for q in (WIDTH1, WIDTH2):
+            p[q] = min(max(p[q], -1.8 * blur * blur), 60.0)
+        if iteration >= 2:
+            spread = 6.0 * max(1.4826 * np.median(scaled), 1e-3)
+        if iteration > 4 and largest < 2e-4:
+            break
+    # covariance of the centre
+    for i in range(COUNT):
+        for m in range(i + 1):
+            damped[i, m] = a[i, m]
+        damped[i, i] *= 1.0 + 1e-9
+    for axis in range(2):
+        for i in range(COUNT):
+            b[i] = 0.0
+        b[6 + axis] = 1.0
+        if axis:
+            for i in range(COUNT):
+                for m in range(i + 1):
+                    damped[i, m] = a[i, m]
+                damped[i, i] *= 1.0 + 1e-9
+        if not _cholesky_solve(damped, b, COUNT):
+            return -1.0
+        covariance[axis] = b[6 + axis] * max(chi, 1e-3) ** 2
+    # is each arm there, and how noisy are ground and strings
+    v1, v2 = math.sqrt(blur * blur + p[WIDTH1] / 3.0), math.sqrt(blur * blur + p[WIDTH2] / 3.0)
+    found = np.zeros(4)
+    noise[:] = 0.0
+    n_ground, n_string = 0, 0
+    arms[:] = 0.0
+    for k in range(n):
+        dx, dy = px[k] - p[CX], py[k] - p[CY]
+        d1, d2 = -s1 * dx + c1 * dy, -s2 * dx + c2 * dy
+        f1, _, _ = _profile(d1, p[WIDTH1], blur)
+        f2, _, _ = _profile(d2, p[WIDTH2], blur)
+        above = value[k] - p[GROUND] - p[SLOPE_X] * dx - p[SLOPE_Y] * dy
+        if abs(d1) < v1 and abs(d2) > 2.5 * v2:
+            arm = 0 if c1 * dx + s1 * dy > 0 else 1
+            arms[arm] += above / (p[FLUX1] * f1)
+            found[arm] += 1
+        if abs(d2) < v2 and abs(d1) > 2.5 * v1:
+            arm = 2 if c2 * dx + s2 * dy > 0 else 3
+            arms[arm] += above / (p[FLUX2] * f2)
+            found[arm] += 1
+        if scaled[k] < spread:
+            if abs(d1) > 2.5 * v1 and abs(d2) > 2.5 * v2:
+                noise[0] += value[k] - residual[k]
+                noise[1] += residual[k] ** 2
+                n_ground += 1
+            elif (abs(d1) < v1) != (abs(d2) < v2):
+                noise[2] += value[k] - residual[k]
+                noise[3] += residual[k] ** 2
+                n_string += 1
+    for i in range(4):
+        arms[i] = arms[i] / found[i] if found[i] >= 3 else 0.0
+    noise[0] /= max(n_ground, 1)
+    noise[1] /= max(n_ground, 1)
+    noise[2] /= max(n_string, 1)
+    noise[3] /= max(n_string, 1)
+    return chi
+
+
+@nb.njit(cache=True)
+def _fit_all(image, start, arm1, arm2, blur, band, var0, var1, parameters, covariance, arms, noise, misfit):
+    for k in range(len(start)):
+        misfit[k] = _fit_one(
+            image,
+            start[k],
+            arm1[k],
+            arm2[k],
+            blur,
+            band[k],
+            var0,
+            var1,
+            parameters[k],
+            covariance[k],
+            arms[k],
+            noise[k],
+        )
+
+
+def start_parameters(pixel: Array, slopes: Array, sigma: float, blur: float) -> Array:
+    """Parameters to begin a fit with: brightness is left to the fit's first, linear step.
+
+    Parameters
+    ----------
+    pixel : ndarray, (n, 2)
+        Expected positions, px.
+    slopes : ndarray, (n, 2, 2)
+        Mesh vectors, px.
+    sigma : float
+        Expected standard deviation of the strings' profile, px.
+    blur : float
+        Standard deviation of the image's blur, px.
+
+    Returns
+    -------
+    ndarray, (n, 12)
+    """
+    p = np.zeros((len(pixel), COUNT))
+    p[:, CX], p[:, CY] = pixel.T
+    p[:, ANGLE1] = np.arctan2(slopes[:, 0, 1], slopes[:, 0, 0])
+    p[:, ANGLE2] = np.arctan2(slopes[:, 1, 1], slopes[:, 1, 0])
+    p[:, WIDTH1] = p[:, WIDTH2] = 3.0 * (sigma**2 - blur**2)
+    return p
+
+
+def fit_crossings(
+    image: NDArray[np.float32],
+    start: Array,
+    slopes: Array,
+    blur: float,
+    noise: tuple[float, float] = (1.0, 0.0),
+    longest: float = 18.0,
+) -> Crossings:
+    """Fit two crossing strings to the pixels around each expected crossing.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column)
+        Raw grey image.
+    start : ndarray, (n, 12)
+        Parameters to begin with, from `start_parameters` or a previous fit.
+    slopes : ndarray, (n, 2, 2)
+        Mesh vectors, px.
+    blur : float
+        Standard deviation of the image's blur, px.
+    noise : tuple of float
+        Variance of a pixel: at zero grey, and its increase per grey (photon noise).
+    longest : float
+        Arms extend .45 mesh, but no further than this, px.
+
+    Returns
+    -------
+    Crossings
+        What could not be fitted has an infinite `std`.
+
+    Notes
+    -----
+    Twelve parameters: centre, two directions, two squared half widths, two fluxes, a plane ground, and
+    what is missing in brightness where the strings overlap. A string is a box convolved with a Gaussian.
+    Damped Gauss-Newton with biweights at six robust deviations.
+    """
+    n = len(start)
+    parameters = np.array(start, float)
+    covariance = np.full((n, 2), np.inf)
+    arms, quiet, misfit = np.zeros((n, 4)), np.zeros((n, 4)), np.full(n, -1.0)
+    length = np.hypot(slopes[..., 0], slopes[..., 1])
+    arm = slopes * (np.minimum(0.45, longest / np.maximum(length, 1e-9)))[..., None]
+    variance = blur**2 + start[:, WIDTH1 : WIDTH2 + 1].max(1) / 3.0
+    band = 3.0 * np.sqrt(np.maximum(variance, 0.25)) + 1.5
+    _fit_all(
+        np.ascontiguousarray(image, np.float32),
+        np.ascontiguousarray(start, float),
+        np.ascontiguousarray(arm[:, 0]),
+        np.ascontiguousarray(arm[:, 1]),
+        float(blur),
+        band,
+        float(noise[0]),
+        float(noise[1]),
+        parameters,
+        covariance,
+        arms,
+        quiet,
+        misfit,
+    )
+    good = (misfit >= 0) & np.isfinite(parameters).all(1) & (covariance > 0).all(1)
+    std = np.where(good, np.sqrt(np.where(good, covariance.sum(1), 0) / 2), np.inf)
+    return Crossings(
+        pixel=parameters[:, :2],
+        std=std,
+        angle=parameters[:, ANGLE1 : ANGLE2 + 1],
+        sigma=np.sqrt(np.maximum(blur**2 + parameters[:, WIDTH1 : WIDTH2 + 1] / 3.0, 1e-6)),
+        flux=parameters[:, FLUX1 : FLUX2 + 1],
+        arms=arms,
+        misfit=misfit,
+        parameters=parameters,
+        noise=quiet,
+    )
