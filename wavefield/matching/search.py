@@ -7,7 +7,7 @@ import numpy as np
 
 from wavefield.matching.kernels import BLOCK, shift_sums
 from wavefield.matching.lattice import F, filtered, replace_outliers, smoothed, window_weights
-from wavefield.matching.prepare import Level
+from wavefield.matching.prepared import Level
 
 _LOCAL = 12.0  # px of the level: standard deviation of its local normalisation
 

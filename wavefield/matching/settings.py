@@ -22,6 +22,8 @@ class Settings:
     smoother_sigma : float
         Standard deviation, in blocks, of the Gaussian G in the smoother 1 - (1 - G)^smoother_order;
         0 for no smoothing.
+    coarse_smoother_sigma : float
+        The same at all levels but the finest: less, because there a block is larger and a wave shorter.
     smoother_order : int
         Order of the smoother: the higher, the flatter its passband.
     robust : float
@@ -52,6 +54,7 @@ class Settings:
     iterations: tuple[int, ...] = (6, 4, 3)
     window: float = 32.0
     smoother_sigma: float = 2.5
+    coarse_smoother_sigma: float = 1.5
     smoother_order: int = 4
     robust: float = 1.5
     robust_beta: float = 0.3
@@ -71,7 +74,14 @@ class Settings:
         for name in ("window", "search_window", "relaxation", "max_deviation"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be above 0, not {getattr(self, name)}")
-        for name in ("smoother_sigma", "robust", "robust_beta", "normalization", "min_gradient_energy"):
+        for name in (
+            "smoother_sigma",
+            "coarse_smoother_sigma",
+            "robust",
+            "robust_beta",
+            "normalization",
+            "min_gradient_energy",
+        ):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must be 0 or more, not {getattr(self, name)}")
         if self.smoother_order < 1:

@@ -97,8 +97,8 @@ def std_from_influence(
 
     Notes
     -----
-    sigma^2 = K^2 * (sum over 3 x 3 of the influences)^2 / 9c, c = 1 - 2 sum_3x3 K + 9 sum K^2 gives back
-    what the fit itself took out of the residuals; * is convolution over the lattice, K the transfer kernel. With
+    sigma^2 = K^2 * (sum over 3 x 3 of the influences)^2 / 9c, c = 1 - 2 sum_3x3 K + 9 sum K^2 gives back what
+    the fit itself took out of the residuals; * is convolution over the lattice, K the transfer kernel. With
     `field`, ((1 - K *) field)^2 is added.
     """
     gain = round(float(gain), 2)

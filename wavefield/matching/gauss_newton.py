@@ -27,7 +27,7 @@ from wavefield.matching.lattice import (
     to_finer,
     window_weights,
 )
-from wavefield.matching.prepare import Level, Prepared, prepare
+from wavefield.matching.prepared import Level, Prepared, prepare
 from wavefield.matching.search import search
 from wavefield.matching.settings import Settings
 
@@ -72,8 +72,8 @@ def match(
 
     Notes
     -----
-    Local least squares (Lucas-Kanade) iterated from coarse to fine: per block the sums of gx gx, gx gy, gy gy, gx r
-    and gy r, with r the residual between a and b read through the displacement by quintic B-splines; Gaussian
+    Local least squares (Lucas-Kanade) iterated from coarse to fine: per block the sums of gx gx, gx gy, gy gy,
+    gx r, gy r, with r the residual between a and b read through the displacement by quintic B-splines; Gaussian
     windows over the lattice of these sums; one 2 x 2 solve per block; outliers against 5 x 5 medians; a flat
     smoother. Champagnat et al. (2011), Exp. Fluids 50, 1169.
 
@@ -100,7 +100,7 @@ def match(
         count = settings.iterations[settings.levels - 1 - number]
         if number == 0:
             return _finest(here, there, u, v, count, settings)
-        u, v = _plain_steps(here, there, u, v, count, settings)
+        u, v = _plain_steps(here, there, u, v, count, settings.coarse_smoother_sigma, settings)
     raise AssertionError("a prepared image has at least one level")
 
 
@@ -171,6 +171,7 @@ def _advance(
     score: np.ndarray,
     trust: np.ndarray | None,
     limit: float,
+    sigma: float,
     settings: Settings,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """One step, outliers replaced, smoothed; returns new u, v and where outliers were."""
@@ -178,7 +179,7 @@ def _advance(
     ridge = F(_RIDGE) * F((hessian[0] + hessian[2]).mean()) + F(1e-12)
     step(hessian, score, ridge, F(settings.relaxation), F(_LONGEST_STEP), u, v)
     u, v, outlier = replace_outliers(u, v, limit)
-    sigma, order = settings.smoother_sigma, settings.smoother_order
+    order = settings.smoother_order
     return smoothed(u, sigma, order, trust), smoothed(v, sigma, order, trust), outlier
 
 
@@ -209,7 +210,7 @@ def _trust(share: np.ndarray, masked: bool) -> np.ndarray | None:
 
 
 def _plain_steps(
-    a: Level, b: Level, u: np.ndarray, v: np.ndarray, count: int, settings: Settings
+    a: Level, b: Level, u: np.ndarray, v: np.ndarray, count: int, sigma: float, settings: Settings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Steps without weights per pixel: the Hessian is that of a alone."""
     if count == 0:
@@ -230,7 +231,7 @@ def _plain_steps(
         sums *= weight
         value, share = hessian(weight)
         u, v, _ = _advance(
-            u, v, value, windows(sums), _trust(share, masked), _limit(number, settings), settings
+            u, v, value, windows(sums), _trust(share, masked), _limit(number, settings), sigma, settings
         )
     return u, v
 
@@ -244,7 +245,7 @@ def _finest(a: Level, b: Level, u: np.ndarray, v: np.ndarray, count: int, settin
     c2b2 = F(settings.robust**2 * settings.robust_beta**2 / 4)
     c2 = np.zeros(u.shape, np.float32)
     if not settings.robust:
-        u, v = _plain_steps(a, b, u, v, count - 1, settings)
+        u, v = _plain_steps(a, b, u, v, count - 1, settings.smoother_sigma, settings)
         first = count - 1
     else:
         first = 0
@@ -259,7 +260,14 @@ def _finest(a: Level, b: Level, u: np.ndarray, v: np.ndarray, count: int, settin
         seen = windows(sums[:6])
         before = u, v
         u, v, outlier = _advance(
-            u, v, seen[2:5], seen[:2], _trust(share, masked), _limit(number, settings), settings
+            u,
+            v,
+            seen[2:5],
+            seen[:2],
+            _trust(share, masked),
+            _limit(number, settings),
+            settings.smoother_sigma,
+            settings,
         )
         if settings.robust:
             spread = seen[5] / (F(BLOCK * BLOCK) * np.maximum(share, F(1e-3)))
