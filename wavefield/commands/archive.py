@@ -1,0 +1,104 @@
+"""`wavefield export`, `catalog` and `rig`: to and from other programs."""
+
+from pathlib import Path
+
+import click
+
+from wavefield.commands.progress import Progress
+
+_STORE = click.Path(exists=True, file_okay=False, path_type=Path)
+_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+
+
+@click.command(epilog="\b\nExample:\n  wavefield export cube.zarr cube.nc")
+@click.argument("store", type=_STORE)
+@click.argument("output", type=click.Path(dir_okay=False, path_type=Path))
+def export(store: Path, output: Path) -> None:
+    """Write a cube as NetCDF (CF), for MATLAB, Panoply and others."""
+    from wavefield.cubes import export_netcdf
+
+    with Progress(f"Writing {output}"):
+        export_netcdf(store, output)
+    click.echo(f"Wrote {output}.")
+
+
+@click.group()
+def catalog() -> None:
+    """Keep many experiments and their cubes in one list."""
+
+
+@catalog.command(epilog="\b\nExample:\n  wavefield catalog add campaign.yaml run07/experiment.yaml")
+@click.argument("catalog", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("experiment", type=_FILE)
+def add(catalog: Path, experiment: Path) -> None:
+    """Register an experiment in a catalog, which is made if it is not there.
+
+    The catalog is an intake file: `intake.open_catalog` opens it, and `wavefield run CATALOG` runs all or
+    some of its entries.
+    """
+    from wavefield.cubes import catalog_add
+
+    name = catalog_add(catalog, experiment)
+    click.echo(f"{catalog} now has {name}.")
+
+
+_SAVERS = ("wavefield", "uvmat", "vic3d", "opencv")
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield rig rig.yaml                                        # show it
+  wavefield rig cal.xml -o rig.yaml                             # from VIC-3D or OpenCV
+  wavefield rig cam1=a.xml cam2=b.xml --size 1024x1024 -o rig.yaml    # from UVMAT, a file per camera
+  wavefield rig rig.yaml --to opencv -o rig_opencv.yaml
+"""
+)
+@click.argument("files", nargs=-1, required=True)
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="File to write (UVMAT: a folder).")
+@click.option(
+    "--to", type=click.Choice(_SAVERS), default="wavefield", show_default=True, help="Format to write."
+)
+@click.option("--size", multiple=True, help="Image size where the file does not say: WxH or camera=WxH.")
+@click.option("--unit", default="m", show_default=True, help="Unit of length of OpenCV's files.")
+def rig(files: tuple[str, ...], output: Path | None, to: str, size: tuple[str, ...], unit: str) -> None:
+    """Show a rig, or convert one from or to UVMAT, VIC-3D and OpenCV.
+
+    FILES is one file, or camera=file for each camera.
+    """
+    from wavefield.rig import formats
+
+    named = dict(entry.split("=", 1) for entry in files if "=" in entry)
+    if len(files) > 1 and len(named) < len(files):
+        raise click.UsageError("give one file, or camera=file for each camera")
+    sizes = _sizes(size, list(named))
+    loaded = formats.load_rig(named or files[0], sizes, unit=unit)
+    if output is None:
+        for name, camera in loaded.cameras.items():
+            x, y, z = camera.centre
+            click.echo(
+                f"{name}: {camera.size[0]} x {camera.size[1]} px, at ({x:.3f}, {y:.3f}, {z:.3f}) m, "
+                f"fx {camera.fx:.1f} px, k1 {camera.k1:g}"
+            )
+        return
+    if to == "uvmat":
+        output.mkdir(parents=True, exist_ok=True)
+        for name, camera in loaded.cameras.items():
+            formats.save_uvmat(camera, output / f"{name}.xml")
+    elif to == "wavefield":
+        loaded.save(output)
+    else:
+        (formats.save_vic if to == "vic3d" else formats.save_opencv)(loaded, output)
+    click.echo(f"Wrote {output} with {', '.join(loaded)}.")
+
+
+def _sizes(given: tuple[str, ...], names: list[str]) -> dict[str, tuple[int, int]]:
+    out: dict[str, tuple[int, int]] = {}
+    for entry in given:
+        name, _, words = entry.rpartition("=")
+        try:
+            width, height = (int(word) for word in words.lower().split("x"))
+        except ValueError:
+            raise click.BadParameter(f"{entry!r}: write WxH or camera=WxH, such as 1024x1024") from None
+        out |= dict.fromkeys([name] if name else names or ["cam1", "cam2", "cam3", "cam4"], (width, height))
+    return out

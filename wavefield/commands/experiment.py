@@ -1,0 +1,85 @@
+"""`wavefield check`, `calibrate`, `run` and `status`: from images to a cube."""
+
+from pathlib import Path
+
+import click
+
+from wavefield.commands.progress import Progress
+
+_FILE = click.Path(exists=True, path_type=Path)
+
+
+@click.command(epilog="\b\nExample:\n  wavefield check experiment.yaml")
+@click.argument("experiment", type=_FILE)
+def check(experiment: Path) -> None:
+    """Say what is there, what is missing, and what a run will cost.
+
+    Counts the frames of each camera, names missing ones, shows how much of the grid the cameras see, and
+    measures one step to tell the time, memory and disk of the whole run. Changes nothing.
+    """
+    from wavefield.cubes import check as check_experiment
+
+    click.echo(check_experiment(experiment))
+
+
+@click.command(
+    epilog="""\b
+Example:
+  wavefield calibrate experiment.yaml               # writes rig.yaml beside it, and rig_report/
+  wavefield calibrate experiment.yaml -o new.yaml
+"""
+)
+@click.argument("experiment", type=_FILE)
+@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Rig file to write.")
+@click.pass_context
+def calibrate(context: click.Context, experiment: Path, output: Path | None) -> None:
+    """Find the rig from target images.
+
+    Reads the calibration block of EXPERIMENT, finds the target in its tilted and flat views, solves for all
+    cameras together, and writes the rig and a report with pictures. When the rig cannot be trusted the
+    exit status is 1 and the report says what to photograph again.
+    """
+    from wavefield.calibration.session import calibrate_experiment
+
+    with Progress("Finding targets and solving", "images") as progress:
+        result = calibrate_experiment(experiment, output, progress=progress)
+    click.echo(result.summary())
+    if not result.usable:
+        context.exit(1)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield run experiment.yaml                      # writes <name>.zarr beside it
+  wavefield run experiment.yaml -o cube.zarr --workflow workflows/slurm.yaml
+  wavefield run campaign.yaml run07 run08            # entries of a catalog
+"""
+)
+@click.argument("source", type=_FILE)
+@click.argument("entries", nargs=-1)
+@click.option("--rig", type=_FILE, help="Rig file, in place of the one that the experiment names.")
+@click.option("--workflow", type=_FILE, help="Where and how to run: a file as in workflows/.")
+@click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Cube to write.")
+def run(
+    source: Path, entries: tuple[str, ...], rig: Path | None, workflow: Path | None, output: Path | None
+) -> None:
+    """Measure an experiment, or all or some entries of a catalog.
+
+    SOURCE is an experiment file or a catalog. A run that was interrupted goes on where it stopped when the
+    same command is given again.
+    """
+    from wavefield.cubes import run as run_experiment
+
+    with Progress(f"Measuring {source}", "steps") as progress:
+        store = run_experiment(source, output, entries=entries, rig=rig, workflow=workflow, progress=progress)
+    click.echo(f"Wrote {store}. Next: wavefield analyze {store}")
+
+
+@click.command(epilog="\b\nExample:\n  wavefield status cube.zarr")
+@click.argument("store", type=click.Path(exists=True, file_okay=False, path_type=Path))
+def status(store: Path) -> None:
+    """Say how far a run is, and which frames failed and why."""
+    from wavefield.cubes import status as run_status
+
+    click.echo(run_status(store))

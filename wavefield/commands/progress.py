@@ -1,0 +1,115 @@
+"""Progress of long work: one moving line on a terminal, plain lines elsewhere."""
+
+import shutil
+import sys
+import time
+from types import TracebackType
+from typing import TextIO
+
+import click
+
+
+def spell_time(seconds: float) -> str:
+    """Spell a duration for people.
+
+    Parameters
+    ----------
+    seconds : float
+        Duration, s.
+
+    Returns
+    -------
+    str
+        Such as "8 s", "3 min 05 s", "2 h 10 min".
+
+    Examples
+    --------
+    >>> spell_time(7.6), spell_time(185), spell_time(7800)
+    ('8 s', '3 min 05 s', '2 h 10 min')
+    """
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+class Progress:
+    """Shows how far a stage is and how long it still takes.
+
+    Call it with the number of parts done and of all parts. On a terminal it redraws one line; in a log it
+    prints a plain line at the start, at each quarter, once a minute, and at the end.
+
+    Parameters
+    ----------
+    stage : str
+        What is being done, in a few words.
+    unit : str, default ""
+        What is counted, in the plural.
+    stream : file, optional
+        Where to write; by default standard error.
+    """
+
+    def __init__(self, stage: str, unit: str = "", stream: TextIO | None = None) -> None:
+        self.stage, self.unit = stage, unit
+        self.stream = stream if stream is not None else sys.stderr
+        context = click.get_current_context(silent=True)
+        self.quiet = bool(context and context.meta.get("wavefield.quiet"))
+        self.terminal = self.stream.isatty()
+        self.start = time.monotonic()
+        self.first: tuple[float, int] | None = None
+        self.last_line, self.last_quarter = -1e9, -1
+        self.done, self.total = 0, 0
+
+    def __enter__(self) -> "Progress":
+        self._write(f"{self.stage} ...", final=not self.terminal)
+        return self
+
+    def __call__(self, done: int, total: int) -> None:
+        """Tell how far the work is.
+
+        Parameters
+        ----------
+        done, total : int
+            Parts finished and all parts.
+        """
+        now = time.monotonic()
+        self.done, self.total = int(done), int(total)
+        if self.first is None:  # what a resumed run found done says nothing about its speed
+            self.first = (now, self.done)
+        quarter = 4 * self.done // self.total if self.total else 0
+        due = 0.2 if self.terminal else 60.0
+        if now - self.last_line >= due or (not self.terminal and quarter > max(self.last_quarter, 0)):
+            self.last_line, self.last_quarter = now, quarter
+            self._write(f"{self.stage}: {self._count()}{self._left(now)}", final=not self.terminal)
+
+    def _count(self) -> str:
+        share = 100 * self.done // self.total if self.total else 100
+        return f"{self.done} of {self.total}{' ' + self.unit if self.unit else ''} ({share} %)"
+
+    def _left(self, now: float) -> str:
+        if self.first is None or self.done <= self.first[1] or self.done >= self.total:
+            return ""
+        pace = (now - self.first[0]) / (self.done - self.first[1])
+        return f", {spell_time(pace * (self.total - self.done))} left"
+
+    def _write(self, text: str, *, final: bool) -> None:
+        if self.quiet:
+            return
+        if self.terminal:
+            self.stream.write(
+                f"\r\033[2K{text[: shutil.get_terminal_size((100, 24)).columns - 1]}"
+                + ("\n" if final else "")
+            )
+        else:
+            self.stream.write(text + "\n")
+        self.stream.flush()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
+    ) -> None:
+        spent = spell_time(time.monotonic() - self.start)
+        counted = f", {self.total} {self.unit}" if self.total and self.unit else ""
+        word = f"done in {spent}{counted}" if kind is None else f"stopped after {spent}"
+        self._write(f"{self.stage}: {word}", final=True)

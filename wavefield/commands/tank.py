@@ -1,0 +1,46 @@
+"""`wavefield demo` and `wavefield simulate`: experiments with exact truth."""
+
+from pathlib import Path
+
+import click
+
+from wavefield.commands.progress import Progress
+
+
+@click.command(
+    epilog="\b\nExample:\n  wavefield demo            # into ./wavefield-demo\n  wavefield demo /tmp/tank"
+)
+@click.argument("directory", default="wavefield-demo", type=click.Path(file_okay=False, path_type=Path))
+def demo(directory: Path) -> None:
+    """Simulate a small tank, measure it, and compare with the truth.
+
+    Writes a simulated three-camera experiment of 40 steps to DIRECTORY, calibrates the cameras from its
+    target images, measures the surface and its velocity, analyses the waves, writes the report, and prints the
+    errors beside those of the paper. Takes a few minutes and needs nothing but this package.
+    """
+    from wavefield.demo import run_demo
+
+    run_demo(directory, stage=Progress, say=click.echo)
+
+
+@click.command(
+    epilog="""\b
+Example:
+  wavefield simulate demo tank             # the scene of the demo
+  wavefield simulate my_scene.yaml tank    # your own: start from tank/scene.yaml
+"""
+)
+@click.argument("scene")
+@click.argument("directory", type=click.Path(file_okay=False, path_type=Path))
+def simulate(scene: str, directory: Path) -> None:
+    """Write a simulated experiment: images, targets, probes, truth.
+
+    SCENE is a YAML file or the name of a scene that comes with the program; DIRECTORY is made. Use it to plan
+    an experiment: which camera angle, how many beads, what error.
+    """
+    from wavefield import tank
+
+    described = tank.Scene.load(scene)
+    with Progress(f"Simulating into {directory}", "images") as progress:
+        tank.simulate(described, directory, progress=progress)
+    click.echo(f"Wrote {directory}/experiment.yaml; the exact truth is in {directory}/truth.")

@@ -1,0 +1,67 @@
+"""`wavefield analyze` and `wavefield report`: from a cube to waves and to pages."""
+
+from pathlib import Path
+
+import click
+
+from wavefield.commands.progress import Progress
+
+_STORE = click.Path(exists=True, file_okay=False, path_type=Path)
+
+
+def waves_beside(store: Path) -> Path:
+    """Where the wave store of a cube is, unless said otherwise.
+
+    Parameters
+    ----------
+    store : Path
+        Such as run/cube.zarr.
+
+    Returns
+    -------
+    Path
+        Such as run/cube_waves.zarr.
+    """
+    return store.with_name(f"{store.name.removesuffix('.zarr')}_waves.zarr")
+
+
+@click.command(epilog="\b\nExample:\n  wavefield analyze cube.zarr      # writes cube_waves.zarr")
+@click.argument("store", type=_STORE)
+@click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Wave store to write.")
+@click.option(
+    "--segment",
+    type=click.IntRange(min=8),
+    help="Steps per Welch segment; by default chosen from the record.",
+)
+@click.option(
+    "--probes", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="CSV of wave probes."
+)
+def analyze(store: Path, output: Path | None, segment: int | None, probes: Path | None) -> None:
+    """Compute the waves of a cube: spectra, coherence, statistics.
+
+    Also dispersion, fusion of z and w, directions, bicoherence. Writes one Zarr store; `xarray.open_datatree` reads it.
+    """
+    from wavefield.waves import analyze as analyze_cube
+
+    output = output or waves_beside(store)
+    with Progress(f"Analysing {store}") as progress:
+        analyze_cube(store, output, segment=segment, probes=probes, progress=progress)
+    click.echo(f"Wrote {output}. Next: wavefield report {store}")
+
+
+@click.command(epilog="\b\nExample:\n  wavefield report cube.zarr      # writes cube_report.html")
+@click.argument("store", type=_STORE)
+@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="HTML file to write.")
+@click.option(
+    "--waves",
+    type=_STORE,
+    help="Wave store; by default the one that `wavefield analyze` writes beside the cube.",
+)
+def report(store: Path, output: Path | None, waves: Path | None) -> None:
+    """Write the report of a cube as one HTML file that opens offline."""
+    from wavefield.report import gather, write_report
+
+    output = output or store.with_name(f"{store.name.removesuffix('.zarr')}_report.html")
+    with Progress(f"Drawing {output}", "parts") as progress:
+        write_report(gather(store, waves or waves_beside(store)), output, progress)
+    click.echo(f"Wrote {output}; open it in a browser.")

@@ -1,0 +1,58 @@
+"""Pictures of cubes, waves and rigs: functions of datasets that return matplotlib figures.
+
+Each takes plain xarray datasets (a cube, one step of it, a group of a wave store) and returns a
+`matplotlib.figure.Figure`, which a notebook shows and `savefig` writes.
+"""
+
+from wavefield.figures.distributions import distributions, error_distributions, error_maps
+from wavefield.figures.kinematics import balance_history, coherence_curves, kinematic_terms, kinematics_maps
+from wavefield.figures.quality import (
+    coverage_map,
+    fault_history,
+    misfit_distributions,
+    misfit_maps,
+    quality_shares,
+    uncertainty_maps,
+)
+from wavefield.figures.rig import camera_frames, method_diagram, rig_views
+from wavefield.figures.spectra import (
+    bicoherence_map,
+    directions,
+    dispersion_ridge,
+    elevation_spectra,
+    komega_map,
+    noise_spectra,
+    wavenumber_spectra,
+    wavevector_map,
+)
+from wavefield.figures.surface import elevation_map, surface_3d, velocity_map
+
+__all__ = [
+    "balance_history",
+    "bicoherence_map",
+    "camera_frames",
+    "coherence_curves",
+    "coverage_map",
+    "directions",
+    "dispersion_ridge",
+    "distributions",
+    "elevation_map",
+    "elevation_spectra",
+    "error_distributions",
+    "error_maps",
+    "fault_history",
+    "kinematic_terms",
+    "kinematics_maps",
+    "komega_map",
+    "method_diagram",
+    "misfit_distributions",
+    "misfit_maps",
+    "noise_spectra",
+    "quality_shares",
+    "rig_views",
+    "surface_3d",
+    "uncertainty_maps",
+    "velocity_map",
+    "wavenumber_spectra",
+    "wavevector_map",
+]

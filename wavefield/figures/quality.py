@@ -1,0 +1,178 @@
+"""Where and when the measurement is good: coverage, faults, misfits, uncertainties."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from wavefield.figures.style import LINES, POSITIVE, densities, draw_map, limit, panels, plain_axes
+from wavefield.variables import FrameStatus, Quality
+
+_REASONS = {
+    "measured": Quality.MEASURED,
+    "filled from neighbours": Quality.FILLED,
+    "rejected by correlation": Quality.REJECTED_CORRELATION,
+    "rejected by eps": Quality.REJECTED_EPS,
+    "rejected by neighbours": Quality.REJECTED_NEIGHBOURS,
+}
+
+
+def quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
+    """Share of values with each mark.
+
+    Parameters
+    ----------
+    quality : DataArray, (time, y, x), uint8
+        The cube's bit mask.
+    dims : tuple of str
+        Dimensions to average over.
+
+    Returns
+    -------
+    Dataset
+        One variable in [0, 1] for each of measured, filled and the three rejections; nodes outside the
+        field seen count as zero.
+    """
+    bits = {name: int(flag) for name, flag in _REASONS.items()}
+    return xr.Dataset({name: ((quality & bit) != 0).mean(dims) for name, bit in bits.items()})
+
+
+def coverage_map(cube: xr.Dataset) -> Figure:
+    """Share of time in which each node was measured, and in which it was filled.
+
+    Parameters
+    ----------
+    cube : Dataset, (time, y, x)
+        A cube with quality.
+
+    Returns
+    -------
+    Figure
+    """
+    shares = quality_shares(cube.quality, ("time",)).compute()
+    figure, axes = panels(2)
+    for ax, name in zip(axes[0], ("measured", "filled from neighbours"), strict=True):
+        draw_map(ax, shares[name], "share of time (%)", factor=100, cmap=POSITIVE, scale=(0, 100), title=name)
+    return figure
+
+
+def fault_history(cube: xr.Dataset) -> Figure:
+    """Course of the measured and rejected shares of the nodes in view, and the ledger.
+
+    Parameters
+    ----------
+    cube : Dataset, (time, y, x)
+        A cube with quality and frame_status.
+
+    Returns
+    -------
+    Figure
+    """
+    inside = ((cube.quality & int(Quality.OUTSIDE)) == 0) & (cube.quality != 0)
+    seen = inside.mean(("y", "x")).compute()
+    shares = quality_shares(cube.quality, ("y", "x")).compute()
+    figure, axes = panels(1, 2, width=8.6, height=2.3)
+    top, bottom = axes[:, 0]
+    for style, name in zip(LINES, shares.data_vars, strict=False):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            top.plot(cube.time, 100 * shares[name] / seen.where(seen > 0), label=name, **style)
+    top.set(ylabel="share of nodes (%)", ylim=(-3, 103))
+    plain_axes(top, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    bottom.plot(cube.time, cube.frame_status, drawstyle="steps-mid", **LINES[1])
+    names = [status.name.lower().replace("_", " ") for status in FrameStatus]
+    bottom.set(yticks=list(FrameStatus), yticklabels=names, xlabel="time (s)", ylim=(-0.5, 3.5))
+    plain_axes(bottom)
+    return figure
+
+
+def misfit_maps(cube: xr.Dataset) -> Figure:
+    """Root mean square in time of the stereo mismatch eps_y and of the PIV misfit eps'.
+
+    Parameters
+    ----------
+    cube : Dataset, (time, y, x)
+        A cube with eps_y (m) and eps_piv (px).
+
+    Returns
+    -------
+    Figure
+    """
+    figure, axes = panels(2)
+    for ax, name, label, factor in zip(
+        axes[0], ("eps_y", "eps_piv"), ("rms eps_y (mm)", "rms eps' (px)"), (1e3, 1.0), strict=True
+    ):
+        rms = ((cube[name].astype(float) ** 2).mean("time") ** 0.5).compute()
+        top = factor * limit(rms, 99)
+        draw_map(ax, rms, label, factor=factor, cmap=POSITIVE, scale=(0, top))
+    return figure
+
+
+def misfit_distributions(cube: xr.Dataset) -> Figure:
+    """Distributions of eps_y and of eps'.
+
+    Parameters
+    ----------
+    cube : Dataset, (time, y, x)
+        A cube with eps_y (m) and eps_piv (px); a long one may be thinned in time before.
+
+    Returns
+    -------
+    Figure
+
+    Notes
+    -----
+    Counterparts of the paper's distributions of its errors eps_Y and eps'.
+    """
+    figure, axes = panels(2)
+    left, right = axes[0]
+    eps = 1e3 * cube.eps_y.values.astype(float)
+    rms = float(np.sqrt(np.nanmean(eps**2))) if np.isfinite(eps).any() else 1.0
+    bins = np.linspace(-6 * rms, 6 * rms, 121)
+    centres = (bins[1:] + bins[:-1]) / 2
+    left.semilogy(centres, _positive(densities(eps, bins)), label=f"rms {rms:.3g} mm", **LINES[1])
+    gauss = np.exp(-((centres / rms) ** 2) / 2) / (rms * np.sqrt(2 * np.pi))
+    left.semilogy(centres, gauss, label="Gaussian of that rms", **LINES[2])
+    left.set(xlabel="eps_y (mm)", ylabel="probability density (mm⁻¹)", ylim=(1e-5 / rms, 1 / rms))
+    piv = cube.eps_piv.values.astype(float)
+    rms = float(np.sqrt(np.nanmean(piv**2))) if np.isfinite(piv).any() else 1.0
+    bins = np.linspace(0, 6 * rms, 101)
+    right.semilogy(
+        (bins[1:] + bins[:-1]) / 2, _positive(densities(piv, bins)), label=f"rms {rms:.3g} px", **LINES[1]
+    )
+    right.set(xlabel="eps' (px)", ylabel="probability density (px⁻¹)")
+    for ax in axes[0]:
+        plain_axes(ax)
+    return figure
+
+
+def uncertainty_maps(cube: xr.Dataset) -> Figure:
+    """Median in time of the standard uncertainties of z, u, v and w.
+
+    Parameters
+    ----------
+    cube : Dataset, (time, y, x)
+        A cube with z_std (m) and u_std, v_std, w_std (m s-1).
+
+    Returns
+    -------
+    Figure
+    """
+    figure, axes = panels(2, 2)
+    for ax, name in zip(axes.flat, ("z_std", "u_std", "v_std", "w_std"), strict=True):
+        middle = _median_in_time(cube[name])
+        unit, factor = ("mm", 1e3) if name == "z_std" else ("mm s⁻¹", 1e3)
+        top = factor * limit(middle, 98)
+        draw_map(ax, middle, f"{name} ({unit})", factor=factor, cmap=POSITIVE, scale=(0, top))
+    return figure
+
+
+def _median_in_time(field: xr.DataArray) -> xr.DataArray:
+    stride = -(-field.sizes["time"] // 200)  # 200 steps give the median to a few percent
+    part = field.isel(time=slice(None, None, stride)).load()
+    values = np.ma.filled(
+        np.ma.median(np.ma.masked_invalid(part.values), axis=part.get_axis_num("time")), np.nan
+    )
+    return part.isel(time=0, drop=True).copy(data=values)
+
+
+def _positive(values: np.ndarray) -> np.ndarray:
+    return np.where(values > 0, values, np.nan)

@@ -1,0 +1,196 @@
+"""The cameras: where they stand, what they see, how a step is made from their frames."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
+
+from wavefield.figures.style import LINES, panels, plain_axes
+from wavefield.grid import Grid
+from wavefield.rig import Rig
+
+
+def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
+    """The rig from the side and from above, and a raised point as each camera sees it.
+
+    Parameters
+    ----------
+    rig : Rig
+        The cameras.
+    grid : Grid
+        The nodes of the measurement.
+    height : float, default 0.05
+        Height of the point whose apparent positions are drawn, m.
+
+    Returns
+    -------
+    Figure
+
+    Notes
+    -----
+    Counterpart of the paper's sketches of the set-up and of the apparent coordinates: a line of sight through
+    a point at height z meets the plane z = 0 at x_a = x - D z.
+    """
+    figure, axes = panels(3, width=4.4, height=4.2)
+    side, above, near = axes[0]
+    x0, y0 = np.mean(grid.x), np.mean(grid.y)
+    corners_x = [grid.x[0], grid.x[1], grid.x[1], grid.x[0], grid.x[0]]
+    corners_y = [grid.y[0], grid.y[0], grid.y[1], grid.y[1], grid.y[0]]
+    side.plot(grid.x, [0, 0], color="0.2", linewidth=3, label="grid")
+    above.plot(corners_x, corners_y, color="0.2", linewidth=2, label="grid")
+    for style, (name, camera) in zip(LINES[1:] * len(rig), rig.cameras.items(), strict=False):
+        cx, cy, cz = camera.centre
+        for end in grid.x:
+            side.plot([cx, end], [cz, 0], linewidth=0.8, color=style["color"], linestyle=style["linestyle"])
+        side.plot(cx, cz, "o", color=style["color"], label=name)
+        seen = np.vstack([camera.corners(0.0), camera.corners(0.0)[:1]])
+        above.plot(*seen.T, label=f"seen by {name}", **style)
+        above.plot(cx, cy, "o", color=style["color"])
+        dx, _ = camera.sight_line(x0, y0, height)
+        apparent = x0 - float(dx) * height
+        near.plot([100 * apparent, 100 * (x0 + float(dx) * height)], [0, 200 * height], label=name, **style)
+        near.plot(100 * apparent, 0, "v", color=style["color"], markersize=8)
+    near.axhline(0, color="0.2", linewidth=2)
+    near.plot(100 * x0, 100 * height, "o", color="black", label="point on the surface")
+    side.set(xlabel="x (m)", ylabel="z (m)", title="from the side", aspect="equal")
+    above.set(xlabel="x (m)", ylabel="y (m)", title="from above", aspect="equal")
+    near.set(xlabel="x (cm)", ylabel="z (cm)", title="one point, its apparent positions (▼)", aspect="equal")
+    for ax in axes[0]:
+        plain_axes(ax, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
+    return figure
+
+
+def camera_frames(frames: Mapping[str, np.ndarray], rig: Rig, grid: Grid) -> Figure:
+    """One frame of each camera with the outline of the grid, and a zoom on the seeding.
+
+    Parameters
+    ----------
+    frames : mapping of str to ndarray, (row, column)
+        Frame of each camera.
+    rig : Rig
+        The cameras, by the same names.
+    grid : Grid
+        The nodes of the measurement.
+
+    Returns
+    -------
+    Figure
+
+    Notes
+    -----
+    Counterpart of the paper's snapshot of camera 3 and its zoom on the particles.
+    """
+    figure, axes = panels(len(frames), 2, width=4.0, height=3.7)
+    x, y = grid.x_nodes, grid.y_nodes
+    outline_x = np.concatenate([x, np.full(y.size, x[-1]), x[::-1], np.full(y.size, x[0])])
+    outline_y = np.concatenate([np.full(x.size, y[0]), y, np.full(x.size, y[-1]), y[::-1]])
+    for (top, bottom), (name, image) in zip(axes.T, frames.items(), strict=True):
+        camera = rig[name]
+        low, high = np.percentile(image, (1, 99.7))
+        shown = {"cmap": "gray", "vmin": low, "vmax": max(high, low + 1)}
+        top.imshow(image, **shown)
+        top.plot(*camera.project(outline_x, outline_y, 0.0), color="#F0E442", linewidth=1.5)
+        h, w = image.shape
+        top.set(
+            title=name, xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5), xlabel="column (px)", ylabel="row (px)"
+        )
+        half = 50
+        cx, cy = (float(v) for v in camera.project(np.mean(grid.x), np.mean(grid.y), 0.0))
+        bottom.imshow(image, interpolation="nearest", **shown)
+        bottom.set(xlim=(cx - half, cx + half), ylim=(cy + half, cy - half))
+        bottom.set(title=f"{name}, middle of the grid", xlabel="column (px)", ylabel="row (px)")
+        top.plot(
+            [cx - half, cx + half, cx + half, cx - half, cx - half],
+            [cy - half, cy - half, cy + half, cy + half, cy - half],
+            color="#56B4E9",
+            linewidth=1.2,
+        )
+    return figure
+
+
+def method_diagram(pairs: Sequence[tuple[str, str]], velocity: Sequence[str]) -> Figure:
+    """How one step is made from the frames of all cameras.
+
+    Parameters
+    ----------
+    pairs : sequence of (str, str)
+        Camera pairs for the surface.
+    velocity : sequence of str
+        Cameras for the velocity.
+
+    Returns
+    -------
+    Figure
+
+    Notes
+    -----
+    Counterpart of the paper's general organisation of the measurement.
+    """
+    cameras = list(dict.fromkeys([*velocity[:1], *(c for pair in pairs for c in pair), *velocity[1:]]))
+    # the reference of the pairs in the middle, so that no arrow crosses a box
+    middle = [c for c in cameras if sum(c in pair for pair in pairs) > 1]
+    outer = [c for c in cameras if c not in middle]
+    order = [*outer[: len(outer) // 2], *middle, *outer[len(outer) // 2 :]]
+    figure, axes = panels(1, width=8.6, height=3.9)
+    ax = axes[0, 0]
+    place = {name: 1.0 - i for i, name in enumerate(order)}
+    for column, moment in ((0.0, "t"), (1.7, "t + dt")):
+        for name, row in place.items():
+            _box(ax, column, row, f"{name}, {moment}", "#DDEBF7")
+    for column in (0.0, 1.7):
+        for a, b in pairs:
+            _arrow(ax, (column, place[a]), (column, place[b]), LINES[1]["color"])
+    for name in velocity:
+        _arrow(ax, (0.55, place[name]), (1.15, place[name]), LINES[2]["color"], gap=0)
+    bottom = min(place.values())
+    _box(ax, 4.0, 1.0, "surface at t and t + dt,\nits neighbours: z at mid-time", "#EAF4EC")
+    _box(ax, 4.0, bottom, "displacement of each camera\nat its mid-time place", "#FBEFE4")
+    _box(ax, 6.4, (1.0 + bottom) / 2, "u, v, w\non the surface\nat t + dt/2", "#F3EAF4")
+    _arrow(ax, (2.35, (1.0 + bottom) / 2 + 0.35), (3.05, 0.95), LINES[1]["color"], gap=0)
+    _arrow(ax, (2.35, (1.0 + bottom) / 2 - 0.35), (3.05, bottom + 0.05), LINES[2]["color"], gap=0)
+    _arrow(ax, (4.9, 0.85), (5.75, (1.0 + bottom) / 2 + 0.2), "0.2", gap=0)
+    _arrow(ax, (4.9, bottom + 0.15), (5.75, (1.0 + bottom) / 2 - 0.2), "0.2", gap=0)
+    _arrow(ax, (4.0, 0.7), (4.0, bottom + 0.3), "0.2", gap=0)
+    ax.plot([], [], color=LINES[1]["color"], label="stereo: parallax between cameras")
+    ax.plot([], [], color=LINES[2]["color"], label="PIV: displacement in time")
+    ax.legend(loc="lower center", ncols=2, bbox_to_anchor=(0.5, -0.12), frameon=False)
+    ax.set(xlim=(-0.75, 7.2), ylim=(bottom - 0.75, 1.5))
+    ax.axis("off")
+    return figure
+
+
+def _box(ax, x: float, y: float, text: str, colour: str) -> None:  # type: ignore[no-untyped-def]
+    lines = text.split("\n")
+    w, h = 0.085 * max(map(len, lines)) * 0.75 + 0.25, 0.26 * len(lines) + 0.16
+    w = max(w, 1.0)
+    ax.add_patch(
+        FancyBboxPatch(
+            (x - w / 2, y - h / 2),
+            w,
+            h,
+            boxstyle="round,pad=0.02",
+            facecolor=colour,
+            edgecolor="0.35",
+            zorder=2,
+        )
+    )
+    ax.text(x, y, text, ha="center", va="center", fontsize=9, zorder=3)
+
+
+def _arrow(  # type: ignore[no-untyped-def]
+    ax, start: tuple[float, float], end: tuple[float, float], colour: str, gap: float = 22
+) -> None:
+    ax.add_patch(
+        FancyArrowPatch(
+            start,
+            end,
+            arrowstyle="-|>",
+            mutation_scale=12,
+            color=colour,
+            linewidth=1.6,
+            shrinkA=gap,
+            shrinkB=gap,
+            zorder=1,
+        )
+    )

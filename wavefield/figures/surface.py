@@ -1,0 +1,142 @@
+"""The surface and its velocity at one moment."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from wavefield.figures.style import SIGNED, draw_map, limit, moment_title, panel_3d, panels
+
+_MOST_POLYGONS = 70  # per axis in 3D: more takes seconds and looks the same
+
+
+def surface_3d(snapshot: xr.Dataset) -> Figure:
+    """Elevation in three dimensions, coloured by the vertical velocity.
+
+    Parameters
+    ----------
+    snapshot : Dataset, (y, x)
+        One step of a cube with z (m) and w (m s-1).
+
+    Returns
+    -------
+    Figure
+
+    Notes
+    -----
+    Counterpart of the paper's 3D snapshot. Heights are exaggerated; the axes tell by how much.
+    """
+    stride = {d: slice(None, None, -(-snapshot.sizes[d] // _MOST_POLYGONS)) for d in ("y", "x")}
+    part = snapshot.isel(stride).transpose("y", "x")
+    z, w = 100 * part.z.values.astype(float), 100 * part.w.values.astype(float)
+    figure, axes = panel_3d()
+    half = limit(w)
+    colours = Normalize(-half, half)
+    mapped = figure.colorbar(
+        _mappable(colours), ax=axes, label="w (cm s⁻¹)", shrink=0.6, pad=0.08, extend="both"
+    ).mappable
+    x, y = np.meshgrid(part.x.values, part.y.values)
+    faces = mapped.to_rgba(w)
+    faces[..., :3] *= _relief(z)[..., None]
+    axes.plot_surface(
+        x, y, z, facecolors=faces, rstride=1, cstride=1, linewidth=0, antialiased=False, shade=False
+    )
+    height = 1.6 * limit(z, 100)
+    span = np.ptp(part.x.values), np.ptp(part.y.values)
+    axes.set(
+        xlabel="x (m)", ylabel="y (m)", zlabel="z (cm)", zlim=(-height, height), title=moment_title(snapshot)
+    )
+    axes.set_box_aspect((span[0], span[1], 0.35 * max(span)), zoom=1.2)
+    axes.view_init(elev=32, azim=-60)
+    return figure
+
+
+def _relief(z: np.ndarray) -> np.ndarray:
+    """Light from one side, weak enough to leave the colours readable: factors from .72 to 1."""
+    slope = np.nan_to_num(np.gradient(z, axis=1) - np.gradient(z, axis=0))
+    return 0.86 + 0.14 * np.clip(slope / limit(slope, 95), -1, 1)
+
+
+def _mappable(colours: Normalize):  # type: ignore[no-untyped-def]
+    from matplotlib.cm import ScalarMappable
+
+    return ScalarMappable(colours, SIGNED)
+
+
+def draw_vectors(axes: Axes, snapshot: xr.Dataset, *, across: int = 26) -> None:
+    """Draw horizontal velocity as arrows, with a key.
+
+    Parameters
+    ----------
+    axes : Axes
+        A map.
+    snapshot : Dataset, (y, x)
+        One step of a cube with u and v, m s-1.
+    across : int, default 26
+        Arrows along the longer side.
+    """
+    stride = max(1, round(max(snapshot.sizes["x"], snapshot.sizes["y"]) / across))
+    thin = slice(stride // 2, None, stride)
+    part = snapshot[["u", "v"]].isel(x=thin, y=thin).transpose("y", "x")
+    u, v = 100 * part.u.values.astype(float), 100 * part.v.values.astype(float)
+    fastest = limit(np.hypot(u, v), 98)
+    spacing = stride * float(np.mean(np.diff(snapshot.x.values)))
+    arrows = axes.quiver(
+        part.x.values,
+        part.y.values,
+        u,
+        v,
+        angles="xy",
+        scale_units="xy",
+        scale=fastest / (1.4 * spacing),
+        width=0.0028,
+        color="black",
+    )
+    key = _round_down(fastest)
+    axes.quiverkey(arrows, 0.86, 1.04, key, f"{key:g} cm s⁻¹", labelpos="E", coordinates="axes")
+
+
+def _round_down(value: float) -> float:
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))
+
+
+def velocity_map(snapshot: xr.Dataset) -> Figure:
+    """Vertical velocity in colour, horizontal velocity as arrows.
+
+    Parameters
+    ----------
+    snapshot : Dataset, (y, x)
+        One step of a cube with u, v, w (m s-1).
+
+    Returns
+    -------
+    Figure
+
+    Notes
+    -----
+    Counterpart of the paper's velocity snapshot.
+    """
+    figure, axes = panels(1, width=7.2, height=4.8)
+    draw_map(axes[0, 0], snapshot.w, "w (cm s⁻¹)", factor=100)
+    axes[0, 0].set_title(moment_title(snapshot), loc="left")
+    draw_vectors(axes[0, 0], snapshot)
+    return figure
+
+
+def elevation_map(snapshot: xr.Dataset) -> Figure:
+    """Elevation in colour.
+
+    Parameters
+    ----------
+    snapshot : Dataset, (y, x)
+        One step of a cube with z (m).
+
+    Returns
+    -------
+    Figure
+    """
+    figure, axes = panels(1, width=7.2, height=4.8)
+    draw_map(axes[0, 0], snapshot.z, "z (cm)", factor=100, title=moment_title(snapshot))
+    return figure

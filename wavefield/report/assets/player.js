@@ -1,0 +1,174 @@
+"use strict";
+(function () {
+  const text = (id) => document.getElementById(id).textContent;
+  const bytes = (id) => Uint8Array.from(atob(text(id)), (c) => c.charCodeAt(0));
+  const d = JSON.parse(text("field-description"));
+  const field = { z: bytes("field-z"), w: bytes("field-w") };
+  const arrowU = bytes("field-u-arrows"), arrowV = bytes("field-v-arrows");
+  const nodes = d.nx * d.ny, arrowCount = d.arrows.x.length * d.arrows.y.length;
+  const map = document.getElementById("map"), relief = document.getElementById("relief");
+  const slider = document.getElementById("moment"), clock = document.getElementById("clock");
+  const play = document.getElementById("play"), shown = document.getElementById("shown");
+  const unit = { z: "z (cm)", w: "w (cm/s)" };
+  const font = (size) => size + "px system-ui, sans-serif";
+  slider.max = d.time.length - 1;
+
+  const round = (v) => Number(v.toPrecision(2)).toString();
+  function ticks(lo, hi, count) {
+    const raw = (hi - lo) / count, power = Math.pow(10, Math.floor(Math.log10(raw)));
+    const step = [1, 2, 5, 10].map((m) => m * power).find((s) => s >= raw);
+    const out = [];
+    for (let v = Math.ceil(lo / step - 1e-9) * step; v <= hi + 1e-9 * step; v += step) out.push(Math.abs(v) < 1e-9 * step ? 0 : v);
+    return out;
+  }
+  const label = (v) => Number(v.toPrecision(6)).toString().replace("-", "\u2212");
+
+  function bar(c, x, y, w, h, half, name) {
+    for (let i = 0; i < h; i++) {
+      const [r, g, b] = d.colours[Math.round(255 * (1 - i / (h - 1)))];
+      c.fillStyle = `rgb(${r},${g},${b})`;
+      c.fillRect(x, y + i, w, 1.5);
+    }
+    c.strokeStyle = "#333"; c.lineWidth = 1; c.strokeRect(x, y, w, h);
+    c.fillStyle = "#1b1f24"; c.font = font(20); c.textAlign = "left"; c.textBaseline = "middle";
+    for (const v of ticks(-half, half, 6)) {
+      const yy = y + h * (0.5 - v / (2 * half));
+      c.fillRect(x + w, yy, 5, 1.5); c.fillText(label(v), x + w + 9, yy);
+    }
+    c.textAlign = "center"; c.fillText(name, x + w / 2 + 8, y - 18);
+  }
+
+  const small = document.createElement("canvas");
+  small.width = d.nx; small.height = d.ny;
+  function drawMap(step) {
+    const c = map.getContext("2d"), W = map.width, H = map.height, name = shown.value;
+    c.fillStyle = "#fff"; c.fillRect(0, 0, W, H);
+    const s = small.getContext("2d"), image = s.createImageData(d.nx, d.ny), data = field[name];
+    for (let j = 0; j < d.ny; j++) for (let i = 0; i < d.nx; i++) {
+      const code = data[step * nodes + j * d.nx + i], at = 4 * ((d.ny - 1 - j) * d.nx + i);
+      const rgb = code ? d.colours[code] : [217, 217, 217];
+      image.data[at] = rgb[0]; image.data[at + 1] = rgb[1]; image.data[at + 2] = rgb[2]; image.data[at + 3] = 255;
+    }
+    s.putImageData(image, 0, 0);
+    const left = 84, top = 54, right = 118, bottom = 74;
+    const wide = d.x[1] - d.x[0], high = d.y[1] - d.y[0];
+    const scale = Math.min((W - left - right) / wide, (H - top - bottom) / high);
+    const w = wide * scale, h = high * scale, y0 = top + (H - top - bottom - h) / 2;
+    c.imageSmoothingEnabled = true; c.drawImage(small, left, y0, w, h);
+    c.strokeStyle = "#333"; c.lineWidth = 1.5; c.strokeRect(left, y0, w, h);
+    const px = (x) => left + (x - d.x[0]) * scale, py = (y) => y0 + h - (y - d.y[0]) * scale;
+    c.fillStyle = "#1b1f24"; c.font = font(20);
+    c.textAlign = "center"; c.textBaseline = "top";
+    for (const v of ticks(d.x[0], d.x[1], 6)) { c.fillRect(px(v) - .75, y0 + h, 1.5, 6); c.fillText(label(v), px(v), y0 + h + 9); }
+    c.fillText("x (m)", left + w / 2, y0 + h + 36);
+    c.textAlign = "right"; c.textBaseline = "middle";
+    for (const v of ticks(d.y[0], d.y[1], 5)) { c.fillRect(left - 6, py(v) - .75, 6, 1.5); c.fillText(label(v), left - 10, py(v)); }
+    c.save(); c.translate(18, y0 + h / 2); c.rotate(-Math.PI / 2); c.textAlign = "center"; c.fillText("y (m)", 0, 0); c.restore();
+    bar(c, left + w + 22, y0, 20, h, d.half[name], unit[name]);
+    const a = d.arrows, grow = a.length * scale / a.fastest, top1 = a.fastest * 1.3;
+    const arrow = (x, y, u, v) => {
+      const dx = u * grow, dy = -v * grow, n = Math.hypot(dx, dy);
+      if (n < 1.5) return;
+      const head = Math.min(9, 0.45 * n), ex = dx / n, ey = dy / n;
+      c.beginPath(); c.moveTo(x, y); c.lineTo(x + dx, y + dy);
+      c.moveTo(x + dx - head * (ex - .45 * ey), y + dy - head * (ey + .45 * ex));
+      c.lineTo(x + dx, y + dy);
+      c.lineTo(x + dx - head * (ex + .45 * ey), y + dy - head * (ey - .45 * ex));
+      c.stroke();
+    };
+    c.strokeStyle = "#000"; c.lineWidth = 1.7;
+    for (let j = 0; j < a.y.length; j++) for (let i = 0; i < a.x.length; i++) {
+      const at = step * arrowCount + j * a.x.length + i;
+      if (arrowU[at] && arrowV[at]) arrow(px(a.x[i]), py(a.y[j]), (arrowU[at] - 128) / 127 * top1, (arrowV[at] - 128) / 127 * top1);
+    }
+    const key = Number(a.fastest.toPrecision(1));
+    arrow(left + 4, y0 - 22, key, 0);
+    c.textAlign = "left"; c.fillStyle = "#1b1f24";
+    c.fillText(round(key) + " cm/s", left + 14 + key * grow, y0 - 22);
+  }
+
+  let turn = -0.7, tilt = 0.62;
+  const stride = Math.max(1, Math.ceil(Math.max(d.nx, d.ny) / 90));
+  function drawRelief(step) {
+    const c = relief.getContext("2d"), W = relief.width, H = relief.height;
+    c.fillStyle = "#fff"; c.fillRect(0, 0, W, H);
+    const cols = [], rows = [];
+    for (let i = 0; i < d.nx; i += stride) cols.push(i);
+    for (let j = 0; j < d.ny; j += stride) rows.push(j);
+    const wide = d.x[1] - d.x[0], high = d.y[1] - d.y[0], size = Math.hypot(wide, high);
+    const scale = 0.86 * (W - 90) / size, lift = 0.10 * size / d.half.z;  // heights: the scale's end is a tenth of the diagonal
+    const ct = Math.cos(turn), st = Math.sin(turn), ci = Math.cos(tilt), si = Math.sin(tilt);
+    const project = (x, y, z) => {
+      const a = ct * x - st * y, b = st * x + ct * y;
+      return [(W - 90) / 2 + scale * a, H / 2 + 10 - scale * (b * si + z * ci), b];
+    };
+    const at = (i, j) => step * nodes + j * d.nx + i;
+    const point = (i, j) => {
+      const code = field.z[at(i, j)];
+      if (!code) return null;
+      const x = wide * (i / (d.nx - 1) - 0.5), y = high * (j / (d.ny - 1) - 0.5);
+      return project(x, y, lift * d.half.z * (code - 128) / 127);
+    };
+    const edge = [[-.5, -.5], [.5, -.5], [.5, .5], [-.5, .5]].map(([x, y]) => project(x * wide, y * high, 0));
+    c.strokeStyle = "#8b949e"; c.lineWidth = 1.2; c.setLineDash([5, 4]);
+    c.beginPath(); edge.forEach((p, i) => (i ? c.lineTo(p[0], p[1]) : c.moveTo(p[0], p[1]))); c.closePath(); c.stroke(); c.setLineDash([]);
+    const grid = rows.map((j) => cols.map((i) => point(i, j)));
+    const quads = [];
+    for (let j = 0; j + 1 < rows.length; j++) for (let i = 0; i + 1 < cols.length; i++) {
+      const p = grid[j][i], q = grid[j][i + 1], r = grid[j + 1][i + 1], s = grid[j + 1][i];
+      if (!p || !q || !r || !s) continue;
+      const code = field.w[at(cols[i], rows[j])] || 128;
+      const slope = (field.z[at(cols[i + 1], rows[j])] - field.z[at(cols[i], rows[j])]) - (field.z[at(cols[i], rows[j + 1])] - field.z[at(cols[i], rows[j])]);
+      quads.push([p[2] + r[2], p, q, r, s, code, 0.88 + 0.12 * Math.max(-1, Math.min(1, slope / (10 * stride)))]);
+    }
+    quads.sort((a, b) => b[0] - a[0]);
+    for (const [, p, q, r, s, code, light] of quads) {
+      const [R, G, B] = d.colours[code];
+      c.fillStyle = c.strokeStyle = `rgb(${R * light | 0},${G * light | 0},${B * light | 0})`;
+      c.lineWidth = 0.8; c.beginPath();
+      c.moveTo(p[0], p[1]); c.lineTo(q[0], q[1]); c.lineTo(r[0], r[1]); c.lineTo(s[0], s[1]); c.closePath(); c.fill(); c.stroke();
+    }
+    c.fillStyle = "#1b1f24"; c.font = font(20); c.textAlign = "center"; c.textBaseline = "middle";
+    const mark = (x, y, words) => { const p = project(x, y, 0); c.fillText(words, p[0], p[1]); };
+    mark(0, -0.60 * high, `x, ${label(Number(wide.toPrecision(3)))} m`);
+    mark(0.60 * wide, 0, `y, ${label(Number(high.toPrecision(3)))} m`);
+    bar(c, W - 92, H / 2 - 150, 20, 300, d.half.w, unit.w);
+    c.textAlign = "left"; c.textBaseline = "top";
+    c.fillText(`height exaggerated ${round(100 * lift)} times`, 14, 12);
+  }
+
+  let step = 0, timer = null;
+  function draw() {
+    drawMap(step); drawRelief(step);
+    const words = `t = ${d.time[step].toFixed(3)} s`;
+    clock.textContent = words; slider.setAttribute("aria-valuetext", words);
+  }
+  function go(to) { step = (to + d.time.length) % d.time.length; slider.value = step; draw(); }
+  function stop() { clearInterval(timer); timer = null; play.textContent = "Play"; play.setAttribute("aria-pressed", "false"); }
+  slider.addEventListener("input", () => go(Number(slider.value)));
+  shown.addEventListener("change", draw);
+  play.addEventListener("click", () => {
+    if (timer) return stop();
+    play.textContent = "Pause"; play.setAttribute("aria-pressed", "true");
+    timer = setInterval(() => go(step + 1), 100);
+  });
+  relief.addEventListener("keydown", (e) => {
+    const by = { ArrowLeft: [-.1, 0], ArrowRight: [.1, 0], ArrowUp: [0, .06], ArrowDown: [0, -.06] }[e.key];
+    if (!by) return;
+    e.preventDefault(); turn += by[0]; tilt = Math.max(.1, Math.min(1.4, tilt + by[1])); drawRelief(step);
+  });
+  relief.addEventListener("pointerdown", (e) => {
+    let x = e.clientX, y = e.clientY;
+    relief.setPointerCapture(e.pointerId);
+    const move = (m) => {
+      turn += (m.clientX - x) / 160; tilt = Math.max(.1, Math.min(1.4, tilt + (m.clientY - y) / 160));
+      x = m.clientX; y = m.clientY; drawRelief(step);
+    };
+    relief.addEventListener("pointermove", move);
+    relief.addEventListener("pointerup", () => relief.removeEventListener("pointermove", move), { once: true });
+  });
+  map.addEventListener("keydown", (e) => {
+    if (e.key === "ArrowLeft" || e.key === "ArrowRight") { e.preventDefault(); go(step + (e.key === "ArrowRight" ? 1 : -1)); }
+  });
+  go(Math.floor(d.time.length / 2));
+})();

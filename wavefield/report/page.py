@@ -1,0 +1,200 @@
+"""One HTML page that needs nothing else: figures, tables and text put together."""
+
+import base64
+import html
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from string import Template
+
+from matplotlib.figure import Figure
+
+from wavefield import __version__
+
+_DPI = 140  # drawn at 96 per inch: sharp on dense screens, and small
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure with what it shows in words.
+
+    Parameters
+    ----------
+    figure : Figure or bytes
+        A matplotlib figure, or a PNG file as bytes.
+    caption : str
+        Below the figure: what it is and how to read it.
+    alt : str
+        For those who cannot see it: what one would see, with its numbers.
+    """
+
+    figure: Figure | bytes
+    caption: str
+    alt: str
+
+    def html(self) -> str:
+        """Give the picture as HTML with its data inside."""
+        width = ""
+        if isinstance(self.figure, bytes):
+            raw = self.figure
+        else:
+            buffer = io.BytesIO()
+            self.figure.savefig(buffer, format="png", dpi=_DPI)
+            raw = buffer.getvalue()
+            width = f'width="{round(96 * self.figure.get_figwidth())}" '
+        return (
+            f'<figure><img src="data:image/png;base64,{base64.b64encode(raw).decode()}" {width}'
+            f'alt="{html.escape(self.alt)}"><figcaption>{html.escape(self.caption)}</figcaption></figure>'
+        )
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under a heading row.
+
+    Parameters
+    ----------
+    caption : str
+        What it lists.
+    head : sequence of str
+        Column names.
+    rows : sequence of sequence of str
+        Cells; the first of each row names it.
+    """
+
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def html(self) -> str:
+        """Give the table as HTML."""
+        head = "".join(f'<th scope="col">{html.escape(cell)}</th>' for cell in self.head)
+        body = "".join(
+            f'<tr><th scope="row">{html.escape(row[0])}</th>'
+            + "".join(f"<td>{html.escape(cell)}</td>" for cell in row[1:])
+            + "</tr>"
+            for row in self.rows
+        )
+        return (
+            f'<div class="table"><table><caption>{html.escape(self.caption)}</caption>'
+            f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+        )
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph.
+
+    Parameters
+    ----------
+    words : str
+        Plain text.
+    """
+
+    words: str
+
+    def html(self) -> str:
+        """Give the paragraph as HTML."""
+        return f"<p>{html.escape(self.words)}</p>"
+
+
+@dataclass(frozen=True)
+class Listing:
+    """Something long that is folded away: a recipe, a list of faults.
+
+    Parameters
+    ----------
+    title : str
+        What one clicks on.
+    words : str
+        Plain text, shown as it is.
+    """
+
+    title: str
+    words: str
+
+    def html(self) -> str:
+        """Give the listing as HTML."""
+        title, words = html.escape(self.title), html.escape(self.words)
+        return f"<details><summary>{title}</summary><pre>{words}</pre></details>"
+
+
+@dataclass(frozen=True)
+class Markup:
+    """HTML made by this package itself.
+
+    Parameters
+    ----------
+    markup : str
+        HTML.
+    """
+
+    markup: str
+
+    def html(self) -> str:
+        """Give it back."""
+        return self.markup
+
+
+@dataclass
+class Section:
+    """A part of the page.
+
+    Parameters
+    ----------
+    title : str
+        Heading.
+    items : list
+        Pictures, tables, texts, in order.
+    """
+
+    title: str
+    items: list[Picture | Table | Text | Listing | Markup] = field(default_factory=list)
+
+    @property
+    def anchor(self) -> str:
+        """Name for links inside the page."""
+        return "".join(c if c.isalnum() else "-" for c in self.title.lower())
+
+    def html(self) -> str:
+        """Give the section as HTML."""
+        return (
+            f'<section id="{self.anchor}"><h2>{html.escape(self.title)}</h2>'
+            + "\n".join(item.html() for item in self.items)
+            + "</section>"
+        )
+
+
+def render(title: str, subtitle: str, sections: Sequence[Section], player: Mapping[str, str]) -> str:
+    """Put the page together.
+
+    Parameters
+    ----------
+    title, subtitle : str
+        At its head.
+    sections : sequence of Section
+        Its parts; empty ones are left out.
+    player : mapping of str to str
+        Data of the moving pictures (`player.pack`); empty without them.
+
+    Returns
+    -------
+    str
+        HTML, complete in itself.
+    """
+    assets = files("wavefield.report").joinpath("assets")
+    shown = [section for section in sections if section.items]
+    return Template(assets.joinpath("page.html").read_text(encoding="utf-8")).substitute(
+        title=html.escape(title),
+        subtitle=html.escape(subtitle),
+        style=assets.joinpath("page.css").read_text(encoding="utf-8"),
+        script=assets.joinpath("player.js").read_text(encoding="utf-8") if player else "",
+        data="".join(
+            f'<script type="application/octet-stream" id="{name}">{value}</script>'
+            for name, value in player.items()
+        ),
+        contents="".join(f'<li><a href="#{s.anchor}">{html.escape(s.title)}</a></li>' for s in shown),
+        body="\n".join(section.html() for section in shown),
+        version=html.escape(__version__),
+    )

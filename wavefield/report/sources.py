@@ -1,0 +1,125 @@
+"""What a report is made from: the cube, and whatever else lies beside it."""
+
+import json
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from wavefield.grid import Grid
+from wavefield.rig import Rig
+from wavefield.series import Experiment
+
+_MOST_VALUES = 8_000_000  # per variable, for distributions: a few seconds and 64 MB
+
+
+@dataclass
+class Sources:
+    """Everything that a report may show; what is not there is None, with the reason among the notes.
+
+    Parameters
+    ----------
+    cube : Dataset, (time, y, x)
+        The cube, lazy.
+    waves : DataTree, optional
+        The wave store.
+    rig : Rig, optional
+        The cameras of the run.
+    experiment : Experiment, optional
+        The experiment file, if it is still where it was.
+    truth : Dataset, optional
+        The exact fields of a simulated experiment, on the steps and nodes of the cube.
+    notes : list of str
+        What is missing, and why.
+    """
+
+    cube: xr.Dataset
+    waves: xr.DataTree | None = None
+    rig: Rig | None = None
+    experiment: Experiment | None = None
+    truth: xr.Dataset | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def recipe(self) -> dict[str, Any]:
+        """The recipe of the cube; empty if it has none."""
+        text = self.cube.attrs.get("recipe", "")
+        try:
+            return dict(json.loads(text)) if isinstance(text, str) else dict(text)
+        except (ValueError, TypeError):
+            return {}
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of the cube."""
+        x, y = self.cube.x.values, self.cube.y.values
+        return Grid((x[0], x[-1]), (y[0], y[-1]), float(np.mean(np.diff(x))))
+
+    def group(self, name: str) -> xr.Dataset | None:
+        """Give one group of the wave store.
+
+        Parameters
+        ----------
+        name : str
+            Such as "spectra".
+
+        Returns
+        -------
+        Dataset or None
+            None if there is no wave store or it has no such group.
+        """
+        if self.waves is None or name not in self.waves.children:
+            return None
+        return self.waves[name].to_dataset()
+
+    def thinned(self, *names: str) -> xr.Dataset:
+        """Load variables of the cube, thinned in time if they are large.
+
+        Parameters
+        ----------
+        *names : str
+            Variables.
+
+        Returns
+        -------
+        Dataset
+        """
+        size = self.cube.sizes["time"] * self.cube.sizes["y"] * self.cube.sizes["x"]
+        return self.cube[list(names)].isel(time=slice(None, None, -(-size // _MOST_VALUES))).load()
+
+    def snapshot(self) -> xr.Dataset:
+        """Pick the step nearest the middle of the record with the most measured nodes.
+
+        Returns
+        -------
+        Dataset, (y, x)
+        """
+        count = self.cube.sizes["time"]
+        near = slice(max(0, count // 2 - 10), count // 2 + 11)
+        shares = np.isfinite(self.cube.w.isel(time=near)).mean(("y", "x")).values
+        distance = np.abs(np.arange(shares.size) - shares.size // 2)
+        best = int(np.argmax(np.round(shares, 2) - 1e-4 * distance))
+        return self.cube.isel(time=near).isel(time=best).load()
+
+
+def pixel_size(rig: Rig, grid: Grid) -> float:
+    """Size of a pixel on the water: of the camera that resolves least, in the middle of the grid.
+
+    Parameters
+    ----------
+    rig : Rig
+        The cameras.
+    grid : Grid
+        The nodes.
+
+    Returns
+    -------
+    float
+        Geometric mean over the two directions, m (the paper's rig: 1.8 mm).
+    """
+    x, y = float(np.mean(grid.x)), float(np.mean(grid.y))
+    return max(
+        float(1.0 / np.sqrt(abs(np.linalg.det(camera.jacobian(x, y, 0.0)[:, :2]))))
+        for camera in rig.cameras.values()
+    )

@@ -1,0 +1,46 @@
+"""From stores to the report's file."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from wavefield.report.page import render
+from wavefield.report.player import pack
+from wavefield.report.sections import SECTIONS
+from wavefield.report.sources import Sources
+
+
+def write_report(
+    sources: Sources, output: str | Path, progress: Callable[[int, int], None] | None = None
+) -> Path:
+    """Write the report as one HTML file.
+
+    Parameters
+    ----------
+    sources : Sources
+        The cube and what lies beside it.
+    output : path
+        File to write.
+    progress : callable, optional
+        Told (parts done, all parts).
+
+    Returns
+    -------
+    Path
+        The file.
+    """
+    sections = []
+    for i, build in enumerate(SECTIONS):
+        if progress:
+            progress(i, len(SECTIONS))
+        sections.append(build(sources))
+    cube = sources.cube
+    name = str(cube.attrs.get("experiment", "")) or "unnamed experiment"
+    subtitle = f"{cube.sizes['time']} steps of z, u, v, w on {cube.sizes['x']} x {cube.sizes['y']} nodes"
+    output = Path(output)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    output.write_text(
+        render(f"{name}: water surface and velocity", subtitle, sections, pack(cube)), encoding="utf-8"
+    )
+    if progress:
+        progress(len(SECTIONS), len(SECTIONS))
+    return output
