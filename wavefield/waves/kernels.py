@@ -8,9 +8,11 @@ import numba
 import numpy as np
 
 _fast = numba.njit(nogil=True, cache=True)
+# sums may be taken in any order, always the same one for the same shape
+_loose = numba.njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "nsz"})
 
 
-@_fast
+@_loose
 def join(first, second, window, out):
     """Put two halves of a segment together, take off mean and trend in time, and window.
 
@@ -19,7 +21,7 @@ def join(first, second, window, out):
     first, second : ndarray, complex, (cells, n / 2)
         The halves.
     window : ndarray, (n,)
-        Window in time.
+        Window in time, in the precision of the halves.
     out : ndarray, complex, (cells, n)
         Receives the result.
     """
@@ -27,18 +29,41 @@ def join(first, second, window, out):
     n = 2 * half
     middle = (n - 1) / 2
     norm = n * (n * n - 1) / 12  # sum of (i - middle)^2
+    real = window.dtype.type
     for c in range(cells):
-        total = 0j
-        moment = 0j
+        a = first[c]
+        b = second[c]
+        o = out[c]
+        # sums in double precision, real and imaginary parts apart: this way they vectorise
+        sum_r = 0.0
+        sum_i = 0.0
+        moment_r = 0.0
+        moment_i = 0.0
         for i in range(half):
-            total += first[c, i] + second[c, i]
-            moment += (i - middle) * first[c, i] + (i + half - middle) * second[c, i]
-        mean = total / n
-        slope = moment / norm
+            p = i - middle
+            q = p + half
+            ar = np.float64(a[i].real)
+            ai = np.float64(a[i].imag)
+            br = np.float64(b[i].real)
+            bi = np.float64(b[i].imag)
+            sum_r += ar + br
+            sum_i += ai + bi
+            moment_r += p * ar + q * br
+            moment_i += p * ai + q * bi
+        slope_r = real(moment_r / norm)
+        slope_i = real(moment_i / norm)
+        first_r = real(sum_r / n - middle * moment_r / norm)
+        first_i = real(sum_i / n - middle * moment_i / norm)
         for i in range(half):
-            out[c, i] = (first[c, i] - mean - slope * (i - middle)) * window[i]
-            j = i + half
-            out[c, j] = (second[c, i] - mean - slope * (j - middle)) * window[j]
+            t = real(i)
+            w = window[i]
+            o[i] = complex((a[i].real - first_r - slope_r * t) * w, (a[i].imag - first_i - slope_i * t) * w)
+        for i in range(half):
+            t = real(i + half)
+            w = window[i + half]
+            o[i + half] = complex(
+                (b[i].real - first_r - slope_r * t) * w, (b[i].imag - first_i - slope_i * t) * w
+            )
 
 
 @_fast

@@ -217,7 +217,7 @@ def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE) -> Record:
     )
 
     known = np.ones(steps, bool)
-    if "frame_status" in cube:
+    if isinstance(cube, xr.Dataset) and "frame_status" in cube:
         known = np.isin(cube["frame_status"].values, (FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS))
 
     def unpack(mask: np.ndarray | None, a: int, b: int) -> np.ndarray:

@@ -96,8 +96,8 @@ def rings(ny: int, nx: int, dy: float, dx: float, dk: float | None = None) -> Ri
     kx = (wavenumbers(nx, dx)[:, None] + part * cell_x).ravel()
     index = (np.hypot(ky[:, None], kx) / dk).astype(np.int64)
     count = int(index.max()) + 1
-    cell = np.arange(ny * nx).reshape(ny, 1, nx, 1)
-    cell = np.broadcast_to(cell, (ny, SUPERSAMPLING, nx, SUPERSAMPLING)).ravel()
+    parts = (ny, SUPERSAMPLING, nx, SUPERSAMPLING)
+    cell = np.broadcast_to(np.arange(ny * nx).reshape(ny, 1, nx, 1), parts).ravel()
     value = np.full(cell.size, 1.0 / SUPERSAMPLING**2)
     shares = sparse.coo_array((value, (cell, index.ravel())), shape=(ny * nx, count)).tocsr()
 

@@ -4,6 +4,7 @@ Half segments and segments are fixed by the record alone, and the sums run in th
 on how the data are chunked.
 """
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -121,7 +122,7 @@ def half_segments(
     for run in record.runs:
         count = (run[1] - run[0]) // half
         ends = [run[0] + i * half for i in range(count + 1)]
-        runs.append([lay(a, b, run) for a, b in zip(ends[:-1], ends[1:])])
+        runs.append([lay(a, b, run) for a, b in itertools.pairwise(ends)])
         if ends[-1] < run[1]:
             rests.append(lay(ends[-1], run[1], run))
     return runs, rests
