@@ -29,5 +29,9 @@ class StoreError(WavefieldError):
     """A cube or wave store cannot be written, resumed or read."""
 
 
+class RunStopped(WavefieldError):
+    """A run was stopped before its end; nothing is lost and the same command goes on."""
+
+
 class CubeError(WavefieldError):
     """A cube does not hold what an analysis needs."""

@@ -1,5 +1,6 @@
 """The experiment file: one YAML file that describes an experiment as a lab note would."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -9,6 +10,9 @@ from pydantic import Field, PrivateAttr, field_validator, model_validator
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.rig import Rig
+from wavefield.rig.field import common_field
+from wavefield.rig.formats import load_rig
+from wavefield.rig.level import with_water_level
 from wavefield.series.document import Section, load_section, read_yaml
 from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import make_series, number_frames, place_by_time, read_time_stamps
@@ -71,6 +75,7 @@ class WaterSection(Section):
     """The water."""
 
     depth: float | None = Field(None, gt=0, examples=["0.70"], description="m")
+    level: float = Field(0.0, description="height of the water at rest above z = 0 of the rig file, m")
     density: float | None = Field(None, gt=0, examples=["1000"], description="kg m-3")
     surface_tension: float | None = Field(None, ge=0, examples=["0.073"], description="N m-1")
 
@@ -109,7 +114,9 @@ class Experiment(Section):
     cameras: dict[str, CameraSection] = Field(min_length=1, examples=['{cam1: {images: "cam1/*.tif"}}'])
     frames: FramesSection = FramesSection()
     calibration: CalibrationSection | None = None
-    rig: str | None = Field(None, examples=["rig.yaml"])
+    rig: str | dict[str, str] | None = Field(
+        None, examples=["rig.yaml"], description="this program's or another's; or one file per camera"
+    )
     surface: SurfaceSection | None = None
     velocity: VelocitySection | None = None
     grid: GridSection | Literal["auto"] = Field("auto", examples=["{x: [-1.0, 1.0], y: [-0.75, 0.75], step: 0.01}"])
@@ -195,13 +202,13 @@ class Experiment(Section):
         Parameters
         ----------
         name : path
-            As in the file.
+            As in the file; ``{folder}`` stands for the folder of the images.
 
         Returns
         -------
         Path
         """
-        return self._path.parent / name
+        return self._path.parent / str(name).replace("{folder}", str(self.image_folder))
 
     # -- what follows from it ------------------------------------------------------------------------
 
@@ -262,33 +269,74 @@ class Experiment(Section):
         """
         return (series.first + np.arange(len(series))) / self.frame_rate
 
-    def load_rig(self, path: str | Path | None = None) -> Rig:
-        """Load the rig: of this program, or one that `wavefield.rig` can import.
+    def load_rig(self, path: str | Path | None = None, series: Mapping[str, FrameSeries] | None = None) -> Rig:
+        """Load the rig, in any format that `wavefield.rig.formats` knows.
 
         Parameters
         ----------
         path : path, optional
             In place of the one that the experiment names.
+        series : mapping of str to FrameSeries, optional
+            The frames: some programs do not store the size of their images.
 
         Returns
         -------
         Rig
+            With z = 0 on the water at rest.
 
         Raises
         ------
         RigError
-            If there is none, or cameras of the experiment are not in it.
+            If there is none, or cameras of the experiment are not in it, or its images have other sizes.
         """
         if path is None and self.rig is None:
             raise RigError(
                 f"{self.path} names no rig; run `wavefield calibrate {self.path.name}` and add `rig: rig.yaml`"
             )
-        where = Path(path) if path is not None else self.resolve(str(self.rig))
-        rig = Rig.load(where)
-        absent = [name for name in self.cameras if name not in rig.cameras]
+        where: Path | dict[str, Path]
+        if path is not None:
+            where = Path(path)
+        elif isinstance(self.rig, dict):
+            where = {name: self.resolve(file) for name, file in self.rig.items()}
+        else:
+            where = self.resolve(str(self.rig))
+        sizes = {name: (s.shape[1], s.shape[0]) for name, s in series.items()} if series else None
+        own = isinstance(where, Path) and where.suffix in (".yaml", ".yml") and "%YAML" not in _start(where)
+        rig = load_rig(where, sizes, None if own or isinstance(where, dict) else list(self.cameras))
+        absent = [name for name in self.measuring_cameras if name not in rig.cameras]
         if absent:
             raise RigError(f"{where} has no camera {', '.join(absent)}; it has {', '.join(rig)}")
-        return rig
+        for name, size in (sizes or {}).items():
+            if name in rig.cameras and rig[name].size != size:
+                w, h = rig[name].size
+                raise RigError(
+                    f"{where} was made for images of {name} of {w} x {h} px, but these have {size[0]} x {size[1]}; "
+                    "use the rig of these images"
+                )
+        return with_water_level(rig, self.water.level) if self.water.level else rig
+
+    def choose_grid(self, rig: Rig) -> Grid:
+        """The grid of the file, or the largest that all cameras see.
+
+        Parameters
+        ----------
+        rig : Rig
+            The cameras.
+
+        Returns
+        -------
+        Grid
+
+        Raises
+        ------
+        RigError
+            If the grid is `auto` and the cameras have no common field.
+        """
+        section = self.grid
+        if isinstance(section, GridSection) and section.x is not None and section.y is not None:
+            return Grid(section.x, section.y, section.step)
+        step = section.step if isinstance(section, GridSection) else None
+        return common_field([rig[name] for name in self.measuring_cameras], step)
 
     @property
     def measuring_cameras(self) -> list[str]:
@@ -298,3 +346,11 @@ class Experiment(Section):
         used = {name for pair in (self.surface.pairs if self.surface else ()) for name in pair}
         used |= set(self.velocity.cameras if self.velocity else ())
         return [name for name in self.cameras if name in used]
+
+
+def _start(path: Path) -> str:
+    try:
+        with path.open(errors="replace") as stream:
+            return stream.read(200)
+    except OSError:
+        return ""  # `load_rig` says what is wrong

@@ -1,0 +1,164 @@
+"""Measuring one block of steps: frames in, arrays and faults out.
+
+A block of n steps reads n + 3 frames: both frames of each step, and a neighbour on either side for z at
+mid-time. Blocks do not depend on each other, so they can be measured in any order, anywhere, any time again.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from wavefield.series import Frame, FrameFault
+
+
+class Source(Protocol):
+    """Frames of one camera: a `FrameSeries`, or an array of images."""
+
+    def __len__(self) -> int: ...
+
+    def read(self, index: int) -> Frame:
+        """Read one frame."""
+        ...
+
+    def window(self, start: int, stop: int) -> "Source":
+        """The part that a block needs."""
+        ...
+
+
+@dataclass(frozen=True)
+class Block:
+    """Steps start to stop (not included), and the frames around them.
+
+    Parameters
+    ----------
+    start, stop : int
+        Range of steps.
+    sources : mapping of str to Source
+        Frames start - 1 to stop + 1 of every camera, as far as there are any.
+    first : int
+        Index of the frame that is index 0 of the sources.
+    """
+
+    start: int
+    stop: int
+    sources: Mapping[str, Source] = field(repr=False)
+    first: int
+
+    @property
+    def steps(self) -> int:
+        """Number of steps."""
+        return self.stop - self.start
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Results of a block.
+
+    Parameters
+    ----------
+    fields : dict of str to ndarray, (n, ny, nx)
+        The variables of `wavefield.variables.CUBE_FIELDS`.
+    frame_status : ndarray of uint8, (n,)
+        See `wavefield.variables.FrameStatus`.
+    faults : dict of str to dict of int to FrameFault
+        Bad frames of each camera, by index in the whole series.
+    messages : list of str
+        A sentence about each of them.
+    """
+
+    fields: dict[str, np.ndarray]
+    frame_status: np.ndarray
+    faults: dict[str, dict[int, FrameFault]]
+    messages: list[str]
+
+
+def make_block(sources: Mapping[str, Source], start: int, stop: int) -> Block:
+    """Cut out what a block needs.
+
+    Parameters
+    ----------
+    sources : mapping of str to Source
+        The whole series.
+    start, stop : int
+        Range of steps.
+
+    Returns
+    -------
+    Block
+    """
+    first = max(start - 1, 0)
+    return Block(start, stop, {name: s.window(first, stop + 2) for name, s in sources.items()}, first)
+
+
+class BlockFrames(Sequence[np.ndarray | None]):
+    """The n + 3 frames of one camera, read when asked for; only the last few are kept in memory.
+
+    Parameters
+    ----------
+    source : Source
+        The frames of the block.
+    block : Block
+        Which they are.
+    """
+
+    _KEEP = 5  # a step at mid-time looks at four frames
+
+    def __init__(self, source: Source, block: Block) -> None:
+        self._source, self._block = source, block
+        self._kept: dict[int, np.ndarray | None] = {}
+        self.faults: dict[int, FrameFault] = {}
+        self.messages: dict[int, str] = {}
+
+    def __len__(self) -> int:
+        return self._block.steps + 3
+
+    def __getitem__(self, position: Any) -> Any:
+        if isinstance(position, slice):
+            return [self[i] for i in range(*position.indices(len(self)))]
+        if not -len(self) <= position < len(self):
+            raise IndexError(position)
+        position %= len(self)
+        if position not in self._kept:
+            self._kept[position] = self._read(position)
+            while len(self._kept) > self._KEEP:
+                del self._kept[next(iter(self._kept))]
+        return self._kept[position]
+
+    def _read(self, position: int) -> np.ndarray | None:
+        index = self._block.start - 1 + position
+        inside = index - self._block.first
+        if not 0 <= inside < len(self._source):
+            return None  # before the first or after the last frame: not a fault
+        frame = self._source.read(inside)
+        if frame.fault:
+            self.faults[index] = frame.fault
+            self.messages[index] = frame.message
+        return frame.image
+
+
+def measure_block(block: Block, plan: Any, frame_rate: float) -> Measured:
+    """Measure all steps of a block.
+
+    Parameters
+    ----------
+    block : Block
+        Steps and frames.
+    plan : wavefield.measurement.Plan
+        What was computed once for rig and grid.
+    frame_rate : float
+        Hz.
+
+    Returns
+    -------
+    Measured
+    """
+    from wavefield.measurement import measure
+
+    frames = {name: BlockFrames(source, block) for name, source in block.sources.items()}
+    fields = dict(measure(frames, plan, frame_rate))
+    status = np.asarray(fields.pop("frame_status"), np.uint8)
+    faults = {name: dict(lazy.faults) for name, lazy in frames.items()}
+    messages = [lazy.messages[i] for lazy in frames.values() for i in sorted(lazy.messages)]
+    return Measured(fields, status, faults, messages)

@@ -1,0 +1,251 @@
+"""Where blocks are measured: in this process, in processes of this machine, in Slurm jobs, or on any scheduler."""
+
+import logging
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import Any, TypeVar
+
+import dask
+
+from wavefield.cubes.workflow import Workflow
+from wavefield.errors import ExperimentError, StoreError
+
+log = logging.getLogger("wavefield.run")
+T = TypeVar("T")
+R = TypeVar("R")
+Work = Callable[[T], R]
+
+THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+)
+
+# blocks are independent and a worker may die for reasons of its own, so be patient with both
+_DASK: dict[str, Any] = {
+    "array": {"query-planning": False},
+    "distributed": {
+        "scheduler": {"allowed-failures": 10, "worker-ttl": "120s"},
+        "worker": {"memory": {"target": False, "spill": False, "pause": 0.9, "terminate": 0.95}},
+        "comm": {"timeouts": {"connect": "60s", "tcp": "60s"}},
+        "admin": {"tick": {"limit": "60s"}},
+    },
+}
+
+
+def one_thread() -> None:
+    """Keep OpenCV, numba and BLAS of this process to one thread: the workers are the parallelism."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    for name in THREAD_VARIABLES:
+        os.environ[name] = "1"
+    try:
+        import numba
+
+        numba.set_num_threads(1)
+    except (ImportError, ValueError):
+        pass
+
+
+def count_workers(workflow: Workflow) -> int:
+    """Number of workers that a workflow asks for.
+
+    Parameters
+    ----------
+    workflow : Workflow
+        The workflow.
+
+    Returns
+    -------
+    int
+    """
+    if workflow.cluster == "none":
+        return 1
+    if workflow.workers == "auto":
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return workflow.workers
+
+
+@contextmanager
+def open_cluster(workflow: Workflow) -> Iterator[Callable[[Work, Sequence[Any]], Iterator[Any]]]:
+    """Start (or find) workers and give a function that maps work over items.
+
+    Parameters
+    ----------
+    workflow : Workflow
+        Where to work.
+
+    Yields
+    ------
+    map_unordered : callable
+        ``map_unordered(work, items)`` iterates over (item, result or exception) as they are done.
+
+    Raises
+    ------
+    ExperimentError
+        If the cluster cannot be started or the scheduler not be reached.
+    """
+    if workflow.cluster == "none" or (workflow.cluster == "local" and count_workers(workflow) == 1):
+        yield _map_here
+        return
+    with ExitStack() as stack:
+        configuration = dask.config.merge(_DASK, workflow.dask)
+        stack.enter_context(_configured(configuration))
+        client = _connect(workflow, stack)
+        client.register_plugin(_make_plugin())
+        if client.dashboard_link and workflow.dashboard:
+            log.info("dashboard: %s", client.dashboard_link)
+        if workflow.performance_report:
+            from distributed import performance_report
+
+            stack.enter_context(performance_report(filename=workflow.performance_report))
+        yield lambda work, items: _map_on(client, work, items)
+
+
+@contextmanager
+def _configured(configuration: dict[str, Any]) -> Iterator[None]:
+    # dask.config.set would replace whole sections
+    before = dask.config.config.copy()
+    merged = dask.config.merge(dask.config.config, configuration)
+    with dask.config.lock:
+        dask.config.config.clear()
+        dask.config.config.update(merged)
+    try:
+        yield
+    finally:
+        with dask.config.lock:
+            dask.config.config.clear()
+            dask.config.config.update(before)
+
+
+def _connect(workflow: Workflow, stack: ExitStack) -> Any:
+    from distributed import Client, LocalCluster
+
+    if workflow.cluster == "address":
+        try:
+            return stack.enter_context(Client(workflow.address, timeout="20s", set_as_default=False))
+        except OSError as error:
+            raise ExperimentError(
+                f"no scheduler answers at {workflow.address} ({error}); start one with `dask scheduler`, or correct "
+                "`address` in the workflow"
+            ) from None
+    if workflow.cluster == "slurm":
+        cluster = stack.enter_context(slurm_cluster(workflow))
+        cluster.scale(jobs=count_jobs(workflow))
+        log.info("asked Slurm for %d jobs; the run begins when the first starts", count_jobs(workflow))
+    else:
+        cluster = stack.enter_context(
+            LocalCluster(
+                n_workers=count_workers(workflow),
+                threads_per_worker=1,
+                processes=True,
+                memory_limit=workflow.memory_bytes or "auto",
+                dashboard_address=workflow.dashboard,
+                silence_logs=logging.ERROR,
+            )
+        )
+    return stack.enter_context(Client(cluster, timeout="60s", set_as_default=False))
+
+
+def slurm_cluster(workflow: Workflow) -> Any:
+    """A `dask_jobqueue.SLURMCluster` that has not asked for jobs yet; its ``job_script()`` can be looked at.
+
+    Parameters
+    ----------
+    workflow : Workflow
+        With ``cluster: slurm``.
+
+    Returns
+    -------
+    dask_jobqueue.SLURMCluster
+
+    Raises
+    ------
+    ExperimentError
+        If dask-jobqueue is not installed, or a keyword is unknown to it.
+    """
+    try:
+        from dask_jobqueue import SLURMCluster
+    except ImportError:
+        raise ExperimentError("cluster: slurm needs dask-jobqueue; `pip install wavefield[slurm]`") from None
+    keywords: dict[str, Any] = {"cores": 1, "processes": workflow.slurm.get("cores", 1), "name": "wavefield"}
+    keywords["memory"] = workflow.memory or "2 GB"
+    if "cores" in workflow.slurm and workflow.memory_bytes:
+        keywords["memory"] = f"{workflow.memory_bytes * int(workflow.slurm['cores']) // 1_000_000} MB"
+    prologue = [f"export {name}=1" for name in THREAD_VARIABLES]
+    keywords |= workflow.slurm
+    keywords["job_script_prologue"] = prologue + list(workflow.slurm.get("job_script_prologue", []))
+    keywords.setdefault("scheduler_options", {"dashboard_address": workflow.dashboard})
+    try:
+        return SLURMCluster(**keywords)
+    except (TypeError, ValueError) as error:
+        raise ExperimentError(f"the `slurm` block of the workflow: {error}") from None
+
+
+def count_jobs(workflow: Workflow) -> int:
+    """Number of Slurm jobs that give the workers asked for.
+
+    Parameters
+    ----------
+    workflow : Workflow
+        With ``cluster: slurm``.
+
+    Returns
+    -------
+    int
+    """
+    processes = int(workflow.slurm.get("processes", workflow.slurm.get("cores", 1)))
+    return 1 if workflow.workers == "auto" else -(-workflow.workers // processes)
+
+
+def _make_plugin() -> Any:
+    from distributed import WorkerPlugin
+
+    class OneThread(WorkerPlugin):
+        """Sets threads, and leaves Ctrl-C to the run itself."""
+
+        name = "wavefield-one-thread"
+
+        def setup(self, worker: Any) -> None:
+            one_thread()
+            if threading.current_thread() is threading.main_thread():
+                signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    return OneThread()
+
+
+def _map_here(work: Work, items: Sequence[Any]) -> Iterator[Any]:
+    one_thread()
+    for item in items:
+        try:
+            result: Any = work(item)
+        except Exception as error:
+            result = error
+        yield item, result
+
+
+def _map_on(client: Any, work: Work, items: Sequence[Any]) -> Iterator[Any]:
+    from distributed import as_completed
+
+    futures = {client.submit(work, item, pure=False, key=f"block-{k}-{id(items)}"): item for k, item in enumerate(items)}
+    try:
+        for future in as_completed(futures):
+            if future.status == "finished":
+                result: Any = future.result()
+            elif future.status == "error":
+                result = future.exception()
+            else:  # cancelled or lost: the scheduler is gone
+                raise StoreError(
+                    "the scheduler was lost; what is done is kept: run the same command again to go on"
+                )
+            item = futures.pop(future)
+            yield item, result
+    finally:
+        if futures and client.status == "running":
+            client.cancel(list(futures), force=True)

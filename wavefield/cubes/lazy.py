@@ -1,0 +1,210 @@
+"""The lazy cube: `reconstruct` maps the measurement over blocks of steps, one Dask task each."""
+
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from operator import getitem
+from typing import Any
+
+import dask
+import dask.array as da
+import numpy as np
+import xarray as xr
+from dask.delayed import Delayed
+from dask.highlevelgraph import HighLevelGraph
+
+from wavefield.cubes.block import Block, make_block, measure_block
+from wavefield.errors import ExperimentError, RigError
+from wavefield.grid import Grid
+from wavefield.rig import Rig
+from wavefield.series import Frame, FrameFault
+from wavefield.series.frames import judge_content
+from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, annotate
+
+# One task measures a block and one more per variable hands it on: with fewer steps per block the graph of a
+# long series would grow beyond one task for five steps.
+STEPS_PER_TASK = 72
+
+
+@dataclass(frozen=True)
+class ArraySource:
+    """Images of one camera in an xarray variable, lazy or not.
+
+    Parameters
+    ----------
+    camera : str
+        Its name.
+    variable : xarray.Variable
+        (time, row, column).
+    """
+
+    camera: str
+    variable: xr.Variable
+
+    def __len__(self) -> int:
+        return int(self.variable.shape[0])
+
+    def read(self, index: int) -> Frame:
+        """Read one frame; an image without contrast counts as bad.
+
+        Parameters
+        ----------
+        index : int
+            Index along time.
+
+        Returns
+        -------
+        Frame
+        """
+        image = np.asarray(self.variable[index].values)
+        place = f"{self.camera} frame {index}"
+        if image.ndim != 2:
+            return Frame(None, FrameFault.WRONG_SIZE, f"{place} has {image.ndim} dimensions")
+        return judge_content(image, place)
+
+    def window(self, start: int, stop: int) -> "ArraySource":
+        """The part that a block needs.
+
+        Parameters
+        ----------
+        start, stop : int
+            Indices; parts outside are left out.
+
+        Returns
+        -------
+        ArraySource
+        """
+        return replace(self, variable=self.variable[max(start, 0) : stop])
+
+
+def reconstruct(
+    frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray],
+    rig: Rig,
+    grid: Grid,
+    settings: Any = None,
+    *,
+    steps_per_task: int = STEPS_PER_TASK,
+) -> xr.Dataset:
+    """Turn image series into a lazy cube of elevation and velocity.
+
+    Nothing is read or computed before values are asked for. To look at a few steps only, select their frames
+    first: ``reconstruct(frames.isel(time=slice(0, 4)), ...)``; to process a whole experiment into a store that
+    survives interruptions, use `wavefield.cubes.run`.
+
+    Parameters
+    ----------
+    frames : DataTree, Dataset or mapping of str to DataArray
+        Images (time, row, column) per camera: a tree with one node per camera and ``image`` in it, as
+        ``xr.open_datatree("experiment.yaml", engine="wavefield")`` gives, or arrays by name of camera. All have
+        the same times, evenly spaced.
+    rig : Rig
+        The cameras.
+    grid : Grid
+        Nodes wanted, metres.
+    settings : wavefield.measurement.Settings, optional
+        Choices of the measurement.
+    steps_per_task : int
+        Steps that one task measures; it does not change the values.
+
+    Returns
+    -------
+    Dataset
+        Every variable of the cube on (time, y, x), Dask arrays; time at mid-step, seconds.
+
+    Raises
+    ------
+    ExperimentError
+        If cameras are missing, or times are not evenly spaced.
+    """
+    from wavefield.measurement import Plan, Settings
+
+    settings = Settings() if settings is None else settings
+    arrays, attributes = _arrays(frames)
+    plan = Plan(rig, grid, settings)
+    absent = [name for name in plan.cameras if name not in arrays]
+    if absent:
+        raise ExperimentError(f"the frames have no camera {', '.join(absent)}; there are {', '.join(arrays)}")
+    arrays = {name: arrays[name] for name in plan.cameras}
+    times, frame_rate = _times(arrays, attributes)
+    _check_sizes(arrays, rig)
+
+    sources = {name: ArraySource(name, array.variable) for name, array in arrays.items()}
+    steps = len(times) - 1
+    edges = [(i, min(i + steps_per_task, steps)) for i in range(0, steps, steps_per_task)]
+    token = uuid.uuid4().hex
+    measure = dask.delayed(_measure, pure=False, traverse=True)
+    tasks = [
+        measure(make_block(sources, *edge), plan, frame_rate, dask_key_name=f"measure-{token}-{k}")
+        for k, edge in enumerate(edges)
+    ]
+    variables = {
+        name: (TABLE[name].dims, _assemble(name, tasks, token, edges, grid.shape))
+        for name in (*CUBE_FIELDS, "frame_status")
+    }
+    mid = 0.5 * (times[:-1] + times[1:])
+    out = xr.Dataset(variables, coords={"time": mid, "y": grid.y_nodes, "x": grid.x_nodes})
+    out.attrs = {"frame_rate": frame_rate} | {
+        name: attributes[name] for name in ("experiment", "water_depth") if name in attributes
+    }
+    return annotate(out)
+
+
+def _measure(block: Block, plan: Any, frame_rate: float) -> dict[str, np.ndarray]:
+    measured = measure_block(block, plan, frame_rate)
+    return {**measured.fields, "frame_status": measured.frame_status}
+
+
+def _assemble(
+    name: str, tasks: Sequence[Delayed], token: str, edges: Sequence[tuple[int, int]], shape: tuple[int, int]
+) -> da.Array:
+    """One variable as a Dask array over the tasks that measure the blocks."""
+    row = TABLE[name]
+    cube = row.dims == CUBE_DIMS
+    key = f"{name}-{token}"
+    layer = {(key, k, *((0, 0) if cube else ())): (getitem, task.key, name) for k, task in enumerate(tasks)}
+    graph = HighLevelGraph.from_collections(key, layer, dependencies=tasks)
+    sizes = tuple(stop - start for start, stop in edges)
+    chunks = (sizes, (shape[0],), (shape[1],)) if cube else (sizes,)
+    return da.Array(graph, key, chunks=chunks, dtype=row.dtype)
+
+
+def _arrays(
+    frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray],
+) -> tuple[dict[str, xr.DataArray], dict[str, Any]]:
+    """Images by camera, and the attributes of the whole."""
+    if isinstance(frames, xr.DataTree):
+        found = {name: node["image"] for name, node in frames.children.items() if "image" in node}
+        return found, dict(frames.attrs)
+    if isinstance(frames, xr.Dataset):
+        return {str(n): a for n, a in frames.data_vars.items() if a.ndim == 3}, dict(frames.attrs)
+    return dict(frames), {}
+
+
+def _times(arrays: Mapping[str, xr.DataArray], attributes: Mapping[str, Any]) -> tuple[np.ndarray, float]:
+    """Times of the frames, and the frame rate."""
+    name, first = next(iter(arrays.items()))
+    for other, array in arrays.items():
+        if array.dims[0] != "time" or array.ndim != 3:
+            raise ExperimentError(f"images of {other} have dimensions {array.dims}; needed: time, row, column")
+        if "time" not in array.coords or not np.array_equal(array["time"], first["time"]):
+            raise ExperimentError(f"{other} and {name} need the same `time` coordinate, in seconds")
+    times = np.asarray(first["time"].values, float)
+    if times.size < 2:
+        raise ExperimentError(f"there are {times.size} frames; a step needs two")
+    intervals = np.diff(times)
+    frame_rate = float(attributes.get("frame_rate") or round(1.0 / np.median(intervals), 9))
+    if np.abs(intervals * frame_rate - 1.0).max() > 1e-3:
+        raise ExperimentError(
+            f"the times of the frames are not evenly spaced at {frame_rate:g} Hz; select them without a stride"
+        )
+    return times, frame_rate
+
+
+def _check_sizes(arrays: Mapping[str, xr.DataArray], rig: Rig) -> None:
+    for name, array in arrays.items():
+        w, h = rig[name].size
+        if array.shape[1:] != (h, w):
+            raise RigError(
+                f"the rig was made for images of {name} of {w} x {h} px, but these have "
+                f"{array.shape[2]} x {array.shape[1]}"
+            )

@@ -1,0 +1,168 @@
+"""How far a run is, and which frames failed and why."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wavefield.cubes import store as stores
+from wavefield.series import FrameFault
+from wavefield.variables import FrameStatus
+
+_WORDS = {
+    FrameFault.MISSING: "missing",
+    FrameFault.UNREADABLE: "corrupt or truncated",
+    FrameFault.WRONG_SIZE: "of another size or type",
+    FrameFault.BLANK: "blank",
+}
+
+
+@dataclass(frozen=True)
+class BadFrames:
+    """Frames of one camera that share a fault.
+
+    Parameters
+    ----------
+    camera : str
+        The camera.
+    fault : FrameFault
+        What is wrong.
+    numbers : tuple of int
+        Frame numbers.
+    """
+
+    camera: str
+    fault: FrameFault
+    numbers: tuple[int, ...]
+
+    def __str__(self) -> str:
+        return f"{self.camera}: {_WORDS[self.fault]}: frame {spell_ranges(self.numbers)}"
+
+
+@dataclass(frozen=True)
+class Status:
+    """State of a store.
+
+    Parameters
+    ----------
+    store : path
+        The store.
+    experiment : str
+        Name of the experiment.
+    recipe_hash : str
+        Of the recipe it is made with.
+    steps : int
+        Steps of the whole run.
+    done, faulty, failed : int
+        Steps measured without fault, with bad frames around them, not measurable.
+    failed_steps : tuple of int
+        Numbers of the frames that failed steps begin with.
+    bad_frames : tuple of BadFrames
+        Frames that were bad.
+    """
+
+    store: Path
+    experiment: str
+    recipe_hash: str
+    steps: int
+    done: int
+    faulty: int
+    failed: int
+    failed_steps: tuple[int, ...]
+    bad_frames: tuple[BadFrames, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every step was tried."""
+        return self.left == 0
+
+    @property
+    def left(self) -> int:
+        """Steps not started."""
+        return self.steps - self.done - self.faulty - self.failed
+
+    def __str__(self) -> str:
+        tried = self.steps - self.left
+        lines = [
+            f"{self.store}: {self.experiment}, recipe {self.recipe_hash}",
+            f"  {tried} of {self.steps} steps ({100 * tried // self.steps} %)"
+            + ("" if self.complete else "; run the same command again to go on"),
+        ]
+        if self.faulty:
+            lines.append(f"  {self.faulty} steps measured with bad frames around them")
+        if self.failed:
+            lines.append(f"  {self.failed} steps failed, from frame {spell_ranges(self.failed_steps)}")
+        lines += [f"  {bad}" for bad in self.bad_frames]
+        if self.bad_frames:
+            lines.append("  copy bad frames again and run the same command: their steps are measured again")
+        return "\n".join(lines)
+
+
+def status(store: str | Path) -> Status:
+    """Read the ledger of a store.
+
+    Parameters
+    ----------
+    store : path
+        Written by `run`, finished or not.
+
+    Returns
+    -------
+    Status
+
+    Raises
+    ------
+    StoreError
+        If it is not there or is not a cube.
+    """
+    path = Path(store)
+    group = stores.open_group(path)
+    layout = stores.read_layout(group)
+    ledger = np.asarray(group["frame_status"][:])  # type: ignore[index]
+    faults = np.asarray(group["frame_fault"][:])  # type: ignore[index]
+    bad = []
+    for camera, codes in zip(layout.cameras, faults):
+        for code in np.unique(codes[codes > 0]):
+            numbers = layout.first_frame + np.flatnonzero(codes == code)
+            bad.append(BadFrames(camera, FrameFault(int(code)), tuple(int(n) for n in numbers)))
+    failed = np.flatnonzero(ledger == FrameStatus.FAILED)
+    return Status(
+        store=path,
+        experiment=str(group.attrs["experiment"]),
+        recipe_hash=str(group.attrs["recipe_hash"]),
+        steps=layout.steps,
+        done=int(np.count_nonzero(ledger == FrameStatus.DONE)),
+        faulty=int(np.count_nonzero(ledger == FrameStatus.DONE_WITH_FAULTS)),
+        failed=failed.size,
+        failed_steps=tuple(int(n) for n in layout.first_frame + failed),
+        bad_frames=tuple(bad),
+    )
+
+
+def spell_ranges(numbers: tuple[int, ...], most: int = 8) -> str:
+    """Spell numbers as ranges.
+
+    Parameters
+    ----------
+    numbers : tuple of int
+        In order.
+    most : int
+        Ranges to spell out.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> spell_ranges((1, 2, 3, 7))
+    '1-3, 7'
+    """
+    ranges: list[list[int]] = []
+    for number in numbers:
+        if ranges and number == ranges[-1][1] + 1:
+            ranges[-1][1] = number
+        else:
+            ranges.append([number, number])
+    words = [str(a) if a == b else f"{a}-{b}" for a, b in ranges[:most]]
+    return ", ".join(words) + (f" and {len(ranges) - most} more ranges" if len(ranges) > most else "")

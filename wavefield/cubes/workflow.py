@@ -1,0 +1,96 @@
+"""How to process: where the work is done, and what differs from the experiment's own settings."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+from dask.utils import format_bytes, parse_bytes, parse_timedelta
+from pydantic import Field, field_validator, model_validator
+
+from wavefield.series.document import Section, load_section
+
+
+class Workflow(Section):
+    """A workflow file: cluster, resources, recipe.
+
+    Examples
+    --------
+    >>> Workflow(cluster="local", workers=2, memory="2 GB").memory_bytes
+    2000000000
+    """
+
+    cluster: Literal["none", "local", "slurm", "address"] = Field(
+        "local",
+        examples=["local"],
+        description="none: in this process; local: processes of this machine; slurm: jobs; address: a scheduler",
+    )
+    workers: int | Literal["auto"] = Field("auto", examples=["4"], description="worker processes; auto: one per core")
+    memory: str | None = Field(None, examples=["2 GB"], description="limit per worker")
+    address: str | None = Field(None, examples=["tcp://host:8786"], description="of a running scheduler")
+    slurm: dict[str, Any] = Field(
+        default_factory=dict, examples=["{queue: cpu, walltime: '04:00:00'}"], description="keywords of SLURMCluster"
+    )
+    dask: dict[str, Any] = Field(default_factory=dict, description="Dask configuration that differs")
+    dashboard: str | None = Field(":0", examples=['":8787"'], description="its address; null: none")
+    performance_report: str | None = Field(None, examples=["report.html"], description="write Dask's report")
+    time_limit: str | None = Field(None, examples=["11h 50m"], description="stop cleanly after this time")
+    steps_per_block: int | None = Field(None, ge=1, examples=["64"], description="steps per task and shard")
+    packing: Literal["float32", "int16"] = Field("float32", description="how values are stored")
+    settings: dict[str, Any] = Field(default_factory=dict, description="measurement settings that differ")
+
+    @field_validator("workers")
+    @classmethod
+    def _some(cls, value: Any) -> Any:
+        if value != "auto" and value < 1:
+            raise ValueError("workers must be 1 or more, or auto")
+        return value
+
+    @field_validator("memory")
+    @classmethod
+    def _size(cls, value: str | None) -> str | None:
+        if value is not None and parse_bytes(value) < 100_000_000:
+            raise ValueError(f"memory of {format_bytes(parse_bytes(value))} per worker is too little; give 1 GB or more")
+        return value
+
+    @field_validator("time_limit", mode="before")
+    @classmethod
+    def _duration(cls, value: Any) -> Any:
+        if value is not None:
+            parse_timedelta(value if isinstance(value, str) else f"{value} s")
+            return str(value)
+        return value
+
+    @model_validator(mode="after")
+    def _address_given(self) -> "Workflow":
+        if self.cluster == "address" and not self.address:
+            raise ValueError("cluster: address needs the scheduler's address, for example address: tcp://host:8786")
+        return self
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Workflow":
+        """Read a workflow file.
+
+        Parameters
+        ----------
+        path : path
+            YAML.
+
+        Returns
+        -------
+        Workflow
+
+        Raises
+        ------
+        ExperimentError
+            If it is missing or wrong; the message names the line and the remedy.
+        """
+        return load_section(cls, Path(path))
+
+    @property
+    def memory_bytes(self) -> int | None:
+        """Memory limit per worker, bytes."""
+        return parse_bytes(self.memory) if self.memory else None
+
+    @property
+    def time_limit_seconds(self) -> float | None:
+        """Time after which the run stops itself, s."""
+        return float(parse_timedelta(self.time_limit, default="seconds")) if self.time_limit else None
