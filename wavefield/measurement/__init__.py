@@ -1,1 +1,7 @@
-"""See CONTRIBUTING.md for what this room holds."""
+"""From frames to z, z_t, u, v, w with their errors, at the nodes of one grid. Arrays in, arrays out."""
+
+from wavefield.measurement.measure import measure
+from wavefield.measurement.plan import Plan
+from wavefield.measurement.settings import Settings
+
+__all__ = ["Plan", "Settings", "measure"]

@@ -1,0 +1,190 @@
+"""From a block of frames to a block of steps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield import matching
+from wavefield.measurement import surface as stereo
+from wavefield.measurement import velocity as motion
+from wavefield.measurement.plan import Plan
+from wavefield.measurement.surface import Surface
+from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, Quality
+
+Frames = Mapping[str, Sequence[NDArray | None]]
+
+
+@dataclass(frozen=True)
+class Instant:
+    """What is kept of one instant.
+
+    Parameters
+    ----------
+    surface : Surface or None
+        Elevation at the nodes; None if it could not be measured.
+    images : mapping of str to Prepared
+        Raw images ready for matching in time.
+    missing : frozenset of str
+        Cameras without a usable frame.
+    """
+
+    surface: Surface | None
+    images: Mapping[str, matching.Prepared]
+    missing: frozenset[str]
+
+
+def usable(image: NDArray | None, size: tuple[int, int]) -> bool:
+    """Whether a frame can be measured at all.
+
+    Parameters
+    ----------
+    image : ndarray or None
+        Frame; None if absent.
+    size : tuple of int
+        The camera's image (width, height), px.
+
+    Returns
+    -------
+    bool
+        False if it is absent, of another size, not a grey image of real numbers, or (almost) uniform.
+    """
+    if image is None or np.ndim(image) != 2 or image.shape != (size[1], size[0]):
+        return False
+    if image.dtype.kind not in "uif":
+        return False
+    sample = image[::4, ::4].astype(np.float32)
+    if not np.isfinite(sample).mean() > 0.5:
+        return False
+    low, high = np.nanpercentile(sample, (1.0, 99.5))
+    return bool(high > low)
+
+
+def look(frames: Mapping[str, NDArray | None], plan: Plan, moving: Sequence[str]) -> Instant:
+    """Everything that the frames of one instant give on their own.
+
+    Parameters
+    ----------
+    frames : mapping of str to ndarray or None
+        One frame per camera.
+    plan : Plan
+        Everything computed beforehand.
+    moving : sequence of str
+        Cameras whose raw images will be matched in time.
+
+    Returns
+    -------
+    Instant
+    """
+    good: dict[str, NDArray] = {}
+    for name in plan.cameras:
+        image = frames.get(name)
+        if image is not None and usable(image, plan.rig[name].size):
+            good[name] = image
+    flat = {n: stereo.prepare(good[n], n, plan) for n in plan.surface_cameras if n in good}
+    raw = {n: motion.prepare(good[n], n, plan) for n in moving if n in good}
+    return Instant(stereo.surface(flat, plan), raw, frozenset(n for n in plan.cameras if n not in good))
+
+
+def measure(frames: Frames, plan: Plan, frame_rate: float) -> dict[str, NDArray]:
+    """Turn a block of frames into a block of the cube.
+
+    Parameters
+    ----------
+    frames : mapping of str to sequence of n + 3 (ndarray or None)
+        Per camera, consecutive frames: the one before the first step, the n + 1 frames of the n steps, the
+        one after the last. None where a frame is absent, as at the ends of a record.
+    plan : Plan
+        Rig, grid and settings.
+    frame_rate : float
+        Frames per second, Hz.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Every field of the cube as (n, ny, nx), and ``frame_status`` (n,).
+
+    Raises
+    ------
+    ValueError
+        If the cameras have unequal numbers of frames, or fewer than four.
+
+    Notes
+    -----
+    Every step comes out the same, to the bit, whatever block it is in. z at mid-time is
+    (9 (z_0 + z_1) - z_-1 - z_2) / 16: the plain mean of two frames is off by z_tt dt^2 / 8. Where a
+    neighbour is missing the mean is all there is, and ``quality`` says so. z_t = (z_1 - z_0) / dt.
+    """
+    lengths = {len(frames[n]) for n in plan.cameras if n in frames}
+    if len(lengths) != 1 or min(lengths) < 4:
+        raise ValueError(f"every camera needs the same number of frames, at least 4; got {sorted(lengths)}")
+    steps = lengths.pop() - 3
+    out = _empty(steps, plan)
+    window: list[Instant] = []
+    for number in range(steps + 3):
+        # the outermost frames serve z alone
+        moving = plan.velocity_cameras if 0 < number < steps + 2 else ()
+        window.append(look({name: frames[name][number] for name in frames}, plan, moving))
+        if len(window) == 4:
+            row = {name: field[number - 3 : number - 2] for name, field in out.items()}
+            _step(window, plan, frame_rate, row)
+            window.pop(0)
+    return out
+
+
+def _empty(steps: int, plan: Plan) -> dict[str, NDArray]:
+    out: dict[str, NDArray] = {}
+    for name in CUBE_FIELDS:
+        dtype = np.dtype(TABLE[name].dtype)
+        out[name] = np.full((steps, *plan.grid.shape), np.nan if dtype.kind == "f" else 0, dtype)
+    out["frame_status"] = np.full(steps, FrameStatus.FAILED, np.dtype(TABLE["frame_status"].dtype))
+    return out
+
+
+def _step(window: Sequence[Instant], plan: Plan, frame_rate: float, out: dict[str, NDArray]) -> None:
+    """Fill one step, the only row of ``out``; what cannot be measured stays NaN."""
+    before, first, second, after = window
+    missing = first.missing | second.missing
+    out["quality"][:] = Quality.FEWER_CAMERAS if missing else 0
+    if first.surface is None or second.surface is None:
+        return
+    z0, z1 = first.surface.z, second.surface.z
+    variance0, variance1 = first.surface.std**2, second.surface.std**2
+    if before.surface is not None and after.surface is not None:
+        z = (9.0 * (z0 + z1) - before.surface.z - after.surface.z) / np.float32(16.0)
+        variance = (81.0 * (variance0 + variance1) + before.surface.std**2 + after.surface.std**2) / 256.0
+    else:
+        z = np.float32(0.5) * (z0 + z1)
+        variance = 0.25 * (variance0 + variance1)
+        out["quality"][:] |= np.uint8(Quality.TWO_FRAME_MEAN)
+    moved = motion.velocity(first.images, second.images, z, plan)
+    if moved is None:
+        return
+    inside = np.ones(z.shape, bool)
+    for name in plan.cameras:
+        if name not in missing:
+            inside &= plan.views[name].sees(*plan.views[name].at(z)[:2])
+    quality = first.surface.quality | second.surface.quality | moved.quality
+    filled = (quality & Quality.FILLED) != 0
+    quality = np.where(filled, quality & ~np.uint8(Quality.MEASURED), quality)
+    quality = np.where(inside, quality, np.uint8(Quality.OUTSIDE))
+    out["quality"][:] |= quality
+    fields = {
+        "z": z,
+        "z_t": (z1 - z0) * np.float32(frame_rate),
+        "u": moved.d[0] * frame_rate,
+        "v": moved.d[1] * frame_rate,
+        "w": moved.d[2] * frame_rate,
+        "eps_y": np.float32(0.5) * (first.surface.eps_y + second.surface.eps_y),
+        "eps_piv": moved.eps_piv,
+        "z_std": np.sqrt(variance),
+        "u_std": moved.d_std[0] * frame_rate,
+        "v_std": moved.d_std[1] * frame_rate,
+        "w_std": moved.d_std[2] * frame_rate,
+    }
+    for name, field in fields.items():
+        out[name][0][inside] = field[inside]
+    out["frame_status"][:] = FrameStatus.DONE_WITH_FAULTS if missing else FrameStatus.DONE

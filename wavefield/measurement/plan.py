@@ -1,0 +1,335 @@
+"""Everything that is computed once per rig and grid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+import scipy.fft
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+
+from wavefield import matching
+from wavefield.errors import ExperimentError, RigError
+from wavefield.grid import Grid
+from wavefield.measurement.rectify import sight_map
+from wavefield.measurement.regrid import Lattice, bending_energy, thin_plate
+from wavefield.measurement.settings import Settings
+from wavefield.rig import Camera, Rig
+
+BLOCK = 5  # side of matching's blocks, px
+_MIN_BLOCKS = 8  # along each side of the common view
+
+
+class Plan:
+    """The measurement of one rig on one grid: maps, lattices, cameras and their parts.
+
+    Parameters
+    ----------
+    rig : Rig
+        The cameras.
+    grid : Grid
+        Where every quantity is wanted.
+    settings : Settings, optional
+        The choices; defaults follow from the rig.
+
+    Attributes
+    ----------
+    pairs : tuple of (str, str)
+        Pairs for z, the reference first.
+    reference : str
+        Camera in whose apparent coordinates the lattice lies.
+    surface_cameras, velocity_cameras : tuple of str
+        Who measures what.
+    pixel : float
+        Pixel of the rectified images, metres.
+    z_range : (float, float)
+        Elevations searched, metres.
+
+    Raises
+    ------
+    ExperimentError
+        If a camera is named that the rig does not have, or the pairs have no camera in common.
+    RigError
+        If the cameras have no common view of the grid.
+
+    Notes
+    -----
+    Pickles as its three parameters; the copy is computed anew, once per process.
+    """
+
+    def __init__(self, rig: Rig, grid: Grid, settings: Settings | None = None) -> None:
+        self.rig, self.grid = rig, grid
+        self.settings = settings = settings or Settings()
+        if len(rig) < 2:
+            raise RigError("a rig needs at least two cameras to measure a surface")
+        for name in {name for pair in settings.pairs for name in pair} | set(settings.velocity_cameras):
+            if name not in rig.cameras:
+                raise ExperimentError(f"the rig has no camera {name!r}; it has {', '.join(rig)}")
+        self.pairs = _with_reference_first(settings.pairs) if settings.pairs else pairs_of(rig, tuple(rig))
+        self.reference = self.pairs[0][0]
+        self.surface_cameras = (self.reference, *(b for _, b in self.pairs))
+        self.velocity_cameras = settings.velocity_cameras or tuple(rig)
+        self.cameras = tuple(n for n in rig if n in self.surface_cameras or n in self.velocity_cameras)
+
+        self.x, self.y = np.meshgrid(grid.x_nodes, grid.y_nodes)
+        middle = 0.5 * (grid.x[0] + grid.x[1]), 0.5 * (grid.y[0] + grid.y[1])
+        distance = float(np.linalg.norm(rig[self.reference].centre - [*middle, 0.0]))
+        reach = 0.025 * distance
+        self.z_range = settings.z_range or (-reach, reach)
+        self.pixel = settings.pixel or _coarsest_fine_side([rig[n] for n in self.surface_cameras], *middle)
+
+        self._lay_out()
+        self.velocity = {name: Sight(rig[name], self) for name in self.velocity_cameras}
+        self.views = {
+            name: self.velocity[name] if name in self.velocity else Sight(rig[name], self)
+            for name in self.cameras
+        }
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _cached, (tuple(self.rig.cameras.items()), self.grid, self.settings)
+
+    def _lay_out(self) -> None:
+        """The rectified plane: where the nodes appear from any camera at any height, and two see them."""
+        lo, hi = np.full(2, np.inf), np.full(2, -np.inf)
+        edge_x = np.concatenate([self.x[0], self.x[-1], self.x[:, 0], self.x[:, -1]])
+        edge_y = np.concatenate([self.y[0], self.y[-1], self.y[:, 0], self.y[:, -1]])
+        boxes = []
+        for name in self.surface_cameras:
+            camera = self.rig[name]
+            for z in self.z_range:
+                X, Y = camera.project(edge_x, edge_y, z)
+                ok = np.isfinite(X)
+                if not ok.any():
+                    continue
+                at = np.stack(camera.unproject(X[ok], Y[ok]))
+                lo, hi = np.minimum(lo, np.nanmin(at, axis=1)), np.maximum(hi, np.nanmax(at, axis=1))
+            corners = camera.corners()
+            boxes.append((np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)))
+        # beyond what the second widest of the views reaches, no two cameras see anything
+        low, high = np.sort([b[0] for b in boxes], axis=0), np.sort([b[1] for b in boxes], axis=0)
+        lo, hi = np.maximum(lo, low[1]), np.minimum(hi, high[-2])
+        step = BLOCK * self.pixel
+        blocks = np.floor((hi - lo) / step) + 4
+        if not (blocks >= _MIN_BLOCKS).all():
+            raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
+        nx, ny = (int(scipy.fft.next_fast_len(int(n), real=True)) for n in blocks)
+        centre = 0.5 * (lo + hi)
+        x0, y0 = centre - 0.5 * self.pixel * (np.array([nx, ny]) * BLOCK - 1)
+        px = x0 + self.pixel * np.arange(nx * BLOCK)
+        py = y0 + self.pixel * np.arange(ny * BLOCK)
+        middle_of_block = 0.5 * (BLOCK - 1) * self.pixel
+        self.origin = (float(x0), float(y0))
+        self.lattice = Lattice(x0 + middle_of_block, y0 + middle_of_block, step, (ny, nx))
+        self.maps: dict[str, tuple[NDArray, NDArray]] = {}
+        self.seen: dict[str, NDArray] = {}
+        self.seen_blocks: dict[str, NDArray] = {}
+        for name in self.surface_cameras:
+            X, Y, seen = sight_map(self.rig[name], px, py)
+            self.maps[name], self.seen[name] = (X, Y), seen
+            self.seen_blocks[name] = cv2.resize(
+                seen.astype(np.float32), (nx, ny), interpolation=cv2.INTER_AREA
+            )
+        if not any((self.seen[a] & self.seen[b]).any() for a, b in self.pairs):
+            raise RigError("no pair of cameras sees the grid in common: does the grid lie in their view?")
+        self.response = thin_plate((ny, nx), self.settings.smoothing)
+        self.energy: dict[str, sparse.csr_array] = {
+            name: bending_energy(self.seen_blocks[name] > 0.5) for name in self.surface_cameras[:1]
+        }
+        # what a block means in metres, per camera: its line of sight
+        x, y = np.meshgrid(self.lattice.x, self.lattice.y)
+        self.block_x, self.block_y = x, y
+        self.stereo = {pair: self._search(pair) for pair in self.pairs}
+
+    def energy_of(self, reference: str) -> sparse.csr_array:
+        """Bending energy of the lattice seen by a reference camera, computed when first asked for."""
+        if reference not in self.energy:
+            self.energy[reference] = bending_energy(self.seen_blocks[reference] > 0.5)
+        return self.energy[reference]
+
+    def stereo_settings(self, pair: tuple[str, str]) -> matching.Settings:
+        """Matching settings of a pair, its search range from the elevations searched."""
+        if pair not in self.stereo:
+            self.stereo[pair] = self._search(pair)
+        return self.stereo[pair]
+
+    def _search(self, pair: tuple[str, str]) -> matching.Settings:
+        a, b = (self.rig[name] for name in pair)
+        xa, ya = np.meshgrid(self.lattice.x[[0, -1]], self.lattice.y[[0, -1]])
+        ends = []
+        for z in self.z_range:
+            Dx, Dy = a.sight_line(xa, ya)
+            x, y = xa + Dx * z, ya + Dy * z
+            Dx, Dy = b.sight_line(x, y, z)
+            ends.append((x - Dx * z - xa, y - Dy * z - ya))
+        d = np.array(ends) / self.pixel  # (2, 2, ny, nx): height, axis
+        spare = 2.0
+        ranges = [(float(d[:, i].min() - spare), float(d[:, i].max() + spare)) for i in range(2)]
+        settings = self.settings.stereo
+        if settings.levels > 1 or settings.search_x is not None:
+            settings = replace(settings, search_x=ranges[0], search_y=ranges[1])
+        return settings
+
+    def pairs_for(self, present: Sequence[str]) -> tuple[tuple[str, str], ...]:
+        """Pairs that can work when only some cameras have a frame.
+
+        Parameters
+        ----------
+        present : sequence of str
+            Cameras with a usable frame.
+
+        Returns
+        -------
+        tuple of (str, str)
+            The planned pairs among them; without the reference, pairs of the others; empty if fewer than two.
+        """
+        planned = tuple(p for p in self.pairs if p[0] in present and p[1] in present)
+        if planned:
+            return planned
+        rest = tuple(n for n in self.surface_cameras if n in present)
+        return pairs_of(self.rig, rest) if len(rest) >= 2 else ()
+
+
+class Sight:
+    """Where one camera sees the nodes at any height, as polynomials in z.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    plan : Plan
+        For its nodes and its range of z.
+    """
+
+    def __init__(self, camera: Camera, plan: Plan) -> None:
+        self.binning = _binning(camera, plan)
+        self.camera = camera = camera.scaled(1.0 / self.binning)
+        w, h = camera.size
+        ny, nx = h // BLOCK, w // BLOCK
+        self.lattice = Lattice(0.5 * (BLOCK - 1), 0.5 * (BLOCK - 1), float(BLOCK), (ny, nx))
+        self.whole = np.ones((ny, nx), bool)
+        self.response = thin_plate((ny, nx), 0.0)
+        self._energy: sparse.csr_array | None = None
+        # projection is a ratio of linear functions of z with |z| well below the distance: order 4 is exact
+        # to better than a thousandth of a pixel
+        low, high = plan.z_range
+        self.z_middle, self.z_half = 0.5 * (low + high), 0.5 * (high - low)
+        knots = np.cos(np.pi * (np.arange(5) + 0.5) / 5)
+        inverse = np.linalg.inv(np.vander(knots, increasing=True))
+        values = []
+        for t in knots:
+            z = self.z_middle + self.z_half * t
+            X, Y = camera.project(plan.x, plan.y, z)
+            J = camera.jacobian(plan.x, plan.y, z)
+            values.append(np.concatenate([[X, Y], np.moveaxis(J.reshape(*X.shape, 6), -1, 0)]))
+        # (8, 5, ny, nx): X, Y, then the Jacobian row by row
+        self.polynomial = np.einsum("pk,kfyx->fpyx", inverse, np.array(values)).astype(np.float32)
+
+    @property
+    def energy(self) -> sparse.csr_array:
+        """Bending energy of the lattice of blocks in the image."""
+        if self._energy is None:
+            self._energy = bending_energy(self.whole)
+        return self._energy
+
+    def at(self, z: NDArray) -> NDArray[np.float32]:
+        """Image position and Jacobian of the nodes at given heights.
+
+        Parameters
+        ----------
+        z : ndarray of float32, (ny, nx)
+            Elevation of each node, metres.
+
+        Returns
+        -------
+        ndarray of float32, (8, ny, nx)
+            X, Y (px of the binned image), then dX/dx, dX/dy, dX/dz, dY/dx, dY/dy, dY/dz (px per metre).
+        """
+        t = (np.asarray(z, np.float32) - np.float32(self.z_middle)) / np.float32(self.z_half)
+        out = self.polynomial[:, 4].copy()
+        for order in (3, 2, 1, 0):
+            out *= t
+            out += self.polynomial[:, order]
+        return out
+
+    def sees(self, X: NDArray, Y: NDArray) -> NDArray[np.bool_]:
+        """Whether positions lie inside the binned image."""
+        w, h = self.camera.size
+        with np.errstate(invalid="ignore"):
+            return (X >= 0) & (X <= w - 1) & (Y >= 0) & (Y <= h - 1)
+
+
+def middle_camera(rig: Rig, names: Sequence[str]) -> str:
+    """The camera nearest to all others; of two, the first.
+
+    Parameters
+    ----------
+    rig : Rig
+        The cameras.
+    names : sequence of str
+        Those to choose from.
+
+    Returns
+    -------
+    str
+    """
+    centres = np.array([rig[n].centre for n in names])
+    reach = np.linalg.norm(centres[:, None] - centres, axis=-1).sum(axis=1)
+    return names[int(np.argmin(np.round(reach / max(reach.max(), 1e-30), 9)))]
+
+
+def pairs_of(rig: Rig, names: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """The middle camera with each of the others.
+
+    Parameters
+    ----------
+    rig : Rig
+        The cameras.
+    names : sequence of str
+        Those to pair.
+
+    Returns
+    -------
+    tuple of (str, str)
+    """
+    reference = middle_camera(rig, names)
+    return tuple((reference, n) for n in names if n != reference)
+
+
+def _with_reference_first(pairs: Sequence[tuple[str, str]]) -> tuple[tuple[str, str], ...]:
+    common = set(pairs[0])
+    for pair in pairs:
+        common &= set(pair)
+    if not common or len({frozenset(p) for p in pairs}) < len(pairs):
+        text = ", ".join(f"[{a}, {b}]" for a, b in pairs)
+        raise ExperimentError(f"surface: pairs: {text} must differ and share one camera, the reference")
+    # of a single pair, the first is the reference
+    reference = pairs[0][0] if pairs[0][0] in common else pairs[0][1]
+    return tuple((reference, b if a == reference else a) for a, b in pairs)
+
+
+def _coarsest_fine_side(cameras: Sequence[Camera], x: float, y: float) -> float:
+    sides = []
+    for camera in cameras:
+        singular = np.linalg.svd(camera.jacobian(x, y, 0.0)[:, :2], compute_uv=False)
+        sides.append(1.0 / float(singular[0]))
+    if not np.isfinite(sides).all():
+        raise RigError("a camera does not look at the middle of the grid")
+    return max(sides)
+
+
+def _binning(camera: Camera, plan: Plan) -> int:
+    """How much finer than the rectified images a camera resolves: motion is measured on means of pixels."""
+    middle = 0.5 * (plan.grid.x[0] + plan.grid.x[1]), 0.5 * (plan.grid.y[0] + plan.grid.y[1])
+    singular = np.linalg.svd(camera.jacobian(*middle, 0.0)[:, :2], compute_uv=False)
+    fine = 1.0 / float(np.sqrt(singular[0] * singular[1]))
+    return max(1, round(1.1 * plan.pixel / fine))
+
+
+@lru_cache(maxsize=4)
+def _cached(cameras: tuple[tuple[str, Camera], ...], grid: Grid, settings: Settings) -> Plan:
+    return Plan(Rig(dict(cameras)), grid, settings)

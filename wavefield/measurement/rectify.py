@@ -1,0 +1,147 @@
+"""Images to apparent coordinates on z = 0.
+
+The image is sampled on a grid twice as fine by quintic B-splines without prefilter, then read there by linear
+interpolation: bias .002 px, where plain cubic interpolation of the image has .04 px.
+"""
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numba import float32, njit, uint8, uint16, void
+from numpy.typing import NDArray
+
+from wavefield.rig import Camera
+
+Float = NDArray[Any]
+
+
+@njit(
+    [
+        void(uint8[:, ::1], float32, float32[:, ::1], uint16[:, ::1]),
+        void(uint16[:, ::1], float32, float32[:, ::1], uint16[:, ::1]),
+        void(float32[:, ::1], float32, float32[:, ::1], float32[:, ::1]),
+    ],
+    cache=True,
+    fastmath=True,
+    error_model="numpy",
+)
+def _double(image, scale, rows, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Quintic B-spline without prefilter at whole and half pixels; out[2 r, 2 c] lies on pixel (r, c)."""
+    h, w = image.shape
+    # the spline at distances 0, 1, 2 and at 1/2, 3/2, 5/2
+    a0, a1, a2 = np.float32(66 / 120), np.float32(26 / 120), np.float32(1 / 120)
+    b0, b1, b2 = np.float32(1682 / 3840), np.float32(237 / 3840), np.float32(1 / 3840)
+    half = np.float32(0.5)
+    for y in range(h):
+        r0, r1, r2 = image[max(y - 2, 0)], image[max(y - 1, 0)], image[y]
+        r3, r4, r5 = image[min(y + 1, h - 1)], image[min(y + 2, h - 1)], image[min(y + 3, h - 1)]
+        e, g = rows[0], rows[1]
+        for x in range(w):
+            e[x + 2] = scale * (
+                a0 * np.float32(r2[x])
+                + a1 * (np.float32(r1[x]) + np.float32(r3[x]))
+                + a2 * (np.float32(r0[x]) + np.float32(r4[x]))
+            )
+        for x in range(w):
+            g[x + 2] = scale * (
+                b0 * (np.float32(r2[x]) + np.float32(r3[x]))
+                + b1 * (np.float32(r1[x]) + np.float32(r4[x]))
+                + b2 * (np.float32(r0[x]) + np.float32(r5[x]))
+            )
+        for j in range(2):
+            q, o = rows[j], out[2 * y + j]
+            q[0] = q[1] = q[2]
+            q[w + 2] = q[w + 3] = q[w + 4] = q[w + 1]
+            if out.itemsize == 2:
+                for x in range(w):
+                    o[2 * x] = np.uint16(
+                        np.int32(a0 * q[x + 2] + a1 * (q[x + 1] + q[x + 3]) + a2 * (q[x] + q[x + 4]) + half)
+                    )
+                    o[2 * x + 1] = np.uint16(
+                        np.int32(
+                            b0 * (q[x + 2] + q[x + 3])
+                            + b1 * (q[x + 1] + q[x + 4])
+                            + b2 * (q[x] + q[x + 5])
+                            + half
+                        )
+                    )
+            else:
+                for x in range(w):
+                    o[2 * x] = a0 * q[x + 2] + a1 * (q[x + 1] + q[x + 3]) + a2 * (q[x] + q[x + 4])
+                    o[2 * x + 1] = (
+                        b0 * (q[x + 2] + q[x + 3]) + b1 * (q[x + 1] + q[x + 4]) + b2 * (q[x] + q[x + 5])
+                    )
+
+
+def double(image: NDArray) -> NDArray:
+    """Sample an image on a grid twice as fine, both images of a match equally smoothed.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column), uint8, uint16 or float32
+        Image; 8 bit are spread over 16.
+
+    Returns
+    -------
+    ndarray, (2 row, 2 column), uint16 or float32
+        Element (2 r, 2 c) lies on pixel (r, c).
+
+    Notes
+    -----
+    Quintic B-spline without prefilter, weights 66, 26, 1 over 120 at whole and 1682, 237, 1 over 3840 at half
+    pixels.
+    """
+    if image.dtype not in (np.uint8, np.uint16):
+        image = image.astype(np.float32, copy=False)
+    image = np.ascontiguousarray(image)
+    h, w = image.shape
+    # 256 * 255 = 65280 fits 16 bits
+    scale = np.float32(256.0 if image.dtype == np.uint8 else 1.0)
+    out = np.empty((2 * h, 2 * w), np.float32 if image.dtype == np.float32 else np.uint16)
+    _double(image, scale, np.empty((2, w + 8), np.float32), out)
+    return out
+
+
+def sight_map(camera: Camera, x: NDArray, y: NDArray) -> tuple[Float, Float, NDArray[np.bool_]]:
+    """Where a camera sees the points of a lattice on the water at rest.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    x, y : ndarray, (nx,), (ny,)
+        Apparent coordinates of columns and rows, metres.
+
+    Returns
+    -------
+    X, Y : ndarray of float32, (ny, nx)
+        Places on the grid of `double`: twice the pixel coordinates.
+    seen : ndarray of bool, (ny, nx)
+        True where the camera sees the point, three pixels (the reach of the spline) from its edge.
+    """
+    X, Y = camera.project(x[None, :], y[:, None], 0.0)
+    w, h = camera.size
+    margin = 3.0
+    with np.errstate(invalid="ignore"):
+        seen = (X >= margin) & (X <= w - 1 - margin) & (Y >= margin) & (Y <= h - 1 - margin)
+    X, Y = np.where(seen, X, -4.0), np.where(seen, Y, -4.0)
+    return (2.0 * X).astype(np.float32), (2.0 * Y).astype(np.float32), seen
+
+
+def rectify(image: NDArray, X: Float, Y: Float) -> NDArray:
+    """Image in apparent coordinates.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column), uint8, uint16 or float32
+        Raw image.
+    X, Y : ndarray of float32, (ny, nx)
+        As given by `sight_map`.
+
+    Returns
+    -------
+    ndarray, (ny, nx), uint16 or float32
+        Brightness; zero where the camera sees nothing. 8 bit become 16 (times 256).
+    """
+    return cv2.remap(double(image), X, Y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)

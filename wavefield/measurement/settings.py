@@ -1,0 +1,141 @@
+"""What a user may choose about the measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+from wavefield import matching
+from wavefield.errors import ExperimentError
+
+
+def _stereo() -> matching.Settings:
+    return matching.Settings.stereo()
+
+
+def _piv() -> matching.Settings:
+    return matching.Settings.piv(iterations=(3, 3, 2, 3), window=20.0, smoother_sigma=2.0)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How frames become z, u, v, w. Everything that is left out follows from the rig.
+
+    Parameters
+    ----------
+    pairs : tuple of (str, str)
+        Pairs of cameras whose parallax gives z; one camera, the reference, belongs to all of them. Empty: the
+        middle camera with each of the others.
+    velocity_cameras : tuple of str
+        Cameras whose displacements give u, v, w, at least two. Empty: all.
+    z_range : (float, float) or None
+        Lowest and highest elevation to search, metres. None: 2.5 % of the reference camera's distance up and
+        down (10 cm at 4 m).
+    pixel : float or None
+        Pixel of the rectified images, metres. None: the finest side of a pixel of the camera that resolves
+        least.
+    smoothing : float
+        Thin-plate smoothing of the lattice of blocks, block lengths to the fourth power; it halves waves of
+        2 pi smoothing^(1/4) blocks.
+    eps_limit : float
+        A match is rejected where its mismatch across the line of sight exceeds this many times its rms.
+    eps_floor : float
+        Mismatch that is never rejected, px of the rectified images.
+    min_valid : float
+        Smallest share of the common view that a frame must measure; below, it counts as missing.
+    stereo : matching.Settings
+        Matching between cameras; its search range is set from z_range.
+    piv : matching.Settings
+        Matching between frames.
+
+    Examples
+    --------
+    >>> Settings(pairs=(("cam3", "cam1"), ("cam3", "cam2")), z_range=(-0.05, 0.05)).z_range
+    (-0.05, 0.05)
+    """
+
+    pairs: tuple[tuple[str, str], ...] = ()
+    velocity_cameras: tuple[str, ...] = ()
+    z_range: tuple[float, float] | None = None
+    pixel: float | None = None
+    smoothing: float = 0.1
+    eps_limit: float = 3.0
+    eps_floor: float = 0.3
+    min_valid: float = 0.2
+    stereo: matching.Settings = field(default_factory=_stereo)
+    piv: matching.Settings = field(default_factory=_piv)
+
+    def __post_init__(self) -> None:
+        for name in ("pairs", "velocity_cameras"):
+            if isinstance(getattr(self, name), str) or not isinstance(getattr(self, name), Sequence):
+                raise ExperimentError(f"{name}: give a list of camera names, not {getattr(self, name)!r}")
+        for pair in self.pairs:
+            if isinstance(pair, str) or len(pair) != 2 or pair[0] == pair[1]:
+                raise ExperimentError(f"surface: pairs: {pair!r} is not a pair of two cameras")
+        object.__setattr__(self, "pairs", tuple((str(a), str(b)) for a, b in self.pairs))
+        object.__setattr__(self, "velocity_cameras", tuple(str(name) for name in self.velocity_cameras))
+        if len(self.velocity_cameras) == 1 or len(set(self.velocity_cameras)) < len(self.velocity_cameras):
+            raise ExperimentError(
+                "velocity: cameras: name at least two different cameras, or leave it out for all"
+            )
+        if self.z_range is not None:
+            low, high = (float(v) for v in self.z_range)
+            if not low < high:
+                raise ExperimentError(f"z_range: the lowest elevation comes first, not {self.z_range}")
+            object.__setattr__(self, "z_range", (low, high))
+        if self.pixel is not None and not self.pixel > 0:
+            raise ExperimentError(f"pixel: give a length above 0 m, not {self.pixel}")
+        for name in ("smoothing", "eps_limit", "eps_floor", "min_valid"):
+            if not getattr(self, name) >= 0:
+                raise ExperimentError(f"{name} must be 0 or more, not {getattr(self, name)}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for a recipe.
+
+        Returns
+        -------
+        dict
+            Names to numbers, strings, lists and, for the two matchings, dicts.
+        """
+        return _plain(asdict(self))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Settings:
+        """Inverse of `to_dict`; what is left out keeps its default.
+
+        Parameters
+        ----------
+        data : mapping
+            Names to values; ``stereo`` and ``piv`` may name only what differs from the default.
+
+        Returns
+        -------
+        Settings
+
+        Raises
+        ------
+        ExperimentError
+            If a name is unknown or a value does not fit.
+        """
+        known = {f.name for f in fields(cls)}
+        values: dict[str, Any] = dict(data)
+        if unknown := sorted(set(values) - known):
+            raise ExperimentError(
+                f"unknown measurement setting {unknown[0]!r}; there are {', '.join(sorted(known))}"
+            )
+        try:
+            for name, default in (("stereo", _stereo()), ("piv", _piv())):
+                if name in values:
+                    values[name] = matching.Settings(**(asdict(default) | dict(values[name])))
+            return cls(**values)
+        except (TypeError, ValueError) as error:
+            raise ExperimentError(f"measurement settings: {error}") from None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_plain(v) for v in value]
+    return value

@@ -1,0 +1,295 @@
+"""Surface elevation of one instant, from pairs of cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield import matching
+from wavefield.matching import Reason
+from wavefield.matching.uncertainty import std_from_influence
+from wavefield.measurement.plan import Plan
+from wavefield.measurement.rectify import rectify
+from wavefield.measurement.regrid import coefficients, fill, push_pull, read_surface
+from wavefield.rig.stereo import triangulate_pairs
+from wavefield.variables import Quality
+
+Float = NDArray[Any]
+Mask = NDArray[Any]
+
+_SPREAD = 1.4826  # standard deviation of a normal distribution over its median absolute value
+
+
+@dataclass(frozen=True)
+class PairMatch:
+    """What one pair of cameras says about the blocks of the lattice.
+
+    Parameters
+    ----------
+    pair : tuple of str
+        The cameras (a, b); the lattice is fixed in a's apparent coordinates.
+    difference : ndarray, (2, ny, nx)
+        x_b - x_a, metres.
+    parallax : ndarray, (2, ny, nx)
+        dD = D_b - D_a, each at its own apparent position.
+    influence : ndarray, (2, ny, nx)
+        Influence of each block on the difference, metres.
+    eps_y : ndarray, (ny, nx)
+        Mismatch across the line of sight, metres.
+    rejected : ndarray of uint8, (ny, nx)
+        Bits of `Quality` that say why a block does not count; 0 where it does.
+    matched : ndarray of bool, (ny, nx)
+        Blocks that both cameras see and that matching itself trusts.
+    settings : matching.Settings
+        The settings of this match.
+    """
+
+    pair: tuple[str, str]
+    difference: Float
+    parallax: Float
+    influence: Float
+    eps_y: Float
+    rejected: NDArray[np.uint8]
+    matched: Mask
+    settings: matching.Settings
+
+    @property
+    def valid(self) -> Mask:
+        """Blocks that count, (ny, nx)."""
+        return self.rejected == 0
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Elevation of one instant at the nodes of the grid.
+
+    Parameters
+    ----------
+    z, eps_y, std : ndarray of float32, (ny, nx)
+        Elevation, mismatch across the line of sight, standard uncertainty of z, metres.
+    quality : ndarray of uint8, (ny, nx)
+        Bits of `Quality`: measured or filled, and why it was rejected.
+    """
+
+    z: Float
+    eps_y: Float
+    std: Float
+    quality: NDArray[np.uint8]
+
+
+def prepare(image: NDArray, camera: str, plan: Plan) -> matching.Prepared:
+    """Rectify a raw image and make it ready for matching.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column)
+        Raw image.
+    camera : str
+        Its camera.
+    plan : Plan
+        Maps and masks.
+
+    Returns
+    -------
+    matching.Prepared
+    """
+    flat = rectify(image, *plan.maps[camera])
+    return matching.prepare(flat, plan.settings.stereo, mask=plan.seen[camera])
+
+
+def match_pair(a: matching.Prepared, b: matching.Prepared, pair: tuple[str, str], plan: Plan) -> PairMatch:
+    """Match two rectified images of one instant.
+
+    Parameters
+    ----------
+    a, b : Prepared
+        As given by `prepare`.
+    pair : tuple of str
+        Their cameras.
+    plan : Plan
+        Lattice, lines of sight, search range.
+
+    Returns
+    -------
+    PairMatch
+
+    Notes
+    -----
+    x_a, x_b: apparent positions; d = x_b - x_a = -(D_b - D_a) z, so z = -(dD . d) / |dD|^2 and
+    eps_Y = (dD_y d_x - dD_x d_y) / |dD|.
+    """
+    settings = plan.stereo_settings(pair)
+    found = matching.match(a, b, settings)
+    pixel = np.float32(plan.pixel)
+    d = np.stack([found.u, found.v]) * pixel
+    parallax = np.stack(
+        _sight(plan.rig[pair[1]].centre, plan.block_x + d[0], plan.block_y + d[1])
+    ) - np.stack(_sight(plan.rig[pair[0]].centre, plan.block_x, plan.block_y))
+    length = np.sqrt(parallax[0] ** 2 + parallax[1] ** 2)
+    eps_y = (parallax[1] * d[0] - parallax[0] * d[1]) / length
+    z = -(parallax[0] * d[0] + parallax[1] * d[1]) / length**2
+    rejected = _why(found.reason)
+    rejected[(z < plan.z_range[0]) | (z > plan.z_range[1])] |= np.uint8(Quality.REJECTED_NEIGHBOURS)
+    matched = rejected == 0
+    if matched.any():
+        spread = _SPREAD * float(np.median(np.abs(eps_y[matched])))
+        limit = max(plan.settings.eps_limit * spread, plan.settings.eps_floor * plan.pixel)
+        rejected[np.abs(eps_y) > limit] |= np.uint8(Quality.REJECTED_EPS)
+    influence = np.stack([found.influence_u, found.influence_v]) * pixel
+    return PairMatch(pair, d, parallax, influence, eps_y, rejected, matched, settings)
+
+
+def _sight(centre: NDArray, x: Float, y: Float) -> tuple[Float, Float]:
+    depth = np.float32(-centre[2])
+    return (x - np.float32(centre[0])) / depth, (y - np.float32(centre[1])) / depth
+
+
+def _why(reason: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Matching's reasons in the words of the cube."""
+    out = np.zeros(reason.shape, np.uint8)
+    neighbours = np.uint8(Reason.NEIGHBOURS | Reason.RANGE)
+    out[(reason & ~neighbours) != 0] |= np.uint8(Quality.REJECTED_CORRELATION)
+    out[(reason & neighbours) != 0] |= np.uint8(Quality.REJECTED_NEIGHBOURS)
+    return out
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Elevation on the lattice, all pairs together.
+
+    Parameters
+    ----------
+    z, eps_y, std : ndarray of float32, (ny, nx)
+        Elevation, mismatch, standard uncertainty, metres; NaN where no pair counts.
+    valid : ndarray of bool, (ny, nx)
+        Where at least one pair counts.
+    rejected : ndarray of uint8, (ny, nx)
+        Why none does.
+    """
+
+    z: Float
+    eps_y: Float
+    std: Float
+    valid: Mask
+    rejected: NDArray[np.uint8]
+
+
+def combine(matches: Sequence[PairMatch]) -> Blocks:
+    """Least squares over all pairs.
+
+    Parameters
+    ----------
+    matches : sequence of PairMatch
+        Pairs with the same reference camera.
+
+    Returns
+    -------
+    Blocks
+
+    Notes
+    -----
+    z = -sum dD . d / sum |dD|^2 over the pairs that count. Pairs of one reference share its noise, which
+    cancels between opposite sides; so the influences are combined before they are squared:
+    zeta_b = sum dD . i_b / sum |dD|^2. eps_Y is the like sum across the line of sight,
+    sum (dD_y d_x - dD_x d_y) / sum |dD|.
+    """
+    counts = np.stack([m.valid for m in matches])
+    parallax = np.stack([m.parallax for m in matches])
+    nan = np.float32(np.nan)
+    difference = np.where(counts[:, None], np.stack([m.difference for m in matches]), nan)
+    z, eps, _ = triangulate_pairs(difference, parallax)
+    length = np.where(counts, np.hypot(parallax[:, 0], parallax[:, 1]), 0.0)
+    valid: Mask = np.any(counts, axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        eps_y = np.sum(length * np.where(counts, eps, 0.0), axis=0) / np.sum(length, axis=0)
+    influence = np.where(counts[:, None], np.stack([m.influence for m in matches]), nan)
+    zeta = np.where(valid, triangulate_pairs(influence, parallax)[0], 0.0).astype(np.float32)
+    std = std_from_influence(zeta, matches[0].settings, field=np.where(valid, z, 0.0).astype(np.float32))
+    rejected = np.zeros(valid.shape, np.uint8)
+    for m in matches:
+        rejected |= m.rejected
+    rejected[valid] = 0
+    z, eps_y = z.astype(np.float32), eps_y.astype(np.float32)
+    return Blocks(z, eps_y, np.where(valid, std, nan).astype(np.float32), valid, rejected)
+
+
+def to_nodes(blocks: Blocks, matches: Sequence[PairMatch], plan: Plan) -> Surface:
+    """From the lattice to the nodes of the grid.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        As given by `combine`.
+    matches : sequence of PairMatch
+        The pairs behind it.
+    plan : Plan
+        Lattice and grid.
+
+    Returns
+    -------
+    Surface
+        Finite everywhere, also where no camera looks: the caller knows what lies outside.
+    """
+    reference = matches[0].pair[0]
+    std = push_pull(blocks.std[..., None], blocks.valid)[..., 0]
+    z = push_pull(blocks.z[..., None], blocks.valid)
+    wanted = plan.seen_blocks[reference] > 0.5
+    for m in matches:
+        seen = plan.seen_blocks[m.pair[1]]
+        d = -m.parallax * z[..., 0] / plan.lattice.step
+        column = np.clip(np.rint(np.arange(seen.shape[1]) + d[0]), 0, seen.shape[1] - 1).astype(np.intp)
+        row = np.clip(np.rint(np.arange(seen.shape[0])[:, None] + d[1]), 0, seen.shape[0] - 1).astype(np.intp)
+        wanted &= seen[row, column] > 0.5
+    holes = wanted & ~blocks.valid
+    if holes.any():
+        z = fill(blocks.z[..., None], blocks.valid, wanted, plan.energy_of(reference))
+        std = _widen(std, z[..., 0], blocks.valid)
+    spline = coefficients(z, plan.response)
+    values, block = read_surface(spline, plan.lattice, plan.rig[reference].centre, plan.x, plan.y)
+    valid = blocks.valid.ravel()[block]
+    quality = (
+        np.where(valid, np.uint8(Quality.MEASURED), np.uint8(Quality.FILLED)) | blocks.rejected.ravel()[block]
+    )
+    return Surface(values[0], blocks.eps_y.ravel()[block], std.ravel()[block], quality.astype(np.uint8))
+
+
+def _widen(std: Float, z: Float, valid: Mask) -> Float:
+    """Uncertainty inside holes: the plate does not know the curvature there.
+
+    Between rims a distance r away it errs by about a quarter of r^2 times the rms curvature of the rest.
+    """
+    bend = cv2.Laplacian(cv2.GaussianBlur(z, (0, 0), 2.0), cv2.CV_32F)
+    inner = cv2.erode(valid.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+    curvature = float(np.sqrt(np.mean(np.square(bend[inner])))) if inner.any() else 0.0
+    distance = cv2.distanceTransform((~valid).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.hypot(std, np.float32(0.25 * curvature) * distance**2)
+
+
+def surface(prepared: Mapping[str, matching.Prepared], plan: Plan) -> Surface | None:
+    """Elevation at the nodes from the frames of one instant.
+
+    Parameters
+    ----------
+    prepared : mapping of str to Prepared
+        The cameras that have a usable frame.
+    plan : Plan
+        Everything computed beforehand.
+
+    Returns
+    -------
+    Surface or None
+        None if fewer than two cameras have a frame, or too little of it can be matched.
+    """
+    pairs = plan.pairs_for(tuple(prepared))
+    if not pairs:
+        return None
+    matches = [match_pair(prepared[a], prepared[b], (a, b), plan) for a, b in pairs]
+    blocks = combine(matches)
+    common = plan.seen[matches[0].pair[0]]
+    share = blocks.valid.sum() / max(1.0, common.mean() * blocks.valid.size)
+    return to_nodes(blocks, matches, plan) if share >= plan.settings.min_valid else None

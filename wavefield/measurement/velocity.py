@@ -1,0 +1,160 @@
+"""Velocity of the surface water between two instants, from each camera's own displacement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield import matching
+from wavefield.matching import Reason
+from wavefield.measurement.plan import Plan, Sight
+from wavefield.measurement.regrid import coefficients, fill, push_pull, read_anchored
+from wavefield.rig.stereo import solve_displacement
+from wavefield.variables import Quality
+
+Float = NDArray[Any]
+
+_STD_FLOOR = 0.003  # px: the bias that interpolation leaves
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Displacement of the surface water during one step, anchored at the nodes at mid-time.
+
+    Parameters
+    ----------
+    d, d_std : ndarray, (3, ny, nx)
+        (dx, dy, dz) and its standard uncertainty, metres; NaN where fewer than two cameras see the node.
+    eps_piv : ndarray, (ny, nx)
+        Misfit of the cameras' displacements, px.
+    quality : ndarray of uint8, (ny, nx)
+        Bits of `Quality`: why a camera's displacement was rejected; `FILLED` where not enough of them were
+        measured.
+    """
+
+    d: NDArray
+    d_std: NDArray
+    eps_piv: NDArray
+    quality: NDArray[np.uint8]
+
+
+def prepare(image: NDArray, camera: str, plan: Plan) -> matching.Prepared:
+    """Make a raw image ready for matching in time.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column)
+        Raw image.
+    camera : str
+        Its camera.
+    plan : Plan
+        Tells which cameras resolve so finely that means of pixels do.
+
+    Returns
+    -------
+    matching.Prepared
+    """
+    sight = plan.velocity[camera]
+    if sight.binning > 1:
+        image = image.astype(np.float32) if image.dtype not in (np.uint8, np.uint16) else image
+        # 8 bit would be rounded: the mean of four keeps two bits more
+        image = image.astype(np.uint16) * np.uint16(64) if image.dtype == np.uint8 else image
+        image = cv2.resize(image, sight.camera.size, interpolation=cv2.INTER_AREA)
+    return matching.prepare(image, plan.settings.piv)
+
+
+def displacement_at(
+    found: matching.Displacement, sight: Sight, X: NDArray, Y: NDArray
+) -> tuple[Float, Float, NDArray[np.uint8]]:
+    """One camera's displacement of the patches whose paths have their mid-points at given pixels.
+
+    Parameters
+    ----------
+    found : Displacement
+        From the first frame to the second.
+    sight : Sight
+        The camera.
+    X, Y : ndarray, shape S
+        Mid-points, px of the (binned) image; NaN where not seen.
+
+    Returns
+    -------
+    d, std : ndarray of float32, (2,) + S
+        Displacement along X and Y and its standard uncertainty, px of the (binned) image.
+    rejected : ndarray of uint8, S
+        Bits of `Quality`; 0 where measured.
+    """
+    valid = found.valid
+    fields = np.stack([found.u, found.v], axis=-1)
+    std = np.stack([found.u_std, found.v_std], axis=-1)
+    if not valid.all():
+        fields = fill(fields, valid, sight.whole, sight.energy)
+        std = push_pull(std, valid)
+    d, block = read_anchored(coefficients(fields, sight.response), sight.lattice, X, Y)
+    rejected = np.zeros(found.reason.shape, np.uint8)
+    neighbours = np.uint8(Reason.NEIGHBOURS | Reason.RANGE)
+    rejected[(found.reason & ~neighbours) != 0] |= np.uint8(Quality.REJECTED_CORRELATION)
+    rejected[(found.reason & neighbours) != 0] |= np.uint8(Quality.REJECTED_NEIGHBOURS)
+    std = np.moveaxis(std.reshape(-1, 2)[block], -1, 0)
+    return d, np.hypot(std, np.float32(_STD_FLOOR)), rejected.ravel()[block]
+
+
+def velocity(
+    first: Mapping[str, matching.Prepared], second: Mapping[str, matching.Prepared], z: NDArray, plan: Plan
+) -> Motion | None:
+    """Displacement of the surface water at the nodes.
+
+    Parameters
+    ----------
+    first, second : mapping of str to Prepared
+        The cameras that have a usable frame at the first and at the second instant.
+    z : ndarray, (ny, nx)
+        Elevation at mid-time, metres.
+    plan : Plan
+        Everything computed beforehand.
+
+    Returns
+    -------
+    Motion or None
+        None if fewer than two cameras have both frames.
+
+    Notes
+    -----
+    d = argmin sum w (J d - dX)^2, J the 2N x 3 Jacobian at the node's position on the surface at mid-time, dX
+    the displacements read at X - dX/2, w from their uncertainty. eps' = |J d - dX| / sqrt(2N).
+    """
+    names = [n for n in plan.velocity_cameras if n in first and n in second]
+    if len(names) < 2:
+        return None
+    count = len(names)
+    shape = z.shape
+    jacobian = np.empty((*shape, 2 * count, 3), np.float64)
+    moved = np.empty((*shape, 2 * count), np.float64)
+    std = np.empty((*shape, 2 * count), np.float64)
+    trusted = np.zeros((count, *shape), bool)
+    rejected = np.zeros(shape, np.uint8)
+    for n, name in enumerate(names):
+        sight = plan.velocity[name]
+        at = sight.at(z)
+        X, Y = at[0], at[1]
+        inside = sight.sees(X, Y)
+        X, Y = np.where(inside, X, np.float32(np.nan)), np.where(inside, Y, np.float32(np.nan))
+        d, d_std, why = displacement_at(
+            matching.match(first[name], second[name], plan.settings.piv), sight, X, Y
+        )
+        rows = slice(2 * n, 2 * n + 2)
+        jacobian[..., rows, :] = np.moveaxis(at[2:].reshape(2, 3, *shape), (0, 1), (-2, -1))
+        moved[..., rows] = np.moveaxis(d, 0, -1)
+        # a filled displacement must not outvote a measured one
+        std[..., rows] = np.moveaxis(np.where(why == 0, d_std, np.float32(30.0) * d_std), 0, -1)
+        trusted[n] = inside & (why == 0)
+        rejected |= np.where(inside, why, np.uint8(0))
+    d, eps, d_std = solve_displacement(jacobian, moved, std)
+    enough = trusted.sum(axis=0) >= 2
+    quality = np.where(enough, np.uint8(0), rejected | np.uint8(Quality.FILLED))
+    return Motion(np.moveaxis(d, -1, 0), np.moveaxis(d_std, -1, 0), eps, quality.astype(np.uint8))
