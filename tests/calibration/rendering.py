@@ -1,13 +1,16 @@
-"""Pictures of targets with exact truth, drawn by area integration; shares no code with the detectors.
+"""Pictures of targets with exact truth; shares no code with the detectors.
 
-Strings are strips whose area within each square pixel is computed in closed form; everything else is
-supersampled. The picture is then blurred by the lens, lit, and given photon noise, read noise and 8 bits.
+Strings are strips blurred by the lens in closed form and integrated over each square pixel (a thin string that
+is blurred only after it was put into pixels could move within its row unseen). Discs and other patterns are
+supersampled and then blurred. The picture is lit and given dirt, photon noise, read noise and 8 bits.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.interpolate import RectBivariateSpline
+from scipy.special import ndtr
 
 from wavefield.rig import Camera
 
@@ -17,7 +20,7 @@ def camera_at(
 ):
     """A camera that looks at the point `at` of the target plane.
 
-    tilt: obliquity, degrees from the plane's normal; turn: azimuth of the camera about z; roll: about its axis.
+    tilt: obliquity, degrees from the normal; turn: azimuth of the camera about z; roll: about its axis.
     """
     t, a, r = np.deg2rad([tilt, turn, roll])
     normal = np.array([np.sin(t) * np.cos(a), np.sin(t) * np.sin(a), np.cos(t)])
@@ -50,35 +53,35 @@ class Picture:
     seed: int = 0
 
 
-def strip(distance, half, gx, gy):
-    """Part of a unit square pixel covered by a strip of half width `half` at `distance` from its centre."""
-    a, b = np.abs(gx) / 2, np.abs(gy) / 2
-    a, b = np.maximum(a, b), np.maximum(np.minimum(a, b), 1e-4)
-
-    def below(t):
-        p = [np.maximum(t + s, 0) ** 2 for s in (a + b, a - b, b - a, -a - b)]
-        return (p[0] - p[1] - p[2] + p[3]) / (8 * a * b)
-
-    return below(half - distance) - below(-half - distance)
-
-
-def strings_cover(camera, mesh, extent, width, shift=(0.0, 0.0)):
-    """Fraction of every pixel covered by strings; extent = (i0, i1, j0, j1) of the crossings."""
+def plane_coordinates(camera, step=8):
+    """Target coordinates (x, y) of every pixel, from exact ones every few pixels by a quintic spline."""
     w, h = camera.size
-    X, Y = np.meshgrid(np.arange(w, dtype=float), np.arange(h, dtype=float))
-    x, y = camera.unproject(X, Y)
+    X, Y = np.arange(-2 * step, w + 3 * step, step, float), np.arange(-2 * step, h + 3 * step, step, float)
+    coarse = camera.unproject(*np.meshgrid(X, Y))
+    if not np.isfinite(coarse).all():
+        return camera.unproject(*np.meshgrid(np.arange(w, dtype=float), np.arange(h, dtype=float)))
+    fine = np.arange(h, dtype=float), np.arange(w, dtype=float)
+    return tuple(RectBivariateSpline(Y, X, c, kx=5, ky=5)(*fine) for c in coarse)
+
+
+def strings_cover(camera, mesh, extent, width, blur, shift=(0.0, 0.0)):
+    """Blurred fraction of every pixel covered by strings; extent = (i0, i1, j0, j1) of the crossings."""
+    x, y = plane_coordinates(camera)
     x, y = x - shift[0], y - shift[1]
     i0, i1, j0, j1 = np.array(extent) * mesh
-    free = np.ones_like(x)
     edge = 0.7 * mesh
+    at, weight = np.polynomial.legendre.leggauss(4)
+    free = [np.ones_like(x) for _ in range(16)]
     for q, p, lo, hi, p0, p1 in ((y, x, j0, j1, i0, i1), (x, y, i0, i1, j0, j1)):
         nearest = np.clip(np.rint(q / mesh) * mesh, lo, hi)
         gy, gx = np.gradient(q)
         g = np.hypot(gx, gy)
-        cover = strip((q - nearest) / g, width / 2 / g, gx / g, gy / g)
-        inside = (p > p0 - edge) & (p < p1 + edge)
-        free *= 1 - np.where(inside, np.nan_to_num(cover), 0)
-    return 1 - free, (x, y)
+        near = (np.abs(q - nearest) < width / 2 + (5 * blur + 1) * g) & (p > p0 - edge) & (p < p1 + edge)
+        q, g, gx, gy = q[near] - nearest[near], g[near], gx[near], gy[near]
+        for k in range(16):
+            d = (q + gx * at[k // 4] / 2 + gy * at[k % 4] / 2) / g
+            free[k][near] *= 1 - ndtr((d + width / 2 / g) / blur) + ndtr((d - width / 2 / g) / blur)
+    return 1 - sum(f * weight[k // 4] * weight[k % 4] / 4 for k, f in enumerate(free))
 
 
 def disc_cover(camera, centre, radius, samples=9):
@@ -102,7 +105,7 @@ def disc_cover(camera, centre, radius, samples=9):
 
 
 def expose(scene, picture):
-    """Lens, light, dirt, noise and 8 bits, for a picture of reflectances 0 to 1."""
+    """Light, dirt, noise and 8 bits, for a picture of reflectances 0 to 1."""
     rng = np.random.default_rng(picture.seed)
     h, w = scene.shape
     Y, X = np.mgrid[0:h, 0:w]
@@ -112,7 +115,7 @@ def expose(scene, picture):
             x0, x1, y0, y1 = int(max(cx - 9, 0)), int(cx + 9), int(max(cy - 9, 0)), int(cy + 9)
             patch = np.exp(-((X[y0:y1, x0:x1] - cx) ** 2 + (Y[y0:y1, x0:x1] - cy) ** 2) / (2 * r * r))
             scene[y0:y1, x0:x1] += (rng.choice([-1, 1]) * 0.6) * patch * (scene[y0:y1, x0:x1] + 0.15)
-    scene = np.clip(cv2.GaussianBlur(scene, (0, 0), picture.blur), 0, None)
+    scene = np.clip(scene, 0, None)
     light = 1.0 - picture.light * (
         0.5 * np.hypot((X - 0.35 * w) / w, (Y - 0.4 * h) / h) + 0.5 * (X + Y) / (w + h)
     )
@@ -120,21 +123,25 @@ def expose(scene, picture):
     for _ in range(picture.spots):
         cx, cy, r = rng.uniform(0, w), rng.uniform(0, h), rng.uniform(1.5, 7)
         stretch, turn = rng.uniform(1, 3), rng.uniform(0, np.pi)
-        a, b = (X - cx) * np.cos(turn) + (Y - cy) * np.sin(turn), (Y - cy) * np.cos(turn) - (X - cx) * np.sin(turn)
+        a, b = (
+            (X - cx) * np.cos(turn) + (Y - cy) * np.sin(turn),
+            (Y - cy) * np.cos(turn) - (X - cx) * np.sin(turn),
+        )
         counts += 400 * np.exp(-((a / stretch) ** 2 + b**2) / (2 * r * r))
     noise = np.sqrt(np.maximum(counts, 0) / picture.gain + picture.read**2)
     return np.clip(np.rint(counts + noise * rng.normal(size=counts.shape)), 0, 255).astype(np.uint8)
 
 
-def string_picture(camera, picture=Picture(), mesh=0.10, extent=(-12, 12, -12, 12), marks=True):  # noqa: B008
+def string_picture(camera, picture=Picture(), mesh=0.10, extent=(-12, 12, -12, 12), marks=True):
     """A picture of a grid of strings with its two marks."""
-    cover, _ = strings_cover(camera, mesh, extent, picture.string)
+    cover = strings_cover(camera, mesh, extent, picture.string, picture.blur)
     if picture.ghost:
-        ghost, _ = strings_cover(camera, mesh, extent, picture.string, (picture.ghost_shift,) * 2)
+        ghost = strings_cover(camera, mesh, extent, picture.string, picture.blur, (picture.ghost_shift,) * 2)
         cover = np.maximum(cover, picture.ghost * ghost)
     if marks:
         for centre, radius in (((0.0, 0.0), picture.origin_radius), ((mesh, 0.0), picture.x_radius)):
-            cover = np.maximum(cover, disc_cover(camera, centre, radius))
+            disc = cv2.GaussianBlur(disc_cover(camera, centre, radius), (0, 0), picture.blur)
+            cover = np.maximum(cover, disc)
     return expose(cover, picture)
 
 
@@ -149,8 +156,9 @@ def string_truth(camera, mesh=0.10, extent=(-12, 12, -12, 12), margin=5.0, marks
     return node[seen], pixel[seen]
 
 
-def cells_picture(camera, inside, picture=Picture(), samples=6):  # noqa: B008
+def pattern_picture(camera, inside, picture=Picture(), samples=4):
     """A picture of any pattern: inside(x, y) gives the reflectance, 0 to 1; supersampled."""
+    camera = camera.scaled(2)
     w, h = camera.size
     o = (np.arange(samples) + 0.5) / samples - 0.5
     out = np.empty((h, w))
@@ -160,9 +168,5 @@ def cells_picture(camera, inside, picture=Picture(), samples=6):  # noqa: B008
         X, Y = np.meshgrid(gx, (rows[:, None] + o).ravel())
         x, y = camera.unproject(X, Y)
         out[rows] = inside(x, y).reshape(len(rows), samples, w, samples).mean((1, 3))
-    return expose(out, picture)
-
-
-def with_changes(picture, **changes):
-    """The same picture taken differently."""
-    return replace(picture, **changes)
+    out = cv2.GaussianBlur(out, (0, 0), 2 * picture.blur)
+    return expose(out.reshape(h // 2, 2, w // 2, 2).mean((1, 3)), picture)

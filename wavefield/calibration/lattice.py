@@ -11,6 +11,8 @@ Array = NDArray[np.float64]
 
 REACH = 100  # nodes a lattice may extend from its seed in each direction
 SNAP = 0.22  # how far from its prediction a node may lie, in meshes
+FAINT = 0.4  # a crossing is at least this strong, relative to those around it
+WINDOW = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3), indexing="ij"), -1).reshape(-1, 2)
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ def crossings(image: NDArray[np.float32], scale: float) -> Candidates:
     Returns
     -------
     Candidates
-        Those above .2 of the median of the 80 strongest.
+        Those above .2 of the median of the 80 strongest, and above most of what noise makes.
     """
     r = int(np.ceil(4 * scale))
     t = np.arange(-r, r + 1)
@@ -72,7 +74,8 @@ def crossings(image: NDArray[np.float32], scale: float) -> Candidates:
     strength = weaker[y, x].astype(float)
     if not len(strength):
         return Candidates(np.empty((0, 2)), strength, scale)
-    keep = strength > 0.2 * np.median(np.sort(strength)[::-1][:80])
+    noise = np.median(np.abs(weaker[::4, ::4]))
+    keep = strength > max(0.2 * np.median(np.sort(strength)[::-1][:80]), 2.3 * noise)
     x, y, strength = x[keep], y[keep], strength[keep]
     pixel = np.stack(
         [
@@ -88,6 +91,12 @@ def _vertex(before: Array, at: Array, after: Array) -> Array:
     """Offset of the vertex of the parabola through three neighbours, at most half a pixel."""
     bend = before - 2 * at + after
     return np.clip(0.5 * (before - after) / np.where(bend < 0, bend, -np.inf), -0.5, 0.5)
+
+
+def _windows(table: Array, node: NDArray[np.int64]) -> Array:
+    """Entries of a table over indices within two of each node, (m, 25, ...)."""
+    at = node[:, None] + WINDOW + REACH
+    return table[at[..., 0], at[..., 1]]
 
 
 class Lattice:
@@ -144,11 +153,9 @@ class Lattice:
         slopes : ndarray, (m, 2, 2)
             Local mesh vectors: [:, 0] along i, [:, 1] along j, px.
         """
-        o = np.arange(-2, 3)
-        di, dj = (a.ravel().astype(float) for a in np.meshgrid(o, o, indexing="ij"))
+        di, dj = WINDOW.astype(float).T
         basis = np.stack([np.ones(25), di, dj, di * dj, di * di, dj * dj], -1)
-        at = node + REACH
-        window = self.place[at[:, :1] + di.astype(int), at[:, 1:] + dj.astype(int)]  # (m, 25, 2)
+        window = _windows(self.place, node)  # (m, 25, 2)
         known = np.isfinite(window[..., 0])
         weight = known / (1.0 + di * di + dj * dj)
         prior = np.array([0.0, 1e-4, 1e-4, 0.3, 0.3, 0.3])
@@ -171,7 +178,10 @@ class Lattice:
         tree = cKDTree(candidates.pixel)
         used = np.zeros(len(candidates.pixel) + 1, bool)
         used[-1] = True  # stands for "none"
-        used[tree.query(self.place[REACH, REACH])[1]] = True
+        first = tree.query(self.place[REACH, REACH])[1]
+        used[first] = True
+        strengths = np.zeros(self.place.shape[:2])  # of the filled nodes
+        strengths[REACH, REACH] = candidates.strength[first]
         while len(front := self.front()):
             pixel, slopes = self.predict(front)
             reach = SNAP * np.hypot(slopes[..., 0], slopes[..., 1]).min(1)
@@ -181,6 +191,9 @@ class Lattice:
                 return
             distance, choice = tree.query(pixel, k=4, distance_upper_bound=float(reach.max()))
             strength = np.append(candidates.strength, 0.0)[choice]
+            around = _windows(strengths, front)
+            usual = around.sum(1) / np.maximum((around > 0).sum(1), 1)
+            strength = np.where(strength > FAINT * usual[:, None], strength, 0.0)
             # the strongest of those near, so that a faint reflection beside a string is passed over
             merit = np.where(
                 used[choice], 0.0, strength * (1 - np.minimum(distance / reach[:, None], 1) ** 2)
@@ -194,6 +207,7 @@ class Lattice:
                 if not used[c]:
                     used[c] = True
                     self.place[tuple(front[k] + REACH)] = candidates.pixel[c]
+                    strengths[tuple(front[k] + REACH)] = candidates.strength[c]
                     filled += 1
             if not filled:
                 return

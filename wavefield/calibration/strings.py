@@ -42,7 +42,7 @@ def find_strings(image: NDArray[np.float32], target: Target) -> TargetPoints:
     CalibrationError
         If there is no grid, too little of it, or its marks are not in view.
     """
-    lattice, scale = _largest_lattice(image)
+    lattice, scale = _best_lattice(image)
     node, pixel = lattice.node, lattice.pixel
     mesh = np.median(np.hypot(*np.moveaxis(lattice.predict(node)[1], -1, 0)))
     try:
@@ -64,9 +64,10 @@ _NONE = (
 # -- the lattice --------------------------------------------------------------------------------------
 
 
-def _largest_lattice(image: NDArray[np.float32]) -> tuple[Lattice, float]:
+def _best_lattice(image: NDArray[np.float32]) -> tuple[Lattice, float]:
+    """The lattice whose meshes run along the most light, and the scale of its candidates."""
     best: Lattice | None = None
-    best_scale = SCALES[0]
+    best_scale, most = SCALES[0], 0.0
     size = image.shape[::-1]
     for scale in SCALES:
         candidates = crossings(image, scale)
@@ -75,14 +76,35 @@ def _largest_lattice(image: NDArray[np.float32]) -> tuple[Lattice, float]:
         for start, e1, e2 in _seeds(image, candidates):
             lattice = Lattice(start, e1, e2)
             lattice.grow(candidates, size)
-            # a coarser scale must earn its place
-            if best is None or len(lattice) > (1.03 if scale == best_scale else 1.05) * len(best):
-                best, best_scale = lattice, scale
+            if len(lattice) < FEWEST:
+                continue
+            light = _light_along(image, lattice)
+            if light > 1.03 * most:
+                best, best_scale, most = lattice, scale, light
             if len(lattice) > 0.6 * candidates.strong.sum():
                 break
-    if best is None or len(best) < FEWEST:
+    if best is None:
         raise CalibrationError(_NONE)
     return best, best_scale
+
+
+def _light_along(image: NDArray[np.float32], lattice: Lattice) -> float:
+    """Light on the lines between neighbouring nodes above that beside them, summed over their length.
+
+    A lattice that noise or dirt suggests has many nodes, but no strings between them.
+    """
+    place, known = lattice.place, np.isfinite(lattice.place[..., 0])
+    along = np.linspace(0.25, 0.75, 16)[None, :, None]
+    total = 0.0
+    for axis in (0, 1):
+        pair = np.argwhere(known & np.roll(known, -1, axis))
+        step = np.eye(2, dtype=int)[axis]
+        here, there = place[tuple(pair.T)], place[tuple((pair + step).T)]
+        aside = 0.22 * lattice.predict(pair - REACH)[1][:, 1 - axis][:, None]
+        line = here[:, None] + along * (there - here)[:, None]
+        on, off = _sample(image, line), (_sample(image, line + aside) + _sample(image, line - aside)) / 2
+        total += float(((on - off).mean(1) * np.hypot(*(there - here).T)).sum())
+    return total
 
 
 def _seeds(
@@ -163,41 +185,50 @@ def _marks(
     pixel = smooth(around)
     inside = ((pixel > 2) & (pixel < [width - 3, height - 3])).all(1)
     around, pixel = around[inside], pixel[inside]
-    area = _disc_area(cv2.GaussianBlur(image, (0, 0), 1.0), pixel, smooth.slopes(around))
-    noise = 1.4826 * np.median(np.abs(area - np.median(area))) + 1e-6
-    table = np.full((2 * REACH + 3, 2 * REACH + 3), -np.inf)
-    table[tuple((around + REACH + 1).T)] = area - np.median(area)
-    best, found = 0.0, None
-    for n in around[np.argsort(-area)[:6]]:
-        here = table[tuple(n + REACH + 1)]
-        steps = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-        beside = np.array([table[tuple(n + s + REACH + 1)] for s in steps])
-        second, first = np.argsort(beside)[-2:]
-        distinct = beside[first] > 2.5 * max(beside[second], 2 * noise)
-        if distinct and beside[first] < 0.85 * here and beside[first] > best:
-            best, found = beside[first], (n, steps[first])
+    quality, radius, grey = _discs(cv2.GaussianBlur(image, (0, 0), 0.7), pixel, smooth.slopes(around))
+    row = np.full((2 * REACH + 3, 2 * REACH + 3), -1)
+    row[tuple((around + REACH + 1).T)] = np.arange(len(around))
+    best, found = 3.0, None
+    for a in np.flatnonzero(quality > best):
+        for step in np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]):
+            b = row[tuple(around[a] + step + REACH + 1)]
+            merit = min(quality[a], quality[b])
+            if b >= 0 and radius[b] < 0.9 * radius[a] and 0.5 < grey[b] / grey[a] < 2.0 and merit > best:
+                best, found = merit, (around[a], step)
     if found is None:
         raise CalibrationError(
-            f"a grid of {len(node)} crossings was found, but not its marks: the larger disc on the origin and "
-            "the smaller one on the next crossing along +x must both be in view"
+            f"a grid of {len(node)} crossings was found, but not its marks: the larger disc on the origin "
+            "and the smaller one on the next crossing along +x must both be in view"
         )
     return found
 
 
-def _disc_area(image: NDArray[np.float32], pixel: Array, slopes: Array) -> Array:
-    """Light gathered around nodes between the strings, grey times mesh squared.
+def _discs(image: NDArray[np.float32], pixel: Array, slopes: Array) -> tuple[Array, Array, Array]:
+    """How much the surroundings of each node look like a disc of even brightness on a dark ground.
 
-    The median over directions at each radius does not see strings, and few spots of light.
+    Samples lie on circles of the target's plane, in directions away from the strings. The circle that best
+    parts them into bright ones inside and dark ones outside is the disc's edge.
+
+    Returns the quality (difference of the means over mean deviation from them), the radius in meshes, and
+    the difference of the means.
     """
-    radius = np.linspace(0.04, 0.44, 14)
+    r = np.linspace(0.05, 0.45, 17)
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
-    angle = angle[np.abs(np.sin(2 * angle)) > 0.5]  # away from the strings
-    offset = radius[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
-    value = np.median(
-        _sample(image, pixel[:, None, None] + np.einsum("rak,nkc->nrac", offset, slopes)), axis=2
-    )
-    above = np.maximum(value - value[:, -5:].min(1, keepdims=True), 0)
-    return (above * radius).sum(1) * (radius[1] - radius[0])
+    angle = angle[np.abs(np.sin(2 * angle)) > 0.5]
+    offset = r[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+    value = _sample(image, pixel[:, None, None] + np.einsum("rak,nkc->nrac", offset, slopes)).astype(float)
+    value -= np.median(value, axis=(0, 2), keepdims=True)  # what a node without a disc looks like
+    noise = np.median(np.abs(value[:, -6:])) + 1e-3
+    quality, radius, grey = np.zeros((3, len(pixel)))
+    for k in range(2, len(r) - 4):
+        inside, outside = value[:, : k - 1].reshape(len(pixel), -1), value[:, k + 2 :].reshape(len(pixel), -1)
+        high, low = np.median(inside, axis=1), np.median(outside, axis=1)
+        spread = np.abs(inside - high[:, None]).mean(1) + np.abs(outside - low[:, None]).mean(1) + noise
+        here = np.where(high - low > 5 * noise, (high - low) / spread, 0.0)
+        better = here > quality
+        quality, radius = np.where(better, here, quality), np.where(better, r[k], radius)
+        grey = np.where(better, high - low, grey)
+    return quality, radius, np.maximum(grey, 1e-6)
 
 
 # -- the fit and what is rejected ------------------------------------------------------------------------
