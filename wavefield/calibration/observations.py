@@ -1,0 +1,199 @@
+"""All nodes seen in all views, as flat arrays, and the geometry that is fitted to them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.calibration.points import TargetPoints
+from wavefield.rig.camera import Array, Camera
+
+Index = NDArray[np.int64]
+
+# columns of Geometry.lens
+LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew")
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Nodes of the target seen by the cameras.
+
+    Parameters
+    ----------
+    cameras, poses : tuple of str
+        Names; the integer arrays below count into these.
+    sizes : tuple of (width, height)
+        Image size of each camera, px.
+    nodes : ndarray of int, (N, 2)
+        Indices (i, j) of the target's nodes that were seen.
+    mesh : float
+        Distance of neighbouring nodes, metres.
+    camera, pose, node : ndarray of int, (n,)
+        Who saw which node in which pose of the target.
+    pixel : ndarray, (n, 2)
+        Where, px.
+    std : ndarray, (n,)
+        Standard uncertainty per axis, px.
+    """
+
+    cameras: tuple[str, ...]
+    poses: tuple[str, ...]
+    sizes: tuple[tuple[int, int], ...]
+    nodes: Index
+    mesh: float
+    camera: Index
+    pose: Index
+    node: Index
+    pixel: Array
+    std: Array
+
+    def __len__(self) -> int:
+        return len(self.camera)
+
+    @property
+    def plan(self) -> Array:
+        """Positions of the nodes on a perfect target, (N, 3), metres."""
+        return np.column_stack([self.nodes * self.mesh, np.zeros(len(self.nodes))])
+
+    def only(self, keep: NDArray[np.bool_]) -> "Observations":
+        """Some of the observations; names and nodes stay.
+
+        Parameters
+        ----------
+        keep : ndarray of bool, (n,)
+            Which to keep.
+
+        Returns
+        -------
+        Observations
+        """
+        parts = {key: getattr(self, key)[keep] for key in ("camera", "pose", "node", "pixel", "std")}
+        return replace(self, **parts)
+
+    def of_camera(self, camera: int) -> "Observations":
+        """What one camera saw, with the poses it saw.
+
+        Parameters
+        ----------
+        camera : int
+            Which.
+
+        Returns
+        -------
+        Observations
+            With one camera.
+        """
+        part = self.only(self.camera == camera)
+        seen = np.unique(part.pose)
+        return replace(
+            part,
+            cameras=(self.cameras[camera],),
+            sizes=(self.sizes[camera],),
+            poses=tuple(self.poses[p] for p in seen),
+            camera=np.zeros(len(part), np.int64),
+            pose=np.searchsorted(seen, part.pose),
+        )
+
+
+def collect(views: Mapping[str, Mapping[str, TargetPoints]], mesh: float) -> Observations:
+    """Flatten the views of all cameras.
+
+    Parameters
+    ----------
+    views : mapping of camera to mapping of pose to TargetPoints
+        What was found in each image.
+    mesh : float
+        Of the target, metres.
+
+    Returns
+    -------
+    Observations
+    """
+    cameras = tuple(views)
+    poses: list[str] = []
+    for of_camera in views.values():
+        poses += [pose for pose in of_camera if pose not in poses]
+    rows = [
+        (c, poses.index(pose), points)
+        for c, name in enumerate(cameras)
+        for pose, points in views[name].items()
+        if len(points)
+    ]
+
+    def stack(parts: Sequence[Array], width: int) -> Array:
+        return np.concatenate(parts) if parts else np.zeros((0, width) if width > 1 else 0)
+
+    all_nodes = stack([p.node for _, _, p in rows], 2).astype(np.int64)
+    nodes, node = np.unique(all_nodes, axis=0, return_inverse=True)
+    counts = [len(p) for _, _, p in rows]
+    return Observations(
+        cameras,
+        tuple(poses),
+        tuple(next((tuple(p.size) for p in views[name].values()), (0, 0)) for name in cameras),
+        nodes,
+        float(mesh),
+        np.repeat([c for c, _, _ in rows], counts).astype(np.int64),
+        np.repeat([q for _, q, _ in rows], counts).astype(np.int64),
+        np.ravel(node).astype(np.int64),
+        stack([np.asarray(p.pixel, float) for _, _, p in rows], 2),
+        stack([np.asarray(p.std, float) for _, _, p in rows], 1),
+    )
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Cameras and poses of the target.
+
+    Parameters
+    ----------
+    lens : ndarray, (C, 12)
+        `LENS` of each camera.
+    R, T : ndarray, (C, 3, 3) and (C, 3)
+        World to camera, metres.
+    pose_R, pose_t : ndarray, (P, 3, 3) and (P, 3)
+        Target to world, metres.
+    offset : ndarray, (N, 3)
+        How far each node is from its place on a perfect target, metres, in the target's axes.
+    """
+
+    lens: Array
+    R: Array
+    T: Array
+    pose_R: Array
+    pose_t: Array
+    offset: Array
+
+    def camera(self, c: int, size: tuple[int, int]) -> Camera:
+        """One camera as the rig wants it.
+
+        Parameters
+        ----------
+        c : int
+            Which.
+        size : (width, height)
+            Its image, px.
+
+        Returns
+        -------
+        Camera
+        """
+        terms = dict(zip(LENS, self.lens[c].tolist(), strict=True))
+        return Camera(rotation=self.R[c], translation=self.T[c], size=size, **terms)
+
+    def world(self, observations: Observations) -> Array:
+        """Where the nodes were, (n, 3), metres.
+
+        Parameters
+        ----------
+        observations : Observations
+            Which nodes, in which pose.
+
+        Returns
+        -------
+        ndarray, (n, 3)
+        """
+        points = (observations.plan + self.offset)[observations.node]
+        return (
+            np.einsum("nij,nj->ni", self.pose_R[observations.pose], points) + self.pose_t[observations.pose]
+        )

@@ -1,0 +1,223 @@
+"""Starting values: each camera on its own, by Zhang's method."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from wavefield.calibration.bundle import Fit, fit, robust_std
+from wavefield.calibration.observations import LENS, Geometry, Observations
+from wavefield.errors import CalibrationError
+from wavefield.rig.camera import Array
+
+FEWEST_NODES = 12  # of the target in a view
+
+
+@dataclass(frozen=True)
+class Alone:
+    """One camera calibrated on its own.
+
+    Parameters
+    ----------
+    lens : ndarray, (12,)
+        `LENS`.
+    poses : dict of str to (ndarray (3, 3), ndarray (3,))
+        Target to camera for each pose seen, metres.
+    rms : dict of str to float
+        Robust scatter of each view, px.
+    spread : float
+        Largest angle between two views of the target, degrees.
+    """
+
+    lens: Array
+    poses: dict[str, tuple[Array, Array]]
+    rms: dict[str, float]
+    spread: float
+
+
+def homography(plan: Array, pixel: Array) -> Array | None:
+    """Homography from the target's plane to the image, blunders and lens notwithstanding.
+
+    Parameters
+    ----------
+    plan : ndarray, (n, 2)
+        On the target, metres.
+    pixel : ndarray, (n, 2)
+        In the image, px.
+
+    Returns
+    -------
+    ndarray, (3, 3), or None
+        None if the nodes lie on a line or agree with no homography.
+    """
+    if len(plan) < 6 or np.linalg.matrix_rank(plan - plan.mean(0), tol=1e-9) < 2:
+        return None
+    cv2.setRNGSeed(1)
+    H, kept = cv2.findHomography(plan, pixel, cv2.RANSAC, 8.0, maxIters=500)
+    if H is None or kept.sum() < 0.5 * len(plan):
+        return None
+    return np.asarray(H, float)
+
+
+def focal_length(homographies: list[Array], centre: Array) -> float | None:
+    """Focal length from plane views, square pixels and a known principal point assumed.
+
+    Parameters
+    ----------
+    homographies : list of ndarray, (3, 3)
+        Plane to pixels.
+    centre : ndarray, (2,)
+        Principal point, px.
+
+    Returns
+    -------
+    float or None
+        Pixels; None if the views do not tell it (all parallel to the sensor).
+
+    Notes
+    -----
+    Zhang (2000): with w = diag(u, u, 1), u = 1/f^2, h1^T w h2 = 0 and h1^T w h1 = h2^T w h2.
+    """
+    shift = np.eye(3)
+    shift[:2, 2] = -centre
+    rows = []
+    for H in homographies:
+        h = shift @ H
+        h = h / np.linalg.norm(h[:, :2])
+        a, b = h[:, 0], h[:, 1]
+        rows.append((a[0] * b[0] + a[1] * b[1], -a[2] * b[2]))
+        rows.append((a[0] ** 2 + a[1] ** 2 - b[0] ** 2 - b[1] ** 2, b[2] ** 2 - a[2] ** 2))
+    A, y = np.array(rows).T
+    u = float(A @ y) / max(float(A @ A), 1e-300)
+    return float(1.0 / np.sqrt(u)) if u > 0.0 else None
+
+
+def plane_pose(H: Array, lens: Array) -> tuple[Array, Array]:
+    """Pose of a plane from its homography.
+
+    Parameters
+    ----------
+    H : ndarray, (3, 3)
+        Plane (metres) to pixels.
+    lens : ndarray, (12,)
+        `LENS`; distortion is ignored.
+
+    Returns
+    -------
+    R, t : ndarray, (3, 3) and (3,)
+        Plane to camera, metres.
+    """
+    K = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
+    h = np.linalg.solve(K, H)
+    h /= 0.5 * (np.linalg.norm(h[:, 0]) + np.linalg.norm(h[:, 1]))
+    if h[2, 2] < 0.0:  # in front of the camera
+        h = -h
+    U, _, V = np.linalg.svd(np.column_stack([h[:, :2], np.cross(h[:, 0], h[:, 1])]))
+    return U @ V, h[:, 2]
+
+
+def calibrate_alone(observations: Observations) -> Alone:
+    """Calibrate one camera by Zhang's method, then by a fit of its own.
+
+    Parameters
+    ----------
+    observations : Observations
+        Of one camera.
+
+    Returns
+    -------
+    Alone
+
+    Raises
+    ------
+    CalibrationError
+        If no view can be used, or the views do not tell the focal length.
+    """
+    o = observations
+    (name,) = o.cameras
+    maps: dict[int, Array] = {}
+    for p in range(len(o.poses)):
+        rows = o.pose == p
+        H = homography(o.plan[o.node[rows], :2], o.pixel[rows])
+        if H is not None:
+            maps[p] = H
+    if not maps:
+        raise CalibrationError(f"no view of {name} shows a plane target: photograph it again")
+    centre = np.array([(n - 1) / 2 for n in o.sizes[0]])
+    f = focal_length(list(maps.values()), centre)
+    if f is None or not 0.2 * max(o.sizes[0]) < f < 200 * max(o.sizes[0]):
+        raise CalibrationError(
+            f"the views of {name} do not tell its focal length, as they are all nearly parallel to its sensor: "
+            "photograph the target tilted by 20 to 40 degrees, towards several sides"
+        )
+    lens = np.zeros(len(LENS))
+    lens[:4] = f, f, *centre
+    poses = {p: plane_pose(H, lens) for p, H in maps.items()}
+    used = o.only(np.isin(o.pose, list(maps)))
+    count = len(o.poses)
+    start = Geometry(
+        lens[None],
+        np.eye(3)[None],
+        np.zeros((1, 3)),
+        np.stack([poses[p][0] if p in poses else np.eye(3) for p in range(count)]),
+        np.stack([poses[p][1] if p in poses else np.zeros(3) for p in range(count)]),
+        np.zeros((len(o.nodes), 3)),
+    )
+    # the frame is the camera's own: its pose stays, all target poses move
+    first = min(maps)
+    start = _seen_from(start, first)
+    terms = ("f", "k1") if len(maps) < 3 else ("f", "c", "k1")
+    result: Fit = fit(used, start, [terms], first)
+    g = result.geometry
+    found = {o.poses[p]: (g.R[0] @ g.pose_R[p], g.R[0] @ g.pose_t[p] + g.T[0]) for p in maps}
+    rms = {o.poses[p]: robust_std(result.residual[used.pose == p]) for p in maps}
+    normals = np.stack([R[:, 2] for R, _ in found.values()])
+    spread = float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)).max()))
+    return Alone(g.lens[0], found, rms, spread)
+
+
+def _seen_from(geometry: Geometry, pose: int) -> Geometry:
+    """The geometry of one camera in the frame of one pose of the target."""
+    Q, o = geometry.pose_R[pose], geometry.pose_t[pose]
+    return Geometry(
+        geometry.lens,
+        geometry.R @ Q,
+        geometry.R @ o + geometry.T,
+        Q.T @ geometry.pose_R,
+        (geometry.pose_t - o) @ Q,
+        geometry.offset,
+    )
+
+
+def mean_rotation(rotations: Array) -> Array:
+    """Mean of rotations that are near each other.
+
+    Parameters
+    ----------
+    rotations : ndarray, (n, 3, 3)
+        Rotations.
+
+    Returns
+    -------
+    ndarray, (3, 3)
+        The rotation nearest to their mean.
+    """
+    U, _, V = np.linalg.svd(np.mean(rotations, axis=0))
+    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
+
+
+def angle_between(A: Array, B: Array) -> float:
+    """Angle of the rotation from one orientation to another.
+
+    Parameters
+    ----------
+    A, B : ndarray, (3, 3)
+        Rotations.
+
+    Returns
+    -------
+    float
+        Degrees.
+    """
+    chord = np.linalg.norm(A - B) / np.sqrt(8.0)
+    return float(np.degrees(2.0 * np.arcsin(min(chord, 1.0))))
