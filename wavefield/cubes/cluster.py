@@ -113,13 +113,13 @@ def _configured(configuration: dict[str, Any]) -> Iterator[None]:
     # dask.config.set would replace whole sections
     before = dask.config.config.copy()
     merged = dask.config.merge(dask.config.config, configuration)
-    with dask.config.lock:
+    with dask.config.config_lock:
         dask.config.config.clear()
         dask.config.config.update(merged)
     try:
         yield
     finally:
-        with dask.config.lock:
+        with dask.config.config_lock:
             dask.config.config.clear()
             dask.config.config.update(before)
 
@@ -235,7 +235,7 @@ def _map_on(client: Any, work: Work, items: Sequence[Any]) -> Iterator[Any]:
 
     futures = {client.submit(work, item, pure=False, key=f"block-{k}-{id(items)}"): item for k, item in enumerate(items)}
     try:
-        for future in as_completed(futures):
+        for future in as_completed(futures, loop=client.loop):
             if future.status == "finished":
                 result: Any = future.result()
             elif future.status == "error":

@@ -356,7 +356,9 @@ def _open_or_create(prepared: Prepared, path: Path) -> stores.Layout:
     first = next(iter(prepared.series.values())).first
     layout = stores.Layout(prepared.steps, min(block, prepared.steps), tuple(prepared.series), first)
     depth = prepared.experiment.water.depth
-    attributes = {"water_depth": depth} if depth else {}
+    attributes: dict[str, Any] = {"experiment_file": str(prepared.experiment.path)}
+    if depth:
+        attributes["water_depth"] = depth
     stores.clean_up(path)
     stores.create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes)
     return layout

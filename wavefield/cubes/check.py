@@ -1,0 +1,350 @@
+"""What is there, what is missing, and what a run will cost: before a night is spent on it."""
+
+import os
+import shutil
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numcodecs
+import numpy as np
+
+from wavefield.cubes.block import Measured, make_block, measure_block
+from wavefield.cubes.cluster import count_workers, one_thread
+from wavefield.cubes.run import Prepared, choose_block, prepare
+from wavefield.cubes.status import spell_ranges
+from wavefield.cubes.workflow import Workflow
+from wavefield.errors import ExperimentError, RigError
+from wavefield.grid import Grid
+from wavefield.rig import Rig
+from wavefield.series import Experiment, FrameSeries
+from wavefield.variables import FrameStatus
+
+
+@dataclass(frozen=True)
+class CameraCheck:
+    """Frames of one camera.
+
+    Parameters
+    ----------
+    name : str
+        The camera.
+    frames : int
+        Frames that have a file.
+    size : tuple of int
+        (width, height), px.
+    dtype : str
+        Type of the images.
+    missing : tuple of int
+        Numbers of the frames that have none.
+    small : tuple of int
+        Numbers of the frames whose file is empty or less than half as large as most.
+    """
+
+    name: str
+    frames: int
+    size: tuple[int, int]
+    dtype: str
+    missing: tuple[int, ...]
+    small: tuple[int, ...]
+
+    def __str__(self) -> str:
+        text = f"{self.name}: {self.frames} frames of {self.size[0]} x {self.size[1]} px, {self.dtype}"
+        if self.missing:
+            text += f"; {len(self.missing)} missing: {spell_ranges(self.missing)}"
+        if self.small:
+            text += f"; {len(self.small)} files are empty or truncated: {spell_ranges(self.small)}"
+        return text
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a run will take, from measured steps.
+
+    Parameters
+    ----------
+    step_seconds : float
+        Time per step on one worker, s.
+    workers : int
+        Workers that share the steps.
+    seconds : float
+        Time of the whole run, s.
+    memory : int
+        Memory per worker, bytes.
+    disk : int
+        Size of the store, bytes.
+    free : int
+        Room on the disk of the store, bytes.
+    """
+
+    step_seconds: float
+    workers: int
+    seconds: float
+    memory: int
+    disk: int
+    free: int
+
+    def __str__(self) -> str:
+        workers = "1 worker" if self.workers == 1 else f"{self.workers} workers"
+        text = (
+            f"{_duration(self.seconds)} on {workers} ({self.step_seconds:.2f} s per step), "
+            f"{self.memory / 1e9:.2f} GB of memory per worker, {_size(self.disk)} of disk"
+        )
+        if self.free < 1.1 * self.disk:
+            text += f" - but only {_size(self.free)} are free: free some room or write elsewhere with -o"
+        return text
+
+
+@dataclass(frozen=True)
+class Check:
+    """An experiment looked at before a run.
+
+    Parameters
+    ----------
+    experiment : str
+        Its name.
+    path : path
+        Its file.
+    steps : int
+        Steps of the whole run.
+    cameras : tuple of CameraCheck
+        Frames of every camera.
+    rig : tuple of str
+        Cameras of the rig; empty if there is none.
+    grid : Grid or None
+        The nodes.
+    coverage : float or None
+        Share of the nodes that every measuring camera sees at rest.
+    measured : float or None
+        Share of the nodes that a measured step filled.
+    cost : Cost or None
+        What a run will take; None if it cannot run yet.
+    problems : tuple of str
+        What stands in the way of a run.
+    """
+
+    experiment: str
+    path: Path
+    steps: int
+    cameras: tuple[CameraCheck, ...]
+    rig: tuple[str, ...]
+    grid: Grid | None
+    coverage: float | None
+    measured: float | None
+    cost: Cost | None
+    problems: tuple[str, ...]
+
+    @property
+    def ready(self) -> bool:
+        """Whether a run can start."""
+        return not self.problems
+
+    def __str__(self) -> str:
+        lines = [f"{self.experiment} ({self.path}): {self.steps} steps"]
+        lines += [f"  {camera}" for camera in self.cameras]
+        if self.rig:
+            lines.append(f"  rig: {', '.join(self.rig)}")
+        if self.grid:
+            (x0, x1), (y0, y1), (ny, nx) = self.grid.x, self.grid.y, self.grid.shape
+            lines.append(
+                f"  grid: x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m, every {self.grid.step:g} m: {nx} x {ny} nodes"
+            )
+        if self.coverage is not None:
+            text = f"  coverage: all cameras see {100 * self.coverage:.0f} % of the nodes"
+            if self.measured is not None:
+                text += f"; the step tried measured {100 * self.measured:.0f} %"
+            lines.append(text)
+        if self.cost:
+            lines.append(f"  a run will take {self.cost}")
+        lines += [f"  not ready: {problem}" for problem in self.problems]
+        return "\n".join(lines)
+
+
+def check(
+    experiment: str | Path | Experiment,
+    rig: str | Path | Rig | None = None,
+    workflow: str | Path | Workflow | None = None,
+) -> Check:
+    """Look at an experiment and measure a few of its steps; changes nothing.
+
+    Parameters
+    ----------
+    experiment : path or Experiment
+        The experiment.
+    rig : path or Rig, optional
+        In place of the one that the experiment names.
+    workflow : path or Workflow, optional
+        How it would be processed.
+
+    Returns
+    -------
+    Check
+        To be printed; ``problems`` says what stands in the way of a run.
+
+    Raises
+    ------
+    ExperimentError
+        If the experiment file is wrong or images are not there.
+    """
+    if not isinstance(experiment, Experiment):
+        experiment = Experiment.load(experiment)
+    series = experiment.open_frames()
+    cameras = tuple(_look_at(s) for s in series.values())
+    steps = len(next(iter(series.values()))) - 1
+    problems: list[str] = []
+    prepared, cost, coverage, measured = None, None, None, None
+    try:
+        prepared = prepare(experiment, rig, workflow)
+    except (RigError, ExperimentError) as error:
+        problems.append(str(error))
+    if prepared:
+        coverage = expected_coverage(prepared.rig, prepared.grid)
+        try:
+            cost, measured = measure_cost(prepared)
+        except ExperimentError as error:
+            problems.append(str(error))
+    return Check(
+        experiment=experiment.name,
+        path=experiment.path,
+        steps=steps,
+        cameras=cameras,
+        rig=tuple(prepared.rig) if prepared else (),
+        grid=prepared.grid if prepared else None,
+        coverage=coverage,
+        measured=measured,
+        cost=cost,
+        problems=tuple(problems),
+    )
+
+
+def _look_at(series: FrameSeries) -> CameraCheck:
+    missing = tuple(int(n) for n in series.missing)
+    sizes = {}
+    for index, entry in enumerate(series.entries):
+        if entry is not None and entry.kind == "file":
+            try:
+                sizes[series.first + index] = os.stat(entry.path).st_size
+            except OSError:
+                sizes[series.first + index] = 0
+    usual = np.median(list(sizes.values())) if sizes else 0
+    small = tuple(number for number, size in sizes.items() if size < usual / 2)
+    rows, columns = series.shape
+    return CameraCheck(
+        series.camera, len(series) - len(missing), (columns, rows), series.dtype, missing, small
+    )
+
+
+def expected_coverage(rig: Rig, grid: Grid) -> float:
+    """Share of the nodes that every camera sees when the water is at rest.
+
+    Parameters
+    ----------
+    rig : Rig
+        The cameras that measure.
+    grid : Grid
+        The nodes.
+
+    Returns
+    -------
+    float
+    """
+    x, y = np.meshgrid(grid.x_nodes, grid.y_nodes)
+    seen = np.ones(x.shape, bool)
+    for name in rig:
+        seen &= rig[name].sees(x, y, 0.0)
+    return float(seen.mean())
+
+
+def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
+    """Measure a few steps in the middle of the run, and tell from them what the whole will take.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        As from `wavefield.cubes.run.prepare`.
+
+    Returns
+    -------
+    cost : Cost
+        Time, memory, disk.
+    measured : float
+        Share of the nodes that were measured.
+
+    Raises
+    ------
+    ExperimentError
+        If no step could be measured.
+    """
+    one_thread()
+    start = _whole_step(prepared.series)
+    stop = min(start + 3, prepared.steps)
+    _time_block(prepared, start, start + 1)  # compiles, and fills caches
+    single, one = _time_block(prepared, start, start + 1)
+    step = single / 4  # of a record of one step, which takes nearly as much as its four frames
+    if stop > start + 1:
+        several, one = _time_block(prepared, start, stop)
+        step = max(several - single, 0.1 * several) / (stop - start - 1)
+    if (one.frame_status == FrameStatus.FAILED).all():
+        raise ExperimentError(
+            f"the step of frame {next(iter(prepared.series.values())).first + start} could not be measured; look at its "
+            "images, the rig and the grid"
+        )
+    workflow = prepared.workflow
+    workers = count_workers(workflow)
+    step_bytes = sum(field[0].nbytes for field in one.fields.values())
+    block = workflow.steps_per_block or choose_block(prepared.steps, workers, step_bytes, workflow.memory_bytes)
+    frames_measured = prepared.steps * (1 + 3 / block)
+    cost = Cost(
+        step_seconds=step,
+        workers=workers,
+        seconds=step * frames_measured / workers,
+        memory=_peak_memory() + 3 * block * step_bytes,
+        disk=int(_stored_bytes(one.fields) * prepared.steps / (stop - start)),
+        free=shutil.disk_usage(prepared.experiment.path.parent).free,
+    )
+    return cost, float(np.isfinite(one.fields["z"]).mean())
+
+
+def _time_block(prepared: Prepared, start: int, stop: int) -> tuple[float, Measured]:
+    since = time.perf_counter()
+    measured = measure_block(
+        make_block(prepared.series, start, stop), prepared.plan, prepared.experiment.frame_rate
+    )
+    return time.perf_counter() - since, measured
+
+
+def _stored_bytes(fields: Mapping[str, np.ndarray]) -> int:
+    """Bytes of measured fields after compression as in the store."""
+    codec = numcodecs.Blosc(cname="zstd", clevel=3, shuffle=numcodecs.Blosc.SHUFFLE)
+    return sum(len(codec.encode(np.ascontiguousarray(field))) for field in fields.values())
+
+
+def _peak_memory() -> int:
+    """Most memory that this process has used so far, bytes."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
+
+
+def _duration(seconds: float) -> str:
+    minutes = round(seconds / 60)
+    return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{max(minutes, 1)} min"
+
+
+def _size(count: float) -> str:
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
+
+
+def _whole_step(series: Mapping[str, FrameSeries]) -> int:
+    """A step near the middle whose frames and neighbours are all there, if there is one."""
+    there = np.all([[entry is not None for entry in s.entries] for s in series.values()], axis=0)
+    whole = there[:-1] & there[1:]
+    steps = np.flatnonzero(whole)
+    if steps.size == 0:
+        raise ExperimentError("no two consecutive frames are there in all cameras: nothing can be measured")
+    return int(steps[np.argmin(np.abs(steps - len(whole) // 2))])

@@ -1,0 +1,55 @@
+"""The cube as one NetCDF file, for programs that do not read Zarr."""
+
+import os
+import uuid
+from pathlib import Path
+
+import numpy as np
+
+from wavefield.cubes.store import open_cube, write_error
+from wavefield.variables import TABLE
+
+
+def export_netcdf(store: str | Path, path: str | Path) -> None:
+    """Write a cube as one NetCDF-4 file that follows the CF conventions (MATLAB, Panoply, ncview).
+
+    Parameters
+    ----------
+    store : path
+        Cube written by `run`.
+    path : path
+        File to write; it appears when it is whole.
+
+    Raises
+    ------
+    StoreError
+        If the cube is not there, or the file cannot be written.
+
+    Notes
+    -----
+    Values are unpacked float32, compressed. Goes through the cube one block at a time.
+    """
+    path = Path(path)
+    cube = open_cube(store)
+    cube.attrs = {
+        name: " ".join(value) if isinstance(value, list) else value for name, value in cube.attrs.items()
+    }
+    for name, variable in cube.variables.items():
+        variable.encoding = {}
+        for flags in ("flag_masks", "flag_values"):  # CF: of the same type as the variable
+            if flags in variable.attrs:
+                variable.attrs[flags] = np.asarray(variable.attrs[flags], variable.dtype)
+        if name in TABLE and variable.dtype.kind == "f":
+            variable.encoding["_FillValue"] = np.array(np.nan, variable.dtype) if variable.ndim == 3 else None
+        if variable.ndim == 3:
+            chunks = (min(8, variable.shape[0]), *variable.shape[1:])
+            variable.encoding |= {"zlib": True, "complevel": 4, "shuffle": True, "chunksizes": chunks}
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cube.to_netcdf(temporary, engine="h5netcdf", format="NETCDF4")
+        os.replace(temporary, path)
+    except OSError as error:
+        raise write_error(path, error) from None
+    finally:
+        temporary.unlink(missing_ok=True)
