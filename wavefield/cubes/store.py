@@ -11,6 +11,7 @@ import json
 import os
 import shutil
 import uuid
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -187,6 +188,10 @@ def _fill_in(
             dimension_names=row.dims,
             attributes=row.attrs,
         )
+    with warnings.catch_warnings():
+        # metadata never change after this, so that gathering them is safe; it spares readers a warning
+        warnings.simplefilter("ignore")
+        zarr.consolidate_metadata(path)
 
 
 def open_group(path: Path, mode: Any = "r") -> zarr.Group:
@@ -424,7 +429,11 @@ def open_cube(path: str | Path, chunks: Any = "auto") -> xr.Dataset:
     group = open_group(path)
     if chunks == "auto":
         chunks = {"time": read_layout(group).block}
-    return xr.open_zarr(path, chunks=chunks, consolidated=False)
+    cube = xr.open_zarr(path, chunks=chunks, consolidated=False)
+    for name in PACKING:
+        if cube[name].dtype == "float64":  # as 16-bit values are unpacked
+            cube[name] = cube[name].astype("float32")
+    return cube
 
 
 def cube_recipe(dataset: xr.Dataset) -> dict[str, Any]:
