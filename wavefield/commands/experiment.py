@@ -48,12 +48,20 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None) -> 
         context.exit(1)
 
 
+def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
+    for value in values:
+        if "=" not in value:
+            raise click.BadParameter(f"{value!r}: write name=value")
+    return dict(value.split("=", 1) for value in values)
+
+
 @click.command(
     epilog="""\b
 Examples:
-  wavefield run experiment.yaml                      # writes <name>.zarr beside it
+  wavefield run experiment.yaml                      # writes cube.zarr beside it
   wavefield run experiment.yaml -o cube.zarr --workflow workflows/slurm.yaml
   wavefield run campaign.yaml run07 run08            # entries of a catalog
+  wavefield run campaign.yaml -p data=/disk2         # a catalog whose images lie elsewhere
 """
 )
 @click.argument("source", type=_FILE)
@@ -61,19 +69,43 @@ Examples:
 @click.option("--rig", type=_FILE, help="Rig file, in place of the one that the experiment names.")
 @click.option("--workflow", type=_FILE, help="Where and how to run: a file as in workflows/.")
 @click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Cube to write.")
+@click.option(
+    "-p",
+    "--parameter",
+    "parameters",
+    multiple=True,
+    callback=_pairs,
+    help="name=value for a catalog's parameter.",
+)
 def run(
-    source: Path, entries: tuple[str, ...], rig: Path | None, workflow: Path | None, output: Path | None
+    source: Path,
+    entries: tuple[str, ...],
+    rig: Path | None,
+    workflow: Path | None,
+    output: Path | None,
+    parameters: dict[str, str],
 ) -> None:
     """Measure an experiment, or all or some entries of a catalog.
 
     SOURCE is an experiment file or a catalog. A run that was interrupted goes on where it stopped when the
     same command is given again.
     """
-    from wavefield.cubes import run as run_experiment
+    from wavefield import cubes
 
     with Progress(f"Measuring {source}", "steps") as progress:
-        store = run_experiment(source, output, entries=entries, rig=rig, workflow=workflow, progress=progress)
-    click.echo(f"Wrote {store}. Next: wavefield analyze {store}")
+        result = cubes.run(
+            source,
+            entries,
+            output,
+            rig=rig,
+            workflow=workflow,
+            progress=progress,
+            parameters=parameters or None,
+        )
+    states = result if isinstance(result, list) else [result]
+    for state in states:
+        click.echo(str(state))
+    click.echo(f"Next: wavefield analyze {states[0].store}")
 
 
 @click.command(epilog="\b\nExample:\n  wavefield status cube.zarr")

@@ -15,8 +15,8 @@ def demo(directory: Path) -> None:
     """Simulate a small tank, measure it, and compare with the truth.
 
     Writes a simulated three-camera experiment of 40 steps to DIRECTORY, calibrates the cameras from its
-    target images, measures the surface and its velocity, analyses the waves, writes the report, and prints the
-    errors beside those of the paper. Takes a few minutes and needs nothing but this package.
+    target images, measures the surface and its velocity, analyses the waves, writes the report, and prints
+    the errors beside those of the paper. Takes a few minutes and needs nothing but this package.
     """
     from wavefield.demo import run_demo
 

@@ -39,7 +39,8 @@ def waves_beside(store: Path) -> Path:
 def analyze(store: Path, output: Path | None, segment: int | None, probes: Path | None) -> None:
     """Compute the waves of a cube: spectra, coherence, statistics.
 
-    Also dispersion, fusion of z and w, directions, bicoherence. Writes one Zarr store; `xarray.open_datatree` reads it.
+    Also dispersion, fusion of z and w, directions, bicoherence. Writes one Zarr store;
+    `xarray.open_datatree` reads it.
     """
     from wavefield.waves import analyze as analyze_cube
 

@@ -92,9 +92,9 @@ MARKUP = """
 <div class="player" id="player">
 <div class="views">
 <canvas id="map" width="760" height="600" role="img" tabindex="0"
- aria-label="Map of the chosen field in colour with the horizontal velocity as arrows, at the slider's time"></canvas>
+ aria-label="Map of the chosen field with arrows of the horizontal velocity, at the slider's time"></canvas>
 <canvas id="relief" width="760" height="600" role="img" tabindex="0"
- aria-label="The surface in 3D at the slider's time, coloured by the vertical velocity; arrow keys turn it"></canvas>
+ aria-label="The surface in 3D at the slider's time, coloured by w; arrow keys turn it"></canvas>
 </div>
 <div class="controls">
 <button type="button" id="play" aria-pressed="false">Play</button>

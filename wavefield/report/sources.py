@@ -1,14 +1,17 @@
 """What a report is made from: the cube, and whatever else lies beside it."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from wavefield.errors import StoreError, WavefieldError
 from wavefield.grid import Grid
-from wavefield.rig import Rig
+from wavefield.rig import Camera, Rig
 from wavefield.series import Experiment
 
 _MOST_VALUES = 8_000_000  # per variable, for distributions: a few seconds and 64 MB
@@ -101,6 +104,62 @@ class Sources:
         distance = np.abs(np.arange(shares.size) - shares.size // 2)
         best = int(np.argmax(np.round(shares, 2) - 1e-4 * distance))
         return self.cube.isel(time=near).isel(time=best).load()
+
+
+def gather(
+    store: str | Path,
+    waves: str | Path | None = None,
+    experiment: str | Path | None = None,
+    truth: str | Path | None = None,
+) -> Sources:
+    """Find what a report of a cube can be made from.
+
+    Parameters
+    ----------
+    store : path
+        The cube.
+    waves : path, optional
+        Its wave store; without one the report has no spectra.
+    experiment : path, optional
+        Its experiment file; by default the one it was made from, if it is still there.
+    truth : path, optional
+        Exact fields of a simulated experiment; by default ``truth/truth.zarr`` beside the experiment file.
+
+    Returns
+    -------
+    Sources
+
+    Raises
+    ------
+    StoreError
+        If the cube cannot be read.
+    """
+    from wavefield.cubes import open_cube
+
+    cube = open_cube(store)
+    out = Sources(cube)
+    if not len(cube.time) or not (cube.frame_status.values > 0).any():
+        raise StoreError(f"{store} has no measured step yet; run `wavefield run` first")
+    if waves is not None and Path(waves).is_dir():
+        try:
+            out.waves = xr.open_datatree(waves, engine="zarr", chunks={})
+        except (OSError, ValueError, KeyError) as error:
+            raise StoreError(f"{waves} cannot be read as a wave store: {error}") from None
+    else:
+        out.notes.append(f"spectra and coherence (run `wavefield analyze {store}` first)")
+    rig = out.recipe.get("rig")
+    if isinstance(rig, Mapping):
+        out.rig = Rig({name: Camera.from_dict(camera) for name, camera in rig.items()})
+    file = Path(experiment or str(cube.attrs.get("experiment_file", "")))
+    try:
+        out.experiment = Experiment.load(file)
+    except (WavefieldError, OSError) as error:
+        out.notes.append(f"pictures of the cameras' frames (the experiment file cannot be read: {error})")
+        return out
+    exact = Path(truth) if truth else out.experiment.path.parent / "truth" / "truth.zarr"
+    if exact.is_dir():
+        out.truth = xr.open_zarr(exact, consolidated=False)
+    return out
 
 
 def pixel_size(rig: Rig, grid: Grid) -> float:

@@ -1,0 +1,89 @@
+"""Fill the tables of docs/formats.md from the package itself: `python docs/make_tables.py`."""
+
+import importlib
+import re
+from enum import Enum
+from pathlib import Path
+
+from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, Quality
+
+PAGE = Path(__file__).with_name("formats.md")
+
+QUALITY = {
+    Quality.MEASURED: "found by matching on its own",
+    Quality.FILLED: "interpolated from its neighbours",
+    Quality.OUTSIDE: "outside the field seen by the cameras",
+    Quality.REJECTED_CORRELATION: "the images do not look alike there",
+    Quality.REJECTED_EPS: "sight lines miss one another",
+    Quality.REJECTED_NEIGHBOURS: "far from its neighbours",
+    Quality.TWO_FRAME_MEAN: "z at mid-time from two frames instead of four",
+    Quality.FEWER_CAMERAS: "a camera's frame is missing: the others did the work",
+}
+STATUS = {
+    FrameStatus.NOT_STARTED: "not yet measured",
+    FrameStatus.DONE: "measured",
+    FrameStatus.DONE_WITH_FAULTS: "measured, without a frame or with too few nodes",
+    FrameStatus.FAILED: "could not be measured; NaN",
+}
+
+
+def rows_to_table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """A Markdown table."""
+    lines = [head, tuple("---" for _ in head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def cube() -> str:
+    """Variables of a cube."""
+    importlib.import_module("wavefield.cubes")  # registers the ledger's variables
+    rows = [
+        (
+            f"`{v.name}`",
+            ", ".join(v.dims),
+            v.units,
+            v.dtype,
+            v.long_name + (f"; {v.meaning}" if v.meaning else ""),
+        )
+        for v in TABLE.values()
+        if set(v.dims) <= {*CUBE_DIMS, "frame", "camera"}
+    ]
+    return rows_to_table(("variable", "dims", "units", "type", "meaning"), rows)
+
+
+def flags(meanings: dict, name: str) -> str:
+    """Values of an enumeration."""
+
+    def value(member: Enum) -> str:
+        return str(int(member.value))
+
+    return rows_to_table(
+        (name, "name", "meaning"), [(value(m), f"`{m.name.lower()}`", t) for m, t in meanings.items()]
+    )
+
+
+def waves() -> str:
+    """Layout of a wave store: the docstring that its writer keeps."""
+    text = importlib.import_module("wavefield.waves.analyze").__doc__ or ""
+    body = text[text.index("\n``/``") :].strip()
+    return "```text\n" + body.replace("``", "") + "\n```"
+
+
+TABLES = {
+    "cube": cube,
+    "quality": lambda: flags(QUALITY, "bit"),
+    "status": lambda: flags(STATUS, "value"),
+    "waves": waves,
+}
+
+
+def filled(page: str) -> str:
+    """The page with every table made anew."""
+    for name, make in TABLES.items():
+        pattern = re.compile(rf"(<!-- table: {name} -->\n).*?(<!-- end -->)", re.S)
+        before, after = pattern.sub(r"\1\0\2", page).split("\0")
+        page = f"{before}{make()}\n{after}"
+    return page
+
+
+if __name__ == "__main__":
+    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,144 @@
+"""The command line: what a user sees before and after the work."""
+
+import subprocess
+import sys
+
+import click
+import pytest
+
+from wavefield import __version__
+from wavefield.cli import cli, main
+from wavefield.errors import StoreError
+
+
+def _commands(group: click.Group, path: str = "") -> dict[str, click.Command]:
+    found = {}
+    for name, command in group.commands.items():
+        words = f"{path} {name}".strip()
+        if isinstance(command, click.Group):
+            found |= _commands(command, words)
+        else:
+            found[words] = command
+    return found
+
+
+COMMANDS = _commands(cli)
+
+
+def test_the_house_has_every_command():
+    expected = {"demo", "simulate", "check", "calibrate", "run", "status", "analyze", "report", "export"}
+    assert expected | {"catalog add", "rig"} == set(COMMANDS)
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_each_help_has_an_example_that_parses(words, capsys, tmp_path, monkeypatch):
+    assert main([*words.split(), "--help"]) == 0
+    text = capsys.readouterr().out
+    examples = [
+        line.split("#")[0].split() for line in text.splitlines() if line.strip().startswith("wavefield ")
+    ]
+    assert examples, f"wavefield {words} --help shows no example"
+    known = {option for parameter in COMMANDS[words].params for option in parameter.opts}
+    for example in examples:
+        assert " ".join(example[1 : 1 + len(words.split())]) == words
+        used = {word for word in example if word.startswith("-")}
+        assert used <= known, f"{' '.join(example)} uses options that there are not"
+
+
+def test_version_and_help(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"wavefield {__version__}\n"
+    assert main(["-h"]) == 0
+    assert "wavefield demo" in capsys.readouterr().out
+
+
+def test_help_is_quick_because_nothing_heavy_is_imported():
+    heavy = ["numba", "xarray", "dask", "cv2", "matplotlib", "scipy", "zarr", "distributed"]
+    code = f"import sys, wavefield.cli; print([m for m in {heavy} if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["nonsense"], ["status"], ["status", "no/such/store"], ["run", "no.yaml"], ["analyze", "--what"]],
+)
+def test_wrong_use_is_status_2(words, capsys):
+    assert main(words) == 2
+    assert "Error" in capsys.readouterr().err
+
+
+def test_an_error_is_one_sentence_and_status_1(tmp_path, capsys):
+    (tmp_path / "not_a_cube").mkdir()
+    assert main(["status", str(tmp_path / "not_a_cube")]) == 1
+    captured = capsys.readouterr()
+    assert captured.err.startswith("wavefield: ")
+    assert "not_a_cube" in captured.err
+    assert len(captured.err.splitlines()) == 1
+    assert captured.out == ""
+
+
+def test_debug_shows_the_traceback(tmp_path, capsys):
+    (tmp_path / "not_a_cube").mkdir()
+    assert main(["--debug", "status", str(tmp_path / "not_a_cube")]) == 1
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_an_unforeseen_error_has_no_traceback_either(monkeypatch, tmp_path, capsys):
+    import wavefield.cubes
+
+    def broken(store):
+        raise ZeroDivisionError("by accident")
+
+    monkeypatch.setattr(wavefield.cubes, "status", broken)
+    assert main(["status", str(tmp_path)]) == 1
+    error = capsys.readouterr().err
+    assert "by accident" in error
+    assert "--debug" in error
+    assert "Traceback" not in error
+
+
+def test_interruption_says_that_nothing_is_lost(monkeypatch, tmp_path, capsys):
+    import wavefield.cubes
+
+    def interrupted(store):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(wavefield.cubes, "status", interrupted)
+    assert main(["status", str(tmp_path)]) == 130
+    assert "interrupted" in capsys.readouterr().err
+
+
+def test_warnings_are_one_line(monkeypatch, tmp_path, capsys):
+    import warnings
+
+    import wavefield.cubes
+
+    def warning(store):
+        warnings.warn("a frame is missing", stacklevel=1)
+        raise StoreError("done")
+
+    monkeypatch.setattr(wavefield.cubes, "status", warning)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert main(["status", str(tmp_path)]) == 1
+    assert capsys.readouterr().err.splitlines() == [
+        "wavefield: warning: a frame is missing",
+        "wavefield: done",
+    ]
+
+
+def test_rig_is_shown_and_converted_there_and_back(tmp_path, capsys):
+    from wavefield.rig import Rig
+    from wavefield.tank import paper_rig
+
+    rig = paper_rig()
+    rig.save(tmp_path / "rig.yaml")
+    assert main(["rig", str(tmp_path / "rig.yaml")]) == 0
+    assert "cam3: 2432 x 1728 px" in capsys.readouterr().out
+    there, back = str(tmp_path / "opencv.yaml"), str(tmp_path / "back.yaml")
+    assert main(["rig", str(tmp_path / "rig.yaml"), "--to", "opencv", "-o", there]) == 0
+    assert main(["rig", there, "-o", back]) == 0
+    again = Rig.load(back)
+    assert again["cam1"].fx == pytest.approx(rig["cam1"].fx, rel=1e-12)
+    assert main(["rig", "a.xml", "cam2=b.xml"]) == 2
+    assert main(["rig", "cam1=a.xml", "--size", "big"]) == 2

@@ -1,0 +1,126 @@
+"""Figures are functions of datasets: they draw what they are given, with labels and units."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.figure import Figure
+
+from wavefield import figures
+from wavefield.figures import style
+from wavefield.grid import Grid
+from wavefield.tank import paper_rig
+
+
+def labels(figure: Figure) -> str:
+    words = []
+    for ax in figure.axes:
+        words += [ax.get_xlabel(), ax.get_ylabel(), ax.get_title(), ax.get_title(loc="left")]
+        words += ax.get_legend_handles_labels()[1]
+    return " | ".join(words)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("surface_3d", ["w (cm s⁻¹)", "x (m)", "t = 0.525 s"]),
+        ("velocity_map", ["w (cm s⁻¹)", "y (m)"]),
+        ("elevation_map", ["z (cm)"]),
+        ("kinematics_maps", ["nonlinear term", "residual", "cm s⁻¹"]),
+    ],
+)
+def test_pictures_of_one_step(cube, name, words):
+    figure = getattr(figures, name)(cube.isel(time=10))
+    figure.draw_without_rendering()
+    for word in words:
+        assert word in labels(figure)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("distributions", ["z (cm)", "dx = u dt", "Gaussian", "probability density (cm⁻¹)"]),
+        ("coverage_map", ["share of time (%)", "filled from neighbours"]),
+        ("fault_history", ["time (s)", "rejected by correlation"]),
+        ("misfit_maps", ["rms eps_y (mm)", "rms eps' (px)"]),
+        ("misfit_distributions", ["eps_y (mm)", "eps' (px)"]),
+        ("uncertainty_maps", ["z_std (mm)", "w_std (mm s⁻¹)"]),
+    ],
+)
+def test_pictures_of_a_cube(cube, name, words):
+    figure = getattr(figures, name)(cube)
+    figure.draw_without_rendering()
+    for word in words:
+        assert word in labels(figure)
+
+
+def test_colour_scale_of_a_signed_field_is_balanced_and_holes_stay_grey(cube):
+    figure = figures.elevation_map(cube.isel(time=10))
+    mesh = figure.axes[0].collections[0]
+    low, high = mesh.get_clim()
+    assert low == -high
+    drawn = mesh.get_array()
+    assert np.ma.count_masked(drawn) == int(np.isnan(cube.z.isel(time=10)).sum())
+
+
+def test_map_has_y_upwards_and_nodes_at_cell_centres(cube):
+    field = xr.zeros_like(cube.z.isel(time=0)).fillna(0.0)
+    field[3, 5] = 1.0
+    figure = figures.elevation_map(xr.Dataset({"z": field}))
+    mesh = figure.axes[0].collections[0]
+    corners = mesh.get_coordinates()
+    row, column = np.argwhere(mesh.get_array().reshape(field.shape) == 100.0)[0]
+    centre = corners[row : row + 2, column : column + 2].reshape(-1, 2).mean(axis=0)
+    np.testing.assert_allclose(centre, [cube.x[5], cube.y[3]], atol=1e-12)
+
+
+def test_arrows_are_long_where_the_water_is_fast(cube):
+    snap = cube.isel(time=10).copy()
+    snap["u"], snap["v"] = 0 * snap.u + 0.1, 0 * snap.v
+    figure = figures.velocity_map(snap)
+    quiver = next(c for c in figure.axes[0].collections if hasattr(c, "U"))
+    there = ~quiver.Umask
+    np.testing.assert_allclose(quiver.U[there], 10.0, rtol=1e-6)  # cm/s
+    assert np.all(quiver.V[there] == 0.0)
+
+
+def test_quality_shares_count_bits(cube):
+    shares = figures.quality_shares(cube.quality, ("time",))
+    assert float(shares["filled from neighbours"].sum()) == 16
+    assert float(shares["rejected by correlation"].max()) == 1.0
+    assert float(shares["rejected by eps"].max()) == 0.0
+
+
+def test_kinematic_residual_is_small_on_an_exact_sea(cube):
+    terms = figures.kinematic_terms(cube.isel(time=10))
+    inner = {"x": slice(4, -4), "y": slice(4, -4)}
+    rms = {name: float(np.sqrt((terms[name].isel(inner) ** 2).mean())) for name in terms}
+    assert rms["residual"] < 0.5 * rms["nonlinear"]
+
+
+def test_empty_field_is_drawn_without_complaint(cube):
+    nothing = cube.isel(time=10).map(lambda a: a * np.nan if a.dtype.kind == "f" else a)
+    figures.elevation_map(nothing).draw_without_rendering()
+    assert style.limit(nothing.z) == 1.0
+
+
+def test_errors_are_drawn_in_pixels(cube):
+    errors = (0.02 * cube[["z", "u", "v", "w"]]).assign_attrs(frame_rate=20.0)
+    figure = figures.error_distributions(errors, 1.8e-3)
+    assert f"σ = {float(errors.z.std()) / 1.8e-3:.3g} px" in labels(figure)
+    assert "rms error of z (px)" in labels(figures.error_maps(errors, 1.8e-3))
+
+
+def test_rig_is_drawn_with_its_cameras():
+    rig, grid = paper_rig(), Grid((-1, 1), (-0.75, 0.75), 0.01)
+    text = labels(figures.rig_views(rig, grid))
+    for name in rig:
+        assert f"seen by {name}" in text
+    frames = {name: np.zeros(rig[name].size[::-1], "uint8") for name in rig}
+    picture = figures.camera_frames(frames, rig, grid)
+    assert "cam3, middle of the grid" in labels(picture)
+
+
+def test_diagram_names_the_cameras_of_the_run():
+    figure = figures.method_diagram([("mid", "left"), ("mid", "right")], ["left", "right"])
+    words = [text.get_text() for text in figure.axes[0].texts]
+    assert {"mid, t", "left, t + dt", "right, t"} <= set(words)

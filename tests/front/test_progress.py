@@ -1,0 +1,79 @@
+"""Progress on a terminal and in a log."""
+
+import io
+
+import pytest
+
+from wavefield.commands import progress
+from wavefield.commands.progress import Progress, spell_time
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_times_are_spelled_for_people():
+    assert [spell_time(s) for s in (0, 59.4, 60, 3599, 3600, 90000)] == [
+        "0 s",
+        "59 s",
+        "1 min 00 s",
+        "59 min 59 s",
+        "1 h 00 min",
+        "25 h 00 min",
+    ]
+
+
+def test_a_log_gets_plain_lines_at_the_quarters(clock):
+    stream = io.StringIO()
+    with Progress("Measuring", "steps", stream) as report:
+        for done in range(101):
+            clock[0] += 0.1
+            report(done, 100)
+    lines = stream.getvalue().splitlines()
+    assert lines[0] == "Measuring ..."
+    assert lines[-1] == "Measuring: done in 10 s, 100 steps"
+    assert "Measuring: 25 of 100 steps (25 %), 8 s left" in lines
+    assert len(lines) <= 7
+    assert "\r" not in stream.getvalue()
+
+
+def test_a_terminal_gets_one_line_redrawn(clock):
+    stream = Terminal()
+    with Progress("Measuring", "steps", stream) as report:
+        for done in range(11):
+            clock[0] += 1.0
+            report(done, 10)
+    assert stream.getvalue().count("\n") == 1
+    assert "5 of 10 steps (50 %), 5 s left" in stream.getvalue()
+
+
+def test_time_left_of_a_resumed_run_counts_only_what_this_run_did(clock):
+    stream = Terminal()
+    with Progress("Measuring", "steps", stream) as report:
+        report(900, 1000)
+        clock[0] += 10.0
+        report(910, 1000)
+    assert "910 of 1000 steps (91 %), 1 min 30 s left" in stream.getvalue()
+
+
+def test_notes_are_shown_once(clock):
+    stream = io.StringIO()
+    with Progress("Measuring", "steps", stream) as report:
+        report(0, 10, "4 blocks to do")
+        report(1, 10, "4 blocks to do")
+    assert stream.getvalue().count("4 blocks to do") == 1
+
+
+def test_a_failure_says_stopped(clock):
+    stream = io.StringIO()
+    with pytest.raises(ValueError, match="no"), Progress("Measuring", "steps", stream):
+        raise ValueError("no")
+    assert stream.getvalue().splitlines()[-1] == "Measuring: stopped after 0 s"

@@ -1,0 +1,129 @@
+"""The report: one file, nothing from outside, every picture with words for those who cannot see it."""
+
+import base64
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from wavefield.report import Sources, pixel_size, write_report
+from wavefield.report.player import pack
+from wavefield.tank import paper_rig
+
+
+class Page(HTMLParser):
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.open, self.text = [], [], {}
+        self.feed(text)
+        assert not self.open, f"left open: {self.open}"
+
+    def handle_starttag(self, tag, attrs):
+        attrs = dict(attrs)
+        self.tags.append((tag, attrs))
+        if tag not in {"meta", "link", "img", "input"}:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def all(self, tag):
+        return [attrs for name, attrs in self.tags if name == tag]
+
+
+@pytest.fixture(scope="module")
+def page_text(cube, tmp_path_factory):
+    sources = Sources(
+        cube.assign_attrs(recipe=json.dumps({"settings": {}})), rig=paper_rig(), truth=0.98 * cube
+    )
+    path = write_report(sources, tmp_path_factory.mktemp("report") / "report.html")
+    return path.read_text(encoding="utf-8")
+
+
+def test_nothing_comes_from_a_network(page_text):
+    page = Page(page_text)
+    loaded = [a.get("src") or a.get("href") for t, a in page.tags if t in {"img", "script", "link", "iframe"}]
+    assert all(url is None or url.startswith("data:") for url in loaded)
+    without_data = re.sub(r"[A-Za-z0-9+/=]{200,}", "", page_text)
+    assert not re.search(r"https?://|@import|fetch\(|XMLHttpRequest|url\(", without_data)
+
+
+def test_page_is_small_and_each_picture_is_a_png_with_words(page_text):
+    assert len(page_text) < 15e6
+    pictures = Page(page_text).all("img")
+    assert len(pictures) >= 12
+    for picture in pictures:
+        assert len(picture["alt"]) > 15
+        raw = base64.b64decode(picture["src"].removeprefix("data:image/png;base64,"))
+        assert raw[:4] == b"\x89PNG"
+
+
+def test_sections_links_and_controls(page_text):
+    page = Page(page_text)
+    anchors = {a["id"] for t, a in page.tags if t == "section"}
+    links = {a["href"][1:] for a in page.all("a")} - {"main"}
+    assert links == anchors
+    assert {"summary", "surface-and-velocity", "accuracy", "coverage-and-faults", "recipe"} <= anchors
+    controls = {a["id"] for t, a in page.tags if t in {"input", "select", "output"}}
+    labelled = {a["for"] for a in page.all("label")}
+    assert controls - {"clock"} <= labelled
+    for canvas in page.all("canvas"):
+        assert canvas["role"] == "img"
+        assert canvas["aria-label"]
+        assert canvas["tabindex"] == "0"
+    assert ("html", {"lang": "en"}) in page.tags
+
+
+def test_headings_do_not_skip(page_text):
+    levels = [int(t[1]) for t, _ in Page(page_text).tags if re.fullmatch(r"h[1-6]", t)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert set(levels) == {1, 2}
+
+
+def test_numbers_of_the_summary_are_those_of_the_cube(page_text, cube):
+    assert f"{100 * float(cube.z.std()):.3g} cm" in page_text
+    assert "1 done with faults" in page_text
+    assert "step 7, t = 0.375 s: done with faults" in page_text
+
+
+def test_what_is_missing_is_said(cube, tmp_path):
+    sources = Sources(cube, notes=["spectra and coherence (run `wavefield analyze` first)"])
+    text = write_report(sources, tmp_path / "bare.html").read_text(encoding="utf-8")
+    assert "Not in this report: spectra and coherence" in text
+    assert '<section id="spectra">' not in text
+
+
+def test_text_from_outside_is_escaped(cube, tmp_path):
+    sources = Sources(cube.assign_attrs(experiment="<script>alert(1)</script>"))
+    text = write_report(sources, tmp_path / "bad.html").read_text(encoding="utf-8")
+    assert "<script>alert" not in text
+
+
+def test_packed_fields_come_back_to_a_percent_of_the_scale(cube):
+    packed = pack(cube)
+    description = json.loads(packed["field-description"])
+    codes = np.frombuffer(base64.b64decode(packed["field-w"]), np.uint8).astype(float)
+    half = description["half"]["w"]
+    back = np.where(codes > 0, (codes - 128) / 127 * half, np.nan)
+    exact = 100 * cube.w.values.ravel()[: back.size]
+    inside = np.abs(exact) < half
+    np.testing.assert_array_equal(np.isnan(back), np.isnan(exact))
+    assert np.nanmax(np.abs(back - exact)[inside]) < 0.01 * half
+    assert len(description["time"]) == cube.sizes["time"]
+
+
+def test_a_long_cube_is_thinned_to_fit(cube):
+    import xarray as xr
+
+    wide = xr.concat([cube] * 10, "time").isel(x=np.arange(220) % 44, y=np.arange(180) % 36)
+    wide = wide.assign_coords(x=0.01 * np.arange(220), y=0.01 * np.arange(180), time=np.arange(480) / 20)
+    assert sum(map(len, pack(wide.chunk(time=48)).values())) < 8e6
+
+
+def test_pixel_of_the_papers_rig_is_that_of_the_paper():
+    from wavefield.grid import Grid
+
+    assert 1.5e-3 < pixel_size(paper_rig(), Grid((-1, 1), (-0.75, 0.75), 0.01)) < 2.0e-3

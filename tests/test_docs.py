@@ -1,0 +1,95 @@
+"""What the documents promise is there: links, commands, tables, notebooks."""
+
+import importlib.util
+import json
+import re
+import shlex
+from pathlib import Path
+
+import click
+import pytest
+
+from wavefield.cli import cli
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))
+
+
+def commands_of(text: str) -> list[list[str]]:
+    """Every `wavefield ...` line of the shell blocks of a page, as words."""
+    blocks = re.findall(r"```(?:bash|sh|console)\n(.*?)```", text, re.S)
+    lines = [line.split("  #")[0].strip() for block in blocks for line in block.splitlines()]
+    parts = [part.strip() for line in lines for part in line.split("&&")]
+    return [shlex.split(part) for part in parts if re.match(r"(\S*/)?wavefield\s", part)]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_lead_somewhere(page):
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.S)
+    for target in re.findall(r"\]\(([^)]+)\)", text):
+        if not re.match(r"https?:|mailto:|#", target):
+            assert (page.parent / target.split("#")[0]).exists(), f"{page.name} links to {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_commands_of_the_pages_exist(page):
+    for words in commands_of(page.read_text(encoding="utf-8")):
+        command: click.Command = cli
+        rest = [word for word in words[1:] if word not in {"-q", "-v", "--debug"}]
+        while isinstance(command, click.Group) and rest and not rest[0].startswith("-"):
+            assert rest[0] in command.commands, f"{page.name}: {' '.join(words)}"
+            command = command.commands[rest.pop(0)]
+        known = {option for parameter in command.params for option in parameter.opts} | {"--help", "-h"}
+        unknown = {word.split("=")[0] for word in rest if word.startswith("-")} - known
+        assert not unknown, f"{page.name}: {' '.join(words)} uses {unknown}"
+
+
+def test_python_blocks_of_the_pages_are_valid():
+    for page in PAGES:
+        for block in re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.S):
+            compile(block, str(page), "exec")
+
+
+def test_readme_prints_exactly_two_lines():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    block = re.search(r"^## Two lines.*?```bash\n(.*?)```", text, re.S | re.M)
+    assert block
+    lines = [line for line in block[1].splitlines() if line and not line.startswith("#")]
+    assert len(lines) == 2
+    assert lines[0].endswith("wavefield demo")
+    assert "pytest" in lines[1]
+    for line in lines:
+        assert "python3 -m venv" in line
+
+
+def test_tables_of_the_formats_are_those_of_the_package():
+    spec = importlib.util.spec_from_file_location("make_tables", ROOT / "docs" / "make_tables.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    text = module.PAGE.read_text(encoding="utf-8")
+    assert module.filled(text) == text, "run `python docs/make_tables.py`"
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.name)
+def test_notebook_is_kept_clean(path):
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    assert notebook["nbformat"] == 4
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            assert cell["outputs"] == [], "clear the outputs before committing"
+            assert cell["execution_count"] is None
+
+
+def test_there_are_three_notebooks():
+    assert len(NOTEBOOKS) == 3
+
+
+def test_citation_and_package_agree_on_version_and_licence():
+    import tomllib
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert f"version: {project['version']}" in citation
+    assert f"license: {project['license']}" in citation
+    assert project["version"] in (ROOT / "CHANGELOG.md").read_text()
