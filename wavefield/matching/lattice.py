@@ -24,9 +24,14 @@ def gaussian(sigma: float) -> np.ndarray:
     return (weights / weights.sum()).astype(np.float32)
 
 
+def window_sigma(window: float) -> float:
+    """Standard deviation, in blocks, of the Gaussian window with the area of a square of side `window` px."""
+    return float(window / np.sqrt(4 * np.pi) / BLOCK)
+
+
 def window_weights(window: float) -> np.ndarray:
-    """Weights over blocks of the Gaussian window with the area of a square of side `window` px."""
-    return gaussian(window / np.sqrt(4 * np.pi) / BLOCK)
+    """Weights over blocks of that Gaussian window."""
+    return gaussian(window_sigma(window))
 
 
 def filtered(field: np.ndarray, weights: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:

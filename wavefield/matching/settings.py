@@ -54,15 +54,15 @@ class Settings:
     iterations: tuple[int, ...] = (6, 4, 3)
     window: float = 32.0
     smoother_sigma: float = 2.5
-    coarse_smoother_sigma: float = 1.5
+    coarse_smoother_sigma: float = 2.0
     smoother_order: int = 4
     robust: float = 1.5
     robust_beta: float = 0.3
     relaxation: float = 1.15
     normalization: float = 16.0
-    search_x: Range | None = None
-    search_y: Range | None = None
-    search_window: float = 32.0
+    search_x: Range | None = (-16.0, 16.0)
+    search_y: Range | None = (-16.0, 16.0)
+    search_window: float = 20.0
     min_correlation: float = 0.3
     min_gradient_energy: float = 0.05
     max_deviation: float = 1.0
@@ -110,7 +110,16 @@ class Settings:
     def fast(cls, **changes: Any) -> Settings:
         """One camera, one frame to the next, good images: a third of the time of `piv`."""
         return replace(
-            cls(iterations=(4, 2, 1), smoother_sigma=1.5, smoother_order=2, robust=0.0, normalization=0.0),
+            cls(
+                iterations=(4, 2, 1),
+                smoother_sigma=1.5,
+                coarse_smoother_sigma=1.5,
+                smoother_order=2,
+                robust=0.0,
+                normalization=0.0,
+                search_x=None,
+                search_y=None,
+            ),
             **changes,
         )
 
@@ -122,10 +131,12 @@ class Settings:
                 iterations=(3, 3, 3, 3),
                 window=26.0,
                 smoother_sigma=2.4,
+                coarse_smoother_sigma=2.4,
                 robust=0.0,
                 normalization=13.0,
                 search_x=(-48.0, 48.0),
                 search_y=(-8.0, 8.0),
+                search_window=32.0,
             ),
             **changes,
         )

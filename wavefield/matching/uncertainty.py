@@ -7,7 +7,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from wavefield.matching.lattice import BORDER, filtered, gaussian, window_weights
+from wavefield.matching.lattice import BORDER, filtered, gaussian, window_sigma
 from wavefield.matching.settings import Settings
 
 _N = 128  # blocks: period of the Fourier transforms below
@@ -31,7 +31,8 @@ def transfer_kernel(settings: Settings, gain: float = 1.0) -> np.ndarray:
 
     Notes
     -----
-    Inverse Fourier transform of sum_j [S (1 - gain W)]^j S gain W for window W and smoother S.
+    Inverse Fourier transform of T, made by T <- S (T + gain W (1 - T)) for the window W and the smoother S of
+    every step at every level.
     """
     k = 2 * np.pi * np.fft.fftfreq(_N)
 
@@ -39,16 +40,14 @@ def transfer_kernel(settings: Settings, gain: float = 1.0) -> np.ndarray:
         reach = len(weights) // 2
         return np.cos(np.outer(k, np.arange(-reach, reach + 1))) @ weights
 
-    w = transfer(window_weights(settings.window).astype(float))
-    window = gain * w[:, None] * w
-    smoother = np.ones((_N, _N))
-    if settings.smoother_sigma > 0:
-        g = transfer(gaussian(settings.smoother_sigma).astype(float))
+    total = np.zeros((_N, _N))
+    for level in reversed(range(settings.levels)):
+        sigma = settings.smoother_sigma if level == 0 else settings.coarse_smoother_sigma
+        w = transfer(gaussian(2**level * window_sigma(settings.window)).astype(float))
+        g = transfer(gaussian(2**level * sigma).astype(float)) if sigma > 0 else np.ones(_N)
         smoother = 1 - (1 - g[:, None] * g) ** settings.smoother_order
-    total, factor = np.zeros((_N, _N)), np.ones((_N, _N))
-    for _ in range(settings.iterations[-1]):
-        total += factor * smoother * window
-        factor *= smoother * (1 - window)
+        for _ in range(settings.iterations[settings.levels - 1 - level]):
+            total = smoother * (total + gain * w[:, None] * w * (1 - total))
     kernel = np.fft.fftshift(np.fft.ifft2(total).real)
     reach = min(_N // 2 - 1, int(3 * settings.window / 5) + 3)
     middle = slice(_N // 2 - reach, _N // 2 + reach + 1)
@@ -60,7 +59,7 @@ def _separable(settings: Settings, gain: float, power: int) -> tuple[tuple[np.nd
     """Kernel (or its square) as a short sum of separable ones: rows and columns of its singular vectors."""
     kernel = transfer_kernel(settings, gain).astype(float) ** power
     left, size, right = np.linalg.svd(kernel)
-    keep = int(np.sum(size > 2e-3 * size[0]))
+    keep = int(np.sum(size > (1e-5 if power == 1 else 2e-3) * size[0]))
     return tuple(
         ((left[:, n] * size[n]).astype(np.float32), right[n].astype(np.float32)) for n in range(keep)
     )
