@@ -5,6 +5,21 @@ from wavefield.tank.beads import carry
 from wavefield.tank.rigs import paper_rig
 from wavefield.tank.scene import Scene
 from wavefield.tank.sea import Sea, intrinsic_frequency
+from wavefield.tank.simulate import simulate
 from wavefield.tank.tank import Tank, render
+from wavefield.tank.truth import Truth, displacement, truth
 
-__all__ = ["Basin", "Scene", "Sea", "Tank", "carry", "intrinsic_frequency", "paper_rig", "render"]
+__all__ = [
+    "Basin",
+    "Scene",
+    "Sea",
+    "Tank",
+    "Truth",
+    "carry",
+    "displacement",
+    "intrinsic_frequency",
+    "paper_rig",
+    "render",
+    "simulate",
+    "truth",
+]

@@ -26,9 +26,13 @@ class _Part(BaseModel):
 
 
 class _Water(_Part):
-    depth: Positive = Field(0.7, description="depth of the water, m; .inf for deep water")
-    surface_tension: NotNegative = Field(SURFACE_TENSION, description="surface tension over density, m3 s-2")
-    current: tuple[float, float] = Field((0.0, 0.0), description="velocity of the water as a whole, m/s")
+    depth: Positive = Field(default=0.7, description="depth of the water, m; .inf for deep water")
+    surface_tension: NotNegative = Field(
+        default=SURFACE_TENSION, description="surface tension over density, m3 s-2"
+    )
+    current: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="velocity of the water as a whole, m/s"
+    )
 
     def _sea(self, kx: Any, ky: Any, amplitude: Any, bound: int) -> Sea:
         return Sea(kx, ky, amplitude, self.depth, self.surface_tension, self.current, bound)
@@ -50,9 +54,9 @@ class SingleWave(_Water):
     kind: Literal["single"]
     amplitude: NotNegative = Field(description="m")
     wavelength: Positive = Field(description="m")
-    direction: float = Field(0.0, description="where it goes, degrees anticlockwise from +x")
-    phase: float = Field(0.0, description="degrees")
-    order: Literal[1, 2] = Field(1, description="2 adds the bound second harmonic")
+    direction: float = Field(default=0.0, description="where it goes, degrees anticlockwise from +x")
+    phase: float = Field(default=0.0, description="degrees")
+    order: Literal[1, 2] = Field(default=1, description="2 adds the bound second harmonic")
 
     def build(self, seed: int) -> Sea:
         """Make the sea."""
@@ -91,12 +95,18 @@ class RandomSea(_Water):
     kind: Literal["random"]
     rms: NotNegative = Field(description="standard deviation of the elevation, m")
     spectrum: Annotated[Jonswap | PowerLaw, Field(discriminator="kind")]
-    direction: float = Field(0.0, description="main direction, degrees anticlockwise from +x")
-    spread: NotNegative = Field(0.0, description="exponent s of cos^2s of half the angle; 0 is isotropic")
-    shortest: Positive = Field(0.05, description="shortest free wave, m")
-    period: Positive = Field(6.0, description="the sea repeats itself in x and y after this distance, m")
-    order: Literal[1, 2] = Field(1, description="2 adds the waves bound to the steepest free ones")
-    interacting: Annotated[int, Field(ge=2, le=2000)] = Field(300, description="free waves with bound ones")
+    direction: float = Field(default=0.0, description="main direction, degrees anticlockwise from +x")
+    spread: NotNegative = Field(
+        default=0.0, description="exponent s of cos^2s of half the angle; 0 is isotropic"
+    )
+    shortest: Positive = Field(default=0.05, description="shortest free wave, m")
+    period: Positive = Field(
+        default=6.0, description="the sea repeats itself in x and y after this distance, m"
+    )
+    order: Literal[1, 2] = Field(default=1, description="2 adds the waves bound to the steepest free ones")
+    interacting: Annotated[int, Field(ge=2, le=2000)] = Field(
+        default=300, description="free waves with bound ones"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> "RandomSea":
@@ -123,8 +133,8 @@ class RandomSea(_Water):
 class PaperRig(_Part):
     """The paper's three cameras."""
 
-    scale: Annotated[float, Field(gt=0, le=2)] = Field(1.0, description="image size over full size")
-    crop: Annotated[float, Field(gt=0, le=1)] = Field(1.0, description="share of the sensor read out")
+    scale: Annotated[float, Field(gt=0, le=2)] = Field(default=1.0, description="image size over full size")
+    crop: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="share of the sensor read out")
 
     def build(self) -> Rig:
         """Make the rig."""
@@ -144,39 +154,41 @@ class RigFile(_Part):
 class Beads(_Part):
     """Floating beads."""
 
-    density: Positive = Field(1.1e4, description="beads per m2; 1.1e4 is 17.6 per 4 x 4 cm")
-    diameter: NotNegative = Field(0.7e-3, description="m")
-    brightness: Positive = Field(110.0, description="mean height of a spot, grey levels of 255")
-    spread: NotNegative = Field(0.35, description="relative spread of brightness over beads")
-    spread_between: NotNegative = Field(0.15, description="relative spread between cameras for one bead")
-    one_camera: Share = Field(0.0, description="share of beads that only one camera sees")
-    clustered: Share = Field(0.0, description="share of beads in groups of six within 8 mm")
-    holes: Annotated[int, Field(ge=0)] = Field(0, description="number of round places without beads")
-    hole_diameter: Positive = Field(0.10, description="m")
-    renewal: Share = Field(0.005, description="share of beads laid anew per second")
+    density: Positive = Field(default=1.1e4, description="beads per m2; 1.1e4 is 17.6 per 4 x 4 cm")
+    diameter: NotNegative = Field(default=0.7e-3, description="m")
+    brightness: Positive = Field(default=110.0, description="mean height of a spot, grey levels of 255")
+    spread: NotNegative = Field(default=0.35, description="relative spread of brightness over beads")
+    spread_between: NotNegative = Field(
+        default=0.15, description="relative spread between cameras for one bead"
+    )
+    one_camera: Share = Field(default=0.0, description="share of beads that only one camera sees")
+    clustered: Share = Field(default=0.0, description="share of beads in groups of six within 8 mm")
+    holes: Annotated[int, Field(ge=0)] = Field(default=0, description="number of round places without beads")
+    hole_diameter: Positive = Field(default=0.10, description="m")
+    renewal: Share = Field(default=0.005, description="share of beads laid anew per second")
 
 
 class Texture(_Part):
     """White noise painted on the surface, as in the paper's test."""
 
-    mesh: Positive | None = Field(None, description="size of the grains, m; by default 1.5 pixels")
-    contrast: Positive = Field(40.0, description="standard deviation, grey levels of 255")
-    mean: NotNegative = Field(120.0, description="grey levels of 255")
+    mesh: Positive | None = Field(default=None, description="size of the grains, m; by default 1.5 pixels")
+    contrast: Positive = Field(default=40.0, description="standard deviation, grey levels of 255")
+    mean: NotNegative = Field(default=120.0, description="grey levels of 255")
     carried: bool = Field(
-        False, description="moves with the water; else it stays and only its height changes"
+        default=False, description="moves with the water; else it stays and only its height changes"
     )
 
 
 class Light(_Part):
     """How the cameras see."""
 
-    blur: Positive = Field(0.62, description="standard deviation of a point's image, px")
-    background: NotNegative = Field(12.0, description="grey levels of 255")
-    unevenness: NotNegative = Field(0.3, description="relative difference of light across an image")
-    flicker: NotNegative = Field(0.0, description="relative rms change of light from frame to frame")
+    blur: Positive = Field(default=0.62, description="standard deviation of a point's image, px")
+    background: NotNegative = Field(default=12.0, description="grey levels of 255")
+    unevenness: NotNegative = Field(default=0.3, description="relative difference of light across an image")
+    flicker: NotNegative = Field(default=0.0, description="relative rms change of light from frame to frame")
     gain: dict[str, Positive] = Field(default_factory=dict, description="camera: factor on its grey levels")
-    read_noise: NotNegative = Field(1.2, description="grey levels of 255")
-    shot_noise: NotNegative = Field(0.04, description="variance per grey level, grey levels of 255")
+    read_noise: NotNegative = Field(default=1.2, description="grey levels of 255")
+    shot_noise: NotNegative = Field(default=0.04, description="variance per grey level, grey levels of 255")
     bits: Literal[8, 16] = 8
 
 
@@ -184,31 +196,35 @@ class Strings(_Part):
     """The paper's grid of white strings."""
 
     kind: Literal["strings"] = "strings"
-    mesh: Positive = Field(0.10, description="m")
-    width: Positive = Field(3e-3, description="width of a string, m")
-    half: Annotated[int, Field(ge=2)] = Field(10, description="strings on each side of the middle one")
-    origin_disc: Positive = Field(0.036, description="diameter of the disc at the origin, m")
-    x_disc: Positive = Field(0.022, description="diameter of the disc at the next crossing along +x, m")
-    brightness: Positive = Field(150.0, description="grey levels of 255")
-    node_offset: NotNegative = Field(0.0, description="rms error of the crossings in x, y, z, m")
+    mesh: Positive = Field(default=0.10, description="m")
+    width: Positive = Field(default=3e-3, description="width of a string, m")
+    half: Annotated[int, Field(ge=2)] = Field(
+        default=10, description="strings on each side of the middle one"
+    )
+    origin_disc: Positive = Field(default=0.036, description="diameter of the disc at the origin, m")
+    x_disc: Positive = Field(
+        default=0.022, description="diameter of the disc at the next crossing along +x, m"
+    )
+    brightness: Positive = Field(default=150.0, description="grey levels of 255")
+    node_offset: NotNegative = Field(default=0.0, description="rms error of the crossings in x, y, z, m")
 
 
 class Chessboard(_Part):
-    """A chessboard."""
+    """A chessboard, its middle at the origin."""
 
     kind: Literal["chessboard"]
-    mesh: Positive = Field(0.08, description="side of a square, m")
-    shape: tuple[int, int] = Field((11, 8), description="inner corners along x and y")
+    mesh: Positive = Field(default=0.08, description="side of a square, m")
+    shape: tuple[int, int] = Field(default=(11, 8), description="inner corners along x and y")
     brightness: Positive = 150.0
 
 
 class Dots(_Part):
-    """White dots on a dark plate."""
+    """White dots on a dark plate, their middle at the origin."""
 
     kind: Literal["dots"]
-    mesh: Positive = Field(0.08, description="distance between dots, m")
-    shape: tuple[int, int] = Field((11, 8), description="dots along x and y")
-    diameter: Positive = Field(0.02, description="m")
+    mesh: Positive = Field(default=0.08, description="distance between dots, m")
+    shape: tuple[int, int] = Field(default=(11, 8), description="dots along x and y")
+    diameter: Positive = Field(default=0.02, description="m")
     brightness: Positive = 150.0
 
 
@@ -216,19 +232,19 @@ class Calibration(_Part):
     """Target images."""
 
     target: Annotated[Strings | Chessboard | Dots, Field(discriminator="kind")] = Strings()
-    tilted: Annotated[int, Field(ge=0)] = Field(6, description="number of tilted poses")
-    tilt: Positive = Field(25.0, description="largest tilt, degrees")
-    level: float = Field(0.0, description="height of the flat target above the water at rest, m")
+    tilted: Annotated[int, Field(ge=0)] = Field(default=6, description="number of tilted poses")
+    tilt: Positive = Field(default=20.0, description="largest tilt, degrees")
+    level: float = Field(default=0.0, description="height of the flat target above the water at rest, m")
 
 
 class Probes(_Part):
     """Wave probes."""
 
-    rate: Positive = Field(100.0, description="Hz")
+    rate: Positive = Field(default=100.0, description="Hz")
     positions: dict[str, tuple[float, float]] = Field(
         default_factory=lambda: {"probe1": (-0.25, 0.1), "probe2": (0.2, -0.15)}, description="x, y, m"
     )
-    noise: NotNegative = Field(1e-4, description="rms, m")
+    noise: NotNegative = Field(default=1e-4, description="rms, m")
 
 
 class Scene(_Part):
@@ -246,9 +262,9 @@ class Scene(_Part):
 
     name: str = "tank"
     seed: Annotated[int, Field(ge=0)] = 1
-    frames: Annotated[int, Field(ge=1)] = Field(42, description="number of frames")
-    frame_rate: Positive = Field(20.0, description="Hz")
-    start: float = Field(0.0, description="time of the sea at the first frame, s")
+    frames: Annotated[int, Field(ge=1)] = Field(default=42, description="number of frames")
+    frame_rate: Positive = Field(default=20.0, description="Hz")
+    start: float = Field(default=0.0, description="time of the sea at the first frame, s")
     rig: PaperRig | RigFile = PaperRig()
     grid: Grid = Grid(x=(-1.0, 1.0), y=(-0.75, 0.75), step=0.01)
     sea: Annotated[StillSea | SingleWave | RandomSea, Field(discriminator="kind")]

@@ -27,7 +27,7 @@ def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
     _splat(image, X, Y, flux, sigma)
 
 
-@nb.njit(cache=True, fastmath=True)
+@nb.njit(cache=True, nogil=True, fastmath=True)
 def _splat(image, X, Y, flux, sigma):  # type: ignore[no-untyped-def]  # pragma: no cover
     height, width = image.shape
     reach = math.ceil(4.5 * sigma) + 1
@@ -110,7 +110,7 @@ def expose(light: Image, read: float, shot: float, bits: int, rng: np.random.Gen
     return out
 
 
-@nb.njit(cache=True, fastmath=True)
+@nb.njit(cache=True, nogil=True, fastmath=True)
 def _quantise(light, noise, variance, shot, scale, top, out):  # type: ignore[no-untyped-def]  # pragma: no cover
     noisy = noise.size > 1
     for i in range(light.shape[0]):

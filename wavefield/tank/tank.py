@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from wavefield.rig import Camera, Rig
 from wavefield.tank import beads as floating
-from wavefield.tank import rigs, scene, sensor, texture
+from wavefield.tank import rigs, scene, sensor, targets, texture
 from wavefield.tank.basin import Basin
 from wavefield.tank.sea import Sea
+from wavefield.tank.truth import Truth, truth
 
 Array = NDArray[np.float64]
 
@@ -54,14 +55,12 @@ class Tank:
             raise ValueError("this scene has a painted surface, no beads")
         rng = np.random.default_rng([self.scene.seed, 6])
         # holes where all cameras look, so that a scene has as many as it says
-        middle = [np.array(self.scene.grid.x), np.array(self.scene.grid.y)]
-        holes = np.stack(
-            [
-                *(rng.uniform(*(0.8 * axis + 0.1 * axis.sum()), settings.holes) for axis in middle),
-                np.full(settings.holes, settings.hole_diameter),
-            ],
-            axis=1,
-        )
+        number = settings.holes
+        places = [
+            rng.uniform(0.9 * lo + 0.1 * hi, 0.1 * lo + 0.9 * hi, number)
+            for lo, hi in (self.scene.grid.x, self.scene.grid.y)
+        ]
+        holes = np.stack([*places, np.full(number, settings.hole_diameter)], axis=1)
         return floating.Population(
             self.basin,
             self.x,
@@ -93,6 +92,20 @@ class Tank:
         assert isinstance(settings, scene.Texture)
         mesh = settings.mesh or 1.5 * max(max(rigs.pixel_footprint(self.rig[name])) for name in self.rig)
         return texture.Paint(self.basin.x, self.basin.y, mesh, self.scene.seed)
+
+    def truth(self, step: int) -> Truth:
+        """Exact answer for the step from a frame to the next.
+
+        Parameters
+        ----------
+        step : int
+            Number of the step's first frame.
+
+        Returns
+        -------
+        Truth
+        """
+        return truth(self.basin, self.scene.grid, self.time(step + 0.5), 1.0 / self.scene.frame_rate)
 
     def spot_width(self, camera: Camera) -> float:
         """Standard deviation of a bead's image before the pixels integrate it.
@@ -160,6 +173,43 @@ class Tank:
             out[name] = self._expose(image, name, frame)
         return out
 
+    @cached_property
+    def target_poses(self) -> dict[str, targets.Pose]:
+        """Poses of the target by name of the image: ``tilt_0``, ``tilt_1``, ..., ``flat``."""
+        settings, grid = self.scene.calibration, self.scene.grid
+        tilted = targets.poses(settings.tilted, settings.tilt, grid.x, grid.y, self.scene.seed)
+        flat = targets.Pose(np.eye(3), np.array([0.0, 0.0, settings.level]))
+        return {f"tilt_{i}": pose for i, pose in enumerate(tilted)} | {"flat": flat}
+
+    @cached_property
+    def target_offsets(self) -> Array | None:
+        """Errors of the target's crossings, (n, n, 3), metres; None for other targets than strings."""
+        target = self.scene.calibration.target
+        return targets.node_offsets(target, self.scene.seed) if isinstance(target, scene.Strings) else None
+
+    def target_image(self, name: str, camera: str) -> NDArray:
+        """Image of the calibration target.
+
+        Parameters
+        ----------
+        name : str
+            A name of `target_poses`.
+        camera : str
+            Which camera.
+
+        Returns
+        -------
+        ndarray, (row, column), uint8 or uint16
+        """
+        image = targets.draw(
+            self.rig[camera],
+            self.scene.calibration.target,
+            self.target_poses[name],
+            self.scene.light.blur,
+            self.target_offsets,
+        )
+        return self._expose(image, camera, -1 - list(self.target_poses).index(name))
+
     def _painted(self, frame: int, cameras: Iterable[str] | None) -> dict[str, NDArray]:
         settings = self.scene.surface
         assert isinstance(settings, scene.Texture)
@@ -179,7 +229,7 @@ class Tank:
 
     def _expose(self, image: NDArray[np.float32], name: str, frame: int) -> NDArray:
         light, number = self.scene.light, list(self.rig).index(name)
-        rng = np.random.Generator(np.random.SFC64([self.scene.seed, 7, number, frame]))
+        rng = np.random.Generator(np.random.SFC64([self.scene.seed, 7, number, frame + 1000]))
         factor = light.gain.get(name, 1.0) * max(0.05, 1.0 + light.flicker * rng.standard_normal())
         image = (image + np.float32(light.background)) * (self._light[name] * np.float32(factor))
         return sensor.expose(image, light.read_noise, light.shot_noise, light.bits, rng)

@@ -49,7 +49,7 @@ class Paint:
         return out.reshape(x.shape)
 
 
-@nb.njit(cache=True, fastmath=True)
+@nb.njit(cache=True, nogil=True, fastmath=True)
 def _spline(x, y, c, x0, y0, mesh, out):  # type: ignore[no-untyped-def]  # pragma: no cover
     ny, nx = c.shape
     wx, wy = np.empty(4), np.empty(4)

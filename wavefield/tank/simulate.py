@@ -1,0 +1,215 @@
+"""Write a simulated experiment as a laboratory would have it, with the exact truth apart."""
+
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+import yaml
+
+from wavefield.errors import ExperimentError
+from wavefield.images import write_image
+from wavefield.tank import probes
+from wavefield.tank.scene import Beads, Scene
+from wavefield.tank.tank import Tank
+from wavefield.tank.truth import Truth
+from wavefield.variables import Variable, annotate, register
+
+Progress = Callable[[int, int], None]
+
+TRUTH_DIMS = ("time", "y", "x")
+register(
+    Variable("z_rate", TRUTH_DIMS, "m s-1", "instantaneous rate of rise of the surface"),
+    Variable("z_start", TRUTH_DIMS, "m", "surface elevation at the step's first frame"),
+    Variable("z_end", TRUTH_DIMS, "m", "surface elevation at the step's second frame"),
+    Variable("dx", TRUTH_DIMS, "m", "displacement along x of the water whose path has its mid-point here"),
+    Variable("dy", TRUTH_DIMS, "m", "displacement along y of the water whose path has its mid-point here"),
+    Variable("dz", TRUTH_DIMS, "m", "displacement along z of the water whose path has its mid-point here"),
+)
+_FIELDS = ("z", "z_t", "u", "v", "w", "z_rate", "z_start", "z_end", "dx", "dy", "dz")
+
+
+def simulate(
+    scene: Scene, directory: str | Path, progress: Progress | None = None, *, workers: int = 2
+) -> Path:
+    """Write the experiment of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to simulate.
+    directory : path
+        Folder for it; it is made, and must be empty if it is there.
+    progress : callable, optional
+        Called as ``progress(done, total)`` when an image or a step of the truth is finished.
+    workers : int, default 2
+        Threads that draw images; the files do not depend on it.
+
+    Returns
+    -------
+    Path
+        The experiment file: ``experiment.yaml`` beside ``cam1/img_00000.tif`` ..., ``calib/cam1/tilt_0.tif``
+        ..., ``calib/cam1/flat.tif``, ``probes.csv`` and ``scene.yaml``; and, apart, ``truth/rig.yaml`` (exact
+        cameras), ``truth/truth.zarr`` (exact fields, one per step at mid-time) and ``truth/target.yaml``.
+
+    Raises
+    ------
+    ExperimentError
+        If the folder holds something already.
+    """
+    directory = Path(directory)
+    if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
+        raise ExperimentError(f"{directory} is not empty; give another folder or remove it")
+    (directory / "truth").mkdir(parents=True, exist_ok=True)
+    tank = Tank(scene)
+    steps, names = scene.frames - 1, list(tank.rig)
+    total = len(names) * (scene.frames + len(tank.target_poses)) + steps
+    done = 0
+
+    def tell(number: int = 1) -> None:
+        nonlocal done
+        done += number
+        if progress is not None:
+            progress(done, total)
+
+    def draw_target(camera: str, pose: str) -> None:
+        write_image(directory / "calib" / camera / f"{pose}.tif", tank.target_image(pose, camera))
+
+    def draw_frame(camera: str, frame: int, beads: object) -> None:
+        if beads is None:
+            image = tank.render(frame, [camera])[camera]
+        else:
+            image = tank.photograph(beads, frame, [camera])[camera]  # type: ignore[arg-type]
+        write_image(directory / camera / f"img_{frame:05d}.tif", image)
+
+    _write_notes(scene, tank, directory)
+    with ThreadPoolExecutor(max(1, workers)) as pool:
+        waiting: deque[Future[None]] = deque()
+
+        def give(task: Callable[..., None], *arguments: object) -> None:
+            # a short queue: beads of many frames would fill the memory
+            while len(waiting) >= 4 * max(1, workers):
+                waiting.popleft().result()
+                tell()
+            waiting.append(pool.submit(task, *arguments))
+
+        for pose in tank.target_poses:
+            for camera in names:
+                give(draw_target, camera, pose)
+        floating = isinstance(scene.surface, Beads)
+        for frame in range(scene.frames):
+            beads = tank.population.frame(frame) if floating else None
+            for camera in names:
+                give(draw_frame, camera, frame, beads)
+        while waiting:
+            waiting.popleft().result()
+            tell()
+        if steps:
+            _write_truth(tank, steps, directory / "truth" / "truth.zarr", pool, tell)
+    return directory / "experiment.yaml"
+
+
+def _write_truth(
+    tank: Tank, steps: int, path: Path, pool: ThreadPoolExecutor, tell: Callable[[], None]
+) -> None:
+    """Write the exact fields in pieces of time, so that a long record needs little memory."""
+    grid, rate = tank.scene.grid, tank.scene.frame_rate
+    piece = 32
+    for first in range(0, steps, piece):
+        parts: list[Truth] = []
+        for part in pool.map(tank.truth, range(first, min(first + piece, steps))):
+            parts.append(part)
+            tell()
+        fields = {
+            name: (TRUTH_DIMS, np.stack([getattr(part, name) for part in parts]).astype(np.float32))
+            for name in _FIELDS
+        }
+        coords = {
+            "time": (np.arange(first, first + len(parts)) + 0.5) / rate,
+            "y": grid.y_nodes,
+            "x": grid.x_nodes,
+        }
+        dataset = annotate(xr.Dataset(fields, coords))
+        if first == 0:
+            dataset.attrs = {
+                "title": f"exact fields of the simulated experiment {tank.scene.name}",
+                "frame_rate": rate,
+                "water_depth": tank.scene.sea.depth,
+            }
+            chunks = {name: {"chunks": (min(piece, steps), *grid.shape)} for name in _FIELDS}
+            dataset.to_zarr(path, mode="w", encoding=chunks, consolidated=False, zarr_format=3)
+        else:
+            dataset.to_zarr(path, append_dim="time", consolidated=False)
+
+
+def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
+    """Write everything that is not an image: the lab note, the scene, the probes, the exact cameras."""
+    names = list(tank.rig)
+    experiment = {
+        "name": scene.name,
+        "frame_rate": scene.frame_rate,
+        "cameras": {name: {"images": f"{name}/img_{{frame:05d}}.tif"} for name in names},
+        "calibration": {
+            "target": _describe_target(scene),
+            "tilted": "calib/{camera}/tilt_*.tif",
+            "flat": "calib/{camera}/flat.tif",
+        },
+        **_pairing(tank),
+        "grid": {"x": list(scene.grid.x), "y": list(scene.grid.y), "step": scene.grid.step},
+        "water": {"depth": scene.sea.depth} if np.isfinite(scene.sea.depth) else {},
+        "probes": "probes.csv",
+    }
+    if not scene.probes.positions:
+        del experiment["probes"]
+    note = f"# A simulated experiment (scene {scene.name}). The exact answer is in truth/.\n"
+    text = yaml.safe_dump(experiment, sort_keys=False, default_flow_style=None, width=100)
+    (directory / "experiment.yaml").write_text(note + text)
+    (directory / "scene.yaml").write_text(scene.to_yaml())
+    tank.rig.save(directory / "truth" / "rig.yaml")
+    (directory / "truth" / "target.yaml").write_text(_target_truth(tank))
+    if scene.probes.positions:
+        settings = scene.probes
+        times = np.arange(int(scene.frames / scene.frame_rate * settings.rate) + 1) / settings.rate
+        z = probes.record(tank.sea, settings.positions, times + scene.start)
+        z += settings.noise * np.random.default_rng([scene.seed, 10]).standard_normal(z.shape)
+        probes.write(directory / "probes.csv", times, settings.positions, z)
+
+
+def _describe_target(scene: Scene) -> dict[str, object]:
+    target = scene.calibration.target
+    if target.kind == "strings":
+        return {"kind": "strings", "mesh": target.mesh, "origin_mark": "disc", "x_mark": "small disc"}
+    described: dict[str, object] = {"kind": target.kind, "mesh": target.mesh, "shape": list(target.shape)}
+    if target.kind == "dots":
+        described["diameter"] = target.diameter
+    return described
+
+
+def _pairing(tank: Tank) -> dict[str, object]:
+    """Which cameras work together: the most upright one is matched to the others."""
+    names = list(tank.rig)
+    if len(names) < 2:
+        return {}
+    upright = max(names, key=lambda name: -tank.rig[name].R[2, 2])
+    others = [name for name in names if name != upright]
+    return {
+        "surface": {"pairs": [[upright, name] for name in others]},
+        "velocity": {"cameras": others if len(others) > 1 else names},
+    }
+
+
+def _target_truth(tank: Tank) -> str:
+    """Poses of the target, and the errors of its crossings."""
+    data: dict[str, object] = {
+        "meaning": "a point p of the target is at rotation p + origin, metres",
+        "poses": {
+            name: {"rotation": pose.rotation.tolist(), "origin": [float(v) for v in pose.origin]}
+            for name, pose in tank.target_poses.items()
+        },
+    }
+    offsets = tank.target_offsets
+    if offsets is not None and np.any(offsets):
+        data["node_offsets"] = offsets.round(7).tolist()
+    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)
