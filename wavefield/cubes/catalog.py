@@ -19,8 +19,8 @@ from urllib.parse import unquote, urlparse
 
 import yaml
 
-from wavefield.cubes.run import Prepared, ProgressFunction, prepare, process
-from wavefield.cubes.status import Status
+from wavefield.cubes.processing import Prepared, ProgressFunction, prepare, process
+from wavefield.cubes.state import Status
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.rig import Rig
@@ -70,7 +70,7 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
         raise ExperimentError(f"{catalog} has another run {run!r} already; give this one a name of its own")
     if not place.exists():
         target = os.path.relpath(found.path, place.parent)
-        _write(place, f"# stands for the experiment file that it names\nexperiment: {yaml.safe_dump(target).splitlines()[0]}\n")
+        _write(place, "# stands for the experiment file it names\n" + yaml.safe_dump({"experiment": target}))
     if run not in options:
         options.append(run)
         data["user_parameters"]["run"]["default"] = options[0]
@@ -93,7 +93,9 @@ def new_catalog(stem: str) -> dict[str, Any]:
     """
     base = "{CATALOG_DIR}/" + stem + "/{run}"
 
-    def parameter(kind: str, description: str, default: str, options: list[str] | None = None) -> dict[str, Any]:
+    def parameter(
+        kind: str, description: str, default: str, options: list[str] | None = None
+    ) -> dict[str, Any]:
         out = {"cls": kind, "dtype": "str", "description": description, "default": default}
         return out if options is None else {**out, "options": options}
 
@@ -119,7 +121,9 @@ def new_catalog(stem: str) -> dict[str, Any]:
         "metadata": {"title": stem},
         "user_parameters": {
             "run": parameter(_OPTIONS, "which experiment", "", []),
-            "recipe": parameter(_OPTIONS, "which of its cubes: the first digits of the recipe's hash", "latest", ["latest"]),
+            "recipe": parameter(
+                _OPTIONS, "which of its cubes: the first digits of the recipe's hash", "latest", ["latest"]
+            ),
             "folder": parameter(_TEXT, "folder of the images, if not that of the experiment file", ""),
             "part": parameter(_OPTIONS, "which part of the waves", "spectra", _PARTS),
         },
@@ -130,7 +134,12 @@ def new_catalog(stem: str) -> dict[str, Any]:
         },
         "entries": {
             "frames": entry(
-                "experiment_file", "images of all cameras", engine="wavefield", folder="{folder}", chunks={}, open_local=True
+                "experiment_file",
+                "images of all cameras",
+                engine="wavefield",
+                folder="{folder}",
+                chunks={},
+                open_local=True,
             ),
             "cube": entry("cube_store", "z, u, v, w (time, y, x)", engine="zarr", chunks={}),
             "waves": entry("waves_store", "spectra and coherences", engine="zarr", group="{part}", chunks={}),
@@ -185,7 +194,9 @@ def run_catalog(
         raise ExperimentError(f"{path} has no run {unknown[0]!r}; it has {', '.join(options) or 'none'}")
     runs = list(entries) or list(options)
     if not runs:
-        raise ExperimentError(f"{path} has no runs; add one with `wavefield catalog add {path.name} EXPERIMENT`")
+        raise ExperimentError(
+            f"{path} has no runs; add one with `wavefield catalog add {path.name} EXPERIMENT`"
+        )
     if out is not None and len(runs) > 1:
         raise ExperimentError(f"one store cannot hold {len(runs)} runs; name the run, or leave out -o")
     done = []

@@ -1,4 +1,4 @@
-"""Where blocks are measured: in this process, in processes of this machine, in Slurm jobs, or on any scheduler."""
+"""Where blocks are measured: in this process, in others of this machine, in Slurm jobs, on any scheduler."""
 
 import logging
 import os
@@ -132,8 +132,8 @@ def _connect(workflow: Workflow, stack: ExitStack) -> Any:
             return stack.enter_context(Client(workflow.address, timeout="20s", set_as_default=False))
         except OSError as error:
             raise ExperimentError(
-                f"no scheduler answers at {workflow.address} ({error}); start one with `dask scheduler`, or correct "
-                "`address` in the workflow"
+                f"no scheduler answers at {workflow.address} ({error}); start one with "
+                "`dask scheduler`, or correct `address` in the workflow"
             ) from None
     if workflow.cluster == "slurm":
         cluster = stack.enter_context(slurm_cluster(workflow))
@@ -233,7 +233,10 @@ def _map_here(work: Work, items: Sequence[Any]) -> Iterator[Any]:
 def _map_on(client: Any, work: Work, items: Sequence[Any]) -> Iterator[Any]:
     from distributed import as_completed
 
-    futures = {client.submit(work, item, pure=False, key=f"block-{k}-{id(items)}"): item for k, item in enumerate(items)}
+    futures = {
+        client.submit(work, item, pure=False, key=f"block-{k}-{id(items)}"): item
+        for k, item in enumerate(items)
+    }
     try:
         for future in as_completed(futures, loop=client.loop):
             if future.status == "finished":

@@ -87,16 +87,16 @@ def reconstruct(
 ) -> xr.Dataset:
     """Turn image series into a lazy cube of elevation and velocity.
 
-    Nothing is read or computed before values are asked for. To look at a few steps only, select their frames
-    first: ``reconstruct(frames.isel(time=slice(0, 4)), ...)``; to process a whole experiment into a store that
-    survives interruptions, use `wavefield.cubes.run`.
+    Nothing is read or computed before values are asked for. To look at a few steps only, select their
+    frames first: ``reconstruct(frames.isel(time=slice(0, 4)), ...)``; to process a whole experiment into a
+    store that survives interruptions, use `wavefield.cubes.run`.
 
     Parameters
     ----------
     frames : DataTree, Dataset or mapping of str to DataArray
         Images (time, row, column) per camera: a tree with one node per camera and ``image`` in it, as
-        ``xr.open_datatree("experiment.yaml", engine="wavefield")`` gives, or arrays by name of camera. All have
-        the same times, evenly spaced.
+        ``xr.open_datatree("experiment.yaml", engine="wavefield")`` gives, or arrays by name of camera.
+        All have the same times, evenly spaced.
     rig : Rig
         The cameras.
     grid : Grid
@@ -161,8 +161,10 @@ def _assemble(
     row = TABLE[name]
     cube = row.dims == CUBE_DIMS
     key = f"{name}-{token}"
-    layer = {(key, k, *((0, 0) if cube else ())): (getitem, task.key, name) for k, task in enumerate(tasks)}
-    graph = HighLevelGraph.from_collections(key, layer, dependencies=tasks)
+    layer: dict[Any, Any] = {
+        (key, k, *((0, 0) if cube else ())): (getitem, task.key, name) for k, task in enumerate(tasks)
+    }
+    graph = HighLevelGraph.from_collections(key, layer, dependencies=list(tasks))  # type: ignore[arg-type]
     sizes = tuple(stop - start for start, stop in edges)
     chunks = (sizes, (shape[0],), (shape[1],)) if cube else (sizes,)
     return da.Array(graph, key, chunks=chunks, dtype=row.dtype)
@@ -172,12 +174,15 @@ def _arrays(
     frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray],
 ) -> tuple[dict[str, xr.DataArray], dict[str, Any]]:
     """Images by camera, and the attributes of the whole."""
+    attributes = {str(name): value for name, value in getattr(frames, "attrs", {}).items()}
     if isinstance(frames, xr.DataTree):
-        found = {name: node["image"] for name, node in frames.children.items() if "image" in node}
-        return found, dict(frames.attrs)
+        found = {
+            name: node.to_dataset()["image"] for name, node in frames.children.items() if "image" in node
+        }
+        return found, attributes
     if isinstance(frames, xr.Dataset):
-        return {str(n): a for n, a in frames.data_vars.items() if a.ndim == 3}, dict(frames.attrs)
-    return dict(frames), {}
+        return {str(n): a for n, a in frames.data_vars.items() if a.ndim == 3}, attributes
+    return {str(name): array for name, array in frames.items()}, attributes
 
 
 def _times(arrays: Mapping[str, xr.DataArray], attributes: Mapping[str, Any]) -> tuple[np.ndarray, float]:
@@ -185,7 +190,9 @@ def _times(arrays: Mapping[str, xr.DataArray], attributes: Mapping[str, Any]) ->
     name, first = next(iter(arrays.items()))
     for other, array in arrays.items():
         if array.dims[0] != "time" or array.ndim != 3:
-            raise ExperimentError(f"images of {other} have dimensions {array.dims}; needed: time, row, column")
+            raise ExperimentError(
+                f"images of {other} have dimensions {array.dims}; needed: time, row, column"
+            )
         if "time" not in array.coords or not np.array_equal(array["time"], first["time"]):
             raise ExperimentError(f"{other} and {name} need the same `time` coordinate, in seconds")
     times = np.asarray(first["time"].values, float)
@@ -195,7 +202,8 @@ def _times(arrays: Mapping[str, xr.DataArray], attributes: Mapping[str, Any]) ->
     frame_rate = float(attributes.get("frame_rate") or round(1.0 / np.median(intervals), 9))
     if np.abs(intervals * frame_rate - 1.0).max() > 1e-3:
         raise ExperimentError(
-            f"the times of the frames are not evenly spaced at {frame_rate:g} Hz; select them without a stride"
+            f"the times of the frames are not evenly spaced at {frame_rate:g} Hz; "
+            "select them without a stride"
         )
     return times, frame_rate
 

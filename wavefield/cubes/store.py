@@ -1,8 +1,8 @@
-"""The cube's store: a Zarr v3 group, made whole before the first step is measured, then filled block by block.
+"""The cube's store: a Zarr v3 group, made whole before the first step is measured, filled block by block.
 
-Each block is one shard of every variable, and one chunk of the ledger. `write_block` is the only function that
-writes results; no two blocks ever touch the same file, so any number of processes may write at once. Whole
-files are renamed into place, so a reader or a killed writer never leaves half a shard. The ledger
+Each block is one shard of every variable, and one chunk of the ledger. `write_block` is the only function
+that writes results; no two blocks ever touch the same file, so any number of processes may write at once.
+Whole files are renamed into place, so a killed writer never leaves half a shard. The ledger
 ``frame_status(time)`` is written last: a step that is marked done has all its data.
 """
 
@@ -15,16 +15,20 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 import zarr
+from zarr.codecs import BloscCodec
 
-from wavefield.cubes.recipe import Recipe, differences
 from wavefield.errors import StoreError
 from wavefield.series import FrameFault
 from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, FrameStatus, Variable, register
+
+if TYPE_CHECKING:  # not needed by workers, and slow to import
+    import xarray as xr
+
+    from wavefield.cubes.recipe import Recipe
 
 register(
     Variable("frame", ("frame",), "1", "frame number", dtype="int64"),
@@ -92,7 +96,7 @@ class Layout:
 
 def create_store(
     path: Path,
-    recipe: Recipe,
+    recipe: "Recipe",
     x: np.ndarray,
     y: np.ndarray,
     layout: Layout,
@@ -129,7 +133,7 @@ def create_store(
 
 
 def _fill_in(
-    path: Path, recipe: Recipe, x: np.ndarray, y: np.ndarray, layout: Layout, attributes: Mapping[str, Any]
+    path: Path, recipe: "Recipe", x: np.ndarray, y: np.ndarray, layout: Layout, attributes: Mapping[str, Any]
 ) -> None:
     n, block = layout.steps, layout.block
     group = zarr.open_group(
@@ -150,10 +154,20 @@ def _fill_in(
         },
     )
     frames = layout.first_frame + np.arange(n + 1)
-    for name, values in (("time", (frames[:-1] + 0.5) / recipe.frame_rate), ("y", y), ("x", x), ("frame", frames)):
+    for name, values in (
+        ("time", (frames[:-1] + 0.5) / recipe.frame_rate),
+        ("y", y),
+        ("x", x),
+        ("frame", frames),
+    ):
         row = TABLE[name]
         array = group.create_array(
-            name, shape=values.shape, chunks=values.shape, dtype=row.dtype, dimension_names=row.dims, attributes=row.attrs
+            name,
+            shape=values.shape,
+            chunks=values.shape,
+            dtype=row.dtype,
+            dimension_names=row.dims,
+            attributes=row.attrs,
         )
         array[:] = values
     chunk = max(k for k in range(1, _CHUNK_STEPS + 1) if block % k == 0)
@@ -162,7 +176,9 @@ def _fill_in(
         packed = recipe.packing == "int16" and name in PACKING
         dtype = "int16" if packed else row.dtype
         fill: Any = _MISSING if packed else np.nan if dtype == "float32" else 0
-        encoding = {"scale_factor": PACKING[name], "add_offset": 0.0, "_FillValue": _MISSING} if packed else {}
+        encoding = (
+            {"scale_factor": PACKING[name], "add_offset": 0.0, "_FillValue": _MISSING} if packed else {}
+        )
         group.create_array(
             name,
             shape=(n, y.size, x.size),
@@ -170,7 +186,7 @@ def _fill_in(
             shards=(block, y.size, x.size),
             dtype=dtype,
             fill_value=fill,
-            compressors=zarr.codecs.BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"),
+            compressors=BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"),
             dimension_names=CUBE_DIMS,
             attributes=row.attrs | encoding,
         )
@@ -194,7 +210,7 @@ def _fill_in(
         zarr.consolidate_metadata(path)
 
 
-def open_group(path: Path, mode: Any = "r") -> zarr.Group:
+def open_group(path: Path, mode: Any = "r") -> Any:
     """Open a store made by `create_store`.
 
     Parameters
@@ -224,7 +240,7 @@ def open_group(path: Path, mode: Any = "r") -> zarr.Group:
     raise StoreError(f"{path} is not a cube of `wavefield run`; choose another name")
 
 
-def read_layout(group: zarr.Group) -> Layout:
+def read_layout(group: Any) -> Layout:
     """Sizes of an open store.
 
     Parameters
@@ -239,13 +255,13 @@ def read_layout(group: zarr.Group) -> Layout:
     frames = group["frame"]
     return Layout(
         steps=group["frame_status"].shape[0],
-        block=int(group.attrs["steps_per_block"]),  # type: ignore[arg-type]
-        cameras=tuple(group.attrs["cameras"]),  # type: ignore[arg-type]
-        first_frame=int(frames[0]),  # type: ignore[index, arg-type]
+        block=int(group.attrs["steps_per_block"]),
+        cameras=tuple(group.attrs["cameras"]),
+        first_frame=int(frames[0]),
     )
 
 
-def check_recipe(path: Path, group: zarr.Group, recipe: Recipe) -> None:
+def check_recipe(path: Path, group: Any, recipe: "Recipe") -> None:
     """Refuse to go on with a store that was made with another recipe.
 
     Parameters
@@ -262,6 +278,8 @@ def check_recipe(path: Path, group: zarr.Group, recipe: Recipe) -> None:
     StoreError
         If the recipes differ; the message says in what.
     """
+    from wavefield.cubes.recipe import differences
+
     if group.attrs["recipe_hash"] == recipe.hash:
         return
     found = differences(str(group.attrs["recipe"]), recipe.to_json())
@@ -315,17 +333,19 @@ def write_block(
         for name in CUBE_FIELDS:
             array = group[name]
             values = np.asarray(fields[name])
-            if values.shape != (stop - start, *array.shape[1:]):  # type: ignore[union-attr]
-                raise ValueError(f"{name} has shape {values.shape}, expected {(stop - start, *array.shape[1:])}")  # type: ignore[union-attr]
-            array[start:stop] = pack(values, name) if array.dtype == np.int16 else values  # type: ignore[index, union-attr]
+            if values.shape != (stop - start, *array.shape[1:]):
+                raise ValueError(
+                    f"{name} has shape {values.shape}, expected {(stop - start, *array.shape[1:])}"
+                )
+            array[start:stop] = pack(values, name) if array.dtype == np.int16 else values
         last = layout.steps + 1 if stop == layout.steps else stop  # the last block owns the last frame
         codes = np.zeros((len(layout.cameras), last - start), np.uint8)
         for k, camera in enumerate(layout.cameras):
             for index, fault in faults.get(camera, {}).items():
                 if start <= index < last:
                     codes[k, index - start] = fault
-        group["frame_fault"][:, start:last] = codes  # type: ignore[index]
-        group["frame_status"][start:stop] = frame_status  # type: ignore[index]
+        group["frame_fault"][:, start:last] = codes
+        group["frame_status"][start:stop] = frame_status
     except OSError as error:
         raise write_error(path, error) from None
 
@@ -344,7 +364,7 @@ def reset_blocks(path: Path, starts: Sequence[int]) -> None:
     layout = read_layout(group)
     for start in starts:
         stop = min(start + layout.block, layout.steps)
-        group["frame_status"][start:stop] = np.uint8(FrameStatus.NOT_STARTED)  # type: ignore[index]
+        group["frame_status"][start:stop] = np.uint8(FrameStatus.NOT_STARTED)
 
 
 def pack(values: np.ndarray, name: str) -> np.ndarray:
@@ -399,13 +419,13 @@ def write_error(path: Path, error: OSError) -> StoreError:
     """
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return StoreError(
-            f"the disk that holds {path} is full; nothing that was written is lost: free some room and run the "
-            "same command again to go on"
+            f"the disk that holds {path} is full; nothing that was written is lost: free some room "
+            "and run the same command again to go on"
         )
     return StoreError(f"{path} cannot be written: {error.strerror or error}; check its disk and permissions")
 
 
-def open_cube(path: str | Path, chunks: Any = "auto") -> xr.Dataset:
+def open_cube(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
     """Open a cube, lazily.
 
     Parameters
@@ -425,6 +445,8 @@ def open_cube(path: str | Path, chunks: Any = "auto") -> xr.Dataset:
     StoreError
         If it is not there or is not a cube.
     """
+    import xarray as xr
+
     path = Path(str(path).removeprefix("file://"))
     group = open_group(path)
     if chunks == "auto":
@@ -436,7 +458,7 @@ def open_cube(path: str | Path, chunks: Any = "auto") -> xr.Dataset:
     return cube
 
 
-def cube_recipe(dataset: xr.Dataset) -> dict[str, Any]:
+def cube_recipe(dataset: "xr.Dataset") -> dict[str, Any]:
     """The recipe in the attributes of a cube.
 
     Parameters

@@ -19,22 +19,34 @@ class Workflow(Section):
     """
 
     cluster: Literal["none", "local", "slurm", "address"] = Field(
-        "local",
+        default="local",
         examples=["local"],
-        description="none: in this process; local: processes of this machine; slurm: jobs; address: a scheduler",
+        description="none: this process; local: processes of this machine; slurm: jobs; address: a scheduler",
     )
-    workers: int | Literal["auto"] = Field("auto", examples=["4"], description="worker processes; auto: one per core")
-    memory: str | None = Field(None, examples=["2 GB"], description="limit per worker")
-    address: str | None = Field(None, examples=["tcp://host:8786"], description="of a running scheduler")
+    workers: int | Literal["auto"] = Field(
+        default="auto", examples=["4"], description="worker processes; auto: one per core"
+    )
+    memory: str | None = Field(default=None, examples=["2 GB"], description="limit per worker")
+    address: str | None = Field(
+        default=None, examples=["tcp://host:8786"], description="of a running scheduler"
+    )
     slurm: dict[str, Any] = Field(
-        default_factory=dict, examples=["{queue: cpu, walltime: '04:00:00'}"], description="keywords of SLURMCluster"
+        default_factory=dict,
+        examples=["{queue: cpu, walltime: '04:00:00'}"],
+        description="keywords of SLURMCluster",
     )
     dask: dict[str, Any] = Field(default_factory=dict, description="Dask configuration that differs")
-    dashboard: str | None = Field(":0", examples=['":8787"'], description="its address; null: none")
-    performance_report: str | None = Field(None, examples=["report.html"], description="write Dask's report")
-    time_limit: str | None = Field(None, examples=["11h 50m"], description="stop cleanly after this time")
-    steps_per_block: int | None = Field(None, ge=1, examples=["64"], description="steps per task and shard")
-    packing: Literal["float32", "int16"] = Field("float32", description="how values are stored")
+    dashboard: str | None = Field(default=":0", examples=['":8787"'], description="its address; null: none")
+    performance_report: str | None = Field(
+        default=None, examples=["report.html"], description="write Dask's report"
+    )
+    time_limit: str | None = Field(
+        default=None, examples=["11h 50m"], description="stop cleanly after this time"
+    )
+    steps_per_block: int | None = Field(
+        default=None, ge=1, examples=["64"], description="steps per task and shard"
+    )
+    packing: Literal["float32", "int16"] = Field(default="float32", description="how values are stored")
     settings: dict[str, Any] = Field(default_factory=dict, description="measurement settings that differ")
 
     @field_validator("workers")
@@ -48,7 +60,9 @@ class Workflow(Section):
     @classmethod
     def _size(cls, value: str | None) -> str | None:
         if value is not None and parse_bytes(value) < 100_000_000:
-            raise ValueError(f"memory of {format_bytes(parse_bytes(value))} per worker is too little; give 1 GB or more")
+            raise ValueError(
+                f"memory of {format_bytes(parse_bytes(value))} per worker is too little; give 1 GB or more"
+            )
         return value
 
     @field_validator("time_limit", mode="before")
@@ -62,7 +76,9 @@ class Workflow(Section):
     @model_validator(mode="after")
     def _address_given(self) -> "Workflow":
         if self.cluster == "address" and not self.address:
-            raise ValueError("cluster: address needs the scheduler's address, for example address: tcp://host:8786")
+            raise ValueError(
+                "cluster: address needs the scheduler's address, for example address: tcp://host:8786"
+            )
         return self
 
     @classmethod

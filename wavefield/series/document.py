@@ -28,7 +28,9 @@ class Section(BaseModel):
             for key in data:
                 if key not in cls.model_fields:
                     raise PydanticCustomError(
-                        "unknown_key", "is not a known key; {remedy}", {"key": key, "remedy": _meant(key, cls)}
+                        "unknown_key",
+                        "is not a known key; {remedy}",
+                        {"key": key, "remedy": _meant(key, cls)},
                     )
         return data
 
@@ -179,7 +181,9 @@ def _short(value: Any) -> bool:
 
 def _is_branch(step: Key) -> bool:
     # pydantic names the members of a union in locations: "str", "GridSection", "list[...]"
-    return isinstance(step, str) and (step in ("str", "float", "int") or "[" in step or step.endswith("Section"))
+    return isinstance(step, str) and (
+        step in ("str", "float", "int") or "[" in step or step.endswith("Section")
+    )
 
 
 def _example(model: Any, names: Sequence[str]) -> str | None:

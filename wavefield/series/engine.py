@@ -119,7 +119,9 @@ class ExperimentBackend(BackendEntrypoint):
             out = _camera(series[name]).assign_coords(_coordinates(experiment, series[name]))
         else:
             parts = [
-                _camera(s).rename(image=name, row=f"{name}_row", column=f"{name}_column", present=f"{name}_present")
+                _camera(s).rename(
+                    image=name, row=f"{name}_row", column=f"{name}_column", present=f"{name}_present"
+                )
                 for name, s in series.items()
             ]
             out = xr.merge(parts).assign_coords(_coordinates(experiment, next(iter(series.values()))))
@@ -195,7 +197,10 @@ def _camera(series: FrameSeries) -> xr.Dataset:
     present = np.ones(len(series), bool)
     present[series.missing - series.first] = False
     return xr.Dataset(
-        {"image": image, "present": ("time", present, {"long_name": f"{series.camera} has a file for this frame"})}
+        {
+            "image": image,
+            "present": ("time", present, {"long_name": f"{series.camera} has a file for this frame"}),
+        }
     )
 
 

@@ -25,8 +25,8 @@ class CameraSection(Section):
         examples=['"cam1/img_{frame:05d}.tif"'],
         description="pattern with the frame number, glob, list, multi-page TIFF, video, Zarr array",
     )
-    offset: int = Field(0, description="added to this camera's frame numbers")
-    times: str | None = Field(None, description="file of time stamps, one line per image, seconds")
+    offset: int = Field(default=0, description="added to this camera's frame numbers")
+    times: str | None = Field(default=None, description="file of time stamps, one line per image, seconds")
 
     @model_validator(mode="before")
     @classmethod
@@ -39,8 +39,19 @@ class CalibrationSection(Section):
 
     target: dict[str, Any] = Field(examples=["{kind: strings, mesh: 0.10}"])
     tilted: str | list[str] = Field(examples=['"calib/{camera}/tilt_*.tif"'])
-    flat: str | None = Field(None, examples=['"calib/{camera}/flat.tif"'])
-    model: str | None = Field(None, description="camera model, where the default does not do")
+    flat: str | None = Field(default=None, examples=['"calib/{camera}/flat.tif"'])
+    model: str | None = Field(default=None, description="camera model, where the default does not do")
+    target_std: float = Field(
+        default=0.0,
+        ge=0,
+        examples=["0.001"],
+        description="uncertainty of the target's nodes, m: their offsets are solved for",
+    )
+    camera_distance: dict[str, float] = Field(
+        default_factory=dict,
+        examples=["{cam1: 4.5}"],
+        description="from the origin, by tape, m: checks the mesh",
+    )
 
 
 class SurfaceSection(Section):
@@ -58,8 +69,8 @@ class VelocitySection(Section):
 class GridSection(Section):
     """Nodes of the grid, metres; without x and y the extent is that seen by the cameras."""
 
-    x: tuple[float, float] | None = Field(None, examples=["[-1.0, 1.0]"])
-    y: tuple[float, float] | None = Field(None, examples=["[-0.75, 0.75]"])
+    x: tuple[float, float] | None = Field(default=None, examples=["[-1.0, 1.0]"])
+    y: tuple[float, float] | None = Field(default=None, examples=["[-0.75, 0.75]"])
     step: float = Field(gt=0, examples=["0.01"])
 
     @model_validator(mode="after")
@@ -74,17 +85,19 @@ class GridSection(Section):
 class WaterSection(Section):
     """The water."""
 
-    depth: float | None = Field(None, gt=0, examples=["0.70"], description="m")
-    level: float = Field(0.0, description="height of the water at rest above z = 0 of the rig file, m")
-    density: float | None = Field(None, gt=0, examples=["1000"], description="kg m-3")
-    surface_tension: float | None = Field(None, ge=0, examples=["0.073"], description="N m-1")
+    depth: float | None = Field(default=None, gt=0, examples=["0.70"], description="m")
+    level: float = Field(
+        default=0.0, description="height of the water at rest above z = 0 of the rig file, m"
+    )
+    density: float | None = Field(default=None, gt=0, examples=["1000"], description="kg m-3")
+    surface_tension: float | None = Field(default=None, ge=0, examples=["0.073"], description="N m-1")
 
 
 class FramesSection(Section):
     """Range of frame numbers to use, both included."""
 
-    first: int | None = Field(None, examples=["0"])
-    last: int | None = Field(None, examples=["11999"])
+    first: int | None = Field(default=None, examples=["0"])
+    last: int | None = Field(default=None, examples=["11999"])
 
 
 class Experiment(Section):
@@ -110,18 +123,20 @@ class Experiment(Section):
     name: str = Field(examples=["coriolis-07"], pattern=r"^[^/\\]+$")
     description: str = ""
     frame_rate: float = Field(gt=0, examples=["20.0"], description="Hz")
-    folder: str | None = Field(None, description="folder of the images, if not that of this file")
+    folder: str | None = Field(default=None, description="folder of the images, if not that of this file")
     cameras: dict[str, CameraSection] = Field(min_length=1, examples=['{cam1: {images: "cam1/*.tif"}}'])
     frames: FramesSection = FramesSection()
     calibration: CalibrationSection | None = None
     rig: str | dict[str, str] | None = Field(
-        None, examples=["rig.yaml"], description="this program's or another's; or one file per camera"
+        default=None, examples=["rig.yaml"], description="this program's or another's; or one file per camera"
     )
     surface: SurfaceSection | None = None
     velocity: VelocitySection | None = None
-    grid: GridSection | Literal["auto"] = Field("auto", examples=["{x: [-1.0, 1.0], y: [-0.75, 0.75], step: 0.01}"])
+    grid: GridSection | Literal["auto"] = Field(
+        default="auto", examples=["{x: [-1.0, 1.0], y: [-0.75, 0.75], step: 0.01}"]
+    )
     water: WaterSection = WaterSection()
-    probes: str | None = Field(None, examples=["probes.csv"])
+    probes: str | None = Field(default=None, examples=["probes.csv"])
     settings: dict[str, Any] = Field(default_factory=dict, description="measurement settings that differ")
 
     _path: Path = PrivateAttr(default=Path("experiment.yaml"))
@@ -269,7 +284,9 @@ class Experiment(Section):
         """
         return (series.first + np.arange(len(series))) / self.frame_rate
 
-    def load_rig(self, path: str | Path | None = None, series: Mapping[str, FrameSeries] | None = None) -> Rig:
+    def load_rig(
+        self, path: str | Path | None = None, series: Mapping[str, FrameSeries] | None = None
+    ) -> Rig:
         """Load the rig, in any format that `wavefield.rig.formats` knows.
 
         Parameters
@@ -291,7 +308,8 @@ class Experiment(Section):
         """
         if path is None and self.rig is None:
             raise RigError(
-                f"{self.path} names no rig; run `wavefield calibrate {self.path.name}` and add `rig: rig.yaml`"
+                f"{self.path} names no rig; run `wavefield calibrate {self.path.name}` "
+                "and add `rig: rig.yaml`"
             )
         where: Path | dict[str, Path]
         if path is not None:
@@ -310,8 +328,8 @@ class Experiment(Section):
             if name in rig.cameras and rig[name].size != size:
                 w, h = rig[name].size
                 raise RigError(
-                    f"{where} was made for images of {name} of {w} x {h} px, but these have {size[0]} x {size[1]}; "
-                    "use the rig of these images"
+                    f"{where} was made for images of {name} of {w} x {h} px, but these have "
+                    f"{size[0]} x {size[1]}; use the rig of these images"
                 )
         return with_water_level(rig, self.water.level) if self.water.level else rig
 

@@ -116,7 +116,9 @@ def list_folder(folder: Path, camera: str) -> list[str]:
 def _from_names(path: Path, camera: str) -> Numbered:
     folder, pattern = path.parent, path.name
     if _FRAME.search(str(folder)) or any(c in str(folder) for c in "*?["):
-        raise ExperimentError(f"images of {camera}: {path} has a pattern in its folder; only the file may vary")
+        raise ExperimentError(
+            f"images of {camera}: {path} has a pattern in its folder; only the file may vary"
+        )
     names = list_folder(folder, camera)
     if _FRAME.search(pattern):
         before, after = _FRAME.sub("\0", pattern).split("\0", 1)
@@ -207,7 +209,9 @@ def read_time_stamps(path: Path, camera: str) -> np.ndarray:
             times.append(float(words[-1]))
         except ValueError:
             if times:
-                raise ExperimentError(f"{path}, line {number}: {words[-1]!r} is not a time in seconds") from None
+                raise ExperimentError(
+                    f"{path}, line {number}: {words[-1]!r} is not a time in seconds"
+                ) from None
     out = np.array(times)
     if out.size == 0 or np.any(np.diff(out) <= 0):
         raise ExperimentError(f"time stamps of {camera}: {path} must hold increasing times in seconds")

@@ -21,10 +21,10 @@ class Entry(NamedTuple):
 
     kind: Literal["file", "page", "video", "zarr"]
     path: str
-    index: int = 0
+    image: int = 0
 
     def __str__(self) -> str:
-        return self.path if self.kind == "file" else f"{self.path}, image {self.index}"
+        return self.path if self.kind == "file" else f"{self.path}, image {self.image}"
 
 
 def read_entry(entry: Entry) -> np.ndarray:
@@ -50,10 +50,10 @@ def read_entry(entry: Entry) -> np.ndarray:
         if entry.kind == "page":
             return _read_page(entry)
         if entry.kind == "video":
-            return _open(entry.path, _Video).read(entry.index)
+            return _open(entry.path, _Video).read(entry.image)
         array = _open(entry.path, _open_array)
         try:
-            return np.asarray(array[entry.index])
+            return np.asarray(array[entry.image])
         except Exception as error:
             raise FrameError(f"{entry} cannot be read: {error}") from None
 
@@ -122,9 +122,9 @@ def _open_tiff(path: str) -> tifffile.TiffFile:
 def _read_page(entry: Entry) -> np.ndarray:
     tiff = _open(entry.path, _open_tiff)
     try:
-        page = tiff.pages[entry.index]
+        page = tiff.pages[entry.image]
     except IndexError:
-        raise FrameError(f"{entry.path} has no image {entry.index}: is it truncated?") from None
+        raise FrameError(f"{entry.path} has no image {entry.image}: is it truncated?") from None
     except Exception as error:
         raise FrameError(f"{entry} cannot be read: {error}") from None
     if page.compression == tifffile.COMPRESSION.NONE and page.bitspersample in (8, 16, 32):
@@ -133,7 +133,7 @@ def _read_page(entry: Entry) -> np.ndarray:
         except Exception as error:
             raise FrameError(f"{entry} is corrupt or truncated: {error}") from None
         return grey(image[..., ::-1]) if image.ndim == 3 else image
-    return read_image(entry.path, entry.index)
+    return read_image(entry.path, entry.image)
 
 
 def _open_array(path: str) -> Any:
@@ -143,10 +143,12 @@ def _open_array(path: str) -> Any:
         found = zarr.open(path, mode="r")
     except Exception as error:
         raise FrameError(f"{path} is not a Zarr array: {error}") from None
-    if not hasattr(found, "shape"):  # a group, as xarray writes it
+    if isinstance(found, zarr.Group):  # as xarray writes it
         if "image" not in found:
             raise FrameError(f"{path} holds no array 'image'; name the array itself, as in {path}/NAME")
         found = found["image"]
+    if isinstance(found, zarr.Group):
+        raise FrameError(f"{path} holds a group where an array should be; name the array itself")
     if len(found.shape) != 3:
         raise FrameError(f"{path} has {len(found.shape)} dimensions, images need three: time, row, column")
     return found

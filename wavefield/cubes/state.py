@@ -118,8 +118,8 @@ def status(store: str | Path) -> Status:
     path = Path(store)
     group = stores.open_group(path)
     layout = stores.read_layout(group)
-    ledger = np.asarray(group["frame_status"][:])  # type: ignore[index]
-    faults = np.asarray(group["frame_fault"][:])  # type: ignore[index]
+    ledger = np.asarray(group["frame_status"][:])
+    faults = np.asarray(group["frame_fault"][:])
     bad = []
     for camera, codes in zip(layout.cameras, faults):
         for code in np.unique(codes[codes > 0]):

@@ -13,8 +13,8 @@ import numpy as np
 
 from wavefield.cubes.block import Measured, make_block, measure_block
 from wavefield.cubes.cluster import count_workers, one_thread
-from wavefield.cubes.run import Prepared, choose_block, prepare
-from wavefield.cubes.status import spell_ranges
+from wavefield.cubes.processing import Prepared, choose_block, prepare
+from wavefield.cubes.state import spell_ranges
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
@@ -149,7 +149,8 @@ class Check:
         if self.grid:
             (x0, x1), (y0, y1), (ny, nx) = self.grid.x, self.grid.y, self.grid.shape
             lines.append(
-                f"  grid: x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m, every {self.grid.step:g} m: {nx} x {ny} nodes"
+                f"  grid: x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m, every {self.grid.step:g} m: "
+                f"{nx} x {ny} nodes"
             )
         if self.coverage is not None:
             text = f"  coverage: all cameras see {100 * self.coverage:.0f} % of the nodes"
@@ -263,7 +264,7 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
     Parameters
     ----------
     prepared : Prepared
-        As from `wavefield.cubes.run.prepare`.
+        As from `wavefield.cubes.processing.prepare`.
 
     Returns
     -------
@@ -288,13 +289,15 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
         step = max(several - single, 0.1 * several) / (stop - start - 1)
     if (one.frame_status == FrameStatus.FAILED).all():
         raise ExperimentError(
-            f"the step of frame {next(iter(prepared.series.values())).first + start} could not be measured; look at its "
-            "images, the rig and the grid"
+            f"the step of frame {next(iter(prepared.series.values())).first + start} could not be measured; "
+            "look at its images, the rig and the grid"
         )
     workflow = prepared.workflow
     workers = count_workers(workflow)
     step_bytes = sum(field[0].nbytes for field in one.fields.values())
-    block = workflow.steps_per_block or choose_block(prepared.steps, workers, step_bytes, workflow.memory_bytes)
+    block = workflow.steps_per_block or choose_block(
+        prepared.steps, workers, step_bytes, workflow.memory_bytes
+    )
     frames_measured = prepared.steps * (1 + 3 / block)
     cost = Cost(
         step_seconds=step,

@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from wavefield.cubes import store as stores
-from wavefield.cubes.block import Block, make_block, measure_block
+from wavefield.cubes.block import Block, make_block
 from wavefield.cubes.cluster import count_workers, open_cluster
 from wavefield.cubes.recipe import Recipe, make_recipe
-from wavefield.cubes.status import Status, status
+from wavefield.cubes.state import Status, status
+from wavefield.cubes.work import Work
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, RunStopped, StoreError, WavefieldError
 from wavefield.grid import Grid
@@ -70,52 +71,6 @@ class Prepared:
     def steps(self) -> int:
         """Number of steps of the whole run."""
         return len(next(iter(self.series.values()))) - 1
-
-
-@dataclass(frozen=True)
-class Work:
-    """Measures one block and writes it: what a worker is sent.
-
-    Parameters
-    ----------
-    store : path
-        Where to write.
-    plan : wavefield.measurement.Plan
-        Pickles as rig, grid and settings; computed once per process.
-    frame_rate : float
-        Hz.
-    """
-
-    store: Path
-    plan: Any
-    frame_rate: float
-
-    def __call__(self, block: Block) -> "Report":
-        """Measure and write.
-
-        Parameters
-        ----------
-        block : Block
-            Steps and frames.
-
-        Returns
-        -------
-        Report
-        """
-        measured = measure_block(block, self.plan, self.frame_rate)
-        stores.write_block(self.store, block.start, measured.fields, measured.frame_status, measured.faults)
-        failed = int(np.count_nonzero(measured.frame_status == FrameStatus.FAILED))
-        return Report(block.start, block.stop, failed, tuple(measured.messages))
-
-
-@dataclass(frozen=True)
-class Report:
-    """What a worker says of a block that it has written."""
-
-    start: int
-    stop: int
-    failed: int
-    messages: tuple[str, ...]
 
 
 def run(
@@ -335,8 +290,8 @@ def process(prepared: Prepared, path: Path, progress: ProgressFunction | None = 
                 _work_off(prepared, path, todo, tracker)
         except KeyboardInterrupt as stop:
             raise RunStopped(
-                f"stopped{_why(stop)} after {tracker.done} of {tracker.total} steps; nothing is lost, and the same "
-                "command goes on from there"
+                f"stopped{_why(stop)} after {tracker.done} of {tracker.total} steps; nothing is lost, and "
+                "the same command goes on from there"
             ) from None
         tracker.say("done")
     return status(path)
@@ -364,9 +319,7 @@ def _open_or_create(prepared: Prepared, path: Path) -> stores.Layout:
     return layout
 
 
-def unfinished(
-    path: Path, layout: stores.Layout, series: Mapping[str, FrameSeries]
-) -> list[tuple[int, int]]:
+def unfinished(path: Path, layout: stores.Layout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
     """Blocks that are still to be measured: not done yet, or with bad frames that are good by now.
 
     Parameters
@@ -384,8 +337,8 @@ def unfinished(
         Ranges of steps.
     """
     group = stores.open_group(path)
-    ledger = np.asarray(group["frame_status"][:])  # type: ignore[index]
-    faults = np.asarray(group["frame_fault"][:])  # type: ignore[index]
+    ledger = np.asarray(group["frame_status"][:])
+    faults = np.asarray(group["frame_fault"][:])
     mended = np.zeros(layout.steps + 1, bool)
     for camera, index in np.argwhere(faults):
         if not series[layout.cameras[camera]].read(int(index)).fault:
@@ -425,8 +378,9 @@ def _work_off(prepared: Prepared, path: Path, todo: Sequence[Block], tracker: "_
     if failures:
         block, error = failures[0]
         raise StoreError(
-            f"{len(failures)} of {len(todo)} blocks failed, the first (steps {block.start} to {block.stop - 1}) with "
-            f"{type(error).__name__}: {error}; see {log_path(path)}, and run the same command again to try again"
+            f"{len(failures)} of {len(todo)} blocks failed, the first (steps {block.start} to "
+            f"{block.stop - 1}) with {type(error).__name__}: {error}; see {log_path(path)}, and run the same "
+            "command again to retry"
         ) from error
 
 
@@ -564,10 +518,8 @@ def log_file(store: Path) -> Iterator[None]:
     finally:
         log.removeHandler(handler)
         log.setLevel(level)
-        try:
+        with suppress(OSError):
             handler.close()
-        except OSError:
-            pass
 
 
 @contextmanager
