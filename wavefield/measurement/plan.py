@@ -23,6 +23,7 @@ from wavefield.rig import Camera, Rig
 
 BLOCK = 5  # side of matching's blocks, px
 _MIN_BLOCKS = 8  # along each side of the common view
+_MARGIN = 5  # blocks around the nodes
 
 
 class Plan:
@@ -114,8 +115,9 @@ class Plan:
         low, high = np.sort([b[0] for b in boxes], axis=0), np.sort([b[1] for b in boxes], axis=0)
         lo, hi = np.maximum(lo, low[1]), np.minimum(hi, high[-2])
         step = BLOCK * self.pixel
-        blocks = np.floor((hi - lo) / step) + 4
-        if not (blocks >= _MIN_BLOCKS).all():
+        # and beyond that, the windows of the outermost blocks want their surroundings
+        blocks = np.ceil((hi - lo) / step) + 2 * _MARGIN
+        if not (blocks >= _MIN_BLOCKS + 2 * _MARGIN).all():
             raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
         nx, ny = (int(scipy.fft.next_fast_len(int(n), real=True)) for n in blocks)
         centre = 0.5 * (lo + hi)
@@ -211,7 +213,6 @@ class Sight:
         w, h = camera.size
         ny, nx = h // BLOCK, w // BLOCK
         self.lattice = Lattice(0.5 * (BLOCK - 1), 0.5 * (BLOCK - 1), float(BLOCK), (ny, nx))
-        self.whole = np.ones((ny, nx), bool)
         self.response = thin_plate((ny, nx), 0.0)
         self._energy: sparse.csr_array | None = None
         # projection is a ratio of linear functions of z with |z| well below the distance: order 4 is exact
@@ -233,7 +234,7 @@ class Sight:
     def energy(self) -> sparse.csr_array:
         """Bending energy of the lattice of blocks in the image."""
         if self._energy is None:
-            self._energy = bending_energy(self.whole)
+            self._energy = bending_energy(np.ones(self.lattice.shape, bool))
         return self._energy
 
     def at(self, z: NDArray) -> NDArray[np.float32]:

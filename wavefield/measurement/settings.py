@@ -11,11 +11,13 @@ from wavefield.errors import ExperimentError
 
 
 def _stereo() -> matching.Settings:
-    return matching.Settings.stereo()
+    return matching.Settings.stereo(
+        iterations=(4, 4, 3), window=20.0, smoother_sigma=1.8, normalization=10.0, search_window=24.0
+    )
 
 
 def _piv() -> matching.Settings:
-    return matching.Settings.piv(iterations=(3, 3, 2, 3), window=20.0, smoother_sigma=2.0)
+    return matching.Settings.piv(window=14.0, smoother_sigma=1.2)
 
 
 @dataclass(frozen=True)

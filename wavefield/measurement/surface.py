@@ -285,11 +285,13 @@ def surface(prepared: Mapping[str, matching.Prepared], plan: Plan) -> Surface | 
     Surface or None
         None if fewer than two cameras have a frame, or too little of it can be matched.
     """
-    pairs = plan.pairs_for(tuple(prepared))
-    if not pairs:
-        return None
-    matches = [match_pair(prepared[a], prepared[b], (a, b), plan) for a, b in pairs]
-    blocks = combine(matches)
-    common = plan.seen[matches[0].pair[0]]
-    share = blocks.valid.sum() / max(1.0, common.mean() * blocks.valid.size)
-    return to_nodes(blocks, matches, plan) if share >= plan.settings.min_valid else None
+    present = tuple(prepared)
+    while pairs := plan.pairs_for(present):
+        matches = [match_pair(prepared[a], prepared[b], (a, b), plan) for a, b in pairs]
+        blocks = combine(matches)
+        reference = pairs[0][0]
+        if blocks.valid.sum() >= plan.settings.min_valid * np.sum(plan.seen_blocks[reference] > 0.5):
+            return to_nodes(blocks, matches, plan)
+        # its images may be there and yet show nothing: the others may do without it
+        present = tuple(n for n in present if n != reference)
+    return None

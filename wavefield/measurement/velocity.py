@@ -93,7 +93,9 @@ def displacement_at(
     fields = np.stack([found.u, found.v], axis=-1)
     std = np.stack([found.u_std, found.v_std], axis=-1)
     if not valid.all():
-        fields = fill(fields, valid, sight.whole, sight.energy)
+        # what left the image is no hole in it
+        wanted = (found.reason & np.uint8(Reason.EDGE | Reason.MASKED)) == 0
+        fields = fill(fields, valid, wanted, sight.energy)
         std = push_pull(std, valid)
     d, block = read_anchored(coefficients(fields, sight.response), sight.lattice, X, Y)
     rejected = np.zeros(found.reason.shape, np.uint8)
