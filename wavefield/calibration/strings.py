@@ -188,7 +188,7 @@ def _marks(
     quality, radius, grey = _discs(cv2.GaussianBlur(image, (0, 0), 0.7), pixel, smooth.slopes(around))
     row = np.full((2 * REACH + 3, 2 * REACH + 3), -1)
     row[tuple((around + REACH + 1).T)] = np.arange(len(around))
-    best, found = 3.0, None
+    best, found = 1.3, None
     for a in np.flatnonzero(quality > best):
         for step in np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]):
             b = row[tuple(around[a] + step + REACH + 1)]
@@ -206,29 +206,34 @@ def _marks(
 def _discs(image: NDArray[np.float32], pixel: Array, slopes: Array) -> tuple[Array, Array, Array]:
     """How much the surroundings of each node look like a disc of even brightness on a dark ground.
 
-    Samples lie on circles of the target's plane, in directions away from the strings. The circle that best
-    parts them into bright ones inside and dark ones outside is the disc's edge.
+    Samples lie on circles of the target's plane, in directions away from the strings. What a node without
+    a disc looks like is subtracted, and the rest compared with discs of all sizes, which add the less the
+    brighter the node is without them.
 
-    Returns the quality (difference of the means over mean deviation from them), the radius in meshes, and
-    the difference of the means.
+    Returns the quality (what the best disc explains over what it leaves), its radius in meshes, its grey.
     """
-    r = np.linspace(0.05, 0.45, 17)
+    r = np.linspace(0.02, 0.45, 30)
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
     angle = angle[np.abs(np.sin(2 * angle)) > 0.5]
     offset = r[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
     value = _sample(image, pixel[:, None, None] + np.einsum("rak,nkc->nrac", offset, slopes)).astype(float)
-    value -= np.median(value, axis=(0, 2), keepdims=True)  # what a node without a disc looks like
-    noise = np.median(np.abs(value[:, -6:])) + 1e-3
-    quality, radius, grey = np.zeros((3, len(pixel)))
-    for k in range(2, len(r) - 4):
-        inside, outside = value[:, : k - 1].reshape(len(pixel), -1), value[:, k + 2 :].reshape(len(pixel), -1)
-        high, low = np.median(inside, axis=1), np.median(outside, axis=1)
-        spread = np.abs(inside - high[:, None]).mean(1) + np.abs(outside - low[:, None]).mean(1) + noise
-        here = np.where(high - low > 5 * noise, (high - low) / spread, 0.0)
-        better = here > quality
-        quality, radius = np.where(better, here, quality), np.where(better, r[k], radius)
-        grey = np.where(better, high - low, grey)
-    return quality, radius, np.maximum(grey, 1e-6)
+    value -= np.median(value[:, -10:], axis=(1, 2), keepdims=True)
+    usual = np.median(value, axis=0)
+    value -= usual
+    noise = np.median(np.abs(value[:, -10:])) + 1e-3
+    radii = np.linspace(0.05, 0.38, 34)
+    disc = np.clip((radii[:, None] - r) / 0.05 + 0.5, 0, 1)[..., None] * np.clip(
+        1 - usual / usual.max(), 0, 1
+    )
+    area = np.broadcast_to(np.sqrt(r)[:, None], usual.shape)
+    disc, value = (disc * area).reshape(len(radii), -1), (value * area).reshape(len(pixel), -1)
+    norm = np.linalg.norm(disc, axis=1)
+    share = (value @ (disc / norm[:, None]).T) / (np.linalg.norm(value, axis=1)[:, None] + 1e-9)
+    best = share.argmax(1)
+    share = np.clip(share[np.arange(len(pixel)), best], 0, 0.9999)
+    grey = share * np.linalg.norm(value, axis=1) / norm[best]
+    quality = np.where(grey > 5 * noise, share / np.sqrt(1 - share**2), 0.0)
+    return quality, radii[best], np.maximum(grey, 1e-6)
 
 
 # -- the fit and what is rejected ------------------------------------------------------------------------
