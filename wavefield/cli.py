@@ -36,6 +36,7 @@ def cli(quiet: bool, verbose: bool, debug: bool) -> None:
     """Water-surface elevation and velocity from three cameras, and the waves in them."""
     level = logging.DEBUG if debug else logging.INFO if verbose else logging.WARNING
     handler = logging.StreamHandler()
+    handler.setLevel(level)  # a run lowers its logger's level for the log beside the store
     handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
     logger = logging.getLogger("wavefield")
     logger.handlers[:] = [handler]

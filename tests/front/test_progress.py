@@ -64,14 +64,6 @@ def test_time_left_of_a_resumed_run_counts_only_what_this_run_did(clock):
     assert "910 of 1000 steps (91 %), 1 min 30 s left" in stream.getvalue()
 
 
-def test_notes_are_shown_once(clock):
-    stream = io.StringIO()
-    with Progress("Measuring", "steps", stream) as report:
-        report(0, 10, "4 blocks to do")
-        report(1, 10, "4 blocks to do")
-    assert stream.getvalue().count("4 blocks to do") == 1
-
-
 def test_a_failure_says_stopped(clock):
     stream = io.StringIO()
     with pytest.raises(ValueError, match="no"), Progress("Measuring", "steps", stream):

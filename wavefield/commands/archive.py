@@ -36,7 +36,7 @@ def add(catalog: Path, experiment: Path) -> None:
     The catalog is an intake file: `intake.open_catalog` opens it, and `wavefield run CATALOG` runs all or
     some of its entries.
     """
-    from wavefield.cubes import catalog_add
+    from wavefield.cubes.catalog import catalog_add
 
     name = catalog_add(catalog, experiment)
     click.echo(f"{catalog} now has {name}.")

@@ -24,7 +24,7 @@ def check(experiment: Path) -> None:
 
 @click.command(
     epilog="""\b
-Example:
+Examples:
   wavefield calibrate experiment.yaml               # writes rig.yaml beside it, and rig_report/
   wavefield calibrate experiment.yaml -o new.yaml
 """
@@ -39,13 +39,26 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None) -> 
     cameras together, and writes the rig and a report with pictures. When the rig cannot be trusted the
     exit status is 1 and the report says what to photograph again.
     """
-    from wavefield.calibration.session import calibrate_experiment
+    from wavefield.commands.targets import calibrate_experiment
+    from wavefield.series import Experiment
 
-    with Progress("Finding targets and solving", "images") as progress:
-        result = calibrate_experiment(experiment, output, progress=progress)
-    click.echo(result.summary())
-    if not result.usable:
+    loaded = Experiment.load(experiment)
+    with Progress("Finding the target", "images") as progress:
+        result = calibrate_experiment(loaded, progress)
+    calibration = result.calibration
+    output = output or loaded.resolve(loaded.rig if isinstance(loaded.rig, str) else "rig.yaml")
+    page = calibration.write_report(output.with_name(f"{output.stem}_report"))
+    for note in (*result.notes, *calibration.notes):
+        click.echo(f"note: {note}")
+    if not calibration.usable:
+        for problem in calibration.problems:
+            click.echo(f"not usable: {problem}", err=True)
+        click.echo(f"No rig was written; the pictures are in {page}.", err=True)
         context.exit(1)
+    calibration.rig.save(output)
+    click.echo(f"Wrote {output} with {', '.join(calibration.rig)}; how far to trust it: {page}")
+    if loaded.rig is None:
+        click.echo(f"Add `rig: {output.name}` to {experiment}, then: wavefield run {experiment}")
 
 
 def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
@@ -99,7 +112,7 @@ def run(
             output,
             rig=rig,
             workflow=workflow,
-            progress=progress,
+            progress=lambda done, total, _: progress(done, total),
             parameters=parameters or None,
         )
     states = result if isinstance(result, list) else [result]

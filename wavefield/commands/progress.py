@@ -60,25 +60,20 @@ class Progress:
         self.start = time.monotonic()
         self.first: tuple[float, int] | None = None
         self.last_line, self.last_quarter = -1e9, -1
-        self.done, self.total, self.note = 0, 0, ""
+        self.done, self.total = 0, 0
 
     def __enter__(self) -> "Progress":
         self._write(f"{self.stage} ...", final=not self.terminal)
         return self
 
-    def __call__(self, done: int, total: int, note: str = "") -> None:
+    def __call__(self, done: int, total: int) -> None:
         """Tell how far the work is.
 
         Parameters
         ----------
         done, total : int
             Parts finished and all parts.
-        note : str, optional
-            A sentence on what is being done; shown when it changes.
         """
-        if note and note != self.note:
-            self.note = note
-            self._write(f"{self.stage}: {note}", final=True)
         now = time.monotonic()
         self.done, self.total = int(done), int(total)
         if self.first is None:  # what a resumed run found done says nothing about its speed

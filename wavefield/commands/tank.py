@@ -20,7 +20,7 @@ def demo(directory: Path) -> None:
     """
     from wavefield.demo import run_demo
 
-    run_demo(directory, stage=Progress, say=click.echo)
+    run_demo(directory, quiet=click.get_current_context().meta["wavefield.quiet"])
 
 
 @click.command(
@@ -41,6 +41,6 @@ def simulate(scene: str, directory: Path) -> None:
     from wavefield import tank
 
     described = tank.Scene.load(scene)
-    with Progress(f"Simulating into {directory}", "images") as progress:
+    with Progress(f"Simulating into {directory}") as progress:
         tank.simulate(described, directory, progress=progress)
     click.echo(f"Wrote {directory}/experiment.yaml; the exact truth is in {directory}/truth.")

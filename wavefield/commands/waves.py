@@ -9,23 +9,34 @@ from wavefield.commands.progress import Progress
 _STORE = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
-def waves_beside(store: Path) -> Path:
-    """Where the wave store of a cube is, unless said otherwise.
+def beside(store: Path, kind: str, ending: str) -> Path:
+    """Where something made from a cube goes, unless said otherwise.
 
     Parameters
     ----------
     store : Path
-        Such as run/cube.zarr.
+        The cube.
+    kind : str
+        What it is: "waves", "report".
+    ending : str
+        Of its name.
 
     Returns
     -------
     Path
-        Such as run/cube_waves.zarr.
+
+    Examples
+    --------
+    >>> beside(Path("a/cube.zarr"), "waves", ".zarr").as_posix()
+    'a/waves.zarr'
+    >>> beside(Path("a/run7.zarr"), "report", ".html").as_posix()
+    'a/run7_report.html'
     """
-    return store.with_name(f"{store.name.removesuffix('.zarr')}_waves.zarr")
+    stem = store.name.removesuffix(".zarr")
+    return store.with_name((stem.replace("cube", kind) if "cube" in stem else f"{stem}_{kind}") + ending)
 
 
-@click.command(epilog="\b\nExample:\n  wavefield analyze cube.zarr      # writes cube_waves.zarr")
+@click.command(epilog="\b\nExample:\n  wavefield analyze cube.zarr      # writes waves.zarr beside it")
 @click.argument("store", type=_STORE)
 @click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Wave store to write.")
 @click.option(
@@ -44,13 +55,13 @@ def analyze(store: Path, output: Path | None, segment: int | None, probes: Path 
     """
     from wavefield.waves import analyze as analyze_cube
 
-    output = output or waves_beside(store)
+    output = output or beside(store, "waves", ".zarr")
     with Progress(f"Analysing {store}") as progress:
         analyze_cube(store, output, segment=segment, probes=probes, progress=progress)
     click.echo(f"Wrote {output}. Next: wavefield report {store}")
 
 
-@click.command(epilog="\b\nExample:\n  wavefield report cube.zarr      # writes cube_report.html")
+@click.command(epilog="\b\nExample:\n  wavefield report cube.zarr      # writes report.html beside it")
 @click.argument("store", type=_STORE)
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="HTML file to write.")
 @click.option(
@@ -62,7 +73,7 @@ def report(store: Path, output: Path | None, waves: Path | None) -> None:
     """Write the report of a cube as one HTML file that opens offline."""
     from wavefield.report import gather, write_report
 
-    output = output or store.with_name(f"{store.name.removesuffix('.zarr')}_report.html")
+    output = output or beside(store, "report", ".html")
     with Progress(f"Drawing {output}", "parts") as progress:
-        write_report(gather(store, waves or waves_beside(store)), output, progress)
+        write_report(gather(store, waves or beside(store, "waves", ".zarr")), output, progress)
     click.echo(f"Wrote {output}; open it in a browser.")

@@ -13,6 +13,7 @@ from wavefield.errors import StoreError, WavefieldError
 from wavefield.grid import Grid
 from wavefield.rig import Camera, Rig
 from wavefield.series import Experiment
+from wavefield.variables import CUBE_FIELDS
 
 _MOST_VALUES = 8_000_000  # per variable, for distributions: a few seconds and 64 MB
 
@@ -33,6 +34,8 @@ class Sources:
         The experiment file, if it is still where it was.
     truth : Dataset, optional
         The exact fields of a simulated experiment, on the steps and nodes of the cube.
+    frame_fault : DataArray, (camera, frame), optional
+        What was wrong with each frame.
     notes : list of str
         What is missing, and why.
     """
@@ -42,6 +45,7 @@ class Sources:
     rig: Rig | None = None
     experiment: Experiment | None = None
     truth: xr.Dataset | None = None
+    frame_fault: xr.DataArray | None = None
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -56,8 +60,7 @@ class Sources:
     @property
     def grid(self) -> Grid:
         """The grid of the cube."""
-        x, y = self.cube.x.values, self.cube.y.values
-        return Grid((x[0], x[-1]), (y[0], y[-1]), float(np.mean(np.diff(x))))
+        return grid_of(self.cube)
 
     def group(self, name: str) -> xr.Dataset | None:
         """Give one group of the wave store.
@@ -136,8 +139,10 @@ def gather(
     """
     from wavefield.cubes import open_cube
 
-    cube = open_cube(store)
-    out = Sources(cube)
+    whole = open_cube(store)
+    cube = whole[[*CUBE_FIELDS, "frame_status"]]
+    cube = cube.drop_vars([name for name in cube.coords if name not in cube.dims])
+    out = Sources(cube, frame_fault=whole.get("frame_fault"))
     if not len(cube.time) or not (cube.frame_status.values > 0).any():
         raise StoreError(f"{store} has no measured step yet; run `wavefield run` first")
     if waves is not None and Path(waves).is_dir():
@@ -160,6 +165,22 @@ def gather(
     if exact.is_dir():
         out.truth = xr.open_zarr(exact, consolidated=False)
     return out
+
+
+def grid_of(cube: xr.Dataset) -> Grid:
+    """Grid of a cube.
+
+    Parameters
+    ----------
+    cube : Dataset, (time, y, x)
+        A cube.
+
+    Returns
+    -------
+    Grid
+    """
+    x, y = cube.x.values, cube.y.values
+    return Grid((x[0], x[-1]), (y[0], y[-1]), float(np.mean(np.diff(x))))
 
 
 def pixel_size(rig: Rig, grid: Grid) -> float:

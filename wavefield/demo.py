@@ -1,0 +1,121 @@
+"""The demo: the commands that a user would give, on a simulated tank, and the errors against its truth."""
+
+from pathlib import Path
+
+import click
+import numpy as np
+import xarray as xr
+
+from wavefield.errors import WavefieldError
+
+SCENE = "demo"
+MARGIN = 0.04  # m; errors are counted this far inside the edge of what was measured
+
+# what the paper reports on its own tests, mm and px of 1.8 mm
+PAPER = {
+    "z": ("0.2-0.7", "0.13-0.4"),
+    "u dt": ("0.3-0.5", "0.3"),
+    "v dt": ("0.3-0.5", "0.3"),
+    "w dt": ("0.3-0.5", "0.3"),
+}
+
+
+def run_demo(directory: Path, *, quiet: bool = False) -> None:
+    """Simulate, check, calibrate, run, analyse, report, compare.
+
+    Parameters
+    ----------
+    directory : path
+        Folder for everything; it must be empty or not yet there.
+    quiet : bool, default False
+        Show results only.
+
+    Raises
+    ------
+    WavefieldError
+        If a command fails.
+    """
+    from wavefield.cli import main
+
+    experiment, cube = directory / "experiment.yaml", directory / "cube.zarr"
+    for words in (
+        ["simulate", SCENE, directory],
+        ["check", experiment],
+        ["calibrate", experiment],
+        ["run", experiment],
+        ["analyze", cube],
+        ["report", cube],
+    ):
+        line = [str(word) for word in words]
+        if not quiet:
+            click.secho(f"\n$ wavefield {' '.join(line)}", bold=True)
+        status = main(["-q", *line] if quiet else line)
+        if status:
+            raise WavefieldError(f"the demo stopped in `wavefield {' '.join(line)}`")
+    click.echo("\n" + comparison(cube, directory))
+    click.echo(f"\nOpen in a browser:  {directory / 'report.html'}")
+    click.echo(f"The calibration:    {directory / 'rig_report'}")
+
+
+def comparison(store: Path, directory: Path) -> str:
+    """Errors of a cube against the truth of its simulated experiment, beside the paper's.
+
+    Parameters
+    ----------
+    store : path
+        The cube.
+    directory : path
+        Folder of the simulated experiment, with ``truth``.
+
+    Returns
+    -------
+    str
+        A table: rms errors in mm and in px.
+    """
+    from wavefield.cubes import open_cube
+    from wavefield.report import errors_against, pixel_size
+    from wavefield.report.sources import grid_of
+    from wavefield.rig import Rig
+
+    cube = open_cube(store)
+    truth = xr.open_zarr(directory / "truth" / "truth.zarr", consolidated=False)
+    errors = inside(errors_against(cube, truth), MARGIN)
+    pixel = pixel_size(Rig.load(directory / "truth" / "rig.yaml"), grid_of(cube))
+    rate = float(cube.attrs["frame_rate"])
+    lines = [
+        f"rms error against the truth, {MARGIN * 100:g} cm inside the edge, 1 px = {1e3 * pixel:.2f} mm",
+        "",
+        "           this demo            the paper",
+        "            mm      px          mm        px",
+    ]
+    for name, label in (("z", "z"), ("u", "u dt"), ("v", "v dt"), ("w", "w dt")):
+        rms = float(np.sqrt((errors[name] ** 2).mean())) / (1.0 if name == "z" else rate)
+        mm, px = PAPER[label]
+        lines.append(f"  {label:5} {1e3 * rms:8.3f} {rms / pixel:7.3f}     {mm:>8}  {px:>8}")
+    finite = np.isfinite(errors.z)
+    share = 100 * float(finite.sum()) / max(int(finite.any("time").sum()) * errors.sizes["time"], 1)
+    lines.append(f"\n{errors.sizes['time']} steps, {share:.1f} % of these nodes have a value")
+    return "\n".join(lines)
+
+
+def inside(errors: xr.Dataset, margin: float) -> xr.Dataset:
+    """Leave out what is near the edge of the grid or of the field that was ever measured.
+
+    Parameters
+    ----------
+    errors : Dataset, (time, y, x)
+        With NaN where nothing was measured.
+    margin : float
+        Distance, m.
+
+    Returns
+    -------
+    Dataset
+        The same, smaller; nodes too near the edge of the field are NaN.
+    """
+    from scipy.ndimage import binary_erosion
+
+    nodes = round(margin / float(np.mean(np.diff(errors.x))))
+    ever = np.isfinite(errors.z).any("time").transpose("y", "x")
+    deep = binary_erosion(ever.values, iterations=nodes) if nodes else ever.values
+    return errors.where(ever.copy(data=deep))
