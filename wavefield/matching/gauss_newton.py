@@ -72,10 +72,10 @@ def match(
 
     Notes
     -----
-    Local least squares (Lucas-Kanade) iterated from coarse to fine: per block the sums of gx gx, gx gy, gy gy,
-    gx r, gy r, with r the residual between a and b read through the displacement by quintic B-splines; Gaussian
-    windows over the lattice of these sums; one 2 x 2 solve per block; outliers against 5 x 5 medians; a flat
-    smoother. Champagnat et al. (2011), Exp. Fluids 50, 1169.
+    Local least squares (Lucas-Kanade) iterated from coarse to fine: per block the sums of gx gx, gx gy, gy
+    gy, gx r, gy r, with r the residual between a and b read through the displacement by quintic B-splines;
+    Gaussian windows over the lattice of these sums; one 2 x 2 solve per block; outliers against 5 x 5
+    medians; a flat smoother. Champagnat et al. (2011), Exp. Fluids 50, 1169.
 
     Examples
     --------
@@ -141,7 +141,7 @@ def _start(
         x_range, y_range = (
             (int(np.floor(lo / q)), int(np.ceil(hi / q))) for lo, hi in (settings.search_x, settings.search_y)
         )
-        return search(a, b, x_range, y_range, settings.search_window)
+        return search(a, b, x_range, y_range, settings)
     return np.zeros(a.blocks, np.float32), np.zeros(a.blocks, np.float32)
 
 

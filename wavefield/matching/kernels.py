@@ -409,8 +409,8 @@ def final_sums(
 
 
 @njit
-def shift_sums(a, b, margin, dx, dy, sums, out):
-    """Sums per block of a b and b b with b shifted by whole pixels.
+def shift_sums(a, b, margin, first, dy, row, out):
+    """Sums per block of a b, with b shifted by whole pixels: by dy rows and, one after another, more columns.
 
     Parameters
     ----------
@@ -420,25 +420,23 @@ def shift_sums(a, b, margin, dx, dy, sums, out):
         Second image with its border.
     margin : int
         Width of that border, px.
-    dx, dy : int
-        Shift, px.
-    sums : (2, nx * BLOCK) float32
+    first, dy : int
+        Shift along columns of the first output, along rows of all, px.
+    row : (nx * BLOCK,) float32
         Work space.
-    out : (2, ny, nx) float32
-        Output.
+    out : (n, ny, nx) float32
+        Output, for shifts first, first + 1, ... along columns.
     """
-    _, ny, _ = out.shape
-    s0, s1 = sums[0], sums[1]
+    n, ny, _ = out.shape
     for by in range(ny):
-        sums[:] = F(0)
-        for j in range(BLOCK):
-            y = by * BLOCK + j
-            p, q = a[y], b[y + margin + dy, margin + dx :]
-            for x in range(len(s0)):
-                s0[x] += p[x] * q[x]
-                s1[x] += q[x] * q[x]
-        _fold(s0, out[0, by])
-        _fold(s1, out[1, by])
+        for k in range(n):
+            row[:] = F(0)
+            for j in range(BLOCK):
+                y = by * BLOCK + j
+                p, q = a[y], b[y + margin + dy][margin + first + k :]
+                for x in range(len(row)):
+                    row[x] += p[x] * q[x]
+            _fold(row, out[k, by])
 
 
 def scratch(nx: int) -> dict[str, np.ndarray]:

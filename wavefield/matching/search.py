@@ -1,4 +1,4 @@
-"""Where to start: whole-pixel search of the largest normalised correlation."""
+"""Where to start: whole-pixel search of the largest correlation of locally normalised images."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ import numpy as np
 from wavefield.matching.kernels import BLOCK, shift_sums
 from wavefield.matching.lattice import F, filtered, replace_outliers, smoothed, window_weights
 from wavefield.matching.prepared import Level
+from wavefield.matching.settings import Settings
 
-_LOCAL = 12.0  # px of the level: standard deviation of its local normalisation
+_LOCAL = 41  # px of the level: side of the box of its local normalisation
 
 
 def search(
-    a: Level, b: Level, x_range: tuple[int, int], y_range: tuple[int, int], window: float
+    a: Level, b: Level, x_range: tuple[int, int], y_range: tuple[int, int], settings: Settings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement of every block to the best of all whole-pixel shifts, refined by parabolas.
 
@@ -23,8 +24,8 @@ def search(
         The same level of two images.
     x_range, y_range : (int, int)
         Smallest and largest shift, px of this level.
-    window : float
-        Side of the square with the area of the Gaussian window, px of this level.
+    settings : Settings
+        Its window; images that are not normalised are normalised here.
 
     Returns
     -------
@@ -32,36 +33,33 @@ def search(
         Displacement, px of this level.
     """
     ny, nx = a.blocks
-    h, w = ny * BLOCK, nx * BLOCK
+    w = nx * BLOCK
     margin = max(abs(n) for n in (*x_range, *y_range)) + 1
-    first, second = _locally_normalized(a), _locally_normalized(b)
+    first, second = (
+        level.image if settings.normalization > 0 else _locally_normalized(level.image) for level in (a, b)
+    )
+    first = np.ascontiguousarray(first)
     second = cv2.copyMakeBorder(second, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=0)
-    weights = window_weights(window)
+    weights = window_weights(settings.search_window)
     xs, ys = np.arange(x_range[0], x_range[1] + 1), np.arange(y_range[0], y_range[1] + 1)
     score = np.empty((len(ys), len(xs), ny, nx), np.float32)
-    sums, row = np.empty((2, ny, nx), np.float32), np.empty((2, w), np.float32)
-    energy = cv2.resize(first[:h, :w] ** 2, (nx, ny), interpolation=cv2.INTER_AREA) * F(BLOCK * BLOCK)
-    energy_a = filtered(energy, weights)
-    least = F(0.05) * F(energy_a.mean()) + F(1e-12)
-    for j, dy in enumerate(ys):
-        for i, dx in enumerate(xs):
-            shift_sums(first, second, margin, dx, dy, row, sums)
-            energy_b = filtered(sums[1], weights)
-            score[j, i] = filtered(sums[0], weights) / np.sqrt((energy_a + least) * (energy_b + least))
+    row = np.empty(w, np.float32)
+    for dy, scores in zip(ys, score):
+        shift_sums(first, second, margin, xs[0], dy, row, scores)
+        for field in scores:
+            filtered(field, weights, field)
     u, v = _peak(score, xs, ys)
     for _ in range(2):
         u, v, _outlier = replace_outliers(u, v, 2.0)
     return smoothed(u, 1.0, 1), smoothed(v, 1.0, 1)
 
 
-def _locally_normalized(level: Level) -> np.ndarray:
-    image = np.ascontiguousarray(level.image)
+def _locally_normalized(image: np.ndarray) -> np.ndarray:
+    def mean(f: np.ndarray) -> np.ndarray:
+        return cv2.blur(f, (_LOCAL, _LOCAL), borderType=cv2.BORDER_REPLICATE)
 
-    def blur(f: np.ndarray) -> np.ndarray:
-        return cv2.GaussianBlur(f, (0, 0), _LOCAL, borderType=cv2.BORDER_REPLICATE)
-
-    image = image - blur(image)
-    variance = blur(image * image)
+    image = image - mean(image)
+    variance = mean(image * image)
     return image / np.sqrt(variance + F(0.01) * F(variance.mean()) + F(1e-12))
 
 

@@ -51,7 +51,7 @@ class Settings:
         and invalid if that happens in the last step.
     """
 
-    iterations: tuple[int, ...] = (6, 4, 3)
+    iterations: tuple[int, ...] = (6, 4, 4)
     window: float = 32.0
     smoother_sigma: float = 2.5
     coarse_smoother_sigma: float = 2.0

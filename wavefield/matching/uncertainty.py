@@ -11,6 +11,7 @@ from wavefield.matching.lattice import BORDER, filtered, gaussian, window_sigma
 from wavefield.matching.settings import Settings
 
 _N = 128  # blocks: period of the Fourier transforms below
+_CLUSTER = 5  # blocks: neighbours closer than this share pixels, gradients and noise
 
 
 @lru_cache(maxsize=32)
@@ -96,17 +97,18 @@ def std_from_influence(
 
     Notes
     -----
-    sigma^2 = K^2 * (sum over 3 x 3 of the influences)^2 / 9c, c = 1 - 2 sum_3x3 K + 9 sum K^2 gives back what
-    the fit itself took out of the residuals; * is convolution over the lattice, K the transfer kernel. With
-    `field`, ((1 - K *) field)^2 is added.
+    sigma^2 = K^2 * (sum over n x n of the influences)^2 / (n^2 c) with n = 5; c = 1 - 2 sum_nxn K + n^2 sum
+    K^2 gives back what the fit itself took out of the residuals; * is convolution over the lattice, K the
+    transfer kernel. With `field`, ((1 - K *) field)^2 is added.
     """
     gain = round(float(gain), 2)
     kernel = transfer_kernel(settings, gain).astype(float)
     r = len(kernel) // 2
-    freedom = max(1 - 2 * kernel[r - 1 : r + 2, r - 1 : r + 2].sum() + 9 * (kernel**2).sum(), 0.25)
-    clusters = filtered(np.ascontiguousarray(influence, np.float32), np.ones(3, np.float32))
+    near = slice(r - _CLUSTER // 2, r + _CLUSTER // 2 + 1)
+    freedom = max(1 - 2 * kernel[near, near].sum() + _CLUSTER**2 * (kernel**2).sum(), 0.25)
+    clusters = filtered(np.ascontiguousarray(influence, np.float32), np.ones(_CLUSTER, np.float32))
     variance = _convolved(clusters * clusters, _separable(settings, gain, 2))
-    variance *= np.float32(1 / (9 * freedom))
+    variance *= np.float32(1 / (_CLUSTER**2 * freedom))
     if field is not None:
         lost = field - _convolved(np.ascontiguousarray(field, np.float32), _separable(settings, gain, 1)) / (
             np.float32(kernel.sum())
