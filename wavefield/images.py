@@ -40,14 +40,7 @@ def read_image(path: str | Path, page: int = 0) -> np.ndarray:
     array([[0, 1, 2],
            [3, 4, 5]], dtype=uint16)
     """
-    if page == 0:
-        # OpenCV gives nothing at all for a truncated file of any of these formats, which is what we want
-        try:
-            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        except cv2.error:
-            image = None
-    else:
-        image = _read_page(path, page)
+    image = _read_page(path, page) if page else _read_file(path)
     if image is None:
         image = _read_otherwise(Path(path), page)
     return grey(image)
@@ -71,6 +64,18 @@ def grey(image: np.ndarray) -> np.ndarray:
     if image.shape[2] < 3:
         return np.ascontiguousarray(image[..., 0])
     return cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_BGR2GRAY)
+
+
+def _read_file(path: str | Path) -> np.ndarray | None:
+    # OpenCV gives nothing at all for a truncated file, which is what we want; but of a truncated JPEG it gives
+    # what there is, unless it decodes from memory
+    try:
+        if str(path).lower().endswith((".jpg", ".jpeg")):
+            raw = np.fromfile(path, np.uint8)
+            return cv2.imdecode(raw, cv2.IMREAD_UNCHANGED) if raw.size else None
+        return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    except (cv2.error, OSError):
+        return None
 
 
 def _read_page(path: str | Path, page: int) -> np.ndarray | None:

@@ -307,10 +307,12 @@ class Experiment(Section):
             If there is none, or cameras of the experiment are not in it, or its images have other sizes.
         """
         if path is None and self.rig is None:
-            raise RigError(
-                f"{self.path} names no rig; run `wavefield calibrate {self.path.name}` "
-                "and add `rig: rig.yaml`"
-            )
+            path = self.resolve("rig.yaml")  # where `wavefield calibrate` writes it
+            if not path.exists():
+                raise RigError(
+                    f"{self.path} names no rig and there is no rig.yaml beside it; "
+                    f"run `wavefield calibrate {self.path.name}`"
+                )
         where: Path | dict[str, Path]
         if path is not None:
             where = Path(path)

@@ -1,5 +1,6 @@
 """Reading one frame from whatever holds it: a file of its own, a multi-page TIFF, a video, a Zarr array."""
 
+import os
 from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
@@ -97,19 +98,33 @@ def count_images(path: Path) -> tuple[Literal["file", "page", "video", "zarr"], 
 # -- files that hold many frames stay open between reads, a few per process -------------------------------
 
 _lock = Lock()
-_open_files: OrderedDict[str, Any] = OrderedDict()
+_open_files: OrderedDict[tuple[str, int], Any] = OrderedDict()
 _MAX_OPEN = 8
 
 
+def close_files() -> None:
+    """Close all files that were kept open for further reading."""
+    with _lock:
+        while _open_files:
+            _close(_open_files.popitem()[1])
+
+
+def _close(opened: Any) -> None:
+    if hasattr(opened, "close"):
+        opened.close()
+
+
 def _open(path: str, opener: Callable[[str], Any]) -> Any:
-    if path not in _open_files:
-        _open_files[path] = opener(path)
+    try:
+        key = path, os.stat(path).st_mtime_ns  # a file that was copied again is opened again
+    except OSError:
+        key = path, 0
+    if key not in _open_files:
+        _open_files[key] = opener(path)
         while len(_open_files) > _MAX_OPEN:
-            _, old = _open_files.popitem(last=False)
-            if hasattr(old, "close"):
-                old.close()
-    _open_files.move_to_end(path)
-    return _open_files[path]
+            _close(_open_files.popitem(last=False)[1])
+    _open_files.move_to_end(key)
+    return _open_files[key]
 
 
 def _open_tiff(path: str) -> tifffile.TiffFile:

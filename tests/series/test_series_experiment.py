@@ -1,0 +1,150 @@
+"""The experiment file: what it may say, and what is said of mistakes."""
+
+import pytest
+
+from series_cases import write_experiment, write_frames
+from wavefield.errors import ExperimentError, RigError
+from wavefield.series import Experiment
+from wavefield.tank import paper_rig
+
+LAB_NOTE = """\
+name: coriolis-07
+frame_rate: 20.0                     # Hz
+cameras:
+  cam1: {images: "cam1/img_{frame:05d}.tif"}
+  cam2: {images: "cam2/img_{frame:05d}.tif"}
+  cam3: {images: "cam3/img_{frame:05d}.tif"}
+calibration:
+  target: {kind: strings, mesh: 0.10, origin_mark: disc, x_mark: small disc}
+  tilted: "calib/{camera}/tilt_*.tif"
+  flat:   "calib/{camera}/flat.tif"
+rig: rig.yaml
+surface: {pairs: [[cam3, cam1], [cam3, cam2]]}
+velocity: {cameras: [cam1, cam2]}
+grid: {x: [-1.0, 1.0], y: [-0.75, 0.75], step: 0.01}
+water: {depth: 0.70}
+probes: probes.csv
+"""
+
+
+def load(tmp_path, text):
+    path = tmp_path / "experiment.yaml"
+    path.write_text(text)
+    return Experiment.load(path)
+
+
+def complaint(tmp_path, text):
+    with pytest.raises(ExperimentError) as caught:
+        load(tmp_path, text)
+    return str(caught.value)
+
+
+def test_a_lab_note_is_read(tmp_path):
+    note = load(tmp_path, LAB_NOTE)
+    assert note.name == "coriolis-07"
+    assert note.cameras["cam2"].images == "cam2/img_{frame:05d}.tif"
+    assert note.calibration.target["mesh"] == 0.10
+    assert note.surface.pairs == [("cam3", "cam1"), ("cam3", "cam2")]
+    assert note.water.depth == 0.7
+    assert note.choose_grid(paper_rig()).shape == (151, 201)
+    assert note.measuring_cameras == ["cam1", "cam2", "cam3"]
+    assert note.resolve("rig.yaml") == tmp_path / "rig.yaml"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "says"),
+    [
+        ("frame_rate: 20.0 ", "frame_rte: 20.0 ", 2, "did you mean 'frame_rate'?"),
+        ("frame_rate: 20.0 ", "frame_rate: -1 ", 2, "frame_rate should be greater than 0"),
+        ("frame_rate: 20.0 ", "frame_rate: fast ", 2, "frame_rate should be a valid number"),
+        ("step: 0.01", "stop: 0.01", 14, "did you mean 'step'?"),
+        ("step: 0.01", "step: 0", 14, "grid.step should be greater than 0"),
+        (", step: 0.01", "", 14, "grid.step is missing (for example step: 0.01)"),
+        (", y: [-0.75, 0.75]", "", 14, "give both x and y"),
+        (
+            "velocity: {cameras: [cam1, cam2]}",
+            "velocity: {cameras: [cam1, kam2]}",
+            None,
+            "names 'kam2', but the",
+        ),
+        ("[cam3, cam2]]", "[cam3]]", 12, "surface.pairs"),
+        ("[[cam3, cam1], ", "[[cam3, cam3], ", None, "pairs 'cam3' with itself"),
+        ("probes: probes.csv", "colour: blue", 16, "colour is not a known key; known keys here: name"),
+        ("probes: probes.csv", "rig: other.yaml", 16, "'rig' is there twice (first on line 11); remove one"),
+        ("  cam2: {images:", "  cam2: {image:", 5, "did you mean 'images'?"),
+        ("surface: {", "surface: [", 12, "check indentation"),
+        ("depth: 0.70", "depth: deep", 15, "water.depth should be a valid number"),
+    ],
+)
+def test_mistakes_are_named_with_line_and_remedy(tmp_path, old, new, line, says):
+    assert old in LAB_NOTE
+    message = complaint(tmp_path, LAB_NOTE.replace(old, new))
+    assert says in message
+    assert "experiment.yaml" in message
+    if line:
+        assert f"line {line}" in message
+    assert "\n" not in message
+
+
+def test_what_is_not_an_experiment_is_refused(tmp_path):
+    assert "not a list of `key: value` lines" in complaint(tmp_path, "just words")
+    assert "cameras is missing" in complaint(tmp_path, "name: a\nframe_rate: 1\n")
+    with pytest.raises(ExperimentError, match="no such file"):
+        Experiment.load(tmp_path / "none.yaml")
+    with pytest.raises(ExperimentError, match="is a folder"):
+        Experiment.load(tmp_path)
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(ExperimentError, match="not a text file"):
+        Experiment.load(tmp_path / "binary.yaml")
+
+
+def test_several_mistakes_are_told_at_once(tmp_path):
+    message = complaint(
+        tmp_path, LAB_NOTE.replace("frame_rate: 20.0 ", "frame_rate: 0 ").replace("step: 0.01", "step: -1")
+    )
+    assert "line 2" in message
+    assert "line 14" in message
+
+
+def test_a_file_may_stand_for_another(tmp_path):
+    load(tmp_path, LAB_NOTE)
+    (tmp_path / "runs").mkdir()
+    pointer = tmp_path / "runs" / "pointer.yaml"
+    pointer.write_text("experiment: ../experiment.yaml\nfolder: ../images\n")
+    note = Experiment.load(pointer)
+    assert note.path.samefile(tmp_path / "experiment.yaml")
+    assert note.image_folder.resolve() == tmp_path / "images"
+    assert Experiment.load(pointer, folder="/elsewhere").image_folder.as_posix() == "/elsewhere"
+    pointer.write_text("experiment: gone.yaml\n")
+    with pytest.raises(ExperimentError, match="which is not there"):
+        Experiment.load(pointer)
+
+
+def test_rig_must_be_there_and_fit(tmp_path):
+    write_frames(tmp_path / "a", range(2))
+    write_frames(tmp_path / "b", range(2))
+    cameras = "cam1: a/*.tif\ncam2: b/*.tif"
+    note = Experiment.load(write_experiment(tmp_path, cameras))
+    with pytest.raises(
+        RigError, match="names no rig and there is no rig.yaml beside it; run `wavefield calibrate"
+    ):
+        note.load_rig()
+    note = Experiment.load(write_experiment(tmp_path, cameras, "rig: rig.yaml\n"))
+    with pytest.raises(RigError, match=r"rig\.yaml"):
+        note.load_rig()
+    paper_rig().save(tmp_path / "rig.yaml")
+    with pytest.raises(RigError, match="cam1 of 1024 x 1024 px, but these have 8 x 6"):
+        note.load_rig(series=note.open_frames())
+    assert set(note.load_rig()) == {"cam1", "cam2", "cam3"}
+    note = Experiment.load(write_experiment(tmp_path, "left: a/*.tif\ncam2: b/*.tif", "rig: rig.yaml\n"))
+    with pytest.raises(RigError, match="has no camera left"):
+        note.load_rig()
+
+
+def test_water_level_moves_the_rig(tmp_path):
+    paper_rig().save(tmp_path / "rig.yaml")
+    note = Experiment.load(
+        write_experiment(tmp_path, "cam1: a/*.tif\ncam2: b/*.tif", "rig: rig.yaml\nwater: {level: 0.1}\n")
+    )
+    before, after = paper_rig()["cam1"].centre, note.load_rig()["cam1"].centre
+    assert after[2] == pytest.approx(before[2] - 0.1)

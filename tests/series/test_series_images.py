@@ -1,0 +1,118 @@
+"""Reading and writing single images."""
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from wavefield.errors import FrameError
+from wavefield.images import read_image, write_image
+
+
+@pytest.fixture
+def picture():
+    rng = np.random.default_rng(3)
+    return cv2.GaussianBlur(rng.integers(0, 256, (60, 80), dtype=np.uint8), (0, 0), 2.0)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+@pytest.mark.parametrize("name", ["a.tif", "a.tiff", "a.png"])
+def test_what_is_written_is_read_back(tmp_path, picture, name, dtype):
+    image = picture.astype(dtype) * (16 if dtype == "uint16" else 1)
+    write_image(tmp_path / "new" / name, image)
+    got = read_image(tmp_path / "new" / name)
+    assert got.dtype == image.dtype
+    np.testing.assert_array_equal(got, image)
+
+
+@pytest.mark.parametrize("compression", [1, 5, 8, 32773], ids=["none", "lzw", "deflate", "packbits"])
+def test_compressed_tiff_needs_no_further_package(tmp_path, picture, compression):
+    path = str(tmp_path / "a.tif")
+    image = picture.astype(np.uint16) * 16
+    cv2.imwrite(path, image, [cv2.IMWRITE_TIFF_COMPRESSION, compression])
+    np.testing.assert_array_equal(read_image(path), image)
+
+
+@pytest.mark.parametrize(
+    "layout", [{"rowsperstrip": 7}, {"tile": (16, 16)}, {"byteorder": ">"}, {"bigtiff": True}]
+)
+def test_tiff_layouts(tmp_path, picture, layout):
+    image = picture.astype(np.uint16) * 200
+    tifffile.imwrite(tmp_path / "a.tif", image, **layout)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), image)
+
+
+def test_twelve_bits_in_sixteen_keep_their_values(tmp_path):
+    image = np.arange(4096, dtype=np.uint16).reshape(64, 64)
+    write_image(tmp_path / "a.tif", image)
+    assert read_image(tmp_path / "a.tif").max() == 4095
+
+
+def test_bmp_and_jpeg(tmp_path, picture):
+    cv2.imwrite(str(tmp_path / "a.bmp"), picture)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.bmp"), picture)
+    cv2.imwrite(str(tmp_path / "a.jpg"), picture, [cv2.IMWRITE_JPEG_QUALITY, 100])
+    assert np.abs(read_image(tmp_path / "a.jpg").astype(int) - picture).max() <= 3
+
+
+def test_colour_becomes_grey(tmp_path, picture):
+    colour = np.dstack([picture, np.zeros_like(picture), np.zeros_like(picture)])  # blue only
+    cv2.imwrite(str(tmp_path / "a.png"), colour)
+    got = read_image(tmp_path / "a.png")
+    assert got.shape == picture.shape
+    assert np.abs(got - 0.114 * picture).max() < 1
+
+
+def test_pages_of_a_tiff(tmp_path, picture):
+    pages = np.stack([picture, picture[::-1], 255 - picture])
+    tifffile.imwrite(tmp_path / "a.tif", pages, photometric="minisblack")
+    for k in range(3):
+        np.testing.assert_array_equal(read_image(tmp_path / "a.tif", page=k), pages[k])
+    with pytest.raises(FrameError, match="has 3 pages: there is no page 3"):
+        read_image(tmp_path / "a.tif", page=3)
+
+
+@pytest.mark.parametrize("ending", ["tif", "png", "bmp", "jpg"])
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.99])
+def test_truncated_files_are_refused(tmp_path, picture, ending, share):
+    path = tmp_path / f"a.{ending}"
+    cv2.imwrite(str(path), picture)
+    raw = path.read_bytes()
+    path.write_bytes(raw[: int(share * len(raw))])
+    with pytest.raises(FrameError, match="a." + ending):
+        read_image(path)
+
+
+def test_a_corrupt_png_is_refused(tmp_path, picture):
+    path = tmp_path / "a.png"
+    cv2.imwrite(str(path), picture)
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 2 : len(raw) // 2 + 50] = bytes(50)
+    path.write_bytes(bytes(raw))
+    with pytest.raises(FrameError, match="corrupt"):
+        read_image(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"), [(None, "no such image"), (b"", "is empty"), (b"GIF89 not at all", "not an image")]
+)
+def test_what_is_not_an_image_is_named(tmp_path, content, says):
+    path = tmp_path / "frame.tif"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(FrameError, match=says):
+        read_image(path)
+
+
+def test_a_folder_in_place_of_an_image(tmp_path):
+    with pytest.raises(FrameError, match="cannot be read"):
+        read_image(tmp_path)
+
+
+def test_writing_where_nothing_can_be_written(tmp_path, picture):
+    (tmp_path / "file").write_text("")
+    for name in ("a.tif", "a.png"):
+        with pytest.raises(FrameError, match="cannot be written"):
+            write_image(tmp_path / "file" / name, picture)
+    with pytest.raises(FrameError, match="cannot be written"):
+        write_image(tmp_path / "a.unknown", picture)

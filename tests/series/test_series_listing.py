@@ -1,0 +1,241 @@
+"""Every frame at its place in time, whatever holds it and whatever is missing."""
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+import zarr
+from hypothesis import given
+from hypothesis import strategies as st
+
+from series_cases import number_image, write_experiment, write_frames
+from wavefield.errors import ExperimentError
+from wavefield.series import Experiment, FrameFault
+from wavefield.series.listing import _numbers_by_glob, _numbers_by_pattern
+from wavefield.series.readers import close_files
+
+
+@pytest.fixture(autouse=True)
+def _no_open_files():
+    yield
+    close_files()
+
+
+def open_frames(tmp_path, cameras, rest=""):
+    return Experiment.load(write_experiment(tmp_path, cameras, rest)).open_frames()
+
+
+def numbers_seen(series):
+    """Frame number -> what the image at that place says its number is."""
+    frames = [series.read(i) for i in range(len(series))]
+    return {series.first + i: int(f.image[0, 0]) for i, f in enumerate(frames) if f.image is not None}
+
+
+@pytest.mark.parametrize(
+    "images", ["img_{frame:05d}.tif", "img_{frame}.tif", "*.tif", "img_0*.tif", "img_?????.tif"]
+)
+def test_a_missing_file_does_not_shift_the_rest(tmp_path, images):
+    there = [3, 4, 7, 8, 12]
+    write_frames(tmp_path / "cam1", there)
+    series = open_frames(tmp_path, f'cam1: "{{camera}}/{images}"')["cam1"]
+    assert numbers_seen(series) == {n: n for n in there}
+    assert list(series.missing) == [5, 6, 9, 10, 11]
+    assert series.read(2).fault is FrameFault.MISSING
+    assert "cam1 frame 5 is missing" in series.read(2).message
+
+
+@given(
+    st.sets(st.integers(0, 10**6), min_size=2, max_size=30),
+    st.sampled_from(["img_{:07d}.tif", "v2_{}_a.png"]),
+)
+def test_numbers_are_those_in_the_names(numbers, pattern):
+    names = [pattern.format(n) for n in numbers]
+    before, after = pattern.split("{:07d}" if "07" in pattern else "{}")
+    assert _numbers_by_pattern([*names, "other.txt", before + after], before, after) == dict(
+        zip(numbers, names)
+    )
+    assert _numbers_by_glob(names, "*", "cam1") == dict(zip(numbers, names))
+
+
+def test_cameras_share_one_range_of_frames(tmp_path):
+    write_frames(tmp_path / "a", range(2, 6))
+    write_frames(tmp_path / "b", range(4, 9))
+    series = open_frames(tmp_path, "cam1: a/*.tif\ncam2: b/*.tif")
+    assert {s.first for s in series.values()} == {2}
+    assert {len(s) for s in series.values()} == {7}
+    assert list(series["cam1"].missing) == [6, 7, 8]
+    assert list(series["cam2"].missing) == [2, 3]
+
+
+def test_range_and_offset(tmp_path):
+    write_frames(tmp_path / "a", range(10))
+    write_frames(tmp_path / "b", range(100, 110))
+    cameras = 'cam1: a/*.tif\ncam2: {images: "b/*.tif", offset: -100}'
+    series = open_frames(tmp_path, cameras, "frames: {first: 2, last: 5}\n")
+    assert numbers_seen(series["cam1"]) == {n: n for n in range(2, 6)}
+    assert numbers_seen(series["cam2"]) == {n: n + 100 for n in range(2, 6)}
+
+
+@pytest.mark.parametrize(
+    ("names", "images", "says"),
+    [
+        (["a_1_1.tif", "a_2_2.tif"], "*.tif", "more than one number varies"),
+        (["a_1.tif", "b_2.tif"], "*.tif", "names of different kinds"),
+        (["a_1.tif"], "b_*.tif", "no file in .* fits 'b_\\*.tif'; the folder holds 'a_1.tif'"),
+        (["a_1.tif"], "a_{frame}_{frame}.tif", "frame}} twice|frame} twice"),
+        (["a_1.tif"], "a_1.tif", "one frame only"),
+    ],
+)
+def test_names_that_cannot_be_numbered_are_refused(tmp_path, names, images, says):
+    for name in names:
+        write_frames(tmp_path / "cam1", [1], name)
+    with pytest.raises(ExperimentError, match=says):
+        open_frames(tmp_path, f'cam1: "cam1/{images}"')
+
+
+def test_folders_that_cannot_be_read_are_named(tmp_path):
+    with pytest.raises(ExperimentError, match="images of cam1: there is no folder"):
+        open_frames(tmp_path, "cam1: nowhere/*.tif")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ExperimentError, match="is not a folder"):
+        open_frames(tmp_path, "cam1: file/*.tif")
+
+
+def test_unreadable_folder_is_refused_in_one_sentence(tmp_path, monkeypatch):
+    def deny(folder):
+        raise PermissionError(13, "Permission denied")
+
+    write_frames(tmp_path / "cam1", range(2))
+    monkeypatch.setattr("os.listdir", deny)  # the tests may run as root, who can read everything
+    with pytest.raises(
+        ExperimentError, match=r"cannot be read \(Permission denied\); check its permissions"
+    ) as caught:
+        open_frames(tmp_path, "cam1: cam1/*.tif")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_list_keeps_its_order_and_gaps(tmp_path):
+    write_frames(tmp_path, [5, 1, 9])
+    cameras = "cam1: [img_00005.tif, null, img_00001.tif, img_00009.tif, img_00077.tif]"
+    series = open_frames(tmp_path, cameras)["cam1"]
+    assert numbers_seen(series) == {0: 5, 2: 1, 3: 9}
+    assert list(series.missing) == [1]  # what is listed last and not there ends the series earlier
+
+
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_multi_page_tiff(tmp_path, compression):
+    stack = np.stack([number_image(n).astype(np.uint16) * 16 for n in range(9)])
+    tifffile.imwrite(tmp_path / "cam1.tif", stack, photometric="minisblack", compression=compression)
+    series = open_frames(tmp_path, "cam1: cam1.tif")["cam1"]
+    assert series.dtype == "uint16"
+    for i in (5, 0, 8, 3):
+        np.testing.assert_array_equal(series.read(i).image, stack[i])
+
+
+def test_several_multi_page_tiffs_follow_each_other(tmp_path):
+    stack = np.stack([number_image(n) for n in range(7)])
+    tifffile.imwrite(tmp_path / "a.tif", stack[:4], photometric="minisblack")
+    tifffile.imwrite(tmp_path / "b.tif", stack[4:], photometric="minisblack")
+    series = open_frames(tmp_path, "cam1: [a.tif, b.tif]")["cam1"]
+    assert numbers_seen(series) == {n: n for n in range(7)}
+
+
+def test_truncated_multi_page_tiff_marks_its_frames(tmp_path):
+    stack = np.stack([number_image(n, (64, 64)) for n in range(6)])
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, stack, photometric="minisblack", contiguous=False)
+    series = open_frames(tmp_path, "cam1: a.tif")["cam1"]
+    raw = path.read_bytes()
+    path.write_bytes(raw[: 3 * 64 * 64])
+    faults = [series.read(i).fault for i in range(6)]
+    assert faults[-1] is FrameFault.UNREADABLE
+
+
+@pytest.mark.parametrize(("ending", "codec"), [("avi", "MJPG"), ("mp4", "mp4v")])
+def test_video_frames_are_found_by_number(tmp_path, ending, codec):
+    path = tmp_path / f"cam1.{ending}"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 20, (64, 48))
+    assert writer.isOpened()
+    ramp = np.arange(64)[None, :] // 2 + np.zeros((48, 1))
+    for n in range(12):
+        writer.write(cv2.merge([(ramp + 15 * n).astype(np.uint8)] * 3))
+    writer.release()
+    series = open_frames(tmp_path, f"cam1: cam1.{ending}")["cam1"]
+    assert len(series) == 12
+    for n in (0, 1, 7, 3, 11):
+        assert np.median(series.read(n).image - ramp) == pytest.approx(15 * n, abs=3)
+
+
+def test_zarr_array(tmp_path):
+    stack = np.stack([number_image(n) for n in range(5)])
+    zarr.save_array(tmp_path / "cam1.zarr", stack)
+    zarr.open_group(tmp_path / "group.zarr", mode="w").create_array("image", data=stack)
+    series = open_frames(tmp_path, "cam1: cam1.zarr\ncam2: group.zarr\ncam3: group.zarr/image")
+    for one in series.values():
+        assert numbers_seen(one) == {n: n for n in range(5)}
+    zarr.save_array(tmp_path / "flat.zarr", stack[0])
+    with pytest.raises(ExperimentError, match="images need three"):
+        open_frames(tmp_path, "cam1: flat.zarr")
+
+
+def test_time_stamps_show_dropped_frames(tmp_path):
+    write_frames(tmp_path / "cam1", range(6))
+    kept = np.array([0, 1, 2, 5, 6, 9])  # the camera dropped frames without leaving gaps in its numbers
+    jitter = 0.002 * np.array([0, 1, -1, 1, 0, -1])
+    (tmp_path / "times.txt").write_text(
+        "# clock\nimage, time\n"
+        + "".join(f"{i}, {1e5 + t:.6f}\n" for i, t in enumerate(kept / 20.0 + jitter))
+    )
+    series = open_frames(tmp_path, 'cam1: {images: "cam1/*.tif", times: times.txt}')["cam1"]
+    assert numbers_seen(series) == dict(zip(kept, range(6)))
+
+
+@pytest.mark.parametrize(
+    ("lines", "says"),
+    [
+        ("0\n0.05\n", "holds 2 times, but cam1 has 3 images"),
+        ("0\n0.05\n0.03\n", "must hold increasing times"),
+        ("0\n0.05\nlate\n", "line 3: 'late' is not a time"),
+        ("0\n0.05\n0.173\n", "do not fit a frame rate of 20.0 Hz"),
+    ],
+)
+def test_time_stamps_that_do_not_fit_are_refused(tmp_path, lines, says):
+    write_frames(tmp_path / "cam1", range(3))
+    (tmp_path / "times.txt").write_text(lines)
+    with pytest.raises(ExperimentError, match=says):
+        open_frames(tmp_path, 'cam1: {images: "cam1/*.tif", times: times.txt}')
+
+
+def test_bad_frames_keep_their_place_and_are_told_apart(tmp_path):
+    folder = tmp_path / "cam1"
+    write_frames(folder, range(7))
+    (folder / "img_00001.tif").write_bytes((folder / "img_00001.tif").read_bytes()[:150])
+    write_frames(folder, [2], shape=(8, 8))
+    tifffile.imwrite(folder / "img_00003.tif", np.zeros((6, 8), np.uint8))
+    tifffile.imwrite(folder / "img_00004.tif", number_image(4).astype(np.uint16))
+    (folder / "img_00005.tif").unlink()
+    series = open_frames(tmp_path, "cam1: cam1/*.tif")["cam1"]
+    frames = [series.read(i) for i in range(7)]
+    assert [f.fault for f in frames] == [
+        FrameFault.NONE,
+        FrameFault.UNREADABLE,
+        FrameFault.WRONG_SIZE,
+        FrameFault.BLANK,
+        FrameFault.WRONG_SIZE,
+        FrameFault.MISSING,
+        FrameFault.NONE,
+    ]
+    assert "8 x 8 uint8, the others are 8 x 6 uint8" in frames[2].message
+    assert "img_00003.tif) is blank" in frames[3].message
+    assert int(frames[6].image[0, 0]) == 6
+
+
+def test_a_corrupt_first_frame_does_not_hide_the_series(tmp_path):
+    write_frames(tmp_path / "cam1", range(4))
+    (tmp_path / "cam1" / "img_00000.tif").write_bytes(b"II*\0")
+    series = open_frames(tmp_path, "cam1: cam1/*.tif")["cam1"]
+    assert series.shape == (6, 8)
+    for n in range(4):
+        (tmp_path / "cam1" / f"img_{n:05d}.tif").write_bytes(b"")
+    with pytest.raises(ExperimentError, match="none of the first 4 can be read: .* is empty"):
+        open_frames(tmp_path, "cam1: cam1/*.tif")
