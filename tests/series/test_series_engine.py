@@ -5,8 +5,8 @@ import pickle
 import numpy as np
 import pytest
 import xarray as xr
-
 from series_cases import number_image, write_experiment, write_frames
+
 from wavefield.series import engine, frames, listing
 
 

@@ -1,8 +1,8 @@
 """The experiment file: what it may say, and what is said of mistakes."""
 
 import pytest
-
 from series_cases import write_experiment, write_frames
+
 from wavefield.errors import ExperimentError, RigError
 from wavefield.series import Experiment
 from wavefield.tank import paper_rig
@@ -126,7 +126,7 @@ def test_rig_must_be_there_and_fit(tmp_path):
     cameras = "cam1: a/*.tif\ncam2: b/*.tif"
     note = Experiment.load(write_experiment(tmp_path, cameras))
     with pytest.raises(
-        RigError, match="names no rig and there is no rig.yaml beside it; run `wavefield calibrate"
+        RigError, match=r"names no rig and there is no rig.yaml beside it; run `wavefield calibrate"
     ):
         note.load_rig()
     note = Experiment.load(write_experiment(tmp_path, cameras, "rig: rig.yaml\n"))

@@ -7,8 +7,8 @@ import tifffile
 import zarr
 from hypothesis import given
 from hypothesis import strategies as st
-
 from series_cases import number_image, write_experiment, write_frames
+
 from wavefield.errors import ExperimentError
 from wavefield.series import Experiment, FrameFault
 from wavefield.series.listing import _numbers_by_glob, _numbers_by_pattern
@@ -237,5 +237,5 @@ def test_a_corrupt_first_frame_does_not_hide_the_series(tmp_path):
     assert series.shape == (6, 8)
     for n in range(4):
         (tmp_path / "cam1" / f"img_{n:05d}.tif").write_bytes(b"")
-    with pytest.raises(ExperimentError, match="none of the first 4 can be read: .* is empty"):
+    with pytest.raises(ExperimentError, match=r"none of the first 4 can be read: .* is empty"):
         open_frames(tmp_path, "cam1: cam1/*.tif")
