@@ -153,7 +153,7 @@ def _step(window: Sequence[Instant], plan: Plan, frame_rate: float, out: dict[st
     if first.surface is None or second.surface is None:
         return
     surfaces = [instant.surface for instant in (before, first, second, after)]
-    z, variance = _at_mid_time(surfaces)
+    z, z_std = _at_mid_time(surfaces)
     if before.surface is None or after.surface is None:
         out["quality"][:] |= np.uint8(Quality.TWO_FRAME_MEAN)
     moved = motion.velocity(first.images, second.images, z, plan)
@@ -169,7 +169,7 @@ def _step(window: Sequence[Instant], plan: Plan, frame_rate: float, out: dict[st
     quality = np.where(inside, quality, np.uint8(Quality.OUTSIDE))
     out["quality"][:] |= quality
     squared = _squared_phase(surfaces, moved.d[2], inside)
-    z_cut, cut = _truncation(surfaces, z, squared)
+    d_std = [np.hypot(std, squared / 16.0 * _typical(d, inside)) for d, std in zip(moved.d, moved.d_std)]
     fields = {
         "z": z,
         "z_t": (second.surface.z - first.surface.z) * np.float32(frame_rate),
@@ -178,10 +178,10 @@ def _step(window: Sequence[Instant], plan: Plan, frame_rate: float, out: dict[st
         "w": moved.d[2] * frame_rate,
         "eps_y": np.float32(0.5) * (first.surface.eps_y + second.surface.eps_y),
         "eps_piv": moved.eps_piv,
-        "z_std": np.sqrt(variance + z_cut**2),
-        "u_std": np.hypot(moved.d_std[0], cut * moved.d[0]) * frame_rate,
-        "v_std": np.hypot(moved.d_std[1], cut * moved.d[1]) * frame_rate,
-        "w_std": np.hypot(moved.d_std[2], cut * moved.d[2]) * frame_rate,
+        "z_std": np.hypot(z_std, _left_out(surfaces, z, squared, inside)),
+        "u_std": d_std[0] * frame_rate,
+        "v_std": d_std[1] * frame_rate,
+        "w_std": d_std[2] * frame_rate,
     }
     for name, field in fields.items():
         out[name][0][inside] = field[inside]
@@ -189,17 +189,17 @@ def _step(window: Sequence[Instant], plan: Plan, frame_rate: float, out: dict[st
 
 
 def _at_mid_time(surfaces: Sequence[Surface | None]) -> tuple[NDArray, NDArray]:
-    """Elevation at mid-time and its variance, from four frames or from the two in the middle.
+    """Elevation at mid-time and its standard uncertainty, from four frames or from the two in the middle.
 
     The same beads in the same places err the same way in all of them, so the errors do not average out.
     """
     before, first, second, after = surfaces
-    assert first is not None and second is not None
+    assert first is not None
+    assert second is not None
     z = np.float32(0.5) * (first.z + second.z)
-    variance = 0.25 * (first.std + second.std) ** 2
     if before is not None and after is not None:
         z = (np.float32(9.0) * (first.z + second.z) - before.z - after.z) / np.float32(16.0)
-    return z, variance
+    return z, 0.5 * (first.std + second.std)
 
 
 def _squared_phase(surfaces: Sequence[Surface | None], dz: NDArray, inside: NDArray) -> float:
@@ -208,7 +208,8 @@ def _squared_phase(surfaces: Sequence[Surface | None], dz: NDArray, inside: NDAr
     From two frames it can only be guessed, from how far the water rises in a step and how high it stands.
     """
     before, first, second, after = surfaces
-    assert first is not None and second is not None
+    assert first is not None
+    assert second is not None
     if not inside.any():
         return 0.0
     if before is not None and after is not None:
@@ -219,15 +220,23 @@ def _squared_phase(surfaces: Sequence[Surface | None], dz: NDArray, inside: NDAr
     return float(np.nanmean(dz[inside] ** 2) / max(np.mean(z**2), 1e-30))
 
 
-def _truncation(surfaces: Sequence[Surface | None], z: NDArray, squared: float) -> tuple[NDArray, float]:
-    """What the finite time step leaves out: of z, metres, and of the velocity, as a share of it.
+def _left_out(surfaces: Sequence[Surface | None], z: NDArray, squared: float, inside: NDArray) -> NDArray:
+    """What the finite time step leaves out of z at mid-time, metres.
 
-    A wave of phase p = omega dt per step comes out of the four frames too low by 3/16 p^2 of their correction of
-    the mean (which is p^2/8 of the wave), out of two frames by p^2/8, and out of a displacement by p^2/24.
+    Of a wave of phase p = omega dt per step two frames leave out p^2/8, four frames 3/16 p^2 of that.
+    (Likewise a displacement leaves out p^2/24 of the velocity, and half as much again because the middle of the chord lies
+    beside the path.)
     """
     before, first, second, after = surfaces
-    assert first is not None and second is not None
+    assert first is not None
+    assert second is not None
     if before is not None and after is not None:
-        correction = z - 0.5 * (first.z + second.z)
-        return 0.1875 * squared * correction, squared / 24.0
-    return 0.125 * squared * z, squared / 24.0
+        correction = z - np.float32(0.5) * (first.z + second.z)
+        return 0.1875 * squared * _typical(correction, inside)
+    return 0.125 * squared * _typical(z, inside)
+
+
+def _typical(field: NDArray, inside: NDArray) -> NDArray:
+    """Half what is here, half what is elsewhere: errors do not vanish where a field passes through zero."""
+    elsewhere = np.nanmean(np.square(field[inside])) if inside.any() else 0.0
+    return np.sqrt(0.5 * (np.square(field) + elsewhere))

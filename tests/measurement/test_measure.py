@@ -1,0 +1,209 @@
+import cv2
+import numpy as np
+import pytest
+from measurement_cases import PIXEL, RATE
+
+from wavefield.grid import Grid
+from wavefield.measurement import Plan, Settings, measure
+from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, Quality
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.fixture(scope="module")
+def cube(series, plan):
+    return measure(series.frames, plan, RATE)
+
+
+def same(a, b):
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+def test_surface_and_velocity_are_those_of_the_water(series, cube):
+    for step, truth in enumerate(series.truth):
+        error = {
+            name: (cube[name][step] - truth[name])[series.inside] / PIXEL for name in ("z", "u", "v", "w")
+        }
+        assert rms(error["z"]) < 0.06
+        assert rms(error["u"]) / RATE < 0.06
+        assert rms(error["v"]) / RATE < 0.06
+        assert rms(error["w"]) / RATE < 0.09
+        assert rms((cube["z_t"][step] - truth["z_t"])[series.inside]) / PIXEL / RATE < 0.08
+
+
+def test_every_field_of_the_table_comes_with_its_type(series, cube):
+    assert set(cube) == {*CUBE_FIELDS, "frame_status"}
+    for name in CUBE_FIELDS:
+        assert cube[name].shape == (3, *series.grid.shape)
+        assert cube[name].dtype == TABLE[name].dtype
+    assert (cube["frame_status"] == FrameStatus.DONE).all()
+
+
+def test_uncertainties_tell_the_truth(series, cube):
+    for name in ("z", "u", "v", "w"):
+        error = np.abs(np.stack([cube[name][k] - series.truth[k][name] for k in range(3)]))
+        share = (error < cube[name + "_std"])[:, series.inside].mean()
+        assert 0.4 < share < 0.95, name
+
+
+def test_water_rises_as_its_velocity_says(series, cube):
+    z_y, z_x = np.gradient(cube["z"], series.grid.step, axis=(1, 2))
+    carried = cube["u"] * z_x + cube["v"] * z_y
+    residual = cube["z_t"] - cube["w"] + carried
+    assert rms(residual[:, series.inside]) < 0.5 * rms(carried[:, series.inside])
+
+
+def test_a_step_is_the_same_to_the_bit_in_any_block(series, plan, cube):
+    for first in range(3):
+        alone = measure(
+            {name: images[first : first + 4] for name, images in series.frames.items()}, plan, RATE
+        )
+        same(alone, {name: field[first : first + 1] for name, field in cube.items()})
+
+
+def test_the_number_of_threads_changes_no_bit(series, plan, cube):
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(4)
+    try:
+        again = measure({name: images[:4] for name, images in series.frames.items()}, plan, RATE)
+    finally:
+        cv2.setNumThreads(before)
+    same(again, {name: field[:1] for name, field in cube.items()})
+
+
+def test_without_a_neighbour_the_mean_of_two_frames_serves_and_is_marked(series, plan, cube):
+    frames = series.without(*((name, 0) for name in series.rig))
+    out = measure(frames, plan, RATE)
+    seen = np.isfinite(out["z"][0])
+    assert (out["quality"][0] & Quality.TWO_FRAME_MEAN).all()
+    assert not (out["quality"][1:] & Quality.TWO_FRAME_MEAN).any()
+    assert out["frame_status"][0] == FrameStatus.DONE
+    np.testing.assert_array_equal(out["z_t"], cube["z_t"])
+    # the mean is off by z_tt dt^2 / 8, which its uncertainty must know
+    error = np.abs(out["z"][0] - series.truth[0]["z"])[series.inside & seen]
+    assert rms(error) > 1.5 * rms((cube["z"][0] - series.truth[0]["z"])[series.inside])
+    assert (error < 3 * out["z_std"][0][series.inside & seen]).mean() > 0.9
+
+
+@pytest.mark.parametrize("lost", ["cam1", "cam2", "cam3"])
+def test_a_missing_frame_costs_that_camera_only(series, plan, lost):
+    # frame 4 belongs to steps 2 and 3 (from 1), and is the neighbour of step 1
+    out = measure(series.without((lost, 3)), plan, RATE)
+    assert list(out["frame_status"]) == [FrameStatus.DONE] + [FrameStatus.DONE_WITH_FAULTS] * 2
+    assert not (out["quality"][0] & Quality.FEWER_CAMERAS).any()
+    assert (out["quality"][1:] & Quality.FEWER_CAMERAS).all()
+    for step in (1, 2):
+        assert np.isfinite(out["z"][step]).mean() > 0.9
+        measured = series.inside & ((out["quality"][step] & Quality.MEASURED) > 0)
+        assert measured[series.inside].mean() > 0.8
+        for name, scale in (("z", 1.0), ("u", RATE), ("v", RATE), ("w", RATE)):
+            error = (out[name][step] - series.truth[step][name])[measured] / PIXEL / scale
+            assert rms(error) < 0.25, name
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        lambda image: np.zeros_like(image),
+        lambda image: np.full_like(image, 255),
+        lambda image: image[:-1],
+        lambda image: image[..., None],
+        lambda image: np.full(image.shape, np.nan, np.float32),
+    ],
+    ids=["black", "white", "wrong size", "colour", "nan"],
+)
+def test_a_bad_frame_is_as_good_as_none(series, plan, bad):
+    frames = {name: list(images[:4]) for name, images in series.frames.items()}
+    frames["cam2"][1] = bad(frames["cam2"][1])
+    absent = {name: list(images[:4]) for name, images in series.frames.items()}
+    absent["cam2"][1] = None
+    same(measure(frames, plan, RATE), measure(absent, plan, RATE))
+
+
+def test_a_frame_of_noise_does_not_mislead(series, plan):
+    rng = np.random.default_rng(0)
+    frames = {name: list(images[:4]) for name, images in series.frames.items()}
+    for camera in series.rig:
+        noise = {**frames, camera: list(frames[camera])}
+        noise[camera][1] = rng.integers(8, 16, frames[camera][1].shape, dtype=np.uint8)
+        out = measure(noise, plan, RATE)
+        measured = series.inside & ((out["quality"][0] & Quality.MEASURED) > 0)
+        error = np.abs(out["z"][0] - series.truth[0]["z"])
+        assert (error[measured] < np.maximum(3 * out["z_std"][0][measured], 0.3 * PIXEL)).mean() > 0.95, (
+            camera
+        )
+
+
+def test_with_one_camera_left_the_step_fails_and_the_others_do_not(series, plan, cube):
+    out = measure(series.without(("cam1", 4), ("cam2", 4)), plan, RATE)
+    assert list(out["frame_status"]) == [FrameStatus.DONE, FrameStatus.DONE, FrameStatus.FAILED]
+    assert np.isnan(out["z"][2]).all()
+    assert np.isnan(out["u"][2]).all()
+    np.testing.assert_array_equal(out["z"][0], cube["z"][0])
+    # the middle step lacks its neighbour
+    assert (out["quality"][1] & Quality.TWO_FRAME_MEAN).all()
+
+
+def test_two_cameras_are_enough(series):
+    from wavefield.rig import Rig
+
+    pair = Rig({name: series.rig[name] for name in ("cam1", "cam3")})
+    out = measure({name: series.frames[name][:4] for name in pair}, Plan(pair, series.grid), RATE)
+    assert rms((out["z"][0] - series.truth[0]["z"])[series.inside]) / PIXEL < 0.15
+    assert rms((out["w"][0] - series.truth[0]["w"])[series.inside]) / PIXEL / RATE < 0.15
+
+
+def test_sixteen_bit_images_measure_the_same_water(series, plan, cube):
+    wide = {
+        name: [image.astype(np.uint16) * 257 for image in images[:4]]
+        for name, images in series.frames.items()
+    }
+    out = measure(wide, plan, RATE)
+    assert np.nanmax(np.abs(out["z"] - cube["z"][:1])) < 0.01 * PIXEL
+    floats = {name: [image.astype(np.float32) for image in images] for name, images in wide.items()}
+    out = measure(floats, plan, RATE)
+    assert np.nanmax(np.abs(out["z"] - cube["z"][:1])) < 0.01 * PIXEL
+
+
+def test_gains_and_flicker_change_little(series, plan, cube):
+    gain = {"cam1": (0.4, 0.3, 0.5, 0.35), "cam2": (0.9, 1.0, 0.7, 1.0), "cam3": (1.0, 0.8, 1.0, 0.6)}
+    dim = {
+        name: [np.round(image * g).astype(np.uint8) for image, g in zip(series.frames[name], gain[name])]
+        for name in series.rig
+    }
+    out = measure(dim, plan, RATE)
+    assert rms((out["z"] - cube["z"][:1])[0, series.inside]) / PIXEL < 0.02
+
+
+def test_nodes_outside_the_common_view_are_nan_and_marked(series):
+    wide = Grid(x=(-0.5, 0.5), y=(-0.14, 0.14), step=0.02)
+    out = measure({name: images[:4] for name, images in series.frames.items()}, Plan(series.rig, wide), RATE)
+    x, y = np.meshgrid(wide.x_nodes, wide.y_nodes)
+    seen = np.all([camera.sees(x, y, 0.0) for camera in series.rig.cameras.values()], axis=0)
+    outside = (out["quality"][0] & Quality.OUTSIDE) > 0
+    for name in CUBE_FIELDS:
+        if name != "quality":
+            assert np.isnan(out[name][0][outside]).all(), name
+    assert np.isfinite(out["z"][0][~outside]).all()
+    # the surface moves the edge by a centimetre at most
+    assert (outside != ~seen).mean() < 0.06
+
+
+def test_frames_must_be_as_many_for_every_camera(series, plan):
+    frames = dict(series.frames)
+    frames["cam1"] = frames["cam1"][:-1]
+    with pytest.raises(ValueError, match="same number of frames"):
+        measure(frames, plan, RATE)
+    with pytest.raises(ValueError, match="at least 4"):
+        measure({name: images[:3] for name, images in series.frames.items()}, plan, RATE)
+
+
+def test_a_coarse_grid_reads_the_same_surface(series, plan, cube):
+    coarse = Grid(x=(-0.18, 0.18), y=(-0.14, 0.14), step=0.02)
+    out = measure(
+        {n: images[:4] for n, images in series.frames.items()}, Plan(series.rig, coarse, Settings()), RATE
+    )
+    np.testing.assert_allclose(out["z"][0], cube["z"][0][::2, ::2], atol=2e-5)
