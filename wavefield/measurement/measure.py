@@ -224,8 +224,8 @@ def _left_out(surfaces: Sequence[Surface | None], z: NDArray, squared: float, in
     """What the finite time step leaves out of z at mid-time, metres.
 
     Of a wave of phase p = omega dt per step two frames leave out p^2/8, four frames 3/16 p^2 of that.
-    (Likewise a displacement leaves out p^2/24 of the velocity, and half as much again because the middle of the chord lies
-    beside the path.)
+    (Likewise a displacement leaves out p^2/24 of the velocity, and half as much again because the
+    middle of the chord lies beside the path.)
     """
     before, first, second, after = surfaces
     assert first is not None
