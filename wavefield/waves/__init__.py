@@ -1,9 +1,18 @@
 """From cubes to spectra, nonlinear term and coherence: estimators with their error bars.
 
-Input is a cube z, z_t, u, v, w (time, y, x), metres and seconds. Functions take and give labelled xarray objects;
-lazy input gives lazy results, reduced in one pass over Welch segments.
+Input is a cube z, z_t, u, v, w (time, y, x), metres and seconds. Functions take and give labelled xarray
+objects; lazy input gives lazy results, reduced in one pass over Welch segments.
 """
 
+from wavefield.waves.analyze import analyze
+from wavefield.waves.coherence import coherence
+from wavefield.waves.crosses import cross_spectra
+from wavefield.waves.direction import directions
+from wavefield.waves.dispersion import FitSettings, dispersion, fit_dispersion, group_velocity, wavenumber
+from wavefield.waves.fusion import fuse, fusion
+from wavefield.waves.higher_order import HigherOrderSettings, higher_order
+from wavefield.waves.kinematics import finite_residual, kinematics
+from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Record, find_record, whole_record
 from wavefield.waves.spectra import (
     angular_integral,
@@ -13,15 +22,48 @@ from wavefield.waves.spectra import (
     spectrum,
     total,
 )
+from wavefield.waves.statistics import statistics
+from wavefield.waves.transfer import (
+    elevation_from_w,
+    gain_box,
+    gain_displacement,
+    gain_four_frames,
+    gain_two_frames,
+    undo,
+)
 
 __all__ = [
+    "FitSettings",
+    "HigherOrderSettings",
     "Record",
+    "analyze",
     "angular_integral",
     "at_frequency",
+    "coherence",
+    "cross_spectra",
+    "directions",
+    "dispersion",
+    "elevation_from_w",
     "find_record",
+    "finite_residual",
+    "fit_dispersion",
     "frequency_spectrum",
+    "fuse",
+    "fusion",
+    "gain_box",
+    "gain_displacement",
+    "gain_four_frames",
+    "gain_two_frames",
+    "group_velocity",
+    "higher_order",
+    "kinematics",
     "komega",
+    "probe_spectra",
+    "read_probes",
     "spectrum",
+    "statistics",
     "total",
+    "undo",
+    "wavenumber",
     "whole_record",
 ]

@@ -12,6 +12,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import CUBE_DIMS, FrameStatus
 
 LONGEST_BRIDGE = 2  # steps: longer gaps split the record
+_FIELDS = ("z", "z_t", "u", "v", "w")
 _LOOK = 256  # steps looked at in one piece
 _NODE_SHARE = 0.99  # of the good steps in which a node must be there to belong to the rectangle
 _STEP_SHARE = 0.98  # of the rectangle that must be there for a step to count
@@ -115,7 +116,14 @@ def check_axes(array: Any) -> tuple[float, float, float]:
     return spacing["time"], spacing["y"], spacing["x"]
 
 
-def _finite(blocks: list[np.ndarray]) -> np.ndarray | None:
+def piece(array: xr.DataArray, steps: slice, rows: slice = slice(None), columns: slice = slice(None)) -> Any:
+    """Cut a piece out of a field: a dask array where the cube is chunked, else read when its task runs."""
+    part = array.transpose(*CUBE_DIMS).isel(time=steps, y=rows, x=columns)
+    return part.data if part.chunks is not None else part.variable
+
+
+def _finite(pieces: list[Any]) -> np.ndarray | None:
+    blocks = [np.asarray(part) for part in pieces]
     # packed mask of what is there in all variables; None where nothing is missing (the usual case, and quick)
     if all(bool(np.isfinite(block.sum(dtype=np.float64))) for block in blocks):
         return None
@@ -198,22 +206,14 @@ def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE) -> Record:
         If the axes are uneven, no step is good or no full rectangle is left.
     """
     dt, dy, dx = check_axes(cube)
-    arrays = (
-        [cube]
-        if isinstance(cube, xr.DataArray)
-        else [
-            array
-            for array in cube.data_vars.values()
-            if set(array.dims) == set(CUBE_DIMS) and array.dtype.kind == "f"
-        ]
-    )
+    arrays = [cube] if isinstance(cube, xr.DataArray) else [cube[name] for name in _FIELDS if name in cube]
     if not arrays:
-        raise CubeError("the cube has no variable over time, y and x")
-    arrays = [array.transpose(*CUBE_DIMS) for array in arrays]
-    steps, ny, nx = arrays[0].shape
+        raise CubeError(f"the cube has none of {', '.join(_FIELDS)} over time, y and x")
+    steps, ny, nx = (arrays[0].sizes[name] for name in CUBE_DIMS)
     pieces = [(a, min(a + _LOOK, steps)) for a in range(0, steps, _LOOK)]
     masks = dask.compute(
-        *(dask.delayed(_finite)([array.data[a:b] for array in arrays]) for a, b in pieces), traverse=True
+        *(dask.delayed(_finite)([piece(array, slice(a, b)) for array in arrays]) for a, b in pieces),
+        traverse=True,
     )
 
     known = np.ones(steps, bool)

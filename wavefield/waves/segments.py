@@ -14,9 +14,8 @@ from dask import delayed
 from scipy import fft
 
 from wavefield.errors import CubeError
-from wavefield.variables import CUBE_DIMS
 from wavefield.waves import kernels
-from wavefield.waves.record import LONGEST_BRIDGE, Record, fill
+from wavefield.waves.record import LONGEST_BRIDGE, Record, fill, piece
 from wavefield.waves.windows import choose_segment, hann, segment_count
 
 _FRAMES = 16  # steps transformed in space at once: they fit the cache
@@ -61,16 +60,10 @@ def count_segments(record: Record, segment: int) -> int:
     return sum(segment_count(b - a, segment) for a, b in record.runs)
 
 
-def _piece(array: xr.DataArray, steps: slice, record: Record) -> Any:
-    # a dask array where the cube is chunked, else a variable that is read when the task runs
-    part = array.transpose(*CUBE_DIMS).isel(time=steps, y=slice(*record.y), x=slice(*record.x))
-    return part.data if part.chunks is not None else part.variable
-
-
 def _read(pieces: Sequence[Any], missing: np.ndarray, inner: slice) -> list[np.ndarray]:
     out = []
-    for piece in pieces:
-        block = np.asarray(piece)
+    for part in pieces:
+        block = np.asarray(part)
         if block.dtype.kind != "f":
             block = block.astype(np.float64)
         out.append(fill(block, missing)[inner])
@@ -85,7 +78,7 @@ def _half(
 
 def half_segments(
     arrays: Sequence[xr.DataArray], record: Record, half: int, make: Callable[..., dict[str, Any]]
-) -> tuple[list[list[Any]], list[Any]]:
+) -> list[list[Any]]:
     """Lay out the tasks that turn half segments of a record into whatever `make` gives.
 
     Parameters
@@ -102,10 +95,8 @@ def half_segments(
 
     Returns
     -------
-    runs : list of list of delayed
-        Half segments, run by run.
-    rests : list of delayed
-        What is left at the end of runs, shorter than half a segment.
+    list of list of delayed
+        Half segments, run by run; what is left at the end of a run is shorter than one and not used.
     """
     task = delayed(_half, pure=False)
     bridged = np.asarray(record.bridged, int)
@@ -115,17 +106,15 @@ def half_segments(
         reach = LONGEST_BRIDGE + 2 if ((bridged >= a - 1) & (bridged <= b)).any() else 0
         lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
         missing = np.isin(np.arange(lo, hi), bridged)
-        pieces = [_piece(array, slice(lo, hi), record) for array in arrays]
+        pieces = [piece(array, slice(lo, hi), slice(*record.y), slice(*record.x)) for array in arrays]
         return task(make, pieces, missing, slice(a - lo, b - lo), a)
 
-    runs, rests = [], []
+    runs = []
     for run in record.runs:
         count = (run[1] - run[0]) // half
         ends = [run[0] + i * half for i in range(count + 1)]
         runs.append([lay(a, b, run) for a, b in itertools.pairwise(ends)])
-        if ends[-1] < run[1]:
-            rests.append(lay(ends[-1], run[1], run))
-    return runs, rests
+    return runs
 
 
 def in_order(parts: Sequence[Any]) -> Any:
@@ -173,33 +162,26 @@ def transform_space(block: np.ndarray) -> np.ndarray:
     return out.reshape(-1, steps)
 
 
-def transform_time(
-    first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray], names: Sequence[str]
-) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
-    """Transform a segment in time, a slab of cells after the other.
+def slabs(cells: int) -> Iterator[slice]:
+    """Cut cells into slabs that fit the cache."""
+    for a in range(0, cells, _CELLS):
+        yield slice(a, min(a + _CELLS, cells))
+
+
+def transform_time(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Transform a segment in time.
 
     Parameters
     ----------
-    first, second : mapping of str to ndarray, complex, (cells, n / 2)
+    first, second : ndarray, complex, (cells, n / 2)
         Spatial transforms of the two halves.
-    names : sequence of str
-        Which of them.
 
-    Yields
-    ------
-    cells : slice
-        Which cells.
-    lines : dict of str to ndarray, complex, (cells of the slab, n)
+    Returns
+    -------
+    ndarray, complex, (cells, n)
         Mean and trend taken off, Hann window, numpy's signs.
     """
-    cells, half = first[names[0]].shape
-    for a in range(0, cells, _CELLS):
-        slab = slice(a, min(a + _CELLS, cells))
-        lines = {}
-        for name in names:
-            one, two = first[name][slab], second[name][slab]
-            window = hann(2 * half).astype(one.real.dtype)
-            joined = np.empty((one.shape[0], 2 * half), one.dtype)
-            kernels.join(one, two, window, joined)
-            lines[name] = fft.fft(joined, axis=-1, overwrite_x=True)
-        yield slab, lines
+    cells, half = first.shape
+    joined = np.empty((cells, 2 * half), first.dtype)
+    kernels.join(first, second, hann(2 * half).astype(first.real.dtype), joined)
+    return fft.fft(joined, axis=-1, overwrite_x=True)

@@ -109,8 +109,8 @@ def _transform(block: np.ndarray, first: int) -> dict[str, np.ndarray]:
 def _powers(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     cells, half = a["f"].shape
     power = np.empty((cells, 2 * half), a["f"].real.dtype)
-    for slab, lines in segments.transform_time(a, b, ["f"]):
-        kernels.powers(lines["f"], power[slab])
+    for slab in segments.slabs(cells):
+        kernels.powers(segments.transform_time(a["f"][slab], b["f"][slab]), power[slab])
     return {"power": power}
 
 
@@ -194,7 +194,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     """
     field = _field(field)
     record, segment, count = setting(field, segment, record)
-    runs, _ = segments.half_segments([field], record, segment // 2, _transform)
+    runs = segments.half_segments([field], record, segment // 2, _transform)
     task = dask.delayed(_powers, pure=False)
     summed = segments.in_order([task(a, b) for run in runs for a, b in itertools.pairwise(run)])
     lazy = dask.delayed(_map, pure=False)(summed, density(record, segment, count), record.shape)
@@ -252,10 +252,11 @@ def _ring_powers(
     ring: np.ndarray,
     weight: np.ndarray,
 ) -> dict[str, np.ndarray]:
-    half = a["f"].shape[1]
+    cells, half = a["f"].shape
     out = np.zeros((int(ring.max()) + 1, half + 1))
-    for slab, lines in segments.transform_time(a, b, ["f"]):
-        kernels.ring_powers(lines["f"], start[slab.start : slab.stop + 1], ring, weight, out)
+    for slab in segments.slabs(cells):
+        lines = segments.transform_time(a["f"][slab], b["f"][slab])
+        kernels.ring_powers(lines, start[slab.start : slab.stop + 1], ring, weight, out)
     return {"f": out}
 
 
@@ -349,7 +350,7 @@ def komega(
     field = _field(field)
     record, segment, count = setting(field, segment, record)
     table = ring_table(record, dk)
-    runs, _ = segments.half_segments([field], record, segment // 2, _transform)
+    runs = segments.half_segments([field], record, segment // 2, _transform)
     task = dask.delayed(_ring_powers, pure=False)
     parts = [
         task(a, b, table.start, table.ring, table.weight) for run in runs for a, b in itertools.pairwise(run)
@@ -480,7 +481,10 @@ def frequency_spectrum(komega: xr.Dataset) -> xr.Dataset:
     }
     table = rings.rings(*komega.attrs["nodes"], *komega.attrs["node_step"], step)
     dof = float(komega.attrs["degrees_of_freedom"]) * independent_cells(komega["E"], table)
-    return with_interval(energy, dof, _valid_omega(komega["omega"]))
+    out = with_interval(energy, dof)
+    out["valid"] = _valid_omega(komega["omega"])
+    out["valid"].attrs = {"long_name": "where the spectrum can be trusted", "units": "1"}
+    return out
 
 
 def independent_cells(ring_energy: xr.DataArray, table: rings.Rings) -> xr.DataArray:
@@ -498,16 +502,15 @@ def _valid_omega(omega: xr.DataArray) -> xr.DataArray:
     return xr.DataArray((index >= _LOWEST) & (index < omega.size - 1), dims="omega")
 
 
-def with_interval(energy: xr.DataArray, dof: xr.DataArray, valid: xr.DataArray) -> xr.Dataset:
-    """Put a spectrum, its degrees of freedom, interval and validity together."""
+def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
+    """Put a spectrum, its degrees of freedom and its interval together."""
     dof = dof.clip(min=1)
     low, high = (
         xr.apply_ufunc(lambda d, i=i: interval(d)[i], dof, dask="parallelized", output_dtypes=[float])
         for i in (0, 1)
     )
-    out = xr.Dataset({"E": energy, "dof": dof, "low": low, "high": high, "valid": valid})
+    out = xr.Dataset({"E": energy, "dof": dof, "low": low, "high": high})
     out["dof"].attrs = {"long_name": "degrees of freedom", "units": "1"}
     out["low"].attrs = {"long_name": "lower end of the 95 % interval, factor", "units": "1"}
     out["high"].attrs = {"long_name": "upper end of the 95 % interval, factor", "units": "1"}
-    out["valid"].attrs = {"long_name": "where the spectrum can be trusted", "units": "1"}
     return out

@@ -1,0 +1,129 @@
+"""Exact seas for the tests of the estimators: free waves whose surface water obeys the kinematic condition."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+G, GAMMA = 9.81, 7.28e-5
+
+
+def relation(k, depth=np.inf, gamma=GAMMA):
+    return np.sqrt((G * k + gamma * k**3) * np.tanh(k * depth))
+
+
+@dataclass
+class Waves:
+    """z = Re sum a exp(i (kx x + ky y - omega t)); w is defined by z_t + u . grad z."""
+
+    kx: np.ndarray
+    ky: np.ndarray
+    a: np.ndarray  # complex
+    depth: float = 0.7
+    current: tuple = (0.0, 0.0)
+
+    @property
+    def k(self):
+        return np.hypot(self.kx, self.ky)
+
+    @property
+    def sigma(self):
+        return relation(self.k, self.depth)
+
+    @property
+    def omega(self):
+        return self.sigma + self.kx * self.current[0] + self.ky * self.current[1]
+
+    def rotated(self):
+        """The same sea, turned by 90 degrees."""
+        return Waves(-self.ky, self.kx, self.a, self.depth, self.current)
+
+    def on_grid(self, t, y, x, *names):
+        """Fields on a grid, each (time, y, x): z, z_t, z_x, z_y, u, v."""
+        ex = np.exp(1j * np.outer(x, self.kx))
+        ey = np.exp(1j * np.outer(y, self.ky))
+        s = self.sigma / np.tanh(self.k * self.depth) / self.k
+        gains = {
+            "z": 1.0,
+            "z_t": -1j * self.omega,
+            "z_x": 1j * self.kx,
+            "z_y": 1j * self.ky,
+            "u": self.kx * s,
+            "v": self.ky * s,
+        }
+        out = {name: np.empty((len(t), len(y), len(x))) for name in names}
+        for i, now in enumerate(t):
+            turned = self.a * np.exp(-1j * self.omega * now)
+            for name in names:
+                out[name][i] = ((ey * (turned * gains[name])) @ ex.T).real
+        return out
+
+    def at(self, x, y, t):
+        """z, u, v at points, each of the points' shape."""
+        shape = np.shape(x)
+        phase = np.exp(1j * (np.outer(np.ravel(x), self.kx) + np.outer(np.ravel(y), self.ky) - self.omega * t))
+        s = self.sigma / np.tanh(self.k * self.depth) / self.k
+        return tuple((phase @ (self.a * g)).real.reshape(shape) for g in (1.0, self.kx * s, self.ky * s))
+
+    def move(self, x, y, start, end, steps=4):
+        """Follow surface water from start to end (Runge-Kutta)."""
+        h, t = (end - start) / steps, start
+        for _ in range(steps):
+            _, u1, v1 = self.at(x, y, t)
+            _, u2, v2 = self.at(x + h / 2 * u1, y + h / 2 * v1, t + h / 2)
+            _, u3, v3 = self.at(x + h / 2 * u2, y + h / 2 * v2, t + h / 2)
+            _, u4, v4 = self.at(x + h * u3, y + h * v3, t + h)
+            x = x + h / 6 * (u1 + 2 * u2 + 2 * u3 + u4)
+            y = y + h / 6 * (v1 + 2 * v2 + 2 * v3 + v4)
+            t = t + h
+        return x, y
+
+
+def random_waves(seed=0, n=200, lowest=1.0, highest=4.0, sigma=0.015, depth=0.7, power=5, **more):
+    """Isotropic sea with E(f) ~ f^-power between two frequencies (Hz)."""
+    rng = np.random.default_rng(seed)
+    share = rng.random(n)
+    p = 1 - power
+    f = (lowest**p + share * (highest**p - lowest**p)) ** (1 / p)
+    k = np.interp(2 * np.pi * f, relation(table := np.linspace(0.1, 400, 40000), depth), table)
+    angle = 2 * np.pi * rng.random(n)
+    a = sigma * np.sqrt(2 / n) * np.exp(2j * np.pi * rng.random(n))
+    return Waves(k * np.cos(angle), k * np.sin(angle), a, depth, **more)
+
+
+def axes(steps, ny, nx, dt=0.05, dx=0.01):
+    return np.arange(steps) * dt + dt / 2, np.arange(ny) * dx, np.arange(nx) * dx
+
+
+def linear_cube(waves, steps, ny, nx, dt=0.05, dx=0.01, noise_z=0.0, noise_dz=0.0, seed=9, dtype="f4"):
+    """A cube as measured from frames: four-frame z, z_t and w from differences, linear kinematics, u and v
+    at mid-time. Noise is independent between frames (z) and steps (dz), correlated over 4 cm in space."""
+    from scipy.ndimage import uniform_filter
+
+    rng = np.random.default_rng(seed)
+    t, y, x = axes(steps, ny, nx, dt, dx)
+
+    def noise(rms, count):
+        if not rms:
+            return 0.0
+        box = max(int(round(0.04 / dx)), 1)
+        raw = rng.standard_normal((count, ny + 2 * box, nx + 2 * box), dtype="f4")
+        raw = uniform_filter(raw, (0, box, box))[:, box:-box, box:-box] * box
+        return rms * raw
+
+    frames = waves.on_grid(np.arange(-1, steps + 2) * dt, y, x, "z")["z"]
+    uv = waves.on_grid(t, y, x, "u", "v")
+    noisy = frames + noise(noise_z, steps + 3)
+    z = (9 * (noisy[1:-2] + noisy[2:-1]) - noisy[:-3] - noisy[3:]) / 16
+    w = (frames[2:-1] - frames[1:-2] + noise(noise_dz, steps)) / dt
+    fields = {"z": z, "z_t": (noisy[2:-1] - noisy[1:-2]) / dt, "u": uv["u"], "v": uv["v"], "w": w}
+    return cube(fields, t, y, x, dtype, water_depth=waves.depth, frame_rate=1 / dt)
+
+
+def cube(fields, t, y, x, dtype="f4", **attrs):
+    units = {"z": "m"}
+    data = {
+        name: (("time", "y", "x"), np.asarray(values, dtype), {"units": units.get(name, "m s-1")})
+        for name, values in fields.items()
+    }
+    return xr.Dataset(data, {"time": t, "y": y, "x": x}, attrs)

@@ -1,0 +1,250 @@
+"""Power and cross spectra of several fields of a cube in one pass, integrated over angle.
+
+Names: ``z`` is the elevation at frame times, half a step before the rest; ``nl`` is u . grad z.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import dask
+import dask.array as da
+import numpy as np
+import xarray as xr
+
+from wavefield.errors import CubeError
+from wavefield.waves import kernels, kinematics, segments, spectra
+from wavefield.waves.record import Record, find_record
+from wavefield.waves.rings import Rings
+from wavefield.waves.units import product
+
+# fields of the cube that each spectral name is made of
+SOURCES = {
+    "z": ("z", "z_t"),
+    "z_t": ("z_t",),
+    "u": ("u",),
+    "v": ("v",),
+    "w": ("w",),
+    "nl": ("z", "u", "v"),
+}
+UNITS = {"z": "m"} | dict.fromkeys(("z_t", "u", "v", "w", "nl"), "m s-1")
+LONG_NAMES = {
+    "z": "surface elevation at frame times",
+    "z_t": "rate of rise of the surface",
+    "u": "velocity along x",
+    "v": "velocity along y",
+    "w": "vertical velocity",
+    "nl": "nonlinear term u . grad z",
+}
+
+
+def sources(names: Sequence[str]) -> list[str]:
+    """Fields of the cube that some spectral names need, in the cube's order."""
+    needed = {field for name in names for field in SOURCES[name]}
+    return [field for field in ("z", "z_t", "u", "v", "w") if field in needed]
+
+
+def transforms(
+    fields: dict[str, np.ndarray], names: Sequence[str], dy: float, dx: float
+) -> dict[str, np.ndarray]:
+    """Transform a half segment in space.
+
+    Parameters
+    ----------
+    fields : dict of str to ndarray, (steps, ny, nx)
+        Fields of the cube.
+    names : sequence of str
+        Spectral names.
+    dy, dx : float
+        Distance between nodes, m.
+
+    Returns
+    -------
+    dict of str to ndarray, complex, (cells, steps)
+        z is still at mid-time: `combine` takes it to frame times.
+    """
+    out = {}
+    for name in names:
+        if name == "nl":
+            z_y, z_x = kinematics.slopes(fields["z"], dy, dx)
+            z_x *= fields["u"]
+            z_y *= fields["v"]
+            z_x += z_y
+            out["nl"] = segments.transform_space(z_x)
+        else:
+            out[name] = segments.transform_space(fields[name])
+    if "z" in names and "z_t" not in out:
+        out["z_t"] = segments.transform_space(fields["z_t"])
+    return out
+
+
+def combine(
+    first: dict[str, Any],
+    second: dict[str, Any],
+    names: Sequence[str],
+    pairs: Sequence[tuple[str, str]],
+    maps: Sequence[str],
+    table: Rings,
+    dt: float,
+) -> dict[str, np.ndarray]:
+    """Transform a segment in time and sum powers and cross products over rings.
+
+    Parameters
+    ----------
+    first, second : dict of str to ndarray, complex, (cells, n / 2)
+        Its halves, as `transforms` gives them.
+    names : sequence of str
+        Spectral names whose power is wanted.
+    pairs : sequence of (str, str)
+        Cross products wanted.
+    maps : sequence of str
+        Names whose power is wanted for each cell.
+    table : Rings
+        Rings of the k plane.
+    dt : float
+        Time between frames, s.
+
+    Returns
+    -------
+    dict of str to ndarray
+        "name" (rings, n // 2 + 1), "a*b" the same and complex, "map name" (cells, n).
+    """
+    cells, half = first[names[0]].shape
+    real = first[names[0]].real.dtype
+    sums: dict[str, np.ndarray] = {name: np.zeros((table.k.size, half + 1)) for name in names}
+    sums |= {f"{a}*{b}": np.zeros((table.k.size, half + 1), complex) for a, b in pairs}
+    sums |= {f"map {name}": np.empty((cells, 2 * half), real) for name in maps}
+    for slab in segments.slabs(cells):
+        start = table.start[slab.start : slab.stop + 1]
+        lines = {}
+        for name in names:
+            one, two = first[name][slab], second[name][slab]
+            if name == "z":
+                start_one, start_two = np.empty_like(one), np.empty_like(two)
+                rates = first["z_t"][slab], second["z_t"][slab]
+                kernels.frames(one, two, *rates, real.type(dt), start_one, start_two)
+                one, two = start_one, start_two
+            lines[name] = segments.transform_time(one, two)
+            kernels.ring_powers(lines[name], start, table.ring, table.weight, sums[name])
+            if name in maps:
+                kernels.powers(lines[name], sums[f"map {name}"][slab])
+        for a, b in pairs:
+            kernels.ring_crosses(lines[a], lines[b], start, table.ring, table.weight, sums[f"{a}*{b}"])
+    return sums
+
+
+def label(
+    sums: dict[str, Any],
+    names: Sequence[str],
+    pairs: Sequence[tuple[str, str]],
+    record: Record,
+    segment: int,
+    table: Rings,
+) -> xr.Dataset:
+    """Turn ring sums into a labelled dataset.
+
+    Parameters
+    ----------
+    sums : dict of str to array, (rings, n // 2 + 1)
+        Summed over all segments.
+    names, pairs : sequence
+        As given to `combine`.
+    record : Record
+        Rectangle and runs.
+    segment : int
+        Steps of a segment.
+    table : Rings
+        Rings of the k plane.
+
+    Returns
+    -------
+    Dataset
+        ``E_<name>`` and ``S_<a>_<b>`` = <conj(a) b> over (omega, k), with what `komega` carries besides.
+    """
+    count = segments.count_segments(record, segment)
+    factor = spectra.ring_density(record, segment, count, table.dk)
+    omega = spectra.omega_axis(segment, record.dt)
+    out: dict[str, Any] = {}
+    per = ((spectra.K_UNITS, -1), (spectra.OMEGA_UNITS, -1))
+    for name in names:
+        attrs = {"long_name": f"E(k, omega) of {LONG_NAMES[name]}", "units": product((UNITS[name], 2), *per)}
+        out[f"E_{name}"] = (("omega", "k"), sums[name].T * factor, attrs)
+    for a, b in pairs:
+        attrs = {
+            "long_name": f"cross spectrum of {LONG_NAMES[a]} with {LONG_NAMES[b]}",
+            "units": product((UNITS[a], 1), (UNITS[b], 1), *per),
+            "comment": "conj of the first times the second, for waves exp(i (k . x - omega t))",
+        }
+        out[f"S_{a}_{b}"] = (("omega", "k"), sums[f"{a}*{b}"].T * factor, attrs)
+    valid = spectra.valid_komega(table, omega, record)
+    out["valid"] = (("omega", "k"), valid, {"long_name": "where the spectrum can be trusted", "units": "1"})
+    return xr.Dataset(
+        out | spectra.ring_variables(table, count),
+        coords=spectra.omega_coords(omega) | spectra.k_coords(table.k),
+        attrs=spectra.provenance(record, segment, count) | {"dt": record.dt},
+    )
+
+
+def need(cube: Any, names: Sequence[str]) -> None:
+    """Check that a cube has the fields that some spectral names are made of."""
+    for field in sources(names):
+        if field not in cube:
+            raise CubeError(f"the cube has no {field!r}, which the spectra of {', '.join(names)} are made of")
+
+
+def cross_spectra(
+    cube: xr.Dataset,
+    names: Sequence[str],
+    pairs: Sequence[tuple[str, str]] = (),
+    *,
+    segment: int | None = None,
+    record: Record | None = None,
+) -> xr.Dataset:
+    """Power and cross spectra of fields of a cube in one pass.
+
+    Parameters
+    ----------
+    cube : Dataset
+        Fields over (time, y, x), m and m/s. Lazy input gives a lazy result.
+    names : sequence of str
+        Of z (at frame times), z_t, u, v, w, nl (u . grad z).
+    pairs : sequence of (str, str)
+        Pairs of these whose cross spectrum is wanted.
+    segment : int, optional
+        Steps of a Welch segment; chosen from the record if not given.
+    record : Record, optional
+        Rectangle and runs; found from the cube if not given.
+
+    Returns
+    -------
+    Dataset
+        ``E_<name>`` and ``S_<a>_<b>`` = <conj(a) b> over (omega, k), ``coverage``, ``cells``, ``dof``, ``low``,
+        ``high`` (k), ``valid`` (omega, k).
+
+    Raises
+    ------
+    CubeError
+        If a field is missing, the record is shorter than a segment or no full rectangle is left.
+
+    Notes
+    -----
+    The phase of S is that of waves exp(i (k . x - omega t)) with omega > 0, averaged over all directions.
+    """
+    need(cube, names)
+    fields = sources(names)
+    record = find_record(cube[fields]) if record is None else record
+    segment = segments.segment_length(record, segment)
+    table = spectra.ring_table(record)
+
+    def make(*blocks: np.ndarray, first: int) -> dict[str, np.ndarray]:
+        return transforms(dict(zip(fields, blocks)), names, record.dy, record.dx)
+
+    runs = segments.half_segments([cube[field] for field in fields], record, segment // 2, make)
+    task = dask.delayed(combine, pure=False)
+    parts = [task(a, b, names, pairs, (), table, record.dt) for run in runs for a, b in pairwise(run)]
+    summed = segments.in_order(parts)
+    shape = (table.k.size, segment // 2 + 1)
+    sums = {name: da.from_delayed(summed[name], shape, float) for name in names}
+    sums |= {f"{a}*{b}": da.from_delayed(summed[f"{a}*{b}"], shape, complex) for a, b in pairs}
+    out = label(sums, names, pairs, record, segment, table)
+    return spectra.finish(out, cube[fields[0]])

@@ -1,0 +1,118 @@
+"""Where the waves go: the directional spectrum on the ridge, and how isotropic the sea is."""
+
+import numpy as np
+import xarray as xr
+
+from wavefield.errors import CubeError
+from wavefield.waves import rings
+from wavefield.waves.dispersion import GAMMA, wavenumber
+from wavefield.waves.windows import interval
+
+_HALF_WIDTH, _LEAST_CELLS = 0.22, 2.2  # of the ring around the ridge: relative, and in cells
+
+
+def directions(
+    density: xr.DataArray,
+    frequency: list[float] | np.ndarray,
+    depth: float = np.inf,
+    *,
+    sectors: int = 24,
+    dof: float | None = None,
+    gamma: float = GAMMA,
+    bandwidth: float = 0.2,
+) -> xr.Dataset:
+    """Directional spectrum of the waves on the ridge at some frequencies.
+
+    Parameters
+    ----------
+    density : DataArray, (omega, ky, kx)
+        Spectrum of z or w.
+    frequency : array_like
+        Frequencies, Hz.
+    depth : float
+        Depth of the water, m.
+    sectors : int
+        Number of sectors of the circle.
+    dof : float, optional
+        Degrees of freedom of a cell; needed for ``dof``, ``low``, ``high``.
+    gamma : float
+        Surface tension over density, m3/s2.
+    bandwidth : float
+        Width of the band around each frequency, Hz.
+
+    Returns
+    -------
+    Dataset
+        ``D`` (frequency, theta): density over the direction of propagation, its integral over theta is 1;
+        ``dof``, ``low``, ``high`` (frequency, theta); ``isotropy`` (frequency): 1 - the larger modulus of the first
+        two harmonics of D, 1 for an isotropic sea, 0 for a single direction.
+
+    Raises
+    ------
+    CubeError
+        If a frequency lies beyond the Nyquist frequency.
+
+    Notes
+    -----
+    Cells near the ridge are shared between sectors by area (8 x 8 parts); the k plane's own coverage of each sector
+    is divided out, so a rectangle of nodes does not look like a direction.
+    """
+    frequency = np.atleast_1d(np.asarray(frequency, float))
+    lines = density["omega"].values / (2 * np.pi)
+    if frequency.max() > lines[-1]:
+        raise CubeError(f"{frequency.max():g} Hz is outside the spectrum, which ends at {lines[-1]:g} Hz")
+    ky, kx = density["ky"].values, density["kx"].values
+    cell = max(float(ky[1] - ky[0]), float(kx[1] - kx[0]))
+    n = rings.SUPERSAMPLING
+    part = (np.arange(n) + 0.5) / n - 0.5
+    sub_y = ky[:, None, None, None] + (part * (ky[1] - ky[0]))[:, None, None]
+    sub_x = kx[:, None] + part * (kx[1] - kx[0])
+    radius = np.hypot(sub_y, sub_x)  # (ky, part, kx, part)
+    width = 2 * np.pi / sectors
+    sector = np.floor((np.arctan2(sub_y, sub_x) % (2 * np.pi)) / width).astype(int) % sectors
+    flat_cell = np.broadcast_to(np.arange(ky.size * kx.size).reshape(ky.size, 1, kx.size, 1), radius.shape)
+
+    density_rows, dof_rows = [], []
+    for f in frequency:
+        chosen = np.flatnonzero(np.abs(lines - f) <= bandwidth / 2 + 1e-9)
+        if not chosen.size:
+            chosen = np.array([np.abs(lines - f).argmin()])
+        energy = density.isel(omega=chosen).mean("omega").values.astype(float)
+        centre = float(wavenumber(2 * np.pi * f, depth, gamma))
+        ring = np.abs(radius - centre) < max(_HALF_WIDTH * centre, _LEAST_CELLS * cell)
+        index = sector[ring] * energy.size + flat_cell[ring]
+        shares = np.bincount(index, minlength=sectors * energy.size).reshape(sectors, -1) / n**2
+        area = shares.sum(axis=1)
+        mean = np.divide(shares @ energy.ravel(), area, out=np.zeros(sectors), where=area > 0)
+        total = mean.sum() * width
+        density_rows.append(mean / total if total > 0 else np.full(sectors, np.nan))
+        # Hann windows: 3.78 neighbouring cells and about two lines count as one
+        independent = np.maximum(area / 3.78, 1) * max(chosen.size / 1.94, 1)
+        dof_rows.append((np.nan if dof is None else dof) * independent)
+    theta = (np.arange(sectors) + 0.5) * width
+    values = np.array(density_rows)
+    harmonics = [np.abs((values * np.exp(1j * m * theta)).sum(axis=1) * width) for m in (1, 2)]
+    degrees = np.array(dof_rows)
+    low, high = interval(degrees)
+    dims = ("frequency", "theta")
+    return xr.Dataset(
+        {
+            "D": (dims, values, {"long_name": "directional density on the ridge", "units": "rad-1"}),
+            "dof": (dims, degrees, {"long_name": "degrees of freedom", "units": "1"}),
+            "low": (dims, low, {"long_name": "lower end of the 95 % interval, factor", "units": "1"}),
+            "high": (dims, high, {"long_name": "upper end of the 95 % interval, factor", "units": "1"}),
+            "isotropy": (
+                "frequency",
+                1 - np.maximum(*harmonics),
+                {"long_name": "isotropy, 1 - largest of the first two harmonics", "units": "1"},
+            ),
+        },
+        {
+            "frequency": ("frequency", frequency, {"long_name": "frequency", "units": "Hz"}),
+            "theta": (
+                "theta",
+                theta,
+                {"long_name": "direction of propagation, from x towards y", "units": "rad"},
+            ),
+        },
+    )

@@ -1,0 +1,331 @@
+"""The dispersion relation: theory, the measured ridge, fitted current and surface tension."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from scipy.optimize import least_squares
+
+from wavefield.errors import CubeError
+
+G = 9.81  # m s-2
+GAMMA = 7.28e-5  # surface tension over density of clean water at 20 C, m3 s-2
+
+
+def dispersion(k: Any, depth: float = np.inf, gamma: float = GAMMA, g: float = G) -> Any:
+    """Angular frequency of free waves without current, sqrt((g k + gamma k^3) tanh k h).
+
+    Parameters
+    ----------
+    k : array_like
+        Wavenumber, rad/m.
+    depth : float
+        Depth h of the water, m; infinite for deep water.
+    gamma : float
+        Surface tension over density, m3/s2.
+    g : float
+        Gravity, m/s2.
+
+    Returns
+    -------
+    array_like
+        rad/s.
+
+    Examples
+    --------
+    The paper's k / 2 pi = 20 1/m is a wave of 5.9 Hz:
+
+    >>> round(float(dispersion(2 * np.pi * 20, 0.7)) / (2 * np.pi), 1)
+    5.9
+    """
+    return np.sqrt((g * k + gamma * k**3) * np.tanh(k * depth))
+
+
+def group_velocity(k: Any, depth: float = np.inf, gamma: float = GAMMA) -> Any:
+    """d omega / d k without current, m/s, by a central difference."""
+    step = 1e-4 * np.maximum(k, 1.0)
+    low = np.maximum(k - step, 1e-9)
+    return (dispersion(k + step, depth, gamma) - dispersion(low, depth, gamma)) / (k + step - low)
+
+
+def wavenumber(omega: Any, depth: float = np.inf, gamma: float = GAMMA) -> Any:
+    """Wavenumber of free waves without current, the inverse of `dispersion`.
+
+    Parameters
+    ----------
+    omega : array_like
+        Angular frequency, rad/s.
+    depth : float
+        Depth, m.
+    gamma : float
+        Surface tension over density, m3/s2.
+
+    Returns
+    -------
+    ndarray
+        rad/m.
+
+    Examples
+    --------
+    >>> round(float(wavenumber(dispersion(30.0, 0.7), 0.7)), 6)
+    30.0
+    """
+    omega = np.asarray(omega, float)
+    low, high = np.zeros_like(omega), np.full_like(omega, 1.0)
+    while np.any(short := dispersion(high, depth, gamma) < omega):
+        high = np.where(short, 2 * high, high)
+    for _ in range(60):
+        middle = (low + high) / 2
+        below = dispersion(middle, depth, gamma) < omega
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return (low + high) / 2
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How the ridge is followed.
+
+    Parameters
+    ----------
+    lowest, highest : float
+        Band of frequencies used, Hz.
+    sectors : int
+        Sectors of angle.
+    half_width : float
+        Of the window around the ridge, relative to k.
+    least_width : float
+        The same in cells of the k plane: a Hann window spreads a wave over two on either side.
+    rounds : int
+        How often the window is re-centred on the fit.
+    bootstrap : int
+        Number of synthetic spectra for the uncertainty.
+    """
+
+    lowest: float = 1.5
+    highest: float = 5.0
+    sectors: int = 16
+    half_width: float = 0.22
+    least_width: float = 2.2
+    rounds: int = 4
+    bootstrap: int = 24
+
+
+@dataclass(frozen=True)
+class _Plane:
+    kx: np.ndarray  # (cells,)
+    ky: np.ndarray
+    k: np.ndarray
+    angle: np.ndarray
+    cell: float  # larger side of a cell, rad/m
+    spread: float  # variance along k that the window lends to a single wave, (rad/m)^2
+
+
+def _plane(density: xr.DataArray) -> _Plane:
+    ky, kx = np.meshgrid(density["ky"].values, density["kx"].values, indexing="ij")
+    cells = [float(density[name][1] - density[name][0]) for name in ("ky", "kx")]
+    # second moment of a Hann line |W|^2 (weights 1, 4, 1 over 6) is a third of a cell squared; across the ray
+    # it lengthens |k| on average by spread / 2k
+    spread = float(np.mean(np.square(cells))) / 3
+    return _Plane(
+        kx.ravel(), ky.ravel(), np.hypot(kx, ky).ravel(), np.arctan2(ky, kx).ravel(), max(cells), spread
+    )
+
+
+def _centroids(
+    energy: np.ndarray,
+    omega: np.ndarray,
+    noise: np.ndarray,
+    plane: _Plane,
+    depth: float,
+    fit: np.ndarray,
+    settings: FitSettings,
+) -> np.ndarray:
+    # rows: omega, k, angle, weight, number of cells
+    rows = []
+    table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
+    free = dispersion(table, depth, fit[2])
+    width = np.pi / settings.sectors
+    for t in np.arange(settings.sectors) * 2 * width:
+        off = np.abs((plane.angle - t + np.pi) % (2 * np.pi) - np.pi)
+        sector = np.flatnonzero(off < width)
+        doppler = free + table * (fit[0] * np.cos(t) + fit[1] * np.sin(t))
+        centres = np.interp(omega, doppler, table)
+        for i, (line, centre) in enumerate(zip(omega, centres)):
+            reach = max(settings.half_width * centre, settings.least_width * plane.cell)
+            cells = sector[np.abs(plane.k[sector] - centre) < reach]
+            part = np.maximum(energy[i, cells] - noise[i], 0.0)
+            weight = part.sum()
+            if cells.size < 5 or not weight > 0:
+                continue
+            k = (part * plane.k[cells]).sum() / weight
+            k -= plane.spread / (2 * k)
+            angle = np.angle((part * np.exp(1j * plane.angle[cells])).sum())
+            rows.append((line, k, angle, weight, cells.size))
+    return np.array(rows).reshape(-1, 5)
+
+
+def _solve(points: np.ndarray, depth: float, start: np.ndarray) -> np.ndarray:
+    omega, k, angle = points[:, 0], points[:, 1], points[:, 2]
+    kx, ky = k * np.cos(angle), k * np.sin(angle)
+
+    def misfit(p: np.ndarray) -> np.ndarray:
+        model = dispersion(k, depth, max(p[2], 0.0) * 1e-5) + p[0] * kx + p[1] * ky
+        return (model - omega) / np.sqrt(k)
+
+    scaled = np.array([start[0], start[1], start[2] * 1e5])
+    result = least_squares(misfit, scaled, loss="soft_l1", f_scale=0.05, x_scale=[0.01, 0.01, 1.0])
+    return np.array([result.x[0], result.x[1], max(result.x[2], 0.0) * 1e-5])
+
+
+def fit_dispersion(
+    density: xr.DataArray,
+    depth: float = np.inf,
+    *,
+    dof: float | None = None,
+    settings: FitSettings | None = None,
+) -> xr.Dataset:
+    """Follow the ridge of E(ky, kx, omega) and fit current and surface tension to it.
+
+    Parameters
+    ----------
+    density : DataArray, (omega, ky, kx)
+        Spectrum, best of w: its ridge is the clearest.
+    depth : float
+        Depth of the water, m. It is kept fixed: waves this short do not feel it.
+    dof : float, optional
+        Degrees of freedom of a cell, for the uncertainty; from ``spectrum(...).dof``. Without it none is given.
+    settings : FitSettings, optional
+        Band, sectors and window.
+
+    Returns
+    -------
+    Dataset
+        ``ridge_k``, ``ridge_omega``, ``ridge_angle``, ``ridge_weight`` (point); ``current_x``, ``current_y`` (m/s),
+        ``gamma`` (m3/s2) and their ``_std``; ``ridge_share``, the share of the variance within the ridge;
+        ``ridge_error`` (band): the ridge's k against the theory with the fitted current and clean water's gamma,
+        relative; ``depth``.
+
+    Raises
+    ------
+    CubeError
+        If no energy stands out in the band.
+
+    Notes
+    -----
+    k-centroids at fixed omega in sectors of angle, the window re-centred on the fit, |k| averaged and corrected by
+    sigma_k^2 / 2k for the curvature of the ridge. Centroids in omega at fixed k would be biased by up to 8 %.
+    The uncertainty is that of repeated fits to spectra drawn from the fitted one's own chi-squared distribution.
+    """
+    settings = settings or FitSettings()
+    density = density.compute()
+    omega = density["omega"].values
+    nyquist_k = min(abs(float(density[name].min())) for name in ("ky", "kx"))
+    top = min(2 * np.pi * settings.highest, 0.92 * dispersion(0.9 * nyquist_k, depth), 0.97 * omega[-1])
+    band = (omega >= 2 * np.pi * settings.lowest) & (omega <= top)
+    plane = _plane(density)
+    energy = density.values.reshape(omega.size, -1).astype(float)
+    outer = plane.k > 0.8 * nyquist_k
+    noise = np.median(energy[:, outer], axis=1) if outer.any() else np.zeros(omega.size)
+    used, floor = energy[band], noise[band]
+    fit = np.array([0.0, 0.0, GAMMA])
+    points = np.empty((0, 5))
+    for _ in range(settings.rounds):
+        points = _centroids(used, omega[band], floor, plane, depth, fit, settings)
+        if len(points) < 6:
+            raise CubeError(
+                f"no ridge stands out between {settings.lowest:g} and {top / (2 * np.pi):.2g} Hz:"
+                " choose a longer segment or another band"
+            )
+        fit = _solve(points, depth, fit)
+
+    spreads = np.full(3, np.nan)
+    if dof is not None and settings.bootstrap > 1:
+        rng = np.random.default_rng(0)
+        # neighbouring cells and segments share a Hann window: draw in blocks of 2 x 2 x 2 to keep that
+        trials = []
+        for _ in range(settings.bootstrap):
+            shape = ((used.shape[0] + 1) // 2, (density.sizes["ky"] + 1) // 2, (density.sizes["kx"] + 1) // 2)
+            draw = rng.chisquare(dof, shape) / dof
+            draw = draw.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+            draw = draw[: used.shape[0], : density.sizes["ky"], : density.sizes["kx"]]
+            again = _centroids(
+                used * draw.reshape(used.shape), omega[band], floor, plane, depth, fit, settings
+            )
+            if len(again) >= 6:
+                trials.append(_solve(again, depth, fit))
+        if len(trials) > 1:
+            spreads = np.std(trials, axis=0, ddof=1)
+
+    names = ("current_x", "current_y", "gamma")
+    texts = ("current along x", "current along y", "surface tension over density")
+    units = ("m s-1", "m s-1", "m3 s-2")
+    out: dict[str, Any] = {}
+    for i, (name, text, unit) in enumerate(zip(names, texts, units)):
+        out[name] = ((), fit[i], {"long_name": text, "units": unit})
+        out[f"{name}_std"] = (
+            (),
+            spreads[i],
+            {"long_name": f"standard uncertainty of the {text}", "units": unit},
+        )
+    columns = (
+        ("ridge_omega", "angular frequency of the ridge", "rad s-1"),
+        ("ridge_k", "wavenumber of the ridge", "rad m-1"),
+        ("ridge_angle", "direction of propagation, from x towards y", "rad"),
+        ("ridge_weight", "energy on the ridge", density.attrs.get("units", "1")),
+    )
+    for i, (name, text, unit) in enumerate(columns):
+        out[name] = ("point", points[:, i], {"long_name": text, "units": unit})
+    out |= _against_theory(points, depth, fit)
+    out["ridge_share"] = (
+        (),
+        _share(energy, omega, plane, depth, fit),
+        {"long_name": "share of the variance within the ridge", "units": "1"},
+    )
+    out["depth"] = ((), depth, {"long_name": "depth of the water", "units": "m"})
+    return xr.Dataset(out, attrs={"lowest": settings.lowest, "highest": float(top / (2 * np.pi))})
+
+
+def _against_theory(points: np.ndarray, depth: float, fit: np.ndarray) -> dict[str, Any]:
+    # by bands of half a hertz: energy-weighted mean of k over the theory's k for that omega and direction
+    omega, k, angle, weight = points.T[:4]
+    along = fit[0] * np.cos(angle) + fit[1] * np.sin(angle)
+    theory = wavenumber(omega, depth)
+    for _ in range(20):
+        theory = wavenumber(np.maximum(omega - theory * along, 1e-6), depth)
+    frequency = omega / (2 * np.pi)
+    band = np.floor(frequency / 0.5)
+    centres, errors = [], []
+    for b in np.unique(band):
+        inside = band == b
+        # each line on its own scale: energy falls by decades within a band
+        scale = weight[inside] / np.interp(omega[inside], *_line_means(omega[inside], weight[inside]))
+        centres.append((b + 0.5) * 0.5)
+        errors.append(float(np.average(k[inside] / theory[inside] - 1, weights=scale)))
+    return {
+        "ridge_error": (
+            "band",
+            np.array(errors),
+            {
+                "long_name": "ridge's wavenumber against the theory's, relative",
+                "units": "1",
+                "comment": "theory with the fitted current and the surface tension of clean water",
+            },
+        ),
+        "band_frequency": ("band", np.array(centres), {"long_name": "middle of the band", "units": "Hz"}),
+    }
+
+
+def _line_means(omega: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    lines = np.unique(omega)
+    return lines, np.array([weight[omega == line].mean() for line in lines])
+
+
+def _share(energy: np.ndarray, omega: np.ndarray, plane: _Plane, depth: float, fit: np.ndarray) -> float:
+    # within two cells in k and two lines in omega of the fitted relation
+    free = dispersion(plane.k, depth, fit[2]) + fit[0] * plane.kx + fit[1] * plane.ky
+    slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), depth, fit[2]))
+    reach = 2 * plane.cell * slope + 2 * (omega[1] - omega[0])
+    inside = np.abs(omega[:, None] - free) < reach
+    total = energy.sum()
+    return float((energy * inside).sum() / total) if total > 0 else np.nan

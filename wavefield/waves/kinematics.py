@@ -1,0 +1,243 @@
+"""Kinematics of the surface: slopes, the nonlinear term, what is left of z_t = w - u . grad z, vorticity."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from wavefield.errors import CubeError
+from wavefield.waves import kernels
+from wavefield.waves.record import check_axes
+
+_STENCIL = 8  # nodes along each axis of the interpolation between nodes
+
+
+def _need(cube: Any, *names: str) -> None:
+    for name in names:
+        if name not in cube:
+            raise CubeError(
+                f"the cube has no {name!r}: kinematics need {', '.join(names)} over time, y and x"
+            )
+
+
+def slopes(z: np.ndarray, dy: float, dx: float) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes z_y, z_x of each step by central differences of sixth order.
+
+    Parameters
+    ----------
+    z : ndarray, (steps, ny, nx)
+        Elevation at mid-time, m.
+    dy, dx : float
+        Distance between nodes, m.
+
+    Returns
+    -------
+    z_y, z_x : ndarray, (steps, ny, nx)
+        Slopes.
+    """
+    z_y, z_x = np.empty_like(z), np.empty_like(z)
+    kernels.gradient(z, dy, dx, z_y, z_x)
+    return z_y, z_x
+
+
+def terms(
+    z: np.ndarray, z_t: np.ndarray, u: np.ndarray, v: np.ndarray, w: np.ndarray, dy: float, dx: float
+) -> dict[str, np.ndarray]:
+    """Slopes, nonlinear term, residual, vorticity and divergence.
+
+    Parameters
+    ----------
+    z, z_t, u, v, w : ndarray, (..., ny, nx)
+        Fields at mid-time, m and m/s.
+    dy, dx : float
+        Distance between nodes, m.
+
+    Returns
+    -------
+    dict of str to ndarray, (..., ny, nx)
+        ``z_x``, ``z_y``, ``nonlinear``, ``residual``, ``vorticity``, ``divergence``.
+    """
+    shape = z.shape
+    z, z_t, u, v, w = (np.ascontiguousarray(a).reshape(-1, *shape[-2:]) for a in (z, z_t, u, v, w))
+    z_y, z_x = slopes(z, dy, dx)
+    u_y, u_x = slopes(u, dy, dx)
+    v_y, v_x = slopes(v, dy, dx)
+    nonlinear = u * z_x + v * z_y
+    out = (z_x, z_y, nonlinear, z_t - w + nonlinear, v_x - u_y, u_x + v_y)
+    return {name: array.reshape(shape) for name, array in zip(_OUTPUTS, out)}
+
+
+_OUTPUTS = {
+    "z_x": ("slope along x", "1"),
+    "z_y": ("slope along y", "1"),
+    "nonlinear": ("nonlinear term u . grad z", "m s-1"),
+    "residual": ("kinematic residual z_t - w + u . grad z", "m s-1"),
+    "vorticity": ("vertical vorticity v_x - u_y of the surface", "s-1"),
+    "divergence": ("divergence u_x + v_y of the surface", "s-1"),
+}
+
+
+def kinematics(cube: xr.Dataset) -> xr.Dataset:
+    """Slopes, nonlinear term, residual, vorticity and divergence at every node.
+
+    Parameters
+    ----------
+    cube : Dataset
+        z, z_t, u, v, w over (time, y, x), m and m/s, at mid-time. Lazy input gives a lazy result.
+
+    Returns
+    -------
+    Dataset
+        ``z_x``, ``z_y``, ``nonlinear`` (u . grad z), ``residual`` (z_t - w + u . grad z), ``vorticity``,
+        ``divergence`` (time, y, x).
+
+    Raises
+    ------
+    CubeError
+        If a variable is missing or the axes are uneven.
+
+    Notes
+    -----
+    Central differences of sixth order, of lower order in the three rows at each edge. Vorticity and divergence
+    are those of the surface water's horizontal velocity as a function of (x, y).
+    """
+    names = ("z", "z_t", "u", "v", "w")
+    _need(cube, *names)
+    _, dy, dx = check_axes(cube)
+
+    def compute(*fields: np.ndarray) -> tuple[np.ndarray, ...]:
+        return tuple(terms(*fields, dy=dy, dx=dx).values())
+
+    fields = [cube[name].transpose("time", "y", "x") for name in names]
+    results = xr.apply_ufunc(
+        compute,
+        *fields,
+        input_core_dims=[["y", "x"]] * len(names),
+        output_core_dims=[["y", "x"]] * len(_OUTPUTS),
+        dask="parallelized",
+        output_dtypes=[fields[0].dtype] * len(_OUTPUTS),
+        dask_gufunc_kwargs={"allow_rechunk": True},
+    )
+    out = xr.Dataset(dict(zip(_OUTPUTS, results)))
+    for name, (long_name, units) in _OUTPUTS.items():
+        out[name].attrs = {"long_name": long_name, "units": units}
+    return out
+
+
+def frame_elevations(z: Any, z_before: Any, z_after: Any, z_t: Any, dt: float) -> tuple[Any, Any]:
+    """Elevations of the two frames of a step from what a cube holds.
+
+    Parameters
+    ----------
+    z : array_like
+        Elevation at mid-time from four frames, m.
+    z_before, z_after : array_like
+        Rate of rise of the step before and of the step after, m/s.
+    z_t : array_like
+        Rate of rise of the step, m/s.
+    dt : float
+        Time between frames, s.
+
+    Returns
+    -------
+    start, end : array_like
+        Elevation at the step's first and second frame, m.
+
+    Notes
+    -----
+    z = (9 (z_0 + z_1) - z_-1 - z_2) / 16 gives (z_0 + z_1) / 2 = z + (dt / 16)(z_t after - z_t before); exact.
+    """
+    mean = z + (dt / 16) * (z_after - z_before)
+    return mean - (dt / 2) * z_t, mean + (dt / 2) * z_t
+
+
+def finite_residual_on_grid(
+    start: np.ndarray,
+    end: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+    w: np.ndarray,
+    dt: float,
+    dy: float,
+    dx: float,
+) -> np.ndarray:
+    """Residual of the finite-displacement form for one step.
+
+    Parameters
+    ----------
+    start, end : ndarray, (ny, nx)
+        Elevation at the two frames, m.
+    u, v, w : ndarray, (ny, nx)
+        Displacement over dt of the particle whose path has its mid-point at the node, divided by dt, m/s.
+    dt, dy, dx : float
+        Distances, s and m.
+
+    Returns
+    -------
+    ndarray, (ny, nx)
+        (z(x + d/2, t + dt) - z(x - d/2, t)) / dt - w, m/s; NaN near the edges.
+    """
+    ny, nx = start.shape
+    row, column = np.meshgrid(np.arange(ny, dtype=float), np.arange(nx, dtype=float), indexing="ij")
+    shift_y, shift_x = v * (dt / (2 * dy)), u * (dt / (2 * dx))
+    ends = []
+    for field, sign in ((end, 1), (start, -1)):
+        out = np.empty(ny * nx)
+        kernels.sample(
+            np.ascontiguousarray(field),
+            (row + sign * shift_y).ravel(),
+            (column + sign * shift_x).ravel(),
+            out,
+            _STENCIL,
+        )
+        ends.append(out.reshape(ny, nx))
+    return (ends[0] - ends[1]) / dt - w
+
+
+def finite_residual(cube: xr.Dataset) -> xr.DataArray:
+    """Kinematic residual in its exact form for finite displacements.
+
+    Parameters
+    ----------
+    cube : Dataset
+        z, z_t, u, v, w over (time, y, x), m and m/s. Lazy input gives a lazy result.
+
+    Returns
+    -------
+    DataArray, (time, y, x)
+        (z(x + d/2, t + dt) - z(x - d/2, t)) / dt - w with d = (u, v) dt, m/s. NaN at the first and last step, which
+        have no neighbour, and at the edges, from where the stencil runs out.
+
+    Raises
+    ------
+    CubeError
+        If a variable is missing or the axes are uneven.
+
+    Notes
+    -----
+    A particle stays on the surface, so on exact data this vanishes whatever the size of the displacements, while
+    the Eulerian form z_t - w + u . grad z keeps an error of third order in dt. z between nodes by Lagrange
+    polynomials through 8 x 8 nodes.
+    """
+    names = ("z", "z_t", "u", "v", "w")
+    _need(cube, *names)
+    dt, dy, dx = check_axes(cube)
+    z_t = cube["z_t"]
+    start, end = frame_elevations(cube["z"], z_t.shift(time=1), z_t.shift(time=-1), z_t, dt)
+
+    def compute(*fields: np.ndarray) -> np.ndarray:
+        flat = [field.reshape(-1, *field.shape[-2:]) for field in fields]
+        out = [finite_residual_on_grid(*step, dt=dt, dy=dy, dx=dx) for step in zip(*flat)]
+        return np.asarray(out).reshape(fields[0].shape)
+
+    out = xr.apply_ufunc(
+        compute,
+        *(array.transpose("time", "y", "x") for array in (start, end, cube["u"], cube["v"], cube["w"])),
+        input_core_dims=[["y", "x"]] * 5,
+        output_core_dims=[["y", "x"]],
+        dask="parallelized",
+        output_dtypes=[np.float64],
+        dask_gufunc_kwargs={"allow_rechunk": True},
+    )
+    out.attrs = {"long_name": "kinematic residual, finite displacements", "units": "m s-1"}
+    return out.rename("finite_residual")

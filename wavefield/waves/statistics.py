@@ -1,0 +1,332 @@
+"""Distributions and moments of the surface, and the internal errors of the measurement."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import dask
+import numpy as np
+import xarray as xr
+
+from wavefield.errors import CubeError
+from wavefield.variables import CUBE_DIMS
+from wavefield.waves import kernels, segments
+from wavefield.waves.kinematics import slopes
+from wavefield.waves.record import Record, find_record
+
+QUANTITIES = {
+    "z": "z",
+    "dx": "u",
+    "dy": "v",
+    "dz": "w",
+}  # quantity -> field; displacements are velocity times dt
+REACH, BINS = 6.0, 120  # of the distributions, in standard deviations
+_PILOT = 8  # steps that fix the bins
+_PIECE = 256  # steps of the error fields read at once
+ERRORS = {"eps_y": "m", "eps_piv": "px"}
+
+
+def pilot(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Rough mean and standard deviation from a few steps: they fix the bins of the distributions.
+
+    Parameters
+    ----------
+    cube : Dataset
+        Fields over (time, y, x).
+    record : Record
+        Rectangle and runs.
+    names : sequence of str
+        Fields.
+
+    Returns
+    -------
+    dict of str to (float, float)
+        Mean and standard deviation; 1 where a field is constant.
+    """
+    missing = set(record.bridged)
+    steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
+    chosen = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, _PILOT).astype(int)})
+    part = cube[list(names)].isel(time=chosen, y=slice(*record.y), x=slice(*record.x)).compute()
+    out = {}
+    for name in names:
+        values = part[name].values.astype(float)
+        values = values[np.isfinite(values)]
+        std = float(values.std()) if values.size else 0.0
+        out[name] = (float(values.mean()) if values.size else 0.0, std if std > 0 else 1.0)
+    return out
+
+
+def survey(
+    fields: Mapping[str, np.ndarray], scale: Mapping[str, tuple[float, float]]
+) -> dict[str, np.ndarray]:
+    """Count and sum what the statistics need of a piece of a record.
+
+    Parameters
+    ----------
+    fields : mapping of str to ndarray, (steps, ny, nx)
+        z, u, v, w; any of them.
+    scale : mapping of str to (float, float)
+        Rough mean and standard deviation of each.
+
+    Returns
+    -------
+    dict of str to ndarray
+        "sums name" (5,): count and first four powers about the rough mean; "counts name" (bins,).
+    """
+    out = {}
+    for name, values in fields.items():
+        mean, std = scale[name]
+        flat = values.reshape(values.shape[0], -1)
+        out[f"sums {name}"] = np.zeros(5)
+        kernels.moments(flat, mean, out[f"sums {name}"])
+        out[f"counts {name}"] = np.zeros(BINS, np.int64)
+        kernels.histogram(flat.ravel(), mean, std, REACH, out[f"counts {name}"])
+    return out
+
+
+def slope_square(z_y: np.ndarray, z_x: np.ndarray) -> np.ndarray:
+    """Sum of |grad z|^2 and number of nodes, (2,)."""
+    return np.array([np.vdot(z_y, z_y) + np.vdot(z_x, z_x), z_x.size], float)
+
+
+def central_moments(sums: np.ndarray, guess: float) -> dict[str, float]:
+    """Mean, standard deviation, skewness and excess kurtosis.
+
+    Parameters
+    ----------
+    sums : ndarray, (5,)
+        Count and the sums of the first four powers of (value - guess).
+    guess : float
+        The number taken off.
+
+    Returns
+    -------
+    dict of str to float
+        ``mean``, ``std``, ``skewness``, ``kurtosis``, ``count``.
+    """
+    n = sums[0]
+    if n == 0:
+        return dict.fromkeys(("mean", "std", "skewness", "kurtosis"), np.nan) | {"count": 0.0}
+    a1, a2, a3, a4 = sums[1:] / n
+    m2 = a2 - a1**2
+    m3 = a3 - 3 * a1 * a2 + 2 * a1**3
+    m4 = a4 - 4 * a1 * a3 + 6 * a1**2 * a2 - 3 * a1**4
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return {
+            "mean": guess + a1,
+            "std": float(np.sqrt(m2)),
+            "skewness": float(m3 / m2**1.5),
+            "kurtosis": float(m4 / m2**2 - 3),
+            "count": float(n),
+        }
+
+
+def rebin(counts: np.ndarray, scale: tuple[float, float], moments: Mapping[str, float]) -> np.ndarray:
+    """Probability density over (value - mean) / std from counts in rough bins, (bins,).
+
+    The cumulative count is interpolated, so that no value is lost but beyond the last bin.
+    """
+    edges = np.linspace(-REACH, REACH, BINS + 1)
+    if not moments["count"] or not moments["std"] > 0:
+        return np.full(BINS, np.nan)
+    rough = (edges * scale[1] + scale[0] - moments["mean"]) / moments["std"]
+    total = np.r_[0, np.cumsum(counts)]
+    return np.diff(np.interp(edges, rough, total)) / (np.diff(edges) * moments["count"])
+
+
+def bin_centres() -> np.ndarray:
+    """Centres of the bins, (bins,), in standard deviations."""
+    edges = np.linspace(-REACH, REACH, BINS + 1)
+    return (edges[1:] + edges[:-1]) / 2
+
+
+def label(
+    sums: Mapping[str, np.ndarray],
+    scale: Mapping[str, tuple[float, float]],
+    dt: float,
+    pixel_size: float | None,
+) -> xr.Dataset:
+    """Turn sums over a record into labelled statistics.
+
+    Parameters
+    ----------
+    sums : mapping of str to ndarray
+        What `survey` and `slope_square` (as "slopes") gave, summed.
+    scale : mapping of str to (float, float)
+        As given to `survey`.
+    dt : float
+        Time between frames, s.
+    pixel_size : float or None
+        m; None where it is not known.
+
+    Returns
+    -------
+    Dataset
+        As `statistics` gives it.
+    """
+    names = [name for name, field in QUANTITIES.items() if f"sums {field}" in sums]
+    rows = {}
+    for name in names:
+        field = QUANTITIES[name]
+        rows[name] = central_moments(sums[f"sums {field}"], scale[field][0])
+    pdf = [rebin(sums[f"counts {QUANTITIES[name]}"], scale[QUANTITIES[name]], rows[name]) for name in names]
+    bins = bin_centres()
+    to_length = np.array([1.0 if name == "z" else dt for name in names])
+    column = lambda key: np.array([rows[name][key] for name in names])  # noqa: E731
+    std = column("std") * to_length
+    out: dict[str, Any] = {
+        "pdf": (
+            ("quantity", "bin"),
+            np.array(pdf),
+            {"long_name": "probability density, standard deviation = 1", "units": "1"},
+        ),
+        "gaussian": (
+            "bin",
+            np.exp(-(bins**2) / 2) / np.sqrt(2 * np.pi),
+            {"long_name": "Gaussian", "units": "1"},
+        ),
+        "mean": ("quantity", column("mean") * to_length, {"long_name": "mean", "units": "m"}),
+        "std": ("quantity", std, {"long_name": "standard deviation", "units": "m"}),
+        "skewness": ("quantity", column("skewness"), {"long_name": "skewness", "units": "1"}),
+        "kurtosis": ("quantity", column("kurtosis"), {"long_name": "excess kurtosis", "units": "1"}),
+        "count": ("quantity", column("count"), {"long_name": "number of values", "units": "1"}),
+    }
+    if pixel_size:
+        out["std_px"] = ("quantity", std / pixel_size, {"long_name": "standard deviation", "units": "px"})
+    if "z" in names:
+        out["significant_height"] = (
+            (),
+            4 * rows["z"]["std"],
+            {"long_name": "significant wave height, 4 sigma", "units": "m"},
+        )
+    if "slopes" in sums:
+        square = float(sums["slopes"][0] / max(sums["slopes"][1], 1))
+        out["mean_square_slope"] = ((), square, {"long_name": "mean square slope", "units": "1"})
+        out["slope_rms"] = ((), float(np.sqrt(square)), {"long_name": "rms slope", "units": "1"})
+    coords = {
+        "quantity": ("quantity", names, {"long_name": "elevation, and displacement over one time step"}),
+        "bin": ("bin", bins, {"long_name": "(value - mean) / standard deviation", "units": "1"}),
+    }
+    return xr.Dataset(out, coords)
+
+
+def _measure(
+    blocks: Sequence[np.ndarray],
+    names: Sequence[str],
+    scale: Mapping[str, tuple[float, float]],
+    dy: float,
+    dx: float,
+) -> dict[str, np.ndarray]:
+    fields = dict(zip(names, blocks))
+    out = survey(fields, scale)
+    if "z" in fields:
+        out["slopes"] = slope_square(*slopes(fields["z"], dy, dx))
+    return out
+
+
+def statistics(
+    cube: xr.Dataset, *, record: Record | None = None, pixel_size: float | None = None
+) -> xr.Dataset:
+    """Distributions and moments of the elevation and of the displacements over one time step.
+
+    Parameters
+    ----------
+    cube : Dataset
+        z and, where present, u, v, w over (time, y, x), m and m/s.
+    record : Record, optional
+        Rectangle and runs; found from the cube if not given.
+    pixel_size : float, optional
+        Size of a pixel on the water, m; the attribute ``pixel_size`` of the cube if not given.
+
+    Returns
+    -------
+    Dataset
+        ``pdf`` (quantity, bin) beside ``gaussian`` (bin); ``mean``, ``std``, ``skewness``, ``kurtosis`` (excess),
+        ``count`` (quantity); ``std_px`` where the pixel size is known; ``significant_height``,
+        ``mean_square_slope``, ``slope_rms``. Computed at once.
+
+    Raises
+    ------
+    CubeError
+        If the cube has no z, or no full rectangle is left.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> axes = {"time": np.arange(64) * 0.05, "y": np.arange(30) * 0.01, "x": np.arange(40) * 0.01}
+    >>> cube = xr.Dataset({"z": (("time", "y", "x"), 0.01 * rng.standard_normal((64, 30, 40)))}, axes)
+    >>> round(float(statistics(cube).significant_height), 2)
+    0.04
+    """
+    if "z" not in cube:
+        raise CubeError("the cube has no 'z': statistics of the surface need it")
+    names = [field for field in QUANTITIES.values() if field in cube]
+    record = find_record(cube[names]) if record is None else record
+    scale = pilot(cube, record, names)
+    half = max(2, min(_PIECE, record.longest) // 2 * 2)
+
+    def make(*blocks: np.ndarray, first: int) -> dict[str, np.ndarray]:
+        return _measure(blocks, names, scale, record.dy, record.dx)
+
+    runs = segments.half_segments([cube[name] for name in names], record, half, make)
+    (sums,) = dask.compute(segments.in_order([part for run in runs for part in run]))
+    return label(sums, scale, record.dt, pixel_size or cube.attrs.get("pixel_size"))
+
+
+def _errors(block: Any, scale: tuple[float, float]) -> dict[str, np.ndarray]:
+    values = np.asarray(block).ravel()
+    return survey({"e": values[np.isfinite(values)][None, None]}, {"e": scale})
+
+
+def error_statistics(cube: xr.Dataset, record: Record) -> xr.Dataset:
+    """Distributions and moments of the internal errors ``eps_y`` and ``eps_piv``, where the cube has them.
+
+    Parameters
+    ----------
+    cube : Dataset
+        With ``eps_y`` (m), ``eps_piv`` (px) over (time, y, x), or without.
+    record : Record
+        Rectangle and runs.
+
+    Returns
+    -------
+    Dataset
+        ``eps_y_mean``, ``eps_y_std`` (m), ``eps_piv_mean``, ``eps_piv_std``, ``eps_piv_rms`` (px), ``eps_pdf``
+        (error, eps_bin); empty where the cube has neither. Missing values are left out.
+    """
+    names = [name for name in ERRORS if name in cube]
+    out: dict[str, Any] = {}
+    densities = []
+    if not names:
+        return xr.Dataset()
+    scales = pilot(cube, record, names)
+    task = dask.delayed(_errors, pure=False)
+    for name in names:
+        array = cube[name].transpose(*CUBE_DIMS).isel(y=slice(*record.y), x=slice(*record.x))
+        parts = []
+        for a, b in record.runs:
+            for first in range(a, b, _PIECE):
+                piece = array.isel(time=slice(first, min(first + _PIECE, b)))
+                parts.append(task(piece.data if piece.chunks is not None else piece.variable, scales[name]))
+        (sums,) = dask.compute(segments.in_order(parts))
+        moments = central_moments(sums["sums e"], scales[name][0])
+        unit = ERRORS[name]
+        rms = float(np.hypot(moments["mean"], moments["std"]))
+        for key, value in (("mean", moments["mean"]), ("std", moments["std"]), ("rms", rms)):
+            out[f"{name}_{key}"] = ((), value, {"long_name": f"{key} of {name}", "units": unit})
+        densities.append(rebin(sums["counts e"], scales[name], moments))
+    out["eps_pdf"] = (
+        ("error", "eps_bin"),
+        np.array(densities),
+        {"long_name": "probability density of the errors, standard deviation = 1", "units": "1"},
+    )
+    return xr.Dataset(
+        out,
+        {
+            "error": ("error", names),
+            "eps_bin": (
+                "eps_bin",
+                bin_centres(),
+                {"long_name": "(value - mean) / standard deviation", "units": "1"},
+            ),
+        },
+    )

@@ -1,0 +1,146 @@
+"""What the way of measuring does to a spectrum: gains of averages, differences and windows, and their undoing.
+
+All gains here are of power; b = omega dt / 2.
+"""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+_LEAST_GAIN = 0.1  # below it a correction would only blow up noise
+_LEAST_SIGNAL = 3.0  # signal over noise
+
+
+def gain_two_frames(omega: Any, dt: float) -> Any:
+    """Gain of the mean of two frames, cos^2 b.
+
+    Parameters
+    ----------
+    omega : array_like
+        Angular frequency, rad/s.
+    dt : float
+        Time between frames, s.
+
+    Returns
+    -------
+    array_like
+        Gain of power, 0 to 1.
+
+    Examples
+    --------
+    >>> round(float(gain_two_frames(2 * np.pi * 5, 0.05)), 2)
+    0.5
+    """
+    return np.cos(omega * dt / 2) ** 2
+
+
+def gain_four_frames(omega: Any, dt: float) -> Any:
+    """Gain of the cubic through four frames at its middle, ((9 cos b - cos 3b) / 8)^2.
+
+    Parameters
+    ----------
+    omega : array_like
+        Angular frequency, rad/s.
+    dt : float
+        Time between frames, s.
+
+    Returns
+    -------
+    array_like
+        Gain of power, 0 to 1.
+    """
+    b = omega * dt / 2
+    return ((9 * np.cos(b) - np.cos(3 * b)) / 8) ** 2
+
+
+def gain_displacement(omega: Any, dt: float) -> Any:
+    """Gain of a velocity taken from the displacement over dt, (sin b / b)^2.
+
+    Parameters
+    ----------
+    omega : array_like
+        Angular frequency, rad/s.
+    dt : float
+        Time between frames, s.
+
+    Returns
+    -------
+    array_like
+        Gain of power, 0 to 1.
+    """
+    return np.sinc(omega * dt / (2 * np.pi)) ** 2
+
+
+def elevation_from_w(omega: Any, dt: float) -> Any:
+    """Factor from the spectrum of w to that of the elevation, (dt / 2)^2 / sin^2 b; infinite at omega = 0.
+
+    Parameters
+    ----------
+    omega : array_like
+        Angular frequency, rad/s.
+    dt : float
+        Time between frames, s.
+
+    Returns
+    -------
+    array_like
+        s2.
+
+    Notes
+    -----
+    Exact for finite displacements: w dt is the difference of two elevations, whose gain is 2 i sin b. Dividing
+    by omega^2 instead is wrong by sinc^2 b.
+    """
+    with np.errstate(divide="ignore"):
+        return (dt / 2) ** 2 / np.sin(omega * dt / 2) ** 2
+
+
+def gain_box(kx: Any, ky: Any, width: float) -> Any:
+    """Gain of the mean over a square box, (sin(kx a/2) / (kx a/2))^2 times the same in y.
+
+    Parameters
+    ----------
+    kx, ky : array_like
+        Wavenumbers, rad/m.
+    width : float
+        Side a of the box, m.
+
+    Returns
+    -------
+    array_like
+        Gain of power, 0 to 1.
+
+    Examples
+    --------
+    A 4 cm box at 10 cm wavelength:
+
+    >>> round(float(gain_box(2 * np.pi / 0.1, 0.0, 0.04)), 2)
+    0.57
+    """
+    return (np.sinc(kx * width / (2 * np.pi)) * np.sinc(ky * width / (2 * np.pi))) ** 2
+
+
+def undo(energy: xr.DataArray, gain: xr.DataArray, noise: xr.DataArray | float = 0.0) -> xr.Dataset:
+    """Divide a spectrum by a power gain where that can be trusted.
+
+    Parameters
+    ----------
+    energy : DataArray
+        A spectrum as measured, noise included.
+    gain : DataArray
+        Power gain over some of its dimensions, from a calibration on simulated images or one of this module.
+    noise : DataArray or float, optional
+        Noise in the spectrum; taken off first.
+
+    Returns
+    -------
+    Dataset
+        ``E``, corrected (NaN where not valid), and ``valid``: gain above 0.1 and signal above 3 times the noise.
+    """
+    signal = energy - noise
+    valid = (gain > _LEAST_GAIN) & (signal > _LEAST_SIGNAL * noise)
+    corrected = (signal / gain).where(valid)
+    corrected.attrs = dict(energy.attrs)
+    valid.attrs = {"long_name": "where the correction can be trusted", "units": "1"}
+    return xr.Dataset({"E": corrected, "valid": valid})
