@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from wavefield.errors import FrameError
-from wavefield.matching.displacement import Displacement, Reason
+from wavefield.matching.assess import assess
+from wavefield.matching.displacement import Displacement
 from wavefield.matching.kernels import (
     BLOCK,
     F,
@@ -33,7 +34,6 @@ from wavefield.matching.settings import Settings
 
 _RIDGE = 0.01  # of the mean trace of the windowed Hessians: keeps steps small where there is little to see
 _LONGEST_STEP = 1.5  # px
-_SOME = F(1e-6)
 
 Initial = Displacement | tuple[np.ndarray | float, np.ndarray | float] | None
 
@@ -244,98 +244,29 @@ def _finest(a: Level, b: Level, u: np.ndarray, v: np.ndarray, count: int, settin
     work = scratch(u.shape[1])
     c2b2 = F(settings.robust**2 * settings.robust_beta**2 / 4)
     c2 = np.zeros(u.shape, np.float32)
-    if not settings.robust:
-        u, v = _plain_steps(a, b, u, v, count - 1, settings.smoother_sigma, settings)
-        first = count - 1
-    else:
-        first = 0
-    for number in range(first, count):
-        last = number == count - 1
-        sums = np.empty((12 if last else 6, *u.shape), np.float32)
-        kernel = final_sums if last else robust_sums
+    plain = 0 if settings.robust else count - 1
+    u, v = _plain_steps(a, b, u, v, plain, settings.smoother_sigma, settings)
+    for number in range(plain, count):
+        kernel, fields = (robust_sums, 6) if number < count - 1 else (final_sums, 12)
+        sums = np.empty((fields, *u.shape), np.float32)
         kernel(smooth, gx, gy, b.padded, u, v, slopes(u, v), c2, c2b2, out=sums, **work)
         weight = _weights(a, b, u, v)
         sums *= weight
         share = filtered(weight, windows.weights)
-        seen = windows(sums[:6])
+        windowed = windows(sums)
         before = u, v
+        limit, trust = _limit(number, settings), _trust(share, masked)
         u, v, outlier = _advance(
-            u,
-            v,
-            seen[2:5],
-            seen[:2],
-            _trust(share, masked),
-            _limit(number, settings),
-            settings.smoother_sigma,
-            settings,
+            u, v, windowed[2:5], windowed[:2], trust, limit, settings.smoother_sigma, settings
         )
         if settings.robust:
-            spread = seen[5] / (F(BLOCK * BLOCK) * np.maximum(share, F(1e-3)))
-            least = F(1e-6) * F(spread.mean()) + F(1e-12)
-            c2 = 1 / (F(settings.robust**2) * np.maximum(spread, least))
-    extra = windows(sums[6:])
-    n = np.maximum(share, F(1e-3)) * F(BLOCK * BLOCK)
-    correlation = _correlation(extra[0] / n, extra[1] / n, extra[2] / n, seen[5] / n, extra[3] / n)
-    gain = np.clip(extra[4] / np.maximum(extra[5], _SOME), F(0.3), F(1.05))
-    du, dv = u - before[0], v - before[1]
-    score_x = sums[0] - gain * (sums[2] * du + sums[3] * dv)
-    score_y = sums[1] - gain * (sums[3] * du + sums[4] * dv)
-    xx, xy, yy = seen[2:5] * gain
-    ridge = F(1e-4) * F((xx + yy).mean()) + F(1e-12)
-    xx, yy = xx + ridge, yy + ridge
-    det = np.maximum(xx * yy - xy * xy, F(1e-30))
-    ny, nx = u.shape
-    reason = _reasons(a, b, u, v, outlier, correlation, extra[4] / n, settings)
-    return Displacement(
-        x=np.arange(nx) * float(BLOCK) + (BLOCK - 1) / 2,
-        y=np.arange(ny) * float(BLOCK) + (BLOCK - 1) / 2,
-        u=u,
-        v=v,
-        correlation=correlation,
-        reason=reason,
-        influence_u=(yy * score_x - xy * score_y) / det,
-        influence_v=(xx * score_y - xy * score_x) / det,
-        gain=float(np.median(gain[reason == 0])) if np.any(reason == 0) else 1.0,
-        settings=settings,
-    )
+            c2 = _sharpness(windowed[5], share, settings)
+    moved = u - before[0], v - before[1]
+    return assess(a, b, u, v, sums, windowed, share, moved, outlier, settings)
 
 
-def _correlation(a: np.ndarray, aa: np.ndarray, r: np.ndarray, rr: np.ndarray, ar: np.ndarray) -> np.ndarray:
-    """Normalised correlation of a and b = a - r from windowed means."""
-    var_a, var_r, cov_ar = aa - a * a, rr - r * r, ar - a * r
-    var_b = var_a - 2 * cov_ar + var_r
-    product = np.maximum(var_a, 0) * np.maximum(var_b, 0)
-    least = (F(1e-4) * F(np.maximum(var_a, 0).mean()) + F(1e-12)) ** 2
-    return np.clip((var_a - cov_ar) / np.sqrt(np.maximum(product, least)), F(-1), F(1))
-
-
-def _reasons(
-    a: Level,
-    b: Level,
-    u: np.ndarray,
-    v: np.ndarray,
-    outlier: np.ndarray,
-    correlation: np.ndarray,
-    energy: np.ndarray,
-    settings: Settings,
-) -> np.ndarray:
-    """Bits of `Reason` per block."""
-    reason = np.zeros(u.shape, np.uint8)
-    weight = np.empty(u.shape, np.float32)
-    none = np.empty((0, 0), np.uint8)
-    block_weights(none, none, u, v, *b.shape, weight)
-    inside = weight > 0
-    reason[~inside] |= np.uint8(Reason.EDGE)
-    if a.good.size or b.good.size:
-        block_weights(a.good, b.good, u, v, *b.shape, weight)
-        reason[inside & (weight == 0)] |= np.uint8(Reason.MASKED)
-    seen = weight > 0
-    typical = float(np.median(energy[seen])) if seen.any() else 0.0
-    reason[energy <= max(settings.min_gradient_energy * typical, 1e-12)] |= np.uint8(Reason.TEXTURE)
-    reason[correlation < settings.min_correlation] |= np.uint8(Reason.CORRELATION)
-    reason[outlier] |= np.uint8(Reason.NEIGHBOURS)
-    if settings.search_x is not None and settings.search_y is not None:
-        slack = 2 ** (settings.levels - 1)
-        for field, (low, high) in ((u, settings.search_x), (v, settings.search_y)):
-            reason[(field < low - slack) | (field > high + slack)] |= np.uint8(Reason.RANGE)
-    return reason
+def _sharpness(rr: np.ndarray, share: np.ndarray, settings: Settings) -> np.ndarray:
+    """1 / (c s)^2 of the robust weights from the windowed sums of squared residuals."""
+    variance = rr / (F(BLOCK * BLOCK) * np.maximum(share, F(1e-3)))
+    least = F(1e-6) * F(variance.mean()) + F(1e-12)
+    return 1 / (F(settings.robust**2) * np.maximum(variance, least))

@@ -7,7 +7,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from wavefield.matching.lattice import BORDER, filtered, gaussian, window_sigma
+from wavefield.matching.lattice import BLOCK, BORDER, filtered, gaussian, window_sigma
 from wavefield.matching.settings import Settings
 
 _N = 128  # blocks: period of the Fourier transforms below
@@ -97,18 +97,19 @@ def std_from_influence(
 
     Notes
     -----
-    sigma^2 = K^2 * (sum over n x n of the influences)^2 / (n^2 c) with n = 5; c = 1 - 2 sum_nxn K + n^2 sum
-    K^2 gives back what the fit itself took out of the residuals; * is convolution over the lattice, K the
-    transfer kernel. With `field`, ((1 - K *) field)^2 is added.
+    sigma^2 = K^2 * (sum over n x n of the influences)^2 / (n^2 c) with n = 5, less where the window is not wider
+    than that; c = 1 - 2 sum_nxn K + n^2 sum K^2 gives back what the fit itself took out of the residuals; * is
+    convolution over the lattice, K the transfer kernel. With `field`, ((1 - K *) field)^2 is added.
     """
     gain = round(float(gain), 2)
     kernel = transfer_kernel(settings, gain).astype(float)
+    side = min(_CLUSTER, (int(settings.window / BLOCK) - 1) // 2 * 2 + 1)
     r = len(kernel) // 2
-    near = slice(r - _CLUSTER // 2, r + _CLUSTER // 2 + 1)
-    freedom = max(1 - 2 * kernel[near, near].sum() + _CLUSTER**2 * (kernel**2).sum(), 0.25)
-    clusters = filtered(np.ascontiguousarray(influence, np.float32), np.ones(_CLUSTER, np.float32))
+    near = slice(r - side // 2, r + side // 2 + 1)
+    freedom = max(1 - 2 * kernel[near, near].sum() + side**2 * (kernel**2).sum(), 0.25)
+    clusters = filtered(np.ascontiguousarray(influence, np.float32), np.ones(side, np.float32))
     variance = _convolved(clusters * clusters, _separable(settings, gain, 2))
-    variance *= np.float32(1 / (_CLUSTER**2 * freedom))
+    variance *= np.float32(1 / (side**2 * freedom))
     if field is not None:
         lost = field - _convolved(np.ascontiguousarray(field, np.float32), _separable(settings, gain, 1)) / (
             np.float32(kernel.sum())
