@@ -17,7 +17,7 @@ def _stereo() -> matching.Settings:
 
 
 def _piv() -> matching.Settings:
-    return matching.Settings.piv(window=14.0, smoother_sigma=1.2)
+    return matching.Settings.piv(window=16.0, smoother_sigma=1.5)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from wavefield.variables import Quality
 
 Float = NDArray[Any]
 
-_STD_FLOOR = 0.003  # px: the bias that interpolation leaves
+_STD_FLOOR = 0.006  # px: what interpolation leaves and neighbouring blocks share
 
 
 @dataclass(frozen=True)
