@@ -117,7 +117,7 @@ def test_rig_is_drawn_with_its_cameras():
         assert f"seen by {name}" in text
     frames = {name: np.zeros(rig[name].size[::-1], "uint8") for name in rig}
     picture = figures.camera_frames(frames, rig, grid)
-    assert "cam3, middle of the grid" in labels(picture)
+    assert "cam3, middle 10 cm" in labels(picture)
 
 
 def test_diagram_names_the_cameras_of_the_run():

@@ -45,7 +45,9 @@ def beside(store: Path, kind: str, ending: str) -> Path:
     help="Steps per Welch segment; by default chosen from the record.",
 )
 @click.option(
-    "--probes", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="CSV of wave probes."
+    "--probes",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="CSV of wave probes; by default those that the experiment file names.",
 )
 def analyze(store: Path, output: Path | None, segment: int | None, probes: Path | None) -> None:
     """Compute the waves of a cube: spectra, coherence, statistics.
@@ -56,9 +58,24 @@ def analyze(store: Path, output: Path | None, segment: int | None, probes: Path 
     from wavefield.waves import analyze as analyze_cube
 
     output = output or beside(store, "waves", ".zarr")
+    probes = probes or _probes_of(store)
     with Progress(f"Analysing {store}") as progress:
         analyze_cube(store, output, segment=segment, probes=probes, progress=progress)
     click.echo(f"Wrote {output}. Next: wavefield report {store}")
+
+
+def _probes_of(store: Path) -> Path | None:
+    """Probes that the experiment of a cube names, if its file is still there."""
+    from wavefield.cubes import open_cube
+    from wavefield.errors import ExperimentError
+    from wavefield.series import Experiment
+
+    try:
+        experiment = Experiment.load(str(open_cube(store).attrs.get("experiment_file", "")))
+    except ExperimentError:
+        return None
+    path = experiment.resolve(experiment.probes) if experiment.probes else None
+    return path if path is not None and path.is_file() else None
 
 
 @click.command(epilog="\b\nExample:\n  wavefield report cube.zarr      # writes report.html beside it")

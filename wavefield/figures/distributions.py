@@ -7,7 +7,16 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from wavefield.figures.style import LINES, POSITIVE, densities, draw_map, limit, panels, plain_axes
+from wavefield.figures.style import (
+    LINES,
+    POSITIVE,
+    densities,
+    draw_map,
+    limit,
+    map_panels,
+    panels,
+    plain_axes,
+)
 
 _COMPONENTS = {"u": "dx = u dt", "v": "dy = v dt", "w": "dz = w dt"}
 
@@ -65,7 +74,7 @@ def distributions(cube: xr.Dataset) -> Figure:
     _draw_gaussian(axes[0, 1], widest, 0.0, 5 * widest)
     axes[0, 1].set(xlabel="displacement in one step (cm)", ylabel="probability density (cm⁻¹)")
     for ax in axes[0]:
-        plain_axes(ax, loc="lower center")
+        plain_axes(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return figure
 
 
@@ -98,8 +107,8 @@ def error_distributions(errors: xr.Dataset, pixel: float) -> Figure:
         for style, (label, error) in zip(LINES[1:], piece.items(), strict=False):
             _draw_density(ax, error.astype(float), "px", label, style, span)
         ax.set(xlabel="measured − exact (px)", ylabel="probability density (px⁻¹)")
-        plain_axes(ax, loc="lower center")
-    axes[0, 0].set_title(f"1 px = {1e3 * pixel:.3g} mm on the water", loc="left")
+        plain_axes(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    axes[0, 0].set_xlabel(f"measured − exact (px; 1 px = {1e3 * pixel:.3g} mm on the water)")
     return figure
 
 
@@ -118,7 +127,7 @@ def error_maps(errors: xr.Dataset, pixel: float) -> Figure:
     Figure
     """
     rate = float(errors.attrs["frame_rate"])
-    figure, axes = panels(2)
+    figure, axes = map_panels(errors.z, 2)
     for ax, name, scale, label in zip(
         axes[0], ("z", "w"), (1 / pixel, 1 / (rate * pixel)), ("z", "dz = w dt"), strict=True
     ):

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from wavefield.figures.style import LINES, draw_map, limit, moment_title, panels, plain_axes
+from wavefield.figures.style import LINES, draw_map, limit, map_panels, moment_title, panels, plain_axes
 
 
 def kinematic_terms(snapshot: xr.Dataset) -> xr.Dataset:
@@ -42,7 +42,7 @@ def kinematics_maps(snapshot: xr.Dataset) -> Figure:
     the nonlinear term, so that one sees which part of it is measured.
     """
     terms = kinematic_terms(snapshot)
-    figure, axes = panels(2, 2, width=5.4, height=4.2)
+    figure, axes = map_panels(snapshot.z, 2, 2)
     draw_map(axes[0, 0], snapshot.z, "z (cm)", factor=100, title=f"elevation, {moment_title(snapshot)}")
     draw_map(axes[0, 1], snapshot.w, "w (cm s⁻¹)", factor=100, title="vertical velocity")
     half = 100 * limit(terms.nonlinear)

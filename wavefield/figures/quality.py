@@ -4,7 +4,16 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from wavefield.figures.style import LINES, POSITIVE, densities, draw_map, limit, panels, plain_axes
+from wavefield.figures.style import (
+    LINES,
+    POSITIVE,
+    densities,
+    draw_map,
+    limit,
+    map_panels,
+    panels,
+    plain_axes,
+)
 from wavefield.variables import FrameStatus, Quality
 
 _REASONS = {
@@ -49,7 +58,7 @@ def coverage_map(cube: xr.Dataset) -> Figure:
     Figure
     """
     shares = quality_shares(cube.quality, ("time",)).compute()
-    figure, axes = panels(2)
+    figure, axes = map_panels(cube.quality, 2)
     for ax, name in zip(axes[0], ("measured", "filled from neighbours"), strict=True):
         draw_map(ax, shares[name], "share of time (%)", factor=100, cmap=POSITIVE, scale=(0, 100), title=name)
     return figure
@@ -96,7 +105,7 @@ def misfit_maps(cube: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    figure, axes = panels(2)
+    figure, axes = map_panels(cube.eps_y, 2)
     for ax, name, label, factor in zip(
         axes[0], ("eps_y", "eps_piv"), ("rms eps_y (mm)", "rms eps' (px)"), (1e3, 1.0), strict=True
     ):
@@ -156,7 +165,7 @@ def uncertainty_maps(cube: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    figure, axes = panels(2, 2)
+    figure, axes = map_panels(cube.z_std, 2, 2)
     for ax, name in zip(axes.flat, ("z_std", "u_std", "v_std", "w_std"), strict=True):
         middle = _median_in_time(cube[name])
         unit, factor = ("mm", 1e3) if name == "z_std" else ("mm s⁻¹", 1e3)

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
-from wavefield.figures.style import LINES, panels, plain_axes
+from wavefield.figures.style import LINES, panels
 from wavefield.grid import Grid
 from wavefield.rig import Rig
 
@@ -32,32 +32,38 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
     Counterpart of the paper's sketches of the set-up and of the apparent coordinates: a line of sight through
     a point at height z meets the plane z = 0 at x_a = x - D z.
     """
-    figure, axes = panels(3, width=4.4, height=4.2)
+    figure, axes = panels(3, width=3.9, height=4.0)
     side, above, near = axes[0]
     x0, y0 = np.mean(grid.x), np.mean(grid.y)
     corners_x = [grid.x[0], grid.x[1], grid.x[1], grid.x[0], grid.x[0]]
     corners_y = [grid.y[0], grid.y[0], grid.y[1], grid.y[1], grid.y[0]]
-    side.plot(grid.x, [0, 0], color="0.2", linewidth=3, label="grid")
-    above.plot(corners_x, corners_y, color="0.2", linewidth=2, label="grid")
+    side.plot(grid.x, [0, 0], color="0.2", linewidth=3)
+    above.plot(corners_x, corners_y, color="0.2", linewidth=2, label="grid on the water at rest")
     for style, (name, camera) in zip(LINES[1:] * len(rig), rig.cameras.items(), strict=False):
         cx, cy, cz = camera.centre
         for end in grid.x:
-            side.plot([cx, end], [cz, 0], linewidth=0.8, color=style["color"], linestyle=style["linestyle"])
-        side.plot(cx, cz, "o", color=style["color"], label=name)
+            side.plot([cx, end], [cz, 0], **style | {"linewidth": 0.8})
         seen = np.vstack([camera.corners(0.0), camera.corners(0.0)[:1]])
         above.plot(*seen.T, label=f"seen by {name}", **style)
-        above.plot(cx, cy, "o", color=style["color"])
+        for ax, height_or_y in ((side, cz), (above, cy)):
+            ax.plot(cx, height_or_y, "o", color=style["color"])
+            ax.annotate(name, (cx, height_or_y), textcoords="offset points", xytext=(0, 7), ha="center")
         dx, _ = camera.sight_line(x0, y0, height)
         apparent = x0 - float(dx) * height
-        near.plot([100 * apparent, 100 * (x0 + float(dx) * height)], [0, 200 * height], label=name, **style)
+        near.plot([100 * apparent, 100 * (x0 + float(dx) * height)], [0, 200 * height], **style)
         near.plot(100 * apparent, 0, "v", color=style["color"], markersize=8)
     near.axhline(0, color="0.2", linewidth=2)
     near.plot(100 * x0, 100 * height, "o", color="black", label="point on the surface")
     side.set(xlabel="x (m)", ylabel="z (m)", title="from the side", aspect="equal")
+    side.margins(0.12)
     above.set(xlabel="x (m)", ylabel="y (m)", title="from above", aspect="equal")
-    near.set(xlabel="x (cm)", ylabel="z (cm)", title="one point, its apparent positions (▼)", aspect="equal")
+    low, high = above.get_xlim()
+    above.set_ylim(y0 - (high - low) / 2.6, y0 + (high - low) / 2.6)
+    above.margins(x=0.12)
+    near.set(xlabel="x (cm)", ylabel="z (cm)", title="one point, apparent positions ▼", aspect="equal")
     for ax in axes[0]:
-        plain_axes(ax, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
+        ax.grid(True, color="0.9", linewidth=0.7)
+    figure.legend(loc="outside lower center", ncols=len(rig) + 2, frameon=False, fontsize=9)
     return figure
 
 
@@ -95,11 +101,12 @@ def camera_frames(frames: Mapping[str, np.ndarray], rig: Rig, grid: Grid) -> Fig
         top.set(
             title=name, xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5), xlabel="column (px)", ylabel="row (px)"
         )
-        half = 50
-        cx, cy = (float(v) for v in camera.project(np.mean(grid.x), np.mean(grid.y), 0.0))
+        middle = np.mean(grid.x), np.mean(grid.y)
+        cx, cy = (float(v) for v in camera.project(*middle, 0.0))
+        half = 0.05 * float(np.abs(np.linalg.det(camera.jacobian(*middle, 0.0)[:, :2])) ** 0.5)
         bottom.imshow(image, interpolation="nearest", **shown)
         bottom.set(xlim=(cx - half, cx + half), ylim=(cy + half, cy - half))
-        bottom.set(title=f"{name}, middle of the grid", xlabel="column (px)", ylabel="row (px)")
+        bottom.set(title=f"{name}, middle 10 cm", xlabel="column (px)", ylabel="row (px)")
         top.plot(
             [cx - half, cx + half, cx + half, cx - half, cx - half],
             [cy - half, cy - half, cy + half, cy + half, cy - half],

@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from wavefield.figures.style import LINES, POSITIVE, edges, panels, plain_axes
+from wavefield.figures.style import LINES, POSITIVE, colour_bar, edges, panels, plain_axes
 
 _UNITS = {"z": "m² (rad/m)⁻¹ (rad/s)⁻¹", "w": "m² s⁻² (rad/m)⁻¹ (rad/s)⁻¹"}
 _ROADS = {
@@ -53,7 +53,7 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
         rasterized=True,
     )
     ax.set_facecolor("#440154")  # the lowest colour: below the scale is not missing
-    figure.colorbar(mesh, ax=ax, label=f"E^{name}(k, ω) ({_UNITS.get(name, 'SI')})", extend="both", pad=0.02)
+    colour_bar(ax, mesh, f"E^{name}(k, ω) ({_UNITS.get(name, 'SI')})")
     if dispersion is not None and "omega_theory" in dispersion:
         k = dispersion.k.values / (2 * np.pi)
         curve = dispersion.omega_theory.values / (2 * np.pi)
@@ -102,7 +102,7 @@ def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, na
             rasterized=True,
         )
         ax.set_facecolor("#440154")
-        figure.colorbar(mesh, ax=ax, label=f"E^{name}(k, ω) (SI)", extend="both", shrink=0.8, pad=0.02)
+        colour_bar(ax, mesh, f"E^{name}(k, ω) (SI)")
         radius = _radius(dispersion, omegas[i])
         if radius:
             turn = np.linspace(0, 2 * np.pi, 181)
@@ -268,9 +268,8 @@ def dispersion_ridge(dispersion: xr.Dataset) -> Figure:
     if "omega_fit" in dispersion:
         left.plot(k, dispersion.omega_fit.values / (2 * np.pi), label="fitted surface tension", **LINES[2])
     left.set(xlabel="k / 2π (m⁻¹)", ylabel="ω / 2π (Hz)", xlim=(0, None), ylim=(0, None))
-    band = dispersion.ridge_error
     right.axhline(0, color="0.3", linewidth=0.8)
-    right.plot(band.band_frequency.values, 100 * band.values, marker="o", **LINES[1])
+    right.plot(dispersion.band_frequency.values, 100 * dispersion.ridge_error.values, marker="o", **LINES[1])
     right.set(xlabel="ω / 2π (Hz)", ylabel="ridge against theory (%)")
     for ax in axes[0]:
         plain_axes(ax)
@@ -337,6 +336,6 @@ def bicoherence_map(higher_order: xr.Dataset) -> Figure:
             cmap=POSITIVE,
             rasterized=True,
         )
-        figure.colorbar(mesh, ax=ax, label=f"{name} (1)", shrink=0.85, pad=0.02)
+        colour_bar(ax, mesh, f"{name} (1)", "neither")
         ax.set(xlabel="ω₂ / 2π (Hz)", ylabel="ω₁ / 2π (Hz)", title=f"{name}, grey: chance", aspect="equal")
     return figure

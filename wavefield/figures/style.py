@@ -4,6 +4,7 @@ Colour maps: red-blue, balanced about zero, for signed fields; cividis for posit
 order for colour-blind readers. Lines differ by dash as well as by colour.
 """
 
+import io
 from collections.abc import Sequence
 from typing import Any
 
@@ -36,6 +37,15 @@ _RC: Any = {
 }
 
 
+class _Shown(Figure):
+    """A figure that a notebook shows by itself, whatever its backend."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png", dpi=100)
+        return buffer.getvalue()
+
+
 def panels(columns: int, rows: int = 1, *, width: float = 5.2, height: float = 4.1) -> tuple[Figure, Any]:
     """Make a figure with panels, without any global state.
 
@@ -52,9 +62,31 @@ def panels(columns: int, rows: int = 1, *, width: float = 5.2, height: float = 4
     axes : ndarray of Axes, (rows, columns)
     """
     with matplotlib.rc_context(_RC):
-        figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
+        figure = _Shown(figsize=(width * columns, height * rows), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False)
     return figure, axes
+
+
+def map_panels(field: xr.DataArray, columns: int, rows: int = 1, *, width: float = 5.2) -> tuple[Figure, Any]:
+    """Make a figure with panels of the shape of a field's rectangle.
+
+    Parameters
+    ----------
+    field : DataArray, (y, x) or more
+        What will be drawn.
+    columns, rows : int
+        Number of panels.
+    width : float
+        Of one panel, inches.
+
+    Returns
+    -------
+    figure : Figure
+    axes : ndarray of Axes, (rows, columns)
+    """
+    wide, high = (float(np.ptp(field[d].values)) or 1.0 for d in ("x", "y"))
+    height = float(np.clip(0.74 * width * high / wide + 0.85, 1.6, 1.5 * width))
+    return panels(columns, rows, width=width, height=height)
 
 
 def panel_3d(*, width: float = 7.2, height: float = 4.8) -> tuple[Figure, Any]:
@@ -71,7 +103,7 @@ def panel_3d(*, width: float = 7.2, height: float = 4.8) -> tuple[Figure, Any]:
     axes : Axes3D
     """
     with matplotlib.rc_context(_RC):
-        figure = Figure(figsize=(width, height), layout="constrained")
+        figure = _Shown(figsize=(width, height), layout="constrained")
         axes = figure.add_subplot(projection="3d")
     return figure, axes
 
@@ -167,8 +199,26 @@ def draw_map(
     )
     axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", title=title)
     beyond = "neither" if scale == (0, 100) else "max" if scale[0] == 0 else "both"
-    axes.figure.colorbar(mesh, ax=axes, label=label, extend=beyond, shrink=0.85, pad=0.02)
+    colour_bar(axes, mesh, label, beyond)
     return mesh
+
+
+def colour_bar(axes: Axes, drawn: Any, label: str, extend: str = "both") -> None:
+    """Put a colour bar beside a panel, as high as the panel.
+
+    Parameters
+    ----------
+    axes : Axes
+        The panel.
+    drawn : ScalarMappable
+        What has colours.
+    label : str
+        With the unit.
+    extend : str, default "both"
+        Which ends have values beyond them.
+    """
+    bar = axes.inset_axes((1.025, 0.0, 0.035, 1.0))
+    axes.figure.colorbar(drawn, cax=bar, label=label, extend=extend)
 
 
 def moment_title(snapshot: xr.Dataset) -> str:

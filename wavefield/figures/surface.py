@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from wavefield.figures.style import SIGNED, draw_map, limit, moment_title, panel_3d, panels
+from wavefield.figures.style import SIGNED, draw_map, limit, map_panels, moment_title, panel_3d
 
 _MOST_POLYGONS = 70  # per axis in 3D: more takes seconds and looks the same
 
@@ -34,7 +34,7 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
     half = limit(w)
     colours = Normalize(-half, half)
     mapped = figure.colorbar(
-        _mappable(colours), ax=axes, label="w (cm s⁻¹)", shrink=0.6, pad=0.08, extend="both"
+        _mappable(colours), ax=axes, label="w (cm s⁻¹)", shrink=0.6, pad=0.13, extend="both"
     ).mappable
     x, y = np.meshgrid(part.x.values, part.y.values)
     faces = mapped.to_rgba(w)
@@ -118,7 +118,7 @@ def velocity_map(snapshot: xr.Dataset) -> Figure:
     -----
     Counterpart of the paper's velocity snapshot.
     """
-    figure, axes = panels(1, width=7.2, height=4.8)
+    figure, axes = map_panels(snapshot.w, 1, width=7.4)
     draw_map(axes[0, 0], snapshot.w, "w (cm s⁻¹)", factor=100)
     axes[0, 0].set_title(moment_title(snapshot), loc="left")
     draw_vectors(axes[0, 0], snapshot)
@@ -137,6 +137,6 @@ def elevation_map(snapshot: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    figure, axes = panels(1, width=7.2, height=4.8)
+    figure, axes = map_panels(snapshot.z, 1, width=7.4)
     draw_map(axes[0, 0], snapshot.z, "z (cm)", factor=100, title=moment_title(snapshot))
     return figure

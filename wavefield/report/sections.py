@@ -127,7 +127,7 @@ def setup(sources: Sources) -> Section:
             Picture(
                 figures.camera_frames(frames, rig, grid),
                 "One frame of each camera with the outline of the grid on the water at rest (yellow), and "
-                "the middle "
+                "the middle 10 cm "
                 "of it enlarged (blue square), to judge the seeding.",
                 "Images of "
                 + ", ".join(f"{n}, {f.shape[1]} x {f.shape[0]} px" for n, f in frames.items())
@@ -267,6 +267,7 @@ def spectra(sources: Sources) -> Section:
     values = group.E_komega_w.values
     positive = values[values > 0]
     decades = float(np.log10(positive.max() / np.median(positive))) if positive.size else 0.0
+    section.items += [Text(note) for note in sources.waves_notes.splitlines() if note]
     share = (
         ""
         if dispersion is None or "ridge_share" not in dispersion
@@ -544,6 +545,8 @@ def coverage(sources: Sources) -> Section:
         if faulty.size > 500:
             lines.append(f"... and {faulty.size - 500} more")
         section.items.append(Listing(f"The {faulty.size} steps with faults", "\n".join(lines)))
+    if sources.bad_frames:
+        section.items.append(Listing("Frames that were missing or bad", "\n".join(sources.bad_frames)))
     return section
 
 

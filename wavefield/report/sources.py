@@ -34,8 +34,8 @@ class Sources:
         The experiment file, if it is still where it was.
     truth : Dataset, optional
         The exact fields of a simulated experiment, on the steps and nodes of the cube.
-    frame_fault : DataArray, (camera, frame), optional
-        What was wrong with each frame.
+    bad_frames : tuple of str
+        Frames that were missing or bad, in words.
     notes : list of str
         What is missing, and why.
     """
@@ -45,7 +45,7 @@ class Sources:
     rig: Rig | None = None
     experiment: Experiment | None = None
     truth: xr.Dataset | None = None
-    frame_fault: xr.DataArray | None = None
+    bad_frames: tuple[str, ...] = ()
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -77,7 +77,12 @@ class Sources:
         """
         if self.waves is None or name not in self.waves.children:
             return None
-        return self.waves[name].to_dataset()
+        return self.waves[name].to_dataset().load()
+
+    @property
+    def waves_notes(self) -> str:
+        """What the analysis has to say to its reader, a sentence per line."""
+        return "" if self.waves is None else str(self.waves.attrs.get("notes", ""))
 
     def thinned(self, *names: str) -> xr.Dataset:
         """Load variables of the cube, thinned in time if they are large.
@@ -137,12 +142,11 @@ def gather(
     StoreError
         If the cube cannot be read.
     """
-    from wavefield.cubes import open_cube
+    from wavefield.cubes import open_cube, status
 
-    whole = open_cube(store)
-    cube = whole[[*CUBE_FIELDS, "frame_status"]]
+    cube = open_cube(store)[[*CUBE_FIELDS, "frame_status"]]
     cube = cube.drop_vars([name for name in cube.coords if name not in cube.dims])
-    out = Sources(cube, frame_fault=whole.get("frame_fault"))
+    out = Sources(cube, bad_frames=tuple(str(bad) for bad in status(store).bad_frames))
     if not len(cube.time) or not (cube.frame_status.values > 0).any():
         raise StoreError(f"{store} has no measured step yet; run `wavefield run` first")
     if waves is not None and Path(waves).is_dir():

@@ -77,10 +77,12 @@
       c.stroke();
     };
     c.strokeStyle = "#000"; c.lineWidth = 1.7;
+    c.save(); c.beginPath(); c.rect(left, y0, w, h); c.clip();
     for (let j = 0; j < a.y.length; j++) for (let i = 0; i < a.x.length; i++) {
       const at = step * arrowCount + j * a.x.length + i;
       if (arrowU[at] && arrowV[at]) arrow(px(a.x[i]), py(a.y[j]), (arrowU[at] - 128) / 127 * top1, (arrowV[at] - 128) / 127 * top1);
     }
+    c.restore();
     const key = Number(a.fastest.toPrecision(1));
     arrow(left + 4, y0 - 22, key, 0);
     c.textAlign = "left"; c.fillStyle = "#1b1f24";
