@@ -17,7 +17,9 @@ def render(x, y, brightness, shape, sigma=0.675):
         d = (place - pixel)[:, None] - offset
         return 0.5 * (erf((d + 0.5) / (sigma * np.sqrt(2))) - erf((d - 0.5) / (sigma * np.sqrt(2))))
 
-    light = 2 * np.pi * sigma**2 * brightness[:, None, None] * share(y, j)[:, :, None] * share(x, i)[:, None, :]
+    light = (
+        2 * np.pi * sigma**2 * brightness[:, None, None] * share(y, j)[:, :, None] * share(x, i)[:, None, :]
+    )
     column = np.broadcast_to(i[:, None, None] + offset[None, None, :], light.shape)
     row = np.broadcast_to(j[:, None, None] + offset[None, :, None], light.shape)
     seen = (column >= 0) & (column < w) & (row >= 0) & (row < h)
@@ -26,7 +28,15 @@ def render(x, y, brightness, shape, sigma=0.675):
 
 
 def particle_pair(
-    move, shape=(320, 360), density=0.03, sigma=0.675, gain=0.0, unmatched=0.0, noise=0.0, seed=1, as_type=np.uint8
+    move,
+    shape=(320, 360),
+    density=0.03,
+    sigma=0.675,
+    gain=0.0,
+    unmatched=0.0,
+    noise=0.0,
+    seed=1,
+    as_type=np.uint8,
 ):
     """Two images; `move(x, y)` gives the displacement at the start of the path."""
     rng = np.random.default_rng(seed)

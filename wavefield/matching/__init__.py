@@ -1,5 +1,6 @@
 """Where a patch of one image went in another: displacements on a lattice of blocks, from arrays alone."""
 
+from wavefield.matching.correlate import correlate
 from wavefield.matching.displacement import Displacement, Reason
 from wavefield.matching.gauss_newton import match
 from wavefield.matching.prepared import Prepared, prepare
@@ -11,6 +12,7 @@ __all__ = [
     "Prepared",
     "Reason",
     "Settings",
+    "correlate",
     "match",
     "prepare",
     "std_from_influence",

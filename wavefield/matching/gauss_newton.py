@@ -28,7 +28,7 @@ from wavefield.matching.lattice import (
     to_finer,
     window_weights,
 )
-from wavefield.matching.prepared import Level, Prepared, prepare
+from wavefield.matching.prepared import Level, Prepared, depth, prepare
 from wavefield.matching.search import search
 from wavefield.matching.settings import Settings
 
@@ -87,8 +87,8 @@ def match(
     (3.0, 2.0)
     """
     settings = Settings.piv() if settings is None else settings
-    a = _prepared(a, settings, mask)
-    b = _prepared(b, settings, mask)
+    a = prepared(a, settings, mask)
+    b = prepared(b, settings, mask)
     if a.shape != b.shape:
         raise FrameError(f"the images to match differ in size: {a.shape} and {b.shape}")
     top = min(len(a.levels), settings.levels) - 1
@@ -104,7 +104,8 @@ def match(
     raise AssertionError("a prepared image has at least one level")
 
 
-def _prepared(image: np.ndarray | Prepared, settings: Settings, mask: np.ndarray | None) -> Prepared:
+def prepared(image: np.ndarray | Prepared, settings: Settings, mask: np.ndarray | None) -> Prepared:
+    """The image prepared for these settings, if it is not yet."""
     if not isinstance(image, Prepared):
         return prepare(image, settings, mask)
     if mask is not None:
@@ -114,6 +115,11 @@ def _prepared(image: np.ndarray | Prepared, settings: Settings, mask: np.ndarray
             f"the image was prepared with normalization {image.normalization} px but the settings ask for "
             f"{settings.normalization}: prepare it with the settings of the match"
         )
+    if len(image.levels) < depth(image.shape, settings.levels):
+        raise ValueError(
+            f"the image was prepared with {len(image.levels)} levels but the settings ask for {settings.levels}: "
+            "prepare it with the settings of the match"
+        )
     return image
 
 
@@ -121,21 +127,9 @@ def _start(
     a: Level, b: Level, levels: int, finest: tuple[int, int], settings: Settings, initial: Initial
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement at the coarsest level to begin with, px of that level."""
-    if isinstance(initial, Displacement):
-        initial = initial.u, initial.v
     if initial is not None:
-        fields = []
-        for value in initial:
-            field = np.asarray(value, np.float32)
-            if field.ndim and field.shape != finest:
-                raise ValueError(
-                    f"initial is on a lattice of {field.shape} blocks but the image has {finest}"
-                )
-            field = np.array(np.broadcast_to(field, finest))
-            known = np.isfinite(field)
-            field[~known] = np.median(field[known]) if known.any() else 0
-            fields.append(to_coarser(field, levels, a.blocks))
-        return fields[0], fields[1]
+        u, v = (to_coarser(field, levels, a.blocks) for field in initial_fields(initial, finest))
+        return u, v
     if settings.search_x is not None and settings.search_y is not None:
         q = 2**levels
         x_range, y_range = (
@@ -143,6 +137,24 @@ def _start(
         )
         return search(a, b, x_range, y_range, settings)
     return np.zeros(a.blocks, np.float32), np.zeros(a.blocks, np.float32)
+
+
+def initial_fields(
+    initial: Displacement | tuple[np.ndarray | float, np.ndarray | float], shape: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The first estimate as two fields on the lattice, unknown parts filled with the median."""
+    if isinstance(initial, Displacement):
+        initial = initial.u, initial.v
+    fields = []
+    for value in initial:
+        field = np.asarray(value, np.float32)
+        if field.ndim and field.shape != shape:
+            raise ValueError(f"initial is on a lattice of {field.shape} blocks but the image has {shape}")
+        field = np.array(np.broadcast_to(field, shape))
+        known = np.isfinite(field)
+        field[~known] = np.median(field[known]) if known.any() else 0
+        fields.append(field)
+    return fields[0], fields[1]
 
 
 class _Windows:

@@ -113,6 +113,8 @@ def prepare(image: np.ndarray, settings: Settings, mask: np.ndarray | None = Non
             f"an image of shape {image.shape} cannot be matched: it must be grey and at least "
             f"{4 * BLOCK} px wide and high"
         )
+    if not (np.issubdtype(image.dtype, np.floating) or np.issubdtype(image.dtype, np.integer)):
+        raise FrameError(f"an image of {image.dtype} cannot be matched: give whole or real numbers")
     if mask is not None and np.shape(mask) != image.shape:
         raise FrameError(f"the mask is {np.shape(mask)} but the image is {image.shape}: make them the same")
     good = _usable(image, mask)
@@ -123,10 +125,8 @@ def prepare(image: np.ndarray, settings: Settings, mask: np.ndarray | None = Non
     if settings.normalization > 0 or good is not None:
         _normalize(inner, good, settings.normalization)
     levels: list[Level] = []
-    for number in range(settings.levels):
+    for number in range(depth(image.shape, settings.levels)):
         if number:
-            if min(h, w) // 2 < _SMALLEST:
-                break
             even = levels[-1].image[: h // 2 * 2, : w // 2 * 2]
             h, w = h // 2, w // 2
             padded = np.empty((h + 2 * PAD, w + 2 * PAD), np.float32)
@@ -139,6 +139,14 @@ def prepare(image: np.ndarray, settings: Settings, mask: np.ndarray | None = Non
         _replicate_border(padded)
         levels.append(Level(padded, _NO_MASK if good is None else _whole_blocks(good, number)))
     return Prepared(tuple(levels), settings.normalization)
+
+
+def depth(shape: tuple[int, ...], levels: int) -> int:
+    """Number of pyramid levels, at most `levels`, that an image of this shape is good for."""
+    side = min(shape)
+    while levels > 1 and side >> (levels - 1) < _SMALLEST:
+        levels -= 1
+    return levels
 
 
 def _usable(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray | None:

@@ -97,9 +97,10 @@ def std_from_influence(
 
     Notes
     -----
-    sigma^2 = K^2 * (sum over n x n of the influences)^2 / (n^2 c) with n = 5, less where the window is not wider
-    than that; c = 1 - 2 sum_nxn K + n^2 sum K^2 gives back what the fit itself took out of the residuals; * is
-    convolution over the lattice, K the transfer kernel. With `field`, ((1 - K *) field)^2 is added.
+    sigma^2 = K^2 * (sum over n x n of the influences)^2 / (n^2 c) with n = 5, less where the window is
+    not wider than that; c = 1 - 2 sum_nxn K + n^2 sum K^2 gives back what the fit itself took out of the
+    residuals; * is convolution over the lattice, K the transfer kernel. With `field`, ((1 - K *) field)^2
+    is added.
     """
     gain = round(float(gain), 2)
     kernel = transfer_kernel(settings, gain).astype(float)

@@ -1,0 +1,229 @@
+import os
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+from matching_cases import particle_pair, wave
+
+from wavefield.matching import Settings, correlate, kernels, lattice, match, prepare
+
+F = np.float32
+
+
+def quintic(x):
+    x = np.abs(x)
+    return np.where(
+        x < 1,
+        (66 - 60 * x**2 + 30 * x**4 - 10 * x**5) / 120,
+        np.where(
+            x < 2,
+            (51 + 75 * x - 210 * x**2 + 150 * x**3 - 45 * x**4 + 5 * x**5) / 120,
+            np.where(x < 3, (3 - x) ** 5 / 120, 0),
+        ),
+    )
+
+
+@pytest.fixture(scope="module")
+def case():
+    """Random images, displacements and slopes on a lattice, far enough from the border."""
+    rng = np.random.default_rng(3)
+    ny, nx = 9, 17
+    h, w = ny * 5 + 3, nx * 5 + 2
+    a, b = rng.normal(0, 1, (2, h + 16, w + 16)).astype(F)
+    u, v = rng.uniform(-4, 4, (2, ny, nx)).astype(F)
+    slope = rng.uniform(-0.2, 0.2, (4, ny, nx)).astype(F)
+    c2 = rng.uniform(0.1, 2, (ny, nx)).astype(F)
+    smooth, gx, gy = np.empty((3, h, w), F)
+    kernels.spline_image(a, 8, smooth, gx, gy, np.empty((2, w + 4), F))
+    return a, b, u, v, slope, c2, smooth, gx, gy
+
+
+def spline_matrix(places, n):
+    return quintic(places[:, None] - np.arange(n))
+
+
+def test_spline_image_is_the_quintic_spline_and_its_derivatives(case):
+    a, *_, smooth, gx, gy = case
+    h, w = smooth.shape
+
+    def at(dx, dy):
+        return (
+            spline_matrix(np.arange(h) + 8 + dy, h + 16)
+            @ a.astype(float)
+            @ spline_matrix(np.arange(w) + 8 + dx, w + 16).T
+        )
+
+    e = 1e-4
+    np.testing.assert_allclose(smooth, at(0, 0), atol=1e-6)
+    np.testing.assert_allclose(gx, (at(e, 0) - at(-e, 0)) / (2 * e), atol=1e-5)
+    np.testing.assert_allclose(gy, (at(0, e) - at(0, -e)) / (2 * e), atol=1e-5)
+
+
+def expected_sums(case):
+    """The sums of every block by plain numpy in double precision."""
+    _, b, u, v, slope, c2, smooth, gx, gy = case
+    ny, nx = u.shape
+    out = np.zeros((12, ny, nx))
+    y, x = np.mgrid[-2:3, -2:3].astype(float)
+    for j in range(ny):
+        strip = {}
+        for i in range(nx):
+            rows = np.arange(5 * j, 5 * j + 5) + 8 + float(v[j, i])
+            columns = np.arange(5 * i, 5 * i + 5) + 8 + float(u[j, i])
+            read = spline_matrix(rows, b.shape[0]) @ b.astype(float) @ spline_matrix(columns, b.shape[1]).T
+            box = np.s_[5 * j : 5 * j + 5, 5 * i : 5 * i + 5]
+            p, q = gx[box].astype(float), gy[box].astype(float)
+            s = slope[:, j, i].astype(float)
+            r = smooth[box] - read - p * (s[0] * x + s[1] * y) - q * (s[2] * x + s[3] * y)
+            m = (smooth[box] + read) / 2
+            t = r**2 * c2[j, i] / (1 + c2[j, i] * 4 * 0.05 * m**2)
+            strip[i] = smooth[box].astype(float), r, (1 + t) ** -2, t
+            weight = strip[i][2]
+            out[:10, j, i] = [
+                np.sum(f)
+                for f in (
+                    weight * p * r,
+                    weight * q * r,
+                    weight * p * p,
+                    weight * p * q,
+                    weight * q * q,
+                    r * r,
+                    smooth[box],
+                    smooth[box].astype(float) ** 2,
+                    r,
+                    smooth[box] * r,
+                )
+            ]
+        a, r, weight, t = (np.concatenate([strip[i][k] for i in range(nx)], 1) for k in range(4))
+        da, dr = np.zeros_like(a), np.zeros_like(r)
+        da[:, 1:-1], dr[:, 1:-1] = a[:, 2:] - a[:, :-2], r[:, 2:] - r[:, :-2]
+        psi = weight * (1 - 4 * t / (1 + t))
+        out[10, j] = (psi * da * (da - dr)).sum(0).reshape(nx, 5).sum(1)
+        out[11, j] = (weight * (da - dr / 2) ** 2).sum(0).reshape(nx, 5).sum(1)
+    return out
+
+
+def test_block_sums_are_what_they_say(case):
+    _, b, u, v, slope, c2, smooth, gx, gy = case
+    expected = expected_sums(case)
+    work = kernels.scratch(u.shape[1])
+    for kernel, n in ((kernels.robust_sums, 6), (kernels.final_sums, 12)):
+        out = np.full((n, *u.shape), np.nan, F)
+        kernel(smooth, gx, gy, b, u, v, slope, c2, F(0.05), out=out, **work)
+        for k in range(n):
+            np.testing.assert_allclose(out[k], expected[k], atol=2e-5, err_msg=f"sum {k}")
+
+
+def test_plain_sums_with_slopes_taken_off_are_the_unweighted_ones(case):
+    _, b, u, v, slope, c2, smooth, gx, gy = case
+    work = kernels.scratch(u.shape[1])
+    full = np.empty((6, *u.shape), F)
+    kernels.robust_sums(smooth, gx, gy, b, u, v, slope, 0 * c2, F(0.05), out=full, **work)
+    moments = np.empty((9, *u.shape), F)
+    kernels.gradient_moments(gx, gy, work["sums"], moments)
+    np.testing.assert_allclose(moments[:3], full[2:5], atol=1e-5)
+    work.pop("rows")
+    plain = np.empty((2, *u.shape), F)
+    kernels.plain_sums(smooth, gx, gy, b, u, v, out=plain, **work)
+    lattice.subtract_slopes(plain, moments, slope)
+    np.testing.assert_allclose(plain, full[:2], atol=2e-5)
+
+
+def test_nothing_is_read_before_it_is_written(monkeypatch):
+    a, b = particle_pair(wave(2.0, 200.0), shape=(130, 157))
+    for method in (match, correlate):
+        for settings in (Settings.piv(), Settings.fast(), Settings.stereo()):
+            expected = method(a, b, settings)
+            real = np.empty
+
+            def poisoned(shape, dtype=float, *rest, real=real, **more):
+                out = real(shape, dtype, *rest, **more)
+                out[...] = np.nan if np.issubdtype(out.dtype, np.floating) else 85
+                return out
+
+            with monkeypatch.context() as patch:
+                patch.setattr(np, "empty", poisoned)
+                found = method(a, b, settings)
+            for name in ("u", "v", "correlation", "reason", "influence_u", "influence_v"):
+                np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+
+
+def test_the_same_bits_every_time_and_in_every_thread():
+    a, b = particle_pair(wave(2.0, 200.0), shape=(200, 230), unmatched=0.1, noise=0.02)
+    settings = Settings.piv()
+    first, second = prepare(a, settings), prepare(b, settings)
+    expected = match(a, b, settings)
+    results = []
+    threads = [
+        threading.Thread(target=lambda: results.append(match(first, second, settings))) for _ in range(4)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(results) == 4
+    for found in results:
+        np.testing.assert_array_equal(found.u, expected.u)
+        np.testing.assert_array_equal(found.influence_v, expected.influence_v)
+
+
+_ASSEMBLY = """
+import re
+from pathlib import Path
+import llvmlite.binding as llvm
+import numpy as np
+from wavefield.matching import Settings, kernels, match
+features = llvm.get_host_cpu_features()
+if not (features.get("fma") and features.get("avx2")):
+    print("no vectors"); raise SystemExit
+image = np.random.default_rng(0).normal(size=(100, 100)).astype(np.float32)
+for settings in (Settings.piv(), Settings.fast()):
+    match(image, image, settings)
+for name in ("spline_image", "plain_sums", "robust_sums", "final_sums"):
+    code = "".join(getattr(kernels, name).inspect_asm().values())
+    print(name, len(re.findall(r"vfn?m(?:add|sub)[0-9]+ps\\s[^\\n]*[yz]mm", code)))
+"""
+
+
+def test_inner_loops_are_vector_code(tmp_path):
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(tmp_path),
+    }  # the machine code of a cached kernel is not kept
+    done = subprocess.run(
+        [sys.executable, "-c", _ASSEMBLY], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    if "no vectors" in done.stdout:
+        pytest.skip("this processor has no vector multiply-add")
+    counts = {name: int(n) for name, n in (line.split() for line in done.stdout.splitlines())}
+    for name, least in (("spline_image", 15), ("plain_sums", 60), ("robust_sums", 60), ("final_sums", 60)):
+        assert counts[name] >= least, f"{name} has lost its vector code: {counts}"
+
+
+_GENERIC = """
+import sys
+import numpy as np
+from wavefield.matching import Settings, match
+a, b = np.load(sys.argv[1])
+np.save(sys.argv[2], [match(a, b, s).u for s in (Settings.piv(), Settings.fast())])
+"""
+
+
+def test_another_processor_gives_the_same_to_rounding(tmp_path):
+    a, b = particle_pair(wave(2.0, 200.0), shape=(150, 170))
+    np.save(tmp_path / "pair.npy", [a, b])
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(tmp_path),
+        "NUMBA_CPU_NAME": "generic",
+        "NUMBA_CPU_FEATURES": "",
+    }
+    command = [sys.executable, "-c", _GENERIC, tmp_path / "pair.npy", tmp_path / "u.npy"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for found, settings in zip(np.load(tmp_path / "u.npy"), (Settings.piv(), Settings.fast())):
+        here = match(a, b, settings)
+        assert np.max(np.abs(found - here.u)[here.valid]) < 5e-4

@@ -1,0 +1,182 @@
+import numpy as np
+import pytest
+from matching_cases import interior, particle_pair, truth, uniform, wave
+
+from wavefield.errors import FrameError
+from wavefield.matching import Reason, Settings, correlate, match, prepare
+
+
+def errors(d, move):
+    u, v = truth(d, move)
+    return np.hypot(d.u - u, d.v - v)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    move = wave(2.0, 200.0)
+    return *particle_pair(move), move
+
+
+def with_patch(images, value):
+    """Both images with the same rectangle overwritten."""
+    out = [q.copy() for q in images]
+    for q in out:
+        q[100:200, 120:220] = value
+    return out
+
+
+def patch_blocks(d, grow=0):
+    x, y = np.meshgrid(d.x, d.y)
+    return (x > 120 - grow) & (x < 219 + grow) & (y > 100 - grow) & (y < 199 + grow)
+
+
+@pytest.mark.parametrize("preset", ["piv", "fast", "stereo"])
+@pytest.mark.parametrize("value", [0, 90, 255])
+def test_uniform_and_saturated_areas_are_invalid_and_spoil_nothing(pair, preset, value):
+    a, b, move = pair
+    d = match(*with_patch((a, b), value), getattr(Settings, preset)())
+    deep = patch_blocks(d, -25)
+    assert not d.valid[deep].any()
+    outside = interior(d, a.shape) & ~patch_blocks(d, 12)
+    assert d.valid[outside].mean() > 0.98
+    assert np.max(errors(d, move)[outside & d.valid]) < 1.0  # the patch's edge stands still
+
+
+@pytest.mark.parametrize("preset", ["piv", "fast", "stereo"])
+def test_masked_pixels_are_never_looked_at(pair, preset):
+    a, b, move = pair
+    settings = getattr(Settings, preset)()
+    mask = np.ones(a.shape, bool)
+    mask[100:200, 120:220] = False
+    results = [match(*with_patch((a, b), value), settings, mask=mask) for value in (0, 100, 255)]
+    for d in results[1:]:
+        np.testing.assert_array_equal(d.u, results[0].u)
+        np.testing.assert_array_equal(d.reason, results[0].reason)
+    d = results[0]
+    assert (d.reason[patch_blocks(d)] & Reason.MASKED).all()
+    outside = interior(d, a.shape) & ~patch_blocks(d, 12)
+    assert d.valid[outside].all()
+    assert np.max(errors(d, move)[outside]) < 0.15
+
+
+@pytest.mark.parametrize("preset", ["piv", "fast", "stereo"])
+def test_not_a_number_pixels_count_as_masked(pair, preset):
+    a, b, move = pair
+    settings = getattr(Settings, preset)()
+    a, b = a.astype(np.float32), b.astype(np.float32)
+    holed = with_patch((a, b), np.nan)
+    holed[1][40, 60] = np.inf
+    d = match(*holed, settings)
+    assert np.isfinite(d.u).all()
+    assert np.isfinite(d.correlation).all()
+    assert np.isfinite(d.influence_u).all()
+    assert (d.reason[patch_blocks(d)] & Reason.MASKED).all()
+    outside = interior(d, a.shape) & ~patch_blocks(d, 12) & d.valid
+    assert outside.sum() > 2000
+    assert np.max(errors(d, move)[outside]) < 0.15
+
+
+def test_image_mostly_outside_the_view_still_gives_the_rest():
+    move = uniform(12.4, 1.2)
+    a, b = particle_pair(move, shape=(400, 400), as_type=np.float32)
+    y, x = np.mgrid[:400, :400]
+    for q, shift in ((a, 0), (b, 30)):
+        q[(x + y < 330 + shift) | (x - y > 150)] = np.nan
+    d = match(a, b, Settings.stereo())
+    assert 0.2 < d.valid.mean() < 0.6
+    assert np.max(errors(d, move)[d.valid]) < 0.3
+    assert np.sqrt(np.mean(errors(d, move)[d.valid] ** 2)) < 0.03
+
+
+def test_empty_image_is_invalid_everywhere():
+    for image in (np.zeros((100, 120), np.uint8), np.full((100, 120), np.nan, np.float32)):
+        for settings in (Settings.piv(), Settings.fast(), Settings.stereo()):
+            d = match(image, image, settings)
+            assert not d.valid.any()
+            assert np.isfinite(d.u).all()
+            assert np.isinf(d.u_std).all()
+
+
+def test_unrelated_images_are_rejected():
+    a, _ = particle_pair(uniform(0, 0), seed=1)
+    b, _ = particle_pair(uniform(0, 0), seed=2)
+    for settings in (Settings.piv(), Settings.stereo()):
+        assert match(a, b, settings).valid.mean() < 0.05
+
+
+def test_blocks_that_leave_the_image_are_marked():
+    move = uniform(14.0, 0.0)
+    a, b = particle_pair(move)
+    d = match(a, b)
+    out = np.broadcast_to(d.x + 14 > a.shape[1] - 2, d.u.shape)
+    assert ((d.reason[out] & Reason.EDGE) > 0).all()
+    assert not (d.reason[interior(d, a.shape)] & Reason.EDGE).any()
+
+
+def test_displacements_beyond_the_search_range_are_marked():
+    a, b = particle_pair(uniform(9.0, 0.0))
+    d = match(a, b, Settings.piv(search_x=(-2, 2), search_y=(-2, 2)))
+    inside = interior(d, a.shape)
+    assert ((d.reason[inside] & Reason.RANGE) > 0).mean() > 0.95
+
+
+def test_a_lonely_wrong_block_is_marked_by_its_neighbours(pair):
+    a, b, _ = pair
+    d = match(a, b, Settings.fast(max_deviation=1e-4))
+    assert (d.reason & Reason.NEIGHBOURS).any()
+
+
+@pytest.mark.parametrize(
+    ("image", "words"),
+    [
+        (np.zeros((10, 100), np.uint8), "at least 20"),
+        (np.zeros((50, 50, 3), np.uint8), "grey"),
+        (np.zeros((50, 50), complex), "complex"),
+    ],
+)
+def test_images_that_cannot_be_matched_are_refused_with_the_reason(image, words):
+    with pytest.raises(FrameError, match=words):
+        prepare(image, Settings.piv())
+
+
+def test_wrong_use_is_refused_with_the_remedy(pair):
+    a, b, _ = pair
+    with pytest.raises(FrameError, match="differ in size"):
+        match(a, b[:-10])
+    with pytest.raises(FrameError, match="mask"):
+        match(a, b, mask=np.ones((3, 3), bool))
+    with pytest.raises(ValueError, match="lattice"):
+        match(a, b, initial=(np.zeros((3, 3)), np.zeros((3, 3))))
+    with pytest.raises(ValueError, match="prepare"):
+        match(prepare(a, Settings.fast()), b, Settings.piv())
+    with pytest.raises(ValueError, match="levels"):
+        match(prepare(a, Settings.piv(iterations=(3,))), b, Settings.piv())
+    with pytest.raises(ValueError, match="mask"):
+        match(prepare(a, Settings.piv()), b, Settings.piv(), mask=np.ones(a.shape, bool))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"iterations": ()},
+        {"iterations": (3, 0)},
+        {"window": 0},
+        {"smoother_sigma": -1},
+        {"smoother_order": 0},
+        {"search_x": (5, -5)},
+        {"search_x": None},
+        {"normalization": float("nan")},
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(changes):
+    with pytest.raises(ValueError, match=next(iter(changes)).split("_")[0]):
+        Settings.piv(**changes)
+
+
+def test_correlation_matcher_marks_the_same_things(pair):
+    a, b, move = pair
+    d = correlate(*with_patch((a, b), 255))
+    assert not d.valid[patch_blocks(d, -25)].any()
+    outside = interior(d, a.shape) & ~patch_blocks(d, 20)
+    assert d.valid[outside].mean() > 0.98
+    assert np.max(errors(d, move)[outside & d.valid]) < 0.5
