@@ -11,7 +11,7 @@ from threading import Lock
 
 import numba as nb
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from wavefield.tank.sea import Sea
 
@@ -37,6 +37,10 @@ def _transform(phase: Array) -> Array:
     return np.cos(np.outer(phase, r)) @ (weights * _kernel(r)) * _WIDTH / 2
 
 
+def _waves(a: ArrayLike, b: ArrayLike) -> Complex:
+    return np.exp(1j * np.multiply.outer(a, b))
+
+
 class Basin:
     """Rectangle of a sea.
 
@@ -59,8 +63,8 @@ class Basin:
         count = [int(np.ceil((hi - lo) / step)) + 2 * margin + 1 for lo, hi in (x, y)]
         kx, ky = sea.axes
         gx, gy = (origin + step * np.arange(n) for origin, n in zip(self._origin, count, strict=True))
-        self._ex: Complex = np.exp(1j * np.outer(kx, gx)) / _transform(kx * step)[:, None]
-        self._ey: Complex = np.exp(1j * np.outer(gy, ky)) / _transform(ky * step)
+        self._ex = _waves(kx, gx) / _transform(kx * step)[:, None]
+        self._ey = _waves(gy, ky) / _transform(ky * step)
 
     def snapshot(self, time: float, names: Sequence[str] = ("z",)) -> "Snapshot":
         """The sea at one time.

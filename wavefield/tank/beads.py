@@ -126,8 +126,8 @@ class Population:
         grouped = int(clustered * number) // 6 * 6
         px, py = rng.uniform(*x, number), rng.uniform(*y, number)
         centre = np.repeat(np.arange(0, grouped, 6), 6)
-        px[:grouped] = px[centre] + rng.normal(0.0, 0.004, grouped)
-        py[:grouped] = py[centre] + rng.normal(0.0, 0.004, grouped)
+        px[:grouped] = px[centre] + rng.normal(0.0, 0.002, grouped)
+        py[:grouped] = py[centre] + rng.normal(0.0, 0.002, grouped)
         empty = np.zeros(number, bool)
         for hx, hy, diameter in np.reshape(holes, (-1, 3)):
             empty |= (px - hx) ** 2 + (py - hy) ** 2 < (diameter / 2) ** 2

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
 from wavefield.errors import ExperimentError
 from wavefield.grid import Grid
@@ -154,6 +154,7 @@ class RigFile(_Part):
 class Beads(_Part):
     """Floating beads."""
 
+    kind: Literal["beads"] = "beads"
     density: Positive = Field(default=1.1e4, description="beads per m2; 1.1e4 is 17.6 per 4 x 4 cm")
     diameter: NotNegative = Field(default=0.7e-3, description="m")
     brightness: Positive = Field(default=110.0, description="mean height of a spot, grey levels of 255")
@@ -171,6 +172,7 @@ class Beads(_Part):
 class Texture(_Part):
     """White noise painted on the surface, as in the paper's test."""
 
+    kind: Literal["texture"] = "texture"
     mesh: Positive | None = Field(default=None, description="size of the grains, m; by default 1.5 pixels")
     contrast: Positive = Field(default=40.0, description="standard deviation, grey levels of 255")
     mean: NotNegative = Field(default=120.0, description="grey levels of 255")
@@ -247,6 +249,10 @@ class Probes(_Part):
     noise: NotNegative = Field(default=1e-4, description="rms, m")
 
 
+def _kind_of_surface(value: Any) -> str:
+    return value.get("kind", "beads") if isinstance(value, Mapping) else getattr(value, "kind", "")
+
+
 class Scene(_Part):
     """A simulated experiment.
 
@@ -268,7 +274,9 @@ class Scene(_Part):
     rig: PaperRig | RigFile = PaperRig()
     grid: Grid = Grid(x=(-1.0, 1.0), y=(-0.75, 0.75), step=0.01)
     sea: Annotated[StillSea | SingleWave | RandomSea, Field(discriminator="kind")]
-    surface: Beads | Texture = Beads()
+    surface: Annotated[
+        Annotated[Beads, Tag("beads")] | Annotated[Texture, Tag("texture")], Discriminator(_kind_of_surface)
+    ] = Beads()
     light: Light = Light()
     calibration: Calibration = Calibration()
     probes: Probes = Probes()
@@ -392,6 +400,22 @@ class Scene(_Part):
             data[name] = {**old, **value} if same and isinstance(old, dict) else value
         return type(self).from_dict(data)
 
+    def summary(self) -> dict[str, Any]:
+        """What to expect: resolution, seeding, coverage; see `wavefield.tank.plan.summary`.
+
+        Returns
+        -------
+        dict
+
+        Examples
+        --------
+        >>> Scene.load("demo").summary()["beads_per_block"]
+        17.6
+        """
+        from wavefield.tank.plan import summary
+
+        return summary(self)
+
     def build_rig(self) -> Rig:
         """Exact cameras.
 
@@ -413,7 +437,18 @@ class Scene(_Part):
 
 def _sentence(error: ValidationError) -> str:
     first = error.errors()[0]
-    kinds = {"still", "single", "random", "jonswap", "power", "strings", "chessboard", "dots"}
+    kinds = {
+        "still",
+        "single",
+        "random",
+        "jonswap",
+        "power",
+        "strings",
+        "chessboard",
+        "dots",
+        "beads",
+        "texture",
+    }
     place = ".".join(str(part) for part in first["loc"] if part not in kinds and not str(part)[:1].isupper())
     message = first["msg"].removeprefix("Value error, ")
     if first["type"] == "extra_forbidden":

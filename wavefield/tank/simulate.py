@@ -1,5 +1,6 @@
 """Write a simulated experiment as a laboratory would have it, with the exact truth apart."""
 
+import warnings
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -8,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 import yaml
+import zarr
 
 from wavefield.errors import ExperimentError
 from wavefield.images import write_image
@@ -142,6 +144,10 @@ def _write_truth(
             dataset.to_zarr(path, mode="w", encoding=chunks, consolidated=False, zarr_format=3)
         else:
             dataset.to_zarr(path, append_dim="time", consolidated=False)
+    with warnings.catch_warnings():
+        # one small file tells a reader everything; that it is an extension of Zarr 3 harms nobody
+        warnings.simplefilter("ignore")
+        zarr.consolidate_metadata(path)
 
 
 def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:

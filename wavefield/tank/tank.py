@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
 
 from wavefield.rig import Camera, Rig
 from wavefield.tank import beads as floating
@@ -42,6 +43,8 @@ class Tank:
         # what moves between two frames must stay inside the basin
         air = 0.15 + 2.0 * max(np.hypot(*self.sea.current) / scene.frame_rate, 0.0)
         self.basin = Basin(self.sea, (self.x[0] - air, self.x[1] + air), (self.y[0] - air, self.y[1] + air))
+
+        self._drift: tuple[int, list[RectBivariateSpline]] = (-1, [])
 
     def time(self, frame: float) -> float:
         """Time of the sea at a frame (or between two), s."""
@@ -224,8 +227,15 @@ class Tank:
         return out
 
     def _origin(self, x: Array, y: Array, frame: int) -> tuple[Array, Array]:
-        """Where the water now at (x, y) was at the first frame."""
-        return floating.carry(self.basin, x, y, self.time(frame), self.time(0))
+        """Where the water now at (x, y) was at the first frame: followed backwards from a lattice."""
+        if self._drift[0] != frame:
+            axes = [np.arange(lo, hi, 0.01) for lo, hi in (self.x, self.y)]
+            px, py = np.meshgrid(*axes)
+            ax, ay = floating.carry(self.basin, px, py, self.time(frame), self.time(0))
+            lost = np.isnan(ax) | np.isnan(ay)
+            back = [np.where(lost, 0.0, a - p) for a, p in ((ax, px), (ay, py))]
+            self._drift = (frame, [RectBivariateSpline(axes[1], axes[0], b) for b in back])
+        return x + self._drift[1][0].ev(y, x), y + self._drift[1][1].ev(y, x)
 
     def _expose(self, image: NDArray[np.float32], name: str, frame: int) -> NDArray:
         light, number = self.scene.light, list(self.rig).index(name)

@@ -1,0 +1,161 @@
+"""Images: spots where the camera puts them, light and noise as set, the same for the same seed."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+from wavefield.tank import Scene, Tank, carry, paper_rig, rigs, sensor, texture
+
+QUIET = {"read_noise": 0.0, "shot_noise": 0.0, "unevenness": 0.0, "background": 0.0, "bits": 16}
+
+
+def small(**parts):
+    base = {"rig": {"crop": 0.15}, "sea": {"shortest": 0.2, "period": 2.0}}
+    return Scene.load("demo").with_(**{**base, **parts})
+
+
+@pytest.mark.parametrize("sigma", [0.45, 0.65, 0.9])
+def test_spots_are_where_they_should_be_and_keep_their_light(sigma, rng):
+    X, Y = np.meshgrid(np.arange(12, 190, 20.0), np.arange(12, 190, 20.0))
+    X, Y = X + rng.uniform(-0.5, 0.5, X.shape), Y + rng.uniform(-0.5, 0.5, Y.shape)
+    image = np.zeros((200, 200), np.float32)
+    sensor.splat(image, X.ravel(), Y.ravel(), np.full(X.size, 1000.0), sigma)
+    for x, y in zip(X.ravel(), Y.ravel(), strict=True):
+        i, j = round(y), round(x)
+        patch = image[i - 8 : i + 9, j - 8 : j + 9].astype(float)
+        d = np.arange(-8, 9)
+        assert patch.sum() == pytest.approx(1000.0, rel=1e-4)
+        # sampling by pixels moves the centroid of a narrow spot, by no more than this
+        allowed = np.exp(-2 * np.pi**2 * sigma**2) / np.pi + 1e-4
+        assert j + (patch * d).sum() / patch.sum() == pytest.approx(x, abs=allowed)
+        assert i + (patch * d[:, None]).sum() / patch.sum() == pytest.approx(y, abs=allowed)
+        variance = (patch * (d - (x - j)) ** 2).sum() / patch.sum()
+        assert variance == pytest.approx(
+            sigma**2 + 1 / 12, rel=0.1 if sigma < 0.6 else 2e-3
+        )  # the blur and the pixel
+
+
+def test_beads_appear_where_the_camera_projects_them():
+    tank = Tank(small(light=QUIET, surface={"density": 600, "one_camera": 0.0}))
+    beads = tank.population.frame(2)
+    images = tank.render(2)
+    checked = 0
+    for name, camera in tank.rig.cameras.items():
+        X, Y = camera.project(beads.x, beads.y, beads.z)
+        apart = np.hypot(X[:, None] - X, Y[:, None] - Y) + 1e9 * np.eye(X.size)
+        lone = (apart.min(axis=1) > 14) & camera.sees(beads.x, beads.y, beads.z, 8)
+        for x, y in zip(X[lone], Y[lone], strict=True):
+            i, j = round(y), round(x)
+            patch = images[name][i - 5 : i + 6, j - 5 : j + 6].astype(float)
+            d = np.arange(-5, 6)
+            assert j + (patch * d).sum() / patch.sum() == pytest.approx(x, abs=0.01)
+            assert i + (patch * d[:, None]).sum() / patch.sum() == pytest.approx(y, abs=0.01)
+            checked += 1
+    assert checked > 20
+
+
+def test_same_seed_same_images_and_another_seed_others():
+    scene = small()
+    first, again = Tank(scene), Tank(scene)
+    again.render(0)  # what was asked before does not matter
+    a, b, c = first.render(3), again.render(3), Tank(scene.with_(seed=2)).render(3)
+    for name in a:
+        assert np.array_equal(a[name], b[name])
+        assert not np.array_equal(a[name], c[name])
+    # and one camera alone is the same as all together
+    assert np.array_equal(first.render(3, ["cam2"])["cam2"], a["cam2"])
+
+
+def test_noise_has_the_strength_that_is_set():
+    light = np.full((400, 400), 100.0, np.float32)
+    rng = np.random.default_rng(0)
+    image = sensor.expose(light, read=2.0, shot=0.05, bits=16, rng=rng) / 257.0
+    assert image.mean() == pytest.approx(100.0, abs=0.05)
+    assert image.std() == pytest.approx(np.sqrt(4 + 5), rel=0.02)
+    eight = sensor.expose(light, read=2.0, shot=0.05, bits=8, rng=rng)
+    assert eight.dtype == np.uint8
+    assert eight.std() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.02)
+
+
+def test_full_scale_clips_and_darkness_does_not_wrap():
+    light = np.array([[-50.0, 0.0, 254.6, 1e6]], np.float32)
+    rng = np.random.default_rng(0)
+    assert sensor.expose(light, 0.0, 0.0, 8, rng).tolist() == [[0, 0, 255, 255]]
+    assert sensor.expose(light, 0.0, 0.0, 16, rng)[0, -1] == 65535
+
+
+def test_gain_and_flicker_change_a_camera_as_a_whole():
+    plain, bright = Tank(small(light=QUIET)), Tank(small(light={**QUIET, "gain": {"cam1": 0.4}}))
+    a, b = plain.render(0), bright.render(0)
+    assert b["cam1"].mean() == pytest.approx(0.4 * a["cam1"].mean(), rel=0.01)
+    assert np.array_equal(a["cam2"], b["cam2"])
+    flickering = Tank(small(light={**QUIET, "flicker": 0.3}, sea={"kind": "still"}))
+    means = [flickering.render(f, ["cam1"])["cam1"].mean() for f in range(12)]
+    assert 0.12 < np.std(means) / np.mean(means) < 0.5
+
+
+def test_cropped_and_scaled_rigs_see_the_same_middle():
+    full, crop, half = paper_rig(), paper_rig(crop=0.4), paper_rig(0.5)
+    for name in full:
+        assert rigs.pixel_footprint(crop[name]) == pytest.approx(rigs.pixel_footprint(full[name]), rel=1e-6)
+        scaled = np.array(rigs.pixel_footprint(half[name])) / rigs.pixel_footprint(full[name])
+        assert scaled == pytest.approx([2.0, 2.0], rel=1e-3)
+
+
+def test_paper_rig_is_as_the_paper_says():
+    rig = paper_rig()
+    assert [rig[n].size for n in rig] == [(1024, 1024), (1024, 1024), (2432, 1728)]
+    centre = {n: rig[n].centre for n in rig}
+    assert centre["cam1"][0] < 0 < centre["cam2"][0]
+    assert rigs.pixel_footprint(rig["cam1"]) == pytest.approx((2.2e-3, 1.54e-3), rel=0.02)
+    for name, angle in (("cam1", 45), ("cam2", 45), ("cam3", 0)):
+        axis = rig[name].R[2]
+        assert np.degrees(np.arccos(-axis[2])) == pytest.approx(angle, abs=0.01)
+        assert rig[name].R @ rig[name].R.T == pytest.approx(np.eye(3), abs=1e-12)
+        assert np.linalg.det(rig[name].R) == pytest.approx(1.0)
+
+
+def test_rays_meet_the_surface_and_the_texture_is_seen_through_them():
+    scene = small(
+        surface={"kind": "texture", "contrast": 40.0},
+        light=QUIET,
+        sea={"kind": "single", "amplitude": 0.03, "wavelength": 0.5},
+    )
+    tank = Tank(scene)
+    snapshot = tank.basin.snapshot(0.0, ("z",))
+    images = tank.render(0)
+    sampled = {}
+    for name, camera in tank.rig.cameras.items():
+        x, y = texture.cast(camera, snapshot)
+        z = tank.sea.at(x, y, 0.0, ("z",))["z"]
+        X, Y = camera.project(x, y, z)
+        columns, rows = np.meshgrid(np.arange(camera.size[0]), np.arange(camera.size[1]))
+        assert np.hypot(X - columns, Y - rows).max() < 1e-3
+        sampled[name] = images[name].astype(float)
+    # two cameras see the same grey at the same place of the water
+    rng = np.random.default_rng(1)
+    px, py = rng.uniform(-0.08, 0.08, (2, 500))
+    pz = tank.sea.at(px, py, 0.0, ("z",))["z"]
+    grey = [
+        map_coordinates(sampled[n], camera.project(px, py, pz)[::-1], order=5)
+        for n, camera in tank.rig.cameras.items()
+    ]
+    assert np.corrcoef(grey)[0].min() > 0.98
+    assert images["cam3"].std() / 257 == pytest.approx(40.0, rel=0.25)
+
+
+def test_carried_texture_moves_with_the_water():
+    sea = {"kind": "single", "amplitude": 0.02, "wavelength": 0.6}
+    scene = small(surface={"kind": "texture", "carried": True, "contrast": 40.0}, light=QUIET, sea=sea)
+    tank = Tank(scene)
+    start, later = tank.render(0)["cam3"].astype(float), tank.render(2)["cam3"].astype(float)
+    rng = np.random.default_rng(1)
+    ax, ay = rng.uniform(-0.08, 0.08, (2, 500))
+    bx, by = carry(tank.basin, ax, ay, tank.time(0), tank.time(2))
+    camera = tank.rig["cam3"]
+    grey = []
+    for x, y, t, image in ((ax, ay, 0, start), (bx, by, 2, later)):
+        z = tank.sea.at(x, y, tank.time(t), ("z",))["z"]
+        grey.append(map_coordinates(image, camera.project(x, y, z)[::-1], order=5))
+    assert np.corrcoef(grey)[0, 1] > 0.99
+    assert np.hypot(bx - ax, by - ay).max() > 0.005  # it did move

@@ -1,0 +1,100 @@
+"""Scenes are read from YAML, and wrong ones are refused in a sentence."""
+
+import pytest
+import yaml
+
+from wavefield.errors import ExperimentError
+from wavefield.tank import Scene, Tank
+
+
+@pytest.mark.parametrize("name", sorted(Scene.presets()))
+def test_presets_load_and_say_what_to_expect(name):
+    scene = Scene.load(name)
+    assert scene.name == name
+    expected = scene.summary()
+    assert expected["coverage"] > 0.97
+    assert 1.0 < max(max(c["mm_per_px"]) for c in expected["cameras"].values()) < 5
+    if scene.surface.kind == "beads":
+        assert 15 <= expected["beads_per_block"] <= 20
+
+
+def test_demo_has_the_paper_s_pixels_on_a_smaller_field():
+    demo, full = Scene.load("demo").summary(), Scene.load("full").summary()
+    for name in full["cameras"]:
+        assert demo["cameras"][name]["mm_per_px"] == full["cameras"][name]["mm_per_px"]
+    assert demo["pairs"]["cam1-cam3"]["parallax"] == pytest.approx(
+        full["pairs"]["cam1-cam3"]["parallax"], rel=0.06
+    )
+    assert demo["megabytes"] < full["megabytes"] / 5
+
+
+def test_random_and_steep_seas_are_as_their_presets_promise():
+    import numpy as np
+
+    tank = Tank(Scene.load("steep"))
+    x, y = tank.scene.grid.x_nodes[::2], tank.scene.grid.y_nodes[::2]
+    lowest = highest = steepest = 0.0
+    for frame in range(0, 100, 10):
+        f = tank.sea.on_grid(x, y, tank.time(frame), ("z", "z_x", "z_y"))
+        lowest, highest = min(lowest, f["z"].min()), max(highest, f["z"].max())
+        steepest = max(steepest, np.hypot(f["z_x"], f["z_y"]).max())
+    assert -0.07 < lowest < -0.045
+    assert 0.06 < highest < 0.085
+    assert 0.38 < steepest < 0.6
+
+
+def test_scene_survives_being_written_and_read(tmp_path):
+    for name in ("demo", "texture", "steep"):
+        scene = Scene.load(name).with_(sea={"depth": float("inf")})
+        (tmp_path / "scene.yaml").write_text(scene.to_yaml())
+        assert Scene.load(tmp_path / "scene.yaml") == scene
+
+
+def test_rig_file_is_found_beside_the_scene(tmp_path):
+    demo = Scene.load("demo")
+    demo.build_rig().save(tmp_path / "mine.yaml")
+    data = yaml.safe_load(demo.to_yaml()) | {"rig": {"file": "mine.yaml"}}
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(data))
+    assert dict(Scene.load(tmp_path / "scene.yaml").build_rig().cameras) == dict(demo.build_rig().cameras)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"sea": {"kind": "random", "rms": -1, "spectrum": {"kind": "power", "peak": 1}}}, "sea.rms"),
+        ({"sea": {"kind": "tsunami"}}, "tsunami"),
+        ({"sea": {"rms": 0.01}}, "kind"),
+        ({"sea": {"kind": "single", "amplitude": 0.01}}, "sea.wavelength: this setting is needed"),
+        ({"frames": 0}, "frames"),
+        ({"framerate": 20}, "framerate: there is no such setting"),
+        ({"light": {"bits": 12}}, "light.bits"),
+        ({"light": {"gain": {"cam9": 2.0}}}, "cam9"),
+        ({"grid": {"x": [1, -1], "y": [0, 1], "step": 0.1}}, "grid"),
+        ({"surface": {"density": 0}}, "surface.density"),
+        ({"surface": {"kind": "oil"}}, "oil"),
+        ({"calibration": {"target": {"kind": "strings", "mesh": "wide"}}}, "calibration.target.mesh"),
+        ({"rig": {"scale": 9}}, "rig"),
+    ],
+)
+def test_wrong_settings_are_named(tmp_path, changes, words):
+    data = {"sea": {"kind": "still"}} | changes
+    path = tmp_path / "scene.yaml"
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(ExperimentError) as caught:
+        Scene.load(path)
+    message = str(caught.value)
+    assert str(path) in message
+    assert words in message
+    assert "\n" not in message
+    assert len(message) < 300
+
+
+def test_missing_and_broken_files_are_named(tmp_path):
+    with pytest.raises(ExperimentError, match="demo"):
+        Scene.load("nosuchscene")
+    (tmp_path / "a.yaml").write_text("sea: [")
+    with pytest.raises(ExperimentError, match="not YAML"):
+        Scene.load(tmp_path / "a.yaml")
+    (tmp_path / "b.yaml").write_text("- 1")
+    with pytest.raises(ExperimentError, match="mapping"):
+        Scene.load(tmp_path / "b.yaml")

@@ -1,0 +1,187 @@
+"""The sea obeys the kinematic condition exactly, and the dispersion relation and Stokes where it should."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wavefield.tank import Sea, intrinsic_frequency, spectrum
+
+DEEP = 10.0
+
+
+def random_sea(seed=0, rms=0.014, peak=1.2, **more):
+    waves = spectrum.random_waves(
+        lambda f: spectrum.power_law(f, peak, 6.0),
+        rms=rms,
+        direction=0.0,
+        spread=more.pop("spread", 0.0),
+        shortest=more.pop("shortest", 0.08),
+        period=more.pop("period", 4.0),
+        depth=0.7,
+        surface_tension=7.2e-5,
+        seed=seed,
+    )
+    return Sea(*waves, depth=0.7, **more)
+
+
+def numerical_rate(sea, name, x, y, t, h=1e-3):
+    """Time derivative of fourth order."""
+    f = [sea.at(x, y, t + i * h, (name,))[name] for i in (-2, -1, 1, 2)]
+    return (f[0] - 8 * f[1] + 8 * f[2] - f[3]) / (12 * h)
+
+
+@pytest.mark.parametrize("bound", [0, 40])
+@pytest.mark.parametrize("current", [(0.0, 0.0), (0.05, -0.02)])
+def test_vertical_velocity_keeps_the_water_on_the_surface(bound, current, rng):
+    sea = random_sea(bound=bound, current=current)
+    x, y = rng.uniform(-1, 1, (2, 200))
+    f = sea.at(x, y, 0.7)
+    assert np.abs(f["w"] - (f["z_t"] + f["u"] * f["z_x"] + f["v"] * f["z_y"])).max() < 1e-12
+    # the derivatives are those of z itself
+    assert numerical_rate(sea, "z", x, y, 0.7) == pytest.approx(f["z_t"], abs=1e-8)
+    h = 1e-4
+    z_x = (sea.at(x + h, y, 0.7, ("z",))["z"] - sea.at(x - h, y, 0.7, ("z",))["z"]) / (2 * h)
+    assert z_x == pytest.approx(f["z_x"], abs=2e-5)
+
+
+def test_grid_and_scattered_points_agree():
+    sea = random_sea(bound=20, current=(0.1, 0.0))
+    x, y = np.linspace(-0.5, 0.5, 7), np.linspace(-0.3, 0.2, 5)
+    grid, points = sea.on_grid(x, y, 1.3), sea.at(*np.meshgrid(x, y), 1.3)
+    for name, values in grid.items():
+        assert values == pytest.approx(points[name], abs=1e-12)
+
+
+@given(
+    wavelength=st.floats(0.03, 3.0),
+    angle=st.floats(0, 2 * np.pi),
+    depth=st.floats(0.1, 5.0),
+)
+def test_single_wave_obeys_dispersion_with_current_and_moves_with_its_vector(wavelength, angle, depth):
+    k = 2 * np.pi / wavelength
+    kx, ky = k * np.cos(angle), k * np.sin(angle)
+    current = (0.04, -0.02)
+    sea = Sea([kx], [ky], [0.01], depth=depth, current=current)
+    omega = np.sqrt((9.81 * k + 7.2e-5 * k**3) * np.tanh(k * depth)) + kx * current[0] + ky * current[1]
+    x, y, t = 0.3, -0.2, 1.7
+    expected = 0.01 * np.cos(kx * x + ky * y - omega * t)
+    assert sea.at(x, y, t, ("z",))["z"] == pytest.approx(expected, abs=1e-10)
+
+
+def test_surface_velocity_is_that_of_linear_theory_in_finite_depth():
+    k, depth = 5.0, 0.2
+    sea = Sea([k], [0.0], [0.01], depth=depth)
+    at = sea.at(0.0, 0.0, 0.0)
+    assert at["u"] == pytest.approx(0.01 * intrinsic_frequency(k, depth) / np.tanh(k * depth))
+    assert at["v"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_stokes_wave_has_its_second_harmonic_and_its_drift():
+    a, k = 0.02, 6.0
+    sea = Sea([k], [0.0], [a], depth=DEEP, surface_tension=0.0, bound=1)
+    x = np.linspace(0, 2 * np.pi / k, 64, endpoint=False)
+    z = sea.at(x, 0.0, 0.0, ("z",))["z"]
+    harmonics = np.fft.rfft(z).real / 32
+    assert harmonics[1] == pytest.approx(a, rel=1e-9)
+    assert harmonics[2] == pytest.approx(k * a**2 / 2, rel=1e-6)
+    # Eulerian mean at the moving surface: half of Stokes' drift; the other half comes from following the water
+    u = sea.at(x, 0.0, 0.0, ("u",))["u"]
+    assert u.mean() == pytest.approx(0.5 * intrinsic_frequency(k, DEEP, 0.0) * k * a**2, rel=1e-6)
+
+
+def test_second_order_sum_and_difference_waves_are_longuet_higgins():
+    # two deep-water waves in line: 1/2 a b (k1 + k2) cos(sum), -1/2 a b |k1 - k2| cos(difference)
+    k1, k2, a, b = 4.0, 7.0, 0.01, 0.02
+    sea = Sea([k1, k2], [0.0, 0.0], [a, b], depth=50.0, surface_tension=0.0, bound=2)
+    x = np.arange(512) * (2 * np.pi / 512)
+    spectrum_ = np.fft.rfft(sea.at(x, 0.0, 0.0, ("z",))["z"]).real / 256
+    assert spectrum_[11] == pytest.approx(0.5 * a * b * 11, rel=1e-6)
+    assert spectrum_[3] == pytest.approx(-0.5 * a * b * 3, rel=1e-6)
+
+
+def test_second_order_solution_satisfies_the_dynamic_condition_in_finite_depth():
+    """What is left of the forces along the surface falls as the cube of the amplitude."""
+    # no force acts along the surface: (Du/Dt, Dv/Dt) + (g + Dw/Dt) grad z = gamma grad(curvature)
+    depth, gamma, start, h = 0.3, 7.2e-5, 0.4, 1e-3
+    x, y = np.random.default_rng(0).uniform(-1, 1, (2, 50))
+
+    def velocity_of_particles(sea, time):
+        px, py, steps = x, y, 4
+        step = (time - start) / steps
+        for now in start + step * np.arange(steps):
+            first = sea.at(px, py, now, ("u", "v"))
+            half = sea.at(px + step / 2 * first["u"], py + step / 2 * first["v"], now + step / 2, ("u", "v"))
+            px, py = px + step * half["u"], py + step * half["v"]
+        f = sea.at(px, py, time)
+        return np.array([f["u"], f["v"], f["w"]])
+
+    def curvature(sea, px, py):
+        shifts = [(0, 0), (h, 0), (-h, 0), (0, h), (0, -h)]
+        z = [sea.at(px + a, py + b, start, ("z",))["z"] for a, b in shifts]
+        return (sum(z[1:]) - 4 * z[0]) / h**2
+
+    def residual(scale, bound):
+        kx, ky = np.array([5.0, 3.0]), np.array([0.0, 4.5])
+        sea = Sea(kx, ky, scale * np.array([0.01, 0.008]), depth, gamma, bound=bound)
+        du, dv, dw = (velocity_of_particles(sea, start + h) - velocity_of_particles(sea, start - h)) / (2 * h)
+        f = sea.at(x, y, start)
+        tension_x = gamma * (curvature(sea, x + h, y) - curvature(sea, x - h, y)) / (2 * h)
+        tension_y = gamma * (curvature(sea, x, y + h) - curvature(sea, x, y - h)) / (2 * h)
+        along_x = du + f["z_x"] * (9.81 + dw) - tension_x
+        along_y = dv + f["z_y"] * (9.81 + dw) - tension_y
+        return np.sqrt(np.mean(along_x**2 + along_y**2))
+
+    # a linear sea is wrong at second order of the amplitude, ours at third
+    assert residual(1.0, 0) / residual(0.5, 0) == pytest.approx(4, rel=0.1)
+    assert residual(1.0, 2) / residual(0.5, 2) == pytest.approx(8, rel=0.1)
+
+
+def test_second_order_sea_is_skewed_as_stokes_theory_says(rng):
+    # narrow deep-water sea: skewness 3 k sigma (waves.md, test 11)
+    k, sigma, n = 8.0, 0.0125, 60
+    kx = k + np.linspace(-0.05, 0.05, n)
+    amplitude = sigma * np.sqrt(1 / n) * (rng.standard_normal(n) + 1j * rng.standard_normal(n))
+    amplitude *= sigma / np.sqrt(0.5 * np.sum(np.abs(amplitude) ** 2))
+    sea = Sea(kx, np.zeros(n), amplitude, depth=DEEP, surface_tension=0.0, bound=n)
+    z = sea.on_grid(np.linspace(0, 4000, 40000), np.zeros(1), 0.0, ("z",))["z"].ravel()
+    free = Sea(kx, np.zeros(n), amplitude, depth=DEEP, surface_tension=0.0)
+    z1 = free.on_grid(np.linspace(0, 4000, 40000), np.zeros(1), 0.0, ("z",))["z"].ravel()
+    skew = lambda a: np.mean((a - a.mean()) ** 3) / a.std() ** 3  # noqa: E731
+    # sampled over a finite record: compare with the fourth moment of the envelope that this record has
+    expected = 3 * k * z1.std() * (np.mean(z1**4) / (3 * z1.var() ** 2))
+    assert skew(z) - skew(z1) == pytest.approx(expected, rel=0.1)
+    assert skew(z) > 0.2
+
+
+def test_random_sea_has_its_rms_and_its_spectrum():
+    sea = random_sea(seed=3, period=6.0)
+    assert np.sqrt(0.5 * np.sum(np.abs(sea.amplitude) ** 2)) == pytest.approx(0.014, rel=1e-12)
+    x = np.arange(0, 6, 0.02)
+    z = sea.on_grid(x, x, 0.0, ("z",))["z"]
+    assert abs(z.mean()) < 1e-9  # whole periods
+    # energy above and below 2 Hz as the shape has it, mean over seeds
+    k_two = 16.0
+    shares = []
+    for seed in range(8):
+        s = random_sea(seed=seed, period=6.0)
+        power = np.abs(s.amplitude) ** 2
+        shares.append(power[s.k > k_two].sum() / power.sum())
+    f = np.linspace(0.35, intrinsic_frequency(2 * np.pi / 0.08, 0.7) / (2 * np.pi), 4000)
+    density = spectrum.power_law(f, 1.2, 6.0)
+    above = f > intrinsic_frequency(k_two, 0.7) / (2 * np.pi)
+    assert np.mean(shares) == pytest.approx(density[above].sum() / density.sum(), rel=0.15)
+
+
+def test_spreading_sends_the_waves_where_it_says():
+    sea = random_sea(spread=20.0)
+    power = np.abs(sea.amplitude) ** 2
+    assert np.sum(power * sea.kx / sea.k) / power.sum() > 0.9
+    even = random_sea(spread=0.0)
+    power = np.abs(even.amplitude) ** 2
+    assert abs(np.sum(power * even.kx / even.k)) / power.sum() < 0.2
+
+
+def test_unknown_field_is_named():
+    with pytest.raises(ValueError, match="pressure"):
+        random_sea().at(0.0, 0.0, 0.0, ("pressure",))

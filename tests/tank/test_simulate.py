@@ -1,0 +1,122 @@
+"""A simulated experiment is complete, true, and the same however it was written."""
+
+import numpy as np
+import pytest
+import xarray as xr
+import yaml
+
+from wavefield import variables
+from wavefield.errors import ExperimentError
+from wavefield.images import read_image
+from wavefield.rig import Rig
+from wavefield.series import Experiment
+from wavefield.tank import Scene, Tank, simulate
+
+SCENE = Scene.load("demo").with_(
+    frames=4,
+    rig={"crop": 0.12},
+    grid={"x": (-0.08, 0.08), "y": (-0.06, 0.06), "step": 0.02},
+    sea={"shortest": 0.2, "period": 2.0},
+    calibration={"tilted": 2},
+    probes={"noise": 0.0},
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    calls = []
+    directory = tmp_path_factory.mktemp("tank") / "one"
+    path = simulate(SCENE, directory, lambda done, total: calls.append((done, total)))
+    assert path == directory / "experiment.yaml"
+    assert [done for done, _ in calls] == list(range(1, len(calls) + 1))
+    assert {total for _, total in calls} == {len(calls)}
+    return directory
+
+
+def test_folder_is_what_a_laboratory_would_have(folder):
+    for camera in ("cam1", "cam2", "cam3"):
+        assert sorted(p.name for p in (folder / camera).iterdir()) == [f"img_{i:05d}.tif" for i in range(4)]
+        calib = sorted(p.name for p in (folder / "calib" / camera).iterdir())
+        assert calib == ["flat.tif", "tilt_0.tif", "tilt_1.tif"]
+    experiment = Experiment.load(folder / "experiment.yaml")
+    assert experiment.frame_rate == 20.0
+    assert list(experiment.cameras) == ["cam1", "cam2", "cam3"]
+    assert experiment.surface.pairs == [("cam3", "cam1"), ("cam3", "cam2")]
+    assert experiment.velocity.cameras == ["cam1", "cam2"]
+    assert experiment.rig is None  # it has to be calibrated
+    assert Scene.load(folder / "scene.yaml") == SCENE
+
+
+def test_images_are_those_of_the_tank(folder):
+    images = Tank(SCENE).render(2)
+    for name, image in images.items():
+        assert np.array_equal(read_image(folder / name / "img_00002.tif"), image)
+
+
+def test_truth_is_exact_and_carries_the_schema_of_the_cube(folder):
+    ds = xr.open_zarr(folder / "truth" / "truth.zarr")
+    variables.validate(ds, "z", "z_t", "u", "v", "w")
+    assert ds.sizes == {"time": 3, "y": 7, "x": 9}
+    assert ds.time.values == pytest.approx([0.025, 0.075, 0.125])
+    tank = Tank(SCENE)
+    exact = tank.sea.on_grid(ds.x.values, ds.y.values, 0.075)
+    for name in ("z", "u", "v", "w"):
+        assert ds[name].values[1] == pytest.approx(exact[name], abs=1e-7)
+    ends = [tank.sea.on_grid(ds.x.values, ds.y.values, t, ("z",))["z"] for t in (0.05, 0.10)]
+    assert ds.z_t.values[1] == pytest.approx((ends[1] - ends[0]) / 0.05, abs=1e-6)
+    assert ds.z_start.values[1] == pytest.approx(ends[0], abs=1e-8)
+    residual = ds.w - ds.z_rate - ds.u * ds.z.differentiate("x") - ds.v * ds.z.differentiate("y")
+    assert float(abs(residual.isel(x=slice(1, -1), y=slice(1, -1))).max()) < 0.1 * float(abs(ds.w).max())
+    assert ds.dx.attrs["units"] == "m"
+    rig = Rig.load(folder / "truth" / "rig.yaml")
+    assert dict(rig.cameras) == dict(tank.rig.cameras)
+
+
+def test_probes_are_true_and_keep_their_own_time(folder):
+    lines = (folder / "probes.csv").read_text().splitlines()
+    comments = [line for line in lines if line.startswith("#")]
+    assert comments == ["# probe1 -0.25 0.1", "# probe2 0.2 -0.15"]
+    assert lines[len(comments)] == "time,probe1,probe2"
+    data = np.loadtxt(lines[len(comments) + 1 :], delimiter=",")
+    assert np.diff(data[:, 0]) == pytest.approx(0.01)
+    sea = SCENE.build_sea()
+    for row in data[::5]:
+        assert row[1] == pytest.approx(sea.at(-0.25, 0.1, row[0], ("z",))["z"], abs=1e-6)
+
+
+def test_target_poses_are_kept_with_the_truth(folder):
+    data = yaml.safe_load((folder / "truth" / "target.yaml").read_text())
+    assert set(data["poses"]) == {"tilt_0", "tilt_1", "flat"}
+    assert data["poses"]["flat"]["origin"] == [0.0, 0.0, 0.0]
+
+
+def test_files_do_not_depend_on_the_number_of_workers(folder, tmp_path):
+    simulate(SCENE, tmp_path / "alone", workers=1)
+    files = sorted(p.relative_to(folder) for p in folder.rglob("*") if p.is_file())
+    assert files == sorted(
+        p.relative_to(tmp_path / "alone") for p in (tmp_path / "alone").rglob("*") if p.is_file()
+    )
+    for file in files:
+        assert (folder / file).read_bytes() == (tmp_path / "alone" / file).read_bytes(), file
+
+
+def test_nothing_is_overwritten(folder):
+    with pytest.raises(ExperimentError, match="not empty"):
+        simulate(SCENE, folder)
+
+
+def test_chessboard_16_bit_and_two_cameras_make_an_experiment_too(tmp_path):
+    rig = SCENE.build_rig()
+    Rig({"left": rig["cam1"], "right": rig["cam2"]}).save(tmp_path / "pair.yaml")
+    scene = SCENE.with_(
+        frames=1,
+        rig={"file": str(tmp_path / "pair.yaml")},
+        light={"bits": 16},
+        calibration={"target": {"kind": "chessboard", "mesh": 0.02, "shape": (5, 4)}, "tilted": 1},
+    )
+    simulate(scene, tmp_path / "two")
+    experiment = Experiment.load(tmp_path / "two" / "experiment.yaml")
+    assert experiment.calibration.target == {"kind": "chessboard", "mesh": 0.02, "shape": [5, 4]}
+    assert experiment.velocity.cameras == ["left", "right"]
+    assert read_image(tmp_path / "two" / "left" / "img_00000.tif").dtype == np.uint16
+    assert not (tmp_path / "two" / "truth" / "truth.zarr").exists()  # one frame makes no step

@@ -1,0 +1,137 @@
+"""Target images show the target where the camera sees it."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+from wavefield.tank import Scene, Tank, paper_rig, targets
+from wavefield.tank.scene import Chessboard, Dots, Strings
+
+BLUR = 0.6
+RIG = paper_rig(crop=0.35)
+POSES = {"flat": targets.Pose(np.eye(3), np.zeros(3)), **{
+    f"tilt_{i}": pose for i, pose in enumerate(targets.poses(3, 20.0, (-0.35, 0.35), (-0.25, 0.25), 0))
+}}  # fmt: skip
+
+
+def pixels_of(camera, pose, nodes):
+    return np.array(camera.project(*(pose.rotation @ nodes.T + pose.origin[:, None])))
+
+
+def crossing(image, X, Y):
+    """Centre of a bright cross near (X, Y): the point about which the image is its own mirror image."""
+    d = np.arange(-6, 6.01, 0.5)
+    dy, dx = np.meshgrid(d, d, indexing="ij")
+    x, y = X, Y
+    for _ in range(6):
+        here = map_coordinates(image, [y + dy, x + dx], order=5)
+        there = map_coordinates(image, [y - dy, x - dx], order=5)
+        gx = map_coordinates(image, [y + dy, x + dx + 0.5], order=5) - map_coordinates(
+            image, [y + dy, x + dx - 0.5], order=5
+        )
+        gy = map_coordinates(image, [y + dy + 0.5, x + dx], order=5) - map_coordinates(
+            image, [y + dy - 0.5, x + dx], order=5
+        )
+        # moving the centre by s changes here - there by s . (grad here + grad there mirrored) = 2 s . grad, odd part
+        ox, oy = gx - gx[::-1, ::-1], gy - gy[::-1, ::-1]
+        a = np.stack([ox.ravel(), oy.ravel()], axis=1)
+        step = np.linalg.lstsq(a, -(here - there).ravel(), rcond=None)[0]
+        x, y = x + step[0], y + step[1]
+    return x, y
+
+
+@pytest.mark.parametrize("pose", sorted(POSES))
+@pytest.mark.parametrize("name", ["cam1", "cam3"])
+def test_strings_cross_where_the_camera_sees_the_nodes(name, pose):
+    camera, target = RIG[name], Strings(mesh=0.05)
+    image = targets.draw(camera, target, POSES[pose], BLUR).astype(float)
+    i, j = np.meshgrid(np.arange(-4, 5), np.arange(-4, 5))
+    nodes = np.stack([i.ravel() * 0.05, j.ravel() * 0.05, np.zeros(i.size)], axis=1)
+    marked = (np.abs(i.ravel()) <= 1) & (j.ravel() == 0)
+    X, Y = pixels_of(camera, POSES[pose], nodes)
+    inside = (X > 10) & (Y > 10) & (X < camera.size[0] - 11) & (Y < camera.size[1] - 11) & ~marked
+    errors = [np.subtract(crossing(image, x, y), (x, y)) for x, y in zip(X[inside], Y[inside], strict=True)]
+    assert len(errors) > 15
+    assert np.sqrt(np.mean(np.square(errors))) < 0.005
+
+
+def test_wrong_nodes_move_their_crossings_and_the_marks_stay():
+    camera, pose = RIG["cam1"], POSES["tilt_1"]
+    target = Strings(mesh=0.05, half=6, node_offset=1e-3)
+    offsets = targets.node_offsets(target, 3)
+    assert offsets.std() == pytest.approx(1e-3, rel=0.1)
+    assert not offsets[6, 6:8].any()
+    image = targets.draw(camera, target, pose, BLUR, offsets).astype(float)
+    errors, moved = [], []
+    for i, j in ((2, 1), (-2, 2), (3, -1), (-1, -2)):
+        perfect = np.array([i * 0.05, j * 0.05, 0.0])
+        X, Y = pixels_of(camera, pose, (perfect + offsets[j + 6, i + 6])[None])
+        X0, Y0 = pixels_of(camera, pose, perfect[None])
+        found = crossing(image, X[0], Y[0])
+        errors.append(np.hypot(found[0] - X[0], found[1] - Y[0]))
+        moved.append(np.hypot(X[0] - X0[0], Y[0] - Y0[0]))
+    assert np.max(errors) < 0.1  # a bent string is not quite its own mirror image
+    assert np.mean(moved) > 0.3
+
+
+@pytest.mark.parametrize("pose", ["flat", "tilt_2"])
+def test_dots_have_their_area_and_place(pose):
+    camera, target = RIG["cam3"], Dots(kind="dots", mesh=0.06, shape=(5, 4), diameter=0.02, brightness=100.0)
+    image = targets.draw(camera, target, POSES[pose], BLUR).astype(float)
+    angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    for i, j in ((0, 0), (4, 3), (2, 1)):
+        centre = np.array([(i - 2) * 0.06, (j - 1.5) * 0.06, 0.0])
+        rim = centre + 0.01 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+        X, Y = pixels_of(camera, POSES[pose], rim)
+        x, y = X - X.mean(), Y - Y.mean()
+        cross = x * np.roll(y, -1) - y * np.roll(x, -1)
+        area = cross.sum() / 2
+        cx = X.mean() + ((x + np.roll(x, -1)) * cross).sum() / (6 * area)
+        cy = Y.mean() + ((y + np.roll(y, -1)) * cross).sum() / (6 * area)
+        top, left = int(cy) - 22, int(cx) - 22
+        patch = image[top : top + 45, left : left + 45]
+        assert patch.sum() / 100.0 == pytest.approx(abs(area), rel=0.003)
+        rows, columns = np.mgrid[top : top + 45, left : left + 45]
+        assert (patch * columns).sum() / patch.sum() == pytest.approx(cx, abs=0.01)
+        assert (patch * rows).sum() / patch.sum() == pytest.approx(cy, abs=0.01)
+
+
+def test_chessboard_has_its_corners_and_colours():
+    camera, pose = RIG["cam3"], POSES["tilt_0"]
+    target = Chessboard(kind="chessboard", mesh=0.06, shape=(6, 5), brightness=100.0)
+    image = targets.draw(camera, target, pose, BLUR).astype(float)
+    for i, j in ((0, 0), (5, 4), (2, 3)):
+        node = np.array([(i - 2.5) * 0.06, (j - 2.0) * 0.06, 0.0])
+        squares = [node + 0.03 * np.array([a, b, 0]) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
+        X, Y = pixels_of(camera, pose, np.array(squares))
+        grey = map_coordinates(image, [Y, X], order=1)
+        light = grey > 50
+        assert light.tolist() in ([True, False, True, False], [False, True, False, True])
+        X, Y = pixels_of(camera, pose, node[None])
+        assert map_coordinates(image, [Y, X], order=3)[0] == pytest.approx(52.5, abs=6)
+    # neighbours differ, also at the edge of the board
+    row = np.array([[(i - 3.0) * 0.06, 0.03, 0.0] for i in range(7)])
+    X, Y = pixels_of(camera, pose, row)
+    assert np.all(np.diff(map_coordinates(image, [Y, X], order=1) > 50))
+
+
+def test_poses_are_tilted_towards_all_sides_and_reproducible():
+    six = targets.poses(6, 20.0, (-1, 1), (-0.75, 0.75), 4)
+    normals = np.array([pose.rotation[:, 2] for pose in six])
+    tilts = np.degrees(np.arccos(normals[:, 2]))
+    assert 8 < tilts.min() < tilts.max() <= 20.0
+    assert (normals[:, 0] > 0.1).any() and (normals[:, 0] < -0.1).any()
+    assert (normals[:, 1] > 0.1).any() and (normals[:, 1] < -0.1).any()
+    assert len({round(float(pose.origin[2]), 4) for pose in six}) == 6
+    again = targets.poses(6, 20.0, (-1, 1), (-0.75, 0.75), 4)
+    assert all(np.array_equal(a.rotation, b.rotation) for a, b in zip(six, again, strict=True))
+
+
+def test_level_of_the_flat_target_is_respected():
+    scene = Scene.load("demo").with_(rig={"crop": 0.2}, calibration={"level": 0.02}, sea={"kind": "still"})
+    tank = Tank(scene)
+    assert tank.target_poses["flat"].origin.tolist() == [0.0, 0.0, 0.02]
+    assert list(tank.target_poses) == [*(f"tilt_{i}" for i in range(6)), "flat"]
+    image = tank.target_image("flat", "cam3")
+    assert image.dtype == np.uint8
+    assert image.max() > 100
