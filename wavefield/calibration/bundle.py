@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from wavefield.calibration.observations import LENS, Geometry, Observations
 from wavefield.rig.camera import Array
@@ -316,9 +317,9 @@ class Whitener:
     """Errors of the target's nodes as noise shared by all views of a node.
 
     A node that is off by an unknown e (standard deviation ``target_std`` per axis) shifts its image in
-    every view by B e. Residuals of one node then have the covariance I + target_std^2 B B^T (in units
-    of their own uncertainty); multiplied by the inverse of its Cholesky factor they are independent again.
-    That is the same as solving for all e with a prior, at the cost of a fit without them.
+    every view by B e. Residuals of one node then have the covariance C = I + target_std^2 B B^T (in units
+    of their own uncertainty); multiplied by C^(-1/2) they are independent again. That is the same as
+    solving for all e with a prior, at the cost of a fit without them.
 
     Parameters
     ----------
@@ -331,19 +332,21 @@ class Whitener:
     """
 
     def __init__(self, node: NDArray[np.int64], by_node: Array, target_std: float):
-        n = len(node)
-        order = np.argsort(node, kind="stable")
-        _, first, counts = np.unique(node[order], return_index=True, return_counts=True)
-        self.nodes = node[order][first]
-        place = np.arange(counts.max())
-        obs = np.where(place < counts[:, None], order[np.minimum(first[:, None] + place, n - 1)], n)
-        # rows of the flat residual vector, 2n standing for a row of zeros
-        self.rows = np.stack([2 * obs, 2 * obs + 1], -1).reshape(len(first), -1).clip(max=2 * n)
-        B = np.vstack([by_node.reshape(2 * n, 3), np.zeros((1, 3))])[self.rows]
-        C = np.eye(self.rows.shape[1]) + target_std**2 * B @ B.transpose(0, 2, 1)
-        self._inverse = np.linalg.inv(np.linalg.cholesky(C))
-        self._gain = target_std**2 * B.transpose(0, 2, 1) @ np.linalg.inv(C)
-        self._n = n
+        n, count = len(node), int(node.max()) + 1
+        B = by_node.reshape(2 * n, 3) * target_std
+        columns = 3 * np.repeat(node, 2)[:, None] + np.arange(3)
+        self._B = sparse.csr_array(
+            (B.ravel(), columns.ravel(), np.arange(0, 6 * n + 1, 3)), shape=(2 * n, 3 * count)
+        )
+        self._Bt = self._B.T.tocsr()
+        inner = np.zeros((count, 3, 3))
+        np.add.at(inner, np.repeat(node, 2), B[:, :, None] * B[:, None, :])
+        size, axes = np.linalg.eigh(inner)
+        size = np.maximum(size, 0.0)
+        # C^(-1/2) = 1 - B Q B^T on the three directions that B spans
+        root = np.sqrt(1.0 + size)
+        self._half = _blocks((axes * (1.0 / (root * (1.0 + root)))[:, None, :]) @ axes.transpose(0, 2, 1))
+        self._gain = target_std * _blocks((axes / (1.0 + size)[:, None, :]) @ axes.transpose(0, 2, 1))
 
     def __call__(self, rows: Array) -> Array:
         """Make residuals (2n,) or Jacobian rows (2n, p) independent.
@@ -357,31 +360,31 @@ class Whitener:
         -------
         ndarray of the same shape
         """
-        flat = rows.reshape(2 * self._n, -1)
-        padded = np.vstack([flat, np.zeros((1, flat.shape[1]))])
-        out = np.empty_like(padded)
-        out[self.rows] = self._inverse @ padded[self.rows]
-        return out[:-1].reshape(rows.shape)
+        return rows - self._B @ (self._half @ (self._Bt @ rows))
 
-    def offsets(self, residual: Array, count: int) -> Array:
+    def offsets(self, residual: Array) -> Array:
         """Most probable offsets of the nodes.
 
         Parameters
         ----------
         residual : ndarray, (2n,)
             Observed less predicted for a perfect target, in units of the uncertainty.
-        count : int
-            Number of nodes.
 
         Returns
         -------
-        ndarray, (count, 3)
+        ndarray, (highest node + 1, 3)
             Metres; zero for nodes that were not seen.
         """
-        out = np.zeros((count, 3))
-        padded = np.append(residual, 0.0)
-        out[self.nodes] = (self._gain @ padded[self.rows][..., None])[..., 0]
-        return out
+        return (self._gain @ (self._Bt @ residual)).reshape(-1, 3)
+
+
+def _blocks(matrices: Array) -> sparse.csr_array:
+    """Block-diagonal matrix of 3 x 3 blocks."""
+    n = len(matrices)
+    columns = np.broadcast_to(3 * np.arange(n)[:, None, None] + np.arange(3), (n, 3, 3))
+    return sparse.csr_array(
+        (matrices.ravel(), columns.ravel(), np.arange(0, 9 * n + 1, 3)), shape=(3 * n, 3 * n)
+    )
 
 
 @dataclass(frozen=True)
@@ -467,7 +470,7 @@ def fit(
     x = np.zeros(len(plan.names))
     steps = 0
     # the bend depends on the scatter, and the whitening on the geometry: approach, then settle
-    for tolerance in (1e-3, 1e-9):
+    for tolerance in (1e-2, 1e-7):
         if target_std > 0.0:
             whitener = Whitener(o.node, linearised(start, plan, x, o)[2] / o.std[:, None, None], target_std)
         bend = 4.0 * noise_scale if noise_scale else None
@@ -485,7 +488,10 @@ def fit(
     predicted = predict(moved(start, plan, x), o)
     if whitener:
         miss = (o.pixel - predicted).ravel() * inverse
-        geometry = replace(geometry, offset=whitener.offsets(miss, len(o.nodes)))
+        offset = np.zeros_like(start.offset)
+        found = whitener.offsets(miss)
+        offset[: len(found)] = found
+        geometry = replace(geometry, offset=offset)
         predicted = predict(geometry, o)
     return Fit(geometry, plan, covariance, o.pixel - predicted, float(scale), huber(r, bend), steps)
 

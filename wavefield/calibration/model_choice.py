@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wavefield.calibration.bundle import Fit
+from wavefield.calibration.bundle import TERMS, Fit
+from wavefield.calibration.observations import LENS
 from wavefield.errors import CalibrationError
 
 # "paper" is that of the paper; "tilt" is equivalent to moving the principal point, and better conditioned.
@@ -25,7 +26,7 @@ MODELS: dict[str, tuple[str, ...]] = {
     "c and tilt": ("f", "aspect", "c", "tilt", "k1"),
 }
 CANDIDATES = (
-    *("f", "f k1", "f c", "f c k1", "f tilt k1", "paper", "tilt"),
+    *("f c k1", "f", "f k1", "f c", "f tilt k1", "paper", "tilt"),
     *("paper k2", "paper p", "paper k2 p", "opencv"),
 )
 
@@ -69,8 +70,6 @@ def terms_of(model: str | Sequence[str]) -> tuple[str, ...]:
     CalibrationError
         If it is neither.
     """
-    from wavefield.calibration.bundle import TERMS
-
     if isinstance(model, str):
         if model not in MODELS:
             raise CalibrationError(f"camera model {model!r} is not known; use auto, {', '.join(MODELS)}")
@@ -81,10 +80,37 @@ def terms_of(model: str | Sequence[str]) -> tuple[str, ...]:
     return tuple(model)
 
 
+def beyond_doubt(fit: Fit, sizes: Sequence[tuple[int, int]]) -> set[str]:
+    """Terms that some camera needs: ten times their uncertainty away from a perfect camera's.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of a model with c and k1.
+    sizes : sequence of (width, height)
+        Image sizes, px.
+
+    Returns
+    -------
+    set of str
+        Of "c" and "k1".
+    """
+    std = np.sqrt(np.diag(fit.covariance))
+    sure = set()
+    for c, columns in enumerate(fit.layout.lens):
+        perfect = {"cx": (sizes[c][0] - 1) / 2, "cy": (sizes[c][1] - 1) / 2, "k1": 0.0}
+        for k, column in columns:
+            if column in perfect:
+                away = abs(fit.geometry.lens[c, LENS.index(column)] - perfect[column])
+                if away > 10.0 * std[k]:
+                    sure.add("k1" if column == "k1" else "c")
+    return sure
+
+
 def choose(
-    fit_model: Callable[[tuple[str, ...]], Fit], count: int
+    fit_model: Callable[[tuple[str, ...]], Fit], count: int, sizes: Sequence[tuple[int, int]]
 ) -> tuple[str, dict[str, Fit], list[Choice]]:
-    """Fit every candidate and choose.
+    """Fit the candidates and choose.
 
     Parameters
     ----------
@@ -92,6 +118,8 @@ def choose(
         From terms to a `Fit`, all with the same bend of the loss.
     count : int
         Number of residuals.
+    sizes : sequence of (width, height)
+        Image sizes, px.
 
     Returns
     -------
@@ -100,17 +128,22 @@ def choose(
     fits : dict of str to Fit
         By name.
     table : list of Choice
-        In the order tried.
+        In the order tried. Models without a term that is beyond doubt are not tried.
 
     Notes
     -----
     BIC = n ln(chi2 / n) + k ln n with the robust sum of squares, as the scale of the noise is not known.
     """
-    fits, table = {}, []
+    fits: dict[str, Fit] = {}
+    table: list[Choice] = []
+    sure: set[str] = set()
     for name in CANDIDATES:
-        fits[name] = found = fit_model(MODELS[name])
+        terms = MODELS[name]
+        if sure - set(terms) - ({"c"} if "tilt" in terms else set()):
+            continue
+        fits[name] = found = fit_model(terms)
+        sure = sure or beyond_doubt(found, sizes)
         k = len(found.layout.names)
         bic = count * np.log(max(found.chi2, 1e-300) / count) + k * np.log(count)
         table.append(Choice(name, k, float(np.sqrt(found.chi2 / count)), float(bic)))
-    best = min(table, key=lambda row: row.bic).model
-    return best, fits, table
+    return min(table, key=lambda row: row.bic).model, fits, table

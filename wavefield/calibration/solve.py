@@ -15,6 +15,7 @@ from wavefield.calibration.derived import Derived, derive
 from wavefield.calibration.model_choice import MODELS, Choice, choose, terms_of
 from wavefield.calibration.observations import LENS, Geometry, Observations, collect
 from wavefield.calibration.points import TargetPoints
+from wavefield.calibration.rest import covariance_to_dict
 from wavefield.calibration.start import FEWEST_NODES, Alone, calibrate_alone, mean_rotation
 from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
@@ -357,7 +358,7 @@ def _settle(
         result = run(terms, result.geometry)
     if auto:
         scale, begin = result.scale, result.geometry
-        name, fits, table = choose(lambda terms: run(terms, begin, scale), 2 * len(o))
+        name, fits, table = choose(lambda terms: run(terms, begin, scale), 2 * len(o), o.sizes)
         result = fits[name]
     return o, result, name, table
 
@@ -479,4 +480,5 @@ def _provenance(calibration: Calibration, mesh: float) -> dict[str, Any]:
         "left_out_points": dict(calibration.left_out),
         "cameras": cameras,
         "parameter_units": "f, aspect: log of the focal lengths; c: px; R: rad; T: m; k, p: 1; tau: rad",
+        "covariance": covariance_to_dict(result.layout.names, result.covariance, o.cameras),
     }
