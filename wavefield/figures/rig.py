@@ -56,6 +56,7 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
     near.plot(100 * x0, 100 * height, "o", color="black", label="point on the surface")
     side.set(xlabel="x (m)", ylabel="z (m)", title="from the side", aspect="equal")
     side.margins(0.12)
+    side.set_ylim(-0.3, 1.2 * max(camera.centre[2] for camera in rig.cameras.values()))
     above.set(xlabel="x (m)", ylabel="y (m)", title="from above", aspect="equal")
     low, high = above.get_xlim()
     above.set_ylim(y0 - (high - low) / 2.6, y0 + (high - low) / 2.6)
@@ -64,6 +65,7 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
     for ax in axes[0]:
         ax.grid(True, color="0.9", linewidth=0.7)
     figure.legend(loc="outside lower center", ncols=len(rig) + 2, frameon=False, fontsize=9)
+    figure.get_layout_engine().set(h_pad=0.15)
     return figure
 
 

@@ -5,6 +5,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from wavefield.figures.style import LINES, POSITIVE, colour_bar, edges, panels, plain_axes
 
@@ -61,7 +62,11 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
         ax.plot(k, curve, color="black", linewidth=1.3, label="linear dispersion relation")
         ax.legend(loc="lower right", fontsize=9, framealpha=0.9)
     ax.set(xlabel="k / 2π (m⁻¹)", ylabel="ω / 2π (Hz)")
-    ax.set(xlim=(0, edges(cycles)[-1]), ylim=(0, edges(hertz)[-1]))
+    right = edges(cycles)[-1]
+    if dispersion is not None and "omega_theory" in dispersion:  # beyond, waves are too fast for the frames
+        fastest = np.interp(2 * np.pi * hertz[-1], dispersion.omega_theory.values, dispersion.k.values)
+        right = min(right, 1.25 * float(fastest) / (2 * np.pi))
+    ax.set(xlim=(0, right), ylim=(0, edges(hertz)[-1]))
     return figure
 
 
@@ -163,6 +168,9 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
     positive = hertz[hertz > 0]
     if positive.size:
         ax.set_xlim(positive[0], positive[-1])
+    ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_formatter(NullFormatter())
     plain_axes(ax, loc="lower left")
     return figure
 
@@ -200,6 +208,9 @@ def wavenumber_spectra(spectra: xr.Dataset) -> Figure:
                     label=label,
                     **style,
                 )
+        tops = [float(spectra[prefix + n].max()) for n in labels if prefix + n in spectra]
+        if tops and max(tops) > 0:
+            ax.set_ylim(max(tops) * 1e-11, max(tops) * 5)
         unit = "m³ s⁻² rad⁻¹" if dim == "k" else "m² s⁻¹ rad⁻¹"
         ax.set(xlabel=axis, ylabel=f"E({'k' if dim == 'k' else 'ω'}) ({unit})")
         plain_axes(ax)
@@ -267,7 +278,11 @@ def dispersion_ridge(dispersion: xr.Dataset) -> Figure:
     left.plot(k, dispersion.omega_theory.values / (2 * np.pi), label="linear theory", **LINES[0])
     if "omega_fit" in dispersion:
         left.plot(k, dispersion.omega_fit.values / (2 * np.pi), label="fitted surface tension", **LINES[2])
-    left.set(xlabel="k / 2π (m⁻¹)", ylabel="ω / 2π (Hz)", xlim=(0, None), ylim=(0, None))
+    reach = (
+        1.3 * float(np.nanmax(dispersion.ridge_k.values)) / (2 * np.pi) if dispersion.ridge_k.size else k[-1]
+    )
+    highest = float(np.interp(reach, k, dispersion.omega_theory.values)) / (2 * np.pi)
+    left.set(xlabel="k / 2π (m⁻¹)", ylabel="ω / 2π (Hz)", xlim=(0, reach), ylim=(0, 1.1 * highest))
     right.axhline(0, color="0.3", linewidth=0.8)
     right.plot(dispersion.band_frequency.values, 100 * dispersion.ridge_error.values, marker="o", **LINES[1])
     right.set(xlabel="ω / 2π (Hz)", ylabel="ridge against theory (%)")

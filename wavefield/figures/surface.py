@@ -47,7 +47,7 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
     axes.set(
         xlabel="x (m)", ylabel="y (m)", zlabel="z (cm)", zlim=(-height, height), title=moment_title(snapshot)
     )
-    axes.set_box_aspect((span[0], span[1], 0.35 * max(span)), zoom=1.2)
+    axes.set_box_aspect((span[0], span[1], 0.35 * max(span)), zoom=1.05)
     axes.view_init(elev=32, azim=-60)
     return figure
 
