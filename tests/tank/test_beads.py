@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from wavefield.grid import Grid
 from wavefield.rig import Rig
 from wavefield.tank import Basin, Scene, Sea, Tank, carry, displacement, rigs, truth
-from wavefield.grid import Grid
 
 SMALL = {"rig": {"crop": 0.2}, "grid": {"x": (-0.1, 0.1), "y": (-0.1, 0.1), "step": 0.02}}
 
@@ -84,7 +84,7 @@ def test_beads_drift_with_the_current_and_with_the_waves():
     sea = Sea([k], [0.0], [a], depth=10.0, surface_tension=0.0, current=(0.1, 0.0), bound=1)
     period = 2 * np.pi / sea.sigma[0]
     basin = Basin(sea, (-1.0, 3.0), (-0.2, 0.2))
-    x, y = carry(basin, np.zeros(1), np.zeros(1), 0.0, 4 * period)
+    x, _ = carry(basin, np.zeros(1), np.zeros(1), 0.0, 4 * period)
     stokes = a * a * k * sea.sigma[0]
     assert (x[0] / (4 * period) - 0.1) == pytest.approx(stokes, rel=0.2)
 

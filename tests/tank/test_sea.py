@@ -85,7 +85,7 @@ def test_stokes_wave_has_its_second_harmonic_and_its_drift():
     harmonics = np.fft.rfft(z).real / 32
     assert harmonics[1] == pytest.approx(a, rel=1e-9)
     assert harmonics[2] == pytest.approx(k * a**2 / 2, rel=1e-6)
-    # Eulerian mean at the moving surface: half of Stokes' drift; the other half comes from following the water
+    # mean at the moving surface: half of Stokes' drift; the other half comes from following the water
     u = sea.at(x, 0.0, 0.0, ("u",))["u"]
     assert u.mean() == pytest.approx(0.5 * intrinsic_frequency(k, DEEP, 0.0) * k * a**2, rel=1e-6)
 

@@ -381,7 +381,7 @@ class Scene(_Part):
         Parameters
         ----------
         **parts
-            Top-level settings; a mapping changes only the settings that it names (another `kind`
+            Top-level settings; a mapping changes only the settings that it names (of another kind, it
             replaces the part).
 
         Returns
@@ -396,8 +396,9 @@ class Scene(_Part):
         data = self.model_dump()
         for name, value in parts.items():
             old = data.get(name)
-            same = isinstance(value, Mapping) and value.get("kind", None) in (None, (old or {}).get("kind"))
-            data[name] = {**old, **value} if same and isinstance(old, dict) else value
+            merged = isinstance(value, Mapping) and isinstance(old, dict) and set(value) <= set(old)
+            merged = merged and value.get("kind", old.get("kind")) == old.get("kind")
+            data[name] = {**old, **value} if merged else value
         return type(self).from_dict(data)
 
     def summary(self) -> dict[str, Any]:
