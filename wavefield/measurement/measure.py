@@ -12,6 +12,7 @@ from wavefield import matching
 from wavefield.measurement import surface as stereo
 from wavefield.measurement import velocity as motion
 from wavefield.measurement.plan import Plan
+from wavefield.measurement.rectify import bin_pixels
 from wavefield.measurement.surface import Surface
 from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, Quality
 
@@ -84,9 +85,9 @@ def look(frames: Mapping[str, NDArray | None], plan: Plan, moving: Sequence[str]
     for name in plan.cameras:
         image = frames.get(name)
         if image is not None and usable(image, plan.rig[name].size):
-            good[name] = image
+            good[name] = bin_pixels(image, plan.binning[name])
     flat = {n: stereo.prepare(good[n], n, plan) for n in plan.surface_cameras if n in good}
-    raw = {n: motion.prepare(good[n], n, plan) for n in moving if n in good}
+    raw = {n: matching.prepare(good[n], plan.settings.piv) for n in moving if n in good}
     return Instant(stereo.surface(flat, plan), raw, frozenset(n for n in plan.cameras if n not in good))
 
 
@@ -162,7 +163,7 @@ def _step(window: Sequence[Instant], plan: Plan, frame_rate: float, out: dict[st
     inside = np.ones(z.shape, bool)
     for name in plan.cameras:
         if name not in missing:
-            inside &= plan.views[name].sees(*plan.views[name].at(z)[:2])
+            inside &= plan.sights[name].sees(*plan.sights[name].at(z)[:2])
     quality = first.surface.quality | second.surface.quality | moved.quality
     filled = (quality & Quality.FILLED) != 0
     quality = np.where(filled, quality & ~np.uint8(Quality.MEASURED), quality)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
-from wavefield.measurement.rectify import sight_map
+from wavefield.measurement.rectify import binned, sight_map
 from wavefield.measurement.regrid import Lattice, bending_energy, thin_plate
 from wavefield.measurement.settings import Settings
 from wavefield.rig import Camera, Rig
@@ -50,6 +50,8 @@ class Plan:
         Pixel of the rectified images, metres.
     z_range : (float, float)
         Elevations searched, metres.
+    binning : dict of str to int
+        Squares of so many pixels are averaged before anything else: cameras must see beads alike.
 
     Raises
     ------
@@ -82,17 +84,25 @@ class Plan:
         distance = float(np.linalg.norm(rig[self.reference].centre - [*middle, 0.0]))
         reach = 0.025 * distance
         self.z_range = settings.z_range or (-reach, reach)
-        self.pixel = settings.pixel or _coarsest_fine_side([rig[n] for n in self.surface_cameras], *middle)
+        self.pixel = settings.pixel or self._fitting_pixel(*middle)
 
+        self.binning = self._binning(*middle)
+        self.binned = {name: binned(rig[name], self.binning[name]) for name in self.cameras}
         self._lay_out()
-        self.velocity = {name: Sight(rig[name], self) for name in self.velocity_cameras}
-        self.views = {
-            name: self.velocity[name] if name in self.velocity else Sight(rig[name], self)
-            for name in self.cameras
-        }
+        self.sights = {name: Sight(camera, self) for name, camera in self.binned.items()}
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _cached, (tuple(self.rig.cameras.items()), self.grid, self.settings)
+
+    def _fitting_pixel(self, x: float, y: float) -> float:
+        """The cameras' own pixel, or finer (at most twice) where blocks would be wider than 3/4 grid step."""
+        own = _coarsest_fine_side([self.rig[name] for name in self.surface_cameras], x, y)
+        return max(own / 2.0, min(own, 0.75 * self.grid.step / BLOCK))
+
+    def _binning(self, x: float, y: float) -> dict[str, int]:
+        """How much finer than the coarsest each camera resolves: so many pixels are averaged."""
+        size = {n: 1.0 / float(np.sqrt(np.prod(_singular(self.rig[n], x, y)))) for n in self.cameras}
+        return {name: max(1, round(max(size.values()) / own)) for name, own in size.items()}
 
     def _lay_out(self) -> None:
         """The rectified plane: where the nodes appear from any camera at any height, and two see them."""
@@ -131,7 +141,7 @@ class Plan:
         self.seen: dict[str, NDArray] = {}
         self.seen_blocks: dict[str, NDArray] = {}
         for name in self.surface_cameras:
-            X, Y, seen = sight_map(self.rig[name], px, py)
+            X, Y, seen = sight_map(self.binned[name], px, py)
             self.maps[name], self.seen[name] = (X, Y), seen
             self.seen_blocks[name] = cv2.resize(
                 seen.astype(np.float32), (nx, ny), interpolation=cv2.INTER_AREA
@@ -202,14 +212,13 @@ class Sight:
     Parameters
     ----------
     camera : Camera
-        The camera.
+        The camera, binned.
     plan : Plan
         For its nodes and its range of z.
     """
 
     def __init__(self, camera: Camera, plan: Plan) -> None:
-        self.binning = _binning(camera, plan)
-        self.camera = camera = camera.scaled(1.0 / self.binning)
+        self.camera = camera
         w, h = camera.size
         ny, nx = h // BLOCK, w // BLOCK
         self.lattice = Lattice(0.5 * (BLOCK - 1), 0.5 * (BLOCK - 1), float(BLOCK), (ny, nx))
@@ -314,21 +323,15 @@ def _with_reference_first(pairs: Sequence[tuple[str, str]]) -> tuple[tuple[str, 
 
 
 def _coarsest_fine_side(cameras: Sequence[Camera], x: float, y: float) -> float:
-    sides = []
-    for camera in cameras:
-        singular = np.linalg.svd(camera.jacobian(x, y, 0.0)[:, :2], compute_uv=False)
-        sides.append(1.0 / float(singular[0]))
-    if not np.isfinite(sides).all():
+    return max(1.0 / float(_singular(camera, x, y)[0]) for camera in cameras)
+
+
+def _singular(camera: Camera, x: float, y: float) -> NDArray[Any]:
+    """Largest and smallest px per metre on the water at rest."""
+    values = np.linalg.svd(camera.jacobian(x, y, 0.0)[:, :2], compute_uv=False)
+    if not np.isfinite(values).all():
         raise RigError("a camera does not look at the middle of the grid")
-    return max(sides)
-
-
-def _binning(camera: Camera, plan: Plan) -> int:
-    """How much finer than the rectified images a camera resolves: motion is measured on means of pixels."""
-    middle = 0.5 * (plan.grid.x[0] + plan.grid.x[1]), 0.5 * (plan.grid.y[0] + plan.grid.y[1])
-    singular = np.linalg.svd(camera.jacobian(*middle, 0.0)[:, :2], compute_uv=False)
-    fine = 1.0 / float(np.sqrt(singular[0] * singular[1]))
-    return max(1, round(1.1 * plan.pixel / fine))
+    return values
 
 
 @lru_cache(maxsize=4)

@@ -4,6 +4,7 @@ The image is sampled on a grid twice as fine by quintic B-splines without prefil
 interpolation: bias .002 px, where plain cubic interpolation of the image has .04 px.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -72,6 +73,50 @@ def _double(image, scale, rows, out):  # type: ignore[no-untyped-def]  # pragma:
                     o[2 * x + 1] = (
                         b0 * (q[x + 2] + q[x + 3]) + b1 * (q[x + 1] + q[x + 4]) + b2 * (q[x] + q[x + 5])
                     )
+
+
+def bin_pixels(image: NDArray, count: int) -> NDArray:
+    """Means of squares of pixels, for a camera that resolves more than its partners.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column), any real type
+        Raw image.
+    count : int
+        Side of the squares, px; 1 gives the image back. Rows and columns left over are cut off.
+
+    Returns
+    -------
+    ndarray, (row // count, column // count), uint8, uint16 or float32
+        8 bit become 16 (times 64), so that means are not rounded.
+    """
+    if image.dtype not in (np.uint8, np.uint16):
+        image = image.astype(np.float32)
+    if count == 1:
+        return image
+    h, w = image.shape[0] // count, image.shape[1] // count
+    image = image[: h * count, : w * count]
+    if image.dtype == np.uint8:
+        image = image.astype(np.uint16) * np.uint16(64)
+    return cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA)
+
+
+def binned(camera: Camera, count: int) -> Camera:
+    """The camera of the images that `bin_pixels` makes.
+
+    Parameters
+    ----------
+    camera : Camera
+        Camera of the raw images.
+    count : int
+        Side of the squares, px.
+
+    Returns
+    -------
+    Camera
+    """
+    width, height = camera.size
+    return replace(camera.scaled(1.0 / count), size=(width // count, height // count))
 
 
 def double(image: NDArray) -> NDArray:

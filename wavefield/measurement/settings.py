@@ -36,7 +36,7 @@ class Settings:
         down (10 cm at 4 m).
     pixel : float or None
         Pixel of the rectified images, metres. None: the finest side of a pixel of the camera that resolves
-        least.
+        least, or down to half of it where blocks of five would be wider than three quarters of a grid step.
     smoothing : float
         Thin-plate smoothing of the lattice of blocks, block lengths to the fourth power; it halves waves of
         2 pi smoothing^(1/4) blocks.

@@ -88,7 +88,7 @@ def prepare(image: NDArray, camera: str, plan: Plan) -> matching.Prepared:
     Parameters
     ----------
     image : ndarray, (row, column)
-        Raw image.
+        Raw image, its pixels binned.
     camera : str
         Its camera.
     plan : Plan

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,31 +40,6 @@ class Motion:
     d_std: NDArray
     eps_piv: NDArray
     quality: NDArray[np.uint8]
-
-
-def prepare(image: NDArray, camera: str, plan: Plan) -> matching.Prepared:
-    """Make a raw image ready for matching in time.
-
-    Parameters
-    ----------
-    image : ndarray, (row, column)
-        Raw image.
-    camera : str
-        Its camera.
-    plan : Plan
-        Tells which cameras resolve so finely that means of pixels do.
-
-    Returns
-    -------
-    matching.Prepared
-    """
-    sight = plan.velocity[camera]
-    if sight.binning > 1:
-        image = image.astype(np.float32) if image.dtype not in (np.uint8, np.uint16) else image
-        # 8 bit would be rounded: the mean of four keeps two bits more
-        image = image.astype(np.uint16) * np.uint16(64) if image.dtype == np.uint8 else image
-        image = cv2.resize(image, sight.camera.size, interpolation=cv2.INTER_AREA)
-    return matching.prepare(image, plan.settings.piv)
 
 
 def displacement_at(
@@ -141,7 +115,7 @@ def velocity(
     trusted = np.zeros((count, *shape), bool)
     rejected = np.zeros(shape, np.uint8)
     for n, name in enumerate(names):
-        sight = plan.velocity[name]
+        sight = plan.sights[name]
         at = sight.at(z)
         X, Y = at[0], at[1]
         inside = sight.sees(X, Y)
