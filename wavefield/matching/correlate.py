@@ -13,7 +13,7 @@ from wavefield.errors import FrameError
 from wavefield.matching.assess import assess
 from wavefield.matching.displacement import Displacement
 from wavefield.matching.gauss_newton import Initial, initial_fields, prepared
-from wavefield.matching.kernels import BLOCK, F, final_sums, scratch
+from wavefield.matching.kernels import BLOCK, F, final_sums, scratch, spline_image
 from wavefield.matching.lattice import (
     block_weights,
     filtered,
@@ -87,7 +87,9 @@ def correlate(
     ny, nx = first.blocks
     rows, columns = np.arange(0, ny, _STRIDE), np.arange(0, nx, _STRIDE)
     size = int(settings.window) // 2 * 2
-    smooth = first.reference[0]
+    planes = np.empty((3, *first.shape), np.float32)
+    spline_image(first.padded, np.empty((5, first.shape[1] + 4), np.float32), planes)
+    smooth = planes[0]
     if initial is None:
         u, v = (np.zeros((len(rows), len(columns)), np.float32) for _ in range(2))
         reach_x, reach_y = settings.search_x or (-16.0, 16.0), settings.search_y or (-16.0, 16.0)
@@ -120,9 +122,7 @@ def _assessed(
     """Correlation, uncertainty and validity as `match` finds them."""
     sums = np.empty((12, *u.shape), np.float32)
     none, still = np.zeros(u.shape, np.float32), np.zeros(u.shape, np.float32)
-    final_sums(
-        *first.reference, second.padded, u, v, slopes(u, v), none, F(0), out=sums, **scratch(u.shape[1])
-    )
+    final_sums(first.padded, second.padded, u, v, slopes(u, v), none, F(0), out=sums, **scratch(u.shape[1]))
     weight = np.empty(u.shape, np.float32)
     block_weights(first.good, second.good, u, v, *second.shape, weight)
     sums *= weight

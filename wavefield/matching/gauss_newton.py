@@ -117,8 +117,8 @@ def prepared(image: np.ndarray | Prepared, settings: Settings, mask: np.ndarray 
         )
     if len(image.levels) < depth(image.shape, settings.levels):
         raise ValueError(
-            f"the image was prepared with {len(image.levels)} levels but the settings ask for {settings.levels}: "
-            "prepare it with the settings of the match"
+            f"the image was prepared with {len(image.levels)} levels but the settings ask for "
+            f"{settings.levels}: prepare it with the settings of the match"
         )
     return image
 
@@ -227,17 +227,15 @@ def _plain_steps(
     """Steps without weights per pixel: the Hessian is that of a alone."""
     if count == 0:
         return u, v
-    smooth, gx, gy = a.reference
     work = scratch(u.shape[1])
-    work.pop("rows")
     windows = _Windows(settings.window)
     moments = np.empty((9, *u.shape), np.float32)
-    gradient_moments(gx, gy, work["sums"], moments)
+    gradient_moments(a.padded, work["rows"], work["sums"], moments)
     hessian = _Hessian(moments, windows)
     masked = bool(a.good.size or b.good.size)
     sums = np.empty((2, *u.shape), np.float32)
     for number in range(count):
-        plain_sums(smooth, gx, gy, b.padded, u, v, out=sums, **work)
+        plain_sums(a.padded, b.padded, u, v, out=sums, **work)
         subtract_slopes(sums, moments, slopes(u, v))
         weight = _weights(a, b, u, v)
         sums *= weight
@@ -252,7 +250,6 @@ def _finest(a: Level, b: Level, u: np.ndarray, v: np.ndarray, count: int, settin
     """Steps of the finest level; the last one also measures correlation and uncertainty."""
     windows = _Windows(settings.window)
     masked = bool(a.good.size or b.good.size)
-    smooth, gx, gy = a.reference
     work = scratch(u.shape[1])
     c2b2 = F(settings.robust**2 * settings.robust_beta**2 / 4)
     c2 = np.zeros(u.shape, np.float32)
@@ -261,7 +258,7 @@ def _finest(a: Level, b: Level, u: np.ndarray, v: np.ndarray, count: int, settin
     for number in range(plain, count):
         kernel, fields = (robust_sums, 6) if number < count - 1 else (final_sums, 12)
         sums = np.empty((fields, *u.shape), np.float32)
-        kernel(smooth, gx, gy, b.padded, u, v, slopes(u, v), c2, c2b2, out=sums, **work)
+        kernel(a.padded, b.padded, u, v, slopes(u, v), c2, c2b2, out=sums, **work)
         weight = _weights(a, b, u, v)
         sums *= weight
         share = filtered(weight, windows.weights)

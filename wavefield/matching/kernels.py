@@ -29,39 +29,43 @@ njit: Any = nb.njit(fastmath=True, error_model="numpy", nogil=True, cache=True)
 
 
 @njit
-def spline_image(image, pad, smooth, gx, gy, scratch):
-    """Smooth with the quintic B-spline, and its exact derivatives, at the pixels.
+def _spline_row(image, y, s, d, a, gx, gy):
+    """Row y of an image smoothed with the quintic B-spline, and its exact derivatives along columns and rows.
+
+    image (h + 2 PAD, w + 2 PAD) has its border; s, d and a, gx, gy are rows of work space and output.
+    """
+    a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
+    d1, d2 = F(10 / 24), F(1 / 24)
+    r0, r1, r2 = image[y + PAD - 2][PAD - 2 :], image[y + PAD - 1][PAD - 2 :], image[y + PAD][PAD - 2 :]
+    r3, r4 = image[y + PAD + 1][PAD - 2 :], image[y + PAD + 2][PAD - 2 :]
+    n = len(a) - 4
+    for x in range(n + 4):
+        s[x] = a0 * r2[x] + a1 * (r1[x] + r3[x]) + a2 * (r0[x] + r4[x])
+        d[x] = d1 * (r3[x] - r1[x]) + d2 * (r4[x] - r0[x])
+    for x in range(n):
+        a[x] = a0 * s[x + 2] + a1 * (s[x + 1] + s[x + 3]) + a2 * (s[x] + s[x + 4])
+        gx[x] = d1 * (s[x + 3] - s[x + 1]) + d2 * (s[x + 4] - s[x])
+        gy[x] = a0 * d[x + 2] + a1 * (d[x + 1] + d[x + 3]) + a2 * (d[x] + d[x + 4])
+
+
+@njit
+def spline_image(image, rows, out):
+    """Smooth an image with the quintic B-spline, and take its derivatives.
 
     Parameters
     ----------
-    image : (h + 2 pad, w + 2 pad) float32
+    image : (h + 2 PAD, w + 2 PAD) float32
         Image with replicated border.
-    pad : int
-        Width of the border, at least 2.
-    smooth, gx, gy : (h, w) float32
-        Output: the smoothed image and its derivatives along columns and rows, per px.
-    scratch : (2, w + 4) float32
+    rows : (5, w + 4) float32
         Work space.
+    out : (3, h, w) float32
+        Output: the smoothed image and its derivatives along columns and rows, per px.
     """
-    h, w = smooth.shape
-    a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
-    d1, d2 = F(10 / 24), F(1 / 24)
-    s, d = scratch[0], scratch[1]
+    _, h, w = out.shape
     for y in range(h):
-        r0, r1, r2 = image[y + pad - 2], image[y + pad - 1], image[y + pad]
-        r3, r4 = image[y + pad + 1], image[y + pad + 2]
-        o = pad - 2
-        for x in range(w + 4):
-            s[x] = a0 * r2[x + o] + a1 * (r1[x + o] + r3[x + o]) + a2 * (r0[x + o] + r4[x + o])
-        for x in range(w + 4):
-            d[x] = d1 * (r3[x + o] - r1[x + o]) + d2 * (r4[x + o] - r0[x + o])
-        to, to_x, to_y = smooth[y], gx[y], gy[y]
-        for x in range(w):
-            to[x] = a0 * s[x + 2] + a1 * (s[x + 1] + s[x + 3]) + a2 * (s[x] + s[x + 4])
-        for x in range(w):
-            to_x[x] = d1 * (s[x + 3] - s[x + 1]) + d2 * (s[x + 4] - s[x])
-        for x in range(w):
-            to_y[x] = a0 * d[x + 2] + a1 * (d[x + 1] + d[x + 3]) + a2 * (d[x] + d[x + 4])
+        _spline_row(image, y, rows[0], rows[1], rows[2], rows[3], rows[4])
+        for k in range(3):
+            out[k, y] = rows[2 + k][:w]
 
 
 @njit
@@ -75,14 +79,14 @@ def _fold(row, out):
 
 
 @njit
-def gradient_moments(gx, gy, sums, out):
+def gradient_moments(image, rows, sums, out):
     """Sums per block of products of the gradients of a, alone and times the place in the block.
 
     Parameters
     ----------
-    gx, gy : (h, w) float32
-        Derivatives of a.
-    sums : (9, nx * BLOCK) float32
+    image : (h + 2 PAD, w + 2 PAD) float32
+        a with its border.
+    rows, sums : arrays of `scratch`
         Work space.
     out : (9, ny, nx) float32
         Output: sums of gx gx, gx gy, gy gy, then each of the three times x, then each times y
@@ -93,7 +97,8 @@ def gradient_moments(gx, gy, sums, out):
     for by in range(ny):
         sums[:6] = F(0)
         for j in range(BLOCK):
-            p, q = gx[by * BLOCK + j], gy[by * BLOCK + j]
+            _spline_row(image, by * BLOCK + j, rows[0], rows[1], rows[2], rows[3], rows[4])
+            p, q = rows[3], rows[4]
             y = F(j) - MID
             for x in range(len(s0)):
                 xx, xy, yy = p[x] * p[x], p[x] * q[x], q[x] * q[x]
@@ -187,18 +192,16 @@ def _warp_strip(image, by, u, v, position, whole, taps, t, strip):
 
 
 @njit
-def plain_sums(smooth, gx, gy, image, u, v, position, whole, taps, t, strip, sums, out):
+def plain_sums(first, second, u, v, position, whole, taps, t, strip, rows, sums, out):
     """Sums per block of gx r and gy r, with r = a - b(x + d) and d constant over the block.
 
     Parameters
     ----------
-    smooth, gx, gy : (h, w) float32
-        a smoothed, and its derivatives.
-    image : (h_b + 2 PAD, w_b + 2 PAD) float32
-        b with its border.
+    first, second : (h + 2 PAD, w + 2 PAD) float32
+        a and b with their borders.
     u, v : (ny, nx) float32
         Displacement, px.
-    position, whole, taps, t, strip, sums : arrays of `scratch`
+    position, whole, taps, t, strip, rows, sums : arrays of `scratch`
         Work space.
     out : (2, ny, nx) float32
         Output.
@@ -206,11 +209,11 @@ def plain_sums(smooth, gx, gy, image, u, v, position, whole, taps, t, strip, sum
     ny = len(u)
     s0, s1 = sums[0], sums[1]
     for by in range(ny):
-        _warp_strip(image, by, u[by], v[by], position, whole, taps, t, strip)
+        _warp_strip(second, by, u[by], v[by], position, whole, taps, t, strip)
         sums[:2] = F(0)
         for j in range(BLOCK):
-            y = by * BLOCK + j
-            a, p, q, b = smooth[y], gx[y], gy[y], strip[j]
+            _spline_row(first, by * BLOCK + j, rows[0], rows[1], rows[2], rows[3], rows[4])
+            a, p, q, b = rows[2], rows[3], rows[4], strip[j]
             for x in range(len(s0)):
                 r = a[x] - b[x]
                 s0[x] += p[x] * r
@@ -237,11 +240,11 @@ def _spread_strip(slopes, c2, by, rows):
     """Slopes of the displacement and weight constants of one row of blocks, spread over its pixels."""
     for b in range(slopes.shape[2]):
         x = b * BLOCK
-        _ramp(rows[0], x, slopes[0, by, b])
-        _level(rows[1], x, slopes[1, by, b])
-        _ramp(rows[2], x, slopes[2, by, b])
-        _level(rows[3], x, slopes[3, by, b])
-        _level(rows[4], x, c2[by, b])
+        _ramp(rows[5], x, slopes[0, by, b])
+        _level(rows[6], x, slopes[1, by, b])
+        _ramp(rows[7], x, slopes[2, by, b])
+        _level(rows[8], x, slopes[3, by, b])
+        _level(rows[9], x, c2[by, b])
 
 
 @njit
@@ -262,14 +265,12 @@ def _robust_row(a, gx, gy, b, ux, uy, vx, vy, y, c2, c2b2, s0, s1, s2, s3, s4, s
 
 
 @njit
-def robust_sums(
-    smooth, gx, gy, image, u, v, slopes, c2, c2b2, position, whole, taps, t, strip, rows, sums, out
-):
+def robust_sums(first, second, u, v, slopes, c2, c2b2, position, whole, taps, t, strip, rows, sums, out):
     """Sums per block with a weight w = (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 per pixel.
 
     Parameters
     ----------
-    smooth, gx, gy, image, u, v
+    first, second, u, v
         As for `plain_sums`.
     slopes : (4, ny, nx) float32
         du/dx, du/dy, dv/dx, dv/dy: the displacement inside the block is linear.
@@ -284,22 +285,22 @@ def robust_sums(
     """
     ny = len(u)
     for by in range(ny):
-        _warp_strip(image, by, u[by], v[by], position, whole, taps, t, strip)
+        _warp_strip(second, by, u[by], v[by], position, whole, taps, t, strip)
         _spread_strip(slopes, c2, by, rows)
         sums[:6] = F(0)
         for j in range(BLOCK):
-            y = by * BLOCK + j
+            _spline_row(first, by * BLOCK + j, rows[0], rows[1], rows[2], rows[3], rows[4])
             _robust_row(
-                smooth[y],
-                gx[y],
-                gy[y],
-                strip[j],
-                rows[0],
-                rows[1],
                 rows[2],
                 rows[3],
-                F(j) - MID,
                 rows[4],
+                strip[j],
+                rows[5],
+                rows[6],
+                rows[7],
+                rows[8],
+                F(j) - MID,
+                rows[9],
                 c2b2,
                 sums[0],
                 sums[1],
@@ -346,14 +347,12 @@ def _final_row(a, gx, gy, r, w, psi, s0, s1, s2, s3, s4, s5, s6, s7, s8, s9, s10
 
 
 @njit
-def final_sums(
-    smooth, gx, gy, image, u, v, slopes, c2, c2b2, position, whole, taps, t, strip, rows, sums, out
-):
+def final_sums(first, second, u, v, slopes, c2, c2b2, position, whole, taps, t, strip, rows, sums, out):
     """The sums of `robust_sums` and those that correlation and uncertainty are made of.
 
     Parameters
     ----------
-    smooth, gx, gy, image, u, v, slopes, c2, c2b2, position, whole, taps, t, strip, rows, sums
+    first, second, u, v, slopes, c2, c2b2, position, whole, taps, t, strip, rows, sums
         As for `robust_sums`.
     out : (12, ny, nx) float32
         Output: the six sums of `robust_sums`, then those of a, a a, r, a r,
@@ -362,35 +361,35 @@ def final_sums(
     """
     ny = len(u)
     for by in range(ny):
-        _warp_strip(image, by, u[by], v[by], position, whole, taps, t, strip)
+        _warp_strip(second, by, u[by], v[by], position, whole, taps, t, strip)
         _spread_strip(slopes, c2, by, rows)
         sums[:] = F(0)
         for j in range(BLOCK):
-            y = by * BLOCK + j
-            a, p, q = smooth[y], gx[y], gy[y]
+            _spline_row(first, by * BLOCK + j, rows[0], rows[1], rows[2], rows[3], rows[4])
+            a, p, q = rows[2], rows[3], rows[4]
             _residual_row(
                 a,
                 p,
                 q,
                 strip[j],
-                rows[0],
-                rows[1],
-                rows[2],
-                rows[3],
-                F(j) - MID,
-                rows[4],
-                c2b2,
                 rows[5],
                 rows[6],
                 rows[7],
+                rows[8],
+                F(j) - MID,
+                rows[9],
+                c2b2,
+                rows[10],
+                rows[11],
+                rows[12],
             )
             _final_row(
                 a,
                 p,
                 q,
-                rows[5],
-                rows[6],
-                rows[7],
+                rows[10],
+                rows[11],
+                rows[12],
                 sums[0],
                 sums[1],
                 sums[2],
@@ -448,6 +447,6 @@ def scratch(nx: int) -> dict[str, np.ndarray]:
         "taps": np.empty((2, TAPS, nx), np.float32),
         "t": np.zeros(END, np.float32),  # its garbage columns are read (and dropped) before they are written
         "strip": np.empty((BLOCK, n + 8), np.float32),
-        "rows": np.empty((8, n), np.float32),
+        "rows": np.empty((13, n + 4), np.float32),
         "sums": np.empty((12, n), np.float32),
     }

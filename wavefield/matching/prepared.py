@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import cv2
 import numpy as np
 
 from wavefield.errors import FrameError
-from wavefield.matching.kernels import BLOCK, PAD, spline_image
+from wavefield.matching.kernels import BLOCK, PAD
 from wavefield.matching.settings import Settings
 
 _COARSE = 4  # local means and variances are taken on an image this many times smaller
@@ -47,14 +46,6 @@ class Level:
     def image(self) -> np.ndarray:
         """(h, w) float32: the image without its border."""
         return self.padded[PAD:-PAD, PAD:-PAD]
-
-    @cached_property
-    def reference(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The smoothed image and its two derivatives: what matching needs of the first image."""
-        h, w = self.shape
-        smooth, gx, gy = np.empty((3, h, w), np.float32)
-        spline_image(self.padded, PAD, smooth, gx, gy, np.empty((2, w + 4), np.float32))
-        return smooth, gx, gy
 
 
 @dataclass(frozen=True)
