@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from wavefield.series import Frame, FrameFault
+from wavefield.variables import FrameStatus
 
 
 class Source(Protocol):
@@ -103,7 +104,7 @@ class BlockFrames(Sequence[np.ndarray | None]):
         Which they are.
     """
 
-    _KEEP = 5  # a step at mid-time looks at four frames
+    _KEEP = 4  # as many as a step at mid-time looks at
 
     def __init__(self, source: Source, block: Block) -> None:
         self._source, self._block = source, block
@@ -154,11 +155,27 @@ def measure_block(block: Block, plan: Any, frame_rate: float) -> Measured:
     -------
     Measured
     """
-    from wavefield.measurement import measure
+    from wavefield.measurement.measure import measure
 
     frames = {name: BlockFrames(source, block) for name, source in block.sources.items()}
     fields = dict(measure(frames, plan, frame_rate))
     status = np.asarray(fields.pop("frame_status"), np.uint8)
+    _find_dim_frames(frames, status, block, plan)
     faults = {name: dict(lazy.faults) for name, lazy in frames.items()}
     messages = [lazy.messages[i] for lazy in frames.values() for i in sorted(lazy.messages)]
     return Measured(fields, status, faults, messages)
+
+
+def _find_dim_frames(frames: Mapping[str, BlockFrames], status: np.ndarray, block: Block, plan: Any) -> None:
+    """Name the frames that the measurement found to show next to nothing, though they are not quite blank."""
+    from wavefield.measurement.measure import usable
+
+    suspicious = np.flatnonzero(status != FrameStatus.DONE)
+    for position in sorted({int(step) + k for step in suspicious for k in (1, 2)}):
+        index = block.start - 1 + position
+        for name, lazy in frames.items():
+            if index not in lazy.faults:
+                image = lazy[position]
+                if image is not None and not usable(image, plan.rig[name].size):
+                    lazy.faults[index] = FrameFault.BLANK
+                    lazy.messages[index] = f"{name} frame at index {index} shows next to nothing"

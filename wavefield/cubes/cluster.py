@@ -208,14 +208,16 @@ def _make_plugin() -> Any:
     from distributed import WorkerPlugin
 
     class OneThread(WorkerPlugin):
-        """Sets threads, and leaves Ctrl-C to the run itself."""
+        """Sets threads, and leaves Ctrl-C and Slurm's warning to the run itself."""
 
         name = "wavefield-one-thread"
 
         def setup(self, worker: Any) -> None:
             one_thread()
             if threading.current_thread() is threading.main_thread():
-                signal.signal(signal.SIGINT, signal.SIG_IGN)
+                for name in ("SIGINT", "SIGUSR1"):
+                    if hasattr(signal, name):
+                        signal.signal(getattr(signal, name), signal.SIG_IGN)
 
     return OneThread()
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from wavefield.cubes.block import Measured, make_block, measure_block
 from wavefield.cubes.cluster import count_workers, one_thread
-from wavefield.cubes.processing import Prepared, choose_block, prepare
+from wavefield.cubes.processing import Prepared, choose_block, expected_coverage, prepare
 from wavefield.cubes.state import spell_ranges
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, RigError
@@ -235,27 +235,6 @@ def _look_at(series: FrameSeries) -> CameraCheck:
     return CameraCheck(
         series.camera, len(series) - len(missing), (columns, rows), series.dtype, missing, small
     )
-
-
-def expected_coverage(rig: Rig, grid: Grid) -> float:
-    """Share of the nodes that every camera sees when the water is at rest.
-
-    Parameters
-    ----------
-    rig : Rig
-        The cameras that measure.
-    grid : Grid
-        The nodes.
-
-    Returns
-    -------
-    float
-    """
-    x, y = np.meshgrid(grid.x_nodes, grid.y_nodes)
-    seen = np.ones(x.shape, bool)
-    for name in rig:
-        seen &= rig[name].sees(x, y, 0.0)
-    return float(seen.mean())
 
 
 def measure_cost(prepared: Prepared) -> tuple[Cost, float]:

@@ -186,11 +186,37 @@ def prepare(
     used = {name: rig[name] for name in experiment.measuring_cameras}
     rig = replace(rig, cameras=used)
     grid = experiment.choose_grid(rig)
+    if not any(expected_coverage(replace(rig, cameras={name: rig[name]}), grid) for name in rig):
+        raise ExperimentError(
+            f"{experiment.path}: no camera sees the grid (x {grid.x[0]:g} to {grid.x[1]:g} m, "
+            f"y {grid.y[0]:g} to {grid.y[1]:g} m); correct `grid`, or leave it out to have it chosen"
+        )
     settings = make_settings(experiment, workflow)
     plan = Plan(rig, grid, settings)
     series = {name: series[name] for name in used}
     recipe = make_recipe(experiment, series, rig, grid, settings, workflow.packing)
     return Prepared(experiment, series, rig, grid, plan, recipe, workflow)
+
+
+def expected_coverage(rig: Rig, grid: Grid) -> float:
+    """Share of the nodes that every camera sees while the water is at rest.
+
+    Parameters
+    ----------
+    rig : Rig
+        The cameras that measure.
+    grid : Grid
+        The nodes.
+
+    Returns
+    -------
+    float
+    """
+    x, y = np.meshgrid(grid.x_nodes, grid.y_nodes)
+    seen = np.ones(x.shape, bool)
+    for name in rig:
+        seen &= rig[name].sees(x, y, 0.0)
+    return float(seen.mean())
 
 
 def make_settings(experiment: Experiment, workflow: Workflow) -> Any:
@@ -278,23 +304,31 @@ def process(prepared: Prepared, path: Path, progress: ProgressFunction | None = 
     """
     path = path.absolute()
     with only_run(path), log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
-        layout = _open_or_create(prepared, path)
-        todo = [
-            make_block(prepared.series, start, stop)
-            for start, stop in unfinished(path, layout, prepared.series)
-        ]
-        tracker = _Tracker(layout.steps, layout.steps - sum(b.steps for b in todo), progress)
-        tracker.say(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} blocks to do")
         try:
-            if todo:
-                _work_off(prepared, path, todo, tracker)
+            _go_on(prepared, path, progress)
         except KeyboardInterrupt as stop:
             raise RunStopped(
-                f"stopped{_why(stop)} after {tracker.done} of {tracker.total} steps; nothing is lost, and "
-                "the same command goes on from there"
+                f"stopped{_why(stop)}{_how_far(path)}; nothing is lost, and the same command goes on"
             ) from None
-        tracker.say("done")
     return status(path)
+
+
+def _go_on(prepared: Prepared, path: Path, progress: ProgressFunction | None) -> None:
+    layout = _open_or_create(prepared, path)
+    ranges = unfinished(path, layout, prepared.series)
+    todo = [make_block(prepared.series, start, stop) for start, stop in ranges]
+    tracker = _Tracker(layout.steps, layout.steps - sum(b.steps for b in todo), progress)
+    tracker.say(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} blocks to do")
+    if todo:
+        _work_off(prepared, path, todo, tracker)
+    tracker.say("done")
+
+
+def _how_far(path: Path) -> str:
+    if not path.exists():
+        return " before it began"
+    now = status(path)
+    return f" after {now.steps - now.left} of {now.steps} steps"
 
 
 def _open_or_create(prepared: Prepared, path: Path) -> stores.Layout:

@@ -1,0 +1,68 @@
+"""A tank small enough to be measured in a second, and how to compare cubes."""
+
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from wavefield.cubes import Workflow, open_cube
+from wavefield.tank import Scene, Tank
+
+HERE = Workflow(cluster="none")
+FRAMES = 17
+
+
+def write_tank(folder: Path, frames: int = FRAMES) -> Path:
+    """Images of three cameras, a rig and an experiment file; returns the file."""
+    from wavefield.images import write_image
+
+    tank = Tank(Scene.load("demo").with_(rig={"crop": 0.12}, sea={"shortest": 0.15}))
+    folder.mkdir(parents=True, exist_ok=True)
+    tank.rig.save(folder / "rig.yaml")
+    for number in range(frames):
+        for camera, image in tank.render(number).items():
+            write_image(folder / camera / f"img_{number:05d}.tif", image)
+    path = folder / "experiment.yaml"
+    path.write_text(
+        f"""\
+name: small-tank
+frame_rate: {tank.scene.frame_rate}
+cameras:
+  cam1: {{images: "cam1/img_{{frame:05d}}.tif"}}
+  cam2: {{images: "cam2/img_{{frame:05d}}.tif"}}
+  cam3: {{images: "cam3/img_{{frame:05d}}.tif"}}
+rig: rig.yaml
+grid: {{x: [-0.04, 0.04], y: [-0.06, 0.06], step: 0.01}}
+water: {{depth: 0.7}}
+"""
+    )
+    return path
+
+
+def different(a, b, steps=slice(None)) -> list[str]:
+    """Names of the variables in which two cubes differ in any bit of any value."""
+    a, b = (open_cube(c) if isinstance(c, str | Path) else c for c in (a, b))
+    out = []
+    for name in (
+        "z",
+        "z_t",
+        "u",
+        "v",
+        "w",
+        "eps_y",
+        "eps_piv",
+        "z_std",
+        "u_std",
+        "v_std",
+        "w_std",
+        "quality",
+        "frame_status",
+    ):
+        one, other = (np.asarray(c[name].isel(time=steps)) for c in (a, b))
+        if one.dtype != other.dtype or one.tobytes() != other.tobytes():
+            out.append(name)
+    return out
+
+
+def steps_measured(cube: xr.Dataset) -> int:
+    return int((cube.frame_status > 0).sum())

@@ -1,0 +1,248 @@
+"""Real worker processes and schedulers: killed, cut off, interrupted; the cube is the same to the bit.
+
+Everything runs through the command line, in processes of its own.
+"""
+
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import psutil
+import pytest
+from cube_cases import different
+
+from wavefield.cubes import Workflow, run, status
+from wavefield.cubes.cluster import count_jobs, slurm_cluster
+from wavefield.errors import ExperimentError
+
+PATIENCE = 120.0  # seconds, on a busy machine
+
+
+def write_workflow(folder, **settings):
+    path = folder / "workflow.yaml"
+    path.write_text("".join(f"{name}: {value}\n" for name, value in settings.items()))
+    return path
+
+
+def start(tank, out, workflow):
+    command = [
+        sys.executable,
+        "-m",
+        "wavefield.cli",
+        "run",
+        str(tank),
+        "-o",
+        str(out),
+        "--workflow",
+        str(workflow),
+    ]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+    )
+
+
+def wait_for(condition, process=None):
+    since = time.monotonic()
+    while not condition():
+        if process is not None and process.poll() is not None:
+            raise AssertionError(f"the run ended early: {process.stdout.read()}")
+        if time.monotonic() - since > PATIENCE:
+            raise AssertionError("nothing happened for too long")
+        time.sleep(0.02)
+
+
+def begun(out, steps=1):
+    """Whether that many steps are done."""
+
+    def condition():
+        if not out.exists():
+            return False
+        now = status(out)
+        return now.steps - now.left >= steps
+
+    return condition
+
+
+def finish(process):
+    text, _ = process.communicate(timeout=PATIENCE)
+    return process.returncode, text
+
+
+def workers_of(process):
+    return [
+        child
+        for child in psutil.Process(process.pid).children(recursive=True)
+        if "spawn_main" in " ".join(child.cmdline())
+    ]
+
+
+def kill_all(process):
+    """SIGKILL to a run and its workers."""
+    family = [*psutil.Process(process.pid).children(recursive=True), psutil.Process(process.pid)]
+    for member in family:
+        member.kill()
+    psutil.wait_procs(family, timeout=PATIENCE)
+    process.communicate()
+
+
+def test_workers_killed_and_runs_killed_leave_the_same_cube(tank, reference, tmp_path):
+    out = tmp_path / "cube.zarr"
+    workflow = write_workflow(tmp_path, cluster="local", workers=2, steps_per_block=1, dashboard="null")
+    first = start(tank, out, workflow)
+    wait_for(begun(out, 2), first)
+    kill_all(first)
+    done = status(out)
+    assert 0 < done.left < done.steps
+
+    second = start(tank, out, workflow)
+    wait_for(begun(out, done.steps - done.left + 1), second)
+    workers_of(second)[0].kill()  # its block is done again by another
+    code, text = finish(second)
+    assert code == 0, text
+    assert status(out).complete
+    assert different(out, reference) == []
+
+
+def test_ctrl_c_on_a_terminal_stops_cleanly(tank, reference, tmp_path):
+    """The terminal sends SIGINT to the run and all its workers at once."""
+    out = tmp_path / "cube.zarr"
+    workflow = write_workflow(tmp_path, cluster="local", workers=2, steps_per_block=1, dashboard="null")
+    process = start(tank, out, workflow)
+    wait_for(begun(out, 2), process)
+    workers = workers_of(process)
+    for member in [psutil.Process(process.pid), *workers]:
+        member.send_signal(signal.SIGINT)
+    code, text = finish(process)
+    assert code != 0
+    assert "nothing is lost, and the same command goes on" in text
+    assert "Traceback" not in text
+    assert not any(worker.is_running() for worker in workers)
+    assert different(out, reference, slice(0, 1)) == []
+
+
+@contextmanager
+def scheduler_and_workers(folder, count=2):
+    """A scheduler and workers as separate processes that talk over TCP."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    distributed = [sys.executable, "-m", "distributed.cli"]
+    options = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder}
+    scheduler = subprocess.Popen(
+        [
+            distributed[0],
+            "-m",
+            "distributed.cli.dask_scheduler",
+            "--host",
+            "127.0.0.1",
+            "--port",
+            str(port),
+            "--no-dashboard",
+        ],
+        **options,
+    )
+    workers = [
+        subprocess.Popen(
+            [
+                distributed[0],
+                "-m",
+                "distributed.cli.dask_worker",
+                address,
+                "--nthreads",
+                "1",
+                "--no-dashboard",
+                "--no-nanny",
+                "--death-timeout",
+                "60",
+            ],
+            **options,
+        )
+        for _ in range(count)
+    ]
+    try:
+        yield address, scheduler, workers
+    finally:
+        for process in [*workers, scheduler]:
+            process.kill()
+            process.wait()
+
+
+def test_a_scheduler_over_tcp_and_its_death(tank, reference, tmp_path):
+    out = tmp_path / "cube.zarr"
+    with scheduler_and_workers(tmp_path) as (address, scheduler, workers):
+        workflow = write_workflow(tmp_path, cluster="address", address=address, workers=2, steps_per_block=1)
+        process = start(tank, out, workflow)
+        wait_for(begun(out, 2), process)
+        scheduler.kill()
+        code, text = finish(process)
+    assert code == 1, text
+    assert "the scheduler was lost" in text
+    assert "run the same command again to go on" in text
+    assert not status(out).complete
+    with scheduler_and_workers(tmp_path, 1) as (address, scheduler, workers):
+        workflow = write_workflow(tmp_path, cluster="address", address=address, workers=2, steps_per_block=1)
+        code, text = finish(start(tank, out, workflow))
+    assert code == 0, text
+    assert different(out, reference) == []
+
+
+def test_no_scheduler_at_the_address(tank, tmp_path):
+    workflow = Workflow(
+        cluster="address", address="tcp://127.0.0.1:9", dask={"distributed.comm.timeouts.connect": "1s"}
+    )
+    with pytest.raises(ExperimentError, match="no scheduler answers at tcp://127.0.0.1:9"):
+        run(tank, out=tmp_path / "cube.zarr", workflow=workflow)
+
+
+def test_the_job_that_slurm_is_asked_for():
+    workflow = Workflow(
+        cluster="slurm",
+        workers=32,
+        memory="2 GB",
+        slurm={
+            "queue": "cpu",
+            "cores": 8,
+            "walltime": "04:00:00",
+            "job_script_prologue": ["module load python"],
+        },
+        dashboard=None,
+    )
+    assert count_jobs(workflow) == 4
+    with slurm_cluster(workflow) as cluster:
+        script = cluster.job_script()
+    for line in (
+        "#SBATCH -J wavefield",
+        "#SBATCH -p cpu",
+        "#SBATCH --cpus-per-task=8",
+        "#SBATCH --mem=15G",
+        "#SBATCH -t 04:00:00",
+        "export OMP_NUM_THREADS=1",
+        "export NUMBA_NUM_THREADS=1",
+        "module load python",
+    ):
+        assert line in script
+    assert "--nworkers 8 --nthreads 1" in script
+    assert "--memory-limit 1.86GiB" in script
+
+
+def test_slurm_keywords_that_are_unknown_are_named():
+    with pytest.raises(ExperimentError, match="the `slurm` block of the workflow: .*colour"):
+        slurm_cluster(Workflow(cluster="slurm", slurm={"colour": "blue"}))
+
+
+def test_one_thread_per_worker(monkeypatch):
+    import cv2
+
+    from wavefield.cubes.cluster import THREAD_VARIABLES, one_thread
+
+    for name in THREAD_VARIABLES:
+        monkeypatch.setenv(name, "4")
+    one_thread()
+    import os
+
+    assert {os.environ[name] for name in THREAD_VARIABLES} == {"1"}
+    assert cv2.getNumThreads() == 1

@@ -1,0 +1,111 @@
+"""`reconstruct`: lazy, few tasks, the same values as the run."""
+
+import dask
+import numpy as np
+import pytest
+import xarray as xr
+from cube_cases import different
+
+import wavefield as wf
+from wavefield.cubes import reconstruct
+from wavefield.errors import ExperimentError, RigError
+from wavefield.series import Experiment
+from wavefield.variables import CUBE_FIELDS, FrameStatus, Quality, validate
+
+
+@pytest.fixture(scope="module")
+def note(tank):
+    return Experiment.load(tank)
+
+
+@pytest.fixture(scope="module")
+def rig(note):
+    return note.load_rig()
+
+
+@pytest.fixture(scope="module")
+def grid(note, rig):
+    return note.choose_grid(rig)
+
+
+@pytest.fixture
+def frames(tank):
+    return xr.open_datatree(tank, engine="wavefield")
+
+
+def no_compute(dsk, keys, **kwargs):
+    raise AssertionError("something was computed")
+
+
+def test_nothing_is_computed_before_it_is_asked_for(tank, rig, grid):
+    with dask.config.set(scheduler=no_compute):
+        frames = xr.open_datatree(tank, engine="wavefield", chunks={})
+        cube = wf.reconstruct(frames, rig, grid)
+        repr(cube)
+        cube.w.isel(time=3).mean("x")
+    assert set(cube.data_vars) == {*CUBE_FIELDS, "frame_status"}
+    validate(cube, *CUBE_FIELDS, "frame_status", "time", "x", "y")
+    with pytest.raises(AssertionError, match="something was computed"), dask.config.set(scheduler=no_compute):
+        cube.z.compute()
+
+
+def test_a_long_series_takes_few_tasks(rig, grid):
+    steps = 12_000
+    frames = {
+        name: xr.DataArray(
+            np.broadcast_to(np.zeros((), np.uint8), (steps + 1, *rig[name].size[::-1])),
+            dims=("time", "row", "column"),
+            coords={"time": np.arange(steps + 1) / 20.0},
+        )
+        for name in rig
+    }
+    cube = reconstruct(frames, rig, grid)
+    assert cube.sizes["time"] == steps
+    assert len(cube.__dask_graph__()) <= 0.2 * steps
+    assert len(dask.optimize(cube.z)[0].__dask_graph__()) <= 0.2 * steps
+
+
+@pytest.mark.parametrize("steps_per_task", [1, 7, 72])
+def test_values_are_those_of_the_run_whatever_the_block(frames, rig, grid, reference, steps_per_task):
+    cube = reconstruct(frames, rig, grid, steps_per_task=steps_per_task)
+    part = cube.isel(time=slice(0, 8)).compute(scheduler="sync")
+    assert different(part, wf.open_cube(reference), slice(0, 8)) == []
+    np.testing.assert_allclose(cube.time, (np.arange(16) + 0.5) / 20.0)
+    assert cube.attrs == {"frame_rate": 20.0, "experiment": "small-tank", "water_depth": 0.7}
+
+
+def test_chunked_and_plain_arrays_give_the_same(tank, frames, rig, grid, reference):
+    chunked = xr.open_datatree(tank, engine="wavefield", chunks={}).isel(time=slice(0, 6))
+    arrays = {name: frames[name].image.isel(time=slice(0, 6)).load() for name in frames.children}
+    flat = xr.open_dataset(tank, engine="wavefield").isel(time=slice(0, 6))
+    for some in (chunked, arrays, flat):
+        cube = reconstruct(some, rig, grid).compute(scheduler="sync")
+        # the last step of a record has no neighbour after it
+        assert different(cube.isel(time=slice(0, 4)), wf.open_cube(reference).isel(time=slice(0, 4))) == []
+        assert (cube.quality[4].values & Quality.TWO_FRAME_MEAN).all()
+
+
+def test_blank_frames_are_faults_of_their_steps_only(frames, rig, grid, reference):
+    images = {name: frames[name].image.isel(time=slice(0, 9)).load() for name in frames.children}
+    images["cam1"][5] = 0
+    cube = reconstruct(images, rig, grid).compute(scheduler="sync")
+    faulty = [4, 5]
+    assert list(np.flatnonzero(cube.frame_status != FrameStatus.DONE)) == faulty
+    untouched = slice(0, 3)  # step 3 has the blank frame as a neighbour
+    assert different(cube.isel(time=untouched), wf.open_cube(reference).isel(time=untouched)) == []
+
+
+def test_frames_that_do_not_fit_are_refused(frames, rig, grid):
+    tree = frames.isel(time=slice(0, 5))
+    two = {name: tree[name].image for name in ("cam1", "cam2")}
+    with pytest.raises(ExperimentError, match="have no camera cam3; there are cam1, cam2"):
+        reconstruct(two, rig, grid)
+    with pytest.raises(ExperimentError, match="not evenly spaced at 20 Hz; select them without a stride"):
+        reconstruct(frames.isel(time=[0, 1, 3, 4]), rig, grid)
+    with pytest.raises(ExperimentError, match="there are 1 frames; a step needs two"):
+        reconstruct(frames.isel(time=slice(0, 1)), rig, grid)
+    images = {name: tree[name].image for name in tree.children}
+    with pytest.raises(RigError, match="images of cam2 of 123 x 123 px, but these have 60 x 123"):
+        reconstruct({**images, "cam2": images["cam2"][:, :, :60]}, rig, grid)
+    with pytest.raises(ExperimentError, match="need the same `time`"):
+        reconstruct({**images, "cam2": frames["cam2"].image.isel(time=slice(1, 6))}, rig, grid)

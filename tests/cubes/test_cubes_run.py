@@ -1,0 +1,419 @@
+"""Runs: the same cube whatever the blocks, resumed after anything, never mixed, nothing lost."""
+
+import os
+import shutil
+import signal
+import subprocess
+from contextlib import suppress
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+import zarr
+from cube_cases import FRAMES, HERE, different
+
+from wavefield.cubes import Workflow, open_cube, processing, run, status, store, work
+from wavefield.errors import ExperimentError, RigError, RunStopped, StoreError
+from wavefield.series import FrameFault
+from wavefield.variables import CUBE_FIELDS, FrameStatus, Quality, validate
+
+STEPS = FRAMES - 1
+
+
+def blocks_of(size, **more):
+    return Workflow(cluster="none", steps_per_block=size, **more)
+
+
+@pytest.fixture
+def measured(monkeypatch):
+    """First steps of the blocks that are measured."""
+    starts = []
+
+    def counting(block, plan, frame_rate):
+        starts.append(block.start)
+        return real(block, plan, frame_rate)
+
+    real = work.measure_block
+    monkeypatch.setattr(work, "measure_block", counting)
+    return starts
+
+
+def stop_after(steps):
+    """A progress function that interrupts the run, as Ctrl-C would."""
+
+    def progress(done, total, sentence):
+        if done >= steps:
+            raise KeyboardInterrupt
+
+    return progress
+
+
+# -- the cube ------------------------------------------------------------------------------------------------
+
+
+def test_a_cube_explains_itself(reference):
+    cube = open_cube(reference)
+    validate(cube, *CUBE_FIELDS, "frame_status", "time", "x", "y")
+    assert cube.sizes["time"] == STEPS
+    np.testing.assert_allclose(cube.time, (np.arange(STEPS) + 0.5) / 20.0)
+    assert cube.attrs["frame_rate"] == 20.0
+    assert cube.attrs["water_depth"] == 0.7
+    recipe = store.cube_recipe(cube)
+    assert recipe["rig"]["cam3"]["size"] == [292, 207]
+    assert recipe["grid"]["step"] == 0.01
+    assert "piv" in recipe["settings"]
+    assert recipe["software"]["numpy"] == np.__version__
+    assert len(cube.attrs["recipe_hash"]) == 16
+    assert (cube.frame_status == FrameStatus.DONE).all()
+    assert float(np.isfinite(cube.z).mean()) > 0.95
+    assert (cube.quality[0].values & Quality.TWO_FRAME_MEAN).all()  # the first step has no frame before it
+
+
+def test_plain_xarray_opens_it_without_a_warning(reference):
+    import xarray as xr
+
+    plain = xr.open_zarr(reference)
+    assert plain.z.attrs["standard_name"] == "water_surface_height_above_reference_datum"
+    assert plain.z.encoding["shards"] == (STEPS, 13, 9)
+
+
+@pytest.mark.parametrize("size", [1, 7, 32])
+def test_values_do_not_depend_on_the_size_of_blocks(tank, reference, tmp_path, size):
+    run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(size))
+    assert different(tmp_path / "cube.zarr", reference) == []
+
+
+def test_packing_rounds_as_documented(tank, reference, tmp_path):
+    run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(8, packing="int16"))
+    packed, plain = open_cube(tmp_path / "cube.zarr").load(), open_cube(reference).load()
+    for name, scale in store.PACKING.items():
+        assert packed[name].dtype == "float32"
+        np.testing.assert_array_equal(
+            np.isnan(packed[name]), np.isnan(plain[name]) | (abs(plain[name]) > 32767 * scale)
+        )
+        error = abs(packed[name] - plain[name]).max()
+        assert error <= 0.5001 * scale + 1e-6 * abs(plain[name]).max()
+    assert zarr.open_group(tmp_path / "cube.zarr", mode="r")["z"].dtype == "int16"
+
+
+def test_packing_marks_what_does_not_fit():
+    values = np.array([0.0, 0.12345, np.nan, 0.4, -0.4, np.inf], np.float32)
+    assert store.pack(values, "z").tolist() == [0, 12345, -32768, -32768, -32768, -32768]
+
+
+def test_default_place_progress_and_log(own_tank):
+    told = []
+    state = run(own_tank, workflow=blocks_of(8), progress=lambda *args: told.append(args))
+    assert state.store == own_tank.parent / "cube.zarr"
+    assert state.complete
+    assert [done for done, _, _ in told][-1] == STEPS
+    assert any("left" in sentence for _, _, sentence in told)
+    log = (own_tank.parent / "cube.log").read_text()
+    assert f"{STEPS} of {STEPS} steps" in log
+    assert state.recipe_hash in log
+
+
+# -- stopping and going on -----------------------------------------------------------------------------------
+
+
+def test_an_interrupted_run_goes_on_with_what_is_missing(tank, reference, tmp_path, measured):
+    out = tmp_path / "cube.zarr"
+    with pytest.raises(RunStopped, match=f"stopped after 8 of {STEPS} steps; nothing is lost"):
+        run(tank, out=out, workflow=blocks_of(4), progress=stop_after(8))
+    assert status(out).left == STEPS - 8
+    assert "run the same command again" in str(status(out))
+    assert np.isnan(open_cube(out).z[8:]).all()
+    run(tank, out=out, workflow=blocks_of(4))
+    assert measured == [0, 4, 8, 12]
+    assert different(out, reference) == []
+    run(tank, out=out, workflow=blocks_of(4))
+    assert measured == [0, 4, 8, 12]
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGUSR1"])
+def test_signals_stop_as_ctrl_c_does(tank, tmp_path, name):
+    def progress(done, total, sentence):
+        if done >= 4:
+            os.kill(os.getpid(), getattr(signal, name))
+
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(RunStopped, match=f"stopped by {name} after 4 of"):
+        run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(4), progress=progress)
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_time_limit_stops_the_run(tank, tmp_path, monkeypatch):
+    def slow(block, plan, frame_rate):
+        signal.pause()
+
+    monkeypatch.setattr(work, "measure_block", slow)
+    with pytest.raises(RunStopped, match=r"stopped by its time limit (after 0 of|before it began)"):
+        run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(4, time_limit="0.2s"))
+
+
+def test_a_block_is_not_done_before_all_its_data_are_there(tank, reference, tmp_path, monkeypatch):
+    """The writer dies in the middle of a block: the ledger does not know the block."""
+    out = tmp_path / "cube.zarr"
+
+    def dying(values, name):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(store, "pack", dying)
+    with pytest.raises(RunStopped):
+        run(tank, out=out, workflow=blocks_of(8, packing="int16"))
+    assert status(out).left == STEPS
+    shutil.rmtree(out)
+    with pytest.raises(RunStopped):
+        run(tank, out=out, workflow=blocks_of(8), progress=stop_after(8))
+    (out / "z" / "c" / "1" / "0").mkdir(parents=True)
+    (out / "z" / "c" / "1" / "0" / "0.deadbeef.partial").write_bytes(b"half a shard")
+    (tmp_path / ".cube.zarr.12345678.partial").mkdir()
+    run(tank, out=out, workflow=blocks_of(8))
+    assert different(out, reference) == []
+    assert not list(tmp_path.rglob("*.partial"))
+
+
+def test_two_recipes_are_not_mixed(tank, tmp_path):
+    out = tmp_path / "cube.zarr"
+    with pytest.raises(RunStopped):
+        run(tank, out=out, workflow=blocks_of(4), progress=stop_after(4))
+    before = status(out)
+    with pytest.raises(
+        StoreError, match=r"another recipe \(settings.eps_limit: 3.0 there, 4.0 here\); write to another"
+    ):
+        run(tank, out=out, workflow=blocks_of(4, settings={"eps_limit": 4.0}))
+    assert status(out) == before
+
+
+def test_what_is_not_a_cube_is_not_overwritten(tank, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "data.txt").write_text("precious")
+    with pytest.raises(StoreError, match=r"is not a cube|cannot be opened"):
+        run(tank, out=tmp_path / "mine", workflow=HERE)
+    assert (tmp_path / "mine" / "data.txt").read_text() == "precious"
+    with pytest.raises(StoreError, match="no such store; make one with `wavefield run`"):
+        open_cube(tmp_path / "none.zarr")
+
+
+def test_two_runs_do_not_write_one_store(tank, tmp_path):
+    out = tmp_path / "cube.zarr"
+    with processing.only_run(out), pytest.raises(StoreError, match="another run is writing"):
+        run(tank, out=out, workflow=HERE)
+    assert not out.exists()
+
+
+def test_only_whole_blocks_are_written(reference, tmp_path):
+    out = tmp_path / "cube.zarr"
+    shutil.copytree(reference, out)
+    fields = {name: np.zeros((3, 13, 9), np.float32) for name in CUBE_FIELDS}
+    good = np.full(3, FrameStatus.DONE, np.uint8)
+    with pytest.raises(ValueError, match="does not begin a block"):
+        store.write_block(out, 3, fields, good, {})
+    with pytest.raises(ValueError, match="must hold 16 results"):
+        store.write_block(out, 0, fields, good, {})
+    with pytest.raises(ValueError, match="must hold 16 results"):
+        store.write_block(out, 0, fields, np.zeros(16, np.uint8), {})
+    full = np.full(16, FrameStatus.DONE, np.uint8)
+    with pytest.raises(ValueError, match="has shape"):
+        store.write_block(out, 0, fields, full, {})
+    with pytest.raises(ValueError, match="gave no z_t"):
+        store.write_block(out, 0, {k: v for k, v in fields.items() if k != "z_t"}, full, {})
+    assert different(out, reference) == []
+
+
+# -- bad frames ----------------------------------------------------------------------------------------------
+
+
+def truncate(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def corrupt(path):
+    path.write_bytes(b"\0" * path.stat().st_size)
+
+
+def blacken(path):
+    tifffile.imwrite(path, np.zeros_like(tifffile.imread(path)))
+
+
+def dim(path):
+    """Black but for three dead pixels."""
+    image = np.zeros_like(tifffile.imread(path))
+    image[[3, 40, 70], [9, 50, 20]] = 200
+    tifffile.imwrite(path, image)
+
+
+def shrink(path):
+    tifffile.imwrite(path, cv2.resize(tifffile.imread(path), (100, 100)))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "fault"),
+    [
+        (truncate, FrameFault.UNREADABLE),
+        (corrupt, FrameFault.UNREADABLE),
+        (Path.unlink, FrameFault.MISSING),
+        (blacken, FrameFault.BLANK),
+        (dim, FrameFault.BLANK),
+        (shrink, FrameFault.WRONG_SIZE),
+    ],
+    ids=["truncated", "corrupt", "missing", "black", "dim", "wrong size"],
+)
+def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference, spoil, fault):
+    spoil(own_tank.parent / "cam2" / "img_00009.tif")
+    own_tank.write_text(own_tank.read_text() + "frames: {first: 5, last: 14}\n")
+    state = run(own_tank, workflow=blocks_of(4))
+    cube = open_cube(state.store).load()
+    good = open_cube(reference).isel(time=slice(5, 14)).load()
+    touched = [3, 4]  # the two steps of frame 9
+    assert list(np.flatnonzero(cube.frame_status != FrameStatus.DONE)) == touched
+    assert (cube.quality[touched].values & Quality.FEWER_CAMERAS).all()
+    # steps 2 and 5 have it as a neighbour; the first and the last have none
+    for steps in (slice(1, 2), slice(6, 8)):
+        assert different(cube, good, steps) == []
+    assert [(b.camera, b.fault, b.numbers) for b in state.bad_frames] == [("cam2", fault, (9,))]
+    assert "cam2: " in str(state)
+    assert "frame 9" in str(state)
+    assert "cam2 frame" in (own_tank.parent / "cube.log").read_text()
+
+
+def test_a_frame_that_was_copied_again_is_measured(own_tank, reference, measured):
+    frames = [own_tank.parent / "cam1" / f"img_{n:05d}.tif" for n in (8, FRAMES - 1)]
+    whole = [frame.read_bytes() for frame in frames]
+    for frame in frames:
+        frame.unlink()
+    # the number of frames follows from the other cameras
+    state = run(own_tank, workflow=blocks_of(4))
+    assert state.bad_frames[0].numbers == (8, FRAMES - 1)
+    frames[0].write_bytes(whole[0])
+    measured.clear()
+    state = run(own_tank, workflow=blocks_of(4))
+    assert measured == [4, 8]
+    assert state.bad_frames[0].numbers == (FRAMES - 1,)
+    frames[1].write_bytes(whole[1])
+    state = run(own_tank, workflow=blocks_of(4))
+    assert not state.bad_frames
+    assert different(state.store, reference) == []
+
+
+def test_steps_without_enough_cameras_fail_and_say_so(own_tank):
+    for camera in ("cam1", "cam2"):
+        (own_tank.parent / camera / "img_00002.tif").unlink()
+    state = run(own_tank, workflow=HERE)
+    assert state.failed == 2
+    assert state.failed_steps == (1, 2)
+    assert "2 steps failed, from frame 1-2" in str(state)
+    assert np.isnan(open_cube(state.store).z[1:3]).all()
+
+
+# -- what cannot work is refused before anything is written --------------------------------------------------
+
+
+def test_what_cannot_work_is_refused_first(own_tank, tmp_path):
+    out = tmp_path / "cube.zarr"
+    text = own_tank.read_text()
+    for old, new, error, says in [
+        ("rig: rig.yaml", "rig: lost.yaml", RigError, "lost.yaml"),
+        ("x: [-0.04, 0.04]", "x: [50.04, 50.14]", ExperimentError, "no camera sees the grid"),
+        ("water:", "settings: {sharpness: 3}\nwater:", ExperimentError, "sharpness"),
+        ("cam2/img", "cam7/img", ExperimentError, "no folder .*cam7"),
+    ]:
+        own_tank.write_text(text.replace(old, new))
+        with pytest.raises(error, match=says):
+            run(own_tank, out=out, workflow=HERE)
+        assert not out.exists()
+    own_tank.write_text(text)
+    with pytest.raises(ExperimentError, match="is an experiment, not a catalog"):
+        run(own_tank, ["run07"], out, workflow=HERE)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="cannot be written"):
+        run(own_tank, out=tmp_path / "file" / "cube.zarr", workflow=HERE)
+
+
+def test_a_measurement_that_breaks_is_reported_and_tried_again(tank, reference, tmp_path, monkeypatch):
+    out = tmp_path / "cube.zarr"
+
+    def breaking(block, plan, frame_rate):
+        if block.start == 4:
+            raise ZeroDivisionError("deep inside")
+        return real(block, plan, frame_rate)
+
+    real = work.measure_block
+    with monkeypatch.context() as patch:
+        patch.setattr(work, "measure_block", breaking)
+        with pytest.raises(
+            StoreError, match=r"1 of 4 blocks failed, the first \(steps 4 to 7\) with ZeroDivisionError"
+        ):
+            run(tank, out=out, workflow=blocks_of(4))
+    assert status(out).left == 4
+    assert "deep inside" in (tmp_path / "cube.log").read_text()
+    run(tank, out=out, workflow=blocks_of(4))
+    assert different(out, reference) == []
+
+
+def test_when_every_block_breaks_the_run_gives_up(tank, tmp_path, monkeypatch):
+    calls = []
+
+    def breaking(block, plan, frame_rate):
+        calls.append(block.start)
+        raise ZeroDivisionError("always")
+
+    monkeypatch.setattr(work, "measure_block", breaking)
+    with pytest.raises(StoreError, match="always"):
+        run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(1))
+    assert len(calls) == 3
+
+
+# -- a full disk ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 700 kB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounted = os.name == "posix" and hasattr(os, "geteuid") and os.geteuid() == 0
+    if mounted:
+        command = ["mount", "-t", "tmpfs", "-o", "size=700k", "tmpfs", str(place)]
+        mounted = (
+            shutil.which("mount") is not None and subprocess.run(command, capture_output=True).returncode == 0
+        )
+    if not mounted:
+        pytest.skip("needs the right to mount a small file system")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def fill(disk):
+    """Leave no byte free."""
+    filler = disk / "filler"
+    with filler.open("wb", buffering=0) as stream, suppress(OSError):
+        while True:
+            stream.write(bytes(512))
+    return filler
+
+
+def test_a_full_disk_is_one_sentence_and_nothing_is_lost(tank, reference, small_disk):
+    out = small_disk / "cube.zarr"
+    with pytest.raises(RunStopped):
+        run(tank, out=out, workflow=blocks_of(4), progress=stop_after(4))
+    filler = fill(small_disk)
+    with pytest.raises(
+        StoreError, match=r"the disk that holds .* is full; nothing that was written is lost"
+    ) as caught:
+        run(tank, out=out, workflow=blocks_of(4))
+    assert "\n" not in str(caught.value)
+    assert status(out).left == STEPS - 4
+    assert different(out, reference, slice(0, 4)) == []
+    filler.unlink()
+    run(tank, out=out, workflow=blocks_of(4))
+    assert different(out, reference) == []
+
+
+def test_a_disk_that_is_full_from_the_start(tank, small_disk):
+    fill(small_disk)
+    with pytest.raises(StoreError, match="is full"):
+        run(tank, out=small_disk / "cube.zarr", workflow=HERE)
+    assert not (small_disk / "cube.zarr").exists()
