@@ -10,7 +10,10 @@ _PUBLIC = {
     "Calibration": "wavefield.calibration.solve",
     "Target": "wavefield.calibration.target",
     "calibrate": "wavefield.calibration.solve",
+    "check_rig": "wavefield.calibration.rest",
     "find_target": "wavefield.calibration.target",
+    "refine": "wavefield.calibration.rest",
+    "refine_and_level": "wavefield.calibration.rest",
 }
 
 __all__ = ["TargetPoints", *sorted(_PUBLIC)]

@@ -214,9 +214,9 @@ def moved(start: Geometry, plan: Layout, x: Array) -> Geometry:
         k = plan.camera[c]
         R[c] = _turn(R[c], x[k : k + 3])[0]
         T[c] += x[k + 3 : k + 6]
-    for p, columns in enumerate(plan.pose):
+    for p, moves in enumerate(plan.pose):
         step = np.zeros(6)
-        for k, which in columns:
+        for k, which in moves:
             step[which] = x[k]
         pose_R[p] = _turn(pose_R[p], step[:3])[0]
         pose_t[p] += step[3:]
@@ -473,8 +473,9 @@ def fit(
     for tolerance in (1e-2, 1e-7):
         if target_std > 0.0:
             whitener = Whitener(o.node, linearised(start, plan, x, o)[2] / o.std[:, None, None], target_std)
-        bend = 4.0 * noise_scale if noise_scale else None
-        x, bend, count = minimise(residual, with_jacobian, x, bend, tolerance)
+        x, bend, count = minimise(
+            residual, with_jacobian, x, 4.0 * noise_scale if noise_scale else None, tolerance
+        )
         steps += count
     r, J = with_jacobian(x)
     scale = robust_std(r) * np.sqrt(len(r) / max(len(r) - len(x), 1))
@@ -554,14 +555,14 @@ def minimise(
     """
     damping = 1e-4
     diagonal = np.zeros_like(x)
-    given = bend
     steps = 0
+    scale = 0.0
     while steps < 60:
         r, J = with_jacobian(x)
         steps += 1
-        bend = given or max(4.0 * robust_std(r), 1e-9)
-        cost = huber(r, bend)
-        weight = np.minimum(1.0, bend / np.maximum(np.abs(r), 1e-300))
+        scale = bend or max(4.0 * robust_std(r), 1e-9)
+        cost = huber(r, scale)
+        weight = np.minimum(1.0, scale / np.maximum(np.abs(r), 1e-300))
         gradient = J.T @ (weight * r)
         normal = J.T @ (weight[:, None] * J) if (weight < 1.0).any() else J.T @ J
         diagonal = np.maximum(diagonal, np.sqrt(np.diag(normal)))
@@ -571,18 +572,17 @@ def minimise(
             step = -np.linalg.solve(scaled + damping * np.eye(len(x)), slope)
             promise = -(2.0 * slope @ step + step @ scaled @ step)
             if promise <= tolerance * cost or cost < 1e-24 * len(r):
-                return x + step / d if promise > 0.0 else x, bend, steps
+                return x + step / d if promise > 0.0 else x, scale, steps
             trial = residual(x + step / d)
-            gain = (cost - huber(trial, bend)) / promise
+            gain = (cost - huber(trial, scale)) / promise
             if gain > 0.0 and np.isfinite(gain):
                 x = x + step / d
                 damping = max(damping * max(1.0 / 30.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12)
                 break
             damping *= 10.0
             if damping > 1e8:
-                return x, bend, steps
-    assert bend is not None
-    return x, bend, steps
+                return x, scale, steps
+    return x, scale, steps
 
 
 def robust_std(values: Array) -> float:

@@ -1,4 +1,7 @@
-"""What the uncertainty of the parameters means for pixels and for z: the parameters are correlated, these are not."""
+"""What the uncertainty of the parameters means for pixels and for z.
+
+The parameters are correlated, so their own uncertainties say little.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,7 +122,7 @@ def collect(views: Mapping[str, Mapping[str, TargetPoints]], mesh: float) -> Obs
         if len(points)
     ]
 
-    def stack(parts: Sequence[Array], width: int) -> Array:
+    def stack(parts: Sequence[NDArray[Any]], width: int) -> NDArray[Any]:
         return np.concatenate(parts) if parts else np.zeros((0, width) if width > 1 else 0)
 
     all_nodes = stack([p.node for _, _, p in rows], 2).astype(np.int64)
@@ -130,7 +131,7 @@ def collect(views: Mapping[str, Mapping[str, TargetPoints]], mesh: float) -> Obs
     return Observations(
         cameras,
         tuple(poses),
-        tuple(next((tuple(p.size) for p in views[name].values()), (0, 0)) for name in cameras),
+        tuple(next(((p.size[0], p.size[1]) for p in views[name].values()), (0, 0)) for name in cameras),
         nodes,
         float(mesh),
         np.repeat([c for c, _, _ in rows], counts).astype(np.int64),

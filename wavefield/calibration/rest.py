@@ -25,7 +25,7 @@ MOST = 3000  # matches used: more tell no more
 KNOCK_ANGLE = np.radians(1.0)  # what a knocked camera may have turned
 KNOCK_SHIFT = 0.005  # and shifted, metres
 ALIKE = 40.0  # difference of chi2 that tells two explanations apart
-FREE = ("f", "aspect", "c", "k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y")
+FREE = ("f", "aspect", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y")
 
 Matches = Mapping[str, ArrayLike]
 
@@ -211,7 +211,7 @@ def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[Layo
     if stated:
         for parameter in stated["parameters"]:
             name, what = parameter.rsplit(" ", 1)
-            if name in wanted and what in FREE + ("cx", "cy"):
+            if name in wanted and what in FREE:
                 wanted[name].append(what)
     plan = layout(observations, [_terms(wanted[name]) for name in names], 0)
     covariance = np.zeros((len(plan.names), len(plan.names)))
@@ -255,7 +255,7 @@ def covariance_to_dict(names: tuple[str, ...], covariance: Array, cameras: tuple
     return {"parameters": [names[k] for k in pick], "lower": rows}
 
 
-def check(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
+def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
     """Check on any record whether a camera has moved since the calibration.
 
     Parameters
@@ -263,7 +263,8 @@ def check(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
     rig : Rig
         As calibrated; its file carries the covariance.
     matches : mapping of camera to array_like, (n, 2)
-        Pixels of the same pieces of surface in each camera; NaN where a camera has none. The surface may move.
+        Pixels of the same pieces of surface in each camera; NaN where a camera has none.
+        The surface may move.
     std : float, default 0.1
         Standard uncertainty of a match per axis, px.
 
@@ -308,8 +309,8 @@ def _verdict(
     k = problem.layout.camera[problem.names.index(best)]
     angle = float(np.degrees(np.linalg.norm(found[best][0][k : k + 3])))
     text = (
-        f"{' or '.join(suspects)} has moved since the calibration (turned by about {angle:.3f} degrees): lines of "
-        f"sight miss by {before:.2f} px, and by {after:.2f} px once that is mended; "
+        f"{' or '.join(suspects)} has moved since the calibration (turned by about {angle:.3f} degrees): "
+        f"lines of sight miss by {before:.2f} px, and by {after:.2f} px once that is mended; "
         "refine the rig from a record at rest"
     )
     return RigCheck(before, after, best if len(suspects) == 1 else None, suspects, angle, text)
@@ -335,7 +336,7 @@ def refine(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig, RigCheck]
     Returns
     -------
     rig : Rig
-        Refined. Level it afterwards (`refine_and_level`): lines of sight tell nothing about the water's plane.
+        Refined. Level it afterwards (`refine_and_level`): lines of sight say nothing of the water's plane.
     check : RigCheck
         What had been wrong.
     """

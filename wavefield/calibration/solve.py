@@ -138,7 +138,7 @@ def calibrate(
     then one fit of all cameras and poses (bundle adjustment) with Huber's loss.
     """
     mesh = target if isinstance(target, float | int) else target.mesh
-    flats = [flat] if isinstance(flat, str) else list(flat)
+    flats = [name for name in ([flat] if isinstance(flat, str) else flat) if name]
     problems: list[str] = []
     notes: list[str] = []
     left_out: dict[str, int] = {}
@@ -164,8 +164,8 @@ def calibrate(
             )
         elif len(tilted) < 2 or camera.spread < SPREAD:
             problems.append(
-                f"the views of {name} are nearly parallel (at most {camera.spread:.1f} degrees apart), so its "
-                "focal length is not determined: photograph the target tilted by 20 to 40 degrees, towards several sides"
+                f"the views of {name} are nearly parallel (at most {camera.spread:.1f} degrees apart), so "
+                "its focal length is not determined: photograph the target tilted by 20 to 40 degrees, to several sides"
             )
     if not alone:
         if not problems:
@@ -264,12 +264,12 @@ def _tell_disagreement(
             who = name if len(alone) > 2 else f"{name} or {trusted[0]}"
             if name not in trial.wrong_cameras:
                 problems.append(
-                    f"the images of {who} are mirrored: flip them left to right, or take the mirror out of the path"
+                    f"the images of {who} are mirrored: flip them left to right, or take the mirror away"
                 )
             else:
                 problems.append(
-                    f"{name} saw the target move differently from {' and '.join(trusted)}: are its views in the "
-                    "same order, and was the target still while all cameras took their image?"
+                    f"{name} saw the target move differently from {' and '.join(trusted)}: are its views in "
+                    "the same order, and was the target still while all cameras took their image?"
                 )
     for name in agreement.alone:
         problems.append(
@@ -287,7 +287,7 @@ def _reference(
             return observations.poses.index(name)
     if flats:
         problems.append(
-            f"no camera has a usable flat view ({', '.join(flats)}): photograph the target lying on the water's plane"
+            f"no camera has a usable flat view ({', '.join(flats)}): photograph the target on the water's plane"
         )
     else:
         notes.append(
@@ -423,14 +423,15 @@ def _judge(
             found = float(np.linalg.norm(result.geometry.R[c].T @ result.geometry.T[c]))
             if abs(np.log(found / stated)) > 0.05:
                 problems.append(
-                    f"{name} stands {found:.2f} m from the origin by this calibration, but {stated:.2f} m was stated: "
-                    f"the mesh is given as {1e3 * mesh:g} mm; measure it, it may be {1e3 * mesh * stated / found:.3g} mm"
+                    f"{name} stands {found:.2f} m from the origin by this calibration, but {stated:.2f} m was "
+                    f"stated: the mesh is given as {1e3 * mesh:g} mm; measure it, "
+                    f"it may be {1e3 * mesh * stated / found:.3g} mm"
                 )
         reach = derived.reprojection[name]
         if not reach < 0.3:
             problems.append(
-                f"{name} is determined to {reach:.2f} px only near z = 0: photograph more tilted views that fill "
-                "its image"
+                f"{name} is determined to {reach:.2f} px only near z = 0: photograph more tilted views "
+                "that fill its image"
             )
     if len(o.cameras) > 1 and not derived.z_std < 1e-3:
         problems.append(f"z would be uncertain by {1e3 * derived.z_std:.1f} mm: photograph more tilted views")
@@ -438,7 +439,7 @@ def _judge(
         notes.append("one camera only: z and the velocity need two at least")
     if target_std > 0.0:
         notes.append("the target is uncertain, and so is its plane: level the rig on the water at rest")
-    for c, name in enumerate(o.cameras):
+    for name in o.cameras:
         cover = derived.coverage[name]
         if cover < 0.4:
             notes.append(

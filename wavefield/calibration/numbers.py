@@ -1,0 +1,201 @@
+"""What the residuals of a calibration say, in px and mm: the numbers of the report."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from wavefield.calibration.bundle import Fit, robust_std
+from wavefield.calibration.observations import Observations
+from wavefield.rig import Rig
+from wavefield.rig.camera import Array
+from wavefield.rig.epipolar import epipolar_distance
+from wavefield.rig.level import Plane, fit_plane
+from wavefield.rig.stereo import triangulate
+
+
+@dataclass(frozen=True)
+class FlatSurface:
+    """The flat target as the rig measures it.
+
+    Parameters
+    ----------
+    x, y, z : ndarray, (n,)
+        Nodes seen by two cameras at least, triangulated from their pixels, metres.
+    plane : Plane
+        Through them.
+    """
+
+    x: Array
+    y: Array
+    z: Array
+    plane: Plane
+
+    @property
+    def rms(self) -> float:
+        """Of z about zero, metres."""
+        return float(np.sqrt(np.mean(self.z[self.plane.kept] ** 2)))
+
+    @property
+    def tilt(self) -> float:
+        """Of the plane, milliradians."""
+        return float(1e3 * np.hypot(*self.plane.slope))
+
+
+def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> FlatSurface | None:
+    """Triangulate the nodes of the flat target.
+
+    Parameters
+    ----------
+    observations : Observations
+        What was seen.
+    fit : Fit
+        The joint fit; the nodes' own offsets, if they were solved for, are taken off.
+    rig : Rig
+        The cameras.
+    pose : str
+        The flat one.
+
+    Returns
+    -------
+    FlatSurface or None
+        None if fewer than ten nodes are seen by two cameras.
+    """
+    o = observations
+    N, C = len(o.nodes), len(o.cameras)
+    apparent, sight = np.full((C, 2, N), np.nan), np.full((C, 2, N), np.nan)
+    for c, name in enumerate(o.cameras):
+        rows = (o.camera == c) & (o.pose == o.poses.index(pose))
+        apparent[c][:, o.node[rows]] = np.stack(rig[name].unproject(*o.pixel[rows].T))
+        sight[c] = np.stack(rig[name].sight_line(*apparent[c]))
+    x, y, z, _ = triangulate(apparent, sight)
+    z = z - fit.geometry.offset[:, 2]
+    seen = np.isfinite(z)
+    if seen.sum() < 10:
+        return None
+    return FlatSurface(x[seen], y[seen], z[seen], fit_plane(x[seen], y[seen], z[seen]))
+
+
+def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, str], Array]:
+    """How far nodes seen by two cameras are from each other's epipolar lines.
+
+    Parameters
+    ----------
+    observations : Observations
+        What was seen.
+    rig : Rig
+        The cameras.
+
+    Returns
+    -------
+    dict of (camera, camera) to ndarray
+        Signed distances in the second camera's image, px.
+    """
+    o = observations
+    key = o.pose * len(o.nodes) + o.node
+    out = {}
+    for a in range(len(o.cameras)):
+        for b in range(a + 1, len(o.cameras)):
+            rows_a, rows_b = np.flatnonzero(o.camera == a), np.flatnonzero(o.camera == b)
+            _, ia, ib = np.intersect1d(key[rows_a], key[rows_b], return_indices=True)
+            if len(ia):
+                names = o.cameras[a], o.cameras[b]
+                pa, pb = o.pixel[rows_a[ia]], o.pixel[rows_b[ib]]
+                out[names] = epipolar_distance(rig[names[0]], rig[names[1]], *pa.T, *pb.T)
+    return out
+
+
+def pixel_size(fit: Fit, observations: Observations, camera: int) -> float:
+    """Size of a pixel on the target where a camera saw it, metres (median).
+
+    Parameters
+    ----------
+    fit : Fit
+        The joint fit.
+    observations : Observations
+        What was seen.
+    camera : int
+        Which.
+
+    Returns
+    -------
+    float
+    """
+    g = fit.geometry
+    world = g.world(observations)[observations.camera == camera]
+    depth = (world @ g.R[camera].T + g.T[camera])[:, 2]
+    return float(np.median(depth) / np.sqrt(g.lens[camera, 0] * g.lens[camera, 1]))
+
+
+def numbers(
+    observations: Observations, fit: Fit, rig: Rig, reference: str
+) -> tuple[dict[str, Any], FlatSurface | None]:
+    """All numbers of the report that come from residuals.
+
+    Parameters
+    ----------
+    observations : Observations
+        What the fit used.
+    fit : Fit
+        The joint fit.
+    rig : Rig
+        Its cameras.
+    reference : str
+        The view that defines z = 0.
+
+    Returns
+    -------
+    dict
+        Plain numbers, units in the names.
+    FlatSurface or None
+        The flat target as measured.
+    """
+    o = observations
+    cameras = {}
+    for c, name in enumerate(o.cameras):
+        rows = o.camera == c
+        miss, mm = fit.residual[rows], 1e3 * pixel_size(fit, o, c)
+        rms, worst = float(np.sqrt(np.mean(miss**2))), float(np.abs(miss).max())
+        views = {
+            o.poses[p]: {
+                "points": int((rows & (o.pose == p)).sum()),
+                "rms_px": float(np.sqrt(np.mean(fit.residual[rows & (o.pose == p)] ** 2))),
+            }
+            for p in np.unique(o.pose[rows])
+        }
+        cameras[name] = {
+            "rms_px": rms,
+            "rms_mm": rms * mm,
+            "max_px": worst,
+            "max_mm": worst * mm,
+            "position_m": [float(v) for v in rig[name].centre],
+            "views": views,
+        }
+    out: dict[str, Any] = {
+        "cameras": cameras,
+        "epipolar": {
+            f"{a} - {b}": {
+                "rms_px": float(np.sqrt(np.mean(d**2))),
+                "median_px": float(np.median(np.abs(d))),
+                "scatter_px": robust_std(d),
+                "max_px": float(np.abs(d).max()),
+                "points": len(d),
+            }
+            for (a, b), d in epipolar_residuals(o, rig).items()
+        },
+        "errors_over_stated_uncertainty": fit.scale,
+    }
+    surface = flat_surface(o, fit, rig, reference)
+    if surface is not None:
+        out["flat_target"] = {
+            "view": reference,
+            "nodes": len(surface.z),
+            "z_rms_mm": 1e3 * surface.rms,
+            "z_about_its_plane_rms_mm": 1e3 * surface.plane.rms,
+            "height_mm": 1e3 * surface.plane.height,
+            "tilt_mrad": surface.tilt,
+        }
+    offset = fit.geometry.offset[np.unique(o.node)]
+    if offset.any():
+        out["node_offsets_rms_mm"] = [float(v) for v in 1e3 * np.sqrt(np.mean(offset**2, axis=0))]
+    return out, surface

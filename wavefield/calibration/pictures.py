@@ -1,0 +1,255 @@
+"""Pictures of a calibration: residuals, coverage, the flat target, the rig from the side and from above."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from wavefield.calibration.bundle import Fit
+from wavefield.calibration.numbers import FlatSurface
+from wavefield.calibration.observations import Observations
+from wavefield.rig.camera import Array, Camera
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # told apart by all eyes
+GREY, PALE = "#555555", "#dddddd"
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _round_down(value: float) -> float:
+    """Largest of 1, 2, 5 times a power of ten below a value."""
+    if not value > 0.0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(m * power for m in (1.0, 2.0, 5.0) if m * power <= value * (1 + 1e-9)))
+
+
+def _image_frame(axes: Axes, size: tuple[int, int]) -> None:
+    axes.set(xlim=(-0.5, size[0] - 0.5), ylim=(size[1] - 0.5, -0.5), aspect="equal")
+    axes.set(xlabel="X (px)", ylabel="Y (px)")
+    axes.tick_params(labelsize=8)
+
+
+def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
+    """Residuals of one camera: every point, and their mean over cells of the image.
+
+    Parameters
+    ----------
+    observations : Observations
+        What was seen.
+    fit : Fit
+        The joint fit.
+    camera : int
+        Which.
+
+    Returns
+    -------
+    Figure
+    """
+    o = observations
+    rows = o.camera == camera
+    pixel, miss, size = o.pixel[rows], fit.residual[rows], o.sizes[camera]
+    figure = _figure(11.0, 4.3 * size[1] / size[0] + 1.1)
+    axes: Sequence[Axes] = figure.subplots(1, 2)
+    rms = float(np.sqrt(np.mean(miss**2)))
+
+    typical = float(np.percentile(np.hypot(*miss.T), 90)) or 1e-9
+    scale = typical / (0.035 * size[0])  # px of residual per px of picture
+    arrows = axes[0].quiver(
+        *pixel.T, *miss.T, angles="xy", scale_units="xy", scale=scale, width=0.0016, color=COLOURS[0]
+    )
+    key = _round_down(typical)
+    axes[0].quiverkey(arrows, 0.93, 1.03, key, f"{key:g} px", labelpos="W", fontproperties={"size": 9})
+    _image_frame(axes[0], size)
+    axes[0].set_title("every point", fontsize=10, loc="left")
+
+    cells = 10, max(3, round(10 * size[1] / size[0]))
+    cell = np.floor((pixel + 0.5) / np.array(size) * cells).astype(int).clip(0, np.array(cells) - 1)
+    flat = cell[:, 1] * cells[0] + cell[:, 0]
+    count = np.bincount(flat, minlength=cells[0] * cells[1])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.stack([np.bincount(flat, miss[:, k], cells[0] * cells[1]) / count for k in range(2)])
+        spread = np.sqrt(np.bincount(flat, np.sum(miss**2, axis=1) / 2, cells[0] * cells[1]) / count)
+    picture = axes[1].imshow(
+        spread.reshape(cells[::-1]),
+        extent=(-0.5, size[0] - 0.5, size[1] - 0.5, -0.5),
+        cmap="Greys",
+        vmin=0.0,
+        vmax=2.0 * max(rms, 1e-9),
+        alpha=0.8,
+    )
+    middle = (np.stack(np.meshgrid(np.arange(cells[0]), np.arange(cells[1]))) + 0.5).reshape(2, -1)
+    middle = middle * (np.array(size) / cells)[:, None] - 0.5
+    some = count >= 4
+    if some.any():
+        usual = float(np.percentile(np.hypot(*mean[:, some]), 90)) or 1e-9
+        means = axes[1].quiver(
+            *middle[:, some],
+            *mean[:, some],
+            angles="xy",
+            scale_units="xy",
+            scale=usual / (0.06 * size[0]),
+            width=0.005,
+            color=COLOURS[1],
+        )
+        key = _round_down(usual)
+        axes[1].quiverkey(means, 0.93, 1.03, key, f"{key:g} px", labelpos="W", fontproperties={"size": 9})
+    _image_frame(axes[1], size)
+    axes[1].set_title("means over cells: what is systematic", fontsize=10, loc="left")
+    figure.colorbar(picture, ax=axes[1], label="rms (px)", shrink=0.8, pad=0.02)
+    figure.suptitle(
+        f"{o.cameras[camera]}: {rows.sum()} points, rms {rms:.3g} px, largest {np.abs(miss).max():.3g} px",
+        fontsize=11,
+    )
+    return figure
+
+
+def coverage(observations: Observations) -> Figure:
+    """Where in each image the target was seen.
+
+    Parameters
+    ----------
+    observations : Observations
+        What was seen.
+
+    Returns
+    -------
+    Figure
+    """
+    o = observations
+    count = len(o.cameras)
+    figure = _figure(3.9 * count + 0.3, 4.6)
+    for c, axes in enumerate(figure.subplots(1, count, squeeze=False)[0]):
+        for p in range(len(o.poses)):
+            rows = (o.camera == c) & (o.pose == p)
+            if rows.any():
+                axes.plot(*o.pixel[rows].T, ".", ms=2.5, color=colormaps["tab10"](p % 10), label=o.poses[p])
+        _image_frame(axes, o.sizes[c])
+        axes.set_title(o.cameras[c], fontsize=10, loc="left")
+        axes.locator_params(nbins=5)
+        if c:
+            axes.set_ylabel("")
+    handles = {}
+    for axes in figure.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            handles[label] = handle
+    figure.legend(
+        handles.values(),
+        handles.keys(),
+        loc="outside lower center",
+        ncols=8,
+        fontsize=8,
+        markerscale=4,
+        frameon=False,
+    )
+    return figure
+
+
+def flat_target(surface: FlatSurface, mesh: float) -> Figure:
+    """z of the flat target's nodes, as the rig measures it.
+
+    Parameters
+    ----------
+    surface : FlatSurface
+        The nodes.
+    mesh : float
+        Of the target, metres.
+
+    Returns
+    -------
+    Figure
+    """
+    figure = _figure(7.6, 5.2)
+    axes = figure.subplots()
+    kept = surface.plane.kept
+    limit = float(np.percentile(np.abs(surface.z[kept]), 98)) * 1e3 or 1e-6
+    wide = max(np.ptp(surface.x), np.ptp(surface.y), mesh)
+    dots = axes.scatter(
+        surface.x,
+        surface.y,
+        c=1e3 * surface.z,
+        cmap="RdBu_r",
+        vmin=-limit,
+        vmax=limit,
+        s=(0.55 * 360 * mesh / wide) ** 2,
+        edgecolors=PALE,
+        linewidths=0.5,
+    )
+    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    axes.margins(0.06)
+    figure.colorbar(dots, label="z (mm)", shrink=0.85)
+    axes.set_title(
+        f"rms {1e3 * surface.rms:.3g} mm, about its plane {1e3 * surface.plane.rms:.3g} mm; "
+        f"tilt {surface.tilt:.2g} mrad",
+        fontsize=10,
+        loc="left",
+    )
+    return figure
+
+
+def _frustum(camera: Camera, z: float) -> Array:
+    """Corners of what a camera sees on a plane, (4, 3)."""
+    corners = camera.corners(z)
+    return np.column_stack([corners, np.full(4, z)])
+
+
+def rig_drawing(observations: Observations, fit: Fit, cameras: Sequence[Camera]) -> Figure:
+    """The rig and the poses of the target, from the side and from above.
+
+    Parameters
+    ----------
+    observations : Observations
+        Names and nodes.
+    fit : Fit
+        The joint fit.
+    cameras : sequence of Camera
+        In the order of the observations.
+
+    Returns
+    -------
+    Figure
+    """
+    o, g = observations, fit.geometry
+    figure = _figure(11.0, 4.4)
+    axes: Sequence[Axes] = figure.subplots(1, 2)
+    plan = o.plan[np.unique(o.node)]
+    lo, hi = plan.min(axis=0), plan.max(axis=0)
+    board = np.array([[lo[0], lo[1], 0], [hi[0], lo[1], 0], [hi[0], hi[1], 0], [lo[0], hi[1], 0]])
+    views = ((axes[0], 0, 2, "from the side"), (axes[1], 0, 1, "from above"))
+    for ax, i, j, title in views:
+        for p in np.unique(o.pose):
+            outline = board @ g.pose_R[p].T + g.pose_t[p]
+            outline = np.vstack([outline, outline[:1]])
+            ax.plot(outline[:, i], outline[:, j], color=GREY, lw=0.6, alpha=0.8, zorder=2)
+        for c, camera in enumerate(cameras):
+            colour, centre = COLOURS[c % 6], camera.centre
+            foot = _frustum(camera, 0.0)
+            if np.isfinite(foot).all():
+                for corner in foot:
+                    ax.plot([centre[i], corner[i]], [centre[j], corner[j]], color=colour, lw=0.7, alpha=0.6)
+                closed = np.vstack([foot, foot[:1]])
+                ax.fill(closed[:, i], closed[:, j], color=colour, alpha=0.12, lw=0)
+                ax.plot(closed[:, i], closed[:, j], color=colour, lw=1.0)
+            ax.plot(centre[i], centre[j], "o", color=colour, ms=7, zorder=4)
+            ax.annotate(
+                o.cameras[c],
+                (centre[i], centre[j]),
+                (0, 8),
+                textcoords="offset points",
+                ha="center",
+                fontsize=9,
+            )
+        ax.set(xlabel="x (m)", ylabel=("x (m)", "y (m)", "z (m)")[j], aspect="equal")
+        ax.set_title(title, fontsize=10, loc="left")
+        ax.margins(0.1)
+        ax.grid(color=PALE, lw=0.5)
+        ax.set_axisbelow(True)
+    axes[0].axhline(0.0, color=COLOURS[5], lw=1.2, zorder=1)
+    return figure
