@@ -95,9 +95,9 @@ class Plan:
         return _cached, (tuple(self.rig.cameras.items()), self.grid, self.settings)
 
     def _fitting_pixel(self, x: float, y: float) -> float:
-        """The cameras' own pixel, or finer (at most twice) where blocks would be wider than 3/4 grid step."""
+        """The cameras' own pixel, or finer (at most twice) where blocks would be wider than 0.8 grid steps."""
         own = _coarsest_fine_side([self.rig[name] for name in self.surface_cameras], x, y)
-        return max(own / 2.0, min(own, 0.75 * self.grid.step / BLOCK))
+        return max(own / 2.0, min(own, 0.8 * self.grid.step / BLOCK))
 
     def _binning(self, x: float, y: float) -> dict[str, int]:
         """How much finer than the coarsest each camera resolves: so many pixels are averaged."""

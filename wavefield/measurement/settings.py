@@ -17,7 +17,7 @@ def _stereo() -> matching.Settings:
 
 
 def _piv() -> matching.Settings:
-    return matching.Settings.piv(window=16.0, smoother_sigma=1.5)
+    return matching.Settings.piv(iterations=(6, 4, 3), window=16.0, smoother_sigma=1.5)
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Settings:
         down (10 cm at 4 m).
     pixel : float or None
         Pixel of the rectified images, metres. None: the finest side of a pixel of the camera that resolves
-        least, or down to half of it where blocks of five would be wider than three quarters of a grid step.
+        least, or down to half of it where blocks of five would be wider than 0.8 grid steps.
     smoothing : float
         Thin-plate smoothing of the lattice of blocks, block lengths to the fourth power; it halves waves of
         2 pi smoothing^(1/4) blocks.

@@ -144,6 +144,32 @@ def match_pair(a: matching.Prepared, b: matching.Prepared, pair: tuple[str, str]
     return PairMatch(pair, d, parallax, influence, eps_y, rejected, matched, settings)
 
 
+def difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
+    """Displacement between the partners of two pairs of one reference.
+
+    Parameters
+    ----------
+    one, other : PairMatch
+        Pairs (a, b) and (a, c).
+
+    Returns
+    -------
+    PairMatch
+        What they say together about (c, b), on a's lattice: x_b - x_c = (x_b - x_a) - (x_c - x_a).
+    """
+    d, parallax = one.difference - other.difference, one.parallax - other.parallax
+    return PairMatch(
+        (one.pair[0], one.pair[1]),
+        d,
+        parallax,
+        one.influence - other.influence,
+        (parallax[1] * d[0] - parallax[0] * d[1]) / np.hypot(*parallax),
+        one.rejected | other.rejected,
+        one.matched & other.matched,
+        one.settings,
+    )
+
+
 def _sight(centre: NDArray, x: Float, y: Float) -> tuple[Float, Float]:
     depth = np.float32(-centre[2])
     return (x - np.float32(centre[0])) / depth, (y - np.float32(centre[1])) / depth
