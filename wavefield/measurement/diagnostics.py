@@ -56,8 +56,8 @@ class Diagnosis:
         Returns
         -------
         list of dict
-            ``name``, ``cm`` (None for those in the images), ``px``, and ``share`` of nodes or blocks beyond three
-            times the rms, which are left out of it once.
+            ``name``, ``cm`` (None for those in the images), ``px``, and ``share`` of nodes or blocks beyond
+            three times the rms, which are left out of it once.
         """
         rows = []
         for pair, values in self.eps_y.items():
@@ -113,7 +113,7 @@ def diagnose(
     Raises
     ------
     ValueError
-        If a camera's frame is missing or cannot be used.
+        If a camera's frame is missing or cannot be used, or nothing can be matched.
 
     Notes
     -----
@@ -125,9 +125,10 @@ def diagnose(
             raise ValueError(
                 f"camera {sorted(instant.missing)[0]} has no usable frame: nothing to compare with"
             )
-    flat = {
-        n: stereo.prepare(bin_pixels(frames[n][0], plan.binning[n]), n, plan) for n in plan.surface_cameras
-    }
+    if first.surface is None or second.surface is None:
+        raise ValueError("the frames cannot be matched: nothing to compare with")
+    raw = {n: np.asarray(frames[n][0]) for n in plan.surface_cameras}
+    flat = {n: stereo.prepare(bin_pixels(raw[n], plan.binning[n]), n, plan) for n in plan.surface_cameras}
     partners = [b for _, b in plan.pairs]
     direct = [(a, b) for k, a in enumerate(partners) for b in partners[k + 1 :]]
     matches = {
@@ -147,9 +148,7 @@ def diagnose(
         to_a, to_b = matches[reference, a], matches[reference, b]
         both = stereo.difference_of(to_b, to_a)
         recombined[a, b] = _nodes([both], plan) - z[a, b]
-    if first.surface is None:
-        raise ValueError("the first frames cannot be matched: nothing to compare with")
-    moved = motion.velocity(first.images, second.images, first.surface.z, plan)
+    moved = motion.velocity(first.images, second.images, 0.5 * (first.surface.z + second.surface.z), plan)
     eps_piv = np.full(plan.grid.shape, np.nan) if moved is None else moved.eps_piv
     return Diagnosis(pixel or plan.pixel, z, eps_y, z_std, difference, recombined, eps_piv)
 

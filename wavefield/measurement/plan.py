@@ -95,7 +95,7 @@ class Plan:
         return _cached, (tuple(self.rig.cameras.items()), self.grid, self.settings)
 
     def _fitting_pixel(self, x: float, y: float) -> float:
-        """The cameras' own pixel, or finer (at most twice) where blocks would be wider than 0.8 grid steps."""
+        """The cameras' own pixel, or finer (at most twice) where blocks would exceed 0.8 grid steps."""
         own = _coarsest_fine_side([self.rig[name] for name in self.surface_cameras], x, y)
         return max(own / 2.0, min(own, 0.8 * self.grid.step / BLOCK))
 
