@@ -1,5 +1,6 @@
 """Where blocks are measured: in this process, in others of this machine, in Slurm jobs, on any scheduler."""
 
+import inspect
 import logging
 import os
 import signal
@@ -110,6 +111,8 @@ def open_cluster(workflow: Workflow) -> Iterator[Callable[[Work, Sequence[Any]],
 
 @contextmanager
 def _configured(configuration: dict[str, Any]) -> Iterator[None]:
+    import distributed  # noqa: F401  its defaults join the configuration on import: before that is put aside
+
     # dask.config.set would replace whole sections
     before = dask.config.config.copy()
     merged = dask.config.merge(dask.config.config, configuration)
@@ -137,8 +140,9 @@ def _connect(workflow: Workflow, stack: ExitStack) -> Any:
             ) from None
     if workflow.cluster == "slurm":
         cluster = stack.enter_context(slurm_cluster(workflow))
-        cluster.scale(jobs=count_jobs(workflow))
-        log.info("asked Slurm for %d jobs; the run begins when the first starts", count_jobs(workflow))
+        jobs = count_jobs(workflow)
+        cluster.adapt(minimum_jobs=jobs, maximum_jobs=jobs)  # jobs that end or die are asked for again
+        log.info("asked Slurm for %d jobs; the run begins when the first starts", jobs)
     else:
         cluster = stack.enter_context(
             LocalCluster(
@@ -172,20 +176,31 @@ def slurm_cluster(workflow: Workflow) -> Any:
     """
     try:
         from dask_jobqueue import SLURMCluster
+        from dask_jobqueue.core import Job, JobQueueCluster
+        from dask_jobqueue.slurm import SLURMJob
     except ImportError:
         raise ExperimentError("cluster: slurm needs dask-jobqueue; `pip install wavefield[slurm]`") from None
-    keywords: dict[str, Any] = {"cores": 1, "processes": workflow.slurm.get("cores", 1), "name": "wavefield"}
+    keywords: dict[str, Any] = {"cores": 1, "processes": workflow.slurm.get("cores", 1), "job_name": "wavefield"}
     keywords["memory"] = workflow.memory or "2 GB"
     if "cores" in workflow.slurm and workflow.memory_bytes:
         keywords["memory"] = f"{workflow.memory_bytes * int(workflow.slurm['cores']) // 1_000_000} MB"
-    prologue = [f"export {name}=1" for name in THREAD_VARIABLES]
     keywords |= workflow.slurm
+    prologue = [f"export {name}=1" for name in THREAD_VARIABLES]
     keywords["job_script_prologue"] = prologue + list(workflow.slurm.get("job_script_prologue", []))
     keywords.setdefault("scheduler_options", {"dashboard_address": workflow.dashboard})
-    try:
-        return SLURMCluster(**keywords)
-    except (TypeError, ValueError) as error:
-        raise ExperimentError(f"the `slurm` block of the workflow: {error}") from None
+    known = {
+        name
+        for kind in (SLURMJob, Job, JobQueueCluster)
+        for name, parameter in inspect.signature(kind.__init__).parameters.items()
+        if parameter.kind is not parameter.VAR_KEYWORD and name != "self"
+    }
+    unknown = [name for name in keywords if name not in known]
+    if unknown:
+        raise ExperimentError(
+            f"the `slurm` block of the workflow: {unknown[0]!r} is not a keyword of dask_jobqueue.SLURMCluster; "
+            f"it knows {', '.join(sorted(known))}"
+        )
+    return SLURMCluster(**keywords)
 
 
 def count_jobs(workflow: Workflow) -> int:
