@@ -107,7 +107,8 @@ def correlate(
             u, v = smoothed(u, _SMOOTHING, 2), smoothed(v, _SMOOTHING, 2)
         warped = _deformed(second.padded, u, v, smooth.shape)
         du, dv = _peaks(smooth, warped, side, rows * BLOCK + 2, columns * BLOCK + 2, ranges)
-        u, v, outlier = replace_outliers(u + du, v + dv, settings.max_deviation * (2 if wide else 1))
+        u, v = u + du, v + dv
+        outlier = replace_outliers(u, v, settings.max_deviation * (2 if wide else 1))
     row, column = np.meshgrid(np.arange(ny) / _STRIDE, np.arange(nx) / _STRIDE, indexing="ij")
     wrong = cv2.resize(
         outlier.astype(np.uint8), (len(columns) * _STRIDE, len(rows) * _STRIDE), interpolation=0

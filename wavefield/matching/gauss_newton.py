@@ -157,23 +157,36 @@ def initial_fields(
     return fields[0], fields[1]
 
 
-class _Windows:
-    """Window filters over weighted block sums of one level."""
+class _View:
+    """What a level of two images shows of each other: which blocks count, and windows over them."""
 
-    def __init__(self, window: float) -> None:
-        self.weights = window_weights(window)
+    def __init__(self, a: Level, b: Level, settings: Settings) -> None:
+        self.a, self.b = a, b
+        self.masked = bool(a.good.size or b.good.size)
+        self.weights = window_weights(settings.window)
+        self.count: np.ndarray = np.zeros(a.blocks, np.float32)
+        self.share: np.ndarray = self.count
 
-    def __call__(self, fields: np.ndarray) -> np.ndarray:
+    def look(self, u: np.ndarray, v: np.ndarray) -> bool:
+        """Update `count` (1 for blocks that count, else 0) and `share` (of windows seen); True if changed."""
+        count = np.empty(u.shape, np.float32)
+        block_weights(self.a.good, self.b.good, u, v, *self.b.shape, count)
+        if np.array_equal(count, self.count):
+            return False
+        self.count, self.share = count, filtered(count, self.weights)
+        return True
+
+    def windows(self, fields: np.ndarray) -> np.ndarray:
+        """Fields filtered with the window."""
         out = np.empty_like(fields)
         for field, to in zip(fields, out):
             filtered(field, self.weights, to)
         return out
 
-
-def _weights(a: Level, b: Level, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    out = np.empty(u.shape, np.float32)
-    block_weights(a.good, b.good, u, v, *b.shape, out)
-    return out
+    @property
+    def trust(self) -> np.ndarray | None:
+        """Weights for the smoother: only where masks make large holes."""
+        return np.maximum(self.share, F(1e-3)) if self.masked else None
 
 
 def _advance(
@@ -190,7 +203,7 @@ def _advance(
     u, v = u.copy(), v.copy()
     ridge = F(_RIDGE) * F((hessian[0] + hessian[2]).mean()) + F(1e-12)
     step(hessian, score, ridge, F(settings.relaxation), F(_LONGEST_STEP), u, v)
-    u, v, outlier = replace_outliers(u, v, limit)
+    outlier = replace_outliers(u, v, limit)
     order = settings.smoother_order
     return smoothed(u, sigma, order, trust), smoothed(v, sigma, order, trust), outlier
 
@@ -200,78 +213,52 @@ def _limit(number: int, settings: Settings) -> float:
     return settings.max_deviation * (2 if number == 0 else 1)
 
 
-class _Hessian:
-    """Windowed Hessian of a with the weights of the blocks, remade only when these change."""
-
-    def __init__(self, moments: np.ndarray, windows: _Windows) -> None:
-        self.moments, self.windows = moments, windows
-        self.weight: np.ndarray | None = None
-
-    def __call__(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The Hessian (3, ny, nx) and the share of the window that is seen (ny, nx)."""
-        if self.weight is None or not np.array_equal(weight, self.weight):
-            self.weight = weight
-            self.value = self.windows(self.moments[:3] * weight)
-            self.share = filtered(weight, self.windows.weights)
-        return self.value, self.share
-
-
-def _trust(share: np.ndarray, masked: bool) -> np.ndarray | None:
-    """Weights for the smoother: only where masks make large holes."""
-    return np.maximum(share, F(1e-3)) if masked else None
-
-
 def _plain_steps(
     a: Level, b: Level, u: np.ndarray, v: np.ndarray, count: int, sigma: float, settings: Settings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Steps without weights per pixel: the Hessian is that of a alone."""
     if count == 0:
         return u, v
+    view = _View(a, b, settings)
     work = scratch(u.shape[1])
-    windows = _Windows(settings.window)
     moments = np.empty((9, *u.shape), np.float32)
     gradient_moments(a.padded, work["rows"], work["sums"], moments)
-    hessian = _Hessian(moments, windows)
-    masked = bool(a.good.size or b.good.size)
+    hessian = np.zeros((3, *u.shape), np.float32)
     sums = np.empty((2, *u.shape), np.float32)
     for number in range(count):
         plain_sums(a.padded, b.padded, u, v, out=sums, **work)
         subtract_slopes(sums, moments, slopes(u, v))
-        weight = _weights(a, b, u, v)
-        sums *= weight
-        value, share = hessian(weight)
-        u, v, _ = _advance(
-            u, v, value, windows(sums), _trust(share, masked), _limit(number, settings), sigma, settings
-        )
+        if view.look(u, v):
+            hessian = view.windows(moments[:3] * view.count)
+        sums *= view.count
+        limit = _limit(number, settings)
+        u, v, _ = _advance(u, v, hessian, view.windows(sums), view.trust, limit, sigma, settings)
     return u, v
 
 
 def _finest(a: Level, b: Level, u: np.ndarray, v: np.ndarray, count: int, settings: Settings) -> Displacement:
     """Steps of the finest level; the last one also measures correlation and uncertainty."""
-    windows = _Windows(settings.window)
-    masked = bool(a.good.size or b.good.size)
+    sigma = settings.smoother_sigma
+    plain = 0 if settings.robust else count - 1
+    u, v = _plain_steps(a, b, u, v, plain, sigma, settings)
+    view = _View(a, b, settings)
     work = scratch(u.shape[1])
     c2b2 = F(settings.robust**2 * settings.robust_beta**2 / 4)
     c2 = np.zeros(u.shape, np.float32)
-    plain = 0 if settings.robust else count - 1
-    u, v = _plain_steps(a, b, u, v, plain, settings.smoother_sigma, settings)
     for number in range(plain, count):
         kernel, fields = (robust_sums, 6) if number < count - 1 else (final_sums, 12)
         sums = np.empty((fields, *u.shape), np.float32)
         kernel(a.padded, b.padded, u, v, slopes(u, v), c2, c2b2, out=sums, **work)
-        weight = _weights(a, b, u, v)
-        sums *= weight
-        share = filtered(weight, windows.weights)
-        windowed = windows(sums)
+        view.look(u, v)
+        sums *= view.count
+        windowed = view.windows(sums)
         before = u, v
-        limit, trust = _limit(number, settings), _trust(share, masked)
-        u, v, outlier = _advance(
-            u, v, windowed[2:5], windowed[:2], trust, limit, settings.smoother_sigma, settings
-        )
+        limit = _limit(number, settings)
+        u, v, outlier = _advance(u, v, windowed[2:5], windowed[:2], view.trust, limit, sigma, settings)
         if settings.robust:
-            c2 = _sharpness(windowed[5], share, settings)
+            c2 = _sharpness(windowed[5], view.share, settings)
     moved = u - before[0], v - before[1]
-    return assess(a, b, u, v, sums, windowed, share, moved, outlier, settings)
+    return assess(a, b, u, v, sums, windowed, view.share, moved, outlier, settings)
 
 
 def _sharpness(rr: np.ndarray, share: np.ndarray, settings: Settings) -> np.ndarray:

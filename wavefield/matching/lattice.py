@@ -61,11 +61,16 @@ def smoothed(field: np.ndarray, sigma: float, order: int, weight: np.ndarray | N
         return field
     g = gaussian(sigma)
     norm = None if weight is None else F(1) / np.maximum(filtered(weight, g), F(1e-3))
-    rest, total = field, np.zeros_like(field)
+    rest, total = field.copy(), np.zeros_like(field)
+    part = np.empty_like(field)
     for _ in range(order):
-        part = filtered(rest, g) if norm is None else filtered(rest * weight, g) * norm
+        if norm is None:
+            filtered(rest, g, part)
+        else:
+            filtered(rest * weight, g, part)
+            part *= norm
         total += part
-        rest = rest - part
+        rest -= part
     return total
 
 
@@ -126,19 +131,27 @@ def step(h, s, ridge, relaxation, limit, u, v):
             to_v[i] += min(max((a * sy[i] - b * sx[i]) * scale, -limit), limit)
 
 
-def replace_outliers(u: np.ndarray, v: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Replace vectors further than `limit` px from the median of their 5 x 5 neighbours by it.
+def replace_outliers(u: np.ndarray, v: np.ndarray, limit: float) -> np.ndarray:
+    """Replace vectors further than `limit` px from the median of their 5 x 5 neighbours by it, in place.
 
     Returns
     -------
-    u, v : (ny, nx) float32
-        The fields with replacements.
-    outlier : (ny, nx) bool
+    (ny, nx) bool
         Where.
     """
-    median_u, median_v = cv2.medianBlur(u, 5), cv2.medianBlur(v, 5)
-    outlier = np.abs(u - median_u) + np.abs(v - median_v) > F(limit)
-    return np.where(outlier, median_u, u), np.where(outlier, median_v, v), outlier
+    outlier = np.empty(u.shape, np.bool_)
+    _replace(u, v, cv2.medianBlur(u, 5), cv2.medianBlur(v, 5), F(limit), outlier)
+    return outlier
+
+
+@njit
+def _replace(u, v, median_u, median_v, limit, outlier):
+    for j in range(u.shape[0]):
+        for i in range(u.shape[1]):
+            wrong = abs(u[j, i] - median_u[j, i]) + abs(v[j, i] - median_v[j, i]) > limit
+            outlier[j, i] = wrong
+            u[j, i] = median_u[j, i] if wrong else u[j, i]
+            v[j, i] = median_v[j, i] if wrong else v[j, i]
 
 
 @lru_cache(maxsize=32)

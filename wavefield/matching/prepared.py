@@ -11,7 +11,7 @@ from wavefield.errors import FrameError
 from wavefield.matching.kernels import BLOCK, PAD
 from wavefield.matching.settings import Settings
 
-_COARSE = 4  # local means and variances are taken on an image this many times smaller
+_COARSE = 8  # local means and variances are taken on an image at most this many times smaller
 _UNIFORM = 0.05  # of the image's median local standard deviation: less contrast is not amplified
 _SMALLEST = 8 * BLOCK  # px: pyramid levels with a smaller side are left out
 _NO_MASK = np.empty((0, 0), np.uint8)
@@ -108,6 +108,8 @@ def prepare(image: np.ndarray, settings: Settings, mask: np.ndarray | None = Non
         raise FrameError(f"an image of {image.dtype} cannot be matched: give whole or real numbers")
     if mask is not None and np.shape(mask) != image.shape:
         raise FrameError(f"the mask is {np.shape(mask)} but the image is {image.shape}: make them the same")
+    if image.dtype not in (np.uint8, np.uint16, np.float32):
+        image = image.astype(np.float32)
     good = _usable(image, mask)
     h, w = image.shape
     padded = np.empty((h + 2 * PAD, w + 2 * PAD), np.float32)
@@ -147,11 +149,10 @@ def _usable(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray | None:
         finite = np.isfinite(image)
         if not finite.all():
             good = finite if good is None else good & finite
-    largest = np.max(image, where=True if good is None else good, initial=0)
-    bright = (image >= largest).astype(np.uint8) if largest > 0 else np.zeros(image.shape, np.uint8)
-    if cv2.countNonZero(bright) >= 25:
-        square = np.ones((5, 5), np.uint8)
-        flat = cv2.morphologyEx(bright, cv2.MORPH_OPEN, square)
+    largest = image.max() if good is None else np.max(image, where=good, initial=0)
+    if largest > 0:
+        bright = cv2.inRange(image, float(largest), float(np.inf)) // 255
+        flat = cv2.morphologyEx(bright, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
         if cv2.countNonZero(flat):
             good = flat == 0 if good is None else good & (flat == 0)
     return None if good is None else good.astype(np.uint8)
@@ -176,16 +177,20 @@ def _normalize(image: np.ndarray, good: np.ndarray | None, sigma: float) -> None
     With sigma 0 only masked pixels change: they get the mean of their surroundings.
     """
     h, w = image.shape
-    q = _COARSE if min(h, w) >= 16 * _COARSE else 1
+    width = max(sigma if sigma > 0 else 16.0, 1.0)
+    q = _COARSE
+    while q > 1 and (width < 2 * q or min(h, w) < 8 * q):
+        q //= 2
     size = (w // q, h // q)
-    width = max(sigma if sigma > 0 else 16.0, 1.0) / q
+
+    spare = np.empty((h, w), np.float32)
 
     def local(values: np.ndarray) -> np.ndarray:
         small = cv2.resize(values, size, interpolation=cv2.INTER_AREA)
-        return cv2.GaussianBlur(small, (0, 0), width, borderType=cv2.BORDER_REPLICATE)
+        return cv2.GaussianBlur(small, (0, 0), width / q, borderType=cv2.BORDER_REPLICATE)
 
     def full(values: np.ndarray) -> np.ndarray:
-        return cv2.resize(values, (w, h), interpolation=cv2.INTER_LINEAR)
+        return cv2.resize(values, (w, h), dst=spare, interpolation=cv2.INTER_LINEAR)
 
     share = None
     if good is not None:
@@ -198,7 +203,7 @@ def _normalize(image: np.ndarray, good: np.ndarray | None, sigma: float) -> None
         assert good is not None
         np.copyto(image, full(mean), where=good == 0)
         return
-    square = local(image * image)
+    square = local(cv2.multiply(image, image, dst=spare))
     if share is not None:
         square /= share
     std = np.sqrt(np.maximum(square - mean * mean, 0))

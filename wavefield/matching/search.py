@@ -50,7 +50,7 @@ def search(
             filtered(field, weights, field)
     u, v = _peak(score, xs, ys)
     for _ in range(2):
-        u, v, _outlier = replace_outliers(u, v, 2.0)
+        replace_outliers(u, v, 2.0)
     return smoothed(u, 1.0, 1), smoothed(v, 1.0, 1)
 
 
