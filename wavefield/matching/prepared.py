@@ -151,7 +151,7 @@ def _usable(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray | None:
             good = finite if good is None else good & finite
     largest = image.max() if good is None else np.max(image, where=good, initial=0)
     if largest > 0:
-        bright = cv2.inRange(image, float(largest), float(np.inf)) // 255
+        bright = cv2.inRange(image, float(largest), float(largest)) // 255
         flat = cv2.morphologyEx(bright, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
         if cv2.countNonZero(flat):
             good = flat == 0 if good is None else good & (flat == 0)
