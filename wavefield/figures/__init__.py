@@ -6,6 +6,7 @@ Each takes plain xarray datasets (a cube, one step of it, a group of a wave stor
 
 from wavefield.figures.distributions import distributions, error_distributions, error_maps
 from wavefield.figures.kinematics import balance_history, coherence_curves, kinematic_terms, kinematics_maps
+from wavefield.figures.pairs import pair_differences, pair_misfits
 from wavefield.figures.quality import (
     coverage_map,
     fault_history,
@@ -48,6 +49,8 @@ __all__ = [
     "misfit_distributions",
     "misfit_maps",
     "noise_spectra",
+    "pair_differences",
+    "pair_misfits",
     "quality_shares",
     "rig_views",
     "surface_3d",

@@ -2,12 +2,14 @@
 
 import json
 from collections.abc import Callable
+from itertools import combinations
 
 import numpy as np
 import xarray as xr
 
 from wavefield import figures
 from wavefield.report.page import Listing, Markup, Picture, Section, Table, Text
+from wavefield.report.pairs import measure_pairs
 from wavefield.report.player import MARKUP
 from wavefield.report.sources import Sources, pixel_size
 from wavefield.variables import FrameStatus, Quality
@@ -427,6 +429,7 @@ def accuracy(sources: Sources) -> Section:
             ),
         ],
     )
+    section.items += _pairs(sources)
     group, fusion = sources.group("spectra"), sources.group("fusion")
     if group is not None and "Ez_stereo" in group:
         reach = ""
@@ -480,6 +483,41 @@ def accuracy(sources: Sources) -> Section:
             ),
         ]
     return section
+
+
+def _pairs(sources: Sources) -> list[Picture]:
+    """Pictures of every pair of cameras on its own, if the images are still there."""
+    pairs = measure_pairs(sources, sources.cube.sizes["time"] // 2)
+    if pairs is None or sources.rig is None:
+        return []
+    names = [str(p) for p in pairs.pair.values if p != "all"]
+    pixel = pixel_size(sources.rig, sources.grid)
+    misfits = ", ".join(
+        f"{p} {1e3 * _rms(pairs.eps_y.sel(pair=p)):.2g} mm and {_rms(pairs.eps_piv.sel(pair=p)):.2g} px"
+        for p in names
+    )
+    out = [
+        Picture(
+            figures.pair_misfits(pairs),
+            f"The same for each pair of cameras on its own, over {pairs.sizes['time']} steps measured again.",
+            f"Densities for each pair. Rms of eps_y and of eps': {misfits}.",
+        )
+    ]
+    if len(names) > 1:
+        spread = ", ".join(
+            f"{a} minus {b} {_rms(pairs.z.sel(pair=a) - pairs.z.sel(pair=b)) / pixel:.2g} px"
+            for a, b in combinations(names, 2)
+        )
+        out.append(
+            Picture(
+                figures.pair_differences(pairs, pixel),
+                "Differences between what the pairs measure, each on its own, and of the combination of "
+                "all from the "
+                "direct pair; divided by √2 they are errors of one pair (paper: 0.3 px).",
+                f"Densities of differences of z, dx, dy, dz. Rms of the differences of z: {spread}.",
+            )
+        )
+    return out
 
 
 def errors_against(cube: xr.Dataset, truth: xr.Dataset) -> xr.Dataset:
