@@ -185,16 +185,28 @@ def _marks(
     pixel = smooth(around)
     inside = ((pixel > 2) & (pixel < [width - 3, height - 3])).all(1)
     around, pixel = around[inside], pixel[inside]
-    quality, radius, grey = _discs(cv2.GaussianBlur(image, (0, 0), 0.7), pixel, smooth.slopes(around))
     row = np.full((2 * REACH + 3, 2 * REACH + 3), -1)
     row[tuple((around + REACH + 1).T)] = np.arange(len(around))
-    best, found = 1.3, None
-    for a in np.flatnonzero(quality > best):
-        for step in np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]):
-            b = row[tuple(around[a] + step + REACH + 1)]
-            merit = min(quality[a], quality[b])
-            if b >= 0 and radius[b] < 0.9 * radius[a] and 0.5 < grey[b] / grey[a] < 2.0 and merit > best:
-                best, found = merit, (around[a], step)
+    value, usual = _rings(cv2.GaussianBlur(image, (0, 0), 0.7), pixel, smooth.slopes(around))
+    found = None
+    # all directions first; if a spot of light or dirt spoils a disc, the median over directions
+    middle = np.median(value, axis=2, keepdims=True), np.median(usual, axis=1, keepdims=True)
+    for (rings, strings), least in (((value, usual), 0.7), (middle, 1.5)):
+        quality, radius, grey = _discs(rings, strings)
+        merits = [(0.0, None)]
+        for a in np.flatnonzero(quality > least):
+            for step in np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]):
+                b = row[tuple(around[a] + step + REACH + 1)]
+                if b < 0 or quality[b] < least or radius[b] > 0.9 * radius[a]:
+                    continue
+                clearest = max(quality[a], quality[b]) > 0.5 * quality.max()
+                if clearest and 0.2 < quality[b] / quality[a] < 5.0 and 0.5 < grey[b] / grey[a] < 2.0:
+                    merit = min(quality[a], quality[b]) * min(grey[a], grey[b])
+                    merits.append((merit, (around[a], step)))
+        merits.sort(key=lambda pair: -pair[0])
+        if len(merits) > 1 and merits[0][0] > 1.3 * merits[1][0]:
+            found = merits[0][1]
+            break
     if found is None:
         raise CalibrationError(
             f"a grid of {len(node)} crossings was found, but not its marks: the larger disc on the origin "
@@ -203,36 +215,49 @@ def _marks(
     return found
 
 
-def _discs(image: NDArray[np.float32], pixel: Array, slopes: Array) -> tuple[Array, Array, Array]:
-    """How much the surroundings of each node look like a disc of even brightness on a dark ground.
+_RADII = np.linspace(0.02, 0.45, 30)  # of the circles on which marks are looked for, meshes
 
-    Samples lie on circles of the target's plane, in directions away from the strings. What a node without
-    a disc looks like is subtracted, and the rest compared with discs of all sizes, which add the less the
-    brighter the node is without them.
 
-    Returns the quality (what the best disc explains over what it leaves), its radius in meshes, its grey.
+def _rings(image: NDArray[np.float32], pixel: Array, slopes: Array) -> tuple[Array, Array]:
+    """Light on circles of the target's plane around nodes, in directions away from the strings.
+
+    Returns what a node has more than a node without a disc, (node, circle, direction), and what that one has.
     """
-    r = np.linspace(0.02, 0.45, 30)
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
     angle = angle[np.abs(np.sin(2 * angle)) > 0.5]
-    offset = r[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+    offset = _RADII[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
     value = _sample(image, pixel[:, None, None] + np.einsum("rak,nkc->nrac", offset, slopes)).astype(float)
     value -= np.median(value[:, -10:], axis=(1, 2), keepdims=True)
     usual = np.median(value, axis=0)
-    value -= usual
+    return value - usual, usual
+
+
+def _discs(value: Array, usual: Array) -> tuple[Array, Array, Array]:
+    """How much the surroundings of each node look like a disc of even brightness.
+
+    A disc adds the less, the brighter the node is without it.
+
+    Returns the quality (what the best disc explains over what it leaves), its radius in meshes, its grey.
+    """
     noise = np.median(np.abs(value[:, -10:])) + 1e-3
     radii = np.linspace(0.05, 0.38, 34)
-    disc = np.clip((radii[:, None] - r) / 0.05 + 0.5, 0, 1)[..., None] * np.clip(
+    disc = np.clip((radii[:, None] - _RADII) / 0.05 + 0.5, 0, 1)[..., None] * np.clip(
         1 - usual / usual.max(), 0, 1
     )
-    area = np.broadcast_to(np.sqrt(r)[:, None], usual.shape)
-    disc, value = (disc * area).reshape(len(radii), -1), (value * area).reshape(len(pixel), -1)
+    area = np.broadcast_to(np.sqrt(_RADII)[:, None], value.shape[1:])
+    disc = (disc * area).reshape(len(radii), -1)
     norm = np.linalg.norm(disc, axis=1)
-    share = (value @ (disc / norm[:, None]).T) / (np.linalg.norm(value, axis=1)[:, None] + 1e-9)
-    best = share.argmax(1)
-    share = np.clip(share[np.arange(len(pixel)), best], 0, 0.9999)
-    grey = share * np.linalg.norm(value, axis=1) / norm[best]
-    quality = np.where(grey > 5 * noise, share / np.sqrt(1 - share**2), 0.0)
+    white = np.inf
+    for _ in range(2):
+        light = (np.minimum(value, white) * area).reshape(len(value), -1)
+        length = np.linalg.norm(light, axis=1) + 1e-9
+        share = light @ (disc / norm[:, None]).T / length[:, None]
+        best = share.argmax(1)
+        share = np.clip(share[np.arange(len(value)), best], 0, 0.9999)
+        grey = share * length / norm[best]
+        significant = grey > max(5 * noise, 0.3 * usual.max())
+        quality = np.where(significant, share / np.sqrt(1 - share**2), 0.0)
+        white = 1.2 * grey[quality.argmax()]  # spots brighter than the discs count no more than they
     return quality, radii[best], np.maximum(grey, 1e-6)
 
 
