@@ -224,7 +224,7 @@ def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[Layo
         covariance = full[np.ix_(pick, pick)]
     else:
         for k in plan.camera:
-            covariance[range(k, k + 6), range(k, k + 6)] = np.repeat([np.radians(0.02) ** 2, 0.002**2], 3)
+            covariance[range(k, k + 6), range(k, k + 6)] = np.repeat([np.radians(0.002) ** 2, 2e-4**2], 3)
     return plan, covariance
 
 
@@ -294,7 +294,7 @@ def _check(problem: _Problem) -> tuple[RigCheck, dict[str | None, tuple[Array, f
     if gain < ALIKE or misfit_as_it_is < 1.1 * expected:
         text = f"no camera has moved: lines of sight meet within {misfit_as_it_is:.2f} px"
         return RigCheck(misfit_as_it_is, expected, None, (), 0.0, text), found
-    suspects = tuple(n for n in problem.names if chi2[n] - chi2[best] < max(ALIKE, 0.002 * gain))
+    suspects = tuple(n for n in problem.names if chi2[n] - chi2[best] < max(ALIKE, 1e-4 * gain))
     return _verdict(problem, found, best, suspects, misfit_as_it_is, expected), found
 
 

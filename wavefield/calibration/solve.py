@@ -164,8 +164,8 @@ def calibrate(
             )
         elif len(tilted) < 2 or camera.spread < SPREAD:
             problems.append(
-                f"the views of {name} are nearly parallel (at most {camera.spread:.1f} degrees apart), so "
-                "its focal length is not determined: photograph the target tilted by 20 to 40 degrees, to several sides"
+                f"the views of {name} are parallel (at most {camera.spread:.1f} degrees apart): its "
+                "focal length is unknown; photograph the target tilted by 20 to 40 degrees, to several sides"
             )
     if not alone:
         if not problems:
@@ -189,6 +189,11 @@ def calibrate(
     reference = _reference(observations, flats, problems, notes)
     flat_indices = [observations.poses.index(p) for p in flats if p in observations.poses]
     geometry = _together(observations, together, reference)
+    for p in flat_indices:  # on the plane exactly: the fit turns them about z only
+        c, d = geometry.pose_R[p][0, 0], geometry.pose_R[p][1, 0]
+        c, d = c / np.hypot(c, d), d / np.hypot(c, d)
+        geometry.pose_R[p] = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]])
+        geometry.pose_t[p, 2] = 0.0
 
     settled = _settle(observations, geometry, reference, flat_indices, model, target_std, notes, left_out)
     observations, result, chosen, table = settled
@@ -287,7 +292,7 @@ def _reference(
             return observations.poses.index(name)
     if flats:
         problems.append(
-            f"no camera has a usable flat view ({', '.join(flats)}): photograph the target on the water's plane"
+            f"no camera has a usable flat view ({', '.join(flats)}): photograph the target on the plane z = 0"
         )
     else:
         notes.append(
@@ -423,7 +428,7 @@ def _judge(
             found = float(np.linalg.norm(result.geometry.R[c].T @ result.geometry.T[c]))
             if abs(np.log(found / stated)) > 0.05:
                 problems.append(
-                    f"{name} stands {found:.2f} m from the origin by this calibration, but {stated:.2f} m was "
+                    f"{name} stands {found:.2f} m from the origin by this calibration, not {stated:.2f} m as "
                     f"stated: the mesh is given as {1e3 * mesh:g} mm; measure it, "
                     f"it may be {1e3 * mesh * stated / found:.3g} mm"
                 )

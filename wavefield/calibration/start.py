@@ -147,8 +147,8 @@ def calibrate_alone(observations: Observations) -> Alone:
     f = focal_length(list(maps.values()), centre)
     if f is None or not 0.2 * max(o.sizes[0]) < f < 200 * max(o.sizes[0]):
         raise CalibrationError(
-            f"the views of {name} do not tell its focal length, as they are all nearly parallel to its sensor, "
-            "or are no plane target: photograph it tilted by 20 to 40 degrees, to several sides"
+            f"the views of {name} do not tell its focal length (all are parallel to its sensor, or show no "
+            "plane target): photograph the target tilted by 20 to 40 degrees, to several sides"
         )
     lens = np.zeros(len(LENS))
     lens[:4] = f, f, *centre
