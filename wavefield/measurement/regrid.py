@@ -19,6 +19,8 @@ from scipy.sparse.linalg import spsolve
 Float = NDArray[Any]
 Mask = NDArray[Any]
 
+_REACH = 12.0  # blocks: so far from anything measured the plate says no more than a local mean
+
 
 @dataclass(frozen=True)
 class Lattice:
@@ -142,7 +144,8 @@ def fill(fields: Float, valid: Mask, wanted: Mask, energy: sparse.csr_array) -> 
     Minimises f Q f over the blocks of the hole, the others held.
     """
     out = push_pull(fields, valid)
-    holes = np.flatnonzero(wanted & ~valid)
+    near = cv2.distanceTransform((~valid).astype(np.uint8), cv2.DIST_L2, 3) <= _REACH
+    holes = np.flatnonzero(wanted & ~valid & near)
     if holes.size == 0 or not valid.any():
         return out
     flat = out.reshape(-1, out.shape[-1])
