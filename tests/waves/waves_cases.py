@@ -61,7 +61,9 @@ class Waves:
     def at(self, x, y, t):
         """z, u, v at points, each of the points' shape."""
         shape = np.shape(x)
-        phase = np.exp(1j * (np.outer(np.ravel(x), self.kx) + np.outer(np.ravel(y), self.ky) - self.omega * t))
+        phase = np.exp(
+            1j * (np.outer(np.ravel(x), self.kx) + np.outer(np.ravel(y), self.ky) - self.omega * t)
+        )
         s = self.sigma / np.tanh(self.k * self.depth) / self.k
         return tuple((phase @ (self.a * g)).real.reshape(shape) for g in (1.0, self.kx * s, self.ky * s))
 
@@ -127,3 +129,53 @@ def cube(fields, t, y, x, dtype="f4", **attrs):
         for name, values in fields.items()
     }
     return xr.Dataset(data, {"time": t, "y": y, "x": x}, attrs)
+
+
+class PeriodicSea:
+    """Random sea on a periodic square, looked at through a smaller window: quick for long records."""
+
+    def __init__(
+        self, seed=5, n=192, dx=0.02, depth=0.7, current=(0.0, 0.0), sigma=0.015, box=0.04, highest=7.4
+    ):
+        rng = np.random.default_rng(seed)
+        kx = 2 * np.pi * np.fft.fftfreq(n, dx)[None, :]
+        ky = 2 * np.pi * np.fft.fftfreq(n, dx)[:, None]
+        k = np.hypot(kx, ky)
+        free = relation(k, depth)
+        self.n, self.dx, self.depth = n, dx, depth
+        self.omega = free + current[0] * kx + current[1] * ky
+        f = free / (2 * np.pi)
+        group = (relation(k + 1e-3, depth) - free) / 1e-3
+        with np.errstate(divide="ignore", invalid="ignore"):
+            density = np.where(
+                (f > 0.75) & (f < highest),
+                1 / (1 + f**6) * np.exp(-((0.85 / np.maximum(f, 1e-3)) ** 12)) * group / k,
+                0.0,
+            )
+        density[0, 0] = 0
+        a = np.sqrt(density) * (rng.standard_normal((n, n)) + 1j * rng.standard_normal((n, n)))
+        self.a = a * sigma / np.sqrt((np.abs(a) ** 2).sum() / 2)
+        self.box = np.sinc(kx * box / (2 * np.pi)) * np.sinc(ky * box / (2 * np.pi)) if box else 1.0
+
+    def z(self, t, ny, nx):
+        from scipy.fft import ifft2
+
+        return ifft2(self.a * self.box * np.exp(-1j * self.omega * t)).real[:ny, :nx] * self.n**2
+
+    def cube(self, steps, ny, nx, dt=0.05, noise_z=0.0, noise_dz=0.0, seed=1):
+        """z, z_t, w as measured from frames with noise; and the exact frame-time elevation."""
+        from scipy.ndimage import uniform_filter
+
+        rng = np.random.default_rng(seed)
+
+        def noise(rms):
+            raw = uniform_filter(rng.standard_normal((ny + 4, nx + 4)), 2)[2:-2, 2:-2]
+            return rms * 2 * raw
+
+        exact = np.array([self.z(i * dt, ny, nx) for i in range(-1, steps + 2)])
+        noisy = exact + np.array([noise(noise_z) for _ in range(steps + 3)])
+        w = np.diff(exact, axis=0)[1:-1] / dt + np.array([noise(noise_dz) / dt for _ in range(steps)])
+        z = (9 * (noisy[1:-2] + noisy[2:-1]) - noisy[:-3] - noisy[3:]) / 16
+        t, y, x = axes(steps, ny, nx, dt, self.dx)
+        fields = {"z": z, "z_t": np.diff(noisy, axis=0)[1:-1] / dt, "w": w, "exact": exact[1:-2]}
+        return cube(fields, t, y, x, water_depth=self.depth, frame_rate=1 / dt)

@@ -189,7 +189,7 @@ class _Half:
             before, after = fields["z_t"][i - 1].astype(float), fields["z_t"][i + 1].astype(float)
             ends = kinematics.frame_elevations(now["z"], before, after, now["z_t"], dt)
             finite = kinematics.finite_residual_on_grid(*ends, now["u"], now["v"], now["w"], dt, dy, dx)
-            terms = kinematics.terms(*(now[name] for name in FIELDS), dy=dy, dx=dx)
+            terms = kinematics.terms(now, dy, dx)
             values = {
                 "w_rms": now["w"],
                 "z_t_rms": now["z_t"],
@@ -284,8 +284,7 @@ def _spectra_group(
         out = out.assign(_rename(spectra.with_interval(over_k, dof), f"k_{name}").data_vars)
         single = ring.rename({f"E_{name}": "E"})
         out = out.assign(_rename(spectra.frequency_spectrum(single).drop_vars("valid"), name).data_vars)
-    roads = [name for name in fused.data_vars if str(name).split("_")[-1] in fusion.ROADS]
-    out = out.assign(fused[roads].data_vars)
+    out = out.assign(fused[_of_roads()].data_vars)
     for name, gain in (
         ("two_frames", transfer.gain_two_frames),
         ("four_frames", transfer.gain_four_frames),
@@ -298,6 +297,10 @@ def _spectra_group(
     if probes is not None:
         out = out.assign(probes.data_vars)
     return out
+
+
+def _of_roads() -> list[str]:
+    return [f"{name}_{road}" for road in fusion.ROADS for name in ("Ez", "dof", "low", "high", "valid")]
 
 
 def _map_lines(omega: np.ndarray, wanted: Sequence[float]) -> list[int]:
@@ -542,7 +545,7 @@ def _analyze(
         "kinematics": _kinematics_group([row for rows in balance for row in rows], cube),
         "statistics": _statistics_group(statistic, fused, record, cube, depth),
         "dispersion": _dispersion_group(density["w"], table, depth, dof, notes),
-        "fusion": fused.drop_vars([n for n in fused.data_vars if str(n).split("_")[-1] in fusion.ROADS]),
+        "fusion": fused.drop_vars(_of_roads()),
         "direction": _direction_group(density["w"], chosen, depth, dof),
     }
     points = np.concatenate([np.concatenate(run) for run in series])

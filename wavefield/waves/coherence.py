@@ -6,8 +6,9 @@ import numpy as np
 import xarray as xr
 
 from wavefield.waves import rings
-from wavefield.waves.crosses import cross_spectra
+from wavefield.waves.crosses import lazy_cross_spectra, need
 from wavefield.waves.record import Record
+from wavefield.waves.spectra import finish
 
 NAMES = ("z_t", "w", "nl")
 PAIRS = (("z_t", "w"), ("z_t", "nl"), ("w", "nl"))
@@ -144,4 +145,6 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     where the wave goes; the mean over both signs of omega is the real part. gamma2 is the standard coherence;
     for unrelated signals its mean is 1 / samples.
     """
-    return from_spectra(cross_spectra(cube, NAMES, PAIRS, segment=segment, record=record))
+    need(cube, NAMES)
+    ring = lazy_cross_spectra(cube, NAMES, PAIRS, segment, record)
+    return finish(from_spectra(ring), cube["z_t"])

@@ -231,6 +231,17 @@ def cross_spectra(
     The phase of S is that of waves exp(i (k . x - omega t)) with omega > 0, averaged over all directions.
     """
     need(cube, names)
+    return spectra.finish(lazy_cross_spectra(cube, names, pairs, segment, record), cube[sources(names)[0]])
+
+
+def lazy_cross_spectra(
+    cube: xr.Dataset,
+    names: Sequence[str],
+    pairs: Sequence[tuple[str, str]],
+    segment: int | None,
+    record: Record | None,
+) -> xr.Dataset:
+    """As `cross_spectra`, lazy whatever the cube is."""
     fields = sources(names)
     record = find_record(cube[fields]) if record is None else record
     segment = segments.segment_length(record, segment)
@@ -246,5 +257,4 @@ def cross_spectra(
     shape = (table.k.size, segment // 2 + 1)
     sums = {name: da.from_delayed(summed[name], shape, float) for name in names}
     sums |= {f"{a}*{b}": da.from_delayed(summed[f"{a}*{b}"], shape, complex) for a, b in pairs}
-    out = label(sums, names, pairs, record, segment, table)
-    return spectra.finish(out, cube[fields[0]])
+    return label(sums, names, pairs, record, segment, table)

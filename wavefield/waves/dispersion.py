@@ -215,7 +215,8 @@ def fit_dispersion(
     -----
     k-centroids at fixed omega in sectors of angle, the window re-centred on the fit, |k| averaged and corrected by
     sigma_k^2 / 2k for the curvature of the ridge. Centroids in omega at fixed k would be biased by up to 8 %.
-    The uncertainty is that of repeated fits to spectra drawn from the fitted one's own chi-squared distribution.
+    The uncertainty joins the scatter of fits to spectra drawn from chi-squared distributions around the measured
+    one and that of fits without one band of half a hertz at a time.
     """
     settings = settings or FitSettings()
     density = density.compute()
@@ -255,7 +256,7 @@ def fit_dispersion(
             if len(again) >= 6:
                 trials.append(_solve(again, depth, fit))
         if len(trials) > 1:
-            spreads = np.std(trials, axis=0, ddof=1)
+            spreads = np.hypot(np.std(trials, axis=0, ddof=1), _misfit_spread(points, depth, fit))
 
     names = ("current_x", "current_y", "gamma")
     texts = ("current along x", "current along y", "surface tension over density")
@@ -284,6 +285,16 @@ def fit_dispersion(
     )
     out["depth"] = ((), depth, {"long_name": "depth of the water", "units": "m"})
     return xr.Dataset(out, attrs={"lowest": settings.lowest, "highest": float(top / (2 * np.pi))})
+
+
+def _misfit_spread(points: np.ndarray, depth: float, fit: np.ndarray) -> np.ndarray:
+    # what the fit owes to single bands of frequency (jackknife): the ridge has errors besides chance
+    band = np.floor(points[:, 0] / np.pi)  # half a hertz
+    kept = [band != b for b in np.unique(band)]
+    again = [_solve(points[keep], depth, fit) for keep in kept if keep.sum() >= 6]
+    if len(again) < 2:
+        return np.zeros(3)
+    return np.std(again, axis=0) * np.sqrt(len(again) - 1)
 
 
 def _against_theory(points: np.ndarray, depth: float, fit: np.ndarray) -> dict[str, Any]:

@@ -197,10 +197,10 @@ def _noise_coherence(ring: xr.Dataset, zz: np.ndarray, ww: np.ndarray, zw: np.nd
     off = (free > 1.6 * omega + 12) & ring["valid"].values & (omega > 2 * np.pi * 0.5)
     if off.sum() < 10:
         return float("nan")
+    z, w, both = ((array * off).sum(axis=1) for array in (zz, ww, zw))
+    lines = (z > 0) & (w > 0)
     # each line on the scale of its own noise
-    scale = 1 / np.sqrt(np.maximum((zz * off).sum(1), 1e-300) * np.maximum((ww * off).sum(1), 1e-300))
-    lines = off.any(axis=1)
-    return float(((zw * off).sum(1) * scale)[lines].mean())
+    return float((both[lines] / np.sqrt(z[lines] * w[lines])).mean()) if lines.any() else float("nan")
 
 
 def fusion(

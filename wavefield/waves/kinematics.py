@@ -1,5 +1,6 @@
 """Kinematics of the surface: slopes, the nonlinear term, what is left of z_t = w - u . grad z, vorticity."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,14 +10,15 @@ from wavefield.errors import CubeError
 from wavefield.waves import kernels
 from wavefield.waves.record import check_axes
 
+_NAMES = ("z", "z_t", "u", "v", "w")
 _STENCIL = 8  # nodes along each axis of the interpolation between nodes
 
 
-def _need(cube: Any, *names: str) -> None:
-    for name in names:
+def _need(cube: Any) -> None:
+    for name in _NAMES:
         if name not in cube:
             raise CubeError(
-                f"the cube has no {name!r}: kinematics need {', '.join(names)} over time, y and x"
+                f"the cube has no {name!r}: kinematics need {', '.join(_NAMES)} over time, y and x"
             )
 
 
@@ -40,15 +42,13 @@ def slopes(z: np.ndarray, dy: float, dx: float) -> tuple[np.ndarray, np.ndarray]
     return z_y, z_x
 
 
-def terms(
-    z: np.ndarray, z_t: np.ndarray, u: np.ndarray, v: np.ndarray, w: np.ndarray, dy: float, dx: float
-) -> dict[str, np.ndarray]:
+def terms(fields: Mapping[str, np.ndarray], dy: float, dx: float) -> dict[str, np.ndarray]:
     """Slopes, nonlinear term, residual, vorticity and divergence.
 
     Parameters
     ----------
-    z, z_t, u, v, w : ndarray, (..., ny, nx)
-        Fields at mid-time, m and m/s.
+    fields : mapping of str to ndarray, (..., ny, nx)
+        z, z_t, u, v, w at mid-time, m and m/s.
     dy, dx : float
         Distance between nodes, m.
 
@@ -57,8 +57,8 @@ def terms(
     dict of str to ndarray, (..., ny, nx)
         ``z_x``, ``z_y``, ``nonlinear``, ``residual``, ``vorticity``, ``divergence``.
     """
-    shape = z.shape
-    z, z_t, u, v, w = (np.ascontiguousarray(a).reshape(-1, *shape[-2:]) for a in (z, z_t, u, v, w))
+    shape = fields["z"].shape
+    z, z_t, u, v, w = (np.ascontiguousarray(fields[name]).reshape(-1, *shape[-2:]) for name in _NAMES)
     z_y, z_x = slopes(z, dy, dx)
     u_y, u_x = slopes(u, dy, dx)
     v_y, v_x = slopes(v, dy, dx)
@@ -101,18 +101,17 @@ def kinematics(cube: xr.Dataset) -> xr.Dataset:
     Central differences of sixth order, of lower order in the three rows at each edge. Vorticity and divergence
     are those of the surface water's horizontal velocity as a function of (x, y).
     """
-    names = ("z", "z_t", "u", "v", "w")
-    _need(cube, *names)
+    _need(cube)
     _, dy, dx = check_axes(cube)
 
     def compute(*fields: np.ndarray) -> tuple[np.ndarray, ...]:
-        return tuple(terms(*fields, dy=dy, dx=dx).values())
+        return tuple(terms(dict(zip(_NAMES, fields)), dy, dx).values())
 
-    fields = [cube[name].transpose("time", "y", "x") for name in names]
+    fields = [cube[name].transpose("time", "y", "x") for name in _NAMES]
     results = xr.apply_ufunc(
         compute,
         *fields,
-        input_core_dims=[["y", "x"]] * len(names),
+        input_core_dims=[["y", "x"]] * len(_NAMES),
         output_core_dims=[["y", "x"]] * len(_OUTPUTS),
         dask="parallelized",
         output_dtypes=[fields[0].dtype] * len(_OUTPUTS),
@@ -219,15 +218,14 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
     the Eulerian form z_t - w + u . grad z keeps an error of third order in dt. z between nodes by Lagrange
     polynomials through 8 x 8 nodes.
     """
-    names = ("z", "z_t", "u", "v", "w")
-    _need(cube, *names)
+    _need(cube)
     dt, dy, dx = check_axes(cube)
     z_t = cube["z_t"]
     start, end = frame_elevations(cube["z"], z_t.shift(time=1), z_t.shift(time=-1), z_t, dt)
 
     def compute(*fields: np.ndarray) -> np.ndarray:
         flat = [field.reshape(-1, *field.shape[-2:]) for field in fields]
-        out = [finite_residual_on_grid(*step, dt=dt, dy=dy, dx=dx) for step in zip(*flat)]
+        out = [finite_residual_on_grid(*step, dt, dy, dx) for step in zip(*flat, strict=True)]
         return np.asarray(out).reshape(fields[0].shape)
 
     out = xr.apply_ufunc(

@@ -6,6 +6,7 @@ on how the data are chunked.
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -76,6 +77,24 @@ def _half(
     return make(*_read(pieces, missing, inner), first=first)
 
 
+def _lay(
+    arrays: Sequence[xr.DataArray],
+    record: Record,
+    a: int,
+    b: int,
+    run: tuple[int, int],
+    make: Callable[..., dict[str, Any]],
+) -> Any:
+    # interpolation in time wants good steps on either side
+    bridged = np.asarray(record.bridged, int)
+    reach = LONGEST_BRIDGE + 2 if ((bridged >= a - 1) & (bridged <= b)).any() else 0
+    lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
+    missing = np.isin(np.arange(lo, hi), bridged)
+    area = slice(*record.y), slice(*record.x)
+    pieces = [piece(array, slice(lo, hi), *area) for array in arrays]
+    return delayed(_half, pure=False)(make, pieces, missing, slice(a - lo, b - lo), a)
+
+
 def half_segments(
     arrays: Sequence[xr.DataArray], record: Record, half: int, make: Callable[..., dict[str, Any]]
 ) -> list[list[Any]]:
@@ -90,31 +109,31 @@ def half_segments(
     half : int
         Steps of a half segment.
     make : callable
-        ``make(*blocks, first=...)`` with blocks (steps, ny, nx) without gaps and the number of the first step;
-        gives a dictionary.
+        ``make(*blocks, first=...)`` with blocks (steps, ny, nx) without gaps and the number of the first
+        step; gives a dictionary.
 
     Returns
     -------
     list of list of delayed
         Half segments, run by run; what is left at the end of a run is shorter than one and not used.
     """
-    task = delayed(_half, pure=False)
-    bridged = np.asarray(record.bridged, int)
-
-    def lay(a: int, b: int, run: tuple[int, int]) -> Any:
-        # interpolation in time wants good steps on either side
-        reach = LONGEST_BRIDGE + 2 if ((bridged >= a - 1) & (bridged <= b)).any() else 0
-        lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
-        missing = np.isin(np.arange(lo, hi), bridged)
-        pieces = [piece(array, slice(lo, hi), slice(*record.y), slice(*record.x)) for array in arrays]
-        return task(make, pieces, missing, slice(a - lo, b - lo), a)
-
     runs = []
     for run in record.runs:
         count = (run[1] - run[0]) // half
         ends = [run[0] + i * half for i in range(count + 1)]
-        runs.append([lay(a, b, run) for a, b in itertools.pairwise(ends)])
+        runs.append([_lay(arrays, record, a, b, run, make) for a, b in pairwise(ends)])
     return runs
+
+
+def pieces(
+    arrays: Sequence[xr.DataArray], record: Record, length: int, make: Callable[..., dict[str, Any]]
+) -> list[Any]:
+    """Lay out tasks as `half_segments` does, over every step of every run; the last of a run may be shorter."""
+    out = []
+    for run in record.runs:
+        for a in range(run[0], run[1], length):
+            out.append(_lay(arrays, record, a, min(a + length, run[1]), run, make))
+    return out
 
 
 def in_order(parts: Sequence[Any]) -> Any:

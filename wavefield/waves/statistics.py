@@ -262,13 +262,12 @@ def statistics(
     names = [field for field in QUANTITIES.values() if field in cube]
     record = find_record(cube[names]) if record is None else record
     scale = pilot(cube, record, names)
-    half = max(2, min(_PIECE, record.longest) // 2 * 2)
 
     def make(*blocks: np.ndarray, first: int) -> dict[str, np.ndarray]:
         return _measure(blocks, names, scale, record.dy, record.dx)
 
-    runs = segments.half_segments([cube[name] for name in names], record, half, make)
-    (sums,) = dask.compute(segments.in_order([part for run in runs for part in run]))
+    parts = segments.pieces([cube[name] for name in names], record, _PIECE, make)
+    (sums,) = dask.compute(segments.in_order(parts))
     return label(sums, scale, record.dt, pixel_size or cube.attrs.get("pixel_size"))
 
 

@@ -1,0 +1,121 @@
+import importlib
+from itertools import combinations
+
+import dask
+import numpy as np
+import pytest
+import xarray as xr
+from waves_cases import axes, cube, linear_cube, random_waves
+
+import wavefield.waves as wv
+
+coherence_module = importlib.import_module("wavefield.waves.coherence")
+NAMES, PAIRS = ("z_t", "w", "nl"), (("z_t", "w"), ("z_t", "nl"), ("w", "nl"))
+
+
+def white_cube(seed, steps=512, ny=24, nx=30):
+    rng = np.random.default_rng(seed)
+    t, y, x = axes(steps, ny, nx, 0.05, 0.04)
+    fields = {n: rng.standard_normal((steps, ny, nx), dtype="f4") for n in ("z", "z_t", "u", "v", "w")}
+    return cube(fields, t, y, x)
+
+
+def test_unrelated_signals_show_the_bias_and_the_false_positives_that_are_predicted():
+    names = ("z_t", "u", "v", "w")
+    pairs = tuple(combinations(names, 2))
+    means, hits, hits_k, over_k = [], [], [], []
+    for seed in range(10):
+        ring = wv.cross_spectra(white_cube(seed), names, pairs, segment=64)
+        samples = ring.degrees_of_freedom / 2 * ring.cells
+        level = coherence_module.significance_level(samples)
+        use = (ring.k > 10) & (ring.k < np.pi / 0.04) & (ring.omega > 5) & (ring.omega < 58)
+        for a, b in pairs:
+            gamma2 = np.abs(ring[f"S_{a}_{b}"]) ** 2 / (ring[f"E_{a}"] * ring[f"E_{b}"])
+            means.append((gamma2 * samples).where(use).mean().item())
+            hits.append((gamma2 > level).where(use).mean().item())
+    for seed in range(4):
+        C = wv.coherence(white_cube(100 + seed), segment=64)
+        inside = (C.k > 10) & (C.k < np.pi / 0.04)
+        over_k.append((C.gamma2_w * C.samples).where(inside).mean().item())
+        hits_k.append((C.gamma2_w > C.level).where(inside).mean().item())
+        np.testing.assert_allclose(C.level_komega, level)
+    assert np.mean(means) == pytest.approx(1, abs=0.02)
+    assert np.mean(hits) == pytest.approx(0.05, abs=0.005)
+    assert np.mean(over_k) == pytest.approx(1, abs=0.25)
+    assert np.mean(hits_k) < 0.1
+
+
+def test_a_narrow_band_counts_few_samples_not_every_step():
+    dt, steps = 0.05, 12000
+    frequency = np.fft.rfftfreq(steps, dt)
+    for centre, width, expected in ((1.5, 0.05, 210), (5.0, 0.5, 2100)):
+        S = np.exp(-0.5 * ((frequency - centre) / width) ** 2)
+        energy = xr.DataArray(S, {"omega": 2 * np.pi * frequency}, ("omega",))
+        assert float(coherence_module.samples_in_time(energy, steps * dt)) == pytest.approx(
+            expected / 2, rel=0.05
+        )
+
+
+@pytest.fixture(scope="module")
+def sea():
+    return linear_cube(random_waves(n=150, sigma=0.02), 400, 40, 50, dx=0.02, noise_z=0.0003, noise_dz=0.0002)
+
+
+def test_the_parts_add_up_to_the_whole(sea):
+    C = wv.coherence(sea, segment=128)
+    for ending in ("", "_komega"):
+        total = C[f"C_tot{ending}"]
+        use = np.isfinite(total)
+        difference = np.abs(C[f"C_w{ending}"] + C[f"C_nl{ending}"] - total).where(use)
+        assert float(difference.max()) < 1e-12
+    assert np.iscomplexobj(C.C_w)
+
+
+def test_a_linear_sea_is_coherent_where_its_waves_are(sea):
+    C = wv.coherence(sea, segment=128)
+    band = C.sel(k=slice(8, 30))
+    assert float(band.gamma2_w.min()) > 0.97
+    assert float(np.abs(np.angle(band.C_w)).max()) < 0.05
+
+
+def test_a_cancelling_nonlinear_term_lifts_the_paper_curve_above_one_and_not_the_standard_one():
+    rng = np.random.default_rng(5)
+    t, y, x = axes(256, 24, 30, 0.05, 0.04)
+    z_t = rng.standard_normal((256, 24, 30))
+    # u = 1 and z chosen so that u z_x = .3 z_t exactly would need an integral: take z_t as a slope instead
+    z = np.cumsum(z_t, axis=2) * 0.04
+    slope = wv.kinematics(cube({"z": z, "z_t": z_t, "u": z_t * 0, "v": z_t * 0, "w": z_t}, t, y, x, "f8")).z_x
+    made = cube(
+        {"z": z, "z_t": slope.values, "u": np.full(z.shape, 0.3), "v": 0 * z, "w": 1.3 * slope.values},
+        t,
+        y,
+        x,
+        "f8",
+    )
+    C = wv.coherence(made, segment=64)
+    inner = C.sel(k=slice(15, 40))
+    np.testing.assert_allclose(np.abs(inner.C_w), 1.3, rtol=1e-6)
+    np.testing.assert_allclose(inner.C_nl.real, -0.3, rtol=1e-5)
+    np.testing.assert_allclose(inner.gamma2_w, 1.0, rtol=1e-6)
+
+
+def test_chunks_do_not_matter_and_lazy_stays_lazy(sea):
+    lazy = wv.coherence(sea.chunk({"time": 33, "x": 21}), segment=128)
+    assert dask.is_dask_collection(lazy.C_w)
+    xr.testing.assert_equal(lazy.compute(), wv.coherence(sea, segment=128))
+
+
+def test_cross_spectra_are_the_power_for_a_field_with_itself(sea):
+    ring = wv.cross_spectra(sea, NAMES, (("w", "w"), *PAIRS), segment=128)
+    np.testing.assert_allclose(ring.S_w_w.real, ring.E_w, rtol=1e-6)
+    assert float(np.abs(ring.S_w_w.imag).max()) < 1e-9 * float(ring.E_w.max())
+
+
+def test_the_rate_of_rise_lags_the_elevation_by_a_quarter_turn():
+    sea = linear_cube(random_waves(n=150), 400, 40, 50, dx=0.02)
+    ring = wv.cross_spectra(sea, ("z", "z_t"), (("z", "z_t"),), segment=128)
+    line = ring.sel(omega=2 * np.pi * 1.5, method="nearest")
+    S = complex(line.S_z_z_t.where(line.E_z == line.E_z.max(), 0).sum())
+    # z at frame times is half a step early
+    half_step = float(line.omega) * 0.05 / 2
+    assert np.angle(S) == pytest.approx(-np.pi / 2 - half_step, abs=0.05)

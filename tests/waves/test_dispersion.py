@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
+from waves_cases import GAMMA, PeriodicSea, relation
+
+import wavefield.waves as wv
+from wavefield.errors import CubeError
+
+CURRENT = (0.04, -0.02)
+
+
+@pytest.fixture(scope="module")
+def spectrum():
+    sea = PeriodicSea(n=160, current=CURRENT).cube(2304, 75, 100, noise_z=0.00057, noise_dz=0.00028)
+    return wv.spectrum(sea.w, segment=512, record=wv.whole_record(sea))
+
+
+@pytest.fixture(scope="module")
+def fit(spectrum):
+    return wv.fit_dispersion(spectrum.E, 0.7, dof=float(spectrum.dof))
+
+
+def test_the_current_and_the_surface_tension_come_back(fit):
+    assert float(fit.current_x) == pytest.approx(CURRENT[0], abs=0.001)
+    assert float(fit.current_y) == pytest.approx(CURRENT[1], abs=0.001)
+    assert float(fit.gamma) == pytest.approx(GAMMA, rel=0.07)
+
+
+def test_the_uncertainty_holds_the_truth(fit):
+    for name, truth in (("current_x", CURRENT[0]), ("current_y", CURRENT[1]), ("gamma", GAMMA)):
+        spread = float(fit[f"{name}_std"])
+        assert 0 < spread
+        assert abs(float(fit[name]) - truth) < 3 * spread
+        assert spread < (1e-5 if name == "gamma" else 0.003)
+
+
+def test_the_ridge_is_unbiased(fit):
+    band = fit.ridge_error.where((fit.band_frequency > 2) & (fit.band_frequency < 4.8), drop=True)
+    assert band.size >= 5
+    assert float(np.abs(band).max()) < 0.01
+    # in omega, as the dispersion relation is read: the mean over k = 12 to 60
+    use = (fit.ridge_k > 12) & (fit.ridge_k < 60)
+    k, angle = fit.ridge_k[use], fit.ridge_angle[use]
+    theory = relation(k, 0.7) + k * (np.cos(angle) * CURRENT[0] + np.sin(angle) * CURRENT[1])
+    assert abs(float((fit.ridge_omega[use] / theory - 1).median())) < 0.002
+
+
+def test_most_of_the_energy_is_on_the_ridge(fit):
+    assert 0.9 < float(fit.ridge_share) <= 1
+
+
+def test_the_sea_has_no_direction(spectrum):
+    D = wv.directions(spectrum.E, [2.0, 2.8], 0.7, dof=float(spectrum.dof))
+    np.testing.assert_allclose(D.D.sum("theta") * 2 * np.pi / 24, 1.0)
+    assert float(D.isotropy.min()) > 0.7
+    # one sea of finite size: its waves are few per sector, and stay the same all the time
+    assert 1 / 3 < float(D.D.min()) * 2 * np.pi
+    assert float(D.D.max()) * 2 * np.pi < 3
+    assert bool((D.low < 1).all())
+    assert bool((D.high > 1).all())
+
+
+def test_a_swell_has_a_direction():
+    t = np.arange(256) * 0.05
+    y, x = np.arange(60) * 0.02, np.arange(80) * 0.02
+    k, angle = 25.0, 2.2
+    phase = k * (np.cos(angle) * x + np.sin(angle) * y[:, None])
+    wave = np.cos(phase - relation(k, 0.7) * t[:, None, None])
+    field = xr.DataArray(wave, {"time": t, "y": y, "x": x}, ("time", "y", "x"))
+    E = wv.spectrum(field, segment=128).E
+    D = wv.directions(E, relation(k, 0.7) / (2 * np.pi), 0.7).isel(frequency=0)
+    assert float(D.theta[int(np.argmax(D.D.values))]) == pytest.approx(angle, abs=0.14)
+    assert float(D.isotropy) < 0.1
+
+
+@given(st.floats(0.5, 400), st.floats(0.05, 5))
+def test_wavenumber_inverts_the_relation(k, depth):
+    assert float(wv.wavenumber(wv.dispersion(k, depth), depth)) == pytest.approx(k, rel=1e-9)
+    assert float(wv.dispersion(k, depth)) == pytest.approx(relation(k, depth))
+
+
+def test_a_spectrum_without_a_ridge_is_refused(spectrum):
+    with pytest.raises(CubeError, match="no ridge stands out"):
+        wv.fit_dispersion(spectrum.E * 0, 0.7)
+    with pytest.raises(CubeError, match="outside the spectrum"):
+        wv.directions(spectrum.E, [12.0])

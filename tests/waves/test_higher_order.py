@@ -1,0 +1,101 @@
+import importlib
+
+import numpy as np
+import pytest
+
+import wavefield.waves as wv
+from wavefield.errors import CubeError
+
+module = importlib.import_module("wavefield.waves.higher_order")
+
+
+def gaussian_lines(rng, n, samples):
+    return (rng.standard_normal((n, samples)) + 1j * rng.standard_normal((n, samples))).astype("c8")
+
+
+@pytest.mark.parametrize("amplitude", [0.1, 0.3, 1.0])
+def test_the_share_of_a_bound_wave_comes_back(amplitude):
+    rng = np.random.default_rng(0)
+    z = gaussian_lines(rng, 12, 60000)
+    free = z[9].copy()
+    bound = amplitude * z[4] * z[5] / 2
+    z[9] = free + bound
+    share = np.sqrt((np.abs(bound) ** 2).mean() / (np.abs(z[9]) ** 2).mean())
+    b = module.bicoherence_of(z)
+    assert b[4, 5] == pytest.approx(share, abs=0.01)
+    assert b[5, 4] == b[4, 5]
+    others = b[1:5, 1:4]
+    assert np.nanmax(others) < 0.02
+
+
+def test_coherences_stay_between_zero_and_one():
+    rng = np.random.default_rng(1)
+    z = gaussian_lines(rng, 14, 30)
+    z[8] = z[3] * z[5]
+    for values in (module.bicoherence_of(z), module.tricoherence_of(z)[0]):
+        finite = values[np.isfinite(values)]
+        assert finite.min() >= 0
+        assert finite.max() <= 1 + 1e-6
+    assert module.bicoherence_of(z)[3, 5] == pytest.approx(1, abs=0.2)
+
+
+def test_four_waves_are_found_and_trivial_pairings_are_not():
+    rng = np.random.default_rng(2)
+    z = gaussian_lines(rng, 20, 40000)
+    # 5 + 12 = 8 + 9
+    z[9] = z[9] + 1.5 * z[5] * z[12] * z[8].conj() / np.sqrt(8)
+    value, partner = module.tricoherence_of(z)
+    assert value[5, 12] > 0.2
+    assert partner[5, 12] == 8
+    elsewhere = value[np.isfinite(value) & (np.add.outer(np.arange(20), np.arange(20)) != 17)]
+    assert np.median(elsewhere) < 0.03
+    assert np.nanmax(np.abs(value - value.T)) == 0
+
+
+def test_surrogates_exceed_the_level_in_five_percent():
+    rng = np.random.default_rng(3)
+    steps, points = 2000, 30
+    # waves correlated between points, no coupling between frequencies
+    common = rng.standard_normal((steps, 1)) + 0.5 * rng.standard_normal((steps, points))
+    exceeded = []
+    for seed in range(3):
+        series = np.roll(common, 17 * seed, axis=0) + 0.3 * rng.standard_normal((steps, points))
+        settings = wv.HigherOrderSettings(highest=5, lines=24)
+        out = wv.higher_order(series, 0.05, 100, settings)
+        known = np.isfinite(out.bicoherence)
+        z = module.lines(series, int(out.attrs["segment"]), out.sizes["omega1"])
+        for _ in range(8):
+            fake = module.bicoherence_of(module.shuffle_phases(z, points, rng))
+            exceeded.append((fake > out.bicoherence_level.values)[known.values].mean())
+    assert np.mean(exceeded) == pytest.approx(0.05, abs=0.015)
+
+
+def test_the_largest_of_many_has_its_level():
+    rng = np.random.default_rng(4)
+    z = gaussian_lines(rng, 16, 600)
+    surrogates = [module.tricoherence_of(module.shuffle_phases(z, 20, rng))[0] for _ in range(20)]
+    level = module._level_largest(surrogates, 0.05)
+    fresh = [module.tricoherence_of(module.shuffle_phases(z, 20, rng))[0] for _ in range(20)]
+    known = np.isfinite(level)
+    assert np.mean([(f > level)[known].mean() for f in fresh]) == pytest.approx(0.05, abs=0.02)
+
+
+def test_a_bound_harmonic_in_a_time_series_stands_out():
+    rng = np.random.default_rng(5)
+    t = np.arange(6000) * 0.05
+    series = []
+    for _ in range(6):
+        slow = np.interp(t, t[::100], rng.standard_normal(t[::100].size)) + 2
+        phase = 2 * np.pi * 1.0 * t + np.interp(t, t[::100], np.cumsum(rng.standard_normal(t[::100].size)))
+        wave = slow * np.cos(phase)
+        series.append(wave + 0.1 * slow**2 * np.cos(2 * phase) + 0.02 * rng.standard_normal(t.size))
+    out = wv.higher_order(np.array(series).T, 0.05, 200)
+    at = out.bicoherence.sel(omega1=2 * np.pi, omega2=2 * np.pi, method="nearest")
+    level = out.bicoherence_level.sel(omega1=2 * np.pi, omega2=2 * np.pi, method="nearest")
+    assert float(at) > 0.8
+    assert float(at) > 2 * float(level)
+
+
+def test_one_segment_is_not_enough():
+    with pytest.raises(CubeError, match="two segments"):
+        wv.higher_order(np.zeros((100, 3)), 0.05, 100)

@@ -1,0 +1,183 @@
+import dask
+import numpy as np
+import pytest
+import xarray as xr
+from waves_cases import Waves, axes, cube, linear_cube, random_waves, relation
+
+import wavefield.waves as wv
+from wavefield.errors import CubeError
+from wavefield.waves.kinematics import finite_residual_on_grid, frame_elevations, slopes
+
+
+def displaced(waves, now, dt, gx, gy, rounds=8):
+    """Ends of the displacements over dt whose middles are at the nodes."""
+    x0, y0 = gx, gy
+    for _ in range(rounds):
+        x1, y1 = waves.move(x0, y0, now - dt / 2, now + dt / 2, 4)
+        x0, y0 = gx - (x1 - x0) / 2, gy - (y1 - y0) / 2
+    return x0, y0, *waves.move(x0, y0, now - dt / 2, now + dt / 2, 4)
+
+
+def displacement_fields(waves, t, y, x, dt, anchor):
+    """Displacement over dt / dt of the water whose path has its middle, or its start, at each node."""
+    gx, gy = np.meshgrid(x, y)
+    u, v, w = [], [], []
+    for now in t:
+        if anchor == "middle":
+            x0, y0, x1, y1 = displaced(waves, now, dt, gx, gy)
+        else:
+            x0, y0 = gx, gy
+            x1, y1 = waves.move(gx, gy, now - dt / 2, now + dt / 2, 4)
+        z0, z1 = waves.at(x0, y0, now - dt / 2)[0], waves.at(x1, y1, now + dt / 2)[0]
+        u.append((x1 - x0) / dt)
+        v.append((y1 - y0) / dt)
+        w.append((z1 - z0) / dt)
+    return np.array(u), np.array(v), np.array(w)
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """A sea at 20 Hz whose water truly moves; z at mid-time from four frames, as a measurement has it."""
+    waves = random_waves(seed=2, n=80, lowest=1.0, highest=5.0, sigma=0.015)
+    dt = 0.05
+    t, y, x = axes(4, 26, 30, dt, 0.01)
+    frames = waves.on_grid(np.arange(-1, 6) * dt, y, x, "z")["z"]
+    z = (9 * (frames[1:-2] + frames[2:-1]) - frames[:-3] - frames[3:]) / 16
+    z_t = np.diff(frames, axis=0)[1:-1] / dt
+    out = {}
+    for anchor in ("middle", "start"):
+        u, v, w = displacement_fields(waves, t, y, x, dt, anchor)
+        out[anchor] = cube({"z": z, "z_t": z_t, "u": u, "v": v, "w": w}, t, y, x, "f8")
+    return out
+
+
+def rms(array):
+    values = np.asarray(array)
+    return np.sqrt(np.nanmean(values**2))
+
+
+def test_the_residual_of_an_exact_sea_is_small_and_a_start_anchored_one_is_not(exact):
+    middle, start = wv.kinematics(exact["middle"]), wv.kinematics(exact["start"])
+    assert rms(middle.residual) < 0.05 * rms(middle.nonlinear)
+    assert rms(start.residual) > 0.5 * rms(start.nonlinear)
+
+
+def test_the_finite_displacement_form_is_exact():
+    # long smooth waves: the interpolation between nodes must not show either
+    waves = random_waves(seed=3, n=30, lowest=0.5, highest=0.8, sigma=0.02)
+    dt, now, step = 0.05, 0.7, 0.01
+    x, y = np.arange(12) * step, np.arange(11) * step
+    gx, gy = np.meshgrid(x, y)
+    inner = (slice(4, 6), slice(4, 6))
+    x0, y0, x1, y1 = displaced(waves, now, dt, gx[inner].ravel(), gy[inner].ravel(), 20)
+    u, v, w = (np.zeros(gx.shape) for _ in range(3))
+    u[inner] = ((x1 - x0) / dt).reshape(2, 2)
+    v[inner] = ((y1 - y0) / dt).reshape(2, 2)
+    rise = waves.at(x1, y1, now + dt / 2)[0] - waves.at(x0, y0, now - dt / 2)[0]
+    w[inner] = (rise / dt).reshape(2, 2)
+    ends = [waves.at(gx, gy, now + sign * dt / 2)[0] for sign in (-1, 1)]
+    residual = finite_residual_on_grid(*ends, u, v, w, dt, step, step)
+    assert np.abs(residual[inner]).max() < 1e-10 * np.abs(w[inner]).max()
+
+
+def test_the_finite_displacement_residual_is_far_below_the_eulerian(exact):
+    cube = exact["middle"]
+    finite = wv.finite_residual(cube)
+    eulerian = wv.kinematics(cube).residual
+    assert finite.dims == ("time", "y", "x")
+    assert np.isnan(finite[0]).all()
+    assert np.isnan(finite[-1]).all()
+    assert rms(finite[1:-1]) < 0.1 * rms(eulerian.where(np.isfinite(finite)))
+
+
+def test_frame_elevations_come_back_exactly():
+    rng = np.random.default_rng(0)
+    frames, dt = rng.standard_normal(6), 0.05
+    z = (9 * (frames[1:-2] + frames[2:-1]) - frames[:-3] - frames[3:]) / 16
+    z_t = np.diff(frames) / dt
+    start, end = frame_elevations(z[1], z_t[1], z_t[3], z_t[2], dt)
+    np.testing.assert_allclose([start, end], frames[2:4], rtol=1e-12)
+
+
+def test_slopes_are_of_sixth_order_inside_and_right_at_the_edges():
+    errors = []
+    for step in (0.02, 0.01):
+        y, x = np.arange(0, 0.6, step), np.arange(0, 0.8, step)
+        z = np.sin(12 * x + 7 * y[:, None])[None]
+        z_y, z_x = slopes(z, step, step)
+        exact = np.cos(12 * x + 7 * y[:, None])
+        errors.append(np.abs(z_x[0] - 12 * exact)[3:-3, 3:-3].max())
+        assert np.abs(z_x[0] - 12 * exact).max() < 0.3
+        assert np.abs(z_y[0] - 7 * exact)[3:-3, 3:-3].max() < 1e-5
+    assert errors[0] / errors[1] > 50
+
+
+def test_vorticity_and_divergence_of_a_known_flow():
+    t, y, x = axes(3, 20, 24, 0.05, 0.02)
+    gy, gx = np.meshgrid(y, x, indexing="ij")
+    flow = {"u": 0.3 * gx - 2.0 * gy, "v": 1.0 * gx + 0.5 * gy}
+    fields = {n: np.broadcast_to(flow.get(n, 0 * gx), (3, 20, 24)) for n in ("z", "z_t", "u", "v", "w")}
+    out = wv.kinematics(cube(fields, t, y, x, "f8"))
+    np.testing.assert_allclose(out.vorticity, 3.0, rtol=1e-9)
+    np.testing.assert_allclose(out.divergence, 0.8, rtol=1e-9)
+
+
+@pytest.mark.parametrize("take", [wv.kinematics, wv.finite_residual])
+def test_a_lazy_cube_gives_lazy_kinematics(exact, take):
+    out = take(exact["middle"].chunk({"time": 2, "y": 20}))
+    assert dask.is_dask_collection(out)
+    xr.testing.assert_equal(out.compute(), take(exact["middle"]))
+
+
+def test_a_missing_field_is_named(exact):
+    with pytest.raises(CubeError, match="no 'u'"):
+        wv.kinematics(exact["middle"].drop_vars("u"))
+
+
+def test_gains_are_those_of_the_measurement():
+    dt = 0.05
+    hertz = 2 * np.pi * np.array([3.0, 5.0, 8.0])
+    np.testing.assert_allclose(wv.gain_two_frames(hertz, dt), [0.79, 0.50, 0.095], atol=0.005)
+    np.testing.assert_allclose(wv.gain_four_frames(hertz, dt), [0.97, 0.78, 0.20], atol=0.005)
+    np.testing.assert_allclose(wv.gain_displacement(hertz, dt), [0.93, 0.81, 0.57], atol=0.005)
+    np.testing.assert_allclose(
+        wv.gain_box(2 * np.pi / np.array([0.1, 0.06]), 0.0, 0.04), [0.57, 0.17], atol=0.005
+    )
+
+
+@pytest.mark.parametrize("frequency", [1.37, 2.9, 4.83, 7.1])
+def test_finite_displacements_of_a_plane_wave_have_their_gain_to_a_millionth(frequency):
+    dt, omega, k = 0.05, 2 * np.pi * frequency, 40.0
+    wave = Waves(np.array([k * 0.8]), np.array([k * 0.6]), np.array([0.01 + 0j]))
+    steps = 256
+    _, y, x = axes(steps, 24, 32, dt, 0.03)
+    phase = k * 0.8 * x + k * 0.6 * y[:, None]
+    frame = lambda t: 0.01 * np.cos(phase - omega * np.asarray(t)[:, None, None])  # noqa: E731
+    start = np.arange(steps) * dt
+    one, two = frame(start), frame(start + dt)
+    fields = cube({"z": (one + two) / 2, "w": (two - one) / dt}, start + dt / 2, y, x, "f8")
+    E = {name: wv.komega(fields[name], segment=128).E for name in ("z", "w")}
+    line = int(round(omega / float(E["w"].omega[1])))
+    ratio = np.sqrt(float(E["w"][line].sum() / E["z"][line].sum()))
+    b = omega * dt / 2
+    assert ratio / (omega * np.sinc(b / np.pi) / np.cos(b)) == pytest.approx(1, abs=1e-6)
+    assert wave.omega[0] == pytest.approx(relation(k, 0.7))
+
+
+def test_averaged_elevation_loses_cos_squared_and_integrated_w_gives_it_back():
+    sea = linear_cube(random_waves(n=300, highest=5.0, power=2), 1026, 24, 32, dx=0.03, dtype="f8")
+    record = wv.whole_record(sea)
+    ring = wv.cross_spectra(sea, ("z", "w"), segment=256, record=record)
+    # the mean of two frames, from what the cube holds
+    z_t = sea.z_t
+    mean = (sea.z + (0.05 / 16) * (z_t.shift(time=-1) - z_t.shift(time=1))).isel(time=slice(1, -1))
+    averaged = wv.komega(mean.assign_attrs(units="m"), segment=256)
+    E_z, E_w, E_mean = (e.sum("k") for e in (ring.E_z, ring.E_w, averaged.E))
+    band = (E_z.frequency > 1.3) & (E_z.frequency < 4.7)
+    E_mean = E_mean.assign_coords(omega=E_z.omega)
+    gain = (E_mean / E_z / wv.gain_two_frames(E_z.omega, 0.05))[band]
+    assert np.abs(gain.mean() - 1) < 0.01
+    assert np.abs(gain - 1).max() < 0.08
+    back = (E_w * wv.elevation_from_w(E_w.omega, 0.05) / E_z)[band]
+    assert np.abs(back.mean() - 1) < 0.01
+    assert np.abs(back - 1).max() < 0.05

@@ -1,0 +1,136 @@
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from waves_cases import axes, cube, linear_cube, random_waves
+
+import wavefield.waves as wv
+from wavefield.errors import CubeError
+from wavefield.variables import FrameStatus
+from wavefield.waves.record import fill, largest_rectangle
+
+
+@pytest.fixture(scope="module")
+def sea():
+    return linear_cube(random_waves(n=60), 300, 30, 40, dx=0.03)
+
+
+@given(arrays(bool, st.tuples(st.integers(1, 9), st.integers(1, 9))))
+def test_the_largest_rectangle_is_full_and_none_is_larger(mask):
+    (y0, y1), (x0, x1) = largest_rectangle(mask)
+    assert mask[y0:y1, x0:x1].all()
+    best = 0
+    for a in range(mask.shape[0]):
+        for b in range(a + 1, mask.shape[0] + 1):
+            for c in range(mask.shape[1]):
+                for d in range(c + 1, mask.shape[1] + 1):
+                    if mask[a:b, c:d].all():
+                        best = max(best, (b - a) * (d - c))
+    assert (y1 - y0) * (x1 - x0) == best
+
+
+def test_empty_edges_are_cut_off_and_single_holes_filled(sea):
+    holed = sea.copy(deep=True)
+    holed["w"][:, :4] = np.nan
+    holed["z"][:, :, 35:] = np.nan
+    holed["u"][123, 20, 20] = np.nan
+    record = wv.find_record(holed)
+    assert record.y == (4, 30)
+    assert record.x == (0, 35)
+    assert record.runs == ((0, 300),)
+    assert record.holes == 1
+    inner = sea.isel(y=slice(4, 30), x=slice(0, 35))
+    np.testing.assert_array_equal(
+        wv.komega(holed.w, segment=64, record=record).E, wv.komega(inner.w, segment=64).E
+    )
+
+
+def test_short_gaps_are_bridged_and_said_long_ones_split_the_record(sea):
+    gappy = sea.copy(deep=True)
+    gappy["z"][50:52] = np.nan
+    gappy["w"][150:160] = np.nan
+    record = wv.find_record(gappy)
+    assert record.bridged == (50, 51)
+    assert record.runs == ((0, 150), (160, 300))
+    E = wv.komega(gappy.z, segment=64, record=record)
+    assert E.attrs["steps_bridged"] == 2
+    assert E.attrs["segments"] == 6
+    whole = wv.komega(sea.z, segment=64)
+    assert float(wv.total(E.E) / wv.total(whole.E)) == pytest.approx(1, abs=0.1)
+
+
+def test_a_bridge_keeps_the_wave():
+    t, y, x = axes(64, 12, 16, 0.05, 0.05)
+    wave = np.cos(12 * x - 2 * np.pi * 1.5 * t[:, None, None] + 0 * y[:, None])
+    broken = wave.copy()
+    broken[30:32] = np.nan
+    missing = np.zeros(64, bool)
+    missing[30:32] = True
+    assert np.abs(fill(broken, missing) - wave).max() < 0.03
+    assert fill(wave, np.zeros(64, bool)) is wave
+
+
+def test_steps_that_failed_do_not_count_even_if_they_hold_numbers(sea):
+    status = np.full(300, FrameStatus.DONE, "u1")
+    status[100:140] = FrameStatus.FAILED
+    status[200] = FrameStatus.DONE_WITH_FAULTS
+    record = wv.find_record(sea.assign(frame_status=("time", status)))
+    assert record.runs == ((0, 100), (140, 300))
+
+
+def test_nodes_that_come_and_go_are_left_out(sea):
+    flickering = sea.copy(deep=True)
+    flickering["v"][::3, 0] = np.nan
+    assert wv.find_record(flickering).y == (1, 30)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (lambda c: c.drop_vars("x"), "no coordinate 'x'"),
+        (lambda c: c.rename(x="easting"), "'x' is missing"),
+        (lambda c: c.assign_coords(time=c.time**1.01), "steps of 'time' are unequal"),
+        (lambda c: c.isel(time=[0, 1, 2, 5, 6, 7]), "steps of 'time' are unequal"),
+        (lambda c: c.isel(y=slice(None, None, -1)), "'y' runs backwards"),
+        (lambda c: c.assign_coords(time=c.time.values.astype("M8[s]")), "must be in seconds"),
+        (lambda c: c * np.nan, "no step of the cube holds a single value"),
+        (lambda c: c.where((c.x * 100 + c.y * 100) % 12 > 3), "largest rectangle"),
+        (lambda c: c.isel(time=slice(0, 1)), "at least two"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_one_sentence(sea, spoil, sentence):
+    with pytest.raises(CubeError, match=sentence) as caught:
+        wv.find_record(spoil(sea))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("segment", "sentence"),
+    [(512, "300 steps, less than one segment of 512: choose a segment of at most 300"), (63, "even number")],
+)
+def test_a_segment_that_does_not_fit_is_refused(sea, segment, sentence):
+    with pytest.raises(CubeError, match=sentence):
+        wv.komega(sea.w, segment=segment)
+
+
+def test_a_whole_dataset_is_no_field(sea):
+    with pytest.raises(CubeError, match="one variable"):
+        wv.komega(sea)
+
+
+def test_a_cube_without_known_fields_is_refused(sea):
+    with pytest.raises(CubeError, match="none of z"):
+        wv.find_record(xr.Dataset({"other": sea.z}))
+
+
+def test_any_order_of_dimensions_will_do(sea):
+    turned = sea.w.transpose("x", "time", "y")
+    np.testing.assert_array_equal(wv.komega(turned, segment=64).E, wv.komega(sea.w, segment=64).E)
+
+
+def test_a_single_precision_and_a_double_precision_cube_agree(sea):
+    double = cube({"w": sea.w.values}, sea.time.values, sea.y.values, sea.x.values, "f8")
+    one, two = wv.komega(sea.w, segment=64).E, wv.komega(double.w, segment=64).E
+    np.testing.assert_allclose(one, two, rtol=1e-3, atol=1e-6 * float(two.max()))

@@ -1,0 +1,203 @@
+import dask
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from waves_cases import axes, linear_cube, random_waves
+
+import wavefield.waves as wv
+from wavefield.errors import CubeError
+from wavefield.waves import rings, windows
+
+
+def field(values, dt=0.05, dx=0.03, units="m"):
+    t, y, x = axes(*values.shape, dt, dx)
+    return xr.DataArray(values, {"time": t, "y": y, "x": x}, ("time", "y", "x"), "z", {"units": units})
+
+
+def plane_wave(k, angle, omega, steps=256, ny=48, nx=64, a=0.01, phase=0.4):
+    t, y, x = axes(steps, ny, nx, 0.05, 0.03)
+    kx, ky = k * np.cos(angle), k * np.sin(angle)
+    return field(a * np.cos(kx * x + ky * y[:, None] - omega * t[:, None, None] + phase))
+
+
+@settings(max_examples=10, phases=[Phase.generate])
+@given(st.floats(20, 80), st.floats(0, 2 * np.pi), st.floats(9, 50))
+def test_a_plane_wave_holds_half_its_amplitude_squared(k, angle, omega):
+    wave = plane_wave(k, angle, omega)
+    for result in (wv.spectrum(wave, segment=256).E, wv.komega(wave, segment=256).E):
+        assert float(wv.total(result)) == pytest.approx(0.01**2 / 2, rel=1e-3)
+
+
+@settings(max_examples=8, phases=[Phase.generate])
+@given(st.floats(20, 80), st.floats(0, 2 * np.pi), st.floats(8, 50))
+def test_k_points_where_the_wave_goes(k, angle, omega):
+    E = wv.spectrum(plane_wave(k, angle, omega), segment=128).E
+    peak = E.isel(E.argmax(...))
+    assert float(peak.kx) == pytest.approx(k * np.cos(angle), abs=0.6 * float(E.kx[1] - E.kx[0]))
+    assert float(peak.ky) == pytest.approx(k * np.sin(angle), abs=0.6 * float(E.ky[1] - E.ky[0]))
+    assert float(peak.omega) == pytest.approx(omega, abs=0.6 * float(E.omega[1]))
+
+
+@pytest.mark.parametrize(("ny", "nx"), [(48, 64), (47, 64), (48, 63), (45, 51)])
+def test_odd_and_even_sizes_keep_the_energy_and_the_direction(ny, nx):
+    wave = plane_wave(40.0, 2.0, 12.0, ny=ny, nx=nx)
+    E = wv.spectrum(wave, segment=128).E
+    peak = E.isel(E.argmax(...))
+    assert float(peak.kx) < 0 < float(peak.ky)
+    assert float(wv.total(E)) == pytest.approx(5e-5, rel=1e-3)
+    np.testing.assert_allclose(wv.angular_integral(E), wv.komega(wave, segment=128).E, rtol=1e-9, atol=1e-18)
+
+
+def test_the_sum_is_the_windowed_variance_in_single_precision():
+    rng = np.random.default_rng(1)
+    values = rng.standard_normal((256, 30, 40)).astype("f4")
+    window = windows.hann(64)[:, None, None] * windows.hann(30)[:, None] * windows.hann(40)
+    ramp = np.arange(64) - 31.5
+    power = []
+    for start in range(0, 256 - 63, 32):
+        part = values[start : start + 64].astype(float)
+        part = part - part.mean(0)
+        part -= ramp[:, None, None] * np.tensordot(ramp, part, 1) / (ramp**2).sum()
+        power.append(((window * part) ** 2).sum() / (window**2).sum())
+    full = wv.spectrum(field(values), segment=64)
+    assert full.E.dtype == np.float32
+    assert float(wv.total(full.E)) == pytest.approx(np.mean(power), rel=1e-6)
+    assert float(wv.total(wv.komega(field(values), segment=64).E)) == pytest.approx(np.mean(power), rel=1e-6)
+
+
+def test_the_angular_integral_conserves_energy_and_the_lattice_hardly_shows():
+    ny, nx, step = 150, 200, 0.01
+    ky, kx = (np.sort(rings.wavenumbers(n, step)) for n in (ny, nx))
+    rng = np.random.default_rng(0)
+    density = xr.DataArray(rng.random((3, ny, nx)), {"ky": ky, "kx": kx}, ("omega", "ky", "kx"))
+    cell = (ky[1] - ky[0]) * (kx[1] - kx[0])
+    E = wv.angular_integral(density)
+    np.testing.assert_allclose(
+        E.sum("k") * float(E.k[1] - E.k[0]), density.sum(("ky", "kx")) * cell, rtol=1e-12
+    )
+    flat = wv.angular_integral(xr.ones_like(density[0]))
+    inside = (flat.k > 3 * flat.k[0]) & (flat.k < 0.95 * np.pi / step)
+    ratio = (flat / (2 * np.pi * flat.k)).values[inside]
+    assert np.sqrt(np.mean((ratio - 1) ** 2)) < 0.005
+    table = rings.rings(ny, nx, step, step)
+    np.testing.assert_allclose(table.coverage[inside], ratio, rtol=0, atol=0.011)
+    assert table.coverage[-1] < 0.1  # the corner
+
+
+def test_white_noise_is_even_over_the_k_plane_and_its_interval_holds():
+    rng = np.random.default_rng(2)
+    hits, ratios, cells = [], [], []
+    for _ in range(24):
+        E = wv.komega(field(rng.standard_normal((320, 30, 40), dtype="f4"), dx=0.05), segment=64)
+        truth = 2 * np.pi * E.k * E.coverage / ((2 * np.pi / 0.05) ** 2 * (np.pi / 0.05))
+        use = E.valid & (E.omega < 0.95 * E.omega[-1])
+        ratio = (E.E / truth).where(use)
+        hits.append(((ratio * E.low < 1) & (ratio * E.high > 1)).where(use).mean().item())
+        ratios.append(ratio.mean("omega"))
+        full = wv.spectrum(field(rng.standard_normal((320, 30, 40), dtype="f4"), dx=0.05), segment=64)
+        share = full.E[3:-3, 4:11, 5:15] * ((2 * np.pi / 0.05) ** 2 * (np.pi / 0.05))
+        cells.append(((share * full.low < 1) & (share * full.high > 1)).mean().item())
+    assert 0.94 < np.mean(cells) < 0.96
+    assert 0.94 < np.mean(hits) < 0.96
+    mean = np.mean(ratios, axis=0)
+    mean = mean[np.isfinite(mean)]
+    assert np.sqrt(np.mean((mean[len(mean) // 2 :] - 1) ** 2)) < 0.005
+    assert np.abs(mean - 1).max() < 0.03
+
+
+def test_turning_the_sea_changes_the_spectrum_within_its_interval():
+    waves = random_waves(seed=3, n=2500, lowest=1.5, highest=3.5, power=2)
+    one, two = (
+        wv.komega(field(sea.on_grid(*axes(512, 50, 66, 0.05, 0.03), "z")["z"]), segment=128)
+        for sea in (waves, waves.rotated())
+    )
+    # on the ridge; its faint flanks come from few directions and scatter more
+    energetic = one.valid & (one.E > 0.1 * one.E.max())
+    # both are estimates: the interval of a ratio is that of F
+    from scipy.stats import f
+
+    ratio = np.log(one.E / two.E)
+    limit = xr.apply_ufunc(lambda d: np.log(f.ppf(0.975, d, d)), one.dof)
+    inside = (np.abs(ratio) < limit).where(energetic).mean().item()
+    assert int(energetic.sum()) > 30
+    assert inside > 0.9
+
+
+@pytest.mark.parametrize(("depth", "tolerance"), [(0.7, 0.01), (0.15, 0.03)])
+def test_velocity_and_elevation_shares_follow_linear_theory(depth, tolerance):
+    waves = random_waves(seed=4, n=800, lowest=1.3, highest=3.5, power=1.01, depth=depth)
+    t, y, x = axes(512, 60, 80, 0.05, 0.025)
+    exact = waves.on_grid(t, y, x, "z_t", "u", "v")
+    E = xr.Dataset({n: wv.komega(field(v, dx=0.025), segment=128).E for n, v in exact.items()})
+    over = E.sum("omega")
+    for low, high in ((8, 14), (14, 22), (22, 40)):
+        band = over.sel(k=slice(low, high)).sum()
+        mine = (waves.k > low) & (waves.k < high)
+        power = np.abs(waves.a[mine] * waves.omega[mine]) ** 2
+        expected = np.average(1 / np.tanh(waves.k[mine] * depth) ** 2, weights=power)
+        assert ((band.u + band.v) / band.z_t).item() == pytest.approx(expected, rel=tolerance), low
+    deep = over.sel(k=slice(25, 45)).sum()
+    assert (deep.u / deep.z_t).item() == pytest.approx(0.5, rel=0.12)  # so many directions: a sample
+    assert (deep.v / deep.z_t).item() == pytest.approx(0.5, rel=0.12)
+
+
+def test_a_frequency_is_cut_out_and_one_beyond_nyquist_refused():
+    E = wv.spectrum(plane_wave(40.0, 0.3, 2 * np.pi * 2.5), segment=128).E
+    assert float(wv.at_frequency(E, 2.5).sum()) > 100 * float(wv.at_frequency(E, 5.0).sum())
+    assert float(wv.at_frequency(E, 2.5, bandwidth=0.5).frequency) == pytest.approx(2.5, abs=0.1)
+    with pytest.raises(CubeError, match="11 Hz is outside"):
+        wv.at_frequency(E, 11.0)
+
+
+def test_the_frequency_spectrum_is_that_of_the_nodes():
+    rng = np.random.default_rng(6)
+    noise = field(rng.standard_normal((640, 24, 32), dtype="f4"))
+    E = wv.frequency_spectrum(wv.komega(noise, segment=64))
+    flat = E.E.where(E.valid, drop=True)
+    expected = 1 / (np.pi / 0.05)
+    assert float(flat.mean()) == pytest.approx(expected, rel=0.01)
+    truth = (flat * E.low < expected) & (flat * E.high > expected)
+    assert float(truth.mean()) > 0.8
+    assert E.E.attrs["units"] == "m2 s rad-1"
+
+
+@pytest.mark.parametrize(
+    "chunks", [{"time": 7}, {"time": 64, "y": 11}, {"time": -1, "x": 13}, {"time": 100, "y": 30, "x": 40}]
+)
+def test_results_do_not_depend_on_chunks(chunks):
+    rng = np.random.default_rng(7)
+    values = field(rng.standard_normal((333, 30, 40), dtype="f4"))
+    values[200, 3:5, 7] = np.nan
+    values[150] = np.nan
+    lazy = values.chunk(chunks)
+    for take in (wv.komega, wv.spectrum):
+        whole, pieces = take(values, segment=64), take(lazy, segment=64)
+        assert dask.is_dask_collection(pieces.E)
+        assert not dask.is_dask_collection(whole.E)
+        np.testing.assert_array_equal(whole.E.values, pieces.E.values)
+
+
+def test_units_and_meaning_are_on_every_variable():
+    for result in (
+        wv.spectrum(plane_wave(40.0, 0.3, 12.0), segment=64),
+        wv.komega(plane_wave(40.0, 0.3, 12.0), segment=64),
+    ):
+        for name, variable in result.variables.items():
+            assert "units" in variable.attrs, name
+            assert "long_name" in variable.attrs, name
+    assert result.E.attrs["units"] == "m3 s rad-2"
+    assert result.attrs["segments"] == 7
+
+
+def test_the_degrees_of_freedom_are_those_of_half_overlapping_hann_windows():
+    assert windows.degrees_of_freedom(1) == 2
+    assert windows.degrees_of_freedom(45) == pytest.approx(2 * 45 / (1 + (44 / 45) / 18))
+
+
+@given(st.integers(8, 20000))
+def test_a_chosen_segment_fits_its_record(steps):
+    segment = windows.choose_segment(steps)
+    assert segment % 2 == 0
+    assert 4 <= segment <= min(steps, 512)

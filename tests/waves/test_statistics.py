@@ -1,0 +1,93 @@
+import importlib
+
+import numpy as np
+import pytest
+import xarray as xr
+from waves_cases import axes, cube
+
+import wavefield.waves as wv
+from wavefield.errors import CubeError
+
+statistics_module = importlib.import_module("wavefield.waves.statistics")
+
+
+def test_a_second_order_sea_has_its_skewness_and_kurtosis():
+    # Tayfun: z = x + mu (x^2 - y^2) / 2 with mu = k sigma = .1: skewness 3 mu, excess kurtosis 12 mu^2
+    rng = np.random.default_rng(0)
+    a, b = rng.standard_normal((2, 1200, 40, 60))
+    z = 0.015 * (a + 0.05 * (a * a - b * b))
+    t, y, x = axes(1200, 40, 60)
+    out = wv.statistics(cube({"z": z}, t, y, x))
+    assert float(out.skewness[0]) == pytest.approx(0.30, abs=0.01)
+    assert float(out.kurtosis[0]) == pytest.approx(0.12, abs=0.02)
+    assert float(out.significant_height) == pytest.approx(4 * z.std(), rel=1e-5)
+
+
+@pytest.fixture(scope="module")
+def gaussian():
+    rng = np.random.default_rng(1)
+    t, y, x = axes(300, 30, 40)
+    fields = {n: 0.3 + 0.1 * rng.standard_normal((300, 30, 40)) for n in ("z", "u", "v", "w")}
+    return cube(fields, t, y, x)
+
+
+def test_a_gaussian_field_has_gaussian_densities(gaussian):
+    out = wv.statistics(gaussian, pixel_size=0.0018)
+    assert list(out["quantity"].values) == ["z", "dx", "dy", "dz"]
+    width = float(out.bin[1] - out.bin[0])
+    np.testing.assert_allclose(out.pdf.sum("bin") * width, 1, rtol=1e-4)
+    middle = out.where(np.abs(out.bin) < 2, drop=True)
+    np.testing.assert_allclose(middle.pdf, middle.gaussian.broadcast_like(middle.pdf), rtol=0.06)
+    np.testing.assert_allclose(out["std"], [0.1, 0.005, 0.005, 0.005], rtol=0.01)
+    np.testing.assert_allclose(out.std_px, out["std"] / 0.0018)
+    np.testing.assert_allclose(out["mean"], [0.3, 0.015, 0.015, 0.015], rtol=0.01)
+    assert float(out["count"][0]) == 300 * 30 * 40
+
+
+def test_moments_agree_with_numpy(gaussian):
+    from scipy import stats
+
+    out = wv.statistics(gaussian)
+    used = gaussian.z.values.astype(float).ravel()
+    assert float(out["mean"][0]) == pytest.approx(used.mean(), rel=1e-6)
+    assert float(out["std"][0]) == pytest.approx(used.std(), rel=1e-6)
+    assert float(out.skewness[0]) == pytest.approx(stats.skew(used), abs=1e-6)
+    assert float(out.kurtosis[0]) == pytest.approx(stats.kurtosis(used), abs=1e-6)
+
+
+def test_slopes_of_a_plane_wave():
+    t, y, x = axes(64, 60, 80)
+    k, a = 25.0, 0.01
+    z = a * np.cos(k * 0.6 * x + k * 0.8 * y[:, None] - 5 * t[:, None, None])
+    out = wv.statistics(cube({"z": z}, t, y, x))
+    assert float(out.mean_square_slope) == pytest.approx((k * a) ** 2 / 2, rel=0.05)
+
+
+def test_chunks_do_not_matter(gaussian):
+    xr.testing.assert_equal(wv.statistics(gaussian.chunk({"time": 37, "y": 9})), wv.statistics(gaussian))
+
+
+def test_errors_are_summarised_without_their_gaps(gaussian):
+    rng = np.random.default_rng(2)
+    values = 0.0005 * rng.standard_normal(gaussian.z.shape)
+    values[:, 3, 4] = np.nan
+    piv = np.abs(0.3 * rng.standard_normal(gaussian.z.shape))
+    with_errors = gaussian.assign(eps_y=(gaussian.z.dims, values), eps_piv=(gaussian.z.dims, piv))
+    out = statistics_module.error_statistics(with_errors, wv.find_record(gaussian))
+    assert float(out.eps_y_std) == pytest.approx(np.nanstd(values), rel=1e-6)
+    assert float(out.eps_piv_rms) == pytest.approx(np.sqrt(np.mean(piv**2)), rel=1e-6)
+    width = float(out.eps_bin[1] - out.eps_bin[0])
+    np.testing.assert_allclose(out.eps_pdf.sum("eps_bin") * width, 1, rtol=1e-3)
+    assert not statistics_module.error_statistics(gaussian, wv.find_record(gaussian)).data_vars
+
+
+def test_a_constant_field_does_not_break_them():
+    t, y, x = axes(32, 12, 16)
+    out = wv.statistics(cube({"z": np.zeros((32, 12, 16))}, t, y, x))
+    assert float(out["std"][0]) == 0
+    assert np.isnan(out.pdf).all()
+
+
+def test_a_cube_without_elevation_is_refused(gaussian):
+    with pytest.raises(CubeError, match="no 'z'"):
+        wv.statistics(gaussian.drop_vars("z"))
