@@ -39,7 +39,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None) -> 
     cameras together, and writes the rig and a report with pictures. When the rig cannot be trusted the
     exit status is 1 and the report says what to photograph again.
     """
-    from wavefield.commands.targets import calibrate_experiment
+    from wavefield.commands.targets import calibrate_experiment, draw_found
     from wavefield.series import Experiment
 
     loaded = Experiment.load(experiment)
@@ -48,6 +48,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None) -> 
     calibration = result.calibration
     output = output or loaded.resolve(loaded.rig if isinstance(loaded.rig, str) else "rig.yaml")
     page = calibration.write_report(output.with_name(f"{output.stem}_report"))
+    draw_found(result, page.parent / "target.png")
     for note in (*result.notes, *calibration.notes):
         click.echo(f"note: {note}")
     if not calibration.usable:
@@ -57,8 +58,9 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None) -> 
         context.exit(1)
     calibration.rig.save(output)
     click.echo(f"Wrote {output} with {', '.join(calibration.rig)}; how far to trust it: {page}")
-    if loaded.rig is None:
-        click.echo(f"Add `rig: {output.name}` to {experiment}, then: wavefield run {experiment}")
+    if loaded.rig is None and output.resolve() != loaded.resolve("rig.yaml").resolve():
+        click.echo(f"Name it in {experiment} as `rig: {output}`, or give it with --rig")
+    click.echo(f"Next: wavefield check {experiment}")
 
 
 def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:

@@ -32,12 +32,15 @@ class TargetRig:
         The images.
     notes : tuple of str
         Images without a target.
+    mesh : float
+        Of the target, m.
     """
 
     calibration: Calibration
     views: dict[str, dict[str, TargetPoints]]
     images: dict[str, dict[str, Path]]
     notes: tuple[str, ...]
+    mesh: float
 
 
 def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
@@ -170,4 +173,32 @@ def calibrate_experiment(
         camera_distance=section.camera_distance,
         provenance={"experiment": experiment.name, "target": dict(section.target), "images": named},
     )
-    return TargetRig(calibration, views, images, tuple(notes))
+    return TargetRig(calibration, views, images, tuple(notes), target.mesh)
+
+
+def draw_found(result: TargetRig, path: Path) -> None:
+    """Draw what was found in one image of each camera: the flat pose where there is one.
+
+    Parameters
+    ----------
+    result : TargetRig
+        As from `calibrate_experiment`.
+    path : Path
+        PNG file to write; nothing is written if no target was found, or if the points came as tables.
+    """
+    from wavefield import figures
+
+    poses = {
+        camera: "flat" if "flat" in found else max(found, key=lambda pose: len(found[pose]))
+        for camera, found in result.views.items()
+        if found and all(path.suffix.lower() not in _TABLES for path in result.images[camera].values())
+    }
+    if not poses:
+        return
+    figure = figures.target_points(
+        {camera: read_image(result.images[camera][pose]) for camera, pose in poses.items()},
+        {camera: result.views[camera][pose] for camera, pose in poses.items()},
+        result.calibration.rig if len(result.calibration.rig) and set(poses.values()) == {"flat"} else None,
+        result.mesh,
+    )
+    figure.savefig(path, dpi=110)

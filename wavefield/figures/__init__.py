@@ -27,6 +27,7 @@ from wavefield.figures.spectra import (
     wavevector_map,
 )
 from wavefield.figures.surface import elevation_map, surface_3d, velocity_map
+from wavefield.figures.targets import target_points
 
 __all__ = [
     "balance_history",
@@ -54,6 +55,7 @@ __all__ = [
     "quality_shares",
     "rig_views",
     "surface_3d",
+    "target_points",
     "uncertainty_maps",
     "velocity_map",
     "wavenumber_spectra",

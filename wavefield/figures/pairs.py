@@ -22,7 +22,7 @@ def _draw(axes: Axes, curves: dict[str, np.ndarray], unit: str, *, positive: boo
         density = densities(values, bins)
         label = f"{name}, rms {rms[name]:.2g} {unit}"
         axes.semilogy(centres, np.where(density > 0, density, np.nan), label=label, **style)
-    plain_axes(axes, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=1 if len(curves) < 4 else 2)
+    plain_axes(axes, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=1)
 
 
 def pair_misfits(pairs: xr.Dataset) -> Figure:
@@ -74,7 +74,7 @@ def pair_differences(pairs: xr.Dataset, pixel: float) -> Figure:
     rate = float(pairs.attrs["frame_rate"])
     names = [str(p) for p in pairs.pair.values]
     single = [name for name in names if name != "all"]
-    figure, axes = panels(2, 2, height=4.7)
+    figure, axes = panels(2, 2, height=4.8)
     for ax, (name, label) in zip(axes.flat, {"z": "z", "u": "dx", "v": "dy", "w": "dz"}.items(), strict=True):
         field = pairs[name].astype(float) / (pixel if name == "z" else rate * pixel)
         curves = {

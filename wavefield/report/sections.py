@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import xarray as xr
+import yaml
 
 from wavefield import figures
 from wavefield.report.page import Listing, Markup, Picture, Section, Table, Text
@@ -485,7 +486,7 @@ def accuracy(sources: Sources) -> Section:
     return section
 
 
-def _pairs(sources: Sources) -> list[Picture]:
+def _pairs(sources: Sources) -> list[Picture | Table]:
     """Pictures of every pair of cameras on its own, if the images are still there."""
     pairs = measure_pairs(sources, sources.cube.sizes["time"] // 2)
     if pairs is None or sources.rig is None:
@@ -496,7 +497,7 @@ def _pairs(sources: Sources) -> list[Picture]:
         f"{p} {1e3 * _rms(pairs.eps_y.sel(pair=p)):.2g} mm and {_rms(pairs.eps_piv.sel(pair=p)):.2g} px"
         for p in names
     )
-    out = [
+    out: list[Picture | Table] = [
         Picture(
             figures.pair_misfits(pairs),
             f"The same for each pair of cameras on its own, over {pairs.sizes['time']} steps measured again.",
@@ -588,6 +589,79 @@ def coverage(sources: Sources) -> Section:
     return section
 
 
+_CALIBRATION = {
+    "target": (
+        "The target in one image of each camera: nodes found (+), the origin (circle), and where "
+        "the rig puts "
+        "them on z = 0.",
+        "Images of the target with the nodes found in them, and the same nodes in physical coordinates.",
+    ),
+    "rig": ("The rig and the poses of the target.", "Drawing of the cameras and of the poses of the target."),
+    "coverage": (
+        "Where in each image the target was seen.",
+        "Map of the nodes of all views in each camera's image.",
+    ),
+    "flat_target": (
+        "z of the flat target's nodes, triangulated by the rig.",
+        "Map of z of the flat target's nodes.",
+    ),
+}
+
+
+def calibration(sources: Sources) -> Section:
+    """Build the part on the calibration, from the report that `wavefield calibrate` left beside the rig.
+
+    Parameters
+    ----------
+    sources : Sources
+        What there is.
+
+    Returns
+    -------
+    Section
+    """
+    section = Section("Calibration")
+    folder = sources.calibration_folder
+    if folder is None:
+        return section
+    numbers = yaml.safe_load((folder / "numbers.yaml").read_text(encoding="utf-8")) or {}
+    rows = [
+        (
+            name,
+            str(len(c["views"])),
+            _number(c["rms_px"], "px"),
+            _number(c["rms_mm"], "mm"),
+            _number(c["max_px"], "px"),
+        )
+        for name, c in (numbers.get("cameras") or {}).items()
+    ]
+    if rows:
+        section.items.append(
+            Table(
+                "Residuals of the points that were fitted", ("camera", "views", "rms", "rms", "largest"), rows
+            )
+        )
+    flat = ""
+    if "flat_target" in numbers:
+        flat = f" Rms {numbers['flat_target']['z_rms_mm']:.3g} mm."
+    for stem, (caption, alt) in _CALIBRATION.items():
+        picture = folder / f"{stem}.png"
+        if picture.is_file():
+            words = alt + flat if stem == "flat_target" else alt
+            section.items.append(Picture(picture.read_bytes(), caption, words))
+    for picture in sorted(folder.glob("residuals_*.png")):
+        name = picture.stem.removeprefix("residuals_")
+        rms = next((f" Rms {row[2]}, largest {row[4]}." for row in rows if row[0] == name), "")
+        section.items.append(
+            Picture(
+                picture.read_bytes(),
+                f"Residuals of {name}: every point, and their mean over cells of the image.",
+                f"Arrows of the residuals over the image of {name}.{rms}",
+            )
+        )
+    return section
+
+
 def recipe(sources: Sources) -> Section:
     """Build the part on how the cube was made.
 
@@ -619,5 +693,6 @@ SECTIONS: tuple[Callable[[Sources], Section], ...] = (
     nonlinearity,
     accuracy,
     coverage,
+    calibration,
     recipe,
 )

@@ -62,6 +62,15 @@ class Sources:
         """The grid of the cube."""
         return grid_of(self.cube)
 
+    @property
+    def calibration_folder(self) -> Path | None:
+        """Folder that `wavefield calibrate` left beside the rig file; None if there is none."""
+        if self.experiment is None or isinstance(self.experiment.rig, dict):
+            return None
+        rig = self.experiment.resolve(self.experiment.rig or "rig.yaml")
+        folder = rig.with_name(f"{rig.stem}_report")
+        return folder if (folder / "numbers.yaml").is_file() else None
+
     def group(self, name: str) -> xr.Dataset | None:
         """Give one group of the wave store.
 

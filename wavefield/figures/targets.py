@@ -1,0 +1,60 @@
+"""The calibration target as it was found in the images."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
+
+from wavefield.calibration import TargetPoints
+from wavefield.figures.style import LINES, panels
+from wavefield.rig import Rig
+
+
+def target_points(
+    images: Mapping[str, np.ndarray], points: Mapping[str, TargetPoints], rig: Rig | None, mesh: float
+) -> Figure:
+    """One image of the target per camera with the nodes found, and where the rig puts them on z = 0.
+
+    Parameters
+    ----------
+    images : mapping of str to ndarray, (row, column)
+        Image of each camera.
+    points : mapping of str to TargetPoints
+        What was found in it.
+    rig : Rig, optional
+        The cameras; without it the second row is left out.
+    mesh : float
+        Distance between neighbouring nodes, m.
+
+    Returns
+    -------
+    Figure
+
+    Notes
+    -----
+    Counterpart of the paper's image of the calibration grid with its reference points, in image coordinates
+    and in physical coordinates at z = 0.
+    """
+    rows = 1 if rig is None else 2
+    figure, axes = panels(len(images), rows, width=4.0, height=3.8)
+    for column, (name, image) in zip(axes.T, images.items(), strict=True):
+        low, high = np.percentile(image, (1, 99.8))
+        column[0].imshow(image, cmap="gray", vmin=low, vmax=max(high, low + 1))
+        found = points[name]
+        column[0].plot(*found.pixel.T, "+", color=LINES[2]["color"], markersize=5)
+        origin = np.flatnonzero((found.node == 0).all(axis=1))
+        if origin.size:
+            column[0].plot(*found.pixel[origin[0]], "o", color="#F0E442", fillstyle="none", markersize=11)
+        h, w = image.shape
+        column[0].set(xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5), xlabel="column (px)", ylabel="row (px)")
+        column[0].set_title(f"{name}: {len(found)} nodes")
+        if rig is not None and name in rig.cameras:
+            x, y = rig[name].unproject(*found.pixel.T)
+            column[1].plot(x, y, "+", color=LINES[2]["color"], markersize=5)
+            column[1].set(aspect="equal", xlabel="x (m)", ylabel="y (m)", title=f"{name}, at z = 0")
+            for axis in (column[1].xaxis, column[1].yaxis):
+                low, high = axis.get_view_interval()
+                axis.set_major_locator(MultipleLocator(mesh * max(1, round((high - low) / mesh / 6))))
+            column[1].grid(True, color="0.85", linewidth=0.6)
+    return figure
