@@ -50,6 +50,7 @@ for _command in (
     tank.simulate,
     experiment.check,
     experiment.calibrate,
+    experiment.refine,
     experiment.run,
     experiment.status,
     waves.analyze,

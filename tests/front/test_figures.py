@@ -13,7 +13,7 @@ from wavefield.tank import paper_rig
 
 def labels(figure: Figure) -> str:
     words = []
-    for ax in figure.axes:
+    for ax in [*figure.axes, *(bar for panel in figure.axes for bar in panel.child_axes)]:
         words += [ax.get_xlabel(), ax.get_ylabel(), ax.get_title(), ax.get_title(loc="left")]
         words += ax.get_legend_handles_labels()[1]
     return " | ".join(words)
@@ -118,6 +118,81 @@ def test_rig_is_drawn_with_its_cameras():
     frames = {name: np.zeros(rig[name].size[::-1], "uint8") for name in rig}
     picture = figures.camera_frames(frames, rig, grid)
     assert "cam3, middle 10 cm" in labels(picture)
+
+
+def test_pairs_of_cameras_are_compared_in_pixels(cube):
+    one = cube[["z", "u", "v", "w", "eps_y", "eps_piv"]].isel(time=slice(3))
+    pairs = xr.concat([one, 1.02 * one, 0.98 * one, one], "pair").assign_coords(
+        pair=["all", "3-1", "3-2", "1-2"]
+    )
+    pairs.attrs["frame_rate"] = 20.0
+    assert "3-1, rms" in labels(figures.pair_misfits(pairs))
+    text = labels(figures.pair_differences(pairs, 1.8e-3))
+    expected = float(np.sqrt((0.04 * one.z**2 * 0.04).mean())) / 1.8e-3
+    assert f"3-1 minus 3-2, rms {expected:.2g} px" in text
+    assert "all minus 1-2, rms 0 px" in text
+
+
+def test_found_nodes_are_drawn_in_pixels_and_on_the_plane():
+    from wavefield.calibration import TargetPoints
+
+    rig = paper_rig(0.2)
+    node = np.array([[i, j] for i in range(-2, 3) for j in range(-2, 3)])
+    points = {
+        name: TargetPoints(
+            node, np.stack(rig[name].project(*(0.1 * node.T), 0.0), -1), np.full(25, 0.01), rig[name].size
+        )
+        for name in rig
+    }
+    images = {name: np.zeros(rig[name].size[::-1], "uint8") for name in rig}
+    figure = figures.target_points(images, points, rig, 0.1)
+    assert "cam2: 25 nodes" in labels(figure)
+    flat = next(ax for ax in figure.axes if ax.get_title() == "cam2, at z = 0")
+    np.testing.assert_allclose(flat.lines[0].get_xydata(), 0.1 * node, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def waves(cube):
+    from wavefield.waves import analyze
+
+    return analyze(cube)
+
+
+@pytest.mark.parametrize(
+    ("name", "groups", "words"),
+    [
+        (
+            "komega_map",
+            ["spectra", "dispersion"],
+            ["ω / 2π (Hz)", "k / 2π (m⁻¹)", "linear dispersion relation"],
+        ),
+        ("wavevector_map", ["spectra", "dispersion"], ["kx / 2π (m⁻¹)", "Hz"]),
+        ("wavenumber_spectra", ["spectra"], ["E(k) (m³ s⁻² rad⁻¹)", "u·∇z"]),
+        ("elevation_spectra", ["spectra"], ["E^z(ω) (m² s rad⁻¹)", "stereo z", "integrated w", "fusion"]),
+        ("noise_spectra", ["spectra", "fusion"], ["weight in the fusion (%)", "noise of stereo z"]),
+        ("dispersion_ridge", ["dispersion"], ["linear theory", "ridge against theory (%)"]),
+        ("directions", ["direction"], ["direction of travel (degrees from x)"]),
+        ("coherence_curves", ["coherence"], ["z_t with w − u·∇z", "chance (5 %)"]),
+        ("balance_history", ["kinematics"], ["rms over the grid (cm s⁻¹)"]),
+    ],
+)
+def test_pictures_of_the_waves(waves, name, groups, words):
+    figure = getattr(figures, name)(*(waves[group].to_dataset() for group in groups))
+    figure.draw_without_rendering()
+    for word in words:
+        assert word in labels(figure)
+
+
+def test_dispersion_curve_lies_on_the_ridge_of_the_map(waves):
+    figure = figures.komega_map(waves["spectra"].to_dataset(), waves["dispersion"].to_dataset())
+    curve = figure.axes[0].lines[-1].get_xydata()
+    k, hertz = curve[len(curve) // 3]
+    exact = np.sqrt((9.81 * 2 * np.pi * k + 7.28e-5 * (2 * np.pi * k) ** 3) * np.tanh(2 * np.pi * k * 0.7))
+    assert hertz == pytest.approx(exact / (2 * np.pi), rel=2e-3)
+
+
+def test_a_figure_shows_itself_in_a_notebook(cube):
+    assert figures.elevation_map(cube.isel(time=0))._repr_png_()[:4] == b"\x89PNG"
 
 
 def test_diagram_names_the_cameras_of_the_run():

@@ -11,15 +11,30 @@ _FILE = click.Path(exists=True, path_type=Path)
 
 @click.command(epilog="\b\nExample:\n  wavefield check experiment.yaml")
 @click.argument("experiment", type=_FILE)
-def check(experiment: Path) -> None:
+@click.option("--rig", type=_FILE, help="Rig file, in place of the one that the experiment names.")
+@click.option("--workflow", type=_FILE, help="Where and how it would run: a file as in workflows/.")
+@click.pass_context
+def check(context: click.Context, experiment: Path, rig: Path | None, workflow: Path | None) -> None:
     """Say what is there, what is missing, and what a run will cost.
 
-    Counts the frames of each camera, names missing ones, shows how much of the grid the cameras see, and
-    measures one step to tell the time, memory and disk of the whole run. Changes nothing.
+    Counts the frames of each camera, names missing ones, shows how much of the grid the cameras see,
+    measures a few steps to tell the time, memory and disk of the whole run, and says whether a camera has
+    moved since the calibration. Changes nothing. The exit status is 1 where something stands in the way.
     """
-    from wavefield.cubes import check as check_experiment
+    from wavefield import cubes
 
-    click.echo(check_experiment(experiment))
+    with Progress("Looking at the frames, measuring a few steps"):
+        found = cubes.check(experiment, rig, workflow)
+    click.echo(str(found))
+    if found.problems:
+        context.exit(1)
+    from wavefield.calibration.rest import check_rig
+    from wavefield.commands.matches import matched_pixels, spread
+    from wavefield.cubes.processing import prepare
+
+    prepared = prepare(experiment, rig, workflow)
+    frames = spread(len(next(iter(prepared.series.values()))), 3)
+    click.echo(f"  rig: {check_rig(prepared.rig, matched_pixels(prepared, frames)).sentence}")
 
 
 @click.command(
@@ -61,6 +76,44 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None) -> 
     if loaded.rig is None and output.resolve() != loaded.resolve("rig.yaml").resolve():
         click.echo(f"Name it in {experiment} as `rig: {output}`, or give it with --rig")
     click.echo(f"Next: wavefield check {experiment}")
+
+
+@click.command(
+    epilog="""\b
+Example:
+  wavefield refine rest/experiment.yaml --rig rig.yaml -o rig_rest.yaml
+"""
+)
+@click.argument("experiment", type=_FILE)
+@click.option("--rig", type=_FILE, help="Rig file, in place of the one that the experiment names.")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="Rig to write."
+)
+@click.option(
+    "--frames", default=10, show_default=True, type=click.IntRange(min=1), help="How many frames to use."
+)
+def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
+    """Mend and level a rig from water at rest.
+
+    @click.option("-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="To write.")
+        it back so that sight lines meet, brings z = 0 to the water's plane, and writes the new rig.
+    """
+    from wavefield.calibration.rest import refine_and_level
+    from wavefield.commands.matches import matched_pixels, spread
+    from wavefield.cubes.processing import prepare
+
+    prepared = prepare(experiment, rig)
+    count = len(next(iter(prepared.series.values())))
+    with Progress("Matching the cameras", "frames") as progress:
+        matches = matched_pixels(prepared, spread(count, frames), progress)
+    refined, found, plane = refine_and_level(prepared.rig, matches)
+    click.echo(found.sentence)
+    click.echo(
+        f"The water's plane: {1e3 * plane.height:+.3f} mm at the origin, slope {1e3 * plane.slope[0]:+.3f}, "
+        f"{1e3 * plane.slope[1]:+.3f} mrad along x, y; rms about it {1e3 * plane.rms:.3f} mm."
+    )
+    refined.save(output)
+    click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
 
 
 def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:

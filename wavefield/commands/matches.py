@@ -1,0 +1,90 @@
+"""Pieces of the surface seen by several cameras: by them a rig is checked, and refined on water at rest."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from wavefield.cubes.processing import Prepared
+from wavefield.errors import CalibrationError
+from wavefield.measurement import surface
+from wavefield.measurement.measure import usable
+from wavefield.measurement.rectify import bin_pixels
+
+_APART = 5  # blocks: nearer ones share their window, and say the same
+
+
+def matched_pixels(
+    prepared: Prepared, frames: Sequence[int], progress: Callable[[int, int], None] | None = None
+) -> dict[str, np.ndarray]:
+    """Match the cameras' images of some instants.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        Experiment, frames, rig and plan, as from `wavefield.cubes.processing.prepare`.
+    frames : sequence of int
+        Positions of the frames in the series.
+    progress : callable, optional
+        Told (frames done, all frames).
+
+    Returns
+    -------
+    dict of str to ndarray, (n, 2)
+        Pixels (column, row) of the same pieces of surface in each camera; NaN where a camera has none.
+
+    Raises
+    ------
+    CalibrationError
+        If no frame can be matched.
+    """
+    plan, rig = prepared.plan, prepared.rig
+    cells = np.s_[::_APART, ::_APART]
+    x, y = (v[cells] for v in np.meshgrid(plan.lattice.x, plan.lattice.y))
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in plan.surface_cameras}
+    for done, index in enumerate(frames, 1):
+        images = {name: prepared.series[name].read(index).image for name in plan.surface_cameras}
+        if all(usable(image, rig[name].size) for name, image in images.items()):
+            flat = {
+                name: surface.prepare(bin_pixels(np.asarray(image), plan.binning[name]), name, plan)
+                for name, image in images.items()
+            }
+            valid = np.zeros(x.shape, bool)
+            found = {}
+            for a, b in plan.pairs:
+                match = surface.match_pair(flat[a], flat[b], (a, b), plan)
+                dx, dy = (np.where(match.matched, d, np.nan)[cells] for d in match.difference)
+                found[b] = np.stack(rig[b].project(x + dx, y + dy, 0.0), axis=-1)
+                valid |= match.matched[cells]
+            found[plan.reference] = np.stack(rig[plan.reference].project(x, y, 0.0), axis=-1)
+            for name, pixels in found.items():
+                parts[name].append(pixels[valid])
+        if progress:
+            progress(done, len(frames))
+    if not any(parts.values()):
+        raise CalibrationError(
+            f"{prepared.experiment.path}: none of the frames tried is there in all of {', '.join(parts)}"
+        )
+    return {name: np.concatenate(pixels) for name, pixels in parts.items()}
+
+
+def spread(count: int, wanted: int) -> list[int]:
+    """Positions of some frames, evenly over a record.
+
+    Parameters
+    ----------
+    count : int
+        Frames there are.
+    wanted : int
+        Frames to use.
+
+    Returns
+    -------
+    list of int
+
+    Examples
+    --------
+    >>> spread(100, 4)
+    [12, 37, 62, 87]
+    """
+    wanted = min(count, wanted)
+    return [int((i + 0.5) * count / wanted) for i in range(wanted)]
