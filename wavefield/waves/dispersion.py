@@ -160,6 +160,8 @@ def _centroids(
                 continue
             k = (part * plane.k[cells]).sum() / weight
             k -= plane.spread / (2 * k)
+            if not k > 0:  # waves about as long as the rectangle: the window's spread exceeds them
+                continue
             angle = np.angle((part * np.exp(1j * plane.angle[cells])).sum())
             rows.append((line, k, angle, weight, cells.size))
     return np.array(rows).reshape(-1, 5)
@@ -216,7 +218,7 @@ def fit_dispersion(
     k-centroids at fixed omega in sectors of angle, the window re-centred on the fit, |k| averaged and corrected by
     sigma_k^2 / 2k for the curvature of the ridge. Centroids in omega at fixed k would be biased by up to 8 %.
     The uncertainty joins the scatter of fits to spectra drawn from chi-squared distributions around the measured
-    one and that of fits without one band of half a hertz at a time.
+    one and that of fits without one band of half a hertz, or one octant of directions, at a time.
     """
     settings = settings or FitSettings()
     density = density.compute()
@@ -288,13 +290,15 @@ def fit_dispersion(
 
 
 def _misfit_spread(points: np.ndarray, depth: float, fit: np.ndarray) -> np.ndarray:
-    # what the fit owes to single bands of frequency (jackknife): the ridge has errors besides chance
-    band = np.floor(points[:, 0] / np.pi)  # half a hertz
-    kept = [band != b for b in np.unique(band)]
-    again = [_solve(points[keep], depth, fit) for keep in kept if keep.sum() >= 6]
-    if len(again) < 2:
-        return np.zeros(3)
-    return np.std(again, axis=0) * np.sqrt(len(again) - 1)
+    # what the fit owes to single bands of frequency or to single directions (jackknife): the ridge has errors
+    # besides chance, and a sea of few waves repeats itself
+    variance = np.zeros(3)
+    for group in (np.floor(points[:, 0] / np.pi), np.round(points[:, 2] / (np.pi / 4)) % 8):
+        kept = [group != g for g in np.unique(group)]
+        again = [_solve(points[keep], depth, fit) for keep in kept if keep.sum() >= 6]
+        if len(again) > 1:
+            variance += np.var(again, axis=0) * (len(again) - 1)
+    return np.sqrt(variance)
 
 
 def _against_theory(points: np.ndarray, depth: float, fit: np.ndarray) -> dict[str, Any]:
