@@ -1,0 +1,1 @@
+"""Accuracy and speed: what the README claims, measured."""
