@@ -24,6 +24,7 @@ from wavefield.rig import Camera, Rig
 BLOCK = 5  # side of matching's blocks, px
 _MIN_BLOCKS = 8  # along each side of the common view
 _MARGIN = 5  # blocks around the nodes
+_LENS = 0.6  # px: blur of a usual lens
 
 
 class Plan:
@@ -50,6 +51,8 @@ class Plan:
         Pixel of the rectified images, metres.
     z_range : (float, float)
         Elevations searched, metres.
+    blur : dict of str to (float, float)
+        Blur of the rectified images along x and y that makes beads alike, px.
     binning : dict of str to int
         Squares of so many pixels are averaged before anything else: cameras must see beads alike.
 
@@ -88,6 +91,7 @@ class Plan:
 
         self.binning = self._binning(*middle)
         self.binned = {name: binned(rig[name], self.binning[name]) for name in self.cameras}
+        self.blur = self._blur(*middle)
         self._lay_out()
         self.sights = {name: Sight(camera, self) for name, camera in self.binned.items()}
 
@@ -103,6 +107,22 @@ class Plan:
         """How much finer than the coarsest each camera resolves: so many pixels are averaged."""
         size = {n: 1.0 / float(np.sqrt(np.prod(_singular(self.rig[n], x, y)))) for n in self.cameras}
         return {name: max(1, round(max(size.values()) / own)) for name, own in size.items()}
+
+    def _blur(self, x: float, y: float) -> dict[str, tuple[float, float]]:
+        """Standard deviations along x and y, px, that make a bead as wide in every rectified image.
+
+        Left alone, an oblique camera's beads are wider across its view, and what is left of a bead after
+        matching pulls at the surface as the window passes over it.
+        """
+        spread = {}
+        for name in self.surface_cameras:
+            side = np.linalg.inv(self.binned[name].jacobian(x, y, 0.0)[:, :2]) / self.pixel
+            # variances in px: the lens, the pixel, the spline by which the image is read
+            sensor = (_LENS / self.binning[name]) ** 2 + 1.0 / 12.0 + 6.0 / 12.0
+            spread[name] = sensor * np.sum(side**2, axis=1)
+        widest = np.max(list(spread.values()), axis=0)
+        blur = {name: np.sqrt(widest - own) for name, own in spread.items()}
+        return {n: (float(s[0]), float(s[1])) for n, s in blur.items()}
 
     def _lay_out(self) -> None:
         """The rectified plane: where the nodes appear from any camera at any height, and two see them."""

@@ -190,3 +190,28 @@ def rectify(image: NDArray, X: Float, Y: Float) -> NDArray:
         Brightness; zero where the camera sees nothing. 8 bit become 16 (times 256).
     """
     return cv2.remap(double(image), X, Y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+
+
+def widen(image: NDArray, x: float, y: float) -> NDArray:
+    """Blur an image by a Gaussian, differently along its axes.
+
+    Parameters
+    ----------
+    image : ndarray, (ny, nx), uint16 or float32
+        Image.
+    x, y : float
+        Standard deviations along columns and rows, px; below 0.3 px an axis is left alone.
+
+    Returns
+    -------
+    ndarray, (ny, nx), float32, or the image itself if neither axis is blurred
+    """
+    if max(x, y) < 0.3:
+        return image
+    return cv2.sepFilter2D(image, cv2.CV_32F, _gaussian(x), _gaussian(y), borderType=cv2.BORDER_REPLICATE)
+
+
+def _gaussian(sigma: float) -> NDArray:
+    if sigma < 0.3:
+        return np.ones(1, np.float32)
+    return cv2.getGaussianKernel(2 * int(np.ceil(2.5 * sigma)) + 1, sigma, cv2.CV_32F).ravel()

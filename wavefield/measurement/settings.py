@@ -12,12 +12,14 @@ from wavefield.errors import ExperimentError
 
 def _stereo() -> matching.Settings:
     return matching.Settings.stereo(
-        iterations=(4, 4, 3), window=20.0, smoother_sigma=1.8, normalization=10.0, search_window=24.0
+        iterations=(4, 4, 3), window=18.0, smoother_sigma=1.7, normalization=10.0, search_window=24.0
     )
 
 
 def _piv() -> matching.Settings:
-    return matching.Settings.piv(iterations=(6, 4, 3), window=16.0, smoother_sigma=1.5)
+    return matching.Settings.piv(
+        iterations=(6, 4, 3), window=12.0, smoother_sigma=1.0, robust=2.5, normalization=10.0
+    )
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from wavefield import matching
 from wavefield.matching import Reason
 from wavefield.matching.uncertainty import std_from_influence
 from wavefield.measurement.plan import Plan
-from wavefield.measurement.rectify import rectify
+from wavefield.measurement.rectify import rectify, widen
 from wavefield.measurement.regrid import coefficients, fill, push_pull, read_surface
 from wavefield.rig.stereo import triangulate_pairs
 from wavefield.variables import Quality
@@ -98,7 +98,7 @@ def prepare(image: NDArray, camera: str, plan: Plan) -> matching.Prepared:
     -------
     matching.Prepared
     """
-    flat = rectify(image, *plan.maps[camera])
+    flat = widen(rectify(image, *plan.maps[camera]), *plan.blur[camera])
     return matching.prepare(flat, plan.settings.stereo, mask=plan.seen[camera])
 
 
