@@ -1,7 +1,7 @@
 """All benchmarks, one table: `python -m benchmarks`, or some: `python -m benchmarks matching waves`.
 
-Each module of this folder is a benchmark of its own (`python -m benchmarks.matching`) and prints its table; this
-runs them one after the other, so that none disturbs another's timing, and says at the end which ran.
+Each is a module of its own (`python -m benchmarks.matching`) and prints its table; this runs them one after
+the other, so that none disturbs another's timing, and says at the end which ran.
 """
 
 import subprocess
@@ -13,8 +13,11 @@ FOLDER = Path(__file__).parent
 
 
 def available() -> list[str]:
-    """Benchmarks of this folder."""
-    return sorted(path.stem for path in FOLDER.glob("*.py") if not path.stem.startswith("_"))
+    """Benchmarks of this folder: modules that can be run."""
+    modules = (path for path in FOLDER.glob("*.py") if not path.stem.startswith("_"))
+    return sorted(
+        path.stem for path in modules if '__name__ == "__main__"' in path.read_text(encoding="utf-8")
+    )
 
 
 def main(names: list[str]) -> int:
