@@ -14,7 +14,7 @@ import psutil
 import pytest
 from cube_cases import different
 
-from wavefield.cubes import Workflow, run, status
+from wavefield.cubes import Workflow, cluster, run, status
 from wavefield.cubes.cluster import count_jobs, slurm_cluster
 from wavefield.errors import ExperimentError
 
@@ -130,11 +130,10 @@ def scheduler_and_workers(folder, count=2):
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     address = f"tcp://127.0.0.1:{port}"
-    distributed = [sys.executable, "-m", "distributed.cli"]
     options = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder}
     scheduler = subprocess.Popen(
         [
-            distributed[0],
+            sys.executable,
             "-m",
             "distributed.cli.dask_scheduler",
             "--host",
@@ -148,7 +147,7 @@ def scheduler_and_workers(folder, count=2):
     workers = [
         subprocess.Popen(
             [
-                distributed[0],
+                sys.executable,
                 "-m",
                 "distributed.cli.dask_worker",
                 address,
@@ -173,7 +172,7 @@ def scheduler_and_workers(folder, count=2):
 
 def test_a_scheduler_over_tcp_and_its_death(tank, reference, tmp_path):
     out = tmp_path / "cube.zarr"
-    with scheduler_and_workers(tmp_path) as (address, scheduler, workers):
+    with scheduler_and_workers(tmp_path) as (address, scheduler, _):
         workflow = write_workflow(tmp_path, cluster="address", address=address, workers=2, steps_per_block=1)
         process = start(tank, out, workflow)
         wait_for(begun(out, 2), process)
@@ -183,18 +182,17 @@ def test_a_scheduler_over_tcp_and_its_death(tank, reference, tmp_path):
     assert "the scheduler was lost" in text
     assert "run the same command again to go on" in text
     assert not status(out).complete
-    with scheduler_and_workers(tmp_path, 1) as (address, scheduler, workers):
+    with scheduler_and_workers(tmp_path, 1) as (address, _, _):
         workflow = write_workflow(tmp_path, cluster="address", address=address, workers=2, steps_per_block=1)
         code, text = finish(start(tank, out, workflow))
     assert code == 0, text
     assert different(out, reference) == []
 
 
-def test_no_scheduler_at_the_address(tank, tmp_path):
-    workflow = Workflow(
-        cluster="address", address="tcp://127.0.0.1:9", dask={"distributed.comm.timeouts.connect": "1s"}
-    )
-    with pytest.raises(ExperimentError, match="no scheduler answers at tcp://127.0.0.1:9"):
+def test_no_scheduler_at_the_address(tank, tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "_SCHEDULER_TIMEOUT", "1s")
+    workflow = Workflow(cluster="address", address="tcp://127.0.0.1:9")
+    with pytest.raises(ExperimentError, match=r"no scheduler answers at tcp://127.0.0.1:9"):
         run(tank, out=tmp_path / "cube.zarr", workflow=workflow)
 
 
@@ -212,8 +210,8 @@ def test_the_job_that_slurm_is_asked_for():
         dashboard=None,
     )
     assert count_jobs(workflow) == 4
-    with slurm_cluster(workflow) as cluster:
-        script = cluster.job_script()
+    with slurm_cluster(workflow) as jobs:
+        script = jobs.job_script()
     for line in (
         "#SBATCH -J wavefield",
         "#SBATCH -p cpu",
@@ -225,12 +223,12 @@ def test_the_job_that_slurm_is_asked_for():
         "module load python",
     ):
         assert line in script
-    assert "--nworkers 8 --nthreads 1" in script
-    assert "--memory-limit 1.86GiB" in script
+    for option in ("--nworkers 8", "--nthreads 1", "--memory-limit 1.86GiB"):
+        assert option in script
 
 
 def test_slurm_keywords_that_are_unknown_are_named():
-    with pytest.raises(ExperimentError, match="the `slurm` block of the workflow: .*colour"):
+    with pytest.raises(ExperimentError, match=r"the `slurm` block of the workflow: .*colour"):
         slurm_cluster(Workflow(cluster="slurm", slurm={"colour": "blue"}))
 
 

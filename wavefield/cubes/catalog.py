@@ -66,7 +66,7 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
             f"{catalog} has no parameter `run` with options; let `wavefield catalog add` make a new catalog"
         ) from None
     place = catalog.with_suffix("") / run / "experiment.yaml"
-    if place.exists() and Experiment.load(place).path != found.path:
+    if place.exists() and Experiment.load(place).path.resolve() != found.path.resolve():
         raise ExperimentError(f"{catalog} has another run {run!r} already; give this one a name of its own")
     if not place.exists():
         target = os.path.relpath(found.path, place.parent)

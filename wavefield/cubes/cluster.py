@@ -39,6 +39,9 @@ _DASK: dict[str, Any] = {
 }
 
 
+_SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
+
+
 def one_thread() -> None:
     """Keep OpenCV, numba and BLAS of this process to one thread: the workers are the parallelism."""
     import cv2
@@ -132,7 +135,9 @@ def _connect(workflow: Workflow, stack: ExitStack) -> Any:
 
     if workflow.cluster == "address":
         try:
-            return stack.enter_context(Client(workflow.address, timeout="20s", set_as_default=False))
+            return stack.enter_context(
+                Client(workflow.address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)
+            )
         except OSError as error:
             raise ExperimentError(
                 f"no scheduler answers at {workflow.address} ({error}); start one with "
@@ -180,14 +185,19 @@ def slurm_cluster(workflow: Workflow) -> Any:
         from dask_jobqueue.slurm import SLURMJob
     except ImportError:
         raise ExperimentError("cluster: slurm needs dask-jobqueue; `pip install wavefield[slurm]`") from None
-    keywords: dict[str, Any] = {"cores": 1, "processes": workflow.slurm.get("cores", 1), "job_name": "wavefield"}
+    keywords: dict[str, Any] = {
+        "cores": 1,
+        "processes": workflow.slurm.get("cores", 1),
+        "job_name": "wavefield",
+    }
     keywords["memory"] = workflow.memory or "2 GB"
     if "cores" in workflow.slurm and workflow.memory_bytes:
         keywords["memory"] = f"{workflow.memory_bytes * int(workflow.slurm['cores']) // 1_000_000} MB"
     keywords |= workflow.slurm
     prologue = [f"export {name}=1" for name in THREAD_VARIABLES]
     keywords["job_script_prologue"] = prologue + list(workflow.slurm.get("job_script_prologue", []))
-    keywords.setdefault("scheduler_options", {"dashboard_address": workflow.dashboard})
+    dashboard = {"dashboard_address": workflow.dashboard} if workflow.dashboard else {"dashboard": False}
+    keywords.setdefault("scheduler_options", dashboard)
     known = {
         name
         for kind in (SLURMJob, Job, JobQueueCluster)
@@ -197,8 +207,8 @@ def slurm_cluster(workflow: Workflow) -> Any:
     unknown = [name for name in keywords if name not in known]
     if unknown:
         raise ExperimentError(
-            f"the `slurm` block of the workflow: {unknown[0]!r} is not a keyword of dask_jobqueue.SLURMCluster; "
-            f"it knows {', '.join(sorted(known))}"
+            f"the `slurm` block of the workflow: {unknown[0]!r} is not a keyword of "
+            f"dask_jobqueue.SLURMCluster; it knows {', '.join(sorted(known))}"
         )
     return SLURMCluster(**keywords)
 

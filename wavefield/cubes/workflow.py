@@ -1,9 +1,10 @@
 """How to process: where the work is done, and what differs from the experiment's own settings."""
 
+import re
 from pathlib import Path
 from typing import Any, Literal
 
-from dask.utils import format_bytes, parse_bytes, parse_timedelta
+from dask.utils import format_bytes, parse_bytes
 from pydantic import Field, field_validator, model_validator
 
 from wavefield.series.document import Section, load_section
@@ -69,7 +70,7 @@ class Workflow(Section):
     @classmethod
     def _duration(cls, value: Any) -> Any:
         if value is not None:
-            parse_timedelta(value if isinstance(value, str) else f"{value} s")
+            parse_duration(str(value))
             return str(value)
         return value
 
@@ -109,4 +110,42 @@ class Workflow(Section):
     @property
     def time_limit_seconds(self) -> float | None:
         """Time after which the run stops itself, s."""
-        return float(parse_timedelta(self.time_limit, default="seconds")) if self.time_limit else None
+        return parse_duration(self.time_limit) if self.time_limit else None
+
+
+_UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+
+
+def parse_duration(text: str) -> float:
+    """Seconds of a duration as people and Slurm write it.
+
+    Parameters
+    ----------
+    text : str
+        Such as "3h 50m", "11 hours", "90 s", "04:00:00"; a bare number is seconds.
+
+    Returns
+    -------
+    float
+        Seconds.
+
+    Raises
+    ------
+    ValueError
+        If it is none of these.
+
+    Examples
+    --------
+    >>> parse_duration("3h 50m"), parse_duration("04:00:00"), parse_duration("600")
+    (13800.0, 14400.0, 600.0)
+    """
+    text = text.strip().lower()
+    if re.fullmatch(r"\d+(:\d\d){1,2}", text):
+        parts = [float(part) for part in text.split(":")]
+        return sum(part * unit for part, unit in zip(reversed(parts), (1.0, 60.0, 3600.0)))
+    if re.fullmatch(r"\d+(\.\d+)?", text):
+        return float(text)
+    found = re.findall(r"(\d+(?:\.\d+)?)\s*([smhd])[a-z]*", text)
+    if not found or re.sub(r"\d+(\.\d+)?\s*[smhd][a-z]*\s*", "", text):
+        raise ValueError(f"{text!r} is not a duration; write it as 3h 50m or 03:50:00")
+    return sum(float(number) * _UNITS[unit] for number, unit in found)

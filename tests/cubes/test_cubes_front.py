@@ -1,0 +1,220 @@
+"""What a user asks before and after a run: check, status, export, catalogs, workflow files."""
+
+import math
+
+import intake
+import numpy as np
+import pytest
+import xarray as xr
+from cube_cases import HERE, different
+
+from wavefield.cubes import Workflow, catalog_add, check, export_netcdf, open_cube, run, status
+from wavefield.cubes.processing import choose_block
+from wavefield.errors import ExperimentError, StoreError
+from wavefield.images import write_image
+from wavefield.variables import CUBE_FIELDS, FrameStatus
+
+# -- check ------------------------------------------------------------------------------------------------
+
+
+def test_check_tells_what_a_run_will_take(tank, reference):
+    found = check(tank, workflow=HERE)
+    assert found.ready
+    assert found.steps == 16
+    assert [(c.name, c.frames, c.size) for c in found.cameras] == [
+        ("cam1", 17, (123, 123)),
+        ("cam2", 17, (123, 123)),
+        ("cam3", 17, (292, 207)),
+    ]
+    assert found.coverage == 1.0
+    assert found.measured > 0.9
+    stored = sum(
+        file.stat().st_size
+        for name in CUBE_FIELDS
+        for file in (reference / name / "c").rglob("*")
+        if file.is_file()
+    )
+    assert 0.5 * stored < found.cost.disk < 2 * stored
+    assert 0.001 < found.cost.step_seconds < 10
+    assert 1e8 < found.cost.memory < 3e9
+    text = str(found)
+    for words in (
+        "17 frames of 292 x 207 px, uint8",
+        "grid: x -0.04 to 0.04 m",
+        "9 x 13 nodes",
+        "100 % of the nodes",
+    ):
+        assert words in text
+    assert "a run will take" in text
+
+
+def test_check_names_what_is_missing_and_does_not_stop_there(own_tank):
+    folder = own_tank.parent
+    for n in (3, 4, 9):
+        (folder / "cam1" / f"img_{n:05d}.tif").unlink()
+    (folder / "cam2" / "img_00005.tif").write_bytes(b"")
+    found = check(own_tank, workflow=HERE)
+    assert found.cameras[0].missing == (3, 4, 9)
+    assert found.cameras[1].small == (5,)
+    assert "cam1: 14 frames" in str(found)
+    assert "3 missing: 3-4, 9" in str(found)
+    assert "1 files are empty or truncated: 5" in str(found)
+    (folder / "rig.yaml").unlink()
+    found = check(own_tank, workflow=HERE)
+    assert not found.ready
+    assert "not ready: " in str(found)
+    assert "rig.yaml" in str(found)
+    assert found.cost is None
+    assert not (folder / "cube.zarr").exists()
+
+
+def test_check_says_when_nothing_can_be_measured(own_tank):
+    for image in (own_tank.parent / "cam3").glob("*.tif"):
+        write_image(image, np.full((207, 292), 7, np.uint8))
+    for image in (own_tank.parent / "cam2").glob("*.tif"):
+        write_image(image, np.full((123, 123), 7, np.uint8))
+    assert "could not be measured; look at its images" in str(check(own_tank, workflow=HERE))
+
+
+# -- status and export ------------------------------------------------------------------------------------
+
+
+def test_status_of_a_whole_cube(reference):
+    state = status(reference)
+    assert state.complete
+    assert (state.done, state.faulty, state.failed, state.left) == (16, 0, 0, 0)
+    assert "16 of 16 steps (100 %)" in str(state)
+    with pytest.raises(StoreError, match="no such store"):
+        status("nowhere.zarr")
+
+
+def test_netcdf_holds_the_same_and_follows_cf(reference, tmp_path):
+    path = tmp_path / "new" / "cube.nc"
+    export_netcdf(reference, path)
+    cube = open_cube(reference).load()
+    with xr.open_dataset(path, engine="h5netcdf") as plain:
+        assert different(plain, cube) == []
+        assert plain.attrs["Conventions"] == "CF-1.11"
+        assert plain.attrs["recipe"] == cube.attrs["recipe"]
+        assert plain.z.attrs["standard_name"] == "water_surface_height_above_reference_datum"
+        assert plain.time.attrs["axis"] == "T"
+        assert plain.quality.attrs["flag_masks"].dtype == np.uint8
+        assert plain.quality.attrs["flag_meanings"].split()[0] == "measured"
+        assert "_FillValue" not in plain.x.encoding
+    assert [p.name for p in path.parent.iterdir()] == ["cube.nc"]
+    with pytest.raises(StoreError, match="no such store"):
+        export_netcdf(tmp_path / "none.zarr", path)
+
+
+# -- catalogs ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def catalog(own_tank, tmp_path):
+    """Two runs: the small tank, and the same under another name."""
+    other = own_tank.with_name("other.yaml")
+    other.write_text(own_tank.read_text().replace("small-tank", "other-tank") + "frames: {last: 5}\n")
+    own_tank.write_text(own_tank.read_text() + "frames: {last: 7}\n")
+    path = tmp_path / "lab" / "tanks.yaml"
+    assert catalog_add(path, own_tank) == "small-tank"
+    assert catalog_add(path, other) == "other-tank"
+    return path
+
+
+def test_stock_intake_opens_frames_and_cubes_of_every_run(catalog):
+    for state in run(catalog, workflow=HERE):
+        assert state.complete
+    cat = intake.open_catalog(str(catalog))
+    assert list(cat) == ["frames", "cube", "waves"]
+    for name, steps in (("small-tank", 7), ("other-tank", 5)):
+        frames = cat(run=name)["frames"].read()
+        assert frames.cam3.shape == (steps + 1, 207, 292)
+        assert frames.attrs["experiment"] == name
+        cube = cat(run=name)["cube"].read()
+        assert cube.sizes["time"] == steps
+        assert cube.attrs["experiment"] == name
+        assert (cube.frame_status == FrameStatus.DONE).all()
+    with pytest.raises(ValueError, match="validate"):
+        cat(run="nobody")["frames"]
+
+
+def test_a_changed_recipe_goes_beside_the_old(catalog):
+    (first,) = run(catalog, ["other-tank"], workflow=HERE)
+    changed = Workflow(cluster="none", settings={"eps_limit": 2.5})
+    (second,) = run(catalog, ["other-tank"], workflow=changed)
+    assert first.store != second.store
+    assert status(first.store).complete
+    cat = intake.open_catalog(str(catalog))
+    recipes = cat.user_parameters["recipe"].options
+    assert recipes == ["latest", first.recipe_hash[:8], second.recipe_hash[:8]]
+    found = {r: cat(run="other-tank", recipe=r)["cube"].read().attrs["recipe_hash"] for r in recipes}
+    assert found["latest"] == found[recipes[2]] == second.recipe_hash
+    assert found[recipes[1]] == first.recipe_hash
+    (again,) = run(catalog, ["other-tank"], workflow=changed)
+    assert again.store == second.store
+    assert intake.open_catalog(str(catalog)).user_parameters["recipe"].options == recipes
+
+
+def test_catalog_mistakes_are_named(catalog, own_tank, tmp_path):
+    assert catalog_add(catalog, own_tank) == "small-tank"  # twice does no harm
+    with pytest.raises(ExperimentError, match="has no run 'run99'; it has small-tank, other-tank"):
+        run(catalog, ["run99"], workflow=HERE)
+    with pytest.raises(ExperimentError, match="has no parameter 'place'; it has run, recipe, folder, part"):
+        run(catalog, ["other-tank"], workflow=HERE, parameters={"place": "here"})
+    with pytest.raises(ExperimentError, match="one store cannot hold 2 runs"):
+        run(catalog, out=tmp_path / "cube.zarr", workflow=HERE)
+    elsewhere = tmp_path / "elsewhere" / "experiment.yaml"
+    elsewhere.parent.mkdir()
+    elsewhere.write_text(own_tank.read_text())
+    with pytest.raises(ExperimentError, match="has another run 'small-tank' already"):
+        catalog_add(catalog, elsewhere)
+    assert catalog_add(catalog, elsewhere, "small-tank-b") == "small-tank-b"
+    with pytest.raises(ExperimentError, match="no parameter `run`"):
+        catalog_add(own_tank, own_tank)
+
+
+def test_comments_at_the_head_of_a_catalog_stay(catalog, own_tank):
+    catalog.write_text("# Our tanks.\n\n" + catalog.read_text())
+    catalog_add(catalog, own_tank, "again")
+    assert catalog.read_text().startswith("# Our tanks.\n\nversion: 2")
+
+
+# -- workflows --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("cluster: locale", "line 1: cluster should be 'none', 'local', 'slurm' or 'address'"),
+        ("cluster: local\nworker: 3", "line 2: worker is not a known key; did you mean 'workers'?"),
+        ("workers: 0", "workers must be 1 or more"),
+        ("memory: 2 MB", "is too little; give 1 GB or more"),
+        ("memory: much", "line 1: memory"),
+        ("cluster: address", "needs the scheduler's address, for example address: tcp://host:8786"),
+        ("time_limit: soon", "line 1: time_limit"),
+        ("steps_per_block: 0", "line 1: steps_per_block should be greater than or equal to 1"),
+    ],
+)
+def test_mistakes_in_a_workflow_are_named(tmp_path, text, says):
+    path = tmp_path / "workflow.yaml"
+    path.write_text(text + "\n")
+    with pytest.raises(ExperimentError) as caught:
+        Workflow.load(path)
+    assert says in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["11h 50m", "3 hours", "600", "04:00:00", "1d 2h"])
+def test_time_limits_are_durations(text):
+    assert Workflow(time_limit=text).time_limit_seconds > 0
+
+
+def test_blocks_fit_memory_and_workers():
+    step = 151 * 201 * 45
+    assert choose_block(12_000, 2, step, None) == 64
+    for steps, workers in ((200, 2), (200, 1), (40, 2), (3, 8), (1, 1), (11_999, 100)):
+        block = choose_block(steps, workers, step, None)
+        assert 1 <= block <= 64
+        blocks = math.ceil(steps / block)
+        # no worker sits idle while another does more than one block
+        assert math.ceil(blocks / workers) * workers - blocks < workers
+    assert choose_block(12_000, 1, step, 200_000_000) < 32
