@@ -87,7 +87,7 @@ class Basin:
                 return self._recent[key]
         values = self.sea.sums(self._ex, self._ey, time, names)
         offset = [self.sea.current["uv".index(name)] if name in ("u", "v") else 0.0 for name in names]
-        stacked = np.stack([values[name] for name in names], axis=-1)
+        stacked = np.stack([values[name] for name in names])
         made = Snapshot(stacked, np.array(offset), self._origin, self._step)
         with self._lock:
             self._recent[key] = made
@@ -115,20 +115,20 @@ class Snapshot:
         ndarray, (number of names,) + S
             Metres, slopes or m/s; NaN outside the basin.
         """
-        out = np.empty((x.size, self._values.shape[-1]))
+        out = np.empty((self._values.shape[0], x.size))
         _gather(x.ravel(), y.ravel(), self._values, *self._origin, self._step, out)
-        return (out + self._offset).T.reshape(-1, *x.shape)
+        return (out + self._offset[:, None]).reshape(-1, *x.shape)
 
 
 @nb.njit(cache=True, nogil=True, fastmath=True)
 def _gather(x, y, values, x0, y0, step, out):  # type: ignore[no-untyped-def]  # pragma: no cover
-    ny, nx, nf = values.shape
+    nf, ny, nx = values.shape
     wx, wy = np.empty(_WIDTH), np.empty(_WIDTH)
     for p in range(x.size):
         rx, ry = (x[p] - x0) / step, (y[p] - y0) / step
         jx, jy = int(np.floor(rx)) - _WIDTH // 2 + 1, int(np.floor(ry)) - _WIDTH // 2 + 1
         if jx < 0 or jy < 0 or jx + _WIDTH > nx or jy + _WIDTH > ny:
-            out[p, :] = np.nan
+            out[:, p] = np.nan
             continue
         for g in range(_WIDTH):
             sx, sy = 2.0 * (rx - jx - g) / _WIDTH, 2.0 * (ry - jy - g) / _WIDTH
@@ -139,6 +139,6 @@ def _gather(x, y, values, x0, y0, step, out):  # type: ignore[no-untyped-def]  #
             for i in range(_WIDTH):
                 row = 0.0
                 for j in range(_WIDTH):
-                    row += wx[j] * values[jy + i, jx + j, f]
+                    row += wx[j] * values[f, jy + i, jx + j]
                 total += wy[i] * row
-            out[p, f] = total
+            out[f, p] = total

@@ -396,9 +396,10 @@ class Scene(_Part):
         data = self.model_dump()
         for name, value in parts.items():
             old = data.get(name)
-            merged = isinstance(value, Mapping) and isinstance(old, dict) and set(value) <= set(old)
-            merged = merged and value.get("kind", old.get("kind")) == old.get("kind")
-            data[name] = {**old, **value} if merged else value
+            merges = isinstance(value, Mapping) and isinstance(old, dict) and set(value) <= set(old)
+            if merges and old is not None and value.get("kind", old.get("kind")) == old.get("kind"):
+                value = {**old, **value}
+            data[name] = value
         return type(self).from_dict(data)
 
     def summary(self) -> dict[str, Any]:

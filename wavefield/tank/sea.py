@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -197,11 +198,13 @@ class Sea:
         -------
         dict of str to ndarray, (ny, nx)
         """
-        stacked = np.concatenate([ex.real, -ex.imag])
+        along_x = np.concatenate([ex.real, -ex.imag])
+        along_y = np.concatenate([ey.real, ey.imag], axis=1)
         out = {}
         for name, matrix in zip(names, self._matrices(time, names), strict=True):
-            rows = ey @ matrix
-            out[name] = np.concatenate([rows.real, rows.imag], axis=1) @ stacked
+            # complex products written as real ones: [Re, Im] of ey @ matrix, then the real part of that @ ex
+            both = np.block([[matrix.real, matrix.imag], [-matrix.imag, matrix.real]])
+            out[name] = _product(_product(along_y, both), along_x)
         return out
 
     def at(self, x: ArrayLike, y: ArrayLike, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
@@ -248,6 +251,18 @@ def _needed(names: Sequence[str]) -> tuple[str, ...]:
     if unknown:
         raise ValueError(f"the sea has no field {sorted(unknown)[0]!r}; it has {', '.join(FIELDS)}")
     return FIELDS[:-1] if "w" in names else tuple(names)
+
+
+@nb.njit(cache=True, nogil=True, fastmath=True)
+def _product(a, b):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Matrix product on one thread: BLAS would start threads of its own inside each of ours."""
+    out = np.zeros((a.shape[0], b.shape[1]))
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            factor = a[i, k]
+            for j in range(b.shape[1]):
+                out[i, j] += factor * b[k, j]
+    return out
 
 
 class _Layout:
