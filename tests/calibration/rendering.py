@@ -1,11 +1,11 @@
 """Pictures of targets with exact truth; shares no code with the detectors.
 
-Strings are strips blurred by the lens in closed form and integrated over each square pixel (a thin string that
-is blurred only after it was put into pixels could move within its row unseen). Discs and other patterns are
-supersampled and then blurred. The picture is lit and given dirt, photon noise, read noise and 8 bits.
+Strings are strips blurred by the lens in closed form and integrated over each square pixel (a thin string
+that is blurred only after it was put into pixels could move within its row unseen). Discs and other patterns
+are supersampled and then blurred. The picture is lit and given dirt, photon noise, read noise and 8 bits.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -170,3 +170,50 @@ def pattern_picture(camera, inside, picture=Picture(), samples=4):
         out[rows] = inside(x, y).reshape(len(rows), samples, w, samples).mean((1, 3))
     out = cv2.GaussianBlur(out, (0, 0), 2 * picture.blur)
     return expose(out.reshape(h // 2, 2, w // 2, 2).mean((1, 3)), picture)
+
+
+def chessboard(shape, mesh):
+    """Reflectance of a chessboard with shape inner corners, the first at (0, 0), and a white margin."""
+    nx, ny = shape
+
+    def inside(x, y):
+        a, b = np.floor(x / mesh).astype(int), np.floor(y / mesh).astype(int)
+        on = (a >= -1) & (a < nx) & (b >= -1) & (b < ny)
+        return np.where(on & ((a + b) % 2 == 0), 0.0, 1.0)
+
+    return inside
+
+
+def dots(shape, mesh, diameter, bright=False):
+    """Reflectance of a grid of round dots, the first at (0, 0)."""
+    nx, ny = shape
+
+    def inside(x, y):
+        i, j = np.clip(np.rint(x / mesh), 0, nx - 1), np.clip(np.rint(y / mesh), 0, ny - 1)
+        dot = np.hypot(x - i * mesh, y - j * mesh) < diameter / 2
+        return np.where(dot, 1.0, 0.0) if bright else np.where(dot, 0.0, 1.0)
+
+    return inside
+
+
+def charuco(shape, mesh, marker, dictionary=cv2.aruco.DICT_4X4_50):
+    """Reflectance of a ChArUco board; its inner corner at the lower left is (0, 0), y upwards."""
+    nx, ny = shape
+    board = cv2.aruco.CharucoBoard(shape, mesh, marker, cv2.aruco.getPredefinedDictionary(dictionary))
+    scale = 120
+    drawn = board.generateImage((nx * scale, ny * scale), marginSize=0, borderBits=1)
+
+    def inside(x, y):
+        column = np.floor((x / mesh + 1) * scale).astype(int)
+        row = np.floor((ny - 1 - y / mesh) * scale).astype(int)
+        on = (column >= 0) & (column < nx * scale) & (row >= 0) & (row < ny * scale)
+        value = drawn[np.clip(row, 0, ny * scale - 1), np.clip(column, 0, nx * scale - 1)] / 255
+        return np.where(on, value, 1.0)
+
+    return inside
+
+
+def centred(camera, shape, mesh):
+    """The camera moved so that it sees the middle of a grid of nodes where it saw the origin."""
+    middle = np.array([(shape[0] - 1) / 2 * mesh, (shape[1] - 1) / 2 * mesh, 0.0])
+    return replace(camera, translation=camera.T - camera.R @ middle)

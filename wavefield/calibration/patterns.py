@@ -39,12 +39,15 @@ def find_chessboard(image: NDArray[np.float32], target: Target) -> TargetPoints:
     """
     nx, ny = _shape(target)
     small, factor = _searchable(image)
-    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-    found, corners = cv2.findChessboardCornersSB(small, (nx, ny), flags=flags)
-    if not found:
+    # each set of flags misses boards that another finds
+    for flags in (cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE, 0, cv2.CALIB_CB_NORMALIZE_IMAGE):
+        found, corners = cv2.findChessboardCornersSB(small, (nx, ny), flags=flags)
+        if found:
+            break
+    else:
         raise CalibrationError(
-            f"no chessboard with {nx} x {ny} inner corners was found; all of it must be in view, in focus, with "
-            "a white margin around it"
+            f"no chessboard with {nx} x {ny} inner corners was found; all of it must be in view and in focus, "
+            "with a white margin around it"
         )
     pixel = (corners.reshape(-1, 2).astype(float) + 0.5) * factor - 0.5
     node = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), -1).reshape(-1, 2)
@@ -150,8 +153,8 @@ def find_dots(image: NDArray[np.float32], target: Target) -> TargetPoints:
             best = node[fit[0]] - fit[1], pixel[fit[0]], polarity
     if best is None:
         raise CalibrationError(
-            f"no grid of {shape[0]} x {shape[1]} dots was found (the largest regular grid of dots has {most}); all "
-            "of it must be in view and in focus"
+            f"no grid of {shape[0]} x {shape[1]} dots was found (the largest regular grid of dots has {most}); "
+            "all of it must be in view and in focus"
         )
     node, pixel, polarity = best
     span = node.max(0) + 1
@@ -245,7 +248,7 @@ def _first_square_dark(image: NDArray[np.float32], node: Node, pixel: Array, sha
 def _points(
     image: NDArray[np.float32], node: Node, pixel: Array, notes: tuple[str, ...], noise: Array | float = 0.0
 ) -> TargetPoints:
-    """Points with their uncertainty: what noise causes, or the scatter about a smooth map if that is larger."""
+    """Points with their uncertainty: what noise causes, or the scatter about a smooth map if larger."""
     try:
         smooth = SmoothMap(node, pixel, max(1.0, 0.1 * _mesh_length(node, pixel)))
     except ValueError:
@@ -313,7 +316,7 @@ def _window(node: Node, shape: tuple[int, int]) -> tuple[NDArray[np.bool_], Node
             for j in range(node[:, 1].min(), node[:, 1].max() - ny + 2):
                 if all((i + a, j + b) in known for a in range(nx) for b in range(ny)):
                     first = np.array([i, j])
-                    inside = ((node >= first) & (node < first + [nx, ny])).all(1)
+                    inside = ((node >= first) & (node < first + np.array([nx, ny]))).all(1)
                     return (inside, first) if inside.sum() == len(node) else None
     return None
 

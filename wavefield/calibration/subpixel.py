@@ -204,12 +204,12 @@ def _fit_one(image, start, arm1, arm2, blur, band, var0, var1, p, covariance, ar
         for i in range(free):
             step = b[i]
             q = order[i]
-            if q == CX or q == CY:
+            if q in (CX, CY):
                 step = min(max(step, -1.0), 1.0)
                 largest = max(largest, abs(step))
-            elif q == ANGLE1 or q == ANGLE2:
+            elif q in (ANGLE1, ANGLE2):
                 step = min(max(step, -0.1), 0.1)
-            elif q == WIDTH1 or q == WIDTH2:
+            elif q in (WIDTH1, WIDTH2):
                 limit = max(0.5 * abs(p[q]), blur * blur)
                 step = min(max(step, -limit), limit)
             p[q] += step

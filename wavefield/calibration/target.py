@@ -79,7 +79,7 @@ class Target:
             raise CalibrationError(f"a {self.kind} target needs its shape, for example shape: [9, 6]")
         if self.kind == "strings" and (self.origin_mark, self.x_mark) != ("disc", "small disc"):
             raise CalibrationError(
-                "a grid of strings is marked by origin_mark: disc and x_mark: small disc; others are not known"
+                "a grid of strings is marked by origin_mark: disc and x_mark: small disc, and no others"
             )
         if self.diameter is not None:
             object.__setattr__(self, "diameter", _length("diameter", self.diameter))
