@@ -149,7 +149,7 @@ class Plan:
         blocks = np.ceil((hi - lo) / step) + 2 * _MARGIN
         if not (blocks >= _MIN_BLOCKS + 2 * _MARGIN).all():
             raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
-        nx, ny = (int(scipy.fft.next_fast_len(int(n), real=True)) for n in blocks)
+        nx, ny = (int(scipy.fft.next_fast_len(int(n))) for n in blocks)
         centre = 0.5 * (lo + hi)
         x0, y0 = centre - 0.5 * self.pixel * (np.array([nx, ny]) * BLOCK - 1)
         px = x0 + self.pixel * np.arange(nx * BLOCK)
@@ -174,7 +174,7 @@ class Plan:
         }
         # what a block means in metres, per camera: its line of sight
         x, y = np.meshgrid(self.lattice.x, self.lattice.y)
-        self.block_x, self.block_y = x, y
+        self.block_x, self.block_y = x.astype(np.float32), y.astype(np.float32)
         self.stereo = {pair: self._search(pair) for pair in self.pairs}
 
     def energy_of(self, reference: str) -> sparse.csr_array:

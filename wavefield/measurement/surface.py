@@ -16,7 +16,6 @@ from wavefield.matching.uncertainty import std_from_influence
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.rectify import rectify, widen
 from wavefield.measurement.regrid import coefficients, fill, push_pull, read_surface
-from wavefield.rig.stereo import triangulate_pairs
 from wavefield.variables import Quality
 
 Float = NDArray[Any]
@@ -224,24 +223,28 @@ def combine(matches: Sequence[PairMatch]) -> Blocks:
     zeta_b = sum dD . i_b / sum |dD|^2. eps_Y is the like sum across the line of sight,
     sum (dD_y d_x - dD_x d_y) / sum |dD|.
     """
-    counts = np.stack([m.valid for m in matches])
-    parallax = np.stack([m.parallax for m in matches])
-    nan = np.float32(np.nan)
-    difference = np.where(counts[:, None], np.stack([m.difference for m in matches]), nan)
-    z, eps, _ = triangulate_pairs(difference, parallax)
-    length = np.where(counts, np.hypot(parallax[:, 0], parallax[:, 1]), 0.0)
-    valid: Mask = np.any(counts, axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        eps_y = np.sum(length * np.where(counts, eps, 0.0), axis=0) / np.sum(length, axis=0)
-    influence = np.where(counts[:, None], np.stack([m.influence for m in matches]), nan)
-    zeta = np.where(valid, triangulate_pairs(influence, parallax)[0], 0.0).astype(np.float32)
-    std = std_from_influence(zeta, matches[0].settings, field=np.where(valid, z, 0.0).astype(np.float32))
-    rejected = np.zeros(valid.shape, np.uint8)
+    shape = matches[0].eps_y.shape
+    along, across, zeta, square, length = np.zeros((5, *shape), np.float32)
+    rejected = np.zeros(shape, np.uint8)
     for m in matches:
+        counts = m.valid
+        Dx, Dy = m.parallax * counts
+        along += Dx * m.difference[0] + Dy * m.difference[1]
+        zeta += Dx * m.influence[0] + Dy * m.influence[1]
+        own = Dx * Dx + Dy * Dy
+        square += own
+        own = np.sqrt(own)
+        length += own
+        across += own * m.eps_y
         rejected |= m.rejected
+    valid = square > 0
     rejected[valid] = 0
-    z, eps_y = z.astype(np.float32), eps_y.astype(np.float32)
-    return Blocks(z, eps_y, np.where(valid, std, nan).astype(np.float32), valid, rejected)
+    some = np.where(valid, square, np.float32(1.0))
+    z = -along / some
+    std = std_from_influence(zeta / some, matches[0].settings, field=z)
+    nan = np.float32(np.nan)
+    eps_y = np.where(valid, across / np.where(valid, length, np.float32(1.0)), nan)
+    return Blocks(np.where(valid, z, nan), eps_y, np.where(valid, std, nan), valid, rejected)
 
 
 def to_nodes(blocks: Blocks, matches: Sequence[PairMatch], plan: Plan) -> Surface:

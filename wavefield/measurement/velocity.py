@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.matching import Reason
 from wavefield.measurement.plan import Plan, Sight
-from wavefield.measurement.regrid import coefficients, fill, push_pull, read_anchored
+from wavefield.measurement.regrid import coefficients, fill, read_anchored
 from wavefield.rig.stereo import solve_displacement
 from wavefield.variables import Quality
 
@@ -64,13 +64,12 @@ def displacement_at(
         Bits of `Quality`; 0 where measured.
     """
     valid = found.valid
-    fields = np.stack([found.u, found.v], axis=-1)
-    std = np.stack([found.u_std, found.v_std], axis=-1)
+    fields = np.stack([found.u, found.v, found.u_std, found.v_std], axis=-1)
     if not valid.all():
         # what left the image is no hole in it
         wanted = (found.reason & np.uint8(Reason.EDGE | Reason.MASKED)) == 0
         fields = fill(fields, valid, wanted, sight.energy)
-        std = push_pull(std, valid)
+    fields, std = fields[..., :2], np.maximum(fields[..., 2:], np.float32(0))
     d, block = read_anchored(coefficients(fields, sight.response), sight.lattice, X, Y)
     rejected = np.zeros(found.reason.shape, np.uint8)
     neighbours = np.uint8(Reason.NEIGHBOURS | Reason.RANGE)
