@@ -26,8 +26,8 @@ def test_errors_fall_within_the_stated_uncertainty(case, preset):
         for error, std in ((d.u - u, d.u_std), (d.v - v, d.v_std)):
             one.append(np.mean((np.abs(error) < std)[inside]))
             two.append(np.mean((np.abs(error) < 2 * std)[inside]))
-    # large images give 60-78 % and 90-98 %; small ones scatter more, and clean stereo is cautious
-    assert 0.55 < np.mean(one) < 0.9
+    # large images give 60-78 % and 90-98 %; small ones scatter more, and all are cautious on clean images
+    assert 0.55 < np.mean(one) < (0.95 if case == "clean" else 0.85)
     assert 0.86 < np.mean(two)
 
 
