@@ -172,7 +172,7 @@ class _Half:
         # transforms come last: the rest needs room too
         balance = self._balance(fields, first)
         points = fields["w"][:, :: self.apart[0], :: self.apart[1]]
-        return crosses.transforms(fields, NAMES, dy, dx) | {
+        return crosses.transforms(fields, NAMES, self.record.dt, dy, dx) | {
             "sums": sums,
             "balance": balance,
             "points": points.reshape(points.shape[0], -1).copy(),
@@ -189,7 +189,7 @@ class _Half:
             before, after = fields["z_t"][i - 1].astype(float), fields["z_t"][i + 1].astype(float)
             ends = kinematics.frame_elevations(now["z"], before, after, now["z_t"], dt)
             finite = kinematics.finite_residual_on_grid(*ends, now["u"], now["v"], now["w"], dt, dy, dx)
-            terms = kinematics.terms(now, dy, dx)
+            terms = kinematics.terms(now | {"mean": (ends[0] + ends[1]) / 2}, dy, dx)
             values = {
                 "w_rms": now["w"],
                 "z_t_rms": now["z_t"],

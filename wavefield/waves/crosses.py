@@ -25,7 +25,7 @@ SOURCES = {
     "u": ("u",),
     "v": ("v",),
     "w": ("w",),
-    "nl": ("z", "u", "v"),
+    "nl": ("z", "z_t", "u", "v"),
 }
 UNITS = {"z": "m"} | dict.fromkeys(("z_t", "u", "v", "w", "nl"), "m s-1")
 LONG_NAMES = {
@@ -45,7 +45,7 @@ def sources(names: Sequence[str]) -> list[str]:
 
 
 def transforms(
-    fields: dict[str, np.ndarray], names: Sequence[str], dy: float, dx: float
+    fields: dict[str, np.ndarray], names: Sequence[str], dt: float, dy: float, dx: float
 ) -> dict[str, np.ndarray]:
     """Transform a half segment in space.
 
@@ -55,8 +55,8 @@ def transforms(
         Fields of the cube.
     names : sequence of str
         Spectral names.
-    dy, dx : float
-        Distance between nodes, m.
+    dt, dy, dx : float
+        Distances, s and m.
 
     Returns
     -------
@@ -66,7 +66,9 @@ def transforms(
     out = {}
     for name in names:
         if name == "nl":
-            z_y, z_x = kinematics.slopes(fields["z"], dy, dx)
+            mean = kinematics.two_frame_mean(fields["z"], fields["z_t"], dt)
+            z_y, z_x = kinematics.slopes(mean, dy, dx)
+            del mean
             z_x *= fields["u"]
             z_y *= fields["v"]
             z_x += z_y
@@ -248,7 +250,7 @@ def lazy_cross_spectra(
     table = spectra.ring_table(record)
 
     def make(*blocks: np.ndarray, first: int) -> dict[str, np.ndarray]:
-        return transforms(dict(zip(fields, blocks)), names, record.dy, record.dx)
+        return transforms(dict(zip(fields, blocks)), names, record.dt, record.dy, record.dx)
 
     runs = segments.half_segments([cube[field] for field in fields], record, segment // 2, make)
     task = dask.delayed(combine, pure=False)

@@ -41,7 +41,7 @@ def _white(noise: np.ndarray, signal: np.ndarray, use: np.ndarray) -> float:
 
 def _reach(omega: np.ndarray, valid: np.ndarray, signal: np.ndarray) -> tuple[float, float]:
     # up to where, from the peak on, a road is valid; and how far below the peak that is, in decades
-    peak = int(np.nanargmax(signal))
+    peak = int(np.argmax(np.nan_to_num(signal)))
     index = peak
     while index + 1 < omega.size and valid[index + 1]:
         index += 1
@@ -92,7 +92,7 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf) -> xr.Dataset:
     fit_z = np.full(omega.size, _white(noise_z, signal, use))
     shape = 4 * np.sin(b) ** 2
     displacement = _white(noise_w * shape, signal * shape, use)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         fit_w = np.where(omega > 0, displacement / shape, np.inf)
 
     tiny = 1e-30 * max(float(zz.max()), 1e-300)

@@ -48,7 +48,7 @@ def terms(fields: Mapping[str, np.ndarray], dy: float, dx: float) -> dict[str, n
     Parameters
     ----------
     fields : mapping of str to ndarray, (..., ny, nx)
-        z, z_t, u, v, w at mid-time, m and m/s.
+        z, z_t, u, v, w at mid-time, m and m/s; ``mean``, the mean elevation of the step's two frames, m.
     dy, dx : float
         Distance between nodes, m.
 
@@ -58,13 +58,46 @@ def terms(fields: Mapping[str, np.ndarray], dy: float, dx: float) -> dict[str, n
         ``z_x``, ``z_y``, ``nonlinear``, ``residual``, ``vorticity``, ``divergence``.
     """
     shape = fields["z"].shape
-    z, z_t, u, v, w = (np.ascontiguousarray(fields[name]).reshape(-1, *shape[-2:]) for name in _NAMES)
+    names = (*_NAMES, "mean")
+    z, z_t, u, v, w, mean = (np.ascontiguousarray(fields[name]).reshape(-1, *shape[-2:]) for name in names)
     z_y, z_x = slopes(z, dy, dx)
+    mean_y, mean_x = slopes(mean, dy, dx)
     u_y, u_x = slopes(u, dy, dx)
     v_y, v_x = slopes(v, dy, dx)
-    nonlinear = u * z_x + v * z_y
+    nonlinear = u * mean_x + v * mean_y
     out = (z_x, z_y, nonlinear, z_t - w + nonlinear, v_x - u_y, u_x + v_y)
     return {name: array.reshape(shape) for name, array in zip(_OUTPUTS, out)}
+
+
+def two_frame_mean(z: np.ndarray, z_t: np.ndarray, dt: float) -> np.ndarray:
+    """Mean elevation of the two frames of each step of a run, without needing steps outside the run.
+
+    Parameters
+    ----------
+    z, z_t : ndarray, (steps, ...)
+        Elevation at mid-time from four frames, m, and rate of rise, m/s.
+    dt : float
+        Time between frames, s.
+
+    Returns
+    -------
+    ndarray, (steps, ...)
+        (z_0 + z_1) / 2, m; with fewer than three steps z itself.
+
+    Notes
+    -----
+    As `frame_elevations`; the first and last step follow from their neighbour by z_t.
+    """
+    if z.shape[0] < 3:
+        return z
+    real = z.dtype.type
+    out = np.empty_like(z)
+    np.subtract(z_t[2:], z_t[:-2], out=out[1:-1])
+    out[1:-1] *= real(dt / 16)
+    out[1:-1] += z[1:-1]
+    out[0] = out[1] - real(dt / 2) * (z_t[0] + z_t[1])
+    out[-1] = out[-2] + real(dt / 2) * (z_t[-2] + z_t[-1])
+    return out
 
 
 _OUTPUTS = {
@@ -98,20 +131,30 @@ def kinematics(cube: xr.Dataset) -> xr.Dataset:
 
     Notes
     -----
-    Central differences of sixth order, of lower order in the three rows at each edge. Vorticity and divergence
-    are those of the surface water's horizontal velocity as a function of (x, y).
+    Central differences of sixth order, of lower order in the three rows at each edge. The slope in the nonlinear
+    term is that of the mean of the step's two frames, which z and z_t give exactly: with displacements over dt this
+    leaves a third of the error that the slope at mid-time leaves (3 % of the nonlinear term for waves of 1 to 5 Hz
+    at 20 Hz). Vorticity and divergence are those of the surface water's horizontal velocity as a function of (x, y).
     """
     _need(cube)
-    _, dy, dx = check_axes(cube)
+    dt, dy, dx = check_axes(cube)
+    names = (*_NAMES, "mean")
 
     def compute(*fields: np.ndarray) -> tuple[np.ndarray, ...]:
-        return tuple(terms(dict(zip(_NAMES, fields)), dy, dx).values())
+        return tuple(terms(dict(zip(names, fields)), dy, dx).values())
 
     fields = [cube[name].transpose("time", "y", "x") for name in _NAMES]
+    z, z_t = fields[0], fields[1]
+    after, before = z_t.shift(time=-1), z_t.shift(time=1)
+    mean = z + (dt / 16) * (after - before)
+    # at the ends of the record from the neighbour
+    mean = mean.fillna(mean.shift(time=-1) - (dt / 2) * (z_t + after))
+    mean = mean.fillna(mean.shift(time=1) + (dt / 2) * (z_t + before)).fillna(z)
+    fields.append(mean.astype(z.dtype))
     results = xr.apply_ufunc(
         compute,
         *fields,
-        input_core_dims=[["y", "x"]] * len(_NAMES),
+        input_core_dims=[["y", "x"]] * len(names),
         output_core_dims=[["y", "x"]] * len(_OUTPUTS),
         dask="parallelized",
         output_dtypes=[fields[0].dtype] * len(_OUTPUTS),

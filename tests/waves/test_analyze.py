@@ -1,0 +1,223 @@
+import importlib
+import re
+
+import numpy as np
+import pytest
+import xarray as xr
+from waves_cases import PeriodicSea, linear_cube, random_waves
+
+import wavefield.waves as wv
+from wavefield.errors import CubeError, ExperimentError, StoreError
+
+module = importlib.import_module("wavefield.waves.analyze")
+
+
+@pytest.fixture(scope="module")
+def sea():
+    cube = linear_cube(random_waves(n=150), 400, 40, 50, dx=0.02, noise_z=0.0003, noise_dz=0.0002)
+    rng = np.random.default_rng(0)
+    errors = 0.3 * rng.standard_normal(cube.z.shape)
+    return cube.assign(eps_piv=(cube.z.dims, errors.astype("f4")), eps_y=(cube.z.dims, 0.001 * errors))
+
+
+@pytest.fixture(scope="module")
+def probes(tmp_path_factory):
+    """Two probes at 100 Hz in the same sea."""
+    path = tmp_path_factory.mktemp("probes") / "probes.csv"
+    waves = random_waves(n=150)
+    t = np.arange(-100, 2200) * 0.01
+    z = [waves.on_grid(t, [y], [x], "z")["z"].ravel() for x, y in ((0.2, 0.3), (0.9, 0.5))]
+    lines = ["# positions in metres", "# p1 0.2 0.3", "# p2 0.9 0.5", "time,p1,p2"]
+    lines += [f"{a:.4f},{b:.6f},{c:.6f}" for a, b, c in zip(t, *z)]
+    path.write_text("\n".join(lines))
+    return path
+
+
+@pytest.fixture(scope="module")
+def store(sea, probes, tmp_path_factory):
+    path = tmp_path_factory.mktemp("waves") / "waves.zarr"
+    calls = []
+    wv.analyze(sea, path, probes=probes, pixel_size=0.0018, progress=lambda *at: calls.append(at))
+    assert calls
+    assert calls[-1][0] == calls[-1][1]
+    return xr.open_datatree(path, engine="zarr")
+
+
+def test_the_store_holds_what_its_description_says(store):
+    text = module.__doc__
+    parts = re.split(r"^``/(\w+)``$", text, flags=re.M)
+    for group, body in zip(parts[1::2], parts[2::2]):
+        dataset = store[group].to_dataset()
+        for name in re.findall(r"``(\w+)``", body):
+            if "..." in name or name in ("valid_stereo",):
+                continue
+            known = name in dataset.variables or any(str(v).startswith(name) for v in dataset.variables)
+            assert known or name in ("pixel_size", "finite", "_komega"), f"{group}: {name}"
+
+
+def test_every_variable_says_its_unit_and_meaning(store):
+    for group in store.children.values():
+        for name, variable in group.to_dataset().data_vars.items():
+            assert variable.attrs.get("units"), f"{group.name}: {name}"
+            assert variable.attrs.get("long_name"), f"{group.name}: {name}"
+
+
+def test_every_spectrum_has_its_interval(store):
+    spectra = store["spectra"].to_dataset()
+    for name in spectra.data_vars:
+        if name.startswith("Ez_") and name != "Ez_probe":
+            assert f"dof_{name[3:]}" in spectra
+            assert f"valid_{name[3:]}" in spectra
+        elif name.startswith("E_komega"):
+            assert "dof_komega" in spectra
+        elif name.startswith("E_") and "kxky" not in name:
+            assert {f"dof_{name}", f"low_{name}", f"high_{name}"} <= set(spectra.data_vars)
+
+
+def test_its_spectra_are_those_of_the_functions(sea, store):
+    segment = store.attrs["segment"]
+    single = wv.komega(sea.w, segment=segment).E
+    np.testing.assert_allclose(store["spectra"].E_komega_w, single, rtol=1e-6)
+    C = wv.coherence(sea, segment=segment)
+    np.testing.assert_allclose(store["coherence"].C_w, C.C_w, rtol=1e-9)
+    full = wv.spectrum(sea.w, segment=segment).E
+    lines = store["spectra"].omega_map.values
+    np.testing.assert_allclose(store["spectra"].E_kxky_w, full.sel(omega=lines, method="nearest"), rtol=1e-5)
+
+
+def test_the_probes_agree_with_the_cube(store):
+    spectra = store["spectra"].to_dataset()
+    band = spectra.valid_stereo & spectra.valid_probes & (spectra.frequency > 1) & (spectra.frequency < 3.5)
+    ratio = np.log((spectra.Ez_probes / spectra.Ez_fusion).where(band))
+    assert abs(float(ratio.mean())) < 0.35  # two points of a sea, 20 s
+    total = [float(spectra[f"Ez_{road}"].where(band).sum()) for road in ("probes", "stereo")]
+    assert total[0] == pytest.approx(total[1], rel=0.5)
+    assert list(spectra.probe.values) == ["p1", "p2"]
+    assert float(spectra.probe_x[1]) == 0.9
+
+
+def test_the_statistics_know_pixels_and_errors(store, sea):
+    statistics = store["statistics"].to_dataset()
+    np.testing.assert_allclose(statistics.std_px, statistics["std"] / 0.0018)
+    assert float(statistics.eps_piv_rms) == pytest.approx(0.3, rel=0.01)
+    assert float(statistics.significant_height) == pytest.approx(4 * float(sea.z.std()), rel=0.02)
+
+
+def test_chunks_do_not_matter(sea, store):
+    other = wv.analyze(sea.chunk({"time": 23, "y": 17, "x": 50}), segment=store.attrs["segment"], pixel_size=0.0018)
+    for name in ("spectra", "coherence", "statistics", "dispersion", "fusion", "direction", "higher_order"):
+        got, expected = other[name].to_dataset(), store[name].to_dataset()
+        for variable in got.data_vars:
+            np.testing.assert_array_equal(got[variable], expected[variable], err_msg=f"{name}: {variable}")
+
+
+def test_a_cube_in_a_store_is_read_piece_by_piece(sea, store, tmp_path):
+    path = tmp_path / "cube.zarr"
+    sea.chunk({"time": 50}).to_zarr(path, consolidated=False)
+    out = wv.analyze(path, tmp_path / "waves.zarr", segment=store.attrs["segment"])
+    np.testing.assert_array_equal(out["spectra"].E_komega_z, store["spectra"].E_komega_z)
+    wv.analyze(path, tmp_path / "waves.zarr", segment=100)  # replaces the first
+    assert xr.open_datatree(tmp_path / "waves.zarr", engine="zarr").attrs["segment"] == 100
+    assert not list(tmp_path.glob(".*partial"))
+
+
+@pytest.mark.parametrize("steps", [8, 12, 40, 41, 90])
+def test_a_short_record_is_analysed_and_says_how_little_it_knows(steps):
+    short = linear_cube(random_waves(n=60), steps, 30, 40, dx=0.02)
+    out = wv.analyze(short)
+    assert "degrees of freedom" in out.attrs["notes"]
+    assert out.attrs["degrees_of_freedom"] >= 2
+    E = out["spectra"].E_w
+    assert float(E.sum()) > 0
+
+
+def test_gaps_edges_and_unknown_depth_are_said(sea):
+    spoiled = sea.copy(deep=True)
+    spoiled["z"][100:102] = np.nan
+    spoiled["w"][:, :3] = np.nan
+    spoiled["u"][300:320] = np.nan
+    del spoiled.attrs["water_depth"]
+    out = wv.analyze(spoiled, segment=64)
+    notes = out.attrs["notes"]
+    assert "2 missing steps in short gaps were bridged" in notes
+    assert "Of 40 x 50 nodes (y, x) the largest full rectangle was used, 37 x 50" in notes
+    assert "deep water was assumed" in notes
+    assert out.attrs["runs"] == 2
+    assert out.attrs["water_depth"] == "deep"
+    assert np.isfinite(out["spectra"].E_komega_w).all()
+
+
+def test_still_water_does_not_break_it():
+    still = linear_cube(random_waves(n=5), 64, 20, 24, dx=0.02) * 0
+    out = wv.analyze(still)
+    assert "No ridge was fitted" in out.attrs["notes"]
+
+
+def test_what_cannot_be_analysed_is_said_in_one_sentence(sea, probes, tmp_path):
+    with pytest.raises(CubeError, match="no 'z_t'"):
+        wv.analyze(sea.drop_vars("z_t"))
+    with pytest.raises(CubeError, match="less than one segment of 512"):
+        wv.analyze(sea, segment=512)
+    with pytest.raises(StoreError, match="cannot be read as a cube"):
+        wv.analyze(tmp_path / "nothing.zarr")
+    late = sea.assign_coords(time=sea.time + 1000.0)
+    with pytest.raises(CubeError, match="share less than one segment"):
+        wv.analyze(late, probes=probes)
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(StoreError, match="cannot write"):
+        wv.analyze(sea.isel(time=slice(0, 40)), blocked / "waves.zarr")
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("t,p1\n0,1\n", "no header"),
+        ("", "no header"),
+        ("time,p1\n0,one\n", "something else than numbers"),
+        ("time,p1,p2\n0,1\n1,2\n", "3 numbers in every line"),
+    ],
+)
+def test_a_spoiled_probe_file_is_named(tmp_path, text, sentence):
+    path = tmp_path / "probes.csv"
+    path.write_text(text)
+    with pytest.raises(ExperimentError, match=sentence):
+        wv.read_probes(path)
+    with pytest.raises(ExperimentError, match="cannot read the probes"):
+        wv.read_probes(tmp_path / "none.csv")
+
+
+def test_probes_at_their_own_rate_hold_the_variance():
+    rng = np.random.default_rng(3)
+    t = np.arange(0, 200, 1 / 75)
+    values = 0.01 * rng.standard_normal((2, t.size))
+    data = xr.Dataset(
+        {"elevation": (("probe", "time"), values)},
+        {"time": t, "probe": ["a", "b"], "probe_x": ("probe", [0.0, 1.0]), "probe_y": ("probe", [0.0, 1.0])},
+    )
+    omega = 2 * np.pi * np.arange(129) / (256 * 0.05)
+    out = wv.probe_spectra(data, xr.DataArray(omega, {"omega": omega}, ("omega",)), (0.0, 200.0))
+    level = 1e-4 / (np.pi * 75)
+    inside = out.isel(omega=slice(3, -1))
+    assert float(inside.Ez_probes.mean()) == pytest.approx(level, rel=0.03)
+    held = (inside.Ez_probes * inside.low_probes < level) & (inside.Ez_probes * inside.high_probes > level)
+    assert 0.88 < float(held.mean()) <= 1
+
+
+def test_memory_stays_bounded_by_the_segment(tmp_path):
+    """The array memory of a pass does not grow with the record."""
+    import tracemalloc
+
+    peaks = []
+    for steps in (256, 1024):
+        cube = PeriodicSea(n=64).cube(steps, 40, 48).drop_vars("exact")
+        path = tmp_path / f"{steps}.zarr"
+        cube.chunk({"time": 32}).to_zarr(path, consolidated=False)
+        stored = xr.open_zarr(path, consolidated=False)
+        record = wv.whole_record(stored)
+        wv.komega(stored.w, segment=64, record=record).compute()
+        tracemalloc.start()
+        wv.komega(stored.w, segment=64, record=record).compute(scheduler="synchronous")
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.5 * peaks[0]
