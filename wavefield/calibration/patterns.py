@@ -46,8 +46,8 @@ def find_chessboard(image: NDArray[np.float32], target: Target) -> TargetPoints:
             break
     else:
         raise CalibrationError(
-            f"no chessboard with {nx} x {ny} inner corners was found; all of it must be in view and in focus, "
-            "with a white margin around it"
+            f"no chessboard with {nx} x {ny} inner corners was found; all of it must be in view and "
+            "in focus, with a white margin around it"
         )
     pixel = (corners.reshape(-1, 2).astype(float) + 0.5) * factor - 0.5
     node = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), -1).reshape(-1, 2)
@@ -153,7 +153,7 @@ def find_dots(image: NDArray[np.float32], target: Target) -> TargetPoints:
             best = node[fit[0]] - fit[1], pixel[fit[0]], polarity
     if best is None:
         raise CalibrationError(
-            f"no grid of {shape[0]} x {shape[1]} dots was found (the largest regular grid of dots has {most}); "
+            f"no grid of {shape[0]} x {shape[1]} dots was found (the largest regular grid has {most}); "
             "all of it must be in view and in focus"
         )
     node, pixel, polarity = best
@@ -351,13 +351,12 @@ def _centroids(image: NDArray[np.float32], node: Node, pixel: Array) -> tuple[Ar
     for k, (gx, gy, value) in enumerate(windows):
         ground, contrast = lit(gx.astype(float), gy.astype(float))
         share = (value - ground) / contrast
-        share -= np.median(share[share < 0.25]) if (share < 0.25).any() else 0.0
-        dot = (
-            cv2.dilate(_raster(gx, gy, share > 0.25), np.ones((7, 7), np.uint8))[
-                gy - gy.min() + 4, gx - gx.min() + 4
-            ]
-            > 0
-        )
+        outside = share < 0.25
+        if outside.sum() > 20:  # what light leaves uneven around this dot
+            plane = np.stack([np.ones(len(gx)), gx - pixel[k, 0], gy - pixel[k, 1]], -1)
+            share = share - plane @ np.linalg.lstsq(plane[outside], share[outside], rcond=None)[0]
+        wide = cv2.dilate(_raster(gx, gy, share > 0.25), np.ones((7, 7), np.uint8))
+        dot = wide[gy - gy.min() + 4, gx - gx.min() + 4] > 0
         grain = 1.4826 * np.median(np.abs(share[~dot])) if (~dot).sum() > 20 else 0.02
         gx, gy, share = gx[dot].astype(float), gy[dot].astype(float), share[dot]
         centre[k] = np.array([gx @ share, gy @ share]) / share.sum()
