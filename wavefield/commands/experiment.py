@@ -95,8 +95,8 @@ Example:
 def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
     """Mend and level a rig from water at rest.
 
-    EXPERIMENT is a record of still, seeded water. Says whether a camera has moved since the calibration, turns
-    it back so that sight lines meet, brings z = 0 to the water's plane, and writes the new rig.
+    EXPERIMENT is a record of still, seeded water. Says whether a camera has moved since the calibration,
+    turns it back so that sight lines meet, brings z = 0 to the water's plane, and writes the new rig.
     """
     from wavefield.calibration.rest import refine_and_level
     from wavefield.commands.matches import matched_pixels, spread

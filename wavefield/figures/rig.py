@@ -65,7 +65,7 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
     for ax in axes[0]:
         ax.grid(True, color="0.9", linewidth=0.7)
     figure.legend(loc="outside lower center", ncols=len(rig) + 2, frameon=False, fontsize=9)
-    figure.get_layout_engine().set(h_pad=0.15)
+    figure.set_layout_engine("constrained", h_pad=0.15)
     return figure
 
 

@@ -1,0 +1,179 @@
+"""From a scene to a report by the commands alone, as a user would, on a small tank."""
+
+import re
+
+import numpy as np
+import pytest
+import yaml
+
+from wavefield.cli import main
+from wavefield.demo import comparison, inside
+
+SCENE = {
+    "name": "puddle",
+    "frames": 18,
+    "rig": {"crop": 0.3},
+    "grid": {"x": [-0.24, 0.24], "y": [-0.18, 0.18], "step": 0.01},
+    "sea": {
+        "kind": "random",
+        "rms": 0.01,
+        "spectrum": {"kind": "power", "peak": 1.2, "exponent": 7},
+        "shortest": 0.08,
+        "period": 2.0,
+    },
+    "calibration": {
+        "target": {"kind": "strings", "mesh": 0.04, "origin_disc": 0.02, "x_disc": 0.013, "half": 10},
+        "tilted": 4,
+    },
+}
+WORKFLOW = {"cluster": "none"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Everything that the commands leave behind."""
+    here = tmp_path_factory.mktemp("puddle")
+    (here / "scene.yaml").write_text(yaml.safe_dump(SCENE))
+    (here / "workflow.yaml").write_text(yaml.safe_dump(WORKFLOW))
+    tank = here / "tank"
+    experiment = str(tank / "experiment.yaml")
+    for words in (
+        ["simulate", str(here / "scene.yaml"), str(tank)],
+        ["calibrate", experiment],
+        ["check", experiment, "--workflow", str(here / "workflow.yaml")],
+        ["run", experiment, "--workflow", str(here / "workflow.yaml")],
+        ["analyze", str(tank / "cube.zarr")],
+        ["report", str(tank / "cube.zarr")],
+    ):
+        assert main(["-q", *words]) == 0, f"wavefield {' '.join(words)}"
+    return tank
+
+
+def test_errors_are_below_the_papers(folder):
+    table = comparison(folder / "cube.zarr", folder)
+    found = {m[1]: float(m[3]) for m in re.finditer(r"^\s+(z|[uvw] dt)\s+([\d.]+)\s+([\d.]+)", table, re.M)}
+    assert set(found) == {"z", "u dt", "v dt", "w dt"}
+    assert max(found.values()) < 0.13, table
+    assert "100.0 % of these nodes" in table
+
+
+def test_report_has_every_part(folder):
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    for anchor in (
+        "summary",
+        "set-up",
+        "surface-and-velocity",
+        "distributions",
+        "spectra",
+        "nonlinear-term-and-coherence",
+        "accuracy",
+        "coverage-and-faults",
+        "calibration",
+        "recipe",
+    ):
+        assert f'<section id="{anchor}">' in text
+    assert "Not in this report" not in text
+    assert len(text) < 15e6
+    for words in (
+        "Against the exact fields",
+        "probes, stereo",
+        "each pair of cameras on its own",
+        "nodes found",
+    ):
+        assert words in text
+
+
+def test_run_again_measures_nothing_and_status_agrees(folder, capsys):
+    before = (folder / "cube.zarr" / "zarr.json").stat().st_mtime_ns
+    workflow = str(folder.parent / "workflow.yaml")
+    assert main(["-q", "run", str(folder / "experiment.yaml"), "--workflow", workflow]) == 0
+    assert (folder / "cube.zarr" / "zarr.json").stat().st_mtime_ns == before
+    assert main(["status", str(folder / "cube.zarr")]) == 0
+    assert "17 of 17 steps (100 %)" in capsys.readouterr().out
+
+
+def test_check_says_that_no_camera_has_moved(folder, capsys):
+    workflow = str(folder.parent / "workflow.yaml")
+    assert main(["-q", "check", str(folder / "experiment.yaml"), "--workflow", workflow]) == 0
+    assert "no camera has moved" in capsys.readouterr().out
+
+
+def test_check_of_what_cannot_run_is_status_1(folder, tmp_path, capsys):
+    data = yaml.safe_load((folder / "experiment.yaml").read_text())
+    data["rig"] = "nowhere.yaml"
+    data["folder"] = str(folder)
+    (tmp_path / "experiment.yaml").write_text(yaml.safe_dump(data))
+    assert main(["-q", "check", str(tmp_path / "experiment.yaml")]) == 1
+    assert "not ready" in capsys.readouterr().out
+
+
+def test_calibration_without_images_names_what_is_missing(folder, tmp_path, capsys):
+    data = yaml.safe_load((folder / "experiment.yaml").read_text())
+    data["calibration"]["tilted"] = "calib/{camera}/lost_*.tif"
+    del data["calibration"]["flat"]
+    data["folder"] = str(folder)
+    (tmp_path / "experiment.yaml").write_text(yaml.safe_dump(data))
+    assert main(["-q", "calibrate", str(tmp_path / "experiment.yaml")]) == 1
+    assert "no target image of cam1" in capsys.readouterr().err
+    del data["calibration"]
+    (tmp_path / "experiment.yaml").write_text(yaml.safe_dump(data))
+    assert main(["-q", "calibrate", str(tmp_path / "experiment.yaml")]) == 1
+    assert "no calibration block" in capsys.readouterr().err
+
+
+def test_export_writes_netcdf(folder, tmp_path):
+    import xarray as xr
+
+    assert main(["-q", "export", str(folder / "cube.zarr"), str(tmp_path / "cube.nc")]) == 0
+    with xr.open_dataset(tmp_path / "cube.nc", engine="h5netcdf") as back:
+        assert set("zuvw") <= set(back.data_vars)
+
+
+def test_catalog_takes_the_experiment(folder, tmp_path, capsys):
+    catalog = str(tmp_path / "campaign.yaml")
+    assert main(["catalog", "add", catalog, str(folder / "experiment.yaml")]) == 0
+    assert "puddle" in capsys.readouterr().out
+    assert main(["-q", "run", catalog, "nobody"]) == 1
+    assert "nobody" in capsys.readouterr().err
+
+
+def test_poses_are_named_alike_in_all_cameras(tmp_path):
+    from wavefield.commands.targets import find_views
+    from wavefield.series import Experiment
+
+    for camera in ("left", "right"):
+        for pose in (1, 2):
+            for name in (
+                f"boards/pose{pose}_{camera}.png",
+                f"cal_{camera}/a{pose}.png",
+                f"{camera}/img_0.tif",
+            ):
+                (tmp_path / name).parent.mkdir(exist_ok=True)
+                (tmp_path / name).touch()
+        (tmp_path / f"cal_{camera}/a_flat.png").touch()
+    note = {
+        "name": "poses",
+        "frame_rate": 10,
+        "cameras": {"left": "left/*.tif", "right": "right/*.tif"},
+        "calibration": {"target": {"kind": "strings", "mesh": 0.1}, "tilted": "boards/pose*_{camera}.png"},
+    }
+    for tilted, flat, poses in (
+        ("boards/pose*_{camera}.png", None, {"pose1", "pose2"}),
+        ("cal_{camera}/a*.png", "cal_{camera}/a_flat.png", {"a1", "a2", "flat"}),
+    ):
+        note["calibration"] |= {"tilted": tilted} | ({"flat": flat} if flat else {})
+        (tmp_path / "experiment.yaml").write_text(yaml.safe_dump(note))
+        views = find_views(Experiment.load(tmp_path / "experiment.yaml"))
+        assert {camera: set(found) for camera, found in views.items()} == {"left": poses, "right": poses}
+
+
+def test_margin_leaves_out_the_edge_of_what_was_measured():
+    import xarray as xr
+
+    z = np.full((2, 20, 30), np.nan)
+    z[:, 2:-2, 3:-3] = 0.0
+    errors = xr.Dataset(
+        {"z": (("time", "y", "x"), z)}, {"x": 0.01 * np.arange(30), "y": 0.01 * np.arange(20)}
+    )
+    kept = np.isfinite(inside(errors, 0.04).z.isel(time=0).values)
+    assert kept.sum() == (20 - 4 - 8) * (30 - 6 - 8)
