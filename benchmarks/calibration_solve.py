@@ -289,7 +289,7 @@ def chessboard():
                 print(f"    {path.name}: {error}")
             if side == "left":  # as the published value was made: window of 11 px
                 image = read_image(path)
-                ok, corners = cv2.findChessboardCorners(image, (9, 6))
+                _, corners = cv2.findChessboardCorners(image, (9, 6))
                 corners = cv2.cornerSubPix(image, corners, (11, 11), (-1, -1), (3, 50, 1e-3))
                 node = np.array([(i % 9, i // 9) for i in range(54)])
                 wide[path.stem[-2:]] = TargetPoints(
@@ -301,9 +301,7 @@ def chessboard():
     k = found.fit.layout.names.index("left f")
     std = left.fx * np.sqrt(found.fit.covariance[k, k])
     rms = np.sqrt(np.mean(found.fit.residual**2))
-    print(
-        f"    chessboards: left focal length {left.fx:.2f} +- {std:.2f} px, baseline {base:.2f} mm, rms {rms:.3f} px"
-    )
+    print(f"    chessboards: left f {left.fx:.2f} +- {std:.2f} px, baseline {base:.2f} mm, rms {rms:.3f} px")
     row(
         "real chessboards, left focal length less 535.9",
         1.0,

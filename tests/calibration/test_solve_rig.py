@@ -220,6 +220,38 @@ def test_a_view_counted_from_another_node_is_left_out(good, rig):
     assert reprojection(found.rig, rig) < 0.005
 
 
+def test_a_target_that_moved_before_one_cameras_shot_is_left_out_there(good, rig):
+    moved = views(where={**poses(), "flat": (np.eye(3), np.array([0.02, 0.0, 0.0]))})["cam3"]["flat"]
+    found = calibrate(swapped(good, "cam3", "flat", moved), MESH, model=FAST)
+    assert found.usable
+    assert found.left_out["cam3 flat"] == len(moved)
+    assert "cam1 flat" not in found.left_out
+    assert reprojection(found.rig, rig) < 0.005
+
+
+def test_points_that_are_no_numbers_are_left_out(good, rig):
+    v = good["cam1"]["flat"]
+    pixel = v.pixel.copy()
+    pixel[::10] = np.nan
+    found = calibrate(swapped(good, "cam1", "flat", replace(v, pixel=pixel, std=0 * v.std)), MESH, model=FAST)
+    assert found.usable
+    assert reprojection(found.rig, rig) < 0.005
+
+
+def test_a_view_of_something_else_is_left_out(good):
+    v = good["cam2"]["tilt_1"]
+    noise = replace(v, pixel=np.random.default_rng(0).uniform(0, 1000, v.pixel.shape))
+    found = calibrate(swapped(good, "cam2", "tilt_1", noise), MESH, model=FAST)
+    assert found.usable
+    assert any("cam2 tilt_1: its points are no plane grid" in note for note in found.notes)
+
+
+def test_views_in_another_order_are_told(good):
+    other = dict(zip(good["cam2"], list(good["cam2"].values())[::-1]))
+    found = calibrate({**good, "cam2": other}, MESH, model=FAST)
+    assert "cam2 saw the target move differently from cam1 and cam3" in the_problem(found)
+
+
 def test_a_blurred_view_is_left_out(good, rig):
     v = good["cam3"]["tilt_0"]
     blur = replace(v, pixel=v.pixel + np.random.default_rng(1).normal(size=v.pixel.shape))

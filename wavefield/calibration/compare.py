@@ -12,8 +12,9 @@ import numpy as np
 from wavefield.calibration.start import Alone, angle_between, mean_rotation
 from wavefield.rig.camera import Array
 
-ANGLE = 1.5  # degrees: twenty times what sound views differ by, a tenth of what a wrong one does
-SHIFT = 0.4  # of a mesh
+# what a view may differ by: five times the median of all views, within these limits
+ANGLE = 0.3, 1.5  # degrees; sound views differ by hundredths, wrong ones by 3 and more
+SHIFT = 0.1, 0.4  # of a mesh; a view counted from another node is off by a whole one
 
 
 @dataclass
@@ -100,25 +101,23 @@ def compare(cameras: Mapping[str, Alone], mesh: float) -> Agreement:
             middle = common[poses[_medoid([common[p][0] for p in poses])]]
             shift = np.median([t for _, t in common.values()], axis=0)
             # translations of oblique views scatter along the sight line: judge them where the target is
-            off = {
-                p: max(
-                    angle_between(R, middle[0]) / ANGLE,
-                    float(np.linalg.norm(_at_target(cameras[a], cameras[b], p, middle[0], shift)))
-                    / (SHIFT * mesh),
-                )
-                for p, (R, t) in common.items()
+            angle = {p: angle_between(common[p][0], middle[0]) for p in poses}
+            away = {
+                p: float(np.linalg.norm(_at_target(cameras[a], cameras[b], p, middle[0], shift))) / mesh
+                for p in poses
             }
+            off = {p: max(angle[p] / _limit(angle, ANGLE), away[p] / _limit(away, SHIFT)) for p in poses}
             good = [p for p in poses if off[p] <= 1.0]
             if len(good) > len(poses) / 2 or (len(good) >= 2 and len(poses) <= 4):
                 agrees[a].append(b)
                 agrees[b].append(a)
-                found.angle[a, b] = max(angle_between(common[p][0], middle[0]) for p in good)
+                found.angle[a, b] = max(angle[p] for p in good)
                 for p in poses:
                     for name in (a, b):
                         asked[name, p] = asked.get((name, p), 0) + 1
                         bad[name, p] = bad.get((name, p), 0) + (p not in good)
             else:
-                found.angle[a, b] = float(np.median([angle_between(common[p][0], middle[0]) for p in poses]))
+                found.angle[a, b] = float(np.median(list(angle.values())))
     found.alone = [name for name in names if not partners[name]] if len(names) > 1 else []
     # the largest company is right; who agrees with none of it is wrong
     company = max((_company(name, agrees) for name in names), key=len, default=[])
@@ -132,6 +131,10 @@ def compare(cameras: Mapping[str, Alone], mesh: float) -> Agreement:
             ):
                 found.wrong_views.append((name, pose))
     return found
+
+
+def _limit(differences: Mapping[str, float], bounds: tuple[float, float]) -> float:
+    return float(np.clip(5.0 * np.median(list(differences.values())), *bounds))
 
 
 def _company(name: str, agrees: Mapping[str, list[str]]) -> list[str]:

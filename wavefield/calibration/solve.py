@@ -237,7 +237,8 @@ def _sound_views(
                 f"the images of {name} have different sizes, most {common[0]} x {common[1]}, but "
                 f"{', '.join(odd)}: take all views with the same settings of the camera"
             )
-        for pose, points in of_camera.items():
+        for pose, given in of_camera.items():
+            points = _finite(given)
             if len(sizes) > 1 and tuple(points.size) != common:
                 left_out[f"{name} {pose}"] = len(points)
                 continue
@@ -252,6 +253,17 @@ def _sound_views(
     if not views:
         problems.append("there are no views of the target")
     return good
+
+
+def _finite(points: TargetPoints) -> TargetPoints:
+    """Points that are numbers; no uncertainty is below what an image can give."""
+    sound = np.isfinite(points.pixel).all(axis=-1) & np.isfinite(points.std)
+    return replace(
+        points,
+        node=points.node[sound],
+        pixel=points.pixel[sound],
+        std=np.maximum(points.std[sound], 1e-4),
+    )
 
 
 def _tell_disagreement(
