@@ -112,11 +112,16 @@ def test_chessboard_16_bit_and_two_cameras_make_an_experiment_too(tmp_path):
         frames=1,
         rig={"file": str(tmp_path / "pair.yaml")},
         light={"bits": 16},
-        calibration={"target": {"kind": "chessboard", "mesh": 0.02, "shape": (5, 4)}, "tilted": 1},
+        calibration={
+            "target": {"kind": "chessboard", "mesh": 0.02, "shape": (5, 4)},
+            "tilted": 1,
+            "level": 0.015,
+        },
     )
     simulate(scene, tmp_path / "two")
     experiment = Experiment.load(tmp_path / "two" / "experiment.yaml")
     assert experiment.calibration.target == {"kind": "chessboard", "mesh": 0.02, "shape": [5, 4]}
     assert experiment.velocity.cameras == ["left", "right"]
+    assert experiment.water.level == -0.015  # the water is below the target
     assert read_image(tmp_path / "two" / "left" / "img_00000.tif").dtype == np.uint16
     assert not (tmp_path / "two" / "truth" / "truth.zarr").exists()  # one frame makes no step

@@ -60,7 +60,7 @@ def test_wrong_nodes_move_their_crossings(shift):
     offsets = np.broadcast_to(np.array(shift), (13, 13, 3))  # all alike: the strings stay straight
     image = targets.draw(camera, target, pose, BLUR, offsets).astype(float)
     for i, j in ((2, 1), (-2, 2), (3, -1), (-1, -2)):
-        nodes = np.array([[i * 0.05, j * 0.05, 0.0]]) + [[0.0, 0.0, 0.0], shift]
+        nodes = np.array([i * 0.05, j * 0.05, 0.0]) + np.array([np.zeros(3), shift])
         (X0, X), (Y0, Y) = pixels_of(camera, pose, nodes)
         assert crossing(image, X, Y) == pytest.approx((X, Y), abs=0.01)
         assert np.hypot(X - X0, Y - Y0) > 0.4

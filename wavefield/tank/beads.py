@@ -32,7 +32,8 @@ def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[A
     Notes
     -----
     Classical Runge-Kutta of fourth order in sub-steps of at most 25 ms: over a step of 50 ms of a
-    random sea with waves down to 5 cm a bead is misplaced by less than 0.2 um.
+    random sea with waves down to 5 cm a bead is misplaced by less than 0.1 um, in a steep
+    one by 0.4 um.
     """
     steps = max(1, int(np.ceil(abs(end - start) / _LONGEST_SUBSTEP - 1e-9)))
     h = (end - start) / steps

@@ -164,7 +164,7 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
         },
         **_pairing(tank),
         "grid": {"x": list(scene.grid.x), "y": list(scene.grid.y), "step": scene.grid.step},
-        "water": {"depth": scene.sea.depth} if np.isfinite(scene.sea.depth) else {},
+        "water": _describe_water(scene),
         "probes": "probes.csv",
     }
     if not scene.probes.positions:
@@ -181,6 +181,14 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
         z = probes.record(tank.sea, settings.positions, times + scene.start)
         z += settings.noise * np.random.default_rng([scene.seed, 10]).standard_normal(z.shape)
         probes.write(directory / "probes.csv", times, settings.positions, z)
+
+
+def _describe_water(scene: Scene) -> dict[str, float]:
+    described = {"depth": scene.sea.depth} if np.isfinite(scene.sea.depth) else {}
+    if scene.calibration.level:
+        # z = 0 of a rig calibrated with this target is the target, not the water (nor the exact rig's z = 0)
+        described["level"] = -scene.calibration.level
+    return described
 
 
 def _describe_target(scene: Scene) -> dict[str, object]:
