@@ -403,9 +403,7 @@ def profile() -> None:
         print(f"  {'copies, pyramid and the rest':42s} {rest:6.2f} ms {100 * rest / total:5.1f} %")
         passes = sum(n / 4**level for level, n in enumerate(reversed(settings.iterations)))
         read = _reading(first, second)
-        print(
-            f"  floor: reading b {passes:.2f} times, nothing else: {passes * read:.1f} ms ({read:.2f} ms each)"
-        )
+        print(f"  floor: reading b {passes:.2f} times, no more: {passes * read:.1f} ms ({read:.2f} ms each)")
 
 
 @nb.njit(nogil=True)
