@@ -1,0 +1,139 @@
+"""Real images of a specimen under load: surface and displacements against a public code's own results.
+
+    python -m benchmarks.specimen FOLDER [--pictures DIR]
+
+FOLDER holds images/, cal.xml and reference/. The reference's matches (left to right at rest, left to left
+under load) are turned into positions with the same rig; the measurement sees the images alone.
+"""
+
+import argparse
+import os
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from wavefield.grid import Grid
+from wavefield.images import read_image
+from wavefield.measurement import Plan, measure
+from wavefield.rig import Rig
+from wavefield.rig.formats import load_rig
+from wavefield.rig.level import level
+from wavefield.rig.stereo import triangulate_pair
+from wavefield.variables import Quality
+
+MICRON = 1e-6
+
+
+def triangulate(rig: Rig, left, right):
+    """Points seen at pixels of both cameras, midway between their lines of sight, (n, 3)."""
+    rays = []
+    for name, (X, Y) in (("left", left), ("right", right)):
+        camera = rig[name]
+        direction = np.stack([*camera.tangents(X, Y), np.ones_like(X)], axis=-1) @ camera.R
+        rays.append((camera.centre, direction / np.linalg.norm(direction, axis=-1, keepdims=True)))
+    (p, u), (q, v) = rays
+    across, to_u, to_v = np.sum(u * v, axis=-1), u @ (p - q), v @ (p - q)
+    s = (across * to_v - to_u) / (1 - across**2)
+    t = (to_v - across * to_u) / (1 - across**2)
+    return 0.5 * (p + s[:, None] * u + q + t[:, None] * v)
+
+
+def compare(folder: Path, pictures: Path | None = None) -> list[tuple[str, str, str]]:
+    """Median differences, as (test, asked, reached)."""
+    images = [[read_image(folder / f"images/GT4-{n:04d}_{c}.tif") for n in range(6)] for c in (0, 1)]
+    rig = load_rig(folder / "cal.xml", names=["left", "right"])
+    tables = [
+        np.genfromtxt(folder / f"reference/DICe_solution_{n}.txt", delimiter=",", names=True)
+        for n in range(6)
+    ]
+    rest = tables[0]
+    left = rest["COORDINATE_X"], rest["COORDINATE_Y"]
+    right = left[0] + rest["CROSS_CORR_Q"], left[1] + rest["CROSS_CORR_R"]
+    # z = 0 is the specimen's own plane
+    rig, _ = level(rig, *triangulate(rig, left, right).T)
+    seen = [rig[n].unproject(*pixels) for n, pixels in (("left", left), ("right", right))]
+    x, y, z, _ = triangulate_pair(
+        *seen, *(rig[n].sight_line(*at) for n, at in zip(("left", "right"), seen, strict=True))
+    )
+    good = (rest["MATCH"] >= 0) & np.isfinite(z)
+    grid = Grid((x[good].min(), x[good].max() + 5e-4), (y[good].min(), y[good].max() + 5e-4), 5e-4)
+    plan = Plan(rig, grid)
+
+    def read(field, px, py):
+        return map_coordinates(
+            field, [(py - grid.y[0]) / grid.step, (px - grid.x[0]) / grid.step], order=1, cval=np.nan
+        )
+
+    rows = [
+        ("specimen: rectified pixel, um; lattice", "", f"{plan.pixel / MICRON:.1f}; {plan.lattice.shape}")
+    ]
+    for n in range(1, 6):
+        frames = {name: [None, images[c][0], images[c][n], None] for c, name in enumerate(("left", "right"))}
+        out = {name: field[0] for name, field in measure(frames, plan, 1.0).items()}
+        measured = ((out["quality"] & Quality.MEASURED) > 0).astype(float)
+        ok = good & (tables[n]["MATCH"] >= 0) & (read(measured, x, y) > 0.99)
+        moved = left[0] + tables[n]["DISPLACEMENT_X"], left[1] + tables[n]["DISPLACEMENT_Y"]
+        # left-left alone does not say how far a point came forward: that is taken from the measurement
+        start, end = rig["left"].unproject(*left, z), rig["left"].unproject(*moved, z + read(out["w"], x, y))
+        dx, dy = end[0] - start[0], end[1] - start[1]
+        middle = x + 0.5 * dx, y + 0.5 * dy
+        off = {
+            "z": read(out["z"] - 0.5 * out["z_t"], x, y) - z,
+            "dx": read(out["u"], *middle) - dx,
+            "dy": read(out["v"], *middle) - dy,
+        }
+        plane = np.hypot(off["dx"], off["dy"])[ok]
+        rows.append(
+            (
+                f"specimen, load {n}: median |difference| in plane; z, um",
+                "3; 8",
+                f"{np.nanmedian(plane) / MICRON:.2f}; {np.nanmedian(np.abs(off['z'][ok])) / MICRON:.2f}"
+                f"  ({np.sum(ok)} points; mean z {np.nanmean(off['z'][ok]) / MICRON:+.1f}; moved"
+                f" {np.nanmedian(dx[ok]) / MICRON:.1f}, {np.nanmedian(dy[ok]) / MICRON:.1f},"
+                f" {np.nanmedian(out['w'][measured > 0]) / MICRON:.1f})",
+            )
+        )
+        if pictures:
+            draw(out, grid, pictures / f"specimen_{n}.png")
+    return rows
+
+
+def draw(out, grid: Grid, path: Path) -> None:
+    """The four fields of one load."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure, axes = plt.subplots(2, 2, figsize=(11, 6.5), constrained_layout=True)
+    names = {"z": "elevation", "u": "displacement along x", "v": "along y", "w": "along z"}
+    for axis, (name, label) in zip(axes.flat, names.items(), strict=True):
+        field = np.where((out["quality"] & Quality.MEASURED) > 0, out[name], np.nan) / MICRON
+        low, high = np.nanpercentile(field, (2, 98))
+        extent = 1e3 * np.array([*grid.x, *grid.y])
+        shown = axis.imshow(field, origin="lower", extent=extent, vmin=low, vmax=high, cmap="viridis")
+        axis.set(title=f"{label} (um)", xlabel="x (mm)", ylabel="y (mm)")
+        figure.colorbar(shown, ax=axis, shrink=0.8)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def main() -> None:
+    cv2.setNumThreads(1)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--pictures", type=Path, help="folder for pictures of the fields")
+    options = parser.parse_args()
+    for test, asked, reached in compare(options.folder, options.pictures):
+        print(f"{test:58s} {asked:>10s}   {reached}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

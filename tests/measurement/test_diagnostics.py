@@ -1,0 +1,52 @@
+import numpy as np
+import pytest
+from measurement_cases import PIXEL
+
+from wavefield.measurement import Plan, Settings, diagnose
+
+
+@pytest.fixture(scope="module")
+def diagnosis(series, plan):
+    return diagnose({name: images[1:3] for name, images in series.frames.items()}, plan, PIXEL)
+
+
+def test_every_pair_gives_the_same_surface(series, diagnosis):
+    assert set(diagnosis.z) == {("cam3", "cam1"), ("cam3", "cam2"), ("cam1", "cam2")}
+    for values in diagnosis.difference.values():
+        miss = values[series.inside]
+        assert np.isfinite(miss).mean() > 0.8
+        assert np.sqrt(np.nanmean(miss**2)) < 0.2 * PIXEL
+
+
+def test_recombined_agrees_with_direct(series, diagnosis):
+    miss = diagnosis.recombined["cam1", "cam2"][series.inside]
+    assert 0 < np.sqrt(np.nanmean(miss**2)) < 0.15 * PIXEL
+
+
+def test_mismatch_predicts_the_error_of_each_pair(series, diagnosis):
+    for pair in (("cam3", "cam1"), ("cam3", "cam2")):
+        assert 0.3 < diagnosis.z_std[pair] / np.std(diagnosis.eps_y[pair]) < 3
+
+
+def test_the_table_gives_centimetres_and_pixels(diagnosis):
+    rows = {row["name"]: row for row in diagnosis.table()}
+    assert {"eps_Y cam3-cam1", "sigma_z cam1-cam2", "eps'", "z cam1-cam2 recombined - direct"} <= set(rows)
+    row = rows["eps_Y cam3-cam1"]
+    assert row["cm"] == pytest.approx(100 * PIXEL * row["px"])
+    assert rows["eps'"]["cm"] is None
+    assert 0 < rows["eps'"]["px"] < 0.2
+
+
+def test_a_missing_frame_leaves_nothing_to_compare(series, plan):
+    frames = {name: images[1:3] for name, images in series.frames.items()}
+    frames["cam2"] = [None, frames["cam2"][1]]
+    with pytest.raises(ValueError, match="cam2"):
+        diagnose(frames, plan)
+
+
+def test_two_cameras_have_no_second_opinion(series):
+    plan = Plan(series.rig, series.grid, Settings(pairs=(("cam3", "cam1"),)))
+    result = diagnose({name: images[1:3] for name, images in series.frames.items()}, plan)
+    assert list(result.z) == [("cam3", "cam1")]
+    assert not result.difference
+    assert not result.recombined
