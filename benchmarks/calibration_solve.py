@@ -86,8 +86,8 @@ def z_error(rig, exact, surface):
 
 def look(job):
     """Draw one target image and find the target in it."""
-    tank, camera, pose, target = job
-    image = tank.target_image(pose, camera)
+    scene, camera, pose, target = job
+    image = Tank(scene).target_image(pose, camera)
     begin, cpu = time.perf_counter(), time.process_time()
     return find_target(image, target), time.perf_counter() - begin, time.process_time() - cpu
 
@@ -96,7 +96,7 @@ def views_from_images(scene):
     """Points found in the simulated target images; with the CPU time of finding."""
     tank = Tank(scene)
     target = Target("strings", mesh=scene.calibration.target.mesh)
-    jobs = [(tank, camera, pose, target) for camera in tank.rig for pose in tank.target_poses]
+    jobs = [(scene, camera, pose, target) for camera in tank.rig for pose in tank.target_poses]
     views = {camera: {} for camera in tank.rig}
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         list(pool.map(look, jobs[:2]))  # compiled code is loaded before the clock starts

@@ -129,6 +129,10 @@ def _parameters(calibration: Calibration) -> dict[str, Any]:
     return out
 
 
+def _value(value: float, std: float) -> str:
+    return f"{value:.7g} ± {std:.2g}" if std else f"{value:.7g} (held)"
+
+
 def _table(head: list[str], rows: list[list[str]]) -> str:
     cells = "".join(f"<th>{escape(h)}</th>" for h in head)
     body = "".join("<tr>" + "".join(f"<td>{escape(c)}</td>" for c in row) + "</tr>" for row in rows)
@@ -151,10 +155,10 @@ def _page(content: dict[str, Any], drawn: list[tuple[str, str]]) -> str:
                 name,
                 str(len(c["views"])),
                 str(sum(v["points"] for v in c["views"].values())),
-                f"{c['rms_px']:.3f}",
-                f"{c['rms_mm']:.3f}",
-                f"{c['max_px']:.2f}",
-                f"{predicted['reprojection_px'][name]:.4f}",
+                f"{c['rms_px']:.3g}",
+                f"{c['rms_mm']:.2g}",
+                f"{c['max_px']:.2g}",
+                f"{predicted['reprojection_px'][name]:.2g}",
                 f"{100 * predicted['image_covered'][name]:.0f} %",
                 ", ".join(f"{v:.2f}" for v in c["position_m"]),
             ]
@@ -190,8 +194,8 @@ def _page(content: dict[str, Any], drawn: list[tuple[str, str]]) -> str:
             parts.append(
                 f"<p>z of the {flat['nodes']} nodes of view {escape(flat['view'])}, triangulated: rms "
                 f"{flat['z_rms_mm']:.3f} mm, {flat['z_about_its_plane_rms_mm']:.3f} mm about its plane, tilt "
-                f"{flat['tilt_mrad']:.3f} mrad. Predicted uncertainty of z: {predicted['z_mm']:.3f} mm, of "
-                f"which tilt and level {predicted['z_of_which_tilt_mm']:.3f} mm.</p>"
+                f"{flat['tilt_mrad']:.3f} mrad. Predicted uncertainty of z: {predicted['z_mm']:.2g} mm, of "
+                f"which tilt and level {predicted['z_of_which_tilt_mm']:.2g} mm.</p>"
             )
         rows = [
             [m["model"], str(m["parameters"]), f"{m['rms_over_stated']:.3f}", f"{m['bic']:.0f}"]
