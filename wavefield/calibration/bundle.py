@@ -478,7 +478,8 @@ def fit(
         )
         steps += count
     r, J = with_jacobian(x)
-    scale = robust_std(r) * np.sqrt(len(r) / max(len(r) - len(x), 1))
+    # exact points leave no scatter at all; a covariance of nothing helps no one
+    scale = max(robust_std(r) * np.sqrt(len(r) / max(len(r) - len(x), 1)), 1e-6)
     weight = np.minimum(1.0, bend / np.maximum(np.abs(r), 1e-300))
     normal = J.T @ (weight[:, None] * J)
     d = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))

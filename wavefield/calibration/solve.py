@@ -136,6 +136,25 @@ def calibrate(
     -----
     Each camera by Zhang's method, then a comparison of the poses that the cameras found each on its own,
     then one fit of all cameras and poses (bundle adjustment) with Huber's loss.
+
+    Examples
+    --------
+    The paper's cameras from points of four tilted views and a flat one:
+
+    >>> import cv2
+    >>> from wavefield.tank.rigs import paper_rig
+    >>> exact, node = paper_rig(), np.mgrid[-8:9, -6:7].reshape(2, -1).T
+    >>> board = np.column_stack([0.1 * node, np.zeros(len(node))])
+    >>> views = {name: {} for name in exact}
+    >>> for turn in ((0.4, 0, 0), (-0.3, 0.2, 0), (0, -0.4, 0), (0.2, 0.3, 0), (0, 0, 0)):
+    ...     points = board @ cv2.Rodrigues(np.array(turn, float))[0].T
+    ...     for name, camera in exact.cameras.items():
+    ...         pixel = np.stack(camera.project(*points.T), axis=-1)
+    ...         pose = "tilted by {} and {}".format(*turn) if any(turn) else "flat"
+    ...         views[name][pose] = TargetPoints(node, pixel, np.full(len(node), 0.01), camera.size)
+    >>> found = calibrate(views, 0.1)
+    >>> found.usable, found.rig["cam3"].centre.round(3).tolist()
+    (True, [0.003, 0.002, 4.35])
     """
     mesh = target if isinstance(target, float | int) else target.mesh
     flats = [name for name in ([flat] if isinstance(flat, str) else flat) if name]
