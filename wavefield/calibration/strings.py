@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from wavefield.calibration.lattice import REACH, Candidates, Lattice, SmoothMap, crossings
 from wavefield.calibration.points import TargetPoints
-from wavefield.calibration.subpixel import Crossings, fit_crossings, start_parameters
+from wavefield.calibration.subpixel import WIDTH1, WIDTH2, Crossings, fit_crossings, start_parameters
 from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
 
@@ -281,7 +281,7 @@ def _fitted(
     if good.sum() < FEWEST:
         raise CalibrationError(_NONE)
     sigma = float(np.median(fit.sigma[good]))
-    blur = _blur(image, fit, slopes, good, blur)
+    blur = _blur(image, fit, slopes, good)
     parameters, node = fit.parameters[good], node[good]
     for _ in range(3):
         smooth = _map(node, parameters[:, :2], tolerance)
@@ -361,20 +361,21 @@ def _alike(fit: Crossings) -> NDArray[np.bool_]:
     return ((width > 0.5) & (width < 1.8) & (flux > 0.3) & (flux < 3.0)).all(1) & (misfit < 4.0)
 
 
-def _blur(
-    image: NDArray[np.float32], fit: Crossings, slopes: Array, good: NDArray[np.bool_], blur: float
-) -> float:
-    """The blur that fits best; only wide strings can tell, and only for them it matters."""
+def _blur(image: NDArray[np.float32], fit: Crossings, slopes: Array, good: NDArray[np.bool_]) -> float:
+    """The blur with which a box and a Gaussian come closest to the strings' profiles, px."""
     chosen = np.flatnonzero(good)
-    chosen = chosen[np.linspace(0, len(chosen) - 1, min(40, len(chosen))).astype(int)]
-    misfit = {}
-    for trial in (0.45, 0.6, 0.75, 0.9, 1.2):
+    chosen = chosen[np.linspace(0, len(chosen) - 1, min(24, len(chosen))).astype(int)]
+    trials = np.array([0.36, 0.42, 0.48, 0.54, 0.6, 0.68, 0.78, 0.9, 1.1])
+    misfit = np.empty(len(trials))
+    for k, trial in enumerate(trials):
         start = fit.parameters[chosen].copy()
-        start[:, 4:6] = 3.0 * (fit.sigma[chosen] ** 2 - trial**2)
+        start[:, WIDTH1 : WIDTH2 + 1] = 3.0 * (fit.sigma[chosen] ** 2 - trial**2)
         again = fit_crossings(image, start, slopes[chosen], trial)
-        misfit[trial] = float(np.median(np.where(again.misfit >= 0, again.misfit, np.inf)))
-    best = min(misfit, key=lambda trial: misfit[trial])
-    return best if misfit[best] < 0.98 * misfit[blur] else blur
+        misfit[k] = np.median(np.where(again.misfit >= 0, again.misfit, np.inf))
+    k = int(np.clip(misfit.argmin(), 1, len(trials) - 2))
+    bend, slope, _ = np.polyfit(trials[k - 1 : k + 2], misfit[k - 1 : k + 2], 2)
+    lowest = -slope / (2 * bend) if bend > 0 else trials[misfit.argmin()]
+    return float(np.clip(lowest, trials[0], trials[-1]))
 
 
 def _noise(fit: Crossings, good: NDArray[np.bool_]) -> tuple[float, float]:

@@ -54,6 +54,22 @@ class Crossings:
 
 @nb.njit(cache=True, inline="always")
 def _profile(d, u, s):
+    """Profile of a string averaged over a pixel, and its derivatives with respect to d and u.
+
+    Three points of Gauss-Legendre stand for the pixel's extent along one axis.
+    """
+    f0, g0, u0 = _line(d, u, s)
+    f1, g1, u1 = _line(d + 0.3872983346207417, u, s)
+    f2, g2, u2 = _line(d - 0.3872983346207417, u, s)
+    return (
+        (8.0 * f0 + 5.0 * (f1 + f2)) / 18.0,
+        (8.0 * g0 + 5.0 * (g1 + g2)) / 18.0,
+        (8.0 * u0 + 5.0 * (u1 + u2)) / 18.0,
+    )
+
+
+@nb.njit(cache=True, inline="always")
+def _line(d, u, s):
     """Profile of a string of unit flux, and its derivatives with respect to d and u.
 
     A box of half width sqrt(u) convolved with a Gaussian of standard deviation s; for small or negative u
@@ -379,7 +395,8 @@ def fit_crossings(
         misfit,
     )
     good = (misfit >= 0) & np.isfinite(parameters).all(1) & (covariance > 0).all(1)
-    std = np.where(good, np.sqrt(np.where(good, covariance.sum(1), 0) / 2), np.inf)
+    # the biweight makes Gaussian residuals smaller by a factor 1.08 than it makes the estimate sharper
+    std = np.where(good, 1.08 * np.sqrt(np.where(good, covariance.sum(1), 0) / 2), np.inf)
     return Crossings(
         pixel=parameters[:, :2],
         std=std,

@@ -1,0 +1,159 @@
+"""The grid of strings is found, located to a hundredth of a pixel, and refused where it is not there."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from rendering import Picture, camera_at, string_picture, string_truth
+
+from wavefield.calibration.lattice import SmoothMap, crossings
+from wavefield.calibration.subpixel import fit_crossings, start_parameters
+from wavefield.calibration.target import Target, find_target
+from wavefield.errors import CalibrationError
+
+SIZE = (640, 512)
+TARGET = Target("strings", mesh=0.10)
+
+
+def view(tilt, focal=1500.0, distance=3.5, **where):
+    return camera_at(SIZE, tilt, distance=distance, focal=focal, **where)
+
+
+def compared(camera, picture, **grid):
+    """Found fraction, number of false points, errors (n, 2), standard uncertainties (n,)."""
+    points = find_target(string_picture(camera, picture, **grid), TARGET)
+    node, _ = string_truth(camera, margin=5.0, **grid)
+    got = set(map(tuple, points.node))
+    found = np.mean([tuple(n) in got for n in node])
+    exact = np.stack(camera.project(points.node[:, 0] * 0.1, points.node[:, 1] * 0.1, 0.0), -1)
+    error = points.pixel - exact
+    false = np.hypot(*error.T) > 0.5
+    assert points.size == SIZE
+    return found, int(false.sum()), error[~false], points.std[~false]
+
+
+@pytest.mark.parametrize(
+    ("tilt", "turn", "roll", "blur", "width"),
+    [
+        (0, 0, 0, 0.5, 0.003),
+        (45, 30, 20, 0.6, 0.003),
+        (45, 200, -130, 0.9, 0.006),
+        (65, 100, 170, 0.6, 0.004),
+    ],
+)
+def test_crossings_in_good_light_are_all_found_within_a_hundredth_of_a_pixel(tilt, turn, roll, blur, width):
+    camera = view(tilt, turn=turn, roll=roll)
+    picture = Picture(light=0.5, blur=blur, string=width, origin_radius=0.025, x_radius=0.016, seed=tilt)
+    found, false, error, std = compared(camera, picture)
+    assert found >= 0.99
+    assert false == 0
+    assert np.sqrt((error**2).mean(0)).max() < 0.01
+    within = np.mean(np.abs(error) < std[:, None])
+    assert 0.55 < within < 0.85
+
+
+def test_low_light_and_noise_leave_most_crossings_and_a_true_uncertainty():
+    camera = view(45, turn=30, roll=20)
+    picture = Picture(bright=45, gain=8, read=2, string=0.003, origin_radius=0.025, x_radius=0.016, seed=3)
+    found, false, error, std = compared(camera, picture)
+    assert found >= 0.95
+    assert false == 0
+    assert np.sqrt((error**2).mean()) < 0.1
+    assert 0.55 < np.mean(np.abs(error) < std[:, None]) < 0.85
+
+
+def test_dust_and_spots_of_light_cost_crossings_but_make_no_false_ones():
+    camera = view(45, turn=30, roll=20)
+    picture = Picture(dust=100, spots=10, string=0.003, origin_radius=0.025, x_radius=0.016, seed=5)
+    found, false, error, _ = compared(camera, picture)
+    assert found >= 0.90
+    assert false == 0
+    assert np.sqrt((error**2).mean()) < 0.05
+
+
+def test_a_reflection_beside_the_strings_does_not_take_their_place():
+    camera = view(45, turn=30, roll=20)
+    picture = Picture(ghost=0.4, ghost_shift=0.015, string=0.003, origin_radius=0.025, x_radius=0.016, seed=2)
+    found, false, error, _ = compared(camera, picture)
+    assert found >= 0.95
+    assert false == 0
+    assert np.sqrt((error**2).mean()) < 0.02
+
+
+def test_a_target_that_ends_inside_the_picture_gives_no_points_beyond_its_end():
+    camera = view(30, turn=70, roll=10, distance=4.5)
+    grid = {"extent": (-4, 5, -3, 4)}
+    picture = Picture(string=0.004, origin_radius=0.025, x_radius=0.016)
+    points = find_target(string_picture(camera, picture, **grid), TARGET)
+    assert points.node.min(0).tolist() == [-4, -3]
+    assert points.node.max(0).tolist() == [5, 4]
+
+
+def test_crossings_under_the_marks_are_left_out_and_indices_are_right_handed():
+    camera = view(20, turn=10, roll=35)
+    picture = Picture(string=0.003, origin_radius=0.025, x_radius=0.016)
+    points = find_target(string_picture(camera, picture), TARGET)
+    nodes = set(map(tuple, points.node))
+    assert (0, 0) not in nodes
+    assert (1, 0) not in nodes
+    e1, e2 = SmoothMap(points.node, points.pixel, 5.0).slopes(np.array([[0, 0]]))[0]
+    assert e1[0] * e2[1] - e1[1] * e2[0] < 0  # rows run downwards
+
+
+def test_sixteen_bits_and_floats_give_what_eight_bits_give():
+    camera = view(30, turn=70, roll=10)
+    image = string_picture(camera, Picture(string=0.003, origin_radius=0.025, x_radius=0.016))
+    first = find_target(image, TARGET)
+    second = find_target(image.astype(np.uint16) * 257, TARGET)
+    np.testing.assert_array_equal(first.node, second.node)
+    np.testing.assert_allclose(first.pixel, second.pixel, atol=1e-3)
+
+
+def test_a_plain_line_is_no_crossing():
+    y, x = np.mgrid[0:100, 0:100].astype(np.float32)
+    line = 200 * np.exp(-0.5 * ((0.6 * x + 0.8 * y - 70) / 1.2) ** 2).astype(np.float32)
+    other = 200 * np.exp(-0.5 * ((0.8 * x - 0.6 * y - 10) / 1.2) ** 2).astype(np.float32)
+    found = crossings(line + other, 1.5)
+    elsewhere = np.hypot(*(found.pixel - [50, 50]).T) > 0.5
+    assert elsewhere.sum() == len(elsewhere) - 1
+    assert found.strength[elsewhere].max() < 0.02 * found.strength.max()
+
+
+def test_one_crossing_is_fitted_to_where_it_was_drawn():
+    y, x = np.mgrid[0:61, 0:61].astype(float)
+    at, angle = np.array([30.37, 29.81]), np.array([0.2, 1.5])
+    c, s = np.cos(angle), np.sin(angle)
+    d = -s[:, None, None] * (x - at[0]) + c[:, None, None] * (y - at[1])
+    image = (20 + 0.1 * x + 150 * np.exp(-0.5 * (d / 1.1) ** 2).sum(0)).astype(np.float32)
+    slopes = 40 * np.stack([c, s], -1)[None]
+    start = start_parameters(at[None] + [[0.8, -0.7]], slopes, 0.9, 1.0)
+    fit = fit_crossings(image, start, slopes, 1.0)
+    np.testing.assert_allclose(fit.pixel[0], at, atol=2e-4)
+    np.testing.assert_allclose(fit.sigma[0], 1.1, rtol=0.01)
+    np.testing.assert_allclose(fit.arms[0], 1.0, atol=0.05)
+
+
+def test_pictures_without_a_target_are_refused_in_one_sentence():
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 40, (200, 200)).astype(np.uint8)
+    with pytest.raises(CalibrationError, match="no grid of white strings"):
+        find_target(noise, TARGET)
+    with pytest.raises(CalibrationError, match="empty"):
+        find_target(np.zeros((200, 200), np.uint8), TARGET)
+    white = np.full((200, 200), 255, np.uint8)
+    white[:60] = noise[:60]
+    with pytest.raises(CalibrationError, match="overexposed"):
+        find_target(white, TARGET)
+    with pytest.raises(CalibrationError, match="one grey image"):
+        find_target(np.zeros((20, 200, 3), np.uint8), TARGET)
+    with pytest.raises(CalibrationError, match="not numbers"):
+        find_target(np.full((200, 200), np.nan), TARGET)
+
+
+def test_a_grid_whose_marks_are_not_seen_is_refused():
+    image = string_picture(view(20, turn=10), Picture(string=0.003), marks=False)
+    with pytest.raises(CalibrationError, match="not its marks"):
+        find_target(image, TARGET)
