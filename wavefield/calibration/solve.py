@@ -145,11 +145,11 @@ def calibrate(
     >>> from wavefield.tank.rigs import paper_rig
     >>> exact, node = paper_rig(), np.mgrid[-8:9, -6:7].reshape(2, -1).T
     >>> board = np.column_stack([0.1 * node, np.zeros(len(node))])
-    >>> views = {name: {} for name in exact}
+    >>> views, noise = {name: {} for name in exact}, np.random.default_rng(1)
     >>> for turn in ((0.4, 0, 0), (-0.3, 0.2, 0), (0, -0.4, 0), (0.2, 0.3, 0), (0, 0, 0)):
     ...     points = board @ cv2.Rodrigues(np.array(turn, float))[0].T
     ...     for name, camera in exact.cameras.items():
-    ...         pixel = np.stack(camera.project(*points.T), axis=-1)
+    ...         pixel = np.stack(camera.project(*points.T), axis=-1) + noise.normal(0, 0.01, (len(node), 2))
     ...         pose = "tilted by {} and {}".format(*turn) if any(turn) else "flat"
     ...         views[name][pose] = TargetPoints(node, pixel, np.full(len(node), 0.01), camera.size)
     >>> found = calibrate(views, 0.1)
