@@ -5,7 +5,7 @@ import re
 from enum import Enum
 from pathlib import Path
 
-from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, Quality
+from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, Quality
 
 PAGE = Path(__file__).with_name("formats.md")
 
@@ -35,18 +35,12 @@ def rows_to_table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 
 def cube() -> str:
     """Variables of a cube."""
-    importlib.import_module("wavefield.cubes")  # registers the ledger's variables
-    rows = [
-        (
-            f"`{v.name}`",
-            ", ".join(v.dims),
-            v.units,
-            v.dtype,
-            v.long_name + (f"; {v.meaning}" if v.meaning else ""),
-        )
-        for v in TABLE.values()
-        if set(v.dims) <= {*CUBE_DIMS, "frame", "camera"}
-    ]
+    importlib.import_module("wavefield.cubes.store")  # registers the ledger's variables
+    names = ("time", "y", "x", *CUBE_FIELDS, "frame_status", "frame", "frame_fault")
+    rows = []
+    for v in (TABLE[name] for name in names):
+        meaning = v.long_name + (f"; {v.meaning}" if v.meaning else "")
+        rows.append((f"`{v.name}`", ", ".join(v.dims), v.units, v.dtype, meaning))
     return rows_to_table(("variable", "dims", "units", "type", "meaning"), rows)
 
 
