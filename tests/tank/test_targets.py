@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import map_coordinates, spline_filter
 
 from wavefield.tank import Scene, Tank, paper_rig, targets
-from wavefield.tank.scene import Chessboard, Dots, Strings
+from wavefield.tank.parts import Chessboard, Dots, Strings
 
 BLUR = 0.6
 RIG = paper_rig(crop=0.35)

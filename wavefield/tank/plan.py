@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from wavefield.tank import rigs
-from wavefield.tank.scene import Beads, Scene
+from wavefield.tank.parts import Beads
+from wavefield.tank.scene import Scene
 from wavefield.tank.tank import Tank
 
 _BLOCK = 0.04  # the paper's finest correlation box, metres

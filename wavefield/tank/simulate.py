@@ -14,7 +14,8 @@ import zarr
 from wavefield.errors import ExperimentError
 from wavefield.images import write_image
 from wavefield.tank import probes
-from wavefield.tank.scene import Beads, Scene
+from wavefield.tank.parts import Beads
+from wavefield.tank.scene import Scene
 from wavefield.tank.tank import Tank
 from wavefield.tank.truth import Truth
 from wavefield.variables import Variable, annotate, register

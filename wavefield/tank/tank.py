@@ -9,8 +9,9 @@ from scipy.interpolate import RectBivariateSpline
 
 from wavefield.rig import Camera, Rig
 from wavefield.tank import beads as floating
-from wavefield.tank import rigs, scene, sensor, targets, texture
+from wavefield.tank import parts, rigs, sensor, targets, texture
 from wavefield.tank.basin import Basin
+from wavefield.tank.scene import Scene
 from wavefield.tank.sea import Sea
 from wavefield.tank.truth import Truth, truth
 
@@ -34,7 +35,7 @@ class Tank:
     (102, 102)
     """
 
-    def __init__(self, scene: "scene.Scene"):
+    def __init__(self, scene: Scene):
         self.scene = scene
         self.rig: Rig = scene.build_rig()
         self.sea: Sea = scene.build_sea()
@@ -54,7 +55,7 @@ class Tank:
     def population(self) -> floating.Population:
         """The beads."""
         settings = self.scene.surface
-        if not isinstance(settings, scene.Beads):
+        if not isinstance(settings, parts.Beads):
             raise ValueError("this scene has a painted surface, no beads")
         rng = np.random.default_rng([self.scene.seed, 6])
         # holes where all cameras look, so that a scene has as many as it says
@@ -92,7 +93,7 @@ class Tank:
     @cached_property
     def _paint(self) -> texture.Paint:
         settings = self.scene.surface
-        assert isinstance(settings, scene.Texture)
+        assert isinstance(settings, parts.Texture)
         mesh = settings.mesh or 1.5 * max(max(rigs.pixel_footprint(self.rig[name])) for name in self.rig)
         return texture.Paint(self.basin.x, self.basin.y, mesh, self.scene.seed)
 
@@ -123,7 +124,7 @@ class Tank:
         float
             px: the blur and the bead's own size (variance of a disc: a quarter of its radius squared).
         """
-        size = self.scene.surface.diameter if isinstance(self.scene.surface, scene.Beads) else 0.0
+        size = self.scene.surface.diameter if isinstance(self.scene.surface, parts.Beads) else 0.0
         pixel = float(np.sqrt(np.prod(rigs.pixel_footprint(camera))))
         return float(np.hypot(self.scene.light.blur, size / 4 / pixel))
 
@@ -141,7 +142,7 @@ class Tank:
         -------
         dict of str to ndarray, (row, column), uint8 or uint16
         """
-        if isinstance(self.scene.surface, scene.Beads):
+        if isinstance(self.scene.surface, parts.Beads):
             return self.photograph(self.population.frame(frame), frame, cameras)
         return self._painted(frame, cameras)
 
@@ -164,7 +165,7 @@ class Tank:
         dict of str to ndarray, (row, column), uint8 or uint16
         """
         settings = self.scene.surface
-        assert isinstance(settings, scene.Beads)
+        assert isinstance(settings, parts.Beads)
         out = {}
         for name in self.rig if cameras is None else cameras:
             camera, number = self.rig[name], list(self.rig).index(name)
@@ -188,7 +189,7 @@ class Tank:
     def target_offsets(self) -> Array | None:
         """Errors of the target's crossings, (n, n, 3), metres; None for other targets than strings."""
         target = self.scene.calibration.target
-        return targets.node_offsets(target, self.scene.seed) if isinstance(target, scene.Strings) else None
+        return targets.node_offsets(target, self.scene.seed) if isinstance(target, parts.Strings) else None
 
     def target_image(self, name: str, camera: str) -> NDArray:
         """Image of the calibration target.
@@ -215,7 +216,7 @@ class Tank:
 
     def _painted(self, frame: int, cameras: Iterable[str] | None) -> dict[str, NDArray]:
         settings = self.scene.surface
-        assert isinstance(settings, scene.Texture)
+        assert isinstance(settings, parts.Texture)
         snapshot = self.basin.snapshot(self.time(frame), ("z",))
         out = {}
         for name in self.rig if cameras is None else cameras:
@@ -228,14 +229,15 @@ class Tank:
 
     def _origin(self, x: Array, y: Array, frame: int) -> tuple[Array, Array]:
         """Where the water now at (x, y) was at the first frame: followed backwards from a lattice."""
-        if self._drift[0] != frame:
+        drift = self._drift  # one name for it: other threads may be drawing other frames
+        if drift[0] != frame:
             axes = [np.arange(lo, hi, 0.01) for lo, hi in (self.x, self.y)]
             px, py = np.meshgrid(*axes)
             ax, ay = floating.carry(self.basin, px, py, self.time(frame), self.time(0))
             lost = np.isnan(ax) | np.isnan(ay)
             back = [np.where(lost, 0.0, a - p) for a, p in ((ax, px), (ay, py))]
-            self._drift = (frame, [RectBivariateSpline(axes[1], axes[0], b) for b in back])
-        return x + self._drift[1][0].ev(y, x), y + self._drift[1][1].ev(y, x)
+            self._drift = drift = (frame, [RectBivariateSpline(axes[1], axes[0], b) for b in back])
+        return x + drift[1][0].ev(y, x), y + drift[1][1].ev(y, x)
 
     def _expose(self, image: NDArray[np.float32], name: str, frame: int) -> NDArray:
         light, number = self.scene.light, list(self.rig).index(name)
@@ -245,7 +247,7 @@ class Tank:
         return sensor.expose(image, light.read_noise, light.shot_noise, light.bits, rng)
 
 
-def render(scene: "scene.Scene", frame: int) -> dict[str, NDArray]:
+def render(scene: Scene, frame: int) -> dict[str, NDArray]:
     """Images of one frame of a scene.
 
     For several frames make a `Tank` and use its `render`, which remembers the beads.

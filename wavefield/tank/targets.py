@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from wavefield.rig import Camera
-from wavefield.tank.scene import Chessboard, Dots, Strings
+from wavefield.tank.parts import Chessboard, Dots, Strings
 
 Array = NDArray[np.float64]
 
