@@ -121,7 +121,7 @@ def catalog(own_tank, tmp_path):
     return path
 
 
-def test_stock_intake_opens_frames_and_cubes_of_every_run(catalog):
+def test_stock_intake_opens_frames_and_cubes_of_every_run(catalog, tmp_path):
     for state in run(catalog, workflow=HERE):
         assert state.complete
     cat = intake.open_catalog(str(catalog))
@@ -134,6 +134,12 @@ def test_stock_intake_opens_frames_and_cubes_of_every_run(catalog):
         assert cube.sizes["time"] == steps
         assert cube.attrs["experiment"] == name
         assert (cube.frame_status == FrameStatus.DONE).all()
+    away = tmp_path / "away"
+    (catalog.parent.parent / "tank").rename(away)
+    path = catalog.with_suffix("") / "small-tank" / "experiment.yaml"
+    path.unlink()
+    path.write_text((away / "experiment.yaml").read_text())
+    assert cat(run="small-tank", location=str(away))["frames"].read().cam1.shape[0] == 8
     with pytest.raises(ValueError, match="validate"):
         cat(run="nobody")["frames"]
 
@@ -159,7 +165,7 @@ def test_catalog_mistakes_are_named(catalog, own_tank, tmp_path):
     assert catalog_add(catalog, own_tank) == "small-tank"  # twice does no harm
     with pytest.raises(ExperimentError, match="has no run 'run99'; it has small-tank, other-tank"):
         run(catalog, ["run99"], workflow=HERE)
-    with pytest.raises(ExperimentError, match="has no parameter 'place'; it has run, recipe, folder, part"):
+    with pytest.raises(ExperimentError, match="has no parameter 'place'; it has run, recipe, location, part"):
         run(catalog, ["other-tank"], workflow=HERE, parameters={"place": "here"})
     with pytest.raises(ExperimentError, match="one store cannot hold 2 runs"):
         run(catalog, out=tmp_path / "cube.zarr", workflow=HERE)

@@ -50,7 +50,8 @@ def workflow(tmp_path):
     path = tmp_path / "slurm.yaml"
     path.write_text(
         "cluster: slurm\nworkers: 2\nmemory: 500 MB\nsteps_per_block: 1\ndashboard: null\n"
-        f"slurm: {{queue: cpu, cores: 1, walltime: '00:10:00', log_directory: '{tmp_path}', python: '{sys.executable}'}}\n"
+        f"slurm: {{queue: cpu, cores: 1, walltime: '00:10:00', log_directory: '{tmp_path}', "
+        f"python: '{sys.executable}'}}\n"
     )
     return path
 
@@ -64,7 +65,8 @@ def submit(tank, out, workflow, environment, folder):
     """Submit the job that starts workers as jobs of their own; returns its number."""
     script = ROOT / "workflows" / "slurm_job.sh"
     return slurm(
-        "sbatch", "--parsable", "--cpus-per-task=1", "--mem-per-cpu=500M", "--time=10", f"--output={folder}/job.out",
+        "sbatch", "--parsable", "--cpus-per-task=1", "--mem-per-cpu=500M", "--time=10",
+        f"--output={folder}/job.out",
         str(script), str(tank), "-o", str(out), "--workflow", str(workflow),
         env=environment, cwd=folder,
     )  # fmt: skip
@@ -86,8 +88,20 @@ def test_a_job_that_is_cancelled_in_the_middle_goes_on(tank, reference, workflow
 
 def test_worker_jobs_that_are_cancelled_are_asked_for_again(tank, reference, workflow, environment, tmp_path):
     out = tmp_path / "cube.zarr"
-    command = [sys.executable, "-m", "wavefield.cli", "run", str(tank), "-o", str(out), "--workflow", str(workflow)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=tmp_path)
+    command = [
+        sys.executable,
+        "-m",
+        "wavefield.cli",
+        "run",
+        str(tank),
+        "-o",
+        str(out),
+        "--workflow",
+        str(workflow),
+    ]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=tmp_path
+    )
     wait_for(lambda: steps_done(out) >= 1)
     slurm("scancel", "--name=wavefield")
     text, _ = process.communicate(timeout=180)

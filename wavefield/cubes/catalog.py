@@ -124,7 +124,8 @@ def new_catalog(stem: str) -> dict[str, Any]:
             "recipe": parameter(
                 _OPTIONS, "which of its cubes: the first digits of the recipe's hash", "latest", ["latest"]
             ),
-            "folder": parameter(_TEXT, "folder of the images, if not that of the experiment file", ""),
+            # not `folder`: intake drops a keyword of a reader that has the name of a parameter
+            "location": parameter(_TEXT, "folder of the images, if not that of the experiment file", ""),
             "part": parameter(_OPTIONS, "which part of the waves", "spectra", _PARTS),
         },
         "data": {
@@ -137,7 +138,7 @@ def new_catalog(stem: str) -> dict[str, Any]:
                 "experiment_file",
                 "images of all cameras",
                 engine="wavefield",
-                folder="{folder}",
+                folder="{location}",
                 chunks={},
                 open_local=True,
             ),

@@ -1,0 +1,70 @@
+"""The workflow files and catalogs that are shipped: they load, and they do what they say."""
+
+import re
+from pathlib import Path
+
+import intake
+import numpy as np
+import pytest
+from cube_cases import different
+
+from wavefield.cubes import Workflow, open_cube, run
+from wavefield.cubes.catalog import find_experiment
+from wavefield.cubes.cluster import count_jobs, slurm_cluster
+from wavefield.variables import FrameStatus
+
+ROOT = Path(__file__).parents[2]
+WORKFLOWS = sorted((ROOT / "workflows").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=[path.stem for path in WORKFLOWS])
+def test_every_workflow_loads_also_with_its_options_switched_on(path, tmp_path):
+    Workflow.load(path)
+    switched_on = tmp_path / path.name
+    # an option that is commented out begins with a key right after the mark
+    switched_on.write_text(re.sub(r"(?m)^( *)# ?( *[a-z_]+: )", r"\1\2", path.read_text()))
+    Workflow.load(switched_on)
+
+
+def test_the_local_workflow_makes_the_same_cube(tank, reference, tmp_path):
+    workflow = Workflow.load(ROOT / "workflows" / "local.yaml")
+    state = run(tank, out=tmp_path / "cube.zarr", workflow=workflow)
+    assert state.complete
+    assert different(tmp_path / "cube.zarr", reference) == []
+
+
+def test_the_slurm_workflow_asks_for_jobs_that_end_after_the_run_does():
+    workflow = Workflow.load(ROOT / "workflows" / "slurm.yaml")
+    assert count_jobs(workflow) == 4
+    with slurm_cluster(workflow) as jobs:
+        script = jobs.job_script()
+    assert "#SBATCH -t 04:00:00" in script
+    assert workflow.time_limit_seconds < 4 * 3600
+
+
+def test_the_job_script_warns_before_its_time_limit():
+    script = (ROOT / "workflows" / "slurm_job.sh").read_text()
+    assert "#SBATCH --signal=USR1@" in script
+    assert 'wavefield run "$experiment"' in script
+
+
+@pytest.mark.real_data
+def test_real_images_run_from_the_catalog_with_their_place_as_a_parameter(shared, tmp_path):
+    catalog = ROOT / "catalogs" / "d_specimen.yaml"
+    folder = str(shared / "data" / "d_specimen")
+    frames = intake.open_catalog(str(catalog))(location=folder)["frames"].read()
+    assert frames.left.shape == frames.right.shape == (6, 1200, 1920)
+    assert int(frames.left[5].max()) > 100
+    assert find_experiment(catalog, {"run": "loads", "location": folder}).frame_rate == 1.0
+    (state,) = run(
+        catalog,
+        out=tmp_path / "cube.zarr",
+        workflow=Workflow(cluster="none"),
+        parameters={"location": folder},
+    )
+    cube = open_cube(state.store).load()
+    assert (cube.frame_status == FrameStatus.DONE).all()
+    assert float(np.isfinite(cube.z).mean()) > 0.95
+    # the specimen is flat to a third of a millimetre, and lies where its calibration says
+    assert abs(float(cube.z.median())) < 1e-3
+    assert float(abs(cube.eps_piv).median()) < 0.1
