@@ -93,7 +93,8 @@ def strings() -> None:
 
 def printed() -> None:
     print(
-        f"\n{'printed target':36s} {'tilt':>6s} {'points':>7s} {'rms px':>8s} {'mean px':>16s} {'std px':>7s} {'in 1 std':>8s}"
+        f"\n{'printed target':36s} {'tilt':>6s} {'points':>7s} {'rms px':>8s} {'mean px':>16s} "
+        f"{'std px':>7s} {'in 1 std':>8s}"
     )
     board, grid = (9, 6), (11, 9)
     cases = {
@@ -118,7 +119,8 @@ def printed() -> None:
             share = np.mean(np.abs(error) < points.std[:, None])
             print(
                 f"{name:36s} {tilt:6d} {len(points):7d} {np.sqrt((error**2).mean()):8.4f} "
-                f"{error[:, 0].mean():+8.4f}{error[:, 1].mean():+8.4f} {np.median(points.std):7.4f} {100 * share:6.0f} %",
+                f"{error[:, 0].mean():+8.4f}{error[:, 1].mean():+8.4f} "
+                f"{np.median(points.std):7.4f} {100 * share:6.0f} %",
                 flush=True,
             )
 
@@ -144,7 +146,8 @@ def real(folder: Path) -> None:
             nodes, pixels, (640, 480), None, None, flags=cv2.CALIB_FIX_ASPECT_RATIO
         )
         print(
-            f"{side:24s} {len(nodes):3d}/{len(files)}   {np.mean(scatter):30.3f}   {matrix[0, 0]:8.2f} ({rms:.3f})"
+            f"{side:24s} {len(nodes):3d}/{len(files)}   {np.mean(scatter):30.3f}   "
+            f"{matrix[0, 0]:8.2f} ({rms:.3f})"
         )
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
@@ -229,7 +229,7 @@ class SmoothMap:
         Distance from the homography beyond which a node does not vote, px.
     """
 
-    def __init__(self, node: Array, pixel: Array, tolerance: float) -> None:
+    def __init__(self, node: ArrayLike, pixel: ArrayLike, tolerance: float) -> None:
         node, pixel = np.asarray(node, float), np.asarray(pixel, float)
         matrix, vote = cv2.findHomography(node, pixel, cv2.RANSAC, tolerance)
         if matrix is None:
@@ -257,12 +257,12 @@ class SmoothMap:
         x, y = ((pixel - self.shift) / self.scale).T
         return np.stack([x**a * y**b for a, b in self.powers], -1)
 
-    def __call__(self, node: Array) -> Array:
+    def __call__(self, node: ArrayLike) -> Array:
         """Positions of nodes, (n, 2), px."""
         q = self._homography(np.asarray(node, float))
         return q + self._basis(q) @ self.cubic
 
-    def slopes(self, node: Array) -> Array:
+    def slopes(self, node: ArrayLike) -> Array:
         """Mesh vectors at nodes, (n, 2, 2): [:, 0] along i, [:, 1] along j, px."""
         node = np.asarray(node, float)
         h = 0.05

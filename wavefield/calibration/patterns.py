@@ -185,7 +185,8 @@ def _searchable(image: NDArray[np.float32]) -> tuple[NDArray[np.uint8], float]:
     """The picture as bytes, small enough to be searched, and the factor back to its own pixels."""
     grey, factor = _bytes(image), 1.0
     while max(grey.shape) > LARGEST:
-        grey, factor = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), factor * 2
+        half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        grey, factor = np.asarray(half, np.uint8), factor * 2
     return grey, factor
 
 

@@ -17,6 +17,7 @@ from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
 
 Array = NDArray[np.float64]
+Node = NDArray[np.int64]
 
 SCALES = (1.5, 2.5, 4.0)  # px; a string may be under 2 px wide in one camera and 4 px in another
 FEWEST = 12  # crossings below which a picture is of no use
@@ -41,6 +42,11 @@ def find_strings(image: NDArray[np.float32], target: Target) -> TargetPoints:
     ------
     CalibrationError
         If there is no grid, too little of it, or its marks are not in view.
+
+    Notes
+    -----
+    Two marks on one axis look the same in a mirrored picture. That the picture is not mirrored is taken
+    for granted here; the calibration notices it, because the target's poses then differ between cameras.
     """
     lattice, scale = _best_lattice(image)
     node, pixel = lattice.node, lattice.pixel
@@ -150,7 +156,8 @@ def _independent(arms: Array) -> tuple[Array, Array] | None:
 def _ridges(image: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
     """The image smoothed, less its local ground."""
     smooth = cv2.GaussianBlur(image, (0, 0), max(1.0, 0.5 * scale))
-    return smooth - cv2.blur(cv2.erode(smooth, np.ones((15, 15), np.uint8)), (31, 31))
+    ground = cv2.blur(cv2.erode(smooth, np.ones((15, 15), np.uint8)), (31, 31))
+    return np.subtract(smooth, ground, dtype=np.float32)
 
 
 def _sample(image: NDArray[np.float32], pixel: Array) -> NDArray[np.float32]:
@@ -167,16 +174,14 @@ def _sample(image: NDArray[np.float32], pixel: Array) -> NDArray[np.float32]:
 # -- the marks ----------------------------------------------------------------------------------------
 
 
-def _oriented(image: NDArray[np.float32], smooth: SmoothMap, node: NDArray[np.int64]) -> NDArray[np.int64]:
+def _oriented(image: NDArray[np.float32], smooth: SmoothMap, node: Node) -> Node:
     """Renumber nodes so that the larger disc is (0, 0) and the smaller one (1, 0)."""
     origin, step = _marks(image, smooth, node)
     rotation = np.array([[step[0], step[1]], [-step[1], step[0]]])
     return (node - origin) @ rotation.T
 
 
-def _marks(
-    image: NDArray[np.float32], smooth: SmoothMap, node: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _marks(image: NDArray[np.float32], smooth: SmoothMap, node: Node) -> tuple[Node, Node]:
     """Node of the larger disc, and the step from it to the smaller one."""
     height, width = image.shape
     around = np.unique(
@@ -187,13 +192,15 @@ def _marks(
     around, pixel = around[inside], pixel[inside]
     row = np.full((2 * REACH + 3, 2 * REACH + 3), -1)
     row[tuple((around + REACH + 1).T)] = np.arange(len(around))
-    value, usual = _rings(cv2.GaussianBlur(image, (0, 0), 0.7), pixel, smooth.slopes(around))
+    value, usual = _rings(
+        np.asarray(cv2.GaussianBlur(image, (0, 0), 0.7), np.float32), pixel, smooth.slopes(around)
+    )
     found = None
     # all directions first; if a spot of light or dirt spoils a disc, the median over directions
     middle = np.median(value, axis=2, keepdims=True), np.median(usual, axis=1, keepdims=True)
     for (rings, strings), least in (((value, usual), 0.7), (middle, 1.5)):
         quality, radius, grey = _discs(rings, strings)
-        merits = [(0.0, None)]
+        merits: list[tuple[float, tuple[Node, Node] | None]] = [(0.0, None)]
         for a in np.flatnonzero(quality > least):
             for step in np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]):
                 b = row[tuple(around[a] + step + REACH + 1)]
@@ -210,7 +217,7 @@ def _marks(
     if found is None:
         raise CalibrationError(
             f"a grid of {len(node)} crossings was found, but not its marks: the larger disc on the origin "
-            "and the smaller one on the next crossing along +x must both be in view"
+            "and the smaller one on the next crossing along +x must both be in view, clean and without glare"
         )
     return found
 
@@ -265,8 +272,8 @@ def _discs(value: Array, usual: Array) -> tuple[Array, Array, Array]:
 
 
 def _fitted(
-    image: NDArray[np.float32], node: NDArray[np.int64], pixel: Array, tolerance: float, scale: float
-) -> tuple[Crossings, NDArray[np.int64], tuple[str, ...]]:
+    image: NDArray[np.float32], node: Node, pixel: Array, tolerance: float, scale: float
+) -> tuple[Crossings, Node, tuple[str, ...]]:
     """Fit all crossings, then those that the lattice lacks; reject; fit once more with the noise found."""
     height, width = image.shape
     blur = 0.6
@@ -316,19 +323,19 @@ def _fitted(
     return _take(fit, good), node[good], notes
 
 
-def _marked(node: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _marked(node: Node) -> NDArray[np.bool_]:
     """Nodes covered by the two discs."""
     return (node[:, 1] == 0) & ((node[:, 0] == 0) | (node[:, 0] == 1))
 
 
-def _map(node: NDArray[np.int64], pixel: Array, tolerance: float) -> SmoothMap:
+def _map(node: Node, pixel: Array, tolerance: float) -> SmoothMap:
     try:
         return SmoothMap(node, pixel, tolerance)
     except ValueError:
         raise CalibrationError(_NONE) from None
 
 
-def _missing(node: NDArray[np.int64]) -> NDArray[np.int64]:
+def _missing(node: Node) -> Node:
     """Nodes beside the known ones, and holes between them, without the marked ones."""
     steps = np.array([[a, b] for a in (-1, 0, 1) for b in (-1, 0, 1)])
     around = np.unique((node[:, None] + steps).reshape(-1, 2), axis=0)
