@@ -21,7 +21,7 @@ PAPER = {
 
 
 def run_demo(directory: Path, *, quiet: bool = False) -> None:
-    """Simulate, check, calibrate, run, analyse, report, compare.
+    """Simulate, calibrate, check, run, analyse, report, compare.
 
     Parameters
     ----------
@@ -40,8 +40,8 @@ def run_demo(directory: Path, *, quiet: bool = False) -> None:
     experiment, cube = directory / "experiment.yaml", directory / "cube.zarr"
     for words in (
         ["simulate", SCENE, directory],
-        ["check", experiment],
         ["calibrate", experiment],
+        ["check", experiment],
         ["run", experiment],
         ["analyze", cube],
         ["report", cube],

@@ -137,6 +137,24 @@ def test_catalog_takes_the_experiment(folder, tmp_path, capsys):
     assert "nobody" in capsys.readouterr().err
 
 
+def test_demo_gives_the_commands_of_the_readme_and_stops_where_one_fails(monkeypatch, tmp_path, capsys):
+    import wavefield.cli
+    import wavefield.demo
+    from wavefield.errors import WavefieldError
+
+    given = []
+    monkeypatch.setattr(wavefield.cli, "main", lambda words: given.append(words) or 0)
+    monkeypatch.setattr(wavefield.demo, "comparison", lambda store, directory: "the table")
+    wavefield.demo.run_demo(tmp_path)
+    assert [words[0] for words in given] == ["simulate", "calibrate", "check", "run", "analyze", "report"]
+    out = capsys.readouterr().out
+    assert "the table" in out
+    assert str(tmp_path / "report.html") in out
+    monkeypatch.setattr(wavefield.cli, "main", lambda words: int(words[0] == "run"))
+    with pytest.raises(WavefieldError, match="stopped in `wavefield run"):
+        wavefield.demo.run_demo(tmp_path)
+
+
 def test_poses_are_named_alike_in_all_cameras(tmp_path):
     from wavefield.commands.targets import find_views
     from wavefield.series import Experiment
