@@ -12,9 +12,9 @@ from wavefield.errors import ExperimentError
 
 def _stereo() -> matching.Settings:
     return matching.Settings.stereo(
-        iterations=(4, 4, 3),
-        window=18.0,
-        smoother_sigma=1.7,
+        iterations=(4, 3, 3),
+        window=20.0,
+        smoother_sigma=1.8,
         normalization=10.0,
         search_window=24.0,
         min_gradient_energy=0.1,
