@@ -157,7 +157,7 @@ def _ridges(image: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
     """The image smoothed, less its local ground."""
     smooth = cv2.GaussianBlur(image, (0, 0), max(1.0, 0.5 * scale))
     ground = cv2.blur(cv2.erode(smooth, np.ones((15, 15), np.uint8)), (31, 31))
-    return np.subtract(smooth, ground, dtype=np.float32)
+    return np.asarray(smooth, np.float32) - np.asarray(ground, np.float32)
 
 
 def _sample(image: NDArray[np.float32], pixel: Array) -> NDArray[np.float32]:
