@@ -129,7 +129,7 @@ Examples:
   wavefield run experiment.yaml                      # writes cube.zarr beside it
   wavefield run experiment.yaml -o cube.zarr --workflow workflows/slurm.yaml
   wavefield run campaign.yaml run07 run08            # entries of a catalog
-  wavefield run campaign.yaml -p data=/disk2         # a catalog whose images lie elsewhere
+  wavefield run campaign.yaml -p location=/disk2     # a catalog whose images lie elsewhere
 """
 )
 @click.argument("source", type=_FILE)
