@@ -168,7 +168,7 @@ def _sample(image: NDArray[np.float32], pixel: Array) -> NDArray[np.float32]:
         cv2.remap(image, part[:, :1], part[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         for part in np.split(flat, range(rows, len(flat), rows))
     ]
-    return np.concatenate(parts).reshape(pixel.shape[:-1])
+    return np.asarray(np.concatenate(parts), np.float32).reshape(pixel.shape[:-1])
 
 
 # -- the marks ----------------------------------------------------------------------------------------
