@@ -67,8 +67,8 @@ def grey(image: np.ndarray) -> np.ndarray:
 
 
 def _read_file(path: str | Path) -> np.ndarray | None:
-    # OpenCV gives nothing at all for a truncated file, which is what we want; but of a truncated JPEG it gives
-    # what there is, unless it decodes from memory
+    # OpenCV gives nothing at all for a truncated file, which is what we want; but of a truncated JPEG it
+    # gives what there is, unless it decodes from memory
     try:
         if str(path).lower().endswith((".jpg", ".jpeg")):
             raw = np.fromfile(path, np.uint8)
