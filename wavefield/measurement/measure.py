@@ -163,7 +163,7 @@ def _step(window: Sequence[Instant], plan: Plan, frame_rate: float, out: dict[st
     inside = np.ones(z.shape, bool)
     for name in plan.cameras:
         if name not in missing:
-            inside &= plan.sights[name].sees(*plan.sights[name].at(z)[:2])
+            inside &= plan.sights[name].sees(*plan.sights[name].position(z))
     quality = first.surface.quality | second.surface.quality | moved.quality
     filled = (quality & Quality.FILLED) != 0
     quality = np.where(filled, quality & ~np.uint8(Quality.MEASURED), quality)

@@ -23,7 +23,7 @@ from wavefield.rig import Camera, Rig
 
 BLOCK = 5  # side of matching's blocks, px
 _MIN_BLOCKS = 8  # along each side of the common view
-_MARGIN = 5  # blocks around the nodes
+_MARGIN = 4  # blocks around the nodes
 _LENS = 0.6  # px: blur of a usual lens
 
 
@@ -85,7 +85,7 @@ class Plan:
         self.x, self.y = np.meshgrid(grid.x_nodes, grid.y_nodes)
         middle = 0.5 * (grid.x[0] + grid.x[1]), 0.5 * (grid.y[0] + grid.y[1])
         distance = float(np.linalg.norm(rig[self.reference].centre - [*middle, 0.0]))
-        reach = 0.025 * distance
+        reach = 0.02 * distance
         self.z_range = settings.z_range or (-reach, reach)
         self.pixel = settings.pixel or self._fitting_pixel(*middle)
 
@@ -279,11 +279,29 @@ class Sight:
         ndarray of float32, (8, ny, nx)
             X, Y (px of the binned image), then dX/dx, dX/dy, dX/dz, dY/dx, dY/dy, dY/dz (px per metre).
         """
+        return self._evaluate(z, 8)
+
+    def position(self, z: NDArray) -> NDArray[np.float32]:
+        """Image position of the nodes at given heights.
+
+        Parameters
+        ----------
+        z : ndarray of float32, (ny, nx)
+            Elevation of each node, metres.
+
+        Returns
+        -------
+        ndarray of float32, (2, ny, nx)
+            X, Y, px of the binned image.
+        """
+        return self._evaluate(z, 2)
+
+    def _evaluate(self, z: NDArray, count: int) -> NDArray[np.float32]:
         t = (np.asarray(z, np.float32) - np.float32(self.z_middle)) / np.float32(self.z_half)
-        out = self.polynomial[:, 4].copy()
+        out = self.polynomial[:count, 4].copy()
         for order in (3, 2, 1, 0):
             out *= t
-            out += self.polynomial[:, order]
+            out += self.polynomial[:count, order]
         return out
 
     def sees(self, X: NDArray, Y: NDArray) -> NDArray[np.bool_]:

@@ -23,7 +23,7 @@ def _stereo() -> matching.Settings:
 
 def _piv() -> matching.Settings:
     return matching.Settings.piv(
-        iterations=(6, 4, 3), window=12.0, smoother_sigma=1.0, robust=0.0, normalization=10.0
+        iterations=(5, 4, 3), window=12.0, smoother_sigma=1.0, robust=0.0, normalization=10.0
     )
 
 
@@ -39,8 +39,8 @@ class Settings:
     velocity_cameras : tuple of str
         Cameras whose displacements give u, v, w, at least two. Empty: all.
     z_range : (float, float) or None
-        Lowest and highest elevation to search, metres. None: 2.5 % of the reference camera's distance up and
-        down (10 cm at 4 m).
+        Lowest and highest elevation to search, metres. None: 2 % of the reference camera's distance up and
+        down (9 cm at 4.4 m).
     pixel : float or None
         Pixel of the rectified images, metres. None: the finest side of a pixel of the camera that resolves
         least, or down to half of it where blocks of five would be wider than 0.8 grid steps.
