@@ -31,7 +31,7 @@ THREAD_VARIABLES = (
 _DASK: dict[str, Any] = {
     "array": {"query-planning": False},
     "distributed": {
-        "scheduler": {"allowed-failures": 10, "worker-ttl": "120s"},
+        "scheduler": {"allowed-failures": 10, "worker-ttl": "300s"},
         "worker": {"memory": {"target": False, "spill": False, "pause": 0.9, "terminate": 0.95}},
         "comm": {"timeouts": {"connect": "60s", "tcp": "60s"}},
         "admin": {"tick": {"limit": "60s"}},

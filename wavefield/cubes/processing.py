@@ -118,6 +118,9 @@ def run(
     Notes
     -----
     Results do not depend on the workflow: neither on the number of workers nor on the size of blocks.
+
+    Worker processes start by importing the program that started them: in a script, call this below
+    ``if __name__ == "__main__":``.
     """
     if not isinstance(experiment, Experiment) and is_catalog(experiment):
         from wavefield.cubes.catalog import run_catalog
