@@ -25,7 +25,7 @@ def test_centres_are_those_of_the_fast_matcher():
     inside = interior(d, a.shape)
     np.testing.assert_array_equal(d.x, fast.x)
     right = rms(d, move, inside)
-    assert right < 0.06
+    assert right < 0.03
     assert rms(d, lambda x, y: move(x + 0.5, y + 0.5), inside) > right
     assert rms(d, lambda x, y: move(x - 0.5, y - 0.5), inside) > right
     assert np.sqrt(np.mean((d.u - fast.u)[inside] ** 2)) < 0.06

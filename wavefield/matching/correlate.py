@@ -28,8 +28,8 @@ from wavefield.matching.settings import Settings
 
 _STRIDE = 2  # blocks between correlation windows
 _REFINE = 4  # px: reach of the search once the images are deformed
-_PASSES = 3  # at the final window size, after the first one at twice that size
-_SMOOTHING = 0.7  # windows: of the displacement that deforms b
+_PASSES = 4  # at the final window size, after the first one at twice that size
+_SMOOTHING = 1.0  # windows: of the displacement that deforms b; less, and the passes do not settle
 
 njit: Any = nb.njit(fastmath=True, error_model="numpy", nogil=True, cache=True)
 
