@@ -23,3 +23,10 @@ def shared() -> Path:
     if not (SHARED / "data").is_dir():
         pytest.skip("needs the real images (set WAVEFIELD_SHARED to their folder)")
     return SHARED
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark every test that asks for the real images, so that `-m real_data` leaves none out."""
+    for item in items:
+        if "shared" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.real_data)
