@@ -216,10 +216,10 @@ def test_time_limits_are_durations(text):
 
 def test_blocks_fit_memory_and_workers():
     step = 151 * 201 * 45
-    assert choose_block(12_000, 2, step, None) == 64
+    assert choose_block(12_000, 2, step, None) == 100
     for steps, workers in ((200, 2), (200, 1), (40, 2), (3, 8), (1, 1), (11_999, 100)):
         block = choose_block(steps, workers, step, None)
-        assert 1 <= block <= 64
+        assert 1 <= block <= 100
         blocks = math.ceil(steps / block)
         # no worker sits idle while another does more than one block
         assert math.ceil(blocks / workers) * workers - blocks < workers

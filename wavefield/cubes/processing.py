@@ -33,7 +33,7 @@ from wavefield.variables import FrameStatus
 log = logging.getLogger("wavefield.run")
 ProgressFunction = Callable[[int, int, str], None]
 
-_LONGEST_BLOCK = 64  # steps; beyond, the three extra frames of a block no longer matter
+_LONGEST_BLOCK = 100  # steps; a block costs one to two steps more for its three extra frames
 _ENOUGH_FAILURES = 3  # blocks that fail before any succeeds: something is wrong with all of them
 
 
@@ -271,9 +271,9 @@ def choose_block(steps: int, workers: int, step_bytes: int, memory: int | None) 
     Examples
     --------
     >>> choose_block(12000, 2, 151 * 201 * 45, None)
-    64
-    >>> choose_block(200, 2, 151 * 201 * 45, None)
-    50
+    100
+    >>> choose_block(40, 2, 151 * 201 * 45, None)
+    20
     """
     # results, their stack and their compressed copy are there at once; half the memory is for the measurement
     room = int((memory or 1_500_000_000) // 2 // (4 * step_bytes))
