@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 # Gauss-Legendre points over a pixel; at each the blurred edge nearby has its exact value
 _POINTS = (-0.3872983346207417, 0.0, 0.3872983346207417)
 _WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
+_BAND = 128  # rows drawn at a time
 _FRAME = 0.04  # width of the frame that holds the strings, metres
 _FRAME_SHADE = 0.35  # its brightness relative to the strings
 
@@ -129,10 +130,24 @@ def draw(
     """
     # the target's own plane is z = 0 of a camera that moves with it
     own = replace(camera, rotation=camera.R @ pose.rotation, translation=camera.R @ pose.origin + camera.T)
-    columns, rows = np.meshgrid(
-        np.arange(-1.0, camera.size[0] + 1), np.arange(-1.0, camera.size[1] + 1), sparse=False
-    )
-    s, t = own.unproject(columns, rows)
+    width, height = camera.size
+    bands = []
+    for top in range(0, height, _BAND):  # bands keep the memory small
+        rows = np.arange(top - 1.0, min(top + _BAND, height) + 1)
+        bands.append(_draw_rows(own, target, np.arange(-1.0, width + 1), rows, blur, offsets))
+    return np.concatenate(bands) * np.float32(target.brightness)
+
+
+def _draw_rows(
+    own: Camera,
+    target: Strings | Chessboard | Dots,
+    columns: Array,
+    rows: Array,
+    blur: float,
+    offsets: Array | None,
+) -> NDArray[np.float32]:
+    """Coverage of the pixels inside the given columns and rows, of which the outermost only give slopes."""
+    s, t = own.unproject(columns, rows[:, None])
     s, t = s / target.mesh, t / target.mesh
     if isinstance(target, Strings):
         if offsets is not None and np.any(offsets):
@@ -140,15 +155,12 @@ def draw(
         marks = np.array([[0.0, 0.0, target.origin_disc / 2], [1.0, 0.0, target.x_disc / 2]])
         marks[:, 2] /= target.mesh
         size = np.array([target.half + 0.5, _FRAME / target.mesh, _FRAME_SHADE])
-        image = _strings(s, t, target.width / target.mesh, marks, size, blur)
-    else:
-        nx, ny = target.shape
-        s, t = s + (nx - 1) / 2, t + (ny - 1) / 2
-        if isinstance(target, Dots):
-            image = _dots(s, t, nx, ny, target.diameter / 2 / target.mesh, blur)
-        else:
-            image = _chessboard(s, t, nx, ny, blur)
-    return image * np.float32(target.brightness)
+        return _strings(s, t, target.width / target.mesh, marks, size, blur)
+    nx, ny = target.shape
+    s, t = s + (nx - 1) / 2, t + (ny - 1) / 2
+    if isinstance(target, Dots):
+        return _dots(s, t, nx, ny, target.diameter / 2 / target.mesh, blur)
+    return _chessboard(s, t, nx, ny, blur)
 
 
 def _undo(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) -> tuple[Array, Array]:
