@@ -304,7 +304,7 @@ class Bench:
         measure(short, plan, 20.0)
         flow.calc(raw[0], raw[1], None)
         steps, pairs = [], []
-        for _ in range(3 if self.options.quick else 6):
+        for _ in range(3 if self.options.quick else 5):
             started = time.process_time()
             measure(short, plan, 20.0)
             middle = time.process_time()
