@@ -104,7 +104,9 @@ def test_the_statistics_know_pixels_and_errors(store, sea):
 
 
 def test_chunks_do_not_matter(sea, store):
-    other = wv.analyze(sea.chunk({"time": 23, "y": 17, "x": 50}), segment=store.attrs["segment"], pixel_size=0.0018)
+    other = wv.analyze(
+        sea.chunk({"time": 23, "y": 17, "x": 50}), segment=store.attrs["segment"], pixel_size=0.0018
+    )
     for name in ("spectra", "coherence", "statistics", "dispersion", "fusion", "direction", "higher_order"):
         got, expected = other[name].to_dataset(), store[name].to_dataset()
         for variable in got.data_vars:

@@ -162,8 +162,8 @@ class _Half:
     every: int
     apart: tuple[int, int]
 
-    def __call__(self, *blocks: np.ndarray, first: int) -> dict[str, Any]:
-        fields = dict(zip(FIELDS, blocks))
+    def __call__(self, blocks: list[np.ndarray], first: int) -> dict[str, Any]:
+        fields = crosses.take(FIELDS, blocks)
         dy, dx = self.record.dy, self.record.dx
         sums = statistics.survey({name: fields[name] for name in self.scale}, self.scale)
         z_y, z_x = kinematics.slopes(fields["z"], dy, dx)
@@ -172,11 +172,9 @@ class _Half:
         # transforms come last: the rest needs room too
         balance = self._balance(fields, first)
         points = fields["w"][:, :: self.apart[0], :: self.apart[1]]
-        return crosses.transforms(fields, NAMES, self.record.dt, dy, dx) | {
-            "sums": sums,
-            "balance": balance,
-            "points": points.reshape(points.shape[0], -1).copy(),
-        }
+        points = points.reshape(points.shape[0], -1).copy()
+        rest = {"sums": sums, "balance": balance, "points": points}
+        return crosses.transforms(fields, NAMES, self.record.dt, dy, dx) | rest
 
     def _balance(self, fields: dict[str, np.ndarray], first: int) -> list[dict[str, float]]:
         dt, dy, dx = self.record.dt, self.record.dy, self.record.dx

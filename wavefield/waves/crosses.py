@@ -52,7 +52,7 @@ def transforms(
     Parameters
     ----------
     fields : dict of str to ndarray, (steps, ny, nx)
-        Fields of the cube.
+        Fields of the cube; emptied on the way.
     names : sequence of str
         Spectral names.
     dt, dy, dx : float
@@ -64,19 +64,28 @@ def transforms(
         z is still at mid-time: `combine` takes it to frame times.
     """
     out = {}
-    for name in names:
-        if name == "nl":
-            mean = kinematics.two_frame_mean(fields["z"], fields["z_t"], dt)
-            z_y, z_x = kinematics.slopes(mean, dy, dx)
-            del mean
-            z_x *= fields["u"]
-            z_y *= fields["v"]
-            z_x += z_y
-            out["nl"] = segments.transform_space(z_x)
-        else:
-            out[name] = segments.transform_space(fields[name])
-    if "z" in names and "z_t" not in out:
-        out["z_t"] = segments.transform_space(fields["z_t"])
+    if "nl" in names:
+        mean = kinematics.two_frame_mean(fields["z"], fields["z_t"], dt)
+        z_y, z_x = kinematics.slopes(mean, dy, dx)
+        del mean
+        z_x *= fields["u"]
+        z_y *= fields["v"]
+        z_x += z_y
+        del z_y
+        out["nl"] = segments.transform_space(z_x)
+        del z_x
+    wanted = {name for name in names if name != "nl"} | ({"z_t"} if "z" in names else set())
+    for name in [*fields]:
+        block = fields.pop(name)
+        if name in wanted:
+            out[name] = segments.transform_space(block)
+    return out
+
+
+def take(names: Sequence[str], blocks: list[np.ndarray]) -> dict[str, np.ndarray]:
+    """Move blocks from a list into a dictionary, so that emptying it frees them."""
+    out = dict(zip(names, blocks))
+    blocks.clear()
     return out
 
 
@@ -249,8 +258,8 @@ def lazy_cross_spectra(
     segment = segments.segment_length(record, segment)
     table = spectra.ring_table(record)
 
-    def make(*blocks: np.ndarray, first: int) -> dict[str, np.ndarray]:
-        return transforms(dict(zip(fields, blocks)), names, record.dt, record.dy, record.dx)
+    def make(blocks: list[np.ndarray], first: int) -> dict[str, np.ndarray]:
+        return transforms(take(fields, blocks), names, record.dt, record.dy, record.dx)
 
     runs = segments.half_segments([cube[field] for field in fields], record, segment // 2, make)
     task = dask.delayed(combine, pure=False)

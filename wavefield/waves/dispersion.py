@@ -227,7 +227,7 @@ def fit_dispersion(
     top = min(2 * np.pi * settings.highest, 0.92 * dispersion(0.9 * nyquist_k, depth), 0.97 * omega[-1])
     band = (omega >= 2 * np.pi * settings.lowest) & (omega <= top)
     plane = _plane(density)
-    energy = density.values.reshape(omega.size, -1).astype(float)
+    energy = density.values.reshape(omega.size, -1)
     outer = plane.k > 0.8 * nyquist_k
     noise = np.median(energy[:, outer], axis=1) if outer.any() else np.zeros(omega.size)
     used, floor = energy[band], noise[band]
@@ -249,7 +249,7 @@ def fit_dispersion(
         trials = []
         for _ in range(settings.bootstrap):
             shape = ((used.shape[0] + 1) // 2, (density.sizes["ky"] + 1) // 2, (density.sizes["kx"] + 1) // 2)
-            draw = rng.chisquare(dof, shape) / dof
+            draw = (rng.chisquare(dof, shape) / dof).astype(energy.dtype)
             draw = draw.repeat(2, 0).repeat(2, 1).repeat(2, 2)
             draw = draw[: used.shape[0], : density.sizes["ky"], : density.sizes["kx"]]
             again = _centroids(
@@ -341,6 +341,6 @@ def _share(energy: np.ndarray, omega: np.ndarray, plane: _Plane, depth: float, f
     free = dispersion(plane.k, depth, fit[2]) + fit[0] * plane.kx + fit[1] * plane.ky
     slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), depth, fit[2]))
     reach = 2 * plane.cell * slope + 2 * (omega[1] - omega[0])
-    inside = np.abs(omega[:, None] - free) < reach
-    total = energy.sum()
-    return float((energy * inside).sum() / total) if total > 0 else np.nan
+    total = energy.sum(dtype=float)
+    ridge = sum(float(line[np.abs(o - free) < reach].sum(dtype=float)) for o, line in zip(omega, energy))
+    return ridge / float(total) if total > 0 else float("nan")

@@ -74,7 +74,7 @@ def _read(pieces: Sequence[Any], missing: np.ndarray, inner: slice) -> list[np.n
 def _half(
     make: Callable[..., dict[str, Any]], pieces: Sequence[Any], missing: np.ndarray, inner: slice, first: int
 ) -> dict[str, Any]:
-    return make(*_read(pieces, missing, inner), first=first)
+    return make(_read(pieces, missing, inner), first)
 
 
 def _lay(
@@ -109,8 +109,8 @@ def half_segments(
     half : int
         Steps of a half segment.
     make : callable
-        ``make(*blocks, first=...)`` with blocks (steps, ny, nx) without gaps and the number of the first
-        step; gives a dictionary.
+        ``make(blocks, first)`` with a list of blocks (steps, ny, nx) without gaps, which it may empty as it goes
+        to save memory, and the number of the first step; gives a dictionary.
 
     Returns
     -------

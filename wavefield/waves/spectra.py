@@ -102,8 +102,8 @@ def finish(dataset: xr.Dataset, field: xr.DataArray) -> xr.Dataset:
 
 
 # ---- E(ky, kx, omega) --------------------------------------------------------------------------------------
-def _transform(block: np.ndarray, first: int) -> dict[str, np.ndarray]:
-    return {"f": segments.transform_space(block)}
+def _transform(blocks: list[np.ndarray], first: int) -> dict[str, np.ndarray]:
+    return {"f": segments.transform_space(blocks.pop())}
 
 
 def _powers(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -263,7 +263,7 @@ def statistics(
     record = find_record(cube[names]) if record is None else record
     scale = pilot(cube, record, names)
 
-    def make(*blocks: np.ndarray, first: int) -> dict[str, np.ndarray]:
+    def make(blocks: list[np.ndarray], first: int) -> dict[str, np.ndarray]:
         return _measure(blocks, names, scale, record.dy, record.dx)
 
     parts = segments.pieces([cube[name] for name in names], record, _PIECE, make)

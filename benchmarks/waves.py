@@ -1,0 +1,286 @@
+"""Speed, memory and accuracy of the wave analysis: `python -m benchmarks.waves`.
+
+    python -m benchmarks.waves                          the cube of the paper: 12,000 x 150 x 200
+    python -m benchmarks.waves --steps 2560             the same at reduced length
+    python -m benchmarks.waves --store cube.zarr --truth truth.zarr
+                                                        a simulated experiment, measured from its images
+
+The cube is noise on a sea, float32, in a Zarr store with one step range per chunk. xrft is measured beside where it
+can be imported. Times of single estimators are CPU times on one thread; the whole analysis is wall time.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from pathlib import Path
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+import dask
+import numpy as np
+import scipy.fft
+import xarray as xr
+
+import wavefield.waves as wv
+from wavefield.waves import rings
+
+STEPS, NY, NX, SEGMENT = 12_000, 150, 200, 512
+DT, STEP = 0.05, 0.01
+FIELDS = ("z", "z_t", "u", "v", "w")
+
+
+def row(what: str, asked: str, reached: str) -> None:
+    print(f"  {what:74s} {asked:>12s} {reached:>16s}", flush=True)
+
+
+def title(text: str) -> None:
+    print(f"\n{text}\n  {'':74s} {'asked':>12s} {'reached':>16s}", flush=True)
+
+
+def write_cube(path: Path, steps: int) -> None:
+    """A sea of a hundred waves with the paper's noise, piece by piece."""
+    rng = np.random.default_rng(0)
+    n = 100
+    f = (rng.random(n) * (4.0**-4 - 1) + 1) ** -0.25
+    k = wv.wavenumber(2 * np.pi * f, 0.7)
+    angle = 2 * np.pi * rng.random(n)
+    kx, ky, omega = k * np.cos(angle), k * np.sin(angle), wv.dispersion(k, 0.7)
+    a = (0.015 * np.sqrt(2 / n) * np.exp(2j * np.pi * rng.random(n))).astype("c8")
+    y, x = np.arange(NY) * STEP, np.arange(NX) * STEP
+    ex, ey = np.exp(1j * np.outer(kx, x)).astype("c8"), np.exp(1j * np.outer(y, ky)).astype("c8")
+    gains = {"z": 1.0, "z_t": -1j * omega, "u": kx * omega / k, "v": ky * omega / k, "w": -1j * omega}
+    noise = {"z": 0.00057, "z_t": 0.016, "u": 0.005, "v": 0.005, "w": 0.0056}
+    coords = {"time": (np.arange(steps) + 0.5) * DT, "y": y, "x": x}
+    attrs = {"frame_rate": 1 / DT, "water_depth": 0.7}
+    for first in range(0, steps, 64):
+        t = coords["time"][first : first + 64]
+        turned = a * np.exp(-1j * np.outer(t, omega))
+        data = {}
+        for name in FIELDS:
+            sea = np.stack([((ey * (row_ * gains[name])) @ ex).real for row_ in turned]).astype("f4")
+            sea += noise[name] * rng.standard_normal(sea.shape, dtype="f4")
+            data[name] = (("time", "y", "x"), sea, {"units": "m" if name == "z" else "m s-1"})
+        part = xr.Dataset(data, coords | {"time": t}, attrs)
+        if first == 0:
+            chunks = {name: {"chunks": (64, NY, NX)} for name in FIELDS}
+            part.to_zarr(path, mode="w", consolidated=False, encoding=chunks)
+        else:
+            part.to_zarr(path, append_dim="time", consolidated=False)
+
+
+def cpu(function, repeats: int = 2):
+    """Least CPU time of a few runs, and the last result."""
+    times, out = [], None
+    for _ in range(repeats):
+        start = time.process_time()
+        out = function()
+        times.append(time.process_time() - start)
+    return min(times), out
+
+
+def peer(segments, start) -> float | None:
+    """CPU time of xrft over the same segments with half overlap, or None."""
+    try:
+        import xrft
+    except ImportError:
+        return None
+    total, count = 0.0, 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for first in range(0, segments.sizes["time"] - SEGMENT + 1, SEGMENT // 2):
+            part = segments.isel(time=slice(first, first + SEGMENT)).load()
+            total = total + xrft.power_spectrum(
+                part,
+                dim=["time", "y", "x"],
+                real_dim="time",
+                window="hann",
+                window_correction=True,
+                detrend="constant",
+            )
+            count += 1
+    power = total / count
+    cell = np.prod([float(power[name][1] - power[name][0]) for name in power.dims])
+    row("xrft: its total over the variance", "1", f"{float(power.sum() * cell / segments.var()):.3f}")
+    return time.process_time() - start
+
+
+def speed(path: Path) -> None:
+    """E(k, omega) of one variable against the bare transform, on one thread."""
+    stored = xr.open_zarr(path, chunks=None, consolidated=False)
+    steps = stored.sizes["time"]
+    title(f"E(k, omega) of one variable, {steps} x {NY} x {NX} float32 from Zarr, one thread, CPU s")
+    with dask.config.set(scheduler="synchronous"):
+        wv.komega(stored.w.isel(time=slice(0, SEGMENT)).chunk(), segment=SEGMENT).compute()  # compile
+        rings.rings.cache_clear()
+        lazy = stored.w.chunk({"time": SEGMENT // 2})
+
+        def bare(read_only: bool) -> None:
+            for first in range(0, steps - SEGMENT + 1, SEGMENT):
+                part = stored.w[first : first + SEGMENT].values
+                if not read_only:
+                    scipy.fft.rfftn(part)
+
+        read, _ = cpu(lambda: bare(True))
+        both, _ = cpu(lambda: bare(False))
+        found, record = cpu(lambda: wv.find_record(stored.w))
+        known, E = cpu(lambda: wv.komega(lazy, segment=SEGMENT, record=record).compute())
+        whole, _ = cpu(lambda: wv.komega(lazy, segment=SEGMENT).compute())
+    row("reading the variable once", "", f"{read:.2f}")
+    row("bare rfftn of the segments without overlap, with reading", "", f"{both:.2f}")
+    row("looking for gaps and edges (once per cube; reads it)", "", f"{found:.2f}")
+    row("komega, gaps and edges known, with reading", "", f"{known:.2f}")
+    row("  the same over bare rfftn twice (overlap), both with reading", "1.5", f"{known / both / 2:.2f}")
+    row("  the same, reading taken off both", "1.5", f"{(known - read) / (both - read) / 2:.2f}")
+    row("komega, gaps and edges looked for, with all reading", "", f"{whole:.2f}")
+    row("  the same over bare rfftn twice (overlap), with reading", "1.5", f"{whole / both / 2:.2f}")
+    row("its total over the variance", "1", f"{float(wv.total(E.E) / stored.w[:2000].var()):.3f}")
+    time_of_peer = peer(stored.w, time.process_time())
+    if time_of_peer is None:
+        row("xrft (not installed)", "", "-")
+    else:
+        row("xrft over the same segments, no angular integral", "", f"{time_of_peer:.2f}")
+
+
+_WHOLE = """
+import json, resource, sys, time
+import dask
+import wavefield.waves as wv
+import numpy as np, xarray as xr
+cube = xr.open_zarr(sys.argv[1], chunks=None, consolidated=False)
+small = cube.isel(time=slice(0, 128), y=slice(0, 40), x=slice(0, 50)).load()
+wv.analyze(small)  # compile
+start, work = time.perf_counter(), time.process_time()
+with dask.config.set(scheduler="threads", num_workers=2):
+    out = wv.analyze(sys.argv[1], sys.argv[2])
+print(json.dumps({
+    "wall": time.perf_counter() - start,
+    "cpu": time.process_time() - work,
+    "memory": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
+}))
+"""
+
+
+def whole(path: Path, steps: int) -> None:
+    """The whole analysis in a process of its own."""
+    title(f"The whole of analyze, five variables of {steps} x {NY} x {NX}, two threads")
+    done = subprocess.run(
+        [sys.executable, "-c", _WHOLE, str(path), str(path.with_name("waves.zarr"))],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        print(done.stderr)
+        raise SystemExit(1)
+    figures = json.loads(done.stdout.splitlines()[-1])
+    share = steps / STEPS
+    row("wall time, s", f"{60 * share:.0f}", f"{figures['wall']:.1f}")
+    row("CPU time, s (wall on two free cores is about half)", "", f"{figures['cpu']:.1f}")
+    row("memory, GB", "2", f"{figures['memory']:.2f}")
+
+
+# ---- a simulated experiment, measured from its images ------------------------------------------------------
+def smooth(values: np.ndarray) -> np.ndarray:
+    return np.convolve(values, np.ones(5) / 5, "same")
+
+
+def reach(energy: xr.DataArray, truth: xr.DataArray) -> tuple[float, float]:
+    """Frequency and decades below the peak up to which a spectrum is right within a factor 2."""
+    ratio = smooth(np.nan_to_num(energy.values)) / smooth(truth.values)
+    hertz = energy.omega.values / (2 * np.pi)
+    bad = np.flatnonzero((hertz > 0.9) & ((ratio > 2) | (ratio < 0.5)))
+    stop = max(int(bad[0]) - 1 if bad.size else hertz.size - 3, 0)
+    return float(hertz[stop]), float(np.log10(truth.max() / smooth(truth.values)[stop]))
+
+
+def experiment(store: Path, truth: Path) -> None:
+    """What the estimators make of a cube measured from images, beside the exact fields."""
+    cube = xr.open_zarr(store, chunks=None, consolidated=False).load()
+    exact = xr.open_zarr(truth, chunks=None, consolidated=False).load()
+    exact = exact.sel(time=cube.time, method="nearest").interp(y=cube.y, x=cube.x, assume_sorted=True)
+    exact = exact.assign_coords(time=cube.time).assign_attrs(cube.attrs)
+    exact = exact.where(np.isfinite(cube.z))
+    record = wv.find_record(cube)
+    out = wv.analyze(cube)
+    segment = int(out.attrs["segment"])
+    title(
+        f"Simulated experiment from images: {out.attrs['steps_used']} steps, {record.shape[0]} x {record.shape[1]}"
+        f" nodes, segments of {segment}"
+    )
+    ridge = out["dispersion"].to_dataset()
+    inside = (ridge.band_frequency > 1.5) & (ridge.band_frequency < 5)
+    k = ridge.ridge_error.where(inside, drop=True)
+    # relative error in omega at given k is that in k times k c_g / omega, about one half
+    row(
+        "ridge against theory up to 5 Hz, in omega, largest band, %",
+        "1",
+        f"{50 * float(np.abs(k).max()):.2f}",
+    )
+    row("  in k, largest band, %", "", f"{100 * float(np.abs(k).max()):.2f}")
+    row("  by bands of half a hertz, in k, %", "", "")
+    print("    " + "  ".join(f"{f:.2f} Hz {100 * e:+.2f}" for f, e in zip(k.band_frequency.values, k.values)))
+    true = wv.cross_spectra(exact, ("z_t",), segment=segment, record=record).E_z_t
+    omega = true.omega
+    # exact z_t is instantaneous: its spectrum over omega^2 is that of the elevation
+    elevation = (true.sum("k") * float(true.k[1] - true.k[0]) / omega**2).where(omega > 0, 0.0)
+    found = {
+        road: reach(out["spectra"][f"Ez_{road}"], elevation) for road in ("stereo", "w", "cross", "fusion")
+    }
+    for road, (hertz, decades) in found.items():
+        asked = {"stereo": "4.0", "w": "5.0", "fusion": "6.0"}.get(road, "")
+        row(f"E^z within a factor 2, {road}: decades", asked, f"{decades:.1f}")
+        row(f"E^z within a factor 2, {road}: up to, Hz", "5" if road == "stereo" else "", f"{hertz:.1f}")
+    fusion = out["fusion"].to_dataset()
+    row("noise of z, cm", "", f"{100 * float(fusion.sigma_z):.4f}")
+    row("noise of dz, cm", "", f"{100 * float(fusion.sigma_dz):.4f}")
+    row("correlation of the two noises", "", f"{float(fusion.noise_coherence):.3f}")
+    shares = out["kinematics"].to_dataset()
+    row("nonlinear term over w", "", f"{float(shares.nonlinear_share):.3f}")
+    row("residual over nonlinear term, Eulerian", "", f"{float(shares.residual_share):.3f}")
+    row(
+        "residual over nonlinear term, finite displacements", "", f"{float(shares.finite_residual_share):.3f}"
+    )
+    mine, theirs = out["coherence"].to_dataset(), wv.coherence(exact, segment=segment, record=record)
+    print("\n  coherence over k / 2 pi (1/m): measured | from the exact fields")
+    print(f"  {'':8s} {'C_w':>8s} {'C_nl':>8s} {'C_tot':>8s} | {'C_w':>8s} {'C_nl':>8s} {'C_tot':>8s}")
+    for j in range(2, mine.sizes["k"], 2):
+        cycles = float(mine.k[j]) / (2 * np.pi)
+        if cycles > 30:
+            break
+        values = [
+            " ".join(f"{abs(complex(c[f'C_{n}'][j])):8.3f}" for n in ("w", "nl", "tot"))
+            for c in (mine, theirs)
+        ]
+        print(f"  {cycles:8.2f} {values[0]} | {values[1]}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--steps", type=int, default=STEPS, help="length of the record")
+    parser.add_argument("--cube", type=Path, help="where the cube is kept between runs; by default it is not")
+    parser.add_argument("--store", type=Path, help="a cube measured from a simulated experiment")
+    parser.add_argument("--truth", type=Path, help="the exact fields of that experiment")
+    given = parser.parse_args()
+    if given.store:
+        truth = given.truth or given.store.parent / "truth" / "truth.zarr"
+        experiment(given.store, truth)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        path = given.cube or Path(folder) / "cube.zarr"
+        if not path.exists():
+            write_cube(path, given.steps)
+        steps = xr.open_zarr(path, chunks=None, consolidated=False).sizes["time"]
+        speed(path)
+        whole(path, steps)
+
+
+if __name__ == "__main__":
+    main()
