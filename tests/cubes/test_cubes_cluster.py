@@ -18,7 +18,7 @@ from wavefield.cubes import Workflow, cluster, run, status
 from wavefield.cubes.cluster import count_jobs, slurm_cluster
 from wavefield.errors import ExperimentError
 
-PATIENCE = 120.0  # seconds, on a busy machine
+PATIENCE = 300.0  # seconds, on a busy machine
 
 
 def write_workflow(folder, **settings):
