@@ -85,7 +85,7 @@ def from_spectra(ring: xr.Dataset) -> xr.Dataset:
     samples_k_omega = ring.attrs["degrees_of_freedom"] / 2 * ring["cells"]
     duration = ring.attrs["segment"] * (ring.attrs["segments"] + 1) / 2 * ring.attrs["dt"]
     table = rings.rings(*ring.attrs["nodes"], *ring.attrs["node_step"], float(ring["k"][1] - ring["k"][0]))
-    in_time = samples_in_time(np.sqrt(ring["E_z_t"] * ring["E_w"]), duration)
+    in_time = samples_in_time((ring["E_z_t"] * ring["E_w"]) ** 0.5, duration)
     samples_k = (in_time * xr.DataArray(table.cells, dims="k")).clip(min=1)
 
     out = {}

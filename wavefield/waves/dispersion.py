@@ -286,7 +286,8 @@ def fit_dispersion(
         {"long_name": "share of the variance within the ridge", "units": "1"},
     )
     out["depth"] = ((), depth, {"long_name": "depth of the water", "units": "m"})
-    return xr.Dataset(out, attrs={"lowest": settings.lowest, "highest": float(top / (2 * np.pi))})
+    attrs = {"lowest": settings.lowest, "highest": float(top / (2 * np.pi))}
+    return xr.Dataset(out, attrs=attrs).set_coords("band_frequency")
 
 
 def _misfit_spread(points: np.ndarray, depth: float, fit: np.ndarray) -> np.ndarray:
