@@ -54,7 +54,7 @@ def run_demo(directory: Path, *, quiet: bool = False) -> None:
             raise WavefieldError(f"the demo stopped in `wavefield {' '.join(line)}`")
     click.echo("\n" + comparison(cube, directory))
     click.echo(f"\nOpen in a browser:  {directory / 'report.html'}")
-    click.echo(f"The calibration:    {directory / 'rig_report'}")
+    click.echo(f"The calibration:    {directory / 'rig_report' / 'index.html'}")
 
 
 def comparison(store: Path, directory: Path) -> str:
