@@ -258,24 +258,21 @@ def _map_here(work: Work, items: Sequence[Any]) -> Iterator[Any]:
 
 
 def _map_on(client: Any, work: Work, items: Sequence[Any]) -> Iterator[Any]:
-    from distributed import as_completed
+    from distributed import CancelledError, as_completed
 
     futures = {
         client.submit(work, item, pure=False, key=f"block-{k}-{id(items)}"): item
         for k, item in enumerate(items)
     }
+    lost = StoreError("the scheduler was lost; what is done is kept: run the same command again to go on")
     try:
         for future in as_completed(futures, loop=client.loop):
-            if future.status == "finished":
-                result: Any = future.result()
-            elif future.status == "error":
-                result = future.exception()
-            else:  # cancelled or lost: the scheduler is gone
-                raise StoreError(
-                    "the scheduler was lost; what is done is kept: run the same command again to go on"
-                )
-            item = futures.pop(future)
-            yield item, result
+            if future.status not in ("finished", "error"):  # cancelled or lost with its scheduler
+                raise lost
+            result: Any = future.result() if future.status == "finished" else future.exception()
+            yield futures.pop(future), result
+    except (OSError, CancelledError) as error:  # the connection broke while a report was fetched
+        raise lost from error
     finally:
         if futures and client.status == "running":
             client.cancel(list(futures), force=True)
