@@ -5,7 +5,7 @@ import pytest
 import yaml
 from solve_cases import MESH, nodes, poses, views
 
-from wavefield.calibration import calibrate
+from wavefield.calibration import Target, calibrate
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.rest import sight_points
 from wavefield.errors import CalibrationError
@@ -54,6 +54,13 @@ def wavy(x, y):
 
 def swapped(views, camera, pose, points):
     return {**views, camera: {**views[camera], pose: points}}
+
+
+def test_node_zero_may_lie_elsewhere_than_at_the_origin(good):
+    here = calibrate(good, MESH, model=FAST).rig
+    there = calibrate(good, Target("strings", mesh=MESH, origin=(0.25, -0.1)), model=FAST).rig
+    for name in here:
+        assert there[name].centre == pytest.approx(here[name].centre + np.array([0.25, -0.1, 0.0]), abs=1e-6)
 
 
 def test_simulated_rig_is_found(good, rig):

@@ -134,7 +134,8 @@ def test_chessboard_16_bit_and_two_cameras_make_an_experiment_too(tmp_path):
     )
     simulate(scene, tmp_path / "two")
     experiment = Experiment.load(tmp_path / "two" / "experiment.yaml")
-    assert experiment.calibration.target == {"kind": "chessboard", "mesh": 0.02, "shape": [5, 4]}
+    target = {"kind": "chessboard", "mesh": 0.02, "shape": [5, 4], "origin": [-0.04, -0.03]}
+    assert experiment.calibration.target == target
     assert experiment.velocity.cameras == ["left", "right"]
     assert experiment.water.level == -0.015  # the water is below the target
     assert read_image(tmp_path / "two" / "left" / "img_00000.tif").dtype == np.uint16

@@ -36,6 +36,8 @@ class Observations:
         Where, px.
     std : ndarray, (n,)
         Standard uncertainty per axis, px.
+    origin : (float, float)
+        Where node (0, 0) lies, metres.
     """
 
     cameras: tuple[str, ...]
@@ -48,6 +50,7 @@ class Observations:
     node: Index
     pixel: Array
     std: Array
+    origin: tuple[float, float] = (0.0, 0.0)
 
     def __len__(self) -> int:
         return len(self.camera)
@@ -55,7 +58,7 @@ class Observations:
     @property
     def plan(self) -> Array:
         """Positions of the nodes on a perfect target, (N, 3), metres."""
-        return np.column_stack([self.nodes * self.mesh, np.zeros(len(self.nodes))])
+        return np.column_stack([self.origin + self.nodes * self.mesh, np.zeros(len(self.nodes))])
 
     def only(self, keep: NDArray[np.bool_]) -> "Observations":
         """Some of the observations; names and nodes stay.
@@ -97,7 +100,9 @@ class Observations:
         )
 
 
-def collect(views: Mapping[str, Mapping[str, TargetPoints]], mesh: float) -> Observations:
+def collect(
+    views: Mapping[str, Mapping[str, TargetPoints]], mesh: float, origin: tuple[float, float] = (0.0, 0.0)
+) -> Observations:
     """Flatten the views of all cameras.
 
     Parameters
@@ -106,6 +111,8 @@ def collect(views: Mapping[str, Mapping[str, TargetPoints]], mesh: float) -> Obs
         What was found in each image.
     mesh : float
         Of the target, metres.
+    origin : (float, float), optional
+        Where node (0, 0) lies, metres.
 
     Returns
     -------
@@ -139,6 +146,7 @@ def collect(views: Mapping[str, Mapping[str, TargetPoints]], mesh: float) -> Obs
         np.ravel(node).astype(np.int64),
         stack([np.asarray(p.pixel, float) for _, _, p in rows], 2),
         stack([np.asarray(p.std, float) for _, _, p in rows], 1),
+        origin,
     )
 
 

@@ -156,7 +156,7 @@ def calibrate(
     >>> found.usable, found.rig["cam3"].centre.round(3).tolist()
     (True, [0.003, 0.002, 4.35])
     """
-    mesh = target if isinstance(target, float | int) else target.mesh
+    mesh, origin = (target, (0.0, 0.0)) if isinstance(target, float | int) else (target.mesh, target.origin)
     flats = [name for name in ([flat] if isinstance(flat, str) else flat) if name]
     problems: list[str] = []
     notes: list[str] = []
@@ -168,7 +168,7 @@ def calibrate(
         if not good[name]:
             continue
         try:
-            alone[name] = calibrate_alone(collect({name: good[name]}, mesh))
+            alone[name] = calibrate_alone(collect({name: good[name]}, mesh, origin))
         except CalibrationError as error:
             problems.append(str(error))
     for name, camera in alone.items():
@@ -204,7 +204,7 @@ def calibrate(
         together = together or {name: alone[name]}
     good = {name: dict(good[name]) for name in together}
 
-    observations = collect(good, mesh)
+    observations = collect(good, mesh, origin)
     reference = _reference(observations, flats, problems, notes)
     flat_indices = [observations.poses.index(p) for p in flats if p in observations.poses]
     geometry = _together(observations, together, reference)

@@ -38,6 +38,8 @@ class Target:
         ChArUco: OpenCV's name of the marker dictionary.
     marker : float, optional
         ChArUco: side of a marker, metres.
+    origin : (float, float)
+        Where node (0, 0) of the flat target lies in the physical frame, metres.
 
     Raises
     ------
@@ -60,6 +62,7 @@ class Target:
     diameter: float | None = None
     dictionary: str = "DICT_4X4_50"
     marker: float | None = None
+    origin: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -81,6 +84,13 @@ class Target:
             raise CalibrationError(
                 "a grid of strings is marked by origin_mark: disc and x_mark: small disc, and no others"
             )
+        try:
+            x, y = (float(v) for v in self.origin)
+        except (TypeError, ValueError):
+            raise CalibrationError(
+                f"target origin {self.origin!r} must be two numbers: x and y of node (0, 0), metres"
+            ) from None
+        object.__setattr__(self, "origin", (x, y))
         if self.diameter is not None:
             object.__setattr__(self, "diameter", _length("diameter", self.diameter))
             if self.diameter >= self.mesh:  # type: ignore[operator]

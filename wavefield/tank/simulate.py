@@ -197,6 +197,8 @@ def _describe_target(scene: Scene) -> dict[str, object]:
     if target.kind == "strings":
         return {"kind": "strings", "mesh": target.mesh, "origin_mark": "disc", "x_mark": "small disc"}
     described: dict[str, object] = {"kind": target.kind, "mesh": target.mesh, "shape": list(target.shape)}
+    # its middle lies at the tank's origin
+    described["origin"] = [round(-0.5 * (n - 1) * target.mesh, 9) for n in target.shape]
     if target.kind == "dots":
         described["diameter"] = target.diameter
     return described
