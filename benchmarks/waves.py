@@ -5,8 +5,9 @@
     python -m benchmarks.waves --store cube.zarr --truth truth.zarr
                                                         a simulated experiment, measured from its images
 
-The cube is noise on a sea, float32, in a Zarr store with one step range per chunk. xrft is measured beside where it
-can be imported. Times of single estimators are CPU times on one thread; the whole analysis is wall time.
+The cube is noise on a sea, float32, in a Zarr store with one step range per chunk. xrft is measured beside
+where it can be imported. Times of single estimators are CPU times on one thread; the whole analysis is wall
+time.
 """
 
 import argparse
@@ -210,8 +211,8 @@ def experiment(store: Path, truth: Path) -> None:
     out = wv.analyze(cube)
     segment = int(out.attrs["segment"])
     title(
-        f"Simulated experiment from images: {out.attrs['steps_used']} steps, {record.shape[0]} x {record.shape[1]}"
-        f" nodes, segments of {segment}"
+        f"Simulated experiment from images: {out.attrs['steps_used']} steps, {record.shape[0]} x"
+        f" {record.shape[1]} nodes, segments of {segment}"
     )
     ridge = out["dispersion"].to_dataset()
     inside = (ridge.band_frequency > 1.5) & (ridge.band_frequency < 5)

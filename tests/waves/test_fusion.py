@@ -75,7 +75,10 @@ def test_integrated_w_is_the_elevation_before_noise():
     band = (out.frequency > 1) & (out.frequency < 6)
     ratio = out.Ez_w[band] / out.Ez_stereo[band]
     assert np.abs(ratio.mean() - 1) < 0.01
-    assert np.abs(out.Ez_cross[band] / out.Ez_stereo[band] - 1).max() < 0.02
+    # a window mixes neighbouring lines, w weighs each by its own frequency: no better than line / frequency
+    cross = (out.Ez_cross / out.Ez_stereo)[band] - 1
+    assert np.abs(cross.mean()) < 0.01
+    assert (np.abs(cross) * out.frequency[band] / float(out.frequency[1])).max() < 1
 
 
 def test_the_combined_time_series_is_better_than_either(measured, record, fused):

@@ -166,7 +166,7 @@ def test_finite_displacements_of_a_plane_wave_have_their_gain_to_a_millionth(fre
     one, two = frame(start), frame(start + dt)
     fields = cube({"z": (one + two) / 2, "w": (two - one) / dt}, start + dt / 2, y, x, "f8")
     E = {name: wv.komega(fields[name], segment=128).E for name in ("z", "w")}
-    line = int(round(omega / float(E["w"].omega[1])))
+    line = round(omega / float(E["w"].omega[1]))
     ratio = np.sqrt(float(E["w"][line].sum() / E["z"][line].sum()))
     b = omega * dt / 2
     assert ratio / (omega * np.sinc(b / np.pi) / np.cos(b)) == pytest.approx(1, abs=1e-6)

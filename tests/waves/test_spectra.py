@@ -4,7 +4,7 @@ import pytest
 import xarray as xr
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from waves_cases import axes, linear_cube, random_waves
+from waves_cases import axes, random_waves
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError

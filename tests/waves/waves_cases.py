@@ -1,4 +1,4 @@
-"""Exact seas for the tests of the estimators: free waves whose surface water obeys the kinematic condition."""
+"""Exact seas for the tests of the estimators: free waves that obey the kinematic condition."""
 
 from dataclasses import dataclass
 
@@ -108,7 +108,7 @@ def linear_cube(waves, steps, ny, nx, dt=0.05, dx=0.01, noise_z=0.0, noise_dz=0.
     def noise(rms, count):
         if not rms:
             return 0.0
-        box = max(int(round(0.04 / dx)), 1)
+        box = max(round(0.04 / dx), 1)
         raw = rng.standard_normal((count, ny + 2 * box, nx + 2 * box), dtype="f4")
         raw = uniform_filter(raw, (0, box, box))[:, box:-box, box:-box] * box
         return rms * raw

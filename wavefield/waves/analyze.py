@@ -155,7 +155,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class _Half:
-    """What is taken from half a segment: transforms, counts, the kinematic balance at some steps, time series."""
+    """What is taken from half a segment: transforms, counts, the balance at some steps, time series."""
 
     scale: dict[str, tuple[float, float]]
     record: Record
@@ -418,12 +418,13 @@ def _notes(record: Record, cube: xr.Dataset, segment: int, count: int, dof: floa
     if count < _FEW:
         seconds = segment * record.dt
         out.append(
-            f"The record holds {count} segment{'s' if count > 1 else ''} of {seconds:.3g} s: a single cell has"
-            f" {dof:.1f} degrees of freedom, so trust averages over rings and bands, not single values."
+            f"The record holds {count} segment{'s' if count > 1 else ''} of {seconds:.3g} s: a single cell"
+            f" has {dof:.1f} degrees of freedom, so trust averages over rings and bands, not single values."
         )
     if used < record.steps:
         out.append(
-            f"{record.steps - used} of {record.steps} steps are missing or lie in pieces too short for a segment."
+            f"{record.steps - used} of {record.steps} steps are missing or lie in pieces too short for a"
+            " segment."
         )
     if record.bridged:
         out.append(
@@ -452,7 +453,7 @@ def analyze(
     maps: Sequence[float] = MAP_FREQUENCIES,
     progress: Progress | None = None,
 ) -> xr.DataTree:
-    """Compute the waves of a cube: spectra, coherence, kinematics, statistics, dispersion, fusion, directions.
+    """Compute the waves of a cube: spectra, coherence, kinematics, statistics, dispersion, fusion and more.
 
     Parameters
     ----------
@@ -481,8 +482,8 @@ def analyze(
     Raises
     ------
     CubeError
-        If the cube lacks a variable, is shorter than a segment, has uneven steps or no full rectangle, or if the
-        probes were not recording while the cameras were.
+        If the cube lacks a variable, is shorter than a segment, has uneven steps or no full rectangle, or if
+        the probes were not recording while the cameras were.
     StoreError
         If the cube cannot be read or the store cannot be written.
 

@@ -1,4 +1,4 @@
-"""Coherence of the rate of rise with the vertical velocity and the nonlinear term: the paper's three curves."""
+"""Coherence of the rate of rise with vertical velocity and nonlinear term: the paper's three curves."""
 
 from typing import Any
 
@@ -140,10 +140,10 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
 
     Notes
     -----
-    The three C share the norm sqrt(<|z_t|^2> <|w - u . grad z|^2>), cross and auto spectra being averaged over
-    angle first, so C_w + C_nl = C_tot exactly and |C_w| may exceed 1. Sums run over omega > 0, where k points
-    where the wave goes; the mean over both signs of omega is the real part. gamma2 is the standard coherence;
-    for unrelated signals its mean is 1 / samples.
+    The three C share the norm sqrt(<|z_t|^2> <|w - u . grad z|^2>), cross and auto spectra being averaged
+    over angle first, so C_w + C_nl = C_tot exactly and |C_w| may exceed 1. Sums run over omega > 0, where k
+    points where the wave goes; the mean over both signs of omega is the real part. gamma2 is the standard
+    coherence; for unrelated signals its mean is 1 / samples.
     """
     need(cube, NAMES)
     ring = lazy_cross_spectra(cube, NAMES, PAIRS, segment, record)

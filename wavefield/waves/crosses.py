@@ -229,8 +229,8 @@ def cross_spectra(
     Returns
     -------
     Dataset
-        ``E_<name>`` and ``S_<a>_<b>`` = <conj(a) b> over (omega, k), ``coverage``, ``cells``, ``dof``, ``low``,
-        ``high`` (k), ``valid`` (omega, k).
+        ``E_<name>`` and ``S_<a>_<b>`` = <conj(a) b> over (omega, k), ``coverage``, ``cells``, ``dof``,
+        ``low``, ``high`` (k), ``valid`` (omega, k).
 
     Raises
     ------

@@ -44,8 +44,8 @@ def directions(
     -------
     Dataset
         ``D`` (frequency, theta): density over the direction of propagation, its integral over theta is 1;
-        ``dof``, ``low``, ``high`` (frequency, theta); ``isotropy`` (frequency): 1 - the larger modulus of the first
-        two harmonics of D, 1 for an isotropic sea, 0 for a single direction.
+        ``dof``, ``low``, ``high`` (frequency, theta); ``isotropy`` (frequency): 1 - the larger modulus of the
+        first two harmonics of D, 1 for an isotropic sea, 0 for a single direction.
 
     Raises
     ------
@@ -54,8 +54,8 @@ def directions(
 
     Notes
     -----
-    Cells near the ridge are shared between sectors by area (8 x 8 parts); the k plane's own coverage of each sector
-    is divided out, so a rectangle of nodes does not look like a direction.
+    Cells near the ridge are shared between sectors by area (8 x 8 parts); the k plane's own coverage of each
+    sector is divided out, so a rectangle of nodes does not look like a direction.
     """
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)

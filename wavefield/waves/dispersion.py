@@ -196,17 +196,18 @@ def fit_dispersion(
     depth : float
         Depth of the water, m. It is kept fixed: waves this short do not feel it.
     dof : float, optional
-        Degrees of freedom of a cell, for the uncertainty; from ``spectrum(...).dof``. Without it none is given.
+        Degrees of freedom of a cell, for the uncertainty; from ``spectrum(...).dof``. Without it none is
+        given.
     settings : FitSettings, optional
         Band, sectors and window.
 
     Returns
     -------
     Dataset
-        ``ridge_k``, ``ridge_omega``, ``ridge_angle``, ``ridge_weight`` (point); ``current_x``, ``current_y`` (m/s),
-        ``gamma`` (m3/s2) and their ``_std``; ``ridge_share``, the share of the variance within the ridge;
-        ``ridge_error`` (band): the ridge's k against the theory with the fitted current and clean water's gamma,
-        relative; ``depth``.
+        ``ridge_k``, ``ridge_omega``, ``ridge_angle``, ``ridge_weight`` (point); ``current_x``, ``current_y``
+        (m/s), ``gamma`` (m3/s2) and their ``_std``; ``ridge_share``, the share of the variance within the
+        ridge; ``ridge_error`` (band): the ridge's k against the theory with the fitted current and clean
+        water's gamma, relative; ``depth``.
 
     Raises
     ------
@@ -215,10 +216,11 @@ def fit_dispersion(
 
     Notes
     -----
-    k-centroids at fixed omega in sectors of angle, the window re-centred on the fit, |k| averaged and corrected by
-    sigma_k^2 / 2k for the curvature of the ridge. Centroids in omega at fixed k would be biased by up to 8 %.
-    The uncertainty joins the scatter of fits to spectra drawn from chi-squared distributions around the measured
-    one and that of fits without one band of half a hertz, or one octant of directions, at a time.
+    k-centroids at fixed omega in sectors of angle, the window re-centred on the fit, |k| averaged and
+    corrected by sigma_k^2 / 2k for the curvature of the ridge. Centroids in omega at fixed k would be biased
+    by up to 8 %. The uncertainty joins the scatter of fits to spectra drawn from chi-squared distributions
+    around the measured one and that of fits without one band of half a hertz, or one octant of directions, at
+    a time.
     """
     settings = settings or FitSettings()
     density = density.compute()

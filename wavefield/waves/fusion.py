@@ -1,7 +1,7 @@
 """The best elevation from stereo and from the integrated vertical velocity, and the noise of either.
 
-z = eta + n_z at frame times; w dt is the difference of two elevations, so w_hat = w i dt / (2 sin b), b = omega dt / 2,
-is the elevation at mid-time with noise n_w. No rest record is needed to tell signal from noise.
+z = eta + n_z at frame times; w dt is the difference of two elevations, so w_hat = w i dt / (2 sin b), b =
+omega dt / 2, is the elevation at mid-time with noise n_w. No rest record is needed to tell signal from noise.
 """
 
 from typing import Any
@@ -191,7 +191,8 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf) -> xr.Dataset:
 
 
 def _noise_coherence(ring: xr.Dataset, zz: np.ndarray, ww: np.ndarray, zw: np.ndarray, depth: float) -> float:
-    # waves, bound ones too, have omega above the free relation's at their k or near it; below it there is but noise
+    # waves, bound ones too, have omega above the free relation's at their k or near it; below it there is but
+    # noise
     free = dispersion(ring["k"].values, depth)
     omega = ring["omega"].values[:, None]
     off = (free > 1.6 * omega + 12) & ring["valid"].values & (omega > 2 * np.pi * 0.5)
@@ -222,9 +223,10 @@ def fusion(
     Returns
     -------
     Dataset
-        ``Ez_stereo``, ``Ez_w``, ``Ez_cross``, ``Ez_fusion`` (omega, m2 s rad-1) with ``dof_``, ``low_``, ``high_``,
-        ``valid_``; ``noise_z``, ``noise_w`` and their fits; ``weight_z``, ``wiener`` (omega); ``sigma_z``,
-        ``sigma_dz`` (m); ``noise_coherence``; ``range_frequency`` (Hz), ``range_decades`` (road). Computed at once.
+        ``Ez_stereo``, ``Ez_w``, ``Ez_cross``, ``Ez_fusion`` (omega, m2 s rad-1) with ``dof_``, ``low_``,
+        ``high_``, ``valid_``; ``noise_z``, ``noise_w`` and their fits; ``weight_z``, ``wiener`` (omega);
+        ``sigma_z``, ``sigma_dz`` (m); ``noise_coherence``; ``range_frequency`` (Hz), ``range_decades``
+        (road). Computed at once.
 
     Raises
     ------
@@ -233,8 +235,9 @@ def fusion(
 
     Notes
     -----
-    N_z = S_zz - Re S_zw, N_w = S_ww - Re S_zw; weights inverse to the noise, whose spectra are fitted as white in
-    z and in the displacement. It rests on independent noises: ``noise_coherence`` measures how far they are.
+    N_z = S_zz - Re S_zw, N_w = S_ww - Re S_zw; weights inverse to the noise, whose spectra are fitted as
+    white in z and in the displacement. It rests on independent noises: ``noise_coherence`` measures how far
+    they are.
     """
     if depth is None:
         depth = float(cube.attrs.get("water_depth") or np.inf)
@@ -273,11 +276,18 @@ def _filter(
     out = np.zeros((half, *shape), z.dtype)
     for start, kept in ((0, slice(half, None)), (half, slice(0, half))):
         part = slice(start, start + segment)
-        flat = [np.ascontiguousarray(array[part].reshape(segment, -1).T) for array in (z, z_t)]
-        frames = [np.empty((flat[0].shape[0], half), z.dtype) for _ in range(2)]
-        halves = [np.ascontiguousarray(a[:, s]) for a in flat for s in (slice(0, half), slice(half, None))]
-        kernels.frames(*halves, z.dtype.type(dt), *frames)
-        lines = fft.rfft(np.concatenate(frames, axis=1).T * window, axis=0) * advance[:, None]
+        z_flat, z_t_flat = (array[part].reshape(segment, -1).T for array in (z, z_t))
+        frames = np.empty((2, z_flat.shape[0], half), z.dtype)
+        kernels.frames(
+            np.ascontiguousarray(z_flat[:, :half]),
+            np.ascontiguousarray(z_flat[:, half:]),
+            np.ascontiguousarray(z_t_flat[:, :half]),
+            np.ascontiguousarray(z_t_flat[:, half:]),
+            z.dtype.type(dt),
+            frames[0],
+            frames[1],
+        )
+        lines = fft.rfft(np.concatenate(list(frames), axis=1).T * window, axis=0) * advance[:, None]
         lines += fft.rfft(w[part].reshape(segment, -1) * window, axis=0) * integrate[:, None]
         out += fft.irfft(lines, segment, axis=0)[kept].reshape(half, *shape).astype(z.dtype)
     return out

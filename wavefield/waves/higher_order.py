@@ -81,8 +81,8 @@ def tricoherence_of(z: np.ndarray, apart: int = 2) -> tuple[np.ndarray, np.ndarr
     Returns
     -------
     value : ndarray, (n, n)
-        max over omega3 of |<Z1 Z2 Z3* Z4*>| / sqrt(<|Z1 Z2|^2> <|Z3 Z4|^2>) with omega1 + omega2 = omega3 + omega4;
-        NaN where there is none.
+        max over omega3 of |<Z1 Z2 Z3* Z4*>| / sqrt(<|Z1 Z2|^2> <|Z3 Z4|^2>) with omega1 + omega2 = omega3 +
+        omega4; NaN where there is none.
     partner : ndarray of int, (n, n)
         Line of omega3; -1 where there is none.
 
@@ -202,8 +202,9 @@ def higher_order(
 
     Notes
     -----
-    Level: what phase-randomised surrogates exceed in 5 % of cases, at each pair of frequencies. The surrogates keep
-    the correlation in space, which makes the number of independent samples less than segments times points.
+    Level: what phase-randomised surrogates exceed in 5 % of cases, at each pair of frequencies. The
+    surrogates keep the correlation in space, which makes the number of independent samples less than segments
+    times points.
     """
     settings = settings or HigherOrderSettings()
     count = min(segment // 2 + 1, int(settings.highest * segment * dt) + 1)

@@ -81,8 +81,8 @@ def frames(z_first, z_second, rate_first, rate_second, dt, first, second):
 
     Notes
     -----
-    z_0 = z + (dt / 16)(z_t after - z_t before) - (dt / 2) z_t, exact for z = (9 (z_0 + z_1) - z_-1 - z_2) / 16.
-    The first and last step follow from their neighbour by z_t alone: what lies outside the segment is not
+    z_0 = z + (dt / 16)(z_t after - z_t before) - (dt / 2) z_t, exact for z = (9 (z_0 + z_1) - z_-1 - z_2) /
+    16. The first and last step follow from their neighbour by z_t alone: what lies outside the segment is not
     needed, and the mid-time z at the ends of a record, which had no fourth frame, is not used.
     """
     cells, half = z_first.shape
@@ -232,7 +232,7 @@ def gradient(z, dy, dx, z_y, z_x):
 
 @_fast
 def histogram(values, mean, std, reach, counts):
-    """Count values in equal bins of (value - mean) / std between -reach and reach; what lies beyond is left out.
+    """Count values in equal bins of (value - mean) / std from -reach to reach; the rest is left out.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ def _lagrange(fraction, weights):
 
 @_fast
 def sample(field, row, column, out, points):
-    """Interpolate a field at points between its nodes by Lagrange polynomials; NaN where the stencil runs out.
+    """Interpolate a field between its nodes by Lagrange polynomials; NaN where the stencil runs out.
 
     Parameters
     ----------

@@ -131,10 +131,11 @@ def kinematics(cube: xr.Dataset) -> xr.Dataset:
 
     Notes
     -----
-    Central differences of sixth order, of lower order in the three rows at each edge. The slope in the nonlinear
-    term is that of the mean of the step's two frames, which z and z_t give exactly: with displacements over dt this
-    leaves a third of the error that the slope at mid-time leaves (3 % of the nonlinear term for waves of 1 to 5 Hz
-    at 20 Hz). Vorticity and divergence are those of the surface water's horizontal velocity as a function of (x, y).
+    Central differences of sixth order, of lower order in the three rows at each edge. The slope in the
+    nonlinear term is that of the mean of the step's two frames, which z and z_t give exactly: with
+    displacements over dt this leaves a third of the error that the slope at mid-time leaves (3 % of the
+    nonlinear term for waves of 1 to 5 Hz at 20 Hz). Vorticity and divergence are those of the surface water's
+    horizontal velocity as a function of (x, y).
     """
     _need(cube)
     dt, dy, dx = check_axes(cube)
@@ -187,7 +188,8 @@ def frame_elevations(z: Any, z_before: Any, z_after: Any, z_t: Any, dt: float) -
 
     Notes
     -----
-    z = (9 (z_0 + z_1) - z_-1 - z_2) / 16 gives (z_0 + z_1) / 2 = z + (dt / 16)(z_t after - z_t before); exact.
+    z = (9 (z_0 + z_1) - z_-1 - z_2) / 16 gives (z_0 + z_1) / 2 = z + (dt / 16)(z_t after - z_t before);
+    exact.
     """
     mean = z + (dt / 16) * (z_after - z_before)
     return mean - (dt / 2) * z_t, mean + (dt / 2) * z_t
@@ -247,8 +249,8 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
     Returns
     -------
     DataArray, (time, y, x)
-        (z(x + d/2, t + dt) - z(x - d/2, t)) / dt - w with d = (u, v) dt, m/s. NaN at the first and last step, which
-        have no neighbour, and at the edges, from where the stencil runs out.
+        (z(x + d/2, t + dt) - z(x - d/2, t)) / dt - w with d = (u, v) dt, m/s. NaN at the first and last step,
+        which have no neighbour, and at the edges, from where the stencil runs out.
 
     Raises
     ------
@@ -257,9 +259,9 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
 
     Notes
     -----
-    A particle stays on the surface, so on exact data this vanishes whatever the size of the displacements, while
-    the Eulerian form z_t - w + u . grad z keeps an error of third order in dt. z between nodes by Lagrange
-    polynomials through 8 x 8 nodes.
+    A particle stays on the surface, so on exact data this vanishes whatever the size of the displacements,
+    while the Eulerian form z_t - w + u . grad z keeps an error of third order in dt. z between nodes by
+    Lagrange polynomials through 8 x 8 nodes.
     """
     _need(cube)
     dt, dy, dx = check_axes(cube)
@@ -268,7 +270,7 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
 
     def compute(*fields: np.ndarray) -> np.ndarray:
         flat = [field.reshape(-1, *field.shape[-2:]) for field in fields]
-        out = [finite_residual_on_grid(*step, dt, dy, dx) for step in zip(*flat, strict=True)]
+        out = [finite_residual_on_grid(a, b, u, v, w, dt, dy, dx) for a, b, u, v, w in zip(*flat)]
         return np.asarray(out).reshape(fields[0].shape)
 
     out = xr.apply_ufunc(

@@ -22,7 +22,8 @@ def read_probes(path: str | Path) -> xr.Dataset:
     Returns
     -------
     Dataset
-        ``elevation`` (probe, time), m; coordinates ``probe`` (name), ``probe_x``, ``probe_y`` (m, NaN if not given).
+        ``elevation`` (probe, time), m; coordinates ``probe`` (name), ``probe_x``, ``probe_y`` (m, NaN if not
+        given).
 
     Raises
     ------
@@ -85,7 +86,8 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
     Raises
     ------
     CubeError
-        If the probes were not recording while the cameras were, for one segment at least, or have uneven steps.
+        If the probes were not recording while the cameras were, for one segment at least, or have uneven
+        steps.
     """
     time = probes["time"].values
     inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
@@ -93,8 +95,9 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
     duration = 2 * np.pi / step_omega
     if inside.sum() < 8 or time[inside][-1] - time[inside][0] < 0.9 * duration:
         raise CubeError(
-            f"the probes cover {time[0]:g} to {time[-1]:g} s, the record {span[0]:g} to {span[1]:g} s: they share"
-            f" less than one segment of {duration:.3g} s; check the clock of the probes or leave them out"
+            f"the probes cover {time[0]:g} to {time[-1]:g} s, the record {span[0]:g} to {span[1]:g} s:"
+            f" they share less than one segment of {duration:.3g} s; check the clock of the probes or"
+            " leave them out"
         )
     time = time[inside]
     steps = np.diff(time)

@@ -1,4 +1,4 @@
-"""The part of a cube that spectra can be taken from: its largest full rectangle, its runs without long gaps."""
+"""The part of a cube that spectra can be taken from: its largest full rectangle, its unbroken runs."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -69,7 +69,8 @@ def _spacing(array: Any, name: str) -> float:
     worst = float(np.abs(steps - step).max())
     if not worst <= 1e-3 * abs(step):
         what = (
-            "put the cube on its clock first, for example with cube.reindex(time=...), which marks what is missing"
+            "put the cube on its clock first, for example with cube.reindex(time=...), which marks what is"
+            " missing"
             if name == "time"
             else "interpolate the cube onto a regular grid first"
         )
@@ -107,7 +108,8 @@ def check_axes(array: Any) -> tuple[float, float, float]:
             raise CubeError(f"the cube has no coordinate {name!r}: assign it, in seconds or metres")
     if array["time"].dtype.kind not in "fiu":
         raise CubeError(
-            f"the cube's time is of type {array['time'].dtype}: it must be in seconds since the start, as numbers"
+            f"the cube's time is of type {array['time'].dtype}: it must be in seconds since the start,"
+            " as numbers"
         )
     spacing = {name: _spacing(array, name) for name in CUBE_DIMS}
     for name, step in spacing.items():
@@ -244,7 +246,8 @@ def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE) -> Record:
     if min(y[1] - y[0], x[1] - x[0]) < _SMALLEST:
         raise CubeError(
             f"the largest rectangle of nodes that are measured throughout is {y[1] - y[0]} x {x[1] - x[0]}"
-            f" (y, x), less than {_SMALLEST} x {_SMALLEST}: choose a grid inside the field that all cameras see"
+            f" (y, x), less than {_SMALLEST} x {_SMALLEST}: choose a grid inside the field that all cameras"
+            " see"
         )
     size = (y[1] - y[0]) * (x[1] - x[0])
     holes = 0
@@ -283,13 +286,14 @@ def fill(block: np.ndarray, missing: np.ndarray) -> np.ndarray:
     block : ndarray, (steps, ny, nx)
         Values; NaN where there are none.
     missing : ndarray of bool, (steps,)
-        Steps to be bridged: cubic interpolation in time from two good steps on either side, linear or constant
-        where there are fewer.
+        Steps to be bridged: cubic interpolation in time from two good steps on either side, linear or
+        constant where there are fewer.
 
     Returns
     -------
     ndarray
-        The same array where nothing is missing, else a filled copy; single nodes take the nearest node's value.
+        The same array where nothing is missing, else a filled copy; single nodes take the nearest node's
+        value.
     """
     if not missing.any() and np.isfinite(block.sum(dtype=np.float64)):
         return block

@@ -1,10 +1,9 @@
 """Welch's method as a graph: every half segment is transformed in space once and used by both its segments.
 
-Half segments and segments are fixed by the record alone, and the sums run in their order: results do not depend
-on how the data are chunked.
+Half segments and segments are fixed by the record alone, and the sums run in their order: results do not
+depend on how the data are chunked.
 """
 
-import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
@@ -109,8 +108,8 @@ def half_segments(
     half : int
         Steps of a half segment.
     make : callable
-        ``make(blocks, first)`` with a list of blocks (steps, ny, nx) without gaps, which it may empty as it goes
-        to save memory, and the number of the first step; gives a dictionary.
+        ``make(blocks, first)`` with a list of blocks (steps, ny, nx) without gaps, which it may empty as it
+        goes to save memory, and the number of the first step; gives a dictionary.
 
     Returns
     -------
@@ -128,7 +127,7 @@ def half_segments(
 def pieces(
     arrays: Sequence[xr.DataArray], record: Record, length: int, make: Callable[..., dict[str, Any]]
 ) -> list[Any]:
-    """Lay out tasks as `half_segments` does, over every step of every run; the last of a run may be shorter."""
+    """Lay out tasks as `half_segments` does, over every step of a run; the last may be shorter."""
     out = []
     for run in record.runs:
         for a in range(run[0], run[1], length):

@@ -1,4 +1,4 @@
-"""Spectra of a field over (time, y, x): E(ky, kx, omega), E(k, omega), E(ky, kx) at a frequency, E(omega), E(k).
+"""Spectra of a field over (time, y, x): E(ky, kx, omega), E(k, omega), E(ky, kx), E(omega), E(k).
 
 Every spectrum is a density in rad/m and rad/s, one-sided in omega; k points where the wave goes.
 """
@@ -471,7 +471,8 @@ def frequency_spectrum(komega: xr.Dataset) -> xr.Dataset:
 
     Notes
     -----
-    The degrees of freedom follow from the spread of the energy over k at each omega, taken as even over the angle.
+    The degrees of freedom follow from the spread of the energy over k at each omega, taken as even over the
+    angle.
     """
     step = float(komega["k"][1] - komega["k"][0])
     energy = komega["E"].sum("k", dtype=np.float64) * step
@@ -488,7 +489,7 @@ def frequency_spectrum(komega: xr.Dataset) -> xr.Dataset:
 
 
 def independent_cells(ring_energy: xr.DataArray, table: rings.Rings) -> xr.DataArray:
-    """Independent cells of a sum over rings, (...), for energy even over the angle, from the energy (..., k)."""
+    """Independent cells of a sum over rings, (...), from the energy (..., k) even over the angle."""
     share = ring_energy / ring_energy.sum("k")
     overlap = xr.DataArray(table.overlap, dims=("k", "k2"))
     norm = xr.dot(

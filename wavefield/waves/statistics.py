@@ -240,8 +240,8 @@ def statistics(
     Returns
     -------
     Dataset
-        ``pdf`` (quantity, bin) beside ``gaussian`` (bin); ``mean``, ``std``, ``skewness``, ``kurtosis`` (excess),
-        ``count`` (quantity); ``std_px`` where the pixel size is known; ``significant_height``,
+        ``pdf`` (quantity, bin) beside ``gaussian`` (bin); ``mean``, ``std``, ``skewness``, ``kurtosis``
+        (excess), ``count`` (quantity); ``std_px`` where the pixel size is known; ``significant_height``,
         ``mean_square_slope``, ``slope_rms``. Computed at once.
 
     Raises
@@ -289,8 +289,8 @@ def error_statistics(cube: xr.Dataset, record: Record) -> xr.Dataset:
     Returns
     -------
     Dataset
-        ``eps_y_mean``, ``eps_y_std`` (m), ``eps_piv_mean``, ``eps_piv_std``, ``eps_piv_rms`` (px), ``eps_pdf``
-        (error, eps_bin); empty where the cube has neither. Missing values are left out.
+        ``eps_y_mean``, ``eps_y_std`` (m), ``eps_piv_mean``, ``eps_piv_std``, ``eps_piv_rms`` (px),
+        ``eps_pdf`` (error, eps_bin); empty where the cube has neither. Missing values are left out.
     """
     names = [name for name in ERRORS if name in cube]
     out: dict[str, Any] = {}

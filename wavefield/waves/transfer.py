@@ -1,4 +1,4 @@
-"""What the way of measuring does to a spectrum: gains of averages, differences and windows, and their undoing.
+"""What measuring does to a spectrum: gains of averages, differences and windows, and their undoing.
 
 All gains here are of power; b = omega dt / 2.
 """
@@ -89,8 +89,8 @@ def elevation_from_w(omega: Any, dt: float) -> Any:
 
     Notes
     -----
-    Exact for finite displacements: w dt is the difference of two elevations, whose gain is 2 i sin b. Dividing
-    by omega^2 instead is wrong by sinc^2 b.
+    Exact for finite displacements: w dt is the difference of two elevations, whose gain is 2 i sin b.
+    Dividing by omega^2 instead is wrong by sinc^2 b.
     """
     with np.errstate(divide="ignore"):
         return (dt / 2) ** 2 / np.sin(omega * dt / 2) ** 2
@@ -136,7 +136,8 @@ def undo(energy: xr.DataArray, gain: xr.DataArray, noise: xr.DataArray | float =
     Returns
     -------
     Dataset
-        ``E``, corrected (NaN where not valid), and ``valid``: gain above 0.1 and signal above 3 times the noise.
+        ``E``, corrected (NaN where not valid), and ``valid``: gain above 0.1 and signal above 3 times the
+        noise.
     """
     signal = energy - noise
     valid = (gain > _LEAST_GAIN) & (signal > _LEAST_SIGNAL * noise)
