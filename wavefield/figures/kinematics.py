@@ -110,5 +110,5 @@ def balance_history(kinematics: xr.Dataset) -> Figure:
         if name in kinematics:
             ax.semilogy(kinematics.time.values, 100 * kinematics[name].values, label=label, **style)
     ax.set(xlabel="time (s)", ylabel="rms over the grid (cm s⁻¹)")
-    plain_axes(ax)
+    plain_axes(ax, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
