@@ -257,6 +257,41 @@ def _map_here(work: Work, items: Sequence[Any]) -> Iterator[Any]:
         yield item, result
 
 
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Put off the signals that stop a run until a short call is over; a second one is heard at once.
+
+    A call of distributed that is interrupted before it began prints a traceback from another thread.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGUSR1", "SIGALRM") if hasattr(signal, name)]
+    before = {number: signal.getsignal(number) for number in (getattr(signal, name) for name in names)}
+    heard: list[int] = []
+
+    def later(number: int, frame: Any) -> None:
+        heard.append(number)
+        if len(heard) > 1:
+            tell(number, frame)
+
+    def tell(number: int, frame: Any) -> None:
+        handler = before[signal.Signals(number)]
+        if callable(handler):
+            handler(number, frame)
+
+    ours = [number for number, handler in before.items() if callable(handler)]
+    for number in ours:
+        signal.signal(number, later)
+    try:
+        yield
+    finally:
+        for number in ours:
+            signal.signal(number, before[number])
+    if heard:
+        tell(heard[0], None)
+
+
 def _map_on(client: Any, work: Work, items: Sequence[Any]) -> Iterator[Any]:
     from distributed import CancelledError, as_completed
 
@@ -269,7 +304,8 @@ def _map_on(client: Any, work: Work, items: Sequence[Any]) -> Iterator[Any]:
         for future in as_completed(futures, loop=client.loop):
             if future.status not in ("finished", "error"):  # cancelled or lost with its scheduler
                 raise lost
-            result: Any = future.result() if future.status == "finished" else future.exception()
+            with _undisturbed():
+                result: Any = future.result() if future.status == "finished" else future.exception()
             yield futures.pop(future), result
     except (OSError, CancelledError) as error:  # the connection broke while a report was fetched
         raise lost from error
