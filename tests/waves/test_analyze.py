@@ -1,6 +1,7 @@
 import importlib
 import re
 
+import dask
 import numpy as np
 import pytest
 import xarray as xr
@@ -113,6 +114,22 @@ def test_chunks_do_not_matter(sea, store):
             np.testing.assert_array_equal(got[variable], expected[variable], err_msg=f"{name}: {variable}")
 
 
+def test_neither_chunks_nor_workers_matter_where_segments_are_summed_in_several_chains(sea):
+    long = sea.isel(y=slice(0, 20), x=slice(0, 24))
+    expected = wv.analyze(long, segment=32)
+    assert expected.attrs["segments"] > 2 * 8
+    with dask.config.set(scheduler="synchronous"):
+        other = wv.analyze(long.chunk({"time": 37, "x": 11}), segment=32)
+    for name, group in expected.children.items():
+        for variable in group.data_vars:
+            np.testing.assert_array_equal(other[name][variable], group[variable], err_msg=variable)
+    np.testing.assert_allclose(expected["spectra"].E_komega_nl, _nonlinear(long, 32), rtol=1e-6)
+
+
+def _nonlinear(cube, segment):
+    return wv.cross_spectra(cube, ("nl",), segment=segment).E_nl
+
+
 def test_a_cube_in_a_store_is_read_piece_by_piece(sea, store, tmp_path):
     path = tmp_path / "cube.zarr"
     sea.chunk({"time": 50}).to_zarr(path, consolidated=False)
@@ -206,8 +223,9 @@ def test_probes_at_their_own_rate_hold_the_variance():
     assert 0.88 < float(held.mean()) <= 1
 
 
-def test_memory_stays_bounded_by_the_segment(tmp_path):
-    """The array memory of a pass does not grow with the record."""
+@pytest.mark.parametrize("chunks", [None, {}])
+def test_memory_stays_bounded_by_the_segment(tmp_path, chunks):
+    """The array memory of a pass does not grow with the record, and what was read is not kept."""
     import tracemalloc
 
     peaks = []
@@ -215,11 +233,12 @@ def test_memory_stays_bounded_by_the_segment(tmp_path):
         cube = PeriodicSea(n=64).cube(steps, 40, 48).drop_vars("exact")
         path = tmp_path / f"{steps}.zarr"
         cube.chunk({"time": 32}).to_zarr(path, consolidated=False)
-        stored = xr.open_zarr(path, consolidated=False)
-        record = wv.whole_record(stored)
-        wv.komega(stored.w, segment=64, record=record).compute()
-        tracemalloc.start()
-        wv.komega(stored.w, segment=64, record=record).compute(scheduler="synchronous")
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
+        stored = xr.open_zarr(path, consolidated=False, chunks=chunks)
+        with dask.config.set(scheduler="synchronous"):
+            wv.komega(stored.w, segment=64)
+            tracemalloc.start()
+            record = wv.find_record(stored)
+            wv.komega(stored.w, segment=64, record=record).compute()
+            peaks.append(tracemalloc.get_traced_memory()[1])
+            tracemalloc.stop()
     assert peaks[1] < 1.5 * peaks[0]

@@ -112,7 +112,6 @@ import uuid
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -154,27 +153,40 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class _Half:
-    """What is taken from half a segment: transforms, counts, the balance at some steps, time series."""
+class _Step:
+    """Takes in half a segment: sums of transforms, counts, the balance at some steps, time series."""
 
+    read: segments.Reader
     scale: dict[str, tuple[float, float]]
     record: Record
+    table: rings.Rings
     every: int
     apart: tuple[int, int]
 
-    def __call__(self, blocks: list[np.ndarray], first: int) -> dict[str, Any]:
-        fields = crosses.take(FIELDS, blocks)
-        dy, dx = self.record.dy, self.record.dx
-        sums = statistics.survey({name: fields[name] for name in self.scale}, self.scale)
-        z_y, z_x = kinematics.slopes(fields["z"], dy, dx)
-        sums["slopes"] = statistics.slope_square(z_y, z_x)
-        del z_y, z_x
+    def __call__(
+        self, state: dict[str, Any] | None, a: int, b: int, run: tuple[int, int], new: bool
+    ) -> dict[str, Any]:
+        state = {"survey": None, "sums": None, "balance": [], "points": []} if state is None else {**state}
+        dt, dy, dx = self.record.dt, self.record.dy, self.record.dx
+        fields = dict(zip(FIELDS, self.read(a, b, run)))
+        if new:
+            survey = self._survey(fields)
+            state["survey"] = survey if state["survey"] is None else segments.add(state["survey"], survey)
+            state["balance"] = state["balance"] + self._balance(fields, a)
+            points = fields["w"][:, :: self.apart[0], :: self.apart[1]]
+            state["points"] = [*state["points"], points.reshape(points.shape[0], -1).copy()]
         # transforms come last: the rest needs room too
-        balance = self._balance(fields, first)
-        points = fields["w"][:, :: self.apart[0], :: self.apart[1]]
-        points = points.reshape(points.shape[0], -1).copy()
-        rest = {"sums": sums, "balance": balance, "points": points}
-        return crosses.transforms(fields, NAMES, self.record.dt, dy, dx) | rest
+        half = crosses.transforms(fields, NAMES, dt, dy, dx)
+        if "half" in state:
+            if state["sums"] is None:
+                state["sums"] = crosses.empty_sums(half["z"], NAMES, PAIRS, MAPS, self.table)
+            crosses.add_segment(state["sums"], state["half"], half, NAMES, PAIRS, MAPS, self.table, dt)
+        return state | {"half": half}
+
+    def _survey(self, fields: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        sums = statistics.survey({name: fields[name] for name in self.scale}, self.scale)
+        z_y, z_x = kinematics.slopes(fields["z"], self.record.dy, self.record.dx)
+        return sums | {"slopes": statistics.slope_square(z_y, z_x)}
 
     def _balance(self, fields: dict[str, np.ndarray], first: int) -> list[dict[str, float]]:
         dt, dy, dx = self.record.dt, self.record.dy, self.record.dx
@@ -213,37 +225,40 @@ class _Count(Callback):
         super().__init__(posttask=self._finished)
 
     def _finished(self, key: Any, result: Any, dsk: Any, state: Any, worker_id: Any) -> None:
-        if str(key).startswith(("_half", "combine")):
+        if str(key).startswith("_Step"):
             self.done = min(self.done + 1, self.total)
             self.tell(self.done, self.total)
+
+
+def _close(state: dict[str, Any]) -> dict[str, Any]:
+    return {name: part for name, part in state.items() if name != "half"}
 
 
 def _pass(
     cube: xr.Dataset, record: Record, segment: int, table: rings.Rings, progress: Progress | None
 ) -> Any:
-    """One pass over the cube: ring sums, surveys, kinematic balance, time series at points (by runs)."""
+    """One pass over the cube: ring sums, surveys, kinematic balance, time series at points (by chains)."""
     used = sum(b - a for a, b in record.runs)
     apart = tuple(max(1, round(_POINT_DISTANCE / step)) for step in (record.dy, record.dx))
-    make = _Half(
+    step = _Step(
+        segments.Reader([cube[name] for name in FIELDS], record),
         statistics.pilot(cube, record, [f for f in FIELDS if f in statistics.QUANTITIES.values()]),
         record,
+        table,
         max(1, used // _KINEMATIC_STEPS),
         (apart[0], apart[1]),
     )
-    runs = segments.half_segments([cube[name] for name in FIELDS], record, segment // 2, make)
-    combine = dask.delayed(crosses.combine, pure=False)
-    parts = [combine(a, b, NAMES, PAIRS, MAPS, table, record.dt) for run in runs for a, b in pairwise(run)]
-    halves = [half for run in runs if len(run) > 1 for half in run]
-    surveys = segments.in_order([half["sums"] for half in halves])
+    chains = segments.chains(record, segment, step)
+    states = [dask.delayed(_close, pure=False)(state) for state in chains]
     wanted = (
-        segments.in_order(parts),
-        surveys,
-        [half["balance"] for half in halves],
-        [[half["points"] for half in run] for run in runs if len(run) > 1],
+        segments.in_order([state["sums"] for state in states]),
+        segments.in_order([state["survey"] for state in states]),
+        [state["balance"] for state in states],
+        [state["points"] for state in states],
     )
     if progress is None:
         return dask.compute(*wanted)
-    with _Count(progress, len(halves) + len(parts)):
+    with _Count(progress, segments.count_segments(record, segment) + len(chains)):
         return dask.compute(*wanted)
 
 

@@ -120,11 +120,39 @@ def combine(
     dict of str to ndarray
         "name" (rings, n // 2 + 1), "a*b" the same and complex, "map name" (cells, n).
     """
-    cells, half = first[names[0]].shape
+    sums = empty_sums(first[names[0]], names, pairs, maps, table)
+    add_segment(sums, first, second, names, pairs, maps, table, dt)
+    return sums
+
+
+def empty_sums(
+    half: np.ndarray,
+    names: Sequence[str],
+    pairs: Sequence[tuple[str, str]],
+    maps: Sequence[str],
+    table: Rings,
+) -> dict[str, np.ndarray]:
+    """Zeros for `add_segment`; ``half`` is any half segment's transform, (cells, n / 2)."""
+    cells, steps = half.shape
+    shape = (table.k.size, steps + 1)
+    sums: dict[str, np.ndarray] = {name: np.zeros(shape) for name in names}
+    sums |= {f"{a}*{b}": np.zeros(shape, complex) for a, b in pairs}
+    return sums | {f"map {name}": np.zeros((cells, 2 * steps), half.real.dtype) for name in maps}
+
+
+def add_segment(
+    sums: dict[str, np.ndarray],
+    first: dict[str, Any],
+    second: dict[str, Any],
+    names: Sequence[str],
+    pairs: Sequence[tuple[str, str]],
+    maps: Sequence[str],
+    table: Rings,
+    dt: float,
+) -> None:
+    """As `combine`, added to ``sums``."""
+    cells = first[names[0]].shape[0]
     real = first[names[0]].real.dtype
-    sums: dict[str, np.ndarray] = {name: np.zeros((table.k.size, half + 1)) for name in names}
-    sums |= {f"{a}*{b}": np.zeros((table.k.size, half + 1), complex) for a, b in pairs}
-    sums |= {f"map {name}": np.empty((cells, 2 * half), real) for name in maps}
     for slab in segments.slabs(cells):
         start = table.start[slab.start : slab.stop + 1]
         lines = {}
@@ -138,10 +166,9 @@ def combine(
             lines[name] = segments.transform_time(one, two)
             kernels.ring_powers(lines[name], start, table.ring, table.weight, sums[name])
             if name in maps:
-                kernels.powers(lines[name], sums[f"map {name}"][slab])
+                kernels.add_powers(lines[name], sums[f"map {name}"][slab])
         for a, b in pairs:
             kernels.ring_crosses(lines[a], lines[b], start, table.ring, table.weight, sums[f"{a}*{b}"])
-    return sums
 
 
 def label(

@@ -164,19 +164,19 @@ def ring_crosses(f, g, start, ring, weight, out):
 
 
 @_fast
-def powers(f, out):
-    """Write |f|^2.
+def add_powers(f, out):
+    """Add |f|^2.
 
     Parameters
     ----------
     f : ndarray, complex, (cells, n)
         Transform.
     out : ndarray, float, (cells, n)
-        Receives the power.
+        Sums to add to.
     """
     for c in range(f.shape[0]):
         for j in range(f.shape[1]):
-            out[c, j] = f[c, j].real ** 2 + f[c, j].imag ** 2
+            out[c, j] += f[c, j].real ** 2 + f[c, j].imag ** 2
 
 
 @_fast

@@ -118,21 +118,34 @@ def check_axes(array: Any) -> tuple[float, float, float]:
     return spacing["time"], spacing["y"], spacing["x"]
 
 
+class _Stored:
+    """A piece of a stored field: read when it is looked at, and not kept (xarray keeps what it has read)."""
+
+    def __init__(self, variable: xr.Variable, area: tuple[slice, slice, slice]) -> None:
+        self.variable, self.area = variable, area
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        steps, rows, columns = self.area
+        part = self.variable.isel(time=steps, y=rows, x=columns).transpose(*CUBE_DIMS)
+        return np.asarray(part.values, dtype)
+
+
 def piece(array: xr.DataArray, steps: slice, rows: slice = slice(None), columns: slice = slice(None)) -> Any:
     """Cut a piece out of a field: a dask array where the cube is chunked, else read when its task runs."""
-    part = array.transpose(*CUBE_DIMS).isel(time=steps, y=rows, x=columns)
-    return part.data if part.chunks is not None else part.variable
+    if array.chunks is None:
+        return _Stored(array.variable, (steps, rows, columns))
+    return array.transpose(*CUBE_DIMS).isel(time=steps, y=rows, x=columns).data
 
 
 def _finite(pieces: list[Any]) -> np.ndarray | None:
-    blocks = [np.asarray(part) for part in pieces]
     # packed mask of what is there in all variables; None where nothing is missing (the usual case, and quick)
-    if all(bool(np.isfinite(block.sum(dtype=np.float64))) for block in blocks):
-        return None
-    mask = np.isfinite(blocks[0])
-    for block in blocks[1:]:
-        mask &= np.isfinite(block)
-    return np.packbits(mask.reshape(mask.shape[0], -1), axis=1)
+    mask = None
+    for part in pieces:  # one at a time: memory
+        block = np.asarray(part)
+        if not np.isfinite(block.sum(dtype=np.float64)):
+            there = np.isfinite(block)
+            mask = there if mask is None else mask & there
+    return None if mask is None else np.packbits(mask.reshape(mask.shape[0], -1), axis=1)
 
 
 def largest_rectangle(mask: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:

@@ -20,6 +20,7 @@ from wavefield.waves.windows import choose_segment, hann, segment_count
 
 _FRAMES = 16  # steps transformed in space at once: they fit the cache
 _CELLS = 1024  # cells transformed in time at once
+_CHAIN = 8  # segments in a row that are summed one after the other
 
 
 def segment_length(record: Record, segment: int | None) -> int:
@@ -76,6 +77,18 @@ def _half(
     return make(_read(pieces, missing, inner), first)
 
 
+def _span(
+    record: Record, a: int, b: int, run: tuple[int, int]
+) -> tuple[tuple[slice, slice, slice], np.ndarray, slice]:
+    # what to read for the steps a to b, which of it is missing, and where a to b lie in it:
+    # interpolation in time wants good steps on either side
+    bridged = np.asarray(record.bridged, int)
+    reach = LONGEST_BRIDGE + 2 if ((bridged >= a - 1) & (bridged <= b)).any() else 0
+    lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
+    missing = np.isin(np.arange(lo, hi), bridged)
+    return (slice(lo, hi), slice(*record.y), slice(*record.x)), missing, slice(a - lo, b - lo)
+
+
 def _lay(
     arrays: Sequence[xr.DataArray],
     record: Record,
@@ -84,14 +97,59 @@ def _lay(
     run: tuple[int, int],
     make: Callable[..., dict[str, Any]],
 ) -> Any:
-    # interpolation in time wants good steps on either side
-    bridged = np.asarray(record.bridged, int)
-    reach = LONGEST_BRIDGE + 2 if ((bridged >= a - 1) & (bridged <= b)).any() else 0
-    lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
-    missing = np.isin(np.arange(lo, hi), bridged)
-    area = slice(*record.y), slice(*record.x)
-    pieces = [piece(array, slice(lo, hi), *area) for array in arrays]
-    return delayed(_half, pure=False)(make, pieces, missing, slice(a - lo, b - lo), a)
+    area, missing, inner = _span(record, a, b, run)
+    pieces = [piece(array, *area) for array in arrays]
+    return delayed(_half, pure=False)(make, pieces, missing, inner, a)
+
+
+class Reader:
+    """Reads pieces of a record inside a task: nothing is read before it is needed."""
+
+    def __init__(self, arrays: Sequence[xr.DataArray], record: Record) -> None:
+        self.arrays, self.record = list(arrays), record
+
+    def __call__(self, a: int, b: int, run: tuple[int, int]) -> list[np.ndarray]:
+        """Blocks (b - a, ny, nx) of the steps a to b of a run, without gaps."""
+        area, missing, inner = _span(self.record, a, b, run)
+        blocks = []
+        for array in self.arrays:
+            part = piece(array, *area)
+            if hasattr(part, "dask"):
+                part = part.compute(scheduler="synchronous")
+            blocks += _read([part], missing, inner)
+        return blocks
+
+
+def chains(record: Record, segment: int, step: Callable[..., Any]) -> list[Any]:
+    """Lay out chains of tasks over the segments of a record: few pieces are in memory at once.
+
+    Parameters
+    ----------
+    record : Record
+        Rectangle and runs.
+    segment : int
+        Steps of a segment.
+    step : callable
+        ``step(state, a, b, run, new)`` takes in the half segment from step a to b: ``state`` is what it gave
+        for the half before, None at the beginning of a chain; ``new`` says that no other chain has the half.
+
+    Returns
+    -------
+    list of delayed
+        The last state of each chain, in the order of the record. Chains are fixed by the record alone.
+    """
+    half = segment // 2
+    task = delayed(step, pure=False)
+    out = []
+    for run in record.runs:
+        count = segment_count(run[1] - run[0], segment)
+        for some in np.array_split(np.arange(count), -(-count // _CHAIN)) if count else ():
+            state = None
+            for i in range(int(some[0]), int(some[-1]) + 2):
+                a = run[0] + i * half
+                state = task(state, a, a + half, run, i > some[0] or i == 0)
+            out.append(state)
+    return out
 
 
 def half_segments(
@@ -137,14 +195,15 @@ def pieces(
 
 def in_order(parts: Sequence[Any]) -> Any:
     """Sum delayed dictionaries of arrays one after the other, in their order."""
-    add = delayed(_add, pure=False)
+    task = delayed(add, pure=False)
     total = parts[0]
     for part in parts[1:]:
-        total = add(total, part)
+        total = task(total, part)
     return total
 
 
-def _add(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
+def add(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
+    """Sum two dictionaries of arrays, name by name."""
     return {name: a[name] + b[name] for name in a}
 
 

@@ -108,9 +108,9 @@ def _transform(blocks: list[np.ndarray], first: int) -> dict[str, np.ndarray]:
 
 def _powers(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     cells, half = a["f"].shape
-    power = np.empty((cells, 2 * half), a["f"].real.dtype)
+    power = np.zeros((cells, 2 * half), a["f"].real.dtype)
     for slab in segments.slabs(cells):
-        kernels.powers(segments.transform_time(a["f"][slab], b["f"][slab]), power[slab])
+        kernels.add_powers(segments.transform_time(a["f"][slab], b["f"][slab]), power[slab])
     return {"power": power}
 
 

@@ -8,10 +8,9 @@ import numpy as np
 import xarray as xr
 
 from wavefield.errors import CubeError
-from wavefield.variables import CUBE_DIMS
 from wavefield.waves import kernels, segments
 from wavefield.waves.kinematics import slopes
-from wavefield.waves.record import Record, find_record
+from wavefield.waves.record import Record, find_record, piece
 
 QUANTITIES = {
     "z": "z",
@@ -300,12 +299,12 @@ def error_statistics(cube: xr.Dataset, record: Record) -> xr.Dataset:
     scales = pilot(cube, record, names)
     task = dask.delayed(_errors, pure=False)
     for name in names:
-        array = cube[name].transpose(*CUBE_DIMS).isel(y=slice(*record.y), x=slice(*record.x))
+        area = slice(*record.y), slice(*record.x)
         parts = []
         for a, b in record.runs:
             for first in range(a, b, _PIECE):
-                piece = array.isel(time=slice(first, min(first + _PIECE, b)))
-                parts.append(task(piece.data if piece.chunks is not None else piece.variable, scales[name]))
+                part = piece(cube[name], slice(first, min(first + _PIECE, b)), *area)
+                parts.append(task(part, scales[name]))
         (sums,) = dask.compute(segments.in_order(parts))
         moments = central_moments(sums["sums e"], scales[name][0])
         unit = ERRORS[name]
