@@ -195,3 +195,16 @@ def test_margin_leaves_out_the_edge_of_what_was_measured():
     )
     kept = np.isfinite(inside(errors, 0.04).z.isel(time=0).values)
     assert kept.sum() == (20 - 4 - 8) * (30 - 6 - 8)
+
+
+def test_report_is_written_without_the_images_too_and_says_so(folder, tmp_path):
+    from wavefield.report import gather, write_report
+
+    images = folder / "cam1"
+    images.rename(folder / "away")
+    try:
+        page = write_report(gather(folder / "cube.zarr"), tmp_path / "report.html").read_text()
+    finally:
+        (folder / "away").rename(images)
+    assert "pictures of the cameras' frames" in page.replace("&#x27;", "'").replace("&#39;", "'")
+    assert "Coverage and faults" in page

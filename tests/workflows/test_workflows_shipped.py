@@ -11,6 +11,7 @@ from cube_cases import different
 from wavefield.cubes import Workflow, open_cube, run
 from wavefield.cubes.catalog import find_experiment
 from wavefield.cubes.cluster import count_jobs, slurm_cluster
+from wavefield.report import gather
 from wavefield.variables import FrameStatus
 
 ROOT = Path(__file__).parents[2]
@@ -68,3 +69,5 @@ def test_real_images_run_from_the_catalog_with_their_place_as_a_parameter(shared
     # the specimen is flat to a third of a millimetre, and lies where its calibration says
     assert abs(float(cube.z.median())) < 1e-3
     assert float(abs(cube.eps_piv).median()) < 0.1
+    # its report finds the images where the parameter said
+    assert set(gather(state.store).frames) == {"left", "right"}

@@ -349,6 +349,8 @@ def _open_or_create(prepared: Prepared, path: Path) -> stores.Layout:
     layout = stores.Layout(prepared.steps, min(block, prepared.steps), tuple(prepared.series), first)
     depth = prepared.experiment.water.depth
     attributes: dict[str, Any] = {"experiment_file": str(prepared.experiment.path)}
+    if prepared.experiment.folder:
+        attributes["image_folder"] = str(prepared.experiment.image_folder)
     if depth:
         attributes["water_depth"] = depth
     stores.clean_up(path)

@@ -30,11 +30,11 @@ def measure_pairs(sources: Sources, middle: int) -> xr.Dataset | None:
         z, eps_y (m), u, v, w (m s-1), eps_piv (px); the pair "all" is the run's own choice. None if there are
         no images, or fewer than two cameras, or fewer than three frames.
     """
-    if sources.experiment is None or sources.rig is None or len(sources.rig) < 2:
+    if not sources.frames or sources.rig is None or len(sources.rig) < 2:
         return None
     rig, grid, rate = sources.rig, sources.grid, float(sources.cube.attrs["frame_rate"])
     settings = Settings.from_dict(sources.recipe.get("settings", {}))
-    series = sources.experiment.open_frames()
+    series = sources.frames
     steps = len(next(iter(series.values()))) - 1
     first = int(np.clip(middle - _STEPS // 2, 0, max(steps - _STEPS, 0)))
     count = min(_STEPS, steps)

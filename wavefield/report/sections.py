@@ -153,9 +153,9 @@ def _roles(sources: Sources) -> tuple[list[tuple[str, str]], list[str]]:
 
 
 def _middle_frames(sources: Sources) -> dict[str, np.ndarray]:
-    if sources.experiment is None or sources.rig is None:
+    if not sources.frames or sources.rig is None:
         return {}
-    series = sources.experiment.open_frames()
+    series = sources.frames
     out = {}
     for name in sources.rig:
         if name in series:

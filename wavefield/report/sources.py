@@ -12,7 +12,7 @@ import xarray as xr
 from wavefield.errors import StoreError, WavefieldError
 from wavefield.grid import Grid
 from wavefield.rig import Camera, Rig
-from wavefield.series import Experiment
+from wavefield.series import Experiment, FrameSeries
 from wavefield.variables import CUBE_FIELDS
 
 _MOST_VALUES = 8_000_000  # per variable, for distributions: a few seconds and 64 MB
@@ -32,6 +32,8 @@ class Sources:
         The cameras of the run.
     experiment : Experiment, optional
         The experiment file, if it is still where it was.
+    frames : dict of camera to FrameSeries
+        The images, if they are still where they were.
     truth : Dataset, optional
         The exact fields of a simulated experiment, on the steps and nodes of the cube.
     bad_frames : tuple of str
@@ -44,6 +46,7 @@ class Sources:
     waves: xr.DataTree | None = None
     rig: Rig | None = None
     experiment: Experiment | None = None
+    frames: dict[str, FrameSeries] = field(default_factory=dict)
     truth: xr.Dataset | None = None
     bad_frames: tuple[str, ...] = ()
     notes: list[str] = field(default_factory=list)
@@ -170,10 +173,14 @@ def gather(
         out.rig = Rig({name: Camera.from_dict(camera) for name, camera in rig.items()})
     file = Path(experiment or str(cube.attrs.get("experiment_file", "")))
     try:
-        out.experiment = Experiment.load(file)
+        out.experiment = Experiment.load(file, cube.attrs.get("image_folder"))
     except (WavefieldError, OSError) as error:
         out.notes.append(f"pictures of the cameras' frames (the experiment file cannot be read: {error})")
         return out
+    try:
+        out.frames = out.experiment.open_frames()
+    except WavefieldError as error:
+        out.notes.append(f"pictures of the cameras' frames, and each pair of cameras on its own ({error})")
     exact = Path(truth) if truth else out.experiment.path.parent / "truth" / "truth.zarr"
     if exact.is_dir():
         out.truth = xr.open_zarr(exact, consolidated=False)
