@@ -8,6 +8,7 @@ from wavefield.measurement.regrid import (
     bending_energy,
     coefficients,
     fill,
+    levelled,
     push_pull,
     read_anchored,
     read_surface,
@@ -121,3 +122,22 @@ def test_nothing_measured_fills_nothing(lattice):
         np.full((*lattice.shape, 1), np.nan, np.float32), nothing, ~nothing, bending_energy(~nothing)
     )
     assert np.isfinite(filled).all()
+
+
+def test_uncertainty_is_shared_with_the_blocks_around_and_reaches_into_holes():
+    std = np.full((30, 40), 0.02, np.float32)
+    std[:, ::2] = 0.04
+    valid = np.ones(std.shape, bool)
+    valid[10:18, 10:18] = False
+    std[~valid] = np.nan
+    found = levelled(std, valid)
+    np.testing.assert_allclose(found, 0.03, rtol=0.05)
+
+
+def test_one_uncertain_block_keeps_its_own_uncertainty_without_spoiling_the_rest():
+    std = np.full((30, 40), 0.03, np.float32)
+    std[15, 20] = 3.0
+    found = levelled(std, np.ones(std.shape, bool))
+    assert found[15, 20] >= 1.5
+    found[15, 20] = 0.03
+    assert found.max() < 0.035

@@ -20,6 +20,11 @@ Float = NDArray[Any]
 Mask = NDArray[Any]
 
 _REACH = 12.0  # blocks: so far from anything measured the plate says no more than a local mean
+# window and smoother took from short waves before a field could say how short they are: more than they take
+# from what is left
+LOST = np.float32(1.6)
+_STANDS_OUT = np.float32(5.0)  # times the median
+_AROUND = 3.0  # blocks: about a window, and a third of the shortest waves
 
 
 @dataclass(frozen=True)
@@ -160,6 +165,39 @@ def fill(fields: Float, valid: Mask, wanted: Mask, energy: sparse.csr_array) -> 
     solved = spsolve(sparse.csc_array(matrix), right)
     flat[holes] = np.reshape(solved, guess.shape)
     return out
+
+
+def levelled(std: Float, valid: Mask) -> Float:
+    """Uncertainty as it is around each block, holes filled.
+
+    Parameters
+    ----------
+    std : ndarray of float32, (ny, nx)
+        Standard uncertainty of each block; those of holes are not looked at.
+    valid : ndarray of bool, (ny, nx)
+        Where it holds.
+
+    Returns
+    -------
+    ndarray of float32, (ny, nx)
+        Mean over the blocks around; never less than half the block's own.
+
+    Notes
+    -----
+    The uncertainty of one block comes from few residuals, and what the window takes from a wave is nil where
+    the wave passes through zero: neither says that the error is small there.
+    """
+    if not valid.any():
+        return np.zeros_like(std)
+    # a block at the edge of what is seen may stand out a hundredfold: that says nothing of its neighbours
+    usual = np.float32(np.median(std[valid]))
+    known = np.where(valid, np.minimum(std, _STANDS_OUT * usual), np.float32(0))
+    total, weight = (
+        cv2.GaussianBlur(f, (0, 0), _AROUND, borderType=cv2.BORDER_REFLECT)
+        for f in (known, valid.astype(np.float32))
+    )
+    around = np.where(weight > 1e-3, total / np.maximum(weight, np.float32(1e-3)), usual)
+    return np.where(valid, np.maximum(around, np.float32(0.5) * std), around)
 
 
 def thin_plate(shape: tuple[int, int], smoothing: float) -> Float:

@@ -15,14 +15,12 @@ from wavefield.matching import Reason
 from wavefield.matching.uncertainty import std_from_influence
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.rectify import rectify, widen
-from wavefield.measurement.regrid import coefficients, fill, push_pull, read_surface
+from wavefield.measurement.regrid import LOST, coefficients, fill, levelled, push_pull, read_surface
 from wavefield.variables import Quality
 
 Float = NDArray[Any]
 Mask = NDArray[Any]
 
-# window and smoother took from short waves before z could say how short they are: more than they take from z
-_LOST = np.float32(1.6)
 _SPREAD = 1.4826  # standard deviation of a normal distribution over its median absolute value
 
 
@@ -243,7 +241,7 @@ def combine(matches: Sequence[PairMatch]) -> Blocks:
     rejected[valid] = 0
     some = np.where(valid, square, np.float32(1.0))
     z = -along / some
-    std = std_from_influence(zeta / some, matches[0].settings, field=_LOST * z)
+    std = std_from_influence(zeta / some, matches[0].settings, field=LOST * z)
     nan = np.float32(np.nan)
     eps_y = np.where(valid, across / np.where(valid, length, np.float32(1.0)), nan)
     return Blocks(np.where(valid, z, nan), eps_y, np.where(valid, std, nan), valid, rejected)
@@ -267,7 +265,7 @@ def to_nodes(blocks: Blocks, matches: Sequence[PairMatch], plan: Plan) -> Surfac
         Finite everywhere, also where no camera looks: the caller knows what lies outside.
     """
     reference = matches[0].pair[0]
-    std = push_pull(blocks.std[..., None], blocks.valid)[..., 0]
+    std = levelled(blocks.std, blocks.valid)
     z = push_pull(blocks.z[..., None], blocks.valid)
     wanted = plan.seen_blocks[reference] > 0.5
     for m in matches:
@@ -292,13 +290,15 @@ def to_nodes(blocks: Blocks, matches: Sequence[PairMatch], plan: Plan) -> Surfac
 def _widen(std: Float, z: Float, valid: Mask) -> Float:
     """Uncertainty inside holes: the plate does not know the curvature there.
 
-    Between rims a distance r away it errs by about a tenth of r^2 times the rms curvature of the rest.
+    In a hole of radius r, s from its rim, it errs by about a tenth of s (2r - s) times the rms curvature of
+    the rest.
     """
     bend = cv2.Laplacian(cv2.GaussianBlur(z, (0, 0), 2.0), cv2.CV_32F)
     inner = cv2.erode(valid.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
     curvature = float(np.sqrt(np.mean(np.square(bend[inner])))) if inner.any() else 0.0
     distance = cv2.distanceTransform((~valid).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.hypot(std, np.float32(0.1 * curvature) * distance**2)
+    radius = cv2.dilate(distance, np.ones((13, 13), np.uint8))
+    return np.hypot(std, np.float32(0.1 * curvature) * distance * (2 * radius - distance))
 
 
 def surface(prepared: Mapping[str, matching.Prepared], plan: Plan) -> Surface | None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.matching import Reason
 from wavefield.measurement.plan import Plan, Sight
-from wavefield.measurement.regrid import coefficients, fill, read_anchored
+from wavefield.measurement.regrid import LOST, coefficients, fill, levelled, read_anchored
 from wavefield.rig.stereo import solve_displacement
 from wavefield.variables import Quality
 
@@ -64,19 +64,28 @@ def displacement_at(
         Bits of `Quality`; 0 where measured.
     """
     valid = found.valid
-    fields = np.stack([found.u, found.v, found.u_std, found.v_std], axis=-1)
+    fields = np.stack([found.u, found.v], axis=-1)
     if not valid.all():
         # what left the image is no hole in it
         wanted = (found.reason & np.uint8(Reason.EDGE | Reason.MASKED)) == 0
         fields = fill(fields, valid, wanted, sight.energy)
-    fields, std = fields[..., :2], np.maximum(fields[..., 2:], np.float32(0))
+    std = np.stack([levelled(s, valid).ravel() for s in _block_std(found)])
     d, block = read_anchored(coefficients(fields, sight.response), sight.lattice, X, Y)
     rejected = np.zeros(found.reason.shape, np.uint8)
     neighbours = np.uint8(Reason.NEIGHBOURS | Reason.RANGE)
     rejected[(found.reason & ~neighbours) != 0] |= np.uint8(Quality.REJECTED_CORRELATION)
     rejected[(found.reason & neighbours) != 0] |= np.uint8(Quality.REJECTED_NEIGHBOURS)
-    std = np.moveaxis(std.reshape(-1, 2)[block], -1, 0)
-    return d, np.hypot(std, np.float32(_STD_FLOOR)), rejected.ravel()[block]
+    return d, np.hypot(std[:, block], np.float32(_STD_FLOOR)), rejected.ravel()[block]
+
+
+def _block_std(found: matching.Displacement) -> tuple[Float, Float]:
+    """Standard uncertainty of the blocks' u and v, px."""
+    gain = min(1.0, found.gain * found.settings.relaxation)
+    u, v = (
+        matching.std_from_influence(influence, found.settings, field=LOST * field, gain=gain)
+        for influence, field in ((found.influence_u, found.u), (found.influence_v, found.v))
+    )
+    return u, v
 
 
 def velocity(
