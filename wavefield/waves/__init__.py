@@ -31,6 +31,7 @@ from wavefield.waves.transfer import (
     gain_two_frames,
     undo,
 )
+from wavefield.waves.window_gain import window_gain
 
 __all__ = [
     "FitSettings",
@@ -66,4 +67,5 @@ __all__ = [
     "undo",
     "wavenumber",
     "whole_record",
+    "window_gain",
 ]
