@@ -232,8 +232,9 @@ def experiment(store: Path, truth: Path) -> None:
     print("    " + "  ".join(f"{f:.2f} Hz {100 * e:+.2f}" for f, e in zip(k.band_frequency.values, k.values)))
     true = wv.cross_spectra(exact, ("z_t",), segment=segment, record=record).E_z_t
     omega = true.omega
-    # exact z_t is instantaneous: its spectrum over omega^2 is that of the elevation
-    elevation = (true.sum("k") * float(true.k[1] - true.k[0]) / omega**2).where(omega > 0, 0.0)
+    dk = float(true.k[1] - true.k[0])
+    # the exact z_t is the difference of two frames, as the measured one
+    elevation = (true.sum("k") * dk * wv.elevation_from_w(omega, record.dt)).where(omega > 0, 0.0)
     found = {
         road: reach(out["spectra"][f"Ez_{road}"], elevation) for road in ("stereo", "w", "cross", "fusion")
     }
@@ -241,6 +242,20 @@ def experiment(store: Path, truth: Path) -> None:
         asked = {"stereo": "4.0", "w": "5.0", "fusion": "6.0"}.get(road, "")
         row(f"E^z within a factor 2, {road}: decades", asked, f"{decades:.1f}")
         row(f"E^z within a factor 2, {road}: up to, Hz", "5" if road == "stereo" else "", f"{hertz:.1f}")
+    gain = wv.window_gain(cube, exact, segment=segment, record=record)
+    for name, factor in (("z", 1.0), ("w", wv.elevation_from_w(omega, record.dt))):
+        whole = (
+            wv.undo(out["spectra"][f"E_komega_{name}"], gain[f"gain_{name}"] ** 2).E.sum("k") * dk * factor
+        )
+        hertz, decades = reach(whole.where(omega > 0, 0.0), elevation)
+        road = {"z": "stereo", "w": "w"}[name]
+        row(f"  the same, {road}, gain of the windows undone: decades", "", f"{decades:.1f}")
+        row(f"  the same, {road}, gain of the windows undone: up to, Hz", "", f"{hertz:.1f}")
+    print("  amplitude gain of the windows (z, w), measured against the truth, over k / 2 pi (1/m)")
+    chosen = [j for j in range(2, gain.sizes["k"], 2) if np.isfinite(gain.gain_z[j])]
+    print(
+        "    " + "  ".join(f"{gain.cycles[j]:.1f}: {gain.gain_z[j]:.2f} {gain.gain_w[j]:.2f}" for j in chosen)
+    )
     fusion = out["fusion"].to_dataset()
     row("noise of z, cm", "", f"{100 * float(fusion.sigma_z):.4f}")
     row("noise of dz, cm", "", f"{100 * float(fusion.sigma_dz):.4f}")
