@@ -1,6 +1,7 @@
 """What the measurement reaches on simulated images, against the exact answer.
 
-    python -m benchmarks.measurement [--quick] [--exact] [--scale S] [--shared DIR] [--pictures DIR]
+    python -m benchmarks.measurement [--quick] [--exact] [--preset fast] [--scale S] [--shared DIR]
+        [--pictures DIR]
 
 Full-size cameras, grid of 1 cm over 2 x 1.5 m, 1 px = 1.8 mm, nodes 4 cm inside the edge of the common view.
 The rig is calibrated from simulated target images (``--exact``: the exact cameras), except for the texture,
@@ -14,7 +15,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -63,6 +64,7 @@ def rms(values: np.ndarray) -> float:
 class Bench:
     def __init__(self, options: argparse.Namespace):
         self.options = options
+        self.settings = Settings.from_dict({"preset": options.preset})
         self.rig_options = {"scale": options.scale, "crop": 0.45 if options.quick else 1.0}
         if options.quick:
             self.grid = Grid((-0.44, 0.44), (-0.34, 0.34), 0.01)
@@ -124,7 +126,7 @@ class Bench:
 
     def cube(self, name: str, settings: Settings | None = None, frames=None, rig=None):
         case = self.case(name)
-        plan = Plan(rig or self.rig(), self.grid, settings)
+        plan = Plan(rig or self.rig(), self.grid, settings or self.settings)
         return measure(frames or case.frames, plan, case.tank.scene.frame_rate)
 
     def errors(self, name: str, out) -> dict[str, np.ndarray]:
@@ -153,7 +155,7 @@ class Bench:
         first = {camera: images[1] for camera, images in case.frames.items()}
         reached = []
         for pairs in ((), (("cam1", "cam2"),)):
-            plan = Plan(exact, self.grid, Settings(pairs=pairs))
+            plan = Plan(exact, self.grid, replace(self.settings, pairs=pairs))
             ready = {
                 c: stereo.prepare(bin_pixels(first[c], plan.binning[c]), c, plan)
                 for c in plan.surface_cameras
@@ -163,7 +165,7 @@ class Bench:
             miss = (found.z - case.truth.z_start) / PIXEL
             reached.append(f"{rms(miss[good]):.4f} ({100 * good.sum() / case.inside.sum():.1f} % measured)")
         self.say("texture, exact cameras, frame-time z: all; pair 1-2, px", "0.015; 0.04", "; ".join(reached))
-        plan = Plan(exact, self.grid)
+        plan = Plan(exact, self.grid, self.settings)
         result = diagnose({c: images[1:3] for c, images in case.frames.items()}, plan, PIXEL)
         miss = result.recombined["cam1", "cam2"][case.inside] / PIXEL
         self.say("texture: recombined minus direct z, px", "0.06", f"{rms(miss):.4f}")
@@ -225,7 +227,7 @@ class Bench:
             )
             self.coverage(name, out, error)
             if name == "random":
-                two = self.cube(name, Settings(velocity_cameras=("cam1", "cam2")))
+                two = self.cube(name, replace(self.settings, velocity_cameras=("cam1", "cam2")))
                 self.say(
                     "random: eps' of cameras 1 and 2, px", "0.06", f"{rms(two['eps_piv'][0][inside]):.4f}"
                 )
@@ -296,7 +298,7 @@ class Bench:
 
     def speed(self) -> None:
         case = self.case("random")
-        plan = Plan(case.tank.rig, self.grid)
+        plan = Plan(case.tank.rig, self.grid, self.settings)
         frames = {c: [images[k % 4] for k in (0, 1, 2, 3, 2, 1)] for c, images in case.frames.items()}
         short = {c: images[:4] for c, images in frames.items()}
         flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
@@ -330,6 +332,7 @@ class Bench:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the middle of the field only")
+    parser.add_argument("--preset", choices=["default", "fast"], default="default", help="of the settings")
     parser.add_argument("--exact", action="store_true", help="exact cameras instead of calibrated ones")
     parser.add_argument("--scale", type=float, default=1.0, help="size of the images over full size")
     parser.add_argument("--only", nargs="*", default=["texture", "seas", "faults", "speed", "specimen"])

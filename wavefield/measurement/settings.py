@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from wavefield import matching
@@ -25,6 +25,14 @@ def _piv() -> matching.Settings:
     return matching.Settings.piv(
         iterations=(5, 4, 3), window=12.0, smoother_sigma=1.0, robust=0.0, normalization=10.0
     )
+
+
+def _fast_stereo() -> matching.Settings:
+    return replace(_stereo(), iterations=(2, 1, 1), relaxation=1.35)
+
+
+def _fast_piv() -> matching.Settings:
+    return replace(_piv(), iterations=(2, 1, 1), relaxation=1.35, search_x=None, search_y=None)
 
 
 @dataclass(frozen=True)
@@ -100,6 +108,26 @@ class Settings:
             if not getattr(self, name) >= 0:
                 raise ExperimentError(f"{name} must be 0 or more, not {getattr(self, name)}")
 
+    @classmethod
+    def fast(cls, **changes: Any) -> Settings:
+        """Fewer, longer iterations, no search in time: for long records of good images that move a few pixels.
+
+        Parameters
+        ----------
+        **changes
+            Settings that differ.
+
+        Returns
+        -------
+        Settings
+
+        Examples
+        --------
+        >>> Settings.fast(z_range=(-0.05, 0.05)).piv.iterations
+        (2, 1, 1)
+        """
+        return replace(cls(stereo=_fast_stereo(), piv=_fast_piv()), **changes)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe.
 
@@ -117,7 +145,8 @@ class Settings:
         Parameters
         ----------
         data : mapping
-            Names to values; ``stereo`` and ``piv`` may name only what differs from the default.
+            Names to values; ``stereo`` and ``piv`` may name only what differs. ``preset: fast`` starts from
+            `fast` instead of the defaults.
 
         Returns
         -------
@@ -130,15 +159,19 @@ class Settings:
         """
         known = {f.name for f in fields(cls)}
         values: dict[str, Any] = dict(data)
+        preset = values.pop("preset", "default")
+        if preset not in ("default", "fast"):
+            raise ExperimentError(f"preset: choose default or fast, not {preset!r}")
+        base = cls.fast() if preset == "fast" else cls()
         if unknown := sorted(set(values) - known):
             raise ExperimentError(
                 f"unknown measurement setting {unknown[0]!r}; there are {', '.join(sorted(known))}"
             )
         try:
-            for name, default in (("stereo", _stereo()), ("piv", _piv())):
+            for name, default in (("stereo", base.stereo), ("piv", base.piv)):
                 if name in values:
                     values[name] = matching.Settings(**(asdict(default) | dict(values[name])))
-            return cls(**values)
+            return replace(base, **values)
         except (TypeError, ValueError) as error:
             raise ExperimentError(f"measurement settings: {error}") from None
 
