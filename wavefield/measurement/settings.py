@@ -110,7 +110,7 @@ class Settings:
 
     @classmethod
     def fast(cls, **changes: Any) -> Settings:
-        """Fewer, longer iterations, no search in time: for long records of good images that move a few pixels.
+        """Fewer, longer iterations, no search in time: for long records of good images.
 
         Parameters
         ----------
