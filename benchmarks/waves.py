@@ -204,7 +204,7 @@ def reach(energy: xr.DataArray, truth: xr.DataArray) -> tuple[float, float]:
     return float(hertz[stop]), float(np.log10(truth.max() / smooth(truth.values)[stop]))
 
 
-def experiment(store: Path, truth: Path) -> None:
+def experiment(store: Path, truth: Path, segment: int | None) -> None:
     """What the estimators make of a cube measured from images, beside the exact fields."""
     cube = xr.open_zarr(store, chunks=None, consolidated=False).load()
     exact = xr.open_zarr(truth, chunks=None, consolidated=False).load()
@@ -212,7 +212,7 @@ def experiment(store: Path, truth: Path) -> None:
     exact = exact.assign_coords(time=cube.time).assign_attrs(cube.attrs)
     exact = exact.where(np.isfinite(cube.z))
     record = wv.find_record(cube)
-    out = wv.analyze(cube)
+    out = wv.analyze(cube, segment=segment)
     segment = int(out.attrs["segment"])
     title(
         f"Simulated experiment from images: {out.attrs['steps_used']} steps, {record.shape[0]} x"
@@ -288,10 +288,11 @@ def main() -> None:
     parser.add_argument("--cube", type=Path, help="where the cube is kept between runs; by default it is not")
     parser.add_argument("--store", type=Path, help="a cube measured from a simulated experiment")
     parser.add_argument("--truth", type=Path, help="the exact fields of that experiment")
+    parser.add_argument("--segment", type=int, help="steps of a segment, for --store")
     given = parser.parse_args()
     if given.store:
         truth = given.truth or given.store.parent / "truth" / "truth.zarr"
-        experiment(given.store, truth)
+        experiment(given.store, truth, given.segment)
         return
     with tempfile.TemporaryDirectory() as folder:
         path = given.cube or Path(folder) / "cube.zarr"
