@@ -32,7 +32,7 @@ def _fast_stereo() -> matching.Settings:
 
 
 def _fast_piv() -> matching.Settings:
-    return replace(_piv(), iterations=(2, 1, 1), relaxation=1.35, search_x=None, search_y=None)
+    return replace(_piv(), iterations=(2, 1, 1), relaxation=1.35)
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Settings:
 
     @classmethod
     def fast(cls, **changes: Any) -> Settings:
-        """Fewer, longer iterations, no search in time: for long records of good images.
+        """Fewer, longer iterations: for long records of good images.
 
         Parameters
         ----------
