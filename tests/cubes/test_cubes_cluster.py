@@ -219,7 +219,7 @@ def test_the_job_that_slurm_is_asked_for():
         "#SBATCH --mem=15G",
         "#SBATCH -t 04:00:00",
         "export OMP_NUM_THREADS=1",
-        "export NUMBA_NUM_THREADS=1",
+        "export OPENBLAS_NUM_THREADS=1",
         "module load python",
     ):
         assert line in script

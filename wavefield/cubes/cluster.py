@@ -23,7 +23,6 @@ THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
     "MKL_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
     "VECLIB_MAXIMUM_THREADS",
 )
 
@@ -43,18 +42,15 @@ _SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
 
 
 def one_thread() -> None:
-    """Keep OpenCV, numba and BLAS of this process to one thread: the workers are the parallelism."""
+    """Keep OpenCV and BLAS of this process to one thread: the workers are the parallelism.
+
+    No kernel of ours asks numba for threads, and numba refuses a change of its number of threads at run time.
+    """
     import cv2
 
     cv2.setNumThreads(1)
     for name in THREAD_VARIABLES:
         os.environ[name] = "1"
-    try:
-        import numba
-
-        numba.set_num_threads(1)
-    except (ImportError, ValueError):
-        pass
 
 
 def count_workers(workflow: Workflow) -> int:
