@@ -10,12 +10,13 @@ import sys
 import time
 from contextlib import contextmanager
 
+import numpy as np
 import psutil
 import pytest
 from cube_cases import different
 
 from wavefield.cubes import Workflow, cluster, run, status
-from wavefield.cubes.cluster import count_jobs, slurm_cluster
+from wavefield.cubes.cluster import count_jobs, open_cluster, slurm_cluster
 from wavefield.errors import ExperimentError
 
 PATIENCE = 300.0  # seconds, on a busy machine
@@ -244,3 +245,24 @@ def test_one_thread_per_worker(monkeypatch):
 
     assert {os.environ[name] for name in THREAD_VARIABLES} == {"1"}
     assert cv2.getNumThreads() == 1
+
+
+def page_faults_of_temporaries(number):
+    """Pages mapped anew while arrays of 2 MB come and go, by a worker."""
+    import resource
+
+    before = 0
+    for k in range(40):
+        if k == 20:
+            before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        np.ones(1 << 18)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other C libraries keep memory in ways of their own")
+def test_workers_keep_freed_memory_for_the_next_step():
+    """Dask has its workers hand it back, and then each of these arrays costs 512 page faults."""
+    workflow = Workflow(cluster="local", workers=2, dashboard=None)
+    with open_cluster(workflow) as map_unordered:
+        faults = [result for _, result in map_unordered(page_faults_of_temporaries, range(4))]
+    assert max(faults) < 512, faults

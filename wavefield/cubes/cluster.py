@@ -1,5 +1,6 @@
 """Where blocks are measured: in this process, in others of this machine, in Slurm jobs, on any scheduler."""
 
+import ctypes
 import inspect
 import logging
 import os
@@ -38,6 +39,10 @@ _DASK: dict[str, Any] = {
 }
 
 
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # of malloc.h
+_LARGEST_KEPT = 64_000_000  # bytes of an array; an image of 4 Mpx in floats has 16 MB
+_MOST_KEPT = 256_000_000  # bytes at the end of the heap
+
 _SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
 
 
@@ -51,6 +56,28 @@ def one_thread() -> None:
     cv2.setNumThreads(1)
     for name in THREAD_VARIABLES:
         os.environ[name] = "1"
+
+
+def keep_memory(one_arena: bool = False) -> None:
+    """Let the C library keep freed arrays for the next ones, within bounds, where it is glibc.
+
+    A step makes and drops hundreds of arrays of a few MB. Handed back each time, every page of theirs is
+    mapped and cleared again, and that takes longer than measuring. Dask's nannies ask for just that
+    (``MALLOC_TRIM_THRESHOLD_``).
+
+    Parameters
+    ----------
+    one_arena : bool
+        Let new threads share the memory of the main thread: those of their own are handed back earlier.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):  # another C library, another system
+        return
+    mallopt(_M_MMAP_THRESHOLD, _LARGEST_KEPT)
+    mallopt(_M_TRIM_THRESHOLD, _MOST_KEPT)
+    if one_arena:
+        mallopt(_M_ARENA_MAX, 1)
 
 
 def count_workers(workflow: Workflow) -> int:
@@ -228,23 +255,25 @@ def count_jobs(workflow: Workflow) -> int:
 def _make_plugin() -> Any:
     from distributed import WorkerPlugin
 
-    class OneThread(WorkerPlugin):
-        """Sets threads, and leaves Ctrl-C and Slurm's warning to the run itself."""
+    class Settle(WorkerPlugin):
+        """Sets threads and memory, and leaves Ctrl-C and Slurm's warning to the run itself."""
 
-        name = "wavefield-one-thread"
+        name = "wavefield-settle"
 
         def setup(self, worker: Any) -> None:
             one_thread()
+            keep_memory(one_arena=True)
             if threading.current_thread() is threading.main_thread():
                 for name in ("SIGINT", "SIGUSR1"):
                     if hasattr(signal, name):
                         signal.signal(getattr(signal, name), signal.SIG_IGN)
 
-    return OneThread()
+    return Settle()
 
 
 def _map_here(work: Work, items: Sequence[Any]) -> Iterator[Any]:
     one_thread()
+    keep_memory()
     for item in items:
         try:
             result: Any = work(item)

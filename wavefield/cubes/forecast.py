@@ -12,7 +12,7 @@ import numcodecs
 import numpy as np
 
 from wavefield.cubes.block import Measured, make_block, measure_block
-from wavefield.cubes.cluster import count_workers, one_thread
+from wavefield.cubes.cluster import count_workers, keep_memory, one_thread
 from wavefield.cubes.processing import Prepared, choose_block, expected_coverage, prepare
 from wavefield.cubes.state import spell_ranges
 from wavefield.cubes.workflow import Workflow
@@ -258,6 +258,7 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
         If no step could be measured.
     """
     one_thread()
+    keep_memory()
     start = _whole_step(prepared.series)
     stop = min(start + 3, prepared.steps)
     _time_block(prepared, start, start + 1)  # compiles, and fills caches
