@@ -446,16 +446,16 @@ def profile() -> None:
 
 
 @nb.njit(nogil=True)
-def _read(image, u, v, position, whole, taps, t, strip):
+def _read(image, u, v, position, whole, taps, strip):
     for by in range(len(u)):
-        kernels._warp_strip(image, by, u[by], v[by], position, whole, taps, t, strip)
+        kernels._warp_strip(image, by, u[by], v[by], position, whole, taps, strip)
 
 
 def _reading(first: Prepared, second: Prepared) -> float:
     """Least time, ms, to read the second image once under all blocks."""
     u = np.full(first.levels[0].blocks, np.float32(1.3))
     work = kernels.scratch(u.shape[1])
-    arguments = [work[name] for name in ("position", "whole", "taps", "t", "strip")]
+    arguments = [work[name] for name in ("position", "whole", "taps", "strip")]
     times = []
     for _ in range(8):
         start = time.process_time()

@@ -36,7 +36,7 @@ def case():
     slope = rng.uniform(-0.2, 0.2, (4, ny, nx)).astype(F)
     c2 = rng.uniform(0.1, 2, (ny, nx)).astype(F)
     planes = np.empty((3, h, w), F)
-    kernels.spline_image(a, np.empty((5, w + 4), F), planes)
+    kernels.spline_image(a, np.empty((2, w + 4), F), planes)
     smooth, gx, gy = planes
     return a, b, u, v, slope, c2, smooth, gx, gy
 
@@ -117,6 +117,31 @@ def test_block_sums_are_what_they_say(case):
             np.testing.assert_allclose(out[k], expected[k], atol=2e-5, err_msg=f"sum {k}")
 
 
+def test_unweighted_sums_are_the_last_ones_with_weights_of_one(case):
+    a, b, u, v, slope, c2, *_ = case
+    work = kernels.scratch(u.shape[1])
+    expected, out = np.full((2, 12, *u.shape), np.nan, F)
+    kernels.final_sums(a, b, u, v, slope, 0 * c2, F(0.05), out=expected, **work)
+    kernels.unweighted_sums(a, b, u, v, slope, out=out, **work)
+    given = [0, 1, 5, 6, 7, 8, 9, 10, 11]
+    np.testing.assert_allclose(out[given], expected[given], atol=2e-5)
+    assert np.isnan(out[2:5]).all()
+
+
+def test_places_outside_the_image_are_read_inside_it(case):
+    a, b, u, v, *_ = case
+    read = []
+    for room in (np.full(b.size + 64, np.nan, F), np.zeros(b.size + 64, F)):
+        room[32:-32] = b.ravel()
+        inner = room[32:-32].reshape(b.shape)
+        for move in (-1e6, -30.0, 30.0, 1e6):
+            out = np.empty((2, *u.shape), F)
+            kernels.plain_sums(a, inner, u + F(move), v + F(move), out=out, **kernels.scratch(u.shape[1]))
+            read.append(out)
+    assert np.isfinite(read).all()
+    np.testing.assert_array_equal(read[:4], read[4:])
+
+
 def test_plain_sums_with_slopes_taken_off_are_the_unweighted_ones(case):
     a, b, u, v, slope, c2, *_ = case
     work = kernels.scratch(u.shape[1])
@@ -181,7 +206,7 @@ if not (features.get("fma") and features.get("avx2")):
 image = np.random.default_rng(0).normal(size=(100, 100)).astype(np.float32)
 for settings in (Settings.piv(), Settings.fast()):
     match(image, image, settings)
-for name in ("gradient_moments", "plain_sums", "robust_sums", "final_sums"):
+for name in ("gradient_moments", "plain_sums", "robust_sums", "final_sums", "unweighted_sums"):
     code = "".join(getattr(kernels, name).inspect_asm().values())
     print(name, len(re.findall(r"vfn?m(?:add|sub)[0-9]+ps\\s[^\\n]*[yz]mm", code)))
 """
@@ -204,6 +229,7 @@ def test_inner_loops_are_vector_code(tmp_path):
         ("plain_sums", 60),
         ("robust_sums", 60),
         ("final_sums", 60),
+        ("unweighted_sums", 60),
     ):
         assert counts[name] >= least, f"{name} has lost its vector code: {counts}"
 

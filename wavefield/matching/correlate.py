@@ -9,17 +9,15 @@ import numba as nb
 import numpy as np
 import scipy.fft
 
-from wavefield.errors import FrameError
 from wavefield.matching.assess import assess
 from wavefield.matching.displacement import Displacement
-from wavefield.matching.gauss_newton import Initial, initial_fields, prepared
-from wavefield.matching.kernels import BLOCK, F, final_sums, scratch, spline_image
+from wavefield.matching.gauss_newton import Initial, initial_fields, last_sums, moments_of, prepared_pair
+from wavefield.matching.kernels import BLOCK, F, scratch, spline_image
 from wavefield.matching.lattice import (
     block_weights,
     filtered,
     replace_outliers,
     sample,
-    slopes,
     smoothed,
     window_weights,
 )
@@ -80,15 +78,13 @@ def correlate(
     (3.0, 2.0)
     """
     settings = Settings.piv() if settings is None else settings
-    a, b = prepared(a, settings, mask), prepared(b, settings, mask)
-    if a.shape != b.shape:
-        raise FrameError(f"the images to match differ in size: {a.shape} and {b.shape}")
+    a, b = prepared_pair(a, b, settings, mask)
     first, second = a.levels[0], b.levels[0]
     ny, nx = first.blocks
     rows, columns = np.arange(0, ny, _STRIDE), np.arange(0, nx, _STRIDE)
     size = int(settings.window) // 2 * 2
     planes = np.empty((3, *first.shape), np.float32)
-    spline_image(first.padded, np.empty((5, first.shape[1] + 4), np.float32), planes)
+    spline_image(first.padded, np.empty((2, first.shape[1] + 4), np.float32), planes)
     smooth = planes[0]
     if initial is None:
         u, v = (np.zeros((len(rows), len(columns)), np.float32) for _ in range(2))
@@ -121,15 +117,15 @@ def _assessed(
     first: Any, second: Any, u: np.ndarray, v: np.ndarray, outlier: np.ndarray, settings: Settings
 ) -> Displacement:
     """Correlation, uncertainty and validity as `match` finds them."""
-    sums = np.empty((12, *u.shape), np.float32)
-    none, still = np.zeros(u.shape, np.float32), np.zeros(u.shape, np.float32)
-    final_sums(first.padded, second.padded, u, v, slopes(u, v), none, F(0), out=sums, **scratch(u.shape[1]))
+    work = scratch(u.shape[1])
+    sums = last_sums(first, second, u, v, moments_of(first, work), work)
     weight = np.empty(u.shape, np.float32)
     block_weights(first.good, second.good, u, v, *second.shape, weight)
     sums *= weight
     weights = window_weights(settings.window)
     windowed = np.stack([filtered(field, weights) for field in sums])
     share = filtered(weight, weights)
+    still = np.zeros(u.shape, np.float32)
     return assess(first, second, u, v, sums, windowed, share, (still, still), outlier, settings)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from wavefield.errors import FrameError
@@ -15,6 +17,7 @@ from wavefield.matching.kernels import (
     plain_sums,
     robust_sums,
     scratch,
+    unweighted_sums,
 )
 from wavefield.matching.lattice import (
     block_weights,
@@ -26,6 +29,7 @@ from wavefield.matching.lattice import (
     subtract_slopes,
     to_coarser,
     to_finer,
+    trusted,
     window_weights,
 )
 from wavefield.matching.prepared import Level, Prepared, depth, prepare
@@ -87,10 +91,7 @@ def match(
     (3.0, 2.0)
     """
     settings = Settings.piv() if settings is None else settings
-    a = prepared(a, settings, mask)
-    b = prepared(b, settings, mask)
-    if a.shape != b.shape:
-        raise FrameError(f"the images to match differ in size: {a.shape} and {b.shape}")
+    a, b = prepared_pair(a, b, settings, mask)
     top = min(len(a.levels), settings.levels) - 1
     u, v = _start(a.levels[top], b.levels[top], top, a.levels[0].blocks, settings, initial)
     for number in range(top, -1, -1):
@@ -99,12 +100,22 @@ def match(
             u, v = to_finer(u, here.blocks), to_finer(v, here.blocks)
         count = settings.iterations[settings.levels - 1 - number]
         if number == 0:
-            return _finest(here, there, u, v, count, settings)
-        u, v = _plain_steps(here, there, u, v, count, settings.coarse_smoother_sigma, settings)
+            return _finest(_View(here, there, settings.smoother_sigma, settings), u, v, count)
+        u, v = _plain_steps(_View(here, there, settings.coarse_smoother_sigma, settings), u, v, count)
     raise AssertionError("a prepared image has at least one level")
 
 
-def prepared(image: np.ndarray | Prepared, settings: Settings, mask: np.ndarray | None) -> Prepared:
+def prepared_pair(
+    a: np.ndarray | Prepared, b: np.ndarray | Prepared, settings: Settings, mask: np.ndarray | None
+) -> tuple[Prepared, Prepared]:
+    """Two images prepared for these settings, if they are not yet, and of one size."""
+    a, b = _prepared(a, settings, mask), _prepared(b, settings, mask)
+    if a.shape != b.shape:
+        raise FrameError(f"the images to match differ in size: {a.shape} and {b.shape}")
+    return a, b
+
+
+def _prepared(image: np.ndarray | Prepared, settings: Settings, mask: np.ndarray | None) -> Prepared:
     """The image prepared for these settings, if it is not yet."""
     if not isinstance(image, Prepared):
         return prepare(image, settings, mask)
@@ -158,23 +169,42 @@ def initial_fields(
 
 
 class _View:
-    """What a level of two images shows of each other: which blocks count, and windows over them."""
+    """What a level of two images shows of each other: which blocks count, windows and steps over them."""
 
-    def __init__(self, a: Level, b: Level, settings: Settings) -> None:
-        self.a, self.b = a, b
+    def __init__(self, a: Level, b: Level, sigma: float, settings: Settings) -> None:
+        self.a, self.b, self.sigma, self.settings = a, b, sigma, settings
         self.masked = bool(a.good.size or b.good.size)
         self.weights = window_weights(settings.window)
+        self.work = scratch(a.blocks[1])
         self.count: np.ndarray = np.zeros(a.blocks, np.float32)
         self.share: np.ndarray = self.count
+        self.trust: tuple[np.ndarray, np.ndarray] | None = None
+        self._hessian: np.ndarray | None = None
 
-    def look(self, u: np.ndarray, v: np.ndarray) -> bool:
-        """Update `count` (1 for blocks that count, else 0) and `share` (of windows seen); True if changed."""
+    @cached_property
+    def moments(self) -> np.ndarray:
+        """(9, ny, nx): those of a's gradients."""
+        return moments_of(self.a, self.work)
+
+    def look(self, u: np.ndarray, v: np.ndarray) -> None:
+        """Update `count` (1 for blocks that count, else 0), `share` (of windows seen) and what follows.
+
+        Large holes must not be smoothed into their surroundings: with masks the smoother has weights.
+        """
         count = np.empty(u.shape, np.float32)
         block_weights(self.a.good, self.b.good, u, v, *self.b.shape, count)
         if np.array_equal(count, self.count):
-            return False
-        self.count, self.share = count, filtered(count, self.weights)
-        return True
+            return
+        self.count, self.share, self._hessian = count, filtered(count, self.weights), None
+        if self.masked and self.sigma > 0:
+            self.trust = trusted(np.maximum(self.share, F(1e-3)), self.sigma)
+
+    @property
+    def hessian(self) -> np.ndarray:
+        """(3, ny, nx): the Hessian of a alone, over windows."""
+        if self._hessian is None:
+            self._hessian = self.windows(self.moments[:3] * self.count)
+        return self._hessian
 
     def windows(self, fields: np.ndarray) -> np.ndarray:
         """Fields filtered with the window."""
@@ -183,78 +213,68 @@ class _View:
             filtered(field, self.weights, to)
         return out
 
-    @property
-    def trust(self) -> np.ndarray | None:
-        """Weights for the smoother: only where masks make large holes."""
-        return np.maximum(self.share, F(1e-3)) if self.masked else None
+    def advance(
+        self, u: np.ndarray, v: np.ndarray, hessian: np.ndarray, score: np.ndarray, number: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """One step, outliers replaced, smoothed; returns new u, v and where outliers were."""
+        settings = self.settings
+        u, v = u.copy(), v.copy()
+        ridge = F(_RIDGE) * F(hessian[0].mean() + hessian[2].mean()) + F(1e-12)
+        step(hessian, score, ridge, F(settings.relaxation), F(_LONGEST_STEP), u, v)
+        # the first step of a level may still be wild
+        outlier = replace_outliers(u, v, settings.max_deviation * (2 if number == 0 else 1))
+        u, v = (smoothed(f, self.sigma, settings.smoother_order, self.trust) for f in (u, v))
+        return u, v, outlier
 
 
-def _advance(
-    u: np.ndarray,
-    v: np.ndarray,
-    hessian: np.ndarray,
-    score: np.ndarray,
-    trust: np.ndarray | None,
-    limit: float,
-    sigma: float,
-    settings: Settings,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One step, outliers replaced, smoothed; returns new u, v and where outliers were."""
-    u, v = u.copy(), v.copy()
-    ridge = F(_RIDGE) * F((hessian[0] + hessian[2]).mean()) + F(1e-12)
-    step(hessian, score, ridge, F(settings.relaxation), F(_LONGEST_STEP), u, v)
-    outlier = replace_outliers(u, v, limit)
-    order = settings.smoother_order
-    return smoothed(u, sigma, order, trust), smoothed(v, sigma, order, trust), outlier
-
-
-def _limit(number: int, settings: Settings) -> float:
-    """The first step of a level may still be wild."""
-    return settings.max_deviation * (2 if number == 0 else 1)
-
-
-def _plain_steps(
-    a: Level, b: Level, u: np.ndarray, v: np.ndarray, count: int, sigma: float, settings: Settings
-) -> tuple[np.ndarray, np.ndarray]:
-    """Steps without weights per pixel: the Hessian is that of a alone."""
-    if count == 0:
-        return u, v
-    view = _View(a, b, settings)
-    work = scratch(u.shape[1])
-    moments = np.empty((9, *u.shape), np.float32)
+def moments_of(a: Level, work: dict[str, np.ndarray]) -> np.ndarray:
+    """(9, ny, nx): the sums of `gradient_moments` of a level."""
+    moments = np.empty((9, *a.blocks), np.float32)
     gradient_moments(a.padded, work["rows"], work["sums"], moments)
-    hessian = np.zeros((3, *u.shape), np.float32)
+    return moments
+
+
+def last_sums(
+    a: Level, b: Level, u: np.ndarray, v: np.ndarray, moments: np.ndarray, work: dict[str, np.ndarray]
+) -> np.ndarray:
+    """(12, ny, nx): the sums of `final_sums` without weights."""
+    sums = np.empty((12, *u.shape), np.float32)
+    unweighted_sums(a.padded, b.padded, u, v, slopes(u, v), out=sums, **work)
+    sums[2:5] = moments[:3]
+    return sums
+
+
+def _plain_steps(view: _View, u: np.ndarray, v: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Steps without weights per pixel: the Hessian is that of a alone."""
     sums = np.empty((2, *u.shape), np.float32)
     for number in range(count):
-        plain_sums(a.padded, b.padded, u, v, out=sums, **work)
-        subtract_slopes(sums, moments, slopes(u, v))
-        if view.look(u, v):
-            hessian = view.windows(moments[:3] * view.count)
+        view.look(u, v)
+        plain_sums(view.a.padded, view.b.padded, u, v, out=sums, **view.work)
+        subtract_slopes(sums, view.moments, slopes(u, v))
         sums *= view.count
-        limit = _limit(number, settings)
-        u, v, _ = _advance(u, v, hessian, view.windows(sums), view.trust, limit, sigma, settings)
+        u, v, _ = view.advance(u, v, view.hessian, view.windows(sums), number)
     return u, v
 
 
-def _finest(a: Level, b: Level, u: np.ndarray, v: np.ndarray, count: int, settings: Settings) -> Displacement:
+def _finest(view: _View, u: np.ndarray, v: np.ndarray, count: int) -> Displacement:
     """Steps of the finest level; the last one also measures correlation and uncertainty."""
-    sigma = settings.smoother_sigma
+    a, b, settings = view.a, view.b, view.settings
     plain = 0 if settings.robust else count - 1
-    u, v = _plain_steps(a, b, u, v, plain, sigma, settings)
-    view = _View(a, b, settings)
-    work = scratch(u.shape[1])
+    u, v = _plain_steps(view, u, v, plain)
     c2b2 = F(settings.robust**2 * settings.robust_beta**2 / 4)
     c2 = np.zeros(u.shape, np.float32)
     for number in range(plain, count):
-        kernel, fields = (robust_sums, 6) if number < count - 1 else (final_sums, 12)
-        sums = np.empty((fields, *u.shape), np.float32)
-        kernel(a.padded, b.padded, u, v, slopes(u, v), c2, c2b2, out=sums, **work)
         view.look(u, v)
+        if settings.robust:
+            kernel, fields = (robust_sums, 6) if number < count - 1 else (final_sums, 12)
+            sums = np.empty((fields, *u.shape), np.float32)
+            kernel(a.padded, b.padded, u, v, slopes(u, v), c2, c2b2, out=sums, **view.work)
+        else:
+            sums = last_sums(a, b, u, v, view.moments, view.work)
         sums *= view.count
         windowed = view.windows(sums)
         before = u, v
-        limit = _limit(number, settings)
-        u, v, outlier = _advance(u, v, windowed[2:5], windowed[:2], view.trust, limit, sigma, settings)
+        u, v, outlier = view.advance(u, v, windowed[2:5], windowed[:2], number)
         if settings.robust:
             c2 = _sharpness(windowed[5], view.share, settings)
     moved = u - before[0], v - before[1]

@@ -2,9 +2,8 @@
 
 What lets LLVM turn these plain loops into vector code, and must be kept:
 
-* loops are long and flat (50 trips and more), even where that computes a few values nobody needs;
-* all that one block needs lies in ONE flat scratch array at constant offsets, so nothing can overlap;
-* taps travel as tuples and stay in registers; blocks are moved eight neighbours at a time;
+* loops run along whole rows of the image;
+* the one loop that cannot, the reading of a block, is written in vectors of eight (`_read_block`);
 * the constants below are literals: numba's cache bakes them in and would not notice a change elsewhere.
 
 `tests/matching/test_kernels.py` looks into the machine code for vector multiplies.
@@ -14,38 +13,59 @@ from typing import Any
 
 import numba as nb
 import numpy as np
+from llvmlite import ir
+from numba.extending import intrinsic
 
 F = np.float32
 
 BLOCK = 5  # side of a block, px: the step of the lattice
 TAPS = 6  # of the quintic B-spline
 SIDE = 10  # BLOCK + TAPS - 1: side of the patch of b that one block needs
-FLAT = 50  # BLOCK * SIDE: one filtered patch, its SIDE - BLOCK last columns being garbage
+LANES = 8  # floats in a vector: BLOCK of them are wanted
 MID = F(2.0)  # (BLOCK - 1) / 2
 PAD = 8  # replicated border of b, px
-PATCH, COLUMNS, WARPED, END = 0, 128, 256, 384  # regions of the scratch array of one block
 
 njit: Any = nb.njit(fastmath=True, error_model="numpy", nogil=True, cache=True)
+
+
+@njit
+def _spline_columns(image, y, s, d):
+    """Row y of an image smoothed with the quintic B-spline along y, and its exact derivative along y.
+
+    image (h + 2 PAD, w + 2 PAD) has its border; s and d (w + 4) begin two pixels before the image.
+    """
+    a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
+    d1, d2 = F(10 / 24), F(1 / 24)
+    r0, r1, r2 = image[y + PAD - 2][PAD - 2 :], image[y + PAD - 1][PAD - 2 :], image[y + PAD][PAD - 2 :]
+    r3, r4 = image[y + PAD + 1][PAD - 2 :], image[y + PAD + 2][PAD - 2 :]
+    for x in range(len(s)):
+        s[x] = a0 * r2[x] + a1 * (r1[x] + r3[x]) + a2 * (r0[x] + r4[x])
+        d[x] = d1 * (r3[x] - r1[x]) + d2 * (r4[x] - r0[x])
+
+
+@njit
+def _value(s, x):
+    """The spline along the row at pixel x, s beginning two pixels before it."""
+    return F(66 / 120) * s[x + 2] + F(26 / 120) * (s[x + 1] + s[x + 3]) + F(1 / 120) * (s[x] + s[x + 4])
+
+
+@njit
+def _slope(s, x):
+    """Its derivative there."""
+    return F(10 / 24) * (s[x + 3] - s[x + 1]) + F(1 / 24) * (s[x + 4] - s[x])
 
 
 @njit
 def _spline_row(image, y, s, d, a, gx, gy):
     """Row y of an image smoothed with the quintic B-spline, and its exact derivatives along columns and rows.
 
-    image (h + 2 PAD, w + 2 PAD) has its border; s, d and a, gx, gy are rows of work space and output.
+    s, d (w + 4) are work space, a, gx, gy (w) output.
     """
-    a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
-    d1, d2 = F(10 / 24), F(1 / 24)
-    r0, r1, r2 = image[y + PAD - 2][PAD - 2 :], image[y + PAD - 1][PAD - 2 :], image[y + PAD][PAD - 2 :]
-    r3, r4 = image[y + PAD + 1][PAD - 2 :], image[y + PAD + 2][PAD - 2 :]
-    n = len(a) - 4
-    for x in range(n + 4):
-        s[x] = a0 * r2[x] + a1 * (r1[x] + r3[x]) + a2 * (r0[x] + r4[x])
-        d[x] = d1 * (r3[x] - r1[x]) + d2 * (r4[x] - r0[x])
-    for x in range(n):
-        a[x] = a0 * s[x + 2] + a1 * (s[x + 1] + s[x + 3]) + a2 * (s[x] + s[x + 4])
-        gx[x] = d1 * (s[x + 3] - s[x + 1]) + d2 * (s[x + 4] - s[x])
-        gy[x] = a0 * d[x + 2] + a1 * (d[x + 1] + d[x + 3]) + a2 * (d[x] + d[x + 4])
+    _spline_columns(image, y, s, d)
+    for x in range(len(a)):
+        a[x] = _value(s, x)
+        gx[x] = _slope(s, x)
+        gy[x] = _value(d, x)
 
 
 @njit
@@ -56,16 +76,13 @@ def spline_image(image, rows, out):
     ----------
     image : (h + 2 PAD, w + 2 PAD) float32
         Image with replicated border.
-    rows : (5, w + 4) float32
+    rows : (2, w + 4) float32
         Work space.
     out : (3, h, w) float32
         Output: the smoothed image and its derivatives along columns and rows, per px.
     """
-    _, h, w = out.shape
-    for y in range(h):
-        _spline_row(image, y, rows[0], rows[1], rows[2], rows[3], rows[4])
-        for k in range(3):
-            out[k, y] = rows[2 + k][:w]
+    for y in range(out.shape[1]):
+        _spline_row(image, y, rows[0], rows[1], out[0, y], out[1, y], out[2, y])
 
 
 @njit
@@ -93,15 +110,16 @@ def gradient_moments(image, rows, sums, out):
         (x, y counted from the block's centre).
     """
     _, ny, nx = out.shape
+    s, d = rows[0], rows[1]
     s0, s1, s2, s3, s4, s5 = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
     for by in range(ny):
         sums[:6] = F(0)
         for j in range(BLOCK):
-            _spline_row(image, by * BLOCK + j, rows[0], rows[1], rows[2], rows[3], rows[4])
-            p, q = rows[3], rows[4]
+            _spline_columns(image, by * BLOCK + j, s, d)
             y = F(j) - MID
             for x in range(len(s0)):
-                xx, xy, yy = p[x] * p[x], p[x] * q[x], q[x] * q[x]
+                p, q = _slope(s, x), _value(d, x)
+                xx, xy, yy = p * p, p * q, q * q
                 s0[x] += xx
                 s1[x] += xy
                 s2[x] += yy
@@ -119,29 +137,59 @@ def gradient_moments(image, rows, sums, out):
                 to[b] = total
 
 
-@njit
-def _move8(to, i, source, k):
-    """Eight neighbours, all read before any is written: one vector move."""
-    to[i], to[i + 1], to[i + 2], to[i + 3], to[i + 4], to[i + 5], to[i + 6], to[i + 7] = (
-        source[k],
-        source[k + 1],
-        source[k + 2],
-        source[k + 3],
-        source[k + 4],
-        source[k + 5],
-        source[k + 6],
-        source[k + 7],
-    )
+@intrinsic
+def _read_block(context, image, start, stride, strip, to, width, along_x, along_y):
+    """Read BLOCK rows of LANES pixels between the pixels of `image`: TAPS taps along x, then TAPS along y.
 
+    image is read from its element `start` on, its rows `stride` apart; `strip` is written from its element
+    `to` on, its rows `width` apart. Plain loops take half as long again: they must first move the patch to
+    where LLVM sees that nothing overlaps.
+    """
 
-@njit
-def _filter(t, source, target, taps, step):
-    """TAPS taps along x (step 1) or y (step SIDE) over the flat patch."""
-    for i in range(FLAT):
-        value = F(0)
-        for k in range(TAPS):
-            value += taps[k] * t[source + i + k * step]
-        t[target + i] = value
+    def build(context, builder, signature, arguments):
+        floats, vector = ir.FloatType(), ir.VectorType(ir.FloatType(), LANES)
+        source, target = (
+            context.make_array(signature.args[n])(context, builder, arguments[n]).data for n in (0, 3)
+        )
+
+        def place(base, index):
+            return builder.bitcast(builder.gep(base, [index]), vector.as_pointer())
+
+        def everywhere(value):
+            one = builder.insert_element(
+                ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0)
+            )
+            lanes = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
+            return builder.shuffle_vector(one, one, lanes)
+
+        def weighted(taps, vectors):
+            total = ir.Constant(vector, [ir.Constant(floats, 0.0)] * LANES)
+            for tap, value in zip(taps, vectors):
+                product = builder.fmul(tap, value, flags=("fast",))
+                total = builder.fadd(total, product, flags=("fast",))
+            return total
+
+        taps_x, taps_y = (
+            [everywhere(builder.extract_value(arguments[n], k)) for k in range(TAPS)] for n in (6, 7)
+        )
+        rows, at = [], arguments[1]
+        for _ in range(SIDE):
+            shifted = []
+            for k in range(TAPS):
+                value = builder.load(place(source, builder.add(at, ir.Constant(at.type, k))))
+                value.align = 4
+                shifted.append(value)
+            rows.append(weighted(taps_x, shifted))
+            at = builder.add(at, arguments[2])
+        at = arguments[4]
+        for j in range(BLOCK):
+            stored = builder.store(weighted(taps_y, rows[j : j + TAPS]), place(target, at))
+            stored.align = 4
+            at = builder.add(at, arguments[5])
+        return context.get_dummy_value()
+
+    index = nb.types.intp
+    return nb.types.void(image, index, index, strip, index, index, along_x, along_y), build
 
 
 @njit
@@ -169,7 +217,7 @@ def _get(taps, b):
 
 
 @njit
-def _warp_strip(image, by, u, v, position, whole, taps, t, strip):
+def _warp_strip(image, by, u, v, position, whole, taps, strip):
     """Read b under one row of blocks, each at its own displacement, into `strip` (BLOCK, nx BLOCK + 8)."""
     nx = len(u)
     h, w = image.shape
@@ -178,21 +226,24 @@ def _warp_strip(image, by, u, v, position, whole, taps, t, strip):
         position[1, b] = F(by * BLOCK + PAD - 2) + v[b]
     _spline_taps(position[0], whole[0], taps[0])
     _spline_taps(position[1], whole[1], taps[1])
+    last = (h - SIDE + 1) * w - (LANES + TAPS - 1)  # from here on vectors would end outside the image
     for b in range(nx):
         x = min(max(whole[0, b], 0), w - SIDE)
         y = min(max(whole[1, b], 0), h - SIDE)
-        for j in range(SIDE):
-            row = image[y + j, x : x + SIDE]
-            _move8(t, PATCH + j * SIDE, row, 0)
-            _move8(t, PATCH + j * SIDE + SIDE - 8, row, SIDE - 8)
-        _filter(t, PATCH, COLUMNS, _get(taps[1], b), SIDE)
-        _filter(t, COLUMNS, WARPED, _get(taps[0], b), 1)
-        for j in range(BLOCK):
-            _move8(strip[j], b * BLOCK, t, WARPED + j * SIDE)
+        start = min(y * w + x, last)
+        _read_block(image, start, w, strip, b * BLOCK, strip.shape[1], _get(taps[0], b), _get(taps[1], b))
 
 
 @njit
-def plain_sums(first, second, u, v, position, whole, taps, t, strip, rows, sums, out):
+def _plain_row(s, d, b, s0, s1):
+    for x in range(len(s0)):
+        r = _value(s, x) - b[x]
+        s0[x] += _slope(s, x) * r
+        s1[x] += _value(d, x) * r
+
+
+@njit
+def plain_sums(first, second, u, v, position, whole, taps, strip, rows, sums, out):
     """Sums per block of gx r and gy r, with r = a - b(x + d) and d constant over the block.
 
     Parameters
@@ -201,23 +252,20 @@ def plain_sums(first, second, u, v, position, whole, taps, t, strip, rows, sums,
         a and b with their borders.
     u, v : (ny, nx) float32
         Displacement, px.
-    position, whole, taps, t, strip, rows, sums : arrays of `scratch`
+    position, whole, taps, strip, rows, sums : arrays of `scratch`
         Work space.
     out : (2, ny, nx) float32
         Output.
     """
     ny = len(u)
+    s, d = rows[0], rows[1]
     s0, s1 = sums[0], sums[1]
     for by in range(ny):
-        _warp_strip(second, by, u[by], v[by], position, whole, taps, t, strip)
+        _warp_strip(second, by, u[by], v[by], position, whole, taps, strip)
         sums[:2] = F(0)
         for j in range(BLOCK):
-            _spline_row(first, by * BLOCK + j, rows[0], rows[1], rows[2], rows[3], rows[4])
-            a, p, q, b = rows[2], rows[3], rows[4], strip[j]
-            for x in range(len(s0)):
-                r = a[x] - b[x]
-                s0[x] += p[x] * r
-                s1[x] += q[x] * r
+            _spline_columns(first, by * BLOCK + j, s, d)
+            _plain_row(s, d, strip[j], s0, s1)
         for k in range(2):
             _fold(sums[k], out[k, by])
 
@@ -265,7 +313,7 @@ def _robust_row(a, gx, gy, b, ux, uy, vx, vy, y, c2, c2b2, s0, s1, s2, s3, s4, s
 
 
 @njit
-def robust_sums(first, second, u, v, slopes, c2, c2b2, position, whole, taps, t, strip, rows, sums, out):
+def robust_sums(first, second, u, v, slopes, c2, c2b2, position, whole, taps, strip, rows, sums, out):
     """Sums per block with a weight w = (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 per pixel.
 
     Parameters
@@ -278,18 +326,18 @@ def robust_sums(first, second, u, v, slopes, c2, c2b2, position, whole, taps, t,
         1 / (c s)^2, s^2 the residual variance of the block's window; 0 gives weight 1.
     c2b2 : float32
         c^2 beta^2 / 4: m in the formula is half the sum of both images.
-    position, whole, taps, t, strip, rows, sums : arrays of `scratch`
+    position, whole, taps, strip, rows, sums : arrays of `scratch`
         Work space.
     out : (6, ny, nx) float32
         Output: sums of w gx r, w gy r, w gx gx, w gx gy, w gy gy, r r.
     """
-    ny = len(u)
+    ny, n = len(u), sums.shape[1]
     for by in range(ny):
-        _warp_strip(second, by, u[by], v[by], position, whole, taps, t, strip)
+        _warp_strip(second, by, u[by], v[by], position, whole, taps, strip)
         _spread_strip(slopes, c2, by, rows)
         sums[:6] = F(0)
         for j in range(BLOCK):
-            _spline_row(first, by * BLOCK + j, rows[0], rows[1], rows[2], rows[3], rows[4])
+            _spline_row(first, by * BLOCK + j, rows[0], rows[1], rows[2][:n], rows[3][:n], rows[4][:n])
             _robust_row(
                 rows[2],
                 rows[3],
@@ -347,25 +395,25 @@ def _final_row(a, gx, gy, r, w, psi, s0, s1, s2, s3, s4, s5, s6, s7, s8, s9, s10
 
 
 @njit
-def final_sums(first, second, u, v, slopes, c2, c2b2, position, whole, taps, t, strip, rows, sums, out):
+def final_sums(first, second, u, v, slopes, c2, c2b2, position, whole, taps, strip, rows, sums, out):
     """The sums of `robust_sums` and those that correlation and uncertainty are made of.
 
     Parameters
     ----------
-    first, second, u, v, slopes, c2, c2b2, position, whole, taps, t, strip, rows, sums
+    first, second, u, v, slopes, c2, c2b2, position, whole, taps, strip, rows, sums
         As for `robust_sums`.
     out : (12, ny, nx) float32
         Output: the six sums of `robust_sums`, then those of a, a a, r, a r,
         psi' ga gb, w ((ga + gb) / 2)^2 with psi' = w (1 - 4 t / (1 + t)), t the r^2 / (...) of the weight,
         and ga, gb differences along the row of a and of b read through the displacement.
     """
-    ny = len(u)
+    ny, n = len(u), sums.shape[1]
     for by in range(ny):
-        _warp_strip(second, by, u[by], v[by], position, whole, taps, t, strip)
+        _warp_strip(second, by, u[by], v[by], position, whole, taps, strip)
         _spread_strip(slopes, c2, by, rows)
         sums[:] = F(0)
         for j in range(BLOCK):
-            _spline_row(first, by * BLOCK + j, rows[0], rows[1], rows[2], rows[3], rows[4])
+            _spline_row(first, by * BLOCK + j, rows[0], rows[1], rows[2][:n], rows[3][:n], rows[4][:n])
             a, p, q = rows[2], rows[3], rows[4]
             _residual_row(
                 a,
@@ -408,6 +456,70 @@ def final_sums(first, second, u, v, slopes, c2, c2b2, position, whole, taps, t, 
 
 
 @njit
+def _unweighted_row(s, d, b, ux, uy, vx, vy, y, a, r, s0, s1, s5, s6, s7, s8, s9, s10, s11):
+    for x in range(len(s0)):
+        gx, gy = _slope(s, x), _value(d, x)
+        a[x] = _value(s, x)
+        r[x] = a[x] - b[x] - gx * (ux[x] + y * uy[x]) - gy * (vx[x] + y * vy[x])
+        s0[x] += gx * r[x]
+        s1[x] += gy * r[x]
+        s5[x] += r[x] * r[x]
+    for x in range(len(s0)):
+        s6[x] += a[x]
+        s7[x] += a[x] * a[x]
+        s8[x] += r[x]
+        s9[x] += a[x] * r[x]
+    for x in range(1, len(s0) - 1):
+        da, dr = a[x + 1] - a[x - 1], r[x + 1] - r[x - 1]
+        mean = da - F(0.5) * dr
+        s10[x] += da * (da - dr)
+        s11[x] += mean * mean
+
+
+@njit
+def unweighted_sums(first, second, u, v, slopes, position, whole, taps, strip, rows, sums, out):
+    """The sums of `final_sums` with every weight 1, but without those of a's gradients alone.
+
+    Parameters
+    ----------
+    first, second, u, v, slopes, position, whole, taps, strip, rows, sums
+        As for `robust_sums`.
+    out : (12, ny, nx) float32
+        Output, as of `final_sums`; 2, 3 and 4 are left as they are: `gradient_moments` has them.
+    """
+    ny = len(u)
+    for by in range(ny):
+        _warp_strip(second, by, u[by], v[by], position, whole, taps, strip)
+        _spread_strip(slopes, u, by, rows)
+        sums[:] = F(0)
+        for j in range(BLOCK):
+            _spline_columns(first, by * BLOCK + j, rows[0], rows[1])
+            _unweighted_row(
+                rows[0],
+                rows[1],
+                strip[j],
+                rows[5],
+                rows[6],
+                rows[7],
+                rows[8],
+                F(j) - MID,
+                rows[2],
+                rows[3],
+                sums[0],
+                sums[1],
+                sums[5],
+                sums[6],
+                sums[7],
+                sums[8],
+                sums[9],
+                sums[10],
+                sums[11],
+            )
+        for k in (0, 1, 5, 6, 7, 8, 9, 10, 11):
+            _fold(sums[k], out[k, by])
+
+
+@njit
 def shift_sums(a, b, margin, first, dy, row, out):
     """Sums per block of a b, with b shifted by whole pixels: by dy rows and, one after another, more columns.
 
@@ -445,7 +557,6 @@ def scratch(nx: int) -> dict[str, np.ndarray]:
         "position": np.empty((2, nx), np.float32),
         "whole": np.empty((2, nx), np.int32),
         "taps": np.empty((2, TAPS, nx), np.float32),
-        "t": np.zeros(END, np.float32),  # its garbage columns are read (and dropped) before they are written
         "strip": np.empty((BLOCK, n + 8), np.float32),
         "rows": np.empty((13, n + 4), np.float32),
         "sums": np.empty((12, n), np.float32),

@@ -39,7 +39,9 @@ def filtered(field: np.ndarray, weights: np.ndarray, out: np.ndarray | None = No
     return cv2.sepFilter2D(field, -1, weights, weights, dst=out, borderType=BORDER)
 
 
-def smoothed(field: np.ndarray, sigma: float, order: int, weight: np.ndarray | None = None) -> np.ndarray:
+def smoothed(
+    field: np.ndarray, sigma: float, order: int, trust: tuple[np.ndarray, np.ndarray] | None = None
+) -> np.ndarray:
     """The flat smoother 1 - (1 - G)^order, G a Gaussian of `sigma` blocks.
 
     Parameters
@@ -50,8 +52,8 @@ def smoothed(field: np.ndarray, sigma: float, order: int, weight: np.ndarray | N
         Standard deviation in blocks; 0 gives the field back.
     order : int
         Order.
-    weight : (ny, nx) float32, optional
-        Trust in each block: G becomes G(weight f) / G(weight).
+    trust : pair of (ny, nx) float32, optional
+        As given by `trusted` for this sigma.
 
     Returns
     -------
@@ -60,18 +62,33 @@ def smoothed(field: np.ndarray, sigma: float, order: int, weight: np.ndarray | N
     if sigma == 0:
         return field
     g = gaussian(sigma)
-    norm = None if weight is None else F(1) / np.maximum(filtered(weight, g), F(1e-3))
-    rest, total = field.copy(), np.zeros_like(field)
     part = np.empty_like(field)
-    for _ in range(order):
-        if norm is None:
-            filtered(rest, g, part)
-        else:
-            filtered(rest * weight, g, part)
-            part *= norm
-        total += part
-        rest -= part
-    return total
+    if trust is None:
+        rest = field - filtered(field, g, part)
+        for _ in range(order - 1):
+            rest -= filtered(rest, g, part)
+    else:
+        weight, norm = trust
+        rest, product = field.copy(), field * weight
+        for _ in range(order):
+            _take_off(rest, product, filtered(product, g, part), weight, norm)
+    return np.subtract(field, rest, out=rest)
+
+
+def trusted(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
+    """Trust in each block (ny, nx) as `smoothed` wants it: G becomes G(weight f) / G(weight)."""
+    return weight, F(1) / np.maximum(filtered(weight, gaussian(sigma)), F(1e-3))
+
+
+@njit
+def _take_off(rest, product, part, weight, norm):
+    """rest -= norm part; product = weight rest."""
+    for j in range(len(rest)):
+        here, to, off, w, n = rest[j], product[j], part[j], weight[j], norm[j]
+        for i in range(len(here)):
+            value = here[i] - n[i] * off[i]
+            here[i] = value
+            to[i] = w[i] * value
 
 
 def slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:

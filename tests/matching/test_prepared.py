@@ -1,0 +1,113 @@
+import cv2
+import numpy as np
+import pytest
+
+from wavefield.matching import Settings, prepare
+from wavefield.matching.prepared import Mask
+
+
+def scene(shape=(203, 187), dtype=np.uint8):
+    """Speckle under light that falls off, its contrast with it."""
+    rng = np.random.default_rng(3)
+    speckle = cv2.GaussianBlur(rng.normal(0, 1, shape).astype(np.float32), (0, 0), 1.2)
+    light = np.linspace(0.3, 1.0, shape[1], dtype=np.float32)
+    image = light * (120 + 120 * speckle / np.abs(speckle).max())
+    return np.round(image).astype(dtype) if dtype != np.float32 else image
+
+
+def normalized_slowly(image, sigma, good=None):
+    image = image.astype(float)
+    good = np.ones(image.shape) if good is None else good.astype(float)
+
+    def local(f):
+        return cv2.GaussianBlur(f, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+
+    image = np.where(good > 0, image, 0.0)
+    share = np.maximum(local(good), 1e-3)
+    mean, square = local(image) / share, local(image**2) / share
+    return (image - mean) / np.sqrt(square - mean**2) * good
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("sigma", [3.0, 10.0, 20.0])
+def test_normalisation_takes_out_local_mean_and_contrast(dtype, sigma):
+    image = scene(dtype=dtype)
+    out = prepare(image, Settings.piv(normalization=sigma)).levels[0].image
+    exact = normalized_slowly(image, sigma)
+    # a border replicated cell by cell is not that of the pixels
+    assert np.sqrt(np.mean((out - exact) ** 2)) < 0.08
+    assert np.sqrt(np.mean((out - exact)[16:-16, 16:-16] ** 2)) < 0.03
+
+
+def test_masked_pixels_are_zero_and_tell_their_surroundings_nothing():
+    image, good = scene(), np.ones((203, 187), bool)
+    good[60:120, 50:130] = False
+    settings = Settings.piv(normalization=10.0)
+    out = prepare(image, settings, good).levels[0].image
+    assert (out[~good] == 0).all()
+    other = np.where(good, image, np.uint8(200))
+    np.testing.assert_array_equal(out, prepare(other, settings, good).levels[0].image)
+    miss = (out - normalized_slowly(image, 10.0, good))[16:-16, 16:-16]
+    assert np.sqrt(np.mean(miss[good[16:-16, 16:-16]] ** 2)) < 0.03
+
+
+@pytest.mark.parametrize("normalization", [0.0, 10.0])
+def test_a_mask_prepared_once_serves_like_the_array(normalization):
+    settings = Settings.piv(normalization=normalization)
+    good = np.ones((203, 187), bool)
+    good[:, :40] = False
+    mask = Mask.of(good, settings)
+    for dtype in (np.uint8, np.float32):
+        a, b = prepare(scene(dtype=dtype), settings, good), prepare(scene(dtype=dtype), settings, mask)
+        for one, other in zip(a.levels, b.levels, strict=True):
+            np.testing.assert_array_equal(one.padded, other.padded)
+            np.testing.assert_array_equal(one.good, other.good)
+
+
+@pytest.mark.parametrize("with_mask", [False, True])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("row", [100, 202])
+def test_a_pixel_that_is_not_finite_is_left_out_and_spoils_nothing(with_mask, value, row):
+    settings = Settings.piv(normalization=10.0)
+    good = np.ones((203, 187), bool)
+    if with_mask:
+        good[:, :40] = False
+    mask = Mask.of(good, settings) if with_mask else None
+    image = scene(dtype=np.float32)
+    image[row, 100] = value
+    found = prepare(image, settings, mask)
+    good[row, 100] = False
+    wanted = prepare(np.nan_to_num(image, posinf=0, neginf=0), settings, good)
+    for one, other in zip(found.levels, wanted.levels, strict=True):
+        np.testing.assert_array_equal(one.padded, other.padded)
+        np.testing.assert_array_equal(one.good, other.good)
+    if with_mask:
+        assert mask.good[row, 100]  # the next image's own pixel is fine
+
+
+@pytest.mark.parametrize("corner", [(0, 0), (51, 33), (198, 182)])
+def test_the_smallest_saturated_patch_is_found_wherever_it_lies(corner):
+    j, i = corner
+    image = np.minimum(scene(), 250).astype(np.uint8)
+    image[j : j + 5, i : i + 5] = 255
+    level = prepare(image, Settings.piv()).levels[0]
+    assert (level.image[j : j + 5, i : i + 5] == 0).all()
+    assert not level.good[j + 2, i + 2]
+    image[j + 2, i + 2] = 250
+    assert prepare(image, Settings.piv()).levels[0].good.size == 0
+
+
+def test_a_mask_hides_what_is_brighter_than_the_saturated_patch():
+    image = np.minimum(scene(), 200).astype(np.uint8)
+    image[20:40, 20:40], image[100:110, 100:110] = 255, 220
+    good = np.ones(image.shape, bool)
+    good[15:45, 15:45] = False
+    assert not prepare(image, Settings.piv(), good).levels[0].good[105, 105]
+
+
+def test_infinitely_little_contrast_is_not_amplified():
+    image = scene(dtype=np.float32)
+    image[:, 80:] = 50.0
+    image[:, 80:] += np.random.default_rng(0).normal(0, 1e-4, image[:, 80:].shape)
+    out = prepare(image, Settings.piv(normalization=5.0)).levels[0].image
+    assert np.abs(out[:, 120:]).max() < 0.05
