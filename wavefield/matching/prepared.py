@@ -9,10 +9,11 @@ import numpy as np
 
 from wavefield.errors import FrameError
 from wavefield.matching.kernels import BLOCK, PAD
+from wavefield.matching.normalize import Cells, share_of
 from wavefield.matching.settings import Settings
 
-_COARSE = 8  # local means and variances are taken on an image at most this many times smaller
-_UNIFORM = 0.05  # of the image's median local standard deviation: less contrast is not amplified
+_FILLED = 16.0  # px: masked pixels of an image that is not normalised get the mean of so wide surroundings
+_FLAT = 5  # px: side of the smallest patch at the image's largest value that counts as saturated
 _SMALLEST = 8 * BLOCK  # px: pyramid levels with a smaller side are left out
 _NO_MASK = np.empty((0, 0), np.uint8)
 
@@ -69,7 +70,50 @@ class Prepared:
         return self.levels[0].shape
 
 
-def prepare(image: np.ndarray, settings: Settings, mask: np.ndarray | None = None) -> Prepared:
+@dataclass(frozen=True)
+class Mask:
+    """Which pixels may be used, worked out once for many images.
+
+    Parameters
+    ----------
+    good : (h, w) uint8
+        1 where a pixel may be used.
+    levels : tuple of (h, w) uint8
+        `Level.good` of each pyramid level, finest first.
+    share : (ny, nx) float32
+        Share of usable pixels around the cells of the normalisation.
+    """
+
+    good: np.ndarray
+    levels: tuple[np.ndarray, ...]
+    share: np.ndarray
+
+    @staticmethod
+    def of(good: np.ndarray, settings: Settings) -> Mask:
+        """Prepare a mask.
+
+        Parameters
+        ----------
+        good : (h, w) bool
+            True where pixels may be used.
+        settings : Settings
+            Uses the number of levels and the normalisation.
+
+        Returns
+        -------
+        Mask
+        """
+        here = good = np.array(good, bool, order="C").view(np.uint8)
+        levels = [_whole_blocks(good, 0)]
+        for number in range(1, depth(good.shape, settings.levels)):
+            h, w = here.shape[0] // 2, here.shape[1] // 2
+            part = cv2.resize(here[: 2 * h, : 2 * w] * np.uint8(255), (w, h), interpolation=cv2.INTER_AREA)
+            here = (part > 250).astype(np.uint8)
+            levels.append(_whole_blocks(here, number))
+        return Mask(good, tuple(levels), share_of(good, settings.normalization or _FILLED))
+
+
+def prepare(image: np.ndarray, settings: Settings, mask: np.ndarray | Mask | None = None) -> Prepared:
     """Prepare an image for matching.
 
     Parameters
@@ -79,8 +123,8 @@ def prepare(image: np.ndarray, settings: Settings, mask: np.ndarray | None = Non
         (saturation), are left out.
     settings : Settings
         Uses the number of levels and the normalisation.
-    mask : (h, w) bool, optional
-        True where pixels may be used.
+    mask : (h, w) bool, or Mask, optional
+        True where pixels may be used; make a Mask, for these settings, of one that many images share.
 
     Returns
     -------
@@ -106,31 +150,26 @@ def prepare(image: np.ndarray, settings: Settings, mask: np.ndarray | None = Non
         )
     if not (np.issubdtype(image.dtype, np.floating) or np.issubdtype(image.dtype, np.integer)):
         raise FrameError(f"an image of {image.dtype} cannot be matched: give whole or real numbers")
-    if mask is not None and np.shape(mask) != image.shape:
-        raise FrameError(f"the mask is {np.shape(mask)} but the image is {image.shape}: make them the same")
+    if mask is not None:
+        shape = mask.good.shape if isinstance(mask, Mask) else np.shape(mask)
+        if shape != image.shape:
+            raise FrameError(f"the mask is {shape} but the image is {image.shape}: make them the same")
+        if not isinstance(mask, Mask):
+            mask = None if np.all(mask) else Mask.of(mask, settings)
     if image.dtype not in (np.uint8, np.uint16, np.float32):
         image = image.astype(np.float32)
-    good = _usable(image, mask)
     h, w = image.shape
-    padded = np.empty((h + 2 * PAD, w + 2 * PAD), np.float32)
-    inner = padded[PAD:-PAD, PAD:-PAD]
-    np.copyto(inner, image, casting="unsafe")
-    if settings.normalization > 0 or good is not None:
-        _normalize(inner, good, settings.normalization)
+    padded = _padded(h, w)
+    mask = _normalize(image, mask, settings, padded[PAD:-PAD, PAD:-PAD])
     levels: list[Level] = []
     for number in range(depth(image.shape, settings.levels)):
         if number:
             even = levels[-1].image[: h // 2 * 2, : w // 2 * 2]
             h, w = h // 2, w // 2
-            padded = np.empty((h + 2 * PAD, w + 2 * PAD), np.float32)
-            padded[PAD:-PAD, PAD:-PAD] = cv2.resize(even, (w, h), interpolation=cv2.INTER_AREA)
-            if good is not None:
-                share = cv2.resize(
-                    good[: 2 * h, : 2 * w] * np.uint8(255), (w, h), interpolation=cv2.INTER_AREA
-                )
-                good = (share > 250).astype(np.uint8)
+            padded = _padded(h, w)
+            cv2.resize(even, (w, h), dst=padded[PAD:-PAD, PAD:-PAD], interpolation=cv2.INTER_AREA)
         _replicate_border(padded)
-        levels.append(Level(padded, _NO_MASK if good is None else _whole_blocks(good, number)))
+        levels.append(Level(padded, _NO_MASK if mask is None else mask.levels[number]))
     return Prepared(tuple(levels), settings.normalization)
 
 
@@ -142,20 +181,41 @@ def depth(shape: tuple[int, ...], levels: int) -> int:
     return levels
 
 
-def _usable(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray | None:
-    """(h, w) uint8, 1 where pixels may be used; None where all may."""
-    good = None if mask is None or np.all(mask) else np.asarray(mask, bool)
-    if np.issubdtype(image.dtype, np.floating):
-        finite = np.isfinite(image)
-        if not finite.all():
-            good = finite if good is None else good & finite
-    largest = image.max() if good is None else np.max(image, where=good, initial=0)
-    if largest > 0:
-        bright = cv2.inRange(image, float(largest), float(largest)) // 255
-        flat = cv2.morphologyEx(bright, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
-        if cv2.countNonZero(flat):
-            good = flat == 0 if good is None else good & (flat == 0)
-    return None if good is None else good.astype(np.uint8)
+def _normalize(image: np.ndarray, mask: Mask | None, settings: Settings, out: np.ndarray) -> Mask | None:
+    """Write the normalised image; return the mask less what cannot be used of this image."""
+    width = settings.normalization or _FILLED
+    cells = Cells(image, width, None if mask is None else mask.good)
+    if not cells.finite and not (finite := np.isfinite(image)).all():
+        mask = _without(~finite, mask, settings)
+        cells = Cells(image, width, mask.good)
+    if (flat := _saturated(image, cells.largest)) is not None:
+        mask = _without(flat, mask, settings)
+        cells = Cells(image, width, mask.good)
+    if settings.normalization > 0:
+        cells.normalized(None if mask is None else mask.share, out)
+    elif mask is not None:
+        cells.filled(mask.share, out)
+    else:
+        np.copyto(out, image, casting="unsafe")
+    return mask
+
+
+def _without(bad: np.ndarray, mask: Mask | None, settings: Settings) -> Mask:
+    return Mask.of(~bad if mask is None else (mask.good != 0) & ~bad, settings)
+
+
+def _saturated(image: np.ndarray, largest: float) -> np.ndarray | None:
+    """(h, w) bool, True in flat patches at the image's largest value; None if there are none."""
+    # every patch holds one pixel of a grid as wide as the patch
+    if largest <= 0 or not (image[_FLAT - 1 :: _FLAT, _FLAT - 1 :: _FLAT] == largest).any():
+        return None
+    bright = cv2.inRange(image, largest, largest)
+    flat = cv2.morphologyEx(bright, cv2.MORPH_OPEN, np.ones((_FLAT, _FLAT), np.uint8))
+    return flat > 0 if cv2.countNonZero(flat) else None
+
+
+def _padded(h: int, w: int) -> np.ndarray:
+    return np.empty((h + 2 * PAD, w + 2 * PAD), np.float32)
 
 
 def _whole_blocks(good: np.ndarray, level: int) -> np.ndarray:
@@ -169,48 +229,3 @@ def _replicate_border(padded: np.ndarray) -> None:
     padded[PAD:-PAD, -PAD:] = padded[PAD:-PAD, -PAD - 1 : -PAD]
     padded[:PAD] = padded[PAD]
     padded[-PAD:] = padded[-PAD - 1]
-
-
-def _normalize(image: np.ndarray, good: np.ndarray | None, sigma: float) -> None:
-    """Local normalisation, in place: zero mean, unit variance; masked pixels become 0.
-
-    With sigma 0 only masked pixels change: they get the mean of their surroundings.
-    """
-    h, w = image.shape
-    width = max(sigma if sigma > 0 else 16.0, 1.0)
-    q = _COARSE
-    while q > 1 and (width < 2 * q or min(h, w) < 8 * q):
-        q //= 2
-    size = (w // q, h // q)
-
-    spare = np.empty((h, w), np.float32)
-
-    def local(values: np.ndarray) -> np.ndarray:
-        small = cv2.resize(values, size, interpolation=cv2.INTER_AREA)
-        return cv2.GaussianBlur(small, (0, 0), width / q, borderType=cv2.BORDER_REPLICATE)
-
-    def full(values: np.ndarray) -> np.ndarray:
-        return cv2.resize(values, (w, h), dst=spare, interpolation=cv2.INTER_LINEAR)
-
-    share = None
-    if good is not None:
-        image[good == 0] = 0
-        share = np.maximum(local(good.astype(np.float32)), np.float32(1e-3))
-    mean = local(image)
-    if share is not None:
-        mean /= share
-    if sigma == 0:
-        assert good is not None
-        np.copyto(image, full(mean), where=good == 0)
-        return
-    square = local(cv2.multiply(image, image, dst=spare))
-    if share is not None:
-        square /= share
-    std = np.sqrt(np.maximum(square - mean * mean, 0))
-    seen = std if share is None else std[share > 0.5]
-    typical = float(np.median(seen)) if seen.size else 0.0
-    scale = 1 / np.maximum(std, np.float32(max(_UNIFORM * typical, 1e-6)))
-    cv2.subtract(image, full(mean), dst=image)
-    cv2.multiply(image, full(scale), dst=image)
-    if good is not None:
-        image *= good

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
+from wavefield.matching.prepared import Mask
 from wavefield.measurement.rectify import binned, sight_map
 from wavefield.measurement.regrid import Lattice, bending_energy, thin_plate
 from wavefield.measurement.settings import Settings
@@ -159,10 +160,12 @@ class Plan:
         self.lattice = Lattice(x0 + middle_of_block, y0 + middle_of_block, step, (ny, nx))
         self.maps: dict[str, tuple[NDArray, NDArray]] = {}
         self.seen: dict[str, NDArray] = {}
+        self.masks: dict[str, Mask] = {}
         self.seen_blocks: dict[str, NDArray] = {}
         for name in self.surface_cameras:
             X, Y, seen = sight_map(self.binned[name], px, py)
             self.maps[name], self.seen[name] = (X, Y), seen
+            self.masks[name] = Mask.of(seen, self.settings.stereo)
             self.seen_blocks[name] = cv2.resize(
                 seen.astype(np.float32), (nx, ny), interpolation=cv2.INTER_AREA
             )

@@ -98,7 +98,7 @@ def prepare(image: NDArray, camera: str, plan: Plan) -> matching.Prepared:
     matching.Prepared
     """
     flat = widen(rectify(image, *plan.maps[camera]), *plan.blur[camera])
-    return matching.prepare(flat, plan.settings.stereo, mask=plan.seen[camera])
+    return matching.prepare(flat, plan.settings.stereo, mask=plan.masks[camera])
 
 
 def match_pair(a: matching.Prepared, b: matching.Prepared, pair: tuple[str, str], plan: Plan) -> PairMatch:

@@ -1,0 +1,205 @@
+"""Local normalisation of an image: zero mean and unit variance over its surroundings, in two passes.
+
+The first takes sums over square cells, the second writes the image with mean and scale interpolated between
+the cells; all that lies between works on the small fields. As in `kernels.py` the loops run along whole rows.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numba as nb
+import numpy as np
+
+F = np.float32
+
+_LARGEST = 8  # px: side of the cells
+_UNIFORM = F(0.05)  # of the image's median local standard deviation: less contrast is not amplified
+_FEW = F(1e-3)  # share of usable pixels below which there is no telling
+_NOTHING = np.empty((0, 0), np.uint8)
+
+# pixels that are not finite must reach the sums as they are: no fast-math but fused multiply-adds
+njit: Any = nb.njit(fastmath={"contract"}, error_model="numpy", nogil=True, cache=True)
+
+
+@njit
+def _fold(row, count, side, out):
+    """Sum `side` neighbours of the first `count` elements of `row`; what is left over goes to the last."""
+    n = len(out)
+    if side == 4:  # the usual one: a loop that becomes vector code
+        for i in range(n):
+            out[i] = (row[4 * i] + row[4 * i + 1]) + (row[4 * i + 2] + row[4 * i + 3])
+    else:
+        for i in range(n):
+            total = row[i * side]
+            for k in range(1, side):
+                total += row[i * side + k]
+            out[i] = total
+    for x in range(n * side, count):
+        out[n - 1] += row[x]
+
+
+@njit
+def _add_row(row, s, t, top):
+    for x in range(len(row)):
+        v = F(row[x])
+        s[x] += v
+        t[x] += v * v
+        top[x] = max(top[x], v)
+
+
+@njit
+def _add_masked_row(row, good, s, t, top):
+    for x in range(len(row)):
+        v = F(row[x]) if good[x] != 0 else F(0)
+        s[x] += v
+        t[x] += v * v
+        top[x] = max(top[x], v)
+
+
+@njit
+def _cell_sums(image, good, side, rows, out):
+    h, w = image.shape
+    ny = out.shape[1]
+    s, t, top = rows[0], rows[1], rows[2]
+    top[:] = F(0)
+    for j in range(ny):
+        s[:] = F(0)
+        t[:] = F(0)
+        for y in range(j * side, j * side + side if j < ny - 1 else h):
+            if good.size > 0:
+                _add_masked_row(image[y], good[y], s, t, top)
+            else:
+                _add_row(image[y], s, t, top)
+        _fold(s, w, side, out[0, j])
+        _fold(t, w, side, out[1, j])
+
+
+@njit
+def _normalize_row(row, m0, m1, s0, s1, t, out):
+    for x in range(len(row)):
+        mean = m0[x] + t * (m1[x] - m0[x])
+        scale = s0[x] + t * (s1[x] - s0[x])
+        out[x] = (F(row[x]) - mean) * scale
+
+
+@njit
+def _clear_row(good, out):
+    for x in range(len(out)):
+        out[x] = out[x] if good[x] != 0 else F(0)
+
+
+@njit
+def _normalize(image, good, mean, scale, side, out):
+    ny = len(mean)
+    for y in range(len(image)):
+        place = min(max((F(y) + F(0.5)) / F(side) - F(0.5), F(0)), F(ny - 1))
+        j = int(place)
+        k = min(j + 1, ny - 1)
+        _normalize_row(image[y], mean[j], mean[k], scale[j], scale[k], place - F(j), out[y])
+        if good.size > 0:
+            _clear_row(good[y], out[y])
+
+
+class Cells:
+    """Sums over the cells of one image.
+
+    Parameters
+    ----------
+    image : (h, w) uint8, uint16 or float32
+        Image.
+    width : float
+        Standard deviation of the Gaussian surroundings, px.
+    good : (h, w) uint8, optional
+        1 where pixels may be used.
+
+    Attributes
+    ----------
+    largest : float
+        Largest usable value, 0 if none is positive.
+    finite : bool
+        False if there is a usable pixel that is not finite.
+    """
+
+    def __init__(self, image: np.ndarray, width: float, good: np.ndarray | None = None) -> None:
+        self.image, self.width = np.ascontiguousarray(image), max(width, 1.0)
+        self.good = _NOTHING if good is None else good
+        h, w = self.image.shape
+        self.side = _side(h, w, self.width)
+        self.sums = np.empty((2, h // self.side, w // self.side), F)
+        rows = np.empty((3, w), F)
+        _cell_sums(self.image, self.good, self.side, rows, self.sums)
+        self.largest = float(rows[2].max())
+        self.finite = bool(np.isfinite(self.sums[0].sum()))
+
+    def local(self, number: int) -> np.ndarray:
+        """(ny, nx) float32: values (0) or squares (1) of the usable pixels, averaged over all around."""
+        mean = self.sums[number] * _inverse_area(self.image.shape, self.side)
+        return cv2.GaussianBlur(mean, (0, 0), self.width / self.side, borderType=cv2.BORDER_REPLICATE)
+
+    def normalized(self, share: np.ndarray | None, out: np.ndarray) -> None:
+        """Write the normalised image; pixels that are not usable become 0.
+
+        Parameters
+        ----------
+        share : (ny, nx) float32, optional
+            Share of usable pixels around each cell, as given by `share_of`.
+        out : (h, w) float32
+            Output.
+        """
+        mean, square = self.local(0), self.local(1)
+        if share is not None:
+            mean /= share
+            square /= share
+        std = np.sqrt(np.maximum(square - mean * mean, 0))
+        # neighbouring cells hardly differ: one of four tells as much
+        some = std[::2, ::2]
+        if share is not None:
+            some = some[share[::2, ::2] > 0.5]
+        typical = F(np.median(some)) if some.size else F(0)
+        scale = F(1) / np.maximum(std, max(_UNIFORM * typical, F(1e-6)))
+        _normalize(self.image, self.good, self._spread(mean), self._spread(scale), self.side, out)
+
+    def filled(self, share: np.ndarray, out: np.ndarray) -> None:
+        """Write the image with the mean of their surroundings in pixels that are not usable."""
+        h, w = out.shape
+        np.copyto(out, self.image, casting="unsafe")
+        mean = cv2.resize(self.local(0) / share, (w, h), interpolation=cv2.INTER_LINEAR)
+        np.copyto(out, mean, where=self.good == 0)
+
+    def _spread(self, field: np.ndarray) -> np.ndarray:
+        """(ny, w) float32: a field of cells interpolated along its rows."""
+        if self.side == 1:
+            return field
+        ny, nx = field.shape
+        out = np.empty((ny, self.image.shape[1]), F)
+        n = nx * self.side
+        cv2.resize(field, (n, ny), dst=out[:, :n], interpolation=cv2.INTER_LINEAR)
+        out[:, n:] = out[:, n - 1 : n]
+        return out
+
+
+def share_of(good: np.ndarray, width: float) -> np.ndarray:
+    """(ny, nx) float32: share of usable pixels around each cell, never quite 0."""
+    return np.maximum(Cells(good, width).local(0), _FEW)
+
+
+def _side(h: int, w: int, width: float) -> int:
+    """Side of the cells: small against the width and the image."""
+    side = _LARGEST
+    while side > 1 and (width < 2 * side or min(h, w) < 8 * side):
+        side //= 2
+    return side
+
+
+@lru_cache(maxsize=16)
+def _inverse_area(shape: tuple[int, int], side: int) -> np.ndarray:
+    """(ny, nx) float32: one over the number of pixels of each cell."""
+    counts = []
+    for n in shape:
+        count = np.full(n // side, side, F)
+        count[-1] += n % side
+        counts.append(count)
+    return F(1) / (counts[0][:, None] * counts[1])
