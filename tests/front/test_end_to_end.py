@@ -78,6 +78,7 @@ def test_report_has_every_part(folder):
         "Against the exact fields",
         "probes, stereo",
         "each pair of cameras on its own",
+        "z cam1-cam2 recombined - direct",
         "nodes found",
     ):
         assert words in text
@@ -96,6 +97,17 @@ def test_check_says_that_no_camera_has_moved(folder, capsys):
     workflow = str(folder.parent / "workflow.yaml")
     assert main(["-q", "check", str(folder / "experiment.yaml"), "--workflow", workflow]) == 0
     assert "no camera has moved" in capsys.readouterr().out
+
+
+def test_check_compares_the_pairs_of_cameras(folder, capsys):
+    workflow = str(folder.parent / "workflow.yaml")
+    assert main(["-q", "check", str(folder / "experiment.yaml"), "--workflow", workflow, "--pairs"]) == 0
+    out = capsys.readouterr().out
+    found = dict(re.findall(r"^    (\S.*?)\s+(?:[\d.]+ cm )?([\d.]+) px$", out, re.M))
+    assert {"eps_Y cam3-cam1", "sigma_z cam1-cam2", "z cam1-cam2 recombined - direct"} <= set(found)
+    assert 0 < float(found["eps' cam1-cam2"]) < 0.2
+    report = (folder / "report.html").read_text(encoding="utf-8")
+    assert report.count("recombined - direct") > 1  # words for those who do not see, and a row of a table
 
 
 def test_check_of_what_cannot_run_is_status_1(folder, tmp_path, capsys):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from measurement_cases import PIXEL
 
-from wavefield.measurement import Plan, Settings, diagnose
+from wavefield.measurement import Plan, Settings, diagnose, pooled
 
 
 @pytest.fixture(scope="module")
@@ -30,11 +30,33 @@ def test_mismatch_predicts_the_error_of_each_pair(series, diagnosis):
 
 def test_the_table_gives_centimetres_and_pixels(diagnosis):
     rows = {row["name"]: row for row in diagnosis.table()}
-    assert {"eps_Y cam3-cam1", "sigma_z cam1-cam2", "eps'", "z cam1-cam2 recombined - direct"} <= set(rows)
+    everybody = "eps' cam1-cam2-cam3"
+    assert {"eps_Y cam3-cam1", "sigma_z cam1-cam2", everybody, "z cam1-cam2 recombined - direct"} <= set(rows)
     row = rows["eps_Y cam3-cam1"]
     assert row["cm"] == pytest.approx(100 * PIXEL * row["px"])
-    assert rows["eps'"]["cm"] is None
-    assert 0 < rows["eps'"]["px"] < 0.2
+    assert rows[everybody]["cm"] is None
+    assert 0 < rows[everybody]["px"] < 0.2
+
+
+def test_every_pair_gives_the_same_displacement(series, diagnosis):
+    exact = np.stack([series.truth[0][name] for name in "uvw"]) / 20.0
+    for values in diagnosis.moved.values():
+        miss = (values - exact)[:, series.inside]
+        assert np.isfinite(miss).mean() > 0.8
+        assert np.sqrt(np.nanmean(miss**2)) < 0.2 * PIXEL
+    for values in diagnosis.moved_difference.values():
+        assert 0 < np.sqrt(np.nanmean(values[:, series.inside] ** 2)) < 0.2 * PIXEL
+
+
+def test_steps_are_pooled_into_one_table(series, plan, diagnosis):
+    later = diagnose({name: images[2:4] for name, images in series.frames.items()}, plan, PIXEL)
+    both = pooled([diagnosis, later])
+    assert both.z["cam3", "cam1"].shape == (2, *plan.grid.shape)
+    assert both.eps_y["cam1", "cam2"].size == sum(d.eps_y["cam1", "cam2"].size for d in (diagnosis, later))
+    one, other, pool = ({r["name"]: r["px"] for r in d.table()} for d in (diagnosis, later, both))
+    assert set(pool) == set(one)
+    for name, value in pool.items():
+        assert 0.9 * min(one[name], other[name]) < value < 1.1 * max(one[name], other[name]), name
 
 
 def test_a_missing_frame_leaves_nothing_to_compare(series, plan):

@@ -1,20 +1,35 @@
 """`wavefield check`, `calibrate`, `run` and `status`: from images to a cube."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from wavefield.commands.progress import Progress
 
+if TYPE_CHECKING:
+    from wavefield.cubes.processing import Prepared
+
 _FILE = click.Path(exists=True, path_type=Path)
 
 
-@click.command(epilog="\b\nExample:\n  wavefield check experiment.yaml")
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield check experiment.yaml
+  wavefield check experiment.yaml --pairs      # do the cameras agree on what they see?
+"""
+)
 @click.argument("experiment", type=_FILE)
 @click.option("--rig", type=_FILE, help="Rig file, in place of the one that the experiment names.")
 @click.option("--workflow", type=_FILE, help="Where and how it would run: a file as in workflows/.")
+@click.option("--pairs", is_flag=True, help="Also compare what each pair of cameras measures by itself.")
 @click.pass_context
-def check(context: click.Context, experiment: Path, rig: Path | None, workflow: Path | None) -> None:
+def check(
+    context: click.Context, experiment: Path, rig: Path | None, workflow: Path | None, pairs: bool
+) -> None:
     """Say what is there, what is missing, and what a run will cost.
 
     Counts the frames of each camera, names missing ones, shows how much of the grid the cameras see,
@@ -35,6 +50,25 @@ def check(context: click.Context, experiment: Path, rig: Path | None, workflow: 
     prepared = prepare(experiment, rig, workflow)
     frames = spread(len(next(iter(prepared.series.values()))), 3)
     click.echo(f"  rig: {check_rig(prepared.rig, matched_pixels(prepared, frames)).sentence}")
+    if pairs:
+        click.echo(_pairs_table(prepared))
+
+
+def _pairs_table(prepared: Prepared) -> str:
+    """What `diagnose` finds around the middle of the record, a line per error."""
+    from wavefield.report.pairs import diagnose_around
+    from wavefield.report.sources import pixel_size
+
+    pixel = pixel_size(prepared.rig, prepared.grid)
+    middle = len(next(iter(prepared.series.values()))) // 2
+    found = diagnose_around(prepared.series, prepared.plan, middle, pixel)
+    if found is None:
+        return "  pairs: no step around the middle of the record has a usable frame of every camera"
+    lines = [f"  pairs, {len(next(iter(found.z.values())))} steps, rms; 1 px is {1e3 * pixel:.2g} mm"]
+    for row in found.table():
+        centimetres = "" if row["cm"] is None else f"{row['cm']:.4f} cm"
+        lines.append(f"    {row['name']:<48} {centimetres:>10} {row['px']:.3f} px")
+    return "\n".join(lines)
 
 
 @click.command(
@@ -116,7 +150,7 @@ def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> Non
     click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
 
 
-def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
+def _named(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
     for value in values:
         if "=" not in value:
             raise click.BadParameter(f"{value!r}: write name=value")
@@ -142,7 +176,7 @@ Examples:
     "--parameter",
     "parameters",
     multiple=True,
-    callback=_pairs,
+    callback=_named,
     help="name=value for a catalog's parameter.",
 )
 def run(

@@ -1,8 +1,8 @@
 """From frames to z, z_t, u, v, w with their errors, at the nodes of one grid. Arrays in, arrays out."""
 
-from wavefield.measurement.diagnostics import Diagnosis, diagnose
+from wavefield.measurement.diagnostics import Diagnosis, diagnose, pooled
 from wavefield.measurement.measure import measure
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.settings import Settings
 
-__all__ = ["Diagnosis", "Plan", "Settings", "diagnose", "measure"]
+__all__ = ["Diagnosis", "Plan", "Settings", "diagnose", "measure", "pooled"]

@@ -1,9 +1,10 @@
-"""How well the cameras agree: the paper's accuracy section, from one step of frames."""
+"""How well the cameras agree: the paper's accuracy section, step by step."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -21,34 +22,45 @@ Pair = tuple[str, str]
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Internal errors of one step; NaN where not measured.
+    """Internal errors of one step, or of several (`pooled`); NaN where not measured.
 
     Parameters
     ----------
     pixel : float
         Length that counts as one pixel, metres.
-    z : dict of (str, str) to ndarray, (ny, nx)
+    z : dict of (str, str) to ndarray, (..., ny, nx)
         Elevation from each pair alone at the first frame, metres: the planned pairs and the direct pairs
         among their partners.
     eps_y : dict of (str, str) to ndarray, (n,)
         Mismatch across the line of sight at all blocks that were matched, before rejection by it, metres.
     z_std : dict of (str, str) to float
         eps_y's rms over |dD|: the standard uncertainty of z under isotropy of the matching error, metres.
-    difference : dict of ((str, str), (str, str)) to ndarray, (ny, nx)
-        Elevation by one pair minus that by another, metres.
-    recombined : dict of (str, str) to ndarray, (ny, nx)
+    recombined : dict of (str, str) to ndarray, (..., ny, nx)
         Elevation by a direct pair's displacement made of the two planned ones, minus that matched directly.
-    eps_piv : ndarray, (ny, nx)
-        Misfit of the cameras' displacements from the first frame to the second, px of the binned images.
+    moved : dict of (str, str) to ndarray, (..., 3, ny, nx)
+        Displacement dx, dy, dz from the first frame to the second by each pair alone, metres.
+    eps_piv : dict of tuple of str to ndarray, (..., ny, nx)
+        Misfit of the cameras' displacements, px of the binned images: of each pair alone, and of all the
+        cameras that the plan takes for the velocity.
     """
 
     pixel: float
     z: dict[Pair, NDArray]
     eps_y: dict[Pair, NDArray]
     z_std: dict[Pair, float]
-    difference: dict[tuple[Pair, Pair], NDArray]
     recombined: dict[Pair, NDArray]
-    eps_piv: NDArray
+    moved: dict[Pair, NDArray]
+    eps_piv: dict[tuple[str, ...], NDArray]
+
+    @property
+    def difference(self) -> dict[tuple[Pair, Pair], NDArray]:
+        """Elevation by one pair minus that by another, metres, (..., ny, nx)."""
+        return {(p, q): self.z[p] - self.z[q] for p, q in combinations(self.z, 2)}
+
+    @property
+    def moved_difference(self) -> dict[tuple[Pair, Pair], NDArray]:
+        """Displacement by one pair minus that by another, metres, (..., 3, ny, nx)."""
+        return {(p, q): self.moved[p] - self.moved[q] for p, q in combinations(self.moved, 2)}
 
     def table(self) -> list[dict[str, Any]]:
         """The rms of every error.
@@ -61,30 +73,91 @@ class Diagnosis:
         """
         rows = []
         for pair, values in self.eps_y.items():
-            rows.append(self._row(f"eps_Y {_name(pair)}", values))
-            rows.append({"name": f"sigma_z {_name(pair)}", **self._units(self.z_std[pair]), "share": None})
+            rows.append(self._row(f"eps_Y {joined(pair)}", values))
+            rows.append({"name": f"sigma_z {joined(pair)}", **self._units(self.z_std[pair]), "share": None})
         for (one, other), values in self.difference.items():
-            rows.append(self._row(f"(z {_name(one)} - z {_name(other)}) / sqrt 2", values / np.sqrt(2.0)))
+            name = f"(z {joined(one)} - z {joined(other)}) / sqrt 2"
+            rows.append(self._row(name, values / np.sqrt(2.0)))
         for pair, values in self.recombined.items():
-            rows.append(self._row(f"z {_name(pair)} recombined - direct", values))
-        rms, share = _rms(self.eps_piv)
-        rows.append({"name": "eps'", "cm": None, "px": rms, "share": share})
+            rows.append(self._row(f"z {joined(pair)} recombined - direct", values))
+        for cameras, values in self.eps_piv.items():
+            rms, share = rms_within(values)
+            rows.append({"name": f"eps' {joined(cameras)}", "cm": None, "px": rms, "share": share})
+        for (one, other), values in self.moved_difference.items():
+            for axis, part in zip("xyz", np.moveaxis(values, -3, 0)):
+                name = f"(d{axis} {joined(one)} - d{axis} {joined(other)}) / sqrt 2"
+                rows.append(self._row(name, part / np.sqrt(2.0)))
         return rows
 
     def _row(self, name: str, values: NDArray) -> dict[str, Any]:
-        rms, share = _rms(values)
+        rms, share = rms_within(values)
         return {"name": name, **self._units(rms), "share": share}
 
     def _units(self, metres: float) -> dict[str, float]:
         return {"cm": 100.0 * metres, "px": metres / self.pixel}
 
 
-def _name(pair: Pair) -> str:
-    return f"{pair[0]}-{pair[1]}"
+def pooled(found: Sequence[Diagnosis]) -> Diagnosis:
+    """Several steps of the same cameras as one.
+
+    Parameters
+    ----------
+    found : sequence of Diagnosis
+        One per step.
+
+    Returns
+    -------
+    Diagnosis
+        Fields have the step as their first dimension.
+    """
+    first = found[0]
+
+    def stacked(name: str) -> dict[Any, NDArray]:
+        return {key: np.stack([getattr(one, name)[key] for one in found]) for key in getattr(first, name)}
+
+    return Diagnosis(
+        first.pixel,
+        stacked("z"),
+        {pair: np.concatenate([one.eps_y[pair] for one in found]) for pair in first.eps_y},
+        {pair: float(np.sqrt(np.mean([one.z_std[pair] ** 2 for one in found]))) for pair in first.z_std},
+        stacked("recombined"),
+        stacked("moved"),
+        stacked("eps_piv"),
+    )
 
 
-def _rms(values: NDArray) -> tuple[float, float]:
-    """Rms without what exceeds three times it, and the share that does."""
+def joined(cameras: Sequence[str]) -> str:
+    """Name of a pair, or of several cameras.
+
+    Parameters
+    ----------
+    cameras : sequence of str
+        Their names.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> joined(("cam3", "cam1"))
+    'cam3-cam1'
+    """
+    return "-".join(cameras)
+
+
+def rms_within(values: NDArray) -> tuple[float, float]:
+    """Rms without what exceeds three times it, and the share that does.
+
+    Parameters
+    ----------
+    values : ndarray
+        Errors; what is not finite is passed over.
+
+    Returns
+    -------
+    rms, share : float
+    """
     values = values[np.isfinite(values)]
     if values.size == 0:
         return float("nan"), 0.0
@@ -119,7 +192,7 @@ def diagnose(
     -----
     Recombined: (x_1 - x_2) = (x_1 - x_3) - (x_2 - x_3), with the middle camera 3 as reference.
     """
-    first, second = (look({n: frames[n][k] for n in frames}, plan, plan.velocity_cameras) for k in (0, 1))
+    first, second = (look({n: frames[n][k] for n in frames}, plan, plan.cameras) for k in (0, 1))
     for instant in (first, second):
         if instant.missing:
             raise ValueError(
@@ -139,18 +212,24 @@ def diagnose(
     z_std = {}
     for pair, match in matches.items():
         length = np.hypot(*match.parallax)[match.matched]
-        z_std[pair] = _rms(eps_y[pair] / length)[0]
-    names = list(z)
-    difference = {(p, q): z[p] - z[q] for k, p in enumerate(names) for q in names[k + 1 :]}
+        z_std[pair] = rms_within(eps_y[pair] / length)[0]
     reference = plan.reference
     recombined = {}
     for a, b in direct:
         to_a, to_b = matches[reference, a], matches[reference, b]
         both = stereo.difference_of(to_b, to_a)
         recombined[a, b] = _nodes([both], plan) - z[a, b]
-    moved = motion.velocity(first.images, second.images, 0.5 * (first.surface.z + second.surface.z), plan)
-    eps_piv = np.full(plan.grid.shape, np.nan) if moved is None else moved.eps_piv
-    return Diagnosis(pixel or plan.pixel, z, eps_y, z_std, difference, recombined, eps_piv)
+    moved, eps_piv = {}, {}
+    middle = 0.5 * (first.surface.z + second.surface.z)
+    for cameras in dict.fromkeys((*matches, plan.velocity_cameras)):
+        one, other = ({name: seen.images[name] for name in cameras} for seen in (first, second))
+        step = motion.velocity(one, other, middle, plan)
+        assert step is not None  # every camera has both frames
+        measured = step.quality == 0
+        eps_piv[cameras] = np.where(measured, step.eps_piv, np.nan)
+        if cameras in matches:
+            moved[cameras] = np.where(measured, step.d, np.nan)
+    return Diagnosis(pixel or plan.pixel, z, eps_y, z_std, recombined, moved, eps_piv)
 
 
 def _nodes(matches: Sequence[stereo.PairMatch], plan: Plan) -> NDArray:

@@ -96,7 +96,7 @@ def velocity(
     Parameters
     ----------
     first, second : mapping of str to Prepared
-        The cameras that have a usable frame at the first and at the second instant.
+        Those of the cameras that have a usable frame at the first and at the second instant.
     z : ndarray, (ny, nx)
         Elevation at mid-time, metres.
     plan : Plan
@@ -112,7 +112,7 @@ def velocity(
     d = argmin sum w (J d - dX)^2, J the 2N x 3 Jacobian at the node's position on the surface at mid-time, dX
     the displacements read at X - dX/2, w from their uncertainty. eps' = |J d - dX| / sqrt(2N).
     """
-    names = [n for n in plan.velocity_cameras if n in first and n in second]
+    names = [n for n in first if n in second]
     if len(names) < 2:
         return None
     count = len(names)

@@ -2,15 +2,15 @@
 
 import json
 from collections.abc import Callable
-from itertools import combinations
 
 import numpy as np
 import xarray as xr
 import yaml
 
 from wavefield import figures
+from wavefield.measurement import Plan, Settings
 from wavefield.report.page import Listing, Markup, Picture, Section, Table, Text
-from wavefield.report.pairs import measure_pairs
+from wavefield.report.pairs import diagnose_around
 from wavefield.report.player import MARKUP
 from wavefield.report.sources import Sources, pixel_size
 from wavefield.variables import FrameStatus, Quality
@@ -487,38 +487,49 @@ def accuracy(sources: Sources) -> Section:
 
 
 def _pairs(sources: Sources) -> list[Picture | Table]:
-    """Pictures of every pair of cameras on its own, if the images are still there."""
-    pairs = measure_pairs(sources, sources.cube.sizes["time"] // 2)
-    if pairs is None or sources.rig is None:
+    """Every pair of cameras on its own, if the images are still there."""
+    if not sources.frames or sources.rig is None:
         return []
-    names = [str(p) for p in pairs.pair.values if p != "all"]
+    settings = Settings.from_dict(sources.recipe.get("settings", {}))
+    plan = Plan(sources.rig, sources.grid, settings)
     pixel = pixel_size(sources.rig, sources.grid)
-    misfits = ", ".join(
-        f"{p} {1e3 * _rms(pairs.eps_y.sel(pair=p)):.2g} mm and {_rms(pairs.eps_piv.sel(pair=p)):.2g} px"
-        for p in names
-    )
+    found = diagnose_around(sources.frames, plan, sources.cube.sizes["time"] // 2, pixel)
+    if found is None:
+        return []
+    steps = len(next(iter(found.z.values())))
+    rows = found.table()
+    words = ", ".join(f"{row['name']} {row['px']:.2g} px" for row in rows)
     out: list[Picture | Table] = [
         Picture(
-            figures.pair_misfits(pairs),
-            f"The same for each pair of cameras on its own, over {pairs.sizes['time']} steps measured again.",
-            f"Densities for each pair. Rms of eps_y and of eps': {misfits}.",
+            figures.pair_misfits(found),
+            f"The same for each pair of cameras on its own, over {steps} steps measured again, with the "
+            "matches that the run rejects for their eps_y.",
+            f"Densities of eps_y and of eps' for each pair. Rms: {words}.",
         )
     ]
-    if len(names) > 1:
-        spread = ", ".join(
-            f"{a} minus {b} {_rms(pairs.z.sel(pair=a) - pairs.z.sel(pair=b)) / pixel:.2g} px"
-            for a, b in combinations(names, 2)
-        )
+    if found.difference:
         out.append(
             Picture(
-                figures.pair_differences(pairs, pixel),
-                "Differences between what the pairs measure, each on its own, and of the combination of "
-                "all from the "
-                "direct pair; divided by √2 they are errors of one pair (paper: 0.3 px).",
-                f"Densities of differences of z, dx, dy, dz. Rms of the differences of z: {spread}.",
+                figures.pair_differences(found),
+                "Differences between what the pairs measure, each on its own (divided by √2 they are errors "
+                "of one pair; paper: 0.3 px), and of z recombined from two pairs from z of the direct one.",
+                "Densities of differences of z, dx, dy, dz; their rms is in the table.",
             )
         )
-    return out
+    table = [
+        (
+            row["name"],
+            "" if row["cm"] is None else f"{row['cm']:.2g}",
+            f"{row['px']:.2g}",
+            "" if row["share"] is None else f"{100 * row['share']:.1f} %",
+        )
+        for row in rows
+    ]
+    caption = (
+        f"Cameras against one another: rms of what is within three times the rms, and the share that is "
+        f"beyond; 1 px is {1e3 * pixel:.2g} mm"
+    )
+    return [*out, Table(caption, ("error", "cm", "px", "beyond"), table)]
 
 
 def errors_against(cube: xr.Dataset, truth: xr.Dataset) -> xr.Dataset:
