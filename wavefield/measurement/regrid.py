@@ -25,6 +25,7 @@ _REACH = 12.0  # blocks: so far from anything measured the plate says no more th
 LOST = np.float32(1.6)
 _STANDS_OUT = np.float32(5.0)  # times the median
 _AROUND = 3.0  # blocks: about a window, and a third of the shortest waves
+_SOME = 4  # of so many blocks one is enough for a median
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,39 @@ def bending_energy(region: Mask) -> sparse.csr_array:
     return sparse.csr_array(total)
 
 
+@njit(cache=True)
+def _pull(fields, weight, sums, total):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Add up squares of two by two, blocks without weight left out."""
+    sums[:] = 0
+    total[:] = 0
+    for j in range(weight.shape[0]):
+        for i in range(weight.shape[1]):
+            if weight[j, i] > 0:
+                total[j // 2, i // 2] += weight[j, i]
+                for f in range(fields.shape[2]):
+                    sums[j // 2, i // 2, f] += fields[j, i, f]
+
+
+@njit(cache=True)
+def _push(coarse, sums, weight, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Mean of each block, or where it has no weight the coarser means read between their centres."""
+    quarter = np.float32(0.25)
+    for j in range(weight.shape[0]):
+        for i in range(weight.shape[1]):
+            if weight[j, i] > 0:
+                for f in range(sums.shape[2]):
+                    out[j, i, f] = sums[j, i, f] / weight[j, i]
+            else:
+                # a quarter of a coarse block to either side of its centre
+                r, c = j // 2, i // 2
+                r2 = min(max(r + 2 * (j % 2) - 1, 0), coarse.shape[0] - 1)
+                c2 = min(max(c + 2 * (i % 2) - 1, 0), coarse.shape[1] - 1)
+                for f in range(sums.shape[2]):
+                    near = coarse[r, c, f] + quarter * (coarse[r, c2, f] - coarse[r, c, f])
+                    far = coarse[r2, c, f] + quarter * (coarse[r2, c2, f] - coarse[r2, c, f])
+                    out[j, i, f] = near + quarter * (far - near)
+
+
 def push_pull(fields: Float, valid: Mask) -> Float:
     """Fill gaps from coarser and coarser means.
 
@@ -106,22 +140,16 @@ def push_pull(fields: Float, valid: Mask) -> Float:
     ndarray of float32, (ny, nx, F)
         The same with gaps filled; zero if nothing is valid.
     """
-    weight: Float = valid.astype(np.float32)
-    sums: Float = np.where(valid[..., None], fields, np.float32(0))
-    levels = [(sums, weight)]
-    while min(weight.shape) > 1 and not (weight > 0).all():
-        size = ((weight.shape[1] + 1) // 2, (weight.shape[0] + 1) // 2)
-        sums = cv2.resize(sums, size, interpolation=cv2.INTER_AREA).reshape(size[1], size[0], -1)
-        weight = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
-        levels.append((sums, weight))
-    sums, weight = levels.pop()
-    out = sums / np.maximum(weight, np.float32(1e-6))[..., None]
-    while levels:
-        sums, weight = levels.pop()
-        coarse = cv2.resize(out, weight.shape[::-1], interpolation=cv2.INTER_LINEAR).reshape(sums.shape)
-        # a coarse cell that is partly covered keeps the mean of its covered part
-        mean = sums / np.maximum(weight, np.float32(1e-6))[..., None]
-        out = np.where((weight > 0)[..., None], mean, coarse)
+    levels: list[tuple[Float, Float]] = [(fields, valid.astype(np.float32))]
+    while min(levels[-1][1].shape) > 1 and not levels[-1][1].all():
+        ny, nx = ((n + 1) // 2 for n in levels[-1][1].shape)
+        sums, total = np.empty((ny, nx, fields.shape[2]), np.float32), np.empty((ny, nx), np.float32)
+        _pull(*levels[-1], sums, total)
+        levels.append((sums, total))
+    out: Float = np.zeros((1, 1, fields.shape[2]), np.float32)
+    for sums, total in reversed(levels):
+        coarse, out = out, np.empty(sums.shape, np.float32)
+        _push(coarse, sums, total, out)
     return out
 
 
@@ -172,14 +200,14 @@ def levelled(std: Float, valid: Mask) -> Float:
 
     Parameters
     ----------
-    std : ndarray of float32, (ny, nx)
-        Standard uncertainty of each block; those of holes are not looked at.
+    std : ndarray of float32, (..., ny, nx)
+        Standard uncertainty of each block, one field or several; those of holes are not looked at.
     valid : ndarray of bool, (ny, nx)
         Where it holds.
 
     Returns
     -------
-    ndarray of float32, (ny, nx)
+    ndarray of float32, (..., ny, nx)
         Mean over the blocks around; never less than half the block's own.
 
     Notes
@@ -187,17 +215,36 @@ def levelled(std: Float, valid: Mask) -> Float:
     The uncertainty of one block comes from few residuals, and what the window takes from a wave is nil where
     the wave passes through zero: neither says that the error is small there.
     """
+    out = np.zeros_like(std)
     if not valid.any():
-        return np.zeros_like(std)
-    # a block at the edge of what is seen may stand out a hundredfold: that says nothing of its neighbours
-    usual = np.float32(np.median(std[valid]))
-    known = np.where(valid, np.minimum(std, _STANDS_OUT * usual), np.float32(0))
-    total, weight = (
-        cv2.GaussianBlur(f, (0, 0), _AROUND, borderType=cv2.BORDER_REFLECT)
-        for f in (known, valid.astype(np.float32))
-    )
-    around = np.where(weight > 1e-3, total / np.maximum(weight, np.float32(1e-3)), usual)
-    return np.where(valid, np.maximum(around, np.float32(0.5) * std), around)
+        return out
+    weight = _around(valid.astype(np.float32))
+    for own, to in zip(std.reshape(-1, *valid.shape), out.reshape(-1, *valid.shape), strict=True):
+        # a block at the edge of what is seen may stand out a hundredfold: that says nothing of its neighbours
+        usual = np.float32(np.median(own[valid][::_SOME]))
+        _level(own, valid, _around(_capped(own, valid, _STANDS_OUT * usual)), weight, usual, to)
+    return out
+
+
+def _around(field: Float) -> Float:
+    return cv2.GaussianBlur(field, (0, 0), _AROUND, borderType=cv2.BORDER_REFLECT)
+
+
+@njit(cache=True)
+def _capped(std, valid, most):  # type: ignore[no-untyped-def]  # pragma: no cover
+    out = np.empty_like(std)
+    for j in range(std.shape[0]):
+        for i in range(std.shape[1]):
+            out[j, i] = min(std[j, i], most) if valid[j, i] else np.float32(0)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _level(std, valid, total, weight, usual, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+    for j in range(std.shape[0]):
+        for i in range(std.shape[1]):
+            around = total[j, i] / weight[j, i] if weight[j, i] > np.float32(1e-3) else usual
+            out[j, i] = max(around, np.float32(0.5) * std[j, i]) if valid[j, i] else around
 
 
 def thin_plate(shape: tuple[int, int], smoothing: float) -> Float:
@@ -252,51 +299,57 @@ def _weights(t):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @njit(cache=True, inline="always")
-def _spline(c, f, i, j, wx, wy):  # type: ignore[no-untyped-def]  # pragma: no cover
-    total = np.float32(0.0)
-    for r in range(4):
-        row = (
-            wx[0] * c[j - 1 + r, i - 1, f]
-            + wx[1] * c[j - 1 + r, i, f]
-            + wx[2] * c[j - 1 + r, i + 1, f]
-            + wx[3] * c[j - 1 + r, i + 2, f]
-        )
-        total += (wy[0] if r == 0 else wy[1] if r == 1 else wy[2] if r == 2 else wy[3]) * row
-    return total
+def _line(c, k, step, w):  # type: ignore[no-untyped-def]  # pragma: no cover
+    return w[0] * c[k] + w[1] * c[k + step] + w[2] * c[k + step + step] + w[3] * c[k + step + step + step]
+
+
+@njit(cache=True, inline="always")
+def _spline(c, k, step, down, wx, wy):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """One field: element k is the first of four by four; unsigned indices are not checked for a minus."""
+    return (
+        wy[0] * _line(c, k, step, wx)
+        + wy[1] * _line(c, k + down, step, wx)
+        + wy[2] * _line(c, k + down + down, step, wx)
+        + wy[3] * _line(c, k + down + down + down, step, wx)
+    )
 
 
 @njit(cache=True, inline="always")
 def _place(p, n):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Block to the left and distance from it; kept one block inside the lattice."""
-    p = min(max(p, 1.0), n - 2.001)
-    i = int(p)
-    return i, np.float32(p - i)
+    p = min(max(np.float32(p), np.float32(1.0)), np.float32(n) - np.float32(2.001))
+    i = np.int32(p)
+    return i, p - np.float32(i)
 
 
-@njit(cache=True, error_model="numpy")
-def _read_surface(c, x, y, x0, y0, step, cx, cy, cz, out, p, q):  # type: ignore[no-untyped-def]  # pragma: no cover
-    ny, nx, fields = c.shape
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _read_surface(c, shape, x, y, x0, y0, step, cx, cy, cz, out, p, q):  # type: ignore[no-untyped-def]  # pragma: no cover
+    ny, nx, fields = shape
+    across = 1.0 / step
+    step_x, step_y = np.uintp(fields), np.uintp(nx * fields)
     for k in range(x.size):
         z = 0.0
         xa, ya = x[k], y[k]
         i, j = 1, 1
         wx = wy = _weights(np.float32(0.0))
         for _ in range(30):
-            i, t = _place((xa - x0) / step, nx)
-            j, s = _place((ya - y0) / step, ny)
+            i, t = _place((xa - x0) * across, nx)
+            j, s = _place((ya - y0) * across, ny)
             wx, wy = _weights(t), _weights(s)
-            z = float(_spline(c, 0, i, j, wx, wy))
+            first = np.uintp(((j - 1) * nx + i - 1) * fields)
+            z = float(_spline(c, first, step_x, step_y, wx, wy))
             shrink = 1.0 / (1.0 - z / cz)
             xn, yn = cx + (x[k] - cx) * shrink, cy + (y[k] - cy) * shrink
             move = abs(xn - xa) + abs(yn - ya)
             xa, ya = xn, yn
             if move < 1e-3 * step:
                 break
-        i, t = _place((xa - x0) / step, nx)
-        j, s = _place((ya - y0) / step, ny)
+        i, t = _place((xa - x0) * across, nx)
+        j, s = _place((ya - y0) * across, ny)
         wx, wy = _weights(t), _weights(s)
+        first = np.uintp(((j - 1) * nx + i - 1) * fields)
         for f in range(fields):
-            out[f, k] = _spline(c, f, i, j, wx, wy)
+            out[f, k] = _spline(c, first + np.uintp(f), step_x, step_y, wx, wy)
         p[k] = min(i + int(t + 0.5), nx - 1)
         q[k] = min(j + int(s + 0.5), ny - 1)
 
@@ -333,13 +386,17 @@ def read_surface(
     out = np.empty((spline.shape[2], xs.size), np.float32)
     p, q = np.empty(xs.size, np.int64), np.empty(xs.size, np.int64)
     cx, cy, cz = (float(c) for c in centre)
-    _read_surface(spline, xs, ys, lattice.x0, lattice.y0, lattice.step, cx, cy, cz, out, p, q)
+    _read_surface(
+        spline.ravel(), spline.shape, xs, ys, lattice.x0, lattice.y0, lattice.step, cx, cy, cz, out, p, q
+    )
     return out.reshape(-1, *nodes), (q * lattice.shape[1] + p).reshape(nodes)
 
 
-@njit(cache=True, error_model="numpy")
-def _read_anchored(c, x, y, x0, y0, step, steps, out, p, q):  # type: ignore[no-untyped-def]  # pragma: no cover
-    ny, nx, fields = c.shape
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _read_anchored(c, shape, x, y, x0, y0, step, steps, out, p, q):  # type: ignore[no-untyped-def]  # pragma: no cover
+    ny, nx, fields = shape
+    across = 1.0 / step
+    step_x, step_y, one = np.uintp(fields), np.uintp(nx * fields), np.uintp(1)
     for k in range(x.size):
         xa, ya = x[k], y[k]
         if not (np.isfinite(xa) and np.isfinite(ya)):
@@ -348,16 +405,18 @@ def _read_anchored(c, x, y, x0, y0, step, steps, out, p, q):  # type: ignore[no-
             p[k] = q[k] = 0
             continue
         for _ in range(steps):
-            i, t = _place((xa - x0) / step, nx)
-            j, s = _place((ya - y0) / step, ny)
+            i, t = _place((xa - x0) * across, nx)
+            j, s = _place((ya - y0) * across, ny)
             wx, wy = _weights(t), _weights(s)
-            xa = x[k] - 0.5 * _spline(c, 0, i, j, wx, wy)
-            ya = y[k] - 0.5 * _spline(c, 1, i, j, wx, wy)
-        i, t = _place((xa - x0) / step, nx)
-        j, s = _place((ya - y0) / step, ny)
+            first = np.uintp(((j - 1) * nx + i - 1) * fields)
+            xa = x[k] - 0.5 * _spline(c, first, step_x, step_y, wx, wy)
+            ya = y[k] - 0.5 * _spline(c, first + one, step_x, step_y, wx, wy)
+        i, t = _place((xa - x0) * across, nx)
+        j, s = _place((ya - y0) * across, ny)
         wx, wy = _weights(t), _weights(s)
+        first = np.uintp(((j - 1) * nx + i - 1) * fields)
         for f in range(fields):
-            out[f, k] = _spline(c, f, i, j, wx, wy)
+            out[f, k] = _spline(c, first + np.uintp(f), step_x, step_y, wx, wy)
         p[k] = min(i + int(t + 0.5), nx - 1)
         q[k] = min(j + int(s + 0.5), ny - 1)
 
@@ -389,5 +448,7 @@ def read_anchored(
     xs, ys = (np.ascontiguousarray(v, dtype=np.float64).ravel() for v in (X, Y))
     out = np.empty((spline.shape[2], xs.size), np.float32)
     p, q = np.empty(xs.size, np.int64), np.empty(xs.size, np.int64)
-    _read_anchored(spline, xs, ys, lattice.x0, lattice.y0, lattice.step, steps, out, p, q)
+    _read_anchored(
+        spline.ravel(), spline.shape, xs, ys, lattice.x0, lattice.y0, lattice.step, steps, out, p, q
+    )
     return out.reshape(-1, *nodes), (q * lattice.shape[1] + p).reshape(nodes)

@@ -132,7 +132,7 @@ def match_pair(a: matching.Prepared, b: matching.Prepared, pair: tuple[str, str]
     length = np.sqrt(parallax[0] ** 2 + parallax[1] ** 2)
     eps_y = (parallax[1] * d[0] - parallax[0] * d[1]) / length
     z = -(parallax[0] * d[0] + parallax[1] * d[1]) / length**2
-    rejected = _why(found.reason)
+    rejected = why_rejected(found.reason)
     rejected[(z < plan.z_range[0]) | (z > plan.z_range[1])] |= np.uint8(Quality.REJECTED_NEIGHBOURS)
     matched = rejected == 0
     if matched.any():
@@ -174,13 +174,19 @@ def _sight(centre: NDArray, x: Float, y: Float) -> tuple[Float, Float]:
     return (x - np.float32(centre[0])) / depth, (y - np.float32(centre[1])) / depth
 
 
-def _why(reason: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Matching's reasons in the words of the cube."""
-    out = np.zeros(reason.shape, np.uint8)
-    neighbours = np.uint8(Reason.NEIGHBOURS | Reason.RANGE)
-    out[(reason & ~neighbours) != 0] |= np.uint8(Quality.REJECTED_CORRELATION)
-    out[(reason & neighbours) != 0] |= np.uint8(Quality.REJECTED_NEIGHBOURS)
-    return out
+def why_rejected(reason: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Matching's reasons (`Reason`) in the words of the cube (`Quality`)."""
+    return _WHY[reason]
+
+
+def _words() -> NDArray[np.uint8]:
+    reason = np.arange(256)
+    neighbours = int(Reason.NEIGHBOURS | Reason.RANGE)
+    out = np.where(reason & ~neighbours, int(Quality.REJECTED_CORRELATION), 0)
+    return (out | np.where(reason & neighbours, int(Quality.REJECTED_NEIGHBOURS), 0)).astype(np.uint8)
+
+
+_WHY = _words()
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from wavefield import matching
 from wavefield.matching import Reason
 from wavefield.measurement.plan import Plan, Sight
 from wavefield.measurement.regrid import LOST, coefficients, fill, levelled, read_anchored
+from wavefield.measurement.surface import why_rejected
 from wavefield.rig.stereo import solve_displacement
 from wavefield.variables import Quality
 
@@ -69,13 +70,10 @@ def displacement_at(
         # what left the image is no hole in it
         wanted = (found.reason & np.uint8(Reason.EDGE | Reason.MASKED)) == 0
         fields = fill(fields, valid, wanted, sight.energy)
-    std = np.stack([levelled(s, valid).ravel() for s in _block_std(found)])
+    std = levelled(np.stack(_block_std(found)), valid).reshape(2, -1)
     d, block = read_anchored(coefficients(fields, sight.response), sight.lattice, X, Y)
-    rejected = np.zeros(found.reason.shape, np.uint8)
-    neighbours = np.uint8(Reason.NEIGHBOURS | Reason.RANGE)
-    rejected[(found.reason & ~neighbours) != 0] |= np.uint8(Quality.REJECTED_CORRELATION)
-    rejected[(found.reason & neighbours) != 0] |= np.uint8(Quality.REJECTED_NEIGHBOURS)
-    return d, np.hypot(std[:, block], np.float32(_STD_FLOOR)), rejected.ravel()[block]
+    rejected = why_rejected(found.reason.ravel()[block])
+    return d, np.hypot(np.take(std, block, axis=1), np.float32(_STD_FLOOR)), rejected
 
 
 def _block_std(found: matching.Displacement) -> tuple[Float, Float]:
@@ -117,9 +115,9 @@ def velocity(
         return None
     count = len(names)
     shape = z.shape
-    jacobian = np.empty((*shape, 2 * count, 3), np.float64)
-    moved = np.empty((*shape, 2 * count), np.float64)
-    std = np.empty((*shape, 2 * count), np.float64)
+    jacobian = np.empty((2 * count, 3, *shape), np.float64)
+    moved = np.empty((2 * count, *shape), np.float64)
+    std = np.empty((2 * count, *shape), np.float64)
     trusted = np.zeros((count, *shape), bool)
     rejected = np.zeros(shape, np.uint8)
     for n, name in enumerate(names):
@@ -132,13 +130,15 @@ def velocity(
             matching.match(first[name], second[name], plan.settings.piv), sight, X, Y
         )
         rows = slice(2 * n, 2 * n + 2)
-        jacobian[..., rows, :] = np.moveaxis(at[2:].reshape(2, 3, *shape), (0, 1), (-2, -1))
-        moved[..., rows] = np.moveaxis(d, 0, -1)
+        jacobian[rows] = at[2:].reshape(2, 3, *shape)
+        moved[rows] = d
         # a filled displacement must not outvote a measured one
-        std[..., rows] = np.moveaxis(np.where(why == 0, d_std, np.float32(30.0) * d_std), 0, -1)
+        std[rows] = np.where(why == 0, d_std, np.float32(30.0) * d_std)
         trusted[n] = inside & (why == 0)
         rejected |= np.where(inside, why, np.uint8(0))
-    d, eps, d_std = solve_displacement(jacobian, moved, std)
+    d, eps, d_std = solve_displacement(
+        np.moveaxis(jacobian, (0, 1), (-2, -1)), np.moveaxis(moved, 0, -1), np.moveaxis(std, 0, -1)
+    )
     enough = trusted.sum(axis=0) >= 2
     quality = np.where(enough, np.uint8(0), rejected | np.uint8(Quality.FILLED))
     return Motion(np.moveaxis(d, -1, 0), np.moveaxis(d_std, -1, 0), eps, quality.astype(np.uint8))
