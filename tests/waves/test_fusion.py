@@ -69,6 +69,66 @@ def test_the_range_that_is_said_is_the_range_that_is_reached(fused, truth):
         assert said == pytest.approx(reached, rel=0.25), road
 
 
+BOX_Z, BOX_W = 0.05, 0.035
+
+
+def box_gain():
+    """What boxes of two sizes leave of z and w."""
+    k, angle = np.linspace(0, 220, 111), np.arange(8)[:, None] * np.pi / 8
+    gains = {
+        name: (("direction", "k"), np.sqrt(wv.gain_box(k * np.cos(angle), k * np.sin(angle), box)))
+        for name, box in (("gain_z", BOX_Z), ("gain_w", BOX_W))
+    }
+    return xr.Dataset(gains, {"k": k})
+
+
+@pytest.fixture(scope="module")
+def through_windows():
+    """The sea through two windows, with noise that no window takes, and as it is."""
+    noisy = {"noise_z": 1e-4, "noise_dz": 1e-4}
+    z = PeriodicSea(n=128, box=BOX_Z).cube(1024, 50, 64, **noisy)
+    w = PeriodicSea(n=128, box=BOX_W).cube(1024, 50, 64, **noisy, seed=2)
+    true = wv.komega(PeriodicSea(n=128, box=0).cube(1024, 50, 64).exact, segment=256).E
+    return z.assign(w=w.w).drop_vars("exact"), true
+
+
+def test_undone_windows_give_the_truth_to_the_shortest_waves(through_windows):
+    cube, true = through_windows
+    record = wv.whole_record(cube)
+    truth = true.sum("k") * float(true.k[1] - true.k[0])
+    plain = wv.fusion(cube, segment=256, record=record)
+    undone = wv.fusion(cube, segment=256, record=record, gain=box_gain())
+    for road in ("stereo", "w", "fusion"):
+        before, after = (reach(out[f"Ez_{road}"], truth) for out in (plain, undone))
+        assert after[0] > before[0] + 0.4, road
+        valid = undone[f"valid_{road}"] & (undone.frequency > 1.2)
+        ratio = (smooth(undone[f"Ez_{road}"]) / smooth(truth))[valid.values]
+        np.testing.assert_allclose(ratio, 1, atol=0.25, err_msg=road)
+        assert abs(ratio.mean() - 1) < 0.05, road
+    # the wider window's elevation is lost first; the combination lives on what the narrower one leaves
+    frequency = {road: float(undone.range_frequency.sel(road=road)) for road in ("stereo", "w", "fusion")}
+    assert frequency["stereo"] < frequency["w"] - 0.3
+    assert frequency["fusion"] >= frequency["w"]
+
+
+def test_noise_is_told_from_what_windows_take(through_windows):
+    cube, _ = through_windows
+    undone = wv.fusion(cube, segment=256, record=wv.whole_record(cube), gain=box_gain())
+    assert float(undone.sigma_z) == pytest.approx(1e-4, rel=0.05)
+    assert float(undone.sigma_dz) == pytest.approx(1e-4, rel=0.05)
+
+
+def test_what_is_not_known_is_masked(through_windows):
+    cube, true = through_windows
+    gain = box_gain()
+    gain = gain.where(gain.k < 90)
+    undone = wv.fusion(cube, segment=256, record=wv.whole_record(cube), gain=gain)
+    assert bool(np.isnan(undone.Ez_komega.sel(k=slice(90, None))).all())
+    assert float(undone.range_frequency.max()) < float(wv.dispersion(95, 0.7)) / (2 * np.pi)
+    kept = np.isfinite(undone.Ez_komega)
+    assert float(true.where(kept).sum() / true.sum()) > 0.95
+
+
 def test_integrated_w_is_the_elevation_before_noise():
     quiet = PeriodicSea(n=128).cube(700, 40, 50)
     out = wv.fusion(quiet, segment=256)

@@ -12,6 +12,7 @@ from wavefield.waves.dispersion import FitSettings, dispersion, fit_dispersion, 
 from wavefield.waves.fusion import fuse, fusion
 from wavefield.waves.higher_order import HigherOrderSettings, higher_order
 from wavefield.waves.kinematics import finite_residual, kinematics
+from wavefield.waves.predicted_gain import predicted_gain
 from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Record, find_record, whole_record
 from wavefield.waves.spectra import (
@@ -31,7 +32,7 @@ from wavefield.waves.transfer import (
     gain_two_frames,
     undo,
 )
-from wavefield.waves.window_gain import window_gain
+from wavefield.waves.window_gain import read_gain, window_gain
 
 __all__ = [
     "FitSettings",
@@ -59,7 +60,9 @@ __all__ = [
     "higher_order",
     "kinematics",
     "komega",
+    "predicted_gain",
     "probe_spectra",
+    "read_gain",
     "read_probes",
     "spectrum",
     "statistics",

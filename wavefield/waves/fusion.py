@@ -16,26 +16,32 @@ from wavefield.errors import CubeError
 from wavefield.variables import CUBE_DIMS
 from wavefield.waves import kernels, spectra
 from wavefield.waves.crosses import cross_spectra, need
-from wavefield.waves.dispersion import dispersion
+from wavefield.waves.dispersion import dispersion, wavenumber
 from wavefield.waves.record import Record, fill, find_record, piece
+from wavefield.waves.transfer import LEAST_GAIN, LEAST_SIGNAL
 from wavefield.waves.units import product
+from wavefield.waves.window_gain import read_gain, ring_gain
 from wavefield.waves.windows import hann
 
 NAMES = ("z", "w")
 PAIRS = (("z", "w"),)
 ROADS = ("stereo", "w", "cross", "fusion")
+_GAIN_ERROR = 0.1  # of power
+_OFF = 0.3  # of the ridge's omega: further off there is no free wave
+_TRUSTED = 0.7  # share of the ridge's cells
 _LOWEST = 1.2  # Hz: below it the integrated w holds little but drift
 
 
-def _white(noise: np.ndarray, signal: np.ndarray, use: np.ndarray) -> float:
-    # weighted mean of a noise estimate whose variance is N^2 + 2 S N, from the median on
-    if not use.any():
-        return float("nan")
-    level = max(float(np.median(noise[use])), 0.0)
+def _white(noise: np.ndarray, signal: np.ndarray, use: np.ndarray) -> np.ndarray:
+    # level of each column: weighted mean of a noise estimate whose variance is N^2 + 2 S N, and which errs by
+    # some of the signal where gains do; from the median on
+    level = np.nan_to_num(np.nanmedian(np.where(use, noise, np.nan), axis=0)).clip(min=0.0)
+    noise, signal = np.where(use, noise, 0.0), np.where(use, signal, 0.0)
+    least = 1e-12 * signal.max(initial=1e-300)
     for _ in range(8):
-        scale = max(level, 1e-12 * float(signal[use].max()))
-        weight = 1 / (scale**2 + 2 * signal[use] * scale)
-        level = max(float((weight * noise[use]).sum() / weight.sum()), 0.0)
+        scale = np.maximum(level, least)
+        weight = use / (scale**2 + 2 * signal * scale + (_GAIN_ERROR * signal) ** 2)
+        level = np.maximum((weight * noise).sum(axis=0) / weight.sum(axis=0), 0.0)
     return level
 
 
@@ -55,7 +61,44 @@ def _smooth(values: np.ndarray, width: int = 7) -> np.ndarray:
     return np.convolve(padded, np.full(width, 1 / width), "valid")
 
 
-def from_spectra(ring: xr.Dataset, depth: float = np.inf) -> xr.Dataset:
+def _gains(gain: xr.Dataset | None, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    # power gains of z and w and the gain of their cross spectrum; 0 where they are not to be trusted
+    if gain is None:
+        return np.ones_like(k), np.ones_like(k), np.ones_like(k)
+    z, w, both = (ring_gain(gain, *names, k) for names in (("z", "z"), ("w", "w"), ("z", "w")))
+    return np.where(z > LEAST_GAIN, z, 0.0), np.where(w > LEAST_GAIN, w, 0.0), both
+
+
+def _best(
+    zz: np.ndarray,
+    ww: np.ndarray,
+    zw: np.ndarray,
+    noise_z: np.ndarray,
+    noise_w: np.ndarray,
+    gain_z: np.ndarray,
+    gain_w: np.ndarray,
+    gain_zw: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    # z / H_z and w / H_w weighted by what their noise is then, in every cell: its spectrum and its noise
+    by_z, by_w = np.sqrt(gain_z) / noise_z, np.sqrt(gain_w) / noise_w
+    scale = np.maximum(by_z, by_w)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        by_z, by_w = by_z / scale, by_w / scale
+        whole = by_z**2 * gain_z + by_w**2 * gain_w + 2 * by_z * by_w * gain_zw
+        left = (by_z**2 * noise_z + np.where(by_w > 0, by_w**2 * noise_w, 0.0)) / whole
+        power = (by_z**2 * zz + by_w**2 * ww + 2 * by_z * by_w * zw) / whole
+    known = scale > 0
+    return np.where(known, power - left, 0.0), np.where(known, left, np.inf)
+
+
+def _on_ridge(trusted: np.ndarray, omega: np.ndarray, k: np.ndarray, depth: float) -> np.ndarray:
+    # whether the waves' own cells are trusted: three rings about the ridge, seven lines
+    place = np.rint(np.interp(wavenumber(omega, depth), k, np.arange(k.size))).astype(int)
+    near = np.clip(place[:, None] + np.arange(-1, 2), 0, k.size - 1)
+    return _smooth(np.take_along_axis(trusted, near, axis=1).mean(axis=1)) > _TRUSTED
+
+
+def from_spectra(ring: xr.Dataset, depth: float = np.inf, gain: xr.Dataset | None = None) -> xr.Dataset:
     """Fusion from the power and cross spectra of z and w.
 
     Parameters
@@ -64,6 +107,8 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf) -> xr.Dataset:
         As `cross_spectra` gives it for `NAMES` and `PAIRS`.
     depth : float
         Depth of the water, m: it says where the ridge is.
+    gain : Dataset, optional
+        Gain of the matching windows, to be undone (`window_gain`).
 
     Returns
     -------
@@ -72,9 +117,9 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf) -> xr.Dataset:
     """
     ring = ring.compute()
     dt = float(ring.attrs["dt"])
-    omega = ring["omega"].values
+    omega, k = ring["omega"].values, ring["k"].values
     b = omega * dt / 2
-    step_k = float(ring["k"][1] - ring["k"][0])
+    step_k = float(k[1] - k[0])
     with np.errstate(divide="ignore", invalid="ignore"):
         # z is half a step early: exp(i b) brings it to mid-time
         to_elevation = np.exp(1j * b) * 1j * dt / (2 * np.sin(b))
@@ -82,28 +127,57 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf) -> xr.Dataset:
     to_elevation[0], factor_w[0] = 0, 0
     cross_k = (ring["S_z_w"].values * to_elevation[:, None]).real
     zz_k, ww_k = ring["E_z"].values, ring["E_w"].values * factor_w[:, None]
-    zz, ww, zw = (array.sum(axis=1) * step_k for array in (zz_k, ww_k, cross_k))
+    gain_z, gain_w, gain_zw = _gains(gain, k)
+    sees_z, sees_w = gain_z > 0, gain_w > 0  # where a road still sees the waves
 
-    noise_z, noise_w = zz - zw, ww - zw
     use = (omega > 2 * np.pi * _LOWEST) & (omega < 0.95 * omega[-1])
     if use.sum() < 3:
         use = omega > 0
-    signal = np.maximum(zw, 0)
-    fit_z = np.full(omega.size, _white(noise_z, signal, use))
+    # windows that leave too little to correct still leave some: noise is what is off the ridge there
+    free = dispersion(k, depth)
+    off = np.abs(omega[:, None] - free) > np.maximum(_OFF * free, 4 * omega[1])
+    use = use[:, None] & (off | (sees_z & sees_w))
     shape = 4 * np.sin(b) ** 2
-    displacement = _white(noise_w * shape, signal * shape, use)
     with np.errstate(divide="ignore", invalid="ignore"):
-        fit_w = np.where(omega > 0, displacement / shape, np.inf)
+        eta_k = np.where(sees_z & sees_w, cross_k / gain_zw, 0.0)
+        noise_z_k, noise_w_k = zz_k - gain_z * eta_k, ww_k - gain_w * eta_k
+        signal_k = np.maximum(eta_k, 0.0)
+        white_z = _white(noise_z_k, gain_z * signal_k, use)
+        white_dz = _white(noise_w_k * shape[:, None], gain_w * signal_k * shape[:, None], use)
+        fit_w_k = np.where(omega[:, None] > 0, white_dz / shape[:, None], np.inf)
+    fit_z_k = np.broadcast_to(white_z, zz_k.shape)
 
-    tiny = 1e-30 * max(float(zz.max()), 1e-300)
-    precision_z, precision_w = 1 / np.maximum(fit_z, tiny), 1 / np.maximum(fit_w, tiny)
+    tiny = 1e-30 * max(float(zz_k.max()), 1e-300)
+    fit_z_k, fit_w_k = np.maximum(fit_z_k, tiny), np.maximum(fit_w_k, tiny)
+    best_k, left_k = _best(zz_k, ww_k, cross_k, fit_z_k, fit_w_k, gain_z, gain_w, gain_zw)
+    if gain is None:
+        energies_k: tuple[np.ndarray, ...] = (zz_k, ww_k, cross_k, best_k)
+        trusted_k: tuple[np.ndarray, ...] | None = None
+    else:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            energies_k = ((zz_k - fit_z_k) / gain_z, (ww_k - fit_w_k) / gain_w, eta_k, best_k)
+            trusted_k = tuple(
+                there & (energy > LEAST_SIGNAL * noise)
+                for energy, noise, there in zip(
+                    energies_k,
+                    (fit_z_k / gain_z, fit_w_k / gain_w, left_k, left_k),
+                    (sees_z, sees_w, sees_z & sees_w, sees_z | sees_w),
+                )
+            )
+        energies_k = tuple(np.where(t, e, 0.0) for t, e in zip(trusted_k, energies_k))
+    zz, ww, zw, best = (array.sum(axis=1) * step_k for array in energies_k)
+    noise_z, noise_w = (array.sum(axis=1) * step_k for array in (noise_z_k, noise_w_k))
+    fit_z, fit_w = (array.sum(axis=1) * step_k for array in (fit_z_k, fit_w_k))
+    displacement = float(white_dz.sum()) * step_k
+
+    # of the fields as they are, all k alike: for time series
+    precision_z, precision_w = 1 / fit_z, 1 / fit_w
     weight = precision_z / (precision_z + precision_w)
     residual_noise = 1 / (precision_z + precision_w)
-    both = weight**2 * zz + (1 - weight) ** 2 * ww + 2 * weight * (1 - weight) * zw
-    best = both - residual_noise
+    both = np.maximum(best + residual_noise, tiny)
     energies = dict(zip(ROADS, (zz, ww, zw, best)))
 
-    dof = spectra.frequency_spectrum(ring.rename(E_z="E"))["dof"].values
+    dof = spectra.frequency_spectrum(ring.rename(E_z="E", dof_z="dof"))["dof"].values
     best_positive = np.maximum(_smooth(best), tiny)
     # a road is right within a factor 2 where its own noise stays below the signal; the noise-free roads where
     # the signal stands out of what is left by chance
@@ -116,6 +190,9 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf) -> xr.Dataset:
         "cross": in_band & (_smooth(zw) > 2 * scatter_cross / np.sqrt(7)),
         "fusion": in_band & (_smooth(best) > 2 * scatter_best / np.sqrt(7)),
     }
+    if trusted_k is not None:
+        on_ridge = [_on_ridge(trusted, omega, k, depth) for trusted in trusted_k]
+        valid = {road: in_band & there for road, there in zip(ROADS, on_ridge)}
     reach = [_reach(omega, valid[road], best_positive) for road in ROADS]
     share = {
         "stereo": np.ones_like(zz),
@@ -159,9 +236,19 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf) -> xr.Dataset:
         {"long_name": "weight of stereo in the best combination", "units": "1"},
     )
     wiener = best_positive / (best_positive + residual_noise)
+    if trusted_k is not None:
+        whole = np.where(trusted_k[-1], best_k, np.nan)
+        text = "E(k, omega) of the elevation, best combination, windows undone, noise taken off"
+        attrs = {"long_name": text, "units": product((units, 1), (spectra.K_UNITS, -1))}
+        out = out.assign_coords(spectra.k_coords(k))
+        out["Ez_komega"] = (("omega", "k"), whole, attrs)
     out["wiener"] = ("omega", wiener, {"long_name": "Wiener gain S / (S + N), for time series", "units": "1"})
     band = np.pi / dt
-    out["sigma_z"] = ((), np.sqrt(fit_z[0] * band), {"long_name": "noise of z, rms", "units": "m"})
+    out["sigma_z"] = (
+        (),
+        np.sqrt(float(white_z.sum()) * step_k * band),
+        {"long_name": "noise of z, rms", "units": "m"},
+    )
     out["sigma_dz"] = (
         (),
         np.sqrt(displacement * band),
@@ -205,7 +292,12 @@ def _noise_coherence(ring: xr.Dataset, zz: np.ndarray, ww: np.ndarray, zw: np.nd
 
 
 def fusion(
-    cube: xr.Dataset, *, depth: float | None = None, segment: int | None = None, record: Record | None = None
+    cube: xr.Dataset,
+    *,
+    gain: Any = None,
+    depth: float | None = None,
+    segment: int | None = None,
+    record: Record | None = None,
 ) -> xr.Dataset:
     """Elevation spectrum by four roads, the noise of each, and the weights of the best combination.
 
@@ -213,6 +305,9 @@ def fusion(
     ----------
     cube : Dataset
         z, z_t, w over (time, y, x), m and m/s.
+    gain : path or Dataset, optional
+        Gain of the matching windows (`window_gain`): it is undone, and all four roads have their noise taken
+        off, where the gain of power exceeds 0.1 and the signal 3 times the noise.
     depth : float, optional
         Depth of the water, m; the attribute ``water_depth`` of the cube, or deep, if not given.
     segment : int, optional
@@ -226,7 +321,7 @@ def fusion(
         ``Ez_stereo``, ``Ez_w``, ``Ez_cross``, ``Ez_fusion`` (omega, m2 s rad-1) with ``dof_``, ``low_``,
         ``high_``, ``valid_``; ``noise_z``, ``noise_w`` and their fits; ``weight_z``, ``wiener`` (omega);
         ``sigma_z``, ``sigma_dz`` (m); ``noise_coherence``; ``range_frequency`` (Hz), ``range_decades``
-        (road). Computed at once.
+        (road); with a gain ``Ez_komega`` (omega, k) too, NaN where it cannot be trusted. Computed at once.
 
     Raises
     ------
@@ -235,13 +330,15 @@ def fusion(
 
     Notes
     -----
-    N_z = S_zz - Re S_zw, N_w = S_ww - Re S_zw; weights inverse to the noise, whose spectra are fitted as
-    white in z and in the displacement. It rests on independent noises: ``noise_coherence`` measures how far
-    they are.
+    N_z = S_zz - Re S_zw, N_w = S_ww - Re S_zw; weights inverse to the noise in every cell (k, omega), the
+    noise fitted ring by ring as white in z and in the displacement. With gains H, S_zw / (H_z H_w) stands for
+    the elevation and N / H^2 for the noise, so that the weight passes at short waves to what resolves them.
+    It rests on independent noises: ``noise_coherence`` measures how far they are.
     """
     if depth is None:
         depth = float(cube.attrs.get("water_depth") or np.inf)
-    return from_spectra(cross_spectra(cube, NAMES, PAIRS, segment=segment, record=record), depth)
+    gain = None if gain is None else read_gain(gain)
+    return from_spectra(cross_spectra(cube, NAMES, PAIRS, segment=segment, record=record), depth, gain)
 
 
 def _filter(

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-_LEAST_GAIN = 0.1  # below it a correction would only blow up noise
-_LEAST_SIGNAL = 3.0  # signal over noise
+LEAST_GAIN = 0.1  # below it a correction would only blow up noise
+LEAST_SIGNAL = 3.0  # signal over noise
 
 
 def gain_two_frames(omega: Any, dt: float) -> Any:
@@ -140,7 +140,7 @@ def undo(energy: xr.DataArray, gain: xr.DataArray, noise: xr.DataArray | float =
         noise.
     """
     signal = energy - noise
-    valid = (gain > _LEAST_GAIN) & (signal > _LEAST_SIGNAL * noise)
+    valid = (gain > LEAST_GAIN) & (signal > LEAST_SIGNAL * noise)
     corrected = (signal / gain).where(valid)
     corrected.attrs = dict(energy.attrs)
     valid.attrs = {"long_name": "where the correction can be trusted", "units": "1"}

@@ -1,22 +1,68 @@
-"""The gain of the matching windows over k, measured on a simulated experiment whose truth is known."""
+"""What the matching windows leave of waves: measured on a simulated experiment, or predicted from a recipe.
+
+A gain is a Dataset over (direction, k): ``gain_z``, ``gain_u``, ``gain_v``, ``gain_w``, of amplitude, NaN
+where nothing is known. Keep one with ``gain.to_zarr``.
+"""
 
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import dask
 import numpy as np
 import xarray as xr
 
-from wavefield.errors import CubeError
+from wavefield.errors import CubeError, StoreError
 from wavefield.variables import CUBE_DIMS
-from wavefield.waves import crosses, segments, spectra
+from wavefield.waves import rings, segments, spectra
 from wavefield.waves.dispersion import dispersion
 from wavefield.waves.record import Record, find_record
 
+DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
 _NEAR = 0.12  # of omega: half the width of the band around the ridge
 _LINES = 3  # but so many lines of the spectrum at least
 _LEAST_COHERENCE = 0.3  # squared, with the truth: below it the gain is not known
-_PAIRS = (("true z", "measured z"), ("true w", "measured w"))
+# measured, true, and what turns the true one into the measured one's unit
+_TRUTH = {"z": ("z_t", "z_t"), "u": ("u", "dx"), "v": ("v", "dy"), "w": ("w", "dz")}
+_TEXT = {"z": "elevation", "u": "displacement dx", "v": "displacement dy", "w": "displacement dz"}
+
+
+def _pair(measured: np.ndarray, exact: np.ndarray) -> dict[str, np.ndarray]:
+    return {"measured": segments.transform_space(measured), "true": segments.transform_space(exact)}
+
+
+def _sums(first: dict[str, Any], second: dict[str, Any], near: np.ndarray) -> dict[str, np.ndarray]:
+    # per cell, over the band of the ridge at both signs of the frequency
+    out = {name: np.zeros(near.shape[0]) for name in ("true", "measured", "cross", "quadrature")}
+    for slab in segments.slabs(near.shape[0]):
+        mine, true = (
+            segments.transform_time(first[name][slab], second[name][slab]) for name in ("measured", "true")
+        )
+        band = near[slab]
+        cross = (true.conj() * mine * band).sum(axis=1)
+        out["true"][slab] = (np.abs(true) ** 2 * band).sum(axis=1)
+        out["measured"][slab] = (np.abs(mine) ** 2 * band).sum(axis=1)
+        out["cross"][slab], out["quadrature"][slab] = cross.real, cross.imag
+    return out
+
+
+def _coordinates(k: np.ndarray) -> dict[str, Any]:
+    angle = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    attrs = {"long_name": "direction of the wave vector, either way", "units": "rad"}
+    return {"direction": ("direction", angle, attrs)} | spectra.k_coords(k)
+
+
+def label(gains: dict[str, np.ndarray], k: np.ndarray, origin: str) -> xr.Dataset:
+    """Turn arrays (DIRECTIONS, k) of amplitude gains into a gain."""
+    out = {
+        f"gain_{name}": (
+            ("direction", "k"),
+            values,
+            {"long_name": f"amplitude gain of the {_TEXT[name]}", "units": "1"},
+        )
+        for name, values in gains.items()
+    }
+    return xr.Dataset(out, _coordinates(k), {"title": "gain of the matching windows", "origin": origin})
 
 
 def window_gain(
@@ -27,14 +73,14 @@ def window_gain(
     segment: int | None = None,
     record: Record | None = None,
 ) -> xr.Dataset:
-    """Gain of what the cameras measure over what is there, for waves on the ridge.
+    """Measure the gain of what the cameras see over what is there, for waves on the ridge.
 
     Parameters
     ----------
     measured : Dataset
-        Cube measured from simulated images: z_t, w over (time, y, x), m/s.
+        Cube measured from simulated images: z_t, w and, where wanted, u, v over (time, y, x), m/s.
     exact : Dataset
-        Its truth at the same steps and nodes (``truth/truth.zarr``): z_t, m/s, and dz, m.
+        Its truth at the same steps and nodes (``truth/truth.zarr``): z_t, m/s, and dz, dx, dy, m.
     depth : float, optional
         Depth of the water, m; the attribute ``water_depth`` of the cube, or deep, if not given.
     segment : int, optional
@@ -45,9 +91,9 @@ def window_gain(
     Returns
     -------
     Dataset
-        ``gain_z``, ``gain_w`` (k): amplitude gain of the elevation and of the displacement dz, 1 where
-        nothing is lost; ``coherence_z``, ``coherence_w`` (k): squared coherence with the truth. A gain is NaN
-        from where that falls below 0.3. Computed at once.
+        ``gain_z``, ``gain_w`` and, where both have them, ``gain_u``, ``gain_v`` (direction, k): amplitude
+        gains, 1 where nothing is lost; ``coherence_z`` ... (k): squared coherence with the truth. A gain is
+        NaN from where that falls below 0.3. Computed at once.
 
     Raises
     ------
@@ -56,8 +102,8 @@ def window_gain(
 
     Notes
     -----
-    H = Re <F_true* F_measured> / <|F_true|^2>, over angle and the band of the ridge. It holds for the
-    cameras, the windows and the texture that were simulated; undo it with ``undo(E, gain ** 2, noise)``.
+    H = Re <F_true* F_measured> / <|F_true|^2> over the band of the ridge and the cells of a ring within a
+    sector of directions. It holds for the cameras, the windows and the texture that were simulated.
     """
     for dataset, needed, what in ((measured, ("z_t", "w"), "cube"), (exact, ("z_t", "dz"), "truth")):
         for name in needed:
@@ -67,40 +113,106 @@ def window_gain(
         same = measured.sizes[name] == exact.sizes[name]
         if not same or not np.allclose(measured[name].values, exact[name].values, rtol=0, atol=1e-6):
             raise CubeError(f"cube and truth differ in {name!r}: they must hold the same steps and nodes")
-    record = find_record(measured[["z_t", "w"]]) if record is None else record
+    pairs = {n: (a, b) for n, (a, b) in _TRUTH.items() if a in measured and b in exact}
+    if record is None:
+        record = find_record(measured[sorted({a for a, _ in pairs.values()})])
     segment = segments.segment_length(record, segment)
     depth = float(measured.attrs.get("water_depth") or np.inf) if depth is None else depth
     table = spectra.ring_table(record)
-    names = ("true z", "measured z", "true w", "measured w")
-    fields = [exact["z_t"], measured["z_t"], exact["dz"] / record.dt, measured["w"]]
 
-    def make(blocks: list[np.ndarray], first: int) -> dict[str, np.ndarray]:
-        return {name: segments.transform_space(block) for name, block in zip(names, blocks)}
-
-    runs = segments.half_segments(fields, record, segment // 2, make)
-    task = dask.delayed(crosses.combine, pure=False)
-    parts = [task(a, b, names, _PAIRS, (), table, record.dt) for run in runs for a, b in pairwise(run)]
-    (sums,) = dask.compute(segments.in_order(parts))
-
-    omega = spectra.omega_axis(segment, record.dt)
-    ridge = dispersion(table.k, depth)[:, None]
+    ny, nx = record.shape
+    ky = rings.wavenumbers(ny, record.dy)[:, None]
+    kx = np.abs(rings.wavenumbers(nx, record.dx)[: nx // 2 + 1])
+    k = np.hypot(ky, kx).ravel()
+    omega = np.abs(2 * np.pi * np.fft.fftfreq(segment, record.dt))
+    ridge = dispersion(k, depth)[:, None]
     near = np.abs(omega - ridge) < np.maximum(_NEAR * ridge, _LINES * omega[1])
-    out: dict[str, Any] = {}
-    for name, (true, mine) in zip(("z", "w"), _PAIRS):
+    ring = np.minimum((k / table.dk).astype(int), table.k.size - 1)
+    turn = np.arctan2(ky, kx).ravel() * DIRECTIONS / np.pi
+    place = (np.rint(turn).astype(int) % DIRECTIONS) * table.k.size + ring
+
+    task = dask.delayed(_sums, pure=False)
+    gains, coherences = {}, {}
+    for name, (mine, true) in pairs.items():
+        scale = 1.0 if name == "z" else record.dt
+
+        def make(blocks: list[np.ndarray], first: int, scale: float = scale) -> dict[str, np.ndarray]:
+            return _pair(blocks[0], blocks[1] / blocks[1].dtype.type(scale))
+
+        runs = segments.half_segments([measured[mine], exact[true]], record, segment // 2, make)
+        parts = [task(a, b, near) for run in runs for a, b in pairwise(run)]
+        (sums,) = dask.compute(segments.in_order(parts))
+        shape = (DIRECTIONS, table.k.size)
+        power, own, cross, quadrature = (
+            np.bincount(place, sums[n], DIRECTIONS * table.k.size).reshape(shape)
+            for n in ("true", "measured", "cross", "quadrature")
+        )
         with np.errstate(divide="ignore", invalid="ignore"):
-            power, own, cross = ((sums[key] * near).sum(axis=1) for key in (true, mine, f"{true}*{mine}"))
-            gain = cross.real / power
-            coherence = np.abs(cross) ** 2 / (power * own)
+            # the longest waves have no cell in some sectors: those take their ring's
+            gain = np.where(power > 0, cross / power, cross.sum(axis=0) / power.sum(axis=0))
+            both = cross.sum(axis=0) ** 2 + quadrature.sum(axis=0) ** 2
+            coherence = both / (power.sum(axis=0) * own.sum(axis=0))
         lost = np.cumsum((coherence < _LEAST_COHERENCE) & (np.arange(table.k.size) > 1)) > 0
-        text = {"z": "elevation", "w": "displacement dz"}[name]
-        out[f"gain_{name}"] = (
-            "k",
-            np.where(lost, np.nan, gain),
-            {"long_name": f"amplitude gain of the {text}", "units": "1"},
-        )
-        out[f"coherence_{name}"] = (
-            "k",
-            coherence,
-            {"long_name": f"squared coherence of the {text} with the truth", "units": "1"},
-        )
-    return xr.Dataset(out, spectra.k_coords(table.k), attrs={"segment": segment, "water_depth": depth})
+        gains[name], coherences[name] = np.where(lost, np.nan, gain), coherence
+    out = label(gains, table.k, "measured on a simulated experiment")
+    for name, values in coherences.items():
+        text = f"squared coherence of the {_TEXT[name]} with the truth"
+        out[f"coherence_{name}"] = ("k", values, {"long_name": text, "units": "1"})
+    return out.assign_attrs(segment=segment, water_depth=depth)
+
+
+def read_gain(source: Any) -> xr.Dataset:
+    """Read a gain that was kept with ``to_zarr``.
+
+    Parameters
+    ----------
+    source : path or Dataset
+        The store, or the gain itself.
+
+    Returns
+    -------
+    Dataset
+        As `window_gain` gives it.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be read or holds no gain of z and w.
+    """
+    if isinstance(source, xr.Dataset):
+        gain = source
+    else:
+        try:
+            gain = xr.open_zarr(Path(source), chunks=None, consolidated=False).load()
+        except (OSError, ValueError, KeyError) as error:
+            raise StoreError(f"{source} cannot be read as a gain: {error}") from None
+    for name in ("gain_z", "gain_w"):
+        if name not in gain or set(gain[name].dims) != {"direction", "k"}:
+            raise StoreError(
+                f"the gain has no {name!r} over direction and k: make one with wavefield.waves.window_gain"
+            )
+    return gain
+
+
+def ring_gain(gain: xr.Dataset, one: str, other: str, k: Any) -> np.ndarray:
+    """Gain of a power or cross spectrum over rings, for waves that come from all directions alike.
+
+    Parameters
+    ----------
+    gain : Dataset
+        As `window_gain` gives it.
+    one, other : str
+        Names of two fields: z, u, v or w; the same twice for power.
+    k : array_like
+        Wavenumbers, rad/m.
+
+    Returns
+    -------
+    ndarray
+        Mean over direction of the product of both gains; 0 where it is not known.
+    """
+    product = (gain[f"gain_{one}"] * gain[f"gain_{other}"]).mean("direction", skipna=False)
+    known = np.isfinite(product.values)
+    # below the lowest ring as in it: windows do nothing to waves longer than the rectangle
+    values = np.interp(k, product["k"].values[known], product.values[known], right=0.0)
+    return np.where(np.asarray(k) > product["k"].values[known].max(initial=0.0), 0.0, values)
