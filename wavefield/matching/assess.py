@@ -105,9 +105,15 @@ def assess(
         reason=reason,
         influence_u=measures[3],
         influence_v=measures[4],
-        gain=float(np.median(gain[valid])) if valid.any() else 1.0,
+        gain=_typical(gain, valid, 1.0),
         settings=settings,
     )
+
+
+def _typical(field: np.ndarray, known: np.ndarray, otherwise: float) -> float:
+    """Median of a field where it is known, from every second block each way: windows overlap that much."""
+    some = field[::2, ::2][known[::2, ::2]]
+    return float(np.median(some)) if some.size else otherwise
 
 
 def _reasons(
@@ -131,8 +137,8 @@ def _reasons(
         block_weights(a.good, b.good, u, v, *b.shape, weight)
         reason[seen & (weight == 0)] |= np.uint8(Reason.MASKED)
         seen = weight > 0
-    typical = float(np.median(energy[seen])) if seen.any() else 0.0
-    reason[energy <= max(settings.min_gradient_energy * typical, 1e-12)] |= np.uint8(Reason.TEXTURE)
+    least = max(settings.min_gradient_energy * _typical(energy, seen, 0.0), 1e-12)
+    reason[energy <= least] |= np.uint8(Reason.TEXTURE)
     reason[correlation < settings.min_correlation] |= np.uint8(Reason.CORRELATION)
     reason[outlier] |= np.uint8(Reason.NEIGHBOURS)
     if settings.search_x is not None and settings.search_y is not None:

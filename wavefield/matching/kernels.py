@@ -12,9 +12,9 @@ What lets LLVM turn these plain loops into vector code, and must be kept:
 from typing import Any
 
 import numba as nb
+import numba.extending
 import numpy as np
 from llvmlite import ir
-from numba.extending import intrinsic
 
 F = np.float32
 
@@ -26,6 +26,7 @@ MID = F(2.0)  # (BLOCK - 1) / 2
 PAD = 8  # replicated border of b, px
 
 njit: Any = nb.njit(fastmath=True, error_model="numpy", nogil=True, cache=True)
+intrinsic: Any = numba.extending.intrinsic
 
 
 @njit
@@ -540,13 +541,15 @@ def shift_sums(a, b, margin, first, dy, row, out):
     """
     n, ny, _ = out.shape
     for by in range(ny):
+        y = by * BLOCK
+        p0, p1, p2, p3, p4 = a[y], a[y + 1], a[y + 2], a[y + 3], a[y + 4]
+        y += margin + dy
         for k in range(n):
-            row[:] = F(0)
-            for j in range(BLOCK):
-                y = by * BLOCK + j
-                p, q = a[y], b[y + margin + dy][margin + first + k :]
-                for x in range(len(row)):
-                    row[x] += p[x] * q[x]
+            x = margin + first + k
+            q0, q1, q2 = b[y][x:], b[y + 1][x:], b[y + 2][x:]
+            q3, q4 = b[y + 3][x:], b[y + 4][x:]
+            for i in range(len(row)):
+                row[i] = p0[i] * q0[i] + p1[i] * q1[i] + p2[i] * q2[i] + p3[i] * q3[i] + p4[i] * q4[i]
             _fold(row, out[k, by])
 
 

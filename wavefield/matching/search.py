@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
+import numba as nb
 import numpy as np
 
 from wavefield.matching.kernels import BLOCK, shift_sums
 from wavefield.matching.lattice import F, filtered, replace_outliers, smoothed, window_weights
 from wavefield.matching.prepared import Level
 from wavefield.matching.settings import Settings
+
+njit: Any = nb.njit(error_model="numpy", nogil=True, cache=True)
 
 _LOCAL = 41  # px of the level: side of the box of its local normalisation
 
@@ -41,13 +46,19 @@ def search(
     first = np.ascontiguousarray(first)
     second = cv2.copyMakeBorder(second, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=0)
     weights = window_weights(settings.search_window)
+    reach = len(weights) // 2
     xs, ys = np.arange(x_range[0], x_range[1] + 1), np.arange(y_range[0], y_range[1] + 1)
     score = np.empty((len(ys), len(xs), ny, nx), np.float32)
     row = np.empty(w, np.float32)
+    # fields one below the other, each with a border of its own: one call filters them all
+    padded = np.empty((len(xs), ny + 2 * reach, nx), np.float32)
+    smooth = np.empty_like(padded)
     for dy, scores in zip(ys, score):
-        shift_sums(first, second, margin, xs[0], dy, row, scores)
-        for field in scores:
-            filtered(field, weights, field)
+        shift_sums(first, second, margin, xs[0], dy, row, padded[:, reach : reach + ny])
+        padded[:, :reach] = padded[:, reach : reach + 1]
+        padded[:, reach + ny :] = padded[:, reach + ny - 1 : reach + ny]
+        filtered(padded.reshape(-1, nx), weights, smooth.reshape(-1, nx))
+        scores[:] = smooth[:, reach : reach + ny]
     u, v = _peak(score, xs, ys)
     for _ in range(2):
         replace_outliers(u, v, 2.0)
@@ -63,11 +74,23 @@ def _locally_normalized(image: np.ndarray) -> np.ndarray:
     return image / np.sqrt(variance + F(0.01) * F(variance.mean()) + F(1e-12))
 
 
+@njit
+def _largest(values, top, best):
+    """Where along the first axis the largest value is, the first of equals; top starts as the first row."""
+    for k in range(1, len(values)):
+        row = values[k]
+        for i in range(len(row)):
+            larger = row[i] > top[i]
+            best[i] = np.int32(k) if larger else best[i]
+            top[i] = row[i] if larger else top[i]
+
+
 def _peak(score: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Place of the maximum over the first two axes, with a parabola through its neighbours."""
     shape = score.shape[2:]
     flat = score.reshape(len(ys), len(xs), -1)
-    best = flat.reshape(-1, flat.shape[2]).argmax(0)
+    best = np.zeros(flat.shape[2], np.int32)
+    _largest(flat.reshape(-1, flat.shape[2]), flat[0, 0].copy(), best)
     j, i = np.divmod(best, len(xs))
     block = np.arange(flat.shape[2])
     here = flat[j, i, block]

@@ -59,11 +59,21 @@ def transfer_kernel(settings: Settings, gain: float = 1.0) -> np.ndarray:
 def _separable(settings: Settings, gain: float, power: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """Kernel (or its square) as a short sum of separable ones: rows and columns of its singular vectors."""
     kernel = transfer_kernel(settings, gain).astype(float) ** power
+    if power == 2:
+        kernel = _middle(kernel, 1e-3)
     left, size, right = np.linalg.svd(kernel)
-    keep = int(np.sum(size > (1e-5 if power == 1 else 2e-3) * size[0]))
+    keep = int(np.sum(size > (1e-4 if power == 1 else 2e-3) * size[0]))
     return tuple(
         ((left[:, n] * size[n]).astype(np.float32), right[n].astype(np.float32)) for n in range(keep)
     )
+
+
+def _middle(kernel: np.ndarray, lost: float) -> np.ndarray:
+    """The smallest square in the middle of a positive kernel that leaves out no more than this share."""
+    while len(kernel) > 3 and kernel[1:-1, 1:-1].sum() >= (1 - lost) * kernel.sum():
+        lost -= 1 - kernel[1:-1, 1:-1].sum() / kernel.sum()
+        kernel = kernel[1:-1, 1:-1]
+    return kernel
 
 
 def _convolved(field: np.ndarray, parts: tuple[tuple[np.ndarray, np.ndarray], ...]) -> np.ndarray:
