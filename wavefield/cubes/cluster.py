@@ -4,6 +4,7 @@ import ctypes
 import inspect
 import logging
 import os
+import shlex
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -27,16 +28,34 @@ THREAD_VARIABLES = (
     "VECLIB_MAXIMUM_THREADS",
 )
 
-# blocks are independent and a worker may die for reasons of its own, so be patient with both
+# Blocks are independent and a worker may die for reasons of its own, so be patient with both. Tasks take
+# minutes, so look after them less often than every few ms: for two workers that takes 15 % of a core.
 _DASK: dict[str, Any] = {
     "array": {"query-planning": False},
     "distributed": {
-        "scheduler": {"allowed-failures": 10, "worker-ttl": "300s"},
-        "worker": {"memory": {"target": False, "spill": False, "pause": 0.9, "terminate": 0.95}},
+        "scheduler": {
+            "allowed-failures": 10,
+            "worker-ttl": "300s",
+            "active-memory-manager": {"start": False},
+        },
+        "worker": {
+            "memory": {
+                "target": False,
+                "spill": False,
+                "pause": 0.9,
+                "terminate": 0.95,
+                "monitor-interval": "500ms",
+            },
+            "profile": {"enabled": False},
+        },
         "comm": {"timeouts": {"connect": "60s", "tcp": "60s"}},
-        "admin": {"tick": {"limit": "60s"}},
+        "admin": {
+            "tick": {"interval": "1s", "cycle": "5s", "limit": "60s"},
+            "system-monitor": {"interval": "2s", "disk": False, "gil": {"enabled": False}},
+        },
     },
 }
+_PROFILE = {"distributed": {"worker": {"profile": {"enabled": True}}}}  # a report is made from it
 
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # of malloc.h
@@ -122,8 +141,7 @@ def open_cluster(workflow: Workflow) -> Iterator[Callable[[Work, Sequence[Any]],
         yield _map_here
         return
     with ExitStack() as stack:
-        configuration = dask.config.merge(_DASK, workflow.dask)
-        stack.enter_context(_configured(configuration))
+        stack.enter_context(_configured(dask_settings(workflow)))
         client = _connect(workflow, stack)
         client.register_plugin(_make_plugin())
         if client.dashboard_link and workflow.dashboard:
@@ -133,6 +151,32 @@ def open_cluster(workflow: Workflow) -> Iterator[Callable[[Work, Sequence[Any]],
 
             stack.enter_context(performance_report(filename=workflow.performance_report))
         yield lambda work, items: _map_on(client, work, items)
+
+
+def dask_settings(workflow: Workflow) -> dict[str, Any]:
+    """Dask's configuration for a run.
+
+    Parameters
+    ----------
+    workflow : Workflow
+        What it says of ``dask`` goes first.
+
+    Returns
+    -------
+    dict
+        Sections of Dask's configuration, as far as they differ from Dask's own.
+    """
+    return dask.config.merge(_DASK, _PROFILE if workflow.performance_report else {}, workflow.dask)
+
+
+def _exports(settings: dict[str, Any], prefix: str) -> Iterator[str]:
+    """Lines of a job script that give its workers a section of the configuration."""
+    for name, value in settings.items():
+        variable = f"{prefix}__{name.upper().replace('-', '_')}"
+        if isinstance(value, dict):
+            yield from _exports(value, variable)
+        else:
+            yield f"export {variable}={shlex.quote(str(value))}"
 
 
 @contextmanager
@@ -218,6 +262,7 @@ def slurm_cluster(workflow: Workflow) -> Any:
         keywords["memory"] = f"{workflow.memory_bytes * int(workflow.slurm['cores']) // 1_000_000} MB"
     keywords |= workflow.slurm
     prologue = [f"export {name}=1" for name in THREAD_VARIABLES]
+    prologue += _exports(dask_settings(workflow)["distributed"], "DASK_DISTRIBUTED")
     keywords["job_script_prologue"] = prologue + list(workflow.slurm.get("job_script_prologue", []))
     dashboard = {"dashboard_address": workflow.dashboard} if workflow.dashboard else {"dashboard": False}
     keywords.setdefault("scheduler_options", dashboard)
