@@ -179,3 +179,51 @@ class PeriodicSea:
         t, y, x = axes(steps, ny, nx, dt, self.dx)
         fields = {"z": z, "z_t": np.diff(noisy, axis=0)[1:-1] / dt, "w": w, "exact": exact[1:-2]}
         return cube(fields, t, y, x, water_depth=self.depth, frame_rate=1 / dt)
+
+
+class GaussianSea:
+    """Gaussian waves of known spectrum around the ridge, D(theta) ~ cos(theta / 2)^(2 spread); quick.
+
+    Every (k, omega) is drawn anew, so a record holds as many independent waves as a sea without end.
+    """
+
+    def __init__(self, n=100, steps=768, dx=0.04, dt=0.05, spread=0, heading=0.0, lowest=1.4, highest=3.3):
+        self.n, self.steps, self.dx, self.dt = n, steps, dx, dt
+        self.k = 2 * np.pi * np.fft.fftfreq(n, dx)
+        self.omega = 2 * np.pi * np.arange(steps // 2 + 1) / (steps * dt)
+        kx, ky = self.k, self.k[:, None]
+        ridge = relation(np.hypot(kx, ky), 0.7)
+        density = np.exp(-0.5 * ((self.omega[:, None, None] - ridge) / 0.6) ** 2)
+        density *= ((ridge > 2 * np.pi * lowest) & (ridge < 2 * np.pi * highest)) / np.maximum(ridge, 1) ** 5
+        density *= np.cos((np.arctan2(ky, kx) - heading) / 2) ** (2 * spread)
+        self.variance = density * 1e-4 / density.sum()  # of each wave (omega, ky, kx)
+
+    def draw(self, seed):
+        """One sea, (steps, n, n)."""
+        from scipy import fft
+
+        rng = np.random.default_rng(seed)
+        half = self.steps // 2
+        lines = np.zeros((self.steps, self.n, self.n), "c8")
+        lines[-np.arange(half + 1)] = np.sqrt(2 * self.variance)  # exp(i (k . x - omega t))
+        raw = rng.standard_normal((2, half + 1, self.n, self.n), dtype="f4")
+        lines[-np.arange(half + 1)] *= (raw[0] + 1j * raw[1]) / np.float32(np.sqrt(2))
+        return fft.ifftn(lines, overwrite_x=True).real * np.float32(lines.size)
+
+    def expected(self, E):
+        """Mean of E(k, omega) as a rectangle and a segment see it, (omega, k)."""
+        from wavefield.waves import rings, windows
+
+        def seen(lines, true, n, step):
+            window = windows.hann(n)
+            turned = np.exp(-1j * np.subtract.outer(lines, true)[..., None] * step * np.arange(n))
+            return np.abs(turned @ window) ** 2 / (window**2).sum() * step / (2 * np.pi)
+
+        ny, nx = E.attrs["nodes"]
+        table = rings.rings(ny, nx, self.dx, self.dx)
+        on_y, on_x = (seen(rings.wavenumbers(n, self.dx), self.k, n, self.dx) for n in (ny, nx))
+        shares = table.shares.toarray().reshape(ny, nx, -1)
+        on_ring = np.einsum("yxr,ya,xb->rab", shares, on_y, on_x, optimize=True)
+        on_ring *= (2 * np.pi / self.dx) ** 2 / (ny * nx) / table.dk
+        on_omega = seen(E.omega.values, self.omega, E.attrs["segment"], self.dt)
+        return on_omega @ self.variance.reshape(self.omega.size, -1) @ on_ring.reshape(table.k.size, -1).T

@@ -21,9 +21,10 @@ in [low E, high E] with 95 % confidence. ``valid`` masks say where a spectrum ca
 
     - ``E_komega_z``, ``E_komega_z_t``, ``E_komega_u``, ``E_komega_v``, ``E_komega_w``, ``E_komega_nl``
       (omega, k): E(k, omega), integral over angle. z is at frame times; nl is u . grad z.
-    - ``coverage`` (k): share of the ring inside the sampled plane; ``cells`` (k): its independent cells.
-      The azimuthal mean is E / (2 pi k coverage).
-    - ``dof_komega``, ``low_komega``, ``high_komega`` (k); ``valid_komega`` (omega, k).
+    - ``coverage`` (k): share of the ring inside the sampled plane; ``cells`` (k): its independent cells for
+      energy spread evenly over it. The azimuthal mean is E / (2 pi k coverage).
+    - ``dof_komega_z`` ... ``dof_komega_nl``, ``low_komega_z`` ..., ``high_komega_z`` ... (omega, k), from the
+      spread of the energy over the cells of the ring; ``valid_komega`` (omega, k).
     - ``E_k_z`` ... ``E_k_nl`` (k): E(k) = integral over omega; with ``dof_E_k_z`` ..., ``low_E_k_z`` ...,
       ``high_E_k_z`` ... (k).
     - ``E_z``, ``E_z_t``, ``E_u``, ``E_v``, ``E_w``, ``E_nl`` (omega): integral over k, as measured; with
@@ -272,7 +273,8 @@ def _open(cube: Any) -> xr.Dataset:
 
 
 def _rename(dataset: xr.Dataset, name: str) -> xr.Dataset:
-    return dataset.rename({"E": f"E_{name}"} | {n: f"{n}_E_{name}" for n in ("dof", "low", "high")})
+    of = name if name.startswith("komega") else f"E_{name}"
+    return dataset.rename({"E": f"E_{name}"} | {n: f"{n}_{of}" for n in ("dof", "low", "high")})
 
 
 def _spectra_group(
@@ -281,9 +283,9 @@ def _spectra_group(
     step_omega = float(ring["omega"][1] - ring["omega"][0])
     out = xr.Dataset(attrs=ring.attrs)
     for name in NAMES:
-        out[f"E_komega_{name}"] = ring[f"E_{name}"]
-    for name in ("dof", "low", "high", "valid"):
-        out[f"{name}_komega"] = ring[name]
+        whole = spectra.with_interval(ring[f"E_{name}"], ring[f"dof_{name}"])
+        out = out.assign(_rename(whole, f"komega_{name}").data_vars)
+    out["valid_komega"] = ring["valid"]
     out["coverage"], out["cells"] = ring["coverage"], ring["cells"]
     duration = ring.attrs["segment"] * (ring.attrs["segments"] + 1) / 2 * ring.attrs["dt"]
     for name in NAMES:
@@ -293,9 +295,10 @@ def _spectra_group(
             "long_name": energy.attrs["long_name"].replace("E(k, omega)", "E(k)"),
             "units": product((energy.attrs["units"], 1), (spectra.OMEGA_UNITS, 1)),
         }
-        dof = 2 * (coherence.samples_in_time(energy, duration) * ring["cells"]).clip(min=1)
+        cells = ring[f"dof_{name}"] / ring.attrs["degrees_of_freedom"]
+        dof = 2 * (coherence.samples_in_time(energy, duration, cells)).clip(min=1)
         out = out.assign(_rename(spectra.with_interval(over_k, dof), f"k_{name}").data_vars)
-        single = ring.rename({f"E_{name}": "E"})
+        single = ring.rename({f"E_{name}": "E", f"dof_{name}": "dof"})
         out = out.assign(_rename(spectra.frequency_spectrum(single).drop_vars("valid"), name).data_vars)
     out = out.assign(fused[_of_roads()].data_vars)
     for name, gain in (

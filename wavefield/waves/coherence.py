@@ -39,7 +39,7 @@ def significance_level(samples: Any, chance: float = 0.05) -> Any:
     return 1 - chance ** (1 / more)
 
 
-def samples_in_time(energy: xr.DataArray, duration: float) -> xr.DataArray:
+def samples_in_time(energy: xr.DataArray, duration: float, cells: xr.DataArray | float = 1.0) -> xr.DataArray:
     """Effective number of independent samples of a record in time, (sum S)^2 / sum S^2.
 
     Parameters
@@ -48,15 +48,17 @@ def samples_in_time(energy: xr.DataArray, duration: float) -> xr.DataArray:
         Spectrum, one-sided.
     duration : float
         Length of the record, s.
+    cells : DataArray, (omega, ...), optional
+        Independent samples in space at each frequency.
 
     Returns
     -------
     DataArray
-        T (int S domega)^2 / (2 pi int S^2 domega): a narrow band repeats itself, so this is far less than the
-        number of steps.
+        T (int S domega)^2 / (2 pi int S^2 / cells domega): a narrow band repeats itself, so this is far less
+        than the number of steps.
     """
     step = float(energy["omega"][1] - energy["omega"][0])
-    return duration * step * energy.sum("omega") ** 2 / (2 * np.pi * (energy**2).sum("omega"))
+    return duration * step * energy.sum("omega") ** 2 / (2 * np.pi * (energy**2 / cells).sum("omega"))
 
 
 def _terms(ring: xr.Dataset) -> dict[str, tuple[xr.DataArray, xr.DataArray]]:

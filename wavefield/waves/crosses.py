@@ -118,7 +118,8 @@ def combine(
     Returns
     -------
     dict of str to ndarray
-        "name" (rings, n // 2 + 1), "a*b" the same and complex, "map name" (cells, n).
+        "name" (2, rings, n // 2 + 1), power and its square, "a*b" (rings, n // 2 + 1), complex, "map name"
+        (cells, n).
     """
     sums = empty_sums(first[names[0]], names, pairs, maps, table)
     add_segment(sums, first, second, names, pairs, maps, table, dt)
@@ -135,7 +136,7 @@ def empty_sums(
     """Zeros for `add_segment`; ``half`` is any half segment's transform, (cells, n / 2)."""
     cells, steps = half.shape
     shape = (table.k.size, steps + 1)
-    sums: dict[str, np.ndarray] = {name: np.zeros(shape) for name in names}
+    sums: dict[str, np.ndarray] = {name: np.zeros((2, *shape)) for name in names}
     sums |= {f"{a}*{b}": np.zeros(shape, complex) for a, b in pairs}
     return sums | {f"map {name}": np.zeros((cells, 2 * steps), half.real.dtype) for name in maps}
 
@@ -164,7 +165,7 @@ def add_segment(
                 kernels.frames(one, two, *rates, real.type(dt), start_one, start_two)
                 one, two = start_one, start_two
             lines[name] = segments.transform_time(one, two)
-            kernels.ring_powers(lines[name], start, table.ring, table.weight, sums[name])
+            kernels.ring_powers(lines[name], start, table.ring, table.weight, table.spread, sums[name])
             if name in maps:
                 kernels.add_powers(lines[name], sums[f"map {name}"][slab])
         for a, b in pairs:
@@ -183,8 +184,8 @@ def label(
 
     Parameters
     ----------
-    sums : dict of str to array, (rings, n // 2 + 1)
-        Summed over all segments.
+    sums : dict of str to array
+        What `combine` gives, summed over all segments.
     names, pairs : sequence
         As given to `combine`.
     record : Record
@@ -197,7 +198,7 @@ def label(
     Returns
     -------
     Dataset
-        ``E_<name>`` and ``S_<a>_<b>`` = <conj(a) b> over (omega, k), with what `komega` carries besides.
+        As `cross_spectra` gives it.
     """
     count = segments.count_segments(record, segment)
     factor = spectra.ring_density(record, segment, count, table.dk)
@@ -206,7 +207,9 @@ def label(
     per = ((spectra.K_UNITS, -1), (spectra.OMEGA_UNITS, -1))
     for name in names:
         attrs = {"long_name": f"E(k, omega) of {LONG_NAMES[name]}", "units": product((UNITS[name], 2), *per)}
-        out[f"E_{name}"] = (("omega", "k"), sums[name].T * factor, attrs)
+        out[f"E_{name}"] = (("omega", "k"), sums[name][0].T * factor, attrs)
+        dof = spectra.ring_freedom(sums[name], table, count).T
+        out[f"dof_{name}"] = (("omega", "k"), dof, {"long_name": "degrees of freedom", "units": "1"})
     for a, b in pairs:
         attrs = {
             "long_name": f"cross spectrum of {LONG_NAMES[a]} with {LONG_NAMES[b]}",
@@ -217,7 +220,7 @@ def label(
     valid = spectra.valid_komega(table, omega, record)
     out["valid"] = (("omega", "k"), valid, {"long_name": "where the spectrum can be trusted", "units": "1"})
     return xr.Dataset(
-        out | spectra.ring_variables(table, count),
+        out | spectra.ring_variables(table),
         coords=spectra.omega_coords(omega) | spectra.k_coords(table.k),
         attrs=spectra.provenance(record, segment, count) | {"dt": record.dt},
     )
@@ -256,8 +259,8 @@ def cross_spectra(
     Returns
     -------
     Dataset
-        ``E_<name>`` and ``S_<a>_<b>`` = <conj(a) b> over (omega, k), ``coverage``, ``cells``, ``dof``,
-        ``low``, ``high`` (k), ``valid`` (omega, k).
+        ``E_<name>``, ``dof_<name>`` (degrees of freedom) and ``S_<a>_<b>`` = <conj(a) b> over (omega, k),
+        ``coverage``, ``cells`` (k), ``valid`` (omega, k).
 
     Raises
     ------
@@ -293,6 +296,6 @@ def lazy_cross_spectra(
     parts = [task(a, b, names, pairs, (), table, record.dt) for run in runs for a, b in pairwise(run)]
     summed = segments.in_order(parts)
     shape = (table.k.size, segment // 2 + 1)
-    sums = {name: da.from_delayed(summed[name], shape, float) for name in names}
+    sums = {name: da.from_delayed(summed[name], (2, *shape), float) for name in names}
     sums |= {f"{a}*{b}": da.from_delayed(summed[f"{a}*{b}"], shape, complex) for a, b in pairs}
     return label(sums, names, pairs, record, segment, table)

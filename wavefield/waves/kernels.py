@@ -106,8 +106,8 @@ def frames(z_first, z_second, rate_first, rate_second, dt, first, second):
 
 
 @_fast
-def ring_powers(f, start, ring, weight, out):
-    """Add the power of every cell to its rings, with +-omega folded so that k points where the wave goes.
+def ring_powers(f, start, ring, weight, spread, out):
+    """Add power and squared power of every cell to its rings, +-omega folded: k points where the wave goes.
 
     Parameters
     ----------
@@ -119,25 +119,33 @@ def ring_powers(f, start, ring, weight, out):
         Index of the ring.
     weight : ndarray, float
         Share of the cell in the ring, doubled where the cell stands for its mirror image as well.
-    out : ndarray, float64, (rings, n // 2 + 1)
-        Sums to add to.
+    spread : ndarray, float
+        The same for the squared power.
+    out : ndarray, float64, (2, rings, n // 2 + 1)
+        Sums of the power and of its square to add to.
     """
     cells, n = f.shape
     half = n // 2
     power = np.empty(half + 1)
+    square = np.empty(half + 1)
     for c in range(cells):
         row = f[c]
         power[0] = row[0].real ** 2 + row[0].imag ** 2
+        square[0] = power[0] ** 2
         for j in range(1, half):
-            a = row[n - j]
-            b = row[j]
-            power[j] = a.real**2 + a.imag**2 + b.real**2 + b.imag**2
+            a = row[n - j].real ** 2 + row[n - j].imag ** 2
+            b = row[j].real ** 2 + row[j].imag ** 2
+            power[j] = a + b
+            square[j] = a * a + b * b
         power[half] = row[half].real ** 2 + row[half].imag ** 2
+        square[half] = power[half] ** 2
         for s in range(start[c], start[c + 1]):
             r = ring[s]
             g = weight[s]
+            h = spread[s]
             for j in range(half + 1):
-                out[r, j] += g * power[j]
+                out[0, r, j] += g * power[j]
+                out[1, r, j] += h * square[j]
 
 
 @_fast

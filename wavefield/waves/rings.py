@@ -22,7 +22,7 @@ class Rings:
     coverage : ndarray, (rings,)
         Share of each ring inside the sampled plane, corners included.
     cells : ndarray, (rings,)
-        Independent cells of each ring under Hann windows in space.
+        Independent cells of each ring under Hann windows in space, for energy spread evenly over it.
     overlap : ndarray, (rings, rings)
         Squared correlation between the means of rings, so that 1 / (p . overlap . p) is the number of
         independent cells of a sum with shares p.
@@ -30,6 +30,8 @@ class Rings:
         Share of the area of each cell of the full plane (numpy's order) in each ring.
     start, ring, weight : ndarray
         The same for the half plane kx >= 0, as `kernels.ring_powers` wants it.
+    spread : ndarray
+        As ``weight``, times the ring's part of the cells correlated with it: for the squared power.
     """
 
     k: np.ndarray
@@ -41,6 +43,7 @@ class Rings:
     start: np.ndarray
     ring: np.ndarray
     weight: np.ndarray
+    spread: np.ndarray
 
 
 def wavenumbers(n: int, step: float) -> np.ndarray:
@@ -104,14 +107,17 @@ def rings(ny: int, nx: int, dy: float, dx: float, dk: float | None = None) -> Ri
     area = np.asarray(shares.sum(axis=0)).ravel()
     edges = np.arange(count + 1) * dk
     coverage = area * cell_y * cell_x / (np.pi * np.diff(edges**2))
-    overlap = sparse.kron(_hann_overlap(ny), _hann_overlap(nx), format="csr")
+    blurred = sparse.kron(_hann_overlap(ny), _hann_overlap(nx), format="csr") @ shares
     norm = np.maximum(area, 1e-300)
-    overlap = (shares.T @ overlap @ shares).toarray() / np.outer(norm, norm)
+    overlap = (shares.T @ blurred).toarray() / np.outer(norm, norm)
     # a ring smaller than a cell still holds one cell
     cells = np.maximum(1 / np.maximum(np.diag(overlap), 1e-300), 1.0)
 
-    half = shares[(np.arange(ny)[:, None] * nx + np.arange(nx // 2 + 1)).ravel()].tocsr()
-    weight = half.data * np.repeat(np.tile(mirror_weights(nx), ny), np.diff(half.indptr))
+    kept = (np.arange(ny)[:, None] * nx + np.arange(nx // 2 + 1)).ravel()
+    half = shares[kept].tocsr()
+    rows = np.repeat(np.arange(kept.size), np.diff(half.indptr))
+    weight = half.data * np.tile(mirror_weights(nx), ny)[rows]
+    near = np.asarray(blurred.tocsr()[kept[rows], half.indices]).ravel()
     return Rings(
         k=(np.arange(count) + 0.5) * dk,
         dk=dk,
@@ -122,4 +128,5 @@ def rings(ny: int, nx: int, dy: float, dx: float, dk: float | None = None) -> Ri
         start=half.indptr.astype(np.int64),
         ring=half.indices.astype(np.int64),
         weight=weight,
+        spread=weight * near,
     )

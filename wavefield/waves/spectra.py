@@ -251,12 +251,13 @@ def _ring_powers(
     start: np.ndarray,
     ring: np.ndarray,
     weight: np.ndarray,
+    spread: np.ndarray,
 ) -> dict[str, np.ndarray]:
     cells, half = a["f"].shape
-    out = np.zeros((int(ring.max()) + 1, half + 1))
+    out = np.zeros((2, int(ring.max()) + 1, half + 1))
     for slab in segments.slabs(cells):
         lines = segments.transform_time(a["f"][slab], b["f"][slab])
-        kernels.ring_powers(lines, start[slab.start : slab.stop + 1], ring, weight, out)
+        kernels.ring_powers(lines, start[slab.start : slab.stop + 1], ring, weight, spread, out)
     return {"f": out}
 
 
@@ -277,28 +278,55 @@ def valid_komega(table: rings.Rings, omega: np.ndarray, record: Record) -> np.nd
     return in_omega[:, None] & in_k
 
 
-def ring_variables(table: rings.Rings, count: int) -> dict[str, Any]:
-    """Variables along k that every E(k, omega) carries: coverage, cells, dof, low, high."""
-    dof = degrees_of_freedom(count) * table.cells
-    low, high = interval(dof)
+def ring_freedom(sums: Any, table: rings.Rings, count: int) -> Any:
+    """Degrees of freedom of E(k, omega) from how the energy is spread over the cells of each ring.
+
+    Parameters
+    ----------
+    sums : array, (2, rings, n // 2 + 1)
+        Power and squared power as `kernels.ring_powers` sums them over the segments.
+    table : Rings
+        Rings of the k plane.
+    count : int
+        Number of segments.
+
+    Returns
+    -------
+    array, (rings, n // 2 + 1)
+        Degrees of freedom of a cell times the equivalent number of independent cells.
+
+    Notes
+    -----
+    The variance of sum A_c |F_c|^2 is sum A_c A_d |<F_c F_d*>|^2, and the windows correlate cells c and d by
+    rho_cd. With the square of each cell's expected power taken from <|F_c|^4> / 2 (Gaussian waves), the
+    number of independent cells is (sum A_c E_c)^2 / sum A_c E_c^2 (rho^2 A)_c: the geometric number of a ring
+    for energy spread evenly over it, one for a single wave. Squares are averaged over segments before they
+    are summed, so the number does not depend on K.
+    """
+    power, square = sums[0], sums[1]
+    filled = square > 0
+    cells = power**2 / (count * (square + ~filled))
+    cells = cells * filled + table.cells[:, None] * ~filled  # where there is no energy at all
+    return degrees_of_freedom(count) * cells.clip(1)
+
+
+def ring_variables(table: rings.Rings) -> dict[str, Any]:
+    """Variables along k that every E(k, omega) carries: coverage and cells."""
     return {
         "coverage": (
             "k",
             table.coverage,
             {"long_name": "share of the ring inside the sampled plane", "units": "1"},
         ),
-        "cells": ("k", table.cells, {"long_name": "independent cells of the ring", "units": "1"}),
-        "dof": (
+        "cells": (
             "k",
-            dof,
+            table.cells,
             {
-                "long_name": "degrees of freedom",
+                "long_name": "independent cells of the ring",
                 "units": "1",
-                "comment": "for energy spread evenly over the angle",
+                "comment": "for energy spread evenly over the ring",
             },
         ),
-        "low": ("k", low, {"long_name": "lower end of the 95 % interval, factor", "units": "1"}),
-        "high": ("k", high, {"long_name": "upper end of the 95 % interval, factor", "units": "1"}),
     }
 
 
@@ -325,8 +353,8 @@ def komega(
     Returns
     -------
     Dataset
-        ``E`` (omega, k); ``coverage``, ``cells``, ``dof``, ``low``, ``high`` (k); ``valid`` (omega, k). The
-        azimuthal mean is E / (2 pi k coverage).
+        ``E``, ``dof``, ``low``, ``high``, ``valid`` (omega, k); ``coverage``, ``cells`` (k). The azimuthal
+        mean is E / (2 pi k coverage).
 
     Raises
     ------
@@ -337,6 +365,7 @@ def komega(
     -----
     Each cell of the k plane is shared between rings by area, so energy is conserved to rounding; the corners
     beyond the Nyquist wavenumber of the axes are kept, and ``coverage`` says how much of a ring they fill.
+    The degrees of freedom follow from the data (`ring_freedom`): waves from few directions have fewer.
 
     Examples
     --------
@@ -352,29 +381,21 @@ def komega(
     table = ring_table(record, dk)
     runs = segments.half_segments([field], record, segment // 2, _transform)
     task = dask.delayed(_ring_powers, pure=False)
-    parts = [
-        task(a, b, table.start, table.ring, table.weight) for run in runs for a, b in itertools.pairwise(run)
-    ]
-    summed = segments.in_order(parts)
+    shares = table.start, table.ring, table.weight, table.spread
+    summed = segments.in_order([task(a, b, *shares) for run in runs for a, b in itertools.pairwise(run)])
     factor = ring_density(record, segment, count, table.dk)
     omega = omega_axis(segment, record.dt)
-    values = da.from_delayed(summed["f"], (table.k.size, omega.size), np.float64).T * factor
+    sums = da.from_delayed(summed["f"], (2, table.k.size, omega.size), np.float64)
     units = product((field.attrs.get("units", "1"), 2), (K_UNITS, -1), (OMEGA_UNITS, -1))
     name = field.attrs.get("long_name", field.name)
-    out = xr.Dataset(
-        {
-            "E": (("omega", "k"), values, {"long_name": f"E(k, omega) of {name}", "units": units}),
-            "valid": (
-                ("omega", "k"),
-                valid_komega(table, omega, record),
-                {"long_name": "where the spectrum can be trusted", "units": "1"},
-            ),
-        }
-        | ring_variables(table, count),
-        coords=omega_coords(omega) | k_coords(table.k),
-        attrs=provenance(record, segment, count),
+    values = xr.DataArray(
+        sums[0].T * factor, dims=("omega", "k"), attrs={"long_name": f"E(k, omega) of {name}", "units": units}
     )
-    return finish(out, field)
+    out = with_interval(values, xr.DataArray(ring_freedom(sums, table, count).T, dims=("omega", "k")))
+    out = out.assign(ring_variables(table)).assign_coords(omega_coords(omega) | k_coords(table.k))
+    valid = valid_komega(table, omega, record)
+    out["valid"] = (("omega", "k"), valid, {"long_name": "where the spectrum can be trusted", "units": "1"})
+    return finish(out.assign_attrs(provenance(record, segment, count)), field)
 
 
 # ---- reductions of spectra ---------------------------------------------------------------------------------
@@ -471,8 +492,7 @@ def frequency_spectrum(komega: xr.Dataset) -> xr.Dataset:
 
     Notes
     -----
-    The degrees of freedom follow from the spread of the energy over k at each omega, taken as even over the
-    angle.
+    The degrees of freedom follow from those of the rings and from the spread of the energy over them.
     """
     step = float(komega["k"][1] - komega["k"][0])
     energy = komega["E"].sum("k", dtype=np.float64) * step
@@ -481,16 +501,19 @@ def frequency_spectrum(komega: xr.Dataset) -> xr.Dataset:
         "units": product((komega["E"].attrs["units"], 1), (K_UNITS, 1)),
     }
     table = rings.rings(*komega.attrs["nodes"], *komega.attrs["node_step"], step)
-    dof = float(komega.attrs["degrees_of_freedom"]) * independent_cells(komega["E"], table)
+    single = float(komega.attrs["degrees_of_freedom"])
+    dof = single * independent_cells(komega["E"], komega["dof"] / single, table)
     out = with_interval(energy, dof)
     out["valid"] = _valid_omega(komega["omega"])
     out["valid"].attrs = {"long_name": "where the spectrum can be trusted", "units": "1"}
     return out
 
 
-def independent_cells(ring_energy: xr.DataArray, table: rings.Rings) -> xr.DataArray:
-    """Independent cells of a sum over rings, (...), from the energy (..., k) even over the angle."""
-    share = ring_energy / ring_energy.sum("k")
+def independent_cells(energy: xr.DataArray, cells: xr.DataArray, table: rings.Rings) -> xr.DataArray:
+    """Independent cells of a sum over rings, (...), from each ring's energy and own cells, (..., k)."""
+    share = energy / energy.sum("k")
+    # neighbouring rings share cells: correlated as for even energy, with the variance that each has
+    share = share * (xr.DataArray(1 / np.diag(table.overlap), dims="k") / cells) ** 0.5
     overlap = xr.DataArray(table.overlap, dims=("k", "k2"))
     norm = xr.dot(
         share, overlap, share.rename(k="k2").drop_vars(["k2", "cycles"], errors="ignore"), dim=["k", "k2"]
