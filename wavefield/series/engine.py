@@ -110,23 +110,17 @@ class ExperimentBackend(BackendEntrypoint):
             ``image(time, row, column)`` of the camera; without group one variable per camera, whose rows and
             columns bear its name because cameras differ in size.
         """
-        experiment = Experiment.load(filename_or_obj, folder)
-        series = experiment.open_frames()
-        if group and group.strip("/"):
-            name = group.strip("/")
-            if name not in series:
-                raise ValueError(f"{experiment.path} has no camera {name!r}; it has {', '.join(series)}")
-            out = _camera(series[name]).assign_coords(_coordinates(experiment, series[name]))
+        groups = self.open_groups_as_dict(filename_or_obj, folder=folder)
+        root = groups.pop("/")
+        name = (group or "").strip("/")
+        if not name:
+            out = xr.merge([_named(camera, path.strip("/")) for path, camera in groups.items()])
+        elif f"/{name}" in groups:
+            out = groups[f"/{name}"]
         else:
-            parts = [
-                _camera(s).rename(
-                    image=name, row=f"{name}_row", column=f"{name}_column", present=f"{name}_present"
-                )
-                for name, s in series.items()
-            ]
-            out = xr.merge(parts).assign_coords(_coordinates(experiment, next(iter(series.values()))))
-        out.attrs = _attributes(experiment)
-        return out.drop_vars([drop_variables] if isinstance(drop_variables, str) else drop_variables or [])
+            there = ", ".join(path.strip("/") for path in groups)
+            raise ValueError(f"{filename_or_obj} has no camera {name!r}; it has {there}")
+        return out.assign_coords(root.coords).assign_attrs(root.attrs).drop_vars(_several(drop_variables))
 
     def open_groups_as_dict(  # type: ignore[override]
         self,
@@ -152,7 +146,7 @@ class ExperimentBackend(BackendEntrypoint):
         """
         experiment = Experiment.load(filename_or_obj, folder)
         series = experiment.open_frames()
-        drop = [drop_variables] if isinstance(drop_variables, str) else list(drop_variables or [])
+        drop = _several(drop_variables)
         coordinates = _coordinates(experiment, next(iter(series.values())))
         groups = {"/": xr.Dataset(coords=coordinates, attrs=_attributes(experiment))}
         groups |= {f"/{name}": _camera(s) for name, s in series.items()}
@@ -182,6 +176,14 @@ class ExperimentBackend(BackendEntrypoint):
         """
         groups = self.open_groups_as_dict(filename_or_obj, drop_variables=drop_variables, folder=folder)
         return xr.DataTree.from_dict(groups)
+
+
+def _several(names: str | Iterable[str] | None) -> list[str]:
+    return [names] if isinstance(names, str) else list(names or [])
+
+
+def _named(camera: xr.Dataset, name: str) -> xr.Dataset:
+    return camera.rename(image=name, row=f"{name}_row", column=f"{name}_column", present=f"{name}_present")
 
 
 def _camera(series: FrameSeries) -> xr.Dataset:
