@@ -140,6 +140,7 @@ from wavefield.waves.higher_order import higher_order
 from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Record, find_record
 from wavefield.waves.units import product
+from wavefield.waves.windows import effective_duration
 
 FIELDS = ("z", "z_t", "u", "v", "w")
 NAMES = ("z", "z_t", "u", "v", "w", "nl")
@@ -287,7 +288,7 @@ def _spectra_group(
         out = out.assign(_rename(whole, f"komega_{name}").data_vars)
     out["valid_komega"] = ring["valid"]
     out["coverage"], out["cells"] = ring["coverage"], ring["cells"]
-    duration = ring.attrs["segment"] * (ring.attrs["segments"] + 1) / 2 * ring.attrs["dt"]
+    duration = effective_duration(ring.attrs["segments"], ring.attrs["segment"] * ring.attrs["dt"])
     for name in NAMES:
         energy = ring[f"E_{name}"]
         over_k = energy.sum("omega") * step_omega

@@ -9,6 +9,7 @@ from wavefield.waves import rings
 from wavefield.waves.crosses import lazy_cross_spectra, need
 from wavefield.waves.record import Record
 from wavefield.waves.spectra import finish
+from wavefield.waves.windows import effective_duration
 
 NAMES = ("z_t", "w", "nl")
 PAIRS = (("z_t", "w"), ("z_t", "nl"), ("w", "nl"))
@@ -47,7 +48,7 @@ def samples_in_time(energy: xr.DataArray, duration: float, cells: xr.DataArray |
     energy : DataArray, (omega, ...)
         Spectrum, one-sided.
     duration : float
-        Length of the record, s.
+        Length of the record, s (`effective_duration` for an estimate from windowed segments).
     cells : DataArray, (omega, ...), optional
         Independent samples in space at each frequency.
 
@@ -85,7 +86,7 @@ def from_spectra(ring: xr.Dataset) -> xr.Dataset:
         As `coherence` gives it.
     """
     samples_k_omega = ring.attrs["degrees_of_freedom"] / 2 * ring["cells"]
-    duration = ring.attrs["segment"] * (ring.attrs["segments"] + 1) / 2 * ring.attrs["dt"]
+    duration = effective_duration(ring.attrs["segments"], ring.attrs["segment"] * ring.attrs["dt"])
     table = rings.rings(*ring.attrs["nodes"], *ring.attrs["node_step"], float(ring["k"][1] - ring["k"][0]))
     in_time = samples_in_time((ring["E_z_t"] * ring["E_w"]) ** 0.5, duration)
     samples_k = (in_time * xr.DataArray(table.cells, dims="k")).clip(min=1)
