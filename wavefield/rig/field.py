@@ -22,7 +22,7 @@ def common_field(
     cameras : iterable of Camera
         The cameras that must see every node.
     step : float, optional
-        Distance between nodes, metres; if left out, the round number (1, 2, 5, 10 ...) next above five pixels
+        Distance between nodes, metres; if left out, the round number (1, 2, 5, 10 ...) next above four pixels
         of the coarsest camera.
     height : float, default 0.05
         The surface may rise and sink by this much and stay in view, metres.
@@ -60,7 +60,7 @@ def common_field(
             seen &= camera.sees(x[None, :], y[:, None], z, margin)
     x0, x1, y0, y1 = _largest_rectangle(seen, (hi[1] - lo[1]) / (hi[0] - lo[0]))
     if step is None:
-        step = _round_up(5.0 * max(_pixel(c, 0.5 * (x[x0] + x[x1]), 0.5 * (y[y0] + y[y1])) for c in cameras))
+        step = _round_up(4.0 * max(_pixel(c, 0.5 * (x[x0] + x[x1]), 0.5 * (y[y0] + y[y1])) for c in cameras))
     ends = []
     for first, last in ((x[x0], x[x1]), (y[y0], y[y1])):
         # both ends are seen; whole multiples inside them are too
