@@ -58,6 +58,13 @@ def test_a_grid_that_no_two_cameras_see_is_refused(rig):
         Plan(Rig({"cam1": rig["cam1"]}), GRID)
 
 
+@pytest.mark.parametrize("place", [(2.0, 0.0), (50.0, 0.0), (20.0, 20.0), (0.0, 50.0), (-1e6, 1e6)])
+def test_a_grid_far_outside_the_view_is_refused_in_a_sentence(rig, place):
+    x, y = place
+    with pytest.raises(RigError, match="does the grid lie in"):
+        Plan(rig, Grid(x=(x, x + 0.2), y=(y - 0.1, y + 0.1), step=0.01))
+
+
 def test_cameras_left_over_pair_up_when_the_reference_is_missing(rig):
     plan = Plan(rig, GRID)
     assert plan.pairs_for(("cam3", "cam1")) == (("cam3", "cam1"),)

@@ -90,6 +90,7 @@ class Plan:
         self.z_range = settings.z_range or (-reach, reach)
         self.pixel = settings.pixel or self._fitting_pixel(*middle)
 
+        self._check_view()
         self.binning = self._binning(*middle)
         self.binned = {name: binned(rig[name], self.binning[name]) for name in self.cameras}
         self.blur = self._blur(*middle)
@@ -98,6 +99,16 @@ class Plan:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _cached, (tuple(self.rig.cameras.items()), self.grid, self.settings)
+
+    def _check_view(self) -> None:
+        """Refuse a grid of which no node is seen by two cameras."""
+        heights = (self.z_range[0], 0.0, self.z_range[1])
+        seen = {
+            name: np.any([self.rig[name].sees(self.x, self.y, z) for z in heights], axis=0)
+            for name in self.surface_cameras
+        }
+        if not any((seen[a] & seen[b]).any() for a, b in self.pairs):
+            raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
 
     def _fitting_pixel(self, x: float, y: float) -> float:
         """The cameras' own pixel, or finer (at most twice) where blocks would exceed 0.8 grid steps."""
@@ -369,10 +380,10 @@ def _coarsest_fine_side(cameras: Sequence[Camera], x: float, y: float) -> float:
 
 def _singular(camera: Camera, x: float, y: float) -> NDArray[Any]:
     """Largest and smallest px per metre on the water at rest."""
-    values = np.linalg.svd(camera.jacobian(x, y, 0.0)[:, :2], compute_uv=False)
-    if not np.isfinite(values).all():
-        raise RigError("a camera does not look at the middle of the grid")
-    return values
+    jacobian = camera.jacobian(x, y, 0.0)[:, :2]
+    if not np.isfinite(jacobian).all():
+        raise RigError("a camera does not look at the middle of the grid: does the grid lie in its view?")
+    return np.linalg.svd(jacobian, compute_uv=False)
 
 
 @lru_cache(maxsize=4)

@@ -274,12 +274,18 @@ def to_nodes(blocks: Blocks, matches: Sequence[PairMatch], plan: Plan) -> Surfac
     std = levelled(blocks.std, blocks.valid)
     z = push_pull(blocks.z[..., None], blocks.valid)
     wanted = plan.seen_blocks[reference] > 0.5
+    ny, nx = blocks.valid.shape
+    column, row = np.arange(nx, dtype=np.float32), np.arange(ny, dtype=np.float32)[:, None]
     for m in matches:
-        seen = plan.seen_blocks[m.pair[1]]
-        d = -m.parallax * z[..., 0] / plan.lattice.step
-        column = np.clip(np.rint(np.arange(seen.shape[1]) + d[0]), 0, seen.shape[1] - 1).astype(np.intp)
-        row = np.clip(np.rint(np.arange(seen.shape[0])[:, None] + d[1]), 0, seen.shape[0] - 1).astype(np.intp)
-        wanted &= seen[row, column] > 0.5
+        dx, dy = m.parallax * (z[..., 0] / np.float32(-plan.lattice.step))
+        there = cv2.remap(
+            plan.seen_blocks[m.pair[1]],
+            column + dx,
+            row + dy,
+            cv2.INTER_NEAREST,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        wanted &= there > 0.5
     holes = wanted & ~blocks.valid
     if holes.any():
         z = fill(blocks.z[..., None], blocks.valid, wanted, plan.energy_of(reference))
