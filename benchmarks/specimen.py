@@ -12,6 +12,8 @@ import os
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -44,22 +46,39 @@ def triangulate(rig: Rig, left, right):
     return 0.5 * (p + s[:, None] * u + q + t[:, None] * v)
 
 
-def compare(folder: Path, pictures: Path | None = None) -> list[tuple[str, str, str]]:
-    """Median differences, as (test, asked, reached)."""
-    images = [[read_image(folder / f"images/GT4-{n:04d}_{c}.tif") for n in range(6)] for c in (0, 1)]
-    rig = load_rig(folder / "cal.xml", names=["left", "right"])
-    tables = [
-        np.genfromtxt(folder / f"reference/DICe_solution_{n}.txt", delimiter=",", names=True)
-        for n in range(6)
-    ]
+@dataclass(frozen=True)
+class Difference:
+    """One load against the reference's points, metres."""
+
+    load: int
+    points: int
+    plane: float  # medians of the absolute differences
+    z: float
+    mean_z: float
+    moved: tuple[float, float, float]  # medians
+    fields: dict[str, np.ndarray]
+
+
+def differences(folder: Path, loads: Sequence[int] = range(1, 6)) -> tuple[Plan, list[Difference]]:
+    """Measure the specimen under the given loads; read the results at the reference's points."""
+    names = ("left", "right")
+    rig = load_rig(folder / "cal.xml", names=list(names))
+    images = {
+        name: {n: read_image(folder / f"images/GT4-{n:04d}_{c}.tif") for n in (0, *loads)}
+        for c, name in enumerate(names)
+    }
+    tables = {
+        n: np.genfromtxt(folder / f"reference/DICe_solution_{n}.txt", delimiter=",", names=True)
+        for n in (0, *loads)
+    }
     rest = tables[0]
     left = rest["COORDINATE_X"], rest["COORDINATE_Y"]
     right = left[0] + rest["CROSS_CORR_Q"], left[1] + rest["CROSS_CORR_R"]
     # z = 0 is the specimen's own plane
     rig, _ = level(rig, *triangulate(rig, left, right).T)
-    seen = [rig[n].unproject(*pixels) for n, pixels in (("left", left), ("right", right))]
+    seen = [rig[name].unproject(*pixels) for name, pixels in zip(names, (left, right), strict=True)]
     x, y, z, _ = triangulate_pair(
-        *seen, *(rig[n].sight_line(*at) for n, at in zip(("left", "right"), seen, strict=True))
+        *seen, *(rig[name].sight_line(*at) for name, at in zip(names, seen, strict=True))
     )
     good = (rest["MATCH"] >= 0) & np.isfinite(z)
     grid = Grid((x[good].min(), x[good].max() + 5e-4), (y[good].min(), y[good].max() + 5e-4), 5e-4)
@@ -70,11 +89,9 @@ def compare(folder: Path, pictures: Path | None = None) -> list[tuple[str, str, 
             field, [(py - grid.y[0]) / grid.step, (px - grid.x[0]) / grid.step], order=1, cval=np.nan
         )
 
-    rows = [
-        ("specimen: rectified pixel, um; lattice", "", f"{plan.pixel / MICRON:.1f}; {plan.lattice.shape}")
-    ]
-    for n in range(1, 6):
-        frames = {name: [None, images[c][0], images[c][n], None] for c, name in enumerate(("left", "right"))}
+    found = []
+    for n in loads:
+        frames = {name: [None, images[name][0], images[name][n], None] for name in names}
         out = {name: field[0] for name, field in measure(frames, plan, 1.0).items()}
         measured = ((out["quality"] & Quality.MEASURED) > 0).astype(float)
         ok = good & (tables[n]["MATCH"] >= 0) & (read(measured, x, y) > 0.99)
@@ -83,24 +100,40 @@ def compare(folder: Path, pictures: Path | None = None) -> list[tuple[str, str, 
         start, end = rig["left"].unproject(*left, z), rig["left"].unproject(*moved, z + read(out["w"], x, y))
         dx, dy = end[0] - start[0], end[1] - start[1]
         middle = x + 0.5 * dx, y + 0.5 * dy
-        off = {
-            "z": read(out["z"] - 0.5 * out["z_t"], x, y) - z,
-            "dx": read(out["u"], *middle) - dx,
-            "dy": read(out["v"], *middle) - dy,
-        }
-        plane = np.hypot(off["dx"], off["dy"])[ok]
+        plane = np.hypot(read(out["u"], *middle) - dx, read(out["v"], *middle) - dy)
+        height = read(out["z"] - 0.5 * out["z_t"], x, y) - z
+        found.append(
+            Difference(
+                load=n,
+                points=int(np.sum(ok)),
+                plane=float(np.nanmedian(plane[ok])),
+                z=float(np.nanmedian(np.abs(height[ok]))),
+                mean_z=float(np.nanmean(height[ok])),
+                moved=tuple(float(np.nanmedian(d)) for d in (dx[ok], dy[ok], out["w"][measured > 0])),
+                fields=out,
+            )
+        )
+    return plan, found
+
+
+def compare(folder: Path, pictures: Path | None = None) -> list[tuple[str, str, str]]:
+    """Median differences, as (test, asked, reached)."""
+    plan, found = differences(folder)
+    rows = [
+        ("specimen: rectified pixel, um; lattice", "", f"{plan.pixel / MICRON:.1f}; {plan.lattice.shape}")
+    ]
+    for each in found:
+        moved = ", ".join(f"{d / MICRON:.1f}" for d in each.moved)
         rows.append(
             (
-                f"specimen, load {n}: median |difference| in plane; z, um",
+                f"specimen, load {each.load}: median |difference| in plane; z, um",
                 "3; 8",
-                f"{np.nanmedian(plane) / MICRON:.2f}; {np.nanmedian(np.abs(off['z'][ok])) / MICRON:.2f}"
-                f"  ({np.sum(ok)} points; mean z {np.nanmean(off['z'][ok]) / MICRON:+.1f}; moved"
-                f" {np.nanmedian(dx[ok]) / MICRON:.1f}, {np.nanmedian(dy[ok]) / MICRON:.1f},"
-                f" {np.nanmedian(out['w'][measured > 0]) / MICRON:.1f})",
+                f"{each.plane / MICRON:.2f}; {each.z / MICRON:.2f}  ({each.points} points;"
+                f" mean z {each.mean_z / MICRON:+.1f}; moved {moved})",
             )
         )
         if pictures:
-            draw(out, grid, pictures / f"specimen_{n}.png")
+            draw(each.fields, plan.grid, pictures / f"specimen_{each.load}.png")
     return rows
 
 
