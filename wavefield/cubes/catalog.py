@@ -19,6 +19,7 @@ from urllib.parse import unquote, urlparse
 
 import yaml
 
+from wavefield.cubes.cluster import open_cluster
 from wavefield.cubes.processing import Prepared, ProgressFunction, prepare, process
 from wavefield.cubes.state import Status
 from wavefield.cubes.workflow import Workflow
@@ -205,7 +206,8 @@ def run_catalog(
         chosen = {"run": run, **(parameters or {})}
         prepared = prepare(find_experiment(path, chosen), rig, workflow)
         store = Path(out) if out is not None else store_of(path, chosen, prepared)
-        done.append(process(prepared, store, _named(progress, run)))
+        with open_cluster(prepared.workflow) as map_unordered:
+            done.append(process(prepared, store, map_unordered, _named(progress, run)))
         if out is None:
             _link_latest(store, prepared)
     return done

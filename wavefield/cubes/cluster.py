@@ -1,13 +1,15 @@
 """Where blocks are measured: in this process, in others of this machine, in Slurm jobs, on any scheduler."""
 
 import ctypes
+import functools
 import inspect
 import logging
 import os
 import shlex
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from typing import Any, TypeVar
 
@@ -119,38 +121,46 @@ def count_workers(workflow: Workflow) -> int:
 
 
 @contextmanager
-def open_cluster(workflow: Workflow) -> Iterator[Callable[[Work, Sequence[Any]], Iterator[Any]]]:
-    """Start (or find) workers and give a function that maps work over items.
+def open_cluster(
+    workflow: Workflow, ahead: bool = False
+) -> Iterator[Callable[[Work, Sequence[Any]], Generator[Any]]]:
+    """Give a function that maps work over items, once, on workers that come and go with it.
 
     Parameters
     ----------
     workflow : Workflow
         Where to work.
+    ahead : bool
+        Start processes of this machine at once, while the caller prepares their work.
 
     Yields
     ------
     map_unordered : callable
-        ``map_unordered(work, items)`` iterates over (item, result or exception) as they are done.
-
-    Raises
-    ------
-    ExperimentError
-        If the cluster cannot be started or the scheduler not be reached.
+        ``map_unordered(work, items)`` iterates over (item, result or exception) as they are done. It raises
+        ExperimentError if the cluster cannot be started or the scheduler not be reached.
     """
     if workflow.cluster == "none" or (workflow.cluster == "local" and count_workers(workflow) == 1):
         yield _map_here
         return
-    with ExitStack() as stack:
-        stack.enter_context(_configured(dask_settings(workflow)))
-        client = _connect(workflow, stack)
-        client.register_plugin(_make_plugin())
-        if client.dashboard_link and workflow.dashboard:
-            log.info("dashboard: %s", client.dashboard_link)
-        if workflow.performance_report:
-            from distributed import performance_report
+    # the thread goes first, so that no cluster comes up after all has been closed
+    with ExitStack() as stack, _configured(dask_settings(workflow)), ThreadPoolExecutor(1) as thread:
+        start = functools.cache(lambda: thread.submit(_connect, workflow, stack))
+        if ahead and workflow.cluster == "local":
+            start()
 
-            stack.enter_context(performance_report(filename=workflow.performance_report))
-        yield lambda work, items: _map_on(client, work, items)
+        def map_unordered(work: Work, items: Sequence[Any]) -> Generator[Any]:
+            with stack:  # the workers end with their work, while the caller still guards the store
+                client = start().result()
+                if client.dashboard_link and workflow.dashboard:
+                    log.info("dashboard: %s", client.dashboard_link)
+                if workflow.performance_report:
+                    from distributed import performance_report
+
+                    stack.enter_context(client.as_current())
+                    stack.enter_context(performance_report(filename=workflow.performance_report))
+                yield from _map_on(client, work, items)
+
+        yield map_unordered
 
 
 def dask_settings(workflow: Workflow) -> dict[str, Any]:
@@ -202,9 +212,8 @@ def _connect(workflow: Workflow, stack: ExitStack) -> Any:
 
     if workflow.cluster == "address":
         try:
-            return stack.enter_context(
-                Client(workflow.address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)
-            )
+            client = Client(workflow.address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)
+            return _settled(client, stack)
         except OSError as error:
             raise ExperimentError(
                 f"no scheduler answers at {workflow.address} ({error}); start one with "
@@ -223,10 +232,11 @@ def _connect(workflow: Workflow, stack: ExitStack) -> Any:
                 processes=True,
                 memory_limit=workflow.memory_bytes or "auto",
                 dashboard_address=workflow.dashboard,
+                preload=["wavefield.cubes.work", "wavefield.measurement.measure"],
                 silence_logs=logging.ERROR,
             )
         )
-    return stack.enter_context(Client(cluster, timeout="60s", set_as_default=False))
+    return _settled(Client(cluster, timeout="60s", set_as_default=False), stack)
 
 
 def slurm_cluster(workflow: Workflow) -> Any:
@@ -297,6 +307,12 @@ def count_jobs(workflow: Workflow) -> int:
     return 1 if workflow.workers == "auto" else -(-workflow.workers // processes)
 
 
+def _settled(client: Any, stack: ExitStack) -> Any:
+    stack.enter_context(client)
+    client.register_plugin(_make_plugin())
+    return client
+
+
 def _make_plugin() -> Any:
     from distributed import WorkerPlugin
 
@@ -316,7 +332,7 @@ def _make_plugin() -> Any:
     return Settle()
 
 
-def _map_here(work: Work, items: Sequence[Any]) -> Iterator[Any]:
+def _map_here(work: Work, items: Sequence[Any]) -> Generator[Any]:
     one_thread()
     keep_memory()
     for item in items:
@@ -362,7 +378,7 @@ def _undisturbed() -> Iterator[None]:
         tell(heard[0], None)
 
 
-def _map_on(client: Any, work: Work, items: Sequence[Any]) -> Iterator[Any]:
+def _map_on(client: Any, work: Work, items: Sequence[Any]) -> Generator[Any]:
     from distributed import CancelledError, as_completed
 
     futures = {

@@ -8,8 +8,8 @@ import logging
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ from wavefield.variables import FrameStatus
 
 log = logging.getLogger("wavefield.run")
 ProgressFunction = Callable[[int, int, str], None]
+MapFunction = Callable[[Work, Sequence[Block]], Generator[tuple[Block, Any]]]
 
 _LONGEST_BLOCK = 100  # steps; a block costs one to two steps more for its three extra frames
 _ENOUGH_FAILURES = 3  # blocks that fail before any succeeds: something is wrong with all of them
@@ -130,9 +131,12 @@ def run(
         )
     if entries:
         raise ExperimentError(f"{experiment} is an experiment, not a catalog: it has no run {entries[0]!r}")
-    prepared = prepare(experiment, rig, workflow)
-    path = Path(out) if out is not None else prepared.experiment.resolve("cube.zarr")
-    return process(prepared, path, progress)
+    if not isinstance(experiment, Experiment):
+        experiment = Experiment.load(experiment)
+    workflow = load_workflow(workflow)
+    path = Path(out) if out is not None else experiment.resolve("cube.zarr")
+    with open_cluster(workflow, ahead=not path.exists()) as map_unordered:
+        return process(prepare(experiment, rig, workflow), path, map_unordered, progress)
 
 
 def is_catalog(path: str | Path) -> bool:
@@ -179,10 +183,7 @@ def prepare(
 
     if not isinstance(experiment, Experiment):
         experiment = Experiment.load(experiment)
-    if workflow is None:
-        workflow = Workflow()
-    elif not isinstance(workflow, Workflow):
-        workflow = Workflow.load(workflow)
+    workflow = load_workflow(workflow)
     series = experiment.open_frames()
     if not isinstance(rig, Rig):
         rig = experiment.load_rig(rig, series)
@@ -199,6 +200,23 @@ def prepare(
     series = {name: series[name] for name in used}
     recipe = make_recipe(experiment, series, rig, grid, settings, workflow.packing)
     return Prepared(experiment, series, rig, grid, plan, recipe, workflow)
+
+
+def load_workflow(workflow: str | Path | Workflow | None) -> Workflow:
+    """A workflow that may be a file still, or none.
+
+    Parameters
+    ----------
+    workflow : path or Workflow, optional
+        The workflow; by default the processes of this machine.
+
+    Returns
+    -------
+    Workflow
+    """
+    if workflow is None:
+        return Workflow()
+    return workflow if isinstance(workflow, Workflow) else Workflow.load(workflow)
 
 
 def expected_coverage(rig: Rig, grid: Grid) -> float:
@@ -282,7 +300,9 @@ def choose_block(steps: int, workers: int, step_bytes: int, memory: int | None) 
     return max(1, min(longest, -(-steps // (workers * rounds))))
 
 
-def process(prepared: Prepared, path: Path, progress: ProgressFunction | None = None) -> Status:
+def process(
+    prepared: Prepared, path: Path, map_unordered: MapFunction, progress: ProgressFunction | None = None
+) -> Status:
     """Create the store or go on with it, until every block is done.
 
     Parameters
@@ -291,6 +311,8 @@ def process(prepared: Prepared, path: Path, progress: ProgressFunction | None = 
         As from `prepare`.
     path : path
         The store.
+    map_unordered : callable
+        As from `wavefield.cubes.cluster.open_cluster`.
     progress : callable, optional
         Called with steps done, steps of the whole run, and a sentence.
 
@@ -308,7 +330,7 @@ def process(prepared: Prepared, path: Path, progress: ProgressFunction | None = 
     path = path.absolute()
     with only_run(path), log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
         try:
-            _go_on(prepared, path, progress)
+            _go_on(prepared, path, map_unordered, progress)
         except KeyboardInterrupt as stop:
             raise RunStopped(
                 f"stopped{_why(stop)}{_how_far(path)}; nothing is lost, and the same command goes on"
@@ -316,14 +338,16 @@ def process(prepared: Prepared, path: Path, progress: ProgressFunction | None = 
     return status(path)
 
 
-def _go_on(prepared: Prepared, path: Path, progress: ProgressFunction | None) -> None:
+def _go_on(
+    prepared: Prepared, path: Path, map_unordered: MapFunction, progress: ProgressFunction | None
+) -> None:
     layout = _open_or_create(prepared, path)
     ranges = unfinished(path, layout, prepared.series)
     todo = [make_block(prepared.series, start, stop) for start, stop in ranges]
     tracker = _Tracker(layout.steps, layout.steps - sum(b.steps for b in todo), progress)
     tracker.say(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} blocks to do")
     if todo:
-        _work_off(prepared, path, todo, tracker)
+        _work_off(prepared, path, todo, map_unordered, tracker)
     tracker.say("done")
 
 
@@ -395,13 +419,20 @@ def unfinished(path: Path, layout: stores.Layout, series: Mapping[str, FrameSeri
     return todo
 
 
-def _work_off(prepared: Prepared, path: Path, todo: Sequence[Block], tracker: "_Tracker") -> None:
+def _work_off(
+    prepared: Prepared,
+    path: Path,
+    todo: Sequence[Block],
+    map_unordered: MapFunction,
+    tracker: "_Tracker",
+) -> None:
     work = Work(path, prepared.plan, prepared.experiment.frame_rate)
     failures: list[tuple[Block, BaseException]] = []
     succeeded = 0
-    with open_cluster(prepared.workflow) as map_unordered:
-        tracker.start()
-        for block, result in map_unordered(work, todo):
+    tracker.start()
+    # closed here and now: what is not done yet is called off before anything else
+    with closing(map_unordered(work, todo)) as results:
+        for block, result in results:
             if isinstance(result, WavefieldError):
                 raise result
             if isinstance(result, BaseException):
