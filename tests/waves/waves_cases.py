@@ -181,6 +181,14 @@ class PeriodicSea:
         return cube(fields, t, y, x, water_depth=self.depth, frame_rate=1 / dt)
 
 
+def seen(lines, true, n, step):
+    """Density on each line from a wave of variance 1 at each true k or omega, through a Hann window."""
+    from wavefield.waves.windows import hann
+
+    turned = np.exp(-1j * np.subtract.outer(lines, true)[..., None] * step * np.arange(n))
+    return np.abs(turned @ hann(n)) ** 2 / (hann(n) ** 2).sum() * step / (2 * np.pi)
+
+
 class GaussianSea:
     """Gaussian waves of known spectrum around the ridge, D(theta) ~ cos(theta / 2)^(2 spread); quick.
 
@@ -210,14 +218,20 @@ class GaussianSea:
         lines[-np.arange(half + 1)] *= (raw[0] + 1j * raw[1]) / np.float32(np.sqrt(2))
         return fft.ifftn(lines, overwrite_x=True).real * np.float32(lines.size)
 
+    def expected_map(self, ny, nx, segment):
+        """Mean of E(ky, kx, omega) as a rectangle and a segment see it."""
+        from wavefield.waves import rings
+
+        ky, kx = (np.sort(rings.wavenumbers(n, self.dx)) for n in (ny, nx))
+        omega = 2 * np.pi * np.arange(segment // 2 + 1) / (segment * self.dt)
+        on_omega = seen(omega, self.omega, segment, self.dt)
+        on_y, on_x = seen(ky, self.k, ny, self.dx), seen(kx, self.k, nx, self.dx)
+        E = np.einsum("tw,wab,ya,xb->tyx", on_omega, self.variance, on_y, on_x, optimize=True)
+        return xr.DataArray(E, {"omega": omega, "ky": ky, "kx": kx}, ("omega", "ky", "kx"))
+
     def expected(self, E):
         """Mean of E(k, omega) as a rectangle and a segment see it, (omega, k)."""
-        from wavefield.waves import rings, windows
-
-        def seen(lines, true, n, step):
-            window = windows.hann(n)
-            turned = np.exp(-1j * np.subtract.outer(lines, true)[..., None] * step * np.arange(n))
-            return np.abs(turned @ window) ** 2 / (window**2).sum() * step / (2 * np.pi)
+        from wavefield.waves import rings
 
         ny, nx = E.attrs["nodes"]
         table = rings.rings(ny, nx, self.dx, self.dx)

@@ -96,6 +96,8 @@ in [low E, high E] with 95 % confidence. ``valid`` masks say where a spectrum ca
 
     - ``D`` (omega_map, theta): directional density of the waves on the ridge, rad-1, its integral is 1; with
       ``dof_D``, ``low_D``, ``high_D``.
+    - ``direction``, ``spread`` (omega_map): mean direction and directional spread, rad; the resolution is
+      taken off the spread.
     - ``isotropy`` (omega): 1 - the larger of the first two harmonics, 1 for an isotropic sea. This group has
       its own omega.
 

@@ -44,8 +44,9 @@ def directions(
     -------
     Dataset
         ``D`` (frequency, theta): density over the direction of propagation, its integral over theta is 1;
-        ``dof``, ``low``, ``high`` (frequency, theta); ``isotropy`` (frequency): 1 - the larger modulus of the
-        first two harmonics of D, 1 for an isotropic sea, 0 for a single direction.
+        ``dof``, ``low``, ``high`` (frequency, theta); ``direction``, ``spread`` (frequency): mean direction
+        and directional spread, rad; ``isotropy`` (frequency): 1 - the larger modulus of the first two
+        harmonics of D, 1 for an isotropic sea, 0 for a single direction.
 
     Raises
     ------
@@ -55,7 +56,9 @@ def directions(
     Notes
     -----
     Cells near the ridge are shared between sectors by area (8 x 8 parts); the k plane's own coverage of each
-    sector is divided out, so a rectangle of nodes does not look like a direction.
+    sector is divided out, so a rectangle of nodes does not look like a direction. The spread is
+    sqrt(2 (1 - |int D exp(i theta) dtheta|)), the resolution taken off: a Hann window of length L blurs k by
+    (2 pi / L) / sqrt(3), cells and sectors by their width over sqrt(12). D itself keeps that blur.
     """
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
@@ -72,26 +75,32 @@ def directions(
     sector = np.floor((np.arctan2(sub_y, sub_x) % (2 * np.pi)) / width).astype(int) % sectors
     flat_cell = np.broadcast_to(np.arange(ky.size * kx.size).reshape(ky.size, 1, kx.size, 1), radius.shape)
 
-    density_rows, dof_rows = [], []
+    density_rows, dof_rows, centres = [], [], []
     for f in frequency:
         chosen = np.flatnonzero(np.abs(lines - f) <= bandwidth / 2 + 1e-9)
         if not chosen.size:
             chosen = np.array([np.abs(lines - f).argmin()])
         energy = density.isel(omega=chosen).mean("omega").values.astype(float)
         centre = float(wavenumber(2 * np.pi * f, depth, gamma))
+        centres.append(centre)
         ring = np.abs(radius - centre) < max(_HALF_WIDTH * centre, _LEAST_CELLS * cell)
         index = sector[ring] * energy.size + flat_cell[ring]
         shares = np.bincount(index, minlength=sectors * energy.size).reshape(sectors, -1) / n**2
         area = shares.sum(axis=1)
-        mean = np.divide(shares @ energy.ravel(), area, out=np.zeros(sectors), where=area > 0)
-        total = mean.sum() * width
-        density_rows.append(mean / total if total > 0 else np.full(sectors, np.nan))
+        level = np.divide(shares @ energy.ravel(), area, out=np.zeros(sectors), where=area > 0)
+        total = level.sum() * width
+        density_rows.append(level / total if total > 0 else np.full(sectors, np.nan))
         # Hann windows: 3.78 neighbouring cells and about two lines count as one
         independent = np.maximum(area / 3.78, 1) * max(chosen.size / 1.94, 1)
         dof_rows.append((np.nan if dof is None else dof) * independent)
     theta = (np.arange(sectors) + 0.5) * width
     values = np.array(density_rows)
-    harmonics = [np.abs((values * np.exp(1j * m * theta)).sum(axis=1) * width) for m in (1, 2)]
+    first, second = ((values * np.exp(1j * m * theta)).sum(axis=1) * width for m in (1, 2))
+    mean = np.angle(first)
+    # variance of a component of k: window 1/3 and cell 1/12, in cells; across the mean direction
+    across = np.hypot((ky[1] - ky[0]) * np.cos(mean), (kx[1] - kx[0]) * np.sin(mean)) / np.array(centres)
+    blur = 5 / 12 * across**2 + width**2 / 12
+    spread = np.sqrt(np.maximum(2 * (1 - np.abs(first)) - blur, 0))
     degrees = np.array(dof_rows)
     low, high = interval(degrees)
     dims = ("frequency", "theta")
@@ -101,9 +110,15 @@ def directions(
             "dof": (dims, degrees, {"long_name": "degrees of freedom", "units": "1"}),
             "low": (dims, low, {"long_name": "lower end of the 95 % interval, factor", "units": "1"}),
             "high": (dims, high, {"long_name": "upper end of the 95 % interval, factor", "units": "1"}),
+            "direction": (
+                "frequency",
+                mean % (2 * np.pi),
+                {"long_name": "mean direction of propagation, from x towards y", "units": "rad"},
+            ),
+            "spread": ("frequency", spread, {"long_name": "directional spread", "units": "rad"}),
             "isotropy": (
                 "frequency",
-                1 - np.maximum(*harmonics),
+                1 - np.maximum(np.abs(first), np.abs(second)),
                 {"long_name": "isotropy, 1 - largest of the first two harmonics", "units": "1"},
             ),
         },
