@@ -144,35 +144,49 @@ def method_diagram(pairs: Sequence[tuple[str, str]], velocity: Sequence[str]) ->
     figure, axes = panels(1, width=8.6, height=3.9)
     ax = axes[0, 0]
     place = {name: 1.0 - i for i, name in enumerate(order)}
-    for column, moment in ((0.0, "t"), (1.7, "t + dt")):
+    wide = max(_width(f"{name}, t + dt") for name in order)
+    later = wide + 0.7
+    for column, moment in ((0.0, "t"), (later, "t + dt")):
         for name, row in place.items():
-            _box(ax, column, row, f"{name}, {moment}", "#DDEBF7")
-    for column in (0.0, 1.7):
+            _box(ax, column, row, f"{name}, {moment}", "#DDEBF7", wide)
         for a, b in pairs:
-            _arrow(ax, (column, place[a]), (column, place[b]), LINES[1]["color"])
+            _arrow(ax, (column, place[a]), (column, place[b]), LINES[1]["color"], gap=22)
     for name in velocity:
-        _arrow(ax, (0.55, place[name]), (1.15, place[name]), LINES[2]["color"], gap=0)
+        _arrow(ax, (wide / 2, place[name]), (later - wide / 2, place[name]), LINES[2]["color"])
     bottom = min(place.values())
-    _box(ax, 4.0, 1.0, "surface at t and t + dt,\nits neighbours: z at mid-time", "#EAF4EC")
-    _box(ax, 4.0, bottom, "displacement of each camera\nat its mid-time place", "#FBEFE4")
-    _box(ax, 6.4, (1.0 + bottom) / 2, "u, v, w\non the surface\nat t + dt/2", "#F3EAF4")
-    _arrow(ax, (2.35, (1.0 + bottom) / 2 + 0.35), (3.05, 0.95), LINES[1]["color"], gap=0)
-    _arrow(ax, (2.35, (1.0 + bottom) / 2 - 0.35), (3.05, bottom + 0.05), LINES[2]["color"], gap=0)
-    _arrow(ax, (4.9, 0.85), (5.75, (1.0 + bottom) / 2 + 0.2), "0.2", gap=0)
-    _arrow(ax, (4.9, bottom + 0.15), (5.75, (1.0 + bottom) / 2 - 0.2), "0.2", gap=0)
-    _arrow(ax, (4.0, 0.7), (4.0, bottom + 0.3), "0.2", gap=0)
+    middle_row = (1.0 + bottom) / 2
+    stereo, motion = (
+        "surface at t and t + dt,\nits neighbours: z at mid-time",
+        "displacement of each camera\nat its mid-time place",
+    )
+    broad = max(_width(stereo), _width(motion))
+    seen = later + wide / 2
+    found = seen + 0.8 + broad / 2
+    right = found + broad / 2
+    _box(ax, found, 1.0, stereo, "#EAF4EC", broad)
+    _box(ax, found, bottom, motion, "#FBEFE4", broad)
+    result = "u, v, w\non the surface\nat t + dt/2"
+    _box(ax, right + 0.8 + _width(result) / 2, middle_row, result, "#F3EAF4", _width(result))
+    _arrow(ax, (seen, middle_row + 0.35), (seen + 0.8, 0.95), LINES[1]["color"])
+    _arrow(ax, (seen, middle_row - 0.35), (seen + 0.8, bottom + 0.05), LINES[2]["color"])
+    _arrow(ax, (right, 0.85), (right + 0.8, middle_row + 0.2), "0.2")
+    _arrow(ax, (right, bottom + 0.15), (right + 0.8, middle_row - 0.2), "0.2")
+    _arrow(ax, (found, 0.66), (found, bottom + 0.34), "0.2")
     ax.plot([], [], color=LINES[1]["color"], label="stereo: parallax between cameras")
     ax.plot([], [], color=LINES[2]["color"], label="PIV: displacement in time")
     ax.legend(loc="lower center", ncols=2, bbox_to_anchor=(0.5, -0.12), frameon=False)
-    ax.set(xlim=(-0.75, 7.2), ylim=(bottom - 0.75, 1.5))
+    ax.set(xlim=(-wide / 2 - 0.1, right + 0.9 + _width(result)), ylim=(bottom - 0.75, 1.5))
     ax.axis("off")
     return figure
 
 
-def _box(ax, x: float, y: float, text: str, colour: str) -> None:  # type: ignore[no-untyped-def]
-    lines = text.split("\n")
-    w, h = 0.085 * max(map(len, lines)) * 0.75 + 0.25, 0.26 * len(lines) + 0.16
-    w = max(w, 1.0)
+def _width(text: str) -> float:
+    """Width of a box that holds these lines."""
+    return max(0.064 * max(map(len, text.split("\n"))) + 0.25, 1.0)
+
+
+def _box(ax, x: float, y: float, text: str, colour: str, w: float) -> None:  # type: ignore[no-untyped-def]
+    h = 0.26 * len(text.split("\n")) + 0.16
     ax.add_patch(
         FancyBboxPatch(
             (x - w / 2, y - h / 2),
@@ -188,7 +202,7 @@ def _box(ax, x: float, y: float, text: str, colour: str) -> None:  # type: ignor
 
 
 def _arrow(  # type: ignore[no-untyped-def]
-    ax, start: tuple[float, float], end: tuple[float, float], colour: str, gap: float = 22
+    ax, start: tuple[float, float], end: tuple[float, float], colour: str, gap: float = 2
 ) -> None:
     ax.add_patch(
         FancyArrowPatch(
