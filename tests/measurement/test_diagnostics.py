@@ -31,8 +31,8 @@ def test_mismatch_predicts_the_error_of_each_pair(series, diagnosis):
 def test_the_table_gives_centimetres_and_pixels(diagnosis):
     rows = {row["name"]: row for row in diagnosis.table()}
     everybody = "eps' cam1-cam2-cam3"
-    assert {"eps_Y cam3-cam1", "sigma_z cam1-cam2", everybody, "z cam1-cam2 recombined - direct"} <= set(rows)
-    row = rows["eps_Y cam3-cam1"]
+    assert {"eps_y cam3-cam1", "sigma_z cam1-cam2", everybody, "z cam1-cam2 recombined - direct"} <= set(rows)
+    row = rows["eps_y cam3-cam1"]
     assert row["cm"] == pytest.approx(100 * PIXEL * row["px"])
     assert rows[everybody]["cm"] is None
     assert 0 < rows[everybody]["px"] < 0.2

@@ -73,7 +73,7 @@ class Diagnosis:
         """
         rows = []
         for pair, values in self.eps_y.items():
-            rows.append(self._row(f"eps_Y {joined(pair)}", values))
+            rows.append(self._row(f"eps_y {joined(pair)}", values))
             rows.append({"name": f"sigma_z {joined(pair)}", **self._units(self.z_std[pair]), "share": None})
         for (one, other), values in self.difference.items():
             name = f"(z {joined(one)} - z {joined(other)}) / sqrt 2"

@@ -166,15 +166,17 @@ class Section:
         )
 
 
-def render(title: str, subtitle: str, sections: Sequence[Section], player: Mapping[str, str]) -> str:
+def render(
+    title: str, subtitle: str, sections: Sequence[tuple[Section, str]], player: Mapping[str, str]
+) -> str:
     """Put the page together.
 
     Parameters
     ----------
     title, subtitle : str
         At its head.
-    sections : sequence of Section
-        Its parts; empty ones are left out.
+    sections : sequence of (Section, str)
+        Its parts, each with its HTML.
     player : mapping of str to str
         Data of the moving pictures (`player.pack`); empty without them.
 
@@ -184,7 +186,6 @@ def render(title: str, subtitle: str, sections: Sequence[Section], player: Mappi
         HTML, complete in itself.
     """
     assets = files("wavefield.report").joinpath("assets")
-    shown = [section for section in sections if section.items]
     return Template(assets.joinpath("page.html").read_text(encoding="utf-8")).substitute(
         title=html.escape(title),
         subtitle=html.escape(subtitle),
@@ -194,7 +195,7 @@ def render(title: str, subtitle: str, sections: Sequence[Section], player: Mappi
             f'<script type="application/octet-stream" id="{name}">{value}</script>'
             for name, value in player.items()
         ),
-        contents="".join(f'<li><a href="#{s.anchor}">{html.escape(s.title)}</a></li>' for s in shown),
-        body="\n".join(section.html() for section in shown),
+        contents="".join(f'<li><a href="#{s.anchor}">{html.escape(s.title)}</a></li>' for s, _ in sections),
+        body="\n".join(body for _, body in sections),
         version=html.escape(__version__),
     )

@@ -446,7 +446,7 @@ def accuracy(sources: Sources) -> Section:
                 "Spectrum of the elevation by each road; thin where it is not to be trusted. The band is "
                 "the 95 % "
                 "interval of the stereo spectrum."
-                + ("" if "Ez_probes" in group else " The experiment has no wave probes to compare with."),
+                + ("" if "Ez_probes" in group else " Without wave probes."),
                 "Curves on logarithmic axes: "
                 + ("probes, " if "Ez_probes" in group else "")
                 + f"stereo, integrated w, cross-spectrum, fusion.{reach}",

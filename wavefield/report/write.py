@@ -32,7 +32,9 @@ def write_report(
     for i, build in enumerate(SECTIONS):
         if progress:
             progress(i, len(SECTIONS))
-        sections.append(build(sources))
+        section = build(sources)
+        if section.items:
+            sections.append((section, section.html()))  # drawing is most of the work
     cube = sources.cube
     name = str(cube.attrs.get("experiment", "")) or "unnamed experiment"
     subtitle = f"{cube.sizes['time']} steps of z, u, v, w on {cube.sizes['x']} x {cube.sizes['y']} nodes"
