@@ -17,8 +17,8 @@ from wavefield.errors import WavefieldError
 
 _EPILOG = """\b
 A first look:   wavefield demo
-Your own data:  wavefield check experiment.yaml
-                wavefield calibrate experiment.yaml
+Your own data:  wavefield calibrate experiment.yaml
+                wavefield check experiment.yaml
                 wavefield run experiment.yaml
                 wavefield analyze cube.zarr
                 wavefield report cube.zarr

@@ -96,7 +96,10 @@ class FrameSeries:
         try:
             image = read_entry(entry)
         except FrameError as error:
-            return Frame(None, FrameFault.UNREADABLE, f"{place}: {error}")
+            words = str(error)  # which mostly names the file itself
+            if entry.path in words:
+                place = f"{self.camera} frame {self.first + index}"
+            return Frame(None, FrameFault.UNREADABLE, f"{place}: {words}")
         return self.judge(image, place)
 
     def judge(self, image: np.ndarray, place: str) -> Frame:
