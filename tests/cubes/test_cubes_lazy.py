@@ -71,7 +71,26 @@ def test_values_are_those_of_the_run_whatever_the_block(frames, rig, grid, refer
     part = cube.isel(time=slice(0, 8)).compute(scheduler="sync")
     assert different(part, wf.open_cube(reference), slice(0, 8)) == []
     np.testing.assert_allclose(cube.time, (np.arange(16) + 0.5) / 20.0)
-    assert cube.attrs == {"frame_rate": 20.0, "experiment": "small-tank", "water_depth": 0.7}
+    assert cube.attrs == {
+        "frame_rate": 20.0,
+        "experiment": "small-tank",
+        "water_depth": 0.7,
+        "pixel_size": pytest.approx(pixel_seen(rig, grid), rel=1e-4),
+    }
+
+
+def pixel_seen(rig, grid, side=1e-4):
+    """Side of a square of water that covers one pixel of the camera that resolves least."""
+    x, y = np.mean(grid.x) + side * np.array([0, 1, 1, 0]), np.mean(grid.y) + side * np.array([0, 0, 1, 1])
+    covered = []
+    for camera in rig.cameras.values():
+        X, Y = camera.project(x, y, 0.0)
+        covered.append(0.5 * abs(np.dot(X, np.roll(Y, -1)) - np.dot(Y, np.roll(X, -1))))
+    return side / np.sqrt(min(covered))
+
+
+def test_a_store_says_how_large_a_pixel_is(reference, rig, grid):
+    assert wf.open_cube(reference).attrs["pixel_size"] == pytest.approx(pixel_seen(rig, grid), rel=1e-4)
 
 
 def test_chunked_and_plain_arrays_give_the_same(tank, frames, rig, grid, reference):

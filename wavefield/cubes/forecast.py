@@ -13,8 +13,9 @@ import numpy as np
 
 from wavefield.cubes.block import Measured, make_block, measure_block
 from wavefield.cubes.cluster import count_workers, keep_memory, one_thread
-from wavefield.cubes.processing import Prepared, choose_block, expected_coverage, prepare
+from wavefield.cubes.processing import Prepared, expected_coverage, load_files, prepare
 from wavefield.cubes.state import spell_ranges
+from wavefield.cubes.store import COMPRESSION
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
@@ -189,8 +190,7 @@ def check(
     ExperimentError
         If the experiment file is wrong or images are not there.
     """
-    if not isinstance(experiment, Experiment):
-        experiment = Experiment.load(experiment)
+    experiment, _ = load_files(experiment, None)  # a wrong workflow is one of the problems
     series = experiment.open_frames()
     cameras = tuple(_look_at(s) for s in series.values())
     steps = len(next(iter(series.values()))) - 1
@@ -272,18 +272,13 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
             f"the step of frame {next(iter(prepared.series.values())).first + start} could not be measured; "
             "look at its images, the rig and the grid"
         )
-    workflow = prepared.workflow
-    workers = count_workers(workflow)
-    step_bytes = sum(field[0].nbytes for field in one.fields.values())
-    block = workflow.steps_per_block or choose_block(
-        prepared.steps, workers, step_bytes, workflow.memory_bytes
-    )
-    frames_measured = prepared.steps * (1 + 3 / block)
+    workers = count_workers(prepared.workflow)
+    frames_measured = prepared.steps * (1 + 3 / prepared.block)
     cost = Cost(
         step_seconds=step,
         workers=workers,
         seconds=step * frames_measured / workers,
-        memory=_peak_memory() + 3 * block * step_bytes,
+        memory=_peak_memory() + 3 * prepared.block * prepared.step_bytes,
         disk=int(_stored_bytes(one.fields) * prepared.steps / (stop - start)),
         free=shutil.disk_usage(prepared.experiment.path.parent).free,
     )
@@ -300,7 +295,7 @@ def _time_block(prepared: Prepared, start: int, stop: int) -> tuple[float, Measu
 
 def _stored_bytes(fields: Mapping[str, np.ndarray]) -> int:
     """Bytes of measured fields after compression as in the store."""
-    codec = numcodecs.Blosc(cname="zstd", clevel=3, shuffle=numcodecs.Blosc.SHUFFLE)
+    codec = numcodecs.Blosc(**COMPRESSION, shuffle=numcodecs.Blosc.SHUFFLE)
     return sum(len(codec.encode(np.ascontiguousarray(field))) for field in fields.values())
 
 

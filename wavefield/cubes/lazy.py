@@ -14,6 +14,7 @@ from dask.delayed import Delayed
 from dask.highlevelgraph import HighLevelGraph
 
 from wavefield.cubes.block import Block, make_block, measure_block
+from wavefield.cubes.pixel import pixel_size
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.rig import Rig
@@ -143,7 +144,8 @@ def reconstruct(
     }
     mid = 0.5 * (times[:-1] + times[1:])
     out = xr.Dataset(variables, coords={"time": mid, "y": grid.y_nodes, "x": grid.x_nodes})
-    out.attrs = {"frame_rate": frame_rate} | {
+    used = replace(rig, cameras={name: rig[name] for name in plan.cameras})
+    out.attrs = {"frame_rate": frame_rate, "pixel_size": pixel_size(used, grid)} | {
         name: attributes[name] for name in ("experiment", "water_depth") if name in attributes
     }
     return annotate(out)

@@ -19,6 +19,7 @@ import numpy as np
 from wavefield.cubes import store as stores
 from wavefield.cubes.block import Block, make_block
 from wavefield.cubes.cluster import count_workers, open_cluster
+from wavefield.cubes.pixel import pixel_size
 from wavefield.cubes.recipe import Recipe, make_recipe
 from wavefield.cubes.state import Status, status
 from wavefield.cubes.work import Work
@@ -28,7 +29,7 @@ from wavefield.grid import Grid
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.document import read_yaml
-from wavefield.variables import FrameStatus
+from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus
 
 log = logging.getLogger("wavefield.run")
 ProgressFunction = Callable[[int, int, str], None]
@@ -72,6 +73,20 @@ class Prepared:
     def steps(self) -> int:
         """Number of steps of the whole run."""
         return len(next(iter(self.series.values()))) - 1
+
+    @property
+    def step_bytes(self) -> int:
+        """Bytes of the results of one step."""
+        return self.plan.x.size * sum(np.dtype(TABLE[name].dtype).itemsize for name in CUBE_FIELDS)
+
+    @property
+    def block(self) -> int:
+        """Steps per block of a new store."""
+        workflow = self.workflow
+        block = workflow.steps_per_block or choose_block(
+            self.steps, count_workers(workflow), self.step_bytes, workflow.memory_bytes
+        )
+        return min(block, self.steps)
 
 
 def run(
@@ -120,6 +135,9 @@ def run(
     -----
     Results do not depend on the workflow: neither on the number of workers nor on the size of blocks.
 
+    A store goes on with the recipe that it was begun with: settings, rig, grid, names of images, and the
+    version of this package. Changed sources of one version and changed images of one name are not noticed.
+
     Worker processes start by importing the program that started them: in a script, call this below
     ``if __name__ == "__main__":``.
     """
@@ -131,9 +149,7 @@ def run(
         )
     if entries:
         raise ExperimentError(f"{experiment} is an experiment, not a catalog: it has no run {entries[0]!r}")
-    if not isinstance(experiment, Experiment):
-        experiment = Experiment.load(experiment)
-    workflow = load_workflow(workflow)
+    experiment, workflow = load_files(experiment, workflow)
     path = Path(out) if out is not None else experiment.resolve("cube.zarr")
     with open_cluster(workflow, ahead=not path.exists()) as map_unordered:
         return process(prepare(experiment, rig, workflow), path, map_unordered, progress)
@@ -181,9 +197,7 @@ def prepare(
     """
     from wavefield.measurement import Plan
 
-    if not isinstance(experiment, Experiment):
-        experiment = Experiment.load(experiment)
-    workflow = load_workflow(workflow)
+    experiment, workflow = load_files(experiment, workflow)
     series = experiment.open_frames()
     if not isinstance(rig, Rig):
         rig = experiment.load_rig(rig, series)
@@ -202,21 +216,30 @@ def prepare(
     return Prepared(experiment, series, rig, grid, plan, recipe, workflow)
 
 
-def load_workflow(workflow: str | Path | Workflow | None) -> Workflow:
-    """A workflow that may be a file still, or none.
+def load_files(
+    experiment: str | Path | Experiment, workflow: str | Path | Workflow | None
+) -> tuple[Experiment, Workflow]:
+    """Read the files that describe a run, as far as they are not read yet.
 
     Parameters
     ----------
+    experiment : path or Experiment
+        The experiment.
     workflow : path or Workflow, optional
-        The workflow; by default the processes of this machine.
+        How to process; by default on the processes of this machine.
 
     Returns
     -------
-    Workflow
+    experiment : Experiment
+        Read and checked.
+    workflow : Workflow
+        Likewise.
     """
-    if workflow is None:
-        return Workflow()
-    return workflow if isinstance(workflow, Workflow) else Workflow.load(workflow)
+    if not isinstance(experiment, Experiment):
+        experiment = Experiment.load(experiment)
+    if not isinstance(workflow, Workflow):
+        workflow = Workflow() if workflow is None else Workflow.load(workflow)
+    return experiment, workflow
 
 
 def expected_coverage(rig: Rig, grid: Grid) -> float:
@@ -364,15 +387,14 @@ def _open_or_create(prepared: Prepared, path: Path) -> stores.Layout:
         stores.check_recipe(path, group, prepared.recipe)
         stores.clean_up(path)
         return stores.read_layout(group)
-    grid, workflow = prepared.grid, prepared.workflow
-    step_bytes = grid.shape[0] * grid.shape[1] * 45
-    block = workflow.steps_per_block or choose_block(
-        prepared.steps, count_workers(workflow), step_bytes, workflow.memory_bytes
-    )
+    grid = prepared.grid
     first = next(iter(prepared.series.values())).first
-    layout = stores.Layout(prepared.steps, min(block, prepared.steps), tuple(prepared.series), first)
+    layout = stores.Layout(prepared.steps, prepared.block, tuple(prepared.series), first)
     depth = prepared.experiment.water.depth
-    attributes: dict[str, Any] = {"experiment_file": str(prepared.experiment.path)}
+    attributes: dict[str, Any] = {
+        "experiment_file": str(prepared.experiment.path),
+        "pixel_size": pixel_size(prepared.rig, grid),
+    }
     if prepared.experiment.folder:
         attributes["image_folder"] = str(prepared.experiment.image_folder)
     if depth:

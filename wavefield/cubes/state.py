@@ -50,7 +50,7 @@ class Status:
     experiment : str
         Name of the experiment.
     recipe_hash : str
-        Of the recipe it is made with.
+        Of the recipe it is made with: settings, rig, grid, names of images, version of this package.
     steps : int
         Steps of the whole run.
     done, faulty, failed : int

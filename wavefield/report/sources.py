@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from wavefield.cubes.pixel import pixel_size as pixel_size
 from wavefield.errors import StoreError, WavefieldError
 from wavefield.grid import Grid
 from wavefield.rig import Camera, Rig
@@ -201,25 +202,3 @@ def grid_of(cube: xr.Dataset) -> Grid:
     """
     x, y = cube.x.values, cube.y.values
     return Grid((x[0], x[-1]), (y[0], y[-1]), float(np.mean(np.diff(x))))
-
-
-def pixel_size(rig: Rig, grid: Grid) -> float:
-    """Size of a pixel on the water: of the camera that resolves least, in the middle of the grid.
-
-    Parameters
-    ----------
-    rig : Rig
-        The cameras.
-    grid : Grid
-        The nodes.
-
-    Returns
-    -------
-    float
-        Geometric mean over the two directions, m (the paper's rig: 1.8 mm).
-    """
-    x, y = float(np.mean(grid.x)), float(np.mean(grid.y))
-    return max(
-        float(1.0 / np.sqrt(abs(np.linalg.det(camera.jacobian(x, y, 0.0)[:, :2]))))
-        for camera in rig.cameras.values()
-    )
