@@ -392,7 +392,7 @@ def profile() -> None:
     stages = {
         "kernels: plain, robust and last steps": (
             gauss_newton,
-            ("plain_sums", "robust_sums", "final_sums", "gradient_moments"),
+            ("plain_sums", "robust_sums", "final_sums", "unweighted_sums", "gradient_moments"),
         ),
         "windows": (gauss_newton, ("filtered",)),
         "smoother": (gauss_newton, ("smoothed",)),
@@ -404,7 +404,7 @@ def profile() -> None:
         ),
         "correlation, influences, reasons": (gauss_newton, ("assess",)),
         "prepare: normalise": (prepared, ("_normalize",)),
-        "prepare: saturation and masks": (prepared, ("_usable",)),
+        "prepare: saturation": (prepared, ("_saturated",)),
     }
     for preset in ("piv", "fast", "stereo"):
         settings = getattr(Settings, preset)()

@@ -46,19 +46,13 @@ def search(
     first = np.ascontiguousarray(first)
     second = cv2.copyMakeBorder(second, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=0)
     weights = window_weights(settings.search_window)
-    reach = len(weights) // 2
     xs, ys = np.arange(x_range[0], x_range[1] + 1), np.arange(y_range[0], y_range[1] + 1)
     score = np.empty((len(ys), len(xs), ny, nx), np.float32)
     row = np.empty(w, np.float32)
-    # fields one below the other, each with a border of its own: one call filters them all
-    padded = np.empty((len(xs), ny + 2 * reach, nx), np.float32)
-    smooth = np.empty_like(padded)
     for dy, scores in zip(ys, score):
-        shift_sums(first, second, margin, xs[0], dy, row, padded[:, reach : reach + ny])
-        padded[:, :reach] = padded[:, reach : reach + 1]
-        padded[:, reach + ny :] = padded[:, reach + ny - 1 : reach + ny]
-        filtered(padded.reshape(-1, nx), weights, smooth.reshape(-1, nx))
-        scores[:] = smooth[:, reach : reach + ny]
+        shift_sums(first, second, margin, xs[0], dy, row, scores)
+        for field in scores:
+            filtered(field, weights, field)
     u, v = _peak(score, xs, ys)
     for _ in range(2):
         replace_outliers(u, v, 2.0)
