@@ -47,6 +47,27 @@ def test_the_ridge_is_unbiased(fit):
     assert abs(float((fit.ridge_omega[use] / theory - 1).median())) < 0.002
 
 
+@pytest.fixture(scope="module")
+def quiet():
+    return PeriodicSea(n=160, box=0).cube(512, 75, 100).w
+
+
+def test_short_segments_do_not_bend_the_ridge(quiet):
+    # lines .08 Hz apart: each holds more of the slower ones, .7 % in k at 1.75 Hz if that is not undone
+    fit = wv.fit_dispersion(wv.spectrum(quiet, segment=256, record=wv.whole_record(quiet)).E, 0.7)
+    band = fit.ridge_error.where((fit.band_frequency > 1.5) & (fit.band_frequency < 5), drop=True)
+    assert band.size == 7
+    assert float(np.abs(band).max()) < 0.0035
+
+
+def test_waves_too_long_for_the_rectangle_are_left_out(quiet):
+    part = quiet.isel(y=slice(0, 35), x=slice(0, 45))
+    fit = wv.fit_dispersion(wv.spectrum(part, segment=256, record=wv.whole_record(part)).E, 0.7)
+    assert float(fit.ridge_k.min()) > 2.2 * 2 * np.pi / (35 * 0.02)
+    band = fit.ridge_error.where(fit.band_frequency < 5, drop=True)
+    assert float(np.abs(band).max()) < 0.01
+
+
 def test_most_of_the_energy_is_on_the_ridge(fit):
     assert 0.9 < float(fit.ridge_share) <= 1
 
