@@ -60,25 +60,43 @@ def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
     return label(gains, k, "linear theory")
 
 
-def _blocks(settings: matching.Settings, smoothing: float, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
-    # gain of a matched field read from its lattice of blocks; kx, ky in rad per block
+def matched(settings: matching.Settings, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+    """Gain of a displacement field at the centres of matching's blocks.
+
+    Parameters
+    ----------
+    settings : matching.Settings
+        Those of the match.
+    kx, ky : ndarray
+        Wavenumbers along columns and rows, rad per block.
+
+    Returns
+    -------
+    ndarray
+        Amplitude gain.
+    """
     kernel = matching.transfer_kernel(settings, _STEP).astype(float)
     reach = len(kernel) // 2
     n = np.arange(-reach, reach + 1)
     rows, columns = (np.exp(1j * q[..., None] * n) for q in (ky, kx))
     total = np.einsum("...i,ij,...j->...", rows, kernel, columns, optimize=True).real
+    return total * np.sinc(kx / (2 * np.pi)) * np.sinc(ky / (2 * np.pi))
+
+
+def _read(gain: np.ndarray, smoothing: float, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+    # between the blocks: the thin plate, then the cubic spline through it
     bend = (2 - 2 * np.cos(kx)) + (2 - 2 * np.cos(ky))
-    total = total / (1 + smoothing * bend**2)
+    gain = gain / (1 + smoothing * bend**2)
     for q in (kx, ky):
-        mean = np.sinc(q / (2 * np.pi))
-        spline = mean**4 * 3 / (2 + np.cos(q))
-        total = np.where(np.abs(q) < np.pi, total * mean * spline, 0.0)
-    return total
+        spline = np.sinc(q / (2 * np.pi)) ** 4 * 3 / (2 + np.cos(q))
+        gain = np.where(np.abs(q) < np.pi, gain * spline, 0.0)
+    return gain
 
 
 def _surface(plan: Plan, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
     block = _BLOCK * plan.pixel
-    return _blocks(plan.settings.stereo, plan.settings.smoothing, kx * block, ky * block)
+    kx, ky = kx * block, ky * block
+    return _read(matched(plan.settings.stereo, kx, ky), plan.settings.smoothing, kx, ky)
 
 
 def _velocity(plan: Plan, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
@@ -91,6 +109,6 @@ def _velocity(plan: Plan, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
     for i, jacobian in enumerate(jacobians):
         to_water = _BLOCK * np.linalg.inv(jacobian[:, :2])
         q = np.stack([kx, ky], axis=-1) @ to_water
-        gain = _blocks(plan.settings.piv, 0.0, q[..., 0], q[..., 1])
+        gain = _read(matched(plan.settings.piv, q[..., 0], q[..., 1]), 0.0, q[..., 0], q[..., 1])
         out += gain[..., None, None] * (inverse[:, 2 * i : 2 * i + 2] @ jacobian)
     return out
