@@ -26,7 +26,7 @@ from wavefield.calibration import Target, calibrate, find_target
 from wavefield.grid import Grid
 from wavefield.measurement import Plan, Settings, diagnose, measure
 from wavefield.measurement import surface as stereo
-from wavefield.measurement.rectify import bin_pixels
+from wavefield.measurement.frame import ready
 from wavefield.rig import Rig
 from wavefield.tank import Scene, Tank
 from wavefield.variables import Quality
@@ -157,7 +157,7 @@ class Bench:
         for pairs in ((), (("cam1", "cam2"),)):
             plan = Plan(exact, self.grid, replace(self.settings, pairs=pairs))
             ready = {
-                c: stereo.prepare(bin_pixels(first[c], plan.binning[c]), c, plan)
+                c: stereo.prepare(ready(first[c], plan.binning[c]), c, plan)
                 for c in plan.surface_cameras
             }
             found = stereo.surface(ready, plan)

@@ -7,8 +7,7 @@ import numpy as np
 from wavefield.cubes.processing import Prepared
 from wavefield.errors import CalibrationError
 from wavefield.measurement import surface
-from wavefield.measurement.measure import usable
-from wavefield.measurement.rectify import bin_pixels
+from wavefield.measurement.frame import ready, usable
 
 _APART = 5  # blocks: nearer ones share their window, and say the same
 
@@ -45,7 +44,7 @@ def matched_pixels(
         images = {name: prepared.series[name].read(index).image for name in plan.surface_cameras}
         if all(usable(image, rig[name].size) for name, image in images.items()):
             flat = {
-                name: surface.prepare(bin_pixels(np.asarray(image), plan.binning[name]), name, plan)
+                name: surface.prepare(ready(np.asarray(image), plan.binning[name]), name, plan)
                 for name, image in images.items()
             }
             valid = np.zeros(x.shape, bool)

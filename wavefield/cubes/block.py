@@ -168,7 +168,7 @@ def measure_block(block: Block, plan: Any, frame_rate: float) -> Measured:
 
 def _find_dim_frames(frames: Mapping[str, BlockFrames], status: np.ndarray, block: Block, plan: Any) -> None:
     """Name the frames that the measurement found to show next to nothing, though they are not quite blank."""
-    from wavefield.measurement.measure import usable
+    from wavefield.measurement.frame import usable
 
     suspicious = np.flatnonzero(status != FrameStatus.DONE)
     for position in sorted({int(step) + k for step in suspicious for k in (1, 2)}):

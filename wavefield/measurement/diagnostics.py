@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from wavefield.measurement import surface as stereo
 from wavefield.measurement import velocity as motion
+from wavefield.measurement.frame import ready
 from wavefield.measurement.measure import look
 from wavefield.measurement.plan import Plan
-from wavefield.measurement.rectify import bin_pixels
 from wavefield.variables import Quality
 
 Pair = tuple[str, str]
@@ -201,7 +201,7 @@ def diagnose(
     if first.surface is None or second.surface is None:
         raise ValueError("the frames cannot be matched: nothing to compare with")
     raw = {n: np.asarray(frames[n][0]) for n in plan.surface_cameras}
-    flat = {n: stereo.prepare(bin_pixels(raw[n], plan.binning[n]), n, plan) for n in plan.surface_cameras}
+    flat = {n: stereo.prepare(ready(raw[n], plan.binning[n]), n, plan) for n in plan.surface_cameras}
     partners = [b for _, b in plan.pairs]
     direct = [(a, b) for k, a in enumerate(partners) for b in partners[k + 1 :]]
     matches = {

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.measurement import surface as stereo
 from wavefield.measurement import velocity as motion
+from wavefield.measurement.frame import ready, usable
 from wavefield.measurement.plan import Plan
-from wavefield.measurement.rectify import bin_pixels
 from wavefield.measurement.surface import Surface
 from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, Quality
 
@@ -38,33 +38,6 @@ class Instant:
     missing: frozenset[str]
 
 
-def usable(image: NDArray | None, size: tuple[int, int]) -> bool:
-    """Whether a frame can be measured at all.
-
-    Parameters
-    ----------
-    image : ndarray or None
-        Frame; None if absent.
-    size : tuple of int
-        The camera's image (width, height), px.
-
-    Returns
-    -------
-    bool
-        False if it is absent, of another size, not a grey image of real numbers, or (almost) uniform.
-    """
-    if image is None or np.ndim(image) != 2 or image.shape != (size[1], size[0]):
-        return False
-    if image.dtype.kind not in "uif":
-        return False
-    sample = image[3::8, 3::8].astype(np.float32).ravel()
-    sample = sample[np.isfinite(sample)]
-    if 2 * sample.size < image.size // 64:
-        return False
-    low, high = np.partition(sample, (few := sample.size // 100, -few - 1))[[few, -few - 1]]
-    return bool(high > low)
-
-
 def look(frames: Mapping[str, NDArray | None], plan: Plan, moving: Sequence[str]) -> Instant:
     """Everything that the frames of one instant give on their own.
 
@@ -85,7 +58,7 @@ def look(frames: Mapping[str, NDArray | None], plan: Plan, moving: Sequence[str]
     for name in plan.cameras:
         image = frames.get(name)
         if image is not None and usable(image, plan.rig[name].size):
-            good[name] = bin_pixels(image, plan.binning[name])
+            good[name] = ready(image, plan.binning[name])
     flat = {n: stereo.prepare(good[n], n, plan) for n in plan.surface_cameras if n in good}
     raw = {n: matching.prepare(good[n], plan.settings.piv) for n in moving if n in good}
     return Instant(stereo.surface(flat, plan), raw, frozenset(n for n in plan.cameras if n not in good))

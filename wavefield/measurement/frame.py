@@ -1,0 +1,112 @@
+"""One frame of one camera as it is measured: whether it can be, and beads of any brightness count alike."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from wavefield.measurement.rectify import bin_pixels
+
+_KNEE = 0.3  # of the contrast: darker than this above the background, the logarithm is nearly a line
+_SCALE = 5000.0  # grey levels for a factor e: log(65535) still fits 16 bits
+
+
+def usable(image: NDArray | None, size: tuple[int, int]) -> bool:
+    """Whether a frame can be measured at all.
+
+    Parameters
+    ----------
+    image : ndarray or None
+        Frame; None if absent.
+    size : tuple of int
+        The camera's image (width, height), px.
+
+    Returns
+    -------
+    bool
+        False if it is absent, of another size, not a grey image of real numbers, or (almost) uniform.
+    """
+    if image is None or np.ndim(image) != 2 or image.shape != (size[1], size[0]):
+        return False
+    if image.dtype.kind not in "uif":
+        return False
+    low, high = _contrast(image)
+    return high > low
+
+
+def ready(image: NDArray, count: int) -> NDArray:
+    """A usable frame as it is matched: brightness evened out, pixels binned.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column), any real type
+        Raw image.
+    count : int
+        Side of the squares of pixels that are averaged, px; see `bin_pixels`.
+
+    Returns
+    -------
+    ndarray of uint16 or float32, (row // count, column // count)
+    """
+    return bin_pixels(even_out(image), count)
+
+
+def even_out(image: NDArray) -> NDArray:
+    """Logarithm of the brightness above the background.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column), any real type
+        Raw image.
+
+    Returns
+    -------
+    ndarray, (row, column), uint16, or float32 for images of real numbers
+
+    Notes
+    -----
+    log(1 + (I - I_1) / (0.3 (I_99 - I_1))), with I_1 and I_99 the image's brightness at 1 and 99 %. Two
+    cameras see a bead differently bright, and where the images of beads overlap the brighter one pulls the
+    match: the logarithm turns factors into additions, which have no gradient, and lets faint beads count
+    nearly as much as bright ones. Gains and offsets of a camera drop out.
+
+    Examples
+    --------
+    >>> image = np.tile(np.arange(0, 256, dtype=np.uint8), (64, 1))
+    >>> np.array_equal(even_out(image), even_out((100 + 40 * image.astype(np.uint16))))
+    True
+    """
+    low, high = _contrast(image)
+    knee = max(_KNEE * (high - low), 1e-6 * max(abs(low), abs(high), 1e-30))
+    if image.dtype in (np.uint8, np.uint16):
+        grey = np.arange(256 if image.dtype == np.uint8 else 65536, dtype=np.float64)
+        table = np.rint(_SCALE * np.log1p(np.maximum(grey - low, 0.0) / knee))
+        table = np.minimum(table, 65535.0).astype(np.uint16)
+        image = np.ascontiguousarray(image)
+        if image.dtype == np.uint8:
+            return cv2.LUT(image, table)
+        out = np.empty(image.shape, np.uint16)
+        _look_up(image, table, out)
+        return out
+    above = np.maximum(image.astype(np.float32) - np.float32(low), np.float32(0.0))
+    return np.float32(_SCALE) * np.log(np.float32(1.0) + above / np.float32(knee))
+
+
+@njit(cache=True, nogil=True)
+def _look_up(image, table, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            out[y, x] = table[image[y, x]]
+
+
+def _contrast(image: NDArray) -> tuple[float, float]:
+    """Brightness at 1 and 99 % of a sample of the image; twice the same if there is too little to say."""
+    sample = image[3::8, 3::8].astype(np.float32).ravel()
+    sample = sample[np.isfinite(sample)]
+    if 2 * sample.size < image.size // 64 or not sample.size:
+        return 0.0, 0.0
+    few = sample.size // 100
+    low, high = np.partition(sample, (few, -few - 1))[[few, -few - 1]]
+    return float(low), float(high)
