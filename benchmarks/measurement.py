@@ -156,11 +156,10 @@ class Bench:
         reached = []
         for pairs in ((), (("cam1", "cam2"),)):
             plan = Plan(exact, self.grid, replace(self.settings, pairs=pairs))
-            ready = {
-                c: stereo.prepare(ready(first[c], plan.binning[c]), c, plan)
-                for c in plan.surface_cameras
+            flat = {
+                c: stereo.prepare(ready(first[c], plan.binning[c]), c, plan) for c in plan.surface_cameras
             }
-            found = stereo.surface(ready, plan)
+            found = stereo.surface(flat, plan)
             good = case.inside & ((found.quality & Quality.MEASURED) > 0)
             miss = (found.z - case.truth.z_start) / PIXEL
             reached.append(f"{rms(miss[good]):.4f} ({100 * good.sum() / case.inside.sum():.1f} % measured)")
