@@ -49,7 +49,15 @@ def beside(store: Path, kind: str, ending: str) -> Path:
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="CSV of wave probes; by default those that the experiment file names.",
 )
-def analyze(store: Path, output: Path | None, segment: int | None, probes: Path | None) -> None:
+@click.option(
+    "--gain",
+    metavar="GAIN|theory",
+    help="Undo what the matching windows take from short waves: a gain measured on a simulated experiment, or"
+    " `theory` for the one that follows from cameras and settings.",
+)
+def analyze(
+    store: Path, output: Path | None, segment: int | None, probes: Path | None, gain: str | None
+) -> None:
     """Compute the waves of a cube: spectra, coherence, statistics.
 
     Also dispersion, fusion of z and w, directions, bicoherence. Writes one Zarr store;
@@ -60,7 +68,7 @@ def analyze(store: Path, output: Path | None, segment: int | None, probes: Path 
     output = output or beside(store, "waves", ".zarr")
     probes = probes or _probes_of(store)
     with Progress(f"Analysing {store}") as progress:
-        analyze_cube(store, output, segment=segment, probes=probes, progress=progress)
+        analyze_cube(store, output, segment=segment, probes=probes, gain=gain, progress=progress)
     click.echo(f"Wrote {output}. Next: wavefield report {store}")
 
 

@@ -13,7 +13,8 @@ in [low E, high E] with 95 % confidence. ``valid`` masks say where a spectrum ca
     attributes only: ``source``, ``frame_rate`` (Hz), ``water_depth`` (m; "deep" if unknown), ``segment``
     (steps), ``segments``, ``steps``, ``steps_used``, ``steps_bridged``, ``nodes_filled``, ``x`` and ``y``
     (two numbers each: the rectangle, m), ``runs`` (number of pieces between long gaps),
-    ``degrees_of_freedom`` (of a single cell), ``notes`` (sentences for the reader, one per line),
+    ``degrees_of_freedom`` (of a single cell), ``windows_undone`` (no, or
+    where the gain is from), ``notes`` (sentences for the reader, one per line),
     ``wavefield_version``.
 
 ``/spectra``
@@ -30,8 +31,9 @@ in [low E, high E] with 95 % confidence. ``valid`` masks say where a spectrum ca
     - ``E_z``, ``E_z_t``, ``E_u``, ``E_v``, ``E_w``, ``E_nl`` (omega): integral over k, as measured; with
       ``dof_E_z`` ..., ``low_E_z`` ..., ``high_E_z`` ... (omega).
     - ``Ez_stereo``, ``Ez_w``, ``Ez_cross``, ``Ez_fusion`` and, with probes, ``Ez_probes`` (omega): the
-      spectrum of the elevation, m2 s rad-1, by five roads (transfer functions undone; fusion has its noise
-      taken off), each with ``valid_stereo`` ..., ``dof_stereo`` ..., ``low_stereo`` ..., ``high_stereo`` ...
+      spectrum of the elevation, m2 s rad-1, by five roads (transfer functions in time undone; fusion has its
+      noise taken off; with a gain all four have, and the matching windows are
+      undone), each with ``valid_stereo`` ..., ``dof_stereo`` ..., ``low_stereo`` ..., ``high_stereo`` ...
       (omega).
     - ``Ez_probe`` (probe, omega): each probe by itself; coordinates probe (name), probe_x, probe_y.
     - ``gain_two_frames``, ``gain_four_frames``, ``gain_displacement`` (omega): the power transfer functions.
@@ -88,6 +90,8 @@ in [low E, high E] with 95 % confidence. ``valid`` masks say where a spectrum ca
     - ``weight_z`` (omega): weight of the stereo elevation in the best combination; ``wiener`` (omega).
     - scalars: ``sigma_z`` (m), ``sigma_dz`` (m): noise of z and of the displacement, without a rest record;
       ``noise_coherence``: correlation of the two off the ridge, on which the gain depends.
+    - with a gain, ``Ez_komega`` (omega, k): the elevation by the best combination, windows undone; NaN where
+      that cannot be trusted.
     - ``range_frequency``, ``range_decades`` (road): how far each road reaches above its own noise; coordinate
       road = stereo, w, cross, fusion.
 
@@ -139,9 +143,11 @@ from wavefield.waves import (
 from wavefield.waves.direction import directions
 from wavefield.waves.dispersion import GAMMA, dispersion, fit_dispersion, wavenumber
 from wavefield.waves.higher_order import higher_order
+from wavefield.waves.predicted_gain import predicted_gain
 from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Record, find_record
 from wavefield.waves.units import product
+from wavefield.waves.window_gain import read_gain
 from wavefield.waves.windows import effective_duration
 
 FIELDS = ("z", "z_t", "u", "v", "w")
@@ -471,6 +477,7 @@ def analyze(
     segment: int | None = None,
     depth: float | None = None,
     pixel_size: float | None = None,
+    gain: Any = None,
     maps: Sequence[float] = MAP_FREQUENCIES,
     progress: Progress | None = None,
 ) -> xr.DataTree:
@@ -490,6 +497,9 @@ def analyze(
         Depth of the water, m; the attribute ``water_depth`` of the cube, or deep, if not given.
     pixel_size : float, optional
         Size of a pixel on the water, m; the attribute ``pixel_size`` of the cube if not given.
+    gain : path or Dataset or "theory", optional
+        What the matching windows leave of waves, to be undone in the spectra of the elevation: measured on a
+        simulated experiment (`window_gain`), or predicted from the cube's recipe (`predicted_gain`).
     maps : sequence of float
         Frequencies of the maps E(ky, kx), Hz.
     progress : callable, optional
@@ -506,7 +516,7 @@ def analyze(
         If the cube lacks a variable, is shorter than a segment, has uneven steps or no full rectangle, or if
         the probes were not recording while the cameras were.
     StoreError
-        If the cube cannot be read or the store cannot be written.
+        If the cube or the gain cannot be read or the store cannot be written.
 
     Notes
     -----
@@ -519,7 +529,7 @@ def analyze(
                 f"the cube has no {name!r}: the analysis needs {', '.join(FIELDS)} over time, y and x"
             )
     with np.errstate(all="ignore"):
-        return _analyze(cube, out, probes, segment, depth, pixel_size, maps, progress)
+        return _analyze(cube, out, probes, segment, depth, pixel_size, gain, maps, progress)
 
 
 def _analyze(
@@ -529,10 +539,13 @@ def _analyze(
     segment: int | None,
     depth: float | None,
     pixel_size: float | None,
+    gain: Any,
     maps: Sequence[float],
     progress: Progress | None,
 ) -> xr.DataTree:
     # what can be wrong is found before the long pass
+    if gain is not None:
+        gain = predicted_gain(cube) if isinstance(gain, str) and gain == "theory" else read_gain(gain)
     known = [*FIELDS, "frame_status"] if "frame_status" in cube else [*FIELDS]
     record = find_record(cube[known])
     segment = segments.segment_length(record, segment)
@@ -552,7 +565,7 @@ def _analyze(
     ring = crosses.label(sums, NAMES, PAIRS, record, segment, table)
     dof = ring.attrs["degrees_of_freedom"]
     notes = _notes(record, cube, segment, count, dof, depth)
-    fused = fusion.from_spectra(ring, depth)
+    fused = fusion.from_spectra(ring, depth, gain)
     density = {name: _density(sums.pop(f"map {name}"), name, record, segment, count) for name in MAPS}
     chosen = _map_lines(omega, maps)
     scale = statistics.pilot(cube, record, list(statistics.QUANTITIES.values()))
@@ -579,6 +592,7 @@ def _analyze(
         "frame_rate": 1 / record.dt,
         "water_depth": depth if np.isfinite(depth) else "deep",
         "surface_tension": GAMMA,
+        "windows_undone": "no" if gain is None else str(gain.attrs.get("origin", "yes")),
         "segment": segment,
         "segments": count,
         "degrees_of_freedom": dof,
