@@ -2,7 +2,7 @@ import dask
 import numpy as np
 import pytest
 import xarray as xr
-from waves_cases import PeriodicSea
+from waves_cases import PeriodicSea, linear_cube, random_waves
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
@@ -127,6 +127,19 @@ def test_what_is_not_known_is_masked(through_windows):
     assert float(undone.range_frequency.max()) < float(wv.dispersion(95, 0.7)) / (2 * np.pi)
     kept = np.isfinite(undone.Ez_komega)
     assert float(true.where(kept).sum() / true.sum()) > 0.95
+
+
+def test_an_analysis_undoes_the_windows(tmp_path):
+    cube = linear_cube(random_waves(n=60), 200, 24, 28, dx=0.02, noise_z=1e-4, noise_dz=1e-4)
+    gain = box_gain()
+    gain.to_zarr(tmp_path / "gain.zarr", consolidated=False)
+    tree = wv.analyze(cube, gain=tmp_path / "gain.zarr", segment=64)
+    alone = wv.fusion(cube, gain=gain, segment=64)
+    np.testing.assert_allclose(tree["spectra"].Ez_fusion, alone.Ez_fusion, rtol=1e-6)
+    xr.testing.assert_allclose(tree["fusion"].Ez_komega, alone.Ez_komega)
+    assert tree.attrs["windows_undone"] != "no"
+    with pytest.raises(CubeError, match="does not say how it was made"):
+        wv.analyze(cube, gain="theory", segment=64)
 
 
 def test_integrated_w_is_the_elevation_before_noise():
