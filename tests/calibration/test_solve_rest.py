@@ -65,6 +65,16 @@ def test_a_bumped_camera_is_named_on_any_record(calibrated, name, axis):
     assert name in found.sentence
 
 
+def test_frames_of_different_moments_are_not_taken_for_a_bumped_camera(calibrated):
+    now, later = (
+        matches(paper_rig(), lambda x, y, t=t: 0.03 * np.cos(40 * x - 20 * t))[0] for t in (0, 0.05)
+    )
+    found = check_rig(calibrated, now | {"cam2": later["cam2"]})
+    assert found.misfit > 0.3
+    assert found.moved is None
+    assert "are the frames of the same moments" in found.sentence
+
+
 @pytest.mark.parametrize(("name", "axis"), [("cam1", (1, 2, 1)), ("cam2", (0, 1, 0)), ("cam3", (0, 1, 0))])
 def test_a_bumped_camera_is_mended_from_the_water_at_rest(calibrated, name, axis):
     """Turns about y hide from lines of sight in a rig along x: the water's plane names the camera."""

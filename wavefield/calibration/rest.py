@@ -25,6 +25,8 @@ MOST = 3000  # matches used: more tell no more
 KNOCK_ANGLE = np.radians(1.0)  # what a knocked camera may have turned
 KNOCK_SHIFT = 0.005  # and shifted, metres
 ALIKE = 40.0  # difference of chi2 that tells two explanations apart
+UNLIKE = 0.3  # px: sharp images of one moment match better than this
+_OTHERWISE = "are the frames of the same moments (`offset`), sharp and bright, and is the rig theirs?"
 FREE = ("f", "aspect", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y")
 
 Matches = Mapping[str, ArrayLike]
@@ -293,6 +295,8 @@ def _check(problem: _Problem) -> tuple[RigCheck, dict[str | None, tuple[Array, f
     gain = chi2[None] - chi2[best]
     if gain < ALIKE or misfit_as_it_is < 1.1 * expected:
         text = f"no camera has moved: lines of sight meet within {misfit_as_it_is:.2f} px"
+        if misfit_as_it_is > UNLIKE:
+            text = f"lines of sight miss by {misfit_as_it_is:.2f} px, and no camera has moved: {_OTHERWISE}"
         return RigCheck(misfit_as_it_is, expected, None, (), 0.0, text), found
     suspects = tuple(n for n in problem.names if chi2[n] - chi2[best] < max(ALIKE, 1e-4 * gain))
     return _verdict(problem, found, best, suspects, misfit_as_it_is, expected), found
@@ -308,6 +312,9 @@ def _verdict(
 ) -> RigCheck:
     k = problem.layout.camera[problem.names.index(best)]
     angle = float(np.degrees(np.linalg.norm(found[best][0][k : k + 3])))
+    if after > max(0.5 * before, UNLIKE):
+        text = f"lines of sight miss by {before:.2f} px, and by {after:.2f} px with one turned: {_OTHERWISE}"
+        return RigCheck(before, after, None, suspects, angle, text)
     text = (
         f"{' or '.join(suspects)} has moved since the calibration (turned by about {angle:.3f} degrees): "
         f"lines of sight miss by {before:.2f} px, and by {after:.2f} px once that is mended; "
