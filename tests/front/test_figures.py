@@ -169,6 +169,9 @@ def test_found_nodes_are_drawn_in_pixels_and_on_the_plane():
     assert "cam2: 25 nodes" in labels(figure)
     flat = next(ax for ax in figure.axes if ax.get_title() == "cam2, at z = 0")
     np.testing.assert_allclose(flat.lines[0].get_xydata(), 0.1 * node, atol=1e-9)
+    image = next(ax for ax in figure.axes if ax.get_title().startswith("cam2: "))
+    circle = image.lines[1].get_xydata()[0]
+    np.testing.assert_allclose(circle, rig["cam2"].project(0.0, 0.0, 0.0), atol=1e-9)
 
 
 @pytest.fixture(scope="module")

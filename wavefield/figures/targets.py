@@ -16,6 +16,8 @@ def target_points(
 ) -> Figure:
     """One image of the target per camera with the nodes found, and where the rig puts them on z = 0.
 
+    A circle marks the origin, where the rig is known.
+
     Parameters
     ----------
     images : mapping of str to ndarray, (row, column)
@@ -43,9 +45,9 @@ def target_points(
         column[0].imshow(image, cmap="gray", vmin=low, vmax=max(high, low + 1))
         found = points[name]
         column[0].plot(*found.pixel.T, "+", color=LINES[2]["color"], markersize=5)
-        origin = np.flatnonzero((found.node == 0).all(axis=1))
-        if origin.size:
-            column[0].plot(*found.pixel[origin[0]], "o", color="#F0E442", fillstyle="none", markersize=11)
+        if rig is not None and name in rig.cameras:
+            at = rig[name].project(0.0, 0.0, 0.0)  # a disc marks it, and hides the node there
+            column[0].plot(*at, "o", color="#F0E442", fillstyle="none", markersize=14)
         h, w = image.shape
         column[0].set(xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5), xlabel="column (px)", ylabel="row (px)")
         column[0].set_title(f"{name}: {len(found)} nodes")

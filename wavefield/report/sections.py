@@ -235,7 +235,7 @@ def distributions(sources: Sources) -> Section:
     if statistics is not None and "skewness" in statistics:
         items.append(
             Table(
-                "Moments",
+                "Moments, over the rectangle and the steps of the spectra",
                 ("quantity", "std (cm)", "skewness", "excess kurtosis"),
                 [
                     (
