@@ -102,7 +102,7 @@ def test_mean_direction_and_spread_of_a_known_sea_come_back(power, heading):
 
 def test_mean_direction_and_spread_come_back_from_a_record():
     sea = GaussianSea(spread=10, heading=0.8)
-    t, y, x = (np.arange(n) * step for n, step in ((768, 0.05), (90, 0.04), (90, 0.04)))
+    t, y, x = (np.arange(n) * step for n, step in ((576, 0.05), (90, 0.04), (90, 0.04)))
     drawn = sea.draw(0)[:, :90, :90]
     E = wv.spectrum(xr.DataArray(drawn, {"time": t, "y": y, "x": x}, ("time", "y", "x")), segment=128).E
     D = wv.directions(E, [2.0, 2.4, 2.8], 0.7, bandwidth=0.4)

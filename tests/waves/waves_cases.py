@@ -157,22 +157,28 @@ class PeriodicSea:
         self.a = a * sigma / np.sqrt((np.abs(a) ** 2).sum() / 2)
         self.box = np.sinc(kx * box / (2 * np.pi)) * np.sinc(ky * box / (2 * np.pi)) if box else 1.0
 
-    def z(self, t, ny, nx):
-        from scipy.fft import ifft2
+    def z(self, first, steps, dt, ny, nx):
+        """Elevation from time ``first`` on, (steps, ny, nx)."""
+        from scipy.fft import ifft
 
-        return ifft2(self.a * self.box * np.exp(-1j * self.omega * t)).real[:ny, :nx] * self.n**2
+        lines = self.a * self.box * np.exp(-1j * self.omega * first)
+        turn = np.exp(-1j * self.omega * dt)
+        out = np.empty((steps, ny, nx))
+        for frame in out:
+            frame[:] = ifft(ifft(lines, axis=1)[:, :nx], axis=0).real[:ny] * self.n**2
+            lines *= turn
+        return out
 
     def cube(self, steps, ny, nx, dt=0.05, noise_z=0.0, noise_dz=0.0, seed=1):
         """z, z_t, w as measured from frames with noise; and the exact frame-time elevation."""
-        from scipy.ndimage import uniform_filter
-
         rng = np.random.default_rng(seed)
 
         def noise(rms):
-            raw = uniform_filter(rng.standard_normal((ny + 4, nx + 4)), 2)[2:-2, 2:-2]
-            return rms * 2 * raw
+            raw = rng.standard_normal((ny + 4, nx + 4))[1:-2, 1:-2]
+            raw = raw[1:] + raw[:-1]
+            return rms / 2 * (raw[:, 1:] + raw[:, :-1])
 
-        exact = np.array([self.z(i * dt, ny, nx) for i in range(-1, steps + 2)])
+        exact = self.z(-dt, steps + 3, dt, ny, nx)
         noisy = exact + np.array([noise(noise_z) for _ in range(steps + 3)])
         w = np.diff(exact, axis=0)[1:-1] / dt + np.array([noise(noise_dz) / dt for _ in range(steps)])
         z = (9 * (noisy[1:-2] + noisy[2:-1]) - noisy[:-3] - noisy[3:]) / 16
@@ -195,7 +201,7 @@ class GaussianSea:
     Every (k, omega) is drawn anew, so a record holds as many independent waves as a sea without end.
     """
 
-    def __init__(self, n=100, steps=768, dx=0.04, dt=0.05, spread=0, heading=0.0, lowest=1.4, highest=3.3):
+    def __init__(self, n=100, steps=576, dx=0.04, dt=0.05, spread=0, heading=0.0, lowest=1.4, highest=3.3):
         self.n, self.steps, self.dx, self.dt = n, steps, dx, dt
         self.k = 2 * np.pi * np.fft.fftfreq(n, dx)
         self.omega = 2 * np.pi * np.arange(steps // 2 + 1) / (steps * dt)
