@@ -99,12 +99,42 @@ def test_check_says_that_no_camera_has_moved(folder, capsys):
     assert "no camera has moved" in capsys.readouterr().out
 
 
+def _changed(folder, tmp_path, **entries):
+    """The experiment with other entries, in a file of its own."""
+    note = yaml.safe_load((folder / "experiment.yaml").read_text())
+    note |= {"folder": str(folder), "rig": str(folder / "rig.yaml")} | entries
+    (tmp_path / "experiment.yaml").write_text(yaml.safe_dump(note))
+    return str(tmp_path / "experiment.yaml")
+
+
+def test_check_says_where_cameras_are_not_of_the_same_moments(folder, tmp_path, capsys):
+    cameras = yaml.safe_load((folder / "experiment.yaml").read_text())["cameras"]
+    cameras["cam2"] |= {"offset": -1}
+    workflow = str(folder.parent / "workflow.yaml")
+    changed = _changed(folder, tmp_path, cameras=cameras)
+    assert main(["-q", "check", changed, "--workflow", workflow]) == 0
+    assert "are the frames of the same moments" in capsys.readouterr().out
+
+
+def test_probes_that_are_not_there_are_missed(folder, tmp_path, capsys):
+    workflow = str(folder.parent / "workflow.yaml")
+    assert main(["-q", "check", str(folder / "experiment.yaml"), "--workflow", workflow]) == 0
+    assert "probes: probe1, probe2, from 0 to" in capsys.readouterr().out
+    changed = _changed(folder, tmp_path, probes="nowhere.csv", frames={"first": 0, "last": 9})
+    assert main(["-q", "check", changed, "--workflow", workflow]) == 0
+    assert re.search(r"probes: .*nowhere.csv", capsys.readouterr().out)
+    cube = str(tmp_path / "cube.zarr")
+    assert main(["-q", "run", changed, "--workflow", workflow, "-o", cube]) == 0
+    assert main(["-q", "analyze", cube]) == 0
+    assert re.search(r"without the probes .*nowhere.csv", capsys.readouterr().err)
+
+
 def test_check_compares_the_pairs_of_cameras(folder, capsys):
     workflow = str(folder.parent / "workflow.yaml")
     assert main(["-q", "check", str(folder / "experiment.yaml"), "--workflow", workflow, "--pairs"]) == 0
     out = capsys.readouterr().out
     found = dict(re.findall(r"^    (\S.*?)\s+(?:[\d.]+ cm )?([\d.]+) px$", out, re.M))
-    assert {"eps_Y cam3-cam1", "sigma_z cam1-cam2", "z cam1-cam2 recombined - direct"} <= set(found)
+    assert {"eps_y cam3-cam1", "sigma_z cam1-cam2", "z cam1-cam2 recombined - direct"} <= set(found)
     assert 0 < float(found["eps' cam1-cam2"]) < 0.2
     report = (folder / "report.html").read_text(encoding="utf-8")
     assert report.count("recombined - direct") > 1  # words for those who do not see, and a row of a table
@@ -126,7 +156,11 @@ def test_calibration_without_images_names_what_is_missing(folder, tmp_path, caps
     data["folder"] = str(folder)
     (tmp_path / "experiment.yaml").write_text(yaml.safe_dump(data))
     assert main(["-q", "calibrate", str(tmp_path / "experiment.yaml")]) == 1
-    assert "no target image of cam1" in capsys.readouterr().err
+    assert "no target image of cam1: nothing in" in capsys.readouterr().err
+    data["calibration"] |= {"tilted": "calib/{camera}/tilt_*.tif", "flat": "calib/{camera}/lost.tif"}
+    (tmp_path / "experiment.yaml").write_text(yaml.safe_dump(data))
+    assert main(["-q", "calibrate", str(tmp_path / "experiment.yaml")]) == 1
+    assert "calib/{camera}/lost.tif" in capsys.readouterr().err
     del data["calibration"]
     (tmp_path / "experiment.yaml").write_text(yaml.safe_dump(data))
     assert main(["-q", "calibrate", str(tmp_path / "experiment.yaml")]) == 1

@@ -11,7 +11,7 @@ _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 
 @click.command(epilog="\b\nExample:\n  wavefield export cube.zarr cube.nc")
-@click.argument("store", type=_STORE)
+@click.argument("store", metavar="CUBE", type=_STORE)
 @click.argument("output", type=click.Path(dir_okay=False, path_type=Path))
 def export(store: Path, output: Path) -> None:
     """Write a cube as NetCDF (CF), for MATLAB, Panoply and others."""

@@ -41,6 +41,8 @@ def check(
     with Progress("Looking at the frames, measuring a few steps"):
         found = cubes.check(experiment, rig, workflow)
     click.echo(str(found))
+    if words := _probes_line(experiment):
+        click.echo(f"  probes: {words}")
     if found.problems:
         context.exit(1)
     from wavefield.calibration.rest import check_rig
@@ -54,6 +56,24 @@ def check(
         click.echo(_pairs_table(prepared))
 
 
+def _probes_line(path: Path) -> str:
+    """The experiment's probes and their clock beside the cameras', or what is wrong with their file."""
+    from wavefield.errors import ExperimentError
+    from wavefield.series import Experiment
+    from wavefield.waves import read_probes
+
+    experiment = Experiment.load(path)
+    if not experiment.probes:
+        return ""
+    try:
+        probes = read_probes(experiment.resolve(experiment.probes))
+    except ExperimentError as error:
+        return str(error)
+    times = experiment.frame_times(next(iter(experiment.open_frames().values())))
+    names, clock = ", ".join(probes.probe.values), probes.time.values
+    return f"{names}, from {clock[0]:g} to {clock[-1]:g} s; frames from {times[0]:g} to {times[-1]:g} s"
+
+
 def _pairs_table(prepared: Prepared) -> str:
     """What `diagnose` finds around the middle of the record, a line per error."""
     from wavefield.report.pairs import diagnose_around
@@ -65,9 +85,11 @@ def _pairs_table(prepared: Prepared) -> str:
     if found is None:
         return "  pairs: no step around the middle of the record has a usable frame of every camera"
     lines = [f"  pairs, {len(next(iter(found.z.values())))} steps, rms; 1 px is {1e3 * pixel:.2g} mm"]
-    for row in found.table():
+    rows = found.table()
+    width = max(len(row["name"]) for row in rows)
+    for row in rows:
         centimetres = "" if row["cm"] is None else f"{row['cm']:.4f} cm"
-        lines.append(f"    {row['name']:<48} {centimetres:>10} {row['px']:.3f} px")
+        lines.append(f"    {row['name']:<{width}} {centimetres:>10} {row['px']:.3f} px")
     return "\n".join(lines)
 
 
@@ -211,7 +233,7 @@ def run(
 
 
 @click.command(epilog="\b\nExample:\n  wavefield status cube.zarr")
-@click.argument("store", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.argument("store", metavar="CUBE", type=click.Path(exists=True, file_okay=False, path_type=Path))
 def status(store: Path) -> None:
     """Say how far a run is, and which frames failed and why."""
     from wavefield.cubes import status as run_status

@@ -3,7 +3,7 @@
 import glob
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -59,7 +59,7 @@ def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
     Raises
     ------
     CalibrationError
-        If there is no calibration block, or a camera has no target image.
+        If there is no calibration block, or a pattern in it names no image of a camera.
     """
     section = experiment.calibration
     if section is None:
@@ -74,6 +74,8 @@ def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
         poses: dict[str, Path] = {}
         for pattern in tilted:
             poses |= _poses(experiment, pattern, camera)
+        if not poses:
+            raise _nothing(experiment, camera, tilted)
         if section.flat:
             flat = list(_poses(experiment, section.flat, camera).values())
             if len(flat) > 1:
@@ -82,13 +84,18 @@ def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
                 )
             poses = {pose: path for pose, path in poses.items() if path not in flat}
             poses |= dict.fromkeys(["flat"], flat[0]) if flat else {}
-        if not poses:
-            raise CalibrationError(
-                f"{experiment.path}: no target image of {camera} at {', '.join(tilted)}; check the "
-                f"calibration block"
-            )
         out[camera] = poses
+    if section.flat and not any("flat" in poses for poses in out.values()):
+        raise _nothing(experiment, "any camera", [section.flat])
     return out
+
+
+def _nothing(experiment: Experiment, camera: str, patterns: Sequence[str]) -> CalibrationError:
+    folder = experiment.image_folder
+    return CalibrationError(
+        f"{experiment.path}: no target image of {camera}: nothing in {folder} is called "
+        f"{' or '.join(patterns)}; correct the calibration block"
+    )
 
 
 def _poses(experiment: Experiment, pattern: str, camera: str) -> dict[str, Path]:

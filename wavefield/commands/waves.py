@@ -37,7 +37,7 @@ def beside(store: Path, kind: str, ending: str) -> Path:
 
 
 @click.command(epilog="\b\nExample:\n  wavefield analyze cube.zarr      # writes waves.zarr beside it")
-@click.argument("store", type=_STORE)
+@click.argument("store", metavar="CUBE", type=_STORE)
 @click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Wave store to write.")
 @click.option(
     "--segment",
@@ -82,12 +82,19 @@ def _probes_of(store: Path) -> Path | None:
         experiment = Experiment.load(str(open_cube(store).attrs.get("experiment_file", "")))
     except ExperimentError:
         return None
-    path = experiment.resolve(experiment.probes) if experiment.probes else None
-    return path if path is not None and path.is_file() else None
+    if not experiment.probes:
+        return None
+    path = experiment.resolve(experiment.probes)
+    if path.is_file():
+        return path
+    click.echo(
+        f"note: without the probes {path}, which {experiment.path} names: there is no such file", err=True
+    )
+    return None
 
 
 @click.command(epilog="\b\nExample:\n  wavefield report cube.zarr      # writes report.html beside it")
-@click.argument("store", type=_STORE)
+@click.argument("store", metavar="CUBE", type=_STORE)
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="HTML file to write.")
 @click.option(
     "--waves",
