@@ -186,17 +186,16 @@ class _Step:
             points = fields["w"][:, :: self.apart[0], :: self.apart[1]]
             state["points"] = [*state["points"], points.reshape(points.shape[0], -1).copy()]
         # transforms come last: the rest needs room too
-        half = crosses.transforms(fields, NAMES, dt, dy, dx)
+        half = crosses.transforms(fields, NAMES, dt, dy, dx, state.get("old"))
         if "half" in state:
             if state["sums"] is None:
                 state["sums"] = crosses.empty_sums(half["z"], NAMES, PAIRS, MAPS, self.table)
             crosses.add_segment(state["sums"], state["half"], half, NAMES, PAIRS, MAPS, self.table, dt)
-        return state | {"half": half}
+        return state | {"half": half, "old": state.get("half")}
 
     def _survey(self, fields: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         sums = statistics.survey({name: fields[name] for name in self.scale}, self.scale)
-        z_y, z_x = kinematics.slopes(fields["z"], self.record.dy, self.record.dx)
-        return sums | {"slopes": statistics.slope_square(z_y, z_x)}
+        return sums | {"slopes": statistics.slope_square(fields["z"], self.record.dy, self.record.dx)}
 
     def _balance(self, fields: dict[str, np.ndarray], first: int) -> list[dict[str, float]]:
         dt, dy, dx = self.record.dt, self.record.dy, self.record.dx
@@ -241,7 +240,7 @@ class _Count(Callback):
 
 
 def _close(state: dict[str, Any]) -> dict[str, Any]:
-    return {name: part for name, part in state.items() if name != "half"}
+    return {name: part for name, part in state.items() if name not in ("half", "old")}
 
 
 def _pass(

@@ -3,7 +3,7 @@
 Names: ``z`` is the elevation at frame times, half a step before the rest; ``nl`` is u . grad z.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -45,7 +45,12 @@ def sources(names: Sequence[str]) -> list[str]:
 
 
 def transforms(
-    fields: dict[str, np.ndarray], names: Sequence[str], dt: float, dy: float, dx: float
+    fields: dict[str, np.ndarray],
+    names: Sequence[str],
+    dt: float,
+    dy: float,
+    dx: float,
+    old: Mapping[str, np.ndarray] | None = None,
 ) -> dict[str, np.ndarray]:
     """Transform a half segment in space.
 
@@ -57,28 +62,27 @@ def transforms(
         Spectral names.
     dt, dy, dx : float
         Distances, s and m.
+    old : mapping, optional
+        What it gave for an earlier half segment that is not needed any more: its memory is used again.
 
     Returns
     -------
     dict of str to ndarray, complex, (cells, steps)
         z is still at mid-time: `combine` takes it to frame times.
     """
-    out = {}
+    out, old = {}, old or {}
     if "nl" in names:
         mean = kinematics.two_frame_mean(fields["z"], fields["z_t"], dt)
-        z_y, z_x = kinematics.slopes(mean, dy, dx)
+        nonlinear = np.empty_like(mean)
+        kernels.advection(mean, fields["u"], fields["v"], dy, dx, nonlinear)
         del mean
-        z_x *= fields["u"]
-        z_y *= fields["v"]
-        z_x += z_y
-        del z_y
-        out["nl"] = segments.transform_space(z_x)
-        del z_x
+        out["nl"] = segments.transform_space(nonlinear, old.get("nl"))
+        del nonlinear
     wanted = {name for name in names if name != "nl"} | ({"z_t"} if "z" in names else set())
     for name in [*fields]:
         block = fields.pop(name)
         if name in wanted:
-            out[name] = segments.transform_space(block)
+            out[name] = segments.transform_space(block, old.get(name))
     return out
 
 
@@ -118,8 +122,8 @@ def combine(
     Returns
     -------
     dict of str to ndarray
-        "name" (2, rings, n // 2 + 1), power and its square, "a*b" (rings, n // 2 + 1), complex, "map name"
-        (cells, n).
+        "name" (2, rings, n // 2 + 1), power and its square, "a*b" the same shape, real and
+        imaginary part, "map name" (cells, n).
     """
     sums = empty_sums(first[names[0]], names, pairs, maps, table)
     add_segment(sums, first, second, names, pairs, maps, table, dt)
@@ -136,8 +140,7 @@ def empty_sums(
     """Zeros for `add_segment`; ``half`` is any half segment's transform, (cells, n / 2)."""
     cells, steps = half.shape
     shape = (table.k.size, steps + 1)
-    sums: dict[str, np.ndarray] = {name: np.zeros((2, *shape)) for name in names}
-    sums |= {f"{a}*{b}": np.zeros(shape, complex) for a, b in pairs}
+    sums = {name: np.zeros((2, *shape)) for name in (*names, *(f"{a}*{b}" for a, b in pairs))}
     return sums | {f"map {name}": np.zeros((cells, 2 * steps), half.real.dtype) for name in maps}
 
 
@@ -152,19 +155,23 @@ def add_segment(
     dt: float,
 ) -> None:
     """As `combine`, added to ``sums``."""
-    cells = first[names[0]].shape[0]
-    real = first[names[0]].real.dtype
+    cells, half = first[names[0]].shape
+    dtype = first[names[0]].dtype
+    real = dtype.type(0).real.dtype
+    transform = segments.TimeTransform(half, dtype, len(names))
+    halves = [part[name].T.view(real) for name in ("z", "z_t") for part in (first, second) if "z" in names]
     for slab in segments.slabs(cells):
         start = table.start[slab.start : slab.stop + 1]
         lines = {}
-        for name in names:
+        for i, name in enumerate(names):
             one, two = first[name][slab], second[name][slab]
             if name == "z":
-                start_one, start_two = np.empty_like(one), np.empty_like(two)
-                rates = first["z_t"][slab], second["z_t"][slab]
-                kernels.frames(one, two, *rates, real.type(dt), start_one, start_two)
-                one, two = start_one, start_two
-            lines[name] = segments.transform_time(one, two)
+                starts = [np.empty((half, one.shape[0]), dtype) for _ in range(2)]
+                parts = [part.view(real) for part in starts]
+                given = *halves, real.type(dt), 2 * slab.start, *parts
+                kernels.frames(*given)
+                one, two = (part.T for part in starts)
+            lines[name] = transform(one, two, i)
             kernels.ring_powers(lines[name], start, table.ring, table.weight, table.spread, sums[name])
             if name in maps:
                 kernels.add_powers(lines[name], sums[f"map {name}"][slab])
@@ -216,7 +223,8 @@ def label(
             "units": product((UNITS[a], 1), (UNITS[b], 1), *per),
             "comment": "conj of the first times the second, for waves exp(i (k . x - omega t))",
         }
-        out[f"S_{a}_{b}"] = (("omega", "k"), sums[f"{a}*{b}"].T * factor, attrs)
+        real, imaginary = sums[f"{a}*{b}"]
+        out[f"S_{a}_{b}"] = (("omega", "k"), (real + 1j * imaginary).T * factor, attrs)
     valid = spectra.valid_komega(table, omega, record)
     out["valid"] = (("omega", "k"), valid, {"long_name": "where the spectrum can be trusted", "units": "1"})
     return xr.Dataset(
@@ -296,6 +304,6 @@ def lazy_cross_spectra(
     parts = [task(a, b, names, pairs, (), table, record.dt) for run in runs for a, b in pairwise(run)]
     summed = segments.in_order(parts)
     shape = (table.k.size, segment // 2 + 1)
-    sums = {name: da.from_delayed(summed[name], (2, *shape), float) for name in names}
-    sums |= {f"{a}*{b}": da.from_delayed(summed[f"{a}*{b}"], shape, complex) for a, b in pairs}
+    wanted = (*names, *(f"{a}*{b}" for a, b in pairs))
+    sums = {name: da.from_delayed(summed[name], (2, *shape), float) for name in wanted}
     return label(sums, names, pairs, record, segment, table)

@@ -373,18 +373,12 @@ def _filter(
     out = np.zeros((half, *shape), z.dtype)
     for start, kept in ((0, slice(half, None)), (half, slice(0, half))):
         part = slice(start, start + segment)
-        z_flat, z_t_flat = (array[part].reshape(segment, -1).T for array in (z, z_t))
-        frames = np.empty((2, z_flat.shape[0], half), z.dtype)
-        kernels.frames(
-            np.ascontiguousarray(z_flat[:, :half]),
-            np.ascontiguousarray(z_flat[:, half:]),
-            np.ascontiguousarray(z_t_flat[:, :half]),
-            np.ascontiguousarray(z_t_flat[:, half:]),
-            z.dtype.type(dt),
-            frames[0],
-            frames[1],
-        )
-        lines = fft.rfft(np.concatenate(list(frames), axis=1).T * window, axis=0) * advance[:, None]
+        z_flat, z_t_flat = (array[part].reshape(segment, -1) for array in (z, z_t))
+        frames = np.empty_like(z_flat)
+        halves = [array[some] for array in (z_flat, z_t_flat) for some in (slice(half), slice(half, None))]
+        given = *halves, z.dtype.type(dt), 0, frames[:half], frames[half:]
+        kernels.frames(*given)
+        lines = fft.rfft(frames * window, axis=0) * advance[:, None]
         lines += fft.rfft(w[part].reshape(segment, -1) * window, axis=0) * integrate[:, None]
         out += fft.irfft(lines, segment, axis=0)[kept].reshape(half, *shape).astype(z.dtype)
     return out

@@ -1,7 +1,9 @@
 """Inner loops of the spectral estimators, on plain arrays.
 
-Layout: the spatial transform of a piece of a record is held as (cells, steps), cells being ky x kx with
-kx >= 0, so that the transform in time and the sums over rings run along contiguous memory.
+Layout: the spatial transform of a piece of a record is held step by step, cells being ky x kx with kx >= 0;
+`join` turns it into lines along time, one per cell, for the transform in time and the sums over rings. Loops
+run along contiguous memory and are written so that they vectorise: real and imaginary parts apart, no
+branches, unsigned indices where they run backwards (signed ones are checked for wrapping around).
 """
 
 import numba
@@ -10,73 +12,75 @@ import numpy as np
 _fast = numba.njit(nogil=True, cache=True)
 # sums may be taken in any order, always the same one for the same shape
 _loose = numba.njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "nsz"})
+_TILE = 8  # steps turned around at once: a line of the cache
+_BATCH = 1024  # values sorted into bins at once
 
 
 @_loose
 def join(first, second, window, out):
-    """Put two halves of a segment together, take off mean and trend in time, and window.
+    """Put two halves of a segment together, take off mean and trend in time, window, and turn around.
 
     Parameters
     ----------
-    first, second : ndarray, complex, (cells, n / 2)
-        The halves.
+    first, second : ndarray, (n / 2, 2 * cells)
+        The halves, real and imaginary parts in turn.
     window : ndarray, (n,)
         Window in time, in the precision of the halves.
-    out : ndarray, complex, (cells, n)
-        Receives the result.
+    out : ndarray, (cells, 2 * n)
+        Receives the result, real and imaginary parts in turn.
     """
-    cells, half = first.shape
+    half, columns = first.shape
     n = 2 * half
     middle = (n - 1) / 2
     norm = n * (n * n - 1) / 12  # sum of (i - middle)^2
     real = window.dtype.type
-    for c in range(cells):
-        a = first[c]
-        b = second[c]
-        o = out[c]
-        # sums in double precision, real and imaginary parts apart: this way they vectorise
-        sum_r = 0.0
-        sum_i = 0.0
-        moment_r = 0.0
-        moment_i = 0.0
-        for i in range(half):
-            p = i - middle
-            q = p + half
-            ar = np.float64(a[i].real)
-            ai = np.float64(a[i].imag)
-            br = np.float64(b[i].real)
-            bi = np.float64(b[i].imag)
-            sum_r += ar + br
-            sum_i += ai + bi
-            moment_r += p * ar + q * br
-            moment_i += p * ai + q * bi
-        slope_r = real(moment_r / norm)
-        slope_i = real(moment_i / norm)
-        first_r = real(sum_r / n - middle * moment_r / norm)
-        first_i = real(sum_i / n - middle * moment_i / norm)
-        for i in range(half):
+    # sums in double precision
+    total = np.zeros(columns)
+    moment = np.zeros(columns)
+    for i in range(half):
+        a = first[i]
+        b = second[i]
+        p = i - middle
+        q = p + half
+        for c in range(columns):
+            total[c] += np.float64(a[c]) + np.float64(b[c])
+            moment[c] += p * np.float64(a[c]) + q * np.float64(b[c])
+    slope = np.empty(columns, window.dtype)
+    start = np.empty(columns, window.dtype)
+    for c in range(columns):
+        slope[c] = moment[c] / norm
+        start[c] = total[c] / n - middle * moment[c] / norm
+    tile = np.empty((_TILE, columns), window.dtype)
+    for begin in range(0, n, _TILE):
+        some = min(_TILE, n - begin)
+        for k in range(some):
+            i = begin + k
+            row = first[i] if i < half else second[i - half]
             t = real(i)
             w = window[i]
-            o[i] = complex((a[i].real - first_r - slope_r * t) * w, (a[i].imag - first_i - slope_i * t) * w)
-        for i in range(half):
-            t = real(i + half)
-            w = window[i + half]
-            o[i + half] = complex(
-                (b[i].real - first_r - slope_r * t) * w, (b[i].imag - first_i - slope_i * t) * w
-            )
+            to = tile[k]
+            for c in range(columns):
+                to[c] = (row[c] - start[c] - slope[c] * t) * w
+        for c in range(columns // 2):
+            to = out[c]
+            for k in range(some):
+                to[2 * (begin + k)] = tile[k, 2 * c]
+                to[2 * (begin + k) + 1] = tile[k, 2 * c + 1]
 
 
-@_fast
-def frames(z_first, z_second, rate_first, rate_second, dt, first, second):
+@_loose
+def frames(z_first, z_second, rate_first, rate_second, dt, begin, first, second):
     """Elevation at the first frame of each step of a segment, from mid-time elevation and rate of rise.
 
     Parameters
     ----------
-    z_first, z_second, rate_first, rate_second : ndarray, (cells, n / 2)
-        Mid-time elevation and rate of rise of the two halves, or their spatial transforms.
+    z_first, z_second, rate_first, rate_second : ndarray, (n / 2, columns)
+        Mid-time elevation and rate of rise of the two halves, or their transforms, real and imaginary.
     dt : float
         Time between frames, in the precision of the fields.
-    first, second : ndarray, (cells, n / 2)
+    begin : int
+        First column wanted.
+    first, second : ndarray, (n / 2, columns wanted)
         Receive the elevation half a step before each mid-time.
 
     Notes
@@ -85,27 +89,30 @@ def frames(z_first, z_second, rate_first, rate_second, dt, first, second):
     16. The first and last step follow from their neighbour by z_t alone: what lies outside the segment is not
     needed, and the mid-time z at the ends of a record, which had no fourth frame, is not used.
     """
-    cells, half = z_first.shape
+    half, columns = first.shape
+    end = begin + columns
     slope = dt / 16
     rise = dt / 2
-    for c in range(cells):
-        z = z_first[c]
-        r = rate_first[c]
-        o = first[c]
-        for i in range(1, half - 1):
-            o[i] = z[i] + slope * (r[i + 1] - r[i - 1]) - rise * r[i]
-        o[half - 1] = z[half - 1] + slope * (rate_second[c, 0] - r[half - 2]) - rise * r[half - 1]
-        o[0] = o[1] - dt * r[0]
-        z = z_second[c]
-        q = rate_second[c]
-        o = second[c]
-        o[0] = z[0] + slope * (q[1] - r[half - 1]) - rise * q[0]
-        for i in range(1, half - 1):
-            o[i] = z[i] + slope * (q[i + 1] - q[i - 1]) - rise * q[i]
-        o[half - 1] = o[half - 2] + dt * q[half - 2]
+    for i in range(1, 2 * half - 1):
+        z = (z_first[i] if i < half else z_second[i - half])[begin:end]
+        before = (rate_first[i - 1] if i <= half else rate_second[i - half - 1])[begin:end]
+        rate = (rate_first[i] if i < half else rate_second[i - half])[begin:end]
+        after = (rate_first[i + 1] if i < half - 1 else rate_second[i + 1 - half])[begin:end]
+        out = first[i] if i < half else second[i - half]
+        for c in range(columns):
+            out[c] = z[c] + slope * (after[c] - before[c]) - rise * rate[c]
+    for c in range(columns):
+        first[0, c] = first[1, c] - dt * rate_first[0, begin + c]
+        second[half - 1, c] = second[half - 2, c] + dt * rate_second[half - 2, begin + c]
 
 
-@_fast
+@_loose
+def _add_row(row, factor, out):
+    for j in range(row.size):
+        out[j] += factor * row[j]
+
+
+@_loose
 def ring_powers(f, start, ring, weight, spread, out):
     """Add power and squared power of every cell to its rings, +-omega folded: k points where the wave goes.
 
@@ -126,52 +133,56 @@ def ring_powers(f, start, ring, weight, spread, out):
     """
     cells, n = f.shape
     half = n // 2
-    power = np.empty(half + 1)
+    power = np.empty(n, f.real.dtype)
+    folded = np.empty(half + 1)
     square = np.empty(half + 1)
     for c in range(cells):
-        row = f[c]
-        power[0] = row[0].real ** 2 + row[0].imag ** 2
-        square[0] = power[0] ** 2
+        line = f[c]
+        for j in range(n):
+            power[j] = line[j].real ** 2 + line[j].imag ** 2
+        folded[0] = power[0]
+        square[0] = folded[0] ** 2
         for j in range(1, half):
-            a = row[n - j].real ** 2 + row[n - j].imag ** 2
-            b = row[j].real ** 2 + row[j].imag ** 2
-            power[j] = a + b
+            a = np.float64(power[j])
+            b = np.float64(power[np.uint64(n - j)])
+            folded[j] = a + b
             square[j] = a * a + b * b
-        power[half] = row[half].real ** 2 + row[half].imag ** 2
-        square[half] = power[half] ** 2
+        folded[half] = power[half]
+        square[half] = folded[half] ** 2
         for s in range(start[c], start[c + 1]):
-            r = ring[s]
-            g = weight[s]
-            h = spread[s]
-            for j in range(half + 1):
-                out[0, r, j] += g * power[j]
-                out[1, r, j] += h * square[j]
+            _add_row(folded, weight[s], out[0, ring[s]])
+            _add_row(square, spread[s], out[1, ring[s]])
 
 
-@_fast
+@_loose
 def ring_crosses(f, g, start, ring, weight, out):
-    """As `ring_powers`, for conj(f) g; ``out`` is complex.
+    """As the power in `ring_powers`, for conj(f) g; ``out`` holds real and imaginary parts.
 
     The phase is that of waves exp(i (k . x - omega t)), omega > 0.
     """
     cells, n = f.shape
     half = n // 2
-    cross = np.empty(half + 1, np.complex128)
+    real = np.empty(n, f.real.dtype)
+    imag = np.empty(n, f.real.dtype)
+    even = np.empty(half + 1)
+    odd = np.zeros(half + 1)
     for c in range(cells):
         a = f[c]
         b = g[c]
-        cross[0] = (np.conj(a[0]) * b[0]).real
+        for j in range(n):
+            real[j] = a[j].real * b[j].real + a[j].imag * b[j].imag
+            imag[j] = a[j].real * b[j].imag - a[j].imag * b[j].real
+        even[0] = real[0]
         for j in range(1, half):
-            cross[j] = np.conj(a[n - j]) * b[n - j] + a[j] * np.conj(b[j])
-        cross[half] = (np.conj(a[half]) * b[half]).real
+            even[j] = np.float64(real[j]) + np.float64(real[np.uint64(n - j)])
+            odd[j] = np.float64(imag[np.uint64(n - j)]) - np.float64(imag[j])
+        even[half] = real[half]
         for s in range(start[c], start[c + 1]):
-            r = ring[s]
-            h = weight[s]
-            for j in range(half + 1):
-                out[r, j] += h * cross[j]
+            _add_row(even, weight[s], out[0, ring[s]])
+            _add_row(odd, weight[s], out[1, ring[s]])
 
 
-@_fast
+@_loose
 def add_powers(f, out):
     """Add |f|^2.
 
@@ -183,8 +194,62 @@ def add_powers(f, out):
         Sums to add to.
     """
     for c in range(f.shape[0]):
-        for j in range(f.shape[1]):
-            out[c, j] += f[c, j].real ** 2 + f[c, j].imag ** 2
+        line = f[c]
+        to = out[c]
+        for j in range(line.size):
+            to[j] += line[j].real ** 2 + line[j].imag ** 2
+
+
+@_fast
+def _along(z, factor, out):
+    # derivative of a line by central differences of sixth order, of lower order at the ends
+    n = z.size
+    if n > 6:
+        a, b, c, d, e, f = z[4:], z[2:], z[5:], z[1:], z[6:], z
+        to = out[3:]
+        for j in range(n - 6):
+            to[j] = (45.0 * (a[j] - b[j]) - 9.0 * (c[j] - d[j]) + (e[j] - f[j])) * (factor / 60.0)
+    for k in range(min(6, n)):
+        j = k if k < 3 else n - 1 - (k - 3)
+        room = min(j, n - 1 - j)
+        if room >= 3:
+            continue
+        if room == 2:
+            slope = (8.0 * (z[j + 1] - z[j - 1]) - (z[j + 2] - z[j - 2])) / 12.0
+        elif room == 1:
+            slope = (z[j + 1] - z[j - 1]) / 2.0
+        elif j == 0:
+            slope = (-3.0 * z[0] + 4.0 * z[1] - z[2]) / 2.0
+        else:
+            slope = (3.0 * z[j] - 4.0 * z[j - 1] + z[j - 2]) / 2.0
+        out[j] = slope * factor
+
+
+@_fast
+def _across(z, i, factor, out):
+    # the same along the first axis, for one row
+    ny, nx = z.shape
+    room = min(i, ny - 1 - i)
+    if room >= 3:
+        a, b, c, d, e, f = z[i + 1], z[i - 1], z[i + 2], z[i - 2], z[i + 3], z[i - 3]
+        for j in range(nx):
+            out[j] = (45.0 * (a[j] - b[j]) - 9.0 * (c[j] - d[j]) + (e[j] - f[j])) * (factor / 60.0)
+    elif room == 2:
+        a, b, c, d = z[i + 1], z[i - 1], z[i + 2], z[i - 2]
+        for j in range(nx):
+            out[j] = (8.0 * (a[j] - b[j]) - (c[j] - d[j])) / 12.0 * factor
+    elif room == 1:
+        a, b = z[i + 1], z[i - 1]
+        for j in range(nx):
+            out[j] = (a[j] - b[j]) / 2.0 * factor
+    elif i == 0:
+        a, b, c = z[0], z[1], z[2]
+        for j in range(nx):
+            out[j] = (-3.0 * a[j] + 4.0 * b[j] - c[j]) / 2.0 * factor
+    else:
+        a, b, c = z[i], z[i - 1], z[i - 2]
+        for j in range(nx):
+            out[j] = (3.0 * a[j] - 4.0 * b[j] + c[j]) / 2.0 * factor
 
 
 @_fast
@@ -200,42 +265,64 @@ def gradient(z, dy, dx, z_y, z_x):
     z_y, z_x : ndarray, (steps, y, x)
         Receive the derivatives.
     """
-    steps, ny, nx = z.shape
-    for t in range(steps):
-        for i in range(ny):
-            for j in range(nx):
-                room = min(j, nx - 1 - j)
-                if room >= 3:
-                    d = (
-                        45.0 * (z[t, i, j + 1] - z[t, i, j - 1])
-                        - 9.0 * (z[t, i, j + 2] - z[t, i, j - 2])
-                        + (z[t, i, j + 3] - z[t, i, j - 3])
-                    ) / 60.0
-                elif room == 2:
-                    d = (8.0 * (z[t, i, j + 1] - z[t, i, j - 1]) - (z[t, i, j + 2] - z[t, i, j - 2])) / 12.0
-                elif room == 1:
-                    d = (z[t, i, j + 1] - z[t, i, j - 1]) / 2.0
-                elif j == 0:
-                    d = (-3.0 * z[t, i, 0] + 4.0 * z[t, i, 1] - z[t, i, 2]) / 2.0
-                else:
-                    d = (3.0 * z[t, i, j] - 4.0 * z[t, i, j - 1] + z[t, i, j - 2]) / 2.0
-                z_x[t, i, j] = d / dx
-                room = min(i, ny - 1 - i)
-                if room >= 3:
-                    d = (
-                        45.0 * (z[t, i + 1, j] - z[t, i - 1, j])
-                        - 9.0 * (z[t, i + 2, j] - z[t, i - 2, j])
-                        + (z[t, i + 3, j] - z[t, i - 3, j])
-                    ) / 60.0
-                elif room == 2:
-                    d = (8.0 * (z[t, i + 1, j] - z[t, i - 1, j]) - (z[t, i + 2, j] - z[t, i - 2, j])) / 12.0
-                elif room == 1:
-                    d = (z[t, i + 1, j] - z[t, i - 1, j]) / 2.0
-                elif i == 0:
-                    d = (-3.0 * z[t, 0, j] + 4.0 * z[t, 1, j] - z[t, 2, j]) / 2.0
-                else:
-                    d = (3.0 * z[t, i, j] - 4.0 * z[t, i - 1, j] + z[t, i - 2, j]) / 2.0
-                z_y[t, i, j] = d / dy
+    for t in range(z.shape[0]):
+        for i in range(z.shape[1]):
+            _along(z[t, i], 1 / dx, z_x[t, i])
+            _across(z[t], i, 1 / dy, z_y[t, i])
+
+
+@_fast
+def advection(z, u, v, dy, dx, out):
+    """Nonlinear term u . grad z of each step, the gradient as `gradient` takes it.
+
+    Parameters
+    ----------
+    z, u, v : ndarray, (steps, y, x)
+        Elevation and velocities along x and y.
+    dy, dx : float
+        Distance between nodes.
+    out : ndarray, (steps, y, x)
+        Receives the term.
+    """
+    z_y = np.empty(z.shape[2], z.dtype)
+    z_x = np.empty(z.shape[2], z.dtype)
+    for t in range(z.shape[0]):
+        for i in range(z.shape[1]):
+            _along(z[t, i], 1 / dx, z_x)
+            _across(z[t], i, 1 / dy, z_y)
+            a = u[t, i]
+            b = v[t, i]
+            to = out[t, i]
+            for j in range(z_x.size):
+                to[j] = a[j] * z_x[j] + b[j] * z_y[j]
+
+
+@_loose
+def slope_square(z, dy, dx):
+    """Sum of |grad z|^2 over all nodes and steps, the gradient as `gradient` takes it.
+
+    Parameters
+    ----------
+    z : ndarray, (steps, y, x)
+        Elevation.
+    dy, dx : float
+        Distance between nodes.
+
+    Returns
+    -------
+    float
+        Sum.
+    """
+    z_y = np.empty(z.shape[2], z.dtype)
+    z_x = np.empty(z.shape[2], z.dtype)
+    total = 0.0
+    for t in range(z.shape[0]):
+        for i in range(z.shape[1]):
+            _along(z[t, i], 1 / dx, z_x)
+            _across(z[t], i, 1 / dy, z_y)
+            for j in range(z_x.size):
+                total += np.float64(z_x[j]) ** 2 + np.float64(z_y[j]) ** 2
+    return total
 
 
 @_fast
@@ -254,13 +341,26 @@ def histogram(values, mean, std, reach, counts):
     bins = counts.size
     scale = bins / (2.0 * reach * std)
     origin = mean - reach * std
-    for i in range(values.size):
-        place = (values[i] - origin) * scale
-        if 0.0 <= place < bins:
-            counts[int(place)] += 1
+    place = np.empty(_BATCH, np.int32)
+    # neighbours often share a bin: in two tables they need not wait for each other; the last bin is the rest
+    even = np.zeros(bins + 1, np.int64)
+    odd = np.zeros(bins + 1, np.int64)
+    for begin in range(0, values.size, _BATCH):
+        some = values[begin : begin + _BATCH]
+        for i in range(some.size):
+            where = (some[i] - origin) * scale
+            inside = (where >= 0.0) & (where < bins)
+            place[i] = np.int32(where if inside else np.float64(bins))
+        for i in range(some.size // 2):
+            even[np.uint32(place[2 * i])] += 1
+            odd[np.uint32(place[2 * i + 1])] += 1
+        if some.size % 2:
+            even[place[some.size - 1]] += 1
+    for j in range(bins):
+        counts[j] += even[j] + odd[j]
 
 
-@_fast
+@_loose
 def moments(values, mean, sums):
     """Add the first four powers of (value - mean) to ``sums`` (5,), the first entry being the count.
 
@@ -276,12 +376,13 @@ def moments(values, mean, sums):
         Sums to add to.
     """
     for r in range(values.shape[0]):
+        row = values[r]
         s1 = 0.0
         s2 = 0.0
         s3 = 0.0
         s4 = 0.0
-        for i in range(values.shape[1]):
-            d = values[r, i] - mean
+        for i in range(row.size):
+            d = row[i] - mean
             q = d * d
             s1 += d
             s2 += q
@@ -295,19 +396,31 @@ def moments(values, mean, sums):
 
 
 @_fast
-def _lagrange(fraction, weights):
-    # weights of the nodes -(m/2 - 1) .. m/2 for a point at `fraction` in [0, 1)
+def _lagrange(fraction, scale, weights):
+    # weights of the nodes -(m/2 - 1) .. m/2 for a point at `fraction` in [0, 1); `scale`: `_denominators`
     m = weights.size
     first = -(m // 2 - 1)
-    for i in range(m):
-        w = 1.0
-        for j in range(m):
-            if j != i:
-                w *= (fraction - (first + j)) / (i - j)
-        weights[i] = w
+    product = 1.0
+    for i in range(m):  # what lies before each node, then what lies behind
+        weights[i] = product * scale[i]
+        product *= fraction - (first + i)
+    product = 1.0
+    for i in range(m - 1, -1, -1):
+        weights[i] *= product
+        product *= fraction - (first + i)
 
 
 @_fast
+def _denominators(m):
+    scale = np.ones(m)
+    for i in range(m):
+        for j in range(m):
+            if j != i:
+                scale[i] /= i - j
+    return scale
+
+
+@_loose
 def sample(field, row, column, out, points):
     """Interpolate a field between its nodes by Lagrange polynomials; NaN where the stencil runs out.
 
@@ -325,6 +438,7 @@ def sample(field, row, column, out, points):
     ny, nx = field.shape
     wy = np.empty(points)
     wx = np.empty(points)
+    scale = _denominators(points)
     back = points // 2 - 1
     for p in range(row.size):
         i0 = int(np.floor(row[p]))
@@ -332,12 +446,13 @@ def sample(field, row, column, out, points):
         if i0 - back < 0 or j0 - back < 0 or i0 + points - back > ny or j0 + points - back > nx:
             out[p] = np.nan
             continue
-        _lagrange(row[p] - i0, wy)
-        _lagrange(column[p] - j0, wx)
+        _lagrange(row[p] - i0, scale, wy)
+        _lagrange(column[p] - j0, scale, wx)
         total = 0.0
         for a in range(points):
             line = 0.0
+            nodes = field[i0 - back + a, j0 - back : j0 - back + points]
             for b in range(points):
-                line += wx[b] * field[i0 - back + a, j0 - back + b]
+                line += wx[b] * nodes[b]
             total += wy[a] * line
         out[p] = total

@@ -18,8 +18,8 @@ from wavefield.waves import kernels
 from wavefield.waves.record import LONGEST_BRIDGE, Record, fill, piece
 from wavefield.waves.windows import choose_segment, hann, segment_count
 
-_FRAMES = 16  # steps transformed in space at once: they fit the cache
-_CELLS = 1024  # cells transformed in time at once
+_FRAMES = 4  # steps transformed in space at once: they fit the cache
+CELLS = 128  # cells transformed in time at once: so do their segments
 _CHAIN = 8  # segments in a row that are summed one after the other
 
 
@@ -217,48 +217,86 @@ def window_energy(segment: int, ny: int, nx: int) -> float:
     return float((hann(segment) ** 2).sum() * (hann(ny) ** 2).sum() * (hann(nx) ** 2).sum())
 
 
-def transform_space(block: np.ndarray) -> np.ndarray:
+def transform_space(block: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
     """Transform each step in space.
 
     Parameters
     ----------
     block : ndarray, (steps, ny, nx)
         Field, float32 or float64.
+    out : ndarray, optional
+        What it gave for an earlier block of the same shape and type, to be used again: new memory is dear.
 
     Returns
     -------
     ndarray, complex, (ny * (nx // 2 + 1), steps)
-        Windowed transform, cells first.
+        Windowed transform, cells first (in memory, steps are).
     """
     steps, ny, nx = block.shape
     window = spatial_window(ny, nx).astype(block.dtype)
-    out = np.empty((ny, nx // 2 + 1, steps), np.complex64 if block.dtype == np.float32 else np.complex128)
+    shape = steps, ny, nx // 2 + 1
+    if out is None:
+        out = np.empty((steps, ny * shape[2]), np.result_type(block.dtype, np.complex64)).T
+    planes = out.T.reshape(shape)
+    some = np.empty((min(_FRAMES, steps), ny, nx), block.dtype)
     for a in range(0, steps, _FRAMES):
-        lines = fft.rfft2(block[a : a + _FRAMES] * window, axes=(1, 2))
-        out[:, :, a : a + _FRAMES] = lines.transpose(1, 2, 0)
-    return out.reshape(-1, steps)
+        part = block[a : a + _FRAMES]
+        windowed = np.multiply(part, window, out=some[: part.shape[0]])
+        planes[a : a + _FRAMES] = fft.rfft2(windowed, axes=(1, 2))
+    return out
 
 
 def slabs(cells: int) -> Iterator[slice]:
     """Cut cells into slabs that fit the cache."""
-    for a in range(0, cells, _CELLS):
-        yield slice(a, min(a + _CELLS, cells))
+    for a in range(0, cells, CELLS):
+        yield slice(a, min(a + CELLS, cells))
 
 
-def transform_time(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Transform a segment in time.
+class TimeTransform:
+    """Transforms segments in time, slab by slab, in work space of its own: it is made once and used again.
 
     Parameters
     ----------
-    first, second : ndarray, complex, (cells, n / 2)
-        Spatial transforms of the two halves.
-
-    Returns
-    -------
-    ndarray, complex, (cells, n)
-        Mean and trend taken off, Hann window, numpy's signs.
+    half : int
+        Steps of half a segment.
+    dtype : dtype
+        Complex type of the spatial transforms.
+    names : int
+        Number of fields whose lines are held at a time.
     """
-    cells, half = first.shape
-    joined = np.empty((cells, 2 * half), first.dtype)
-    kernels.join(first, second, hann(2 * half).astype(first.real.dtype), joined)
-    return fft.fft(joined, axis=-1, overwrite_x=True)
+
+    def __init__(self, half: int, dtype: Any, names: int = 1) -> None:
+        dtype = np.dtype(dtype)
+        self.half, self.real = half, dtype.type(0).real.dtype
+        self.window = hann(2 * half).astype(self.real)
+        self.lines = np.empty((names, 2 * half * CELLS), dtype)
+        self.halves = np.empty((2, half * CELLS), dtype)
+
+    def __call__(self, first: np.ndarray, second: np.ndarray, name: int = 0) -> np.ndarray:
+        """Transform a slab.
+
+        Parameters
+        ----------
+        first, second : ndarray, complex, (cells, n / 2)
+            Spatial transforms of the two halves.
+        name : int
+            Which field it is.
+
+        Returns
+        -------
+        ndarray, complex, (cells, n)
+            Mean and trend taken off, Hann window, numpy's signs; good until the next call for the name.
+        """
+        cells = first.shape[0]
+        halves = [part[: self.half * cells].reshape(self.half, cells) for part in self.halves]
+        for part, given in zip(halves, (first, second)):
+            part[...] = given.T  # read once from far, then from the cache
+        joined = self.lines[name, : 2 * self.half * cells].reshape(cells, 2 * self.half)
+        first, second = (part.view(self.real) for part in halves)
+        kernels.join(first, second, self.window, joined.view(self.real))
+        return fft.fft(joined, axis=-1, overwrite_x=True)
+
+
+def transform_time(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Transform a slab of a segment in time, as `TimeTransform` does."""
+    return TimeTransform(first.shape[1], first.dtype)(first, second)

@@ -109,8 +109,9 @@ def _transform(blocks: list[np.ndarray], first: int) -> dict[str, np.ndarray]:
 def _powers(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     cells, half = a["f"].shape
     power = np.zeros((cells, 2 * half), a["f"].real.dtype)
+    transform = segments.TimeTransform(half, a["f"].dtype)
     for slab in segments.slabs(cells):
-        kernels.add_powers(segments.transform_time(a["f"][slab], b["f"][slab]), power[slab])
+        kernels.add_powers(transform(a["f"][slab], b["f"][slab]), power[slab])
     return {"power": power}
 
 
@@ -255,8 +256,9 @@ def _ring_powers(
 ) -> dict[str, np.ndarray]:
     cells, half = a["f"].shape
     out = np.zeros((2, int(ring.max()) + 1, half + 1))
+    transform = segments.TimeTransform(half, a["f"].dtype)
     for slab in segments.slabs(cells):
-        lines = segments.transform_time(a["f"][slab], b["f"][slab])
+        lines = transform(a["f"][slab], b["f"][slab])
         kernels.ring_powers(lines, start[slab.start : slab.stop + 1], ring, weight, spread, out)
     return {"f": out}
 

@@ -9,7 +9,6 @@ import xarray as xr
 
 from wavefield.errors import CubeError
 from wavefield.waves import kernels, segments
-from wavefield.waves.kinematics import slopes
 from wavefield.waves.record import Record, find_record, piece
 
 QUANTITIES = {
@@ -82,9 +81,9 @@ def survey(
     return out
 
 
-def slope_square(z_y: np.ndarray, z_x: np.ndarray) -> np.ndarray:
-    """Sum of |grad z|^2 and number of nodes, (2,)."""
-    return np.array([np.vdot(z_y, z_y) + np.vdot(z_x, z_x), z_x.size], float)
+def slope_square(z: np.ndarray, dy: float, dx: float) -> np.ndarray:
+    """Sum of |grad z|^2 over the nodes of some steps, and their number, (2,)."""
+    return np.array([kernels.slope_square(z, dy, dx), z.size], float)
 
 
 def central_moments(sums: np.ndarray, guess: float) -> dict[str, float]:
@@ -218,7 +217,7 @@ def _measure(
     fields = dict(zip(names, blocks))
     out = survey(fields, scale)
     if "z" in fields:
-        out["slopes"] = slope_square(*slopes(fields["z"], dy, dx))
+        out["slopes"] = slope_square(fields["z"], dy, dx)
     return out
 
 
