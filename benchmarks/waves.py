@@ -204,69 +204,68 @@ def reach(energy: xr.DataArray, truth: xr.DataArray) -> tuple[float, float]:
     return float(hertz[stop]), float(np.log10(truth.max() / smooth(truth.values)[stop]))
 
 
-def experiment(store: Path, truth: Path, segment: int | None) -> None:
-    """What the estimators make of a cube measured from images, beside the exact fields."""
-    cube = xr.open_zarr(store, chunks=None, consolidated=False).load()
-    exact = xr.open_zarr(truth, chunks=None, consolidated=False).load()
-    exact = exact.sel(time=cube.time, method="nearest").interp(y=cube.y, x=cube.x, assume_sorted=True)
-    exact = exact.assign_coords(time=cube.time).assign_attrs(cube.attrs)
-    exact = exact.where(np.isfinite(cube.z))
-    record = wv.find_record(cube)
-    out = wv.analyze(cube, segment=segment)
-    segment = int(out.attrs["segment"])
-    title(
-        f"Simulated experiment from images: {out.attrs['steps_used']} steps, {record.shape[0]} x"
-        f" {record.shape[1]} nodes, segments of {segment}"
-    )
-    ridge = out["dispersion"].to_dataset()
-    inside = (ridge.band_frequency > 1.5) & (ridge.band_frequency < 5)
-    k = ridge.ridge_error.where(inside, drop=True)
-    # relative error in omega at given k is that in k times k c_g / omega, about one half
-    row(
-        "ridge against theory up to 5 Hz, in omega, largest band, %",
-        "1",
-        f"{50 * float(np.abs(k).max()):.2f}",
-    )
-    row("  in k, largest band, %", "", f"{100 * float(np.abs(k).max()):.2f}")
-    row("  by bands of half a hertz, in k, %", "", "")
-    print("    " + "  ".join(f"{f:.2f} Hz {100 * e:+.2f}" for f, e in zip(k.band_frequency.values, k.values)))
-    true = wv.cross_spectra(exact, ("z_t",), segment=segment, record=record).E_z_t
-    omega = true.omega
-    dk = float(true.k[1] - true.k[0])
-    # the exact z_t is the difference of two frames, as the measured one
-    elevation = (true.sum("k") * dk * wv.elevation_from_w(omega, record.dt)).where(omega > 0, 0.0)
-    found = {
-        road: reach(out["spectra"][f"Ez_{road}"], elevation) for road in ("stereo", "w", "cross", "fusion")
-    }
-    for road, (hertz, decades) in found.items():
-        asked = {"stereo": "4.0", "w": "5.0", "fusion": "6.0"}.get(road, "")
-        row(f"E^z within a factor 2, {road}: decades", asked, f"{decades:.1f}")
-        row(f"E^z within a factor 2, {road}: up to, Hz", "5" if road == "stereo" else "", f"{hertz:.1f}")
-    gain = wv.window_gain(cube, exact, segment=segment, record=record)
-    for name, factor in (("z", 1.0), ("w", wv.elevation_from_w(omega, record.dt))):
-        whole = (
-            wv.undo(out["spectra"][f"E_komega_{name}"], gain[f"gain_{name}"] ** 2).E.sum("k") * dk * factor
+def ranges(fused: xr.Dataset, elevation: xr.DataArray, how: str, asked: dict[str, str]) -> None:
+    for road in ("stereo", "w", "cross", "fusion"):
+        hertz, decades = reach(fused[f"Ez_{road}"], elevation)
+        row(
+            f"E^z within a factor 2, {road}, {how}: decades, Hz",
+            asked.get(road, ""),
+            f"{decades:.1f} {hertz:.1f} Hz",
         )
-        hertz, decades = reach(whole.where(omega > 0, 0.0), elevation)
-        road = {"z": "stereo", "w": "w"}[name]
-        row(f"  the same, {road}, gain of the windows undone: decades", "", f"{decades:.1f}")
-        row(f"  the same, {road}, gain of the windows undone: up to, Hz", "", f"{hertz:.1f}")
-    print("  amplitude gain of the windows (z, w), measured against the truth, over k / 2 pi (1/m)")
-    chosen = [j for j in range(2, gain.sizes["k"], 2) if np.isfinite(gain.gain_z[j])]
-    print(
-        "    " + "  ".join(f"{gain.cycles[j]:.1f}: {gain.gain_z[j]:.2f} {gain.gain_w[j]:.2f}" for j in chosen)
-    )
-    fusion = out["fusion"].to_dataset()
-    row("noise of z, cm", "", f"{100 * float(fusion.sigma_z):.4f}")
-    row("noise of dz, cm", "", f"{100 * float(fusion.sigma_dz):.4f}")
-    row("correlation of the two noises", "", f"{float(fusion.noise_coherence):.3f}")
-    shares = out["kinematics"].to_dataset()
-    row("nonlinear term over w", "", f"{float(shares.nonlinear_share):.3f}")
-    row("residual over nonlinear term, Eulerian", "", f"{float(shares.residual_share):.3f}")
-    row(
-        "residual over nonlinear term, finite displacements", "", f"{float(shares.finite_residual_share):.3f}"
-    )
-    mine, theirs = out["coherence"].to_dataset(), wv.coherence(exact, segment=segment, record=record)
+
+
+def compare_gains(measured: xr.Dataset, predicted: xr.Dataset) -> None:
+    """The gain measured against the truth beside the one of linear theory, over k / 2 pi."""
+    predicted = predicted.interp(k=measured.k)
+    for title_, pick in (
+        ("rms over direction", lambda g: np.sqrt((g**2).mean("direction"))),
+        ("waves along x", lambda g: g.isel(direction=0)),
+        ("waves along y", lambda g: g.isel(direction=g.sizes["direction"] // 2)),
+    ):
+        print(f"\n  amplitude gain of the windows, {title_}: measured against the truth | linear theory")
+        print(
+            f"  {'1/m':>8s}"
+            + "".join(f"{name:>8s}" for name in "zuvw")
+            + " |"
+            + f"{'z':>7s}{'u':>8s}{'v':>8s}{'w':>8s}"
+        )
+        for j in range(3, measured.sizes["k"], 3):
+            if not np.isfinite(pick(measured.gain_w)[j]):
+                break
+            values = [
+                "".join(f"{float(pick(g[f'gain_{n}'])[j]):8.3f}" for n in "zuvw")
+                for g in (measured, predicted)
+            ]
+            print(f"  {float(measured.cycles[j]):8.2f}{values[0]} |{values[1]}")
+    for name in "zw":
+        power = [(g[f"gain_{name}"] ** 2).mean("direction") for g in (measured, predicted)]
+        inside = ((power[0] > 0.1) & (measured.cycles > 2)).values
+        error = np.abs(np.sqrt(power[1] / power[0]) - 1).values[inside]
+        row(
+            f"linear theory against measured gain of {name}, amplitude, rms where |H|^2 > .1, %",
+            "5",
+            f"{100 * np.sqrt(np.mean(error**2)):.1f}",
+        )
+        row("  largest, %", "", f"{100 * error.max():.1f}")
+
+
+def show_ridge(mine: xr.Dataset, theirs: xr.Dataset) -> None:
+    """The ridge by bands of half a hertz: measured, and from the exact fields."""
+    inside = (mine.band_frequency > 1.5) & (mine.band_frequency < 5)
+    k = mine.ridge_error.where(inside, drop=True)
+    exact = theirs.ridge_error.reindex_like(mine.ridge_error).where(inside, drop=True)
+    # an error of k at given omega is one of omega at given k times k c_g / omega
+    number = wv.wavenumber(2 * np.pi * k.band_frequency.values, float(mine.depth))
+    slope = number * wv.group_velocity(number, float(mine.depth)) / (2 * np.pi * k.band_frequency.values)
+    largest = float(np.abs(k.values * slope).max())
+    row("ridge against theory up to 5 Hz, in omega, largest band, %", "1", f"{100 * largest:.2f}")
+    row("  in k, largest band, %", "", f"{100 * float(np.abs(k).max()):.2f}")
+    row("  by bands of half a hertz, in k, %: measured (exact fields)", "", "")
+    bands = zip(k.band_frequency.values, k.values, exact.values)
+    print("    " + "  ".join(f"{f:.2f} Hz {100 * e:+.2f} ({100 * t:+.2f})" for f, e, t in bands))
+
+
+def show_coherence(mine: xr.Dataset, theirs: xr.Dataset) -> None:
     print("\n  coherence over k / 2 pi (1/m): measured | from the exact fields")
     print(f"  {'':8s} {'C_w':>8s} {'C_nl':>8s} {'C_tot':>8s} | {'C_w':>8s} {'C_nl':>8s} {'C_tot':>8s}")
     for j in range(2, mine.sizes["k"], 2):
@@ -280,6 +279,99 @@ def experiment(store: Path, truth: Path, segment: int | None) -> None:
         print(f"  {cycles:8.2f} {values[0]} | {values[1]}")
 
 
+def draw(path: Path, mine: xr.Dataset, theirs: xr.Dataset, spectra: dict[str, xr.DataArray]) -> None:
+    """The coherence curves beside the exact fields', and the elevation spectra beside the truth."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 4.5), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for name, colour in (("w", "tab:blue"), ("nl", "tab:orange"), ("tot", "tab:green")):
+        for curves, style, who in ((mine, "-", "images"), (theirs, "--", "exact fields")):
+            part = curves.isel(k=slice(2, None)).where(curves.k < 2 * np.pi * 30, drop=True)
+            left.plot(
+                part.k / (2 * np.pi), np.abs(part[f"C_{name}"]), style, color=colour, label=f"C_{name}, {who}"
+            )
+    left.set(xlabel="k / 2 pi (1/m)", ylabel="coherence", ylim=(0, 1.2))
+    for name, energy in spectra.items():
+        positive = energy.where(energy > 0)
+        right.semilogy(energy.omega / (2 * np.pi), positive, "k" if name == "truth" else "-", label=name)
+    right.set(xlabel="frequency (Hz)", ylabel="E^z (m2 s/rad)")
+    for axes in (left, right):
+        axes.legend(fontsize=7)
+    figure.savefig(path, dpi=120)
+
+
+def experiment(
+    store: Path, truth: Path, segment: int | None, picture: Path | None, kept: Path | None
+) -> None:
+    """What the estimators make of a cube measured from images, beside the exact fields."""
+    cube = xr.open_zarr(store, chunks=None, consolidated=False).load()
+    exact = xr.open_zarr(truth, chunks=None, consolidated=False).load()
+    cube = cube.sel(time=slice(None, float(exact.time[-1]) + 1e-6))
+    exact = exact.sel(time=cube.time, method="nearest").interp(y=cube.y, x=cube.x, assume_sorted=True)
+    exact = exact.assign_coords(time=cube.time).assign_attrs(cube.attrs)
+    exact = exact.where(np.isfinite(cube.z))
+    record = wv.find_record(cube)
+    out = wv.analyze(cube, segment=segment)
+    segment = int(out.attrs["segment"])
+    depth = float(cube.attrs.get("water_depth") or np.inf)
+    title(
+        f"Simulated experiment from images: {out.attrs['steps_used']} steps, {record.shape[0]} x"
+        f" {record.shape[1]} nodes, segments of {segment}"
+    )
+    dof = out["spectra"].attrs["degrees_of_freedom"]
+    density = wv.spectrum(exact.dz / record.dt, segment=segment, record=record).E
+    show_ridge(out["dispersion"].to_dataset(), wv.fit_dispersion(density, depth, dof=dof))
+
+    true = wv.cross_spectra(exact, ("z_t",), segment=segment, record=record).E_z_t
+    omega = true.omega
+    dk = float(true.k[1] - true.k[0])
+    # the exact z_t is the difference of two frames, as the measured one
+    elevation = (true.sum("k") * dk * wv.elevation_from_w(omega, record.dt)).where(omega > 0, 0.0)
+    level = np.log10(float(elevation.max()) / smooth(elevation.values))
+    falls = [f"{f} Hz {np.interp(2 * np.pi * f, omega, level):.1f}" for f in (3, 4, 5, 6, 7, 8)]
+    print("  decades that the sea itself has fallen below its peak: " + ", ".join(falls))
+    plain = out["fusion"].to_dataset().assign(out["spectra"].to_dataset().data_vars)
+    asked = {"stereo": "4.0", "w": "5.0", "fusion": "6.0"}
+    ranges(plain, elevation, "as measured", asked)
+    measured = wv.window_gain(cube, exact, segment=segment, record=record)
+    predicted = wv.predicted_gain(cube)
+    results = {"as measured": plain}
+    for how, gain in (
+        ("windows undone by theory", predicted),
+        ("windows undone as measured here", measured),
+        ("windows undone as kept", kept),
+    ):
+        if gain is not None:
+            results[how] = wv.fusion(cube, gain=gain, depth=depth, segment=segment, record=record)
+            ranges(results[how], elevation, how, asked)
+    undone = results["windows undone by theory"]
+    for name in ("stereo", "w"):
+        noise = plain[f"noise_{'z' if name == 'stereo' else 'w'}_fit"]
+        crossed = np.flatnonzero((noise > elevation).values & (omega > 2 * np.pi).values)
+        hertz = float(omega[crossed[0]]) / (2 * np.pi) if crossed.size else np.inf
+        row(f"noise, summed over all k, exceeds the true E^z from, {name}, Hz", "", f"{hertz:.1f}")
+    compare_gains(measured, predicted)
+    row("noise of z, cm", "", f"{100 * float(undone.sigma_z):.4f}")
+    row("noise of dz, cm", "", f"{100 * float(undone.sigma_dz):.4f}")
+    row("correlation of the two noises", "", f"{float(undone.noise_coherence):.3f}")
+    shares = out["kinematics"].to_dataset()
+    row("nonlinear term over w", "", f"{float(shares.nonlinear_share):.3f}")
+    row("residual over nonlinear term, Eulerian", "", f"{float(shares.residual_share):.3f}")
+    row(
+        "residual over nonlinear term, finite displacements", "", f"{float(shares.finite_residual_share):.3f}"
+    )
+    mine, theirs = out["coherence"].to_dataset(), wv.coherence(exact, segment=segment, record=record)
+    show_coherence(mine, theirs)
+    if picture is not None:
+        curves = {"truth": elevation} | {
+            f"{road}, {how}": results[how][f"Ez_{road}"]
+            for how in ("as measured", "windows undone by theory")
+            for road in ("stereo", "w", "fusion")
+        }
+        draw(picture, mine, theirs, curves)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -289,10 +381,12 @@ def main() -> None:
     parser.add_argument("--store", type=Path, help="a cube measured from a simulated experiment")
     parser.add_argument("--truth", type=Path, help="the exact fields of that experiment")
     parser.add_argument("--segment", type=int, help="steps of a segment, for --store")
+    parser.add_argument("--gain", type=Path, help="a gain kept from another experiment, for --store")
+    parser.add_argument("--picture", type=Path, help="PNG of coherence and spectra to write, for --store")
     given = parser.parse_args()
     if given.store:
         truth = given.truth or given.store.parent / "truth" / "truth.zarr"
-        experiment(given.store, truth, given.segment)
+        experiment(given.store, truth, given.segment, given.picture, given.gain)
         return
     with tempfile.TemporaryDirectory() as folder:
         path = given.cube or Path(folder) / "cube.zarr"
