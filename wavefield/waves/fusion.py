@@ -26,23 +26,15 @@ from wavefield.waves.windows import hann
 NAMES = ("z", "w")
 PAIRS = (("z", "w"),)
 ROADS = ("stereo", "w", "cross", "fusion")
-_GAIN_ERROR = 0.1  # of power
 _OFF = 0.3  # of the ridge's omega: further off there is no free wave
 _TRUSTED = 0.7  # share of the ridge's cells
 _LOWEST = 1.2  # Hz: below it the integrated w holds little but drift
 
 
-def _white(noise: np.ndarray, signal: np.ndarray, use: np.ndarray) -> np.ndarray:
-    # level of each column: weighted mean of a noise estimate whose variance is N^2 + 2 S N, and which errs by
-    # some of the signal where gains do; from the median on
-    level = np.nan_to_num(np.nanmedian(np.where(use, noise, np.nan), axis=0)).clip(min=0.0)
-    noise, signal = np.where(use, noise, 0.0), np.where(use, signal, 0.0)
-    least = 1e-12 * signal.max(initial=1e-300)
-    for _ in range(8):
-        scale = np.maximum(level, least)
-        weight = use / (scale**2 + 2 * signal * scale + (_GAIN_ERROR * signal) ** 2)
-        level = np.maximum((weight * noise).sum(axis=0) / weight.sum(axis=0), 0.0)
-    return level
+def _white(noise: np.ndarray, use: np.ndarray) -> np.ndarray:
+    # level of each ring: the median passes over the ridge, where gains err, and over the nonlinear term in w
+    level = np.nanmedian(np.where(use, noise, np.nan), axis=0)
+    return np.nan_to_num(level).clip(min=0.0)
 
 
 def _reach(omega: np.ndarray, valid: np.ndarray, signal: np.ndarray) -> tuple[float, float]:
@@ -141,9 +133,8 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf, gain: xr.Dataset | Non
     with np.errstate(divide="ignore", invalid="ignore"):
         eta_k = np.where(sees_z & sees_w, cross_k / gain_zw, 0.0)
         noise_z_k, noise_w_k = zz_k - gain_z * eta_k, ww_k - gain_w * eta_k
-        signal_k = np.maximum(eta_k, 0.0)
-        white_z = _white(noise_z_k, gain_z * signal_k, use)
-        white_dz = _white(noise_w_k * shape[:, None], gain_w * signal_k * shape[:, None], use)
+        white_z = _white(noise_z_k, use)
+        white_dz = _white(noise_w_k * shape[:, None], use)
         fit_w_k = np.where(omega[:, None] > 0, white_dz / shape[:, None], np.inf)
     fit_z_k = np.broadcast_to(white_z, zz_k.shape)
 
