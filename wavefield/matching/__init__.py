@@ -5,7 +5,8 @@ from wavefield.matching.displacement import Displacement, Reason
 from wavefield.matching.gauss_newton import match
 from wavefield.matching.prepared import Prepared, prepare
 from wavefield.matching.settings import Settings
-from wavefield.matching.uncertainty import std_from_influence, transfer_kernel
+from wavefield.matching.transfer import footprint, restoring, transfer_function, transfer_kernel
+from wavefield.matching.uncertainty import std_from_influence
 
 __all__ = [
     "Displacement",
@@ -13,8 +14,11 @@ __all__ = [
     "Reason",
     "Settings",
     "correlate",
+    "footprint",
     "match",
     "prepare",
+    "restoring",
     "std_from_influence",
+    "transfer_function",
     "transfer_kernel",
 ]

@@ -7,58 +7,19 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from wavefield.matching.lattice import BLOCK, BORDER, filtered, gaussian, window_sigma
+from wavefield.matching.lattice import BLOCK, BORDER, filtered
 from wavefield.matching.settings import Settings
+from wavefield.matching.transfer import transfer_kernel
 
-_N = 128  # blocks: period of the Fourier transforms below
 _CLUSTER = 5  # blocks: neighbours closer than this share pixels, gradients and noise
 
 
 @lru_cache(maxsize=32)
-def transfer_kernel(settings: Settings, gain: float = 1.0) -> np.ndarray:
-    """Weight of each block's own displacement in the final vector, linear theory.
-
-    Parameters
-    ----------
-    settings : Settings
-        Window, smoother and number of steps at the finest level.
-    gain : float
-        What a step achieves of the way to the solution (1 on clean images, less where noise shortens steps).
-
-    Returns
-    -------
-    (2 r + 1, 2 r + 1) float32
-        The kernel, its centre at [r, r]; it sums to nearly 1.
-
-    Notes
-    -----
-    Inverse Fourier transform of T, made by T <- S (T + gain W (1 - T)) for the window W and the smoother S of
-    every step at every level.
-    """
-    k = 2 * np.pi * np.fft.fftfreq(_N)
-
-    def transfer(weights: np.ndarray) -> np.ndarray:
-        reach = len(weights) // 2
-        return np.cos(np.outer(k, np.arange(-reach, reach + 1))) @ weights
-
-    total = np.zeros((_N, _N))
-    for level in reversed(range(settings.levels)):
-        sigma = settings.smoother_sigma if level == 0 else settings.coarse_smoother_sigma
-        w = transfer(gaussian(2**level * window_sigma(settings.window)).astype(float))
-        g = transfer(gaussian(2**level * sigma).astype(float)) if sigma > 0 else np.ones(_N)
-        smoother = 1 - (1 - g[:, None] * g) ** settings.smoother_order
-        for _ in range(settings.iterations[settings.levels - 1 - level]):
-            total = smoother * (total + gain * w[:, None] * w * (1 - total))
-    kernel = np.fft.fftshift(np.fft.ifft2(total).real)
-    reach = min(_N // 2 - 1, int(3 * settings.window / 5) + 3)
-    middle = slice(_N // 2 - reach, _N // 2 + reach + 1)
-    return kernel[middle, middle].astype(np.float32)
-
-
-@lru_cache(maxsize=32)
-def _separable(settings: Settings, gain: float, power: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+def _separable(
+    settings: Settings, gain: float, restored: bool, power: int
+) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """Kernel (or its square) as a short sum of separable ones: rows and columns of its singular vectors."""
-    kernel = transfer_kernel(settings, gain).astype(float) ** power
+    kernel = transfer_kernel(settings, gain, restored).astype(float) ** power
     if power == 2:
         kernel = _middle(kernel, 1e-3)
     left, size, right = np.linalg.svd(kernel)
@@ -84,7 +45,11 @@ def _convolved(field: np.ndarray, parts: tuple[tuple[np.ndarray, np.ndarray], ..
 
 
 def std_from_influence(
-    influence: np.ndarray, settings: Settings, field: np.ndarray | None = None, gain: float = 1.0
+    influence: np.ndarray,
+    settings: Settings,
+    field: np.ndarray | None = None,
+    gain: float = 1.0,
+    restored: bool = False,
 ) -> np.ndarray:
     """Standard uncertainty of a field from the influences of its blocks.
 
@@ -99,6 +64,8 @@ def std_from_influence(
         The measured field itself: adds what window and smoother take away from its short waves.
     gain : float
         As for `transfer_kernel`.
+    restored : bool
+        The field has been, or will be, through `restoring`.
 
     Returns
     -------
@@ -113,17 +80,17 @@ def std_from_influence(
     is added.
     """
     gain = round(float(gain), 2)
-    kernel = transfer_kernel(settings, gain).astype(float)
+    kernel = transfer_kernel(settings, gain, restored).astype(float)
     side = min(_CLUSTER, (int(settings.window / BLOCK) - 1) // 2 * 2 + 1)
     r = len(kernel) // 2
     near = slice(r - side // 2, r + side // 2 + 1)
     freedom = max(1 - 2 * kernel[near, near].sum() + side**2 * (kernel**2).sum(), 0.25)
     clusters = filtered(np.ascontiguousarray(influence, np.float32), np.ones(side, np.float32))
-    variance = _convolved(clusters * clusters, _separable(settings, gain, 2))
+    variance = _convolved(clusters * clusters, _separable(settings, gain, restored, 2))
     variance *= np.float32(1 / (side**2 * freedom))
     if field is not None:
-        lost = field - _convolved(np.ascontiguousarray(field, np.float32), _separable(settings, gain, 1)) / (
-            np.float32(kernel.sum())
-        )
+        lost = field - _convolved(
+            np.ascontiguousarray(field, np.float32), _separable(settings, gain, restored, 1)
+        ) / (np.float32(kernel.sum()))
         variance += lost * lost
     return np.sqrt(np.maximum(variance, 0))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from wavefield.measurement.rectify import bin_pixels
 
-_KNEE = 0.3  # of the contrast: darker than this above the background, the logarithm is nearly a line
+_KNEE = 0.5  # of the contrast: darker than this above the background, the logarithm is nearly a line
 _SCALE = 5000.0  # grey levels for a factor e: log(65535) still fits 16 bits
 
 
@@ -67,7 +67,7 @@ def even_out(image: NDArray) -> NDArray:
 
     Notes
     -----
-    log(1 + (I - I_1) / (0.3 (I_99 - I_1))), with I_1 and I_99 the image's brightness at 1 and 99 %. Two
+    log(1 + (I - I_1) / (0.5 (I_99 - I_1))), with I_1 and I_99 the image's brightness at 1 and 99 %. Two
     cameras see a bead differently bright, and where the images of beads overlap the brighter one pulls the
     match: the logarithm turns factors into additions, which have no gradient, and lets faint beads count
     nearly as much as bright ones. Gains and offsets of a camera drop out.

@@ -143,7 +143,7 @@ def _step(window: Sequence[Instant], plan: Plan, frame_rate: float, out: dict[st
     quality = np.where(inside, quality, np.uint8(Quality.OUTSIDE))
     out["quality"][:] |= quality
     squared = _squared_phase(surfaces, moved.d[2], inside)
-    d_std = [_together(std, squared / 16.0 * _typical(d, inside)) for d, std in zip(moved.d, moved.d_std)]
+    d_std = [np.hypot(std, squared / 18.0 * _typical(d, inside)) for d, std in zip(moved.d, moved.d_std)]
     fields = {
         "z": z,
         "z_t": (second.surface.z - first.surface.z) * np.float32(frame_rate),
@@ -152,7 +152,7 @@ def _step(window: Sequence[Instant], plan: Plan, frame_rate: float, out: dict[st
         "w": moved.d[2] * frame_rate,
         "eps_y": np.float32(0.5) * (first.surface.eps_y + second.surface.eps_y),
         "eps_piv": moved.eps_piv,
-        "z_std": _together(z_std, _left_out(surfaces, z, squared, inside)),
+        "z_std": np.hypot(z_std, _left_out(surfaces, z, squared, inside)),
         "u_std": d_std[0] * frame_rate,
         "v_std": d_std[1] * frame_rate,
         "w_std": d_std[2] * frame_rate,
@@ -198,7 +198,7 @@ def _left_out(surfaces: Sequence[Surface | None], z: NDArray, squared: float, in
     """What the finite time step leaves out of z at mid-time, metres.
 
     Of a wave of phase p = omega dt per step two frames leave out p^2/8, four frames 3/16 p^2 of that.
-    (Likewise a displacement leaves out p^2/24 of the velocity, and half as much again because the
+    (Likewise a displacement leaves out p^2/24 of the velocity, and a third as much again because the
     middle of the chord lies beside the path.)
     """
     before, first, second, after = surfaces
@@ -208,15 +208,6 @@ def _left_out(surfaces: Sequence[Surface | None], z: NDArray, squared: float, in
         correction = z - np.float32(0.5) * (first.z + second.z)
         return 0.1875 * squared * _typical(correction, inside)
     return 0.125 * squared * _typical(z, inside)
-
-
-def _together(space: NDArray, time: NDArray) -> NDArray:
-    """Uncertainty of the match and what the finite time step leaves out, taken together.
-
-    Windows and time step both take from the same short waves, with the same sign: on simulated seas the two
-    errors are correlated by .3 to .6.
-    """
-    return np.sqrt(space**2 + time**2 + space * time)
 
 
 def _typical(field: NDArray, inside: NDArray) -> NDArray:

@@ -182,7 +182,7 @@ class Plan:
             )
         if not any((self.seen[a] & self.seen[b]).any() for a, b in self.pairs):
             raise RigError("no pair of cameras sees the grid in common: does the grid lie in their view?")
-        self.response = thin_plate((ny, nx), self.settings.smoothing)
+        self.response = _response((ny, nx), self.settings.stereo, self.settings.smoothing)
         self.energy: dict[str, sparse.csr_array] = {
             name: bending_energy(self.seen_blocks[name] > 0.5) for name in self.surface_cameras[:1]
         }
@@ -240,6 +240,12 @@ class Plan:
         return pairs_of(self.rig, rest) if len(rest) >= 2 else ()
 
 
+def _response(shape: tuple[int, int], settings: matching.Settings, smoothing: float) -> NDArray:
+    """Spline coefficients from values on a lattice, with what matching took from short waves given back."""
+    ky, kx = (np.pi * np.arange(n) / n for n in shape)
+    return thin_plate(shape, smoothing) * matching.restoring(settings, kx, ky[:, None]).astype(np.float32)
+
+
 class Sight:
     """Where one camera sees the nodes at any height, as polynomials in z.
 
@@ -256,7 +262,7 @@ class Sight:
         w, h = camera.size
         ny, nx = h // BLOCK, w // BLOCK
         self.lattice = Lattice(0.5 * (BLOCK - 1), 0.5 * (BLOCK - 1), float(BLOCK), (ny, nx))
-        self.response = thin_plate((ny, nx), 0.0)
+        self.response = _response((ny, nx), plan.settings.piv, 0.0)
         self._energy: sparse.csr_array | None = None
         # projection is a ratio of linear functions of z with |z| well below the distance: order 4 is exact
         # to better than a thousandth of a pixel

@@ -20,9 +20,6 @@ Float = NDArray[Any]
 Mask = NDArray[Any]
 
 _REACH = 12.0  # blocks: so far from anything measured the plate says no more than a local mean
-# window and smoother took from short waves before a field could say how short they are: more than they take
-# from what is left
-LOST = np.float32(1.6)
 _STANDS_OUT = np.float32(5.0)  # times the median
 _AROUND = 3.0  # blocks: about a window, and a third of the shortest waves
 _SOME = 4  # of so many blocks one is enough for a median

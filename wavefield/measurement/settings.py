@@ -12,9 +12,11 @@ from wavefield.errors import ExperimentError
 
 def _stereo() -> matching.Settings:
     return matching.Settings.stereo(
-        iterations=(4, 3, 3),
-        window=20.0,
+        iterations=(2, 1, 2),
+        window=21.0,
         smoother_sigma=1.8,
+        coarse_smoother_sigma=1.5,
+        relaxation=1.25,
         normalization=10.0,
         search_window=24.0,
         min_gradient_energy=0.1,
@@ -23,16 +25,22 @@ def _stereo() -> matching.Settings:
 
 def _piv() -> matching.Settings:
     return matching.Settings.piv(
-        iterations=(5, 4, 3), window=12.0, smoother_sigma=1.0, robust=0.0, normalization=10.0
+        iterations=(2, 1, 2),
+        window=12.0,
+        smoother_sigma=1.3,
+        coarse_smoother_sigma=1.0,
+        relaxation=1.25,
+        robust=0.0,
+        normalization=10.0,
     )
 
 
 def _fast_stereo() -> matching.Settings:
-    return replace(_stereo(), iterations=(2, 1, 1), relaxation=1.35)
+    return replace(_stereo(), iterations=(1, 1, 1))
 
 
 def _fast_piv() -> matching.Settings:
-    return replace(_piv(), iterations=(2, 1, 1), relaxation=1.35)
+    return replace(_piv(), iterations=(1, 1, 1))
 
 
 @dataclass(frozen=True)
@@ -53,8 +61,8 @@ class Settings:
         Pixel of the rectified images, metres. None: the finest side of a pixel of the camera that resolves
         least, or down to half of it where blocks of five would be wider than 0.8 grid steps.
     smoothing : float
-        Thin-plate smoothing of the lattice of blocks, block lengths to the fourth power; it halves waves of
-        2 pi smoothing^(1/4) blocks.
+        Thin-plate smoothing of z on the lattice of blocks, beyond what matching does, block lengths to the
+        fourth power; it halves waves of 2 pi smoothing^(1/4) blocks.
     eps_limit : float
         A match is rejected where its mismatch across the line of sight exceeds this many times its rms.
     eps_floor : float
@@ -77,7 +85,7 @@ class Settings:
     velocity_cameras: tuple[str, ...] = ()
     z_range: tuple[float, float] | None = None
     pixel: float | None = None
-    smoothing: float = 0.1
+    smoothing: float = 0.0
     eps_limit: float = 3.0
     eps_floor: float = 0.3
     min_valid: float = 0.2
@@ -110,7 +118,7 @@ class Settings:
 
     @classmethod
     def fast(cls, **changes: Any) -> Settings:
-        """Fewer, longer iterations: for long records of good images.
+        """One step per level of the pyramids: for long records of good images.
 
         Parameters
         ----------
@@ -124,7 +132,7 @@ class Settings:
         Examples
         --------
         >>> Settings.fast(z_range=(-0.05, 0.05)).piv.iterations
-        (2, 1, 1)
+        (1, 1, 1)
         """
         return replace(cls(stereo=_fast_stereo(), piv=_fast_piv()), **changes)
 

@@ -15,7 +15,7 @@ from wavefield.matching import Reason
 from wavefield.matching.uncertainty import std_from_influence
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.rectify import rectify, widen
-from wavefield.measurement.regrid import LOST, coefficients, fill, levelled, push_pull, read_surface
+from wavefield.measurement.regrid import coefficients, fill, levelled, push_pull, read_surface
 from wavefield.variables import Quality
 
 Float = NDArray[Any]
@@ -247,7 +247,7 @@ def combine(matches: Sequence[PairMatch]) -> Blocks:
     rejected[valid] = 0
     some = np.where(valid, square, np.float32(1.0))
     z = -along / some
-    std = std_from_influence(zeta / some, matches[0].settings, field=LOST * z)
+    std = std_from_influence(zeta / some, matches[0].settings, field=z, restored=True)
     nan = np.float32(np.nan)
     eps_y = np.where(valid, across / np.where(valid, length, np.float32(1.0)), nan)
     return Blocks(np.where(valid, z, nan), eps_y, np.where(valid, std, nan), valid, rejected)

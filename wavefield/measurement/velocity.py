@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.matching import Reason
 from wavefield.measurement.plan import Plan, Sight
-from wavefield.measurement.regrid import LOST, coefficients, fill, levelled, read_anchored
+from wavefield.measurement.regrid import coefficients, fill, levelled, read_anchored
 from wavefield.measurement.surface import why_rejected
 from wavefield.rig.stereo import solve_displacement
 from wavefield.variables import Quality
 
 Float = NDArray[Any]
 
-_STD_FLOOR = 0.006  # px: what interpolation leaves and neighbouring blocks share
+_STD_FLOOR = 0.010  # px: what interpolation leaves and neighbouring blocks share
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def _block_std(found: matching.Displacement) -> tuple[Float, Float]:
     """Standard uncertainty of the blocks' u and v, px."""
     gain = min(1.0, found.gain * found.settings.relaxation)
     u, v = (
-        matching.std_from_influence(influence, found.settings, field=LOST * field, gain=gain)
+        matching.std_from_influence(influence, found.settings, field=field, gain=gain, restored=True)
         for influence, field in ((found.influence_u, found.u), (found.influence_v, found.v))
     )
     return u, v
