@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from scipy import ndimage
 
 from wavefield import matching
 from wavefield.errors import CubeError
@@ -14,7 +15,7 @@ from wavefield.rig import Camera, Rig
 from wavefield.waves.window_gain import DIRECTIONS, label
 
 _BLOCK = 5  # px: side of matching's blocks
-_STEP = 0.8  # what a step of the matching achieves of its way among beads, relaxation included
+_FOOTPRINT = 5.5  # px^2: variance of the area that a block's value stands for, beads' own images included
 
 
 def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
@@ -37,8 +38,8 @@ def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
 
     Notes
     -----
-    Window, smoother and steps at every level of the pyramid (`matching.transfer_kernel`), the mean over a
-    block, the thin plate and the spline on the lattice of blocks; for velocities each camera's displacement
+    Window, smoother and steps at every level of the pyramid (`matching.transfer_kernel`), the area of blocks
+    and beads, the filter and the spline on the lattice of blocks; for velocities each camera's displacement
     in its own pixels at the middle of the grid, then the least squares of all.
     """
     try:
@@ -75,28 +76,27 @@ def matched(settings: matching.Settings, kx: np.ndarray, ky: np.ndarray) -> np.n
     ndarray
         Amplitude gain.
     """
-    kernel = matching.transfer_kernel(settings, _STEP).astype(float)
+    kernel = matching.transfer_kernel(settings).astype(float)
     reach = len(kernel) // 2
     n = np.arange(-reach, reach + 1)
     rows, columns = (np.exp(1j * q[..., None] * n) for q in (ky, kx))
     total = np.einsum("...i,ij,...j->...", rows, kernel, columns, optimize=True).real
-    return total * np.sinc(kx / (2 * np.pi)) * np.sinc(ky / (2 * np.pi))
+    return total * np.exp(-0.5 * _FOOTPRINT * (kx**2 + ky**2) / _BLOCK**2)
 
 
-def _read(gain: np.ndarray, smoothing: float, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
-    # between the blocks: the thin plate, then the cubic spline through it
-    bend = (2 - 2 * np.cos(kx)) + (2 - 2 * np.cos(ky))
-    gain = gain / (1 + smoothing * bend**2)
+def _read(response: np.ndarray, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+    # between the blocks: the filter of the lattice's cosines, then the cubic spline of what it gives
+    ny, nx = response.shape
+    places = [np.abs(ky) / np.pi * ny, np.abs(kx) / np.pi * nx]
+    gain = ndimage.map_coordinates(response, places, order=1, mode="nearest")
     for q in (kx, ky):
-        spline = np.sinc(q / (2 * np.pi)) ** 4 * 3 / (2 + np.cos(q))
-        gain = np.where(np.abs(q) < np.pi, gain * spline, 0.0)
+        gain = np.where(np.abs(q) < np.pi, gain * np.sinc(q / (2 * np.pi)) ** 4, 0.0)
     return gain
 
 
 def _surface(plan: Plan, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
-    block = _BLOCK * plan.pixel
-    kx, ky = kx * block, ky * block
-    return _read(matched(plan.settings.stereo, kx, ky), plan.settings.smoothing, kx, ky)
+    kx, ky = kx * _BLOCK * plan.pixel, ky * _BLOCK * plan.pixel
+    return matched(plan.settings.stereo, kx, ky) * _read(plan.response, kx, ky)
 
 
 def _velocity(plan: Plan, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
@@ -106,9 +106,10 @@ def _velocity(plan: Plan, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
     jacobians: list[Any] = [plan.binned[name].jacobian(*middle, 0.0) for name in plan.velocity_cameras]
     inverse = np.linalg.pinv(np.concatenate(jacobians))
     out = np.zeros((*kx.shape, 3, 3))
-    for i, jacobian in enumerate(jacobians):
+    for i, (name, jacobian) in enumerate(zip(plan.velocity_cameras, jacobians)):
         to_water = _BLOCK * np.linalg.inv(jacobian[:, :2])
         q = np.stack([kx, ky], axis=-1) @ to_water
-        gain = _read(matched(plan.settings.piv, q[..., 0], q[..., 1]), 0.0, q[..., 0], q[..., 1])
+        gain = matched(plan.settings.piv, q[..., 0], q[..., 1])
+        gain *= _read(plan.sights[name].response, q[..., 0], q[..., 1])
         out += gain[..., None, None] * (inverse[:, 2 * i : 2 * i + 2] @ jacobian)
     return out
