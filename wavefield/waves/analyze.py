@@ -244,14 +244,19 @@ def _close(state: dict[str, Any]) -> dict[str, Any]:
 
 
 def _pass(
-    cube: xr.Dataset, record: Record, segment: int, table: rings.Rings, progress: Progress | None
+    cube: xr.Dataset,
+    record: Record,
+    scale: dict[str, tuple[float, float]],
+    segment: int,
+    table: rings.Rings,
+    progress: Progress | None,
 ) -> Any:
     """One pass over the cube: ring sums, surveys, kinematic balance, time series at points (by chains)."""
     used = sum(b - a for a, b in record.runs)
     apart = tuple(max(1, round(_POINT_DISTANCE / step)) for step in (record.dy, record.dx))
     step = _Step(
         segments.Reader([cube[name] for name in FIELDS], record),
-        statistics.pilot(cube, record, [f for f in FIELDS if f in statistics.QUANTITIES.values()]),
+        scale,
         record,
         table,
         max(1, used // _KINEMATIC_STEPS),
@@ -560,14 +565,14 @@ def _analyze(
         span = time[record.runs[0][0]], time[record.runs[-1][1] - 1]
         probe_part = probe_spectra(probes, axis, (float(span[0]), float(span[1])))
 
-    sums, survey, balance, series = _pass(cube, record, segment, table, progress)
+    scale = statistics.pilot(cube, record, list(statistics.QUANTITIES.values()))
+    sums, survey, balance, series = _pass(cube, record, scale, segment, table, progress)
     ring = crosses.label(sums, NAMES, PAIRS, record, segment, table)
     dof = ring.attrs["degrees_of_freedom"]
     notes = _notes(record, cube, segment, count, dof, depth)
     fused = fusion.from_spectra(ring, depth, gain)
     density = {name: _density(sums.pop(f"map {name}"), name, record, segment, count) for name in MAPS}
     chosen = _map_lines(omega, maps)
-    scale = statistics.pilot(cube, record, list(statistics.QUANTITIES.values()))
     statistic = statistics.label(survey, scale, record.dt, pixel_size or cube.attrs.get("pixel_size"))
     groups = {
         "spectra": _spectra_group(

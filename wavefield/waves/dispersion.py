@@ -8,6 +8,7 @@ import xarray as xr
 from scipy.optimize import least_squares
 
 from wavefield.errors import CubeError
+from wavefield.waves import kernels
 
 G = 9.81  # m s-2
 _LONGEST = 2.5  # cells of the k plane: longer waves lie within the window's reach of those that come back
@@ -135,39 +136,56 @@ def _plane(density: xr.DataArray) -> _Plane:
     )
 
 
+@dataclass(frozen=True)
+class _Sector:
+    theta: float
+    cells: np.ndarray  # of the plane, by rising k
+    k: np.ndarray
+    heading: np.ndarray  # (2, cells), cosine and sine of the angle
+
+
+def _sectors(plane: _Plane, count: int) -> list[_Sector]:
+    out = []
+    width = np.pi / count
+    rising = np.argsort(plane.k, kind="stable")
+    for t in np.arange(count) * 2 * width:
+        off = np.abs((plane.angle[rising] - t + np.pi) % (2 * np.pi) - np.pi)
+        cells = rising[off < width]
+        heading = np.array([np.cos(plane.angle[cells]), np.sin(plane.angle[cells])])
+        out.append(_Sector(t, cells, plane.k[cells], heading))
+    return out
+
+
 def _centroids(
     energy: np.ndarray,
     omega: np.ndarray,
     noise: np.ndarray,
     plane: _Plane,
+    sectors: list[_Sector],
     depth: float,
     fit: np.ndarray,
     settings: FitSettings,
 ) -> np.ndarray:
     # rows: omega, k, angle, weight, number of cells
-    rows = []
+    parts = []
     table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
     free = dispersion(table, depth, fit[2])
-    width = np.pi / settings.sectors
-    for t in np.arange(settings.sectors) * 2 * width:
-        off = np.abs((plane.angle - t + np.pi) % (2 * np.pi) - np.pi)
-        sector = np.flatnonzero(off < width)
-        doppler = free + table * (fit[0] * np.cos(t) + fit[1] * np.sin(t))
+    for sector in sectors:
+        doppler = free + table * (fit[0] * np.cos(sector.theta) + fit[1] * np.sin(sector.theta))
         centres = np.interp(omega, doppler, table)
-        for i, (line, centre) in enumerate(zip(omega, centres)):
-            reach = max(settings.half_width * centre, settings.least_width * plane.cell)
-            cells = sector[np.abs(plane.k[sector] - centre) < reach]
-            part = np.maximum(energy[i, cells] - noise[i], 0.0)
-            weight = part.sum()
-            if cells.size < 5 or not weight > 0:
-                continue
-            k = (part * plane.k[cells]).sum() / weight
-            k -= plane.spread / (2 * k)
-            if not k > 0:  # waves about as long as the rectangle: the window's spread exceeds them
-                continue
-            angle = np.angle((part * np.exp(1j * plane.angle[cells])).sum())
-            rows.append((line, k, angle, weight, cells.size))
-    points = np.array(rows).reshape(-1, 5)
+        reach = np.maximum(settings.half_width * centres, settings.least_width * plane.cell)
+        first = np.searchsorted(sector.k, centres - reach, "right")
+        last = np.searchsorted(sector.k, centres + reach, "left")
+        sums = np.empty((4, omega.size))  # weight, of k, of the heading
+        kernels.windowed_sums(energy, noise, sector.cells, sector.k, sector.heading, first, last, sums)
+        count = last - first
+        held = (count >= 5) & (sums[0] > 0)
+        weight = sums[0, held]
+        k = sums[1, held] / weight
+        k -= plane.spread / (2 * k)
+        rows = np.stack([omega[held], k, np.arctan2(sums[3, held], sums[2, held]), weight, count[held]], 1)
+        parts.append(rows[k > 0])  # waves about as long as the rectangle: the window's spread exceeds them
+    points = np.concatenate(parts)
     if len(points) and omega.size > 1:
         points[:, 0] += _leaning(points, omega[1] - omega[0])
     return points
@@ -183,7 +201,8 @@ def _leaning(points: np.ndarray, step: float) -> np.ndarray:
     for i in range(lines.size):
         near = slice(max(i - reach, 0), i + reach + 1)
         if lines[near].size > 2:
-            slope[i] = np.polyfit(lines[near] - lines[i], energy[near], 1)[0]
+            apart = lines[near] - lines[near].mean()
+            slope[i] = apart @ energy[near] / (apart @ apart)
     return (step**2 / 3 * slope)[number]
 
 
@@ -255,10 +274,11 @@ def fit_dispersion(
     outer = plane.k > 0.8 * nyquist_k
     noise = np.median(energy[:, outer], axis=1) if outer.any() else np.zeros(omega.size)
     used, floor = energy[band], noise[band]
+    sectors = _sectors(plane, settings.sectors)
     fit = np.array([0.0, 0.0, GAMMA])
     points = np.empty((0, 5))
     for _ in range(settings.rounds):
-        points = _centroids(used, omega[band], floor, plane, depth, fit, settings)
+        points = _centroids(used, omega[band], floor, plane, sectors, depth, fit, settings)
         if len(points) < 6:
             raise CubeError(
                 f"no ridge stands out between {bottom / (2 * np.pi):.2g} and {top / (2 * np.pi):.2g} Hz:"
@@ -276,9 +296,8 @@ def fit_dispersion(
             draw = (rng.chisquare(dof, shape) / dof).astype(energy.dtype)
             draw = draw.repeat(2, 0).repeat(2, 1).repeat(2, 2)
             draw = draw[: used.shape[0], : density.sizes["ky"], : density.sizes["kx"]]
-            again = _centroids(
-                used * draw.reshape(used.shape), omega[band], floor, plane, depth, fit, settings
-            )
+            drawn = used * draw.reshape(used.shape)
+            again = _centroids(drawn, omega[band], floor, plane, sectors, depth, fit, settings)
             if len(again) >= 6:
                 trials.append(_solve(again, depth, fit))
         if len(trials) > 1:

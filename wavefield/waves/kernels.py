@@ -456,3 +456,36 @@ def sample(field, row, column, out, points):
                 line += wx[b] * nodes[b]
             total += wy[a] * line
         out[p] = total
+
+
+@_loose
+def windowed_sums(energy, noise, cells, k, heading, first, last, out):
+    """Sum the energy above the noise over a window of cells of each line, and with it wavenumber and heading.
+
+    Parameters
+    ----------
+    energy : ndarray, (lines, all cells)
+        Spectrum.
+    noise : ndarray, (lines,)
+        Level taken off; what is below counts as zero.
+    cells : ndarray, int, (cells,)
+        Cells that are looked at.
+    k : ndarray, (cells,)
+        Their wavenumber.
+    heading : ndarray, (2, cells)
+        Cosine and sine of their direction.
+    first, last : ndarray, int, (lines,)
+        First of the cells in the window and one past the last.
+    out : ndarray, float64, (4, lines)
+        Receives the sums: energy, energy times k, cosine and sine.
+    """
+    for i in range(first.size):
+        line = energy[i]
+        total, along, cosine, sine = 0.0, 0.0, 0.0, 0.0
+        for c in range(first[i], last[i]):
+            part = max(np.float64(line[cells[c]]) - np.float64(noise[i]), 0.0)
+            total += part
+            along += part * k[c]
+            cosine += part * heading[0, c]
+            sine += part * heading[1, c]
+        out[0, i], out[1, i], out[2, i], out[3, i] = total, along, cosine, sine
