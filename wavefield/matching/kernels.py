@@ -536,10 +536,13 @@ def shift_sums(a, b, margin, first, dy, row, out):
         Shift along columns of the first output, along rows of all, px.
     row : (nx * BLOCK,) float32
         Work space.
-    out : (n, ny, nx) float32
-        Output, for shifts first, first + 1, ... along columns.
+    out : (ny, n, nx + 2 border) float32
+        Output, for shifts first, first + 1, ... along columns, each with its first and last block repeated
+        as border: side by side they can then be filtered as one field.
     """
-    n, ny, _ = out.shape
+    ny, n, width = out.shape
+    nx = len(row) // BLOCK
+    border = (width - nx) // 2
     for by in range(ny):
         y = by * BLOCK
         p0, p1, p2, p3, p4 = a[y], a[y + 1], a[y + 2], a[y + 3], a[y + 4]
@@ -550,7 +553,10 @@ def shift_sums(a, b, margin, first, dy, row, out):
             q3, q4 = b[y + 3][x:], b[y + 4][x:]
             for i in range(len(row)):
                 row[i] = p0[i] * q0[i] + p1[i] * q1[i] + p2[i] * q2[i] + p3[i] * q3[i] + p4[i] * q4[i]
-            _fold(row, out[k, by])
+            to = out[by, k]
+            _fold(row, to[border : border + nx])
+            to[:border] = to[border]
+            to[border + nx :] = to[border + nx - 1]
 
 
 def scratch(nx: int) -> dict[str, np.ndarray]:

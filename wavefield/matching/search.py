@@ -46,14 +46,16 @@ def search(
     first = np.ascontiguousarray(first)
     second = cv2.copyMakeBorder(second, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=0)
     weights = window_weights(settings.search_window)
-    xs, ys = np.arange(x_range[0], x_range[1] + 1), np.arange(y_range[0], y_range[1] + 1)
-    score = np.empty((len(ys), len(xs), ny, nx), np.float32)
+    border = len(weights) // 2
+    n = x_range[1] - x_range[0] + 1
+    score = np.empty((y_range[1] - y_range[0] + 1, ny, n, nx + 2 * border), np.float32)
     row = np.empty(w, np.float32)
-    for dy, scores in zip(ys, score):
-        shift_sums(first, second, margin, xs[0], dy, row, scores)
-        for field in scores:
-            filtered(field, weights, field)
-    u, v = _peak(score, xs, ys)
+    for dy, scores in enumerate(score, y_range[0]):
+        shift_sums(first, second, margin, x_range[0], dy, row, scores)
+        side_by_side = scores.reshape(ny, -1)
+        filtered(side_by_side, weights, side_by_side)
+    u, v = np.empty((ny, nx), np.float32), np.empty((ny, nx), np.float32)
+    _peaks(score, border, x_range[0], y_range[0], np.empty(nx, np.float32), np.empty(nx, np.int32), u, v)
     for _ in range(2):
         replace_outliers(u, v, 2.0)
     return smoothed(u, 1.0, 1), smoothed(v, 1.0, 1)
@@ -69,41 +71,44 @@ def _locally_normalized(image: np.ndarray) -> np.ndarray:
 
 
 @njit
-def _largest(values, top, best):
-    """Where along the first axis the largest value is, the first of equals; top starts as the first row."""
-    for k in range(1, len(values)):
-        row = values[k]
-        for i in range(len(row)):
-            larger = row[i] > top[i]
-            best[i] = np.int32(k) if larger else best[i]
-            top[i] = row[i] if larger else top[i]
+def _largest(score, j, border, top, best):
+    """Which of all shifts has the largest score, the first of equals, for each block of row j."""
+    rows, _, n, _ = score.shape
+    nx = len(top)
+    top[:] = score[0, j, 0, border : border + nx]
+    best[:] = 0
+    for dy in range(rows):
+        for k in range(n):
+            here = score[dy, j, k, border : border + nx]
+            for i in range(nx):
+                larger = here[i] > top[i]
+                best[i] = np.int32(dy * n + k) if larger else best[i]
+                top[i] = here[i] if larger else top[i]
 
 
-def _peak(score: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Place of the maximum over the first two axes, with a parabola through its neighbours."""
-    shape = score.shape[2:]
-    flat = score.reshape(len(ys), len(xs), -1)
-    best = np.zeros(flat.shape[2], np.int32)
-    _largest(flat.reshape(-1, flat.shape[2]), flat[0, 0].copy(), best)
-    j, i = np.divmod(best, len(xs))
-    block = np.arange(flat.shape[2])
-    here = flat[j, i, block]
+@njit
+def _vertex(before, here, after):
+    """Where the parabola through three neighbours is highest, at most half a step from the middle one."""
+    curvature = before - F(2) * here + after
+    if curvature >= F(-1e-6):
+        return F(0)
+    return min(max((before - after) / (F(2) * curvature), F(-0.5)), F(0.5))
 
-    def offset(before: np.ndarray, after: np.ndarray, inside: np.ndarray) -> np.ndarray:
-        curvature = before - 2 * here + after
-        good = inside & (curvature < -1e-6)
-        return np.where(good, (before - after) / (2 * np.where(good, curvature, -1.0)), 0.0)
 
-    du = offset(
-        flat[j, np.maximum(i - 1, 0), block],
-        flat[j, np.minimum(i + 1, len(xs) - 1), block],
-        (i > 0) & (i < len(xs) - 1),
-    )
-    dv = offset(
-        flat[np.maximum(j - 1, 0), i, block],
-        flat[np.minimum(j + 1, len(ys) - 1), i, block],
-        (j > 0) & (j < len(ys) - 1),
-    )
-    u = (xs[i] + np.clip(du, -0.5, 0.5)).astype(np.float32)
-    v = (ys[j] + np.clip(dv, -0.5, 0.5)).astype(np.float32)
-    return u.reshape(shape), v.reshape(shape)
+@njit
+def _peaks(score, border, first_x, first_y, top, best, u, v):
+    """Shift of the largest score of each block, with a parabola through its neighbours.
+
+    score (rows of shifts, ny, columns of shifts, nx + 2 border) begins with the shift first_x, first_y; top,
+    best (nx,) are work space, u, v (ny, nx) output.
+    """
+    rows, ny, n, _ = score.shape
+    for j in range(ny):
+        _largest(score, j, border, top, best)
+        for i in range(len(top)):
+            y, x = divmod(best[i], n)
+            u[j, i], v[j, i] = first_x + x, first_y + y
+            if 0 < x < n - 1:
+                u[j, i] += _vertex(score[y, j, x - 1, border + i], top[i], score[y, j, x + 1, border + i])
+            if 0 < y < rows - 1:
+                v[j, i] += _vertex(score[y - 1, j, x, border + i], top[i], score[y + 1, j, x, border + i])
