@@ -4,7 +4,9 @@
     python -m benchmarks.waves --steps 2560             the same at reduced length
     python -m benchmarks.waves --store cube.zarr --truth truth.zarr
                                                         a simulated experiment, measured from its images:
-    wavefield simulate spectra DIR; wavefield run DIR/experiment.yaml -o cube.zarr; truth in DIR/truth/truth.zarr
+                                                        wavefield simulate spectra DIR,
+                                                        wavefield run DIR/experiment.yaml -o cube.zarr,
+                                                        truth in DIR/truth/truth.zarr
 
 The cube is noise on a sea, float32, in a Zarr store with one step range per chunk. xrft is measured beside
 where it can be imported. Times of single estimators are CPU times on one thread; the whole analysis is wall
