@@ -166,6 +166,19 @@ def test_gaps_edges_and_unknown_depth_are_said(sea):
     assert np.isfinite(out["spectra"].E_komega_w).all()
 
 
+@pytest.mark.parametrize("steps", [slice(395, 400), slice(200, 205), slice(0, 5)])
+def test_a_field_that_ends_before_the_elevation_ends_the_record(sea, steps):
+    spoiled = sea.copy(deep=True)
+    spoiled["v"][steps, 5:] = np.nan
+    record = wv.find_record(spoiled)
+    assert sum(b - a for a, b in record.runs) == 395
+    out = wv.analyze(spoiled, segment=64)
+    assert out.attrs["runs"] == len(record.runs)
+    assert out.attrs["steps_used"] == 395
+    single = wv.komega(sea.z_t, segment=64, record=record).E
+    np.testing.assert_allclose(out["spectra"].E_komega_z_t, single, rtol=1e-6)
+
+
 def test_still_water_does_not_break_it():
     still = linear_cube(random_waves(n=5), 64, 20, 24, dx=0.02) * 0
     out = wv.analyze(still)

@@ -243,9 +243,14 @@ def _close(state: dict[str, Any]) -> dict[str, Any]:
     return {name: part for name, part in state.items() if name not in ("half", "old")}
 
 
+def _look(read: segments.Reader, a: int, b: int, run: tuple[int, int]) -> None:
+    read(a, b, run)  # complains
+
+
 def _pass(
     cube: xr.Dataset,
     record: Record,
+    alike: bool,
     scale: dict[str, tuple[float, float]],
     segment: int,
     table: rings.Rings,
@@ -255,7 +260,7 @@ def _pass(
     used = sum(b - a for a, b in record.runs)
     apart = tuple(max(1, round(_POINT_DISTANCE / step)) for step in (record.dy, record.dx))
     step = _Step(
-        segments.Reader([cube[name] for name in FIELDS], record),
+        segments.Reader([cube[name] for name in FIELDS], record, alike),
         scale,
         record,
         table,
@@ -269,6 +274,8 @@ def _pass(
         segments.in_order([state["survey"] for state in states]),
         [state["balance"] for state in states],
         [state["points"] for state in states],
+        # what lies in no segment has a say in where the runs end
+        [dask.delayed(_look)(step.read, *rest) for rest in segments.remainders(record, segment) if alike],
     )
     if progress is None:
         return dask.compute(*wanted)
@@ -533,11 +540,22 @@ def analyze(
                 f"the cube has no {name!r}: the analysis needs {', '.join(FIELDS)} over time, y and x"
             )
     with np.errstate(all="ignore"):
-        return _analyze(cube, out, probes, segment, depth, pixel_size, gain, maps, progress)
+        # what can be wrong is found before the long pass
+        if gain is not None:
+            gain = predicted_gain(cube) if isinstance(gain, str) and gain == "theory" else read_gain(gain)
+        status = ["frame_status"] if "frame_status" in cube else []
+        rest = out, probes, segment, depth, pixel_size, gain, maps, progress
+        # a cube has all fields where it has z: the pass sees to it, so the others need not be read twice
+        try:
+            return _analyze(cube, find_record(cube[["z", *status]]), True, *rest)
+        except segments.UnlikeFirst:
+            return _analyze(cube, find_record(cube[[*FIELDS, *status]]), False, *rest)
 
 
 def _analyze(
     cube: xr.Dataset,
+    record: Record,
+    alike: bool,
     out: str | Path | None,
     probes: Any,
     segment: int | None,
@@ -547,11 +565,6 @@ def _analyze(
     maps: Sequence[float],
     progress: Progress | None,
 ) -> xr.DataTree:
-    # what can be wrong is found before the long pass
-    if gain is not None:
-        gain = predicted_gain(cube) if isinstance(gain, str) and gain == "theory" else read_gain(gain)
-    known = [*FIELDS, "frame_status"] if "frame_status" in cube else [*FIELDS]
-    record = find_record(cube[known])
     segment = segments.segment_length(record, segment)
     count = segments.count_segments(record, segment)
     depth = float(cube.attrs.get("water_depth") or np.inf) if depth is None else float(depth)
@@ -566,7 +579,7 @@ def _analyze(
         probe_part = probe_spectra(probes, axis, (float(span[0]), float(span[1])))
 
     scale = statistics.pilot(cube, record, list(statistics.QUANTITIES.values()))
-    sums, survey, balance, series = _pass(cube, record, scale, segment, table, progress)
+    sums, survey, balance, series, _ = _pass(cube, record, alike, scale, segment, table, progress)
     ring = crosses.label(sums, NAMES, PAIRS, record, segment, table)
     dof = ring.attrs["degrees_of_freedom"]
     notes = _notes(record, cube, segment, count, dof, depth)

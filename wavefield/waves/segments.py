@@ -15,7 +15,7 @@ from scipy import fft
 
 from wavefield.errors import CubeError
 from wavefield.waves import kernels
-from wavefield.waves.record import LONGEST_BRIDGE, Record, fill, piece
+from wavefield.waves.record import LONGEST_BRIDGE, Record, fill, is_whole, piece
 from wavefield.waves.windows import choose_segment, hann, segment_count
 
 _FRAMES = 4  # steps transformed in space at once: they fit the cache
@@ -61,20 +61,15 @@ def count_segments(record: Record, segment: int) -> int:
     return sum(segment_count(b - a, segment) for a, b in record.runs)
 
 
-def _read(pieces: Sequence[Any], missing: np.ndarray, inner: slice) -> list[np.ndarray]:
-    out = []
-    for part in pieces:
-        block = np.asarray(part)
-        if block.dtype.kind != "f":
-            block = block.astype(np.float64)
-        out.append(fill(block, missing)[inner])
-    return out
+def _values(part: Any) -> np.ndarray:
+    block = np.asarray(part)
+    return block if block.dtype.kind == "f" else block.astype(np.float64)
 
 
 def _half(
     make: Callable[..., dict[str, Any]], pieces: Sequence[Any], missing: np.ndarray, inner: slice, first: int
 ) -> dict[str, Any]:
-    return make(_read(pieces, missing, inner), first)
+    return make([fill(_values(part), missing)[inner] for part in pieces], first)
 
 
 def _span(
@@ -102,22 +97,55 @@ def _lay(
     return delayed(_half, pure=False)(make, pieces, missing, inner, a)
 
 
-class Reader:
-    """Reads pieces of a record inside a task: nothing is read before it is needed."""
+class UnlikeFirst(Exception):
+    """A field of a record lacks values where the first one has them."""
 
-    def __init__(self, arrays: Sequence[xr.DataArray], record: Record) -> None:
-        self.arrays, self.record = list(arrays), record
+
+class Reader:
+    """Reads pieces of a record inside a task: nothing is read before it is needed.
+
+    Parameters
+    ----------
+    arrays : sequence of DataArray
+        Fields over (time, y, x).
+    record : Record
+        Rectangle and runs.
+    alike : bool
+        The record was found from the first field alone: raise `UnlikeFirst` where another lacks more.
+    """
+
+    def __init__(self, arrays: Sequence[xr.DataArray], record: Record, alike: bool = False) -> None:
+        self.arrays, self.record, self.alike = list(arrays), record, alike
 
     def __call__(self, a: int, b: int, run: tuple[int, int]) -> list[np.ndarray]:
         """Blocks (b - a, ny, nx) of the steps a to b of a run, without gaps."""
         area, missing, inner = _span(self.record, a, b, run)
-        blocks = []
+        blocks: list[np.ndarray] = []
+        holes = np.zeros((), bool)  # of the first field
         for array in self.arrays:
             part = piece(array, *area)
             if hasattr(part, "dask"):
                 part = part.compute(scheduler="synchronous")
-            blocks += _read([part], missing, inner)
+            block = _values(part)
+            if self.alike and not is_whole(block):
+                lacking = ~np.isfinite(block)
+                if not blocks:
+                    holes = lacking
+                elif (lacking & ~holes)[~missing].any():
+                    raise UnlikeFirst
+            blocks.append(fill(block, missing)[inner])
         return blocks
+
+
+def remainders(record: Record, segment: int) -> list[tuple[int, int, tuple[int, int]]]:
+    """Steps (first, one past the last, run) that no segment holds, in pieces of half a segment at most."""
+    half = segment // 2
+    out = []
+    for run in record.runs:
+        count = segment_count(run[1] - run[0], segment)
+        start = run[0] + (count + 1) * half if count else run[0]
+        out += [(a, min(a + half, run[1]), run) for a in range(start, run[1], half)]
+    return out
 
 
 def chains(record: Record, segment: int, step: Callable[..., Any]) -> list[Any]:
