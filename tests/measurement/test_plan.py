@@ -85,6 +85,22 @@ def test_the_search_covers_the_parallax_of_all_heights(rig):
                 assert (difference / plan.pixel < limits[1]).all()
 
 
+def test_the_rectified_plane_holds_every_node_at_any_height_for_the_reference_and_a_partner(rig):
+    small = Grid(x=(-0.05, 0.05), y=(-0.05, 0.05), step=0.01)
+    for cameras in (rig, Rig({n: rig[n] for n in ("cam1", "cam3")})):
+        plan = Plan(cameras, small, Settings(z_range=(-0.02, 0.02)))
+        lattice = plan.lattice
+        for z in plan.z_range:
+            inside = {}
+            for name, camera in cameras.cameras.items():
+                x, y = camera.unproject(*camera.project(plan.x, plan.y, z))
+                inside[name] = (
+                    (x > lattice.x[3]) & (x < lattice.x[-4]) & (y > lattice.y[3]) & (y < lattice.y[-4])
+                )
+            partners = [inside[b] for _, b in plan.pairs]
+            assert (inside[plan.reference] & np.any(partners, axis=0)).all()
+
+
 def test_polynomials_in_z_are_the_cameras(rig):
     plan = Plan(rig, GRID)
     rng = np.random.default_rng(0)

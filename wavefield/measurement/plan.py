@@ -137,22 +137,25 @@ class Plan:
         return {n: (float(s[0]), float(s[1])) for n, s in blur.items()}
 
     def _lay_out(self) -> None:
-        """The rectified plane: where the nodes appear from any camera at any height, and two see them."""
+        """The rectified plane: where the nodes appear at any height, and two cameras see them.
+
+        To the reference and to one of its partners: cameras on opposite sides see a node displaced to
+        opposite sides, and one of them is enough for what is high or low at the very edge.
+        """
         lo, hi = np.full(2, np.inf), np.full(2, -np.inf)
         edge_x = np.concatenate([self.x[0], self.x[-1], self.x[:, 0], self.x[:, -1]])
         edge_y = np.concatenate([self.y[0], self.y[-1], self.y[:, 0], self.y[:, -1]])
-        boxes = []
-        for name in self.surface_cameras:
-            camera = self.rig[name]
-            for z in self.z_range:
-                X, Y = camera.project(edge_x, edge_y, z)
-                ok = np.isfinite(X)
-                if not ok.any():
-                    continue
-                at = np.stack(camera.unproject(X[ok], Y[ok]))
-                lo, hi = np.minimum(lo, np.nanmin(at, axis=1)), np.maximum(hi, np.nanmax(at, axis=1))
-            corners = camera.corners()
-            boxes.append((np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)))
+        for z in self.z_range:
+            own, *others = (
+                np.stack(camera.unproject(*camera.project(edge_x, edge_y, z)))
+                for camera in (self.rig[name] for name in self.surface_cameras)
+            )
+            # NaN where a camera does not see the node
+            least, most = np.fmax.reduce(others), np.fmin.reduce(others)
+            lo = np.fmin(lo, np.fmin.reduce(np.fmin(own, least), axis=1))
+            hi = np.fmax(hi, np.fmax.reduce(np.fmax(own, most), axis=1))
+        corners = [self.rig[name].corners() for name in self.surface_cameras]
+        boxes = [(np.nanmin(c, axis=0), np.nanmax(c, axis=0)) for c in corners]
         # beyond what the second widest of the views reaches, no two cameras see anything
         low, high = np.sort([b[0] for b in boxes], axis=0), np.sort([b[1] for b in boxes], axis=0)
         lo, hi = np.maximum(lo, low[1]), np.minimum(hi, high[-2])
