@@ -1,5 +1,7 @@
 """Reading and writing image files: one grey image at a time."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -9,6 +11,8 @@ import tifffile
 from wavefield.errors import FrameError
 
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_LAST = {".png": b"IEND", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}  # ends every whole file
+_TAIL = 4096  # bytes at the end of a file in which that stands
 
 
 def read_image(path: str | Path, page: int = 0) -> np.ndarray:
@@ -40,7 +44,8 @@ def read_image(path: str | Path, page: int = 0) -> np.ndarray:
     array([[0, 1, 2],
            [3, 4, 5]], dtype=uint16)
     """
-    image = _read_page(path, page) if page else _read_file(path)
+    with _quiet():
+        image = _read_page(path, page) if page else _read_file(path)
     if image is None:
         image = _read_otherwise(Path(path), page)
     return grey(image)
@@ -66,13 +71,34 @@ def grey(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_BGR2GRAY)
 
 
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep OpenCV from printing what is wrong with a file that it does not name."""
+    before = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        if before != cv2.utils.logging.LOG_LEVEL_SILENT:  # else another thread is reading and sets it back
+            cv2.utils.logging.setLogLevel(before)
+
+
+def _is_whole(path: str | Path, last: bytes) -> bool:
+    with open(path, "rb") as stream:
+        size = stream.seek(0, 2)
+        stream.seek(max(0, size - _TAIL))
+        return last in stream.read()
+
+
 def _read_file(path: str | Path) -> np.ndarray | None:
     # OpenCV gives nothing at all for a truncated file, which is what we want; but of a truncated JPEG it
-    # gives what there is, unless it decodes from memory
+    # gives what there is, unless it decodes from memory, and libpng and libjpeg complain where nothing keeps
+    # them from it: so such files do not get that far
     try:
-        if str(path).lower().endswith((".jpg", ".jpeg")):
-            raw = np.fromfile(path, np.uint8)
-            return cv2.imdecode(raw, cv2.IMREAD_UNCHANGED) if raw.size else None
+        ending = Path(path).suffix.lower()
+        if ending in _LAST and not _is_whole(path, _LAST[ending]):
+            return None
+        if ending in (".jpg", ".jpeg"):
+            return cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
         return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     except (cv2.error, OSError):
         return None

@@ -116,3 +116,16 @@ def test_writing_where_nothing_can_be_written(tmp_path, picture):
             write_image(tmp_path / "file" / name, picture)
     with pytest.raises(FrameError, match="cannot be written"):
         write_image(tmp_path / "a.unknown", picture)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif"])
+def test_a_truncated_file_is_named_by_us_alone(tmp_path, picture, capfd, name):
+    path = tmp_path / name
+    cv2.imwrite(str(path), picture)
+    raw = path.read_bytes()
+    level = cv2.utils.logging.getLogLevel()
+    path.write_bytes(raw[: len(raw) // 2])
+    with pytest.raises(FrameError, match=name):
+        read_image(path)
+    assert capfd.readouterr() == ("", "")
+    assert cv2.utils.logging.getLogLevel() == level
