@@ -33,7 +33,7 @@ def _round_down(value: float) -> float:
 
 def _image_frame(axes: Axes, size: tuple[int, int]) -> None:
     axes.set(xlim=(-0.5, size[0] - 0.5), ylim=(size[1] - 0.5, -0.5), aspect="equal")
-    axes.set(xlabel="X (px)", ylabel="Y (px)")
+    axes.set(xlabel="column (px)", ylabel="row (px)")
     axes.tick_params(labelsize=8)
 
 
