@@ -11,7 +11,7 @@ import scipy.fft
 
 from wavefield.matching.assess import assess
 from wavefield.matching.displacement import Displacement
-from wavefield.matching.gauss_newton import Initial, initial_fields, last_sums, moments_of, prepared_pair
+from wavefield.matching.gauss_newton import Initial, initial_fields, last_sums, prepared_pair
 from wavefield.matching.kernels import BLOCK, F, scratch, spline_image
 from wavefield.matching.lattice import (
     block_weights,
@@ -118,7 +118,7 @@ def _assessed(
 ) -> Displacement:
     """Correlation, uncertainty and validity as `match` finds them."""
     work = scratch(u.shape[1])
-    sums = last_sums(first, second, u, v, moments_of(first, work), work)
+    sums = last_sums(first, second, u, v, work)
     weight = np.empty(u.shape, np.float32)
     block_weights(first.good, second.good, u, v, *second.shape, weight)
     sums *= weight

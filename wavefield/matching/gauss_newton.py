@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 
 from wavefield.errors import FrameError
@@ -13,7 +11,6 @@ from wavefield.matching.kernels import (
     BLOCK,
     F,
     final_sums,
-    gradient_moments,
     plain_sums,
     robust_sums,
     scratch,
@@ -181,11 +178,6 @@ class _View:
         self.trust: tuple[np.ndarray, np.ndarray] | None = None
         self._hessian: np.ndarray | None = None
 
-    @cached_property
-    def moments(self) -> np.ndarray:
-        """(9, ny, nx): those of a's gradients."""
-        return moments_of(self.a, self.work)
-
     def look(self, u: np.ndarray, v: np.ndarray) -> None:
         """Update `count` (1 for blocks that count, else 0), `share` (of windows seen) and what follows.
 
@@ -203,7 +195,7 @@ class _View:
     def hessian(self) -> np.ndarray:
         """(3, ny, nx): the Hessian of a alone, over windows."""
         if self._hessian is None:
-            self._hessian = self.windows(self.moments[:3] * self.count)
+            self._hessian = self.windows(self.a.moments[:3] * self.count)
         return self._hessian
 
     def windows(self, fields: np.ndarray) -> np.ndarray:
@@ -227,20 +219,11 @@ class _View:
         return u, v, outlier
 
 
-def moments_of(a: Level, work: dict[str, np.ndarray]) -> np.ndarray:
-    """(9, ny, nx): the sums of `gradient_moments` of a level."""
-    moments = np.empty((9, *a.blocks), np.float32)
-    gradient_moments(a.padded, work["rows"], work["sums"], moments)
-    return moments
-
-
-def last_sums(
-    a: Level, b: Level, u: np.ndarray, v: np.ndarray, moments: np.ndarray, work: dict[str, np.ndarray]
-) -> np.ndarray:
+def last_sums(a: Level, b: Level, u: np.ndarray, v: np.ndarray, work: dict[str, np.ndarray]) -> np.ndarray:
     """(12, ny, nx): the sums of `final_sums` without weights."""
     sums = np.empty((12, *u.shape), np.float32)
     unweighted_sums(a.padded, b.padded, u, v, slopes(u, v), out=sums, **work)
-    sums[2:5] = moments[:3]
+    sums[2:5] = a.moments[:3]
     return sums
 
 
@@ -250,7 +233,7 @@ def _plain_steps(view: _View, u: np.ndarray, v: np.ndarray, count: int) -> tuple
     for number in range(count):
         view.look(u, v)
         plain_sums(view.a.padded, view.b.padded, u, v, out=sums, **view.work)
-        subtract_slopes(sums, view.moments, slopes(u, v))
+        subtract_slopes(sums, view.a.moments, slopes(u, v))
         sums *= view.count
         u, v, _ = view.advance(u, v, view.hessian, view.windows(sums), number)
     return u, v
@@ -270,7 +253,7 @@ def _finest(view: _View, u: np.ndarray, v: np.ndarray, count: int) -> Displaceme
             sums = np.empty((fields, *u.shape), np.float32)
             kernel(a.padded, b.padded, u, v, slopes(u, v), c2, c2b2, out=sums, **view.work)
         else:
-            sums = last_sums(a, b, u, v, view.moments, view.work)
+            sums = last_sums(a, b, u, v, view.work)
         sums *= view.count
         windowed = view.windows(sums)
         before = u, v

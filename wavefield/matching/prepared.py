@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from wavefield.errors import FrameError
-from wavefield.matching.kernels import BLOCK, PAD
+from wavefield.matching.kernels import BLOCK, PAD, gradient_moments, scratch
 from wavefield.matching.normalize import Cells, share_of
 from wavefield.matching.settings import Settings
 
@@ -47,6 +48,14 @@ class Level:
     def image(self) -> np.ndarray:
         """(h, w) float32: the image without its border."""
         return self.padded[PAD:-PAD, PAD:-PAD]
+
+    @cached_property
+    def moments(self) -> np.ndarray:
+        """(9, ny, nx) float32: the sums of `gradient_moments`, kept: an image may be matched to several."""
+        out = np.empty((9, *self.blocks), np.float32)
+        work = scratch(self.blocks[1])
+        gradient_moments(self.padded, work["rows"], work["sums"], out)
+        return out
 
 
 @dataclass(frozen=True)

@@ -15,18 +15,25 @@ _CLUSTER = 5  # blocks: neighbours closer than this share pixels, gradients and 
 
 
 @lru_cache(maxsize=32)
-def _separable(
-    settings: Settings, gain: float, restored: bool, power: int
-) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """Kernel (or its square) as a short sum of separable ones: rows and columns of its singular vectors."""
-    kernel = transfer_kernel(settings, gain, restored).astype(float) ** power
-    if power == 2:
-        kernel = _middle(kernel, 1e-3)
-    left, size, right = np.linalg.svd(kernel)
-    keep = int(np.sum(size > (1e-4 if power == 1 else 2e-3) * size[0]))
+def _separable(settings: Settings, gain: float, restored: bool) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """Transfer kernel as a short sum of separable ones: rows and columns of its singular vectors."""
+    left, size, right = np.linalg.svd(transfer_kernel(settings, gain, restored).astype(float))
+    keep = int(np.sum(size > 1e-4 * size[0]))
     return tuple(
         ((left[:, n] * size[n]).astype(np.float32), right[n].astype(np.float32)) for n in range(keep)
     )
+
+
+@lru_cache(maxsize=32)
+def _squared(settings: Settings, gain: float, restored: bool) -> tuple[np.ndarray, float]:
+    """Square of the transfer kernel as one separable kernel: weights along either axis, and its sum.
+
+    The square of a round hump is nearly a Gaussian, and that is separable: its first singular vector, with
+    the sum of all, gives the uncertainty of a block within 5 %, of most within 1 %.
+    """
+    kernel = _middle(transfer_kernel(settings, gain, restored).astype(float) ** 2, 1e-3)
+    along = np.abs(np.linalg.svd(kernel)[2][0])
+    return (along / along.sum()).astype(np.float32), float(kernel.sum())
 
 
 def _middle(kernel: np.ndarray, lost: float) -> np.ndarray:
@@ -86,11 +93,12 @@ def std_from_influence(
     near = slice(r - side // 2, r + side // 2 + 1)
     freedom = max(1 - 2 * kernel[near, near].sum() + side**2 * (kernel**2).sum(), 0.25)
     clusters = filtered(np.ascontiguousarray(influence, np.float32), np.ones(side, np.float32))
-    variance = _convolved(clusters * clusters, _separable(settings, gain, restored, 2))
-    variance *= np.float32(1 / (side**2 * freedom))
+    weights, total = _squared(settings, gain, restored)
+    variance = filtered(clusters * clusters, weights)
+    variance *= np.float32(total / (side**2 * freedom))
     if field is not None:
         lost = field - _convolved(
-            np.ascontiguousarray(field, np.float32), _separable(settings, gain, restored, 1)
+            np.ascontiguousarray(field, np.float32), _separable(settings, gain, restored)
         ) / (np.float32(kernel.sum()))
         variance += lost * lost
     return np.sqrt(np.maximum(variance, 0))
