@@ -36,7 +36,8 @@ def test_an_experiment_may_choose_the_fast_preset():
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        ({"pears": []}, "unknown measurement setting 'pears'"),
+        ({"pears": []}, "unknown measurement setting 'pears'; did you mean 'pairs'"),
+        ({"colour": 1}, "unknown measurement setting 'colour'; there are eps_floor, "),
         ({"pairs": [["cam1"]]}, "not a pair"),
         ({"pairs": [["cam1", "cam1"]]}, "not a pair"),
         ({"pairs": "cam1"}, "list of camera names"),
@@ -45,7 +46,7 @@ def test_an_experiment_may_choose_the_fast_preset():
         ({"preset": "slow"}, "choose default or fast"),
         ({"pixel": 0.0}, "above 0 m"),
         ({"smoothing": -1.0}, "smoothing must be 0 or more"),
-        ({"piv": {"windw": 3}}, "windw"),
+        ({"piv": {"windows": 3}}, "unknown measurement setting 'piv.windows'; did you mean 'window'"),
         ({"piv": {"window": -3.0}}, "window"),
     ],
 )

@@ -28,7 +28,7 @@ from wavefield.errors import ExperimentError, RunStopped, StoreError, WavefieldE
 from wavefield.grid import Grid
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
-from wavefield.series.document import read_yaml
+from wavefield.series.document import place_of, read_yaml
 from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus
 
 log = logging.getLogger("wavefield.run")
@@ -276,8 +276,19 @@ def make_settings(experiment: Experiment, workflow: Workflow) -> Any:
     Returns
     -------
     wavefield.measurement.Settings
+
+    Raises
+    ------
+    ExperimentError
+        If a name is unknown or a value does not fit.
     """
-    from wavefield.measurement import Settings
+    from wavefield.measurement.settings import Settings, unknown_setting
+
+    for source in (experiment, workflow):
+        if unknown := unknown_setting(source.settings):
+            location, sentence = unknown
+            place = f"{place_of(source.path, ('settings', *location))}: " if source.path else ""
+            raise ExperimentError(place + sentence)
 
     data: dict[str, Any] = {}
     if experiment.surface:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from dask.utils import format_bytes, parse_bytes
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from wavefield.series.document import Section, load_section
 
@@ -49,6 +49,7 @@ class Workflow(Section):
     )
     packing: Literal["float32", "int16"] = Field(default="float32", description="how values are stored")
     settings: dict[str, Any] = Field(default_factory=dict, description="measurement settings that differ")
+    _path: Path | None = PrivateAttr(default=None)
 
     @field_validator("workers")
     @classmethod
@@ -100,7 +101,14 @@ class Workflow(Section):
         ExperimentError
             If it is missing or wrong; the message names the line and the remedy.
         """
-        return load_section(cls, Path(path))
+        out = load_section(cls, Path(path))
+        out._path = Path(path)
+        return out
+
+    @property
+    def path(self) -> Path | None:
+        """The file this workflow was read from, if it was."""
+        return self._path
 
     @property
     def memory_bytes(self) -> int | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
@@ -165,16 +166,13 @@ class Settings:
         ExperimentError
             If a name is unknown or a value does not fit.
         """
-        known = {f.name for f in fields(cls)}
+        if unknown := unknown_setting(data):
+            raise ExperimentError(unknown[1])
         values: dict[str, Any] = dict(data)
         preset = values.pop("preset", "default")
         if preset not in ("default", "fast"):
             raise ExperimentError(f"preset: choose default or fast, not {preset!r}")
         base = cls.fast() if preset == "fast" else cls()
-        if unknown := sorted(set(values) - known):
-            raise ExperimentError(
-                f"unknown measurement setting {unknown[0]!r}; there are {', '.join(sorted(known))}"
-            )
         try:
             for name, default in (("stereo", base.stereo), ("piv", base.piv)):
                 if name in values:
@@ -182,6 +180,42 @@ class Settings:
             return replace(base, **values)
         except (TypeError, ValueError) as error:
             raise ExperimentError(f"measurement settings: {error}") from None
+
+
+def unknown_setting(data: Mapping[str, Any]) -> tuple[tuple[str, ...], str] | None:
+    """The first name that no setting has.
+
+    Parameters
+    ----------
+    data : mapping
+        As for `Settings.from_dict`.
+
+    Returns
+    -------
+    (location, sentence) or None
+        Keys that lead to it, and what to write instead.
+
+    Examples
+    --------
+    >>> unknown_setting({"piv": {"levelz": 3}})
+    (('piv', 'levelz'), "unknown measurement setting 'piv.levelz'; there are coarse_smoother_sigma, iterations, max_deviation, min_correlation, min_gradient_energy, normalization, relaxation, robust, robust_beta, search_window, search_x, search_y, smoother_order, smoother_sigma, window")
+    """
+    for location, found, kind in (
+        ((), data, Settings),
+        (("stereo",), data.get("stereo"), matching.Settings),
+        (("piv",), data.get("piv"), matching.Settings),
+    ):
+        known = [f.name for f in fields(kind)] + (["preset"] if kind is Settings else [])
+        for name in found if isinstance(found, Mapping) else ():
+            if name not in known:
+                at = (*location, str(name))
+                close = difflib.get_close_matches(str(name), known, n=2)
+                remedy = f"did you mean {' or '.join(map(repr, close))}?" if close else ""
+                return at, (
+                    f"unknown measurement setting {'.'.join(at)!r}; "
+                    f"{remedy or 'there are ' + ', '.join(sorted(known))}"
+                )
+    return None
 
 
 def _plain(value: Any) -> Any:

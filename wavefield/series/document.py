@@ -153,6 +153,25 @@ def _line(node: yaml.Node | None, location: Sequence[Key]) -> int | None:
     return line
 
 
+def place_of(path: Path, location: Sequence[Key]) -> str:
+    """File and line of a value, for a message.
+
+    Parameters
+    ----------
+    path : path
+        YAML.
+    location : sequence of str or int
+        Keys that lead to it.
+
+    Returns
+    -------
+    str
+        Such as "experiment.yaml, line 3".
+    """
+    line = _line(_compose(path), location)
+    return f"{path}, line {line}" if line else str(path)
+
+
 def _sentence(problem: Any, path: Path, node: yaml.Node | None, model: type[BaseModel]) -> str:
     location = list(problem["loc"])
     context = problem.get("ctx", {})
