@@ -11,7 +11,7 @@ from cube_cases import HERE, different
 from wavefield.cubes import Workflow, catalog_add, check, export_netcdf, open_cube, run, status
 from wavefield.cubes.processing import choose_block
 from wavefield.errors import ExperimentError, StoreError
-from wavefield.images import write_image
+from wavefield.images import read_image, write_image
 from wavefield.variables import CUBE_FIELDS, FrameStatus
 
 # -- check ------------------------------------------------------------------------------------------------
@@ -57,8 +57,8 @@ def test_check_names_what_is_missing_and_does_not_stop_there(own_tank):
     assert found.cameras[0].missing == (3, 4, 9)
     assert found.cameras[1].small == (5,)
     assert "cam1: 14 frames" in str(found)
-    assert "3 missing: 3-4, 9" in str(found)
-    assert "1 files are empty or truncated: 5" in str(found)
+    assert "3 missing: frames 3-4, 9" in str(found)
+    assert "1 file is empty or truncated: frame 5" in str(found)
     (folder / "rig.yaml").unlink()
     found = check(own_tank, workflow=HERE)
     assert not found.ready
@@ -66,6 +66,51 @@ def test_check_names_what_is_missing_and_does_not_stop_there(own_tank):
     assert "rig.yaml" in str(found)
     assert found.cost is None
     assert not (folder / "cube.zarr").exists()
+
+
+def test_check_tells_uniform_images_from_truncated_ones(own_tank):
+    folder = own_tank.parent
+    for path in (folder / "cam3").glob("*.tif"):
+        write_image(path.with_suffix(".png"), read_image(path))
+        path.unlink()
+    own_tank.write_text(own_tank.read_text().replace("cam3/img_{frame:05d}.tif", "cam3/img_{frame:05d}.png"))
+    for n in (2, 3, 6):
+        write_image(folder / "cam3" / f"img_{n:05d}.png", np.zeros((207, 292), np.uint8))
+    write_image(folder / "cam3" / "img_00008.png", np.eye(100, dtype=np.uint8))
+    whole = folder / "cam3" / "img_00011.png"
+    whole.write_bytes(whole.read_bytes()[:1000])
+    camera = check(own_tank, workflow=HERE).cameras[2]
+    assert (camera.blank, camera.other, camera.small) == ((2, 3, 6), (8,), (11,))
+    assert str(camera).endswith(
+        "; 1 file is empty or truncated: frame 11; 3 files are blank (all pixels equal): frames 2-3, 6; "
+        "1 file is of another size or type: frame 8"
+    )
+
+
+def test_frames_are_numbered_as_their_files_are(own_tank):
+    own_tank.write_text(own_tank.read_text().replace('.tif"}', '.tif", offset: 100}'))
+    (own_tank.parent / "cam1" / "img_00003.tif").unlink()
+    found = check(own_tank, workflow=HERE)
+    assert "1 missing: frame 3" in str(found.cameras[0])
+
+
+def test_check_gives_the_frame_rate_and_the_duration(tank):
+    assert "16 steps at 20 Hz (0.8 s)" in str(check(tank, workflow=HERE)).splitlines()[0]
+
+
+@pytest.mark.parametrize("where", ["experiment", "workflow"])
+def test_a_mistyped_setting_is_named_with_its_file_and_line(own_tank, tmp_path, where):
+    workflow = tmp_path / "workflow.yaml"
+    workflow.write_text("cluster: none\n")
+    path = own_tank if where == "experiment" else workflow
+    path.write_text(path.read_text() + "settings:\n  piv:\n    windows: 12\n")
+    line = len(path.read_text().splitlines())
+    with pytest.raises(ExperimentError) as caught:
+        run(own_tank, workflow=workflow)
+    assert str(caught.value) == (
+        f"{path}, line {line}: unknown measurement setting 'piv.windows'; did you mean 'window' or "
+        "'search_window'?"
+    )
 
 
 def test_check_says_when_nothing_can_be_measured(own_tank):

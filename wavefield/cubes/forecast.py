@@ -20,7 +20,7 @@ from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.rig import Rig
-from wavefield.series import Experiment, FrameSeries
+from wavefield.series import Experiment, FrameFault, FrameSeries
 from wavefield.variables import FrameStatus
 
 
@@ -39,9 +39,17 @@ class CameraCheck:
     dtype : str
         Type of the images.
     missing : tuple of int
-        Numbers of the frames that have none.
+        Numbers of the frames that have none, as in the names of files.
     small : tuple of int
-        Numbers of the frames whose file is empty or less than half as large as most.
+        Numbers of the frames whose file is empty or truncated.
+    blank : tuple of int
+        Numbers of those without any contrast.
+    other : tuple of int
+        Numbers of those of another size or type than the first.
+
+    Notes
+    -----
+    Only files less than half as large as most are looked into.
     """
 
     name: str
@@ -50,14 +58,26 @@ class CameraCheck:
     dtype: str
     missing: tuple[int, ...]
     small: tuple[int, ...]
+    blank: tuple[int, ...] = ()
+    other: tuple[int, ...] = ()
 
     def __str__(self) -> str:
         text = f"{self.name}: {self.frames} frames of {self.size[0]} x {self.size[1]} px, {self.dtype}"
         if self.missing:
-            text += f"; {len(self.missing)} missing: {spell_ranges(self.missing)}"
-        if self.small:
-            text += f"; {len(self.small)} files are empty or truncated: {spell_ranges(self.small)}"
+            text += f"; {len(self.missing)} missing: {_frames(self.missing)}"
+        for numbers, state in (
+            (self.small, "empty or truncated"),
+            (self.blank, "blank (all pixels equal)"),
+            (self.other, "of another size or type"),
+        ):
+            if numbers:
+                files = "1 file is" if len(numbers) == 1 else f"{len(numbers)} files are"
+                text += f"; {files} {state}: {_frames(numbers)}"
         return text
+
+
+def _frames(numbers: tuple[int, ...]) -> str:
+    return f"frame{'s' if len(numbers) > 1 else ''} {spell_ranges(numbers)}"
 
 
 @dataclass(frozen=True)
@@ -110,6 +130,8 @@ class Check:
         Its file.
     steps : int
         Steps of the whole run.
+    frame_rate : float
+        Hz.
     cameras : tuple of CameraCheck
         Frames of every camera.
     rig : tuple of str
@@ -129,6 +151,7 @@ class Check:
     experiment: str
     path: Path
     steps: int
+    frame_rate: float
     cameras: tuple[CameraCheck, ...]
     rig: tuple[str, ...]
     grid: Grid | None
@@ -143,7 +166,10 @@ class Check:
         return not self.problems
 
     def __str__(self) -> str:
-        lines = [f"{self.experiment} ({self.path}): {self.steps} steps"]
+        lines = [
+            f"{self.experiment} ({self.path}): {self.steps} steps at {self.frame_rate:g} Hz "
+            f"({_record(self.steps / self.frame_rate)})"
+        ]
         lines += [f"  {camera}" for camera in self.cameras]
         if self.rig:
             lines.append(f"  rig: {', '.join(self.rig)}")
@@ -192,7 +218,7 @@ def check(
     """
     experiment, _ = load_files(experiment, None)  # a wrong workflow is one of the problems
     series = experiment.open_frames()
-    cameras = tuple(_look_at(s) for s in series.values())
+    cameras = tuple(_look_at(s, experiment.cameras[name].offset) for name, s in series.items())
     steps = len(next(iter(series.values()))) - 1
     problems: list[str] = []
     prepared, cost, coverage, measured = None, None, None, None
@@ -210,6 +236,7 @@ def check(
         experiment=experiment.name,
         path=experiment.path,
         steps=steps,
+        frame_rate=experiment.frame_rate,
         cameras=cameras,
         rig=tuple(prepared.rig) if prepared else (),
         grid=prepared.grid if prepared else None,
@@ -220,20 +247,31 @@ def check(
     )
 
 
-def _look_at(series: FrameSeries) -> CameraCheck:
-    missing = tuple(int(n) for n in series.missing)
+def _look_at(series: FrameSeries, offset: int) -> CameraCheck:
+    """Look at one camera's files; frames are numbered as their files are, without the camera's offset."""
+    missing = tuple(int(n) - offset for n in series.missing)
     sizes = {}
     for index, entry in enumerate(series.entries):
         if entry is not None and entry.kind == "file":
             try:
-                sizes[series.first + index] = os.stat(entry.path).st_size
+                sizes[index] = os.stat(entry.path).st_size
             except OSError:
-                sizes[series.first + index] = 0
+                sizes[index] = 0
     usual = np.median(list(sizes.values())) if sizes else 0
-    small = tuple(number for number, size in sizes.items() if size < usual / 2)
+    bad: dict[FrameFault, list[int]] = {fault: [] for fault in FrameFault}
+    for index, size in sizes.items():
+        if size < usual / 2:
+            bad[series.read(index).fault].append(series.first + index - offset)
     rows, columns = series.shape
     return CameraCheck(
-        series.camera, len(series) - len(missing), (columns, rows), series.dtype, missing, small
+        series.camera,
+        len(series) - len(missing),
+        (columns, rows),
+        series.dtype,
+        missing,
+        small=tuple(bad[FrameFault.UNREADABLE]),
+        blank=tuple(bad[FrameFault.BLANK]),
+        other=tuple(bad[FrameFault.WRONG_SIZE]),
     )
 
 
@@ -312,6 +350,13 @@ def _peak_memory() -> int:
 def _duration(seconds: float) -> str:
     minutes = round(seconds / 60)
     return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{max(minutes, 1)} min"
+
+
+def _record(seconds: float) -> str:
+    """Duration of a record, to a tenth of a second, or in minutes."""
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    return f"{int(seconds // 60)} min {int(seconds % 60):02d} s"
 
 
 def _size(count: float) -> str:
