@@ -197,8 +197,11 @@ def unknown_setting(data: Mapping[str, Any]) -> tuple[tuple[str, ...], str] | No
 
     Examples
     --------
-    >>> unknown_setting({"piv": {"levelz": 3}})
-    (('piv', 'levelz'), "unknown measurement setting 'piv.levelz'; there are coarse_smoother_sigma, iterations, max_deviation, min_correlation, min_gradient_energy, normalization, relaxation, robust, robust_beta, search_window, search_x, search_y, smoother_order, smoother_sigma, window")
+    >>> location, sentence = unknown_setting({"piv": {"windows": 12.0}})
+    >>> location
+    ('piv', 'windows')
+    >>> sentence
+    "unknown measurement setting 'piv.windows'; did you mean 'window' or 'search_window'?"
     """
     for location, found, kind in (
         ((), data, Settings),
