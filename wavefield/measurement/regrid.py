@@ -324,11 +324,14 @@ def _read_surface(c, shape, x, y, x0, y0, step, cx, cy, cz, out, p, q):  # type:
     ny, nx, fields = shape
     across = 1.0 / step
     step_x, step_y = np.uintp(fields), np.uintp(nx * fields)
+    shrink = 1.0
     for k in range(x.size):
-        z = 0.0
-        xa, ya = x[k], y[k]
+        # the node before is a good guess
+        xa, ya = cx + (x[k] - cx) * shrink, cy + (y[k] - cy) * shrink
         i, j = 1, 1
-        wx = wy = _weights(np.float32(0.0))
+        t = s = np.float32(0.0)
+        wx = wy = _weights(t)
+        first = np.uintp(0)
         for _ in range(30):
             i, t = _place((xa - x0) * across, nx)
             j, s = _place((ya - y0) * across, ny)
@@ -339,12 +342,8 @@ def _read_surface(c, shape, x, y, x0, y0, step, cx, cy, cz, out, p, q):  # type:
             xn, yn = cx + (x[k] - cx) * shrink, cy + (y[k] - cy) * shrink
             move = abs(xn - xa) + abs(yn - ya)
             xa, ya = xn, yn
-            if move < 1e-3 * step:
+            if move < 3e-4 * step:
                 break
-        i, t = _place((xa - x0) * across, nx)
-        j, s = _place((ya - y0) * across, ny)
-        wx, wy = _weights(t), _weights(s)
-        first = np.uintp(((j - 1) * nx + i - 1) * fields)
         for f in range(fields):
             out[f, k] = _spline(c, first + np.uintp(f), step_x, step_y, wx, wy)
         p[k] = min(i + int(t + 0.5), nx - 1)
