@@ -8,6 +8,7 @@ it on a quiet machine. CPU times, of a run and its workers together, say more on
 """
 
 import argparse
+import ctypes
 import os
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
@@ -23,7 +24,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import cv2
@@ -121,8 +122,9 @@ def finish(process: subprocess.Popen, expected: tuple[int, ...] = (0,)) -> str:
 
 
 def workers_of(process: subprocess.Popen) -> list[psutil.Process]:
+    """Workers of a run; forked ones are children of the process that forks them."""
     children = psutil.Process(process.pid).children(recursive=True)
-    return [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+    return [c for c in children if c.ppid() != process.pid or "spawn_main" in " ".join(c.cmdline())]
 
 
 def steps_done(out: Path) -> int:
@@ -259,6 +261,8 @@ def speed(folder: Path, options: argparse.Namespace) -> None:
     # what is compiled is kept for later processes: not part of any of the times
     shutil.rmtree(folder / "first.zarr", ignore_errors=True)
     finish(start(write_tank(folder / "first", small_scene(), 4), folder / "first.zarr", cluster="none"))
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     times: dict[str, list[float]] = {"plain": [], "one": [], "two": []}
     spent: dict[str, list[float]] = {name: [] for name in times}
     work = {"plain": plain, "one": by_run(1), "two": by_run(2)}
@@ -286,8 +290,18 @@ def speed(folder: Path, options: argparse.Namespace) -> None:
     )
 
 
+_PR_SET_CHILD_SUBREAPER = 36  # of linux/prctl.h
+
+
 def _spent_by_children() -> float:
-    """CPU time of all processes that have ended, theirs included, s."""
+    """CPU time of all processes that have ended, theirs included, s.
+
+    Waits for all of them: a run does not wait for the process that its workers are forked from, which comes
+    to us when the run has ended.
+    """
+    with suppress(ChildProcessError):
+        while True:
+            os.wait()
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 

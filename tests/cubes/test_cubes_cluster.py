@@ -3,6 +3,7 @@
 Everything runs through the command line, in processes of its own.
 """
 
+import os
 import signal
 import socket
 import subprocess
@@ -73,10 +74,11 @@ def finish(process):
 
 
 def workers_of(process):
+    """Forked ones are children of the process that forks them."""
     return [
         child
         for child in psutil.Process(process.pid).children(recursive=True)
-        if "spawn_main" in " ".join(child.cmdline())
+        if child.ppid() != process.pid or "spawn_main" in " ".join(child.cmdline())
     ]
 
 
@@ -122,6 +124,20 @@ def test_ctrl_c_on_a_terminal_stops_cleanly(tank, reference, tmp_path):
     assert "Traceback" not in text
     assert not any(worker.is_running() for worker in workers)
     assert different(out, reference, slice(0, 1)) == []
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.7, 1.5])
+def test_ctrl_c_while_the_workers_start_prints_no_traceback(tank, tmp_path, seconds):
+    out = tmp_path / "cube.zarr"
+    workflow = write_workflow(tmp_path, cluster="local", workers=2, steps_per_block=1, dashboard="null")
+    process = start(tank, out, workflow)
+    wait_for(lambda: psutil.Process(process.pid).children(), process)
+    time.sleep(seconds)
+    os.killpg(process.pid, signal.SIGINT)
+    code, text = finish(process)
+    assert code != 0
+    assert "Traceback" not in text
+    assert "NameError" not in text
 
 
 @contextmanager

@@ -4,9 +4,11 @@ import ctypes
 import functools
 import inspect
 import logging
+import multiprocessing
 import os
 import shlex
 import signal
+import sys
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -58,7 +60,8 @@ _DASK: dict[str, Any] = {
     },
 }
 _PROFILE = {"distributed": {"worker": {"profile": {"enabled": True}}}}  # a report is made from it
-
+_FORKED = {"distributed": {"worker": {"multiprocessing-method": "forkserver"}}}
+_NEEDED = ["wavefield.cubes.work", "wavefield.measurement.measure"]  # by every worker
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # of malloc.h
 _LARGEST_KEPT = 64_000_000  # bytes of an array; an image of 4 Mpx in floats has 16 MB
@@ -142,15 +145,20 @@ def open_cluster(
     if workflow.cluster == "none" or (workflow.cluster == "local" and count_workers(workflow) == 1):
         yield _map_here
         return
+    ahead = ahead and workflow.cluster == "local"
+    settings = dask_settings(workflow)
+    if ahead:
+        _start_fork_server(settings)
     # the thread goes first, so that no cluster comes up after all has been closed
-    with ExitStack() as stack, _configured(dask_settings(workflow)), ThreadPoolExecutor(1) as thread:
+    with ExitStack() as stack, _configured(settings), ThreadPoolExecutor(1) as thread:
         start = functools.cache(lambda: thread.submit(_connect, workflow, stack))
-        if ahead and workflow.cluster == "local":
+        if ahead:
             start()
 
         def map_unordered(work: Work, items: Sequence[Any]) -> Generator[Any]:
             with stack:  # the workers end with their work, while the caller still guards the store
-                client = start().result()
+                with _undisturbed():  # what is closed while it starts prints tracebacks from other threads
+                    client = start().result()
                 if client.dashboard_link and workflow.dashboard:
                     log.info("dashboard: %s", client.dashboard_link)
                 if workflow.performance_report:
@@ -176,7 +184,35 @@ def dask_settings(workflow: Workflow) -> dict[str, Any]:
     dict
         Sections of Dask's configuration, as far as they differ from Dask's own.
     """
-    return dask.config.merge(_DASK, _PROFILE if workflow.performance_report else {}, workflow.dask)
+    profile = _PROFILE if workflow.performance_report else {}
+    forked = _FORKED if workflow.cluster == "local" and sys.platform == "linux" else {}
+    return dask.config.merge(_DASK, profile, forked, workflow.dask)
+
+
+def _start_fork_server(settings: dict[str, Any]) -> None:
+    """Start the process that workers are forked from, if they are: it imports what they need once for all.
+
+    It forks from one thread, so that no lock is ever copied while it is held, and ends with this process.
+    Neither it nor its workers hear Ctrl-C and Slurm's warning, which are for the run itself.
+    """
+    if settings["distributed"]["worker"].get("multiprocessing-method") != "forkserver":
+        return
+    from multiprocessing import forkserver, resource_tracker
+
+    resource_tracker.ensure_running()  # would let the signals through again
+    multiprocessing.set_forkserver_preload(["distributed", "distributed.nanny", *_NEEDED])
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))  # BLAS reads them when it is imported
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGUSR1))
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 def _exports(settings: dict[str, Any], prefix: str) -> Iterator[str]:
@@ -208,7 +244,9 @@ def _configured(configuration: dict[str, Any]) -> Iterator[None]:
 
 
 def _connect(workflow: Workflow, stack: ExitStack) -> Any:
-    from distributed import Client, LocalCluster
+    from distributed import Client, LocalCluster, utils
+
+    utils._forkserver_preload_set = True  # by us: its own list would import pandas here and there
 
     if workflow.cluster == "address":
         try:
@@ -225,6 +263,7 @@ def _connect(workflow: Workflow, stack: ExitStack) -> Any:
         cluster.adapt(minimum_jobs=jobs, maximum_jobs=jobs)  # jobs that end or die are asked for again
         log.info("asked Slurm for %d jobs; the run begins when the first starts", jobs)
     else:
+        _start_fork_server(dask_settings(workflow))
         cluster = stack.enter_context(
             LocalCluster(
                 n_workers=count_workers(workflow),
@@ -232,7 +271,7 @@ def _connect(workflow: Workflow, stack: ExitStack) -> Any:
                 processes=True,
                 memory_limit=workflow.memory_bytes or "auto",
                 dashboard_address=workflow.dashboard,
-                preload=["wavefield.cubes.work", "wavefield.measurement.measure"],
+                preload=_NEEDED,
                 silence_logs=logging.ERROR,
             )
         )
@@ -345,7 +384,7 @@ def _map_here(work: Work, items: Sequence[Any]) -> Generator[Any]:
 
 @contextmanager
 def _undisturbed() -> Iterator[None]:
-    """Put off the signals that stop a run until a short call is over; a second one is heard at once.
+    """Put off the signals that stop a run until a call is over; a second one is heard at once.
 
     A call of distributed that is interrupted before it began prints a traceback from another thread.
     """
