@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from wavefield.errors import CubeError
-from wavefield.waves import kernels, kinematics, segments, spectra
+from wavefield.waves import kernels, segments, spectra
 from wavefield.waves.record import Record, find_record
 from wavefield.waves.rings import Rings
 from wavefield.waves.units import product
@@ -44,6 +44,23 @@ def sources(names: Sequence[str]) -> list[str]:
     return [field for field in ("z", "z_t", "u", "v", "w") if field in needed]
 
 
+class _Nonlinear:
+    """u . grad z: computed where it is cut out, never held whole."""
+
+    def __init__(self, fields: Mapping[str, np.ndarray], dt: float, dy: float, dx: float) -> None:
+        self.fields = [np.ascontiguousarray(fields[name]) for name in ("z", "z_t", "u", "v")]
+        self.shape, self.dtype = self.fields[0].shape, self.fields[0].dtype
+        real = self.dtype.type
+        self.distances = real(dt / 16), real(dt / 2), dy, dx
+
+    def __getitem__(self, steps: slice) -> np.ndarray:
+        first, end, _ = steps.indices(self.shape[0])
+        out = np.empty((end - first, *self.shape[1:]), self.dtype)
+        given = *self.fields, first, *self.distances, out
+        kernels.advection(*given)
+        return out
+
+
 def transforms(
     fields: dict[str, np.ndarray],
     names: Sequence[str],
@@ -72,12 +89,7 @@ def transforms(
     """
     out, old = {}, old or {}
     if "nl" in names:
-        mean = kinematics.two_frame_mean(fields["z"], fields["z_t"], dt)
-        nonlinear = np.empty_like(mean)
-        kernels.advection(mean, fields["u"], fields["v"], dy, dx, nonlinear)
-        del mean
-        out["nl"] = segments.transform_space(nonlinear, old.get("nl"))
-        del nonlinear
+        out["nl"] = segments.transform_space(_Nonlinear(fields, dt, dy, dx), old.get("nl"))
     wanted = {name for name in names if name != "nl"} | ({"z_t"} if "z" in names else set())
     for name in [*fields]:
         block = fields.pop(name)

@@ -12,6 +12,8 @@ import numpy as np
 _fast = numba.njit(nogil=True, cache=True)
 # sums may be taken in any order, always the same one for the same shape
 _loose = numba.njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "nsz"})
+# and products are rounded before they are subtracted, so that conj(f) f is real
+_rounded = numba.njit(nogil=True, cache=True, fastmath={"reassoc", "nsz"})
 _TILE = 8  # steps turned around at once: a line of the cache
 _BATCH = 1024  # values sorted into bins at once
 
@@ -154,7 +156,7 @@ def ring_powers(f, start, ring, weight, spread, out):
             _add_row(square, spread[s], out[1, ring[s]])
 
 
-@_loose
+@_rounded
 def ring_crosses(f, g, start, ring, weight, out):
     """As the power in `ring_powers`, for conj(f) g; ``out`` holds real and imaginary parts.
 
@@ -272,26 +274,68 @@ def gradient(z, dy, dx, z_y, z_x):
 
 
 @_fast
-def advection(z, u, v, dy, dx, out):
-    """Nonlinear term u . grad z of each step, the gradient as `gradient` takes it.
+def two_frame_mean(z, z_t, t, slope, rise, out):
+    """Mean elevation of the two frames of a step, from mid-time elevation and rate of rise.
 
     Parameters
     ----------
-    z, u, v : ndarray, (steps, y, x)
-        Elevation and velocities along x and y.
+    z, z_t : ndarray, (steps, y, x)
+        Elevation at mid-time from four frames, and rate of rise.
+    t : int
+        Step.
+    slope, rise : float
+        Time between frames over 16, and half of it, in the precision of the fields.
+    out : ndarray, (y, x)
+        Receives (z_0 + z_1) / 2; with fewer than three steps z itself.
+
+    Notes
+    -----
+    As `frames`: the first and last step follow from their neighbour by z_t.
+    """
+    last = z.shape[0] - 1
+    if last < 2:
+        out[:] = z[t]
+        return
+    i = min(max(t, 1), last - 1)
+    for r in range(z.shape[1]):
+        here, before, now, after, to = z[i, r], z_t[i - 1, r], z_t[i, r], z_t[i + 1, r], out[r]
+        for c in range(here.size):
+            to[c] = here[c] + slope * (after[c] - before[c])
+        if t == 0:
+            for c in range(here.size):
+                to[c] -= rise * (before[c] + now[c])
+        elif t == last:
+            for c in range(here.size):
+                to[c] += rise * (now[c] + after[c])
+
+
+@_fast
+def advection(z, z_t, u, v, first, slope, rise, dy, dx, out):
+    """Nonlinear term u . grad z of some steps, the gradient as `gradient` takes it.
+
+    Parameters
+    ----------
+    z, z_t, u, v : ndarray, (steps, y, x)
+        Elevation at mid-time, rate of rise and velocities along x and y.
+    first : int
+        First step wanted.
+    slope, rise : float
+        As `two_frame_mean` takes them: z is that mean.
     dy, dx : float
         Distance between nodes.
-    out : ndarray, (steps, y, x)
+    out : ndarray, (steps wanted, y, x)
         Receives the term.
     """
+    mean = np.empty(z.shape[1:], z.dtype)
     z_y = np.empty(z.shape[2], z.dtype)
     z_x = np.empty(z.shape[2], z.dtype)
-    for t in range(z.shape[0]):
+    for t in range(out.shape[0]):
+        two_frame_mean(z, z_t, first + t, slope, rise, mean)
         for i in range(z.shape[1]):
-            _along(z[t, i], 1 / dx, z_x)
-            _across(z[t], i, 1 / dy, z_y)
-            a = u[t, i]
-            b = v[t, i]
+            _along(mean[i], 1 / dx, z_x)
+            _across(mean, i, 1 / dy, z_y)
+            a = u[first + t, i]
+            b = v[first + t, i]
             to = out[t, i]
             for j in range(z_x.size):
                 to[j] = a[j] * z_x[j] + b[j] * z_y[j]

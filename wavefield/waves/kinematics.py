@@ -69,37 +69,6 @@ def terms(fields: Mapping[str, np.ndarray], dy: float, dx: float) -> dict[str, n
     return {name: array.reshape(shape) for name, array in zip(_OUTPUTS, out)}
 
 
-def two_frame_mean(z: np.ndarray, z_t: np.ndarray, dt: float) -> np.ndarray:
-    """Mean elevation of the two frames of each step of a run, without needing steps outside the run.
-
-    Parameters
-    ----------
-    z, z_t : ndarray, (steps, ...)
-        Elevation at mid-time from four frames, m, and rate of rise, m/s.
-    dt : float
-        Time between frames, s.
-
-    Returns
-    -------
-    ndarray, (steps, ...)
-        (z_0 + z_1) / 2, m; with fewer than three steps z itself.
-
-    Notes
-    -----
-    As `frame_elevations`; the first and last step follow from their neighbour by z_t.
-    """
-    if z.shape[0] < 3:
-        return z
-    real = z.dtype.type
-    out = np.empty_like(z)
-    np.subtract(z_t[2:], z_t[:-2], out=out[1:-1])
-    out[1:-1] *= real(dt / 16)
-    out[1:-1] += z[1:-1]
-    out[0] = out[1] - real(dt / 2) * (z_t[0] + z_t[1])
-    out[-1] = out[-2] + real(dt / 2) * (z_t[-2] + z_t[-1])
-    return out
-
-
 _OUTPUTS = {
     "z_x": ("slope along x", "1"),
     "z_y": ("slope along y", "1"),

@@ -245,13 +245,13 @@ def window_energy(segment: int, ny: int, nx: int) -> float:
     return float((hann(segment) ** 2).sum() * (hann(ny) ** 2).sum() * (hann(nx) ** 2).sum())
 
 
-def transform_space(block: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+def transform_space(block: Any, out: np.ndarray | None = None) -> np.ndarray:
     """Transform each step in space.
 
     Parameters
     ----------
     block : ndarray, (steps, ny, nx)
-        Field, float32 or float64.
+        Field, float32 or float64; or what is computed when steps are cut out of it.
     out : ndarray, optional
         What it gave for an earlier block of the same shape and type, to be used again: new memory is dear.
 
