@@ -20,6 +20,7 @@ def _stereo() -> matching.Settings:
         relaxation=1.25,
         normalization=10.0,
         search_window=24.0,
+        min_correlation=0.5,
         min_gradient_energy=0.1,
     )
 
@@ -33,6 +34,7 @@ def _piv() -> matching.Settings:
         relaxation=1.25,
         robust=0.0,
         normalization=10.0,
+        min_correlation=0.5,
     )
 
 
