@@ -157,7 +157,7 @@ def open_cluster(
 
         def map_unordered(work: Work, items: Sequence[Any]) -> Generator[Any]:
             with stack:  # the workers end with their work, while the caller still guards the store
-                with _undisturbed():  # what is closed while it starts prints tracebacks from other threads
+                with undisturbed():  # what is closed while it starts prints tracebacks from other threads
                     client = start().result()
                 if client.dashboard_link and workflow.dashboard:
                     log.info("dashboard: %s", client.dashboard_link)
@@ -383,7 +383,7 @@ def _map_here(work: Work, items: Sequence[Any]) -> Generator[Any]:
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
+def undisturbed() -> Iterator[None]:
     """Put off the signals that stop a run until a call is over; a second one is heard at once.
 
     A call of distributed that is interrupted before it began prints a traceback from another thread.
@@ -429,7 +429,7 @@ def _map_on(client: Any, work: Work, items: Sequence[Any]) -> Generator[Any]:
         for future in as_completed(futures, loop=client.loop):
             if future.status not in ("finished", "error"):  # cancelled or lost with its scheduler
                 raise lost
-            with _undisturbed():
+            with undisturbed():
                 result: Any = future.result() if future.status == "finished" else future.exception()
             yield futures.pop(future), result
     except (OSError, CancelledError) as error:  # the connection broke while a report was fetched

@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import numpy as np
 
 from wavefield.cubes import store as stores
 from wavefield.cubes.block import Block, make_block
-from wavefield.cubes.cluster import count_workers, open_cluster
+from wavefield.cubes.cluster import count_workers, open_cluster, undisturbed
 from wavefield.cubes.pixel import pixel_size
 from wavefield.cubes.recipe import Recipe, make_recipe
 from wavefield.cubes.state import Status, status
@@ -151,8 +151,11 @@ def run(
         raise ExperimentError(f"{experiment} is an experiment, not a catalog: it has no run {entries[0]!r}")
     experiment, workflow = load_files(experiment, workflow)
     path = Path(out) if out is not None else experiment.resolve("cube.zarr")
-    with open_cluster(workflow, ahead=not path.exists()) as map_unordered:
-        return process(prepare(experiment, rig, workflow), path, map_unordered, progress)
+    with ExitStack() as stack:
+        with undisturbed():  # Ctrl-C inside an import may be lost
+            map_unordered = stack.enter_context(open_cluster(workflow, ahead=not path.exists()))
+            prepared = prepare(experiment, rig, workflow)
+        return process(prepared, path, map_unordered, progress)
 
 
 def is_catalog(path: str | Path) -> bool:

@@ -341,7 +341,7 @@ def advection(z, z_t, u, v, first, slope, rise, dy, dx, out):
                 to[j] = a[j] * z_x[j] + b[j] * z_y[j]
 
 
-@_loose
+@_fast
 def slope_square(z, dy, dx):
     """Sum of |grad z|^2 over all nodes and steps, the gradient as `gradient` takes it.
 

@@ -69,7 +69,7 @@ def _values(part: Any) -> np.ndarray:
 def _half(
     make: Callable[..., dict[str, Any]], pieces: Sequence[Any], missing: np.ndarray, inner: slice, first: int
 ) -> dict[str, Any]:
-    return make([fill(_values(part), missing)[inner] for part in pieces], first)
+    return make([np.ascontiguousarray(fill(_values(part), missing)[inner]) for part in pieces], first)
 
 
 def _span(
@@ -133,7 +133,8 @@ class Reader:
                     holes = lacking
                 elif (lacking & ~holes)[~missing].any():
                     raise UnlikeFirst
-            blocks.append(fill(block, missing)[inner])
+            # one layout, one compiled kernel: the same sums to the bit
+            blocks.append(np.ascontiguousarray(fill(block, missing)[inner]))
         return blocks
 
 
