@@ -5,6 +5,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from wavefield.figures.style import SIGNED, draw_map, limit, map_panels, moment_title, panel_3d
 
@@ -39,13 +40,26 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
     x, y = np.meshgrid(part.x.values, part.y.values)
     faces = mapped.to_rgba(w)
     faces[..., :3] *= _relief(z)[..., None]
-    axes.plot_surface(
-        x, y, z, facecolors=faces, rstride=1, cstride=1, linewidth=0, antialiased=False, shade=False
-    )
+    corners = np.stack([x, y, z], axis=-1)
+    quads = np.stack([corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]], axis=2)
+    quads = quads.reshape(-1, 4, 3)
+    # whole ones only: matplotlib computes with memory that it never wrote where faces have fewer corners
+    whole = np.isfinite(quads).all(axis=(1, 2))
+    if whole.any():
+        shown = faces[:-1, :-1].reshape(-1, 4)[whole]
+        axes.add_collection3d(
+            Poly3DCollection(quads[whole], facecolors=shown, linewidths=0, antialiaseds=False)
+        )
     height = 1.6 * limit(z, 100)
     span = np.ptp(part.x.values), np.ptp(part.y.values)
     axes.set(
-        xlabel="x (m)", ylabel="y (m)", zlabel="z (cm)", zlim=(-height, height), title=moment_title(snapshot)
+        xlabel="x (m)",
+        ylabel="y (m)",
+        zlabel="z (cm)",
+        xlim=(part.x.values.min(), part.x.values.max()),
+        ylim=(part.y.values.min(), part.y.values.max()),
+        zlim=(-height, height),
+        title=moment_title(snapshot),
     )
     axes.set_box_aspect((span[0], span[1], 0.35 * max(span)), zoom=1.05)
     axes.view_init(elev=32, azim=-60)
