@@ -123,6 +123,13 @@ def test_a_bad_frame_is_as_good_as_none(series, plan, bad):
     same(measure(frames, plan, RATE), measure(absent, plan, RATE))
 
 
+def test_gain_and_offset_of_a_camera_change_nothing(series, plan):
+    frames = {name: list(images[:4]) for name, images in series.frames.items()}
+    usual = measure(frames, plan, RATE)
+    frames["cam1"] = [100 + 40 * image.astype(np.uint16) for image in frames["cam1"]]
+    same(measure(frames, plan, RATE), usual)
+
+
 def test_a_frame_of_noise_does_not_mislead(series, plan):
     rng = np.random.default_rng(0)
     frames = {name: list(images[:4]) for name, images in series.frames.items()}

@@ -15,7 +15,9 @@ from wavefield.rig import Camera, Rig
 from wavefield.waves.window_gain import DIRECTIONS, label
 
 _BLOCK = 5  # px: side of matching's blocks
-_FOOTPRINT = 5.5  # px^2: variance of the area that a block's value stands for, beads' own images included
+# px^2: variance of the area that a block's value stands for, as simulated experiments have it; the filter of
+# matching takes more, because it also makes up for what few beads lose
+_FOOTPRINT = 5.5
 
 
 def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
@@ -38,8 +40,8 @@ def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
 
     Notes
     -----
-    Window, smoother and steps at every level of the pyramid (`matching.transfer_kernel`), the area of blocks
-    and beads, the filter and the spline on the lattice of blocks; for velocities each camera's displacement
+    Window, smoother and steps of every level of the pyramid (`matching.transfer_function`), the area of
+    blocks and beads, the filter and the spline on the lattice; for velocities each camera's displacement
     in its own pixels at the middle of the grid, then the least squares of all.
     """
     try:
@@ -76,11 +78,7 @@ def matched(settings: matching.Settings, kx: np.ndarray, ky: np.ndarray) -> np.n
     ndarray
         Amplitude gain.
     """
-    kernel = matching.transfer_kernel(settings).astype(float)
-    reach = len(kernel) // 2
-    n = np.arange(-reach, reach + 1)
-    rows, columns = (np.exp(1j * q[..., None] * n) for q in (ky, kx))
-    total = np.einsum("...i,ij,...j->...", rows, kernel, columns, optimize=True).real
+    total = matching.transfer_function(settings, kx, ky)
     return total * np.exp(-0.5 * _FOOTPRINT * (kx**2 + ky**2) / _BLOCK**2)
 
 
