@@ -73,9 +73,10 @@ def comparison(store: Path, directory: Path) -> str:
         A table: rms errors in mm and in px.
     """
     from wavefield.cubes import open_cube
-    from wavefield.report import errors_against, pixel_size
+    from wavefield.report import errors_against
     from wavefield.report.sources import grid_of
     from wavefield.rig import Rig
+    from wavefield.rig.resolution import pixel_size
 
     cube = open_cube(store)
     truth = xr.open_zarr(directory / "truth" / "truth.zarr", consolidated=False)

@@ -61,3 +61,38 @@ class Grid:
     def shape(self) -> tuple[int, int]:
         """Number of nodes (ny, nx)."""
         return self.y_nodes.size, self.x_nodes.size
+
+
+def largest_rectangle(mask: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Find the largest rectangle without a hole.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, (ny, nx)
+        True where a node can be used.
+
+    Returns
+    -------
+    y, x : tuple of int
+        First node and one past the last along each axis; (0, 0) where nothing is left.
+
+    Examples
+    --------
+    >>> largest_rectangle(np.array([[0, 1, 1], [1, 1, 1], [0, 1, 1]], bool))
+    ((0, 3), (1, 3))
+    """
+    ny, nx = mask.shape
+    height = np.zeros(nx, int)
+    best, where = 0, ((0, 0), (0, 0))
+    for i in range(ny):
+        height = np.where(mask[i], height + 1, 0)
+        stack: list[tuple[int, int]] = []  # (column where it starts, height)
+        for j in range(nx + 1):
+            h = int(height[j]) if j < nx else 0
+            start = j
+            while stack and stack[-1][1] >= h:
+                start, top = stack.pop()
+                if top * (j - start) > best:
+                    best, where = top * (j - start), ((i + 1 - top, i + 1), (start, j))
+            stack.append((start, h))
+    return where

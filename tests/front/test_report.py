@@ -8,7 +8,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from wavefield.report import Sources, pixel_size, write_report
+from wavefield.grid import Grid
+from wavefield.measurement import Plan
+from wavefield.report import Sources, write_report
 from wavefield.report.player import pack
 from wavefield.tank import paper_rig
 
@@ -123,7 +125,10 @@ def test_a_long_cube_is_thinned_to_fit(cube):
     assert sum(map(len, pack(wide.chunk(time=48)).values())) < 8e6
 
 
-def test_pixel_of_the_papers_rig_is_that_of_the_paper():
-    from wavefield.grid import Grid
-
-    assert 1.5e-3 < pixel_size(paper_rig(), Grid((-1, 1), (-0.75, 0.75), 0.01)) < 2.0e-3
+def test_the_pairs_told_are_those_measured_when_the_origin_lies_aside(cube, tmp_path):
+    rig = paper_rig().moved(np.eye(3), (2.0, 0.0, 0.0))  # the origin below the outer camera, or beyond it
+    sources = Sources(cube.assign_attrs(recipe=json.dumps({"settings": {}})), rig=rig)
+    pictures = Page(write_report(sources, tmp_path / "aside.html").read_text(encoding="utf-8")).all("img")
+    diagram = next(p["alt"] for p in pictures if p["alt"].startswith("Diagram."))
+    measured = Plan(rig, Grid((-2.2, -1.8), (-0.2, 0.2), 0.01)).pairs
+    assert "Stereo pairs " + ", ".join(f"{a} with {b}" for a, b in measured) in diagram

@@ -8,8 +8,9 @@ from waves_cases import axes, cube, linear_cube, random_waves
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
+from wavefield.grid import largest_rectangle
 from wavefield.variables import FrameStatus
-from wavefield.waves.record import fill, largest_rectangle
+from wavefield.waves.record import fill
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ from scipy import sparse
 
 from wavefield.calibration.observations import LENS, Geometry, Observations
 from wavefield.rig.camera import Array
+from wavefield.robust import robust_std
 
 # terms of a model -> the columns of Geometry.lens they move; f (log of both focal lengths) and aspect (log of
 # fx alone) are not columns themselves
@@ -584,18 +585,3 @@ def minimise(
             if damping > 1e8:
                 return x, scale, steps
     return x, scale, steps
-
-
-def robust_std(values: Array) -> float:
-    """Standard deviation that a few blunders do not move: 1.4826 times the median of absolute values.
-
-    Parameters
-    ----------
-    values : ndarray
-        With mean zero.
-
-    Returns
-    -------
-    float
-    """
-    return 1.4826 * float(np.median(np.abs(values))) if values.size else 0.0

@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from wavefield.robust import robust_std
+
 Array = NDArray[np.float64]
 
 REACH = 100  # nodes a lattice may extend from its seed in each direction
@@ -246,7 +248,7 @@ class SmoothMap:
             w = weight[:, None]
             self.cubic = np.linalg.lstsq(basis * w, rest * w, rcond=None)[0]
             self.misfit = np.hypot(*(rest - basis @ self.cubic).T)
-            self.spread = 1.4826 * float(np.median(self.misfit[vote])) / 1.177 + 1e-4  # per axis
+            self.spread = robust_std(self.misfit[vote]) / 1.177 + 1e-4  # per axis
             weight = 1.0 / np.sqrt(np.maximum(1.0, self.misfit / (3.0 * self.spread)) ** 3)
 
     def _homography(self, node: Array) -> Array:

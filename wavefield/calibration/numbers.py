@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from wavefield.calibration.bundle import Fit, robust_std
+from wavefield.calibration.bundle import Fit
 from wavefield.calibration.observations import Observations
 from wavefield.rig import Rig
 from wavefield.rig.camera import Array
 from wavefield.rig.epipolar import epipolar_distance
 from wavefield.rig.level import Plane, fit_plane
 from wavefield.rig.stereo import triangulate
+from wavefield.robust import robust_std
 
 
 @dataclass(frozen=True)

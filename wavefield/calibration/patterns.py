@@ -9,6 +9,7 @@ from wavefield.calibration.lattice import Candidates, Lattice, SmoothMap
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
+from wavefield.robust import robust_std
 
 Array = NDArray[np.float64]
 Node = NDArray[np.int64]
@@ -358,7 +359,7 @@ def _centroids(image: NDArray[np.float32], node: Node, pixel: Array) -> tuple[Ar
             share = share - plane @ np.linalg.lstsq(plane[outside], share[outside], rcond=None)[0]
         wide = cv2.dilate(_raster(gx, gy, share > 0.25), np.ones((7, 7), np.uint8))
         dot = wide[gy - gy.min() + 4, gx - gx.min() + 4] > 0
-        grain = 1.4826 * np.median(np.abs(share[~dot])) if (~dot).sum() > 20 else 0.02
+        grain = robust_std(share[~dot]) if (~dot).sum() > 20 else 0.02
         gx, gy, share = gx[dot].astype(float), gy[dot].astype(float), share[dot]
         centre[k] = np.array([gx @ share, gy @ share]) / share.sum()
         lever = np.sqrt((((gx - centre[k, 0]) ** 2 + (gy - centre[k, 1]) ** 2).sum()) / 2)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import chi
 
-from wavefield.calibration.bundle import TERMS, Layout, layout, linearised, minimise, moved, robust_std
+from wavefield.calibration.bundle import TERMS, Layout, layout, linearised, minimise, moved
 from wavefield.calibration.observations import LENS, Geometry, Observations
 from wavefield.errors import CalibrationError
 from wavefield.rig import Rig
@@ -20,6 +20,7 @@ from wavefield.rig.camera import Array
 from wavefield.rig.epipolar import epipolar_distance
 from wavefield.rig.level import Plane, level
 from wavefield.rig.stereo import jacobians, solve_displacement, triangulate
+from wavefield.robust import robust_std
 
 MOST = 3000  # matches used: more tell no more
 KNOCK_ANGLE = np.radians(1.0)  # what a knocked camera may have turned

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.calibration.bundle import Fit, fit, robust_std
+from wavefield.calibration.bundle import Fit, fit
 from wavefield.calibration.compare import Agreement, chained, compare, mirrored
 from wavefield.calibration.derived import Derived, derive
 from wavefield.calibration.model_choice import MODELS, Choice, choose, terms_of
@@ -21,6 +21,7 @@ from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
 from wavefield.rig import Rig
 from wavefield.rig.camera import Array
+from wavefield.robust import robust_std
 
 Views = Mapping[str, Mapping[str, TargetPoints]]
 

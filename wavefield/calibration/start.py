@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from wavefield.calibration.bundle import Fit, fit, robust_std
+from wavefield.calibration.bundle import Fit, fit
 from wavefield.calibration.observations import LENS, Geometry, Observations
 from wavefield.errors import CalibrationError
 from wavefield.rig.camera import Array
+from wavefield.robust import robust_std
 
 FEWEST_NODES = 12  # of the target in a view
 

@@ -7,6 +7,8 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.robust import PER_MEDIAN
+
 Array = NDArray[np.float64]
 
 # order of the parameters of one crossing
@@ -232,7 +234,7 @@ def _fit_one(image, start, arm1, arm2, blur, band, var0, var1, p, covariance, ar
         for q in (WIDTH1, WIDTH2):
             p[q] = min(max(p[q], -1.8 * blur * blur), 60.0)
         if iteration >= 2:
-            spread = 6.0 * max(1.4826 * np.median(scaled), 1e-3)
+            spread = 6.0 * max(PER_MEDIAN * np.median(scaled), 1e-3)
         if iteration > 4 and largest < 2e-4:
             break
     # covariance of the centre

@@ -77,7 +77,7 @@ def _probes_line(path: Path) -> str:
 def _pairs_table(prepared: Prepared) -> str:
     """What `diagnose` finds around the middle of the record, a line per error."""
     from wavefield.report.pairs import diagnose_around
-    from wavefield.report.sources import pixel_size
+    from wavefield.rig.resolution import pixel_size
 
     pixel = pixel_size(prepared.rig, prepared.grid)
     middle = len(next(iter(prepared.series.values()))) // 2

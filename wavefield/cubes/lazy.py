@@ -14,10 +14,10 @@ from dask.delayed import Delayed
 from dask.highlevelgraph import HighLevelGraph
 
 from wavefield.cubes.block import Block, make_block, measure_block
-from wavefield.cubes.pixel import pixel_size
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.rig import Rig
+from wavefield.rig.resolution import pixel_size
 from wavefield.series import Frame, FrameFault
 from wavefield.series.frames import judge_content
 from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, annotate

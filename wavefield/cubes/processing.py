@@ -19,7 +19,6 @@ import numpy as np
 from wavefield.cubes import store as stores
 from wavefield.cubes.block import Block, make_block
 from wavefield.cubes.cluster import count_workers, open_cluster, undisturbed
-from wavefield.cubes.pixel import pixel_size
 from wavefield.cubes.recipe import Recipe, make_recipe
 from wavefield.cubes.state import Status, status
 from wavefield.cubes.work import Work
@@ -27,6 +26,7 @@ from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, RunStopped, StoreError, WavefieldError
 from wavefield.grid import Grid
 from wavefield.rig import Rig
+from wavefield.rig.resolution import pixel_size
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.document import place_of, read_yaml
 from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus

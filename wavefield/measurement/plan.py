@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
+from wavefield.matching.kernels import BLOCK
 from wavefield.matching.prepared import Mask
 from wavefield.measurement.rectify import binned, sight_map
 from wavefield.measurement.regrid import Lattice, bending_energy, thin_plate
 from wavefield.measurement.settings import Settings
 from wavefield.rig import Camera, Rig
+from wavefield.rig.pairs import pairs_of
+from wavefield.rig.resolution import pixel_at, pixel_sides
 
-BLOCK = 5  # side of matching's blocks, px
 _MIN_BLOCKS = 8  # along each side of the common view
 _MARGIN = 4  # blocks around the nodes
 _LENS = 0.6  # px: blur of a usual lens
@@ -112,12 +114,12 @@ class Plan:
 
     def _fitting_pixel(self, x: float, y: float) -> float:
         """The cameras' own pixel, or finer (at most twice) where blocks would exceed 0.8 grid steps."""
-        own = _coarsest_fine_side([self.rig[name] for name in self.surface_cameras], x, y)
+        own = max(pixel_sides(self.rig[name], x, y)[0] for name in self.surface_cameras)
         return max(own / 2.0, min(own, 0.8 * self.grid.step / BLOCK))
 
     def _binning(self, x: float, y: float) -> dict[str, int]:
         """How much finer than the coarsest each camera resolves: so many pixels are averaged."""
-        size = {n: 1.0 / float(np.sqrt(np.prod(_singular(self.rig[n], x, y)))) for n in self.cameras}
+        size = {n: pixel_at(self.rig[n], x, y) for n in self.cameras}
         return {name: max(1, round(max(size.values()) / own)) for name, own in size.items()}
 
     def _blur(self, x: float, y: float) -> dict[str, tuple[float, float]]:
@@ -334,43 +336,6 @@ class Sight:
             return (X >= 0) & (X <= w - 1) & (Y >= 0) & (Y <= h - 1)
 
 
-def middle_camera(rig: Rig, names: Sequence[str]) -> str:
-    """The camera nearest to all others; of two, the first.
-
-    Parameters
-    ----------
-    rig : Rig
-        The cameras.
-    names : sequence of str
-        Those to choose from.
-
-    Returns
-    -------
-    str
-    """
-    centres = np.array([rig[n].centre for n in names])
-    reach = np.linalg.norm(centres[:, None] - centres, axis=-1).sum(axis=1)
-    return names[int(np.argmin(np.round(reach / max(reach.max(), 1e-30), 9)))]
-
-
-def pairs_of(rig: Rig, names: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """The middle camera with each of the others.
-
-    Parameters
-    ----------
-    rig : Rig
-        The cameras.
-    names : sequence of str
-        Those to pair.
-
-    Returns
-    -------
-    tuple of (str, str)
-    """
-    reference = middle_camera(rig, names)
-    return tuple((reference, n) for n in names if n != reference)
-
-
 def _with_reference_first(pairs: Sequence[tuple[str, str]]) -> tuple[tuple[str, str], ...]:
     common = set(pairs[0])
     for pair in pairs:
@@ -381,18 +346,6 @@ def _with_reference_first(pairs: Sequence[tuple[str, str]]) -> tuple[tuple[str, 
     # of a single pair, the first is the reference
     reference = pairs[0][0] if pairs[0][0] in common else pairs[0][1]
     return tuple((reference, b if a == reference else a) for a, b in pairs)
-
-
-def _coarsest_fine_side(cameras: Sequence[Camera], x: float, y: float) -> float:
-    return max(1.0 / float(_singular(camera, x, y)[0]) for camera in cameras)
-
-
-def _singular(camera: Camera, x: float, y: float) -> NDArray[Any]:
-    """Largest and smallest px per metre on the water at rest."""
-    jacobian = camera.jacobian(x, y, 0.0)[:, :2]
-    if not np.isfinite(jacobian).all():
-        raise RigError("a camera does not look at the middle of the grid: does the grid lie in its view?")
-    return np.linalg.svd(jacobian, compute_uv=False)
 
 
 @lru_cache(maxsize=4)

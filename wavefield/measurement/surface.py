@@ -16,12 +16,11 @@ from wavefield.matching.uncertainty import std_from_influence
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.rectify import rectify, widen
 from wavefield.measurement.regrid import coefficients, fill, levelled, push_pull, read_surface
+from wavefield.robust import robust_std
 from wavefield.variables import Quality
 
 Float = NDArray[Any]
 Mask = NDArray[Any]
-
-_SPREAD = 1.4826  # standard deviation of a normal distribution over its median absolute value
 
 
 @dataclass(frozen=True)
@@ -136,7 +135,7 @@ def match_pair(a: matching.Prepared, b: matching.Prepared, pair: tuple[str, str]
     rejected[(z < plan.z_range[0]) | (z > plan.z_range[1])] |= np.uint8(Quality.REJECTED_NEIGHBOURS)
     matched = rejected == 0
     if matched.any():
-        spread = _SPREAD * float(np.median(np.abs(eps_y[matched])))
+        spread = robust_std(eps_y[matched])
         limit = max(plan.settings.eps_limit * spread, plan.settings.eps_floor * plan.pixel)
         rejected[np.abs(eps_y) > limit] |= np.uint8(Quality.REJECTED_EPS)
     influence = np.stack([found.influence_u, found.influence_v]) * pixel

@@ -12,7 +12,9 @@ from wavefield.measurement import Plan, Settings
 from wavefield.report.page import Listing, Markup, Picture, Section, Table, Text
 from wavefield.report.pairs import diagnose_around
 from wavefield.report.player import MARKUP
-from wavefield.report.sources import Sources, pixel_size
+from wavefield.report.sources import Sources
+from wavefield.rig.pairs import pairs_of
+from wavefield.rig.resolution import pixel_size
 from wavefield.variables import FrameStatus, Quality
 
 
@@ -145,11 +147,8 @@ def _roles(sources: Sources) -> tuple[list[tuple[str, str]], list[str]]:
     assert sources.rig is not None
     settings = sources.recipe.get("settings", {})
     names = list(sources.rig)
-    pairs = [tuple(pair) for pair in settings.get("pairs", ())]
-    if not pairs:  # the run's default: the middle camera with each of the others
-        middle = sorted(names, key=lambda n: np.linalg.norm(sources.rig[n].centre[:2]))[0]  # type: ignore[index]
-        pairs = [(middle, name) for name in names if name != middle]
-    return pairs, list(settings.get("velocity_cameras", ())) or names  # type: ignore[return-value]
+    pairs = [(str(a), str(b)) for a, b in settings.get("pairs", ())] or list(pairs_of(sources.rig, names))
+    return pairs, list(settings.get("velocity_cameras", ())) or names
 
 
 def _middle_frames(sources: Sources) -> dict[str, np.ndarray]:

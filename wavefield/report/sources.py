@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from wavefield.cubes.pixel import pixel_size as pixel_size
 from wavefield.errors import StoreError, WavefieldError
 from wavefield.grid import Grid
 from wavefield.rig import Camera, Rig

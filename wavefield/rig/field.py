@@ -3,11 +3,11 @@
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavefield.errors import RigError
-from wavefield.grid import Grid
+from wavefield.grid import Grid, largest_rectangle
 from wavefield.rig.camera import Camera
+from wavefield.rig.resolution import pixel_sides
 
 _LATTICE = 401  # candidate corners along each axis: the rectangle is right to a quarter per cent
 
@@ -58,9 +58,11 @@ def common_field(
     for camera in cameras:
         for z in {-height, height}:
             seen &= camera.sees(x[None, :], y[:, None], z, margin)
-    x0, x1, y0, y1 = _largest_rectangle(seen, (hi[1] - lo[1]) / (hi[0] - lo[0]))
+    (y0, y1), (x0, x1) = largest_rectangle(seen)
+    y1, x1 = y1 - 1, x1 - 1
     if step is None:
-        step = _round_up(4.0 * max(_pixel(c, 0.5 * (x[x0] + x[x1]), 0.5 * (y[y0] + y[y1])) for c in cameras))
+        middle = 0.5 * (x[x0] + x[x1]), 0.5 * (y[y0] + y[y1])
+        step = _round_up(4.0 * max(pixel_sides(camera, *middle)[1] for camera in cameras))
     ends = []
     for first, last in ((x[x0], x[x1]), (y[y0], y[y1])):
         # both ends are seen; whole multiples inside them are too
@@ -71,29 +73,6 @@ def common_field(
     return Grid(ends[0], ends[1], step)
 
 
-def _pixel(camera: Camera, x: float, y: float) -> float:
-    """Size of a pixel on the water where it is largest, metres."""
-    return float(1.0 / np.linalg.svd(camera.jacobian(x, y, 0.0)[:, :2], compute_uv=False)[-1])
-
-
 def _round_up(length: float) -> float:
     power = 10.0 ** np.floor(np.log10(length))
     return float(round(power * next(m for m in (1, 2, 5, 10) if m * power >= length * (1 - 1e-9)), 12))
-
-
-def _largest_rectangle(seen: NDArray[np.bool_], aspect: float) -> tuple[int, int, int, int]:
-    """Columns and rows (x0, x1, y0, y1) of the largest block of True (by row histograms)."""
-    best, found = 0.0, (0, 0, 0, 0)
-    heights = np.zeros(seen.shape[1] + 1, int)
-    for row, line in enumerate(seen):
-        heights[:-1] = np.where(line, heights[:-1] + 1, 0)
-        stack: list[tuple[int, int]] = []  # (first column, height), heights rising
-        for column, h in enumerate(heights.tolist()):
-            start = column
-            while stack and stack[-1][1] >= h:
-                start, tall = stack.pop()
-                area = (column - start - 1) * (tall - 1) * aspect
-                if area > best:
-                    best, found = area, (start, column - 1, row - tall + 1, row)
-            stack.append((start, h))
-    return found

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wavefield.errors import RigError
 from wavefield.rig.rig import Rig
+from wavefield.robust import robust_std
 
 
 @dataclass(frozen=True)
@@ -71,13 +72,13 @@ def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Plane:
         if rank < 3:
             raise RigError("the points of the surface at rest lie on a line: a plane needs a field")
         miss = np.where(finite, points[:, 2] - design @ solution, np.inf)
-        spread = 1.4826 * np.median(np.abs(miss[finite]))
+        spread = robust_std(miss[finite])
         weight = np.where(finite, 1.0 / np.sqrt(np.maximum(np.abs(miss), 0.1 * spread + 1e-12)), 0.0)
     kept = np.abs(miss) <= 4.0 * spread + 1e-12
     for _ in range(10):
         solution = np.linalg.lstsq(design[kept], points[kept, 2], rcond=None)[0]
         miss = np.where(finite, points[:, 2] - design @ solution, np.inf)
-        new = np.abs(miss) <= 4.0 * 1.4826 * np.median(np.abs(miss[kept])) + 1e-12
+        new = np.abs(miss) <= 4.0 * robust_std(miss[kept]) + 1e-12
         if (new == kept).all():
             break
         kept = new

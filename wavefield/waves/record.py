@@ -9,6 +9,7 @@ import xarray as xr
 from scipy import ndimage
 
 from wavefield.errors import CubeError
+from wavefield.grid import largest_rectangle
 from wavefield.variables import CUBE_DIMS, FrameStatus
 
 LONGEST_BRIDGE = 2  # steps: longer gaps split the record
@@ -151,41 +152,6 @@ def _finite(pieces: list[Any]) -> np.ndarray | None:
             there = np.isfinite(block)
             mask = there if mask is None else mask & there
     return None if mask is None else np.packbits(mask.reshape(mask.shape[0], -1), axis=1)
-
-
-def largest_rectangle(mask: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Find the largest rectangle without a hole.
-
-    Parameters
-    ----------
-    mask : ndarray of bool, (ny, nx)
-        True where a node can be used.
-
-    Returns
-    -------
-    y, x : tuple of int
-        First node and one past the last along each axis; (0, 0) where nothing is left.
-
-    Examples
-    --------
-    >>> largest_rectangle(np.array([[0, 1, 1], [1, 1, 1], [0, 1, 1]], bool))
-    ((0, 3), (1, 3))
-    """
-    ny, nx = mask.shape
-    height = np.zeros(nx, int)
-    best, where = 0, ((0, 0), (0, 0))
-    for i in range(ny):
-        height = np.where(mask[i], height + 1, 0)
-        stack: list[tuple[int, int]] = []  # (column where it starts, height)
-        for j in range(nx + 1):
-            h = int(height[j]) if j < nx else 0
-            start = j
-            while stack and stack[-1][1] >= h:
-                start, top = stack.pop()
-                if top * (j - start) > best:
-                    best, where = top * (j - start), ((i + 1 - top, i + 1), (start, j))
-            stack.append((start, h))
-    return where
 
 
 def _runs(good: np.ndarray, longest_bridge: int) -> tuple[list[tuple[int, int]], list[int]]:

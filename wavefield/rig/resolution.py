@@ -1,0 +1,88 @@
+"""How large a pixel is on the water: the unit in which errors are told."""
+
+import numpy as np
+
+from wavefield.errors import RigError
+from wavefield.grid import Grid
+from wavefield.rig.camera import Camera
+from wavefield.rig.rig import Rig
+
+
+def pixel_sides(camera: Camera, x: float, y: float) -> tuple[float, float]:
+    """Shorter and longer side of a camera's pixel on the water at rest.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    x, y : float
+        Where, metres.
+
+    Returns
+    -------
+    shorter, longer : float
+        Metres: a camera that looks obliquely resolves less along its view than across it.
+
+    Raises
+    ------
+    RigError
+        If the camera does not look there.
+
+    Examples
+    --------
+    >>> camera = Camera(1000, 500, 50, 50, ((1, 0, 0), (0, -1, 0), (0, 0, -1)), (0, 0, 4), (101, 101))
+    >>> [round(side, 6) for side in pixel_sides(camera, 0.0, 0.0)]
+    [0.004, 0.008]
+    """
+    jacobian = camera.jacobian(x, y, 0.0)[:, :2]
+    if not np.isfinite(jacobian).all():
+        raise RigError("a camera does not look at the middle of the grid: does the grid lie in its view?")
+    most, least = np.linalg.svd(jacobian, compute_uv=False)
+    return float(1.0 / most), float(1.0 / least)
+
+
+def pixel_at(camera: Camera, x: float, y: float) -> float:
+    """Size of a camera's pixel on the water at rest: the side of a square of the same area.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    x, y : float
+        Where, metres.
+
+    Returns
+    -------
+    float
+        Metres.
+
+    Raises
+    ------
+    RigError
+        If the camera does not look there.
+    """
+    return float(np.sqrt(np.prod(pixel_sides(camera, x, y))))
+
+
+def pixel_size(rig: Rig, grid: Grid) -> float:
+    """Size of a pixel on the water: of the camera that resolves least, in the middle of the grid.
+
+    Parameters
+    ----------
+    rig : Rig
+        The cameras.
+    grid : Grid
+        The nodes.
+
+    Returns
+    -------
+    float
+        Metres (the paper's rig: 1.8 mm).
+
+    Raises
+    ------
+    RigError
+        If a camera does not look there.
+    """
+    x, y = float(np.mean(grid.x)), float(np.mean(grid.y))
+    return max(pixel_at(camera, x, y) for camera in rig.cameras.values())
