@@ -35,6 +35,16 @@ class FrameStatus(IntEnum):
     FAILED = 3
 
 
+class FrameFault(IntEnum):
+    """What is wrong with a frame."""
+
+    NONE = 0
+    MISSING = 1
+    UNREADABLE = 2  # corrupt, truncated, or not an image
+    WRONG_SIZE = 3  # other rows, columns or type than the rest
+    BLANK = 4  # black, or all pixels equal
+
+
 @dataclass(frozen=True)
 class Variable:
     """One row of the table.

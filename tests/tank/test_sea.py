@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavefield.tank import Sea, intrinsic_frequency, spectrum
+from wavefield.tank import Sea, spectrum
+from wavefield.water import GAMMA, dispersion
 
 DEEP = 10.0
 
@@ -63,7 +64,7 @@ def test_single_wave_obeys_dispersion_with_current_and_moves_with_its_vector(wav
     kx, ky = k * np.cos(angle), k * np.sin(angle)
     current = (0.04, -0.02)
     sea = Sea([kx], [ky], [0.01], depth=depth, current=current)
-    omega = np.sqrt((9.81 * k + 7.2e-5 * k**3) * np.tanh(k * depth)) + kx * current[0] + ky * current[1]
+    omega = np.sqrt((9.81 * k + GAMMA * k**3) * np.tanh(k * depth)) + kx * current[0] + ky * current[1]
     x, y, t = 0.3, -0.2, 1.7
     expected = 0.01 * np.cos(kx * x + ky * y - omega * t)
     assert sea.at(x, y, t, ("z",))["z"] == pytest.approx(expected, abs=1e-10)
@@ -73,7 +74,7 @@ def test_surface_velocity_is_that_of_linear_theory_in_finite_depth():
     k, depth = 5.0, 0.2
     sea = Sea([k], [0.0], [0.01], depth=depth)
     at = sea.at(0.0, 0.0, 0.0)
-    assert at["u"] == pytest.approx(0.01 * intrinsic_frequency(k, depth) / np.tanh(k * depth))
+    assert at["u"] == pytest.approx(0.01 * dispersion(k, depth) / np.tanh(k * depth))
     assert at["v"] == pytest.approx(0.0, abs=1e-12)
 
 
@@ -87,7 +88,7 @@ def test_stokes_wave_has_its_second_harmonic_and_its_drift():
     assert harmonics[2] == pytest.approx(k * a**2 / 2, rel=1e-6)
     # mean at the moving surface: half of Stokes' drift; the other half comes from following the water
     u = sea.at(x, 0.0, 0.0, ("u",))["u"]
-    assert u.mean() == pytest.approx(0.5 * intrinsic_frequency(k, DEEP, 0.0) * k * a**2, rel=1e-6)
+    assert u.mean() == pytest.approx(0.5 * dispersion(k, DEEP, 0.0) * k * a**2, rel=1e-6)
 
 
 def test_second_order_sum_and_difference_waves_are_longuet_higgins():
@@ -167,9 +168,9 @@ def test_random_sea_has_its_rms_and_its_spectrum():
         s = random_sea(seed=seed, period=6.0)
         power = np.abs(s.amplitude) ** 2
         shares.append(power[s.k > k_two].sum() / power.sum())
-    f = np.linspace(0.35, intrinsic_frequency(2 * np.pi / 0.08, 0.7) / (2 * np.pi), 4000)
+    f = np.linspace(0.35, dispersion(2 * np.pi / 0.08, 0.7) / (2 * np.pi), 4000)
     density = spectrum.power_law(f, 1.2, 6.0)
-    above = f > intrinsic_frequency(k_two, 0.7) / (2 * np.pi)
+    above = f > dispersion(k_two, 0.7) / (2 * np.pi)
     assert np.mean(shares) == pytest.approx(density[above].sum() / density.sum(), rel=0.15)
 
 

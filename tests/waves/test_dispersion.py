@@ -1,8 +1,6 @@
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given
-from hypothesis import strategies as st
 from waves_cases import GAMMA, GaussianSea, PeriodicSea, relation
 
 import wavefield.waves as wv
@@ -121,12 +119,6 @@ def test_a_swell_has_a_direction():
     D = wv.directions(E, relation(k, 0.7) / (2 * np.pi), 0.7).isel(frequency=0)
     assert float(D.theta[int(np.argmax(D.D.values))]) == pytest.approx(angle, abs=0.14)
     assert float(D.isotropy) < 0.1
-
-
-@given(st.floats(0.5, 400), st.floats(0.05, 5))
-def test_wavenumber_inverts_the_relation(k, depth):
-    assert float(wv.wavenumber(wv.dispersion(k, depth), depth)) == pytest.approx(k, rel=1e-9)
-    assert float(wv.dispersion(k, depth)) == pytest.approx(relation(k, depth))
 
 
 def test_a_spectrum_without_a_ridge_is_refused(spectrum):

@@ -10,8 +10,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from wavefield.series import Frame, FrameFault
-from wavefield.variables import FrameStatus
+from wavefield.series import Frame
+from wavefield.variables import FrameFault, FrameStatus
 
 
 class Source(Protocol):

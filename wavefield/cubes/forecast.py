@@ -20,8 +20,8 @@ from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.rig import Rig
-from wavefield.series import Experiment, FrameFault, FrameSeries
-from wavefield.variables import FrameStatus
+from wavefield.series import Experiment, FrameSeries
+from wavefield.variables import FrameFault, FrameStatus
 
 
 @dataclass(frozen=True)

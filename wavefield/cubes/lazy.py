@@ -18,9 +18,9 @@ from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
-from wavefield.series import Frame, FrameFault
+from wavefield.series import Frame
 from wavefield.series.frames import judge_content
-from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, annotate
+from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, FrameFault, annotate
 
 # One task measures a block and one more per variable hands it on: with fewer steps per block the graph of a
 # long series would grow beyond one task for five steps.
@@ -146,7 +146,9 @@ def reconstruct(
     out = xr.Dataset(variables, coords={"time": mid, "y": grid.y_nodes, "x": grid.x_nodes})
     used = replace(rig, cameras={name: rig[name] for name in plan.cameras})
     out.attrs = {"frame_rate": frame_rate, "pixel_size": pixel_size(used, grid)} | {
-        name: attributes[name] for name in ("experiment", "water_depth") if name in attributes
+        name: attributes[name]
+        for name in ("experiment", "water_depth", "surface_tension_over_density")
+        if name in attributes
     }
     return annotate(out)
 

@@ -404,15 +404,13 @@ def _open_or_create(prepared: Prepared, path: Path) -> stores.Layout:
     grid = prepared.grid
     first = next(iter(prepared.series.values())).first
     layout = stores.Layout(prepared.steps, prepared.block, tuple(prepared.series), first)
-    depth = prepared.experiment.water.depth
     attributes: dict[str, Any] = {
         "experiment_file": str(prepared.experiment.path),
         "pixel_size": pixel_size(prepared.rig, grid),
     }
     if prepared.experiment.folder:
         attributes["image_folder"] = str(prepared.experiment.image_folder)
-    if depth:
-        attributes["water_depth"] = depth
+    attributes |= prepared.experiment.water.attributes()
     stores.clean_up(path)
     stores.create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes)
     return layout

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from wavefield.cubes import store as stores
-from wavefield.series import FrameFault
-from wavefield.variables import FrameStatus
+from wavefield.variables import FrameFault, FrameStatus
 
 _WORDS = {
     FrameFault.MISSING: "missing",

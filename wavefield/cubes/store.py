@@ -22,8 +22,7 @@ import zarr
 from zarr.codecs import BloscCodec
 
 from wavefield.errors import StoreError
-from wavefield.series import FrameFault
-from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, FrameStatus, Variable, register
+from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, FrameFault, FrameStatus, Variable, register
 
 if TYPE_CHECKING:  # not needed by workers, and slow to import
     import xarray as xr

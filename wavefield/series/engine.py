@@ -219,7 +219,5 @@ def _coordinates(experiment: Experiment, series: FrameSeries) -> dict[str, Any]:
 
 
 def _attributes(experiment: Experiment) -> dict[str, Any]:
-    out: dict[str, Any] = {"experiment": experiment.name, "frame_rate": experiment.frame_rate}
-    if experiment.water.depth:
-        out["water_depth"] = experiment.water.depth
-    return out
+    start = {"experiment": experiment.name, "frame_rate": experiment.frame_rate}
+    return start | experiment.water.attributes()

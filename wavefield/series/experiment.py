@@ -16,6 +16,7 @@ from wavefield.rig.level import with_water_level
 from wavefield.series.document import Section, load_section, read_yaml
 from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import make_series, number_frames, place_by_time, read_time_stamps
+from wavefield.water import tension_over_density
 
 
 class CameraSection(Section):
@@ -91,6 +92,13 @@ class WaterSection(Section):
     )
     density: float | None = Field(default=None, gt=0, examples=["1000"], description="kg m-3")
     surface_tension: float | None = Field(default=None, ge=0, examples=["0.073"], description="N m-1")
+
+    def attributes(self) -> dict[str, float]:
+        """What cubes and frames say of the water: ``water_depth``, ``surface_tension_over_density``."""
+        out = {} if self.depth is None else {"water_depth": self.depth}
+        if self.surface_tension is not None or self.density is not None:
+            out["surface_tension_over_density"] = tension_over_density(self.surface_tension, self.density)
+        return out
 
 
 class FramesSection(Section):

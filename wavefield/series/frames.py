@@ -2,23 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 
 from wavefield.errors import FrameError
 from wavefield.series.readers import Entry, read_entry
-
-
-class FrameFault(IntEnum):
-    """What is wrong with a frame."""
-
-    NONE = 0
-    MISSING = 1
-    UNREADABLE = 2  # corrupt, truncated, or not an image
-    WRONG_SIZE = 3  # other rows, columns or type than the rest
-    BLANK = 4  # black, or all pixels equal
+from wavefield.variables import FrameFault
 
 
 class Frame(NamedTuple):

@@ -4,7 +4,7 @@ from wavefield.tank.basin import Basin
 from wavefield.tank.beads import carry
 from wavefield.tank.rigs import paper_rig
 from wavefield.tank.scene import Scene
-from wavefield.tank.sea import Sea, intrinsic_frequency
+from wavefield.tank.sea import Sea
 from wavefield.tank.simulate import simulate
 from wavefield.tank.tank import Tank, render
 from wavefield.tank.truth import Truth, displacement, truth
@@ -17,7 +17,6 @@ __all__ = [
     "Truth",
     "carry",
     "displacement",
-    "intrinsic_frequency",
     "paper_rig",
     "render",
     "simulate",

@@ -19,10 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.water import GRAVITY
+
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_GRAVITY = 9.81
 _RESONANT = 0.1  # pairs nearer to resonance than this share of q g' are left to higher orders
 
 
@@ -114,7 +115,7 @@ def bound_waves(
         length = np.hypot(sum_x, sum_y)
         with np.errstate(invalid="ignore"):
             q = length * np.tanh(length * depth)
-        stiffness = _GRAVITY + surface_tension * length**2
+        stiffness = GRAVITY + surface_tension * length**2
         det = q * stiffness - frequency**2
         good = (length > 1e-9) & (np.abs(det) > _RESONANT * q * stiffness)
         det = np.where(good, det, np.inf)

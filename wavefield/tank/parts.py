@@ -7,7 +7,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from wavefield.rig import Rig
 from wavefield.tank import rigs, spectrum
-from wavefield.tank.sea import SURFACE_TENSION, Sea
+from wavefield.tank.sea import Sea
+from wavefield.water import GAMMA
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -23,9 +24,7 @@ class Part(BaseModel):
 
 class _Water(Part):
     depth: Positive = Field(default=0.7, description="depth of the water, m; .inf for deep water")
-    surface_tension: NotNegative = Field(
-        default=SURFACE_TENSION, description="surface tension over density, m3 s-2"
-    )
+    surface_tension: NotNegative = Field(default=GAMMA, description="surface tension over density, m3 s-2")
     current: tuple[float, float] = Field(
         default=(0.0, 0.0), description="velocity of the water as a whole, m/s"
     )

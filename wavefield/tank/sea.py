@@ -18,36 +18,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wavefield.tank.bound import BoundWaves, bound_waves
+from wavefield.water import GAMMA, dispersion
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-GRAVITY = 9.81  # m s-2
-SURFACE_TENSION = 7.2e-5  # m3 s-2: surface tension over density, clean water
-
 FIELDS = ("z", "z_x", "z_y", "z_t", "u", "v", "w")
 _PRIMARY = ("z", "z_t", "u", "v")
-
-
-def intrinsic_frequency(k: ArrayLike, depth: float, surface_tension: float = SURFACE_TENSION) -> Array:
-    """Angular frequency of a free wave in water at rest.
-
-    Parameters
-    ----------
-    k : array_like
-        Wave number, rad/m.
-    depth : float
-        Depth of the water, metres; infinity for deep water.
-    surface_tension : float, default 7.2e-5
-        Surface tension over density, m3 s-2.
-
-    Returns
-    -------
-    ndarray
-        sqrt((g k + gamma k^3) tanh kh), rad/s.
-    """
-    k = np.asarray(k, float)
-    return np.sqrt((GRAVITY * k + surface_tension * k**3) * np.tanh(k * depth))
 
 
 @dataclass(frozen=True)
@@ -62,7 +39,7 @@ class Sea:
         z = Re sum a exp(i (k . x - omega t)), metres.
     depth : float, default infinity
         Depth, metres.
-    surface_tension : float, default 7.2e-5
+    surface_tension : float, default that of clean water
         Surface tension over density, m3 s-2.
     current : tuple of float, default (0, 0)
         Velocity of the water as a whole, m/s.
@@ -81,7 +58,7 @@ class Sea:
     ky: Array
     amplitude: Complex
     depth: float = np.inf
-    surface_tension: float = SURFACE_TENSION
+    surface_tension: float = GAMMA
     current: tuple[float, float] = (0.0, 0.0)
     bound: int = 0
     _layout: "_Layout" = field(init=False, repr=False, compare=False)
@@ -103,7 +80,7 @@ class Sea:
     @cached_property
     def sigma(self) -> Array:
         """Angular frequencies of the free waves as seen by the water, (n,), rad/s."""
-        return intrinsic_frequency(self.k, self.depth, self.surface_tension)
+        return dispersion(self.k, self.depth, self.surface_tension)
 
     @cached_property
     def omega(self) -> Array:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.tank.sea import intrinsic_frequency
+from wavefield.water import dispersion
 
 Array = NDArray[np.float64]
 
@@ -121,9 +121,9 @@ def random_waves(
     k = np.hypot(kx, ky)
     keep = (k > 0) & (k <= 2 * np.pi / shortest * (1 + 1e-9))
     kx, ky, k = kx[keep], ky[keep], k[keep]
-    frequency = intrinsic_frequency(k, depth, surface_tension) / (2 * np.pi)
+    frequency = dispersion(k, depth, surface_tension) / (2 * np.pi)
     nudge = 1e-6 * k
-    slope = intrinsic_frequency(k + nudge, depth, surface_tension) / (2 * np.pi) - frequency
+    slope = dispersion(k + nudge, depth, surface_tension) / (2 * np.pi) - frequency
     density = shape(frequency) * (slope / nudge) / k * spreading(np.arctan2(ky, kx) - direction, spread)
     rng = np.random.default_rng([seed, 4])
     draw = rng.standard_normal((2, k.size))

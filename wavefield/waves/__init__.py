@@ -4,17 +4,18 @@ Input is a cube z, z_t, u, v, w (time, y, x), metres and seconds. Functions take
 objects; lazy input gives lazy results, reduced in one pass over Welch segments.
 """
 
+from wavefield.water import dispersion, group_velocity, wavenumber
 from wavefield.waves.analyze import analyze
 from wavefield.waves.coherence import coherence
 from wavefield.waves.crosses import cross_spectra
 from wavefield.waves.direction import directions
-from wavefield.waves.dispersion import FitSettings, dispersion, fit_dispersion, group_velocity, wavenumber
 from wavefield.waves.fusion import fuse, fusion
 from wavefield.waves.higher_order import HigherOrderSettings, higher_order
 from wavefield.waves.kinematics import finite_residual, kinematics
 from wavefield.waves.predicted_gain import predicted_gain
 from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Record, find_record, whole_record
+from wavefield.waves.ridge import FitSettings, fit_dispersion
 from wavefield.waves.spectra import (
     angular_integral,
     at_frequency,

@@ -129,6 +129,7 @@ from dask.callbacks import Callback
 
 import wavefield
 from wavefield.errors import CubeError, StoreError
+from wavefield.water import GAMMA, dispersion, wavenumber
 from wavefield.waves import (
     coherence,
     crosses,
@@ -141,11 +142,11 @@ from wavefield.waves import (
     transfer,
 )
 from wavefield.waves.direction import directions
-from wavefield.waves.dispersion import GAMMA, dispersion, fit_dispersion, wavenumber
 from wavefield.waves.higher_order import higher_order
 from wavefield.waves.predicted_gain import predicted_gain
 from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Record, find_record
+from wavefield.waves.ridge import fit_dispersion
 from wavefield.waves.units import product
 from wavefield.waves.window_gain import read_gain
 from wavefield.waves.windows import effective_duration

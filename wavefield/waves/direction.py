@@ -4,8 +4,8 @@ import numpy as np
 import xarray as xr
 
 from wavefield.errors import CubeError
+from wavefield.water import GAMMA, wavenumber
 from wavefield.waves import rings
-from wavefield.waves.dispersion import GAMMA, wavenumber
 from wavefield.waves.windows import interval
 
 _HALF_WIDTH, _LEAST_CELLS = 0.22, 2.2  # of the ring around the ridge: relative, and in cells

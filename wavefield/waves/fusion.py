@@ -14,9 +14,9 @@ from scipy import fft
 
 from wavefield.errors import CubeError
 from wavefield.variables import CUBE_DIMS
+from wavefield.water import dispersion, wavenumber
 from wavefield.waves import kernels, spectra
 from wavefield.waves.crosses import cross_spectra, need
-from wavefield.waves.dispersion import dispersion, wavenumber
 from wavefield.waves.record import Record, fill, find_record, piece
 from wavefield.waves.transfer import LEAST_GAIN, LEAST_SIGNAL
 from wavefield.waves.units import product

@@ -14,8 +14,8 @@ import xarray as xr
 
 from wavefield.errors import CubeError, StoreError
 from wavefield.variables import CUBE_DIMS
+from wavefield.water import dispersion
 from wavefield.waves import rings, segments, spectra
-from wavefield.waves.dispersion import dispersion
 from wavefield.waves.record import Record, find_record
 
 DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between

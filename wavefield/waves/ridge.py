@@ -1,4 +1,4 @@
-"""The dispersion relation: theory, the measured ridge, fitted current and surface tension."""
+"""The measured ridge of the dispersion relation: current and surface tension fitted to it."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,81 +8,11 @@ import xarray as xr
 from scipy.optimize import least_squares
 
 from wavefield.errors import CubeError
+from wavefield.water import GAMMA, dispersion, group_velocity, wavenumber
 from wavefield.waves import kernels
 
-G = 9.81  # m s-2
 _LONGEST = 2.5  # cells of the k plane: longer waves lie within the window's reach of those that come back
 _SLOPE_OVER = 0.3  # Hz to either side: the slope of the spectrum is taken over this
-GAMMA = 7.28e-5  # surface tension over density of clean water at 20 C, m3 s-2
-
-
-def dispersion(k: Any, depth: float = np.inf, gamma: float = GAMMA, g: float = G) -> Any:
-    """Angular frequency of free waves without current, sqrt((g k + gamma k^3) tanh k h).
-
-    Parameters
-    ----------
-    k : array_like
-        Wavenumber, rad/m.
-    depth : float
-        Depth h of the water, m; infinite for deep water.
-    gamma : float
-        Surface tension over density, m3/s2.
-    g : float
-        Gravity, m/s2.
-
-    Returns
-    -------
-    array_like
-        rad/s.
-
-    Examples
-    --------
-    The paper's k / 2 pi = 20 1/m is a wave of 5.9 Hz:
-
-    >>> round(float(dispersion(2 * np.pi * 20, 0.7)) / (2 * np.pi), 1)
-    5.9
-    """
-    return np.sqrt((g * k + gamma * k**3) * np.tanh(k * depth))
-
-
-def group_velocity(k: Any, depth: float = np.inf, gamma: float = GAMMA) -> Any:
-    """d omega / d k without current, m/s, by a central difference."""
-    step = 1e-4 * np.maximum(k, 1.0)
-    low = np.maximum(k - step, 1e-9)
-    return (dispersion(k + step, depth, gamma) - dispersion(low, depth, gamma)) / (k + step - low)
-
-
-def wavenumber(omega: Any, depth: float = np.inf, gamma: float = GAMMA) -> Any:
-    """Wavenumber of free waves without current, the inverse of `dispersion`.
-
-    Parameters
-    ----------
-    omega : array_like
-        Angular frequency, rad/s.
-    depth : float
-        Depth, m.
-    gamma : float
-        Surface tension over density, m3/s2.
-
-    Returns
-    -------
-    ndarray
-        rad/m.
-
-    Examples
-    --------
-    >>> round(float(wavenumber(dispersion(30.0, 0.7), 0.7)), 6)
-    30.0
-    """
-    omega = np.asarray(omega, float)
-    low, high = np.zeros_like(omega), np.full_like(omega, 1.0)
-    while np.any(short := dispersion(high, depth, gamma) < omega):
-        high = np.where(short, 2 * high, high)
-    for _ in range(60):
-        middle = (low + high) / 2
-        below = dispersion(middle, depth, gamma) < omega
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return (low + high) / 2
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,158 @@
+"""Water and its free waves: constants, dispersion relation, wavenumber, group velocity."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81  # m s-2
+SURFACE_TENSION = 0.0728  # N m-1, clean water at 20 C
+DENSITY = 1000.0  # kg m-3
+GAMMA = SURFACE_TENSION / DENSITY  # m3 s-2
+
+
+def tension_over_density(surface_tension: float | None = None, density: float | None = None) -> float:
+    """Surface tension over density.
+
+    Parameters
+    ----------
+    surface_tension : float, optional
+        N/m; that of clean water if not given.
+    density : float, optional
+        kg/m3; that of fresh water if not given.
+
+    Returns
+    -------
+    float
+        m3 s-2.
+
+    Examples
+    --------
+    >>> round(tension_over_density() * 1e5, 2)
+    7.28
+    """
+    tension = SURFACE_TENSION if surface_tension is None else surface_tension
+    return float(tension) / float(density or DENSITY)
+
+
+def _depth(depth: float) -> float:
+    if not depth > 0:
+        raise ValueError(f"the depth of the water is {depth} m: give a positive number, or inf")
+    return depth
+
+
+def dispersion(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g: float = GRAVITY) -> Any:
+    """Angular frequency of free waves without current, sqrt((g k + gamma k^3) tanh k h).
+
+    Parameters
+    ----------
+    k : array_like
+        Wavenumber, rad/m, 0 or more.
+    depth : float
+        Depth h of the water, m; infinite for deep water.
+    gamma : float
+        Surface tension over density, m3/s2.
+    g : float
+        Gravity, m/s2.
+
+    Returns
+    -------
+    array_like
+        rad/s.
+
+    Raises
+    ------
+    ValueError
+        If the depth is not positive.
+
+    Examples
+    --------
+    The paper's k / 2 pi = 20 1/m is a wave of 5.9 Hz:
+
+    >>> round(float(dispersion(2 * np.pi * 20, 0.7)) / (2 * np.pi), 1)
+    5.9
+    >>> float(dispersion(0.0))
+    0.0
+    """
+    k = np.asarray(k, float)
+    # an infinite depth times k = 0 is no number; 1e300 m is deep
+    return np.sqrt((g * k + gamma * k**3) * np.tanh(k * min(_depth(depth), 1e300)))
+
+
+def group_velocity(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g: float = GRAVITY) -> Any:
+    """Group velocity of free waves without current, d omega / d k.
+
+    Parameters
+    ----------
+    k : array_like
+        Wavenumber, rad/m, above 0.
+    depth : float
+        Depth, m; infinite for deep water.
+    gamma : float
+        Surface tension over density, m3/s2.
+    g : float
+        Gravity, m/s2.
+
+    Returns
+    -------
+    array_like
+        m/s.
+
+    Raises
+    ------
+    ValueError
+        If the depth is not positive.
+
+    Examples
+    --------
+    Half the phase velocity for long waves over deep water:
+
+    >>> k = 2.0
+    >>> round(float(group_velocity(k, gamma=0.0) / (dispersion(k, gamma=0.0) / k)), 6)
+    0.5
+    """
+    k = np.asarray(k, float)
+    omega = dispersion(k, depth, gamma, g)
+    kh = np.minimum(k * min(_depth(depth), 1e300), 350.0)  # beyond it cosh overflows
+    felt = (g * k + gamma * k**3) * kh / (np.maximum(k, 1e-300) * np.cosh(kh) ** 2)
+    return ((g + 3 * gamma * k**2) * np.tanh(kh) + felt) / (2 * omega)
+
+
+def wavenumber(omega: ArrayLike, depth: float = np.inf, gamma: float = GAMMA) -> Array:
+    """Wavenumber of free waves without current, the inverse of `dispersion`.
+
+    Parameters
+    ----------
+    omega : array_like
+        Angular frequency, rad/s.
+    depth : float
+        Depth, m.
+    gamma : float
+        Surface tension over density, m3/s2.
+
+    Returns
+    -------
+    ndarray
+        rad/m.
+
+    Raises
+    ------
+    ValueError
+        If the depth is not positive.
+
+    Examples
+    --------
+    >>> round(float(wavenumber(dispersion(30.0, 0.7), 0.7)), 6)
+    30.0
+    """
+    omega = np.asarray(omega, float)
+    low, high = np.zeros_like(omega), np.full_like(omega, 1.0)
+    while np.any(short := dispersion(high, depth, gamma) < omega):
+        high = np.where(short, 2 * high, high)
+    for _ in range(60):
+        middle = (low + high) / 2
+        below = dispersion(middle, depth, gamma) < omega
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return np.asarray((low + high) / 2)
