@@ -96,7 +96,7 @@ class Calibration:
         return write_report(self, Path(directory))
 
 
-def calibrate(
+def calibrate(  # noqa: C901
     views: Views,
     target: Target | float,
     *,

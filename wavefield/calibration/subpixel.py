@@ -119,7 +119,7 @@ def _cholesky_solve(a, b, n):
 
 
 @nb.njit(cache=True)
-def _fit_one(image, start, arm1, arm2, blur, band, var0, var1, p, covariance, arms, noise):
+def _fit_one(image, start, arm1, arm2, blur, band, var0, var1, p, covariance, arms, noise):  # noqa: C901
     """Fit one crossing in place; returns the misfit relative to the noise, or -1 if there is nothing to fit.
 
     start: parameters to begin with; arm1, arm2: half lengths of the arms (px vectors along the strings).

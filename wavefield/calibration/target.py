@@ -64,7 +64,7 @@ class Target:
     marker: float | None = None
     origin: tuple[float, float] = (0.0, 0.0)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self) -> None:  # noqa: C901
         if self.kind not in KINDS:
             raise CalibrationError(f"target kind {self.kind!r} is not known; use one of {', '.join(KINDS)}")
         object.__setattr__(self, "mesh", _length("mesh", self.mesh))

@@ -29,7 +29,7 @@ LENGTHS = {
 }
 
 
-def load_rig(
+def load_rig(  # noqa: C901
     path: str | Path | Mapping[str, str | Path],
     sizes: Mapping[str, Size] | None = None,
     names: Sequence[str] | None = None,
@@ -313,7 +313,7 @@ def save_vic(rig: Rig, path: str | Path) -> None:
 # -- OpenCV ------------------------------------------------------------------------------------------
 
 
-def _load_opencv(path: Path, sizes: Mapping[str, Size] | None, names: Sequence[str] | None, unit: str) -> Rig:
+def _load_opencv(path: Path, sizes: Mapping[str, Size] | None, names: Sequence[str] | None, unit: str) -> Rig:  # noqa: C901
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     try:
 

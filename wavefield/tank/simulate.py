@@ -34,7 +34,7 @@ register(
 _FIELDS = ("z", "z_t", "u", "v", "w", "z_rate", "z_start", "z_end", "dx", "dy", "dz")
 
 
-def simulate(
+def simulate(  # noqa: C901
     scene: Scene, directory: str | Path, progress: Progress | None = None, *, workers: int = 2
 ) -> Path:
     """Write the experiment of a scene.

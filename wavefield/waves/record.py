@@ -169,7 +169,7 @@ def _runs(good: np.ndarray, longest_bridge: int) -> tuple[list[tuple[int, int]],
     return runs, bridged
 
 
-def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE) -> Record:
+def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE) -> Record:  # noqa: C901
     """Find the largest full rectangle of nodes and the runs of good steps of a cube.
 
     The values are read once (a cube that is not computed yet is computed for it); nothing is kept but a mask.
