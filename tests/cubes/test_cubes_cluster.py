@@ -245,6 +245,23 @@ def test_the_job_that_slurm_is_asked_for():
         assert option in script
 
 
+def test_a_slurm_cluster_starts_from_a_helper_thread_and_leaves_ctrl_c_alone():
+    """dask-jobqueue takes over Ctrl-C where it is imported, which fails outside the main thread."""
+    program = (
+        "import signal, sys, threading\n"
+        "from wavefield.cubes import Workflow\n"
+        "from wavefield.cubes.cluster import open_cluster\n"
+        "before = signal.getsignal(signal.SIGINT)\n"
+        "with open_cluster(Workflow(cluster='slurm')):\n"
+        "    thread = threading.Thread(target=__import__, args=['dask_jobqueue.slurm'])\n"
+        "    thread.start(), thread.join()\n"
+        "    assert 'dask_jobqueue.slurm' in sys.modules\n"
+        "    assert signal.getsignal(signal.SIGINT) is before\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_slurm_keywords_that_are_unknown_are_named():
     with pytest.raises(ExperimentError, match=r"the `slurm` block of the workflow: .*colour"):
         slurm_cluster(Workflow(cluster="slurm", slurm={"colour": "blue"}))

@@ -147,6 +147,8 @@ def open_cluster(
         return
     ahead = ahead and workflow.cluster == "local"
     settings = dask_settings(workflow)
+    if workflow.cluster == "slurm":
+        import_jobqueue()  # here, because another thread cannot
     if ahead:
         _start_fork_server(settings)
     # the thread goes first, so that no cluster comes up after all has been closed
@@ -278,6 +280,27 @@ def _connect(workflow: Workflow, stack: ExitStack) -> Any:
     return _settled(Client(cluster, timeout="60s", set_as_default=False), stack)
 
 
+def import_jobqueue() -> None:
+    """Import dask-jobqueue without giving it Ctrl-C, which it takes over when it is imported.
+
+    Raises
+    ------
+    ExperimentError
+        If it is not installed, or is first needed in another than the main thread, which has no Ctrl-C.
+    """
+    if "dask_jobqueue" in sys.modules:
+        return
+    if threading.current_thread() is not threading.main_thread():
+        raise ExperimentError("cluster: slurm is started from the main thread; call `run` there")
+    interrupt = signal.getsignal(signal.SIGINT)
+    try:
+        import dask_jobqueue  # noqa: F401
+    except ImportError:
+        raise ExperimentError("cluster: slurm needs dask-jobqueue; `pip install wavefield[slurm]`") from None
+    finally:
+        signal.signal(signal.SIGINT, interrupt)
+
+
 def slurm_cluster(workflow: Workflow) -> Any:
     """A `dask_jobqueue.SLURMCluster` that has not asked for jobs yet; its ``job_script()`` can be looked at.
 
@@ -295,12 +318,11 @@ def slurm_cluster(workflow: Workflow) -> Any:
     ExperimentError
         If dask-jobqueue is not installed, or a keyword is unknown to it.
     """
-    try:
-        from dask_jobqueue import SLURMCluster
-        from dask_jobqueue.core import Job, JobQueueCluster
-        from dask_jobqueue.slurm import SLURMJob
-    except ImportError:
-        raise ExperimentError("cluster: slurm needs dask-jobqueue; `pip install wavefield[slurm]`") from None
+    import_jobqueue()
+    from dask_jobqueue import SLURMCluster
+    from dask_jobqueue.core import Job, JobQueueCluster
+    from dask_jobqueue.slurm import SLURMJob
+
     keywords: dict[str, Any] = {
         "cores": 1,
         "processes": workflow.slurm.get("cores", 1),
