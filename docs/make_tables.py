@@ -35,7 +35,7 @@ def rows_to_table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 
 def cube() -> str:
     """Variables of a cube."""
-    importlib.import_module("wavefield.cubes.store")  # registers the ledger's variables
+    importlib.import_module("wavefield.store.layout")  # registers the ledger's variables
     names = ("time", "y", "x", *CUBE_FIELDS, "frame_status", "frame", "frame_fault")
     rows = []
     for v in (TABLE[name] for name in names):

@@ -14,10 +14,13 @@ import tifffile
 import zarr
 from cube_cases import FRAMES, HERE, different
 
-from wavefield.cubes import Workflow, open_cube, processing, run, status, store, work
+from wavefield.cubes import Workflow, open_cube, processing, run, status, work
 from wavefield.errors import ExperimentError, RigError, RunStopped, StoreError
-from wavefield.series import FrameFault
-from wavefield.variables import CUBE_FIELDS, FrameStatus, Quality, validate
+from wavefield.store import write
+from wavefield.store.layout import PACKING
+from wavefield.store.read import cube_recipe
+from wavefield.store.write import pack, write_block
+from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus, Quality, validate
 
 STEPS = FRAMES - 1
 
@@ -60,7 +63,7 @@ def test_a_cube_explains_itself(reference):
     np.testing.assert_allclose(cube.time, (np.arange(STEPS) + 0.5) / 20.0)
     assert cube.attrs["frame_rate"] == 20.0
     assert cube.attrs["water_depth"] == 0.7
-    recipe = store.cube_recipe(cube)
+    recipe = cube_recipe(cube)
     assert recipe["rig"]["cam3"]["size"] == [292, 207]
     assert recipe["grid"]["step"] == 0.01
     assert "piv" in recipe["settings"]
@@ -88,7 +91,7 @@ def test_values_do_not_depend_on_the_size_of_blocks(tank, reference, tmp_path, s
 def test_packing_rounds_as_documented(tank, reference, tmp_path):
     run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(8, packing="int16"))
     packed, plain = open_cube(tmp_path / "cube.zarr").load(), open_cube(reference).load()
-    for name, scale in store.PACKING.items():
+    for name, scale in PACKING.items():
         assert packed[name].dtype == "float32"
         np.testing.assert_array_equal(
             np.isnan(packed[name]), np.isnan(plain[name]) | (abs(plain[name]) > 32767 * scale)
@@ -100,7 +103,7 @@ def test_packing_rounds_as_documented(tank, reference, tmp_path):
 
 def test_packing_marks_what_does_not_fit():
     values = np.array([0.0, 0.12345, np.nan, 0.4, -0.4, np.inf], np.float32)
-    assert store.pack(values, "z").tolist() == [0, 12345, -32768, -32768, -32768, -32768]
+    assert pack(values, "z").tolist() == [0, 12345, -32768, -32768, -32768, -32768]
 
 
 def test_default_place_progress_and_log(own_tank):
@@ -160,7 +163,7 @@ def test_a_block_is_not_done_before_all_its_data_are_there(tank, reference, tmp_
     def dying(values, name):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(store, "pack", dying)
+    monkeypatch.setattr(write, "pack", dying)
     with pytest.raises(RunStopped):
         run(tank, out=out, workflow=blocks_of(8, packing="int16"))
     assert status(out).left == STEPS
@@ -210,16 +213,16 @@ def test_only_whole_blocks_are_written(reference, tmp_path):
     fields = {name: np.zeros((3, 13, 9), np.float32) for name in CUBE_FIELDS}
     good = np.full(3, FrameStatus.DONE, np.uint8)
     with pytest.raises(ValueError, match="does not begin a block"):
-        store.write_block(out, 3, fields, good, {})
+        write_block(out, 3, fields, good, {})
     with pytest.raises(ValueError, match="must hold 16 results"):
-        store.write_block(out, 0, fields, good, {})
+        write_block(out, 0, fields, good, {})
     with pytest.raises(ValueError, match="must hold 16 results"):
-        store.write_block(out, 0, fields, np.zeros(16, np.uint8), {})
+        write_block(out, 0, fields, np.zeros(16, np.uint8), {})
     full = np.full(16, FrameStatus.DONE, np.uint8)
     with pytest.raises(ValueError, match="has shape"):
-        store.write_block(out, 0, fields, full, {})
+        write_block(out, 0, fields, full, {})
     with pytest.raises(ValueError, match="gave no z_t"):
-        store.write_block(out, 0, {k: v for k, v in fields.items() if k != "z_t"}, full, {})
+        write_block(out, 0, {k: v for k, v in fields.items() if k != "z_t"}, full, {})
     assert different(out, reference) == []
 
 

@@ -5,7 +5,8 @@ import io
 import pytest
 
 from wavefield.commands import progress
-from wavefield.commands.progress import Progress, spell_time
+from wavefield.commands.progress import Progress
+from wavefield.words import spell_time
 
 
 class Terminal(io.StringIO):

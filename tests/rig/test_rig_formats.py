@@ -30,7 +30,7 @@ def test_own_file_keeps_every_bit(tmp_path):
     rig = Rig(two().cameras, {"date": "2026-01-01", "rms_px": {"cam1": 0.01}, "views": ["a", "b"]})
     rig.save(tmp_path / "new" / "rig.yaml")
     assert Rig.load(tmp_path / "new" / "rig.yaml") == rig
-    assert not list(tmp_path.glob("**/*.part"))
+    assert not list(tmp_path.glob("**/*.partial"))
 
 
 def test_own_file_states_its_units(tmp_path):

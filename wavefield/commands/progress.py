@@ -8,31 +8,7 @@ from typing import TextIO
 
 import click
 
-
-def spell_time(seconds: float) -> str:
-    """Spell a duration for people.
-
-    Parameters
-    ----------
-    seconds : float
-        Duration, s.
-
-    Returns
-    -------
-    str
-        Such as "8 s", "3 min 05 s", "2 h 10 min".
-
-    Examples
-    --------
-    >>> spell_time(7.6), spell_time(185), spell_time(7800)
-    ('8 s', '3 min 05 s', '2 h 10 min')
-    """
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60:02d} s"
-    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+from wavefield.words import spell_time
 
 
 class Progress:

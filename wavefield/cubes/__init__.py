@@ -5,26 +5,26 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from wavefield.cubes.catalog import catalog_add
-    from wavefield.cubes.export import export_netcdf
     from wavefield.cubes.forecast import Check, check
     from wavefield.cubes.lazy import reconstruct
     from wavefield.cubes.processing import run
-    from wavefield.cubes.state import Status, status
-    from wavefield.cubes.store import open_cube
     from wavefield.cubes.workflow import Workflow
+    from wavefield.store.export import export_netcdf
+    from wavefield.store.ledger import Status, status
+    from wavefield.store.read import open_cube
 
 # public name -> where it lives; imported on first use, so that worker processes start quickly
 _PUBLIC = {
-    "Check": "forecast",
-    "Status": "state",
-    "Workflow": "workflow",
-    "catalog_add": "catalog",
-    "check": "forecast",
-    "export_netcdf": "export",
-    "open_cube": "store",
-    "reconstruct": "lazy",
-    "run": "processing",
-    "status": "state",
+    "Check": "cubes.forecast",
+    "Status": "store.ledger",
+    "Workflow": "cubes.workflow",
+    "catalog_add": "cubes.catalog",
+    "check": "cubes.forecast",
+    "export_netcdf": "store.export",
+    "open_cube": "store.read",
+    "reconstruct": "cubes.lazy",
+    "run": "cubes.processing",
+    "status": "store.ledger",
 }
 
 __all__ = [
@@ -43,7 +43,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name in _PUBLIC:
-        return getattr(import_module(f"{__name__}.{_PUBLIC[name]}"), name)
+        return getattr(import_module(f"wavefield.{_PUBLIC[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -21,12 +21,13 @@ import yaml
 
 from wavefield.cubes.cluster import open_cluster
 from wavefield.cubes.processing import Prepared, ProgressFunction, prepare, process
-from wavefield.cubes.state import Status
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.rig import Rig
 from wavefield.series import Experiment
 from wavefield.series.document import read_yaml
+from wavefield.store.ledger import Status
+from wavefield.whole_files import write_text
 
 _OPTIONS = "intake.readers.user_parameters:OptionsUserParameter"
 _TEXT = "intake.readers.user_parameters:SimpleUserParameter"
@@ -71,7 +72,9 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
         raise ExperimentError(f"{catalog} has another run {run!r} already; give this one a name of its own")
     if not place.exists():
         target = os.path.relpath(found.path, place.parent)
-        _write(place, "# stands for the experiment file it names\n" + yaml.safe_dump({"experiment": target}))
+        write_text(
+            place, "# stands for the experiment file it names\n" + yaml.safe_dump({"experiment": target})
+        )
     if run not in options:
         options.append(run)
         data["user_parameters"]["run"]["default"] = options[0]
@@ -317,14 +320,4 @@ def _save(catalog: Path, data: Mapping[str, Any]) -> None:
             if line and not line.startswith("#"):
                 break
             head.append(line + "\n")
-    _write(catalog, "".join(head) + yaml.safe_dump(dict(data), sort_keys=False, width=110))
-
-
-def _write(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text)
-        temporary.replace(path)
-    except OSError as error:
-        raise ExperimentError(f"{path} cannot be written: {error.strerror}") from None
+    write_text(catalog, "".join(head) + yaml.safe_dump(dict(data), sort_keys=False, width=110))

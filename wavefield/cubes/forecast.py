@@ -14,14 +14,14 @@ import numpy as np
 from wavefield.cubes.block import Measured, make_block, measure_block
 from wavefield.cubes.cluster import count_workers, keep_memory, one_thread
 from wavefield.cubes.processing import Prepared, expected_coverage, load_files, prepare
-from wavefield.cubes.state import spell_ranges
-from wavefield.cubes.store import COMPRESSION
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
+from wavefield.store.layout import COMPRESSION
 from wavefield.variables import FrameFault, FrameStatus
+from wavefield.words import spell_ranges, spell_time
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Cost:
     def __str__(self) -> str:
         workers = "1 worker" if self.workers == 1 else f"{self.workers} workers"
         text = (
-            f"{_duration(self.seconds)} on {workers} ({self.step_seconds:.2f} s per step), "
+            f"{spell_time(self.seconds)} on {workers} ({self.step_seconds:.2f} s per step), "
             f"{self.memory / 1e9:.2f} GB of memory per worker, {_size(self.disk)} of disk"
         )
         if self.free < 1.1 * self.disk:
@@ -168,7 +168,7 @@ class Check:
     def __str__(self) -> str:
         lines = [
             f"{self.experiment} ({self.path}): {self.steps} steps at {self.frame_rate:g} Hz "
-            f"({_record(self.steps / self.frame_rate)})"
+            f"({spell_time(self.steps / self.frame_rate)})"
         ]
         lines += [f"  {camera}" for camera in self.cameras]
         if self.rig:
@@ -345,18 +345,6 @@ def _peak_memory() -> int:
         return 0
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak if sys.platform == "darwin" else 1024 * peak
-
-
-def _duration(seconds: float) -> str:
-    minutes = round(seconds / 60)
-    return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{max(minutes, 1)} min"
-
-
-def _record(seconds: float) -> str:
-    """Duration of a record, to a tenth of a second, or in minutes."""
-    if seconds < 120:
-        return f"{seconds:.1f} s"
-    return f"{int(seconds // 60)} min {int(seconds % 60):02d} s"
 
 
 def _size(count: float) -> str:

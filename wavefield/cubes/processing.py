@@ -4,32 +4,39 @@ Whatever stops a run (Ctrl-C, a time limit, a dead scheduler, a full disk), the 
 ledger: only blocks that are not marked done are measured.
 """
 
+import hashlib
+import json
 import logging
 import signal
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wavefield.cubes import store as stores
 from wavefield.cubes.block import Block, make_block
 from wavefield.cubes.cluster import count_workers, open_cluster, undisturbed
-from wavefield.cubes.recipe import Recipe, make_recipe
-from wavefield.cubes.state import Status, status
 from wavefield.cubes.work import Work
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, RunStopped, StoreError, WavefieldError
 from wavefield.grid import Grid
+from wavefield.measurement.algorithm import ALGORITHM
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.document import place_of, read_yaml
+from wavefield.store.layout import Layout, create_store
+from wavefield.store.ledger import Status, status
+from wavefield.store.read import open_group, read_layout
+from wavefield.store.recipe import Recipe, check_recipe
+from wavefield.store.write import reset_blocks
 from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus
+from wavefield.whole_files import remove_leftovers, write_error
+from wavefield.words import spell_time
 
 log = logging.getLogger("wavefield.run")
 ProgressFunction = Callable[[int, int, str], None]
@@ -245,6 +252,58 @@ def load_files(
     return experiment, workflow
 
 
+def make_recipe(
+    experiment: Experiment,
+    series: Mapping[str, FrameSeries],
+    rig: Rig,
+    grid: Grid,
+    settings: Any,
+    packing: str = "float32",
+) -> Recipe:
+    """Collect the recipe of a run.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    series : mapping of str to FrameSeries
+        Its frames.
+    rig : Rig
+        The cameras.
+    grid : Grid
+        The nodes.
+    settings : wavefield.measurement.Settings
+        The choices.
+    packing : {"float32", "int16"}
+        How values are stored.
+
+    Returns
+    -------
+    Recipe
+    """
+    one = next(iter(series.values()))
+    return Recipe(
+        experiment=experiment.name,
+        images={name: _images(experiment, name) for name in series},
+        frames=(one.first, one.first + len(one) - 1),
+        frame_rate=experiment.frame_rate,
+        grid=asdict(grid),
+        rig={name: rig[name].to_dict() for name in series},
+        settings=settings.to_dict(),
+        packing=packing,
+        algorithm=ALGORITHM,
+    )
+
+
+def _images(experiment: Experiment, name: str) -> Any:
+    section = experiment.cameras[name]
+    images: Any = section.images
+    if not isinstance(images, str) and len(images) > 20:  # a long list is told apart by its hash
+        digest = hashlib.sha256(json.dumps(images).encode()).hexdigest()[:16]
+        images = f"list of {len(images)} files, {digest}"
+    return [images, section.offset, section.times]
+
+
 def expected_coverage(rig: Rig, grid: Grid) -> float:
     """Share of the nodes that every camera sees while the water is at rest.
 
@@ -395,15 +454,15 @@ def _how_far(path: Path) -> str:
     return f" after {now.steps - now.left} of {now.steps} steps"
 
 
-def _open_or_create(prepared: Prepared, path: Path) -> stores.Layout:
+def _open_or_create(prepared: Prepared, path: Path) -> Layout:
     if path.exists():
-        group = stores.open_group(path)
-        stores.check_recipe(path, group, prepared.recipe)
-        stores.clean_up(path)
-        return stores.read_layout(group)
+        group = open_group(path)
+        check_recipe(path, group, prepared.recipe)
+        remove_leftovers(path)
+        return read_layout(group)
     grid = prepared.grid
     first = next(iter(prepared.series.values())).first
-    layout = stores.Layout(prepared.steps, prepared.block, tuple(prepared.series), first)
+    layout = Layout(prepared.steps, prepared.block, tuple(prepared.series), first)
     attributes: dict[str, Any] = {
         "experiment_file": str(prepared.experiment.path),
         "pixel_size": pixel_size(prepared.rig, grid),
@@ -411,12 +470,12 @@ def _open_or_create(prepared: Prepared, path: Path) -> stores.Layout:
     if prepared.experiment.folder:
         attributes["image_folder"] = str(prepared.experiment.image_folder)
     attributes |= prepared.experiment.water.attributes()
-    stores.clean_up(path)
-    stores.create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes)
+    remove_leftovers(path)
+    create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes)
     return layout
 
 
-def unfinished(path: Path, layout: stores.Layout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
+def unfinished(path: Path, layout: Layout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
     """Blocks that are still to be measured: not done yet, or with bad frames that are good by now.
 
     Parameters
@@ -433,7 +492,7 @@ def unfinished(path: Path, layout: stores.Layout, series: Mapping[str, FrameSeri
     list of (start, stop)
         Ranges of steps.
     """
-    group = stores.open_group(path)
+    group = open_group(path)
     ledger = np.asarray(group["frame_status"][:])
     faults = np.asarray(group["frame_fault"][:])
     mended = np.zeros(layout.steps + 1, bool)
@@ -449,7 +508,7 @@ def unfinished(path: Path, layout: stores.Layout, series: Mapping[str, FrameSeri
             todo.append((start, stop))
     if again:
         log.info("frames that were bad can be read now: measuring %d blocks again", len(again))
-        stores.reset_blocks(path, again)
+        reset_blocks(path, again)
     return todo
 
 
@@ -504,7 +563,7 @@ class _Tracker:
         self.done += steps
         now = time.monotonic()
         left = (now - self._since) / (self.done - self._before) * (self.total - self.done)
-        sentence = f"{_duration(left)} left" if self.done < self.total else ""
+        sentence = f"{spell_time(left)} left" if self.done < self.total else ""
         if now - self._logged > 10 or self.done == self.total:
             self._logged = now
             log.info("%d of %d steps%s", self.done, self.total, f", {sentence}" if sentence else "")
@@ -518,13 +577,6 @@ class _Tracker:
     def _tell(self, sentence: str) -> None:
         if self._progress:
             self._progress(self.done, self.total, sentence)
-
-
-def _duration(seconds: float) -> str:
-    minutes = int(seconds // 60)
-    if minutes >= 60:
-        return f"{minutes // 60} h {minutes % 60:02d} min"
-    return f"{minutes} min {int(seconds % 60):02d} s" if minutes else f"{seconds:.0f} s"
 
 
 # -- the one place for signals, the one for the log, the one for the lock ------------------------------------
@@ -611,7 +663,7 @@ def log_file(store: Path) -> Iterator[None]:
         store.parent.mkdir(parents=True, exist_ok=True)
         handler = logging.FileHandler(log_path(store), delay=False)
     except OSError as error:
-        raise stores.write_error(store, error) from None
+        raise write_error(store, error) from None
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     handler.handleError = lambda record: None  # type: ignore[method-assign]  # a full disk must not hide the cause
     level = log.level
@@ -654,7 +706,7 @@ def only_run(store: Path) -> Iterator[None]:
         store.parent.mkdir(parents=True, exist_ok=True)
         stream = lock.open("a")
     except OSError as error:
-        raise stores.write_error(store, error) from None
+        raise write_error(store, error) from None
     with stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from wavefield.cubes.block import Block, measure_block
-from wavefield.cubes.store import write_block
+from wavefield.store.write import write_block
 from wavefield.variables import FrameStatus
 
 

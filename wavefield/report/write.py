@@ -7,6 +7,7 @@ from wavefield.report.page import render
 from wavefield.report.player import pack
 from wavefield.report.sections import SECTIONS
 from wavefield.report.sources import Sources
+from wavefield.whole_files import write_text
 
 
 def write_report(
@@ -39,10 +40,7 @@ def write_report(
     name = str(cube.attrs.get("experiment", "")) or "unnamed experiment"
     subtitle = f"{cube.sizes['time']} steps of z, u, v, w on {cube.sizes['x']} x {cube.sizes['y']} nodes"
     output = Path(output)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(
-        render(f"{name}: water surface and velocity", subtitle, sections, pack(cube)), encoding="utf-8"
-    )
+    write_text(output, render(f"{name}: water surface and velocity", subtitle, sections, pack(cube)))
     if progress:
         progress(len(SECTIONS), len(SECTIONS))
     return output

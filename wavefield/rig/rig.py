@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
+from wavefield.whole_files import write_text
 
 UNITS = {"length": "m", "image": "px", "angle": "rad"}
 
@@ -88,11 +89,7 @@ class Rig:
             "provenance": dict(self.provenance),
         }
         text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draft = path.with_name(path.name + ".part")
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(path)  # a rig that is there already is lost only when the new one is complete
+        write_text(path, text)
 
     @classmethod
     def load(cls, path: str | Path, sizes: Mapping[str, tuple[int, int]] | None = None) -> "Rig":

@@ -114,9 +114,6 @@ in [low E, high E] with 95 % confidence. ``valid`` masks say where a spectrum ca
       ``tricoherence_omega3``; ``tricoherence_level``.
 """
 
-import shutil
-import uuid
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -129,6 +126,7 @@ from dask.callbacks import Callback
 
 import wavefield
 from wavefield.errors import CubeError, StoreError
+from wavefield.store.waves import write_waves
 from wavefield.water import GAMMA, dispersion, wavenumber
 from wavefield.waves import (
     coherence,
@@ -626,28 +624,5 @@ def _analyze(
     }
     tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs=attrs)} | {f"/{n}": g for n, g in groups.items()})
     if out is not None:
-        _write(tree, Path(out))
+        write_waves(tree, out)
     return tree
-
-
-def _write(tree: xr.DataTree, path: Path) -> None:
-    # whole or not at all: written beside and renamed
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.partial")
-    # Zarr 3 knows strings of any length only
-    tree = tree.map_over_datasets(
-        lambda group: group.assign_coords(
-            {name: array.astype(object) for name, array in group.coords.items() if array.dtype.kind == "U"}
-        )
-    )
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with warnings.catch_warnings():
-            # readers warn without consolidated metadata, zarr warns with it
-            warnings.filterwarnings("ignore", message="Consolidated metadata")
-            tree.to_zarr(temporary, mode="w", consolidated=True)
-        if path.exists():
-            shutil.rmtree(path)
-        temporary.rename(path)
-    except OSError as error:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise StoreError(f"cannot write {path}: {error.strerror or error}") from None

@@ -6,12 +6,11 @@ import platform
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 from wavefield import __version__
-from wavefield.grid import Grid
-from wavefield.rig import Rig
-from wavefield.series import Experiment, FrameSeries
+from wavefield.errors import StoreError
 
 
 @dataclass(frozen=True)
@@ -32,10 +31,10 @@ class Recipe:
         As plain data.
     packing : str
         "float32" or "int16".
-    wavefield : str
-        Version of this program.
+    algorithm : int
+        Version of the measurement, raised when its values change.
     software : mapping
-        Versions of what it rests on; not part of the hash.
+        Versions of this program and of what it rests on; not part of the hash.
     """
 
     experiment: str
@@ -46,7 +45,7 @@ class Recipe:
     rig: Mapping[str, Any]
     settings: Mapping[str, Any]
     packing: str = "float32"
-    wavefield: str = __version__
+    algorithm: int = 0
     software: Mapping[str, str] = field(default_factory=lambda: _software())
 
     def to_json(self) -> str:
@@ -67,60 +66,10 @@ class Recipe:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def make_recipe(
-    experiment: Experiment,
-    series: Mapping[str, FrameSeries],
-    rig: Rig,
-    grid: Grid,
-    settings: Any,
-    packing: str = "float32",
-) -> Recipe:
-    """Collect the recipe of a run.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-    series : mapping of str to FrameSeries
-        Its frames.
-    rig : Rig
-        The cameras.
-    grid : Grid
-        The nodes.
-    settings : wavefield.measurement.Settings
-        The choices.
-    packing : {"float32", "int16"}
-        How values are stored.
-
-    Returns
-    -------
-    Recipe
-    """
-    one = next(iter(series.values()))
-    return Recipe(
-        experiment=experiment.name,
-        images={name: _images(experiment, name) for name in series},
-        frames=(one.first, one.first + len(one) - 1),
-        frame_rate=experiment.frame_rate,
-        grid=asdict(grid),
-        rig={name: rig[name].to_dict() for name in series},
-        settings=settings.to_dict(),
-        packing=packing,
-    )
-
-
-def _images(experiment: Experiment, name: str) -> Any:
-    section = experiment.cameras[name]
-    images: Any = section.images
-    if not isinstance(images, str) and len(images) > 20:  # a long list is told apart by its hash
-        digest = hashlib.sha256(json.dumps(images).encode()).hexdigest()[:16]
-        images = f"list of {len(images)} files, {digest}"
-    return [images, section.offset, section.times]
-
-
 def _software() -> dict[str, str]:
     packages = ("numpy", "scipy", "numba", "opencv-python-headless", "zarr")
-    return {"python": platform.python_version()} | {name: version(name) for name in packages}
+    versions = {name: version(name) for name in packages}
+    return {"wavefield": __version__, "python": platform.python_version()} | versions
 
 
 def differences(old: str, new: str) -> list[str]:
@@ -147,3 +96,30 @@ def _leaves(data: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
             yield from _leaves(value, f"{prefix}.{key}" if prefix else str(key))
     else:
         yield prefix, data
+
+
+def check_recipe(path: Path, group: Any, recipe: Recipe) -> None:
+    """Refuse to go on with a store that was made with another recipe.
+
+    Parameters
+    ----------
+    path : path
+        The store, for the message.
+    group : zarr.Group
+        The open store.
+    recipe : Recipe
+        Of the run that wants to go on.
+
+    Raises
+    ------
+    StoreError
+        If the recipes differ; the message says in what.
+    """
+    if group.attrs["recipe_hash"] == recipe.hash:
+        return
+    found = differences(str(group.attrs["recipe"]), recipe.to_json())
+    more = f" and {len(found) - 2} more" if len(found) > 2 else ""
+    raise StoreError(
+        f"{path} was made with another recipe ({'; '.join(found[:2])}{more}); "
+        "write to another store with -o, or remove this one"
+    )

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefield.cubes import store as stores
+from wavefield.store.read import open_group, read_layout
 from wavefield.variables import FrameFault, FrameStatus
+from wavefield.words import spell_ranges
 
 _WORDS = {
     FrameFault.MISSING: "missing",
@@ -115,8 +116,8 @@ def status(store: str | Path) -> Status:
         If it is not there or is not a cube.
     """
     path = Path(store)
-    group = stores.open_group(path)
-    layout = stores.read_layout(group)
+    group = open_group(path)
+    layout = read_layout(group)
     ledger = np.asarray(group["frame_status"][:])
     faults = np.asarray(group["frame_fault"][:])
     bad = []
@@ -136,32 +137,3 @@ def status(store: str | Path) -> Status:
         failed_steps=tuple(int(n) for n in layout.first_frame + failed),
         bad_frames=tuple(bad),
     )
-
-
-def spell_ranges(numbers: tuple[int, ...], most: int = 8) -> str:
-    """Spell numbers as ranges.
-
-    Parameters
-    ----------
-    numbers : tuple of int
-        In order.
-    most : int
-        Ranges to spell out.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> spell_ranges((1, 2, 3, 7))
-    '1-3, 7'
-    """
-    ranges: list[list[int]] = []
-    for number in numbers:
-        if ranges and number == ranges[-1][1] + 1:
-            ranges[-1][1] = number
-        else:
-            ranges.append([number, number])
-    words = [str(a) if a == b else f"{a}-{b}" for a, b in ranges[:most]]
-    return ", ".join(words) + (f" and {len(ranges) - most} more ranges" if len(ranges) > most else "")

@@ -1,13 +1,12 @@
 """The cube as one NetCDF file, for programs that do not read Zarr."""
 
-import os
-import uuid
 from pathlib import Path
 
 import numpy as np
 
-from wavefield.cubes.store import open_cube, write_error
+from wavefield.store.read import open_cube
 from wavefield.variables import TABLE
+from wavefield.whole_files import whole
 
 
 def export_netcdf(store: str | Path, path: str | Path) -> None:
@@ -29,7 +28,6 @@ def export_netcdf(store: str | Path, path: str | Path) -> None:
     -----
     Values are unpacked float32, compressed. Goes through the cube one block at a time.
     """
-    path = Path(path)
     cube = open_cube(store)
     cube.attrs = {
         name: " ".join(value) if isinstance(value, list) else value for name, value in cube.attrs.items()
@@ -44,12 +42,5 @@ def export_netcdf(store: str | Path, path: str | Path) -> None:
         if variable.ndim == 3:
             chunks = (min(8, variable.shape[0]), *variable.shape[1:])
             variable.encoding |= {"zlib": True, "complevel": 4, "shuffle": True, "chunksizes": chunks}
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        cube.to_netcdf(temporary, engine="h5netcdf", format="NETCDF4")
-        os.replace(temporary, path)
-    except OSError as error:
-        raise write_error(path, error) from None
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole(path) as draft:
+        cube.to_netcdf(draft, engine="h5netcdf", format="NETCDF4")

@@ -1,0 +1,1 @@
+"""The stores of cubes and waves: layout, writing, reading, recipe, ledger, export."""

@@ -1,0 +1,112 @@
+"""Opening a store and reading what it says of itself."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import zarr
+
+from wavefield.errors import StoreError
+from wavefield.store.layout import PACKING, Layout
+
+if TYPE_CHECKING:  # not needed by workers, and slow to import
+    import xarray as xr
+
+
+def open_group(path: Path, mode: Any = "r") -> Any:
+    """Open a store made by `create_store`.
+
+    Parameters
+    ----------
+    path : path
+        The store.
+    mode : {"r", "r+"}
+        To read, or to read and write.
+
+    Returns
+    -------
+    zarr.Group
+
+    Raises
+    ------
+    StoreError
+        If it is not there or is not a cube.
+    """
+    if not path.exists():
+        raise StoreError(f"{path}: no such store; make one with `wavefield run`")
+    try:
+        group = zarr.open_group(path, mode=mode, use_consolidated=False)
+        if "recipe" in group.attrs and "frame_status" in group:
+            return group
+    except Exception as error:
+        raise StoreError(f"{path} cannot be opened as a Zarr store: {error}") from None
+    raise StoreError(f"{path} is not a cube of `wavefield run`; choose another name")
+
+
+def read_layout(group: Any) -> Layout:
+    """Sizes of an open store.
+
+    Parameters
+    ----------
+    group : zarr.Group
+        As from `open_group`.
+
+    Returns
+    -------
+    Layout
+    """
+    frames = group["frame"]
+    return Layout(
+        steps=group["frame_status"].shape[0],
+        block=int(group.attrs["steps_per_block"]),
+        cameras=tuple(group.attrs["cameras"]),
+        first_frame=int(frames[0]),
+    )
+
+
+def open_cube(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
+    """Open a cube, lazily.
+
+    Parameters
+    ----------
+    path : path
+        Store written by `run`.
+    chunks : optional
+        As in `xarray.open_zarr`; by default one Dask chunk per block.
+
+    Returns
+    -------
+    Dataset
+        The variables of `wavefield.variables`, attributes with the recipe; steps not yet measured are NaN.
+
+    Raises
+    ------
+    StoreError
+        If it is not there or is not a cube.
+    """
+    import xarray as xr
+
+    path = Path(str(path).removeprefix("file://"))
+    group = open_group(path)
+    if chunks == "auto":
+        chunks = {"time": read_layout(group).block}
+    cube = xr.open_zarr(path, chunks=chunks, consolidated=False)
+    for name in PACKING:
+        if cube[name].dtype == "float64":  # as 16-bit values are unpacked
+            cube[name] = cube[name].astype("float32")
+    return cube
+
+
+def cube_recipe(dataset: "xr.Dataset") -> dict[str, Any]:
+    """The recipe in the attributes of a cube.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        As from `open_cube`.
+
+    Returns
+    -------
+    dict
+    """
+    return json.loads(dataset.attrs["recipe"])

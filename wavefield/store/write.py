@@ -1,0 +1,114 @@
+"""Writing results: the one function that does, block by block, and the ledger last.
+
+Each block is one shard of every variable, and one chunk of the ledger; no two blocks ever touch the same
+file, so any number of processes may write at once. Whole files are renamed into place, so a killed writer
+never leaves half a shard. The ledger ``frame_status(time)`` is written last: a step that is marked done has
+all its data.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from wavefield.store.layout import MISSING, PACKING
+from wavefield.store.read import open_group, read_layout
+from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus
+from wavefield.whole_files import write_error
+
+
+def write_block(
+    path: Path,
+    start: int,
+    fields: Mapping[str, np.ndarray],
+    frame_status: np.ndarray,
+    faults: Mapping[str, Mapping[int, FrameFault]],
+) -> None:
+    """Write all results of one block, the ledger last. The only function that writes results.
+
+    Parameters
+    ----------
+    path : path
+        The store.
+    start : int
+        First step; must begin a block.
+    fields : mapping of str to ndarray, (n, ny, nx)
+        Every variable of the cube; n must be a whole block, or what is left at the end.
+    frame_status : ndarray of uint8, (n,)
+        Ledger of these steps; never NOT_STARTED.
+    faults : mapping of str to mapping of int to FrameFault
+        Bad frames by camera and index; those of neighbouring blocks are left to them.
+
+    Raises
+    ------
+    StoreError
+        If the disk is full or the store cannot be written; nothing that was written before is harmed.
+    ValueError
+        If the arrays are not those of one whole block.
+    """
+    group = open_group(path, "r+")
+    layout = read_layout(group)
+    stop = min(start + layout.block, layout.steps)
+    if start % layout.block or not 0 <= start < layout.steps:
+        raise ValueError(f"step {start} does not begin a block of {layout.block}")
+    if frame_status.shape != (stop - start,) or not frame_status.all():
+        raise ValueError(f"the ledger of steps {start} to {stop} must hold {stop - start} results")
+    absent = [name for name in CUBE_FIELDS if name not in fields]
+    if absent:
+        raise ValueError(f"the measurement gave no {', '.join(absent)}")
+    try:
+        for name in CUBE_FIELDS:
+            array = group[name]
+            values = np.asarray(fields[name])
+            if values.shape != (stop - start, *array.shape[1:]):
+                raise ValueError(
+                    f"{name} has shape {values.shape}, expected {(stop - start, *array.shape[1:])}"
+                )
+            array[start:stop] = pack(values, name) if array.dtype == np.int16 else values
+        last = layout.steps + 1 if stop == layout.steps else stop  # the last block owns the last frame
+        codes = np.zeros((len(layout.cameras), last - start), np.uint8)
+        for k, camera in enumerate(layout.cameras):
+            for index, fault in faults.get(camera, {}).items():
+                if start <= index < last:
+                    codes[k, index - start] = fault
+        group["frame_fault"][:, start:last] = codes
+        group["frame_status"][start:stop] = frame_status
+    except OSError as error:
+        raise write_error(path, error) from None
+
+
+def reset_blocks(path: Path, starts: Sequence[int]) -> None:
+    """Mark blocks as not started, before they are measured again.
+
+    Parameters
+    ----------
+    path : path
+        The store.
+    starts : sequence of int
+        First steps of the blocks.
+    """
+    group = open_group(path, "r+")
+    layout = read_layout(group)
+    for start in starts:
+        stop = min(start + layout.block, layout.steps)
+        group["frame_status"][start:stop] = np.uint8(FrameStatus.NOT_STARTED)
+
+
+def pack(values: np.ndarray, name: str) -> np.ndarray:
+    """Pack a variable into 16 bits.
+
+    Parameters
+    ----------
+    values : ndarray of float
+        In units of the table.
+    name : str
+        The variable.
+
+    Returns
+    -------
+    ndarray of int16
+        Round(values / scale); -32768 where values are missing or do not fit.
+    """
+    with np.errstate(invalid="ignore"):
+        scaled = np.rint(values / PACKING[name])
+        return np.where(np.abs(scaled) <= 32767, scaled, MISSING).astype(np.int16)

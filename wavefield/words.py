@@ -1,0 +1,58 @@
+"""Durations and ranges of numbers in words, the same everywhere."""
+
+from collections.abc import Sequence
+
+
+def spell_time(seconds: float) -> str:
+    """Spell a duration for people.
+
+    Parameters
+    ----------
+    seconds : float
+        Duration, s.
+
+    Returns
+    -------
+    str
+        Such as "8 s", "3 min 05 s", "2 h 10 min".
+
+    Examples
+    --------
+    >>> spell_time(7.6), spell_time(185), spell_time(7800)
+    ('8 s', '3 min 05 s', '2 h 10 min')
+    """
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
+    """Spell numbers as ranges.
+
+    Parameters
+    ----------
+    numbers : sequence of int
+        In order.
+    most : int
+        Ranges to spell out.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> spell_ranges((1, 2, 3, 7))
+    '1-3, 7'
+    """
+    ranges: list[list[int]] = []
+    for number in numbers:
+        if ranges and number == ranges[-1][1] + 1:
+            ranges[-1][1] = number
+        else:
+            ranges.append([number, number])
+    words = [str(a) if a == b else f"{a}-{b}" for a, b in ranges[:most]]
+    return ", ".join(words) + (f" and {len(ranges) - most} more ranges" if len(ranges) > most else "")
