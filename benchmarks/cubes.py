@@ -108,7 +108,16 @@ def start(experiment: Path, out: Path, **settings: object) -> subprocess.Popen:
     """A run through the command line."""
     workflow = out.with_suffix(".yaml")
     workflow.write_text("".join(f"{name}: {value}\n" for name, value in settings.items()))
-    command = ["-m", "wavefield.cli", "run", str(experiment), "-o", str(out), "--workflow", str(workflow)]
+    command = [
+        "-m",
+        "wavefield.commands.cli",
+        "run",
+        str(experiment),
+        "-o",
+        str(out),
+        "--workflow",
+        str(workflow),
+    ]
     return subprocess.Popen(
         [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )

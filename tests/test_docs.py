@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import pytest
 
-from wavefield.cli import cli
+from wavefield.commands.cli import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])

@@ -33,7 +33,7 @@ def start(tank, out, workflow):
     command = [
         sys.executable,
         "-m",
-        "wavefield.cli",
+        "wavefield.commands.cli",
         "run",
         str(tank),
         "-o",

@@ -7,7 +7,7 @@ import click
 import pytest
 
 from wavefield import __version__
-from wavefield.cli import cli, main
+from wavefield.commands.cli import cli, main
 from wavefield.errors import StoreError
 
 
@@ -54,7 +54,7 @@ def test_version_and_help(capsys):
 
 def test_help_is_quick_because_nothing_heavy_is_imported():
     heavy = ["numba", "xarray", "dask", "cv2", "matplotlib", "scipy", "zarr", "distributed"]
-    code = f"import sys, wavefield.cli; print([m for m in {heavy} if m in sys.modules])"
+    code = f"import sys, wavefield.commands.cli; print([m for m in {heavy} if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
 
 

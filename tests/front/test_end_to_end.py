@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import yaml
 
-from wavefield.cli import main
-from wavefield.demo import comparison, inside
+from wavefield.commands.cli import main
+from wavefield.commands.demo import comparison, inside
 
 SCENE = {
     "name": "puddle",
@@ -184,21 +184,18 @@ def test_catalog_takes_the_experiment(folder, tmp_path, capsys):
 
 
 def test_demo_gives_the_commands_of_the_readme_and_stops_where_one_fails(monkeypatch, tmp_path, capsys):
-    import wavefield.cli
-    import wavefield.demo
+    import wavefield.commands.demo
     from wavefield.errors import WavefieldError
 
     given = []
-    monkeypatch.setattr(wavefield.cli, "main", lambda words: given.append(words) or 0)
-    monkeypatch.setattr(wavefield.demo, "comparison", lambda store, directory: "the table")
-    wavefield.demo.run_demo(tmp_path)
+    monkeypatch.setattr(wavefield.commands.demo, "comparison", lambda store, directory: "the table")
+    wavefield.commands.demo.run_demo(tmp_path, lambda words: given.append(words) or 0)
     assert [words[0] for words in given] == ["simulate", "calibrate", "check", "run", "analyze", "report"]
     out = capsys.readouterr().out
     assert "the table" in out
     assert str(tmp_path / "report.html") in out
-    monkeypatch.setattr(wavefield.cli, "main", lambda words: int(words[0] == "run"))
     with pytest.raises(WavefieldError, match="stopped in `wavefield run"):
-        wavefield.demo.run_demo(tmp_path)
+        wavefield.commands.demo.run_demo(tmp_path, lambda words: int(words[0] == "run"))
 
 
 def test_poses_are_named_alike_in_all_cameras(tmp_path):

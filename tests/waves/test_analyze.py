@@ -198,7 +198,7 @@ def test_what_cannot_be_analysed_is_said_in_one_sentence(sea, probes, tmp_path):
         wv.analyze(late, probes=probes)
     blocked = tmp_path / "file"
     blocked.write_text("")
-    with pytest.raises(StoreError, match="cannot write"):
+    with pytest.raises(StoreError, match="cannot be written"):
         wv.analyze(sea.isel(time=slice(0, 40)), blocked / "waves.zarr")
 
 

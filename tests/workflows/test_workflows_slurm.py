@@ -91,7 +91,7 @@ def test_worker_jobs_that_are_cancelled_are_asked_for_again(tank, reference, wor
     command = [
         sys.executable,
         "-m",
-        "wavefield.cli",
+        "wavefield.commands.cli",
         "run",
         str(tank),
         "-o",

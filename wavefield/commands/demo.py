@@ -1,5 +1,6 @@
 """The demo: the commands that a user would give, on a simulated tank, and the errors against its truth."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -20,13 +21,15 @@ PAPER = {
 }
 
 
-def run_demo(directory: Path, *, quiet: bool = False) -> None:
+def run_demo(directory: Path, command: Callable[[list[str]], int], *, quiet: bool = False) -> None:
     """Simulate, calibrate, check, run, analyse, report, compare.
 
     Parameters
     ----------
     directory : path
         Folder for everything; it must be empty or not yet there.
+    command : callable
+        Given the words of a command line, runs it and returns its exit status.
     quiet : bool, default False
         Show results only.
 
@@ -35,8 +38,6 @@ def run_demo(directory: Path, *, quiet: bool = False) -> None:
     WavefieldError
         If a command fails.
     """
-    from wavefield.cli import main
-
     experiment, cube = directory / "experiment.yaml", directory / "cube.zarr"
     for words in (
         ["simulate", SCENE, directory],
@@ -49,7 +50,7 @@ def run_demo(directory: Path, *, quiet: bool = False) -> None:
         line = [str(word) for word in words]
         if not quiet:
             click.secho(f"\n$ wavefield {' '.join(line)}", bold=True)
-        status = main(["-q", *line] if quiet else line)
+        status = command(["-q", *line] if quiet else line)
         if status:
             raise WavefieldError(f"the demo stopped in `wavefield {' '.join(line)}`")
     click.echo("\n" + comparison(cube, directory))

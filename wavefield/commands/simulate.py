@@ -18,9 +18,10 @@ def demo(directory: Path) -> None:
     target images, measures the surface and its velocity, analyses the waves, writes the report, and prints
     the errors beside those of the paper. Takes a few minutes and needs nothing but this package.
     """
-    from wavefield.demo import run_demo
+    from wavefield.commands.demo import run_demo
 
-    run_demo(directory, quiet=click.get_current_context().meta["wavefield.quiet"])
+    meta = click.get_current_context().meta
+    run_demo(directory, meta["wavefield.command"], quiet=meta["wavefield.quiet"])
 
 
 @click.command(

@@ -1,0 +1,116 @@
+"""The command line: thin; each command calls one public function of a room.
+
+Exit status: 0 done, 1 a run that failed (one sentence says why), 2 wrong use.
+"""
+
+import logging
+import sys
+import traceback
+import warnings
+from collections.abc import Sequence
+
+import click
+
+from wavefield import __version__
+from wavefield.commands import archive, experiment, simulate, waves
+from wavefield.errors import WavefieldError
+
+_EPILOG = """\b
+A first look:   wavefield demo
+Your own data:  wavefield calibrate experiment.yaml
+                wavefield check experiment.yaml
+                wavefield run experiment.yaml
+                wavefield analyze cube.zarr
+                wavefield report cube.zarr
+"""
+
+
+@click.group(
+    epilog=_EPILOG, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
+)
+@click.version_option(__version__, "--version", message="wavefield %(version)s")
+@click.option("-q", "--quiet", is_flag=True, help="Only results, warnings and errors; no progress.")
+@click.option("-v", "--verbose", is_flag=True, help="Say more about what is done.")
+@click.option("--debug", is_flag=True, help="Show the whole traceback of an error.")
+def cli(quiet: bool, verbose: bool, debug: bool) -> None:
+    """Water-surface elevation and velocity from three cameras, and the waves in them."""
+    level = logging.DEBUG if debug else logging.INFO if verbose else logging.WARNING
+    handler = logging.StreamHandler()
+    handler.setLevel(level)  # a run lowers its logger's level for the log beside the store
+    handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
+    logger = logging.getLogger("wavefield")
+    logger.handlers[:] = [handler]
+    logger.setLevel(level)
+    context = click.get_current_context()
+    context.meta["wavefield.quiet"] = quiet
+    context.meta["wavefield.command"] = main  # the demo gives commands of its own
+
+
+for _command in (
+    simulate.demo,
+    simulate.simulate,
+    experiment.check,
+    experiment.calibrate,
+    experiment.refine,
+    experiment.run,
+    experiment.status,
+    waves.analyze,
+    waves.report,
+    archive.export,
+    archive.catalog,
+    archive.rig,
+):
+    cli.add_command(_command)
+
+
+def _one_line_warning(message, category, filename, lineno, file=None, line=None) -> None:  # type: ignore[no-untyped-def]
+    print(f"wavefield: warning: {message}", file=sys.stderr)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Words after the program's name; by default those of this process.
+
+    Returns
+    -------
+    int
+        Exit status: 0 done, 1 failed, 2 wrong use, 130 interrupted.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in words
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = _one_line_warning
+            result = cli.main(words, prog_name="wavefield", standalone_mode=False)
+        return result if isinstance(result, int) else 0
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        print("wavefield: interrupted; the same command goes on where it stopped", file=sys.stderr)
+        return 130
+    except WavefieldError as error:
+        if debug:
+            traceback.print_exc()
+        print(f"wavefield: {error}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader of a pipe has gone: nothing more to say, not even at exit
+        return 1
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        print(
+            f"wavefield: {type(error).__name__}: {error} (an error that wavefield did not foresee; "
+            "`wavefield --debug ...` shows where it happened)",
+            file=sys.stderr,
+        )
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
