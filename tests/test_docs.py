@@ -1,18 +1,35 @@
 """What the documents promise is there: links, commands, tables, notebooks."""
 
+import importlib
 import importlib.util
+import inspect
 import json
 import re
 import shlex
+import tomllib
+from enum import Enum
 from pathlib import Path
 
 import click
 import pytest
 
+import wavefield
 from wavefield.commands.cli import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+ROOMS = [
+    "calibration",
+    "cubes",
+    "figures",
+    "matching",
+    "measurement",
+    "report",
+    "rig",
+    "series",
+    "tank",
+    "waves",
+]
 NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))
 
 
@@ -85,11 +102,35 @@ def test_there_are_three_notebooks():
     assert len(NOTEBOOKS) == 3
 
 
-def test_citation_and_package_agree_on_version_and_licence():
-    import tomllib
+def test_changelog_citation_and_package_agree_on_the_last_release():
+    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    release = config["tool"]["setuptools_scm"]["fallback_version"]
+    headings = re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.M)
+    assert headings[:2] in ([release, *headings[1:2]], ["Unreleased", release])
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"version: {release}\n" in citation
+    assert f"license: {config['project']['license']}\n" in citation
 
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    citation = (ROOT / "CITATION.cff").read_text()
-    assert f"version: {project['version']}" in citation
-    assert f"license: {project['license']}" in citation
-    assert project["version"] in (ROOT / "CHANGELOG.md").read_text()
+
+def public_objects() -> dict[str, object]:
+    """What the rooms show, by the full name of where it is made."""
+    found = {}
+    for room in (wavefield, *(importlib.import_module(f"wavefield.{name}") for name in ROOMS)):
+        for name in room.__all__:
+            thing = getattr(room, name)
+            if inspect.isfunction(thing) or (inspect.isclass(thing) and not issubclass(thing, Enum)):
+                found[f"{thing.__module__}.{thing.__qualname__}"] = thing
+    return found
+
+
+@pytest.mark.filterwarnings("ignore")  # docstrings of other projects' base classes are read as well
+def test_public_docstrings_name_every_parameter_and_what_comes_back():
+    validate = pytest.importorskip("numpydoc.validate", reason="needs numpydoc (group docs)").validate
+    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    checks = set(config["tool"]["numpydoc_validation"]["checks"])
+    faults = []
+    for path, thing in public_objects().items():
+        told = {"PR01"} if hasattr(thing, "model_fields") else set()  # each field has its own description
+        wrong = [f"{code} {text}" for code, text in validate(path)["errors"] if code in checks - told]
+        faults += [f"{path}: {line}" for line in wrong]
+    assert not faults, "\n".join(faults)

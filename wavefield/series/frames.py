@@ -12,7 +12,17 @@ from wavefield.variables import FrameFault
 
 
 class Frame(NamedTuple):
-    """One image, or the reason why there is none."""
+    """One image, or the reason why there is none.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column), or None
+        Grey levels, of the type of the file; None where there is no image.
+    fault : FrameFault
+        NONE, or what is wrong.
+    message : str
+        The same in a sentence that names the file; empty where nothing is wrong.
+    """
 
     image: np.ndarray | None
     fault: FrameFault
