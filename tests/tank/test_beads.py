@@ -143,3 +143,11 @@ def test_bounds_hold_all_that_cameras_see_of_high_and_low_water():
             corners = camera.corners(z)
             assert (corners >= [x[0] - 1e-12, y[0] - 1e-12]).all()
             assert (corners <= [x[1] + 1e-12, y[1] + 1e-12]).all()
+
+
+def test_holes_of_two_diameters_are_drawn_between_them():
+    middle = {"rig": {"crop": 0.4}, "grid": {"x": (-0.3, 0.3), "y": (-0.25, 0.25), "step": 0.02}}
+    none = Tank(Scene.load("gaps").with_(**middle, surface={"holes": 0})).population
+    three = Tank(Scene.load("gaps").with_(**middle, surface={"holes": 3})).population
+    gone = (len(none) - len(three)) / 1.1e4  # m2
+    assert 2 * np.pi * 0.03**2 < gone < 3.3 * np.pi * 0.08**2

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from wavefield.tank import Scene, Tank, carry, paper_rig, rigs, sensor, texture
 
@@ -159,3 +159,32 @@ def test_carried_texture_moves_with_the_water():
         grey.append(map_coordinates(image, camera.project(x, y, z)[::-1], order=5))
     assert np.corrcoef(grey)[0, 1] > 0.99
     assert np.hypot(bx - ax, by - ay).max() > 0.005  # it did move
+
+
+def test_faults_change_what_a_camera_records_and_nothing_else():
+    sound = Tank(small())
+    faults = {"cam1": {"late": 1, "mirrored": True}, "cam2": {"shift": (7.0, -3.0)}}
+    broken = Tank(small(light=QUIET, faults=faults))
+    quiet = Tank(small(light=QUIET))
+    now, before, seen = quiet.render(2), quiet.render(1), broken.render(2)
+    assert np.array_equal(seen["cam1"], before["cam1"][:, ::-1])
+    moved, still = seen["cam2"][10:-10, 17:-3], now["cam2"][13:-7, 10:-10]
+    assert moved.astype(float) == pytest.approx(still.astype(float), abs=10)  # of 65535
+    assert np.array_equal(seen["cam3"], now["cam3"])
+    assert np.array_equal(
+        broken.render(0)["cam1"], quiet.render(0)["cam1"][:, ::-1]
+    )  # its first image, twice
+    swapped = Tank(small(faults={"cam1": {"shows": "cam2"}, "cam2": {"shows": "cam1"}}))
+    assert np.array_equal(swapped.render(0)["cam1"], sound.render(0)["cam2"])
+    assert np.array_equal(swapped.target_image("flat", "cam1"), sound.target_image("flat", "cam1"))
+
+
+@pytest.mark.parametrize("surface", [{"density": 600}, {"kind": "texture"}])
+def test_defocus_widens_what_is_seen_and_keeps_its_light(surface):
+    scene = small(light=QUIET, surface=surface)
+    sharp = Tank(scene).render(0)["cam1"].astype(float)
+    soft = Tank(scene.with_(faults={"cam1": {"defocus": 2.0}})).render(0)["cam1"].astype(float)
+    assert soft.mean() == pytest.approx(sharp.mean(), rel=0.02)
+    assert soft.std() < 0.7 * sharp.std()
+    inner = np.s_[10:-10, 10:-10]
+    assert soft[inner] == pytest.approx(gaussian_filter(sharp, 2.0)[inner], abs=0.02 * np.ptp(sharp))

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavefield.tank import Sea, spectrum
+from wavefield.tank import Scene, Sea, spectrum
 from wavefield.water import GAMMA, dispersion
 
 DEEP = 10.0
@@ -186,3 +186,13 @@ def test_spreading_sends_the_waves_where_it_says():
 def test_unknown_field_is_named():
     with pytest.raises(ValueError, match="pressure"):
         random_sea().at(0.0, 0.0, 0.0, ("pressure",))
+
+
+def test_added_waves_come_on_top_of_the_sea():
+    wave = {"wavelength": 0.2, "amplitude": 0.001, "direction": 90.0, "phase": 30.0}
+    scene = Scene.load("demo").with_(sea={"shortest": 0.3})
+    plain, more = scene.build_sea(), scene.with_(sea={"added": [wave]}).build_sea()
+    x, y = np.array([0.0, 0.1]), np.array([0.02, 0.05])
+    k, t = 2 * np.pi / 0.2, 0.3
+    expected = 0.001 * np.cos(k * y - dispersion(k, 0.7) * t + np.radians(30.0))
+    assert more.at(x, y, t)["z"] - plain.at(x, y, t)["z"] == pytest.approx(expected, abs=1e-9)

@@ -3,7 +3,7 @@
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from wavefield.rig import Rig
 from wavefield.tank import rigs, spectrum
@@ -16,10 +16,31 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Limits = tuple[float, float]
 
 
+def _rising(limits: Limits) -> Limits:
+    if limits[1] < limits[0]:
+        raise ValueError("the smaller value comes first")
+    return limits
+
+
 class Part(BaseModel):
     """A part whose settings are checked and cannot change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
+
+
+class AddedWave(Part):
+    """A wave added to a sea, for instance to see what is left of it after the measurement."""
+
+    amplitude: Positive = Field(description="m")
+    wavelength: Positive = Field(description="m")
+    direction: float = Field(default=0.0, description="where it goes, degrees anticlockwise from +x")
+    phase: float = Field(default=0.0, description="degrees")
+
+    @property
+    def vector(self) -> tuple[float, float]:
+        """Wave vector, rad/m."""
+        k, angle = 2 * np.pi / self.wavelength, np.radians(self.direction)
+        return float(k * np.cos(angle)), float(k * np.sin(angle))
 
 
 class _Water(Part):
@@ -29,7 +50,12 @@ class _Water(Part):
         default=(0.0, 0.0), description="velocity of the water as a whole, m/s"
     )
 
+    added: tuple[AddedWave, ...] = Field(default=(), description="free waves besides")
+
     def _sea(self, kx: Any, ky: Any, amplitude: Any, bound: int) -> Sea:
+        for wave in self.added:
+            (x, y), height = wave.vector, wave.amplitude * np.exp(1j * np.radians(wave.phase))
+            kx, ky, amplitude = np.append(kx, x), np.append(ky, y), np.append(amplitude, height)
         return Sea(kx, ky, amplitude, self.depth, self.surface_tension, self.current, bound)
 
 
@@ -160,7 +186,9 @@ class Beads(Part):
     one_camera: Share = Field(default=0.0, description="share of beads that only one camera sees")
     clustered: Share = Field(default=0.0, description="share of beads in groups of six within 8 mm")
     holes: Annotated[int, Field(ge=0)] = Field(default=0, description="number of round places without beads")
-    hole_diameter: Positive = Field(default=0.10, description="m")
+    hole_diameter: Positive | Annotated[tuple[Positive, Positive], AfterValidator(_rising)] = Field(
+        default=0.10, description="m; two values: drawn evenly between them"
+    )
     renewal: Share = Field(default=0.005, description="share of beads laid anew per second")
 
 
@@ -187,6 +215,20 @@ class Light(Part):
     read_noise: NotNegative = Field(default=1.2, description="grey levels of 255")
     shot_noise: NotNegative = Field(default=0.04, description="variance per grey level, grey levels of 255")
     bits: Literal[8, 16] = 8
+
+
+class Fault(Part):
+    """What goes wrong with a camera while it records; its target images are right."""
+
+    mirrored: bool = Field(default=False, description="columns in reverse order")
+    shows: str | None = Field(default=None, description="the camera whose images come under its name")
+    late: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="frames behind the others; at the start it repeats its first image"
+    )
+    shift: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="columns and rows by which its picture has moved, px"
+    )
+    defocus: NotNegative = Field(default=0.0, description="standard deviation added to the blur, px")
 
 
 class Strings(Part):

@@ -15,6 +15,7 @@ from wavefield.rig.field import common_field
 from wavefield.tank.parts import (
     Beads,
     Calibration,
+    Fault,
     Light,
     PaperRig,
     Part,
@@ -68,6 +69,7 @@ class Scene(Part):
         Annotated[Beads, Tag("beads")] | Annotated[Texture, Tag("texture")], Discriminator(_kind_of_surface)
     ] = Beads()
     light: Light = Light()
+    faults: dict[str, Fault] = Field(default_factory=dict, description="camera: what goes wrong with it")
     calibration: Calibration = Calibration()
     probes: Probes = Probes()
 
@@ -79,10 +81,15 @@ class Scene(Part):
 
     @model_validator(mode="after")
     def _cameras_known(self) -> "Scene":
-        if isinstance(self.rig, PaperRig):
-            unknown = set(self.light.gain) - {"cam1", "cam2", "cam3"}
-            if unknown:
-                raise ValueError(f"light.gain names {sorted(unknown)[0]!r}, which is no camera of the rig")
+        shown = {fault.shows for fault in self.faults.values() if fault.shows is not None}
+        for setting, named in (
+            ("light.gain", set(self.light.gain)),
+            ("faults", set(self.faults)),
+            ("shows", shown),
+        ):
+            unknown = named - {"cam1", "cam2", "cam3"}
+            if unknown and isinstance(self.rig, PaperRig):
+                raise ValueError(f"{setting} names {sorted(unknown)[0]!r}, which is no camera of the rig")
         return self
 
     @classmethod

@@ -1,11 +1,13 @@
 """A tank: the sea, the cameras and the beads of a scene, and the images that the cameras take."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
+from scipy.ndimage import gaussian_filter
 
 from wavefield.rig import Camera, Rig
 from wavefield.tank import beads as floating
@@ -16,6 +18,8 @@ from wavefield.tank.sea import Sea
 from wavefield.tank.truth import Truth, truth
 
 Array = NDArray[np.float64]
+
+_SOUND = parts.Fault()
 
 
 class Tank:
@@ -64,7 +68,8 @@ class Tank:
             rng.uniform(0.9 * lo + 0.1 * hi, 0.1 * lo + 0.9 * hi, number)
             for lo, hi in (self.scene.grid.x, self.scene.grid.y)
         ]
-        holes = np.stack([*places, np.full(number, settings.hole_diameter)], axis=1)
+        low, high = np.broadcast_to(np.array(settings.hole_diameter), 2)
+        holes = np.stack([*places, rng.uniform(low, high, number)], axis=1)
         return floating.Population(
             self.basin,
             self.x,
@@ -142,9 +147,16 @@ class Tank:
         -------
         dict of str to ndarray, (row, column), uint8 or uint16
         """
-        if isinstance(self.scene.surface, parts.Beads):
-            return self.photograph(self.population.frame(frame), frame, cameras)
-        return self._painted(frame, cameras)
+        out = {}
+        for name in self.rig if cameras is None else cameras:
+            fault = self.scene.faults.get(name, _SOUND)
+            taken, source = max(frame - fault.late, 0), fault.shows or name
+            if isinstance(self.scene.surface, parts.Beads):
+                image = self._beads(self.population.frame(taken), taken, source, fault)
+            else:
+                image = self._painted(taken, source, fault)
+            out[name] = np.ascontiguousarray(image[:, ::-1]) if fault.mirrored else image
+        return out
 
     def photograph(
         self, beads: floating.Beads, frame: int, cameras: Iterable[str] | None = None
@@ -164,18 +176,20 @@ class Tank:
         -------
         dict of str to ndarray, (row, column), uint8 or uint16
         """
-        settings = self.scene.surface
+        return {
+            name: self._beads(beads, frame, name, _SOUND)
+            for name in (self.rig if cameras is None else cameras)
+        }
+
+    def _beads(self, beads: floating.Beads, frame: int, name: str, fault: parts.Fault) -> NDArray:
+        settings, camera = self.scene.surface, _shifted(self.rig[name], fault.shift)
         assert isinstance(settings, parts.Beads)
-        out = {}
-        for name in self.rig if cameras is None else cameras:
-            camera, number = self.rig[name], list(self.rig).index(name)
-            X, Y = camera.project(beads.x, beads.y, beads.z)
-            sigma = self.spot_width(camera)
-            image = np.zeros(camera.size[::-1], np.float32)
-            flux = settings.brightness * 2 * np.pi * sigma**2 * beads.brightness[number]
-            sensor.splat(image, X, Y, flux, sigma)
-            out[name] = self._expose(image, name, frame)
-        return out
+        X, Y = camera.project(beads.x, beads.y, beads.z)
+        sharp = self.spot_width(self.rig[name])
+        image = np.zeros(camera.size[::-1], np.float32)
+        flux = settings.brightness * 2 * np.pi * sharp**2 * beads.brightness[list(self.rig).index(name)]
+        sensor.splat(image, X, Y, flux, float(np.hypot(sharp, fault.defocus)))
+        return self._expose(image, name, frame)
 
     @cached_property
     def target_poses(self) -> dict[str, targets.Pose]:
@@ -214,18 +228,17 @@ class Tank:
         )
         return self._expose(image, camera, -1 - list(self.target_poses).index(name))
 
-    def _painted(self, frame: int, cameras: Iterable[str] | None) -> dict[str, NDArray]:
+    def _painted(self, frame: int, name: str, fault: parts.Fault) -> NDArray:
         settings = self.scene.surface
         assert isinstance(settings, parts.Texture)
         snapshot = self.basin.snapshot(self.time(frame), ("z",))
-        out = {}
-        for name in self.rig if cameras is None else cameras:
-            x, y = texture.cast(self.rig[name], snapshot)
-            if settings.carried and frame:
-                x, y = self._origin(x, y, frame)
-            image = settings.mean + settings.contrast * self._paint(x, y)
-            out[name] = self._expose(image, name, frame)
-        return out
+        x, y = texture.cast(_shifted(self.rig[name], fault.shift), snapshot)
+        if settings.carried and frame:
+            x, y = self._origin(x, y, frame)
+        image = settings.mean + settings.contrast * self._paint(x, y)
+        if fault.defocus:
+            image = gaussian_filter(image, fault.defocus, mode="nearest")
+        return self._expose(image, name, frame)
 
     def _origin(self, x: Array, y: Array, frame: int) -> tuple[Array, Array]:
         """Where the water now at (x, y) was at the first frame: followed backwards from a lattice."""
@@ -245,6 +258,11 @@ class Tank:
         factor = light.gain.get(name, 1.0) * max(0.05, 1.0 + light.flicker * rng.standard_normal())
         image = (image + np.float32(light.background)) * (self._light[name] * np.float32(factor))
         return sensor.expose(image, light.read_noise, light.shot_noise, light.bits, rng)
+
+
+def _shifted(camera: Camera, shift: tuple[float, float]) -> Camera:
+    """A camera whose whole picture has moved by columns and rows, px."""
+    return replace(camera, cx=camera.cx + shift[0], cy=camera.cy + shift[1]) if any(shift) else camera
 
 
 def render(scene: Scene, frame: int) -> dict[str, NDArray]:

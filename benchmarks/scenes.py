@@ -1,0 +1,139 @@
+"""The simulated scenes that the measurement is judged on, with the exact answer for every step.
+
+Half size: the middle half of every sensor at full resolution (512 x 512, 512 x 512, 1216 x 864 px), 0.9 x 0.7
+m. Full size: the paper's cameras, 2 x 1.5 m. 1 px = 1.8 mm.
+"""
+
+import getpass
+import hashlib
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+import wavefield
+from wavefield.calibration import Target, calibrate, find_target
+from wavefield.grid import Grid
+from wavefield.measurement import Plan, Settings, measure
+from wavefield.rig import Rig
+from wavefield.tank import Scene, Tank
+
+cv2.setNumThreads(1)
+
+PIXEL = 1.8e-3
+MARGIN = 0.04  # nodes nearer to the edge of the common view are not judged, metres
+FRAMES = 6  # drawn of each scene: three steps with a frame before and after
+SEEDS = (71, 72, 73)
+HALF = {"rig": {"crop": 0.5}, "grid": {"x": (-0.45, 0.45), "y": (-0.35, 0.35), "step": 0.01}}
+FULL = {"rig": {"scale": 1.0}, "grid": {"x": (-1.0, 1.0), "y": (-0.75, 0.75), "step": 0.01}}
+BRIGHT = {"brightness": 110.0}
+SMALL_TARGET = {"kind": "strings", "mesh": 0.05, "origin_disc": 0.022, "x_disc": 0.014, "half": 14}
+
+Fields = Mapping[str, NDArray[Any]]
+
+# name: (the tank's preset, what differs)
+SCENES: dict[str, tuple[str, dict[str, Any]]] = {
+    "random": ("full", {}),
+    "light": ("full", {"light": {"gain": {"cam1": 0.4, "cam2": 2.0}, "flicker": 0.3}}),
+    "steep": ("steep", {"surface": BRIGHT}),
+    "low_light": ("low_light", {}),
+    "gaps": ("gaps", {}),
+    "rest": ("rest", {"surface": BRIGHT}),
+    "texture": ("texture", {"surface": {"carried": True}}),
+    "noisy": ("noisy", {"surface": BRIGHT}),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """Frames of a record with the exact answer: ``truth`` per step, from the second frame on."""
+
+    rig: Rig
+    grid: Grid
+    frame_rate: float
+    frames: Mapping[str, Sequence[NDArray[Any] | None]]
+    truth: Sequence[Fields]
+
+
+def scene(name: str, seed: int, full: bool = False, **changes: Any) -> Scene:
+    """A scene that is judged; ``changes`` as for `Scene.with_`."""
+    preset, own = SCENES[name]
+    made = Scene.load(preset).with_(frames=FRAMES, seed=seed, **(FULL if full else HALF)).with_(**own)
+    return made.with_(**changes)
+
+
+def draw(described: Scene, rig: Rig) -> Case:
+    """The frames of a scene and the truth of all its steps but the first and the last."""
+    tank = Tank(described)
+    images = [tank.render(k) for k in range(described.frames)]
+    frames = {name: [image[name] for image in images] for name in rig}
+    return Case(rig, described.grid, described.frame_rate, frames, truths(tank))
+
+
+def truths(tank: Tank) -> list[Fields]:
+    """z, z_t (m, m/s), u, v, w (m/s), each (ny, nx), of the steps that have a frame before and after."""
+    found = []
+    for step in range(1, tank.scene.frames - 2):
+        exact = vars(tank.truth(step))
+        moved = {"w_chord": exact["dz"] * tank.scene.frame_rate}
+        found.append({k: exact[k] for k in ("z", "z_t", "u", "v", "w", "z_start", "z_end")} | moved)
+    return found
+
+
+@cache
+def calibrated(full: bool) -> Rig:
+    """The cameras as calibrated from simulated images of the target; kept for the next run of this code."""
+    path = kept("full.yaml" if full else "half.yaml")
+    if not path.exists():
+        _calibrate(full).save(path)
+    return Rig.load(path)
+
+
+def kept(name: str) -> Path:
+    """A file for what takes long and depends on calibration, rig and tank alone: of this very code."""
+    rooms = [Path(wavefield.__file__).parent / room for room in ("calibration", "rig", "tank")]
+    files = sorted(p for room in rooms for p in room.rglob("*") if p.suffix in (".py", ".yaml"))
+    code = hashlib.sha256(b"".join(p.read_bytes() for p in [Path(__file__), *files])).hexdigest()[:16]
+    folder = Path(tempfile.gettempdir()) / f"wavefield-benchmarks-{getpass.getuser()}" / code
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder / name
+
+
+def _calibrate(full: bool) -> Rig:
+    target = {} if full else {"calibration": {"target": SMALL_TARGET}}
+    tank = Tank(scene("random", 5, full, **target))
+    mesh = tank.scene.calibration.target.mesh
+    wanted = Target.from_dict(
+        {"kind": "strings", "mesh": mesh, "origin_mark": "disc", "x_mark": "small disc"}
+    )
+    views = {
+        camera: {pose: find_target(tank.target_image(pose, camera), wanted) for pose in tank.target_poses}
+        for camera in tank.rig
+    }
+    result = calibrate(views, wanted)
+    if not result.usable:
+        raise SystemExit(f"calibration is not usable: {result.problems}")
+    return result.rig
+
+
+def reconstruct(case: Case, settings: Settings) -> dict[str, NDArray[Any]]:
+    """The cube of a case, every step that has a frame before and after; fields (steps, ny, nx)."""
+    return measure(case.frames, Plan(case.rig, case.grid, settings), case.frame_rate)
+
+
+def inside(case: Case, z: NDArray[Any], margin: float = MARGIN) -> NDArray[np.bool_]:
+    """Nodes at least ``margin`` inside the edge of the common view, (ny, nx)."""
+    step, n = case.grid.step, int(np.ceil(margin / case.grid.step)) + 2
+    x, y = (
+        nodes[0] + step * np.arange(-n, nodes.size + n) for nodes in (case.grid.x_nodes, case.grid.y_nodes)
+    )
+    wide = np.pad(z, n, mode="edge")
+    seen = np.all([camera.sees(*np.meshgrid(x, y), wide) for camera in case.rig.cameras.values()], axis=0)
+    distance = cv2.distanceTransform(np.pad(seen, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    return np.asarray((distance * step > margin)[n:-n, n:-n])
