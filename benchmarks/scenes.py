@@ -30,8 +30,8 @@ PIXEL = 1.8e-3
 MARGIN = 0.04  # nodes nearer to the edge of the common view are not judged, metres
 FRAMES = 6  # drawn of each scene: three steps with a frame before and after
 SEEDS = (71, 72, 73)
-HALF = {"rig": {"crop": 0.5}, "grid": {"x": (-0.45, 0.45), "y": (-0.35, 0.35), "step": 0.01}}
-FULL = {"rig": {"scale": 1.0}, "grid": {"x": (-1.0, 1.0), "y": (-0.75, 0.75), "step": 0.01}}
+HALF = {"rig": {"scale": 1.0, "crop": 0.5}, "grid": {"x": (-0.45, 0.45), "y": (-0.35, 0.35), "step": 0.01}}
+FULL = {"rig": {"scale": 1.0, "crop": 1.0}, "grid": {"x": (-1.0, 1.0), "y": (-0.75, 0.75), "step": 0.01}}
 BRIGHT = {"brightness": 110.0}
 SMALL_TARGET = {"kind": "strings", "mesh": 0.05, "origin_disc": 0.022, "x_disc": 0.014, "half": 14}
 
