@@ -24,7 +24,7 @@ from test_rig_camera import project_in_50_digits
 
 from wavefield.rig import common_field
 from wavefield.rig.epipolar import epipolar_distance
-from wavefield.rig.formats import load_rig, opencv_distortion, save_uvmat
+from wavefield.rig.formats import load_rig, save_uvmat
 from wavefield.rig.stereo import jacobians, solve_displacement, triangulate_pair, triangulate_pairs
 from wavefield.tank.rigs import paper_rig
 
@@ -54,7 +54,7 @@ def exactness():
         camera = random_camera(seed, "skew")
         x, y, z = field(seed)
         K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
-        turn, D = cv2.Rodrigues(camera.R)[0], opencv_distortion(camera)
+        turn, D = cv2.Rodrigues(camera.R)[0], camera.D
         ref = cv2.projectPoints(np.stack([x, y, z], -1), turn, camera.T, K, D)[0][:, 0]
         worst = max(worst, np.abs(np.stack(camera.project(x, y, z), -1) - ref).max())
         camera = random_camera(seed)

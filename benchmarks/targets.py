@@ -28,7 +28,7 @@ from rendering import (
     string_truth,
 )
 
-from wavefield.calibration.target import Target, find_target
+from wavefield.calibration import Target, find_target
 from wavefield.errors import CalibrationError
 from wavefield.images import read_image
 

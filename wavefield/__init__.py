@@ -13,6 +13,7 @@ except PackageNotFoundError:  # run from a source tree that is not installed
 _PUBLIC = {
     "Camera": "wavefield.rig",
     "Rig": "wavefield.rig",
+    "load_rig": "wavefield.rig.formats",
     "Grid": "wavefield.grid",
     "Experiment": "wavefield.series",
     "Settings": "wavefield.measurement",

@@ -9,6 +9,7 @@ from wavefield.calibration import Target, calibrate
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.rest import sight_points
 from wavefield.errors import CalibrationError
+from wavefield.report.calibration import write_calibration
 from wavefield.rig import Camera, Rig
 from wavefield.rig.level import level
 from wavefield.tank.rigs import paper_rig
@@ -302,7 +303,7 @@ def test_a_plain_lens_gets_a_plain_model():
 
 def test_report_holds_pictures_and_numbers(good, tmp_path):
     found = calibrate(good, MESH, model=FAST)
-    page = found.write_report(tmp_path / "report")
+    page = write_calibration(found, tmp_path / "report")
     text = page.read_text()
     for name in ("rig", "coverage", "flat_target", "residuals_cam1", "residuals_cam2", "residuals_cam3"):
         assert (tmp_path / "report" / f"{name}.png").stat().st_size > 5000
@@ -316,6 +317,6 @@ def test_report_holds_pictures_and_numbers(good, tmp_path):
 
 
 def test_report_of_a_failure_says_what_to_do(tmp_path):
-    page = calibrate({}, MESH).write_report(tmp_path)
+    page = write_calibration(calibrate({}, MESH), tmp_path)
     assert "no views of the target" in page.read_text()
     assert yaml.safe_load((tmp_path / "numbers.yaml").read_text())["usable"] is False

@@ -199,8 +199,8 @@ def test_demo_gives_the_commands_of_the_readme_and_stops_where_one_fails(monkeyp
 
 
 def test_poses_are_named_alike_in_all_cameras(tmp_path):
-    from wavefield.commands.targets import find_views
     from wavefield.series import Experiment
+    from wavefield.series.targets import find_views
 
     for camera in ("left", "right"):
         for pose in (1, 2):

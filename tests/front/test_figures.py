@@ -122,6 +122,7 @@ def test_rig_is_drawn_with_its_cameras():
 
 def test_pairs_of_cameras_are_compared_in_pixels():
     from wavefield.measurement import Diagnosis
+    from wavefield.report.pair_pictures import pair_differences, pair_misfits
 
     field = 1e-3 * np.random.default_rng(3).standard_normal((8, 9))
     pairs = ("3", "1"), ("3", "2"), ("1", "2")
@@ -135,10 +136,10 @@ def test_pairs_of_cameras_are_compared_in_pixels():
         moved={pair: np.stack([values, 2 * values, 3 * values]) for pair, values in z.items()},
         eps_piv={pair: np.abs(field) for pair in (*pairs, ("1", "2", "3"))},
     )
-    text = labels(figures.pair_misfits(found))
+    text = labels(pair_misfits(found))
     assert f"3-1, rms {1e3 * _rms(field):.2g} mm" in text
     assert "1-2-3, rms" in text
-    text = labels(figures.pair_differences(found))
+    text = labels(pair_differences(found))
     for name, scale in (
         ("3-1 minus 3-2", 0.02),
         ("3-2 minus 1-2", 0.04),
@@ -155,6 +156,7 @@ def _rms(values):
 
 def test_found_nodes_are_drawn_in_pixels_and_on_the_plane():
     from wavefield.calibration import TargetPoints
+    from wavefield.report.targets import target_points
 
     rig = paper_rig(0.2)
     node = np.array([[i, j] for i in range(-2, 3) for j in range(-2, 3)])
@@ -165,7 +167,7 @@ def test_found_nodes_are_drawn_in_pixels_and_on_the_plane():
         for name in rig
     }
     images = {name: np.zeros(rig[name].size[::-1], "uint8") for name in rig}
-    figure = figures.target_points(images, points, rig, 0.1)
+    figure = target_points(images, points, rig, 0.1)
     assert "cam2: 25 nodes" in labels(figure)
     flat = next(ax for ax in figure.axes if ax.get_title() == "cam2, at z = 0")
     np.testing.assert_allclose(flat.lines[0].get_xydata(), 0.1 * node, atol=1e-9)

@@ -71,7 +71,7 @@ def test_what_is_no_rig_is_told_in_one_line(tmp_path, text):
     path = tmp_path / "odd.xml"
     path.write_text(text)
     with pytest.raises(RigError, match=r"odd\.xml") as error:
-        Rig.load(path)
+        load_rig(path)
     assert "\n" not in str(error.value)
 
 
@@ -96,7 +96,7 @@ def test_uvmat_there_and_back(tmp_path, shared):
     size = (2560, 2160)
     first = load_rig(uvmat(shared), sizes={"PCO_top": size})["PCO_top"]
     save_uvmat(first, tmp_path / "PCO_top.xml")
-    second = Rig.load(tmp_path / "PCO_top.xml", sizes={"PCO_top": size})["PCO_top"]
+    second = load_rig(tmp_path / "PCO_top.xml", sizes={"PCO_top": size})["PCO_top"]
     same(first, second)
     save_uvmat(second, tmp_path / "mm.xml", unit="mm")
     same(first, load_rig(tmp_path / "mm.xml", sizes={"cam1": size}, names=["cam1"])["cam1"])
@@ -117,7 +117,7 @@ def test_uvmat_points_fall_where_uvmat_says(shared):
 
 def test_uvmat_needs_the_image_size(shared):
     with pytest.raises(RigError, match="image size"):
-        Rig.load(uvmat(shared))
+        load_rig(uvmat(shared))
 
 
 def test_one_uvmat_file_per_camera(tmp_path):
@@ -200,7 +200,7 @@ def test_terms_the_other_program_lacks_are_refused(tmp_path, save):
 def test_opencv_there_and_back(tmp_path, ending):
     rig = two()
     save_opencv(rig, tmp_path / f"rig.{ending}")
-    back = Rig.load(tmp_path / f"rig.{ending}")
+    back = load_rig(tmp_path / f"rig.{ending}")
     for name in rig:
         same(rig[name], back[name], 1e-13)
 
@@ -220,7 +220,7 @@ def test_opencv_stereo_files_own_poses(tmp_path):
 
 
 def test_opencv_intrinsics_file(shared):
-    rig = Rig.load(shared / "data" / "stereo_chessboard" / "left_intrinsics.yml")
+    rig = load_rig(shared / "data" / "stereo_chessboard" / "left_intrinsics.yml")
     camera = rig["cam1"]
     assert camera.fx == pytest.approx(535.91573396163199)
     assert camera.size == (640, 480)
@@ -240,12 +240,12 @@ def test_opencv_lens_models_that_are_not_ours_are_refused(tmp_path):
     storage.write("image_height", 10)
     storage.release()
     with pytest.raises(RigError, match="CALIB_RATIONAL_MODEL"):
-        Rig.load(tmp_path / "rational.yml")
+        load_rig(tmp_path / "rational.yml")
 
 
 def test_opencv_second_camera_without_a_pose_is_refused(shared):
     with pytest.raises(RigError, match="image size"):
-        Rig.load(shared / "data" / "stereo_chessboard" / "intrinsics.yml")
+        load_rig(shared / "data" / "stereo_chessboard" / "intrinsics.yml")
     sizes = {"cam1": (640, 480), "cam2": (640, 480)}
     with pytest.raises(RigError, match="no pose"):
-        Rig.load(shared / "data" / "stereo_chessboard" / "intrinsics.yml", sizes=sizes)
+        load_rig(shared / "data" / "stereo_chessboard" / "intrinsics.yml", sizes=sizes)

@@ -5,13 +5,14 @@ import yaml
 
 from wavefield.errors import ExperimentError
 from wavefield.tank import Scene, Tank
+from wavefield.tank.plan import summary
 
 
 @pytest.mark.parametrize("name", sorted(Scene.presets()))
 def test_presets_load_and_say_what_to_expect(name):
     scene = Scene.load(name)
     assert scene.name == name
-    expected = scene.summary()
+    expected = summary(scene)
     assert expected["coverage"] > 0.97
     assert 1.0 < max(max(c["mm_per_px"]) for c in expected["cameras"].values()) < 5
     if scene.surface.kind == "beads":
@@ -19,7 +20,7 @@ def test_presets_load_and_say_what_to_expect(name):
 
 
 def test_demo_has_the_paper_s_pixels_on_a_smaller_field():
-    demo, full = Scene.load("demo").summary(), Scene.load("full").summary()
+    demo, full = summary(Scene.load("demo")), summary(Scene.load("full"))
     for name in full["cameras"]:
         assert demo["cameras"][name]["mm_per_px"] == full["cameras"][name]["mm_per_px"]
     assert demo["pairs"]["cam1-cam3"]["parallax"] == pytest.approx(

@@ -7,11 +7,11 @@ from wavefield.calibration.points import TargetPoints
 
 # public name -> where it lives; imported on first use
 _PUBLIC = {
-    "Calibration": "wavefield.calibration.solve",
+    "Calibration": "wavefield.calibration.result",
     "Target": "wavefield.calibration.target",
     "calibrate": "wavefield.calibration.solve",
     "check_rig": "wavefield.calibration.rest",
-    "find_target": "wavefield.calibration.target",
+    "find_target": "wavefield.calibration.find",
     "refine": "wavefield.calibration.rest",
     "refine_and_level": "wavefield.calibration.rest",
 }

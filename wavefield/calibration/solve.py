@@ -1,9 +1,8 @@
 """From target points to a rig: the whole way, with everything that can be wrong told in a sentence."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from wavefield.calibration.model_choice import MODELS, Choice, choose, terms_of
 from wavefield.calibration.observations import LENS, Geometry, Observations, collect
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.rest import covariance_to_dict
+from wavefield.calibration.result import Calibration
 from wavefield.calibration.start import FEWEST_NODES, Alone, calibrate_alone, mean_rotation
 from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
@@ -26,74 +26,6 @@ from wavefield.robust import robust_std
 Views = Mapping[str, Mapping[str, TargetPoints]]
 
 SPREAD = 10.0  # degrees between views of the target, below which the focal length is a guess
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """A rig and how far it can be trusted.
-
-    Parameters
-    ----------
-    rig : Rig
-        The cameras; empty if none could be solved for.
-    usable : bool
-        Whether measurements may be made with it.
-    problems : tuple of str
-        Why not, and what to photograph again.
-    notes : tuple of str
-        What was left out, and what a person should know.
-    model : str
-        The camera model, a name of `wavefield.calibration.model_choice.MODELS`.
-    models : tuple of Choice
-        The models that were compared.
-    observations : Observations, optional
-        What the fit used.
-    fit : Fit, optional
-        The joint fit.
-    derived : Derived, optional
-        What the uncertainty of the parameters means for pixels and for z.
-    left_out : dict of str to int
-        Points left out per view ("camera pose"), all of them where the view is.
-    target_std : float
-        Stated uncertainty of the target's nodes per axis, metres.
-    reference : str
-        The view that defines z = 0 and the axes.
-    """
-
-    rig: Rig
-    usable: bool
-    problems: tuple[str, ...]
-    notes: tuple[str, ...] = ()
-    model: str = ""
-    models: tuple[Choice, ...] = ()
-    observations: Observations | None = None
-    fit: Fit | None = None
-    derived: Derived | None = None
-    left_out: Mapping[str, int] = field(default_factory=dict)
-    target_std: float = 0.0
-    reference: str = ""
-
-    @property
-    def node_offsets(self) -> Array:
-        """How far each of ``observations.nodes`` was found from its place on the target, (N, 3), metres."""
-        return np.zeros((0, 3)) if self.fit is None else self.fit.geometry.offset
-
-    def write_report(self, directory: str | Path) -> Path:
-        """Write pictures, numbers and a page that shows them.
-
-        Parameters
-        ----------
-        directory : path
-            Made if it is not there.
-
-        Returns
-        -------
-        Path
-            The page, ``index.html``.
-        """
-        from wavefield.calibration.report import write_report  # pictures are needed only here
-
-        return write_report(self, Path(directory))
 
 
 def calibrate(  # noqa: C901

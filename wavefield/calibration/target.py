@@ -1,13 +1,9 @@
-"""What a calibration target is, and finding it in an image whatever its kind."""
+"""What a calibration target is."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from wavefield.calibration.points import TargetPoints
 from wavefield.errors import CalibrationError
 
 KINDS = ("strings", "chessboard", "dots", "charuco")
@@ -146,59 +142,3 @@ def _length(name: str, value: Any) -> float:
             f"target {name} {value!r} must be a positive length in metres, for example 0.10"
         )
     return length
-
-
-def find_target(image: NDArray[Any], target: Target) -> TargetPoints:
-    """Find the nodes of a calibration target in one image.
-
-    Parameters
-    ----------
-    image : ndarray, (row, column), any real dtype
-        The image; bright where the strings are white.
-    target : Target
-        What to look for.
-
-    Returns
-    -------
-    TargetPoints
-        Indices of the nodes found, their pixel coordinates and standard uncertainties.
-
-    Raises
-    ------
-    CalibrationError
-        If the image is empty or overexposed, or shows no such target, or a mirrored one, or too little of it.
-    """
-    from wavefield.calibration import patterns, strings
-
-    grey = _check(image)
-    finders = {
-        "strings": strings.find_strings,
-        "chessboard": patterns.find_chessboard,
-        "dots": patterns.find_dots,
-        "charuco": patterns.find_charuco,
-    }
-    try:
-        return finders[target.kind](grey, target)
-    except CalibrationError as error:
-        saturated = float(np.mean(grey >= grey.max()))
-        if saturated > 0.2:
-            raise CalibrationError(
-                f"{error}; {saturated:.0%} of the image is overexposed: photograph it again with less light"
-            ) from None
-        raise
-
-
-def _check(image: NDArray[Any]) -> NDArray[np.float32]:
-    """The image as float32 with its brightest grey at 255, refused when there is nothing to see in it."""
-    image = np.asarray(image)
-    if image.ndim != 2 or min(image.shape) < 32:
-        raise CalibrationError(f"a target image must be one grey image of 32 px or more, not {image.shape}")
-    grey = image.astype(np.float32)
-    if not np.isfinite(grey).all():
-        raise CalibrationError("the image holds values that are not numbers; export it from the camera again")
-    low, high = float(grey.min()), float(grey.max())
-    if high - low < 4.0 / 255.0 * max(abs(high), 1e-12):
-        raise CalibrationError(
-            "the image is empty: all its pixels have one grey; check light, cap and exposure"
-        )
-    return grey * np.float32(255.0 / high)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -46,14 +47,20 @@ def check(
     if found.problems:
         context.exit(1)
     from wavefield.calibration.rest import check_rig
-    from wavefield.commands.matches import matched_pixels, spread
     from wavefield.cubes.processing import prepare
+    from wavefield.measurement.tie_points import matched_pixels, spread
 
     prepared = prepare(experiment, rig, workflow)
     frames = spread(len(next(iter(prepared.series.values()))), 3)
-    click.echo(f"  rig: {check_rig(prepared.rig, matched_pixels(prepared, frames)).sentence}")
+    click.echo(
+        f"  rig: {check_rig(prepared.rig, matched_pixels(_reader(prepared), frames, prepared.plan)).sentence}"
+    )
     if pairs:
         click.echo(_pairs_table(prepared))
+
+
+def _reader(prepared: Prepared) -> Callable[[str, int], Any]:
+    return lambda camera, frame: prepared.series[camera].read(frame).image
 
 
 def _probes_line(path: Path) -> str:
@@ -76,12 +83,13 @@ def _probes_line(path: Path) -> str:
 
 def _pairs_table(prepared: Prepared) -> str:
     """What `diagnose` finds around the middle of the record, a line per error."""
-    from wavefield.report.pairs import diagnose_around
+    from wavefield.measurement.diagnostics import diagnose_around
     from wavefield.rig.resolution import pixel_size
 
     pixel = pixel_size(prepared.rig, prepared.grid)
     middle = len(next(iter(prepared.series.values()))) // 2
-    found = diagnose_around(prepared.series, prepared.plan, middle, pixel)
+    steps = min(len(prepared.series[name]) for name in prepared.plan.cameras) - 1
+    found = diagnose_around(_reader(prepared), steps, prepared.plan, middle, pixel)
     if found is None:
         return "  pairs: no step around the middle of the record has a usable frame of every camera"
     lines = [f"  pairs, {len(next(iter(found.z.values())))} steps, rms; 1 px is {1e3 * pixel:.2g} mm"]
@@ -110,7 +118,9 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None) -> 
     cameras together, and writes the rig and a report with pictures. When the rig cannot be trusted the
     exit status is 1 and the report says what to photograph again.
     """
-    from wavefield.commands.targets import calibrate_experiment, draw_found
+    from wavefield.calibration.images import calibrate_experiment
+    from wavefield.report.calibration import write_calibration
+    from wavefield.report.targets import draw_found
     from wavefield.series import Experiment
 
     loaded = Experiment.load(experiment)
@@ -118,7 +128,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None) -> 
         result = calibrate_experiment(loaded, progress)
     calibration = result.calibration
     output = output or loaded.resolve(loaded.rig if isinstance(loaded.rig, str) else "rig.yaml")
-    page = calibration.write_report(output.with_name(f"{output.stem}_report"))
+    page = write_calibration(calibration, output.with_name(f"{output.stem}_report"))
     draw_found(result, page.parent / "target.png")
     for note in (*result.notes, *calibration.notes):
         click.echo(f"note: {note}")
@@ -155,13 +165,13 @@ def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> Non
     turns it back so that sight lines meet, brings z = 0 to the water's plane, and writes the new rig.
     """
     from wavefield.calibration.rest import refine_and_level
-    from wavefield.commands.matches import matched_pixels, spread
     from wavefield.cubes.processing import prepare
+    from wavefield.measurement.tie_points import matched_pixels, spread
 
     prepared = prepare(experiment, rig)
     count = len(next(iter(prepared.series.values())))
     with Progress("Matching the cameras", "frames") as progress:
-        matches = matched_pixels(prepared, spread(count, frames), progress)
+        matches = matched_pixels(_reader(prepared), spread(count, frames), prepared.plan, progress)
     refined, found, plane = refine_and_level(prepared.rig, matches)
     click.echo(found.sentence)
     click.echo(

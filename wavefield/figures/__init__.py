@@ -6,7 +6,6 @@ Each takes plain xarray datasets (a cube, one step of it, a group of a wave stor
 
 from wavefield.figures.distributions import distributions, error_distributions, error_maps
 from wavefield.figures.kinematics import balance_history, coherence_curves, kinematic_terms, kinematics_maps
-from wavefield.figures.pairs import pair_differences, pair_misfits
 from wavefield.figures.quality import (
     coverage_map,
     fault_history,
@@ -27,7 +26,6 @@ from wavefield.figures.spectra import (
     wavevector_map,
 )
 from wavefield.figures.surface import elevation_map, surface_3d, velocity_map
-from wavefield.figures.targets import target_points
 
 __all__ = [
     "balance_history",
@@ -50,12 +48,9 @@ __all__ = [
     "misfit_distributions",
     "misfit_maps",
     "noise_spectra",
-    "pair_differences",
-    "pair_misfits",
     "quality_shares",
     "rig_views",
     "surface_3d",
-    "target_points",
     "uncertainty_maps",
     "velocity_map",
     "wavenumber_spectra",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -18,6 +18,9 @@ from wavefield.measurement.plan import Plan
 from wavefield.variables import Quality
 
 Pair = tuple[str, str]
+
+_STEPS = 3  # measured to compare the pairs of cameras
+_TRIED = 12  # around the one asked for, where frames are missing or bad
 
 
 @dataclass(frozen=True)
@@ -238,3 +241,38 @@ def _nodes(matches: Sequence[stereo.PairMatch], plan: Plan) -> NDArray:
         return np.full(plan.grid.shape, np.nan, np.float32)
     found = stereo.to_nodes(blocks, matches, plan)
     return np.where((found.quality & Quality.MEASURED) > 0, found.z, np.float32(np.nan))
+
+
+def diagnose_around(
+    read: Callable[[str, int], NDArray[Any] | None], steps: int, plan: Plan, middle: int, pixel: float
+) -> Diagnosis | None:
+    """Compare the pairs of cameras on a few steps of a record.
+
+    Parameters
+    ----------
+    read : callable
+        From camera and frame to the image (row, column), or None where it is missing or bad.
+    steps : int
+        Steps of the record.
+    plan : Plan
+        Rig, grid and settings.
+    middle : int
+        Step around which to measure.
+    pixel : float
+        Length that counts as one pixel, metres.
+
+    Returns
+    -------
+    Diagnosis or None
+        Of the three steps nearest to `middle` that can be measured; None if none of the nearest twelve can.
+    """
+    found: list[Diagnosis] = []
+    for step in sorted(range(steps), key=lambda step: abs(step - middle))[:_TRIED]:
+        frames = {name: [read(name, step + k) for k in (0, 1)] for name in plan.cameras}
+        try:
+            found.append(diagnose(frames, plan, pixel))
+        except ValueError:  # a frame is missing or bad
+            continue
+        if len(found) == _STEPS:
+            break
+    return pooled(found) if found else None

@@ -9,8 +9,9 @@ import yaml
 
 from wavefield import figures
 from wavefield.measurement import Plan, Settings
+from wavefield.measurement.diagnostics import diagnose_around
 from wavefield.report.page import Listing, Markup, Picture, Section, Table, Text
-from wavefield.report.pairs import diagnose_around
+from wavefield.report.pair_pictures import pair_differences, pair_misfits
 from wavefield.report.player import MARKUP
 from wavefield.report.sources import Sources
 from wavefield.rig.pairs import pairs_of
@@ -492,7 +493,10 @@ def _pairs(sources: Sources) -> list[Picture | Table]:
     settings = Settings.from_dict(sources.recipe.get("settings", {}))
     plan = Plan(sources.rig, sources.grid, settings)
     pixel = pixel_size(sources.rig, sources.grid)
-    found = diagnose_around(sources.frames, plan, sources.cube.sizes["time"] // 2, pixel)
+    series = sources.frames
+    steps = min(len(series[name]) for name in plan.cameras) - 1
+    middle = sources.cube.sizes["time"] // 2
+    found = diagnose_around(lambda name, frame: series[name].read(frame).image, steps, plan, middle, pixel)
     if found is None:
         return []
     steps = len(next(iter(found.z.values())))
@@ -500,7 +504,7 @@ def _pairs(sources: Sources) -> list[Picture | Table]:
     words = ", ".join(f"{row['name']} {row['px']:.2g} px" for row in rows)
     out: list[Picture | Table] = [
         Picture(
-            figures.pair_misfits(found),
+            pair_misfits(found),
             f"The same for each pair of cameras on its own, over {steps} steps measured again, with the "
             "matches that the run rejects for their eps_y.",
             f"Densities of eps_y and of eps' for each pair. Rms: {words}.",
@@ -509,7 +513,7 @@ def _pairs(sources: Sources) -> list[Picture | Table]:
     if found.difference:
         out.append(
             Picture(
-                figures.pair_differences(found),
+                pair_differences(found),
                 "Differences between what the pairs measure, each on its own (divided by √2 they are errors "
                 "of one pair; paper: 0.3 px), and of z recombined from two pairs from z of the direct one.",
                 "Densities of differences of z, dx, dy, dz; their rms is in the table.",

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wavefield.errors import RigError
+
 Array = NDArray[np.float64]
 
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -99,6 +101,17 @@ class Camera:
     def centre(self) -> Array:
         """Position of the camera's centre in the physical frame, (3,), metres."""
         return -self.R.T @ self.T
+
+    @property
+    def K(self) -> Array:
+        """Camera matrix as OpenCV has it, (3, 3), px."""
+        return np.array([[self.fx, self.skew, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def D(self) -> Array:
+        """Distortion as OpenCV's coefficients, k1 k2 p1 p2 k3, (5,), or with the sensor's tilt, (14,)."""
+        D = np.array([self.k1, self.k2, self.p1, self.p2, self.k3, *[0.0] * 7, self.tau_x, self.tau_y])
+        return D if D[5:].any() else D[:5]
 
     @cached_property
     def _tilt(self) -> Array | None:
@@ -211,7 +224,7 @@ class Camera:
         return (r1 * x + r2 * y + r3 * z + tx) / zc, (r4 * x + r5 * y + r6 * z + ty) / zc, zc
 
     def unproject(self, X: ArrayLike, Y: ArrayLike, z: ArrayLike = 0.0) -> tuple[Array, Array]:
-        """Apparent position of pixels: where their line of sight meets the plane of height z.
+        """Apparent position of pixels: where their sight line meets the plane of height z.
 
         Parameters
         ----------
@@ -223,7 +236,7 @@ class Camera:
         Returns
         -------
         x, y : ndarray
-            Apparent coordinates, metres; NaN where the line of sight does not meet the plane.
+            Apparent coordinates, metres; NaN where the sight line does not meet the plane.
         """
         X, Y = np.broadcast_arrays(np.asarray(X, float), np.asarray(Y, float))
         a, b = self._to_tangents(X, Y)
@@ -237,9 +250,9 @@ class Camera:
             return c[0] + s * dx, c[1] + s * dy
 
     def sight_line(self, x: ArrayLike, y: ArrayLike, z: ArrayLike = 0.0) -> tuple[Array, Array]:
-        """Coefficients D of the line of sight through physical points.
+        """Coefficients D of the sight line through physical points.
 
-        A point at height h on the line of sight through (x, y, z) is at
+        A point at height h on the sight line through (x, y, z) is at
         (x + Dx (h - z), y + Dy (h - z)). Exact for straight rays; equal to the paper's
         ratio of derivatives of F and G with its signs corrected.
 
@@ -368,6 +381,49 @@ class Camera:
         """
         return cls(**data)
 
+    @classmethod
+    def from_opencv(
+        cls, K: ArrayLike, D: ArrayLike | None, rvec: ArrayLike, tvec: ArrayLike, size: tuple[int, int]
+    ) -> "Camera":
+        """A camera from what OpenCV's calibration functions return.
+
+        Parameters
+        ----------
+        K : array_like, (3, 3)
+            Camera matrix, px.
+        D : array_like, (0,), (4,), (5,), (8,), (12,) or (14,), optional
+            Distortion coefficients k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tau_x tau_y]]]].
+        rvec : array_like, (3,) or (3, 3)
+            World to camera, as a rotation vector or matrix.
+        tvec : array_like, (3,)
+            World to camera, metres.
+        size : (width, height)
+            Image, px.
+
+        Returns
+        -------
+        Camera
+
+        Raises
+        ------
+        RigError
+            If the lens model has rational or thin-prism terms, or K, D or rvec are of another shape.
+
+        Examples
+        --------
+        >>> K, D = [[900, 0, 320], [0, 900, 240], [0, 0, 1]], [-0.1, 0.01, 0, 0]
+        >>> camera = Camera.from_opencv(K, D, [3.14159265, 0, 0], [0, 0, 4], (640, 480))
+        >>> camera.k1, float(camera.centre[2])
+        (-0.1, 4.0)
+        """
+        K = np.asarray(K, float)
+        if K.shape != (3, 3) or not np.isfinite(K).all() or not (K[0, 0] > 0 and K[1, 1] > 0):
+            raise RigError("a camera matrix is 3 x 3 with positive focal lengths")
+        turn = np.asarray(rvec, float)
+        R = turn if turn.shape == (3, 3) else rotation_about(turn.reshape(3))
+        K = K / K[2, 2]
+        return cls(*(K[0, 0], K[1, 1], K[0, 2], K[1, 2]), R, tvec, size, skew=K[0, 1], **_terms_of_opencv(D))
+
     def scaled(self, factor: float) -> "Camera":
         """The same camera with images resampled by a factor (0.5: half the pixels along each axis).
 
@@ -393,3 +449,43 @@ class Camera:
 
 
 _OPTIONAL = {"k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew"}
+
+
+def rotation_about(vector: ArrayLike) -> Array:
+    """Rotation matrix of a rotation vector (Rodrigues).
+
+    Parameters
+    ----------
+    vector : array_like, (3,)
+        Axis times angle, radians.
+
+    Returns
+    -------
+    ndarray, (3, 3)
+
+    Examples
+    --------
+    >>> (rotation_about([0, 0, np.pi / 2]) @ [1, 0, 0]).round(12).tolist()
+    [0.0, 1.0, 0.0]
+    """
+    x, y, z = np.asarray(vector, float)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = float(np.sqrt(x * x + y * y + z * z))
+    half = 0.5 * angle
+    # sinc keeps both quotients exact at zero
+    return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(half / np.pi) ** 2 * cross @ cross
+
+
+def _terms_of_opencv(D: ArrayLike | None) -> dict[str, float]:
+    given = np.zeros(0) if D is None else np.ravel(np.asarray(D, float))
+    if given.size not in (0, 4, 5, 8, 12, 14):
+        raise RigError(f"it has {given.size} distortion coefficients; OpenCV's models have 4, 5, 8, 12 or 14")
+    full = np.zeros(14)
+    full[: given.size] = given
+    if np.any(full[5:12] != 0.0):
+        raise RigError(
+            "its lens model has rational or thin-prism terms (k4-k6, s1-s4): "
+            "calibrate again in OpenCV without CALIB_RATIONAL_MODEL and CALIB_THIN_PRISM_MODEL"
+        )
+    keys = ("k1", "k2", "p1", "p2", "k3", *[""] * 7, "tau_x", "tau_y")
+    return {key: float(value) for key, value in zip(keys, full, strict=True) if key}

@@ -16,6 +16,33 @@ from wavefield.whole_files import write_text
 UNITS = {"length": "m", "image": "px", "angle": "rad"}
 
 
+def read_rig_text(path: Path) -> str:
+    """Text of a rig file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    RigError
+        If it is not there or cannot be read.
+    """
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except FileNotFoundError:
+        raise RigError(
+            f"{path}: no such rig file; make one with `wavefield calibrate` or state another program's"
+        ) from None
+    except OSError as error:
+        raise RigError(f"{path} cannot be read: {error.strerror}") from None
+
+
 @dataclass(frozen=True)
 class Rig:
     """Named cameras in one physical frame, with where they come from.
@@ -92,16 +119,13 @@ class Rig:
         write_text(path, text)
 
     @classmethod
-    def load(cls, path: str | Path, sizes: Mapping[str, tuple[int, int]] | None = None) -> "Rig":
-        """Read a rig: this package's YAML, or another program's calibration.
+    def load(cls, path: str | Path) -> "Rig":
+        """Read a rig that `save` wrote; for other programs' files see `wavefield.rig.formats.load_rig`.
 
         Parameters
         ----------
         path : path
-            A file written by `save`, UVMAT's or VIC-3D's XML, or OpenCV's YAML or XML
-            (`wavefield.rig.formats.load_rig` has further settings).
-        sizes : mapping of str to (width, height), optional
-            Image size per camera, px, for programs that do not store it.
+            YAML.
 
         Returns
         -------
@@ -112,9 +136,16 @@ class Rig:
         RigError
             If the file is missing or is not a rig.
         """
-        from wavefield.rig.formats import load_rig  # it builds rigs, so it cannot be imported above
-
-        return load_rig(path, sizes=sizes)
+        path = Path(path)
+        try:
+            data = yaml.safe_load(read_rig_text(path))
+            if not isinstance(data, dict) or not isinstance(data.get("cameras"), dict) or not data["cameras"]:
+                raise RigError("it has no `cameras`")
+            return cls.from_dict(data)
+        except RigError as error:
+            raise RigError(f"{path} is not a usable rig file: {error}") from None
+        except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError) as error:
+            raise RigError(f"{path} is not a rig file: {' '.join(str(error).split())}") from None
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "Rig":

@@ -30,6 +30,11 @@ def summary(scene: Scene) -> dict[str, Any]:
         cameras. ``beads_per_block``: beads per 4 x 4 cm. ``sea``: rms of elevation (m), slope, vertical
         velocity (m/s), and ``motion``, the rms displacement between two frames (mm). ``megabytes``: all
         images.
+
+    Examples
+    --------
+    >>> summary(Scene.load("demo"))["beads_per_block"]
+    17.6
     """
     tank = Tank(scene)
     x, y = np.meshgrid(scene.grid.x_nodes, scene.grid.y_nodes)

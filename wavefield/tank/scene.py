@@ -206,22 +206,6 @@ class Scene(Part):
             data[name] = value
         return type(self).from_dict(data)
 
-    def summary(self) -> dict[str, Any]:
-        """What to expect: resolution, seeding, coverage; see `wavefield.tank.plan.summary`.
-
-        Returns
-        -------
-        dict
-
-        Examples
-        --------
-        >>> Scene.load("demo").summary()["beads_per_block"]
-        17.6
-        """
-        from wavefield.tank.plan import summary
-
-        return summary(self)
-
     def build_rig(self) -> Rig:
         """Exact cameras.
 

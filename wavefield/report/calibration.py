@@ -1,21 +1,16 @@
 """The report of a calibration: pictures, numbers as YAML, and a page that shows them."""
 
-from __future__ import annotations
-
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import yaml
+from matplotlib.figure import Figure
 
-from wavefield.calibration import pictures
 from wavefield.calibration.numbers import numbers
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from wavefield.calibration.solve import Calibration
+from wavefield.calibration.result import Calibration
+from wavefield.report import calibration_pictures as pictures
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1120px; margin: 2em auto; padding: 0 1em; }
@@ -26,14 +21,14 @@ img { max-width: 100%; } .good { color: #00724f; } .bad { color: #b03000; } p.no
 """
 
 
-def write_report(calibration: Calibration, directory: Path) -> Path:
+def write_calibration(calibration: Calibration, directory: str | Path) -> Path:
     """Write the report of a calibration.
 
     Parameters
     ----------
     calibration : Calibration
         What to report; also one without a rig, to say what to photograph again.
-    directory : Path
+    directory : path
         Made if it is not there.
 
     Returns
@@ -41,6 +36,7 @@ def write_report(calibration: Calibration, directory: Path) -> Path:
     Path
         The page, ``index.html``; beside it ``numbers.yaml`` and the pictures.
     """
+    directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     content: dict[str, Any] = {
         "usable": calibration.usable,

@@ -1,13 +1,16 @@
 """The calibration target as it was found in the images."""
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
 from wavefield.calibration import TargetPoints
+from wavefield.calibration.images import TABLES, TargetRig
 from wavefield.figures.style import LINES, panels
+from wavefield.images import read_image
 from wavefield.rig import Rig
 
 
@@ -60,3 +63,29 @@ def target_points(
                 axis.set_major_locator(MultipleLocator(mesh * max(1, round((high - low) / mesh / 6))))
             column[1].grid(True, color="0.85", linewidth=0.6)
     return figure
+
+
+def draw_found(result: TargetRig, path: Path) -> None:
+    """Draw what was found in one image of each camera: the flat pose where there is one.
+
+    Parameters
+    ----------
+    result : TargetRig
+        As from `calibrate_experiment`.
+    path : Path
+        PNG file to write; nothing is written if no target was found, or if the points came as tables.
+    """
+    poses = {
+        camera: "flat" if "flat" in found else max(found, key=lambda pose: len(found[pose]))
+        for camera, found in result.views.items()
+        if found and all(path.suffix.lower() not in TABLES for path in result.images[camera].values())
+    }
+    if not poses:
+        return
+    figure = target_points(
+        {camera: read_image(result.images[camera][pose]) for camera, pose in poses.items()},
+        {camera: result.views[camera][pose] for camera, pose in poses.items()},
+        result.calibration.rig if len(result.calibration.rig) and set(poses.values()) == {"flat"} else None,
+        result.mesh,
+    )
+    figure.savefig(path, dpi=110)

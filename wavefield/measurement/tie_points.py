@@ -1,28 +1,35 @@
 """Pieces of the surface seen by several cameras: by them a rig is checked, and refined on water at rest."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from wavefield.cubes.processing import Prepared
 from wavefield.errors import CalibrationError
 from wavefield.measurement import surface
 from wavefield.measurement.frame import ready, usable
+from wavefield.measurement.plan import Plan
 
 _APART = 5  # blocks: nearer ones share their window, and say the same
 
 
 def matched_pixels(
-    prepared: Prepared, frames: Sequence[int], progress: Callable[[int, int], None] | None = None
-) -> dict[str, np.ndarray]:
+    read: Callable[[str, int], NDArray[Any] | None],
+    frames: Sequence[int],
+    plan: Plan,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, NDArray[np.float64]]:
     """Match the cameras' images of some instants.
 
     Parameters
     ----------
-    prepared : Prepared
-        Experiment, frames, rig and plan, as from `wavefield.cubes.processing.prepare`.
+    read : callable
+        From camera and frame to the image (row, column), or None where it is missing or bad.
     frames : sequence of int
-        Positions of the frames in the series.
+        Which.
+    plan : Plan
+        Rig, grid and settings.
     progress : callable, optional
         Told (frames done, all frames).
 
@@ -36,12 +43,12 @@ def matched_pixels(
     CalibrationError
         If no frame can be matched.
     """
-    plan, rig = prepared.plan, prepared.rig
+    rig = plan.rig
     cells = np.s_[::_APART, ::_APART]
     x, y = (v[cells] for v in np.meshgrid(plan.lattice.x, plan.lattice.y))
-    parts: dict[str, list[np.ndarray]] = {name: [] for name in plan.surface_cameras}
+    parts: dict[str, list[NDArray[np.float64]]] = {name: [] for name in plan.surface_cameras}
     for done, index in enumerate(frames, 1):
-        images = {name: prepared.series[name].read(index).image for name in plan.surface_cameras}
+        images = {name: read(name, index) for name in plan.surface_cameras}
         if all(usable(image, rig[name].size) for name, image in images.items()):
             flat = {
                 name: surface.prepare(ready(np.asarray(image), plan.binning[name]), name, plan)
@@ -61,7 +68,7 @@ def matched_pixels(
             progress(done, len(frames))
     if not any(parts.values()):
         raise CalibrationError(
-            f"{prepared.experiment.path}: none of the frames tried is there in all of {', '.join(parts)}"
+            f"none of the {len(frames)} frames tried is there in all of {', '.join(parts)}: nothing to match"
         )
     return {name: np.concatenate(pixels) for name, pixels in parts.items()}
 

@@ -1,0 +1,67 @@
+"""Finding a calibration target in an image, whatever its kind."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.calibration.patterns import find_charuco, find_chessboard, find_dots
+from wavefield.calibration.points import TargetPoints
+from wavefield.calibration.strings import find_strings
+from wavefield.calibration.target import Target
+from wavefield.errors import CalibrationError
+
+_FINDERS = {
+    "strings": find_strings,
+    "chessboard": find_chessboard,
+    "dots": find_dots,
+    "charuco": find_charuco,
+}
+
+
+def find_target(image: NDArray[Any], target: Target) -> TargetPoints:
+    """Find the nodes of a calibration target in one image.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column), any real dtype
+        The image; bright where the strings are white.
+    target : Target
+        What to look for.
+
+    Returns
+    -------
+    TargetPoints
+        Indices of the nodes found, their pixel coordinates and standard uncertainties.
+
+    Raises
+    ------
+    CalibrationError
+        If the image is empty or overexposed, or shows no such target, or a mirrored one, or too little of it.
+    """
+    grey = _check(image)
+    try:
+        return _FINDERS[target.kind](grey, target)
+    except CalibrationError as error:
+        saturated = float(np.mean(grey >= grey.max()))
+        if saturated > 0.2:
+            raise CalibrationError(
+                f"{error}; {saturated:.0%} of the image is overexposed: photograph it again with less light"
+            ) from None
+        raise
+
+
+def _check(image: NDArray[Any]) -> NDArray[np.float32]:
+    """The image as float32 with its brightest grey at 255, refused when there is nothing to see in it."""
+    image = np.asarray(image)
+    if image.ndim != 2 or min(image.shape) < 32:
+        raise CalibrationError(f"a target image must be one grey image of 32 px or more, not {image.shape}")
+    grey = image.astype(np.float32)
+    if not np.isfinite(grey).all():
+        raise CalibrationError("the image holds values that are not numbers; export it from the camera again")
+    low, high = float(grey.min()), float(grey.max())
+    if high - low < 4.0 / 255.0 * max(abs(high), 1e-12):
+        raise CalibrationError(
+            "the image is empty: all its pixels have one grey; check light, cap and exposure"
+        )
+    return grey * np.float32(255.0 / high)

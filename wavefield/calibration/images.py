@@ -1,0 +1,111 @@
+"""From the calibration block of an experiment to a rig: the images, the targets in them, the solution."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from wavefield.calibration.find import find_target
+from wavefield.calibration.pointfile import read_points
+from wavefield.calibration.points import TargetPoints
+from wavefield.calibration.result import Calibration
+from wavefield.calibration.solve import calibrate
+from wavefield.calibration.target import Target
+from wavefield.errors import CalibrationError, FrameError
+from wavefield.images import read_image
+from wavefield.series import Experiment
+from wavefield.series.targets import find_views
+
+TABLES = (".csv", ".txt")  # points found by another program
+
+
+@dataclass(frozen=True)
+class TargetRig:
+    """What came of calibrating an experiment.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The rig and how far it can be trusted.
+    views : dict of camera to dict of pose to TargetPoints
+        What was found in the images.
+    images : dict of camera to dict of pose to Path
+        The images.
+    notes : tuple of str
+        Images without a target.
+    mesh : float
+        Of the target, m.
+    """
+
+    calibration: Calibration
+    views: dict[str, dict[str, TargetPoints]]
+    images: dict[str, dict[str, Path]]
+    notes: tuple[str, ...]
+    mesh: float
+
+
+def _look(path: Path, target: Target, size: tuple[int, int] | None) -> TargetPoints | str:
+    """Find the target in one image; a sentence where it cannot be found."""
+    try:
+        if path.suffix.lower() in TABLES:
+            return read_points(path, size)
+        return find_target(read_image(path), target)
+    except (CalibrationError, FrameError) as error:
+        words = str(error)
+        return words if str(path) in words else f"{path}: {words}"
+
+
+def calibrate_experiment(
+    experiment: Experiment, progress: Callable[[int, int], None] | None = None
+) -> TargetRig:
+    """Find the rig of an experiment from its target images.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With a calibration block.
+    progress : callable, optional
+        Told (images done, all images).
+
+    Returns
+    -------
+    TargetRig
+
+    Raises
+    ------
+    CalibrationError
+        If target images are not there.
+    """
+    images = find_views(experiment)
+    section = experiment.calibration
+    assert section is not None
+    target = Target.from_dict(section.target)
+    jobs = [(camera, pose, path) for camera, poses in images.items() for pose, path in poses.items()]
+    views: dict[str, dict[str, TargetPoints]] = {camera: {} for camera in images}
+    notes = []
+    workers = min(os.cpu_count() or 1, len(jobs), 8)
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        found = pool.map(_look, [path for _, _, path in jobs], [target] * len(jobs), [None] * len(jobs))
+        for done, ((camera, pose, _), points) in enumerate(zip(jobs, found, strict=True), 1):
+            if isinstance(points, str):
+                notes.append(points)
+            else:
+                views[camera][pose] = points
+            if progress:
+                progress(done, len(jobs))
+    named = {
+        camera: {pose: os.path.relpath(path, experiment.path.parent) for pose, path in poses.items()}
+        for camera, poses in images.items()
+    }
+    calibration = calibrate(
+        views,
+        target,
+        flat="flat" if section.flat else "",
+        model=section.model or "auto",
+        target_std=section.target_std,
+        camera_distance=section.camera_distance,
+        provenance={"experiment": experiment.name, "target": dict(section.target), "images": named},
+    )
+    return TargetRig(calibration, views, images, tuple(notes), target.mesh)

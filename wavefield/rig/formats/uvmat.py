@@ -1,0 +1,101 @@
+"""UVMAT's XML (ImaDoc), one camera a file."""
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from wavefield.errors import RigError
+from wavefield.rig.camera import Camera
+from wavefield.rig.formats.common import LENGTHS, Stated, numbers_of, refuse_terms, rotation_near
+from wavefield.rig.rig import Rig
+
+# UVMAT counts Y upwards, so its camera frame is left-handed: turn its y axis
+_FLIP = np.diag([1.0, -1.0, 1.0])
+
+
+def load_uvmat(root: ET.Element, path: Path, stated: Stated) -> Rig:
+    """Read UVMAT's ImaDoc of one camera.
+
+    Parameters
+    ----------
+    root : Element
+        Of the XML.
+    path : Path
+        The file.
+    stated : Stated
+        UVMAT does not store the image size.
+
+    Returns
+    -------
+    Rig
+    """
+    calibration = root.find("GeometryCalib")
+    if calibration is None:
+        raise RigError("it has no <GeometryCalib>: the images were not calibrated")
+    rows = calibration.findall("R")
+    if len(rows) != 3:
+        raise RigError(
+            "its calibration is not in three dimensions: redo it in UVMAT as 3D_linear or 3D_extrinsic"
+        )
+    (name,) = stated.named(1, [path.stem])
+    size = stated.size(name, "UVMAT")
+    unit = (calibration.findtext("CoordUnit") or "").strip()
+    if unit not in LENGTHS:
+        raise RigError(f"its <CoordUnit> {unit!r} is no unit of length")
+    fx, fy = numbers_of(calibration, "fx_fy", 2)
+    Cx, Cy = numbers_of(calibration, "Cx_Cy", 2)
+    k1 = numbers_of(calibration, "kc")[0] if calibration.find("kc") is not None else 0.0
+    R = np.array([[float(v) for v in (row.text or "").split()] for row in rows])
+    T = LENGTHS[unit] * np.array(numbers_of(calibration, "Tx_Ty_Tz", 3))
+    # pixel centres at half-integers there, the lowest row's at Y = 1/2
+    camera = Camera(fx, fy, Cx - 0.5, size[1] - 0.5 - Cy, rotation_near(_FLIP @ R), _FLIP @ T, size, k1=k1)
+    note: dict[str, Any] = {"program": "UVMAT", "file": path.name, "unit": unit}
+    if calibration.find("ErrorRms") is not None:
+        note["rms_px"] = numbers_of(calibration, "ErrorRms")
+    index = calibration.findtext("RefractionIndex")
+    if index is not None and float(index) != 1.0:
+        note["left_out"] = f"refraction index {float(index)}: sight lines are straight here, as in air"
+    return Rig({name: camera}, {"imported": note})
+
+
+def save_uvmat(camera: Camera, path: str | Path, unit: str = "cm") -> None:
+    """Write one camera as UVMAT's ImaDoc XML.
+
+    Parameters
+    ----------
+    camera : Camera
+        With the paper's terms only: fx, fy, cx, cy, k1.
+    path : path
+        File to write.
+    unit : str, default "cm"
+        Unit of length in the file.
+
+    Raises
+    ------
+    RigError
+        If the camera has terms that UVMAT does not know.
+    """
+    refuse_terms(camera, "UVMAT", "k1")
+    scale = 1.0 / LENGTHS[unit]
+    root = ET.Element("ImaDoc")
+    calibration = ET.SubElement(root, "GeometryCalib")
+    R, T = _FLIP @ camera.R, _FLIP @ camera.T * scale
+
+    def put(tag: str, *values: Any, **attributes: str) -> None:
+        ET.SubElement(calibration, tag, attributes).text = "\t".join(str(v) for v in values)
+
+    put("CalibrationType", "3D_extrinsic")
+    put("fx_fy", camera.fx, camera.fy)
+    put("Cx_Cy", camera.cx + 0.5, camera.size[1] - 0.5 - camera.cy)
+    put("kc", camera.k1)
+    put("CoordUnit", unit)
+    put("Tx_Ty_Tz", *(repr(float(v)) for v in T))
+    for i, row in enumerate(R):
+        put("R", *(repr(float(v)) for v in row), i=str(i + 1))
+    # UVMAT's rotation vector, degrees; it belongs to the right-handed frame
+    put("omc", *(repr(float(v)) for v in np.degrees(cv2.Rodrigues(camera.R)[0].ravel())))
+    ET.indent(root, "   ")
+    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)

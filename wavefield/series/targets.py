@@ -1,0 +1,85 @@
+"""Which images show the calibration target, and in which pose."""
+
+import glob
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from wavefield.errors import CalibrationError
+from wavefield.series.experiment import Experiment
+
+
+def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
+    """Find the target images of an experiment.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With a calibration block.
+
+    Returns
+    -------
+    dict of camera to dict of pose to Path
+        The flat pose is called "flat"; tilted ones after their file, without what names the camera.
+
+    Raises
+    ------
+    CalibrationError
+        If there is no calibration block, or a pattern in it names no image of a camera.
+    """
+    section = experiment.calibration
+    if section is None:
+        raise CalibrationError(
+            f"{experiment.path} has no calibration block; add one that says what the target is and where "
+            f"its images "
+            "are (see docs/calibration.md), or name a rig that another program made"
+        )
+    tilted = [section.tilted] if isinstance(section.tilted, str) else list(section.tilted)
+    out: dict[str, dict[str, Path]] = {}
+    for camera in experiment.cameras:
+        poses: dict[str, Path] = {}
+        for pattern in tilted:
+            poses |= _poses(experiment, pattern, camera)
+        if not poses:
+            raise _nothing(experiment, camera, tilted)
+        if section.flat:
+            flat = list(_poses(experiment, section.flat, camera).values())
+            if len(flat) > 1:
+                raise CalibrationError(
+                    f"{experiment.path}: flat: {section.flat} names {len(flat)} images of {camera}; name one"
+                )
+            poses = {pose: path for pose, path in poses.items() if path not in flat}
+            poses |= dict.fromkeys(["flat"], flat[0]) if flat else {}
+        out[camera] = poses
+    if section.flat and not any("flat" in poses for poses in out.values()):
+        raise _nothing(experiment, "any camera", [section.flat])
+    return out
+
+
+def _nothing(experiment: Experiment, camera: str, patterns: Sequence[str]) -> CalibrationError:
+    folder = experiment.image_folder
+    return CalibrationError(
+        f"{experiment.path}: no target image of {camera}: nothing in {folder} is called "
+        f"{' or '.join(patterns)}; correct the calibration block"
+    )
+
+
+def _poses(experiment: Experiment, pattern: str, camera: str) -> dict[str, Path]:
+    folder = experiment.image_folder
+    named = pattern.replace("{camera}", glob.escape(camera))
+    # what the wildcards stand for names the pose, so that one pose has one name in all cameras
+    parts = re.split(r"(\*+|\?)", named)
+    groups = [
+        ("(.)" if part == "?" else "(.*?)") if part and part[0] in "*?" else re.escape(part) for part in parts
+    ]
+    expression = re.compile("".join(groups))
+    stem = Path(pattern.replace("{camera}", "")).stem
+    out = {}
+    for found in sorted(glob.glob(str(folder / named))):
+        match = expression.fullmatch(os.path.relpath(found, folder)) or expression.fullmatch(found)
+        pose = stem
+        for piece in match.groups() if match else ():
+            pose = re.sub(r"\*+|\?", piece, pose, count=1)
+        out[pose.strip("_- ") or Path(found).stem] = Path(found)
+    return out
