@@ -416,13 +416,13 @@ class Camera:
         >>> camera.k1, float(camera.centre[2])
         (-0.1, 4.0)
         """
-        K = np.asarray(K, float)
-        if K.shape != (3, 3) or not np.isfinite(K).all() or not (K[0, 0] > 0 and K[1, 1] > 0):
+        M = np.asarray(K, float)
+        if M.shape != (3, 3) or not np.isfinite(M).all() or not (M[0, 0] > 0 and M[1, 1] > 0):
             raise RigError("a camera matrix is 3 x 3 with positive focal lengths")
         turn = np.asarray(rvec, float)
         R = turn if turn.shape == (3, 3) else rotation_about(turn.reshape(3))
-        K = K / K[2, 2]
-        return cls(*(K[0, 0], K[1, 1], K[0, 2], K[1, 2]), R, tvec, size, skew=K[0, 1], **_terms_of_opencv(D))
+        (fx, skew, cx), (_, fy, cy), _ = (M / M[2, 2]).tolist()
+        return cls(fx, fy, cx, cy, R, tvec, size, skew=skew, **_terms_of_opencv(D))
 
     def scaled(self, factor: float) -> "Camera":
         """The same camera with images resampled by a factor (0.5: half the pixels along each axis).

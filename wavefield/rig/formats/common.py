@@ -68,9 +68,10 @@ class Stated:
 def rotation_near(matrix: Array) -> Array:
     """Nearest rotation: files round to a few digits."""
     U, _, V = np.linalg.svd(matrix)
-    if not np.abs(U @ V - matrix).max() < 1e-3 or np.linalg.det(U @ V) < 0:
+    nearest: Array = U @ V
+    if not np.abs(nearest - matrix).max() < 1e-3 or np.linalg.det(nearest) < 0:
         raise RigError("its rotation matrix is none")
-    return U @ V
+    return nearest
 
 
 def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[float]:

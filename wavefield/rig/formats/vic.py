@@ -18,7 +18,8 @@ def _euler(alpha: float, beta: float, gamma: float) -> Array:
     Rx = np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
     Ry = np.array([[cb, 0, sb], [0, 1, 0], [-sb, 0, cb]])
     Rz = np.array([[cg, -sg, 0], [sg, cg, 0], [0, 0, 1]])
-    return Rz @ Ry @ Rx
+    turn: Array = Rz @ Ry @ Rx
+    return turn
 
 
 def load_vic(root: ET.Element, path: Path, stated: Stated) -> Rig:
