@@ -1,0 +1,136 @@
+"""What lies beside a cube: its rig, its experiment with the images, its waves, its probes."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import xarray as xr
+
+from wavefield.errors import WavefieldError
+from wavefield.explorer.record import Record
+from wavefield.rig import Camera, Rig
+from wavefield.series import Experiment, FrameSeries
+from wavefield.waves import read_probes
+
+
+@dataclass
+class Beside:
+    """Companions of a cube; what is not there is None or empty, with a sentence in `notes`.
+
+    Parameters
+    ----------
+    rig : Rig, optional
+        Cameras of the run.
+    frames : dict of camera to FrameSeries
+        The images.
+    waves : DataTree, optional
+        The wave store.
+    waves_path : Path
+        Where that is, or would be.
+    probes : Dataset, optional
+        Wave probes.
+    notes : dict of str to str
+        What is missing, and why: keys "cameras", "waves", "probes".
+    """
+
+    rig: Rig | None = None
+    frames: dict[str, FrameSeries] = field(default_factory=dict)
+    waves: xr.DataTree | None = None
+    waves_path: Path = Path()
+    probes: xr.Dataset | None = None
+    notes: dict[str, str] = field(default_factory=dict)
+
+    def group(self, name: str) -> xr.Dataset | None:
+        """One group of the wave store, loaded; None if there is none."""
+        if self.waves is None or name not in self.waves.children:
+            return None
+        return self.waves[name].to_dataset().load()
+
+
+def waves_beside(cube: Path) -> Path:
+    """Where `wavefield analyze` puts the waves of a cube.
+
+    Parameters
+    ----------
+    cube : Path
+        The cube.
+
+    Returns
+    -------
+    Path
+
+    Examples
+    --------
+    >>> waves_beside(Path("cube.zarr")).name, waves_beside(Path("run7.zarr")).name
+    ('waves.zarr', 'run7_waves.zarr')
+    """
+    stem = cube.name.removesuffix(".zarr")
+    return cube.with_name((stem.replace("cube", "waves") if "cube" in stem else f"{stem}_waves") + ".zarr")
+
+
+def find_beside(record: Record, waves: str | Path | None = None) -> Beside:
+    """Find what lies beside a cube.
+
+    Parameters
+    ----------
+    record : Record
+        The cube.
+    waves : path, optional
+        Its wave store; by default where `wavefield analyze` writes it.
+
+    Returns
+    -------
+    Beside
+    """
+    out = Beside(waves_path=Path(waves) if waves is not None else waves_beside(record.path))
+    open_waves(out)
+    attributes = record.group.attrs
+    recipe = json.loads(str(attributes.get("recipe", "{}")))
+    if isinstance(recipe.get("rig"), Mapping):
+        out.rig = Rig({name: Camera.from_dict(camera) for name, camera in recipe["rig"].items()})
+    file = Path(str(attributes.get("experiment_file", "")))
+    if not file.is_absolute():
+        file = Path(os.path.normpath(record.path.parent / file))
+    try:
+        folder = attributes.get("image_folder")
+        experiment = Experiment.load(file, str(folder) if folder else None)
+    except (WavefieldError, OSError) as error:
+        out.notes["cameras"] = f"no images: the experiment file cannot be read ({error})"
+        return out
+    try:
+        out.frames = experiment.open_frames()
+    except WavefieldError as error:
+        out.notes["cameras"] = f"no images: {error}"
+    if experiment.probes:
+        try:
+            out.probes = read_probes(experiment.resolve(experiment.probes))
+        except WavefieldError as error:
+            out.notes["probes"] = str(error)
+    return out
+
+
+def open_waves(beside: Beside) -> bool:
+    """Open the wave store, if it is there by now.
+
+    Parameters
+    ----------
+    beside : Beside
+        Gets ``waves`` or a note.
+
+    Returns
+    -------
+    bool
+        Whether it is there.
+    """
+    beside.notes.pop("waves", None)
+    if not beside.waves_path.is_dir():
+        beside.notes["waves"] = "no waves yet: run `wavefield analyze` on this cube; they appear here by themselves"
+        return False
+    try:
+        beside.waves = xr.open_datatree(beside.waves_path, engine="zarr", chunks={})
+    except (OSError, ValueError, KeyError) as error:
+        beside.notes["waves"] = f"{beside.waves_path} cannot be read as a wave store: {error}"
+        return False
+    return True

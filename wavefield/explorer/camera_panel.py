@@ -1,0 +1,251 @@
+"""A camera's frame with the nodes where that camera sees them, their displacements and what was rejected."""
+
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+from bokeh.events import Tap
+from bokeh.layouts import column, row
+from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Range1d, Select
+from numpy.typing import NDArray
+
+from wavefield.explorer.beside import Beside
+from wavefield.explorer.fields import KINDS, quality_kind
+from wavefield.explorer.parts import INK, VERMILION, make_figure
+from wavefield.explorer.place import Place
+from wavefield.explorer.record import Record
+from wavefield.explorer.selections import nearest
+from wavefield.rig import Camera
+
+_MOST_PIXELS = 1100  # along the longer side: more is not seen
+_NODES = 34  # drawn along the longer side of the grid
+_LONGER = 5.0  # displacements are drawn so many times as long
+
+
+def shrink(image: NDArray) -> tuple[NDArray[np.uint8], int]:
+    """A frame for the screen: whole squares of pixels averaged, grey levels stretched.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column)
+        As read.
+
+    Returns
+    -------
+    image : ndarray of uint8, (row // factor, column // factor)
+        From its 0.5 % to its 99.5 % brightness.
+    factor : int
+        Side of the squares.
+    """
+    factor = max(1, -(-max(image.shape) // _MOST_PIXELS))
+    h, w = (n - n % factor for n in image.shape)
+    small = np.asarray(image[:h, :w], np.float32)
+    if factor > 1:
+        small = cv2.resize(small, (w // factor, h // factor), interpolation=cv2.INTER_AREA).astype(np.float32)
+    low, high = np.percentile(small[::4, ::4], [0.5, 99.5])
+    return np.clip((small - low) * (255.0 / max(high - low, 1e-6)), 0, 255).astype(np.uint8), factor
+
+
+def seen_nodes(
+    camera: Camera, x: NDArray, y: NDArray, fields: dict[str, NDArray], dt: float, second: bool
+) -> dict[str, NDArray]:
+    """Where a camera sees the nodes in a frame of a step, and where they come from or go to.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    x, y : ndarray, (ny, nx)
+        Nodes, metres.
+    fields : dict of str to ndarray, (ny, nx)
+        z (m), u, v, w (m s-1) at mid-time, and quality.
+    dt : float
+        From frame to frame, s.
+    second : bool
+        Whether it is the second frame of the step.
+
+    Returns
+    -------
+    dict of str to ndarray, (n,)
+        ``X``, ``Y`` (px) of the water that is at the node at mid-time, ``dX``, ``dY`` its displacement over
+        the step (px), ``kind`` as of `quality_kind`, ``j``, ``i`` its place in the arrays.
+    """
+    z = np.where(np.isfinite(fields["z"]), fields["z"], 0.0)
+    half = {n: np.where(np.isfinite(fields[n]), 0.5 * dt * fields[n], 0.0) for n in ("u", "v", "w")}
+    ends = [camera.project(x + s * half["u"], y + s * half["v"], z + s * half["w"]) for s in (-1.0, 1.0)]
+    X, Y = ends[1 if second else 0]
+    width, height = camera.size
+    there = (X >= 0) & (X <= width - 1) & (Y >= 0) & (Y <= height - 1)
+    j, i = np.nonzero(there)
+    return {
+        "X": X[there],
+        "Y": Y[there],
+        "dX": (ends[1][0] - ends[0][0])[there],
+        "dY": (ends[1][1] - ends[0][1])[there],
+        "kind": quality_kind(fields["quality"])[there],
+        "j": j,
+        "i": i,
+    }
+
+
+class CameraPanel:
+    """Frames of the cameras.
+
+    Parameters
+    ----------
+    record : Record
+        The cube.
+    beside : Beside
+        With rig and frames.
+    picked : callable
+        Told ("node", (x, y)) when a node is clicked in the image.
+    """
+
+    def __init__(
+        self, record: Record, beside: Beside, picked: Callable[[str, tuple[float, ...]], None]
+    ) -> None:
+        self._record, self._beside, self._picked = record, beside, picked
+        cameras = [n for n in beside.frames if beside.rig is None or n in beside.rig.cameras]
+        self.camera = Select(title="Camera", value=cameras[0] if cameras else "", options=cameras, name="camera")
+        self.frame = Select(title="Frame", value="first", options=["first", "second"], name="camera_frame")
+        self.drawn = Select(
+            title="Over it", value="nodes", options=["nodes", "displacements", "nothing"], name="camera_over"
+        )
+        self.words = Div(text=beside.notes.get("cameras", ""), name="camera_words", sizing_mode="stretch_width")
+        self.image = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []}, name="camera_image")
+        self.nodes = ColumnDataSource({"X": [], "Y": [], "kind": []}, name="camera_nodes")
+        self.moves = ColumnDataSource({"X0": [], "Y0": [], "X1": [], "Y1": []}, name="camera_moves")
+        self.grid = ColumnDataSource({"xs": [], "ys": []}, name="camera_grid")
+        self.node = ColumnDataSource({"X": [], "Y": []}, name="camera_node")
+        self._seen: dict[str, NDArray] = {}
+        self.figure = self._draw()
+        self.layout = column(
+            row(self.camera, self.frame, self.drawn, sizing_mode="stretch_width"),
+            self.figure,
+            self.words,
+            sizing_mode="stretch_width",
+        )
+
+    def _draw(self) -> Any:
+        made = make_figure(
+            "camera_view",
+            tools="pan,wheel_zoom,box_zoom,reset,save",
+            active_scroll="wheel_zoom",
+            toolbar_location="above",
+            x_range=Range1d(0, 1),
+            y_range=Range1d(1, 0),
+            x_axis_label="column (px)",
+            y_axis_label="row (px)",
+            aspect_ratio=1.3,
+            max_height=640,
+        )
+        made.grid.grid_line_color = None
+        grey = LinearColorMapper(palette="Greys256", low=255, high=0)
+        grey.update(palette=[f"#{k:02x}{k:02x}{k:02x}" for k in range(256)], low=0, high=255)
+        made.image("image", source=self.image, color_mapper=grey)
+        made.multi_line("xs", "ys", source=self.grid, color="#56B4E9", line_alpha=0.55, line_width=0.8)
+        kinds = LinearColorMapper(palette=[k[2] for k in KINDS], low=-0.5, high=len(KINDS) - 0.5)
+        made.scatter(
+            "X", "Y", source=self.nodes, size=4.5,
+            fill_color={"field": "kind", "transform": kinds}, line_color="white", line_width=0.4,
+        )  # fmt: skip
+        made.segment("X0", "Y0", "X1", "Y1", source=self.moves, color="#F0E442", line_width=1.6)
+        made.scatter("X", "Y", source=self.node, size=15, fill_color=None, line_color="white", line_width=5)
+        made.scatter("X", "Y", source=self.node, size=15, fill_color=None, line_color=VERMILION, line_width=2.4)
+        made.on_event(Tap, self._tapped)
+        made.title.text_color = INK
+        return made
+
+    def show(self, place: Place) -> None:
+        """Show a camera's frame of a step.
+
+        Parameters
+        ----------
+        place : Place
+            With its step and node.
+        """
+        name = self.camera.value
+        if not name:
+            return
+        second = self.frame.value == "second"
+        frame = self._beside.frames[name].read(place.step + int(second))
+        number = self._beside.frames[name].first + place.step + int(second)
+        self.figure.title.text = f"{name}, frame {number}"
+        height, width = self._beside.frames[name].shape
+        if self.figure.x_range.end != width:
+            self.figure.x_range.update(start=0, end=width, reset_start=0, reset_end=width)
+            self.figure.y_range.update(start=height, end=0, reset_start=height, reset_end=0)
+            self.figure.aspect_ratio = float(np.clip(width / height, 0.7, 2.2))
+        if frame.image is None:
+            self.words.text = f"{frame.message}; the other frames can be looked at."
+            self.image.data = {key: [] for key in self.image.data}
+        else:
+            small, factor = shrink(frame.image)
+            h, w = small.shape
+            self.words.text = (
+                f"Every pixel here is {factor} x {factor} of the camera's." if factor > 1 else ""
+            )
+            # bokeh draws row 0 at y, and the axis runs downwards: a positive dh is right as it is
+            data = {"image": [small], "x": [-0.5], "y": [-0.5], "dw": [w * factor], "dh": [h * factor]}
+            self.image.data = data
+        self._show_nodes(place, second)
+
+    def _show_nodes(self, place: Place, second: bool) -> None:
+        record, rig, name = self._record, self._beside.rig, self.camera.value
+        if rig is None or name not in rig.cameras:
+            return
+        fields = {n: record.field(n, place.step) for n in ("z", "u", "v", "w", "quality")}
+        x, y = np.meshgrid(record.x, record.y)
+        every = max(1, -(-max(x.shape) // _NODES))
+        rows = slice(every // 2, None, every)
+        thin = {n: f[rows, rows] for n, f in fields.items()}
+        seen = seen_nodes(rig[name], x[rows, rows], y[rows, rows], thin, 1.0 / record.frame_rate, second)
+        self._seen = seen | {"x": x[rows, rows][seen["j"], seen["i"]], "y": y[rows, rows][seen["j"], seen["i"]]}
+        over = self.drawn.value
+        known = seen["kind"] < len(KINDS)
+        picked = known if over == "nodes" else known & False
+        self.nodes.data = {n: seen[n][picked].astype(np.float32) for n in ("X", "Y", "kind")}
+        moving = known & (over == "displacements")
+        X, Y = seen["X"][moving], seen["Y"][moving]
+        moved = X + _LONGER * seen["dX"][moving], Y + _LONGER * seen["dY"][moving]
+        self.moves.data = {"X0": X, "Y0": Y, "X1": moved[0], "Y1": moved[1]}
+        if over == "displacements":
+            self.words.text += f" Displacements over the step, drawn {_LONGER:g} times as long."
+        self._show_grid(rig[name], fields["z"], over != "nothing")
+        self._mark(place, rig[name], fields)
+
+    def _show_grid(self, camera: Camera, z: NDArray, wanted: bool) -> None:
+        """Grid lines on the water as it stands."""
+        xs, ys = [], []
+        record = self._record
+        z = np.where(np.isfinite(z), z, 0.0)
+        for j in np.unique(np.linspace(0, record.y.size - 1, 9).astype(int)) if wanted else ():
+            X, Y = camera.project(record.x, np.full(record.x.size, record.y[j]), z[j])
+            xs.append(X)
+            ys.append(Y)
+        for i in np.unique(np.linspace(0, record.x.size - 1, 9).astype(int)) if wanted else ():
+            X, Y = camera.project(np.full(record.y.size, record.x[i]), record.y, z[:, i])
+            xs.append(X)
+            ys.append(Y)
+        self.grid.data = {"xs": xs, "ys": ys}
+
+    def _mark(self, place: Place, camera: Camera, fields: dict[str, NDArray]) -> None:
+        self.node.data = {"X": [], "Y": []}
+        if place.node is None:
+            return
+        record = self._record
+        j, i = nearest(record.y, place.node[1]), nearest(record.x, place.node[0])
+        z = float(fields["z"][j, i])
+        X, Y = camera.project(record.x[i], record.y[j], z if np.isfinite(z) else 0.0)
+        self.node.data = {"X": [float(X)], "Y": [float(Y)]}
+
+    def _tapped(self, event: Any) -> None:
+        rig, name = self._beside.rig, self.camera.value
+        if rig is None or not name or name not in rig.cameras or not self._seen:
+            return
+        if not self._seen["X"].size:
+            return
+        # the level of the nearest node drawn is near enough to go back from pixels to metres
+        k = int(np.argmin(np.hypot(self._seen["X"] - event.x, self._seen["Y"] - event.y)))
+        self._picked("node", (float(self._seen["x"][k]), float(self._seen["y"][k])))

@@ -1,0 +1,278 @@
+"""Maps for the eye: what is drawn of one step, its colours, its arrows, its relief. Arrays in, arrays out."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from wavefield.figures.style import POSITIVE, SIGNED, limit
+from wavefield.variables import Quality
+from wavefield.waves.kinematics import kinematics
+
+DERIVED = {
+    "vorticity": ("vertical vorticity of the surface", "s-1"),
+    "divergence": ("divergence of the surface velocity", "s-1"),
+    "residual": ("kinematic residual z_t - w + u . grad z", "m s-1"),
+}
+_BALANCE = ("z", "z_t", "u", "v", "w")
+
+# one word for each node, the first that fits: bits of `quality`, what it is called, its colour (Okabe and Ito)
+_KINDS: tuple[tuple[str, str, str], ...] = (
+    ("MASKED", "masked", "#000000"),
+    ("OUTSIDE", "outside the view", "#d9d9d9"),
+    ("REJECTED_CORRELATION", "rejected: correlation", "#D55E00"),
+    ("REJECTED_EPS", "rejected: mismatch", "#E69F00"),
+    ("REJECTED_NEIGHBOURS", "rejected: neighbours", "#CC79A7"),
+    ("FILLED", "filled", "#56B4E9"),
+    ("FEWER_CAMERAS", "measured, a camera missing", "#F0E442"),
+    ("MEASURED", "measured", "#0072B2"),
+)
+KINDS = tuple((name, words, colour) for name, words, colour in _KINDS if name in Quality.__members__)
+
+
+def quality_kind(quality: NDArray) -> NDArray[np.uint8]:
+    """One kind for each node: the gravest thing that its bits say.
+
+    Parameters
+    ----------
+    quality : ndarray of int, (...)
+        Bits of the cube's ``quality``.
+
+    Returns
+    -------
+    ndarray of uint8, (...)
+        Index into `KINDS`; as many as there are kinds where nothing is known yet.
+
+    Examples
+    --------
+    >>> kinds = quality_kind(np.array([1, 2 | 8, 4, 0]))
+    >>> [KINDS[k][1] if k < len(KINDS) else "nothing" for k in kinds]
+    ['measured', 'rejected: correlation', 'outside the view', 'nothing']
+    """
+    out = np.full(np.shape(quality), len(KINDS), np.uint8)
+    for index in range(len(KINDS) - 1, -1, -1):
+        out[(np.asarray(quality) & int(Quality[KINDS[index][0]])) != 0] = index
+    return out
+
+
+def derive(steps: xr.Dataset, name: str, step: int) -> NDArray:
+    """A derived field at one step.
+
+    Parameters
+    ----------
+    steps : Dataset, (time, y, x)
+        z, z_t, u, v, w of the step and of its neighbours, loaded.
+    name : str
+        One of `DERIVED`.
+    step : int
+        Index of the step in them.
+
+    Returns
+    -------
+    ndarray, (ny, nx)
+    """
+    return np.asarray(kinematics(steps[list(_BALANCE)])[name].values[step])
+
+
+def is_signed(name: str) -> bool:
+    """Whether a variable has a sign, so that its colours are balanced about zero.
+
+    Parameters
+    ----------
+    name : str
+        The variable.
+
+    Returns
+    -------
+    bool
+    """
+    return not name.endswith("_std") and name not in ("eps_piv", "quality")
+
+
+def colour_map(name: str) -> str:
+    """Colour map of a variable, whose order colour-blind readers keep.
+
+    Parameters
+    ----------
+    name : str
+        The variable.
+
+    Returns
+    -------
+    str
+        Of matplotlib.
+    """
+    return SIGNED if is_signed(name) else POSITIVE
+
+
+def palette(name: str) -> list[str]:
+    """256 colours of a matplotlib colour map.
+
+    Parameters
+    ----------
+    name : str
+        Of the colour map.
+
+    Returns
+    -------
+    list of str
+        As "#rrggbb".
+    """
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    return [to_hex(colour) for colour in colormaps[name](np.linspace(0, 1, 256))]
+
+
+def colour_limits(values: NDArray, name: str) -> tuple[float, float]:
+    """Ends of a colour scale that leave out the wildest half percent.
+
+    Parameters
+    ----------
+    values : ndarray
+        What will be drawn, in the shown unit.
+    name : str
+        The variable.
+
+    Returns
+    -------
+    low, high : float
+        Balanced about zero for signed variables, from zero for others; two digits.
+    """
+    half = float(f"{limit(values):.2g}")
+    return (-half, half) if is_signed(name) else (0.0, half)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """How a variable is shown to people.
+
+    Parameters
+    ----------
+    factor : float
+        From the stored unit to the shown one.
+    unit : str
+        The shown unit.
+    """
+
+    factor: float
+    unit: str
+
+    @property
+    def suffix(self) -> str:
+        """The unit in brackets, after a space; nothing for pure numbers."""
+        return f" ({self.unit})" if self.unit else ""
+
+
+_UNITS = {"m": Shown(100.0, "cm"), "m s-1": Shown(100.0, "cm/s"), "s-1": Shown(1.0, "1/s"), "1": Shown(1.0, "")}
+_SMALL = Shown(1000.0, "mm")
+
+
+def shown_as(name: str, units: str) -> Shown:
+    """Unit in which a variable is read with ease.
+
+    Parameters
+    ----------
+    name : str
+        The variable.
+    units : str
+        Its CF unit.
+
+    Returns
+    -------
+    Shown
+
+    Examples
+    --------
+    >>> shown_as("z", "m"), shown_as("z_std", "m").unit
+    (Shown(factor=100.0, unit='cm'), 'mm')
+    """
+    if units == "m" and name != "z":
+        return _SMALL
+    return _UNITS.get(units, Shown(1.0, units))
+
+
+def arrows(
+    u: NDArray, v: NDArray, x: NDArray, y: NDArray, fastest: float, *, along: int = 24
+) -> tuple[list[NDArray], list[NDArray], float]:
+    """Arrows of the horizontal velocity at every so-many-th node.
+
+    Parameters
+    ----------
+    u, v : ndarray, (ny, nx)
+        Velocity; NaN where there is none.
+    x, y : ndarray, (nx,), (ny,)
+        Nodes, metres.
+    fastest : float
+        Speed whose arrow is as long as the arrows are apart, in the unit of u and v.
+    along : int
+        Arrows along the longer side.
+
+    Returns
+    -------
+    xs, ys : list of ndarray, (6,)
+        One line per arrow: shaft and head, metres.
+    metres : float
+        Length of an arrow of unit speed.
+    """
+    every = max(1, round(max(len(x), len(y)) / along))
+    rows, columns = slice(every // 2, None, every), slice(every // 2, None, every)
+    gap = every * float(np.mean(np.diff(x)))
+    metres = 1.2 * gap / fastest if fastest > 0 else 0.0
+    px, py = np.meshgrid(x[columns], y[rows])
+    dx, dy = metres * u[rows, columns], metres * v[rows, columns]
+    there = np.isfinite(dx) & np.isfinite(dy) & (np.hypot(dx, dy) > 0.04 * gap)
+    px, py, dx, dy = (part[there] for part in (px, py, dx, dy))
+    head = 0.32
+    xs = [px, px + dx, px + dx - head * (dx - 0.5 * dy), px + dx, px + dx - head * (dx + 0.5 * dy), px + dx]
+    ys = [py, py + dy, py + dy - head * (dy + 0.5 * dx), py + dy, py + dy - head * (dy - 0.5 * dx), py + dy]
+    return list(np.array(xs).T), list(np.array(ys).T), metres
+
+
+def relief(field: NDArray, x: NDArray, y: NDArray, most: int = 80) -> tuple[NDArray, NDArray, NDArray]:
+    """A field thinned for the relief.
+
+    Parameters
+    ----------
+    field : ndarray, (ny, nx)
+        Any field.
+    x, y : ndarray, (nx,), (ny,)
+        Nodes.
+    most : int
+        Nodes along the longer side, at most.
+
+    Returns
+    -------
+    field, x, y : ndarray
+        The same at every so-many-th node.
+    """
+    every = max(1, -(-max(field.shape) // most))
+    return field[::every, ::every], x[::every], y[::every]
+
+
+def readings(values: Mapping[str, float], units: Mapping[str, str], names: Sequence[str]) -> str:
+    """Values at a node in words.
+
+    Parameters
+    ----------
+    values : mapping of str to float
+        In stored units; NaN where there are none.
+    units : mapping of str to str
+        CF units.
+    names : sequence of str
+        Which, in order.
+
+    Returns
+    -------
+    str
+        Such as "z 1.23 cm, u -4.1 cm/s".
+    """
+    words = []
+    for name in names:
+        shown = shown_as(name, units[name])
+        value = values[name] * shown.factor
+        text = f"{value:.3g}".replace("-", "\u2212") if np.isfinite(value) else "none"
+        words.append(f"{name} {text}" + (f" {shown.unit}" if shown.unit and np.isfinite(value) else ""))
+    return ", ".join(words)

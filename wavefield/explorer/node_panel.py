@@ -1,0 +1,269 @@
+"""A node's time series with its uncertainty and quality, and its spectrum beside a near probe's."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from bokeh.layouts import column
+from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Select, Span
+from numpy.typing import NDArray
+
+from wavefield.explorer.fields import KINDS, quality_kind, readings, shown_as
+from wavefield.explorer.parts import BLUE, INK, VERMILION, envelope, make_figure, number
+from wavefield.explorer.place import Place
+from wavefield.explorer.record import Record
+from wavefield.explorer.selections import nearest, spectrum
+
+_MAIN = ("z", "u", "v", "w")
+_NEAR = 0.25  # m: a probe farther away sees other waves
+
+
+class NodePanel:
+    """What is known at one node.
+
+    Parameters
+    ----------
+    record : Record
+        The cube.
+    probes : Dataset, optional
+        Wave probes with z (probe, time) and their places, as from `wavefield.waves.read_probes`.
+    """
+
+    def __init__(self, record: Record, probes: xr.Dataset | None = None) -> None:
+        self._record, self._probes = record, probes
+        self._main = tuple(name for name in _MAIN if name in record.stored)
+        others = [n for n in record.stored if n not in (*_MAIN, "quality") and not n.endswith("_std")]
+        self.words = Div(text="Click a node of the map.", name="node_words", sizing_mode="stretch_width")
+        self.other = Select(title="Below", value=others[0] if others else "", options=others, name="node_other")
+        self.which = Select(title="Spectrum of", value="z", options=list(self._main), name="node_which")
+        self.lines = {name: _series_source(f"node_{name}") for name in (*self._main, "other")}
+        self.bands = {
+            name: ColumnDataSource({"t": [], "low": [], "high": []}, name=f"node_{name}_band") for name in self._main
+        }
+        self.now = Span(dimension="height", location=0, line_color=INK, line_dash="dotted")
+        self.figures: list[Any] = []
+        for name in (*self._main, "other"):
+            self.figures.append(self._draw(name))
+        self.kinds = ColumnDataSource({"left": [], "right": [], "kind": []}, name="node_quality")
+        self.strip = self._draw_strip()
+        self.density = ColumnDataSource({"f": [], "e": [], "low": [], "high": []}, name="node_spectrum")
+        self.probe = ColumnDataSource({"f": [], "e": []}, name="node_probe_spectrum")
+        self.spectrum = self._draw_spectrum()
+        self._at: tuple[int, int] | None = None
+        self.other.on_change("value", lambda *_: self._show_other())
+        self.which.on_change("value", lambda *_: self._show_spectrum())
+        self.figures[0].x_range.on_change("start", self._zoomed)
+        self._pending = False
+        self.layout = column(
+            self.words, *self.figures, self.strip, self.other, self.which, self.spectrum, sizing_mode="stretch_width"
+        )
+
+    def _draw(self, name: str) -> Any:
+        time = self._record.time
+        share = {"x_range": self.figures[0].x_range} if self.figures else {"x_range": (time[0], time[-1])}
+        made = make_figure(f"node_{name}_figure", height=104, y_axis_label=self._label(name), **share)
+        made.xaxis.visible = False
+        if name in self.bands:
+            made.varea("t", "low", "high", source=self.bands[name], fill_color=BLUE, fill_alpha=0.22)
+        made.line("t", "value", source=self.lines[name], color=BLUE, line_width=1.1)
+        made.add_layout(self.now)
+        return made
+
+    def _label(self, name: str) -> str:
+        name = self.other.value if name == "other" else name
+        return f"{name}{shown_as(name, self._record.units(name)).suffix}" if name else ""
+
+    def _draw_strip(self) -> Any:
+        made = make_figure(
+            "node_strip", height=62, x_range=self.figures[0].x_range, y_range=(0, 1), x_axis_label="t (s)"
+        )
+        mapper = LinearColorMapper(palette=[k[2] for k in KINDS], low=-0.5, high=len(KINDS) - 0.5)
+        colour = {"field": "kind", "transform": mapper}
+        made.quad("left", "right", 0, 1, source=self.kinds, fill_color=colour, line_color=None)
+        made.yaxis.ticker = []
+        made.yaxis.axis_label = "quality"
+        made.ygrid.visible = False
+        return made
+
+    def _draw_spectrum(self) -> Any:
+        made = make_figure(
+            "node_spectrum_figure", height=210, x_axis_type="log", y_axis_type="log",
+            x_axis_label="frequency (Hz)", tools="pan,wheel_zoom,reset", active_scroll="wheel_zoom",
+        )  # fmt: skip
+        made.varea("f", "low", "high", source=self.density, fill_color=BLUE, fill_alpha=0.22)
+        made.line("f", "e", source=self.density, color=BLUE, line_width=1.6, legend_label="this node")
+        made.line(
+            "f", "e", source=self.probe, color=VERMILION, line_width=1.6, line_dash="dashed", legend_label="probe"
+        )
+        made.legend.label_text_font_size = "11px"
+        made.legend.background_fill_alpha = 0.7
+        made.legend.padding = 4
+        return made
+
+    # -- showing ---------------------------------------------------------------------------------------
+
+    def show(self, place: Place) -> None:
+        """Show the node of a place.
+
+        Parameters
+        ----------
+        place : Place
+            With its node.
+        """
+        preview = self._record.preview
+        self.step(place)
+        if place.node is None:
+            return
+        self._at = nearest(preview.y, place.node[1]), nearest(preview.x, place.node[0])
+        for name in self._main:
+            self._show_series(name)
+        self._show_other()
+        self._show_quality()
+        self._show_spectrum()
+
+    def step(self, place: Place) -> None:
+        """Show the values at the node at another step.
+
+        Parameters
+        ----------
+        place : Place
+            With its node and step.
+        """
+        record = self._record
+        self.now.location = float(record.time[place.step])
+        if place.node is None:
+            return
+        j, i = nearest(record.y, place.node[1]), nearest(record.x, place.node[0])
+        values = {name: float(record.field(name, place.step)[j, i]) for name in record.stored}
+        units = {name: record.units(name) for name in record.stored}
+        first = ", ".join(_with_std(name, values, units) for name in self._main)
+        rest = [n for n in record.stored if n not in (*self._main, "quality") and not n.endswith("_std")]
+        kind = quality_kind(np.array([int(values.get("quality", 0))]))[0]
+        word = KINDS[kind][1] if kind < len(KINDS) else "nothing measured"
+        every = record.preview.thin.every
+        series = f" Series: the nearest of every {_ordinal(every)} node." if every > 1 else ""
+        self.words.text = (
+            f"<b>x {number(record.x[i], 4)} m, y {number(record.y[j], 4)} m, t {record.time[place.step]:.3f} s:</b> "
+            f"{first}; {readings(values, units, rest)}; {word}.{series}"
+        )
+
+    def _series(self, name: str) -> NDArray:
+        assert self._at is not None
+        factor = shown_as(name, self._record.units(name)).factor
+        return self._record.preview.series(name, *self._at) * np.float32(factor)
+
+    def _window(self) -> slice:
+        """Steps in view: all of them until somebody zooms."""
+        time, view = self._record.time, self.figures[0].x_range
+        first = int(np.searchsorted(time, view.start or time[0]))
+        last = int(np.searchsorted(time, view.end or time[-1], side="right"))
+        return slice(max(first - 1, 0), max(last + 1, first + 2))
+
+    def _show_series(self, name: str) -> None:
+        part = self._window()
+        time, values = self._record.time[part], self._series(name)[part]
+        thin_t, thin = envelope(time, values)
+        self.lines[name].data = {"t": thin_t, "value": thin}
+        std_name = f"{name}_std"
+        if name in self.bands and std_name in self._record.stored:
+            scale = shown_as(name, self._record.units(name)).factor
+            std = self._record.preview.series(std_name, *self._at)[part] * np.float32(scale)  # type: ignore[misc]
+            band_t, kept, kept_std = envelope(time, values, std)
+            self.bands[name].data = {"t": band_t, "low": kept - kept_std, "high": kept + kept_std}
+
+    def _show_other(self) -> None:
+        name = self.other.value
+        if self._at is None or not name:
+            return
+        self.figures[-1].yaxis.axis_label = self._label("other")
+        part = self._window()
+        thin_t, thin = envelope(self._record.time[part], self._series(name)[part])
+        self.lines["other"].data = {"t": thin_t, "value": thin}
+
+    def _show_quality(self) -> None:
+        if "quality" not in self._record.stored or self._at is None:
+            return
+        record = self._record
+        raw = record.preview.stored("quality")[self._at]
+        kinds = quality_kind(np.where(raw < 0, 0, raw))
+        starts = np.flatnonzero(np.r_[True, np.diff(kinds.astype(int)) != 0])
+        ends = np.r_[starts[1:], kinds.size]
+        shown = kinds[starts] < len(KINDS)
+        half = 0.5 / record.frame_rate
+        self.kinds.data = {
+            "left": record.time[starts[shown]] - half,
+            "right": record.time[ends[shown] - 1] + half,
+            "kind": kinds[starts[shown]].astype(np.float32),
+        }
+
+    def _zoomed(self, attr: str, old: Any, new: Any) -> None:
+        """Fetch finer series for a narrower view, once per burst of wheel turns."""
+        if self._at is not None and self._record.time.size > 1500 and not self._pending:
+            document = self.layout.document
+            if document is not None:
+                self._pending = True
+                document.add_timeout_callback(self._refine, 120)
+
+    def _refine(self) -> None:
+        self._pending = False
+        for name in self._main:
+            self._show_series(name)
+        self._show_other()
+
+    def _show_spectrum(self) -> None:
+        if self._at is None:
+            return
+        name = self.which.value
+        shown = shown_as(name, self._record.units(name))
+        found = spectrum(self._series(name), 1.0 / self._record.frame_rate)
+        self.spectrum.yaxis.axis_label = f"E ({shown.unit})\u00b2/Hz"
+        if found is None:
+            self.density.data = {"f": [], "e": [], "low": [], "high": []}
+            self.spectrum.title.text = "too short a record without gaps for a spectrum"
+        else:
+            e = found.density
+            self.density.data = {"f": found.frequency, "e": e, "low": e * found.low, "high": e * found.high}
+            self.spectrum.title.text = f"95 %: factor {number(found.low, 2)} to {number(found.high, 2)}"
+        self._show_probe(shown.factor if name == "z" else 0.0)
+
+    def _show_probe(self, factor: float) -> None:
+        self.probe.data = {"f": [], "e": []}
+        found = self.near_probe() if factor else None
+        if found is None or self._probes is None:
+            return
+        index, distance = found
+        time = self._probes.time.values
+        inside = (time >= self._record.time[0]) & (time <= self._record.time[-1])
+        values = self._probes.z.isel(probe=index).values[inside] * factor
+        density = spectrum(values, float(np.mean(np.diff(time))))
+        if density is not None:
+            keep = density.frequency <= self._record.frame_rate / 2
+            self.probe.data = {"f": density.frequency[keep], "e": density.density[keep]}
+            name = str(self._probes.probe.values[index])
+            self.spectrum.title.text += f"; dashed: {name}, {100 * distance:.0f} cm away"
+
+    def near_probe(self) -> tuple[int, float] | None:
+        """The nearest probe and its distance in metres; None if none is near."""
+        if self._probes is None or self._at is None:
+            return None
+        x, y = self._record.preview.x[self._at[1]], self._record.preview.y[self._at[0]]
+        distance = np.hypot(self._probes.probe_x.values - x, self._probes.probe_y.values - y)
+        index = int(np.argmin(distance))
+        return (index, float(distance[index])) if distance[index] <= _NEAR else None
+
+
+def _series_source(name: str) -> ColumnDataSource:
+    return ColumnDataSource({"t": [], "value": []}, name=name)
+
+
+def _with_std(name: str, values: dict[str, float], units: dict[str, str]) -> str:
+    words = readings(values, units, [name])
+    std = values.get(f"{name}_std", float("nan"))
+    if not np.isfinite(std) or not np.isfinite(values[name]):
+        return words
+    shown = shown_as(name, units[name])
+    return words.replace(f" {shown.unit}", f" \u00b1 {number(std * shown.factor, 2)} {shown.unit}")
+
+
+def _ordinal(count: int) -> str:
+    return {2: "second", 3: "third"}.get(count, f"{count}th")

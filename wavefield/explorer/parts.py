@@ -1,0 +1,185 @@
+"""What all panels share: figures of one look, colour bars, lines, and thinning of long series for a screen."""
+
+from typing import Any
+
+import numpy as np
+from bokeh.models import (
+    BasicTicker,
+    ColorBar,
+    ColumnDataSource,
+    FixedTicker,
+    LinearColorMapper,
+    NumeralTickFormatter,
+)
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+INK, GREY, BLUE, VERMILION, GREEN, PINK = "#1b1f24", "#d9d9d9", "#0072B2", "#D55E00", "#009E73", "#CC79A7"
+_MOST_POINTS = 1500  # of one line on a screen
+
+
+def make_figure(name: str, **settings: Any) -> Any:
+    """A figure as all are: wide as its place, light grid, tools out of the way.
+
+    Parameters
+    ----------
+    name : str
+        By which tests and scripts find it.
+    **settings
+        Of `bokeh.plotting.figure`.
+
+    Returns
+    -------
+    figure
+    """
+    usual: dict[str, Any] = {
+        "sizing_mode": "stretch_width",
+        "toolbar_location": None,
+        "tools": "xpan,xwheel_zoom,reset",
+        "active_scroll": "xwheel_zoom",
+        "min_border_left": 62,
+        "min_border_right": 12,
+        "min_border_top": 4,
+        "output_backend": "canvas",
+        "lod_threshold": None,
+    }
+    made = figure(name=name, **(usual | settings))
+    made.grid.grid_line_color = "#e4e7ea"
+    made.outline_line_color = "#8b949e"
+    made.axis.axis_label_text_font_style = "normal"
+    made.axis.axis_label_text_font_size = "12px"
+    made.axis.major_label_text_font_size = "11px"
+    made.axis.axis_label_standoff = 4
+    made.title.text_font_size = "13px"
+    made.title.text_font_style = "normal"
+    made.title.text_color = INK
+    return made
+
+
+def colour_bar(mapper: LinearColorMapper, title: str = "") -> ColorBar:
+    """A colour bar beside a map.
+
+    Parameters
+    ----------
+    mapper : LinearColorMapper
+        Its colours.
+    title : str
+        What is shown, with its unit.
+
+    Returns
+    -------
+    ColorBar
+    """
+    return ColorBar(
+        color_mapper=mapper,
+        title=title,
+        width=14,
+        padding=8,
+        margin=0,
+        title_text_font_style="normal",
+        title_text_font_size="12px",
+        major_label_text_font_size="11px",
+        ticker=BasicTicker(desired_num_ticks=7),
+        formatter=NumeralTickFormatter(format="0.[000]"),
+    )
+
+
+def fixed_labels(bar: ColorBar, labels: list[str]) -> None:
+    """Name the colours of a bar of kinds.
+
+    Parameters
+    ----------
+    bar : ColorBar
+        Whose mapper runs from -0.5 to n - 0.5.
+    labels : list of str
+        One for each kind.
+    """
+    bar.ticker = FixedTicker(ticks=list(range(len(labels))))
+    bar.major_label_overrides = dict(enumerate(labels))
+
+
+def image_data(values: NDArray, x: NDArray, y: NDArray) -> dict[str, list[Any]]:
+    """Columns of an image whose pixels are centred on nodes.
+
+    Parameters
+    ----------
+    values : ndarray, (ny, nx)
+        What is drawn.
+    x, y : ndarray, (nx,), (ny,)
+        Nodes, evenly spaced.
+
+    Returns
+    -------
+    dict
+        For a ColumnDataSource: image, x, y, dw, dh.
+    """
+    dx, dy = (float(v[-1] - v[0]) / max(len(v) - 1, 1) or 1.0 for v in (x, y))
+    return {
+        "image": [np.ascontiguousarray(values, np.float32)],
+        "x": [float(x[0]) - dx / 2],
+        "y": [float(y[0]) - dy / 2],
+        "dw": [dx * len(x)],
+        "dh": [dy * len(y)],
+    }
+
+
+def image_source(name: str) -> ColumnDataSource:
+    """An empty source of an image."""
+    return ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []}, name=name)
+
+
+def envelope(x: NDArray, *series: NDArray, most: int = _MOST_POINTS) -> tuple[NDArray, ...]:
+    """Thin long series for a screen: of each bin the lowest and the highest value, in their order.
+
+    Parameters
+    ----------
+    x : ndarray, (n,)
+        Common abscissa.
+    *series : ndarray, (n,)
+        The first one decides which samples are kept.
+    most : int
+        Samples to keep, at most; nothing is dropped below.
+
+    Returns
+    -------
+    tuple of ndarray, (m,)
+        x and the series at the kept samples.
+
+    Examples
+    --------
+    >>> x = np.arange(10000.0)
+    >>> y = np.zeros(10000)
+    >>> y[4321] = 1.0
+    >>> thin_x, thin_y = envelope(x, y)
+    >>> len(thin_x) <= 1500, float(thin_x[thin_y.argmax()])
+    (True, 4321.0)
+    """
+    if x.size <= most:
+        return (x, *series)
+    lead = series[0]
+    width = -(-2 * x.size // most)
+    whole = x.size - x.size % width
+    bins = np.where(np.isfinite(lead[:whole]), lead[:whole], np.nan).reshape(-1, width)
+    empty = ~np.isfinite(bins).any(axis=1)
+    lowest = np.where(np.isfinite(bins), bins, np.inf).argmin(axis=1)
+    highest = np.where(np.isfinite(bins), bins, -np.inf).argmax(axis=1)
+    start = np.arange(bins.shape[0]) * width
+    keep = np.unique(np.concatenate([start + lowest, start + highest, start[empty], np.arange(whole, x.size)]))
+    return tuple(part[keep] for part in (x, *series))
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number for people, with a real minus sign.
+
+    Parameters
+    ----------
+    value : float
+        Any.
+    digits : int
+        Significant ones.
+
+    Returns
+    -------
+    str
+    """
+    return f"{value:.{digits}g}".replace("-", "\u2212")

@@ -1,0 +1,265 @@
+"""What the pages look at: a cube, its preview in memory, and whatever else lies beside it."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from wavefield.errors import StoreError, WavefieldError
+from wavefield.explorer.fields import DERIVED, derive
+from wavefield.explorer.selections import MISSING, decode
+from wavefield.store import preview as previews
+from wavefield.store.read import open_group, read_layout
+from wavefield.variables import CUBE_DIMS, TABLE
+
+_KEPT = 160  # steps of single variables in memory
+_TOGETHER = 8  # steps that are decoded together anyway
+
+
+class Record:
+    """A cube for looking at: any variable at any step at once, everything at a node as soon as it is read.
+
+    Parameters
+    ----------
+    path : path
+        The cube; it may be being written.
+
+    Attributes
+    ----------
+    time, y, x : ndarray
+        Coordinates, s and m.
+    names : tuple of str
+        Variables that maps can show, derived ones last.
+    preview : Preview
+        The thinned cube in memory.
+
+    Raises
+    ------
+    StoreError
+        If it is not there or is not a cube.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path).absolute()
+        self.group = open_group(self.path)
+        self.layout = read_layout(self.group)
+        self.time, self.y, self.x = (np.asarray(self.group[name][:]) for name in CUBE_DIMS)
+        self.frame_rate = float(self.group.attrs["frame_rate"])
+        self.experiment = str(self.group.attrs["experiment"])
+        self.stored = tuple(n for n, a in self.group.arrays() if a.metadata.dimension_names == CUBE_DIMS)
+        self.stored = tuple(sorted(self.stored, key=_in_order))
+        self.names = (*self.stored, *DERIVED)
+        self._attrs = {name: dict(self.group[name].attrs) for name in self.stored}
+        self._kept: OrderedDict[tuple[str, int], NDArray] = OrderedDict()
+        self._lock = threading.Lock()
+        self.ledger = np.zeros(self.layout.steps, np.uint8)
+        self.refresh()
+        self.preview = Preview(self)
+
+    def units(self, name: str) -> str:
+        """CF unit of a variable."""
+        return "m s-1" if name == "residual" else "s-1" if name in DERIVED else self._attrs[name]["units"]
+
+    def long_name(self, name: str) -> str:
+        """What a variable is, in words."""
+        return DERIVED[name][0] if name in DERIVED else str(self._attrs[name]["long_name"])
+
+    def refresh(self) -> bool:
+        """Look at the ledger again.
+
+        Returns
+        -------
+        bool
+            Whether there are new steps.
+        """
+        ledger = np.asarray(self.group["frame_status"][:])
+        changed = not np.array_equal(ledger, self.ledger)
+        if changed:
+            for key in [k for k in self._kept if self.ledger[k[1]] != ledger[k[1]]]:
+                self._kept.pop(key, None)
+        self.ledger = ledger
+        return changed
+
+    @property
+    def steps_done(self) -> int:
+        """Steps that were tried."""
+        return int(np.count_nonzero(self.ledger))
+
+    def first_step(self) -> int:
+        """A step to begin with: the first that was measured."""
+        done = np.flatnonzero((self.ledger == 1) | (self.ledger == 2))
+        return int(done[0]) if done.size else 0
+
+    def field(self, name: str, step: int) -> NDArray:
+        """A variable at one step, at every node.
+
+        Parameters
+        ----------
+        name : str
+            One of `names`.
+        step : int
+            Index of the step.
+
+        Returns
+        -------
+        ndarray, (ny, nx)
+            In stored units; NaN where nothing was measured.
+
+        Raises
+        ------
+        StoreError
+            If its file is damaged.
+        """
+        if name in DERIVED:
+            return self._derived(name, step)
+        with self._lock:
+            if (name, step) not in self._kept:
+                start = step - step % _TOGETHER
+                stop = min(start + _TOGETHER, self.layout.steps)
+                for k, values in enumerate(previews.read_steps(self.group, name, start, stop)):
+                    self._kept[name, start + k] = values
+            self._kept.move_to_end((name, step))
+            out = self._kept[name, step]
+            while len(self._kept) > _KEPT:
+                self._kept.popitem(last=False)
+        return out
+
+    def _derived(self, name: str, step: int) -> NDArray:
+        around = [k for k in (step - 1, step, step + 1) if 0 <= k < self.layout.steps]
+        steps = xr.Dataset(
+            {n: (CUBE_DIMS, np.array([self.field(n, k) for k in around])) for n in ("z", "z_t", "u", "v", "w")},
+            coords={"time": self.time[around], "y": self.y, "x": self.x},
+        )
+        if len(around) < 2:
+            return np.full((self.y.size, self.x.size), np.nan, np.float32)
+        return derive(steps, name, around.index(step))
+
+
+def _in_order(name: str) -> int:
+    return list(TABLE).index(name) if name in TABLE else len(TABLE)
+
+
+class Preview:
+    """The thinned cube in memory; read once, in the background.
+
+    Parameters
+    ----------
+    record : Record
+        The cube.
+
+    Attributes
+    ----------
+    fields : ndarray of int16, (variable, y, x, time)
+        Value = scale * stored; -32768 where there is none, and where nothing is read yet.
+    y, x : ndarray
+        Its nodes, m.
+    known : ndarray of bool, (blocks,)
+        Which blocks are in memory.
+    trouble : str
+        What keeps it from being read or written, a sentence.
+    """
+
+    def __init__(self, record: Record) -> None:
+        self._record = record
+        self.thin = previews.thinning(record.group)
+        self.y, self.x = record.y[:: self.thin.every], record.x[:: self.thin.every]
+        blocks = record.layout.blocks()
+        shape = len(self.thin.names), self.y.size, self.x.size, record.layout.steps
+        self.fields = np.full(shape, MISSING, np.int16)
+        self.known = np.zeros(len(blocks), bool)
+        self.trouble = ""
+        self._lock = threading.Lock()
+
+    @property
+    def wanted(self) -> NDArray[np.bool_]:
+        """Which blocks the cube has."""
+        return previews.blocks_done(self._record.ledger, self._record.layout)
+
+    @property
+    def complete(self) -> bool:
+        """Whether all that is measured is in memory."""
+        return bool((self.known | ~self.wanted).all())
+
+    def load(self, progress: Callable[[int, int], None] | None = None) -> None:
+        """Read what the cube has and memory has not; writes what the preview on disk lacks.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Told (blocks read, all blocks to read).
+        """
+        with self._lock:
+            self._load(progress)
+
+    def _load(self, progress: Callable[[int, int], None] | None) -> None:
+        record, layout = self._record, self._record.layout
+        blocks, wanted = layout.blocks(), self.wanted
+        for index in np.flatnonzero(self.known & ~wanted):  # measured again
+            self.known[index] = False
+        todo = np.flatnonzero(wanted & ~self.known)
+        if not todo.size:
+            return
+        on_disk = self._open()
+        ready = np.zeros(len(blocks), bool)
+        if on_disk is not None:
+            ready = previews.blocks_done(np.asarray(on_disk["done"][:]), layout)
+        for count, index in enumerate(todo):
+            start, stop = blocks[index]
+            try:
+                if ready[index] and on_disk is not None:
+                    thinned = np.asarray(on_disk["fields"][..., start:stop])
+                else:
+                    thinned = previews.read_block(record.group, self.thin, start, stop)
+                    self._keep(on_disk, start, thinned)
+            except (WavefieldError, OSError, ValueError) as error:
+                self.trouble = str(error)
+                continue
+            self.fields[..., start:stop] = thinned
+            self.known[index] = True
+            if progress:
+                progress(count + 1, int(todo.size))
+
+    def _open(self) -> Any | None:
+        record = self._record
+        found = previews.open_preview(record.path, record.group)
+        if found is None:
+            try:
+                previews.create_preview(record.path, record.group)
+            except StoreError as error:
+                self.trouble = f"no preview is kept: {error}"
+                return None
+            found = previews.open_preview(record.path, record.group)
+        return found
+
+    def _keep(self, on_disk: Any | None, start: int, thinned: NDArray[np.int16]) -> None:
+        if on_disk is None or self.trouble:
+            return
+        try:
+            writable = previews.open_preview(self._record.path, self._record.group, "r+")
+            previews.store_block(self._record.path, writable, start, thinned)
+        except (StoreError, TypeError) as error:
+            self.trouble = f"no preview is kept: {error}"
+
+    def steps_known(self) -> NDArray[np.bool_]:
+        """Which steps are in memory, (time,)."""
+        out = np.zeros(self._record.layout.steps, bool)
+        for (start, stop), known in zip(self._record.layout.blocks(), self.known):
+            out[start:stop] = known
+        return out
+
+    def scale(self, name: str) -> float:
+        """Value = scale * stored."""
+        return self.thin.scales[self.thin.names.index(name)]
+
+    def stored(self, name: str) -> NDArray[np.int16]:
+        """One variable, (y, x, time), as stored; what is not read yet is missing."""
+        return self.fields[self.thin.names.index(name)]
+
+    def series(self, name: str, j: int, i: int) -> NDArray[np.float32]:
+        """A variable at one node of the preview, (time,), in stored units."""
+        return decode(self.stored(name)[j, i], self.scale(name))

@@ -1,0 +1,324 @@
+"""What is asked of the thinned preview: series at a node, line, rectangle. Arrays in, arrays out.
+
+The preview is int16 (variable, y, x, time): value = scale * stored, -32768 is missing.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal, stats
+
+MISSING = -32768
+_LONGEST_BRIDGE = 2  # steps: as in the analysis, longer gaps split a record
+_SHORTEST = 32  # steps from which a spectrum is taken
+_CONFIDENCE = 0.95
+
+
+def decode(stored: NDArray[np.int16], scale: float) -> NDArray[np.float32]:
+    """Values from 16 bits.
+
+    Parameters
+    ----------
+    stored : ndarray of int16
+        As in the preview.
+    scale : float
+        Of the variable, in its unit.
+
+    Returns
+    -------
+    ndarray of float32
+        NaN where nothing is stored.
+
+    Examples
+    --------
+    >>> decode(np.array([100, -32768], np.int16), 1e-3).tolist()
+    [0.10000000149011612, nan]
+    """
+    values = stored.astype(np.float32) * np.float32(scale)
+    values[stored == MISSING] = np.nan
+    return values
+
+
+def nearest(positions: NDArray, wanted: float) -> int:
+    """Index of the nearest of some positions.
+
+    Parameters
+    ----------
+    positions : ndarray, (n,)
+        Such as the nodes along x, metres.
+    wanted : float
+        A position, the same unit.
+
+    Returns
+    -------
+    int
+
+    Examples
+    --------
+    >>> nearest(np.array([0.0, 0.5, 1.0]), 0.7)
+    1
+    """
+    return int(np.argmin(np.abs(np.asarray(positions) - wanted)))
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """A one-sided spectrum.
+
+    Parameters
+    ----------
+    frequency : ndarray, (n,)
+        Hz; without 0.
+    density : ndarray, (n,)
+        Unit of the values squared, per Hz; its sum times the step is the variance.
+    low, high : float
+        The truth lies in [low, high] times the density with 95 % confidence.
+    """
+
+    frequency: NDArray
+    density: NDArray
+    low: float
+    high: float
+
+
+def longest_run(values: NDArray) -> NDArray:
+    """Longest stretch without a gap of more than two steps; shorter gaps are bridged by lines.
+
+    Parameters
+    ----------
+    values : ndarray, (n,)
+        A series with NaN where nothing was measured.
+
+    Returns
+    -------
+    ndarray, (m,)
+        Empty if there is no value.
+
+    Examples
+    --------
+    >>> longest_run(np.array([1.0, np.nan, 3.0, np.nan, np.nan, np.nan, 5.0])).tolist()
+    [1.0, 2.0, 3.0]
+    """
+    there = np.flatnonzero(np.isfinite(values))
+    if not there.size:
+        return np.empty(0)
+    pieces = np.split(there, np.flatnonzero(np.diff(there) > _LONGEST_BRIDGE + 1) + 1)
+    longest = max(pieces, key=lambda piece: int(piece[-1] - piece[0]))
+    steps = np.arange(longest[0], longest[-1] + 1)
+    return np.asarray(np.interp(steps, longest, np.asarray(values, float)[longest]))
+
+
+def spectrum(values: NDArray, dt: float) -> Spectrum | None:
+    """Welch's spectrum of the longest run of a series, with its interval.
+
+    Parameters
+    ----------
+    values : ndarray, (n,) or (n, nodes)
+        Series; several are averaged, as if they were one long record's worth of one node only.
+    dt : float
+        Time step, s.
+
+    Returns
+    -------
+    Spectrum or None
+        None where no run is long enough.
+
+    Notes
+    -----
+    Hann windows that overlap by half, eight at least where the record allows it. Neighbouring nodes see the
+    same waves, so that the interval counts the segments of one node only.
+    """
+    columns = np.asarray(values, float).reshape(len(values), -1).T
+    runs = [run for run in map(longest_run, columns) if run.size >= _SHORTEST]
+    if not runs:
+        return None
+    length = min(run.size for run in runs)
+    segment = min(1024, 1 << int(np.log2(max(_SHORTEST, 2 * length / 9))), length)
+    frequency, density = signal.welch(
+        np.array([run[:length] for run in runs]), fs=1.0 / dt, nperseg=segment, detrend="constant"
+    )
+    count = max(1, (length - segment // 2) // (segment - segment // 2))
+    dof = 2.0 * count * 18.0 / 19.0 if count > 1 else 2.0  # Hann, half overlapping
+    low, high = dof / stats.chi2.ppf([0.5 + _CONFIDENCE / 2, 0.5 - _CONFIDENCE / 2], dof)
+    return Spectrum(frequency[1:], density.mean(axis=0)[1:], float(low), float(high))
+
+
+def line_points(start: tuple[float, float], end: tuple[float, float], spacing: float) -> tuple[Any, Any, Any]:
+    """Points along a line.
+
+    Parameters
+    ----------
+    start, end : (x, y)
+        Its ends, metres.
+    spacing : float
+        About the distance between points, metres.
+
+    Returns
+    -------
+    distance, x, y : ndarray, (n,)
+        Metres; n is 2 at least, 400 at most.
+    """
+    length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
+    count = int(np.clip(round(length / spacing) + 1, 2, 400))
+    along = np.linspace(0.0, 1.0, count)
+    x, y = (a + along * (b - a) for a, b in zip(start, end))
+    return along * length, x, y
+
+
+def interpolate(field: NDArray, x: NDArray, y: NDArray, at_x: NDArray, at_y: NDArray) -> NDArray:
+    """Values between nodes, bilinear.
+
+    Parameters
+    ----------
+    field : ndarray, (ny, nx) or (ny, nx, time)
+        Values at the nodes; NaN where there are none.
+    x, y : ndarray, (nx,), (ny,)
+        The nodes, metres, evenly spaced.
+    at_x, at_y : ndarray, (n,)
+        Where values are wanted, metres.
+
+    Returns
+    -------
+    ndarray, (n,) or (n, time)
+        NaN outside and beside what is missing.
+    """
+    i, fx = _cell(x, at_x)
+    j, fy = _cell(y, at_y)
+    more = (slice(None),) + (None,) * (field.ndim - 2)
+    fx, fy = fx[more], fy[more]
+    lower = field[j, i] * (1 - fx) + field[j, i + 1] * fx
+    upper = field[j + 1, i] * (1 - fx) + field[j + 1, i + 1] * fx
+    out = lower * (1 - fy) + upper * fy
+    outside = (at_x < x[0]) | (at_x > x[-1]) | (at_y < y[0]) | (at_y > y[-1])
+    out[outside] = np.nan
+    return np.asarray(out)
+
+
+def _cell(nodes: NDArray, at: NDArray) -> tuple[NDArray, NDArray]:
+    place = (np.asarray(at, float) - nodes[0]) / ((nodes[-1] - nodes[0]) / (len(nodes) - 1))
+    index = np.clip(np.floor(place).astype(int), 0, len(nodes) - 2)
+    return index, place - index
+
+
+def time_distance(
+    stored: NDArray[np.int16], scale: float, x: NDArray, y: NDArray, at_x: NDArray, at_y: NDArray
+) -> NDArray:
+    """A variable along a line as it goes by.
+
+    Parameters
+    ----------
+    stored : ndarray of int16, (ny, nx, time)
+        One variable of the preview, as many steps as are wanted.
+    scale : float
+        Of the variable.
+    x, y : ndarray, (nx,), (ny,)
+        Nodes of the preview, metres.
+    at_x, at_y : ndarray, (n,)
+        Points of the line, metres.
+
+    Returns
+    -------
+    ndarray, (time, n)
+    """
+    i = np.unique(np.clip(np.r_[_cell(x, at_x)[0], _cell(x, at_x)[0] + 1], 0, len(x) - 1))
+    j = np.unique(np.clip(np.r_[_cell(y, at_y)[0], _cell(y, at_y)[0] + 1], 0, len(y) - 1))
+    columns, rows = slice(i[0], i[-1] + 1), slice(j[0], j[-1] + 1)  # what the line touches
+    part = decode(stored[rows, columns], scale)
+    return interpolate(part, x[columns], y[rows], at_x, at_y).T
+
+
+@dataclass(frozen=True)
+class Area:
+    """What a rectangle holds.
+
+    Parameters
+    ----------
+    mean, std : ndarray, (time,)
+        Over its nodes, at each step; NaN where there is none.
+    edges, density : ndarray, (n + 1,), (n,)
+        Histogram of all its values, a probability density.
+    spectrum : Spectrum or None
+        E(omega), mean over its nodes.
+    nodes : int
+        Nodes of the preview in it.
+    count : int
+        Values in it.
+    """
+
+    mean: NDArray
+    std: NDArray
+    edges: NDArray
+    density: NDArray
+    spectrum: Spectrum | None
+    nodes: int
+    count: int
+
+
+def span(nodes: NDArray, first: float, last: float) -> slice:
+    """Nodes between two positions; the nearest one if there is none between.
+
+    Parameters
+    ----------
+    nodes : ndarray, (n,)
+        Ascending positions.
+    first, last : float
+        In any order.
+
+    Returns
+    -------
+    slice
+    """
+    low, high = sorted((first, last))
+    inside = np.flatnonzero((nodes >= low) & (nodes <= high))
+    if not inside.size:
+        inside = np.array([nearest(nodes, 0.5 * (low + high))])
+    return slice(int(inside[0]), int(inside[-1]) + 1)
+
+
+def area(stored: NDArray[np.int16], scale: float, dt: float, most_spectra: int = 64) -> Area:
+    """Means, histogram and spectrum of a variable over a rectangle.
+
+    Parameters
+    ----------
+    stored : ndarray of int16, (ny, nx, time)
+        One variable of the preview, the rectangle's nodes.
+    scale : float
+        Of the variable.
+    dt : float
+        Time step, s.
+    most_spectra : int
+        Nodes whose spectra are averaged, at most, evenly chosen.
+
+    Returns
+    -------
+    Area
+    """
+    flat = stored.reshape(-1, stored.shape[-1])
+    there = flat != MISSING
+    count = np.maximum(there.sum(axis=0), 1)
+    clean = np.where(there, flat, np.int16(0))
+    total = clean.sum(axis=0, dtype=np.int64)
+    squares = np.einsum("nt,nt->t", clean, clean, dtype=np.float64)
+    mean = scale * total / count
+    std = np.sqrt(np.maximum(scale**2 * squares / count - mean**2, 0.0))
+    empty = ~there.any(axis=0)
+    mean[empty] = std[empty] = np.nan
+    values = flat[there]
+    bins = _bins(values)
+    counts, _ = np.histogram(values, bins)
+    edges = bins * scale
+    density = counts / (max(values.size, 1) * np.diff(edges))
+    every = -(-len(flat) // most_spectra)
+    found = spectrum(decode(flat[::every], scale).T, dt)
+    return Area(mean, std, edges, density, found, len(flat), int(values.size))
+
+
+def _bins(values: NDArray[np.int16]) -> NDArray:
+    """Edges of bins between the stored integers: none is counted in a bin of another."""
+    if not values.size:
+        return np.array([-0.5, 0.5])
+    low, high = int(values.min()), int(values.max())
+    width = max(1, -(-(high - low + 1) // 60))
+    return np.arange(low, high + width + 1, width) - 0.5

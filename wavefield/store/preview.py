@@ -1,0 +1,330 @@
+"""The thinned preview beside a cube: every fourth node in 16 bits, long in time, written as the run goes.
+
+``cube_preview.zarr`` beside ``cube.zarr`` holds one array ``fields`` (variable, y, x, time), one chunk per
+block of steps, so that no two blocks touch the same file; its ledger ``done`` (time) is written last. It can
+be removed at any time: `read_block` thins the cube itself, and `wavefield look` writes it again.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+from zarr.codecs import BloscCodec
+
+from wavefield.errors import StoreError
+from wavefield.store.layout import COMPRESSION, MISSING, PACKING, Layout
+from wavefield.store.read import read_layout
+from wavefield.variables import CUBE_FIELDS
+from wavefield.whole_files import whole, write_error
+
+_NODES = 2000  # of a preview: every fourth of 150 x 200, either way
+_VALUES = 32_000_000  # of one variable: 64 MB; longer records are thinned more
+
+
+@dataclass(frozen=True)
+class Thinning:
+    """Which part of a cube a preview holds.
+
+    Parameters
+    ----------
+    every : int
+        Every so-many-th node along x and y, from the first.
+    names : tuple of str
+        Variables, in order.
+    scales : tuple of float
+        Value = scale * stored, in the variable's unit.
+    """
+
+    every: int
+    names: tuple[str, ...]
+    scales: tuple[float, ...]
+
+
+def preview_path(cube: str | Path) -> Path:
+    """Where the preview of a cube lies.
+
+    Parameters
+    ----------
+    cube : path
+        The cube.
+
+    Returns
+    -------
+    Path
+
+    Examples
+    --------
+    >>> preview_path("a/cube.zarr").name
+    'cube_preview.zarr'
+    """
+    cube = Path(cube)
+    return cube.with_name(f"{cube.name.removesuffix('.zarr')}_preview.zarr")
+
+
+def thinning(group: Any) -> Thinning:
+    """How a cube is thinned: every fourth node of an usual one, all of a small one.
+
+    Parameters
+    ----------
+    group : zarr.Group
+        The open cube.
+
+    Returns
+    -------
+    Thinning
+    """
+    names = tuple(name for name in CUBE_FIELDS if name in group)
+    steps, ny, nx = group[names[0]].shape
+    most = min(_NODES, max(1, _VALUES // max(steps, 1)))
+    return Thinning(
+        math.ceil(math.sqrt(ny * nx / most)), names, tuple(PACKING.get(name, 1.0) for name in names)
+    )
+
+
+def create_preview(cube: Path, group: Any) -> None:
+    """Make an empty preview beside a new cube, in place of any that lies there.
+
+    Parameters
+    ----------
+    cube : path
+        The cube.
+    group : zarr.Group
+        The same, open.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+    """
+    path, layout, thin = preview_path(cube), read_layout(group), thinning(group)
+    shape = _shape(group, thin)
+    with whole(path) as draft:
+        preview = zarr.open_group(
+            draft,
+            mode="w",
+            zarr_format=3,
+            attributes={
+                "title": f"thinned preview of {cube.name}",
+                "of": _mark(group),
+                "every": thin.every,
+                "variables": list(thin.names),
+                "scales": list(thin.scales),
+                "missing": MISSING,
+            },
+        )
+        preview.create_array(
+            "fields",
+            shape=(len(thin.names), *shape, layout.steps),
+            chunks=(len(thin.names), *shape, layout.block),
+            dtype="int16",
+            fill_value=MISSING,
+            compressors=BloscCodec(**COMPRESSION, shuffle="shuffle"),
+            dimension_names=("variable", "y", "x", "time"),
+        )
+        preview.create_array(
+            "done",
+            shape=(layout.steps,),
+            chunks=(layout.block,),
+            dtype="uint8",
+            fill_value=0,
+            dimension_names=("time",),
+        )
+
+
+def _shape(group: Any, thin: Thinning) -> tuple[int, int]:
+    _, ny, nx = group[thin.names[0]].shape
+    return -(-ny // thin.every), -(-nx // thin.every)
+
+
+def _mark(group: Any) -> str:
+    """What a preview must share with its cube: recipe and size."""
+    layout = read_layout(group)
+    return f"{group.attrs['recipe_hash']} {layout.steps} {layout.block} {layout.first_frame}"
+
+
+def open_preview(cube: Path, group: Any, mode: Any = "r") -> Any | None:
+    """The preview that belongs to a cube.
+
+    Parameters
+    ----------
+    cube : path
+        The cube.
+    group : zarr.Group
+        The same, open.
+    mode : {"r", "r+"}
+        To read, or to read and write.
+
+    Returns
+    -------
+    zarr.Group or None
+        None if there is none, or it is another cube's.
+    """
+    path = preview_path(cube)
+    if not path.is_dir():
+        return None
+    try:
+        preview = zarr.open_group(path, mode=mode, use_consolidated=False)
+        thin = thinning(group)
+        mine = preview.attrs.get("of") == _mark(group) and preview.attrs.get("variables") == list(thin.names)
+        return preview if mine and preview.attrs.get("every") == thin.every else None
+    except Exception:  # damaged: as good as none
+        return None
+
+
+def thin_block(fields: Mapping[str, NDArray], thin: Thinning) -> NDArray[np.int16]:
+    """Every so-many-th node of a block in 16 bits.
+
+    Parameters
+    ----------
+    fields : mapping of str to ndarray, (n, ny, nx)
+        The block's results.
+    thin : Thinning
+        Which nodes and variables.
+
+    Returns
+    -------
+    ndarray of int16, (variable, y, x, n)
+        Round(value / scale); -32768 where values are missing or do not fit.
+    """
+    out = []
+    for name, scale in zip(thin.names, thin.scales):
+        values = np.asarray(fields[name])[:, :: thin.every, :: thin.every].astype(np.float32)
+        with np.errstate(invalid="ignore"):
+            scaled = np.rint(values / np.float32(scale))
+            out.append(np.where(np.abs(scaled) <= 32767, scaled, MISSING).astype(np.int16))
+    return np.ascontiguousarray(np.moveaxis(np.array(out), 1, -1))
+
+
+def write_preview(cube: Path, group: Any, start: int, fields: Mapping[str, NDArray]) -> None:
+    """Write one block of the preview, if the cube has one.
+
+    Parameters
+    ----------
+    cube : path
+        The cube.
+    group : zarr.Group
+        The same, open.
+    start : int
+        First step of the block.
+    fields : mapping of str to ndarray, (n, ny, nx)
+        The block's results.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+    """
+    preview = open_preview(cube, group, "r+")
+    if preview is not None:
+        store_block(cube, preview, start, thin_block(fields, thinning(group)))
+
+
+def store_block(cube: Path, preview: Any, start: int, thinned: NDArray[np.int16]) -> None:
+    """Put a thinned block into the preview, its ledger last.
+
+    Parameters
+    ----------
+    cube : path
+        The cube, for the message.
+    preview : zarr.Group
+        As from `open_preview`, to write.
+    start : int
+        First step of the block.
+    thinned : ndarray of int16, (variable, y, x, n)
+        As from `thin_block`.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+    """
+    stop = start + thinned.shape[-1]
+    try:
+        preview["fields"][..., start:stop] = thinned
+        preview["done"][start:stop] = np.uint8(1)
+    except OSError as error:
+        raise write_error(preview_path(cube), error) from None
+
+
+def read_block(group: Any, thin: Thinning, start: int, stop: int) -> NDArray[np.int16]:
+    """Thin a block of the cube itself.
+
+    Parameters
+    ----------
+    group : zarr.Group
+        The open cube.
+    thin : Thinning
+        Which nodes and variables.
+    start, stop : int
+        Range of steps.
+
+    Returns
+    -------
+    ndarray of int16, (variable, y, x, n)
+    """
+    fields = {name: read_steps(group, name, start, stop) for name in thin.names}
+    return thin_block(fields, thin)
+
+
+def read_steps(group: Any, name: str, start: int, stop: int) -> NDArray:
+    """Steps of one variable of a cube, unpacked.
+
+    Parameters
+    ----------
+    group : zarr.Group
+        The open cube.
+    name : str
+        The variable.
+    start, stop : int
+        Range of steps.
+
+    Returns
+    -------
+    ndarray, (n, ny, nx)
+        float32, NaN where nothing was measured; quality as stored.
+
+    Raises
+    ------
+    StoreError
+        If the file is damaged.
+    """
+    array = group[name]
+    try:
+        values = np.asarray(array[start:stop])
+    except Exception as error:
+        raise StoreError(
+            f"{name} of steps {start} to {stop - 1} of {group.store_path} cannot be read: {error}"
+        ) from None
+    scale = array.attrs.get("scale_factor")
+    if scale is None:
+        return values
+    out = values.astype(np.float32) * np.float32(scale)
+    out[values == MISSING] = np.nan
+    return out
+
+
+def blocks_done(ledger: NDArray, layout: Layout) -> NDArray[np.bool_]:
+    """Which blocks have no step left.
+
+    Parameters
+    ----------
+    ledger : ndarray of uint8, (steps,)
+        Of a cube or of a preview; 0 where nothing is there.
+    layout : Layout
+        Sizes of the cube.
+
+    Returns
+    -------
+    ndarray of bool, (blocks,)
+
+    Examples
+    --------
+    >>> blocks_done(np.array([1, 1, 1, 0], np.uint8), Layout(4, 2, (), 0)).tolist()
+    [True, False]
+    """
+    return np.array([bool(ledger[a:b].all()) for a, b in layout.blocks()])
