@@ -31,6 +31,7 @@ from wavefield.series import Experiment, FrameSeries
 from wavefield.series.document import place_of, read_yaml
 from wavefield.store.layout import Layout, create_store
 from wavefield.store.ledger import Status, status
+from wavefield.store.preview import create_preview
 from wavefield.store.read import open_group, read_layout
 from wavefield.store.recipe import Recipe, check_recipe
 from wavefield.store.write import reset_blocks
@@ -472,6 +473,7 @@ def _open_or_create(prepared: Prepared, path: Path) -> Layout:
     attributes |= prepared.experiment.water.attributes()
     remove_leftovers(path)
     create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes)
+    create_preview(path, open_group(path))
     return layout
 
 

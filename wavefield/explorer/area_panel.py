@@ -86,6 +86,6 @@ class AreaPanel:
         whole = float(np.average(found.mean[finite])) if finite.any() else float("nan")
         self.words.text = (
             f"<b>{name}, x {number(min(x0, x1))} to {number(max(x0, x1))} m, y {number(min(y0, y1))} to "
-            f"{number(max(y0, y1))} m:</b> mean {number(whole)} {shown.unit}; {found.nodes} nodes of the preview, "
-            f"{found.count} values; the band is one standard deviation over the rectangle."
+            f"{number(max(y0, y1))} m:</b> mean {number(whole)} {shown.unit}; {found.nodes} nodes of the "
+            f"preview, {found.count} values; the band is one standard deviation over the rectangle."
         )

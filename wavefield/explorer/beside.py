@@ -126,7 +126,9 @@ def open_waves(beside: Beside) -> bool:
     """
     beside.notes.pop("waves", None)
     if not beside.waves_path.is_dir():
-        beside.notes["waves"] = "no waves yet: run `wavefield analyze` on this cube; they appear here by themselves"
+        beside.notes["waves"] = (
+            "no waves yet: run `wavefield analyze` on this cube; they appear here by themselves"
+        )
         return False
     try:
         beside.waves = xr.open_datatree(beside.waves_path, engine="zarr", chunks={})

@@ -23,7 +23,7 @@ _NODES = 34  # drawn along the longer side of the grid
 _LONGER = 5.0  # displacements are drawn so many times as long
 
 
-def shrink(image: NDArray) -> tuple[NDArray[np.uint8], int]:
+def shrink(image: NDArray[Any]) -> tuple[NDArray[np.uint8], int]:
     """A frame for the screen: whole squares of pixels averaged, grey levels stretched.
 
     Parameters
@@ -48,8 +48,8 @@ def shrink(image: NDArray) -> tuple[NDArray[np.uint8], int]:
 
 
 def seen_nodes(
-    camera: Camera, x: NDArray, y: NDArray, fields: dict[str, NDArray], dt: float, second: bool
-) -> dict[str, NDArray]:
+    camera: Camera, x: NDArray[Any], y: NDArray[Any], fields: dict[str, NDArray[Any]], dt: float, second: bool
+) -> dict[str, NDArray[Any]]:
     """Where a camera sees the nodes in a frame of a step, and where they come from or go to.
 
     Parameters
@@ -107,18 +107,24 @@ class CameraPanel:
     ) -> None:
         self._record, self._beside, self._picked = record, beside, picked
         cameras = [n for n in beside.frames if beside.rig is None or n in beside.rig.cameras]
-        self.camera = Select(title="Camera", value=cameras[0] if cameras else "", options=cameras, name="camera")
+        self.camera = Select(
+            title="Camera", value=cameras[0] if cameras else "", options=cameras, name="camera"
+        )
         self.frame = Select(title="Frame", value="first", options=["first", "second"], name="camera_frame")
         self.drawn = Select(
             title="Over it", value="nodes", options=["nodes", "displacements", "nothing"], name="camera_over"
         )
-        self.words = Div(text=beside.notes.get("cameras", ""), name="camera_words", sizing_mode="stretch_width")
-        self.image = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []}, name="camera_image")
+        self.words = Div(
+            text=beside.notes.get("cameras", ""), name="camera_words", sizing_mode="stretch_width"
+        )
+        self.image = ColumnDataSource(
+            {"image": [], "x": [], "y": [], "dw": [], "dh": []}, name="camera_image"
+        )
         self.nodes = ColumnDataSource({"X": [], "Y": [], "kind": []}, name="camera_nodes")
         self.moves = ColumnDataSource({"X0": [], "Y0": [], "X1": [], "Y1": []}, name="camera_moves")
         self.grid = ColumnDataSource({"xs": [], "ys": []}, name="camera_grid")
         self.node = ColumnDataSource({"X": [], "Y": []}, name="camera_node")
-        self._seen: dict[str, NDArray] = {}
+        self._seen: dict[str, NDArray[Any]] = {}
         self.figure = self._draw()
         self.layout = column(
             row(self.camera, self.frame, self.drawn, sizing_mode="stretch_width"),
@@ -152,7 +158,9 @@ class CameraPanel:
         )  # fmt: skip
         made.segment("X0", "Y0", "X1", "Y1", source=self.moves, color="#F0E442", line_width=1.6)
         made.scatter("X", "Y", source=self.node, size=15, fill_color=None, line_color="white", line_width=5)
-        made.scatter("X", "Y", source=self.node, size=15, fill_color=None, line_color=VERMILION, line_width=2.4)
+        made.scatter(
+            "X", "Y", source=self.node, size=15, fill_color=None, line_color=VERMILION, line_width=2.4
+        )
         made.on_event(Tap, self._tapped)
         made.title.text_color = INK
         return made
@@ -201,7 +209,10 @@ class CameraPanel:
         rows = slice(every // 2, None, every)
         thin = {n: f[rows, rows] for n, f in fields.items()}
         seen = seen_nodes(rig[name], x[rows, rows], y[rows, rows], thin, 1.0 / record.frame_rate, second)
-        self._seen = seen | {"x": x[rows, rows][seen["j"], seen["i"]], "y": y[rows, rows][seen["j"], seen["i"]]}
+        self._seen = seen | {
+            "x": x[rows, rows][seen["j"], seen["i"]],
+            "y": y[rows, rows][seen["j"], seen["i"]],
+        }
         over = self.drawn.value
         known = seen["kind"] < len(KINDS)
         picked = known if over == "nodes" else known & False
@@ -215,7 +226,7 @@ class CameraPanel:
         self._show_grid(rig[name], fields["z"], over != "nothing")
         self._mark(place, rig[name], fields)
 
-    def _show_grid(self, camera: Camera, z: NDArray, wanted: bool) -> None:
+    def _show_grid(self, camera: Camera, z: NDArray[Any], wanted: bool) -> None:
         """Grid lines on the water as it stands."""
         xs, ys = [], []
         record = self._record
@@ -230,7 +241,7 @@ class CameraPanel:
             ys.append(Y)
         self.grid.data = {"xs": xs, "ys": ys}
 
-    def _mark(self, place: Place, camera: Camera, fields: dict[str, NDArray]) -> None:
+    def _mark(self, place: Place, camera: Camera, fields: dict[str, NDArray[Any]]) -> None:
         self.node.data = {"X": [], "Y": []}
         if place.node is None:
             return

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -18,7 +19,7 @@ DERIVED = {
 }
 _BALANCE = ("z", "z_t", "u", "v", "w")
 
-# one word for each node, the first that fits: bits of `quality`, what it is called, its colour (Okabe and Ito)
+# one word for each node, the first that fits: bit of `quality`, in words, colour (of Okabe and Ito's)
 _KINDS: tuple[tuple[str, str, str], ...] = (
     ("MASKED", "masked", "#000000"),
     ("OUTSIDE", "outside the view", "#d9d9d9"),
@@ -32,7 +33,7 @@ _KINDS: tuple[tuple[str, str, str], ...] = (
 KINDS = tuple((name, words, colour) for name, words, colour in _KINDS if name in Quality.__members__)
 
 
-def quality_kind(quality: NDArray) -> NDArray[np.uint8]:
+def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
     """One kind for each node: the gravest thing that its bits say.
 
     Parameters
@@ -57,7 +58,7 @@ def quality_kind(quality: NDArray) -> NDArray[np.uint8]:
     return out
 
 
-def derive(steps: xr.Dataset, name: str, step: int) -> NDArray:
+def derive(steps: xr.Dataset, name: str, step: int) -> NDArray[Any]:
     """A derived field at one step.
 
     Parameters
@@ -126,7 +127,7 @@ def palette(name: str) -> list[str]:
     return [to_hex(colour) for colour in colormaps[name](np.linspace(0, 1, 256))]
 
 
-def colour_limits(values: NDArray, name: str) -> tuple[float, float]:
+def colour_limits(values: NDArray[Any], name: str) -> tuple[float, float]:
     """Ends of a colour scale that leave out the wildest half percent.
 
     Parameters
@@ -166,7 +167,12 @@ class Shown:
         return f" ({self.unit})" if self.unit else ""
 
 
-_UNITS = {"m": Shown(100.0, "cm"), "m s-1": Shown(100.0, "cm/s"), "s-1": Shown(1.0, "1/s"), "1": Shown(1.0, "")}
+_UNITS = {
+    "m": Shown(100.0, "cm"),
+    "m s-1": Shown(100.0, "cm/s"),
+    "s-1": Shown(1.0, "1/s"),
+    "1": Shown(1.0, ""),
+}
 _SMALL = Shown(1000.0, "mm")
 
 
@@ -195,8 +201,8 @@ def shown_as(name: str, units: str) -> Shown:
 
 
 def arrows(
-    u: NDArray, v: NDArray, x: NDArray, y: NDArray, fastest: float, *, along: int = 24
-) -> tuple[list[NDArray], list[NDArray], float]:
+    u: NDArray[Any], v: NDArray[Any], x: NDArray[Any], y: NDArray[Any], fastest: float, *, along: int = 24
+) -> tuple[list[NDArray[Any]], list[NDArray[Any]], float]:
     """Arrows of the horizontal velocity at every so-many-th node.
 
     Parameters
@@ -231,7 +237,9 @@ def arrows(
     return list(np.array(xs).T), list(np.array(ys).T), metres
 
 
-def relief(field: NDArray, x: NDArray, y: NDArray, most: int = 80) -> tuple[NDArray, NDArray, NDArray]:
+def relief(
+    field: NDArray[Any], x: NDArray[Any], y: NDArray[Any], most: int = 80
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """A field thinned for the relief.
 
     Parameters

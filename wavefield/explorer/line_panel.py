@@ -5,7 +5,16 @@ from bokeh.layouts import column
 from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Range1d, Span
 
 from wavefield.explorer.fields import colour_map, palette, shown_as
-from wavefield.explorer.parts import BLUE, GREY, INK, colour_bar, image_data, image_source, make_figure, number
+from wavefield.explorer.parts import (
+    BLUE,
+    GREY,
+    INK,
+    colour_bar,
+    image_data,
+    image_source,
+    make_figure,
+    number,
+)
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import Record
 from wavefield.explorer.selections import interpolate, line_points, time_distance
@@ -76,8 +85,9 @@ class LinePanel:
         self.now.data = {"s": distance, "value": values}
         self.transect.yaxis.axis_label = f"{name}{shown.suffix}"
         self.words.text = (
-            f"<b>From ({number(start[0])}, {number(start[1])}) m to ({number(end[0])}, {number(end[1])}) m</b>, "
-            f"{number(float(distance[-1]))} m; below: as it goes by, dotted: t {record.time[place.step]:.3f} s."
+            f"<b>From ({number(start[0])}, {number(start[1])}) m to ({number(end[0])}, {number(end[1])}) m"
+            f"</b>, {number(float(distance[-1]))} m; below: as it goes by; dotted: t "
+            f"{record.time[place.step]:.3f} s."
         )
         self.moment.location = float(record.time[place.step])
         if name not in preview.thin.names:
@@ -100,7 +110,9 @@ class LinePanel:
         key = (place.line, name, int(preview.known.sum()))
         if around and self._drawn == key and self._quarter(place.step):
             return  # still well inside what is drawn
-        values = time_distance(preview.stored(name)[..., steps], preview.scale(name), preview.x, preview.y, x, y)
+        values = time_distance(
+            preview.stored(name)[..., steps], preview.scale(name), preview.x, preview.y, x, y
+        )
         length = float(np.hypot(x[-1] - x[0], y[-1] - y[0]))
         along = np.linspace(0.0, length, values.shape[1])
         self.image.data = image_data(values * np.float32(shown.factor), along, record.time[steps])

@@ -20,8 +20,25 @@ from bokeh.models import (
     ZoomOutTool,
 )
 
-from wavefield.explorer.fields import KINDS, arrows, colour_limits, colour_map, palette, quality_kind, shown_as
-from wavefield.explorer.parts import GREY, INK, colour_bar, fixed_labels, image_data, image_source, make_figure, number
+from wavefield.explorer.fields import (
+    KINDS,
+    arrows,
+    colour_limits,
+    colour_map,
+    palette,
+    quality_kind,
+    shown_as,
+)
+from wavefield.explorer.parts import (
+    GREY,
+    INK,
+    colour_bar,
+    fixed_labels,
+    image_data,
+    image_source,
+    make_figure,
+    number,
+)
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import Record
 from wavefield.figures.style import limit
@@ -75,7 +92,15 @@ class MapPanel:
         move, wheel = PanTool(), WheelZoomTool()
         made = make_figure(
             "map",
-            tools=[move, wheel, BoxZoomTool(match_aspect=True), ZoomInTool(), ZoomOutTool(), ResetTool(), SaveTool()],
+            tools=[
+                move,
+                wheel,
+                BoxZoomTool(match_aspect=True),
+                ZoomInTool(),
+                ZoomOutTool(),
+                ResetTool(),
+                SaveTool(),
+            ],
             active_scroll=wheel,
             active_drag=move,
             match_aspect=True,
@@ -100,7 +125,9 @@ class MapPanel:
         )  # fmt: skip
         made.patch("x", "y", source=self.mask, fill_color=INK, fill_alpha=0.35, line_color=INK, line_width=2)
         made.scatter("x", "y", source=self.mask, size=7, fill_color="white", line_color=INK)
-        made.scatter("x", "y", source=self.probes, marker="triangle", size=11, fill_color="#F0E442", line_color=INK)
+        made.scatter(
+            "x", "y", source=self.probes, marker="triangle", size=11, fill_color="#F0E442", line_color=INK
+        )
         made.text("x", "y", "name", source=self.probes, x_offset=8, y_offset=4, text_font_size="11px")
         made.scatter("x", "y", source=self.node, size=13, fill_color=None, line_color="white", line_width=5)
         made.scatter("x", "y", source=self.node, size=13, fill_color=None, line_color=INK, line_width=2.2)
@@ -111,14 +138,18 @@ class MapPanel:
             background_fill_color="white", background_fill_alpha=0.8, padding=3,
         )  # fmt: skip
         made.add_layout(self.key)
-        made.add_tools(HoverTool(renderers=[shown], tooltips=[("x, y", "$x{0.000}, $y{0.000} m"), ("", "@image")]))
+        made.add_tools(
+            HoverTool(renderers=[shown], tooltips=[("x, y", "$x{0.000}, $y{0.000} m"), ("", "@image")])
+        )
         self._move = move
         self._listen(made)
         return made
 
     def _listen(self, made: Any) -> None:
         start = ColumnDataSource({"x": [0.0], "y": [0.0]})
-        follow = CustomJS(args={"drag": self._drag, "start": start, "line": self.line, "area": self.area}, code=_DRAG)
+        follow = CustomJS(
+            args={"drag": self._drag, "start": start, "line": self.line, "area": self.area}, code=_DRAG
+        )
         for event in ("panstart", "pan"):
             made.js_on_event(event, follow)
         made.on_event(PanStart, self._drag_begins)
@@ -128,7 +159,7 @@ class MapPanel:
             "value",
             CustomJS(
                 args={"bar": made.toolbar, "move": self._move},
-                code="bar.active_drag = cb_obj.value == 'move' ? move : null; move.active = cb_obj.value == 'move'",
+                code="move.active = cb_obj.value == 'move'; bar.active_drag = move.active ? move : null",
             ),
         )
 

@@ -34,11 +34,14 @@ class NodePanel:
         self._main = tuple(name for name in _MAIN if name in record.stored)
         others = [n for n in record.stored if n not in (*_MAIN, "quality") and not n.endswith("_std")]
         self.words = Div(text="Click a node of the map.", name="node_words", sizing_mode="stretch_width")
-        self.other = Select(title="Below", value=others[0] if others else "", options=others, name="node_other")
+        self.other = Select(
+            title="Below", value=others[0] if others else "", options=others, name="node_other"
+        )
         self.which = Select(title="Spectrum of", value="z", options=list(self._main), name="node_which")
         self.lines = {name: _series_source(f"node_{name}") for name in (*self._main, "other")}
         self.bands = {
-            name: ColumnDataSource({"t": [], "low": [], "high": []}, name=f"node_{name}_band") for name in self._main
+            name: ColumnDataSource({"t": [], "low": [], "high": []}, name=f"node_{name}_band")
+            for name in self._main
         }
         self.now = Span(dimension="height", location=0, line_color=INK, line_dash="dotted")
         self.figures: list[Any] = []
@@ -55,7 +58,13 @@ class NodePanel:
         self.figures[0].x_range.on_change("start", self._zoomed)
         self._pending = False
         self.layout = column(
-            self.words, *self.figures, self.strip, self.other, self.which, self.spectrum, sizing_mode="stretch_width"
+            self.words,
+            *self.figures,
+            self.strip,
+            self.other,
+            self.which,
+            self.spectrum,
+            sizing_mode="stretch_width",
         )
 
     def _draw(self, name: str) -> Any:
@@ -93,7 +102,13 @@ class NodePanel:
         made.varea("f", "low", "high", source=self.density, fill_color=BLUE, fill_alpha=0.22)
         made.line("f", "e", source=self.density, color=BLUE, line_width=1.6, legend_label="this node")
         made.line(
-            "f", "e", source=self.probe, color=VERMILION, line_width=1.6, line_dash="dashed", legend_label="probe"
+            "f",
+            "e",
+            source=self.probe,
+            color=VERMILION,
+            line_width=1.6,
+            line_dash="dashed",
+            legend_label="probe",
         )
         made.legend.label_text_font_size = "11px"
         made.legend.background_fill_alpha = 0.7
@@ -143,11 +158,12 @@ class NodePanel:
         every = record.preview.thin.every
         series = f" Series: the nearest of every {_ordinal(every)} node." if every > 1 else ""
         self.words.text = (
-            f"<b>x {number(record.x[i], 4)} m, y {number(record.y[j], 4)} m, t {record.time[place.step]:.3f} s:</b> "
-            f"{first}; {readings(values, units, rest)}; {word}.{series}"
+            f"<b>x {number(record.x[i], 4)} m, y {number(record.y[j], 4)} m, "
+            f"t {record.time[place.step]:.3f} s:</b> {first}; "
+            f"{readings(values, units, rest)}; {word}.{series}"
         )
 
-    def _series(self, name: str) -> NDArray:
+    def _series(self, name: str) -> NDArray[Any]:
         assert self._at is not None
         factor = shown_as(name, self._record.units(name)).factor
         return self._record.preview.series(name, *self._at) * np.float32(factor)

@@ -1,4 +1,4 @@
-"""What all panels share: figures of one look, colour bars, lines, and thinning of long series for a screen."""
+"""What all panels share: figures of one look, colour bars, thinning of long series for a screen."""
 
 from typing import Any
 
@@ -98,7 +98,7 @@ def fixed_labels(bar: ColorBar, labels: list[str]) -> None:
     bar.major_label_overrides = dict(enumerate(labels))
 
 
-def image_data(values: NDArray, x: NDArray, y: NDArray) -> dict[str, list[Any]]:
+def image_data(values: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> dict[str, list[Any]]:
     """Columns of an image whose pixels are centred on nodes.
 
     Parameters
@@ -128,7 +128,7 @@ def image_source(name: str) -> ColumnDataSource:
     return ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []}, name=name)
 
 
-def envelope(x: NDArray, *series: NDArray, most: int = _MOST_POINTS) -> tuple[NDArray, ...]:
+def envelope(x: NDArray[Any], *series: NDArray[Any], most: int = _MOST_POINTS) -> tuple[NDArray[Any], ...]:
     """Thin long series for a screen: of each bin the lowest and the highest value, in their order.
 
     Parameters
@@ -164,7 +164,9 @@ def envelope(x: NDArray, *series: NDArray, most: int = _MOST_POINTS) -> tuple[ND
     lowest = np.where(np.isfinite(bins), bins, np.inf).argmin(axis=1)
     highest = np.where(np.isfinite(bins), bins, -np.inf).argmax(axis=1)
     start = np.arange(bins.shape[0]) * width
-    keep = np.unique(np.concatenate([start + lowest, start + highest, start[empty], np.arange(whole, x.size)]))
+    keep = np.unique(
+        np.concatenate([start + lowest, start + highest, start[empty], np.arange(whole, x.size)])
+    )
     return tuple(part[keep] for part in (x, *series))
 
 

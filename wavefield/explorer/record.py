@@ -55,7 +55,7 @@ class Record:
         self.stored = tuple(sorted(self.stored, key=_in_order))
         self.names = (*self.stored, *DERIVED)
         self._attrs = {name: dict(self.group[name].attrs) for name in self.stored}
-        self._kept: OrderedDict[tuple[str, int], NDArray] = OrderedDict()
+        self._kept: OrderedDict[tuple[str, int], NDArray[Any]] = OrderedDict()
         self._lock = threading.Lock()
         self.ledger = np.zeros(self.layout.steps, np.uint8)
         self.refresh()
@@ -95,7 +95,7 @@ class Record:
         done = np.flatnonzero((self.ledger == 1) | (self.ledger == 2))
         return int(done[0]) if done.size else 0
 
-    def field(self, name: str, step: int) -> NDArray:
+    def field(self, name: str, step: int) -> NDArray[Any]:
         """A variable at one step, at every node.
 
         Parameters
@@ -129,10 +129,13 @@ class Record:
                 self._kept.popitem(last=False)
         return out
 
-    def _derived(self, name: str, step: int) -> NDArray:
+    def _derived(self, name: str, step: int) -> NDArray[Any]:
         around = [k for k in (step - 1, step, step + 1) if 0 <= k < self.layout.steps]
         steps = xr.Dataset(
-            {n: (CUBE_DIMS, np.array([self.field(n, k) for k in around])) for n in ("z", "z_t", "u", "v", "w")},
+            {
+                n: (CUBE_DIMS, np.array([self.field(n, k) for k in around]))
+                for n in ("z", "z_t", "u", "v", "w")
+            },
             coords={"time": self.time[around], "y": self.y, "x": self.x},
         )
         if len(around) < 2:
@@ -258,7 +261,7 @@ class Preview:
 
     def stored(self, name: str) -> NDArray[np.int16]:
         """One variable, (y, x, time), as stored; what is not read yet is missing."""
-        return self.fields[self.thin.names.index(name)]
+        return np.asarray(self.fields[self.thin.names.index(name)])
 
     def series(self, name: str, j: int, i: int) -> NDArray[np.float32]:
         """A variable at one node of the preview, (time,), in stored units."""

@@ -41,7 +41,7 @@ def decode(stored: NDArray[np.int16], scale: float) -> NDArray[np.float32]:
     return values
 
 
-def nearest(positions: NDArray, wanted: float) -> int:
+def nearest(positions: NDArray[Any], wanted: float) -> int:
     """Index of the nearest of some positions.
 
     Parameters
@@ -77,13 +77,13 @@ class Spectrum:
         The truth lies in [low, high] times the density with 95 % confidence.
     """
 
-    frequency: NDArray
-    density: NDArray
+    frequency: NDArray[Any]
+    density: NDArray[Any]
     low: float
     high: float
 
 
-def longest_run(values: NDArray) -> NDArray:
+def longest_run(values: NDArray[Any]) -> NDArray[Any]:
     """Longest stretch without a gap of more than two steps; shorter gaps are bridged by lines.
 
     Parameters
@@ -110,7 +110,7 @@ def longest_run(values: NDArray) -> NDArray:
     return np.asarray(np.interp(steps, longest, np.asarray(values, float)[longest]))
 
 
-def spectrum(values: NDArray, dt: float) -> Spectrum | None:
+def spectrum(values: NDArray[Any], dt: float) -> Spectrum | None:
     """Welch's spectrum of the longest run of a series, with its interval.
 
     Parameters
@@ -167,7 +167,9 @@ def line_points(start: tuple[float, float], end: tuple[float, float], spacing: f
     return along * length, x, y
 
 
-def interpolate(field: NDArray, x: NDArray, y: NDArray, at_x: NDArray, at_y: NDArray) -> NDArray:
+def interpolate(
+    field: NDArray[Any], x: NDArray[Any], y: NDArray[Any], at_x: NDArray[Any], at_y: NDArray[Any]
+) -> NDArray[Any]:
     """Values between nodes, bilinear.
 
     Parameters
@@ -196,15 +198,20 @@ def interpolate(field: NDArray, x: NDArray, y: NDArray, at_x: NDArray, at_y: NDA
     return np.asarray(out)
 
 
-def _cell(nodes: NDArray, at: NDArray) -> tuple[NDArray, NDArray]:
+def _cell(nodes: NDArray[Any], at: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     place = (np.asarray(at, float) - nodes[0]) / ((nodes[-1] - nodes[0]) / (len(nodes) - 1))
     index = np.clip(np.floor(place).astype(int), 0, len(nodes) - 2)
     return index, place - index
 
 
 def time_distance(
-    stored: NDArray[np.int16], scale: float, x: NDArray, y: NDArray, at_x: NDArray, at_y: NDArray
-) -> NDArray:
+    stored: NDArray[np.int16],
+    scale: float,
+    x: NDArray[Any],
+    y: NDArray[Any],
+    at_x: NDArray[Any],
+    at_y: NDArray[Any],
+) -> NDArray[Any]:
     """A variable along a line as it goes by.
 
     Parameters
@@ -247,16 +254,16 @@ class Area:
         Values in it.
     """
 
-    mean: NDArray
-    std: NDArray
-    edges: NDArray
-    density: NDArray
+    mean: NDArray[Any]
+    std: NDArray[Any]
+    edges: NDArray[Any]
+    density: NDArray[Any]
     spectrum: Spectrum | None
     nodes: int
     count: int
 
 
-def span(nodes: NDArray, first: float, last: float) -> slice:
+def span(nodes: NDArray[Any], first: float, last: float) -> slice:
     """Nodes between two positions; the nearest one if there is none between.
 
     Parameters
@@ -315,7 +322,7 @@ def area(stored: NDArray[np.int16], scale: float, dt: float, most_spectra: int =
     return Area(mean, std, edges, density, found, len(flat), int(values.size))
 
 
-def _bins(values: NDArray[np.int16]) -> NDArray:
+def _bins(values: NDArray[np.int16]) -> NDArray[Any]:
     """Edges of bins between the stored integers: none is counted in a bin of another."""
     if not values.size:
         return np.array([-0.5, 0.5])

@@ -18,8 +18,8 @@ _LIFT = 0.1  # the highest water stands so many diagonals above rest
 
 
 def project(
-    x: NDArray, y: NDArray, height: NDArray, turn: float, tilt: float
-) -> tuple[NDArray, NDArray, NDArray]:
+    x: NDArray[Any], y: NDArray[Any], height: NDArray[Any], turn: float, tilt: float
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Parallel projection of points onto the screen.
 
     Parameters
@@ -78,7 +78,9 @@ class SurfacePanel:
         made.line("x", "y", source=self.frame, color="#8b949e", line_dash=[5, 4], line_width=1.3)
         colour = {"field": "value", "transform": self.mapper}
         made.patches("xs", "ys", source=self.quads, fill_color=colour, line_color=colour, line_width=0.6)
-        made.text("x", "y", "text", source=self.words, text_align="center", text_baseline="middle", text_color=INK)
+        made.text(
+            "x", "y", "text", source=self.words, text_align="center", text_baseline="middle", text_color=INK
+        )
         self.bar = colour_bar(self.mapper)
         made.add_layout(self.bar, "right")
         self.note = Label(x=8, y=8, x_units="screen", y_units="screen", text="", text_font_size="12px")

@@ -12,13 +12,23 @@ from numpy.typing import NDArray
 from wavefield import water
 from wavefield.explorer.beside import Beside, open_waves
 from wavefield.explorer.fields import palette
-from wavefield.explorer.parts import BLUE, GREEN, INK, VERMILION, colour_bar, image_data, image_source, make_figure, number
+from wavefield.explorer.parts import (
+    BLUE,
+    GREEN,
+    INK,
+    VERMILION,
+    colour_bar,
+    image_data,
+    image_source,
+    make_figure,
+    number,
+)
 
 _DECADES = 6.0  # shown below the largest
 _PREFIX, _MAP_PREFIX = "E_komega_", "E_kxky_"
 
 
-def log_density(density: NDArray, decades: float = _DECADES) -> NDArray[np.float32]:
+def log_density(density: NDArray[Any], decades: float = _DECADES) -> NDArray[np.float32]:
     """Decimal logarithm of a density relative to its largest value.
 
     Parameters
@@ -40,7 +50,7 @@ def log_density(density: NDArray, decades: float = _DECADES) -> NDArray[np.float
         return np.maximum(np.log10(density / top), -decades).astype(np.float32)
 
 
-def ruler(k: NDArray, current: float, depth: float) -> NDArray:
+def ruler(k: NDArray[Any], current: float, depth: float) -> NDArray[Any]:
     """Frequency of waves of given length that run with a current.
 
     Parameters
@@ -77,7 +87,12 @@ class WavePanel:
         self.words = Div(text=beside.notes.get("waves", ""), name="wave_words", sizing_mode="stretch_width")
         self.variable = Select(title="E(k, \u03c9) of", value="", options=[], name="wave_variable")
         self.current = Slider(
-            title="Current along the waves (m/s)", start=-0.5, end=0.5, step=0.01, value=0.0, name="wave_current"
+            title="Current along the waves (m/s)",
+            start=-0.5,
+            end=0.5,
+            step=0.01,
+            value=0.0,
+            name="wave_current",
         )
         top = max(1.0, float(f"{2 * self._depth:.1g}"))
         self.depth = Slider(
@@ -86,7 +101,9 @@ class WavePanel:
         self.image, self.plane = image_source("wave_image"), image_source("wave_plane")
         self.ruler = ColumnDataSource({"k": [], "f": []}, name="wave_ruler")
         self.circle = ColumnDataSource({"kx": [], "ky": []}, name="wave_circle")
-        self.coherence = ColumnDataSource({"k": [], "w": [], "nl": [], "tot": [], "level": []}, name="wave_coherence")
+        self.coherence = ColumnDataSource(
+            {"k": [], "w": [], "nl": [], "tot": [], "level": []}, name="wave_coherence"
+        )
         self.direction = ColumnDataSource({"angle": [], "density": []}, name="wave_direction")
         self._spectra: xr.Dataset | None = None
         self._chosen = 0
@@ -97,11 +114,15 @@ class WavePanel:
             slider.on_change("value", lambda *_: self._show_ruler())
         controls = row(self.variable, self.current, self.depth, sizing_mode="stretch_width")
         below = row(self.map, self.directions, sizing_mode="stretch_width")
-        self.layout = column(self.words, controls, self.figure, below, self.curves, sizing_mode="stretch_width")
+        self.layout = column(
+            self.words, controls, self.figure, below, self.curves, sizing_mode="stretch_width"
+        )
         self._loaded = False
 
     def _draw(self) -> None:
-        self.mapper = LinearColorMapper(palette=palette("cividis"), low=-_DECADES, high=0, nan_color="#00224e")
+        self.mapper = LinearColorMapper(
+            palette=palette("cividis"), low=-_DECADES, high=0, nan_color="#00224e"
+        )
         self.figure = make_figure(
             "wave_spectrum", height=340, tools="pan,wheel_zoom,box_zoom,reset,save", toolbar_location="above",
             x_axis_label="k / 2\u03c0 (1/m)", y_axis_label="\u03c9 / 2\u03c0 (Hz)",
@@ -110,7 +131,9 @@ class WavePanel:
         self.figure.image("image", source=self.image, color_mapper=self.mapper)
         self.figure.line("k", "f", source=self.ruler, color="white", line_width=4)
         self.figure.line("k", "f", source=self.ruler, color=INK, line_width=1.8, line_dash=[7, 4])
-        self.picked = Span(dimension="width", location=0, line_color="white", line_dash="dotted", line_width=1.5)
+        self.picked = Span(
+            dimension="width", location=0, line_color="white", line_dash="dotted", line_width=1.5
+        )
         self.figure.add_layout(self.picked)
         self.figure.add_layout(colour_bar(self.mapper, "log\u2081\u2080 E / max"), "right")
         self.figure.on_event(Tap, lambda event: self.choose(event.y))
@@ -122,18 +145,33 @@ class WavePanel:
         self.map.image("image", source=self.plane, color_mapper=self.mapper)
         self.map.line("kx", "ky", source=self.circle, color="white", line_dash=[6, 4], line_width=1.6)
         self.directions = make_figure(
-            "wave_directions", height=300, x_axis_label="direction (degrees)", y_axis_label="D (1/rad)", tools="reset"
+            "wave_directions",
+            height=300,
+            x_axis_label="direction (degrees)",
+            y_axis_label="D (1/rad)",
+            tools="reset",
         )
         self.directions.line("angle", "density", source=self.direction, color=BLUE, line_width=1.8)
         self.curves = make_figure(
-            "wave_coherence_figure", height=240, x_axis_label="k / 2\u03c0 (1/m)", y_axis_label="coherence \u03b3\u00b2",
+            "wave_coherence_figure", height=240,
+            x_axis_label="k / 2\u03c0 (1/m)", y_axis_label="coherence \u03b3\u00b2",
             y_range=Range1d(0, 1.02), tools="xpan,xwheel_zoom,reset",
         )  # fmt: skip
-        styles = (("w", "z_t with w", BLUE, "solid"), ("nl", "z_t with \u2212u\u00b7\u2207z", VERMILION, "dashed"),
-                  ("tot", "z_t with both", INK, "dotdash"), ("level", "chance, 5 %", GREEN, "dotted"))  # fmt: skip
+        styles = (
+            ("w", "z_t with w", BLUE, "solid"),
+            ("nl", "z_t with \u2212u\u00b7\u2207z", VERMILION, "dashed"),
+            ("tot", "z_t with both", INK, "dotdash"),
+            ("level", "chance, 5 %", GREEN, "dotted"),
+        )
         for name, label, colour, dash in styles:
             self.curves.line(
-                "k", name, source=self.coherence, color=colour, line_dash=dash, line_width=1.8, legend_label=label
+                "k",
+                name,
+                source=self.coherence,
+                color=colour,
+                line_dash=dash,
+                line_width=1.8,
+                legend_label=label,
             )
         self.curves.legend.label_text_font_size = "11px"
         self.curves.legend.background_fill_alpha = 0.7
@@ -151,7 +189,9 @@ class WavePanel:
         if self._spectra is None:
             return
         self._loaded = True
-        options = [str(n).removeprefix(_PREFIX) for n in self._spectra.data_vars if str(n).startswith(_PREFIX)]
+        options = [
+            str(n).removeprefix(_PREFIX) for n in self._spectra.data_vars if str(n).startswith(_PREFIX)
+        ]
         self.words.text = "Click E(k, \u03c9) to choose a frequency for the map and the directions."
         self._show_coherence()
         self.variable.update(options=options, value="w" if "w" in options else options[0])

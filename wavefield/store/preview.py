@@ -176,7 +176,7 @@ def open_preview(cube: Path, group: Any, mode: Any = "r") -> Any | None:
         return None
 
 
-def thin_block(fields: Mapping[str, NDArray], thin: Thinning) -> NDArray[np.int16]:
+def thin_block(fields: Mapping[str, NDArray[Any]], thin: Thinning) -> NDArray[np.int16]:
     """Every so-many-th node of a block in 16 bits.
 
     Parameters
@@ -200,7 +200,7 @@ def thin_block(fields: Mapping[str, NDArray], thin: Thinning) -> NDArray[np.int1
     return np.ascontiguousarray(np.moveaxis(np.array(out), 1, -1))
 
 
-def write_preview(cube: Path, group: Any, start: int, fields: Mapping[str, NDArray]) -> None:
+def write_preview(cube: Path, group: Any, start: int, fields: Mapping[str, NDArray[Any]]) -> None:
     """Write one block of the preview, if the cube has one.
 
     Parameters
@@ -271,7 +271,7 @@ def read_block(group: Any, thin: Thinning, start: int, stop: int) -> NDArray[np.
     return thin_block(fields, thin)
 
 
-def read_steps(group: Any, name: str, start: int, stop: int) -> NDArray:
+def read_steps(group: Any, name: str, start: int, stop: int) -> NDArray[Any]:
     """Steps of one variable of a cube, unpacked.
 
     Parameters
@@ -308,7 +308,7 @@ def read_steps(group: Any, name: str, start: int, stop: int) -> NDArray:
     return out
 
 
-def blocks_done(ledger: NDArray, layout: Layout) -> NDArray[np.bool_]:
+def blocks_done(ledger: NDArray[Any], layout: Layout) -> NDArray[np.bool_]:
     """Which blocks have no step left.
 
     Parameters

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from wavefield.store.layout import MISSING, PACKING
+from wavefield.store.preview import write_preview
 from wavefield.store.read import open_group, read_layout
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus
 from wavefield.whole_files import write_error
@@ -72,6 +73,7 @@ def write_block(
                 if start <= index < last:
                     codes[k, index - start] = fault
         group["frame_fault"][:, start:last] = codes
+        write_preview(path, group, start, fields)
         group["frame_status"][start:stop] = frame_status
     except OSError as error:
         raise write_error(path, error) from None

@@ -1,0 +1,142 @@
+"""The thinned preview beside a cube, and its copy in memory."""
+
+import shutil
+
+import numpy as np
+import pytest
+from explorer_cases import create_cube, make_cube, write_cube_block
+
+from wavefield.explorer.record import Record
+from wavefield.store.preview import create_preview, open_preview, preview_path, thinning
+from wavefield.store.read import open_group
+
+
+@pytest.fixture
+def cube(tmp_path):
+    path = tmp_path / "cube.zarr"
+    return path, make_cube(path, ny=50, nx=60)
+
+
+def test_the_preview_holds_every_second_node_of_a_cube_of_3000(cube):
+    path, fields = cube
+    group = open_group(path)
+    preview = open_preview(path, group)
+    thin = thinning(group)
+    assert thin.every == 2
+    for k, (name, scale) in enumerate(zip(thin.names, thin.scales)):
+        stored = np.asarray(preview["fields"][k]).astype(float)
+        values = np.where(stored == -32768, np.nan, stored * scale)
+        expected = np.moveaxis(fields[name][:, ::2, ::2], 0, -1)
+        np.testing.assert_allclose(values, expected, atol=0.51 * scale, rtol=1e-6, err_msg=name)
+    assert np.asarray(preview["done"][:]).all()
+
+
+def test_cube_and_ledger_are_the_same_with_and_without_a_preview(tmp_path):
+    files = []
+    for name, preview in (("a", True), ("b", False)):
+        make_cube(tmp_path / name / "cube.zarr", preview=preview)
+        root = tmp_path / name / "cube.zarr"
+        files.append({p.relative_to(root): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()})
+    assert files[0] == files[1]
+    assert not preview_path(tmp_path / "b" / "cube.zarr").exists()
+
+
+def test_memory_holds_what_the_preview_holds(cube):
+    path, fields = cube
+    record = Record(path)
+    record.preview.load()
+    assert record.preview.complete
+    np.testing.assert_allclose(record.preview.series("w", 12, 14), fields["w"][:, 24, 28], atol=5.1e-5)
+    assert np.isnan(record.preview.series("z", 0, 0)).all()  # outside the view
+
+
+def test_a_cube_without_a_preview_gets_the_same_one_on_first_look(cube, tmp_path):
+    path, _ = cube
+    bare = tmp_path / "bare" / "cube.zarr"
+    shutil.copytree(path, bare)
+    told = []
+    record = Record(bare)
+    record.preview.load(lambda done, total: told.append((done, total)))
+    written = Record(path)
+    written.preview.load()
+    assert told == [(1, 3), (2, 3), (3, 3)]
+    assert np.array_equal(record.preview.fields, written.preview.fields)
+    again = Record(bare)
+    preview = open_preview(bare, again.group)
+    assert preview is not None
+    assert np.asarray(preview["done"][:]).all()
+
+
+def test_a_cube_that_is_being_written_is_read_as_far_as_it_is(tmp_path):
+    path = tmp_path / "cube.zarr"
+    create_cube(path)
+    write_cube_block(path, 40)
+    record = Record(path)
+    record.preview.load()
+    assert record.first_step() == 40
+    assert record.preview.steps_known().sum() == 40
+    assert np.isnan(record.preview.series("z", 5, 5)[:40]).all()
+    assert not record.refresh()
+    write_cube_block(path, 0)
+    assert record.refresh()
+    record.preview.load()
+    assert np.isfinite(record.preview.series("z", 5, 5)[:80]).all()
+
+
+def test_a_block_that_is_measured_again_is_read_again(tmp_path):
+    from wavefield.store.write import reset_blocks
+
+    path = tmp_path / "cube.zarr"
+    make_cube(path)
+    record = Record(path)
+    record.preview.load()
+    before = record.preview.series("w", 5, 5)
+    field = record.field("w", 41)
+    reset_blocks(path, [40])
+    record.refresh()
+    record.preview.load()
+    write_cube_block(path, 40, seed=7)
+    record.refresh()
+    record.preview.load()
+    after = record.preview.series("w", 5, 5)
+    changed = ~np.isclose(before, after, equal_nan=True)
+    assert changed[40:80].any()
+    assert not changed[:40].any()
+    assert not np.array_equal(field, record.field("w", 41), equal_nan=True)
+
+
+def test_another_cubes_preview_is_not_taken(tmp_path):
+    path = tmp_path / "cube.zarr"
+    make_cube(path)
+    shutil.rmtree(path)
+    fields = make_cube(path, steps=80, preview=False)
+    assert open_preview(path, open_group(path)) is None
+    record = Record(path)
+    record.preview.load()
+    np.testing.assert_allclose(record.preview.series("z", 6, 6), fields["z"][:, 6, 6], atol=5.1e-6)
+
+
+def test_a_new_cube_replaces_an_old_preview(tmp_path):
+    path = tmp_path / "cube.zarr"
+    make_cube(path)
+    group = open_group(path)
+    create_preview(path, group)
+    assert not np.asarray(open_preview(path, group)["done"][:]).any()
+
+
+def test_a_preview_that_cannot_be_kept_is_a_sentence_and_memory_has_it_all(tmp_path):
+    path = tmp_path / "cube.zarr"
+    fields = make_cube(path, preview=False)
+    preview_path(path).write_text("in the way")
+    record = Record(path)
+    record.preview.load()
+    assert "preview" in record.preview.trouble
+    np.testing.assert_allclose(record.preview.series("z", 6, 6), fields["z"][:, 6, 6], atol=5.1e-6)
+
+
+def test_a_run_writes_a_preview_of_what_it_measures(tmp_path):
+    path = tmp_path / "cube.zarr"
+    fields = make_cube(path)
+    record = Record(path)
+    for name in record.stored:
+        np.testing.assert_array_equal(record.field(name, 17), fields[name][17])

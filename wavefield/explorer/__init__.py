@@ -1,0 +1,1 @@
+"""Looking at a cube, and at an experiment while its cameras write: interactive pages."""
