@@ -8,8 +8,8 @@ import pytest
 import xarray as xr
 from cube_cases import HERE, different
 
-from wavefield.cubes import Workflow, catalog_add, check, export_netcdf, open_cube, run, status
-from wavefield.cubes.processing import choose_block
+from wavefield.cubes import Workflow, catalog_add, check, export_netcdf, open_cube, run, run_catalog, status
+from wavefield.cubes.prepare import choose_block
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.images import read_image, write_image
 from wavefield.variables import CUBE_FIELDS, FrameStatus
@@ -167,7 +167,7 @@ def catalog(own_tank, tmp_path):
 
 
 def test_stock_intake_opens_frames_and_cubes_of_every_run(catalog, tmp_path):
-    for state in run(catalog, workflow=HERE):
+    for state in run_catalog(catalog, workflow=HERE):
         assert state.complete
     cat = intake.open_catalog(str(catalog))
     assert list(cat) == ["frames", "cube", "waves"]
@@ -190,9 +190,9 @@ def test_stock_intake_opens_frames_and_cubes_of_every_run(catalog, tmp_path):
 
 
 def test_a_changed_recipe_goes_beside_the_old(catalog):
-    (first,) = run(catalog, ["other-tank"], workflow=HERE)
+    (first,) = run_catalog(catalog, ["other-tank"], workflow=HERE)
     changed = Workflow(cluster="none", settings={"eps_limit": 2.5})
-    (second,) = run(catalog, ["other-tank"], workflow=changed)
+    (second,) = run_catalog(catalog, ["other-tank"], workflow=changed)
     assert first.store != second.store
     assert status(first.store).complete
     cat = intake.open_catalog(str(catalog))
@@ -201,7 +201,7 @@ def test_a_changed_recipe_goes_beside_the_old(catalog):
     found = {r: cat(run="other-tank", recipe=r)["cube"].read().attrs["recipe_hash"] for r in recipes}
     assert found["latest"] == found[recipes[2]] == second.recipe_hash
     assert found[recipes[1]] == first.recipe_hash
-    (again,) = run(catalog, ["other-tank"], workflow=changed)
+    (again,) = run_catalog(catalog, ["other-tank"], workflow=changed)
     assert again.store == second.store
     assert intake.open_catalog(str(catalog)).user_parameters["recipe"].options == recipes
 
@@ -209,11 +209,11 @@ def test_a_changed_recipe_goes_beside_the_old(catalog):
 def test_catalog_mistakes_are_named(catalog, own_tank, tmp_path):
     assert catalog_add(catalog, own_tank) == "small-tank"  # twice does no harm
     with pytest.raises(ExperimentError, match="has no run 'run99'; it has small-tank, other-tank"):
-        run(catalog, ["run99"], workflow=HERE)
+        run_catalog(catalog, ["run99"], workflow=HERE)
     with pytest.raises(ExperimentError, match="has no parameter 'place'; it has run, recipe, location, part"):
-        run(catalog, ["other-tank"], workflow=HERE, parameters={"place": "here"})
+        run_catalog(catalog, ["other-tank"], workflow=HERE, parameters={"place": "here"})
     with pytest.raises(ExperimentError, match="one store cannot hold 2 runs"):
-        run(catalog, out=tmp_path / "cube.zarr", workflow=HERE)
+        run_catalog(catalog, out=tmp_path / "cube.zarr", workflow=HERE)
     elsewhere = tmp_path / "elsewhere" / "experiment.yaml"
     elsewhere.parent.mkdir()
     elsewhere.write_text(own_tank.read_text())

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from series_cases import number_image, write_experiment, write_frames
 
 from wavefield.errors import ExperimentError
-from wavefield.series import Experiment, FrameFault
+from wavefield.series import Experiment
 from wavefield.series.listing import _numbers_by_glob, _numbers_by_pattern
 from wavefield.series.readers import close_files
+from wavefield.variables import FrameFault
 
 
 @pytest.fixture(autouse=True)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cube_cases import different
 
-from wavefield.cubes import Workflow, open_cube, run
+from wavefield.cubes import Workflow, open_cube, run, run_catalog
 from wavefield.cubes.catalog import find_experiment
 from wavefield.cubes.cluster import count_jobs, slurm_cluster
 from wavefield.report import gather
@@ -57,7 +57,7 @@ def test_real_images_run_from_the_catalog_with_their_place_as_a_parameter(shared
     assert frames.left.shape == frames.right.shape == (6, 1200, 1920)
     assert int(frames.left[5].max()) > 100
     assert find_experiment(catalog, {"run": "loads", "location": folder}).frame_rate == 1.0
-    (state,) = run(
+    (state,) = run_catalog(
         catalog,
         out=tmp_path / "cube.zarr",
         workflow=Workflow(cluster="none"),

@@ -11,7 +11,7 @@ import click
 from wavefield.commands.progress import Progress
 
 if TYPE_CHECKING:
-    from wavefield.cubes.processing import Prepared
+    from wavefield.cubes.prepare import Prepared
 
 _FILE = click.Path(exists=True, path_type=Path)
 
@@ -47,7 +47,7 @@ def check(
     if found.problems:
         context.exit(1)
     from wavefield.calibration.rest import check_rig
-    from wavefield.cubes.processing import prepare
+    from wavefield.cubes.prepare import prepare
     from wavefield.measurement.tie_points import matched_pixels, spread
 
     prepared = prepare(experiment, rig, workflow)
@@ -165,7 +165,7 @@ def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> Non
     turns it back so that sight lines meet, brings z = 0 to the water's plane, and writes the new rig.
     """
     from wavefield.calibration.rest import refine_and_level
-    from wavefield.cubes.processing import prepare
+    from wavefield.cubes.prepare import prepare
     from wavefield.measurement.tie_points import matched_pixels, spread
 
     prepared = prepare(experiment, rig)
@@ -227,16 +227,14 @@ def run(
     from wavefield import cubes
 
     with Progress(f"Measuring {source}", "steps") as progress:
-        result = cubes.run(
-            source,
-            entries,
-            output,
-            rig=rig,
-            workflow=workflow,
-            progress=lambda done, total, _: progress(done, total),
-            parameters=parameters or None,
-        )
-    states = result if isinstance(result, list) else [result]
+        how: dict[str, Any] = {"rig": rig, "workflow": workflow}
+        how["progress"] = lambda done, total, _: progress(done, total)
+        if cubes.is_catalog(source):
+            states = cubes.run_catalog(source, entries, output, parameters=parameters, **how)
+        elif entries or parameters:
+            raise click.UsageError(f"{source} is an experiment, not a catalog: it has no runs and parameters")
+        else:
+            states = [cubes.run(source, output, **how)]
     for state in states:
         click.echo(str(state))
     click.echo(f"Next: wavefield analyze {states[0].store}")

@@ -4,10 +4,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from wavefield.cubes.catalog import catalog_add
+    from wavefield.cubes.catalog import catalog_add, is_catalog, run_catalog
     from wavefield.cubes.forecast import Check, check
     from wavefield.cubes.lazy import reconstruct
-    from wavefield.cubes.processing import run
+    from wavefield.cubes.running import run
     from wavefield.cubes.workflow import Workflow
     from wavefield.store.export import export_netcdf
     from wavefield.store.ledger import Status, status
@@ -19,11 +19,13 @@ _PUBLIC = {
     "Status": "store.ledger",
     "Workflow": "cubes.workflow",
     "catalog_add": "cubes.catalog",
+    "is_catalog": "cubes.catalog",
+    "run_catalog": "cubes.catalog",
     "check": "cubes.forecast",
     "export_netcdf": "store.export",
     "open_cube": "store.read",
     "reconstruct": "cubes.lazy",
-    "run": "cubes.processing",
+    "run": "cubes.running",
     "status": "store.ledger",
 }
 
@@ -34,9 +36,11 @@ __all__ = [
     "catalog_add",
     "check",
     "export_netcdf",
+    "is_catalog",
     "open_cube",
     "reconstruct",
     "run",
+    "run_catalog",
     "status",
 ]
 

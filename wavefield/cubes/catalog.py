@@ -20,7 +20,9 @@ from urllib.parse import unquote, urlparse
 import yaml
 
 from wavefield.cubes.cluster import open_cluster
-from wavefield.cubes.processing import Prepared, ProgressFunction, prepare, process
+from wavefield.cubes.lock import Lock
+from wavefield.cubes.prepare import Prepared, prepare
+from wavefield.cubes.running import ProgressFunction, process
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.rig import Rig
@@ -153,6 +155,21 @@ def new_catalog(stem: str) -> dict[str, Any]:
     }
 
 
+def is_catalog(path: str | Path) -> bool:
+    """Whether a file is an intake catalog rather than an experiment.
+
+    Parameters
+    ----------
+    path : path
+        YAML.
+
+    Returns
+    -------
+    bool
+    """
+    return "entries" in read_yaml(Path(path))
+
+
 def run_catalog(
     catalog: str | Path,
     entries: Sequence[str] = (),
@@ -209,8 +226,8 @@ def run_catalog(
         chosen = {"run": run, **(parameters or {})}
         prepared = prepare(find_experiment(path, chosen), rig, workflow)
         store = Path(out) if out is not None else store_of(path, chosen, prepared)
-        with open_cluster(prepared.workflow) as map_unordered:
-            done.append(process(prepared, store, map_unordered, _named(progress, run)))
+        with Lock.hold(store.absolute()) as lock, open_cluster(prepared.workflow) as map_unordered:
+            done.append(process(prepared, lock, map_unordered, _named(progress, run)))
         if out is None:
             _link_latest(store, prepared)
     return done

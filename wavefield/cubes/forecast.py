@@ -13,7 +13,7 @@ import numpy as np
 
 from wavefield.cubes.block import Measured, make_block, measure_block
 from wavefield.cubes.cluster import count_workers, keep_memory, one_thread
-from wavefield.cubes.processing import Prepared, expected_coverage, load_files, prepare
+from wavefield.cubes.prepare import Prepared, expected_coverage, load_files, prepare
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
@@ -281,7 +281,7 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
     Parameters
     ----------
     prepared : Prepared
-        As from `wavefield.cubes.processing.prepare`.
+        As from `wavefield.cubes.prepare.prepare`.
 
     Returns
     -------

@@ -1,6 +1,6 @@
 """The experiment file, the frames it names, and the xarray engine that opens them."""
 
 from wavefield.series.experiment import Experiment
-from wavefield.series.frames import Frame, FrameFault, FrameSeries
+from wavefield.series.frames import Frame, FrameSeries
 
-__all__ = ["Experiment", "Frame", "FrameFault", "FrameSeries"]
+__all__ = ["Experiment", "Frame", "FrameSeries"]

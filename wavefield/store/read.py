@@ -90,7 +90,7 @@ def open_cube(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
     group = open_group(path)
     if chunks == "auto":
         chunks = {"time": read_layout(group).block}
-    cube = xr.open_zarr(path, chunks=chunks, consolidated=False)
+    cube: xr.Dataset = xr.open_zarr(path, chunks=chunks, consolidated=False)
     for name in PACKING:
         if cube[name].dtype == "float64":  # as 16-bit values are unpacked
             cube[name] = cube[name].astype("float32")
@@ -109,4 +109,5 @@ def cube_recipe(dataset: "xr.Dataset") -> dict[str, Any]:
     -------
     dict
     """
-    return json.loads(dataset.attrs["recipe"])
+    recipe: dict[str, Any] = json.loads(dataset.attrs["recipe"])
+    return recipe

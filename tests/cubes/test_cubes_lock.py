@@ -1,0 +1,103 @@
+"""One run at a time writes a store, whatever became of the one before."""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from wavefield.cubes.lock import Lock
+from wavefield.errors import StoreError
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from wavefield.cubes.lock import Lock
+with Lock.hold(Path(sys.argv[1])):
+    os.kill(os.getpid(), 9)
+"""
+
+
+def left(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_second_run_is_refused_and_told_who_holds_the_store(tmp_path):
+    store = tmp_path / "cube.zarr"
+    with Lock.hold(store):
+        with (
+            pytest.raises(StoreError, match=f"is writing .*process {os.getpid()} of"),
+            Lock.hold(store),
+        ):
+            pass
+        assert left(tmp_path) == [".cube.zarr.lock"]
+    assert left(tmp_path) == []
+
+
+def test_the_lock_of_a_killed_run_is_taken_over(tmp_path):
+    store = tmp_path / "cube.zarr"
+    subprocess.run([sys.executable, "-c", KILLED, str(store)])
+    assert left(tmp_path) == [".cube.zarr.lock"]
+    with Lock.hold(store) as lock:
+        lock.check()
+    assert left(tmp_path) == []
+
+
+def held_elsewhere(store, seconds_ago):
+    path = store.with_name(f".{store.name}.lock")
+    path.write_text(json.dumps({"token": "t", "machine": "another", "host": "node7", "pid": 1, "since": 0}))
+    then = time.time() - seconds_ago
+    os.utime(path, (then, then))
+
+
+def test_a_run_on_another_machine_is_believed_as_long_as_it_gives_signs_of_life(tmp_path):
+    store = tmp_path / "cube.zarr"
+    held_elsewhere(store, 60)
+    with pytest.raises(StoreError, match="process 1 of node7"), Lock.hold(store):
+        pass
+    held_elsewhere(store, 600)
+    with Lock.hold(store):
+        pass
+    assert left(tmp_path) == []
+
+
+def test_of_many_that_find_a_dead_lock_only_one_gets_it(tmp_path):
+    store = tmp_path / "cube.zarr"
+    held_elsewhere(store, 600)
+    start, refused, inside = threading.Barrier(8), [], []
+
+    def attempt():
+        start.wait()
+        try:
+            with Lock.hold(store):
+                inside.append(1)
+                done.wait(5)
+        except StoreError as error:
+            refused.append(str(error))
+            if len(refused) == 7:
+                done.set()
+
+    done = threading.Event()
+    threads = [threading.Thread(target=attempt) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(inside) == 1
+    assert len(refused) == 7
+
+
+def test_a_run_that_was_taken_for_dead_stops_and_leaves_the_other_its_lock(tmp_path, monkeypatch):
+    monkeypatch.setattr("wavefield.cubes.lock._TOUCH", 0.01)
+    store = tmp_path / "cube.zarr"
+    with Lock.hold(store) as lock:
+        lock.path.unlink()
+        held_elsewhere(store, 0)
+        while not lock._lost:
+            time.sleep(0.01)
+        with pytest.raises(StoreError, match="another run took over"):
+            lock.check()
+    assert left(tmp_path) == [".cube.zarr.lock"]

@@ -1,0 +1,289 @@
+"""Everything that a run needs, read and checked before it starts."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wavefield.cubes.cluster import count_workers
+from wavefield.cubes.workflow import Workflow
+from wavefield.errors import ExperimentError
+from wavefield.grid import Grid
+from wavefield.measurement.algorithm import ALGORITHM
+from wavefield.rig import Rig
+from wavefield.series import Experiment, FrameSeries
+from wavefield.series.document import place_of
+from wavefield.store.recipe import Recipe
+from wavefield.variables import CUBE_FIELDS, TABLE
+
+_LONGEST_BLOCK = 100  # steps; a block costs one to two steps more for its three extra frames
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Everything that a run needs before it starts.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    series : mapping of str to FrameSeries
+        Frames of the cameras that measure.
+    rig : Rig
+        Those cameras.
+    grid : Grid
+        The nodes.
+    plan : wavefield.measurement.Plan
+        The measurement.
+    recipe : Recipe
+        All of it as plain data.
+    workflow : Workflow
+        How to process.
+    """
+
+    experiment: Experiment
+    series: Mapping[str, FrameSeries]
+    rig: Rig
+    grid: Grid
+    plan: Any
+    recipe: Recipe
+    workflow: Workflow
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of the whole run."""
+        return len(next(iter(self.series.values()))) - 1
+
+    @property
+    def step_bytes(self) -> int:
+        """Bytes of the results of one step."""
+        return int(self.plan.x.size) * sum(np.dtype(TABLE[name].dtype).itemsize for name in CUBE_FIELDS)
+
+    @property
+    def block(self) -> int:
+        """Steps per block of a new store."""
+        workflow = self.workflow
+        block = workflow.steps_per_block or choose_block(
+            self.steps, count_workers(workflow), self.step_bytes, workflow.memory_bytes
+        )
+        return min(block, self.steps)
+
+
+def prepare(
+    experiment: str | Path | Experiment,
+    rig: str | Path | Rig | None = None,
+    workflow: str | Path | Workflow | None = None,
+) -> Prepared:
+    """Read and check everything that a run needs.
+
+    Parameters
+    ----------
+    experiment : path or Experiment
+        The experiment.
+    rig : path or Rig, optional
+        In place of the one that the experiment names.
+    workflow : path or Workflow, optional
+        How to process.
+
+    Returns
+    -------
+    Prepared
+
+    Raises
+    ------
+    ExperimentError, RigError
+        If something is missing or wrong.
+    """
+    from wavefield.measurement import Plan
+
+    experiment, workflow = load_files(experiment, workflow)
+    series = experiment.open_frames()
+    if not isinstance(rig, Rig):
+        rig = experiment.load_rig(rig, series)
+    used = {name: rig[name] for name in experiment.measuring_cameras}
+    rig = replace(rig, cameras=used)
+    grid = experiment.choose_grid(rig)
+    if not any(expected_coverage(replace(rig, cameras={name: rig[name]}), grid) for name in rig):
+        raise ExperimentError(
+            f"{experiment.path}: no camera sees the grid (x {grid.x[0]:g} to {grid.x[1]:g} m, "
+            f"y {grid.y[0]:g} to {grid.y[1]:g} m); correct `grid`, or leave it out to have it chosen"
+        )
+    settings = make_settings(experiment, workflow)
+    plan = Plan(rig, grid, settings)
+    series = {name: series[name] for name in used}
+    recipe = make_recipe(experiment, series, rig, grid, settings, workflow.packing)
+    return Prepared(experiment, series, rig, grid, plan, recipe, workflow)
+
+
+def load_files(
+    experiment: str | Path | Experiment, workflow: str | Path | Workflow | None
+) -> tuple[Experiment, Workflow]:
+    """Read the files that describe a run, as far as they are not read yet.
+
+    Parameters
+    ----------
+    experiment : path or Experiment
+        The experiment.
+    workflow : path or Workflow, optional
+        How to process; by default on the processes of this machine.
+
+    Returns
+    -------
+    experiment : Experiment
+        Read and checked.
+    workflow : Workflow
+        Likewise.
+    """
+    if not isinstance(experiment, Experiment):
+        experiment = Experiment.load(experiment)
+    if not isinstance(workflow, Workflow):
+        workflow = Workflow() if workflow is None else Workflow.load(workflow)
+    return experiment, workflow
+
+
+def make_recipe(
+    experiment: Experiment,
+    series: Mapping[str, FrameSeries],
+    rig: Rig,
+    grid: Grid,
+    settings: Any,
+    packing: str = "float32",
+) -> Recipe:
+    """Collect the recipe of a run.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    series : mapping of str to FrameSeries
+        Its frames.
+    rig : Rig
+        The cameras.
+    grid : Grid
+        The nodes.
+    settings : wavefield.measurement.Settings
+        The choices.
+    packing : {"float32", "int16"}
+        How values are stored.
+
+    Returns
+    -------
+    Recipe
+    """
+    one = next(iter(series.values()))
+    return Recipe(
+        experiment=experiment.name,
+        images={name: _images(experiment, name) for name in series},
+        frames=(one.first, one.first + len(one) - 1),
+        frame_rate=experiment.frame_rate,
+        grid=asdict(grid),
+        rig={name: rig[name].to_dict() for name in series},
+        settings=settings.to_dict(),
+        packing=packing,
+        algorithm=ALGORITHM,
+    )
+
+
+def _images(experiment: Experiment, name: str) -> Any:
+    section = experiment.cameras[name]
+    images: Any = section.images
+    if not isinstance(images, str) and len(images) > 20:  # a long list is told apart by its hash
+        digest = hashlib.sha256(json.dumps(images).encode()).hexdigest()[:16]
+        images = f"list of {len(images)} files, {digest}"
+    return [images, section.offset, section.times]
+
+
+def expected_coverage(rig: Rig, grid: Grid) -> float:
+    """Share of the nodes that every camera sees while the water is at rest.
+
+    Parameters
+    ----------
+    rig : Rig
+        The cameras that measure.
+    grid : Grid
+        The nodes.
+
+    Returns
+    -------
+    float
+    """
+    x, y = np.meshgrid(grid.x_nodes, grid.y_nodes)
+    seen = np.ones(x.shape, bool)
+    for name in rig:
+        seen &= rig[name].sees(x, y, 0.0)
+    return float(seen.mean())
+
+
+def make_settings(experiment: Experiment, workflow: Workflow) -> Any:
+    """Measurement settings: defaults, then those of the experiment, then those of the workflow.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    workflow : Workflow
+        The workflow.
+
+    Returns
+    -------
+    wavefield.measurement.Settings
+
+    Raises
+    ------
+    ExperimentError
+        If a name is unknown or a value does not fit.
+    """
+    from wavefield.measurement.settings import Settings, unknown_setting
+
+    for source in (experiment, workflow):
+        if unknown := unknown_setting(source.settings):
+            location, sentence = unknown
+            place = f"{place_of(source.path, ('settings', *location))}: " if source.path else ""
+            raise ExperimentError(place + sentence)
+
+    data: dict[str, Any] = {}
+    if experiment.surface:
+        data["pairs"] = experiment.surface.pairs
+    if experiment.velocity:
+        data["velocity_cameras"] = experiment.velocity.cameras
+    for more in (experiment.settings, workflow.settings):
+        for name, value in more.items():
+            nested = isinstance(value, Mapping) and isinstance(data.get(name), Mapping)
+            data[name] = {**data[name], **value} if nested else value
+    return Settings.from_dict(data)
+
+
+def choose_block(steps: int, workers: int, step_bytes: int, memory: int | None) -> int:
+    """Steps per block: long enough that its three extra frames do not matter, short enough for memory.
+
+    Parameters
+    ----------
+    steps : int
+        Steps of the whole run.
+    workers : int
+        Workers that share it; each gets the same number of blocks.
+    step_bytes : int
+        Bytes of the results of one step.
+    memory : int or None
+        Bytes that a worker may use.
+
+    Returns
+    -------
+    int
+
+    Examples
+    --------
+    >>> choose_block(12000, 2, 151 * 201 * 45, None)
+    100
+    >>> choose_block(40, 2, 151 * 201 * 45, None)
+    20
+    """
+    # results, their stack and their compressed copy are there at once; half the memory is for the measurement
+    room = int((memory or 1_500_000_000) // 2 // (4 * step_bytes))
+    longest = max(1, min(_LONGEST_BLOCK, room))
+    rounds = -(-steps // (workers * longest))
+    return max(1, min(longest, -(-steps // (workers * rounds))))

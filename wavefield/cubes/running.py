@@ -1,0 +1,288 @@
+"""Processing a whole experiment into a store, block by block, on one process or many.
+
+Whatever stops a run (Ctrl-C, a time limit, a dead scheduler, a full disk), the same command goes on from the
+ledger: only blocks that are not marked done are measured.
+"""
+
+import logging
+import time
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wavefield.cubes.block import Block, make_block
+from wavefield.cubes.cluster import open_cluster, undisturbed
+from wavefield.cubes.guards import Stopped, log_file, log_path, stop_signals
+from wavefield.cubes.lock import Lock
+from wavefield.cubes.prepare import Prepared, load_files, prepare
+from wavefield.cubes.work import Work
+from wavefield.cubes.workflow import Workflow
+from wavefield.errors import RunStopped, StoreError, WavefieldError
+from wavefield.rig import Rig
+from wavefield.rig.resolution import pixel_size
+from wavefield.series import Experiment, FrameSeries
+from wavefield.store.layout import Layout, create_store
+from wavefield.store.ledger import Status, status
+from wavefield.store.preview import create_preview
+from wavefield.store.read import open_group, read_layout
+from wavefield.store.recipe import check_recipe
+from wavefield.store.write import reset_blocks
+from wavefield.variables import FrameStatus
+from wavefield.whole_files import remove_leftovers
+from wavefield.words import spell_time
+
+log = logging.getLogger("wavefield.run")
+ProgressFunction = Callable[[int, int, str], None]
+MapFunction = Callable[[Work, Sequence[Block]], Generator[tuple[Block, Any]]]
+
+_ENOUGH_FAILURES = 3  # blocks that fail before any succeeds: something is wrong with all of them
+
+
+def run(
+    experiment: str | Path | Experiment,
+    out: str | Path | None = None,
+    *,
+    rig: str | Path | Rig | None = None,
+    workflow: str | Path | Workflow | None = None,
+    progress: ProgressFunction | None = None,
+) -> Status:
+    """Process an experiment into a cube; goes on where an earlier run stopped.
+
+    Parameters
+    ----------
+    experiment : path or Experiment
+        The experiment. `wavefield.cubes.catalog.run_catalog` processes those of a catalog.
+    out : path, optional
+        The store; by default ``cube.zarr`` beside the experiment file.
+    rig : path or Rig, optional
+        In place of the one that the experiment names.
+    workflow : path or Workflow, optional
+        Cluster and recipe; by default the processes of this machine.
+    progress : callable, optional
+        Called with steps done, steps of the whole run, and a sentence.
+
+    Returns
+    -------
+    Status
+
+    Raises
+    ------
+    ExperimentError, RigError
+        If something is missing or wrong, before anything is written.
+    StoreError
+        If the store was made with another recipe, cannot be written, or another run is writing it.
+    RunStopped
+        If it was interrupted.
+
+    Notes
+    -----
+    Results do not depend on the workflow: neither on the number of workers nor on the size of blocks.
+
+    A store goes on with the recipe that it was begun with: settings, rig, grid, names of images, and the
+    version of the measurement. Changed images of one name are not noticed.
+
+    Worker processes start by importing the program that started them: in a script, call this below
+    ``if __name__ == "__main__":``.
+    """
+    experiment, workflow = load_files(experiment, workflow)
+    path = Path(out) if out is not None else experiment.resolve("cube.zarr")
+    with ExitStack() as stack:
+        lock = stack.enter_context(Lock.hold(path.absolute()))
+        with undisturbed():  # Ctrl-C inside an import may be lost
+            map_unordered = stack.enter_context(open_cluster(workflow, ahead=not path.exists()))
+            prepared = prepare(experiment, rig, workflow)
+        return process(prepared, lock, map_unordered, progress)
+
+
+def process(
+    prepared: Prepared, lock: Lock, map_unordered: MapFunction, progress: ProgressFunction | None = None
+) -> Status:
+    """Create the store or go on with it, until every block is done.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        As from `prepare`.
+    lock : Lock
+        Held, of the store.
+    map_unordered : callable
+        As from `wavefield.cubes.cluster.open_cluster`.
+    progress : callable, optional
+        Called with steps done, steps of the whole run, and a sentence.
+
+    Returns
+    -------
+    Status
+
+    Raises
+    ------
+    StoreError
+        If the store was made with another recipe, or cannot be written, or blocks failed.
+    RunStopped
+        If it was interrupted.
+    """
+    path = lock.store
+    with log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
+        try:
+            _go_on(prepared, lock, map_unordered, progress)
+        except KeyboardInterrupt as stop:
+            raise RunStopped(
+                f"stopped{_why(stop)}{_how_far(path)}; nothing is lost, and the same command goes on"
+            ) from None
+    return status(path)
+
+
+def _go_on(
+    prepared: Prepared, lock: Lock, map_unordered: MapFunction, progress: ProgressFunction | None
+) -> None:
+    path = lock.store
+    layout = _open_or_create(prepared, path)
+    ranges = unfinished(path, layout, prepared.series)
+    todo = [make_block(prepared.series, start, stop) for start, stop in ranges]
+    tracker = _Tracker(layout.steps, layout.steps - sum(b.steps for b in todo), progress)
+    tracker.say(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} blocks to do")
+    if todo:
+        _work_off(prepared, lock, todo, map_unordered, tracker)
+    tracker.say("done")
+
+
+def _why(stop: KeyboardInterrupt) -> str:
+    return f" by {stop}" if isinstance(stop, Stopped) else ""
+
+
+def _how_far(path: Path) -> str:
+    if not path.exists():
+        return " before it began"
+    now = status(path)
+    return f" after {now.steps - now.left} of {now.steps} steps"
+
+
+def _open_or_create(prepared: Prepared, path: Path) -> Layout:
+    if path.exists():
+        group = open_group(path)
+        check_recipe(path, group, prepared.recipe)
+        remove_leftovers(path)
+        return read_layout(group)
+    grid = prepared.grid
+    first = next(iter(prepared.series.values())).first
+    layout = Layout(prepared.steps, prepared.block, tuple(prepared.series), first)
+    attributes: dict[str, Any] = {
+        "experiment_file": str(prepared.experiment.path),
+        "pixel_size": pixel_size(prepared.rig, grid),
+    }
+    if prepared.experiment.folder:
+        attributes["image_folder"] = str(prepared.experiment.image_folder)
+    attributes |= prepared.experiment.water.attributes()
+    remove_leftovers(path)
+    create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes)
+    create_preview(path, open_group(path))
+    return layout
+
+
+def unfinished(path: Path, layout: Layout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
+    """Blocks that are still to be measured: not done yet, or with bad frames that are good by now.
+
+    Parameters
+    ----------
+    path : path
+        The store.
+    layout : Layout
+        Its sizes.
+    series : mapping of str to FrameSeries
+        The frames.
+
+    Returns
+    -------
+    list of (start, stop)
+        Ranges of steps.
+    """
+    group = open_group(path)
+    ledger = np.asarray(group["frame_status"][:])
+    faults = np.asarray(group["frame_fault"][:])
+    mended = np.zeros(layout.steps + 1, bool)
+    for camera, index in np.argwhere(faults):
+        if not series[layout.cameras[camera]].read(int(index)).fault:
+            mended[index] = True
+    again, todo = [], []
+    for start, stop in layout.blocks():
+        if (ledger[start:stop] == FrameStatus.NOT_STARTED).any():
+            todo.append((start, stop))
+        elif mended[max(start - 1, 0) : stop + 2].any():
+            again.append(start)
+            todo.append((start, stop))
+    if again:
+        log.info("frames that were bad can be read now: measuring %d blocks again", len(again))
+        reset_blocks(path, again)
+    return todo
+
+
+def _work_off(
+    prepared: Prepared,
+    lock: Lock,
+    todo: Sequence[Block],
+    map_unordered: MapFunction,
+    tracker: "_Tracker",
+) -> None:
+    path = lock.store
+    work = Work(path, prepared.plan, prepared.experiment.frame_rate)
+    failures: list[tuple[Block, BaseException]] = []
+    succeeded = 0
+    tracker.start()
+    # closed here and now: what is not done yet is called off before anything else
+    with closing(map_unordered(work, todo)) as results:
+        for block, result in results:
+            lock.check()
+            if isinstance(result, WavefieldError):
+                raise result
+            if isinstance(result, BaseException):
+                log.error("steps %d to %d failed", block.start, block.stop - 1, exc_info=result)
+                failures.append((block, result))
+                if not succeeded and len(failures) >= _ENOUGH_FAILURES:
+                    break
+                continue
+            succeeded += 1
+            for message in result.messages:
+                log.warning("%s", message)
+            tracker.add(result.stop - result.start)
+    if failures:
+        block, error = failures[0]
+        raise StoreError(
+            f"{len(failures)} of {len(todo)} blocks failed, the first (steps {block.start} to "
+            f"{block.stop - 1}) with {type(error).__name__}: {error}; see {log_path(path)}, and run the same "
+            "command again to retry"
+        ) from error
+
+
+class _Tracker:
+    """Counts steps, and tells the log and the user how far the run is."""
+
+    def __init__(self, total: int, done: int, progress: ProgressFunction | None) -> None:
+        self.total, self.done, self._progress = total, done, progress
+        self._since, self._before = time.monotonic(), done
+        self._logged = 0.0
+
+    def start(self) -> None:
+        self._since = time.monotonic()
+        self.say("")
+
+    def add(self, steps: int) -> None:
+        self.done += steps
+        now = time.monotonic()
+        left = (now - self._since) / (self.done - self._before) * (self.total - self.done)
+        sentence = f"{spell_time(left)} left" if self.done < self.total else ""
+        if now - self._logged > 10 or self.done == self.total:
+            self._logged = now
+            log.info("%d of %d steps%s", self.done, self.total, f", {sentence}" if sentence else "")
+        self._tell(sentence)
+
+    def say(self, sentence: str) -> None:
+        if sentence:
+            log.info("%s", sentence)
+        self._tell(sentence)
+
+    def _tell(self, sentence: str) -> None:
+        if self._progress:
+            self._progress(self.done, self.total, sentence)
