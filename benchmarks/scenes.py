@@ -28,7 +28,7 @@ cv2.setNumThreads(1)
 
 PIXEL = 1.8e-3
 MARGIN = 0.04  # nodes nearer to the edge of the common view are not judged, metres
-FRAMES = 6  # drawn of each scene: three steps with a frame before and after
+FRAMES, FIRST = 6, 2  # frames drawn of each scene: three steps with a frame before and after; the middle one
 SEEDS = (71, 72, 73)
 HALF = {"rig": {"scale": 1.0, "crop": 0.5}, "grid": {"x": (-0.45, 0.45), "y": (-0.35, 0.35), "step": 0.01}}
 FULL = {"rig": {"scale": 1.0, "crop": 1.0}, "grid": {"x": (-1.0, 1.0), "y": (-0.75, 0.75), "step": 0.01}}

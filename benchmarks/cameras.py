@@ -1,0 +1,125 @@
+"""Cameras that lie, cameras that are missing, two, three and four cameras.
+
+    python -m benchmarks.cameras [--only lying missing number] [--seeds N ...]
+
+Lying: mirrored, swapped with another, one frame late, moved by 2 px, out of focus; per cent of all nodes
+that are called measured and wrong by more than five of their standard uncertainties (any of z, u, v, w).
+The random sea, half size (see `benchmarks.scenes`), calibrated cameras; four cameras: exact ones.
+"""
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.scenes import FIRST, SEEDS, Case, calibrated, draw, reconstruct, scene
+from benchmarks.scores import Score
+from wavefield.measurement import Settings
+from wavefield.rig import Rig
+from wavefield.tank import paper_rig
+from wavefield.variables import Quality
+
+LYING: dict[str, dict[str, dict[str, Any]]] = {
+    "sound": {},
+    "cam1 mirrored": {"cam1": {"mirrored": True}},
+    "cam1 and cam2 swapped": {"cam1": {"shows": "cam2"}, "cam2": {"shows": "cam1"}},
+    "cam1 one frame late": {"cam1": {"late": 1}},
+    "cam3 one frame late": {"cam3": {"late": 1}},
+    "cam1 moved by 2 px along x": {"cam1": {"shift": (2.0, 0.0)}},
+    "cam3 moved by 2 px along x": {"cam3": {"shift": (2.0, 0.0)}},
+    "cam1 moved by 2 px along y": {"cam1": {"shift": (0.0, 2.0)}},
+    "cam1 out of focus by 3 px": {"cam1": {"defocus": 3.0}},
+    "cam3 out of focus by 6 px": {"cam3": {"defocus": 6.0}},
+}
+
+
+def reasons(case: Case, cubes: Sequence[dict[str, Any]]) -> str:
+    """How many nodes bear each bit of ``quality``, per cent."""
+    quality = np.concatenate([cube["quality"] for cube in cubes])
+    count = {bit.name: 100 * float(np.mean((quality & bit) > 0)) for bit in Quality}
+    return ", ".join(f"{name} {value:.1f}" for name, value in count.items() if name and value >= 0.05)
+
+
+def lying(options: argparse.Namespace) -> None:
+    """Every kind of lie: how much of it is believed."""
+    for kind, faults in LYING.items():
+        score, cubes = Score(), []
+        for seed in options.seeds:
+            case = draw(scene("random", seed, faults=faults), calibrated(False))
+            cubes.append(reconstruct(case, Settings()))
+            score.add(case, cubes[-1])
+        print(f"{kind}\n    measured and wrong by more than 5 std: {score.wrong():.2f} % (asked .5)")
+        print("".join(f"    {line}\n" for line in (*score.lines(), reasons(case, cubes))), end="", flush=True)
+
+
+def missing(options: argparse.Namespace) -> None:
+    """A camera without one of the two frames of a step."""
+    for lost in ("cam1", "cam2", "cam3"):
+        score, marked = Score(), True
+        for seed in options.seeds:
+            case = draw(scene("random", seed), calibrated(False))
+            frames = dict(case.frames)
+            frames[lost] = [None if k == FIRST else image for k, image in enumerate(frames[lost])]
+            cube = reconstruct(replace(case, frames=frames), Settings())
+            marked &= bool((cube["quality"][FIRST - 1] & Quality.FEWER_CAMERAS).all())
+            only = {name: field[FIRST - 1 : FIRST] for name, field in cube.items()}
+            score.add(replace(case, truth=case.truth[FIRST - 1 : FIRST]), only)
+        print(f"{lost} missing in one frame; the step is marked: {marked}")
+        print("".join(f"    {line}\n" for line in score.lines()), end="", flush=True)
+
+
+def with_fourth(rig: Rig) -> Rig:
+    """The paper's cameras and a fourth like camera 1, turned a quarter round the vertical."""
+    first = rig["cam1"]
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    rotation = np.asarray(first.rotation) @ quarter.T
+    return Rig(dict(rig.cameras) | {"cam4": replace(first, rotation=rotation)})
+
+
+def number(options: argparse.Namespace) -> None:
+    """Two, three and four exact cameras."""
+    three = paper_rig(crop=0.5)
+    rigs = {
+        "two cameras (1, 2)": Rig({name: three[name] for name in ("cam1", "cam2")}),
+        "three cameras": three,
+        "four cameras": with_fourth(three),
+    }
+    for kind, rig in rigs.items():
+        score = Score()
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "rig.yaml"
+            rig.save(path)
+            for seed in options.seeds:
+                case = draw(scene("random", seed).with_(rig={"file": str(path)}), rig)
+                score.add(case, reconstruct(case, Settings()))
+        print(kind)
+        print("".join(f"    {line}\n" for line in score.lines()), end="", flush=True)
+
+
+PARTS: dict[str, Callable[[argparse.Namespace], None]] = {
+    "lying": lying,
+    "missing": missing,
+    "number": number,
+}
+
+
+def main(words: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--only", nargs="+", default=list(PARTS), choices=list(PARTS))
+    parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
+    options = parser.parse_args(words)
+    for name in options.only:
+        began = time.process_time()
+        PARTS[name](options)
+        print(f"({name}: CPU {time.process_time() - began:.0f} s)", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,115 @@
+"""Other records of the same sea: waves added to it, other frame rates, other seeding.
+
+    python -m benchmarks.records [--only waves rate seeding] [--seeds N ...]
+
+Waves: of 20, 12 and 8 cm, slope .03 each, are added to the random sea; what of them is left in z and w,
+in good and in poor light. Rate: half and twice as many frames per second. Seeding: a third and three
+times the beads. Half size (see `benchmarks.scenes`), calibrated cameras.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.scenes import SEEDS, Case, calibrated, draw, inside, reconstruct, scene
+from benchmarks.scores import Score
+from wavefield.measurement import Settings
+
+SLOPE = 0.03
+WAVES = {0.20: 30.0, 0.12: 100.0, 0.08: 250.0}  # length, m: where it goes, degrees
+ASKED_GAIN = {"random": "1.00 .99 .93", "low_light": ".85 at 8 cm"}
+
+
+def added() -> list[dict[str, float]]:
+    return [
+        {"wavelength": length, "amplitude": SLOPE * length / (2 * np.pi), "direction": direction}
+        for length, direction in WAVES.items()
+    ]
+
+
+def amplitudes(field: NDArray[Any], case: Case, window: NDArray[Any]) -> NDArray[np.complex128]:
+    """Amplitude of each of the added waves in a field (ny, nx), by a windowed Fourier integral."""
+    x, y = np.meshgrid(case.grid.x_nodes, case.grid.y_nodes)
+    found = []
+    for length, direction in WAVES.items():
+        k, angle = 2 * np.pi / length, np.radians(direction)
+        phase = k * (np.cos(angle) * x + np.sin(angle) * y)
+        found.append(np.sum(np.nan_to_num(field) * window * np.exp(-1j * phase)))
+    return np.array(found)
+
+
+def gains(case: Case, cube: dict[str, Any]) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
+    """Cross power of measured and true waves and power of the true ones, for z and w: each (waves,)."""
+    shape = case.grid.shape
+    taper = np.outer(np.hanning(shape[0]), np.hanning(shape[1]))
+    out = {}
+    for name in ("z", "w"):
+        cross, power = np.zeros(len(WAVES), complex), np.zeros(len(WAVES))
+        for step, truth in enumerate(case.truth):
+            window = taper * inside(case, truth["z"])
+            exact = amplitudes(truth[name], case, window)
+            cross += amplitudes(cube[name][step], case, window) * exact.conj()
+            power += np.abs(exact) ** 2
+        out[name] = (cross, power)
+    return out
+
+
+def waves(options: argparse.Namespace) -> None:
+    """What is left of short waves."""
+    for name, asked in ASKED_GAIN.items():
+        sums: dict[str, list[Any]] = {"z": [0.0, 0.0], "w": [0.0, 0.0]}
+        for seed in options.seeds:
+            case = draw(scene(name, seed, sea={"added": added()}), calibrated(False))
+            for key, parts in gains(case, reconstruct(case, Settings())).items():
+                sums[key] = [total + part for total, part in zip(sums[key], parts, strict=True)]
+        lengths = ", ".join(f"{100 * length:.0f}" for length in WAVES)
+        print(f"{name} with waves of {lengths} cm: gain left (asked {asked})")
+        for key, (cross, power) in sums.items():
+            gain = cross / power
+            print(f"    {key}: {' '.join(f'{g.real:.3f}' for g in gain)}", end="")
+            print(f"  (out of phase {' '.join(f'{g.imag:+.3f}' for g in gain)})", flush=True)
+
+
+def compare(kinds: dict[str, dict[str, Any]], options: argparse.Namespace) -> None:
+    for kind, changes in kinds.items():
+        score = Score()
+        for seed in options.seeds:
+            case = draw(scene("random", seed, **changes), calibrated(False))
+            score.add(case, reconstruct(case, Settings()))
+        print(kind)
+        print("".join(f"    {line}\n" for line in score.lines()), end="", flush=True)
+
+
+def rate(options: argparse.Namespace) -> None:
+    """Frame rates."""
+    compare({f"{hertz:.0f} frames/s": {"frame_rate": hertz} for hertz in (10.0, 20.0, 40.0)}, options)
+
+
+def seeding(options: argparse.Namespace) -> None:
+    """Numbers of beads."""
+    kinds = {f"{17.6 * part:.0f} beads per 4 x 4 cm": part for part in (1 / 3, 1.0, 3.0)}
+    compare({name: {"surface": {"density": 1.1e4 * part}} for name, part in kinds.items()}, options)
+
+
+PARTS: dict[str, Callable[[argparse.Namespace], None]] = {"waves": waves, "rate": rate, "seeding": seeding}
+
+
+def main(words: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--only", nargs="+", default=list(PARTS), choices=list(PARTS))
+    parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
+    options = parser.parse_args(words)
+    for name in options.only:
+        began = time.process_time()
+        PARTS[name](options)
+        print(f"({name}: CPU {time.process_time() - began:.0f} s)", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
