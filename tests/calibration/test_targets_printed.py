@@ -112,15 +112,21 @@ def test_a_real_chessboard_is_found_by_both_cameras_with_the_same_numbers(shared
 @pytest.mark.parametrize(
     ("block", "says"),
     [
-        ({"kind": "ropes", "mesh": 0.1}, "not known"),
+        ({"kind": "ropes", "mesh": 0.1}, "target.kind should be 'strings', 'chessboard'"),
         ({"kind": "strings"}, "mesh is missing"),
-        ({"kind": "strings", "mesh": -1}, "positive length"),
-        ({"kind": "strings", "mesh": "ten"}, "positive length"),
-        ({"kind": "strings", "mesh": 0.1, "colour": "white"}, "colour is not known"),
+        ({"kind": "strings", "mesh": -1}, "target.mesh should be greater than 0, not -1"),
+        ({"kind": "strings", "mesh": "ten"}, "target.mesh should be a valid number"),
+        (
+            {"kind": "strings", "mesh": 0.1, "colour": "white"},
+            "target.colour is not a known key",
+        ),
         ({"kind": "strings", "mesh": 0.1, "x_mark": "cross"}, "small disc"),
         ({"kind": "chessboard", "mesh": 0.1}, "needs its shape"),
-        ({"kind": "chessboard", "mesh": 0.1, "shape": 9}, "two whole numbers"),
-        ({"kind": "chessboard", "mesh": 0.1, "shape": [9, 1]}, "too small"),
+        ({"kind": "chessboard", "mesh": 0.1, "shape": 9}, "target.shape should be a valid tuple, not 9"),
+        (
+            {"kind": "chessboard", "mesh": 0.1, "shape": [9, 1]},
+            "target.shape.1 should be greater than or equal to 3",
+        ),
         ({"kind": "dots", "mesh": 0.1, "shape": [9, 6], "diameter": 0.2}, "larger than its mesh"),
         ({"kind": "charuco", "mesh": 0.1, "shape": [9, 6]}, "side of its markers"),
         ({"kind": "charuco", "mesh": 0.1, "shape": [9, 6], "marker": 0.2}, "larger than its squares"),

@@ -36,17 +36,17 @@ def test_an_experiment_may_choose_the_fast_preset():
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        ({"pears": []}, "unknown measurement setting 'pears'; did you mean 'pairs'"),
-        ({"colour": 1}, "unknown measurement setting 'colour'; there are eps_floor, "),
-        ({"pairs": [["cam1"]]}, "not a pair"),
+        ({"pears": []}, "settings.pears is not a known key; did you mean 'pairs'"),
+        ({"colour": 1}, "settings.colour is not a known key; known keys here: pairs, "),
+        ({"pairs": [["cam1"]]}, r"settings.pairs.0.1 is missing"),
         ({"pairs": [["cam1", "cam1"]]}, "not a pair"),
-        ({"pairs": "cam1"}, "list of camera names"),
+        ({"pairs": "cam1"}, "settings.pairs should be a valid tuple, not 'cam1'"),
         ({"velocity_cameras": ["cam1"]}, "at least two"),
         ({"z_range": [0.1, -0.1]}, "lowest elevation comes first"),
         ({"preset": "slow"}, "choose default or fast"),
         ({"pixel": 0.0}, "above 0 m"),
         ({"smoothing": -1.0}, "smoothing must be 0 or more"),
-        ({"piv": {"windows": 3}}, "unknown measurement setting 'piv.windows'; did you mean 'window'"),
+        ({"piv": {"windows": 3}}, "settings.piv.windows is not a known key; did you mean 'window'"),
         ({"piv": {"window": -3.0}}, "window"),
     ],
 )

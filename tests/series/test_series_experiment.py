@@ -148,3 +148,27 @@ def test_water_level_moves_the_rig(tmp_path):
     )
     before, after = paper_rig()["cam1"].centre, note.load_rig()["cam1"].centre
     assert after[2] == pytest.approx(before[2] - 0.1)
+
+
+# nine lines that stand for 9^9 values
+LAUGHS = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{b}: &{b} [{', '.join(9 * ['*' + a])}]\n" for a, b in zip("abcdefgh", "bcdefghi")
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("frame_rate: .inf", "frame_rate should be a finite number"),
+        ("water: {depth: .nan}", "water.depth should be a finite number"),
+        (LAUGHS, "write out its aliases"),
+        ("a: &a {b: *a}", "write out its aliases"),
+        ("a: " + 2000 * "[", "is nested too deeply"),
+        ("name: 2026-13-45", "not YAML"),
+        ("cameras: {Left: {image: 3}}", "cameras.Left.image is not a known key; did you mean 'images'?"),
+    ],
+)
+def test_what_no_lab_note_says_is_refused_at_once(tmp_path, text, says):
+    message = complaint(tmp_path, text)
+    assert says in message
+    assert "experiment.yaml" in message

@@ -81,7 +81,7 @@ def calibrate_experiment(
     images = find_views(experiment)
     section = experiment.calibration
     assert section is not None
-    target = Target.from_dict(section.target)
+    target = Target.from_dict(section.target, experiment.path)
     jobs = [(camera, pose, path) for camera, poses in images.items() for pose, path in poses.items()]
     views: dict[str, dict[str, TargetPoints]] = {camera: {} for camera in images}
     notes = []

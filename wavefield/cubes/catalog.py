@@ -26,8 +26,8 @@ from wavefield.cubes.running import ProgressFunction, process
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.rig import Rig
+from wavefield.sections import read_yaml
 from wavefield.series import Experiment
-from wavefield.series.document import read_yaml
 from wavefield.store.ledger import Status
 from wavefield.whole_files import write_text
 

@@ -16,7 +16,6 @@ from wavefield.grid import Grid
 from wavefield.measurement.algorithm import ALGORITHM
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
-from wavefield.series.document import place_of
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_FIELDS, TABLE
 
@@ -237,14 +236,10 @@ def make_settings(experiment: Experiment, workflow: Workflow) -> Any:
     ExperimentError
         If a name is unknown or a value does not fit.
     """
-    from wavefield.measurement.settings import Settings, unknown_setting
+    from wavefield.measurement.settings import Settings
 
-    for source in (experiment, workflow):
-        if unknown := unknown_setting(source.settings):
-            location, sentence = unknown
-            place = f"{place_of(source.path, ('settings', *location))}: " if source.path else ""
-            raise ExperimentError(place + sentence)
-
+    for source in (experiment, workflow):  # each by itself: only then is the place of an error known
+        Settings.from_dict(source.settings, source.path)
     data: dict[str, Any] = {}
     if experiment.surface:
         data["pairs"] = experiment.surface.pairs

@@ -7,7 +7,7 @@ from typing import Any, Literal
 from dask.utils import format_bytes, parse_bytes
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
-from wavefield.series.document import Section, load_section
+from wavefield.sections import Section, load
 
 
 class Workflow(Section):
@@ -101,7 +101,7 @@ class Workflow(Section):
         ExperimentError
             If it is missing or wrong; the message names the line and the remedy.
         """
-        out = load_section(cls, Path(path))
+        out = load(cls, Path(path))
         out._path = Path(path)
         return out
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+from wavefield.sections import CHECKED
+
 Range = tuple[float, float]
 
 
@@ -50,6 +52,8 @@ class Settings:
         Blocks that step further than this from the median of their 5 x 5 neighbours, px, are replaced by it,
         and invalid if that happens in the last step.
     """
+
+    __pydantic_config__ = CHECKED
 
     iterations: tuple[int, ...] = (6, 4, 4)
     window: float = 32.0

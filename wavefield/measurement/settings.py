@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from wavefield import matching
 from wavefield.errors import ExperimentError
+from wavefield.sections import CHECKED, make, place_of
 
 
 def _stereo() -> matching.Settings:
@@ -84,6 +85,8 @@ class Settings:
     (-0.05, 0.05)
     """
 
+    __pydantic_config__ = CHECKED
+
     pairs: tuple[tuple[str, str], ...] = ()
     velocity_cameras: tuple[str, ...] = ()
     z_range: tuple[float, float] | None = None
@@ -150,7 +153,7 @@ class Settings:
         return _plain(asdict(self))
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Settings:
+    def from_dict(cls, data: Mapping[str, Any], path: Path | None = None) -> Settings:
         """Inverse of `to_dict`; what is left out keeps its default.
 
         Parameters
@@ -158,6 +161,8 @@ class Settings:
         data : mapping
             Names to values; ``stereo`` and ``piv`` may name only what differs. ``preset: fast`` starts from
             `fast` instead of the defaults.
+        path : path, optional
+            The file whose ``settings`` they are, to be named with the line at fault.
 
         Returns
         -------
@@ -168,59 +173,16 @@ class Settings:
         ExperimentError
             If a name is unknown or a value does not fit.
         """
-        if unknown := unknown_setting(data):
-            raise ExperimentError(unknown[1])
         values: dict[str, Any] = dict(data)
         preset = values.pop("preset", "default")
         if preset not in ("default", "fast"):
-            raise ExperimentError(f"preset: choose default or fast, not {preset!r}")
+            where = f"{place_of(path, ('settings', 'preset'))}: " if path else ""
+            raise ExperimentError(f"{where}settings.preset: choose default or fast, not {preset!r}")
         base = cls.fast() if preset == "fast" else cls()
-        try:
-            for name, default in (("stereo", base.stereo), ("piv", base.piv)):
-                if name in values:
-                    values[name] = matching.Settings(**(asdict(default) | dict(values[name])))
-            return replace(base, **values)
-        except (TypeError, ValueError) as error:
-            raise ExperimentError(f"measurement settings: {error}") from None
-
-
-def unknown_setting(data: Mapping[str, Any]) -> tuple[tuple[str, ...], str] | None:
-    """The first name that no setting has.
-
-    Parameters
-    ----------
-    data : mapping
-        As for `Settings.from_dict`.
-
-    Returns
-    -------
-    (location, sentence) or None
-        Keys that lead to it, and what to write instead.
-
-    Examples
-    --------
-    >>> location, sentence = unknown_setting({"piv": {"windows": 12.0}})
-    >>> location
-    ('piv', 'windows')
-    >>> sentence
-    "unknown measurement setting 'piv.windows'; did you mean 'window' or 'search_window'?"
-    """
-    for location, found, kind in (
-        ((), data, Settings),
-        (("stereo",), data.get("stereo"), matching.Settings),
-        (("piv",), data.get("piv"), matching.Settings),
-    ):
-        known = [f.name for f in fields(kind)] + (["preset"] if kind is Settings else [])
-        for name in found if isinstance(found, Mapping) else ():
-            if name not in known:
-                at = (*location, str(name))
-                close = difflib.get_close_matches(str(name), known, n=2)
-                remedy = f"did you mean {' or '.join(map(repr, close))}?" if close else ""
-                return at, (
-                    f"unknown measurement setting {'.'.join(at)!r}; "
-                    f"{remedy or 'there are ' + ', '.join(sorted(known))}"
-                )
-    return None
+        for name, default in (("stereo", base.stereo), ("piv", base.piv)):
+            if isinstance(values.get(name, {}), Mapping):
+                values[name] = asdict(default) | dict(values.get(name, {}))
+        return make(cls, values, path=path, location=("settings",))
 
 
 def _plain(value: Any) -> Any:

@@ -13,7 +13,7 @@ from wavefield.rig import Rig
 from wavefield.rig.field import common_field
 from wavefield.rig.formats import load_rig
 from wavefield.rig.level import with_water_level
-from wavefield.series.document import Section, load_section, read_yaml
+from wavefield.sections import Section, load, read_yaml
 from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import make_series, number_frames, place_by_time, read_time_stamps
 from wavefield.water import tension_over_density
@@ -205,7 +205,7 @@ class Experiment(Section):
             return cls.load(target, folder)
         if folder:
             data["folder"] = str(Path(str(folder).removeprefix("file://")).absolute())
-        out = load_section(cls, path, data)
+        out = load(cls, path, data)
         out._path = path
         return out
 

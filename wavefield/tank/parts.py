@@ -3,9 +3,10 @@
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from wavefield.rig import Rig
+from wavefield.sections import Section
 from wavefield.tank import rigs, spectrum
 from wavefield.tank.sea import Sea
 from wavefield.water import GAMMA
@@ -22,10 +23,10 @@ def _rising(limits: Limits) -> Limits:
     return limits
 
 
-class Part(BaseModel):
+class Part(Section):
     """A part whose settings are checked and cannot change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
+    model_config = ConfigDict(allow_inf_nan=True)  # deep water
 
 
 class AddedWave(Part):

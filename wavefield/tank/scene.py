@@ -1,17 +1,17 @@
 """The description of a simulated experiment: everything that is set, and how it is read from YAML."""
 
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, cast
 
 import yaml
-from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from wavefield.errors import ExperimentError
 from wavefield.grid import Grid
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field
+from wavefield.sections import make, read_yaml
 from wavefield.tank.parts import (
     Beads,
     Calibration,
@@ -113,33 +113,23 @@ class Scene(Part):
         path = Path(source)
         presets = cls.presets()
         if not path.suffix and str(source) in presets:
-            text, where = presets[str(source)].read_text(), f"scene {source}"
-        else:
-            try:
-                text, where = path.read_text(), str(path)
-            except OSError:
-                raise ExperimentError(
-                    f"{source}: no such scene; give a YAML file or one of {', '.join(presets)}"
-                ) from None
-        try:
-            data = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise ExperimentError(f"{where} is not YAML: {' '.join(str(error).split())}") from None
-        rig = data.get("rig") if isinstance(data, dict) else None
+            path = presets[str(source)]
+        elif not path.exists():
+            raise ExperimentError(f"{source}: no such scene; give a YAML file or one of {', '.join(presets)}")
+        data = read_yaml(path)
+        rig = data.get("rig")
         if isinstance(rig, dict) and isinstance(rig.get("file"), str):
             rig["file"] = str((path.parent / rig["file"]).resolve())
-        return cls.from_dict(data, where)
+        return make(cls, data, path=path)
 
     @classmethod
-    def from_dict(cls, data: Any, where: str = "scene") -> "Scene":
+    def from_dict(cls, data: Mapping[str, Any]) -> "Scene":
         """Make a scene from plain data.
 
         Parameters
         ----------
         data : mapping
             As in the YAML file.
-        where : str
-            What to name in error messages.
 
         Returns
         -------
@@ -150,24 +140,18 @@ class Scene(Part):
         ExperimentError
             If a setting is wrong.
         """
-        if not isinstance(data, Mapping):
-            raise ExperimentError(f"{where} must be a mapping of settings, such as `sea: {{kind: still}}`")
-        try:
-            return cls.model_validate(dict(data))
-        except ValidationError as error:
-            raise ExperimentError(f"{where}: {_sentence(error)}") from None
+        return make(cls, data, name="scene")
 
     @staticmethod
-    def presets() -> dict[str, Any]:
+    def presets() -> dict[str, Path]:
         """Scenes that come with the program.
 
         Returns
         -------
         dict of str to path
         """
-        folder = files("wavefield.tank") / "scenes"
-        found = {Path(f.name).stem: f for f in folder.iterdir() if f.name.endswith(".yaml")}
-        return dict(sorted(found.items()))
+        folder = Path(__file__).parent / "scenes"
+        return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
     def to_yaml(self) -> str:
         """The scene as YAML, every setting written out.
@@ -223,23 +207,3 @@ class Scene(Part):
         Sea
         """
         return self.sea.build(self.seed)
-
-
-# parts of an error's place that name the kind of a part, not a setting
-_TAGS = {
-    *("still", "single", "random", "jonswap", "power", "strings", "chessboard", "dots"),
-    *("beads", "texture", "paper-rig", "rig-file"),
-}
-
-
-def _sentence(error: ValidationError) -> str:
-    first = error.errors()[0]
-    place = ".".join(str(part) for part in first["loc"] if part not in _TAGS and not str(part)[:1].isupper())
-    message = first["msg"].removeprefix("Value error, ")
-    if first["type"] == "extra_forbidden":
-        message = "there is no such setting; check its spelling"
-    elif first["type"] == "missing":
-        message = "this setting is needed"
-    else:
-        message = f"{message[0].lower()}{message[1:]} (got {first['input']!r})" if place else message
-    return f"{place}: {message}" if place else message

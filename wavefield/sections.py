@@ -1,0 +1,351 @@
+"""Settings that people write by hand: checked section by section; errors name file, line and remedy.
+
+A section is a pydantic model (`Section`) or a frozen dataclass. `load` reads one from a YAML file, `make`
+from plain data that was read already.
+"""
+
+import dataclasses
+import difflib
+import types
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+
+from wavefield.errors import ExperimentError, WavefieldError
+
+Key = str | int
+T = TypeVar("T")
+
+_LARGEST = 200_000  # values in a file; a list of every image of a long record has fewer
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+
+
+# of a dataclass that `make` makes: as its ``__pydantic_config__``
+CHECKED = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class Section(BaseModel):
+    """A block of settings: refuses what it does not know, and numbers that are none."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
+
+
+def load(kind: type[T], path: Path, data: Mapping[str, Any] | None = None) -> T:
+    """Read and check a YAML file.
+
+    Parameters
+    ----------
+    kind : type
+        What the file must hold: a `Section` or a dataclass.
+    path : path
+        The file.
+    data : mapping, optional
+        Its content, if it was read (and perhaps changed) already.
+
+    Returns
+    -------
+    instance of kind
+
+    Raises
+    ------
+    ExperimentError
+        If the file is missing, is not YAML, or does not hold what it must; the message names the line.
+    """
+    return make(kind, read_yaml(path) if data is None else data, path=path)
+
+
+def make(
+    kind: type[T],
+    data: Mapping[str, Any],
+    *,
+    path: Path | None = None,
+    location: Sequence[Key] = (),
+    name: str = "",
+    error: type[WavefieldError] = ExperimentError,
+) -> T:
+    """Make a section from plain data.
+
+    Parameters
+    ----------
+    kind : type
+        A `Section` or a dataclass.
+    data : mapping
+        Names and values.
+    path : path, optional
+        The YAML file that they come from.
+    location : sequence of str or int
+        Keys that lead to them in that file.
+    name : str
+        What to call them where there is no file.
+    error : type
+        What is raised.
+
+    Returns
+    -------
+    instance of kind
+
+    Raises
+    ------
+    WavefieldError
+        Of the type `error`, where the data do not fit: file, line, and the nearest valid name.
+    """
+    try:
+        return TypeAdapter(kind).validate_python(dict(data))
+    except WavefieldError as found:  # a section's own sentence
+        where = place_of(path, location) if path else name
+        raise error(f"{where}: {found}" if where else str(found)) from None
+    except ValidationError as found:
+        node = _compose(path) if path else None
+        wrong = found.errors()
+        unknown = [p for p in wrong if p["type"] in _UNKNOWN]  # what is missing is there under a wrong name
+        wrong = unknown or wrong
+        problems = [_sentence(problem, kind, path, node, location, name) for problem in wrong]
+    raise error("; ".join(dict.fromkeys(problems)))
+
+
+# -- YAML ----------------------------------------------------------------------------------------------------
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Content of a YAML file that holds a mapping.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    ExperimentError
+        If the file is missing, is not YAML, has a key twice, or is not a mapping.
+    """
+    node = _compose(path)
+    if not isinstance(node, yaml.MappingNode):
+        raise ExperimentError(f"{path} is not a list of `key: value` lines; see the example in the README")
+    _measure(node, path, {})
+    for first, second in _twice(node):
+        raise ExperimentError(
+            f"{path}, line {second.start_mark.line + 1}: {second.value!r} is there twice "
+            f"(first on line {first.start_mark.line + 1}); remove one"
+        )
+    try:
+        data: dict[str, Any] = yaml.safe_load(_text(path))
+    except (yaml.YAMLError, ValueError, OverflowError) as error:
+        raise _not_yaml(path, error) from None
+    return data
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise ExperimentError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise ExperimentError(f"{path} is a folder; name the YAML file in it") from None
+    except UnicodeDecodeError:
+        raise ExperimentError(f"{path} is not a text file (UTF-8)") from None
+    except OSError as error:
+        raise ExperimentError(f"{path} cannot be read: {error.strerror}") from None
+
+
+def _compose(path: Path) -> yaml.Node | None:
+    text = _text(path)
+    try:
+        return yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.YAMLError as error:
+        raise _not_yaml(path, error) from None
+    except RecursionError:
+        raise ExperimentError(f"{path} is nested too deeply; it is no file of settings") from None
+
+
+def _not_yaml(path: Path, error: Exception) -> ExperimentError:
+    mark = getattr(error, "problem_mark", None)
+    where = f", line {mark.line + 1}" if mark else ""
+    problem = getattr(error, "problem", None) or "not YAML"
+    return ExperimentError(f"{path}{where}: {problem}; check indentation, colons and brackets")
+
+
+def _measure(node: yaml.Node, path: Path, sizes: dict[int, int]) -> int:
+    """Values in a document, every alias (`*name`) written out; refuses what is too many to be read."""
+    if id(node) in sizes:
+        return sizes[id(node)]
+    sizes[id(node)] = _LARGEST + 1  # until it is known: an alias within itself has no end
+    parts: list[yaml.Node] = []
+    if isinstance(node, yaml.MappingNode):
+        parts = [part for pair in node.value for part in pair]
+    elif isinstance(node, yaml.SequenceNode):
+        parts = node.value
+    size = 1 + sum(_measure(part, path, sizes) for part in parts)
+    if size > _LARGEST:
+        raise ExperimentError(
+            f"{path}, line {node.start_mark.line + 1}: more than {_LARGEST} values; write out its aliases "
+            "(*name), or name images by a pattern"
+        )
+    sizes[id(node)] = size
+    return size
+
+
+def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
+    if isinstance(node, yaml.MappingNode):
+        seen: dict[Any, yaml.Node] = {}
+        for key, value in node.value:
+            word = str(key.value)
+            if word in seen and word != "<<":
+                yield seen[word], key
+            seen[word] = key
+            yield from _twice(value)
+    elif isinstance(node, yaml.SequenceNode):
+        for value in node.value:
+            yield from _twice(value)
+
+
+# -- where something stands ----------------------------------------------------------------------------------
+
+
+def place_of(path: Path, location: Sequence[Key]) -> str:
+    """File and line of a value, for a message.
+
+    Parameters
+    ----------
+    path : path
+        YAML.
+    location : sequence of str or int
+        Keys that lead to it.
+
+    Returns
+    -------
+    str
+        Such as "experiment.yaml, line 3".
+    """
+    line = _line(_compose(path), location)
+    return f"{path}, line {line}" if line else str(path)
+
+
+def _line(node: yaml.Node | None, location: Sequence[Key]) -> int | None:
+    """Line (from 1) of the deepest part of a location that the file has."""
+    line = None
+    for step in location:
+        found = None
+        if isinstance(node, yaml.MappingNode):
+            for key, value in node.value:
+                if key.value == str(step):
+                    found, line = value, key.start_mark.line + 1
+        elif isinstance(node, yaml.SequenceNode) and isinstance(step, int) and step < len(node.value):
+            found = node.value[step]
+            line = found.start_mark.line + 1
+        if found is None:  # a name that pydantic adds for a member of a union
+            continue
+        node = found
+    return line
+
+
+# -- what to say ---------------------------------------------------------------------------------------------
+
+
+def _sentence(
+    problem: Any, kind: Any, path: Path | None, node: yaml.Node | None, location: Sequence[Key], name: str
+) -> str:
+    inner = list(problem["loc"])
+    line = _line(node, [*location, *inner])
+    where = (f"{path}, line {line}" if line else str(path)) if path else name
+    names, kinds, example = _follow(kind, inner)
+    what = ".".join(str(step) for step in (*location, *names))
+    message = _message(problem, kinds)
+    words = f"{what}: {message}" if problem["type"] == "value_error" and what else f"{what} {message}".strip()
+    if example:
+        words += f" (for example {names[-1]}: {example})"
+    return f"{where}: {words}" if where else words
+
+
+def _message(problem: Any, kinds: Sequence[Any]) -> str:
+    sort, message = problem["type"], str(problem["msg"])
+    if sort in _UNKNOWN:
+        known = list(dict.fromkeys(name for member in kinds for name in _fields(member)))
+        close = difflib.get_close_matches(str(problem["loc"][-1]), known, n=1)
+        remedy = f"did you mean {close[0]!r}?" if close else f"known keys here: {', '.join(known)}"
+        return f"is not a known key; {remedy}"
+    if sort == "missing":
+        return "is missing"
+    if sort == "value_error":
+        return message.removeprefix("Value error, ")
+    value = problem.get("input")
+    return message.replace("Input should", "should") + (f", not {value!r}" if _is_short(value) else "")
+
+
+def _is_short(value: Any) -> bool:
+    return value is not None and len(repr(value)) < 60
+
+
+def _follow(kind: Any, location: Sequence[Key]) -> tuple[list[Key], list[Any], str | None]:
+    """Follow a location through types: its names as the file has them, the last section, an example."""
+    names: list[Key] = []
+    sections = annotations = _members(kind)
+    example = None
+    for step in location:
+        fields = {key: found for member in annotations for key, found in _fields(member).items()}
+        inside = [inner for member in annotations for inner in _inside(member)]
+        if fields:
+            sections = [member for member in annotations if _fields(member)]
+        if step in fields:
+            names.append(step)
+            annotation, example = fields[step]
+            annotations = _members(annotation)
+        elif inside and (
+            isinstance(step, int) or not _is_branch(step, annotations)
+        ):  # an item, or the key of a mapping
+            names.append(step)
+            annotations, example = [m for part in inside for m in _members(part)], None
+        elif not _is_branch(step, annotations) and step == location[-1]:
+            names.append(step)  # what nobody knows
+            example = None
+    return names, sections, example
+
+
+def _is_branch(step: Key, annotations: Sequence[Any]) -> bool:
+    # pydantic names the member of a union in locations: "str", "GridSection", "list[...]"
+    if not isinstance(step, str):
+        return False
+    classes = [getattr(member, "__name__", "") for member in annotations]
+    return step in ("str", "float", "int", *classes) or step.startswith("constrained-") or "[" in step
+
+
+def _fields(kind: Any) -> dict[str, tuple[Any, str | None]]:
+    """Names of a section's fields, each with its type and an example."""
+    if not isinstance(kind, type):
+        return {}
+    if issubclass(kind, BaseModel):
+        return {
+            name: (field.annotation, str(field.examples[0]) if field.examples else None)
+            for name, field in kind.model_fields.items()
+        }
+    if dataclasses.is_dataclass(kind):
+        hints = typing.get_type_hints(kind)
+        return {field.name: (hints[field.name], None) for field in dataclasses.fields(kind) if field.init}
+    return {}
+
+
+def _inside(annotation: Any) -> Sequence[Any]:
+    """Types of the items of a list, or of the values of a mapping."""
+    origin = typing.get_origin(annotation)
+    if isinstance(origin, type) and issubclass(origin, Mapping | list | tuple | set | frozenset):
+        arguments = [a for a in typing.get_args(annotation) if a is not Ellipsis]
+        return arguments[-1:] if issubclass(origin, Mapping) else arguments
+    return ()
+
+
+def _members(annotation: Any) -> list[Any]:
+    """Types that an annotation allows, unions taken apart."""
+    origin = typing.get_origin(annotation)
+    if origin is typing.Annotated:
+        return _members(typing.get_args(annotation)[0])
+    if origin in (typing.Union, types.UnionType):
+        return [inner for member in typing.get_args(annotation) for inner in _members(member)]
+    return [annotation]
