@@ -104,7 +104,12 @@ def make(
         unknown = [p for p in wrong if p["type"] in _UNKNOWN]  # what is missing is there under a wrong name
         wrong = unknown or wrong
         problems = [_sentence(problem, kind, path, node, location, name) for problem in wrong]
-    raise error("; ".join(dict.fromkeys(problems)))
+    by_place: dict[str, list[str]] = {}
+    for where, words in dict.fromkeys(problems):
+        by_place.setdefault(where, []).append(words)
+    raise error(
+        "; ".join((f"{where}: " if where else "") + "; ".join(words) for where, words in by_place.items())
+    )
 
 
 # -- YAML ----------------------------------------------------------------------------------------------------
@@ -252,7 +257,8 @@ def _line(node: yaml.Node | None, location: Sequence[Key]) -> int | None:
 
 def _sentence(
     problem: Any, kind: Any, path: Path | None, node: yaml.Node | None, location: Sequence[Key], name: str
-) -> str:
+) -> tuple[str, str]:
+    """Where a problem is, and what it is."""
     inner = list(problem["loc"])
     line = _line(node, [*location, *inner])
     where = (f"{path}, line {line}" if line else str(path)) if path else name
@@ -262,7 +268,7 @@ def _sentence(
     words = f"{what}: {message}" if problem["type"] == "value_error" and what else f"{what} {message}".strip()
     if example:
         words += f" (for example {names[-1]}: {example})"
-    return f"{where}: {words}" if where else words
+    return where, words
 
 
 def _message(problem: Any, kinds: Sequence[Any]) -> str:
