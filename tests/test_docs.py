@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 import pytest
 
-import wavefield
+import wavefield.figures
 from wavefield.commands.cli import cli
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -100,6 +100,25 @@ def test_notebook_is_kept_clean(path):
 
 def test_there_are_three_notebooks():
     assert len(NOTEBOOKS) == 3
+
+
+def test_every_page_of_the_guide_is_on_the_site():
+    text = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
+    listed = set(re.search(r"```\{toctree\}\n:hidden:\n(.*?)```", text, re.S)[1].split())
+    linked = {target.removesuffix(".md") for target in re.findall(r"\]\((\S+\.md)\)", text)}
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8") + (
+        ROOT / "docs" / "notebooks.md"
+    ).read_text()
+    pages = {page.stem for page in ROOT.glob("docs/*.md")} - {"index"}
+    assert listed == linked
+    assert not [page for page in pages - listed if not re.search(rf"^{page}$", index, re.M)]
+    assert not [path.stem for path in NOTEBOOKS if f"notebooks/{path.stem}" not in index]
+
+
+def test_figures_of_the_gallery_exist():
+    for script in ROOT.glob("docs/examples/*.py"):
+        for name in re.findall(r"figures\.(\w+)\(", script.read_text(encoding="utf-8")):
+            assert hasattr(wavefield.figures, name), f"{script.name} draws {name}"
 
 
 def test_changelog_citation_and_package_agree_on_the_last_release():

@@ -53,6 +53,12 @@ def test_pictures_of_a_cube(cube, name, words):
         assert word in labels(figure)
 
 
+def test_a_step_of_a_stored_cube_may_have_the_ledger_of_its_frames_beside_it(cube):
+    step = cube.isel(time=10).assign(frame_fault=(("camera", "frame"), np.zeros((3, 49), "uint8")))
+    for draw in (figures.surface_3d, figures.velocity_map, figures.elevation_map, figures.kinematics_maps):
+        draw(step).draw_without_rendering()
+
+
 def test_colour_scale_of_a_signed_field_is_balanced_and_holes_stay_grey(cube):
     figure = figures.elevation_map(cube.isel(time=10))
     mesh = figure.axes[0].collections[0]

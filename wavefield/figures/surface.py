@@ -29,7 +29,7 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
     Counterpart of the paper's 3D snapshot. Heights are exaggerated; the axes tell by how much.
     """
     stride = {d: slice(None, None, -(-snapshot.sizes[d] // _MOST_POLYGONS)) for d in ("y", "x")}
-    part = snapshot.isel(stride).transpose("y", "x")
+    part = snapshot[["z", "w"]].isel(stride).transpose("y", "x")
     z, w = 100 * part.z.values.astype(float), 100 * part.w.values.astype(float)
     figure, axes = panel_3d()
     half = limit(w)

@@ -1,0 +1,85 @@
+"""The pages as a site: `sphinx-build -W docs docs/_build/html`; CONTRIBUTING.md says how it is published.
+
+Nothing is fetched. The gallery draws a small experiment that is simulated, measured and analysed here, and
+kept; the notebooks are executed.
+"""
+
+import os
+import shutil
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+sys.path.insert(0, str(HERE))
+
+import site_parts  # noqa: E402
+from sphinx.application import Sphinx  # noqa: E402
+
+import wavefield  # noqa: E402
+
+project = "wavefield"
+author = copyright = "the wavefield developers"
+version = release = wavefield.__version__
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
+    "numpydoc",
+    "myst_nb",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = ["_build", "examples", "gallery/*.ipynb"]
+templates_path = ["_templates"]
+nitpicky = False
+
+html_theme = "pydata_sphinx_theme"
+html_title = "wavefield"
+html_show_sourcelink = False
+html_theme_options = {
+    "show_prev_next": False,
+    "navbar_align": "left",
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
+
+myst_enable_extensions = ["dollarmath", "amsmath", "deflist"]
+myst_heading_anchors = 3
+suppress_warnings = ["mystnb.mime_priority"]
+
+autosummary_generate = True
+autosummary_ignore_module_all = False
+autosummary_imported_members = True
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+numpydoc_show_class_members = False
+
+nb_execution_mode = "force"
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+
+sphinx_gallery_conf = {
+    "examples_dirs": "examples",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"plot_",
+    "image_scrapers": ("site_parts.last_figure",),
+    "capture_repr": (),
+    "download_all_examples": False,
+    "show_memory": False,
+    "min_reported_time": 3600,
+    "abort_on_example_error": True,
+    "remove_config_comments": True,
+}
+
+
+def setup(app: Sphinx) -> None:
+    """Read docstrings as they are meant, before numpydoc does."""
+    app.connect("autodoc-process-docstring", site_parts.keep_formulas, priority=100)
+
+
+shutil.copytree(ROOT / "notebooks", HERE / "notebooks", dirs_exist_ok=True)
+site_parts.simulate(HERE / "examples" / "wavefield-demo")

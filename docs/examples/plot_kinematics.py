@@ -1,0 +1,23 @@
+"""
+The nonlinear term
+==================
+
+At the surface z_t = w - u . grad z; the terms are measured apart, and what is left is their error.
+"""
+
+import xarray as xr
+
+import wavefield as wf
+from wavefield import figures
+
+cube = wf.open_cube("wavefield-demo/cube.zarr")
+figures.kinematics_maps(cube.isel(time=20))
+
+# %%
+# Their course in time.
+waves = xr.open_datatree("wavefield-demo/waves.zarr", engine="zarr", consolidated=False)
+figures.balance_history(waves["kinematics"].to_dataset())
+
+# %%
+# Coherence of the rate of rise with each of them.
+figures.coherence_curves(waves["coherence"].to_dataset())

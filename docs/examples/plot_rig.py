@@ -1,0 +1,24 @@
+"""
+Cameras and their frames
+========================
+
+The rig, and how a step is made from the frames of all cameras.
+"""
+
+import xarray as xr
+
+import wavefield as wf
+from wavefield import figures
+
+rig = wf.Rig.load("wavefield-demo/truth/rig.yaml")
+grid = wf.Grid(x=(-0.26, 0.26), y=(-0.18, 0.18), step=0.01)
+figures.rig_views(rig, grid)
+
+# %%
+# One frame of each camera with the outline of the grid, and the seeding.
+frames = xr.open_datatree("wavefield-demo/experiment.yaml", engine="wavefield")
+figures.camera_frames({name: frames[name].image[20].values for name in rig}, rig, grid)
+
+# %%
+# From frames to a step.
+figures.method_diagram([("cam3", "cam1"), ("cam3", "cam2")], ["cam1", "cam2", "cam3"])
