@@ -1,7 +1,9 @@
 """Water-surface elevation and velocity from three cameras, and the waves in them."""
 
+import ast
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
 
 try:
@@ -9,29 +11,26 @@ try:
 except PackageNotFoundError:  # run from a source tree that is not installed
     __version__ = "0+unknown"
 
-# public name -> where it lives; imported on first use, so that `import wavefield` stays quick
-_PUBLIC = {
-    "Camera": "wavefield.rig",
-    "Rig": "wavefield.rig",
-    "load_rig": "wavefield.rig.formats",
-    "Grid": "wavefield.grid",
-    "Experiment": "wavefield.series",
-    "Settings": "wavefield.measurement",
-    "reconstruct": "wavefield.cubes",
-    "open_cube": "wavefield.cubes",
-    "spectrum": "wavefield.waves",
-    "komega": "wavefield.waves",
-    "analyze": "wavefield.waves",
-    "Scene": "wavefield.tank",
-    "simulate": "wavefield.tank",
-}
 
+def _public() -> dict[str, tuple[str, str]]:
+    """Public name -> module and name there, from the stub that type checkers read."""
+    stub = ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+    return {
+        alias.asname or alias.name: (statement.module or "", alias.name)
+        for statement in stub.body
+        if isinstance(statement, ast.ImportFrom)
+        for alias in statement.names
+    }
+
+
+_PUBLIC = _public()  # imported on first use, so that `import wavefield` stays quick
 __all__ = ["__version__", *sorted(_PUBLIC)]
 
 
 def __getattr__(name: str) -> Any:
     if name in _PUBLIC:
-        return getattr(import_module(_PUBLIC[name]), name)
+        module, there = _PUBLIC[name]
+        return getattr(import_module(module), there)
     raise AttributeError(f"module 'wavefield' has no attribute {name!r}")
 
 

@@ -77,6 +77,31 @@ def write_text(path: str | Path, text: str) -> None:
         draft.write_text(text, encoding="utf-8")
 
 
+def check_writable(path: str | Path) -> None:
+    """Make sure that a file can be written, before the work that ends in it.
+
+    Parameters
+    ----------
+    path : path
+        The file; its folder is made.
+
+    Raises
+    ------
+    StoreError
+        If it cannot.
+    """
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise StoreError(f"{path} is a folder; name a file to write")
+        draft = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.partial")
+        draft.touch()
+        draft.unlink()
+    except OSError as error:
+        raise write_error(path, error) from None
+
+
 def remove_leftovers(path: Path) -> None:
     """Remove what killed writers of a file or folder left beside it and in it.
 

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import click
 import pytest
@@ -142,3 +143,33 @@ def test_rig_is_shown_and_converted_there_and_back(tmp_path, capsys):
     assert again["cam1"].fx == pytest.approx(rig["cam1"].fx, rel=1e-12)
     assert main(["rig", "a.xml", "cam2=b.xml"]) == 2
     assert main(["rig", "cam1=a.xml", "--size", "big"]) == 2
+
+
+def test_every_public_name_is_there_and_known_to_type_checkers():
+    import wavefield as wf
+
+    asked = {
+        "calibrate",
+        "check",
+        "run",
+        "match",
+        "analyze",
+        "report",
+        "reconstruct",
+        "open_cube",
+        "Rig",
+        "Grid",
+    }
+    assert asked <= set(wf.__all__)
+    assert all(callable(getattr(wf, name)) for name in wf.__all__ if name != "__version__")
+    import wavefield.report.write  # now `wf.report` is the room
+
+    assert callable(wf.report)
+    assert (Path(wf.__file__).parent / "py.typed").exists()
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    code = (
+        "import sys, wavefield; print([m for m in sys.modules if m.startswith('wavefield.') or m == 'numpy'])"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"

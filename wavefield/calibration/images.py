@@ -58,13 +58,13 @@ def _look(path: Path, target: Target, size: tuple[int, int] | None) -> TargetPoi
 
 
 def calibrate_experiment(
-    experiment: Experiment, progress: Callable[[int, int], None] | None = None
+    experiment: str | Path | Experiment, progress: Callable[[int, int], None] | None = None
 ) -> TargetRig:
     """Find the rig of an experiment from its target images.
 
     Parameters
     ----------
-    experiment : Experiment
+    experiment : path or Experiment
         With a calibration block.
     progress : callable, optional
         Told (images done, all images).
@@ -78,6 +78,8 @@ def calibrate_experiment(
     CalibrationError
         If target images are not there.
     """
+    if not isinstance(experiment, Experiment):
+        experiment = Experiment.load(experiment)
     images = find_views(experiment)
     section = experiment.calibration
     assert section is not None

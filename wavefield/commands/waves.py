@@ -5,35 +5,9 @@ from pathlib import Path
 import click
 
 from wavefield.commands.progress import Progress
+from wavefield.store.beside import beside
 
 _STORE = click.Path(exists=True, file_okay=False, path_type=Path)
-
-
-def beside(store: Path, kind: str, ending: str) -> Path:
-    """Where something made from a cube goes, unless said otherwise.
-
-    Parameters
-    ----------
-    store : Path
-        The cube.
-    kind : str
-        What it is: "waves", "report".
-    ending : str
-        Of its name.
-
-    Returns
-    -------
-    Path
-
-    Examples
-    --------
-    >>> beside(Path("a/cube.zarr"), "waves", ".zarr").as_posix()
-    'a/waves.zarr'
-    >>> beside(Path("a/run7.zarr"), "report", ".html").as_posix()
-    'a/run7_report.html'
-    """
-    stem = store.name.removesuffix(".zarr")
-    return store.with_name((stem.replace("cube", kind) if "cube" in stem else f"{stem}_{kind}") + ending)
 
 
 @click.command(epilog="\b\nExample:\n  wavefield analyze cube.zarr      # writes waves.zarr beside it")
@@ -103,9 +77,9 @@ def _probes_of(store: Path) -> Path | None:
 )
 def report(store: Path, output: Path | None, waves: Path | None) -> None:
     """Write the report of a cube as one HTML file that opens offline."""
-    from wavefield.report import gather, write_report
+    from wavefield.report.write import report as write
 
     output = output or beside(store, "report", ".html")
     with Progress(f"Drawing {output}", "parts") as progress:
-        write_report(gather(store, waves or beside(store, "waves", ".zarr")), output, progress)
+        write(store, output, waves=waves, progress=progress)
     click.echo(f"Wrote {output}; open it in a browser.")

@@ -1,0 +1,30 @@
+"""Where what is made from a cube lies."""
+
+from pathlib import Path
+
+
+def beside(store: Path, kind: str, ending: str) -> Path:
+    """Where something made from a cube goes, unless said otherwise.
+
+    Parameters
+    ----------
+    store : Path
+        The cube.
+    kind : str
+        What it is: "waves", "report".
+    ending : str
+        Of its name.
+
+    Returns
+    -------
+    Path
+
+    Examples
+    --------
+    >>> beside(Path("a/cube.zarr"), "waves", ".zarr").as_posix()
+    'a/waves.zarr'
+    >>> beside(Path("a/run7.zarr"), "report", ".html").as_posix()
+    'a/run7_report.html'
+    """
+    stem = store.name.removesuffix(".zarr")
+    return store.with_name((stem.replace("cube", kind) if "cube" in stem else f"{stem}_{kind}") + ending)
