@@ -16,8 +16,11 @@ import psutil
 import pytest
 from cube_cases import different
 
-from wavefield.cubes import Workflow, cluster, run, status
-from wavefield.cubes.cluster import count_jobs, dask_settings, open_cluster, slurm_cluster
+from wavefield.cubes import Workflow, dask_cluster, run, status
+from wavefield.cubes.cluster import open_cluster
+from wavefield.cubes.dask_settings import dask_settings
+from wavefield.cubes.slurm import count_jobs, slurm_cluster
+from wavefield.cubes.worker_settings import one_thread
 from wavefield.errors import ExperimentError
 
 PATIENCE = 300.0  # seconds, on a busy machine
@@ -207,13 +210,13 @@ def test_a_scheduler_over_tcp_and_its_death(tank, reference, tmp_path):
 
 
 def test_no_scheduler_at_the_address(tank, tmp_path, monkeypatch):
-    monkeypatch.setattr(cluster, "_SCHEDULER_TIMEOUT", "1s")
+    monkeypatch.setattr(dask_cluster, "_SCHEDULER_TIMEOUT", "1s")
     workflow = Workflow(cluster="address", address="tcp://127.0.0.1:9")
     with pytest.raises(ExperimentError, match=r"no scheduler answers at tcp://127.0.0.1:9"):
         run(tank, out=tmp_path / "cube.zarr", workflow=workflow)
 
 
-def test_the_job_that_slurm_is_asked_for():
+def test_the_job_that_slurm_is_asked_for(tmp_path):
     workflow = Workflow(
         cluster="slurm",
         workers=32,
@@ -226,8 +229,8 @@ def test_the_job_that_slurm_is_asked_for():
         },
         dashboard=None,
     )
-    assert count_jobs(workflow) == 4
-    with slurm_cluster(workflow) as jobs:
+    assert count_jobs(workflow) == (4, 4)
+    with slurm_cluster(workflow, tmp_path, dask_settings(workflow)) as jobs:
         script = jobs.job_script()
     for line in (
         "#SBATCH -J wavefield",
@@ -262,23 +265,78 @@ def test_a_slurm_cluster_starts_from_a_helper_thread_and_leaves_ctrl_c_alone():
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_slurm_keywords_that_are_unknown_are_named():
+def test_slurm_keywords_that_are_unknown_are_named(tmp_path):
     with pytest.raises(ExperimentError, match=r"the `slurm` block of the workflow: .*colour"):
-        slurm_cluster(Workflow(cluster="slurm", slurm={"colour": "blue"}))
+        slurm_cluster(Workflow(cluster="slurm", slurm={"colour": "blue"}), tmp_path, {})
 
 
-def test_one_thread_per_worker(monkeypatch):
+def settings_of(item):
+    """How a worker is set."""
     import cv2
 
-    from wavefield.cubes.cluster import THREAD_VARIABLES, one_thread
+    return cv2.getNumThreads(), os.environ["OPENBLAS_NUM_THREADS"], signal.getsignal(signal.SIGINT).name
 
-    for name in THREAD_VARIABLES:
-        monkeypatch.setenv(name, "4")
-    one_thread()
-    import os
 
-    assert {os.environ[name] for name in THREAD_VARIABLES} == {"1"}
-    assert cv2.getNumThreads() == 1
+def test_workers_have_one_thread_and_the_caller_keeps_its_own(monkeypatch):
+    import cv2
+
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "4")
+    before = dict(os.environ)
+    with open_cluster(Workflow(cluster="local", workers=2)) as map_unordered:
+        assert [result for _, result in map_unordered(settings_of, [0, 1])] == [(1, "1", "SIG_IGN")] * 2
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(2)
+    with open_cluster(Workflow(cluster="none")) as map_unordered:
+        assert [result for _, result in map_unordered(lambda _: cv2.getNumThreads(), [0])] == [1]
+    assert cv2.getNumThreads() == 2
+    with one_thread():
+        assert cv2.getNumThreads() == 1
+    cv2.setNumThreads(threads)
+    assert dict(os.environ) == before
+
+
+def die(item):
+    """Ends its worker, each time or the first time."""
+    times = item / "times"
+    times.write_text(f"{times.read_text()}x" if times.exists() else "x")
+    if item.name == "always" or times.read_text() == "x":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return times.read_text()
+
+
+def test_work_of_a_worker_that_dies_is_done_again_but_not_for_ever(tmp_path):
+    items = [tmp_path / "once", tmp_path / "always"]
+    for item in items:
+        item.mkdir()
+    with open_cluster(Workflow(cluster="local", workers=2)) as map_unordered:
+        results = dict(map_unordered(die, items))
+    assert results[items[0]] == "xx"
+    assert "SIGKILL, 3 times" in str(results[items[1]])
+    assert (items[1] / "times").read_text() == "xxx"
+
+
+def take_memory(item):
+    """Takes much more than a worker may."""
+    kept = np.ones(100_000_000)
+    time.sleep(20)
+    return kept.size
+
+
+def test_a_worker_beyond_its_memory_is_ended_with_a_word_about_it():
+    with open_cluster(Workflow(cluster="local", workers=2, memory="400 MB")) as map_unordered:
+        ((_, result),) = map_unordered(take_memory, [0])
+    assert "if memory ran out beyond the workflow's `memory` of 381.47 MiB" in str(result)
+
+
+def fail(item):
+    raise ValueError(f"item {item}")
+
+
+def test_what_goes_wrong_in_a_worker_process_comes_back_with_its_place():
+    with open_cluster(Workflow(cluster="local", workers=2)) as map_unordered:
+        results = dict(map_unordered(fail, [1, 2]))
+    assert {str(result) for result in results.values()} == {"item 1", "item 2"}
+    assert "in fail" in results[1].__notes__[0]
 
 
 def page_faults_of_temporaries(number):
@@ -312,7 +370,7 @@ def configuration_of(item):
 def test_workers_are_not_watched_every_few_milliseconds():
     """Of a core, that took 4 % for each worker and 7 % for the run."""
     names = ["distributed.worker.profile.enabled", "distributed.admin.tick.interval", "array.slicing"]
-    workflow = Workflow(cluster="local", workers=2, dashboard=None, dask={"array": {"slicing": "mine"}})
+    workflow = Workflow(cluster="local", workers=2, dashboard=":0", dask={"array": {"slicing": "mine"}})
     with open_cluster(workflow) as map_unordered:
         told = dict(map_unordered(configuration_of, names))
     assert told == dict(zip(names, [False, "1s", "mine"]))

@@ -10,7 +10,8 @@ from cube_cases import different
 
 from wavefield.cubes import Workflow, open_cube, run, run_catalog
 from wavefield.cubes.catalog import find_experiment
-from wavefield.cubes.cluster import count_jobs, slurm_cluster
+from wavefield.cubes.dask_settings import dask_settings
+from wavefield.cubes.slurm import count_jobs, slurm_cluster
 from wavefield.report import gather
 from wavefield.variables import FrameStatus
 
@@ -34,10 +35,10 @@ def test_the_local_workflow_makes_the_same_cube(tank, reference, tmp_path):
     assert different(tmp_path / "cube.zarr", reference) == []
 
 
-def test_the_slurm_workflow_asks_for_jobs_that_end_after_the_run_does():
+def test_the_slurm_workflow_asks_for_jobs_that_end_after_the_run_does(tmp_path):
     workflow = Workflow.load(ROOT / "workflows" / "slurm.yaml")
-    assert count_jobs(workflow) == 4
-    with slurm_cluster(workflow) as jobs:
+    assert count_jobs(workflow) == (4, 4)
+    with slurm_cluster(workflow, tmp_path, dask_settings(workflow)) as jobs:
         script = jobs.job_script()
     assert "#SBATCH -t 04:00:00" in script
     assert workflow.time_limit_seconds < 4 * 3600

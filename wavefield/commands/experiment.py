@@ -38,7 +38,9 @@ def check(
     moved since the calibration. Changes nothing. The exit status is 1 where something stands in the way.
     """
     from wavefield import cubes
+    from wavefield.cubes.worker_settings import keep_memory
 
+    keep_memory()
     with Progress("Looking at the frames, measuring a few steps"):
         found = cubes.check(experiment, rig, workflow)
     click.echo(str(found))
@@ -225,7 +227,9 @@ def run(
     same command is given again.
     """
     from wavefield import cubes
+    from wavefield.cubes.worker_settings import keep_memory
 
+    keep_memory()  # where it measures in this very process
     with Progress(f"Measuring {source}", "steps") as progress:
         how: dict[str, Any] = {"rig": rig, "workflow": workflow}
         how["progress"] = lambda done, total, _: progress(done, total)

@@ -20,6 +20,7 @@ from urllib.parse import unquote, urlparse
 import yaml
 
 from wavefield.cubes.cluster import open_cluster
+from wavefield.cubes.guards import jobs_folder
 from wavefield.cubes.lock import Lock
 from wavefield.cubes.prepare import Prepared, prepare
 from wavefield.cubes.running import ProgressFunction, process
@@ -226,8 +227,11 @@ def run_catalog(
         chosen = {"run": run, **(parameters or {})}
         prepared = prepare(find_experiment(path, chosen), rig, workflow)
         store = Path(out) if out is not None else store_of(path, chosen, prepared)
-        with Lock.hold(store.absolute()) as lock, open_cluster(prepared.workflow) as map_unordered:
-            done.append(process(prepared, lock, map_unordered, _named(progress, run)))
+        with (
+            Lock.hold(store.absolute()) as lock,
+            open_cluster(prepared.workflow, jobs_folder(store)) as mapped,
+        ):
+            done.append(process(prepared, lock, mapped, _named(progress, run)))
         if out is None:
             _link_latest(store, prepared)
     return done

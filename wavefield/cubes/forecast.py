@@ -12,8 +12,9 @@ import numcodecs
 import numpy as np
 
 from wavefield.cubes.block import Measured, make_block, measure_block
-from wavefield.cubes.cluster import count_workers, keep_memory, one_thread
+from wavefield.cubes.cluster import count_workers
 from wavefield.cubes.prepare import Prepared, expected_coverage, load_files, prepare
+from wavefield.cubes.worker_settings import one_thread
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
@@ -229,7 +230,8 @@ def check(
     if prepared:
         coverage = expected_coverage(prepared.rig, prepared.grid)
         try:
-            cost, measured = measure_cost(prepared)
+            with one_thread():
+                cost, measured = measure_cost(prepared)
         except ExperimentError as error:
             problems.append(str(error))
     return Check(
@@ -295,8 +297,6 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
     ExperimentError
         If no step could be measured.
     """
-    one_thread()
-    keep_memory()
     start = _whole_step(prepared.series)
     stop = min(start + 3, prepared.steps)
     _time_block(prepared, start, start + 1)  # compiles, and fills caches

@@ -73,6 +73,21 @@ def log_path(store: Path) -> Path:
     return store.with_suffix(".log")
 
 
+def jobs_folder(store: Path) -> Path:
+    """Folder for what the jobs of a store's runs say, where they run on a cluster.
+
+    Parameters
+    ----------
+    store : path
+        The store.
+
+    Returns
+    -------
+    Path
+    """
+    return store.absolute().with_suffix(".jobs")
+
+
 @contextmanager
 def log_file(store: Path) -> Iterator[None]:
     """Write what a run says to a file beside its store.

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from wavefield.cubes.block import Block, make_block
-from wavefield.cubes.cluster import open_cluster, undisturbed
-from wavefield.cubes.guards import Stopped, log_file, log_path, stop_signals
+from wavefield.cubes.cluster import open_cluster
+from wavefield.cubes.guards import Stopped, jobs_folder, log_file, log_path, stop_signals
+from wavefield.cubes.interrupts import undisturbed
 from wavefield.cubes.lock import Lock
 from wavefield.cubes.prepare import Prepared, load_files, prepare
 from wavefield.cubes.work import Work
@@ -92,7 +93,7 @@ def run(
     with ExitStack() as stack:
         lock = stack.enter_context(Lock.hold(path.absolute()))
         with undisturbed():  # Ctrl-C inside an import may be lost
-            map_unordered = stack.enter_context(open_cluster(workflow, ahead=not path.exists()))
+            map_unordered = stack.enter_context(open_cluster(workflow, jobs_folder(path), not path.exists()))
             prepared = prepare(experiment, rig, workflow)
         return process(prepared, lock, map_unordered, progress)
 

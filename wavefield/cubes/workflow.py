@@ -10,6 +10,19 @@ from pydantic import Field, PrivateAttr, field_validator, model_validator
 from wavefield.sections import Section, load
 
 
+class Between(Section):
+    """From how many to how many workers: more are asked for while blocks wait, and given back at the end."""
+
+    minimum: int = Field(ge=1, examples=["2"], description="workers to ask for at once")
+    maximum: int = Field(ge=1, examples=["40"], description="most workers")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "Between":
+        if self.maximum < self.minimum:
+            raise ValueError("the maximum of workers is below their minimum")
+        return self
+
+
 class Workflow(Section):
     """A workflow file: cluster, resources, recipe.
 
@@ -19,13 +32,16 @@ class Workflow(Section):
     2000000000
     """
 
-    cluster: Literal["none", "local", "slurm", "address"] = Field(
+    cluster: Literal["none", "local", "slurm", "address", "dask"] = Field(
         default="local",
         examples=["local"],
-        description="none: this process; local: processes of this machine; slurm: jobs; address: a scheduler",
+        description="none: this process; local: processes of this machine; slurm: jobs; address: a "
+        "scheduler; dask: any class that deploys Dask",
     )
-    workers: int | Literal["auto"] = Field(
-        default="auto", examples=["4"], description="worker processes; auto: one per core"
+    workers: int | Literal["auto"] | Between = Field(
+        default="auto",
+        examples=["4", "{minimum: 2, maximum: 40}"],
+        description="worker processes; auto: one per core",
     )
     memory: str | None = Field(default=None, examples=["2 GB"], description="limit per worker")
     address: str | None = Field(
@@ -36,8 +52,24 @@ class Workflow(Section):
         examples=["{queue: cpu, walltime: '04:00:00'}"],
         description="keywords of SLURMCluster",
     )
+    deploy: str | None = Field(
+        default=None, examples=["distributed.SSHCluster"], description="the class for cluster: dask"
+    )
+    options: dict[str, Any] = Field(
+        default_factory=dict, examples=["{hosts: [node1, node1, node2]}"], description="its keywords"
+    )
+    security: Literal["auto", "tls", "none"] = Field(
+        default="auto",
+        examples=["tls"],
+        description="tls: encrypted, with credentials made for each run; auto: where ports are open beyond "
+        "this machine",
+    )
     dask: dict[str, Any] = Field(default_factory=dict, description="Dask configuration that differs")
-    dashboard: str | None = Field(default=":0", examples=['":8787"'], description="its address; null: none")
+    dashboard: str | None = Field(
+        default=None,
+        examples=['":8787"'],
+        description="port of Dask's dashboard, seen from this machine only, unless a host is named before it",
+    )
     performance_report: str | None = Field(
         default=None, examples=["report.html"], description="write Dask's report"
     )
@@ -54,7 +86,7 @@ class Workflow(Section):
     @field_validator("workers")
     @classmethod
     def _some(cls, value: Any) -> Any:
-        if value != "auto" and value < 1:
+        if isinstance(value, int) and value < 1:
             raise ValueError("workers must be 1 or more, or auto")
         return value
 
@@ -75,8 +107,19 @@ class Workflow(Section):
             return str(value)
         return value
 
+    @field_validator("dashboard")
+    @classmethod
+    def _port(cls, value: str | None) -> str | None:
+        if value is not None and not re.fullmatch(r".*:\d+", value):
+            raise ValueError(f"{value!r} is not an address of a dashboard; write it as ':8787'")
+        return value
+
     @model_validator(mode="after")
     def _address_given(self) -> "Workflow":
+        if self.cluster == "dask" and not self.deploy:
+            raise ValueError(
+                "cluster: dask needs the class that deploys it, for example deploy: distributed.SSHCluster"
+            )
         if self.cluster == "address" and not self.address:
             raise ValueError(
                 "cluster: address needs the scheduler's address, for example address: tcp://host:8786"

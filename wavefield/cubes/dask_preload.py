@@ -1,0 +1,18 @@
+"""What Dask's workers that we start load before anything else: what they need, and their settings."""
+
+from typing import Any
+
+import wavefield.cubes.work
+import wavefield.measurement.measure  # noqa: F401
+from wavefield.cubes.worker_settings import settle_worker
+
+
+def dask_setup(worker: Any) -> None:
+    """Set the process of a worker; Dask calls it in its main thread.
+
+    Parameters
+    ----------
+    worker : distributed.Worker
+        Not used.
+    """
+    settle_worker()
