@@ -17,6 +17,7 @@ from wavefield.series.experiment import Experiment
 from wavefield.store.export import export_netcdf as export
 from wavefield.store.ledger import status
 from wavefield.store.read import open_cube
+from wavefield.store.verify import verify
 from wavefield.tank.scene import Scene
 from wavefield.tank.simulate import simulate
 from wavefield.waves.analyze import analyze
@@ -49,4 +50,5 @@ __all__ = [
     "simulate",
     "spectrum",
     "status",
+    "verify",
 ]

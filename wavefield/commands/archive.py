@@ -1,5 +1,6 @@
 """`wavefield export`, `catalog` and `rig`: to and from other programs."""
 
+import warnings
 from pathlib import Path
 
 import click
@@ -13,13 +14,25 @@ _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 @click.command(epilog="\b\nExample:\n  wavefield export cube.zarr cube.nc")
 @click.argument("store", metavar="CUBE", type=_STORE)
 @click.argument("output", type=click.Path(dir_okay=False, path_type=Path))
-def export(store: Path, output: Path) -> None:
-    """Write a cube as NetCDF (CF), for MATLAB, Panoply and others."""
-    from wavefield.cubes import export_netcdf
+@click.pass_context
+def export(context: click.Context, store: Path, output: Path) -> None:
+    """Write a cube as NetCDF (CF), for MATLAB, Panoply and others.
 
-    with Progress(f"Writing {output}"):
+    The exit status is 3 where steps of the cube are missing.
+    """
+    from wavefield.store.export import ENDINGS, export_netcdf
+    from wavefield.store.ledger import unfinished_note
+
+    if output.suffix.lower() not in ENDINGS:
+        raise click.UsageError(f"{output} is written as NetCDF: let its name end in {' or '.join(ENDINGS)}")
+    note = unfinished_note(store)
+    with Progress(f"Writing {output}"), warnings.catch_warnings():
+        warnings.simplefilter("ignore" if note else "default", UserWarning)  # said below
         export_netcdf(store, output)
     click.echo(f"Wrote {output}.")
+    if note:
+        click.echo(f"note: {note}", err=True)
+        context.exit(3)
 
 
 @click.group()

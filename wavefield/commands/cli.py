@@ -54,6 +54,7 @@ for _command in (
     experiment.refine,
     experiment.run,
     experiment.status,
+    experiment.verify,
     waves.analyze,
     waves.report,
     archive.export,

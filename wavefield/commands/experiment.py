@@ -251,3 +251,21 @@ def status(store: Path) -> None:
     from wavefield.cubes import status as run_status
 
     click.echo(run_status(store))
+
+
+@click.command(epilog="\b\nExample:\n  wavefield verify cube.zarr")
+@click.argument("store", metavar="CUBE", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.pass_context
+def verify(context: click.Context, store: Path) -> None:
+    """Make sure that a cube holds what its ledger says: every block there, and as it was written.
+
+    The exit status is 1 where something is damaged; the command that measured the cube then measures those
+    blocks again.
+    """
+    from wavefield.store.verify import verify as verify_store
+
+    with Progress(f"Reading {store}", "blocks") as progress:
+        found = verify_store(store, progress)
+    click.echo(str(found))
+    if not found.sound:
+        context.exit(1)

@@ -29,21 +29,33 @@ _STORE = click.Path(exists=True, file_okay=False, path_type=Path)
     help="Undo what the matching windows take from short waves: a gain measured on a simulated experiment, or"
     " `theory` for the one that follows from cameras and settings.",
 )
+@click.pass_context
 def analyze(
-    store: Path, output: Path | None, segment: int | None, probes: Path | None, gain: str | None
+    context: click.Context,
+    store: Path,
+    output: Path | None,
+    segment: int | None,
+    probes: Path | None,
+    gain: str | None,
 ) -> None:
     """Compute the waves of a cube: spectra, coherence, statistics.
 
     Also dispersion, fusion of z and w, directions, bicoherence. Writes one Zarr store;
     `xarray.open_datatree` reads it.
     """
+    from wavefield.store.ledger import unfinished_note
     from wavefield.waves import analyze as analyze_cube
 
+    note = unfinished_note(store)
+    if note:
+        click.echo(f"note: {note}", err=True)
     output = output or beside(store, "waves", ".zarr")
     probes = probes or _probes_of(store)
     with Progress(f"Analysing {store}") as progress:
         analyze_cube(store, output, segment=segment, probes=probes, gain=gain, progress=progress)
     click.echo(f"Wrote {output}. Next: wavefield report {store}")
+    if note:
+        context.exit(3)
 
 
 def _probes_of(store: Path) -> Path | None:

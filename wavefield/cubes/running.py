@@ -30,7 +30,8 @@ from wavefield.store.ledger import Status, status
 from wavefield.store.preview import create_preview
 from wavefield.store.read import open_group, read_layout
 from wavefield.store.recipe import check_recipe
-from wavefield.store.write import reset_blocks
+from wavefield.store.verify import verify
+from wavefield.store.write import discard_blocks, reset_blocks
 from wavefield.variables import FrameStatus
 from wavefield.whole_files import remove_leftovers
 from wavefield.words import spell_time
@@ -200,6 +201,10 @@ def unfinished(path: Path, layout: Layout, series: Mapping[str, FrameSeries]) ->
     list of (start, stop)
         Ranges of steps.
     """
+    damaged = verify(path).starts
+    if damaged:
+        log.warning("%d blocks are damaged: measuring them again", len(damaged))
+        discard_blocks(path, damaged)
     group = open_group(path)
     ledger = np.asarray(group["frame_status"][:])
     faults = np.asarray(group["frame_fault"][:])

@@ -1,12 +1,17 @@
 """The cube as one NetCDF file, for programs that do not read Zarr."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
 
+from wavefield.errors import StoreError
+from wavefield.store.ledger import unfinished_note
 from wavefield.store.read import open_cube
 from wavefield.variables import TABLE
 from wavefield.whole_files import whole
+
+ENDINGS = (".nc", ".nc4", ".cdf", ".h5")
 
 
 def export_netcdf(store: str | Path, path: str | Path) -> None:
@@ -17,17 +22,27 @@ def export_netcdf(store: str | Path, path: str | Path) -> None:
     store : path
         Cube written by `run`.
     path : path
-        File to write; it appears when it is whole.
+        File to write, ``.nc``; it appears when it is whole.
 
     Raises
     ------
     StoreError
-        If the cube is not there, or the file cannot be written.
+        If the cube is not there, or the file cannot be written or has another program's ending.
+
+    Warns
+    -----
+    UserWarning
+        If steps of the cube are missing.
 
     Notes
     -----
     Values are unpacked float32, compressed. Goes through the cube one block at a time.
     """
+    path = Path(path)
+    if path.suffix.lower() not in ENDINGS:
+        raise StoreError(f"{path} is written as NetCDF: let its name end in {' or '.join(ENDINGS)}")
+    if note := unfinished_note(store):
+        warnings.warn(note, stacklevel=2)
     cube = open_cube(store)
     cube.attrs = {
         name: " ".join(value) if isinstance(value, list) else value for name, value in cube.attrs.items()

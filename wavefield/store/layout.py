@@ -15,7 +15,17 @@ from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, FrameFault, Variable, register
 from wavefield.whole_files import whole
 
+WATCHED = (*CUBE_FIELDS, "frame_fault")  # variables whose blocks have a checksum
+
 register(
+    Variable(
+        "checksum",
+        ("block", "variable"),
+        "1",
+        "CRC-32 of what is stored of a block",
+        dtype="uint32",
+        meaning=f"0 where nothing is; variables in the order {' '.join(WATCHED)}",
+    ),
     Variable("frame", ("frame",), "1", "frame number", dtype="int64"),
     Variable(
         "frame_fault",
@@ -171,7 +181,9 @@ def _fill_in(
             dimension_names=CUBE_DIMS,
             attributes=row.attrs | encoding,
         )
+    blocks, watched = len(layout.blocks()), len(WATCHED)
     for name, shape, chunks in (
+        ("checksum", (blocks, watched), (1, watched)),
         ("frame_status", (n,), (block,)),
         ("frame_fault", (len(layout.cameras), n + 1), (len(layout.cameras), block)),
     ):

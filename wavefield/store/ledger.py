@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wavefield.errors import StoreError
 from wavefield.store.read import open_group, read_layout
 from wavefield.variables import FrameFault, FrameStatus
 from wavefield.words import spell_ranges
@@ -118,8 +119,13 @@ def status(store: str | Path) -> Status:
     path = Path(store)
     group = open_group(path)
     layout = read_layout(group)
-    ledger = np.asarray(group["frame_status"][:])
-    faults = np.asarray(group["frame_fault"][:])
+    try:
+        ledger = np.asarray(group["frame_status"][:])
+        faults = np.asarray(group["frame_fault"][:])
+    except Exception as error:  # whatever a codec makes of damaged bytes
+        raise StoreError(
+            f"the ledger of {path} is damaged ({error}); the command that measured it mends it"
+        ) from None
     bad = []
     for camera, codes in zip(layout.cameras, faults):
         for code in np.unique(codes[codes > 0]):
@@ -137,3 +143,25 @@ def status(store: str | Path) -> Status:
         failed_steps=tuple(int(n) for n in layout.first_frame + failed),
         bad_frames=tuple(bad),
     )
+
+
+def unfinished_note(store: str | Path) -> str:
+    """What to say before something is made from a cube that is not finished.
+
+    Parameters
+    ----------
+    store : path
+        The cube.
+
+    Returns
+    -------
+    str
+        Empty if every step was measured.
+    """
+    found = status(store)
+    if found.complete and not found.failed:
+        return ""
+    parts = [f"{found.left} are not measured yet"] if found.left else []
+    parts += [f"{found.failed} could not be measured"] if found.failed else []
+    remedy = "; finish it with `wavefield run`" if found.left else ""
+    return f"of the {found.steps} steps of {found.store}, {' and '.join(parts)}: they are missing{remedy}"

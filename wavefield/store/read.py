@@ -90,7 +90,9 @@ def open_cube(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
     group = open_group(path)
     if chunks == "auto":
         chunks = {"time": read_layout(group).block}
-    cube: xr.Dataset = xr.open_zarr(path, chunks=chunks, consolidated=False)
+    cube: xr.Dataset = xr.open_zarr(path, chunks=chunks, consolidated=False).drop_vars(
+        "checksum", errors="ignore"
+    )
     for name in PACKING:
         if cube[name].dtype == "float64":  # as 16-bit values are unpacked
             cube[name] = cube[name].astype("float32")

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefield.store.layout import MISSING, PACKING
+from wavefield.store.layout import MISSING, PACKING, WATCHED
 from wavefield.store.preview import write_preview
 from wavefield.store.read import open_group, read_layout
+from wavefield.store.verify import checksum, chunk_path
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus
 from wavefield.whole_files import write_error
 
@@ -74,6 +75,9 @@ def write_block(
                     codes[k, index - start] = fault
         group["frame_fault"][:, start:last] = codes
         write_preview(path, group, start, fields)
+        if "checksum" in group:  # cubes begun before there were any have none
+            block = start // layout.block
+            group["checksum"][block] = [checksum(path, name, block) for name in WATCHED]
         group["frame_status"][start:stop] = frame_status
     except OSError as error:
         raise write_error(path, error) from None
@@ -94,6 +98,30 @@ def reset_blocks(path: Path, starts: Sequence[int]) -> None:
     for start in starts:
         stop = min(start + layout.block, layout.steps)
         group["frame_status"][start:stop] = np.uint8(FrameStatus.NOT_STARTED)
+
+
+def discard_blocks(path: Path, starts: Sequence[int]) -> None:
+    """Remove what is stored of damaged blocks; the ledger then calls them not started.
+
+    Parameters
+    ----------
+    path : path
+        The store.
+    starts : sequence of int
+        First steps of the blocks.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+    """
+    size = read_layout(open_group(path)).block
+    try:
+        for block in (start // size for start in starts):
+            for name in ("frame_status", *WATCHED):  # the ledger first: nothing done is ever without its data
+                chunk_path(path, name, block).unlink(missing_ok=True)
+    except OSError as error:
+        raise write_error(path, error) from None
 
 
 def pack(values: np.ndarray, name: str) -> np.ndarray:

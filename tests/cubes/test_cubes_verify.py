@@ -1,0 +1,106 @@
+"""A cube that lost something says so, and the next run puts it back bit for bit."""
+
+import shutil
+import warnings
+
+import numpy as np
+import pytest
+from cube_cases import different
+
+from wavefield.commands.cli import main
+from wavefield.cubes import Workflow, export_netcdf, run, status
+from wavefield.errors import RunStopped, StoreError
+from wavefield.store.verify import chunk_path, verify
+
+FOURS = Workflow(cluster="none", steps_per_block=4)
+
+
+@pytest.fixture(scope="module")
+def whole(tank, tmp_path_factory):
+    path = tmp_path_factory.mktemp("whole") / "cube.zarr"
+    run(tank, out=path, workflow=FOURS)
+    return path
+
+
+@pytest.fixture
+def cube(whole, tmp_path):
+    shutil.copytree(whole, tmp_path / "cube.zarr")
+    return tmp_path / "cube.zarr"
+
+
+def remove(path):
+    path.unlink()
+
+
+def cut(path):
+    path.write_bytes(path.read_bytes()[:-40])
+
+
+def change(path):
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3] ^= 64
+    path.write_bytes(bytes(data))
+
+
+def empty(path):
+    path.write_bytes(b"")
+
+
+@pytest.mark.parametrize(
+    ("variable", "harm", "word"),
+    [
+        ("z", remove, "missing: z, steps 4-7"),
+        ("w", cut, "not as it was written: w, steps 4-7"),
+        ("quality", change, "not as it was written: quality"),
+        ("u_std", empty, "not as it was written: u_std"),
+        ("frame_status", cut, "unreadable: frame_status"),
+        ("checksum", remove, "not as it was written: z, z_t"),
+    ],
+)
+def test_damage_is_found_named_and_measured_again(tank, reference, cube, capsys, variable, harm, word):
+    assert verify(cube).sound
+    harm(cube / "checksum/c/1/0" if variable == "checksum" else chunk_path(cube, variable, 1))
+    found = verify(cube)
+    assert found.starts == [4]
+    assert word in str(found)
+    assert main(["-q", "verify", str(cube)]) == 1
+    assert word in capsys.readouterr().out
+    run(tank, out=cube, workflow=FOURS)
+    assert verify(cube).sound
+    assert not different(reference, cube)
+    assert main(["-q", "verify", str(cube)]) == 0
+
+
+def test_what_cannot_be_mended_is_said(cube):
+    shutil.rmtree(cube / "eps_y")
+    with pytest.raises(StoreError, match=r"eps_y cannot be read .* remove it and run again"):
+        verify(cube)
+
+
+def test_an_unfinished_cube_is_not_passed_on_in_silence(tank, tmp_path, capsys):
+    def stop(done, total, sentence):
+        if done >= 8:
+            raise KeyboardInterrupt
+
+    out = tmp_path / "cube.zarr"
+    with pytest.raises(RunStopped):
+        run(tank, out=out, workflow=FOURS, progress=stop)
+    left = status(out).left
+    with pytest.warns(UserWarning, match=f"of the 16 steps of .*, {left} are not measured yet"):
+        export_netcdf(out, tmp_path / "cube.nc")
+    assert main(["-q", "export", str(out), str(tmp_path / "again.nc")]) == 3
+    main(["-q", "analyze", str(out), "--segment", "8"])
+    assert capsys.readouterr().err.count(f"{left} are not measured yet") >= 2
+
+
+def test_a_finished_cube_is_passed_on_without_a_word(whole, tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        export_netcdf(whole, tmp_path / "cube.nc")
+    assert np.fromfile(tmp_path / "cube.nc", np.uint8).size > 1000
+
+
+def test_a_file_that_is_no_netcdf_is_not_written_under_that_name(whole, tmp_path, capsys):
+    assert main(["-q", "export", str(whole), str(tmp_path / "cube.csv")]) == 2
+    assert "cube.csv" in capsys.readouterr().err
+    assert not (tmp_path / "cube.csv").exists()

@@ -1,0 +1,209 @@
+"""Whether a store holds what its ledger says: every block there, and as it was written."""
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wavefield.errors import StoreError
+from wavefield.store.layout import WATCHED
+from wavefield.store.read import open_group, read_layout
+from wavefield.variables import FrameStatus
+from wavefield.words import spell_ranges
+
+
+@dataclass(frozen=True)
+class Damage:
+    """What is wrong with one block of one variable.
+
+    Parameters
+    ----------
+    variable : str
+        The variable.
+    start, stop : int
+        Range of steps.
+    what : str
+        "missing", "not as it was written" or "unreadable".
+    """
+
+    variable: str
+    start: int
+    stop: int
+    what: str
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What was found in a store.
+
+    Parameters
+    ----------
+    store : path
+        The store.
+    steps : int
+        Steps of the whole run.
+    done : int
+        Steps that the ledger calls done.
+    damages : tuple of Damage
+        Blocks that the ledger calls done and that are not as they were written.
+    """
+
+    store: Path
+    steps: int
+    done: int
+    damages: tuple[Damage, ...]
+
+    @property
+    def sound(self) -> bool:
+        """Whether everything is there that the ledger calls done."""
+        return not self.damages
+
+    @property
+    def starts(self) -> list[int]:
+        """First steps of the damaged blocks, in order."""
+        return sorted({damage.start for damage in self.damages})
+
+    def __str__(self) -> str:
+        if self.sound:
+            return f"{self.store}: {self.done} of {self.steps} steps are done, and all of them are as written"
+        lines = [f"{self.store}: {len(self.starts)} blocks are damaged"]
+        for what in dict.fromkeys(damage.what for damage in self.damages):
+            of = [damage for damage in self.damages if damage.what == what]
+            steps = sorted({step for damage in of for step in range(damage.start, damage.stop)})
+            names = ", ".join(dict.fromkeys(damage.variable for damage in of))
+            lines.append(f"  {what}: {names}, steps {spell_ranges(steps)}")
+        lines.append("  run the same command as before: these blocks are measured again")
+        return "\n".join(lines)
+
+
+def verify(store: str | Path, progress: Callable[[int, int], None] | None = None) -> Verification:
+    """Compare every block that a store calls done with the checksums taken when it was written.
+
+    Parameters
+    ----------
+    store : path
+        Written by `run`, finished or not.
+    progress : callable, optional
+        Told (blocks done, all blocks).
+
+    Returns
+    -------
+    Verification
+
+    Raises
+    ------
+    StoreError
+        If it is not there, is not a cube, or is damaged beyond mending: a variable is gone as a whole.
+    """
+    path = Path(store)
+    group = open_group(path)
+    layout = read_layout(group)
+    for name in ("time", "y", "x", "frame", *WATCHED):
+        _check_variable(path, group, name)
+    ledger, unreadable = _ledger(path, group, layout.blocks())
+    damages = list(unreadable)
+    blocks = layout.blocks()
+    for k, (start, stop) in enumerate(blocks):
+        if (ledger[start:stop] != FrameStatus.NOT_STARTED).any():
+            wanted = _wanted(group, k)
+            found = {name: _compare(path, group, name, k, wanted) for name in WATCHED}
+            damages += [Damage(name, start, stop, what) for name, what in found.items() if what]
+        if progress:
+            progress(k + 1, len(blocks))
+    done = int(np.count_nonzero(ledger != FrameStatus.NOT_STARTED))
+    return Verification(path, layout.steps, done, tuple(damages))
+
+
+def _check_variable(path: Path, group: Any, name: str) -> None:
+    try:
+        array = group[name]
+        if name in ("time", "y", "x", "frame") and not np.isfinite(array[:]).all():
+            raise ValueError("it has no values")
+    except Exception as error:
+        raise StoreError(
+            f"{path}: {name} cannot be read ({error}); this store cannot be mended: remove it and run again"
+        ) from None
+
+
+def _ledger(path: Path, group: Any, blocks: list[tuple[int, int]]) -> tuple[np.ndarray, list[Damage]]:
+    """The ledger, and the blocks of which it cannot be read."""
+    ledger = np.zeros(group["frame_status"].shape, np.uint8)
+    damages = []
+    for start, stop in blocks:
+        try:
+            ledger[start:stop] = group["frame_status"][start:stop]
+        except Exception:  # whatever a codec makes of damaged bytes
+            damages.append(Damage("frame_status", start, stop, "unreadable"))
+    return ledger, damages
+
+
+def _wanted(group: Any, block: int) -> dict[str, int] | None:
+    """Checksums of a block by variable; None in stores made before there were any."""
+    if "checksum" not in group:
+        return None
+    try:
+        return dict(zip(WATCHED, (int(value) for value in group["checksum"][block])))
+    except Exception:  # damaged itself
+        return dict.fromkeys(WATCHED, 0)
+
+
+def _compare(path: Path, group: Any, name: str, block: int, wanted: dict[str, int] | None) -> str:
+    if wanted is None:
+        try:
+            layout = read_layout(group)
+            start, stop = layout.blocks()[block]
+            group[name][start:stop] if name != "frame_fault" else group[name][:, start:stop]
+        except Exception:
+            return "unreadable"
+        return ""
+    found = checksum(path, name, block)
+    if found == wanted[name]:
+        return ""
+    return "missing" if found == 0 else "not as it was written"
+
+
+def checksum(path: Path, name: str, block: int) -> int:
+    """CRC-32 of what is stored of one block of a variable.
+
+    Parameters
+    ----------
+    path : path
+        The store.
+    name : str
+        The variable.
+    block : int
+        Which block.
+
+    Returns
+    -------
+    int
+        0 if nothing is stored.
+    """
+    try:
+        return zlib.crc32(chunk_path(path, name, block).read_bytes()) or 1
+    except FileNotFoundError:
+        return 0
+
+
+def chunk_path(path: Path, name: str, block: int) -> Path:
+    """The file of one block of a variable.
+
+    Parameters
+    ----------
+    path : path
+        The store.
+    name : str
+        The variable.
+    block : int
+        Which block.
+
+    Returns
+    -------
+    Path
+        It need not be there: what is all missing is not stored.
+    """
+    places = {"frame_fault": f"c/0/{block}", "frame_status": f"c/{block}"}
+    return path / name / places.get(name, f"c/{block}/0/0")
