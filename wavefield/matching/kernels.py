@@ -457,24 +457,42 @@ def final_sums(first, second, u, v, slopes, c2, c2b2, position, whole, taps, str
 
 
 @njit
-def _unweighted_row(s, d, b, ux, uy, vx, vy, y, a, r, s0, s1, s5, s6, s7, s8, s9, s10, s11):
+def _unweighted_row(s, d, b, ux, uy, vx, vy, y, a, r, s0, s1):
     for x in range(len(s0)):
-        gx, gy = _slope(s, x), _value(d, x)
-        a[x] = _value(s, x)
-        r[x] = a[x] - b[x] - gx * (ux[x] + y * uy[x]) - gy * (vx[x] + y * vy[x])
-        s0[x] += gx * r[x]
-        s1[x] += gy * r[x]
-        s5[x] += r[x] * r[x]
-    for x in range(len(s0)):
-        s6[x] += a[x]
-        s7[x] += a[x] * a[x]
-        s8[x] += r[x]
-        s9[x] += a[x] * r[x]
-    for x in range(1, len(s0) - 1):
-        da, dr = a[x + 1] - a[x - 1], r[x + 1] - r[x - 1]
-        mean = da - F(0.5) * dr
-        s10[x] += da * (da - dr)
-        s11[x] += mean * mean
+        gx, gy, value = _slope(s, x), _value(d, x), _value(s, x)
+        miss = value - b[x] - gx * (ux[x] + y * uy[x]) - gy * (vx[x] + y * vy[x])
+        a[x] = value
+        r[x] = miss
+        s0[x] += gx * miss
+        s1[x] += gy * miss
+
+
+@njit
+def _strip_sums(a, r, s5, s6, s7, s8, s9, s10, s11):
+    """Sums of r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 over the rows of a strip.
+
+    a, r (BLOCK, n + 4) begin one pixel before the sums (n).
+    """
+    for x in range(len(s5)):
+        rr = sa = aa = sr = ar = ab = mm = F(0)
+        for j in range(BLOCK):
+            p, q = a[j, x + 1], r[j, x + 1]
+            da, dr = a[j, x + 2] - a[j, x], r[j, x + 2] - r[j, x]
+            mean = da - F(0.5) * dr
+            rr += q * q
+            sa += p
+            aa += p * p
+            sr += q
+            ar += p * q
+            ab += da * (da - dr)
+            mm += mean * mean
+        s5[x] = rr
+        s6[x] = sa
+        s7[x] = aa
+        s8[x] = sr
+        s9[x] = ar
+        s10[x] = ab
+        s11[x] = mm
 
 
 @njit
@@ -488,34 +506,21 @@ def unweighted_sums(first, second, u, v, slopes, position, whole, taps, strip, r
     out : (12, ny, nx) float32
         Output, as of `final_sums`; 2, 3 and 4 are left as they are: `gradient_moments` has them.
     """
-    ny = len(u)
+    ny, n = len(u), sums.shape[1]
+    a, r = rows[9:14], rows[14:19]  # whole rows: loops over cut ones do not become vector code
     for by in range(ny):
         _warp_strip(second, by, u[by], v[by], position, whole, taps, strip)
         _spread_strip(slopes, u, by, rows)
-        sums[:] = F(0)
+        sums[:2] = F(0)
         for j in range(BLOCK):
-            _spline_columns(first, by * BLOCK + j, rows[0], rows[1])
+            s, d, y = rows[0], rows[1], F(j) - MID
+            _spline_columns(first, by * BLOCK + j, s, d)
             _unweighted_row(
-                rows[0],
-                rows[1],
-                strip[j],
-                rows[5],
-                rows[6],
-                rows[7],
-                rows[8],
-                F(j) - MID,
-                rows[2],
-                rows[3],
-                sums[0],
-                sums[1],
-                sums[5],
-                sums[6],
-                sums[7],
-                sums[8],
-                sums[9],
-                sums[10],
-                sums[11],
+                s, d, strip[j], rows[5], rows[6], rows[7], rows[8], y, a[j, 1:], r[j, 1:], sums[0], sums[1]
             )
+            for row in (a[j], r[j]):
+                row[0], row[n + 1] = row[2], row[n - 1]  # no slope at the edge
+        _strip_sums(a, r, sums[5], sums[6], sums[7], sums[8], sums[9], sums[10], sums[11])
         for k in (0, 1, 5, 6, 7, 8, 9, 10, 11):
             _fold(sums[k], out[k, by])
 
@@ -567,6 +572,6 @@ def scratch(nx: int) -> dict[str, np.ndarray]:
         "whole": np.empty((2, nx), np.int32),
         "taps": np.empty((2, TAPS, nx), np.float32),
         "strip": np.empty((BLOCK, n + 8), np.float32),
-        "rows": np.empty((13, n + 4), np.float32),
+        "rows": np.empty((19, n + 4), np.float32),
         "sums": np.empty((12, n), np.float32),
     }

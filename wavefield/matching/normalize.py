@@ -28,9 +28,10 @@ njit: Any = nb.njit(fastmath={"contract"}, error_model="numpy", nogil=True, cach
 def _fold(row, count, side, out):
     """Sum `side` neighbours of the first `count` elements of `row`; what is left over goes to the last."""
     n = len(out)
-    if side == 4:  # the usual one: a loop that becomes vector code
+    if side == 8:  # the usual one: a loop that becomes vector code
         for i in range(n):
-            out[i] = (row[4 * i] + row[4 * i + 1]) + (row[4 * i + 2] + row[4 * i + 3])
+            left = (row[8 * i] + row[8 * i + 1]) + (row[8 * i + 2] + row[8 * i + 3])
+            out[i] = left + ((row[8 * i + 4] + row[8 * i + 5]) + (row[8 * i + 6] + row[8 * i + 7]))
     else:
         for i in range(n):
             total = row[i * side]
@@ -119,6 +120,8 @@ class Cells:
     ----------
     largest : float
         Largest usable value, 0 if none is positive.
+    brightest : (n,) int
+        Columns in which it occurs.
     finite : bool
         False if there is a usable pixel that is not finite.
     """
@@ -132,12 +135,15 @@ class Cells:
         rows = np.empty((3, w), F)
         _cell_sums(self.image, self.good, self.side, rows, self.sums)
         self.largest = float(rows[2].max())
+        self.brightest = np.flatnonzero(rows[2] == self.largest)
         self.finite = bool(np.isfinite(self.sums[0].sum()))
 
     def local(self, number: int) -> np.ndarray:
         """(ny, nx) float32: values (0) or squares (1) of the usable pixels, averaged over all around."""
         mean = self.sums[number] * _inverse_area(self.image.shape, self.side)
-        return cv2.GaussianBlur(mean, (0, 0), self.width / self.side, borderType=cv2.BORDER_REPLICATE)
+        # averages over cells (variance 1/12), read linearly between them (1/6), are blurred already
+        sigma = np.sqrt((self.width / self.side) ** 2 - 0.25)
+        return cv2.GaussianBlur(mean, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
 
     def normalized(self, share: np.ndarray | None, out: np.ndarray) -> None:
         """Write the normalised image; pixels that are not usable become 0.
@@ -189,7 +195,7 @@ def share_of(good: np.ndarray, width: float) -> np.ndarray:
 def _side(h: int, w: int, width: float) -> int:
     """Side of the cells: small against the width and the image."""
     side = _LARGEST
-    while side > 1 and (width < 2 * side or min(h, w) < 8 * side):
+    while side > 1 and (width < side or min(h, w) < 8 * side):
         side //= 2
     return side
 

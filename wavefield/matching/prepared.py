@@ -197,7 +197,7 @@ def _normalize(image: np.ndarray, mask: Mask | None, settings: Settings, out: np
     if not cells.finite and not (finite := np.isfinite(image)).all():
         mask = _without(~finite, mask, settings)
         cells = Cells(image, width, mask.good)
-    if (flat := _saturated(image, cells.largest)) is not None:
+    if (flat := _saturated(image, cells.largest, cells.brightest)) is not None:
         mask = _without(flat, mask, settings)
         cells = Cells(image, width, mask.good)
     if settings.normalization > 0:
@@ -213,10 +213,11 @@ def _without(bad: np.ndarray, mask: Mask | None, settings: Settings) -> Mask:
     return Mask.of(~bad if mask is None else (mask.good != 0) & ~bad, settings)
 
 
-def _saturated(image: np.ndarray, largest: float) -> np.ndarray | None:
-    """(h, w) bool, True in flat patches at the image's largest value; None if there are none."""
+def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.ndarray | None:
+    """(h, w) bool, True in flat patches at the image's largest value, found in these columns; None if none."""
     # every patch holds one pixel of a grid as wide as the patch
-    if largest <= 0 or not (image[_FLAT - 1 :: _FLAT, _FLAT - 1 :: _FLAT] == largest).any():
+    columns = columns[columns % _FLAT == _FLAT - 1]
+    if largest <= 0 or not (image[_FLAT - 1 :: _FLAT, columns] == largest).any():
         return None
     bright = cv2.inRange(image, largest, largest)
     flat = cv2.morphologyEx(bright, cv2.MORPH_OPEN, np.ones((_FLAT, _FLAT), np.uint8))
