@@ -214,7 +214,7 @@ def _without(bad: np.ndarray, mask: Mask | None, settings: Settings) -> Mask:
 
 
 def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.ndarray | None:
-    """(h, w) bool, True in flat patches at the image's largest value, found in these columns; None if none."""
+    """(h, w) bool, True in patches at the largest value, which these columns hold; None if there are none."""
     # every patch holds one pixel of a grid as wide as the patch
     columns = columns[columns % _FLAT == _FLAT - 1]
     if largest <= 0 or not (image[_FLAT - 1 :: _FLAT, columns] == largest).any():
