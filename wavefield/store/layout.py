@@ -12,7 +12,7 @@ from zarr.codecs import BloscCodec
 
 from wavefield.errors import StoreError
 from wavefield.store.recipe import Recipe
-from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, FrameFault, Variable, register
+from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, Variable, register
 from wavefield.whole_files import whole
 
 WATCHED = (*CUBE_FIELDS, "frame_fault")  # variables whose blocks have a checksum
@@ -25,18 +25,6 @@ register(
         "CRC-32 of what is stored of a block",
         dtype="uint32",
         meaning=f"0 where nothing is; variables in the order {' '.join(WATCHED)}",
-    ),
-    Variable("frame", ("frame",), "1", "frame number", dtype="int64"),
-    Variable(
-        "frame_fault",
-        ("camera", "frame"),
-        "1",
-        "what was wrong with a frame",
-        dtype="uint8",
-        extra={
-            "flag_values": [int(fault) for fault in FrameFault],
-            "flag_meanings": " ".join(fault.name.lower() for fault in FrameFault),
-        },
     ),
 )
 

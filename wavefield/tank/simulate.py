@@ -18,19 +18,10 @@ from wavefield.tank.parts import Beads
 from wavefield.tank.scene import Scene
 from wavefield.tank.tank import Tank
 from wavefield.tank.truth import Truth
-from wavefield.variables import Variable, annotate, register
+from wavefield.variables import CUBE_DIMS, annotate
 
 Progress = Callable[[int, int], None]
 
-TRUTH_DIMS = ("time", "y", "x")
-register(
-    Variable("z_rate", TRUTH_DIMS, "m s-1", "instantaneous rate of rise of the surface"),
-    Variable("z_start", TRUTH_DIMS, "m", "surface elevation at the step's first frame"),
-    Variable("z_end", TRUTH_DIMS, "m", "surface elevation at the step's second frame"),
-    Variable("dx", TRUTH_DIMS, "m", "displacement along x of the water whose path has its mid-point here"),
-    Variable("dy", TRUTH_DIMS, "m", "displacement along y of the water whose path has its mid-point here"),
-    Variable("dz", TRUTH_DIMS, "m", "displacement along z of the water whose path has its mid-point here"),
-)
 _FIELDS = ("z", "z_t", "u", "v", "w", "z_rate", "z_start", "z_end", "dx", "dy", "dz")
 
 
@@ -126,7 +117,7 @@ def _write_truth(
             parts.append(part)
             tell()
         fields = {
-            name: (TRUTH_DIMS, np.stack([getattr(part, name) for part in parts]).astype(np.float32))
+            name: (CUBE_DIMS, np.stack([getattr(part, name) for part in parts]).astype(np.float32))
             for name in _FIELDS
         }
         coords = {

@@ -5,15 +5,16 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from wavefield.variables import annotate
 from wavefield.waves import rings
-from wavefield.waves.crosses import lazy_cross_spectra, need
+from wavefield.waves.crosses import door, lazy_cross_spectra
 from wavefield.waves.record import Record
 from wavefield.waves.spectra import finish
+from wavefield.waves.welch import Welch
 from wavefield.waves.windows import effective_duration
 
 NAMES = ("z_t", "w", "nl")
 PAIRS = (("z_t", "w"), ("z_t", "nl"), ("w", "nl"))
-_TERMS = {"w": "w", "nl": "-u . grad z", "tot": "w - u . grad z"}
 
 
 def significance_level(samples: Any, chance: float = 0.05) -> Any:
@@ -97,25 +98,15 @@ def from_spectra(ring: xr.Dataset) -> xr.Dataset:
         total = _terms(ring)["tot"][1]
         norm = np.sqrt(add(ring["E_z_t"]) * add(total))
         for name, (cross, power) in _terms(ring).items():
-            meaning = f"coherence of z_t with {_TERMS[name]}"
-            out[f"C_{name}{ending}"] = (add(cross) / norm).assign_attrs(
-                long_name=meaning + ", common normalisation",
-                units="1",
-                comment="complex; its real part is the mean over both signs of omega",
-            )
-            gamma2 = np.abs(add(cross)) ** 2 / (add(ring["E_z_t"]) * add(power))
-            out[f"gamma2_{name}{ending}"] = gamma2.assign_attrs(
-                long_name=meaning + ", magnitude squared", units="1"
-            )
+            out[f"C_{name}{ending}"] = add(cross) / norm
+            out[f"gamma2_{name}{ending}"] = np.abs(add(cross)) ** 2 / (add(ring["E_z_t"]) * add(power))
         samples = samples_k if over else samples_k_omega
-        out[f"samples{ending}"] = samples.assign_attrs(long_name="effective independent samples", units="1")
-        out[f"bias{ending}"] = (1 / samples).assign_attrs(
-            long_name="mean gamma2 of unrelated signals", units="1"
-        )
+        out[f"samples{ending}"] = samples
+        out[f"bias{ending}"] = 1 / samples
         out[f"level{ending}"] = xr.apply_ufunc(
             significance_level, samples, dask="parallelized", output_dtypes=[float]
-        ).assign_attrs(long_name="gamma2 that unrelated signals exceed in 5 % of cases", units="1")
-    return xr.Dataset(out, attrs=ring.attrs)
+        )
+    return annotate(xr.Dataset(out, attrs=ring.attrs), "coherence")
 
 
 def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | None = None) -> xr.Dataset:
@@ -148,6 +139,6 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     points where the wave goes; the mean over both signs of omega is the real part. gamma2 is the standard
     coherence; for unrelated signals its mean is 1 / samples.
     """
-    need(cube, NAMES)
-    ring = lazy_cross_spectra(cube, NAMES, PAIRS, segment, record)
+    cube = door(cube, NAMES)
+    ring = lazy_cross_spectra(cube, NAMES, PAIRS, Welch.of(cube, segment, record))
     return finish(from_spectra(ring), cube["z_t"])

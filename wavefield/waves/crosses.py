@@ -11,12 +11,16 @@ import dask
 import dask.array as da
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
+from wavefield.variables import annotate, validate
 from wavefield.waves import kernels, segments, spectra
-from wavefield.waves.record import Record, find_record
+from wavefield.waves.record import Record
 from wavefield.waves.rings import Rings
-from wavefield.waves.units import product
+from wavefield.waves.welch import Welch, k_coords, omega_coords
+
+Array = NDArray[Any]
 
 # fields of the cube that each spectral name is made of
 SOURCES = {
@@ -26,15 +30,6 @@ SOURCES = {
     "v": ("v",),
     "w": ("w",),
     "nl": ("z", "z_t", "u", "v"),
-}
-UNITS = {"z": "m"} | dict.fromkeys(("z_t", "u", "v", "w", "nl"), "m s-1")
-LONG_NAMES = {
-    "z": "surface elevation at frame times",
-    "z_t": "rate of rise of the surface",
-    "u": "velocity along x",
-    "v": "velocity along y",
-    "w": "vertical velocity",
-    "nl": "nonlinear term u . grad z",
 }
 
 
@@ -47,13 +42,13 @@ def sources(names: Sequence[str]) -> list[str]:
 class _Nonlinear:
     """u . grad z: computed where it is cut out, never held whole."""
 
-    def __init__(self, fields: Mapping[str, np.ndarray], dt: float, dy: float, dx: float) -> None:
+    def __init__(self, fields: Mapping[str, Array], dt: float, dy: float, dx: float) -> None:
         self.fields = [np.ascontiguousarray(fields[name]) for name in ("z", "z_t", "u", "v")]
         self.shape, self.dtype = self.fields[0].shape, self.fields[0].dtype
         real = self.dtype.type
         self.distances = real(dt / 16), real(dt / 2), dy, dx
 
-    def __getitem__(self, steps: slice) -> np.ndarray:
+    def __getitem__(self, steps: slice) -> Array:
         first, end, _ = steps.indices(self.shape[0])
         out = np.empty((end - first, *self.shape[1:]), self.dtype)
         given = *self.fields, first, *self.distances, out
@@ -62,13 +57,13 @@ class _Nonlinear:
 
 
 def transforms(
-    fields: dict[str, np.ndarray],
+    fields: dict[str, Array],
     names: Sequence[str],
     dt: float,
     dy: float,
     dx: float,
-    old: Mapping[str, np.ndarray] | None = None,
-) -> dict[str, np.ndarray]:
+    old: Mapping[str, Array] | None = None,
+) -> dict[str, Array]:
     """Transform a half segment in space.
 
     Parameters
@@ -98,7 +93,7 @@ def transforms(
     return out
 
 
-def take(names: Sequence[str], blocks: list[np.ndarray]) -> dict[str, np.ndarray]:
+def take(names: Sequence[str], blocks: list[Array]) -> dict[str, Array]:
     """Move blocks from a list into a dictionary, so that emptying it frees them."""
     out = dict(zip(names, blocks))
     blocks.clear()
@@ -113,7 +108,7 @@ def combine(
     maps: Sequence[str],
     table: Rings,
     dt: float,
-) -> dict[str, np.ndarray]:
+) -> dict[str, Array]:
     """Transform a segment in time and sum powers and cross products over rings.
 
     Parameters
@@ -143,12 +138,12 @@ def combine(
 
 
 def empty_sums(
-    half: np.ndarray,
+    half: Array,
     names: Sequence[str],
     pairs: Sequence[tuple[str, str]],
     maps: Sequence[str],
     table: Rings,
-) -> dict[str, np.ndarray]:
+) -> dict[str, Array]:
     """Zeros for `add_segment`; ``half`` is any half segment's transform, (cells, n / 2)."""
     cells, steps = half.shape
     shape = (table.k.size, steps + 1)
@@ -157,7 +152,7 @@ def empty_sums(
 
 
 def add_segment(
-    sums: dict[str, np.ndarray],
+    sums: dict[str, Array],
     first: dict[str, Any],
     second: dict[str, Any],
     names: Sequence[str],
@@ -192,65 +187,62 @@ def add_segment(
 
 
 def label(
-    sums: dict[str, Any],
-    names: Sequence[str],
-    pairs: Sequence[tuple[str, str]],
-    record: Record,
-    segment: int,
-    table: Rings,
+    sums: Mapping[str, Any], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> xr.Dataset:
     """Turn ring sums into a labelled dataset.
 
     Parameters
     ----------
-    sums : dict of str to array
+    sums : mapping of str to array
         What `combine` gives, summed over all segments.
     names, pairs : sequence
         As given to `combine`.
-    record : Record
-        Rectangle and runs.
-    segment : int
-        Steps of a segment.
-    table : Rings
-        Rings of the k plane.
+    welch : Welch
+        How they were taken.
 
     Returns
     -------
     Dataset
         As `cross_spectra` gives it.
     """
-    count = segments.count_segments(record, segment)
-    factor = spectra.ring_density(record, segment, count, table.dk)
-    omega = spectra.omega_axis(segment, record.dt)
+    factor = welch.ring_density
+    dims = ("omega", "k")
     out: dict[str, Any] = {}
-    per = ((spectra.K_UNITS, -1), (spectra.OMEGA_UNITS, -1))
     for name in names:
-        attrs = {"long_name": f"E(k, omega) of {LONG_NAMES[name]}", "units": product((UNITS[name], 2), *per)}
-        out[f"E_{name}"] = (("omega", "k"), sums[name][0].T * factor, attrs)
-        dof = spectra.ring_freedom(sums[name], table, count).T
-        out[f"dof_{name}"] = (("omega", "k"), dof, {"long_name": "degrees of freedom", "units": "1"})
+        out[f"E_{name}"] = (dims, sums[name][0].T * factor)
+        out[f"dof_{name}"] = (dims, welch.freedom(sums[name]).T)
     for a, b in pairs:
-        attrs = {
-            "long_name": f"cross spectrum of {LONG_NAMES[a]} with {LONG_NAMES[b]}",
-            "units": product((UNITS[a], 1), (UNITS[b], 1), *per),
-            "comment": "conj of the first times the second, for waves exp(i (k . x - omega t))",
-        }
         real, imaginary = sums[f"{a}*{b}"]
-        out[f"S_{a}_{b}"] = (("omega", "k"), (real + 1j * imaginary).T * factor, attrs)
-    valid = spectra.valid_komega(table, omega, record)
-    out["valid"] = (("omega", "k"), valid, {"long_name": "where the spectrum can be trusted", "units": "1"})
-    return xr.Dataset(
-        out | spectra.ring_variables(table),
-        coords=spectra.omega_coords(omega) | spectra.k_coords(table.k),
-        attrs=spectra.provenance(record, segment, count) | {"dt": record.dt},
-    )
+        out[f"S_{a}_{b}"] = (dims, (real + 1j * imaginary).T * factor)
+    out["valid"] = (dims, welch.valid)
+    coords = omega_coords(welch.omega) | k_coords(welch.table.k)
+    return annotate(xr.Dataset(out | dict(welch.ring_variables), coords=coords, attrs=welch.attrs), "cross")
 
 
-def need(cube: Any, names: Sequence[str]) -> None:
-    """Check that a cube has the fields that some spectral names are made of."""
-    for field in sources(names):
+def door(cube: Any, names: Sequence[str]) -> xr.Dataset:
+    """Fields of a cube that some spectral names are made of, checked, in m and s and of one type.
+
+    Parameters
+    ----------
+    cube : Dataset
+        What a user gives.
+    names : sequence of str
+        Spectral names.
+
+    Returns
+    -------
+    Dataset
+
+    Raises
+    ------
+    CubeError
+        If a field is missing or of other dimensions or units.
+    """
+    fields = sources(names)
+    for field in fields:
         if field not in cube:
             raise CubeError(f"the cube has no {field!r}, which the spectra of {', '.join(names)} are made of")
+    return validate(cube, *fields)
 
 
 def cross_spectra(
@@ -291,31 +283,26 @@ def cross_spectra(
     -----
     The phase of S is that of waves exp(i (k . x - omega t)) with omega > 0, averaged over all directions.
     """
-    need(cube, names)
-    return spectra.finish(lazy_cross_spectra(cube, names, pairs, segment, record), cube[sources(names)[0]])
+    cube = door(cube, names)
+    lazy = lazy_cross_spectra(cube, names, pairs, Welch.of(cube, segment, record))
+    return spectra.finish(lazy, cube[sources(names)[0]])
 
 
 def lazy_cross_spectra(
-    cube: xr.Dataset,
-    names: Sequence[str],
-    pairs: Sequence[tuple[str, str]],
-    segment: int | None,
-    record: Record | None,
+    cube: xr.Dataset, names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> xr.Dataset:
-    """As `cross_spectra`, lazy whatever the cube is."""
+    """As `cross_spectra`, lazy whatever the cube is, which came through `door`."""
     fields = sources(names)
-    record = find_record(cube[fields]) if record is None else record
-    segment = segments.segment_length(record, segment)
-    table = spectra.ring_table(record)
+    record, table = welch.record, welch.table
 
-    def make(blocks: list[np.ndarray], first: int) -> dict[str, np.ndarray]:
+    def make(blocks: list[Array], first: int) -> dict[str, Array]:
         return transforms(take(fields, blocks), names, record.dt, record.dy, record.dx)
 
-    runs = segments.half_segments([cube[field] for field in fields], record, segment // 2, make)
+    runs = segments.half_segments([cube[field] for field in fields], record, welch.half, make)
     task = dask.delayed(combine, pure=False)
     parts = [task(a, b, names, pairs, (), table, record.dt) for run in runs for a, b in pairwise(run)]
     summed = segments.in_order(parts)
-    shape = (table.k.size, segment // 2 + 1)
+    shape = (table.k.size, welch.omega.size)
     wanted = (*names, *(f"{a}*{b}" for a, b in pairs))
     sums = {name: da.from_delayed(summed[name], (2, *shape), float) for name in wanted}
-    return label(sums, names, pairs, record, segment, table)
+    return label(sums, names, pairs, welch)

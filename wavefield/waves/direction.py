@@ -4,6 +4,7 @@ import numpy as np
 import xarray as xr
 
 from wavefield.errors import CubeError
+from wavefield.variables import annotate
 from wavefield.water import GAMMA, wavenumber
 from wavefield.waves import rings
 from wavefield.waves.windows import interval
@@ -104,30 +105,16 @@ def directions(
     degrees = np.array(dof_rows)
     low, high = interval(degrees)
     dims = ("frequency", "theta")
-    return xr.Dataset(
+    out = xr.Dataset(
         {
-            "D": (dims, values, {"long_name": "directional density on the ridge", "units": "rad-1"}),
-            "dof": (dims, degrees, {"long_name": "degrees of freedom", "units": "1"}),
-            "low": (dims, low, {"long_name": "lower end of the 95 % interval, factor", "units": "1"}),
-            "high": (dims, high, {"long_name": "upper end of the 95 % interval, factor", "units": "1"}),
-            "direction": (
-                "frequency",
-                mean % (2 * np.pi),
-                {"long_name": "mean direction of propagation, from x towards y", "units": "rad"},
-            ),
-            "spread": ("frequency", spread, {"long_name": "directional spread", "units": "rad"}),
-            "isotropy": (
-                "frequency",
-                1 - np.maximum(np.abs(first), np.abs(second)),
-                {"long_name": "isotropy, 1 - largest of the first two harmonics", "units": "1"},
-            ),
+            "D": (dims, values),
+            "dof": (dims, degrees),
+            "low": (dims, low),
+            "high": (dims, high),
+            "direction": ("frequency", mean % (2 * np.pi)),
+            "spread": ("frequency", spread),
+            "isotropy": ("frequency", 1 - np.maximum(np.abs(first), np.abs(second))),
         },
-        {
-            "frequency": ("frequency", frequency, {"long_name": "frequency", "units": "Hz"}),
-            "theta": (
-                "theta",
-                theta,
-                {"long_name": "direction of propagation, from x towards y", "units": "rad"},
-            ),
-        },
+        {"frequency": ("frequency", frequency), "theta": ("theta", theta)},
     )
+    return annotate(out, "direction")

@@ -4,15 +4,14 @@ Kernels take Fourier lines Z (frequencies, samples), samples being segments time
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from scipy import fft
 
 from wavefield.errors import CubeError
+from wavefield.variables import annotate
 from wavefield.waves.coherence import significance_level
-from wavefield.waves.spectra import omega_coords
 from wavefield.waves.windows import hann, segment_count
 
 
@@ -227,29 +226,16 @@ def higher_order(
         tri.append(tricoherence_of(fake)[0])
     omega = 2 * np.pi * np.arange(count) / (segment * dt)
     dims = ("omega1", "omega2")
-    third = np.where(partner >= 0, omega[np.maximum(partner, 0)], np.nan)
-    pairs: dict[str, Any] = {
-        "bicoherence": (bicoherence, "bicoherence", "1"),
-        "bicoherence_level": (_level_one(bi, settings.chance), "what surrogates exceed in 5 % of cases", "1"),
-        "tricoherence": (value, "tricoherence at the best omega3", "1"),
-        "tricoherence_level": (
-            _level_largest(tri, settings.chance),
-            "what surrogates exceed in 5 % of cases",
-            "1",
-        ),
-        "tricoherence_omega3": (third, "omega3 of the largest tricoherence", "rad s-1"),
+    pairs = {
+        "bicoherence": bicoherence,
+        "bicoherence_level": _level_one(bi, settings.chance),
+        "tricoherence": value,
+        "tricoherence_level": _level_largest(tri, settings.chance),
+        "tricoherence_omega3": np.where(partner >= 0, omega[np.maximum(partner, 0)], np.nan),
     }
-    coords = {}
-    for name in dims:
-        source = omega_coords(omega)["omega"]
-        coords[name] = (name, source[1], source[2])
     out = xr.Dataset(
-        {
-            name: (dims, array, {"long_name": text, "units": unit})
-            for name, (array, text, unit) in pairs.items()
-        },
-        coords,
+        {name: (dims, array) for name, array in pairs.items()}, {name: (name, omega) for name in dims}
     )
-    out["bicoherence_samples"] = ((), z.shape[1], {"long_name": "segments times points", "units": "1"})
+    out["bicoherence_samples"] = ((), z.shape[1])
     out.attrs = {"segment": segment, "surrogates": settings.surrogates}
-    return out
+    return annotate(out, "higher_order")

@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 
 from wavefield.errors import CubeError
+from wavefield.variables import annotate, validate
 from wavefield.waves import kernels
 from wavefield.waves.record import check_axes
 
@@ -14,12 +15,13 @@ _NAMES = ("z", "z_t", "u", "v", "w")
 _STENCIL = 8  # nodes along each axis of the interpolation between nodes
 
 
-def _need(cube: Any) -> None:
+def _door(cube: Any) -> xr.Dataset:
     for name in _NAMES:
         if name not in cube:
             raise CubeError(
                 f"the cube has no {name!r}: kinematics need {', '.join(_NAMES)} over time, y and x"
             )
+    return validate(cube, *_NAMES)
 
 
 def slopes(z: np.ndarray, dy: float, dx: float) -> tuple[np.ndarray, np.ndarray]:
@@ -69,14 +71,7 @@ def terms(fields: Mapping[str, np.ndarray], dy: float, dx: float) -> dict[str, n
     return {name: array.reshape(shape) for name, array in zip(_OUTPUTS, out)}
 
 
-_OUTPUTS = {
-    "z_x": ("slope along x", "1"),
-    "z_y": ("slope along y", "1"),
-    "nonlinear": ("nonlinear term u . grad z", "m s-1"),
-    "residual": ("kinematic residual z_t - w + u . grad z", "m s-1"),
-    "vorticity": ("vertical vorticity v_x - u_y of the surface", "s-1"),
-    "divergence": ("divergence u_x + v_y of the surface", "s-1"),
-}
+_OUTPUTS = ("z_x", "z_y", "nonlinear", "residual", "vorticity", "divergence")
 
 
 def kinematics(cube: xr.Dataset) -> xr.Dataset:
@@ -106,7 +101,7 @@ def kinematics(cube: xr.Dataset) -> xr.Dataset:
     nonlinear term for waves of 1 to 5 Hz at 20 Hz). Vorticity and divergence are those of the surface water's
     horizontal velocity as a function of (x, y).
     """
-    _need(cube)
+    cube = _door(cube)
     dt, dy, dx = check_axes(cube)
     names = (*_NAMES, "mean")
 
@@ -130,10 +125,7 @@ def kinematics(cube: xr.Dataset) -> xr.Dataset:
         output_dtypes=[fields[0].dtype] * len(_OUTPUTS),
         dask_gufunc_kwargs={"allow_rechunk": True},
     )
-    out = xr.Dataset(dict(zip(_OUTPUTS, results)))
-    for name, (long_name, units) in _OUTPUTS.items():
-        out[name].attrs = {"long_name": long_name, "units": units}
-    return out
+    return annotate(xr.Dataset(dict(zip(_OUTPUTS, results))))
 
 
 def frame_elevations(z: Any, z_before: Any, z_after: Any, z_t: Any, dt: float) -> tuple[Any, Any]:
@@ -232,7 +224,7 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
     while the Eulerian form z_t - w + u . grad z keeps an error of third order in dt. z between nodes by
     Lagrange polynomials through 8 x 8 nodes.
     """
-    _need(cube)
+    cube = _door(cube)
     dt, dy, dx = check_axes(cube)
     z_t = cube["z_t"]
     start, end = frame_elevations(cube["z"], z_t.shift(time=1), z_t.shift(time=-1), z_t, dt)
@@ -251,5 +243,4 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
         output_dtypes=[np.float64],
         dask_gufunc_kwargs={"allow_rechunk": True},
     )
-    out.attrs = {"long_name": "kinematic residual, finite displacements", "units": "m s-1"}
-    return out.rename("finite_residual")
+    return annotate(out.to_dataset(name="finite_residual"))["finite_residual"]

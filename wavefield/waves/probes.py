@@ -5,10 +5,15 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from scipy import fft
 
 from wavefield.errors import CubeError, ExperimentError
+from wavefield.variables import annotate
+from wavefield.waves.welch import LOWEST
 from wavefield.waves.windows import degrees_of_freedom, hann, interval, segment_count
+
+Array = NDArray[Any]
 
 
 def read_probes(path: str | Path) -> xr.Dataset:
@@ -35,15 +40,35 @@ def read_probes(path: str | Path) -> xr.Dataset:
         lines = path.read_text().splitlines()
     except OSError as error:
         raise ExperimentError(f"cannot read the probes {path}: {error.strerror}") from None
-    places = {}
+    places = _places(lines)
+    names, table = _table(path, [line for line in lines if line.strip() and not line.startswith("#")])
+    nowhere = (np.nan, np.nan)
+    out = xr.Dataset(
+        {"elevation": (("probe", "time"), table[:, 1:].T)},
+        {
+            "time": ("time", table[:, 0]),
+            "probe": ("probe", names),
+            "probe_x": ("probe", [places.get(n, nowhere)[0] for n in names]),
+            "probe_y": ("probe", [places.get(n, nowhere)[1] for n in names]),
+        },
+    )
+    return annotate(out, "probes")
+
+
+def _places(lines: list[str]) -> dict[str, tuple[float, float]]:
+    # comments of three words whose last two are numbers
+    out = {}
     for line in lines:
         words = line.lstrip("#").split()
         if line.startswith("#") and len(words) == 3:
             try:
-                places[words[0]] = float(words[1]), float(words[2])
+                out[words[0]] = float(words[1]), float(words[2])
             except ValueError:
                 continue  # a remark of three words
-    body = [line for line in lines if line.strip() and not line.startswith("#")]
+    return out
+
+
+def _table(path: Path, body: list[str]) -> tuple[list[str], Array]:
     header = [word.strip() for word in body[0].split(",")] if body else []
     if len(header) < 2 or header[0] != "time":
         raise ExperimentError(f"the probes {path} have no header 'time,<names>': write one above the numbers")
@@ -53,16 +78,7 @@ def read_probes(path: str | Path) -> xr.Dataset:
         raise ExperimentError(f"the probes {path} hold something else than numbers: {error}") from None
     if table.ndim != 2 or table.shape[1] != len(header):
         raise ExperimentError(f"the probes {path} do not have {len(header)} numbers in every line")
-    names = header[1:]
-    return xr.Dataset(
-        {"elevation": (("probe", "time"), table[:, 1:].T, {"long_name": "surface elevation", "units": "m"})},
-        {
-            "time": ("time", table[:, 0], {"units": "s"}),
-            "probe": ("probe", names),
-            "probe_x": ("probe", [places.get(n, (np.nan,) * 2)[0] for n in names], {"units": "m"}),
-            "probe_y": ("probe", [places.get(n, (np.nan,) * 2)[1] for n in names], {"units": "m"}),
-        },
-    )
+    return header[1:], table
 
 
 def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, float]) -> xr.Dataset:
@@ -89,10 +105,39 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
         If the probes were not recording while the cameras were, for one segment at least, or have uneven
         steps.
     """
-    time = probes["time"].values
+    target = omega.values
+    duration = 2 * np.pi / float(omega[1] - omega[0])
+    inside, rate = _shared_time(probes["time"].values, span, duration)
+    values = probes["elevation"].values[:, inside]
+    usable = np.isfinite(values).all(axis=1)
+    if not usable.any():
+        raise CubeError("every probe has missing values during the record: mend or leave out the probes")
+    own, density, count = _density(values, rate, duration)
+    # the frequencies agree where the rates divide; else straight lines between them
+    on_grid = np.array([np.interp(target, own, row, right=np.nan) for row in density])
+    on_grid[~usable] = np.nan
+    dof = np.full(target.size, degrees_of_freedom(count) * usable.sum())
+    low, high = interval(dof)
+    out = xr.Dataset(
+        {
+            "Ez_probe": (("probe", "omega"), on_grid),
+            "Ez_probes": ("omega", np.nanmean(on_grid[usable], axis=0)),
+            "dof_probes": ("omega", dof),
+            "low_probes": ("omega", low),
+            "high_probes": ("omega", high),
+            "valid_probes": (
+                "omega",
+                (np.arange(target.size) >= LOWEST) & np.isfinite(on_grid[usable]).all(axis=0),
+            ),
+        },
+        {name: probes[name] for name in ("probe", "probe_x", "probe_y")} | {"omega": omega},
+    )
+    return annotate(out, "spectra")
+
+
+def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[Array, float]:
+    # samples during the record, and their rate
     inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
-    step_omega = float(omega[1] - omega[0])
-    duration = 2 * np.pi / step_omega
     if inside.sum() < 8 or time[inside][-1] - time[inside][0] < 0.9 * duration:
         raise CubeError(
             f"the probes cover {time[0]:g} to {time[-1]:g} s, the record {span[0]:g} to {span[1]:g} s:"
@@ -100,18 +145,18 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
             " leave them out"
         )
     time = time[inside]
-    steps = np.diff(time)
-    rate = (time.size - 1) / (time[-1] - time[0])
-    if np.abs(steps * rate - 1).max() > 0.01:
+    rate = float((time.size - 1) / (time[-1] - time[0]))
+    if np.abs(np.diff(time) * rate - 1).max() > 0.01:
         raise CubeError("the probes' time steps are unequal: resample them at a fixed rate first")
-    n = min(round(duration * rate), time.size)
+    return inside, rate
+
+
+def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array, int]:
+    # frequencies, one-sided density (probe, omega), number of segments
+    n = min(round(duration * rate), values.shape[1])
     n -= n % 2
-    values = probes["elevation"].values[:, inside]
-    usable = np.isfinite(values).all(axis=1)
-    if not usable.any():
-        raise CubeError("every probe has missing values during the record: mend or leave out the probes")
     half, window = n // 2, hann(n)
-    count = segment_count(time.size, n)
+    count = segment_count(values.shape[1], n)
     ramp = np.arange(n) - (n - 1) / 2
     total = np.zeros((values.shape[0], n // 2 + 1))
     for s in range(count):
@@ -121,43 +166,4 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
         total += np.abs(fft.rfft(part * window, axis=1)) ** 2
     density = total / (count * (window**2).sum() * rate * 2 * np.pi)
     density[:, 1:-1] *= 2
-    own = 2 * np.pi * np.arange(n // 2 + 1) * rate / n
-    target = omega.values
-    # the frequencies agree where the rates divide; else straight lines between them
-    on_grid = np.array([np.interp(target, own, row, right=np.nan) for row in density])
-    on_grid[~usable] = np.nan
-    dof = np.full(target.size, degrees_of_freedom(count) * usable.sum())
-    low, high = interval(dof)
-    index = np.arange(target.size)
-    attrs: dict[str, Any] = {"units": "m2 s rad-1"}
-    return xr.Dataset(
-        {
-            "Ez_probe": (
-                ("probe", "omega"),
-                on_grid,
-                attrs | {"long_name": "elevation spectrum of each probe"},
-            ),
-            "Ez_probes": (
-                "omega",
-                np.nanmean(on_grid[usable], axis=0),
-                attrs | {"long_name": "elevation spectrum from probes"},
-            ),
-            "dof_probes": ("omega", dof, {"long_name": "degrees of freedom", "units": "1"}),
-            "low_probes": (
-                "omega",
-                low,
-                {"long_name": "lower end of the 95 % interval, factor", "units": "1"},
-            ),
-            "high_probes": (
-                "omega",
-                high,
-                {"long_name": "upper end of the 95 % interval, factor", "units": "1"},
-            ),
-            "valid_probes": (
-                "omega",
-                (index >= 2) & np.isfinite(on_grid[usable]).all(axis=0),
-                {"long_name": "where the spectrum can be trusted", "units": "1"},
-            ),
-        },
-        {name: probes[name] for name in ("probe", "probe_x", "probe_y")} | {"omega": omega},
-    )
+    return 2 * np.pi * np.arange(n // 2 + 1) * rate / n, density, count

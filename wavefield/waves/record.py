@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from wavefield.errors import CubeError
 from wavefield.grid import largest_rectangle
-from wavefield.variables import CUBE_DIMS, FrameStatus
+from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, factor
 
 LONGEST_BRIDGE = 2  # steps: longer gaps split the record
 _FIELDS = ("z", "z_t", "u", "v", "w")
@@ -65,6 +65,13 @@ def _spacing(array: Any, name: str) -> float:
     values = np.asarray(array[name].values, float)
     if values.size < 2:
         raise CubeError(f"the cube has {values.size} {name}: at least two are needed")
+    unit = TABLE[name].units
+    scale = factor(str(array[name].attrs.get("units", unit)), unit)
+    if scale is None:
+        raise CubeError(
+            f"the cube's {name!r} is in {array[name].attrs['units']!r}: convert it to {unit!r} first"
+        )
+    values = values * scale if scale != 1 else values
     steps = np.diff(values)
     step = float((values[-1] - values[0]) / (values.size - 1))
     worst = float(np.abs(steps - step).max())

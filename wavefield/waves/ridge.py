@@ -5,11 +5,15 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from wavefield.errors import CubeError
+from wavefield.variables import annotate
 from wavefield.water import GAMMA, dispersion, group_velocity, wavenumber
 from wavefield.waves import kernels
+
+Array = NDArray[Any]
 
 _LONGEST = 2.5  # cells of the k plane: longer waves lie within the window's reach of those that come back
 _SLOPE_OVER = 0.3  # Hz to either side: the slope of the spectrum is taken over this
@@ -47,10 +51,10 @@ class FitSettings:
 
 @dataclass(frozen=True)
 class _Plane:
-    kx: np.ndarray  # (cells,)
-    ky: np.ndarray
-    k: np.ndarray
-    angle: np.ndarray
+    kx: Array  # (cells,)
+    ky: Array
+    k: Array
+    angle: Array
     cell: float  # larger side of a cell, rad/m
     spread: float  # variance along k that the window lends to a single wave, (rad/m)^2
 
@@ -69,9 +73,9 @@ def _plane(density: xr.DataArray) -> _Plane:
 @dataclass(frozen=True)
 class _Sector:
     theta: float
-    cells: np.ndarray  # of the plane, by rising k
-    k: np.ndarray
-    heading: np.ndarray  # (2, cells), cosine and sine of the angle
+    cells: Array  # of the plane, by rising k
+    k: Array
+    heading: Array  # (2, cells), cosine and sine of the angle
 
 
 def _sectors(plane: _Plane, count: int) -> list[_Sector]:
@@ -87,15 +91,15 @@ def _sectors(plane: _Plane, count: int) -> list[_Sector]:
 
 
 def _centroids(
-    energy: np.ndarray,
-    omega: np.ndarray,
-    noise: np.ndarray,
+    energy: Array,
+    omega: Array,
+    noise: Array,
     plane: _Plane,
     sectors: list[_Sector],
     depth: float,
-    fit: np.ndarray,
+    fit: Array,
     settings: FitSettings,
-) -> np.ndarray:
+) -> Array:
     # rows: omega, k, angle, weight, number of cells
     parts = []
     table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
@@ -121,7 +125,7 @@ def _centroids(
     return points
 
 
-def _leaning(points: np.ndarray, step: float) -> np.ndarray:
+def _leaning(points: Array, step: float) -> Array:
     # a Hann window mixes waves of neighbouring lines, variance step^2 / 3: where energy falls steeply a line
     # holds more of the slower ones, which are longer
     lines, number = np.unique(points[:, 0], return_inverse=True)
@@ -136,11 +140,11 @@ def _leaning(points: np.ndarray, step: float) -> np.ndarray:
     return (step**2 / 3 * slope)[number]
 
 
-def _solve(points: np.ndarray, depth: float, start: np.ndarray) -> np.ndarray:
+def _solve(points: Array, depth: float, start: Array) -> Array:
     omega, k, angle = points[:, 0], points[:, 1], points[:, 2]
     kx, ky = k * np.cos(angle), k * np.sin(angle)
 
-    def misfit(p: np.ndarray) -> np.ndarray:
+    def misfit(p: Array) -> Array:
         model = dispersion(k, depth, max(p[2], 0.0) * 1e-5) + p[0] * kx + p[1] * ky
         return (model - omega) / np.sqrt(k)
 
@@ -174,7 +178,7 @@ def fit_dispersion(
     -------
     Dataset
         ``ridge_k``, ``ridge_omega``, ``ridge_angle``, ``ridge_weight`` (point); ``current_x``, ``current_y``
-        (m/s), ``gamma`` (m3/s2) and their ``_std``; ``ridge_share``, the share of the variance within the
+        (m/s), ``gamma`` (m3/s2) and their ``_std``; ``ridge_fraction``, the fraction of the variance within the
         ridge; ``ridge_error`` (band): the ridge's k against the theory with the fitted current and clean
         water's gamma, relative; ``depth``.
 
@@ -233,37 +237,21 @@ def fit_dispersion(
         if len(trials) > 1:
             spreads = np.hypot(np.std(trials, axis=0, ddof=1), _misfit_spread(points, depth, fit))
 
-    names = ("current_x", "current_y", "gamma")
-    texts = ("current along x", "current along y", "surface tension over density")
-    units = ("m s-1", "m s-1", "m3 s-2")
     out: dict[str, Any] = {}
-    for i, (name, text, unit) in enumerate(zip(names, texts, units)):
-        out[name] = ((), fit[i], {"long_name": text, "units": unit})
-        out[f"{name}_std"] = (
-            (),
-            spreads[i],
-            {"long_name": f"standard uncertainty of the {text}", "units": unit},
-        )
-    columns = (
-        ("ridge_omega", "angular frequency of the ridge", "rad s-1"),
-        ("ridge_k", "wavenumber of the ridge", "rad m-1"),
-        ("ridge_angle", "direction of propagation, from x towards y", "rad"),
-        ("ridge_weight", "energy on the ridge", density.attrs.get("units", "1")),
-    )
-    for i, (name, text, unit) in enumerate(columns):
-        out[name] = ("point", points[:, i], {"long_name": text, "units": unit})
+    for i, name in enumerate(("current_x", "current_y", "gamma")):
+        out[name], out[f"{name}_std"] = ((), fit[i]), ((), spreads[i])
+    for i, name in enumerate(("ridge_omega", "ridge_k", "ridge_angle", "ridge_weight")):
+        out[name] = ("point", points[:, i])
     out |= _against_theory(points, depth, fit)
-    out["ridge_share"] = (
-        (),
-        _share(energy, omega, plane, depth, fit),
-        {"long_name": "share of the variance within the ridge", "units": "1"},
-    )
-    out["depth"] = ((), depth, {"long_name": "depth of the water", "units": "m"})
+    out["ridge_fraction"] = ((), _fraction(energy, omega, plane, depth, fit))
+    out["depth"] = ((), depth)
     attrs = {"lowest": float(bottom / (2 * np.pi)), "highest": float(top / (2 * np.pi))}
-    return xr.Dataset(out, attrs=attrs).set_coords("band_frequency")
+    out_set = annotate(xr.Dataset(out, attrs=attrs).set_coords("band_frequency"), "dispersion")
+    out_set["ridge_weight"].attrs["units"] = density.attrs.get("units", "1")
+    return out_set
 
 
-def _misfit_spread(points: np.ndarray, depth: float, fit: np.ndarray) -> np.ndarray:
+def _misfit_spread(points: Array, depth: float, fit: Array) -> Array:
     # what the fit owes to single bands of frequency or to single directions (jackknife): the ridge has errors
     # besides chance, and a sea of few waves repeats itself
     variance = np.zeros(3)
@@ -275,7 +263,7 @@ def _misfit_spread(points: np.ndarray, depth: float, fit: np.ndarray) -> np.ndar
     return np.sqrt(variance)
 
 
-def _against_theory(points: np.ndarray, depth: float, fit: np.ndarray) -> dict[str, Any]:
+def _against_theory(points: Array, depth: float, fit: Array) -> dict[str, Any]:
     # by bands of half a hertz: energy-weighted mean of k over the theory's k for that omega and direction
     omega, k, angle, weight = points.T[:4]
     along = fit[0] * np.cos(angle) + fit[1] * np.sin(angle)
@@ -291,26 +279,15 @@ def _against_theory(points: np.ndarray, depth: float, fit: np.ndarray) -> dict[s
         scale = weight[inside] / np.interp(omega[inside], *_line_means(omega[inside], weight[inside]))
         centres.append((b + 0.5) * 0.5)
         errors.append(float(np.average(k[inside] / theory[inside] - 1, weights=scale)))
-    return {
-        "ridge_error": (
-            "band",
-            np.array(errors),
-            {
-                "long_name": "ridge's wavenumber against the theory's, relative",
-                "units": "1",
-                "comment": "theory with the fitted current and the surface tension of clean water",
-            },
-        ),
-        "band_frequency": ("band", np.array(centres), {"long_name": "middle of the band", "units": "Hz"}),
-    }
+    return {"ridge_error": ("band", np.array(errors)), "band_frequency": ("band", np.array(centres))}
 
 
-def _line_means(omega: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _line_means(omega: Array, weight: Array) -> tuple[Array, Array]:
     lines = np.unique(omega)
     return lines, np.array([weight[omega == line].mean() for line in lines])
 
 
-def _share(energy: np.ndarray, omega: np.ndarray, plane: _Plane, depth: float, fit: np.ndarray) -> float:
+def _fraction(energy: Array, omega: Array, plane: _Plane, depth: float, fit: Array) -> float:
     # within two cells in k and two lines in omega of the fitted relation
     free = dispersion(plane.k, depth, fit[2]) + fit[0] * plane.kx + fit[1] * plane.ky
     slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), depth, fit[2]))

@@ -10,53 +10,16 @@ import dask
 import dask.array as da
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
+from wavefield.variables import K_UNITS, TABLE, annotate, density_units, product
 from wavefield.waves import kernels, rings, segments
-from wavefield.waves.record import Record, find_record
-from wavefield.waves.units import product
-from wavefield.waves.windows import degrees_of_freedom, interval
+from wavefield.waves.record import Record
+from wavefield.waves.welch import Welch, inner, k_coords, omega_coords
+from wavefield.waves.windows import interval
 
-K_UNITS, OMEGA_UNITS = "rad m-1", "rad s-1"
-_LOWEST = 2  # cells: a Hann window mixes what is nearer to zero with the mean
-
-
-# ---- coordinates -------------------------------------------------------------------------------------------
-def omega_axis(segment: int, dt: float) -> np.ndarray:
-    """Angular frequencies of a segment, (segment // 2 + 1,), rad/s."""
-    return 2 * np.pi * np.arange(segment // 2 + 1) / (segment * dt)
-
-
-def omega_coords(omega: np.ndarray) -> dict[str, Any]:
-    """Coordinates ``omega`` (rad/s) and ``frequency`` (Hz)."""
-    return {
-        "omega": ("omega", omega, {"long_name": "angular frequency", "units": OMEGA_UNITS}),
-        "frequency": ("omega", omega / (2 * np.pi), {"long_name": "frequency", "units": "Hz"}),
-    }
-
-
-def k_coords(k: np.ndarray) -> dict[str, Any]:
-    """Coordinates ``k`` (rad/m) and ``cycles`` (1/m)."""
-    return {
-        "k": ("k", k, {"long_name": "wavenumber", "units": K_UNITS}),
-        "cycles": ("k", k / (2 * np.pi), {"long_name": "wavenumber / 2 pi", "units": "m-1"}),
-    }
-
-
-def plane_coords(record: Record) -> dict[str, Any]:
-    """Coordinates ``ky`` and ``kx`` (rad/m), ascending."""
-    ny, nx = record.shape
-    out = {}
-    for name, n, step in (("ky", ny, record.dy), ("kx", nx, record.dx)):
-        values = np.sort(rings.wavenumbers(n, step))
-        out[name] = (name, values, {"long_name": f"wavenumber along {name[1]}", "units": K_UNITS})
-    return out
-
-
-def ring_table(record: Record, dk: float | None = None) -> rings.Rings:
-    """Rings of the k plane of a record."""
-    ny, nx = record.shape
-    return rings.rings(ny, nx, record.dy, record.dx, dk)
+Array = NDArray[Any]
 
 
 def _field(field: Any) -> xr.DataArray:
@@ -67,33 +30,8 @@ def _field(field: Any) -> xr.DataArray:
     return field
 
 
-def setting(field: xr.DataArray, segment: int | None, record: Record | None) -> tuple[Record, int, int]:
-    """Record, segment length and number of segments to use for a field."""
-    record = find_record(field) if record is None else record
-    segment = segments.segment_length(record, segment)
-    return record, segment, segments.count_segments(record, segment)
-
-
-def density(record: Record, segment: int, count: int) -> float:
-    """Factor from summed |F|^2 to a two-sided density in rad/m, rad/m and rad/s."""
-    energy = segments.window_energy(segment, *record.shape)
-    cell = record.dt * record.dy * record.dx
-    return cell / ((2 * np.pi) ** 3 * energy * count)
-
-
-def provenance(record: Record, segment: int, count: int) -> dict[str, Any]:
-    """Attributes that say how a spectrum was estimated."""
-    return {
-        "estimator": "Welch, Hann windows in t, y and x, half overlap, mean and trend removed",
-        "segment": segment,
-        "segments": count,
-        "degrees_of_freedom": degrees_of_freedom(count),
-        "steps_bridged": len(record.bridged),
-        "nodes_filled": record.holes,
-        "nodes": list(record.shape),
-        "node_step": [record.dy, record.dx],
-        "convention": "k points where the wave goes; density in rad/m and rad/s, one-sided in omega",
-    }
+def _name(field: xr.DataArray) -> str:
+    return str(field.attrs.get("long_name", field.name))
 
 
 def finish(dataset: xr.Dataset, field: xr.DataArray) -> xr.Dataset:
@@ -102,11 +40,11 @@ def finish(dataset: xr.Dataset, field: xr.DataArray) -> xr.Dataset:
 
 
 # ---- E(ky, kx, omega) --------------------------------------------------------------------------------------
-def _transform(blocks: list[np.ndarray], first: int) -> dict[str, np.ndarray]:
+def _transform(blocks: list[Array], first: int) -> dict[str, Array]:
     return {"f": segments.transform_space(blocks.pop())}
 
 
-def _powers(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _powers(a: dict[str, Array], b: dict[str, Array]) -> dict[str, Array]:
     cells, half = a["f"].shape
     power = np.zeros((cells, 2 * half), a["f"].real.dtype)
     transform = segments.TimeTransform(half, a["f"].dtype)
@@ -115,7 +53,7 @@ def _powers(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> dict[str, np.
     return {"power": power}
 
 
-def unfold(power: np.ndarray, ny: int, nx: int) -> np.ndarray:
+def unfold(power: Array, ny: int, nx: int) -> Array:
     """Bring the power on the half plane to omega >= 0 and the full plane, k pointing where the wave goes.
 
     Parameters
@@ -147,9 +85,15 @@ def unfold(power: np.ndarray, ny: int, nx: int) -> np.ndarray:
     return np.fft.fftshift(out, axes=(1, 2))
 
 
-def _map(total: dict[str, np.ndarray], factor: float, shape: tuple[int, int]) -> np.ndarray:
-    power = total["power"]
-    return unfold(power, *shape) * power.dtype.type(factor)
+def _map(total: dict[str, Array], welch: Welch) -> Array:
+    return density(total["power"], welch)
+
+
+def density(power: Array, welch: Welch) -> Array:
+    """E(ky, kx, omega) from summed powers on the half plane, (omega, ky, kx)."""
+    values = unfold(power, *welch.record.shape)
+    values *= power.dtype.type(welch.density)
+    return values
 
 
 def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record | None = None) -> xr.Dataset:
@@ -194,35 +138,40 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     1.0
     """
     field = _field(field)
-    record, segment, count = setting(field, segment, record)
-    runs = segments.half_segments([field], record, segment // 2, _transform)
+    welch = Welch.of(field, segment, record)
+    runs = segments.half_segments([field], welch.record, welch.half, _transform)
     task = dask.delayed(_powers, pure=False)
     summed = segments.in_order([task(a, b) for run in runs for a, b in itertools.pairwise(run)])
-    lazy = dask.delayed(_map, pure=False)(summed, density(record, segment, count), record.shape)
-    omega = omega_axis(segment, record.dt)
+    lazy = dask.delayed(_map, pure=False)(summed, welch)
     dtype = np.float32 if field.dtype == np.float32 else np.float64
-    shape = (omega.size, *record.shape)
-    units = product((field.attrs.get("units", "1"), 2), (K_UNITS, -2), (OMEGA_UNITS, -1))
-    dof = degrees_of_freedom(count)
-    low, high = interval(dof)
-    out = xr.Dataset(
-        {
-            "E": (
-                ("omega", "ky", "kx"),
-                da.from_delayed(lazy, shape, dtype),
-                {
-                    "long_name": f"power spectrum of {field.attrs.get('long_name', field.name)}",
-                    "units": units,
-                },
-            ),
-            "dof": ((), dof, {"long_name": "degrees of freedom of a cell", "units": "1"}),
-            "low": ((), float(low), {"long_name": "lower end of the 95 % interval, factor", "units": "1"}),
-            "high": ((), float(high), {"long_name": "upper end of the 95 % interval, factor", "units": "1"}),
-        },
-        coords=omega_coords(omega) | plane_coords(record),
-        attrs=provenance(record, segment, count),
-    )
-    return finish(out, field)
+    shape = (welch.omega.size, *welch.record.shape)
+    values = xr.Variable(("omega", "ky", "kx"), da.from_delayed(lazy, shape, dtype))
+    return finish(plane_density(values, _name(field), field.attrs.get("units", "1"), welch), field)
+
+
+def plane_density(values: Any, name: str, units: str, welch: Welch) -> xr.Dataset:
+    """Label E(ky, kx, omega).
+
+    Parameters
+    ----------
+    values : Variable, (omega, ky, kx)
+        The density.
+    name, units : str
+        Of the field.
+    welch : Welch
+        How it was estimated.
+
+    Returns
+    -------
+    Dataset
+        As `spectrum` gives it.
+    """
+    low, high = interval(welch.dof)
+    parts = {"E": values, "dof": ((), welch.dof), "low": ((), float(low)), "high": ((), float(high))}
+    out = xr.Dataset(parts, coords=omega_coords(welch.omega) | welch.plane, attrs=welch.attrs)
+    out = annotate(out, "plane")
+    out["E"].attrs = TABLE["plane/E"].of(name, density_units(units, "k", "k", "omega"))
+    return out
 
 
 def total(density: xr.DataArray) -> xr.DataArray:
@@ -247,13 +196,13 @@ def total(density: xr.DataArray) -> xr.DataArray:
 
 # ---- E(k, omega) -------------------------------------------------------------------------------------------
 def _ring_powers(
-    a: dict[str, np.ndarray],
-    b: dict[str, np.ndarray],
-    start: np.ndarray,
-    ring: np.ndarray,
-    weight: np.ndarray,
-    spread: np.ndarray,
-) -> dict[str, np.ndarray]:
+    a: dict[str, Array],
+    b: dict[str, Array],
+    start: Array,
+    ring: Array,
+    weight: Array,
+    spread: Array,
+) -> dict[str, Array]:
     cells, half = a["f"].shape
     out = np.zeros((2, int(ring.max()) + 1, half + 1))
     transform = segments.TimeTransform(half, a["f"].dtype)
@@ -261,75 +210,6 @@ def _ring_powers(
         lines = transform(a["f"][slab], b["f"][slab])
         kernels.ring_powers(lines, start[slab.start : slab.stop + 1], ring, weight, spread, out)
     return {"f": out}
-
-
-def ring_density(record: Record, segment: int, count: int, dk: float) -> float:
-    """Factor from ring sums of |F|^2 to E(k, omega)."""
-    ny, nx = record.shape
-    cell = (2 * np.pi) ** 2 / (ny * record.dy * nx * record.dx)
-    return density(record, segment, count) * cell / dk
-
-
-def valid_komega(table: rings.Rings, omega: np.ndarray, record: Record) -> np.ndarray:
-    """Where E(k, omega) can be trusted, (omega, k): off the lowest cells, below Nyquist along both axes."""
-    nyquist = np.pi / max(record.dy, record.dx)
-    edges = table.k + table.dk / 2
-    in_k = (table.k > _LOWEST * table.dk) & (edges <= nyquist * (1 + 1e-9))
-    index = np.arange(omega.size)
-    in_omega = (index >= _LOWEST) & (index < omega.size - 1)
-    return in_omega[:, None] & in_k
-
-
-def ring_freedom(sums: Any, table: rings.Rings, count: int) -> Any:
-    """Degrees of freedom of E(k, omega) from how the energy is spread over the cells of each ring.
-
-    Parameters
-    ----------
-    sums : array, (2, rings, n // 2 + 1)
-        Power and squared power as `kernels.ring_powers` sums them over the segments.
-    table : Rings
-        Rings of the k plane.
-    count : int
-        Number of segments.
-
-    Returns
-    -------
-    array, (rings, n // 2 + 1)
-        Degrees of freedom of a cell times the equivalent number of independent cells.
-
-    Notes
-    -----
-    The variance of sum A_c |F_c|^2 is sum A_c A_d |<F_c F_d*>|^2, and the windows correlate cells c and d by
-    rho_cd. With the square of each cell's expected power taken from <|F_c|^4> / 2 (Gaussian waves), the
-    number of independent cells is (sum A_c E_c)^2 / sum A_c E_c^2 (rho^2 A)_c: the geometric number of a ring
-    for energy spread evenly over it, one for a single wave. Squares are averaged over segments before they
-    are summed, so the number does not depend on K.
-    """
-    power, square = sums[0], sums[1]
-    filled = square > 0
-    cells = power**2 / (count * (square + ~filled))
-    cells = cells * filled + table.cells[:, None] * ~filled  # where there is no energy at all
-    return degrees_of_freedom(count) * cells.clip(1)
-
-
-def ring_variables(table: rings.Rings) -> dict[str, Any]:
-    """Variables along k that every E(k, omega) carries: coverage and cells."""
-    return {
-        "coverage": (
-            "k",
-            table.coverage,
-            {"long_name": "share of the ring inside the sampled plane", "units": "1"},
-        ),
-        "cells": (
-            "k",
-            table.cells,
-            {
-                "long_name": "independent cells of the ring",
-                "units": "1",
-                "comment": "for energy spread evenly over the ring",
-            },
-        ),
-    }
 
 
 def komega(
@@ -379,25 +259,22 @@ def komega(
     (('omega', 'k'), 7)
     """
     field = _field(field)
-    record, segment, count = setting(field, segment, record)
-    table = ring_table(record, dk)
-    runs = segments.half_segments([field], record, segment // 2, _transform)
+    welch = Welch.of(field, segment, record, dk)
+    table = welch.table
+    runs = segments.half_segments([field], welch.record, welch.half, _transform)
     task = dask.delayed(_ring_powers, pure=False)
-    shares = table.start, table.ring, table.weight, table.spread
-    summed = segments.in_order([task(a, b, *shares) for run in runs for a, b in itertools.pairwise(run)])
-    factor = ring_density(record, segment, count, table.dk)
-    omega = omega_axis(segment, record.dt)
-    sums = da.from_delayed(summed["f"], (2, table.k.size, omega.size), np.float64)
-    units = product((field.attrs.get("units", "1"), 2), (K_UNITS, -1), (OMEGA_UNITS, -1))
-    name = field.attrs.get("long_name", field.name)
-    values = xr.DataArray(
-        sums[0].T * factor, dims=("omega", "k"), attrs={"long_name": f"E(k, omega) of {name}", "units": units}
+    weights = table.start, table.ring, table.weight, table.spread
+    summed = segments.in_order([task(a, b, *weights) for run in runs for a, b in itertools.pairwise(run)])
+    sums = da.from_delayed(summed["f"], (2, table.k.size, welch.omega.size), np.float64)
+    values = xr.DataArray(sums[0].T * welch.ring_density, dims=("omega", "k"))
+    out = with_interval(values, xr.DataArray(welch.freedom(sums).T, dims=("omega", "k")))
+    out = out.assign(welch.ring_variables).assign_coords(omega_coords(welch.omega) | k_coords(table.k))
+    out["valid"] = (("omega", "k"), welch.valid)
+    out = annotate(out.assign_attrs(welch.attrs), "komega")
+    out["E"].attrs = TABLE["komega/E"].of(
+        _name(field), density_units(field.attrs.get("units", "1"), "k", "omega")
     )
-    out = with_interval(values, xr.DataArray(ring_freedom(sums, table, count).T, dims=("omega", "k")))
-    out = out.assign(ring_variables(table)).assign_coords(omega_coords(omega) | k_coords(table.k))
-    valid = valid_komega(table, omega, record)
-    out["valid"] = (("omega", "k"), valid, {"long_name": "where the spectrum can be trusted", "units": "1"})
-    return finish(out.assign_attrs(provenance(record, segment, count)), field)
+    return finish(out, field)
 
 
 # ---- reductions of spectra ---------------------------------------------------------------------------------
@@ -420,7 +297,7 @@ def angular_integral(density: xr.DataArray, dk: float | None = None) -> xr.DataA
     cell_y, cell_x = (float(density[name][1] - density[name][0]) for name in ("ky", "kx"))
     table = rings.rings(ny, nx, 2 * np.pi / (ny * cell_y), 2 * np.pi / (nx * cell_x), dk)
 
-    def integrate(values: np.ndarray) -> np.ndarray:
+    def integrate(values: Array) -> Array:
         flat = np.fft.ifftshift(values, axes=(-2, -1)).reshape(-1, ny * nx).astype(np.float64)
         out = (table.shares.T @ flat.T).T * (cell_y * cell_x / table.dk)
         return out.reshape(*values.shape[:-2], table.k.size)
@@ -434,11 +311,8 @@ def angular_integral(density: xr.DataArray, dk: float | None = None) -> xr.DataA
         output_dtypes=[np.float64],
         dask_gufunc_kwargs={"output_sizes": {"k": table.k.size}, "allow_rechunk": True},
     )
-    out = out.assign_coords(k_coords(table.k))
-    out.attrs = {
-        "long_name": density.attrs.get("long_name", "density") + ", integrated over angle",
-        "units": product((density.attrs.get("units", "1"), 1), (K_UNITS, 1)),
-    }
+    out = annotate(out.assign_coords(k_coords(table.k)).to_dataset(name="E"))["E"].rename(None)
+    out.attrs = density.attrs | {"units": product((density.attrs.get("units", "1"), 1), (K_UNITS, 1))}
     return out
 
 
@@ -498,16 +372,16 @@ def frequency_spectrum(komega: xr.Dataset) -> xr.Dataset:
     """
     step = float(komega["k"][1] - komega["k"][0])
     energy = komega["E"].sum("k", dtype=np.float64) * step
-    energy.attrs = {
-        "long_name": komega["E"].attrs.get("long_name", "").replace("E(k, omega)", "E(omega)"),
-        "units": product((komega["E"].attrs["units"], 1), (K_UNITS, 1)),
-    }
     table = rings.rings(*komega.attrs["nodes"], *komega.attrs["node_step"], step)
     single = float(komega.attrs["degrees_of_freedom"])
     dof = single * independent_cells(komega["E"], komega["dof"] / single, table)
     out = with_interval(energy, dof)
-    out["valid"] = _valid_omega(komega["omega"])
-    out["valid"].attrs = {"long_name": "where the spectrum can be trusted", "units": "1"}
+    out["valid"] = ("omega", inner(out.sizes["omega"]))
+    out = annotate(out, "frequency")
+    words = str(komega["E"].attrs.get("long_name", "")).partition(" of ")[2] or "the field"
+    out["E"].attrs = TABLE["frequency/E"].of(
+        words, product((komega["E"].attrs.get("units", "1"), 1), (K_UNITS, 1))
+    )
     return out
 
 
@@ -523,11 +397,6 @@ def independent_cells(energy: xr.DataArray, cells: xr.DataArray, table: rings.Ri
     return 1 / norm
 
 
-def _valid_omega(omega: xr.DataArray) -> xr.DataArray:
-    index = np.arange(omega.size)
-    return xr.DataArray((index >= _LOWEST) & (index < omega.size - 1), dims="omega")
-
-
 def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
     """Put a spectrum, its degrees of freedom and its interval together."""
     dof = dof.clip(min=1)
@@ -535,8 +404,4 @@ def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
         xr.apply_ufunc(lambda d, i=i: interval(d)[i], dof, dask="parallelized", output_dtypes=[float])
         for i in (0, 1)
     )
-    out = xr.Dataset({"E": energy, "dof": dof, "low": low, "high": high})
-    out["dof"].attrs = {"long_name": "degrees of freedom", "units": "1"}
-    out["low"].attrs = {"long_name": "lower end of the 95 % interval, factor", "units": "1"}
-    out["high"].attrs = {"long_name": "upper end of the 95 % interval, factor", "units": "1"}
-    return out
+    return annotate(xr.Dataset({"E": energy, "dof": dof, "low": low, "high": high}))

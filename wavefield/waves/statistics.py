@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from wavefield.errors import CubeError
+from wavefield.variables import annotate, validate
 from wavefield.waves import kernels, segments
 from wavefield.waves.record import Record, find_record, piece
 
@@ -20,7 +21,7 @@ QUANTITIES = {
 REACH, BINS = 6.0, 120  # of the distributions, in standard deviations
 _PILOT = 8  # steps that fix the bins
 _PIECE = 256  # steps of the error fields read at once
-ERRORS = {"eps_y": "m", "eps_piv": "px"}
+ERRORS = ("eps_y", "eps_piv")
 
 
 def pilot(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, tuple[float, float]]:
@@ -172,39 +173,24 @@ def label(
     column = lambda key: np.array([rows[name][key] for name in names])  # noqa: E731
     std = column("std") * to_length
     out: dict[str, Any] = {
-        "pdf": (
-            ("quantity", "bin"),
-            np.array(pdf),
-            {"long_name": "probability density, standard deviation = 1", "units": "1"},
-        ),
-        "gaussian": (
-            "bin",
-            np.exp(-(bins**2) / 2) / np.sqrt(2 * np.pi),
-            {"long_name": "Gaussian", "units": "1"},
-        ),
-        "mean": ("quantity", column("mean") * to_length, {"long_name": "mean", "units": "m"}),
-        "std": ("quantity", std, {"long_name": "standard deviation", "units": "m"}),
-        "skewness": ("quantity", column("skewness"), {"long_name": "skewness", "units": "1"}),
-        "kurtosis": ("quantity", column("kurtosis"), {"long_name": "excess kurtosis", "units": "1"}),
-        "count": ("quantity", column("count"), {"long_name": "number of values", "units": "1"}),
+        "pdf": (("quantity", "bin"), np.array(pdf)),
+        "gaussian": ("bin", np.exp(-(bins**2) / 2) / np.sqrt(2 * np.pi)),
+        "mean": ("quantity", column("mean") * to_length),
+        "std": ("quantity", std),
+        "skewness": ("quantity", column("skewness")),
+        "kurtosis": ("quantity", column("kurtosis")),
+        "count": ("quantity", column("count")),
     }
     if pixel_size:
-        out["std_px"] = ("quantity", std / pixel_size, {"long_name": "standard deviation", "units": "px"})
+        out["std_px"] = ("quantity", std / pixel_size)
     if "z" in names:
-        out["significant_height"] = (
-            (),
-            4 * rows["z"]["std"],
-            {"long_name": "significant wave height, 4 sigma", "units": "m"},
-        )
+        out["significant_height"] = ((), 4 * rows["z"]["std"])
     if "slopes" in sums:
         square = float(sums["slopes"][0] / max(sums["slopes"][1], 1))
-        out["mean_square_slope"] = ((), square, {"long_name": "mean square slope", "units": "1"})
-        out["slope_rms"] = ((), float(np.sqrt(square)), {"long_name": "rms slope", "units": "1"})
-    coords = {
-        "quantity": ("quantity", names, {"long_name": "elevation, and displacement over one time step"}),
-        "bin": ("bin", bins, {"long_name": "(value - mean) / standard deviation", "units": "1"}),
-    }
-    return xr.Dataset(out, coords)
+        out["mean_square_slope"] = ((), square)
+        out["slope_rms"] = ((), float(np.sqrt(square)))
+    coords = {"quantity": ("quantity", names), "bin": ("bin", bins)}
+    return annotate(xr.Dataset(out, coords), "statistics")
 
 
 def _measure(
@@ -258,7 +244,8 @@ def statistics(
     if "z" not in cube:
         raise CubeError("the cube has no 'z': statistics of the surface need it")
     names = [field for field in QUANTITIES.values() if field in cube]
-    record = find_record(cube[names]) if record is None else record
+    cube = validate(cube, *names)
+    record = find_record(cube) if record is None else record
     scale = pilot(cube, record, names)
 
     def make(blocks: list[np.ndarray], first: int) -> dict[str, np.ndarray]:
@@ -280,17 +267,18 @@ def error_statistics(cube: xr.Dataset, record: Record) -> xr.Dataset:
     Parameters
     ----------
     cube : Dataset
-        With ``eps_y`` (m), ``eps_piv`` (px) over (time, y, x), or without.
+        With ``eps_y`` (m), ``eps_piv`` (pixel) over (time, y, x), or without.
     record : Record
         Rectangle and runs.
 
     Returns
     -------
     Dataset
-        ``eps_y_mean``, ``eps_y_std`` (m), ``eps_piv_mean``, ``eps_piv_std``, ``eps_piv_rms`` (px),
+        ``eps_y_mean``, ``eps_y_std`` (m), ``eps_piv_mean``, ``eps_piv_std``, ``eps_piv_rms`` (pixel),
         ``eps_pdf`` (error, eps_bin); empty where the cube has neither. Missing values are left out.
     """
     names = [name for name in ERRORS if name in cube]
+    cube = validate(cube, *names)
     out: dict[str, Any] = {}
     densities = []
     if not names:
@@ -306,24 +294,10 @@ def error_statistics(cube: xr.Dataset, record: Record) -> xr.Dataset:
                 parts.append(task(part, scales[name]))
         (sums,) = dask.compute(segments.in_order(parts))
         moments = central_moments(sums["sums e"], scales[name][0])
-        unit = ERRORS[name]
         rms = float(np.hypot(moments["mean"], moments["std"]))
         for key, value in (("mean", moments["mean"]), ("std", moments["std"]), ("rms", rms)):
-            out[f"{name}_{key}"] = ((), value, {"long_name": f"{key} of {name}", "units": unit})
+            out[f"{name}_{key}"] = ((), value)
         densities.append(rebin(sums["counts e"], scales[name], moments))
-    out["eps_pdf"] = (
-        ("error", "eps_bin"),
-        np.array(densities),
-        {"long_name": "probability density of the errors, standard deviation = 1", "units": "1"},
-    )
-    return xr.Dataset(
-        out,
-        {
-            "error": ("error", names),
-            "eps_bin": (
-                "eps_bin",
-                bin_centres(),
-                {"long_name": "(value - mean) / standard deviation", "units": "1"},
-            ),
-        },
-    )
+    out["eps_pdf"] = (("error", "eps_bin"), np.array(densities))
+    coords = {"error": ("error", names), "eps_bin": ("eps_bin", bin_centres())}
+    return annotate(xr.Dataset(out, coords), "statistics")

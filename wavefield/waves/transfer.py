@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from wavefield.variables import annotate
+
 LEAST_GAIN = 0.1  # below it a correction would only blow up noise
 LEAST_SIGNAL = 3.0  # signal over noise
 
@@ -143,5 +145,4 @@ def undo(energy: xr.DataArray, gain: xr.DataArray, noise: xr.DataArray | float =
     valid = (gain > LEAST_GAIN) & (signal > LEAST_SIGNAL * noise)
     corrected = (signal / gain).where(valid)
     corrected.attrs = dict(energy.attrs)
-    valid.attrs = {"long_name": "where the correction can be trusted", "units": "1"}
-    return xr.Dataset({"E": corrected, "valid": valid})
+    return annotate(xr.Dataset({"E": corrected, "valid": valid}))

@@ -11,12 +11,16 @@ from typing import Any
 import dask
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from wavefield.errors import CubeError, StoreError
-from wavefield.variables import CUBE_DIMS
+from wavefield.variables import CUBE_DIMS, annotate, validate
 from wavefield.water import dispersion
-from wavefield.waves import rings, segments, spectra
-from wavefield.waves.record import Record, find_record
+from wavefield.waves import rings, segments
+from wavefield.waves.record import Record
+from wavefield.waves.welch import Welch, k_coords
+
+Array = NDArray[Any]
 
 DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
 _NEAR = 0.12  # of omega: half the width of the band around the ridge
@@ -24,14 +28,13 @@ _LINES = 3  # but so many lines of the spectrum at least
 _LEAST_COHERENCE = 0.3  # squared, with the truth: below it the gain is not known
 # measured, true, and what turns the true one into the measured one's unit
 _TRUTH = {"z": ("z_t", "z_t"), "u": ("u", "dx"), "v": ("v", "dy"), "w": ("w", "dz")}
-_TEXT = {"z": "elevation", "u": "displacement dx", "v": "displacement dy", "w": "displacement dz"}
 
 
-def _pair(measured: np.ndarray, exact: np.ndarray) -> dict[str, np.ndarray]:
+def _pair(measured: Array, exact: Array) -> dict[str, Array]:
     return {"measured": segments.transform_space(measured), "true": segments.transform_space(exact)}
 
 
-def _sums(first: dict[str, Any], second: dict[str, Any], near: np.ndarray) -> dict[str, np.ndarray]:
+def _sums(first: dict[str, Any], second: dict[str, Any], near: Array) -> dict[str, Array]:
     # per cell, over the band of the ridge at both signs of the frequency
     out = {name: np.zeros(near.shape[0]) for name in ("true", "measured", "cross", "quadrature")}
     for slab in segments.slabs(near.shape[0]):
@@ -46,23 +49,12 @@ def _sums(first: dict[str, Any], second: dict[str, Any], near: np.ndarray) -> di
     return out
 
 
-def _coordinates(k: np.ndarray) -> dict[str, Any]:
-    angle = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
-    attrs = {"long_name": "direction of the wave vector, either way", "units": "rad"}
-    return {"direction": ("direction", angle, attrs)} | spectra.k_coords(k)
-
-
-def label(gains: dict[str, np.ndarray], k: np.ndarray, origin: str) -> xr.Dataset:
+def label(gains: dict[str, Array], k: Array, origin: str) -> xr.Dataset:
     """Turn arrays (DIRECTIONS, k) of amplitude gains into a gain."""
-    out = {
-        f"gain_{name}": (
-            ("direction", "k"),
-            values,
-            {"long_name": f"amplitude gain of the {_TEXT[name]}", "units": "1"},
-        )
-        for name, values in gains.items()
-    }
-    return xr.Dataset(out, _coordinates(k), {"title": "gain of the matching windows", "origin": origin})
+    out = {f"gain_{name}": (("direction", "k"), values) for name, values in gains.items()}
+    coords = {"direction": np.arange(DIRECTIONS) * np.pi / DIRECTIONS} | k_coords(k)
+    attrs = {"title": "gain of the matching windows", "origin": origin}
+    return annotate(xr.Dataset(out, coords, attrs), "gain")
 
 
 def window_gain(
@@ -114,17 +106,17 @@ def window_gain(
         if not same or not np.allclose(measured[name].values, exact[name].values, rtol=0, atol=1e-6):
             raise CubeError(f"cube and truth differ in {name!r}: they must hold the same steps and nodes")
     pairs = {n: (a, b) for n, (a, b) in _TRUTH.items() if a in measured and b in exact}
-    if record is None:
-        record = find_record(measured[sorted({a for a, _ in pairs.values()})])
-    segment = segments.segment_length(record, segment)
+    measured = validate(measured, *sorted({a for a, _ in pairs.values()})).assign_attrs(measured.attrs)
+    exact = validate(exact, *sorted({b for _, b in pairs.values()}))
+    welch = Welch.of(measured, segment, record)
+    record, table = welch.record, welch.table
     depth = float(measured.attrs.get("water_depth") or np.inf) if depth is None else depth
-    table = spectra.ring_table(record)
 
     ny, nx = record.shape
     ky = rings.wavenumbers(ny, record.dy)[:, None]
     kx = np.abs(rings.wavenumbers(nx, record.dx)[: nx // 2 + 1])
     k = np.hypot(ky, kx).ravel()
-    omega = np.abs(2 * np.pi * np.fft.fftfreq(segment, record.dt))
+    omega = np.abs(2 * np.pi * np.fft.fftfreq(welch.segment, record.dt))
     ridge = dispersion(k, depth)[:, None]
     near = np.abs(omega - ridge) < np.maximum(_NEAR * ridge, _LINES * omega[1])
     ring = np.minimum((k / table.dk).astype(int), table.k.size - 1)
@@ -136,10 +128,10 @@ def window_gain(
     for name, (mine, true) in pairs.items():
         scale = 1.0 if name == "z" else record.dt
 
-        def make(blocks: list[np.ndarray], first: int, scale: float = scale) -> dict[str, np.ndarray]:
+        def make(blocks: list[Array], first: int, scale: float = scale) -> dict[str, Array]:
             return _pair(blocks[0], blocks[1] / blocks[1].dtype.type(scale))
 
-        runs = segments.half_segments([measured[mine], exact[true]], record, segment // 2, make)
+        runs = segments.half_segments([measured[mine], exact[true]], record, welch.half, make)
         parts = [task(a, b, near) for run in runs for a, b in pairwise(run)]
         (sums,) = dask.compute(segments.in_order(parts))
         shape = (DIRECTIONS, table.k.size)
@@ -156,9 +148,8 @@ def window_gain(
         gains[name], coherences[name] = np.where(lost, np.nan, gain), coherence
     out = label(gains, table.k, "measured on a simulated experiment")
     for name, values in coherences.items():
-        text = f"squared coherence of the {_TEXT[name]} with the truth"
-        out[f"coherence_{name}"] = ("k", values, {"long_name": text, "units": "1"})
-    return out.assign_attrs(segment=segment, water_depth=depth)
+        out[f"coherence_{name}"] = ("k", values)
+    return annotate(out.assign_attrs(segment=welch.segment, water_depth=depth), "gain")
 
 
 def read_gain(source: Any) -> xr.Dataset:
@@ -194,7 +185,7 @@ def read_gain(source: Any) -> xr.Dataset:
     return gain
 
 
-def ring_gain(gain: xr.Dataset, one: str, other: str, k: Any) -> np.ndarray:
+def ring_gain(gain: xr.Dataset, one: str, other: str, k: Any) -> Array:
     """Gain of a power or cross spectrum over rings, for waves that come from all directions alike.
 
     Parameters

@@ -1,0 +1,39 @@
+"""Every variable of every dataset: one table that gives attributes, checks and documentation."""
+
+from wavefield.variables.codes import FrameFault, FrameStatus, Quality
+from wavefield.variables.cube import CUBE_FIELDS
+from wavefield.variables.table import CUBE_DIMS, TABLE, Variable, annotate, find, register, rows_of, validate
+from wavefield.variables.units import factor, product
+from wavefield.variables.waves import (
+    FIELD_TEXTS,
+    FIELD_UNITS,
+    GROUPS,
+    K_UNITS,
+    METHODS,
+    OMEGA_UNITS,
+    density_units,
+)
+
+__all__ = [
+    "CUBE_DIMS",
+    "CUBE_FIELDS",
+    "FIELD_TEXTS",
+    "FIELD_UNITS",
+    "GROUPS",
+    "K_UNITS",
+    "METHODS",
+    "OMEGA_UNITS",
+    "TABLE",
+    "FrameFault",
+    "FrameStatus",
+    "Quality",
+    "Variable",
+    "annotate",
+    "density_units",
+    "factor",
+    "find",
+    "product",
+    "register",
+    "rows_of",
+    "validate",
+]

@@ -1,0 +1,35 @@
+"""Codes that the datasets hold: how a value came about, how far a step is, what is wrong with a frame."""
+
+from enum import IntEnum, IntFlag
+
+
+class Quality(IntFlag):
+    """Bits of the cube's ``quality``."""
+
+    MEASURED = 1  # found by matching on its own
+    FILLED = 2  # interpolated from its neighbours
+    OUTSIDE = 4  # outside the field seen by the cameras
+    REJECTED_CORRELATION = 8
+    REJECTED_EPS = 16
+    REJECTED_NEIGHBOURS = 32
+    TWO_FRAME_MEAN = 64  # z at mid-time from two frames instead of four
+    FEWER_CAMERAS = 128  # a camera's frame is missing: the others did the work
+
+
+class FrameStatus(IntEnum):
+    """Values of ``frame_status``: the ledger of a run."""
+
+    NOT_STARTED = 0
+    DONE = 1
+    DONE_WITH_FAULTS = 2
+    FAILED = 3
+
+
+class FrameFault(IntEnum):
+    """What is wrong with a frame."""
+
+    NONE = 0
+    MISSING = 1
+    UNREADABLE = 2  # corrupt, truncated, or not an image
+    WRONG_SIZE = 3  # other rows, columns or type than the rest
+    BLANK = 4  # black, or all pixels equal

@@ -1,0 +1,85 @@
+"""The variables of a cube, of its ledger and of a simulated experiment's truth."""
+
+from enum import IntFlag
+from typing import Any
+
+from wavefield.variables.codes import FrameFault, FrameStatus, Quality
+from wavefield.variables.table import CUBE_DIMS, TABLE, Variable, register
+
+
+def _cube(name: str, units: str, long_name: str, **more: Any) -> Variable:
+    return Variable(name, CUBE_DIMS, units, long_name, **more)
+
+
+def _flags(enum: Any) -> dict[str, Any]:
+    key = "flag_masks" if issubclass(enum, IntFlag) else "flag_values"
+    return {
+        key: [int(member) for member in enum],
+        "flag_meanings": " ".join(member.name.lower() for member in enum),
+    }
+
+
+register(
+    Variable("time", ("time",), "s", "time at mid-step", dtype="float64", extra={"axis": "T"}),
+    Variable("x", ("x",), "m", "x", dtype="float64", extra={"axis": "X"}),
+    Variable("y", ("y",), "m", "y", dtype="float64", extra={"axis": "Y"}),
+    _cube(
+        "z",
+        "m",
+        "surface elevation",
+        standard_name="water_surface_height_above_reference_datum",
+        meaning="at mid-time, from the four frames around it",
+        extra={"ancillary_variables": "z_std quality"},
+    ),
+    _cube("z_t", "m s-1", "rate of rise of the surface", meaning="(z(t + dt) - z(t)) / dt at a fixed node"),
+    _cube(
+        "u",
+        "m s-1",
+        "velocity along x",
+        standard_name="surface_sea_water_x_velocity",
+        extra={"ancillary_variables": "u_std quality"},
+    ),
+    _cube(
+        "v",
+        "m s-1",
+        "velocity along y",
+        standard_name="surface_sea_water_y_velocity",
+        extra={"ancillary_variables": "v_std quality"},
+    ),
+    _cube(
+        "w",
+        "m s-1",
+        "vertical velocity",
+        standard_name="upward_sea_water_velocity",
+        extra={"ancillary_variables": "w_std quality"},
+    ),
+    _cube("eps_y", "m", "stereo mismatch across the sight line"),
+    _cube("eps_piv", "pixel", "misfit of the cameras' displacements"),
+    _cube("z_std", "m", "standard uncertainty of z"),
+    _cube("u_std", "m s-1", "standard uncertainty of u"),
+    _cube("v_std", "m s-1", "standard uncertainty of v"),
+    _cube("w_std", "m s-1", "standard uncertainty of w"),
+    _cube("quality", "1", "how a value came about", dtype="uint8", extra=_flags(Quality)),
+    Variable("frame_status", ("time",), "1", "ledger of the run", dtype="uint8", extra=_flags(FrameStatus)),
+)
+
+CUBE_FIELDS = tuple(name for name, row in TABLE.items() if row.dims == CUBE_DIMS)
+
+register(
+    Variable("frame", ("frame",), "1", "frame number", dtype="int64"),
+    Variable(
+        "frame_fault",
+        ("camera", "frame"),
+        "1",
+        "what was wrong with a frame",
+        dtype="uint8",
+        extra=_flags(FrameFault),
+    ),
+    # exact fields of a simulated experiment
+    _cube("z_rate", "m s-1", "instantaneous rate of rise of the surface"),
+    _cube("z_start", "m", "surface elevation at the step's first frame"),
+    _cube("z_end", "m", "surface elevation at the step's second frame"),
+    _cube("dx", "m", "displacement along x of the water whose path has its mid-point here"),
+    _cube("dy", "m", "displacement along y of the water whose path has its mid-point here"),
+    _cube("dz", "m", "displacement along z of the water whose path has its mid-point here"),
+)

@@ -1,0 +1,223 @@
+"""The table of variables: attributes, checks at the doors and the pages of the documentation come from it."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from wavefield.errors import CubeError
+from wavefield.variables.units import factor
+
+CUBE_DIMS = ("time", "y", "x")
+_PIECE = 256  # steps cast at a time, of what is not in memory
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One row of the table.
+
+    Parameters
+    ----------
+    name : str
+        Name in the dataset.
+    dims : tuple of str
+        Dimensions, in order; of a variable that comes in several shapes those of its first.
+    units : str
+        CF units; "1" for pure numbers, "" where they follow from another variable's.
+    long_name : str
+        What it is, for axis labels.
+    dtype : str
+        Type in the store.
+    standard_name : str, optional
+        CF standard name.
+    meaning : str, optional
+        A sentence for the documentation.
+    extra : mapping, optional
+        Further attributes.
+    group : str, optional
+        Dataset that it belongs to, where its name alone does not say: a group of the wave store.
+    family : str, optional
+        Name with a star, shared by variables that the documentation describes in one line.
+    """
+
+    name: str
+    dims: tuple[str, ...]
+    units: str
+    long_name: str
+    dtype: str = "float32"
+    standard_name: str = ""
+    meaning: str = ""
+    extra: Mapping[str, Any] = field(default_factory=dict)
+    group: str = ""
+    family: str = ""
+
+    @property
+    def key(self) -> str:
+        """Its key in the table."""
+        return f"{self.group}/{self.name}" if self.group else self.name
+
+    @property
+    def attrs(self) -> dict[str, Any]:
+        """Attributes as written to a store."""
+        out: dict[str, Any] = {"long_name": self.long_name}
+        if self.units:
+            out["units"] = self.units
+        if self.standard_name:
+            out["standard_name"] = self.standard_name
+        if self.meaning:
+            out["comment"] = self.meaning
+        return out | dict(self.extra)
+
+    def of(self, what: str, units: str) -> dict[str, Any]:
+        """Attributes of a variable that can be had of several things.
+
+        Parameters
+        ----------
+        what : str
+            Name of the thing.
+        units : str
+            CF units.
+
+        Returns
+        -------
+        dict of str to object
+        """
+        return self.attrs | {"long_name": f"{self.long_name} of {what}", "units": units}
+
+
+TABLE: dict[str, Variable] = {}
+
+
+def register(*rows: Variable) -> None:
+    """Add rows to the table.
+
+    Parameters
+    ----------
+    *rows : Variable
+        New variables; a name may be given once only in a group.
+
+    Raises
+    ------
+    ValueError
+        If another variable of that name is there.
+    """
+    for row in rows:
+        if TABLE.setdefault(row.key, row) != row:
+            raise ValueError(f"variable {row.key!r} is already in the table")
+
+
+def find(name: str, group: str = "") -> Variable | None:
+    """Row of a variable in a group, or else of the variable that has this name everywhere."""
+    return TABLE.get(f"{group}/{name}", TABLE.get(name))
+
+
+def rows_of(group: str) -> Iterator[Variable]:
+    """Rows of a group, in order."""
+    return (row for row in TABLE.values() if row.group == group)
+
+
+def annotate(dataset: Any, group: str = "") -> Any:
+    """Give every known variable of a dataset its attributes.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Any dataset of this package.
+    group : str, optional
+        Group of the wave store that it is, for names that mean different things in different groups.
+
+    Returns
+    -------
+    xarray.Dataset
+        The same data; attributes already there are kept unless the table has them.
+    """
+    out = dataset.copy()
+    for name in [*out.coords, *out.data_vars]:
+        row = find(str(name), group)
+        if row is not None:
+            out[name].attrs.update(row.attrs)
+    return out
+
+
+def _one(array: Any, row: Variable) -> Any:
+    if set(array.dims) != set(row.dims):
+        raise CubeError(f"{row.name!r} has dimensions {array.dims}, expected {row.dims}")
+    kind = np.dtype(row.dtype).kind
+    if not (array.dtype.kind == kind or (kind == "f" and array.dtype.kind in "iu")):
+        raise CubeError(f"{row.name!r} has type {array.dtype}, expected {row.dtype}")
+    array = array.transpose(*row.dims)
+    given = array.attrs.get("units")
+    if not row.units or given in (None, row.units):
+        return array
+    scale = factor(str(given), row.units)
+    if scale is None:
+        raise CubeError(f"{row.name!r} is in {given!r}, which is no {row.units!r}: convert it first")
+    if scale == 1:
+        return array
+    return (_lazy(array) * scale).assign_attrs(array.attrs | {"units": row.units})
+
+
+def _lazy(array: Any) -> Any:
+    # what lies on disk stays there until its pieces are wanted
+    return array if array.chunks is not None or array._in_memory else array.chunk({array.dims[0]: _PIECE})
+
+
+def _clocked(coordinate: Any, row: Variable) -> Any:
+    scale = factor(str(coordinate.attrs.get("units", row.units)), row.units)
+    if scale is None:
+        raise CubeError(
+            f"{row.name!r} is in {coordinate.attrs['units']!r}, which is no {row.units!r}: convert it first"
+        )
+    if scale == 1:
+        return coordinate
+    return (coordinate * scale).assign_attrs(coordinate.attrs | {"units": row.units})
+
+
+def validate(dataset: Any, *names: str) -> Any:
+    """Check that a dataset holds variables as the table has them; the door of every room.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        What a user or a store gives.
+    *names : str
+        Variables that must be there.
+
+    Returns
+    -------
+    xarray.Dataset
+        These variables, their dimensions in the table's order, units converted to the table's (those without
+        units are believed), all floating-point ones of one type: the widest that occurs. Untouched arrays are
+        shared; nothing is computed.
+
+    Raises
+    ------
+    CubeError
+        If one is missing, has other dimensions, another kind of type, or units that are of another kind.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> cube = xr.Dataset({"z": (("time", "y", "x"), np.ones((2, 2, 2)), {"units": "cm"})})
+    >>> float(validate(cube, "z").z.max())
+    0.01
+    """
+    out = {}
+    for name in names:
+        row = TABLE[name]
+        if name not in dataset:
+            raise CubeError(f"the dataset has no {name!r} ({row.long_name})")
+        out[name] = _one(dataset[name], row)
+    fields = [
+        name for name in names if np.dtype(TABLE[name].dtype).kind == "f" and name not in dataset.coords
+    ]
+    if fields:
+        common = np.result_type(*(out[name].dtype for name in fields), np.float32)
+        for name in fields:
+            if out[name].dtype != common:
+                out[name] = _lazy(out[name]).astype(common)
+    kept = dataset[[name for name in names if name not in dataset.coords]]
+    kept = kept.assign({name: array for name, array in out.items() if name not in dataset.coords})
+    axes = [name for name in CUBE_DIMS if name in kept.coords and kept[name].dtype.kind in "fiu"]
+    return kept.assign_coords({name: _clocked(kept[name], TABLE[name]) for name in axes})

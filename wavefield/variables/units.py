@@ -1,0 +1,103 @@
+"""Units as CF writes them: products of them, and how many of one make another."""
+
+import re
+
+_TOKEN = re.compile(r"^([A-Za-z_]+|%)(?:\^|\*\*)?(-?\d+)?$")
+# what stands for what: factor and base unit
+_KNOWN = {
+    "m": (1.0, "m"),
+    "metre": (1.0, "m"),
+    "metres": (1.0, "m"),
+    "meter": (1.0, "m"),
+    "meters": (1.0, "m"),
+    "cm": (1e-2, "m"),
+    "mm": (1e-3, "m"),
+    "um": (1e-6, "m"),
+    "km": (1e3, "m"),
+    "s": (1.0, "s"),
+    "sec": (1.0, "s"),
+    "second": (1.0, "s"),
+    "seconds": (1.0, "s"),
+    "ms": (1e-3, "s"),
+    "min": (60.0, "s"),
+    "pixel": (1.0, "pixel"),
+    "pixels": (1.0, "pixel"),
+    "px": (1.0, "pixel"),
+}
+
+
+def _powers(unit: str) -> dict[str, int]:
+    out: dict[str, int] = {}
+    for token in unit.replace("/", " /").split():
+        sign = -1 if token.startswith("/") else 1
+        match = _TOKEN.match(token.lstrip("/"))
+        if match:
+            name = match.group(1)
+            out[name] = out.get(name, 0) + sign * int(match.group(2) or 1)
+        elif token != "1":
+            raise ValueError(f"{unit!r} is no product of units")
+    return out
+
+
+def product(*factors: tuple[str, int]) -> str:
+    """Multiply powers of units.
+
+    Parameters
+    ----------
+    *factors : tuple of (str, int)
+        A unit as in CF ("m s-1"; "1" for a pure number) and its power.
+
+    Returns
+    -------
+    str
+        The product in the same notation.
+
+    Raises
+    ------
+    ValueError
+        If something is no product of powers of names.
+
+    Examples
+    --------
+    >>> product(("m s-1", 2), ("rad m-1", -1), ("rad s-1", -1))
+    'm3 s-1 rad-2'
+    """
+    powers: dict[str, int] = {}
+    for unit, power in factors:
+        for name, exponent in _powers(unit).items():
+            powers[name] = powers.get(name, 0) + exponent * power
+    order = sorted(powers, key=lambda name: (name == "rad", [*powers].index(name)))
+    out = [name if powers[name] == 1 else f"{name}{powers[name]}" for name in order if powers[name]]
+    return " ".join(out) or "1"
+
+
+def factor(given: str, wanted: str) -> float | None:
+    """How many of one unit make another.
+
+    Parameters
+    ----------
+    given, wanted : str
+        Units; lengths, times and pixels are known by their usual names.
+
+    Returns
+    -------
+    float or None
+        value [wanted] = factor * value [given]; None where they are of different kinds or unknown.
+
+    Examples
+    --------
+    >>> factor("cm/s", "m s-1"), factor("mm", "s")
+    (0.01, None)
+    """
+    scale = 1.0
+    left: dict[str, int] = {}
+    for unit, sign in ((given, 1), (wanted, -1)):
+        try:
+            powers = _powers(unit)
+        except ValueError:
+            return None
+        for name, power in powers.items():
+            size, base = _KNOWN.get(name, (1.0, name))
+            scale *= size ** (sign * power)
+            left[base] = left.get(base, 0) + sign * power
+    return None if any(left.values()) else scale
