@@ -32,6 +32,7 @@ import scipy.fft
 import xarray as xr
 
 import wavefield.waves as wv
+from wavefield.cubes import predicted_gain
 from wavefield.waves import rings
 
 STEPS, NY, NX, SEGMENT = 12_000, 150, 200, 512
@@ -159,6 +160,7 @@ _WHOLE = """
 import json, resource, sys, time
 import dask
 import wavefield.waves as wv
+from wavefield.cubes import predicted_gain
 import numpy as np, xarray as xr
 cube = xr.open_zarr(sys.argv[1], chunks=None, consolidated=False)
 small = cube.isel(time=slice(0, 128), y=slice(0, 40), x=slice(0, 50)).load()
@@ -208,11 +210,11 @@ def reach(energy: xr.DataArray, truth: xr.DataArray) -> tuple[float, float]:
 
 
 def ranges(fused: xr.Dataset, elevation: xr.DataArray, how: str, asked: dict[str, str]) -> None:
-    for road in ("stereo", "w", "cross", "fusion"):
-        hertz, decades = reach(fused[f"Ez_{road}"], elevation)
+    for method in ("stereo", "w", "cross", "fusion"):
+        hertz, decades = reach(fused[f"Ez_{method}"], elevation)
         row(
-            f"E^z within a factor 2, {road}, {how}: decades, Hz",
-            asked.get(road, ""),
+            f"E^z within a factor 2, {method}, {how}: decades, Hz",
+            asked.get(method, ""),
             f"{decades:.1f} {hertz:.1f} Hz",
         )
 
@@ -338,7 +340,7 @@ def experiment(
     asked = {"stereo": "4.0", "w": "5.0", "fusion": "6.0"}
     ranges(plain, elevation, "as measured", asked)
     measured = wv.window_gain(cube, exact, segment=segment, record=record)
-    predicted = wv.predicted_gain(cube)
+    predicted = predicted_gain(cube)
     results = {"as measured": plain}
     for how, gain in (
         ("windows undone by theory", predicted),
@@ -359,18 +361,20 @@ def experiment(
     row("noise of dz, cm", "", f"{100 * float(undone.sigma_dz):.4f}")
     row("correlation of the two noises", "", f"{float(undone.noise_coherence):.3f}")
     shares = out["kinematics"].to_dataset()
-    row("nonlinear term over w", "", f"{float(shares.nonlinear_share):.3f}")
-    row("residual over nonlinear term, Eulerian", "", f"{float(shares.residual_share):.3f}")
+    row("nonlinear term over w", "", f"{float(shares.nonlinear_fraction):.3f}")
+    row("residual over nonlinear term, Eulerian", "", f"{float(shares.residual_fraction):.3f}")
     row(
-        "residual over nonlinear term, finite displacements", "", f"{float(shares.finite_residual_share):.3f}"
+        "residual over nonlinear term, finite displacements",
+        "",
+        f"{float(shares.finite_residual_fraction):.3f}",
     )
     mine, theirs = out["coherence"].to_dataset(), wv.coherence(exact, segment=segment, record=record)
     show_coherence(mine, theirs)
     if picture is not None:
         curves = {"truth": elevation} | {
-            f"{road}, {how}": results[how][f"Ez_{road}"]
+            f"{method}, {how}": results[how][f"Ez_{method}"]
             for how in ("as measured", "windows undone by theory")
-            for road in ("stereo", "w", "fusion")
+            for method in ("stereo", "w", "fusion")
         }
         draw(picture, mine, theirs, curves)
 

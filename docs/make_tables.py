@@ -3,9 +3,10 @@
 import importlib
 import re
 from enum import Enum
+from itertools import takewhile
 from pathlib import Path
 
-from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, Quality
+from wavefield.variables import CUBE_FIELDS, GROUPS, TABLE, FrameStatus, Quality, Variable, rows_of
 
 PAGE = Path(__file__).with_name("formats.md")
 
@@ -55,11 +56,29 @@ def flags(meanings: dict, name: str) -> str:
     )
 
 
+def _line(name: str, rows: list[Variable]) -> tuple[str, ...]:
+    # what the variables of a family have in common
+    texts = [row.long_name.split() for row in rows]
+    shared = [column[0] for column in takewhile(lambda column: len(set(column)) == 1, zip(*texts))]
+    words = " ".join(shared).removesuffix(" of").removesuffix(" from").removesuffix(" with").rstrip(":")
+    notes = [row.meaning for row in rows if row.meaning][:1]
+    units = {row.units or "-" for row in rows}
+    dims = ", ".join(rows[0].dims) or "-"
+    return f"`{name}`", dims, units.pop() if len(units) == 1 else "as the field's", "; ".join([words, *notes])
+
+
 def waves() -> str:
-    """Layout of a wave store: the docstring that its writer keeps."""
-    text = importlib.import_module("wavefield.waves.analyze").__doc__ or ""
-    body = text[text.index("\n``/``") :].strip()
-    return "```text\n" + body.replace("``", "") + "\n```"
+    """Groups of a wave store."""
+    parts = []
+    for group, words in GROUPS.items():
+        families: dict[str, list[Variable]] = {}
+        for row in rows_of(group):
+            families.setdefault(row.family or row.name, []).append(row)
+        table = rows_to_table(
+            ("variable", "dims", "units", "meaning"), [_line(name, rows) for name, rows in families.items()]
+        )
+        parts.append(f"### `/{group}`\n\n{words}\n\n{table}\n")
+    return "\n".join(parts)
 
 
 TABLES = {

@@ -67,7 +67,7 @@ def test_waves_too_long_for_the_rectangle_are_left_out(quiet):
 
 
 def test_most_of_the_energy_is_on_the_ridge(fit):
-    assert 0.9 < float(fit.ridge_share) <= 1
+    assert 0.9 < float(fit.ridge_fraction) <= 1
 
 
 def test_the_sea_has_no_direction(spectrum):

@@ -52,8 +52,8 @@ def test_the_noise_is_found_without_a_rest_record(fused):
 
 
 def test_each_road_reaches_as_far_as_its_noise_lets_it(fused, truth):
-    reached = {road: reach(fused[f"Ez_{road}"], truth) for road in ("stereo", "w", "cross", "fusion")}
-    decades = {road: value[1] for road, value in reached.items()}
+    reached = {method: reach(fused[f"Ez_{method}"], truth) for method in ("stereo", "w", "cross", "fusion")}
+    decades = {method: value[1] for method, value in reached.items()}
     assert decades["stereo"] > 3.6
     assert decades["w"] > decades["stereo"] + 0.8  # the paper's "one decade"
     assert decades["cross"] > decades["stereo"] + 2
@@ -63,10 +63,10 @@ def test_each_road_reaches_as_far_as_its_noise_lets_it(fused, truth):
 
 
 def test_the_range_that_is_said_is_the_range_that_is_reached(fused, truth):
-    for road in ("stereo", "w", "cross", "fusion"):
-        said = float(fused.range_frequency.sel(road=road))
-        reached = reach(fused[f"Ez_{road}"], truth)[0]
-        assert said == pytest.approx(reached, rel=0.25), road
+    for method in ("stereo", "w", "cross", "fusion"):
+        said = float(fused.range_frequency.sel(method=method))
+        reached = reach(fused[f"Ez_{method}"], truth)[0]
+        assert said == pytest.approx(reached, rel=0.25), method
 
 
 BOX_Z, BOX_W = 0.05, 0.035
@@ -98,15 +98,17 @@ def test_undone_windows_give_the_truth_to_the_shortest_waves(through_windows):
     truth = true.sum("k") * float(true.k[1] - true.k[0])
     plain = wv.fusion(cube, segment=256, record=record)
     undone = wv.fusion(cube, segment=256, record=record, gain=box_gain())
-    for road in ("stereo", "w", "fusion"):
-        before, after = (reach(out[f"Ez_{road}"], truth) for out in (plain, undone))
-        assert after[0] > before[0] + 0.4, road
-        valid = undone[f"valid_{road}"] & (undone.frequency > 1.2)
-        ratio = (smooth(undone[f"Ez_{road}"]) / smooth(truth))[valid.values]
-        np.testing.assert_allclose(ratio, 1, atol=0.25, err_msg=road)
-        assert abs(ratio.mean() - 1) < 0.05, road
+    for method in ("stereo", "w", "fusion"):
+        before, after = (reach(out[f"Ez_{method}"], truth) for out in (plain, undone))
+        assert after[0] > before[0] + 0.4, method
+        valid = undone[f"valid_{method}"] & (undone.frequency > 1.2)
+        ratio = (smooth(undone[f"Ez_{method}"]) / smooth(truth))[valid.values]
+        np.testing.assert_allclose(ratio, 1, atol=0.25, err_msg=method)
+        assert abs(ratio.mean() - 1) < 0.05, method
     # the wider window's elevation is lost first; the combination lives on what the narrower one leaves
-    frequency = {road: float(undone.range_frequency.sel(road=road)) for road in ("stereo", "w", "fusion")}
+    frequency = {
+        method: float(undone.range_frequency.sel(method=method)) for method in ("stereo", "w", "fusion")
+    }
     assert frequency["stereo"] < frequency["w"] - 0.3
     assert frequency["fusion"] >= frequency["w"]
 

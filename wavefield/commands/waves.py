@@ -43,6 +43,7 @@ def analyze(
     Also dispersion, fusion of z and w, directions, bicoherence. Writes one Zarr store;
     `xarray.open_datatree` reads it.
     """
+    from wavefield.cubes import open_cube, predicted_gain
     from wavefield.store.ledger import unfinished_note
     from wavefield.waves import analyze as analyze_cube
 
@@ -51,8 +52,9 @@ def analyze(
         click.echo(f"note: {note}", err=True)
     output = output or beside(store, "waves", ".zarr")
     probes = probes or _probes_of(store)
+    undone = predicted_gain(open_cube(store)) if gain == "theory" else gain
     with Progress(f"Analysing {store}") as progress:
-        analyze_cube(store, output, segment=segment, probes=probes, gain=gain, progress=progress)
+        analyze_cube(store, output, segment=segment, probes=probes, gain=undone, progress=progress)
     click.echo(f"Wrote {output}. Next: wavefield report {store}")
     if note:
         context.exit(3)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from wavefield.cubes.catalog import catalog_add, is_catalog, run_catalog
     from wavefield.cubes.forecast import Check, check
+    from wavefield.cubes.gain import predicted_gain
     from wavefield.cubes.lazy import reconstruct
     from wavefield.cubes.running import run
     from wavefield.cubes.workflow import Workflow
@@ -24,6 +25,7 @@ _PUBLIC = {
     "check": "cubes.forecast",
     "export_netcdf": "store.export",
     "open_cube": "store.read",
+    "predicted_gain": "cubes.gain",
     "reconstruct": "cubes.lazy",
     "run": "cubes.running",
     "status": "store.ledger",
@@ -38,6 +40,7 @@ __all__ = [
     "export_netcdf",
     "is_catalog",
     "open_cube",
+    "predicted_gain",
     "reconstruct",
     "run",
     "run_catalog",

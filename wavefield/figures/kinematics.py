@@ -79,7 +79,7 @@ def coherence_curves(coherence: xr.Dataset) -> Figure:
         left.plot(cycles, np.abs(coherence[f"C_{name}"].values), label=label, **style)
         right.plot(cycles, coherence[f"gamma2_{name}"].values, label=label, **style)
     left.set(xlabel="k / 2π (m⁻¹)", ylabel="|C(k)|, common normalisation (1)", ylim=(0, 1.1))
-    right.plot(cycles, coherence.level.values, color="0.5", linestyle=":", label="chance (5 %)")
+    right.plot(cycles, coherence.level_w.values, color="0.5", linestyle=":", label="chance (5 %)")
     right.set(xlabel="k / 2π (m⁻¹)", ylabel="γ²(k) (1)", ylim=(0, 1.05))
     for ax in axes[0]:
         plain_axes(ax)

@@ -10,7 +10,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from wavefield.figures.style import LINES, POSITIVE, colour_bar, edges, panels, plain_axes
 
 _UNITS = {"z": "m² (rad/m)⁻¹ (rad/s)⁻¹", "w": "m² s⁻² (rad/m)⁻¹ (rad/s)⁻¹"}
-_ROADS = {
+_METHODS = {
     "Ez_probes": "wave probes",
     "Ez_stereo": "stereo z",
     "Ez_w": "integrated w",
@@ -129,7 +129,7 @@ def _radius(dispersion: xr.Dataset | None, omega: float) -> float | None:
 
 
 def elevation_spectra(spectra: xr.Dataset) -> Figure:
-    """E^z(omega) by each road: probes, stereo, integrated w, cross-spectrum, fusion.
+    """E^z(omega) by each method: probes, stereo, integrated w, cross-spectrum, fusion.
 
     Parameters
     ----------
@@ -149,19 +149,21 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
     ax = axes[0, 0]
     hertz = spectra.omega.values / (2 * np.pi)
     peak = 0.0
-    for style, (name, label) in zip(LINES, _ROADS.items(), strict=False):
+    for style, (name, label) in zip(LINES, _METHODS.items(), strict=False):
         if name not in spectra:
             continue
         values = spectra[name].values
-        road = name.removeprefix("Ez_")
-        valid = spectra[f"valid_{road}"].values if f"valid_{road}" in spectra else np.ones(hertz.size, bool)
+        method = name.removeprefix("Ez_")
+        valid = (
+            spectra[f"valid_{method}"].values if f"valid_{method}" in spectra else np.ones(hertz.size, bool)
+        )
         drawn = np.where(values > 0, values, np.nan)
         ax.loglog(hertz, drawn, color=style["color"], linewidth=0.7, alpha=0.5)
         ax.loglog(hertz, np.where(valid, drawn, np.nan), label=label, **style)
         if valid.any():
             peak = max(peak, float(np.nanmax(np.where(valid, drawn, 0.0))))
-        if road == "stereo":
-            _draw_interval(ax, spectra, road, hertz, drawn)
+        if method == "stereo":
+            _draw_interval(ax, spectra, method, hertz, drawn)
     ax.set(xlabel="ω / 2π (Hz)", ylabel="E^z(ω) (m² s rad⁻¹)")
     if peak > 0:
         ax.set_ylim(peak * 1e-9, peak * 5)
@@ -175,9 +177,9 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
     return figure
 
 
-def _draw_interval(ax: Axes, spectra: xr.Dataset, road: str, hertz: np.ndarray, values: np.ndarray) -> None:
-    if f"low_{road}" in spectra and f"high_{road}" in spectra:
-        low, high = spectra[f"low_{road}"].values * values, spectra[f"high_{road}"].values * values
+def _draw_interval(ax: Axes, spectra: xr.Dataset, method: str, hertz: np.ndarray, values: np.ndarray) -> None:
+    if f"low_{method}" in spectra and f"high_{method}" in spectra:
+        low, high = spectra[f"low_{method}"].values * values, spectra[f"high_{method}"].values * values
         ax.fill_between(hertz, low, high, color=LINES[1]["color"], alpha=0.15, linewidth=0)
 
 

@@ -273,8 +273,8 @@ def spectra(sources: Sources) -> Section:
     section.items += [Text(note) for note in sources.waves_notes.splitlines() if note]
     share = (
         ""
-        if dispersion is None or "ridge_share" not in dispersion
-        else (f" {100 * float(dispersion.ridge_share):.0f} % of the variance of w lies on the ridge.")
+        if dispersion is None or "ridge_fraction" not in dispersion
+        else (f" {100 * float(dispersion.ridge_fraction):.0f} % of the variance of w lies on the ridge.")
     )
     section.items += [
         Picture(
@@ -380,7 +380,7 @@ def nonlinearity(sources: Sources) -> Section:
                 "Course of the terms of the kinematic condition.",
                 "Curves of the rms of w, of the nonlinear term and of the residual against time; residual "
                 "over "
-                f"nonlinear term {100 * float(kinematics.residual_share):.0f} %.",
+                f"nonlinear term {100 * float(kinematics.residual_fraction):.0f} %.",
             )
         )
     return section
@@ -436,14 +436,14 @@ def accuracy(sources: Sources) -> Section:
         reach = ""
         if fusion is not None and "range_frequency" in fusion:
             reach = " They reach " + ", ".join(
-                f"{r}: {float(fusion.range_frequency.sel(road=r)):.1f} Hz, "
-                f"{float(fusion.range_decades.sel(road=r)):.1f} decades"
-                for r in fusion.road.values
+                f"{r}: {float(fusion.range_frequency.sel(method=r)):.1f} Hz, "
+                f"{float(fusion.range_decades.sel(method=r)):.1f} decades"
+                for r in fusion.method.values
             )
         section.items.append(
             Picture(
                 figures.elevation_spectra(group),
-                "Spectrum of the elevation by each road; thin where it is not to be trusted. The band is "
+                "Spectrum of the elevation by each method; thin where it is not to be trusted. The band is "
                 "the 95 % "
                 "interval of the stereo spectrum."
                 + ("" if "Ez_probes" in group else " Without wave probes."),

@@ -2,12 +2,15 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from wavefield.errors import CubeError
 from wavefield.variables.units import factor
+
+if TYPE_CHECKING:  # slow to import
+    import xarray as xr
 
 CUBE_DIMS = ("time", "y", "x")
 _PIECE = 256  # steps cast at a time, of what is not in memory
@@ -117,7 +120,7 @@ def rows_of(group: str) -> Iterator[Variable]:
     return (row for row in TABLE.values() if row.group == group)
 
 
-def annotate(dataset: Any, group: str = "") -> Any:
+def annotate(dataset: "xr.Dataset", group: str = "") -> "xr.Dataset":
     """Give every known variable of a dataset its attributes.
 
     Parameters
@@ -174,7 +177,7 @@ def _clocked(coordinate: Any, row: Variable) -> Any:
     return (coordinate * scale).assign_attrs(coordinate.attrs | {"units": row.units})
 
 
-def validate(dataset: Any, *names: str) -> Any:
+def validate(dataset: Any, *names: str) -> "xr.Dataset":
     """Check that a dataset holds variables as the table has them; the door of every room.
 
     Parameters
@@ -217,7 +220,7 @@ def validate(dataset: Any, *names: str) -> Any:
         for name in fields:
             if out[name].dtype != common:
                 out[name] = _lazy(out[name]).astype(common)
-    kept = dataset[[name for name in names if name not in dataset.coords]]
+    kept: xr.Dataset = dataset[[name for name in names if name not in dataset.coords]]
     kept = kept.assign({name: array for name, array in out.items() if name not in dataset.coords})
     axes = [name for name in CUBE_DIMS if name in kept.coords and kept[name].dtype.kind in "fiu"]
     return kept.assign_coords({name: _clocked(kept[name], TABLE[name]) for name in axes})

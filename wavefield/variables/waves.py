@@ -183,13 +183,12 @@ for _ending, _dims in (("", ("k",)), ("_komega", ("omega", "k"))):
             (f"gamma2_{_t}{_ending}", "1", f"coherence of z_t with {_text}, magnitude squared"),
             family=f"gamma2_*{_ending}",
         )
-    _rows(
-        "coherence",
-        _dims,
-        (f"samples{_ending}", "1", "effective independent samples"),
-        (f"bias{_ending}", "1", "mean gamma2 of unrelated signals"),
-        (f"level{_ending}", "1", "gamma2 that unrelated signals exceed in 5 % of cases"),
-    )
+        for _q, _qt, _note in (
+            ("samples", "effective independent samples", "from the degrees of freedom of both spectra"),
+            ("bias", "mean gamma2 of unrelated signals", ""),
+            ("level", "gamma2 that unrelated signals exceed in 5 % of cases", ""),
+        ):
+            _rows("coherence", _dims, (f"{_q}_{_t}{_ending}", "1", _qt, _note), family=f"{_q}_*{_ending}")
 
 # ---- /kinematics ----
 _rows(

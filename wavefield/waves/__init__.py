@@ -9,10 +9,10 @@ from wavefield.waves.analyze import analyze
 from wavefield.waves.coherence import coherence
 from wavefield.waves.crosses import cross_spectra
 from wavefield.waves.direction import directions
-from wavefield.waves.fusion import fuse, fusion
+from wavefield.waves.fuse import fuse
+from wavefield.waves.fusion import fusion
 from wavefield.waves.higher_order import HigherOrderSettings, higher_order
 from wavefield.waves.kinematics import finite_residual, kinematics
-from wavefield.waves.predicted_gain import predicted_gain
 from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Record, find_record, whole_record
 from wavefield.waves.ridge import FitSettings, fit_dispersion
@@ -61,7 +61,6 @@ __all__ = [
     "higher_order",
     "kinematics",
     "komega",
-    "predicted_gain",
     "probe_spectra",
     "read_gain",
     "read_probes",

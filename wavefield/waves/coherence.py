@@ -6,10 +6,9 @@ import numpy as np
 import xarray as xr
 
 from wavefield.variables import annotate
-from wavefield.waves import rings
 from wavefield.waves.crosses import door, lazy_cross_spectra
 from wavefield.waves.record import Record
-from wavefield.waves.spectra import finish
+from wavefield.waves.spectra import finish, samples_in_time
 from wavefield.waves.welch import Welch
 from wavefield.waves.windows import effective_duration
 
@@ -41,28 +40,6 @@ def significance_level(samples: Any, chance: float = 0.05) -> Any:
     return 1 - chance ** (1 / more)
 
 
-def samples_in_time(energy: xr.DataArray, duration: float, cells: xr.DataArray | float = 1.0) -> xr.DataArray:
-    """Effective number of independent samples of a record in time, (sum S)^2 / sum S^2.
-
-    Parameters
-    ----------
-    energy : DataArray, (omega, ...)
-        Spectrum, one-sided.
-    duration : float
-        Length of the record, s (`effective_duration` for an estimate from windowed segments).
-    cells : DataArray, (omega, ...), optional
-        Independent samples in space at each frequency.
-
-    Returns
-    -------
-    DataArray
-        T (int S domega)^2 / (2 pi int S^2 / cells domega): a narrow band repeats itself, so this is far less
-        than the number of steps.
-    """
-    step = float(energy["omega"][1] - energy["omega"][0])
-    return duration * step * energy.sum("omega") ** 2 / (2 * np.pi * (energy**2 / cells).sum("omega"))
-
-
 def _terms(ring: xr.Dataset) -> dict[str, tuple[xr.DataArray, xr.DataArray]]:
     # cross spectrum with z_t and power of each term; -u . grad z, so signs turn
     total = ring["E_w"] + ring["E_nl"] - 2 * ring["S_w_nl"].real
@@ -86,27 +63,42 @@ def from_spectra(ring: xr.Dataset) -> xr.Dataset:
     Dataset
         As `coherence` gives it.
     """
-    samples_k_omega = ring.attrs["degrees_of_freedom"] / 2 * ring["cells"]
     duration = effective_duration(ring.attrs["segments"], ring.attrs["segment"] * ring.attrs["dt"])
-    table = rings.rings(*ring.attrs["nodes"], *ring.attrs["node_step"], float(ring["k"][1] - ring["k"][0]))
-    in_time = samples_in_time((ring["E_z_t"] * ring["E_w"]) ** 0.5, duration)
-    samples_k = (in_time * xr.DataArray(table.cells, dims="k")).clip(min=1)
-
+    terms = _terms(ring)
+    total = terms["tot"][1]
     out = {}
-    for ending, over in (("", "omega"), ("_komega", None)):
-        add = (lambda array: array.sum("omega")) if over else (lambda array: array)
-        total = _terms(ring)["tot"][1]
+    for ending in ("", "_komega"):
+        add = _itself if ending else _over_omega
         norm = np.sqrt(add(ring["E_z_t"]) * add(total))
-        for name, (cross, power) in _terms(ring).items():
+        for name, (cross, power) in terms.items():
             out[f"C_{name}{ending}"] = add(cross) / norm
             out[f"gamma2_{name}{ending}"] = np.abs(add(cross)) ** 2 / (add(ring["E_z_t"]) * add(power))
-        samples = samples_k if over else samples_k_omega
-        out[f"samples{ending}"] = samples
-        out[f"bias{ending}"] = 1 / samples
-        out[f"level{ending}"] = xr.apply_ufunc(
-            significance_level, samples, dask="parallelized", output_dtypes=[float]
-        )
+            samples = _samples(ring, name)
+            if not ending:
+                cells = 2 * samples / ring.attrs["degrees_of_freedom"]
+                samples = samples_in_time((ring["E_z_t"] * power) ** 0.5, duration, cells)
+            samples = samples.clip(min=1)
+            out[f"samples_{name}{ending}"] = samples
+            out[f"bias_{name}{ending}"] = 1 / samples
+            out[f"level_{name}{ending}"] = xr.apply_ufunc(
+                significance_level, samples, dask="parallelized", output_dtypes=[float]
+            )
     return annotate(xr.Dataset(out, attrs=ring.attrs), "coherence")
+
+
+def _itself(array: xr.DataArray) -> xr.DataArray:
+    return array
+
+
+def _over_omega(array: xr.DataArray) -> xr.DataArray:
+    return array.sum("omega")
+
+
+def _samples(ring: xr.Dataset, name: str) -> xr.DataArray:
+    # independent samples of a product of two fields, from the degrees of freedom of both; the sum
+    # w - u . grad z has those of w, its largest part
+    other = ring["dof_w" if name == "tot" else f"dof_{name}"]
+    return (ring["dof_z_t"] * other) ** 0.5 / 2
 
 
 def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | None = None) -> xr.Dataset:
@@ -124,8 +116,8 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     Returns
     -------
     Dataset
-        ``C_w``, ``C_nl``, ``C_tot`` (k), complex; ``gamma2_w``, ``gamma2_nl``, ``gamma2_tot``, ``samples``,
-        ``bias``, ``level`` (k); the same with ``_komega`` over (omega, k).
+        ``C_w``, ``C_nl``, ``C_tot`` (k), complex; ``gamma2_w``, ``samples_w``, ``bias_w``, ``level_w`` and
+        likewise ``nl``, ``tot`` (k); the same with ``_komega`` over (omega, k).
 
     Raises
     ------

@@ -19,6 +19,7 @@ from wavefield.waves import kernels, segments, spectra
 from wavefield.waves.record import Record
 from wavefield.waves.rings import Rings
 from wavefield.waves.welch import Welch, k_coords, omega_coords
+from wavefield.waves.windows import effective_duration
 
 Array = NDArray[Any]
 
@@ -306,3 +307,37 @@ def lazy_cross_spectra(
     wanted = (*names, *(f"{a}*{b}" for a, b in pairs))
     sums = {name: da.from_delayed(summed[name], (2, *shape), float) for name in wanted}
     return label(sums, names, pairs, welch)
+
+
+def by_field(ring: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
+    """E(k, omega), E(k) and E(omega) of each field with their intervals, as the wave store names them.
+
+    Parameters
+    ----------
+    ring : Dataset
+        As `cross_spectra` gives it.
+    names : sequence of str
+        Spectral names.
+
+    Returns
+    -------
+    Dataset
+    """
+    step = float(ring["omega"][1] - ring["omega"][0])
+    duration = effective_duration(ring.attrs["segments"], ring.attrs["segment"] * ring.attrs["dt"])
+    out = xr.Dataset(attrs=ring.attrs)
+    for name in names:
+        energy, dof = ring[f"E_{name}"], ring[f"dof_{name}"]
+        cells = dof / ring.attrs["degrees_of_freedom"]
+        in_time = 2 * spectra.samples_in_time(energy, duration, cells).clip(min=1)
+        parts = {
+            f"komega_{name}": spectra.with_interval(energy, dof),
+            f"k_{name}": spectra.with_interval(energy.sum("omega") * step, in_time),
+            name: spectra.frequency_spectrum(xr.Dataset({"E": energy, "dof": dof}, attrs=ring.attrs)),
+        }
+        for of, part in parts.items():
+            whole = of if of.startswith("komega") else f"E_{of}"
+            names_there = {"E": f"E_{of}"} | {n: f"{n}_{whole}" for n in ("dof", "low", "high")}
+            out = out.assign(part.drop_vars("valid", errors="ignore").rename(names_there).data_vars)
+    out = out.assign(coverage=ring["coverage"], cells=ring["cells"], valid_komega=ring["valid"])
+    return annotate(out, "spectra")

@@ -5,7 +5,7 @@ import xarray as xr
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
-from wavefield.water import GAMMA, wavenumber
+from wavefield.water import GAMMA, dispersion, wavenumber
 from wavefield.waves import rings
 from wavefield.waves.windows import interval
 
@@ -117,4 +117,38 @@ def directions(
         },
         {"frequency": ("frequency", frequency), "theta": ("theta", theta)},
     )
+    return annotate(out, "direction")
+
+
+def direction_group(
+    density: xr.DataArray, chosen: list[int], depth: float, gamma: float, dof: float
+) -> xr.Dataset:
+    """Directions at the frequencies of the maps, isotropy at all.
+
+    Parameters
+    ----------
+    density : DataArray, (omega, ky, kx)
+        Spectrum of w.
+    chosen : list of int
+        Lines of the maps.
+    depth, gamma : float
+        Depth, m, and surface tension over density, m3/s2, of the water.
+    dof : float
+        Degrees of freedom of a cell.
+
+    Returns
+    -------
+    Dataset
+        ``D`` and its interval (omega_map, theta), ``direction``, ``spread`` (omega_map), ``isotropy``
+        (omega).
+    """
+    lines = density["omega"].values / (2 * np.pi)
+    out = directions(density, lines[chosen], depth, dof=dof, gamma=gamma).drop_vars("isotropy")
+    out = out.rename({name: f"{name}_D" for name in ("dof", "low", "high")})
+    out = out.assign_coords(frequency=2 * np.pi * out["frequency"]).rename(frequency="omega_map")
+    highest = min(0.9 * lines[-1], dispersion(0.7 * float(density["kx"].max()), depth, gamma) / (2 * np.pi))
+    frequencies = np.arange(max(0.5, 2 * lines[1]), highest, 0.25)
+    if frequencies.size:
+        isotropy = directions(density, frequencies, depth, gamma=gamma)["isotropy"].values
+        out = out.assign_coords(omega=2 * np.pi * frequencies).assign(isotropy=("omega", isotropy))
     return annotate(out, "direction")

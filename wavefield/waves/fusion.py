@@ -52,6 +52,13 @@ def _smooth(values: Array, width: int = 7) -> Array:
     return np.convolve(padded, np.full(width, 1 / width), "valid")
 
 
+def _on_ridge(trusted: Array, omega: Array, k: Array, depth: float) -> Array:
+    # whether the waves' own cells are trusted: three rings about the ridge, seven lines
+    place = np.rint(np.interp(wavenumber(omega, depth), k, np.arange(k.size))).astype(int)
+    near = np.clip(place[:, None] + np.arange(-1, 2), 0, k.size - 1)
+    return _smooth(np.take_along_axis(trusted, near, axis=1).mean(axis=1)) > _TRUSTED
+
+
 @dataclass(frozen=True)
 class _Gains:
     """Power gains (k,) of z and of w and the gain of their cross spectrum; 0 where they are not trusted."""
@@ -75,26 +82,6 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
         return _Gains(np.ones_like(k), np.ones_like(k), np.ones_like(k))
     z, w, both = (ring_gain(gain, *names, k) for names in (("z", "z"), ("w", "w"), ("z", "w")))
     return _Gains(np.where(z > LEAST_GAIN, z, 0.0), np.where(w > LEAST_GAIN, w, 0.0), both)
-
-
-def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array]:
-    # z / H_z and w / H_w weighted by what their noise is then, in every cell: its spectrum and its noise
-    by_z, by_w = np.sqrt(gains.z) / noise.fit_z, np.sqrt(gains.w) / noise.fit_w
-    scale = np.maximum(by_z, by_w)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        by_z, by_w = by_z / scale, by_w / scale
-        whole = by_z**2 * gains.z + by_w**2 * gains.w + 2 * by_z * by_w * gains.zw
-        left = (by_z**2 * noise.fit_z + np.where(by_w > 0, by_w**2 * noise.fit_w, 0.0)) / whole
-        power = (by_z**2 * spectra.zz + by_w**2 * spectra.ww + 2 * by_z * by_w * spectra.zw) / whole
-    known = scale > 0
-    return np.where(known, power - left, 0.0), np.where(known, left, np.inf)
-
-
-def _on_ridge(trusted: Array, omega: Array, k: Array, depth: float) -> Array:
-    # whether the waves' own cells are trusted: three rings about the ridge, seven lines
-    place = np.rint(np.interp(wavenumber(omega, depth), k, np.arange(k.size))).astype(int)
-    near = np.clip(place[:, None] + np.arange(-1, 2), 0, k.size - 1)
-    return _smooth(np.take_along_axis(trusted, near, axis=1).mean(axis=1)) > _TRUSTED
 
 
 @dataclass(frozen=True)
@@ -165,6 +152,19 @@ def _noise(spectra: _Elevations, depth: float, gains: _Gains) -> _Noise:
     fit_z = np.broadcast_to(white_z, spectra.zz.shape)
     tiny = _tiny(spectra)
     return _Noise(noise_z, noise_w, np.maximum(fit_z, tiny), np.maximum(fit_w, tiny), white_z, white_dz)
+
+
+def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array]:
+    # z / H_z and w / H_w weighted by what their noise is then, in every cell: its spectrum and its noise
+    by_z, by_w = np.sqrt(gains.z) / noise.fit_z, np.sqrt(gains.w) / noise.fit_w
+    scale = np.maximum(by_z, by_w)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        by_z, by_w = by_z / scale, by_w / scale
+        whole = by_z**2 * gains.z + by_w**2 * gains.w + 2 * by_z * by_w * gains.zw
+        left = (by_z**2 * noise.fit_z + np.where(by_w > 0, by_w**2 * noise.fit_w, 0.0)) / whole
+        power = (by_z**2 * spectra.zz + by_w**2 * spectra.ww + 2 * by_z * by_w * spectra.zw) / whole
+    known = scale > 0
+    return np.where(known, power - left, 0.0), np.where(known, left, np.inf)
 
 
 def _tiny(spectra: _Elevations) -> float:
@@ -263,8 +263,8 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf, gain: xr.Dataset | Non
 def _standing_out(
     energies: dict[str, Array], dof: Array, fit_z: Array, fit_w: Array, left: Array, positive: Array
 ) -> dict[str, Array]:
-    # a method is right within a factor 2 where its own noise stays below the signal; the noise-free ones where
-    # the signal stands out of what is left by chance
+    # a method is right within a factor 2 where its own noise stays below the signal; the noise-free ones
+    # where the signal stands out of what is left by chance
     zz, ww, zw = (_smooth(energies[method]) for method in ("stereo", "w", "cross"))
     scatter_cross = np.sqrt((zz * ww + zw**2) / dof)
     both = np.maximum(energies["fusion"] + left, 0)

@@ -5,11 +5,14 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.waves import kernels
 from wavefield.waves.record import check_axes
+
+Array = NDArray[Any]
 
 _NAMES = ("z", "z_t", "u", "v", "w")
 _STENCIL = 8  # nodes along each axis of the interpolation between nodes
@@ -24,7 +27,7 @@ def _door(cube: Any) -> xr.Dataset:
     return validate(cube, *_NAMES)
 
 
-def slopes(z: np.ndarray, dy: float, dx: float) -> tuple[np.ndarray, np.ndarray]:
+def slopes(z: Array, dy: float, dx: float) -> tuple[Array, Array]:
     """Slopes z_y, z_x of each step by central differences of sixth order.
 
     Parameters
@@ -44,7 +47,7 @@ def slopes(z: np.ndarray, dy: float, dx: float) -> tuple[np.ndarray, np.ndarray]
     return z_y, z_x
 
 
-def terms(fields: Mapping[str, np.ndarray], dy: float, dx: float) -> dict[str, np.ndarray]:
+def terms(fields: Mapping[str, Array], dy: float, dx: float) -> dict[str, Array]:
     """Slopes, nonlinear term, residual, vorticity and divergence.
 
     Parameters
@@ -105,7 +108,7 @@ def kinematics(cube: xr.Dataset) -> xr.Dataset:
     dt, dy, dx = check_axes(cube)
     names = (*_NAMES, "mean")
 
-    def compute(*fields: np.ndarray) -> tuple[np.ndarray, ...]:
+    def compute(*fields: Array) -> tuple[Array, ...]:
         return tuple(terms(dict(zip(names, fields)), dy, dx).values())
 
     fields = [cube[name].transpose("time", "y", "x") for name in _NAMES]
@@ -157,15 +160,15 @@ def frame_elevations(z: Any, z_before: Any, z_after: Any, z_t: Any, dt: float) -
 
 
 def finite_residual_on_grid(
-    start: np.ndarray,
-    end: np.ndarray,
-    u: np.ndarray,
-    v: np.ndarray,
-    w: np.ndarray,
+    start: Array,
+    end: Array,
+    u: Array,
+    v: Array,
+    w: Array,
     dt: float,
     dy: float,
     dx: float,
-) -> np.ndarray:
+) -> Array:
     """Residual of the finite-displacement form for one step.
 
     Parameters
@@ -229,7 +232,7 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
     z_t = cube["z_t"]
     start, end = frame_elevations(cube["z"], z_t.shift(time=1), z_t.shift(time=-1), z_t, dt)
 
-    def compute(*fields: np.ndarray) -> np.ndarray:
+    def compute(*fields: Array) -> Array:
         flat = [field.reshape(-1, *field.shape[-2:]) for field in fields]
         out = [finite_residual_on_grid(a, b, u, v, w, dt, dy, dx) for a, b, u, v, w in zip(*flat)]
         return np.asarray(out).reshape(fields[0].shape)
@@ -244,3 +247,70 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
         dask_gufunc_kwargs={"allow_rechunk": True},
     )
     return annotate(out.to_dataset(name="finite_residual"))["finite_residual"]
+
+
+def balance(fields: Mapping[str, Array], i: int, dt: float, dy: float, dx: float) -> dict[str, float]:
+    """Root mean squares of the terms of the kinematic condition at one step.
+
+    Parameters
+    ----------
+    fields : mapping of str to ndarray, (steps, ny, nx)
+        z, z_t, u, v, w, m and m/s.
+    i : int
+        The step, with one before and one after it.
+    dt, dy, dx : float
+        Distances, s and m.
+
+    Returns
+    -------
+    dict of str to float
+        ``w_rms``, ``z_t_rms``, ``nonlinear_rms``, ``residual_rms``, ``finite_residual_rms``, m/s;
+        ``vorticity_rms``, ``divergence_rms``, 1/s.
+    """
+    now = {name: fields[name][i].astype(float) for name in _NAMES}
+    before, after = fields["z_t"][i - 1].astype(float), fields["z_t"][i + 1].astype(float)
+    ends = frame_elevations(now["z"], before, after, now["z_t"], dt)
+    finite = finite_residual_on_grid(*ends, now["u"], now["v"], now["w"], dt, dy, dx)
+    parts = terms(now | {"mean": (ends[0] + ends[1]) / 2}, dy, dx)
+    values = {
+        "w_rms": now["w"],
+        "z_t_rms": now["z_t"],
+        "nonlinear_rms": parts["nonlinear"],
+        "residual_rms": parts["residual"],
+        "finite_residual_rms": finite[np.isfinite(finite)],
+        "vorticity_rms": parts["vorticity"],
+        "divergence_rms": parts["divergence"],
+    }
+    return {name: float(np.sqrt(np.mean(np.square(v)))) if v.size else np.nan for name, v in values.items()}
+
+
+def balance_group(rows: list[dict[str, float]], time: Array) -> xr.Dataset:
+    """The balance over a record.
+
+    Parameters
+    ----------
+    rows : list of dict
+        What `balance` gives, each with its "step".
+    time : ndarray, (steps,)
+        Times of the cube, s.
+
+    Returns
+    -------
+    Dataset
+        The terms over ``step``, and ``nonlinear_fraction``, ``residual_fraction``,
+        ``finite_residual_fraction``.
+    """
+    steps = np.array([row["step"] for row in rows], int)
+    names = [name for name in rows[0] if name != "step"] if rows else []
+    out = xr.Dataset(
+        {name: ("step", np.array([row[name] for row in rows])) for name in names},
+        {"step": ("step", steps), "time": ("step", time[steps].astype(float))},
+    )
+    mean = {name: float(np.sqrt((out[name] ** 2).mean())) for name in names}
+    for name, part, whole in (
+        ("nonlinear_fraction", "nonlinear_rms", "w_rms"),
+        ("residual_fraction", "residual_rms", "nonlinear_rms"),
+        ("finite_residual_fraction", "finite_residual_rms", "nonlinear_rms"),
+    ):
+        out[name] = ((), mean[part] / mean[whole] if mean.get(whole, 0) > 0 else np.nan)
+    return annotate(out, "kinematics")

@@ -12,6 +12,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.water import GAMMA, dispersion, group_velocity, wavenumber
 from wavefield.waves import kernels
+from wavefield.waves.welch import k_coords
 
 Array = NDArray[Any]
 
@@ -158,6 +159,7 @@ def fit_dispersion(
     depth: float = np.inf,
     *,
     dof: float | None = None,
+    gamma: float = GAMMA,
     settings: FitSettings | None = None,
 ) -> xr.Dataset:
     """Follow the ridge of E(ky, kx, omega) and fit current and surface tension to it.
@@ -171,6 +173,8 @@ def fit_dispersion(
     dof : float, optional
         Degrees of freedom of a cell, for the uncertainty; from ``spectrum(...).dof``. Without it none is
         given.
+    gamma : float
+        Surface tension over density, m3/s2, to start from and to compare the ridge with.
     settings : FitSettings, optional
         Band, sectors and window.
 
@@ -178,9 +182,9 @@ def fit_dispersion(
     -------
     Dataset
         ``ridge_k``, ``ridge_omega``, ``ridge_angle``, ``ridge_weight`` (point); ``current_x``, ``current_y``
-        (m/s), ``gamma`` (m3/s2) and their ``_std``; ``ridge_fraction``, the fraction of the variance within the
-        ridge; ``ridge_error`` (band): the ridge's k against the theory with the fitted current and clean
-        water's gamma, relative; ``depth``.
+        (m/s), ``gamma`` (m3/s2) and their ``_std``; ``ridge_fraction``, the fraction of the variance
+        within the ridge; ``ridge_error`` (band): the ridge's k against the theory with the fitted current and
+        the water's gamma, relative; ``depth``.
 
     Raises
     ------
@@ -209,7 +213,7 @@ def fit_dispersion(
     noise = np.median(energy[:, outer], axis=1) if outer.any() else np.zeros(omega.size)
     used, floor = energy[band], noise[band]
     sectors = _sectors(plane, settings.sectors)
-    fit = np.array([0.0, 0.0, GAMMA])
+    fit = np.array([0.0, 0.0, gamma])
     points = np.empty((0, 5))
     for _ in range(settings.rounds):
         points = _centroids(used, omega[band], floor, plane, sectors, depth, fit, settings)
@@ -242,7 +246,7 @@ def fit_dispersion(
         out[name], out[f"{name}_std"] = ((), fit[i]), ((), spreads[i])
     for i, name in enumerate(("ridge_omega", "ridge_k", "ridge_angle", "ridge_weight")):
         out[name] = ("point", points[:, i])
-    out |= _against_theory(points, depth, fit)
+    out |= _against_theory(points, depth, fit, gamma)
     out["ridge_fraction"] = ((), _fraction(energy, omega, plane, depth, fit))
     out["depth"] = ((), depth)
     attrs = {"lowest": float(bottom / (2 * np.pi)), "highest": float(top / (2 * np.pi))}
@@ -263,13 +267,13 @@ def _misfit_spread(points: Array, depth: float, fit: Array) -> Array:
     return np.sqrt(variance)
 
 
-def _against_theory(points: Array, depth: float, fit: Array) -> dict[str, Any]:
+def _against_theory(points: Array, depth: float, fit: Array, gamma: float) -> dict[str, Any]:
     # by bands of half a hertz: energy-weighted mean of k over the theory's k for that omega and direction
     omega, k, angle, weight = points.T[:4]
     along = fit[0] * np.cos(angle) + fit[1] * np.sin(angle)
-    theory = wavenumber(omega, depth)
+    theory = wavenumber(omega, depth, gamma)
     for _ in range(20):
-        theory = wavenumber(np.maximum(omega - theory * along, 1e-6), depth)
+        theory = wavenumber(np.maximum(omega - theory * along, 1e-6), depth, gamma)
     frequency = omega / (2 * np.pi)
     band = np.floor(frequency / 0.5)
     centres, errors = [], []
@@ -295,3 +299,36 @@ def _fraction(energy: Array, omega: Array, plane: _Plane, depth: float, fit: Arr
     total = energy.sum(dtype=float)
     ridge = sum(float(line[np.abs(o - free) < reach].sum(dtype=float)) for o, line in zip(omega, energy))
     return ridge / float(total) if total > 0 else float("nan")
+
+
+def dispersion_group(
+    density: xr.DataArray, k: Array, depth: float, gamma: float, dof: float
+) -> tuple[xr.Dataset, str]:
+    """The theory and the fitted ridge.
+
+    Parameters
+    ----------
+    density : DataArray, (omega, ky, kx)
+        Spectrum of w.
+    k : ndarray, (k,)
+        Wavenumbers of the theory, rad/m.
+    depth, gamma : float
+        Depth, m, and surface tension over density, m3/s2, of the water.
+    dof : float
+        Degrees of freedom of a cell.
+
+    Returns
+    -------
+    group : Dataset
+        ``omega_theory``, ``omega_fit`` (k) and what `fit_dispersion` gives.
+    note : str
+        Why no ridge was fitted; empty where one was.
+    """
+    theory = xr.Dataset({"omega_theory": ("k", dispersion(k, depth, gamma))}, k_coords(k))
+    try:
+        out = fit_dispersion(density, depth, dof=dof, gamma=gamma)
+    except CubeError as error:
+        return annotate(theory, "dispersion"), f"No ridge was fitted: {error}."
+    fitted = ("k", dispersion(k, depth, float(out["gamma"])))
+    out = out.assign(theory.data_vars).assign_coords(theory.coords).assign(omega_fit=fitted)
+    return annotate(out, "dispersion"), ""

@@ -405,3 +405,25 @@ def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
         for i in (0, 1)
     )
     return annotate(xr.Dataset({"E": energy, "dof": dof, "low": low, "high": high}))
+
+
+def samples_in_time(energy: xr.DataArray, duration: float, cells: xr.DataArray | float = 1.0) -> xr.DataArray:
+    """Effective number of independent samples of a record in time, (sum S)^2 / sum S^2.
+
+    Parameters
+    ----------
+    energy : DataArray, (omega, ...)
+        Spectrum, one-sided.
+    duration : float
+        Length of the record, s (`effective_duration` for an estimate from windowed segments).
+    cells : DataArray, (omega, ...), optional
+        Independent samples in space at each frequency.
+
+    Returns
+    -------
+    DataArray
+        T (int S domega)^2 / (2 pi int S^2 / cells domega): a narrow band repeats itself, so this is far less
+        than the number of steps.
+    """
+    step = float(energy["omega"][1] - energy["omega"][0])
+    return duration * step * energy.sum("omega") ** 2 / (2 * np.pi * (energy**2 / cells).sum("omega"))

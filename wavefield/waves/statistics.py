@@ -6,11 +6,15 @@ from typing import Any
 import dask
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
+from wavefield.water import wavenumber
 from wavefield.waves import kernels, segments
 from wavefield.waves.record import Record, find_record, piece
+
+Array = NDArray[Any]
 
 QUANTITIES = {
     "z": "z",
@@ -54,9 +58,7 @@ def pilot(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, t
     return out
 
 
-def survey(
-    fields: Mapping[str, np.ndarray], scale: Mapping[str, tuple[float, float]]
-) -> dict[str, np.ndarray]:
+def survey(fields: Mapping[str, Array], scale: Mapping[str, tuple[float, float]]) -> dict[str, Array]:
     """Count and sum what the statistics need of a piece of a record.
 
     Parameters
@@ -82,12 +84,12 @@ def survey(
     return out
 
 
-def slope_square(z: np.ndarray, dy: float, dx: float) -> np.ndarray:
+def slope_square(z: Array, dy: float, dx: float) -> Array:
     """Sum of |grad z|^2 over the nodes of some steps, and their number, (2,)."""
     return np.array([kernels.slope_square(z, dy, dx), z.size], float)
 
 
-def central_moments(sums: np.ndarray, guess: float) -> dict[str, float]:
+def central_moments(sums: Array, guess: float) -> dict[str, float]:
     """Mean, standard deviation, skewness and excess kurtosis.
 
     Parameters
@@ -119,7 +121,7 @@ def central_moments(sums: np.ndarray, guess: float) -> dict[str, float]:
         }
 
 
-def rebin(counts: np.ndarray, scale: tuple[float, float], moments: Mapping[str, float]) -> np.ndarray:
+def rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, float]) -> Array:
     """Probability density over (value - mean) / std from counts in rough bins, (bins,).
 
     The cumulative count is interpolated, so that no value is lost but beyond the last bin.
@@ -132,14 +134,14 @@ def rebin(counts: np.ndarray, scale: tuple[float, float], moments: Mapping[str, 
     return np.diff(np.interp(edges, rough, total)) / (np.diff(edges) * moments["count"])
 
 
-def bin_centres() -> np.ndarray:
+def bin_centres() -> Array:
     """Centres of the bins, (bins,), in standard deviations."""
     edges = np.linspace(-REACH, REACH, BINS + 1)
     return (edges[1:] + edges[:-1]) / 2
 
 
 def label(
-    sums: Mapping[str, np.ndarray],
+    sums: Mapping[str, Array],
     scale: Mapping[str, tuple[float, float]],
     dt: float,
     pixel_size: float | None,
@@ -194,12 +196,12 @@ def label(
 
 
 def _measure(
-    blocks: Sequence[np.ndarray],
+    blocks: Sequence[Array],
     names: Sequence[str],
     scale: Mapping[str, tuple[float, float]],
     dy: float,
     dx: float,
-) -> dict[str, np.ndarray]:
+) -> dict[str, Array]:
     fields = dict(zip(names, blocks))
     out = survey(fields, scale)
     if "z" in fields:
@@ -248,7 +250,7 @@ def statistics(
     record = find_record(cube) if record is None else record
     scale = pilot(cube, record, names)
 
-    def make(blocks: list[np.ndarray], first: int) -> dict[str, np.ndarray]:
+    def make(blocks: list[Array], first: int) -> dict[str, Array]:
         return _measure(blocks, names, scale, record.dy, record.dx)
 
     parts = segments.pieces([cube[name] for name in names], record, _PIECE, make)
@@ -256,7 +258,7 @@ def statistics(
     return label(sums, scale, record.dt, pixel_size or cube.attrs.get("pixel_size"))
 
 
-def _errors(block: Any, scale: tuple[float, float]) -> dict[str, np.ndarray]:
+def _errors(block: Any, scale: tuple[float, float]) -> dict[str, Array]:
     values = np.asarray(block).ravel()
     return survey({"e": values[np.isfinite(values)][None, None]}, {"e": scale})
 
@@ -301,3 +303,30 @@ def error_statistics(cube: xr.Dataset, record: Record) -> xr.Dataset:
     out["eps_pdf"] = (("error", "eps_bin"), np.array(densities))
     coords = {"error": ("error", names), "eps_bin": ("eps_bin", bin_centres())}
     return annotate(xr.Dataset(out, coords), "statistics")
+
+
+def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:
+    """Add the spectral peak and the steepness.
+
+    Parameters
+    ----------
+    statistics : Dataset
+        As `label` gives it.
+    fused : Dataset
+        As `fusion.fusion` gives it.
+    depth, gamma : float
+        Depth, m, and surface tension over density, m3/s2, of the water.
+
+    Returns
+    -------
+    Dataset
+        With ``peak_frequency``, ``peak_k``, ``steepness``.
+    """
+    best = fused["Ez_cross"].where(fused["valid_cross"], 0.0)
+    if not float(best.max()) > 0:
+        best = fused["Ez_stereo"].where(np.arange(fused.sizes["omega"]) > 0, 0.0)
+    peak = float(best["omega"][int(np.argmax(best.values))])
+    k_peak = float(wavenumber(peak, depth, gamma))
+    steepness = k_peak * float(statistics["std"].sel(quantity="z"))
+    peaks = {"peak_frequency": peak / (2 * np.pi), "peak_k": k_peak, "steepness": steepness}
+    return annotate(statistics.assign(peaks), "statistics")

@@ -146,3 +146,9 @@ def undo(energy: xr.DataArray, gain: xr.DataArray, noise: xr.DataArray | float =
     corrected = (signal / gain).where(valid)
     corrected.attrs = dict(energy.attrs)
     return annotate(xr.Dataset({"E": corrected, "valid": valid}))
+
+
+def gains(omega: Any, dt: float) -> dict[str, tuple[str, Any]]:
+    """The gains in time as variables ``gain_two_frames``, ``gain_four_frames``, ``gain_displacement``."""
+    parts = (gain_two_frames, gain_four_frames, gain_displacement)
+    return {gain.__name__: ("omega", gain(omega, dt)) for gain in parts}

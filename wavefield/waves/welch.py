@@ -88,7 +88,7 @@ class Welch:
     @cached_property
     def omega(self) -> Array:
         """Angular frequencies, (segment // 2 + 1,), rad/s."""
-        return 2 * np.pi * np.arange(self.half + 1) / (self.segment * self.record.dt)
+        return np.asarray(2 * np.pi * np.arange(self.half + 1) / (self.segment * self.record.dt), float)
 
     @cached_property
     def table(self) -> rings.Rings:

@@ -6,10 +6,11 @@ import xarray as xr
 
 import wavefield.waves as wv
 from wavefield import matching
+from wavefield.cubes import predicted_gain
 from wavefield.errors import CubeError
 from wavefield.measurement import Settings
+from wavefield.measurement.gain import matched
 from wavefield.tank import Scene
-from wavefield.waves.predicted_gain import matched
 
 BLOCK = 5
 
@@ -57,7 +58,7 @@ def cube_of(scene):
 
 def test_the_gain_follows_from_the_recipe():
     scene = Scene.load("demo")
-    gain = wv.predicted_gain(cube_of(scene))
+    gain = predicted_gain(cube_of(scene))
     assert wv.read_gain(gain) is gain
     for name in ("gain_z", "gain_u", "gain_v", "gain_w"):
         np.testing.assert_allclose(gain[name][:, 0], 1, atol=0.01)
@@ -67,10 +68,10 @@ def test_the_gain_follows_from_the_recipe():
     short = gain.gain_w.sel(k=2 * np.pi * 25, method="nearest")
     assert float(short.sel(direction=0)) < float(short.sel(direction=np.pi / 2)) - 0.1
     # pixels of twice the size
-    coarse = wv.predicted_gain(cube_of(scene.with_(rig={"scale": 0.5})))
+    coarse = predicted_gain(cube_of(scene.with_(rig={"scale": 0.5})))
     assert float((gain.gain_w - coarse.gain_w).sel(k=2 * np.pi * 15, method="nearest").min()) > 0.2
 
 
 def test_a_cube_that_does_not_say_how_it_was_made_is_refused():
     with pytest.raises(CubeError, match="does not say how it was made"):
-        wv.predicted_gain(xr.Dataset())
+        predicted_gain(xr.Dataset())

@@ -1,18 +1,15 @@
-"""The gain of the matching windows by linear theory, from the recipe of a cube: no simulation is needed."""
+"""The gain of the matching windows by linear theory, from plan and cameras: no simulation is needed."""
 
-import json
 from typing import Any
 
 import numpy as np
-import xarray as xr
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from wavefield import matching
-from wavefield.errors import CubeError
-from wavefield.grid import Grid
-from wavefield.measurement import Plan, Settings
-from wavefield.rig import Camera, Rig
-from wavefield.waves.window_gain import DIRECTIONS, label
+from wavefield.measurement.plan import Plan
+
+Array = NDArray[np.float64]
 
 _BLOCK = 5  # px: side of matching's blocks
 # px^2: variance of the area that a block's value stands for, as simulated experiments have it; the filter of
@@ -20,23 +17,20 @@ _BLOCK = 5  # px: side of matching's blocks
 _FOOTPRINT = 5.5
 
 
-def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
-    """Predict the gain of the matching windows from the settings and cameras of a cube.
+def gains(plan: Plan, kx: Array, ky: Array) -> dict[str, Array]:
+    """Amplitude gains of what a plan measures.
 
     Parameters
     ----------
-    cube : Dataset
-        A cube with its recipe among its attributes, as `wavefield run` writes it.
+    plan : Plan
+        Of a measurement.
+    kx, ky : ndarray
+        Wavenumbers, rad/m.
 
     Returns
     -------
-    Dataset
-        As `window_gain` gives it, without coherences.
-
-    Raises
-    ------
-    CubeError
-        If the cube does not say how it was made.
+    dict of str to ndarray
+        z, u, v and w, each of the wavenumbers' shape.
 
     Notes
     -----
@@ -44,26 +38,11 @@ def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
     blocks and beads, the filter and the spline on the lattice; for velocities each camera's displacement
     in its own pixels at the middle of the grid, then the least squares of all.
     """
-    try:
-        recipe = json.loads(cube.attrs["recipe"])
-        rig = Rig({name: Camera.from_dict(camera) for name, camera in recipe["rig"].items()})
-        grid = Grid(**recipe["grid"])
-        settings = Settings.from_dict(recipe["settings"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise CubeError(
-            f"the cube does not say how it was made ({error}): measure the gain of its windows, window_gain"
-        ) from None
-    plan = Plan(rig, grid, settings)
-    top = np.sqrt(2) * np.pi / grid.step
-    k = np.linspace(0, top, 200)
-    angle = np.arange(DIRECTIONS)[:, None] * np.pi / DIRECTIONS
-    kx, ky = k * np.cos(angle), k * np.sin(angle)
     velocity = _velocity(plan, kx, ky)
-    gains = {"z": _surface(plan, kx, ky)} | {name: velocity[..., i, i] for i, name in enumerate("uvw")}
-    return label(gains, k, "linear theory")
+    return {"z": _surface(plan, kx, ky)} | {name: velocity[..., i, i] for i, name in enumerate("uvw")}
 
 
-def matched(settings: matching.Settings, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+def matched(settings: matching.Settings, kx: Array, ky: Array) -> Array:
     """Gain of a displacement field at the centres of matching's blocks.
 
     Parameters
@@ -79,10 +58,10 @@ def matched(settings: matching.Settings, kx: np.ndarray, ky: np.ndarray) -> np.n
         Amplitude gain.
     """
     total = matching.transfer_function(settings, kx, ky)
-    return total * np.exp(-0.5 * _FOOTPRINT * (kx**2 + ky**2) / _BLOCK**2)
+    return np.asarray(total * np.exp(-0.5 * _FOOTPRINT * (kx**2 + ky**2) / _BLOCK**2))
 
 
-def _read(response: np.ndarray, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+def _read(response: Array, kx: Array, ky: Array) -> Array:
     # between the blocks: the filter of the lattice's cosines, then the cubic spline of what it gives
     ny, nx = response.shape
     places = [np.abs(ky) / np.pi * ny, np.abs(kx) / np.pi * nx]
@@ -92,12 +71,12 @@ def _read(response: np.ndarray, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
     return gain
 
 
-def _surface(plan: Plan, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+def _surface(plan: Plan, kx: Array, ky: Array) -> Array:
     kx, ky = kx * _BLOCK * plan.pixel, ky * _BLOCK * plan.pixel
     return matched(plan.settings.stereo, kx, ky) * _read(plan.response, kx, ky)
 
 
-def _velocity(plan: Plan, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+def _velocity(plan: Plan, kx: Array, ky: Array) -> Array:
     # (..., 3, 3): displacement measured for one that is there
     grid = plan.grid
     middle = 0.5 * (grid.x[0] + grid.x[1]), 0.5 * (grid.y[0] + grid.y[1])

@@ -1,0 +1,50 @@
+"""The gain of the matching windows of a cube, predicted from its recipe."""
+
+import json
+
+import numpy as np
+import xarray as xr
+
+from wavefield.errors import CubeError
+from wavefield.grid import Grid
+from wavefield.measurement import Plan, Settings
+from wavefield.measurement.gain import gains
+from wavefield.rig import Camera, Rig
+from wavefield.waves.window_gain import DIRECTIONS, label
+
+
+def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
+    """Predict the gain of the matching windows from the settings and cameras of a cube.
+
+    Parameters
+    ----------
+    cube : Dataset
+        A cube with its recipe among its attributes, as `wavefield run` writes it.
+
+    Returns
+    -------
+    Dataset
+        As `wavefield.waves.window_gain` gives it, without coherences.
+
+    Raises
+    ------
+    CubeError
+        If the cube does not say how it was made.
+
+    Notes
+    -----
+    By linear theory: `wavefield.measurement.gain.gains`.
+    """
+    try:
+        recipe = json.loads(cube.attrs["recipe"])
+        rig = Rig({name: Camera.from_dict(camera) for name, camera in recipe["rig"].items()})
+        grid = Grid(**recipe["grid"])
+        settings = Settings.from_dict(recipe["settings"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise CubeError(
+            f"the cube does not say how it was made ({error}): measure the gain of its windows, window_gain"
+        ) from None
+    k = np.linspace(0, np.sqrt(2) * np.pi / grid.step, 200)
+    angle = np.arange(DIRECTIONS)[:, None] * np.pi / DIRECTIONS
+    by_field = gains(Plan(rig, grid, settings), k * np.cos(angle), k * np.sin(angle))
+    return label(by_field, k, "linear theory")

@@ -1,0 +1,173 @@
+"""One pass over a cube in bounded memory: all sums that the analysis is made of."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import dask
+import numpy as np
+import xarray as xr
+from dask.callbacks import Callback
+from numpy.typing import NDArray
+
+from wavefield.waves import coherence, crosses, fusion, kinematics, rings, segments, statistics
+from wavefield.waves.record import Record
+from wavefield.waves.welch import Welch
+
+Array = NDArray[Any]
+
+FIELDS = ("z", "z_t", "u", "v", "w")
+NAMES = ("z", "z_t", "u", "v", "w", "nl")
+PAIRS = (*coherence.PAIRS, *fusion.PAIRS)
+MAPS = ("z", "w")
+_KINEMATIC_STEPS = 200  # steps at which the kinematic balance is drawn up
+_POINT_DISTANCE = 0.08  # m between the points of the higher-order spectra
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Sums:
+    """What one pass over a cube gives.
+
+    Parameters
+    ----------
+    rings : dict of str to ndarray
+        As `crosses.combine` gives it, over all segments.
+    survey : dict of str to ndarray
+        As `statistics.survey` gives it, and "slopes".
+    balance : list of dict
+        Rows of the kinematic balance (`kinematics.balance`), each with its "step".
+    points : ndarray, (time, points)
+        w at points far apart.
+    """
+
+    rings: dict[str, Array]
+    survey: dict[str, Array]
+    balance: list[dict[str, float]]
+    points: Array
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Takes in half a segment: sums of transforms, counts, the balance at some steps, time series."""
+
+    read: segments.Reader
+    scale: dict[str, tuple[float, float]]
+    record: Record
+    table: rings.Rings
+    every: int
+    apart: tuple[int, int]
+
+    def __call__(
+        self, state: dict[str, Any] | None, a: int, b: int, run: tuple[int, int], new: bool
+    ) -> dict[str, Any]:
+        state = {"survey": None, "sums": None, "balance": [], "points": []} if state is None else {**state}
+        dt, dy, dx = self.record.dt, self.record.dy, self.record.dx
+        fields = dict(zip(FIELDS, self.read(a, b, run)))
+        if new:
+            survey = self._survey(fields)
+            state["survey"] = survey if state["survey"] is None else segments.add(state["survey"], survey)
+            state["balance"] = state["balance"] + self._balance(fields, a)
+            points = fields["w"][:, :: self.apart[0], :: self.apart[1]]
+            state["points"] = [*state["points"], points.reshape(points.shape[0], -1).copy()]
+        # transforms come last: the rest needs room too
+        half = crosses.transforms(fields, NAMES, dt, dy, dx, state.get("old"))
+        if "half" in state:
+            if state["sums"] is None:
+                state["sums"] = crosses.empty_sums(half["z"], NAMES, PAIRS, MAPS, self.table)
+            crosses.add_segment(state["sums"], state["half"], half, NAMES, PAIRS, MAPS, self.table, dt)
+        return state | {"half": half, "old": state.get("half")}
+
+    def _survey(self, fields: dict[str, Array]) -> dict[str, Array]:
+        sums = statistics.survey({name: fields[name] for name in self.scale}, self.scale)
+        return sums | {"slopes": statistics.slope_square(fields["z"], self.record.dy, self.record.dx)}
+
+    def _balance(self, fields: dict[str, Array], first: int) -> list[dict[str, float]]:
+        record = self.record
+        return [
+            {"step": float(first + i)} | kinematics.balance(fields, i, record.dt, record.dy, record.dx)
+            for i in range(1, fields["z"].shape[0] - 1)
+            if (first + i) % self.every == 0
+        ]
+
+
+class _Count(Callback):
+    """Tells how many tasks are done."""
+
+    def __init__(self, tell: Progress, total: int) -> None:
+        self.tell, self.total, self.done = tell, total, 0
+        super().__init__(posttask=self._finished)  # type: ignore[no-untyped-call]
+
+    def _finished(self, key: Any, result: Any, dsk: Any, state: Any, worker_id: Any) -> None:
+        if str(key).startswith("_Step"):
+            self.done = min(self.done + 1, self.total)
+            self.tell(self.done, self.total)
+
+
+def _close(state: dict[str, Any]) -> dict[str, Any]:
+    return {name: part for name, part in state.items() if name not in ("half", "old")}
+
+
+def _look(read: segments.Reader, a: int, b: int, run: tuple[int, int]) -> None:
+    read(a, b, run)  # complains
+
+
+def one_pass(
+    cube: xr.Dataset,
+    welch: Welch,
+    alike: bool,
+    scale: dict[str, tuple[float, float]],
+    progress: Progress | None,
+) -> Sums:
+    """Read a cube once.
+
+    Parameters
+    ----------
+    cube : Dataset
+        `FIELDS` over (time, y, x), m and m/s, of one type.
+    welch : Welch
+        Segments and rings.
+    alike : bool
+        The record was found from z alone: raise `segments.UnlikeFirst` where another field lacks more.
+    scale : dict of str to (float, float)
+        As `statistics.pilot` gives it.
+    progress : callable or None
+        Called with the parts done and all parts.
+
+    Returns
+    -------
+    Sums
+    """
+    record = welch.record
+    used = sum(b - a for a, b in record.runs)
+    apart = tuple(max(1, round(_POINT_DISTANCE / step)) for step in (record.dy, record.dx))
+    step = _Step(
+        segments.Reader([cube[name] for name in FIELDS], record, alike),
+        scale,
+        record,
+        welch.table,
+        max(1, used // _KINEMATIC_STEPS),
+        (apart[0], apart[1]),
+    )
+    chains = segments.chains(record, welch.segment, step)
+    states = [dask.delayed(_close, pure=False)(state) for state in chains]
+    wanted = (
+        segments.in_order([state["sums"] for state in states]),
+        segments.in_order([state["survey"] for state in states]),
+        [state["balance"] for state in states],
+        [state["points"] for state in states],
+        # what lies in no segment has a say in where the runs end
+        [
+            dask.delayed(_look)(step.read, *rest)
+            for rest in segments.remainders(record, welch.segment)
+            if alike
+        ],
+    )
+    if progress is None:
+        sums, survey, balance, points, _ = dask.compute(*wanted)
+    else:
+        with _Count(progress, welch.count + len(chains)):
+            sums, survey, balance, points, _ = dask.compute(*wanted)
+    series = np.concatenate([np.concatenate(run) for run in points])
+    return Sums(sums, survey, [row for rows in balance for row in rows], series)
