@@ -64,7 +64,7 @@ def test_each_road_reaches_as_far_as_its_noise_lets_it(fused, truth):
 
 def test_the_range_that_is_said_is_the_range_that_is_reached(fused, truth):
     for method in ("stereo", "w", "cross", "fusion"):
-        said = float(fused.range_frequency.sel(method=method))
+        said = float(fused.range_frequency.sel(source=method))
         reached = reach(fused[f"Ez_{method}"], truth)[0]
         assert said == pytest.approx(reached, rel=0.25), method
 
@@ -107,7 +107,7 @@ def test_undone_windows_give_the_truth_to_the_shortest_waves(through_windows):
         assert abs(ratio.mean() - 1) < 0.05, method
     # the wider window's elevation is lost first; the combination lives on what the narrower one leaves
     frequency = {
-        method: float(undone.range_frequency.sel(method=method)) for method in ("stereo", "w", "fusion")
+        method: float(undone.range_frequency.sel(source=method)) for method in ("stereo", "w", "fusion")
     }
     assert frequency["stereo"] < frequency["w"] - 0.3
     assert frequency["fusion"] >= frequency["w"]

@@ -436,9 +436,9 @@ def accuracy(sources: Sources) -> Section:
         reach = ""
         if fusion is not None and "range_frequency" in fusion:
             reach = " They reach " + ", ".join(
-                f"{r}: {float(fusion.range_frequency.sel(method=r)):.1f} Hz, "
-                f"{float(fusion.range_decades.sel(method=r)):.1f} decades"
-                for r in fusion.method.values
+                f"{r}: {float(fusion.range_frequency.sel(source=r)):.1f} Hz, "
+                f"{float(fusion.range_decades.sel(source=r)):.1f} decades"
+                for r in fusion.source.values
             )
         section.items.append(
             Picture(

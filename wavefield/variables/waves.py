@@ -74,7 +74,7 @@ _rows("", ("band",), ("band_frequency", "Hz", "middle of the band"))
 _rows("", ("bin",), ("bin", "1", "(value - mean) / standard deviation"))
 _rows("", ("eps_bin",), ("eps_bin", "1", "(value - mean) / standard deviation"))
 _rows("", ("quantity",), ("quantity", "", "elevation, and displacement over one time step"), dtype="str")
-_rows("", ("method",), ("method", "", "method that gives the elevation"), dtype="str")
+_rows("", ("source",), ("source", "", "method that gives the elevation"), dtype="str")
 
 # ---- a spectrum of any field ----
 for _shape, _dims, _text in (
@@ -332,7 +332,7 @@ _rows(
 )
 _rows(
     "fusion",
-    ("method",),
+    ("source",),
     ("range_frequency", "Hz", "right within a factor 2 up to"),
     ("range_decades", "1", "decades below the peak up to there"),
 )

@@ -237,7 +237,7 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf, gain: xr.Dataset | Non
     reach = [_reach(omega, valid[method], positive) for method in METHODS]
     kept = _kept_freedom(energies, left, tiny)
 
-    out = xr.Dataset(coords=omega_coords(omega) | {"method": list(METHODS)})
+    out = xr.Dataset(coords=omega_coords(omega) | {"source": list(METHODS)})
     for method in METHODS:
         energy = xr.DataArray(energies[method], {"omega": omega}, ("omega",))
         parts = with_interval(energy, xr.DataArray(dof * kept[method], dims="omega"))
@@ -255,8 +255,8 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf, gain: xr.Dataset | Non
     out["sigma_z"] = ((), np.sqrt(float(noise.white_z.sum()) * spectra.step * band))
     out["sigma_dz"] = ((), np.sqrt(float(noise.white_dz.sum()) * spectra.step * band))
     out["noise_coherence"] = ((), _noise_coherence(ring, spectra, depth))
-    out["range_frequency"] = ("method", [r[0] for r in reach])
-    out["range_decades"] = ("method", [r[1] for r in reach])
+    out["range_frequency"] = ("source", [r[0] for r in reach])
+    out["range_decades"] = ("source", [r[1] for r in reach])
     return annotate(out.assign_attrs(ring.attrs), "fusion")
 
 
@@ -334,7 +334,7 @@ def fusion(
         ``Ez_stereo``, ``Ez_w``, ``Ez_cross``, ``Ez_fusion`` (omega, m2 s rad-1) with ``dof_``, ``low_``,
         ``high_``, ``valid_``; ``noise_z``, ``noise_w`` and their fits; ``weight_z``, ``wiener`` (omega);
         ``sigma_z``, ``sigma_dz`` (m); ``noise_coherence``; ``range_frequency`` (Hz), ``range_decades``
-        (method); with a gain ``Ez_komega`` (omega, k) too, NaN where it cannot be trusted. Computed at once.
+        (source); with a gain ``Ez_komega`` (omega, k) too, NaN where it cannot be trusted. Computed at once.
 
     Raises
     ------
