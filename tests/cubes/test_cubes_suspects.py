@@ -1,0 +1,125 @@
+"""A camera that contradicts the others is named, with what is wrong; sound ones raise no alarm."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wavefield.cubes.suspects import examine
+from wavefield.cubes.witness import Witness
+from wavefield.grid import Grid
+from wavefield.store.verdict import Remark, Verdict, read_verdict
+from wavefield.tank import Scene, Tank
+
+FRAMES = (1, 4)
+COUNT = 8
+
+
+class Shots:
+    """Images of a tank, drawn as they are asked for."""
+
+    def __init__(self, seed, **faults):
+        self.tank = Tank(Scene.load("demo").with_(rig={"crop": 0.32}, faults=faults, seed=seed))
+        self.drawn = {}
+
+    def __call__(self, name, frame):
+        if frame not in self.drawn:
+            self.drawn[frame] = self.tank.render(frame)
+        return self.drawn[frame][name]
+
+
+GRID = Grid((-0.28, 0.28), (-0.2, 0.2), 0.01)
+
+
+def found(read, rig=None, frames=FRAMES):
+    witness = Witness(read, rig or SOUND.tank.rig, GRID)
+    return examine(witness, COUNT, frames)
+
+
+SOUND = Shots(11)
+
+
+def covered(name, frame):
+    image = np.array(SOUND(name, frame))
+    if name == "cam2":
+        image[: image.shape[0] // 2] = 2
+    return image
+
+
+def reversed_(name, frame):
+    return SOUND(name, COUNT - 1 - frame if name == "cam2" else frame)
+
+
+def swapped(name, frame):
+    return SOUND({"cam1": "cam2", "cam2": "cam1"}.get(name, name), frame)
+
+
+def mirrored(name, frame):
+    image = SOUND(name, frame)
+    return image[:, ::-1] if name == "cam1" else image
+
+
+def late(name, frame):
+    return SOUND(name, max(frame - 1, 0) if name == "cam3" else frame)
+
+
+@pytest.mark.parametrize(
+    ("read", "subject", "kind", "says"),
+    [
+        (mirrored, "cam1", "mirrored", "its images are mirrored"),
+        (swapped, "cam1 and cam2", "swapped", "when their images are exchanged"),
+        (late, "cam3", "late", "write `offset: -1`"),
+        (reversed_, "cam2", "reversed", "is run backwards"),
+        (covered, "cam2", "covered", "shows nothing in"),
+        (Shots(11, cam2={"defocus": 2.0}), "cam2", "out of focus", "blurred by"),
+    ],
+)
+def test_a_camera_that_lies_is_named_with_its_lie(read, subject, kind, says):
+    remarks = found(read).remarks
+    assert [(r.subject, r.kind) for r in remarks] == [(subject, kind)]
+    assert says in str(remarks[0])
+
+
+def test_a_knocked_camera_is_named_and_the_miss_is_told_in_px():
+    rig = SOUND.tank.rig
+    turned = replace(rig["cam1"], cy=rig["cam1"].cy + 2)
+    (remark,) = found(SOUND, replace(rig, cameras={**rig.cameras, "cam1": turned})).remarks
+    assert (remark.subject, remark.kind) == ("cam1", "moved")
+    assert 0.3 < remark.values["eps_y cam1-cam3"] < 3
+    assert remark.values["eps_y cam2-cam3"] < 0.1
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_sound_cameras_raise_no_alarm(seed):
+    seen = found(SOUND if seed == 11 else Shots(seed))
+    assert seen.remarks == ()
+    assert min(min(pair["agreement"]) for pair in seen.pairs.values()) > 0.3
+
+
+def test_a_line_of_sight_off_by_what_does_not_matter_is_no_motion():
+    rig = SOUND.tank.rig
+    nudged = replace(rig["cam1"], cx=rig["cam1"].cx + 0.04, cy=rig["cam1"].cy + 0.04)
+    assert found(SOUND, replace(rig, cameras={**rig.cameras, "cam1": nudged})).remarks == ()
+
+
+def test_what_was_not_looked_at_is_not_judged():
+    nothing = found(lambda name, frame: None)
+    assert nothing.remarks == ()
+    assert nothing.frames == ()
+
+
+def test_a_verdict_is_one_line_a_status_and_a_file_beside_the_cube(tmp_path):
+    grave = Remark(
+        "cam1", "mirrored", "grave", "it agrees when mirrored", "as calibrated", "mend it", {"agreement": 0.8}
+    )
+    light = Remark("record", "gaps", "remark", "3 frames are missing")
+    verdict = Verdict.of([light, grave])
+    assert verdict.line == "not to be trusted: cam1 mirrored, record gaps"
+    assert verdict.exit_status == 3
+    assert Verdict.of([light]).line == "sound with remarks: record gaps"
+    assert Verdict().line == "sound"
+    assert Verdict().exit_status == 0
+    verdict.save(tmp_path / "cube.zarr")
+    assert read_verdict(tmp_path / "cube.zarr") == verdict
+    assert read_verdict(tmp_path / "other.zarr") is None
+    assert str(grave) == "cam1: it agrees when mirrored (expected: as calibrated); mend it"

@@ -1,0 +1,416 @@
+"""Which camera contradicts the others, and why: mirrored, swapped, late, reversed, blurred, covered, knocked.
+
+Every camera is compared with every other at some instants of the record. One that agrees with none while the
+others agree among themselves is looked at again as if its images were mirrored, another camera's, of another
+moment: what makes it agree is what is wrong with it.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.cubes.witness import (
+    Agreement,
+    Pair,
+    Witness,
+    agreement,
+    compare,
+    grounds,
+    pairs_of_all,
+    pooled,
+)
+from wavefield.store.verdict import Remark, Weight
+
+_FEWEST = 6  # patches: with fewer nothing is said
+_LEAST = 0.2  # of the patches: two cameras that agree in fewer do not agree
+_BESIDE = 0.5  # of what the best pair of cameras agrees in
+_SCATTER = 0.4  # px of eps_y: more is not the same water
+_MATTERS = 0.1  # px: what the mending of a rig is worth
+_BLURRED = 1.6  # times the blur of the other cameras
+_COVERED = 0.08  # of the patches
+_FLIPS = ("mirrored", "upside down", "turned by 180 degrees")
+
+
+@dataclass(frozen=True)
+class Examination:
+    """What was found.
+
+    Parameters
+    ----------
+    remarks : tuple of Remark
+        What is wrong.
+    cameras : mapping of str to mapping
+        Per camera: ``blur`` (px), ``brightness`` (grey levels), ``coverage`` (fraction); a value per instant.
+    pairs : mapping of str to mapping
+        Per pair: ``agreement`` (fraction of patches), ``eps_y`` (px, smooth part), one value per instant.
+    frames : tuple of int
+        The instants.
+    """
+
+    remarks: tuple[Remark, ...]
+    cameras: Mapping[str, Mapping[str, list[float]]]
+    pairs: Mapping[str, Mapping[str, list[float]]]
+    frames: tuple[int, ...]
+
+
+def examine(witness: Witness, count: int, frames: Sequence[int]) -> Examination:
+    """Compare cameras at some instants, and name what is wrong with them.
+
+    Parameters
+    ----------
+    witness : Witness
+        The cameras.
+    count : int
+        Frames of the record.
+    frames : sequence of int
+        Instants to look at; those without an image of every camera are passed over.
+
+    Returns
+    -------
+    Examination
+    """
+    names = list(witness.rig)
+    whole = tuple(k for k in frames if all(witness.read(name, k) is not None for name in names))
+    if len(witness.x) < _FEWEST or not whole or len(names) < 2:
+        return Examination((), {}, {}, whole)
+    table = _Table(witness, names, whole)
+    remarks = [*_covered(table), *_blurred(table)]
+    lying, explained = _lying(table, count)
+    remarks = [remark for remark in remarks if remark.subject not in lying] + explained
+    remarks += _knocked(table, lying)
+    return Examination(tuple(remarks), table.camera_numbers(), table.pair_numbers(), whole)
+
+
+class _Table:
+    """Agreements of all pairs at all instants."""
+
+    def __init__(self, witness: Witness, names: list[str], frames: tuple[int, ...]) -> None:
+        self.witness, self.names, self.frames = witness, names, frames
+        self.pairs = pairs_of_all(names)
+        self.grounds = {k: grounds(witness, k, names) for k in frames}
+        self.found: dict[Pair, list[Agreement]] = {
+            pair: [self.compare(pair, k, pair[0], pair[1]) for k in frames] for pair in self.pairs
+        }
+        self.blur = {name: [blur(witness.read(name, k)) for k in frames] for name in names}
+
+    def compare(
+        self, pair: Pair, frame: int, first: str, second: str, *, change: str = "", later: int = 0
+    ) -> Agreement:
+        """Images of two cameras through the lenses of a pair; the second changed, or of another moment."""
+        witness, a, b = self.witness, *pair
+        one = witness.patches(first, frame, "", a)
+        other = witness.patches(second, frame + later, change, b)
+        ground = self.grounds[frame][first] if first == a else None
+        if not change and second == b and ground is not None:
+            ground = ground & self.grounds[frame][second]
+        return agreement(witness, pair, compare(one, other), ground)
+
+    def good(self) -> list[Pair]:
+        """Pairs of cameras that agree."""
+        scores = {pair: score(found) for pair, found in self.found.items()}
+        limit = max(_LEAST, _BESIDE * max(scores.values()))
+        return [pair for pair, value in scores.items() if value >= limit]
+
+    def camera_numbers(self) -> dict[str, dict[str, list[float]]]:
+        """Of every camera, over time."""
+        return {
+            name: {
+                "blur": [round(value, 3) for value in self.blur[name]],
+                "brightness": [round(float(np.mean(self._image(name, k))), 2) for k in self.frames],
+                "coverage": [round(1 - value, 3) for value in covered(self, name)],
+            }
+            for name in self.names
+        }
+
+    def pair_numbers(self) -> dict[str, dict[str, list[float]]]:
+        """Of every pair, over time."""
+        return {
+            "-".join(pair): {
+                "agreement": [round(one.fraction, 3) for one in found],
+                "eps_y": [round(size(one.smooth), 3) for one in found],
+            }
+            for pair, found in self.found.items()
+        }
+
+    def _image(self, name: str, frame: int) -> NDArray[Any]:
+        return np.asarray(self.witness.read(name, frame))
+
+
+def score(found: Sequence[Agreement]) -> float:
+    """How well two cameras agree over some instants: patches found, nothing if they scatter.
+
+    Parameters
+    ----------
+    found : sequence of Agreement
+        One per instant.
+
+    Returns
+    -------
+    float
+        0 to 1.
+    """
+    scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= 4]
+    return pooled(found) if scatter and float(np.median(scatter)) < _SCATTER else 0.0
+
+
+def size(smooth: NDArray[np.float64]) -> float:
+    """Rms over the field of the smooth part of eps_y, px."""
+    return float(np.sqrt(smooth[0] ** 2 + (smooth[1] ** 2 + smooth[2] ** 2) / 3))
+
+
+def blur(image: NDArray[Any] | None) -> float:
+    """Width of the finest things in an image, px: from how alike neighbouring pixels are.
+
+    Parameters
+    ----------
+    image : ndarray, (rows, columns), or None
+        Grey levels.
+
+    Returns
+    -------
+    float
+        Standard deviation of a Gaussian that would make them so alike; NaN where there is nothing to see.
+    """
+    if image is None:
+        return float("nan")
+    fine = np.asarray(image, np.float32)
+    fine = fine - cv2.blur(fine, (15, 15))
+    power = float((fine * fine).mean())
+    if power <= 0:
+        return float("nan")
+    alike = [float((fine[1:] * fine[:-1]).mean()), float((fine[:, 1:] * fine[:, :-1]).mean())]
+    across = [float((fine[2:] * fine[:-2]).mean()), float((fine[:, 2:] * fine[:, :-2]).mean())]
+    # two pixels aside against one: noise, which is alike in no two pixels, has no part in it
+    ratio = np.clip(np.array(across) / np.maximum(alike, 1e-6 * power), 1e-4, 0.9999)
+    return float(np.sqrt(-3 / (4 * np.log(np.sqrt(ratio.prod())))))
+
+
+# -- one thing after another -------------------------------------------------------------------------------
+
+
+def covered(table: _Table, name: str) -> list[float]:
+    """Fraction of the patches in which a camera shows nothing where another shows something."""
+    out = []
+    for ground in table.grounds.values():
+        others = np.mean([ground[other] for other in table.names if other != name], axis=0) > 0.5
+        out.append(float((others & ~ground[name]).sum() / max(others.sum(), 1)))
+    return out
+
+
+def _covered(table: _Table) -> Iterator[Remark]:
+    for name in table.names:
+        fraction = float(np.median(covered(table, name)))
+        if fraction > _COVERED:
+            yield Remark(
+                name,
+                "covered",
+                "grave" if fraction > 0.6 else "remark",
+                f"it shows nothing in {100 * fraction:.0f} % of the field where the others do",
+                f"less than {100 * _COVERED:.0f} %",
+                "look for what stands before it or for missing light; what it does not see is not measured",
+                {"fraction": fraction},
+            )
+
+
+def _blurred(table: _Table) -> Iterator[Remark]:
+    widths = {name: float(np.nanmedian(table.blur[name])) for name in table.names}
+    for name, width in widths.items():
+        usual = float(np.median([widths[other] for other in table.names if other != name]))
+        if width > _BLURRED * usual and width > 1.0:
+            yield Remark(
+                name,
+                "out of focus",
+                "remark",
+                f"its images are blurred by {width:.1f} px",
+                f"{usual:.1f} px as the other cameras",
+                "focus it; where it is to stay, leave it out (`surface: pairs`, `velocity: cameras`)",
+                {"blur": width, "usual": usual},
+            )
+
+
+def _lying(table: _Table, count: int) -> tuple[set[str], list[Remark]]:
+    """Cameras that agree with none, and what explains it."""
+    good = table.good()
+    if len(good) == len(table.pairs):
+        return set(), []
+    lying = {name for name in table.names if not any(name in pair for pair in good)}
+    if not lying:  # a wide pair of cameras may see too different pictures; each still agrees with a third
+        return set(), []
+    level = max(_LEAST, _BESIDE * max(score(found) for found in table.found.values()))
+    if swap := _swapped(table, level):
+        return set(table.names), [swap]
+    remarks = []
+    for name in sorted(lying):
+        partners = [n for n in table.names if n != name and n not in lying] or [
+            n for n in table.names if n != name
+        ]
+        remarks.append(_explain(table, name, partners, level, count))
+    named = [remark for remark in remarks if remark.kind != "contradicts"]
+    if len(lying) == len(table.names):  # nobody agrees with anybody: what is explained goes first
+        remarks = named[:1] or [_nobody(table)]
+    return lying, remarks
+
+
+def _nobody(table: _Table) -> Remark:
+    best = max(score(found) for found in table.found.values())
+    return Remark(
+        "cameras",
+        "disagree",
+        "grave",
+        f"no two of them see the same water: at best {100 * best:.0f} % of the patches are found again",
+        f"more than {100 * _LEAST:.0f} %",
+        "is the rig theirs, are the frames of the same moments (`offset`), is the water seeded?",
+        {"agreement": best},
+    )
+
+
+def _swapped(table: _Table, level: float) -> Remark | None:
+    before = float(np.mean([score(found) for found in table.found.values()]))
+    best, which = max(before + 0.1, level), None
+    for one, other in table.pairs:
+        if len(table.names) < 3:
+            break
+        turned = {one: other, other: one}
+        scores = [
+            score([table.compare((a, b), k, turned.get(a, a), turned.get(b, b)) for k in table.frames[:2]])
+            for a, b in table.pairs
+        ]
+        if min(scores) > _LEAST / 2 and float(np.mean(scores)) > best:
+            best, which = float(np.mean(scores)), (one, other)
+    if which is None:
+        return None
+    return Remark(
+        f"{which[0]} and {which[1]}",
+        "swapped",
+        "grave",
+        f"they agree with the others ({100 * best:.0f} % of the patches) when their images are exchanged",
+        f"{100 * before:.0f} % as they are named",
+        "exchange their `images` in the experiment file, or their names in the rig",
+        {"agreement": best, "as named": before},
+    )
+
+
+def _explain(table: _Table, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
+    """What makes a camera agree with its partners, tried at two instants."""
+    frames = table.frames[:2]
+    candidates: dict[tuple[str, str, str], float] = {}
+    for partner in partners:
+        pair = (partner, name)
+        for change in _FLIPS:
+            found = [table.compare(pair, k, partner, name, change=change) for k in frames]
+            _keep(candidates, ("mirrored", change, partner), score(found))
+        for later in (-2, -1, 1, 2):
+            some = [k for k in frames if 0 <= k + later < count]
+            found = [table.compare(pair, k, partner, name, later=later) for k in some]
+            _keep(candidates, ("late" if later > 0 else "early", str(abs(later)), partner), score(found))
+        some = [k for k in frames if abs(count - 1 - 2 * k) > 1]
+        found = [table.compare(pair, k, partner, name, later=count - 1 - 2 * k) for k in some]
+        _keep(candidates, ("reversed", "", partner), score(found))
+        for other in table.names:
+            if other not in (name, partner):
+                found = [table.compare((partner, other), k, partner, name) for k in frames]
+                _keep(candidates, ("swapped", other, partner), score(found))
+    (kind, what, _), best = max(candidates.items(), key=lambda item: item[1])
+    now = max(score(table.found[pair]) for pair in table.pairs if name in pair)
+    if best < max(_LEAST, level, 2 * now):
+        return _contradicts(table, name, now)
+    return replace(_WORDS[kind](name, what), values={"agreement": best, "as it is": now})
+
+
+def _keep(candidates: dict[tuple[str, str, str], float], key: tuple[str, str, str], value: float) -> None:
+    candidates[key] = max(value, candidates.get(key, 0.0))
+
+
+def _grave(name: str, kind: str, sentence: str, remedy: str) -> Remark:
+    return Remark(name, kind, "grave", sentence, "images as the rig has them, of the same moments", remedy)
+
+
+_WORDS = {
+    "mirrored": lambda name, what: _grave(
+        name,
+        "mirrored",
+        f"it agrees with the others when its images are {what}",
+        "mend its images, or calibrate it with target images that are turned alike",
+    ),
+    "late": lambda name, what: _grave(
+        name,
+        "late",
+        f"it agrees with the others when its frames are taken {what} later",
+        f"write `offset: -{what}` for it in the experiment file",
+    ),
+    "early": lambda name, what: _grave(
+        name,
+        "early",
+        f"it agrees with the others when its frames are taken {what} before",
+        f"write `offset: {what}` for it in the experiment file",
+    ),
+    "reversed": lambda name, what: _grave(
+        name,
+        "reversed",
+        "it agrees with the others when its record is run backwards",
+        "number its images in the order of time",
+    ),
+    "swapped": lambda name, what: _grave(
+        name,
+        "swapped",
+        f"its images are those that {what} would take",
+        f"correct its `images` in the experiment file: they show what {what} sees",
+    ),
+}
+
+
+def _contradicts(table: _Table, name: str, now: float) -> Remark:
+    usual = max(score(found) for found in table.found.values())
+    return Remark(
+        name,
+        "contradicts",
+        "grave",
+        f"it agrees with no other camera: {100 * now:.0f} % of its patches are found again",
+        f"{100 * usual:.0f} % as the others among themselves" if usual else f"more than {100 * _LEAST:.0f} %",
+        "is it sharp and bright, are its frames of the same moments, is the rig that of these images?",
+        {"agreement": now, "usual": usual},
+    )
+
+
+def _knocked(table: _Table, lying: set[str]) -> Iterator[Remark]:
+    """Cameras whose sight lines miss those of the others by a smooth eps_y."""
+    smooth = {
+        pair: np.median([one.smooth for one in found if one.fraction > 0], axis=0)
+        for pair, found in table.found.items()
+        if not lying & set(pair) and any(one.fraction > 0 for one in found)
+    }
+    missed = {pair: size(value) for pair, value in smooth.items()}
+    wrong = [pair for pair, value in missed.items() if value > _MATTERS and _sure(table.found[pair]) > 4]
+    if not wrong:
+        return
+    most = max(missed[pair] for pair in wrong)
+    suspects = [
+        name
+        for name in table.names
+        if all(name in pair for pair in wrong)
+        and all(value < most / 3 for pair, value in missed.items() if name not in pair)
+    ]
+    weight: Weight = "grave" if most > 0.5 else "remark"
+    subject = suspects[0] if len(suspects) == 1 else "rig"
+    between = " and of ".join("-".join(pair) for pair in wrong)
+    yield Remark(
+        subject,
+        "moved",
+        weight,
+        f"the sight lines of {between} miss each other by {most:.2f} px on the water",
+        f"less than {_MATTERS} px",
+        "mend the rig by a record of water at rest (`rest:`, or `wavefield refine`), or calibrate again",
+        {f"eps_y {'-'.join(pair)}": value for pair, value in missed.items()},
+    )
+
+
+def _sure(found: Sequence[Agreement]) -> float:
+    """The smooth part over its uncertainty."""
+    one = max(found, key=lambda each: each.fraction)
+    if len(one.eps_y) < 8:
+        return 0.0
+    return size(one.smooth) / max(float(one.eps_y.std()) / np.sqrt(len(one.eps_y) - 3), 1e-3)

@@ -1,0 +1,328 @@
+"""What the cameras' images say of each other, by other means than the measurement: patches and correlation.
+
+Patches of the images are laid on the plane of the water at rest and compared by normalised correlation, every
+camera with every other and with itself a frame later. A point at height z appears displaced along the
+parallax of the two cameras; what is displaced across it (eps_y) cannot be water, whatever its shape.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.grid import Grid
+from wavefield.rig import Rig
+from wavefield.rig.resolution import pixel_size
+
+Array = NDArray[np.float64]
+Read = Callable[[str, int], NDArray[np.generic] | None]  # of camera and frame
+Pair = tuple[str, str]
+
+SIDE = 32  # px of a patch
+REACH = 40  # px that it is looked for around its place
+_MOST = 120  # patches
+ALIKE = 0.5  # correlation of patches that show the same water
+_FLIPS = {
+    "mirrored": np.s_[:, ::-1],
+    "upside down": np.s_[::-1],
+    "turned by 180 degrees": np.s_[::-1, ::-1],
+}
+_NEAR = 1.5  # px of eps_y beside the smooth part of it
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One camera's patches found again in another's images.
+
+    Parameters
+    ----------
+    moved : ndarray, (n, 2)
+        By how much along x and y, px on the water; NaN where not found.
+    likeness : ndarray, (n,)
+        Normalised correlation.
+    """
+
+    moved: Array
+    likeness: Array
+
+
+@dataclass
+class Witness:
+    """Patches of all cameras on the water at rest, taken as they are asked for.
+
+    Parameters
+    ----------
+    read : callable
+        From camera and frame to the image, or None.
+    rig : Rig
+        The cameras.
+    grid : Grid
+        Where to look.
+    """
+
+    read: Read
+    rig: Rig
+    grid: Grid
+    _maps: dict[str, tuple[NDArray[np.float32], NDArray[np.float32]]] = field(default_factory=dict)
+    _patches: dict[tuple[str, int, str, str], NDArray[np.float32] | None] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.pixel = float(pixel_size(self.rig, self.grid))
+        self.x, self.y = self._places()
+
+    def _places(self) -> tuple[Array, Array]:
+        """Middles of the patches: spread over what all cameras see."""
+        pitch = SIDE * self.pixel
+        limits = (self.grid.x, self.grid.y)
+        x, y = (np.arange(low + pitch / 2, high - pitch / 2 + 1e-9, pitch) for low, high in limits)
+        X, Y = (v.ravel() for v in np.meshgrid(x, y))
+        seen = np.ones(X.shape, bool)
+        for camera in self.rig.cameras.values():
+            for a, b in ((-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)):
+                seen &= camera.sees(X + a * pitch, Y + b * pitch, 0.0)
+        chosen = np.flatnonzero(seen)
+        chosen = chosen[np.linspace(0, max(len(chosen) - 1, 0), min(_MOST, len(chosen))).astype(int)]
+        return X[chosen], Y[chosen]
+
+    def _map(self, name: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        if name not in self._maps:
+            offset = (np.arange(SIDE + 2 * REACH) - (SIDE + 2 * REACH - 1) / 2) * self.pixel
+            column, row = self.rig[name].project(
+                self.x[:, None, None] + offset, self.y[:, None, None] + offset[:, None], 0.0
+            )
+            shape = (-1, offset.size)
+            self._maps[name] = (
+                column.reshape(shape).astype(np.float32),
+                row.reshape(shape).astype(np.float32),
+            )
+        return self._maps[name]
+
+    def patches(
+        self, name: str, frame: int, change: str = "", through: str = ""
+    ) -> NDArray[np.float32] | None:
+        """Patches of one image, with what is around them.
+
+        Parameters
+        ----------
+        name : str
+            The camera.
+        frame : int
+            The frame.
+        change : {"", "mirrored", "upside down", "turned by 180 degrees"}
+            Done to the image before.
+        through : str
+            The camera whose place and lens are taken for it, if not its own.
+
+        Returns
+        -------
+        ndarray, (n, SIDE + 2 REACH, SIDE + 2 REACH), or None
+            Grey levels; NaN outside the image.
+        """
+        key = (name, frame, change, through)
+        if key not in self._patches:
+            image = self.read(name, frame)
+            if image is None:
+                self._patches[key] = None
+            else:
+                flat = np.ascontiguousarray(
+                    np.asarray(image)[_FLIPS[change]] if change else image, np.float32
+                )
+                laid = cv2.remap(
+                    flat, *self._map(through or name), cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, np.nan
+                )
+                side = SIDE + 2 * REACH
+                self._patches[key] = laid.reshape(-1, side, side)
+        return self._patches[key]
+
+    def contrast(self, name: str, frame: int) -> Array | None:
+        """Standard deviation of each patch, grey levels."""
+        patches = self.patches(name, frame)
+        return None if patches is None else np.nan_to_num(middle(patches).std(axis=(1, 2)).astype(float))
+
+    def across(self, pair: Pair) -> tuple[Array, Array]:
+        """Unit vectors along and across the parallax of two cameras, each (n, 2)."""
+        a, b = (self.rig[name].centre for name in pair)
+        at = np.stack([self.x, self.y], axis=-1)
+        along = (at - b[:2]) / b[2] - (at - a[:2]) / a[2]
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+        return along, np.stack([-along[:, 1], along[:, 0]], axis=-1)
+
+
+def middle(patches: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The patches without what is around them.
+
+    Parameters
+    ----------
+    patches : ndarray, (n, SIDE + 2 REACH, SIDE + 2 REACH)
+        As from `Witness.patches`.
+
+    Returns
+    -------
+    ndarray, (n, SIDE, SIDE)
+    """
+    return patches[:, REACH : REACH + SIDE, REACH : REACH + SIDE]
+
+
+def compare(first: NDArray[np.float32] | None, second: NDArray[np.float32] | None) -> Comparison | None:
+    """Look for the middle of each patch in another.
+
+    Parameters
+    ----------
+    first, second : ndarray, (n, SIDE + 2 REACH, SIDE + 2 REACH), or None
+        As from `Witness.patches`.
+
+    Returns
+    -------
+    Comparison or None
+        None where an image is missing.
+    """
+    if first is None or second is None:
+        return None
+    moved = np.full((len(first), 2), np.nan)
+    likeness = np.zeros(len(first))
+    for k, (template, field_) in enumerate(zip(middle(first), second)):
+        if not np.isfinite(template).all() or float(template.std()) < 1e-3:
+            continue
+        gaps = ~np.isfinite(field_)
+        around = np.where(gaps, template.mean(), field_).astype(np.float32)
+        score = cv2.matchTemplate(around, np.ascontiguousarray(template), cv2.TM_CCOEFF_NORMED)
+        row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+        likeness[k] = score[row, column]
+        if 0 < row < score.shape[0] - 1 and 0 < column < score.shape[1] - 1:
+            dx = _vertex(*score[row, column - 1 : column + 2])
+            dy = _vertex(*score[row - 1 : row + 2, column])
+            moved[k] = column + dx - REACH, row + dy - REACH
+    return Comparison(moved, likeness)
+
+
+def _vertex(before: float, at: float, after: float) -> float:
+    bend = float(before) - 2 * float(at) + float(after)
+    return 0.0 if bend >= 0 else 0.5 * (float(before) - float(after)) / bend
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How two cameras agree.
+
+    Parameters
+    ----------
+    fraction : float
+        Patches found again, and across the parallax where a smooth eps_y lets expect them.
+    eps_y : ndarray, (m,)
+        Of those, px on the water.
+    smooth : ndarray, (3,)
+        Its smooth part: px, px per half width along x, along y.
+    places : ndarray of int, (m,)
+        Which patches.
+    """
+
+    fraction: float
+    eps_y: Array
+    smooth: Array
+    places: NDArray[np.intp]
+
+
+def agreement(
+    witness: Witness, pair: Pair, found: Comparison | None, ground: NDArray[np.bool_] | None = None
+) -> Agreement:
+    """How far one camera's patches found in another's could be the same water.
+
+    Parameters
+    ----------
+    witness : Witness
+        The cameras.
+    pair : (str, str)
+        Whose patches, in whose image.
+    found : Comparison
+        As from `compare`.
+    ground : ndarray of bool, (n,), optional
+        Patches that show something in both.
+
+    Returns
+    -------
+    Agreement
+    """
+    n = len(witness.x)
+    nothing = Agreement(0.0, np.zeros(0), np.zeros(3), np.zeros(0, np.intp))
+    counted = n if ground is None else int(ground.sum())
+    if found is None or counted < 4:
+        return nothing
+    eps_y = (found.moved * witness.across(pair)[1]).sum(axis=1)
+    good = (found.likeness > ALIKE) & np.isfinite(eps_y)
+    if ground is not None:
+        good &= ground
+    if good.sum() < 4:
+        return nothing
+    design = np.stack([np.ones(n), *(_scaled(v) for v in (witness.x, witness.y))], axis=-1)
+    smooth = np.array([np.median(eps_y[good]), 0.0, 0.0])
+    for _ in range(4):  # what lies near the smooth part makes it anew
+        near = good & (np.abs(eps_y - design @ smooth) < _NEAR)
+        if near.sum() < 8:
+            break
+        smooth = np.linalg.lstsq(design[near], eps_y[near], rcond=None)[0]
+    near = good & (np.abs(eps_y - design @ smooth) < _NEAR)
+    return Agreement(float(near.sum() / counted), eps_y[near], smooth, np.flatnonzero(near))
+
+
+def _scaled(v: Array) -> Array:
+    return (v - v.mean()) / max(float(np.ptp(v)) / 2, 1e-12)
+
+
+def pairs_of_all(names: Sequence[str]) -> list[Pair]:
+    """Every camera with every other.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The cameras.
+
+    Returns
+    -------
+    list of (str, str)
+    """
+    return list(combinations(names, 2))
+
+
+def pooled(agreements: Sequence[Agreement]) -> float:
+    """Mean fraction over instants.
+
+    Parameters
+    ----------
+    agreements : sequence of Agreement
+        One per instant.
+
+    Returns
+    -------
+    float
+    """
+    return float(np.mean([a.fraction for a in agreements])) if agreements else 0.0
+
+
+def grounds(witness: Witness, frame: int, names: Sequence[str]) -> Mapping[str, NDArray[np.bool_]]:
+    """Where each camera shows something: contrast of a fifth of its median at least.
+
+    Parameters
+    ----------
+    witness : Witness
+        The cameras.
+    frame : int
+        When.
+    names : sequence of str
+        Which cameras.
+
+    Returns
+    -------
+    mapping of str to ndarray of bool, (n,)
+    """
+    out = {}
+    for name in names:
+        contrast = witness.contrast(name, frame)
+        if contrast is not None and len(contrast):
+            usual = np.median(contrast[contrast > 0.5]) if (contrast > 0.5).any() else np.inf
+            out[name] = contrast > 0.2 * usual
+        else:
+            out[name] = np.zeros(len(witness.x), bool)
+    return out

@@ -1,0 +1,155 @@
+"""Whether a measurement can be trusted, in one line and in remarks that say what to do."""
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from wavefield.store.beside import beside
+from wavefield.whole_files import write_text
+
+Weight = Literal["note", "remark", "grave"]
+WORDS = {"note": "sound", "remark": "sound with remarks", "grave": "not to be trusted"}
+_RANK = {"note": 0, "remark": 1, "grave": 2}
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something that a person should know of a measurement.
+
+    Parameters
+    ----------
+    subject : str
+        What it is about: a camera, the probes, the record.
+    kind : str
+        One word for scripts, such as "mirrored".
+    weight : {"note", "remark", "grave"}
+        Worth knowing; to be weighed; nothing that follows from it can be believed.
+    sentence : str
+        What was measured.
+    expected : str
+        What was expected.
+    remedy : str
+        What to do.
+    values : mapping
+        The numbers behind it.
+    """
+
+    subject: str
+    kind: str
+    weight: Weight
+    sentence: str
+    expected: str = ""
+    remedy: str = ""
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        expected = f" (expected: {self.expected})" if self.expected else ""
+        remedy = f"; {self.remedy}" if self.remedy else ""
+        return f"{self.subject}: {self.sentence}{expected}{remedy}"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """All remarks on a measurement.
+
+    Parameters
+    ----------
+    remarks : tuple of Remark
+        The gravest first.
+
+    Examples
+    --------
+    >>> Verdict().line
+    'sound'
+    >>> Verdict.of([Remark("cam1", "focus", "remark", "its images are twice as blurred")]).line
+    'sound with remarks: cam1 focus'
+    """
+
+    remarks: tuple[Remark, ...] = ()
+
+    @classmethod
+    def of(cls, remarks: Iterable[Remark]) -> "Verdict":
+        """Put remarks in order.
+
+        Parameters
+        ----------
+        remarks : iterable of Remark
+            In any order.
+
+        Returns
+        -------
+        Verdict
+        """
+        return cls(tuple(sorted(remarks, key=lambda remark: -_RANK[remark.weight])))
+
+    @property
+    def weight(self) -> Weight:
+        """That of the gravest remark."""
+        return self.remarks[0].weight if self.remarks else "note"
+
+    @property
+    def line(self) -> str:
+        """The verdict in one line."""
+        if self.weight == "note":
+            return WORDS["note"]
+        about = [f"{r.subject} {r.kind}" for r in self.remarks if r.weight != "note"]
+        return f"{WORDS[self.weight]}: {', '.join(about)}"
+
+    @property
+    def exit_status(self) -> int:
+        """Of a command: 3 where a remark matters, else 0."""
+        return 0 if self.weight == "note" else 3
+
+    def __str__(self) -> str:
+        return "\n".join([f"verdict: {self.line}", *(f"  {remark}" for remark in self.remarks)])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, as for ``--json``.
+
+        Returns
+        -------
+        dict
+            ``verdict``, ``line``, ``remarks``.
+        """
+        return {
+            "verdict": WORDS[self.weight],
+            "line": self.line,
+            "remarks": [asdict(remark) for remark in self.remarks],
+        }
+
+    def save(self, store: Path) -> None:
+        """Write the verdict beside a cube.
+
+        Parameters
+        ----------
+        store : path
+            The cube.
+
+        Raises
+        ------
+        StoreError
+            If it cannot be written.
+        """
+        write_text(beside(store, "verdict", ".json"), json.dumps(self.to_dict(), indent=1) + "\n")
+
+
+def read_verdict(store: str | Path) -> Verdict | None:
+    """The verdict on a cube, as its run left it.
+
+    Parameters
+    ----------
+    store : path
+        The cube.
+
+    Returns
+    -------
+    Verdict or None
+        None if there is none.
+    """
+    try:
+        data = json.loads(beside(Path(store), "verdict", ".json").read_text(encoding="utf-8"))
+        return Verdict.of(Remark(**remark) for remark in data["remarks"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
