@@ -6,6 +6,7 @@ from wavefield.cubes.forecast import check
 from wavefield.cubes.lazy import reconstruct
 from wavefield.cubes.running import run
 from wavefield.cubes.workflow import Workflow
+from wavefield.explorer.notebook import look
 from wavefield.grid import Grid
 from wavefield.matching.gauss_newton import match
 from wavefield.measurement.settings import Settings
@@ -41,6 +42,7 @@ __all__ = [
     "export",
     "komega",
     "load_rig",
+    "look",
     "match",
     "open_cube",
     "reconstruct",

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import click
 
 from wavefield import __version__
-from wavefield.commands import archive, experiment, simulate, waves
+from wavefield.commands import archive, experiment, look, simulate, waves
 from wavefield.errors import WavefieldError
 
 _EPILOG = """\b
@@ -22,6 +22,7 @@ Your own data:  wavefield calibrate experiment.yaml
                 wavefield run experiment.yaml
                 wavefield analyze cube.zarr
                 wavefield report cube.zarr
+                wavefield look cube.zarr
 """
 
 
@@ -57,6 +58,7 @@ for _command in (
     experiment.verify,
     waves.analyze,
     waves.report,
+    look.look,
     archive.export,
     archive.catalog,
     archive.rig,

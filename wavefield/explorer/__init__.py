@@ -1,1 +1,1 @@
-"""Looking at a cube, and at an experiment while its cameras write: interactive pages."""
+"""Looking at a cube, and at an experiment while its cameras write: interactive pages on the loopback."""

@@ -127,30 +127,29 @@ class CameraPanel:
         self._seen: dict[str, NDArray[Any]] = {}
         self.figure = self._draw()
         self.layout = column(
-            row(self.camera, self.frame, self.drawn, sizing_mode="stretch_width"),
+            row(self.camera, self.frame, self.drawn, styles={"flex-wrap": "wrap"}),
             self.figure,
             self.words,
             sizing_mode="stretch_width",
         )
 
     def _draw(self) -> Any:
+        shape = next((series.shape for series in self._beside.frames.values()), (3, 4))
         made = make_figure(
             "camera_view",
             tools="pan,wheel_zoom,box_zoom,reset,save",
-            active_scroll="wheel_zoom",
             toolbar_location="above",
             x_range=Range1d(0, 1),
             y_range=Range1d(1, 0),
             x_axis_label="column (px)",
             y_axis_label="row (px)",
-            aspect_ratio=1.3,
-            max_height=640,
+            aspect_ratio=float(np.clip(shape[1] / shape[0], 1.15, 2.2)),
         )
         made.grid.grid_line_color = None
         grey = LinearColorMapper(palette="Greys256", low=255, high=0)
         grey.update(palette=[f"#{k:02x}{k:02x}{k:02x}" for k in range(256)], low=0, high=255)
         made.image("image", source=self.image, color_mapper=grey)
-        made.multi_line("xs", "ys", source=self.grid, color="#56B4E9", line_alpha=0.55, line_width=0.8)
+        made.multi_line("xs", "ys", source=self.grid, color="#56B4E9", line_alpha=0.85, line_width=1.2)
         kinds = LinearColorMapper(palette=[k[2] for k in KINDS], low=-0.5, high=len(KINDS) - 0.5)
         made.scatter(
             "X", "Y", source=self.nodes, size=4.5,
@@ -184,7 +183,6 @@ class CameraPanel:
         if self.figure.x_range.end != width:
             self.figure.x_range.update(start=0, end=width, reset_start=0, reset_end=width)
             self.figure.y_range.update(start=height, end=0, reset_start=height, reset_end=0)
-            self.figure.aspect_ratio = float(np.clip(width / height, 0.7, 2.2))
         if frame.image is None:
             self.words.text = f"{frame.message}; the other frames can be looked at."
             self.image.data = {key: [] for key in self.image.data}

@@ -172,6 +172,7 @@ _UNITS = {
     "m s-1": Shown(100.0, "cm/s"),
     "s-1": Shown(1.0, "1/s"),
     "1": Shown(1.0, ""),
+    "pixel": Shown(1.0, "px"),
 }
 _SMALL = Shown(1000.0, "mm")
 

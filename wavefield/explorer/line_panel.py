@@ -46,7 +46,6 @@ class LinePanel:
             "line_diagram",
             height=430,
             tools="pan,wheel_zoom,reset,save",
-            active_scroll="wheel_zoom",
             toolbar_location="above",
             x_range=self.transect.x_range,
             y_range=Range1d(0, 1),
@@ -94,7 +93,6 @@ class LinePanel:
             self.image.data = {key: [] for key in self.image.data}
             self.diagram.title.text = f"no diagram of {name}: it is computed step by step"
             return
-        self.diagram.title.text = ""
         self._show_diagram(place, name, limits, x, y)
 
     def _show_diagram(
@@ -105,7 +103,7 @@ class LinePanel:
         steps = slice(low, min(low + _STEPS, record.layout.steps))
         shown = shown_as(name, record.units(name))
         self.mapper.update(palette=palette(colour_map(name)), low=limits[0], high=limits[1])
-        self.bar.title = f"{name}{shown.suffix}"
+        self.diagram.title.text = f"{name}{shown.suffix}"
         around = self._window and self._window[0] <= place.step < self._window[1]
         key = (place.line, name, int(preview.known.sum()))
         if around and self._drawn == key and self._quarter(place.step):

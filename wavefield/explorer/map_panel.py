@@ -107,14 +107,13 @@ class MapPanel:
             toolbar_location="above",
             x_axis_label="x (m)",
             y_axis_label="y (m)",
-            aspect_ratio=float(np.clip((wide + 0.22 * wide) / high, 0.8, 2.4)),
-            max_height=640,
-            min_height=260,
+            aspect_ratio=float(np.clip(1.22 * wide / high, 1.2, 2.4)),
         )
         made.x_range.range_padding = made.y_range.range_padding = 0.0
         made.grid.grid_line_color = None
         made.background_fill_color = "#f6f8fa"
         shown = made.image("image", source=self.image, color_mapper=self.mapper)
+        made.x_range.renderers = made.y_range.renderers = [shown]
         made.multi_line("xs", "ys", source=self.shafts, color=INK, line_width=1.1)
         halo: dict[str, Any] = {"source": self.line, "line_cap": "round"}
         made.line("x", "y", color="white", line_width=5, **halo)
@@ -196,7 +195,6 @@ class MapPanel:
         kinds[kinds == len(KINDS)] = np.nan
         self.mapper.update(palette=[k[2] for k in KINDS], low=-0.5, high=len(KINDS) - 0.5)
         fixed_labels(self.bar, [k[1] for k in KINDS])
-        self.bar.title = ""
         self.image.data = image_data(kinds, self._record.x, self._record.y)
 
     def _show_values(self, values: Any, place: Place) -> None:
@@ -207,7 +205,6 @@ class MapPanel:
             fresh = colour_bar(self.mapper)
             self.bar.update(ticker=fresh.ticker, major_label_overrides={})
         self.mapper.update(palette=self._palettes[colour_map(place.show)], low=low, high=high)
-        self.bar.title = f"{_symbol(place.show)}{shown.suffix}"
         self.image.data = image_data(values, self._record.x, self._record.y)
 
     def fitting(self, name: str, values: Any = None) -> tuple[float, float]:
@@ -267,10 +264,6 @@ class MapPanel:
     def mark_probes(self, names: Sequence[str], x: Sequence[float], y: Sequence[float]) -> None:
         """Draw where probes stand."""
         self.probes.data = {"x": list(x), "y": list(y), "name": list(names)}
-
-
-def _symbol(name: str) -> str:
-    return {"eps_y": "\u03b5_y", "eps_piv": "\u03b5\u2032"}.get(name, name)
 
 
 def _corners(area: Sequence[float] | None) -> dict[str, float]:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from bokeh.layouts import column
+from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Select, Span
 from numpy.typing import NDArray
 
@@ -26,7 +26,7 @@ class NodePanel:
     record : Record
         The cube.
     probes : Dataset, optional
-        Wave probes with z (probe, time) and their places, as from `wavefield.waves.read_probes`.
+        Wave probes with elevation (probe, time) and their places, as from `wavefield.waves.read_probes`.
     """
 
     def __init__(self, record: Record, probes: xr.Dataset | None = None) -> None:
@@ -38,7 +38,7 @@ class NodePanel:
             title="Below", value=others[0] if others else "", options=others, name="node_other"
         )
         self.which = Select(title="Spectrum of", value="z", options=list(self._main), name="node_which")
-        self.lines = {name: _series_source(f"node_{name}") for name in (*self._main, "other")}
+        self.lines = {name: _series_source(f"node_{name}_line") for name in (*self._main, "other")}
         self.bands = {
             name: ColumnDataSource({"t": [], "low": [], "high": []}, name=f"node_{name}_band")
             for name in self._main
@@ -53,16 +53,15 @@ class NodePanel:
         self.probe = ColumnDataSource({"f": [], "e": []}, name="node_probe_spectrum")
         self.spectrum = self._draw_spectrum()
         self._at: tuple[int, int] | None = None
-        self.other.on_change("value", lambda *_: self._show_other())
-        self.which.on_change("value", lambda *_: self._show_spectrum())
+        self.other.on_change("value", lambda attr, old, new: self._show_other())
+        self.which.on_change("value", lambda attr, old, new: self._show_spectrum())
         self.figures[0].x_range.on_change("start", self._zoomed)
         self._pending = False
         self.layout = column(
             self.words,
             *self.figures,
             self.strip,
-            self.other,
-            self.which,
+            row(self.which, self.other),
             self.spectrum,
             sizing_mode="stretch_width",
         )
@@ -70,7 +69,7 @@ class NodePanel:
     def _draw(self, name: str) -> Any:
         time = self._record.time
         share = {"x_range": self.figures[0].x_range} if self.figures else {"x_range": (time[0], time[-1])}
-        made = make_figure(f"node_{name}_figure", height=104, y_axis_label=self._label(name), **share)
+        made = make_figure(f"node_{name}_figure", height=96, y_axis_label=self._label(name), **share)
         made.xaxis.visible = False
         if name in self.bands:
             made.varea("t", "low", "high", source=self.bands[name], fill_color=BLUE, fill_alpha=0.22)
@@ -84,20 +83,24 @@ class NodePanel:
 
     def _draw_strip(self) -> Any:
         made = make_figure(
-            "node_strip", height=62, x_range=self.figures[0].x_range, y_range=(0, 1), x_axis_label="t (s)"
+            "node_strip",
+            height=66,
+            x_range=self.figures[0].x_range,
+            y_range=(0, 1),
+            x_axis_label="t (s); strip: quality",
         )
         mapper = LinearColorMapper(palette=[k[2] for k in KINDS], low=-0.5, high=len(KINDS) - 0.5)
         colour = {"field": "kind", "transform": mapper}
         made.quad("left", "right", 0, 1, source=self.kinds, fill_color=colour, line_color=None)
         made.yaxis.ticker = []
-        made.yaxis.axis_label = "quality"
+        made.yaxis.axis_label = ""
         made.ygrid.visible = False
         return made
 
     def _draw_spectrum(self) -> Any:
         made = make_figure(
-            "node_spectrum_figure", height=210, x_axis_type="log", y_axis_type="log",
-            x_axis_label="frequency (Hz)", tools="pan,wheel_zoom,reset", active_scroll="wheel_zoom",
+            "node_spectrum_figure", height=190, x_axis_type="log", y_axis_type="log",
+            x_axis_label="frequency (Hz)", tools="pan,wheel_zoom,reset",
         )  # fmt: skip
         made.varea("f", "low", "high", source=self.density, fill_color=BLUE, fill_alpha=0.22)
         made.line("f", "e", source=self.density, color=BLUE, line_width=1.6, legend_label="this node")
@@ -244,18 +247,20 @@ class NodePanel:
 
     def _show_probe(self, factor: float) -> None:
         self.probe.data = {"f": [], "e": []}
+        self.spectrum.legend.visible = False
         found = self.near_probe() if factor else None
         if found is None or self._probes is None:
             return
         index, distance = found
         time = self._probes.time.values
         inside = (time >= self._record.time[0]) & (time <= self._record.time[-1])
-        values = self._probes.z.isel(probe=index).values[inside] * factor
+        values = self._probes.elevation.isel(probe=index).values[inside] * factor
         density = spectrum(values, float(np.mean(np.diff(time))))
         if density is not None:
             keep = density.frequency <= self._record.frame_rate / 2
             self.probe.data = {"f": density.frequency[keep], "e": density.density[keep]}
             name = str(self._probes.probe.values[index])
+            self.spectrum.legend.visible = True
             self.spectrum.title.text += f"; dashed: {name}, {100 * distance:.0f} cm away"
 
     def near_probe(self) -> tuple[int, float] | None:
@@ -264,7 +269,7 @@ class NodePanel:
             return None
         x, y = self._record.preview.x[self._at[1]], self._record.preview.y[self._at[0]]
         distance = np.hypot(self._probes.probe_x.values - x, self._probes.probe_y.values - y)
-        index = int(np.argmin(distance))
+        index = int(np.argmin(np.nan_to_num(distance, nan=np.inf)))
         return (index, float(distance[index])) if distance[index] <= _NEAR else None
 
 

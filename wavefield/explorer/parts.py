@@ -1,5 +1,6 @@
 """What all panels share: figures of one look, colour bars, thinning of long series for a screen."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,9 +8,12 @@ from bokeh.models import (
     BasicTicker,
     ColorBar,
     ColumnDataSource,
+    CustomJS,
     FixedTicker,
     LinearColorMapper,
     NumeralTickFormatter,
+    TabPanel,
+    Tabs,
 )
 from bokeh.plotting import figure
 from numpy.typing import NDArray
@@ -36,14 +40,18 @@ def make_figure(name: str, **settings: Any) -> Any:
         "sizing_mode": "stretch_width",
         "toolbar_location": None,
         "tools": "xpan,xwheel_zoom,reset",
-        "active_scroll": "xwheel_zoom",
         "min_border_left": 62,
         "min_border_right": 12,
         "min_border_top": 4,
         "output_backend": "canvas",
         "lod_threshold": None,
     }
-    made = figure(name=name, **(usual | settings))
+    settings = usual | settings
+    tools = settings["tools"]
+    if isinstance(tools, str):
+        wheels = [tool for tool in tools.split(",") if tool.endswith("wheel_zoom")]
+        settings["active_scroll"] = wheels[0] if wheels else None
+    made = figure(name=name, **settings)
     made.grid.grid_line_color = "#e4e7ea"
     made.outline_line_color = "#8b949e"
     made.axis.axis_label_text_font_style = "normal"
@@ -53,6 +61,33 @@ def make_figure(name: str, **settings: Any) -> Any:
     made.title.text_font_size = "13px"
     made.title.text_font_style = "normal"
     made.title.text_color = INK
+    return made
+
+
+def make_tabs(name: str, active: int, panels: Sequence[tuple[str, Any]]) -> Tabs:
+    """Tabs that are never wider than their place.
+
+    Parameters
+    ----------
+    name : str
+        By which tests and scripts find them.
+    active : int
+        Which one is open.
+    panels : sequence of (str, layout)
+        Titles and contents.
+
+    Returns
+    -------
+    Tabs
+    """
+    tabs = [TabPanel(child=body, title=title) for title, body in panels]
+    narrow = {"grid-template-columns": "minmax(0, 1fr)", "min-width": "0"}
+    made = Tabs(tabs=tabs, active=active, name=name, sizing_mode="stretch_width", styles=narrow)
+    bodies = [body for _, body in panels]
+    for k, body in enumerate(bodies):  # what is hidden takes neither room nor time
+        body.visible = k == active
+    code = "bodies.forEach((body, k) => { body.visible = k == cb_obj.active })"
+    made.js_on_change("active", CustomJS(args={"bodies": bodies}, code=code))
     return made
 
 

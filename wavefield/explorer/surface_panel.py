@@ -63,13 +63,10 @@ class SurfacePanel:
         made = make_figure(
             "surface",
             tools="wheel_zoom,reset,save",
-            active_scroll="wheel_zoom",
             toolbar_location="above",
             x_range=(-size, size),
-            y_range=(-0.62 * size, 0.62 * size),
-            aspect_ratio=1.5,
-            max_height=640,
-            min_height=260,
+            y_range=(-0.72 * size, 0.72 * size),
+            aspect_ratio=1.4,
             x_axis_type=None,
             y_axis_type=None,
             min_border_left=4,
@@ -114,7 +111,9 @@ class SurfacePanel:
         diagonal = float(np.hypot(np.ptp(record.x), np.ptp(record.y)))
         lift = _LIFT * diagonal / self._half if self._half else 0.0
         self.mapper.update(palette=palette(colour_map(name)), low=limits[0], high=limits[1])
-        self.bar.title = f"{name}{shown.suffix}"
+        self.figure.title.text = (
+            f"elevation z, coloured by {name}{shown.suffix}, t = {record.time[place.step]:.3f} s"
+        )
         self.note.text = f"height \u00d7 {number(lift, 2)}; drag to turn" if lift else "nothing measured here"
         self.field.data = {
             "x": [np.asarray(x - x.mean(), np.float32)],

@@ -109,11 +109,14 @@ class WavePanel:
         self._chosen = 0
         self._draw()
         for widget in (self.variable,):
-            widget.on_change("value", lambda *_: self._show_spectrum())
+            widget.on_change("value", lambda attr, old, new: self._show_spectrum())
         for slider in (self.current, self.depth):
-            slider.on_change("value", lambda *_: self._show_ruler())
-        controls = row(self.variable, self.current, self.depth, sizing_mode="stretch_width")
-        below = row(self.map, self.directions, sizing_mode="stretch_width")
+            slider.on_change("value", lambda attr, old, new: self._show_ruler())
+        wrap = {"flex-wrap": "wrap"}
+        for slider in (self.current, self.depth):
+            slider.update(width=230)
+        controls = row(self.variable, self.current, self.depth, sizing_mode="stretch_width", styles=wrap)
+        below = row(self.map, self.directions, sizing_mode="stretch_width", styles=wrap)
         self.layout = column(
             self.words, controls, self.figure, below, self.curves, sizing_mode="stretch_width"
         )
@@ -135,10 +138,10 @@ class WavePanel:
             dimension="width", location=0, line_color="white", line_dash="dotted", line_width=1.5
         )
         self.figure.add_layout(self.picked)
-        self.figure.add_layout(colour_bar(self.mapper, "log\u2081\u2080 E / max"), "right")
+        self.figure.add_layout(colour_bar(self.mapper), "right")
         self.figure.on_event(Tap, lambda event: self.choose(event.y))
         self.map = make_figure(
-            "wave_map", height=300, match_aspect=True, tools="pan,wheel_zoom,reset,save",
+            "wave_map", height=300, min_width=280, match_aspect=True, tools="pan,wheel_zoom,reset,save",
             x_axis_label="kx / 2\u03c0 (1/m)", y_axis_label="ky / 2\u03c0 (1/m)",
             x_range=Range1d(-1, 1), y_range=Range1d(-1, 1),
         )  # fmt: skip
@@ -147,6 +150,7 @@ class WavePanel:
         self.directions = make_figure(
             "wave_directions",
             height=300,
+            min_width=280,
             x_axis_label="direction (degrees)",
             y_axis_label="D (1/rad)",
             tools="reset",
@@ -155,7 +159,7 @@ class WavePanel:
         self.curves = make_figure(
             "wave_coherence_figure", height=240,
             x_axis_label="k / 2\u03c0 (1/m)", y_axis_label="coherence \u03b3\u00b2",
-            y_range=Range1d(0, 1.02), tools="xpan,xwheel_zoom,reset",
+            x_range=Range1d(0, 1), y_range=Range1d(0, 1.02), tools="xpan,xwheel_zoom,reset",
         )  # fmt: skip
         styles = (
             ("w", "z_t with w", BLUE, "solid"),
@@ -205,8 +209,12 @@ class WavePanel:
         self.image.data = image_data(log_density(energy.values), cycles, hertz)
         right = float(cycles[-1])
         fastest = float(water.wavenumber(2 * np.pi * hertz[-1], self._depth)) / (2 * np.pi)
-        self.figure.x_range.update(start=0, end=min(right, 1.25 * fastest))
+        for drawn in (self.figure, self.curves):
+            drawn.x_range.update(start=0, end=min(right, 1.25 * fastest))
         self.figure.y_range.update(start=0, end=float(hertz[-1]))
+        self.figure.title.text = (
+            f"log\u2081\u2080 of E(k, \u03c9) of {self.variable.value}, relative to its largest"
+        )
         self._show_ruler()
         self._show_map()
 
@@ -281,5 +289,5 @@ class WavePanel:
             "w": found.gamma2_w.values,
             "nl": found.gamma2_nl.values,
             "tot": found.gamma2_tot.values,
-            "level": found.level.values,
+            "level": found.level_w.values,
         }

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wavefield.errors import RigError
-from wavefield.rig.camera import Camera
-from wavefield.rig.lens import Array
+from wavefield.rig.camera import Array, Camera
 
 Size = tuple[int, int]
 LENGTHS = {

@@ -1,0 +1,471 @@
+"""Every control of the page driven in a browser; what it draws, against numpy."""
+
+import io
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from wavefield.explorer import selections
+from wavefield.explorer.fields import KINDS, arrows, quality_kind, relief
+from wavefield.explorer.surface_panel import project
+from wavefield.figures.style import limit
+
+STEP = 2
+
+
+@pytest.fixture
+def fields(whole):
+    return whole[1]
+
+
+@pytest.fixture(autouse=True)
+def usual(page):
+    """Every test begins with w on the map at step 2, dragging moves, nothing plays."""
+    page.set("play", "active", "false")
+    page.set("views", "active", "0")
+    page.set("drag", "value", "'move'")
+    page.set("show", "value", "'w'")
+    page.set("step", "value", str(STEP))
+    page.wait(f"{shown('w')} && {at_step(STEP)}")
+
+
+def model(name):
+    return f"Bokeh.documents[0].get_model_by_name('{name}')"
+
+
+def at_step(step):
+    return f"{model('map')}.title.text.includes('t = {(step + 0.5) / 20:.3f} s')"
+
+
+def shown(name):
+    return f"{model('map')}.title.text.startsWith('{name}:')"
+
+
+def choose(page, select, value):
+    """Choose an option as people do."""
+    options = page.page.locator(f"select[name={select}] option").all_inner_texts()
+    label = next(option for option in options if option.split(":")[0] == value)
+    page.page.locator(f"select[name={select}]").select_option(label=label)
+
+
+def x_of(field, nx=20):
+    return 0.05 * (np.arange(nx) - (nx - 1) / 2)
+
+
+X, Y = x_of(None, 20), x_of(None, 16)
+
+
+def test_the_map_is_the_step_of_the_cube(page, fields):
+    np.testing.assert_allclose(page.image("map_image"), 100 * fields["w"][STEP], rtol=1e-6)
+    assert page.column("map_image", "x")[0] == pytest.approx(X[0] - 0.025)
+    assert page.column("map_image", "dh")[0] == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize(
+    ("key", "step"), [("ArrowRight", 3), ("ArrowLeft", 1), ("PageDown", 22), ("End", 159)]
+)
+def test_keys_step(page, fields, key, step):
+    page.page.keyboard.press(key)
+    page.wait(at_step(step))
+    np.testing.assert_allclose(page.image("map_image"), 100 * fields["w"][step], rtol=1e-6)
+
+
+def test_buttons_step_and_the_slider_too(page, fields):
+    page.page.get_by_role("button", name="▶").click()
+    page.wait(at_step(STEP + 1))
+    page.page.get_by_role("button", name="◀").click()
+    page.wait(at_step(STEP))
+    handle = page.page.locator(".noUi-handle").first
+    handle.focus()
+    page.page.keyboard.press("ArrowRight")
+    page.wait(at_step(STEP + 1))
+    np.testing.assert_allclose(page.image("map_image"), 100 * fields["w"][STEP + 1], rtol=1e-6)
+
+
+def test_it_plays_and_stops(page, fields):
+    page.page.get_by_role("button", name="Play").click()
+    page.wait(f"{model('step')}.value >= 6")
+    page.page.get_by_role("button", name="Pause").click()
+    page.page.wait_for_timeout(600)
+    step = page.get("step", "value")
+    page.page.wait_for_timeout(400)
+    assert page.get("step", "value") == step
+    page.wait(at_step(step))
+    np.testing.assert_allclose(page.image("map_image"), 100 * fields["w"][step], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "factor"), [("z", 100), ("z_t", 100), ("u_std", 100), ("eps_y", 1000), ("eps_piv", 1)]
+)
+def test_any_variable_is_shown_in_its_unit(page, fields, name, factor):
+    choose(page, "show", name)
+    page.wait(shown(name))
+    np.testing.assert_allclose(page.image("map_image"), factor * fields[name][STEP], rtol=1e-5)
+
+
+def test_derived_variables_are_those_of_the_analysis(page, fields):
+    from wavefield.waves.kinematics import kinematics
+
+    around = slice(STEP - 1, STEP + 2)
+    cube = xr.Dataset(
+        {n: (("time", "y", "x"), fields[n][around]) for n in ("z", "z_t", "u", "v", "w")},
+        coords={"time": (np.arange(1, 4) + 0.5) / 20, "y": Y, "x": X},
+    )
+    expected = kinematics(cube)
+    for name, factor in (("vorticity", 1), ("divergence", 1), ("residual", 100)):
+        choose(page, "show", name)
+        page.wait(shown(name))
+        np.testing.assert_allclose(
+            page.image("map_image"), factor * expected[name].values[1], rtol=1e-4, atol=1e-5
+        )
+
+
+def test_quality_is_shown_by_kind(page, fields):
+    choose(page, "show", "quality")
+    page.wait(shown("quality"))
+    kinds = quality_kind(fields["quality"][STEP]).astype(float)
+    np.testing.assert_array_equal(page.image("map_image"), np.where(kinds < len(KINDS), kinds, np.nan))
+
+
+def test_colours_are_set_and_fitted(page, fields):
+    page.page.get_by_label("Colours from").fill("-5")
+    page.page.keyboard.press("Tab")
+    page.page.get_by_label("to", exact=True).fill("7")
+    page.page.keyboard.press("Tab")
+    page.wait("new URL(location).searchParams.get('limits') == '-5,7'")
+    mapper = page.page.evaluate(
+        f"(() => {{ const r = {model('map')}.renderers[0].glyph.color_mapper; return [r.low, r.high] }})()"
+    )
+    assert mapper == [-5, 7]
+    page.page.get_by_role("button", name="Fit").click()
+    page.wait(f"{model('low')}.value != -5 && {model('high')}.value != 7")
+    half = float(f"{limit(100 * fields['w'][STEP]):.2g}")
+    assert (page.get("low", "value"), page.get("high", "value")) == (-half, half)
+
+
+def test_arrows_are_the_velocity_and_go_away(page, fields):
+    u, v = fields["u"][STEP], fields["v"][STEP]
+    tips = page.page.evaluate(f"Array.from({model('map_arrows')}.data.xs).map((a) => Array.from(a)[1])")
+    fastest = limit(np.hypot(u, v), 98)
+    xs, _, metres = arrows(u, v, X, Y, fastest)
+    # the scale stays that of the first step shown: lengths agree up to one factor
+    starts = page.page.evaluate(f"Array.from({model('map_arrows')}.data.xs).map((a) => Array.from(a)[0])")
+    moved, expected = np.array(tips) - np.array(starts), np.array([a[1] - a[0] for a in xs])
+    assert np.corrcoef(moved, expected)[0, 1] > 0.9999
+    page.page.keyboard.press("a")
+    page.wait(f"{model('map_arrows')}.data.xs.length == 0")
+    page.page.keyboard.press("a")
+    page.wait(f"{model('map_arrows')}.data.xs.length > 0")
+    assert metres > 0
+
+
+def test_the_wheel_zooms_and_reset_goes_back(page):
+    before = page.page.evaluate(f"[{model('map')}.x_range.start, {model('map')}.x_range.end]")
+    page.page.mouse.move(*page.at("map", 0.0, 0.0))
+    page.page.mouse.wheel(0, -300)
+    page.wait(f"{model('map')}.x_range.end < {before[1]} - 0.01")
+    start = page.page.evaluate(f"{model('map')}.x_range.start")
+    page.drag("map", (0.0, 0.0), (0.1, 0.05))
+    page.wait(f"Math.abs({model('map')}.x_range.start - ({start} - 0.1)) < 0.03")
+    page.page.evaluate(f"Bokeh.index.find_one({model('map')}).reset()")
+    page.wait(f"Math.abs({model('map')}.x_range.end - {before[1]}) < 1e-6")
+
+
+def test_a_click_shows_everything_at_the_node(page, fields):
+    j, i = 10, 13
+    page.click("map", X[i] + 0.01, Y[j] - 0.01)
+    page.wait(f"{model('node_words')}.text.includes('x 0.175 m, y 0.125 m')")
+    page.wait(f"{model('node_z_line')}.data.t.length == 160")
+    for name, factor in (("z", 100), ("u", 100), ("v", 100), ("w", 100)):
+        np.testing.assert_allclose(
+            page.column(f"node_{name}_line", "value"), factor * fields[name][:, j, i], atol=6e-3
+        )
+        low, high = page.column(f"node_{name}_band", "low"), page.column(f"node_{name}_band", "high")
+        std = factor * fields[f"{name}_std"][:, j, i]
+        np.testing.assert_allclose(0.5 * (high - low), std, rtol=0.02)
+    kinds = page.column("node_quality", "kind")
+    assert kinds.tolist() == [quality_kind(fields["quality"][:1, j, i])[0]]
+    expected = selections.spectrum(100 * fields["z"][:, j, i], 0.05)
+    np.testing.assert_allclose(page.column("node_spectrum", "f"), expected.frequency, rtol=1e-6)
+    np.testing.assert_allclose(page.column("node_spectrum", "e"), expected.density, rtol=0.05)
+    assert page.column("node_probe_spectrum", "f").size
+    page.set("node_other", "value", "'eps_piv'")
+    page.wait(f"{model('node_other_figure')}.left[0].axis_label.startsWith('eps_piv')")
+    np.testing.assert_allclose(page.column("node_other_line", "value"), fields["eps_piv"][:, j, i], atol=6e-4)
+    page.set("node_which", "value", "'w'")
+    expected = selections.spectrum(100 * fields["w"][:, j, i], 0.05)
+    page.wait(f"Math.abs({model('node_spectrum')}.data.e[3] / {expected.density[3]} - 1) < 0.1")
+
+
+def test_a_line_shows_the_transect_and_how_it_goes_by(page, fields):
+    page.page.keyboard.press("l")
+    page.drag("map", (-0.3, -0.2), (0.25, 0.2))
+    page.wait(f"{model('line_image')}.data.image.length == 1")
+    page.page.wait_for_timeout(200)
+    ends = page.column("map_line", "x"), page.column("map_line", "y")
+    start, end = [(float(ends[0][k]), float(ends[1][k])) for k in (0, 1)]
+    assert start == pytest.approx((-0.3, -0.2), abs=0.01)
+    _, px, py = selections.line_points(start, end, 0.05)
+    expected = 100 * selections.interpolate(fields["w"][STEP].astype(float), X, Y, px, py)
+    np.testing.assert_allclose(page.column("line_now", "value"), expected, rtol=1e-4, atol=1e-4)
+    diagram = page.image("line_image")
+    assert diagram.shape == (160, px.size)
+    whole = 100 * selections.interpolate(np.moveaxis(fields["w"], 0, -1).astype(float), X, Y, px, py).T
+    np.testing.assert_allclose(diagram, whole, atol=0.01)
+
+
+def test_a_rectangle_shows_its_means_histogram_and_spectrum(page, fields):
+    page.page.keyboard.press("r")
+    page.drag("map", (-0.21, -0.16), (0.13, 0.21))
+    page.wait(f"{model('area_mean')}.data.t.length == 160")
+    rows, columns = (Y > -0.16) & (Y < 0.21), (X > -0.21) & (X < 0.13)
+    part = 100 * fields["w"][:, rows][:, :, columns].astype(float)
+    np.testing.assert_allclose(page.column("area_mean", "mean"), part.mean(axis=(1, 2)), atol=0.01)
+    spread = page.column("area_mean", "high") - page.column("area_mean", "mean")
+    np.testing.assert_allclose(spread, part.std(axis=(1, 2)), atol=0.01)
+    left, right, density = (page.column("area_bins", n) for n in ("left", "right", "density"))
+    assert ((right - left) * density).sum() == pytest.approx(1.0)
+    counts, _ = np.histogram(np.rint(part / 0.01) * 0.01, np.r_[left, right[-1]])
+    np.testing.assert_allclose(density * (right - left) * part.size, counts, atol=1.5)
+    each = [selections.spectrum(part[:, j, i], 0.05).density for j, i in np.ndindex(*part.shape[1:])]
+    every = -(-len(each) // 64)
+    np.testing.assert_allclose(page.column("area_spectrum", "e"), np.mean(each[::every], axis=0), rtol=0.02)
+
+
+def test_the_surface_is_projected_and_turned(page, fields):
+    page.page.keyboard.press("2")
+    page.wait(f"{model('surface_quads')}.data.xs.length > 100")
+    z, x, y = relief(fields["z"][STEP], X, Y)
+    lift = (
+        page.page.evaluate(
+            f"(() => {{ const h = {model('surface_field')}.data.height[0]; return h[5 * 20 + 7] }})()"
+        )
+        / z[5, 7]
+    )
+
+    def corner():
+        quads = page.page.evaluate(
+            f"['xs', 'ys'].map((n) => {model('surface_quads')}.data[n].map((a) => a[0]))"
+        )
+        return np.array(quads)
+
+    def expected(turn, tilt):
+        gx, gy = np.meshgrid(x - x.mean(), y - y.mean())
+        across, up, _ = project(gx, gy, z * lift, turn, tilt)
+        whole = np.isfinite(up)
+        there = whole[:-1, :-1] & whole[1:, :-1] & whole[:-1, 1:] & whole[1:, 1:]
+        return np.array([across[:-1, :-1][there], up[:-1, :-1][there]])
+
+    def same(a, b):
+        order_a, order_b = np.lexsort(np.round(a, 5)), np.lexsort(np.round(b, 5))
+        np.testing.assert_allclose(a[:, order_a], b[:, order_b], atol=2e-5)
+
+    view = page.get("surface_view", "data")
+    same(corner(), expected(view["turn"][0], view["tilt"][0]))
+    page.drag("surface", (0.0, 0.0), (0.2, 0.1))
+    page.wait(f"{model('surface_view')}.data.turn[0] > {view['turn'][0]} + 0.1")
+    page.page.wait_for_timeout(200)
+    turned = page.get("surface_view", "data")
+    same(corner(), expected(turned["turn"][0], turned["tilt"][0]))
+
+
+def test_a_cameras_frame_shows_the_nodes_where_it_sees_them(page, fields, tank_rig, whole):
+    from wavefield.images import read_image
+
+    page.page.keyboard.press("3")
+    page.wait(f"{model('camera_image')}.data.image.length == 1 && {model('camera_nodes')}.data.X.length > 0")
+    name = page.get("camera", "value")
+    image = read_image(whole[0].parent / name / f"img_{STEP:05d}.tif").astype(float)
+    drawn = page.image("camera_image")
+    factor = image.shape[0] // drawn.shape[0]
+    if factor == 1:
+        assert np.corrcoef(drawn.ravel(), image.ravel())[0, 1] > 0.999
+    x, y = np.meshgrid(X, Y)
+    at = {n: fields[n][STEP].astype(float) for n in ("z", "u", "v", "w")}
+    ends = [
+        tank_rig[name].project(
+            x + s * at["u"] / 40, y + s * at["v"] / 40, np.nan_to_num(at["z"]) + s * at["w"] / 40
+        )
+        for s in (-1, 1)
+    ]
+    inside = np.isfinite(ends[0][0]) & (ends[0][0] >= 0) & (ends[0][0] <= tank_rig[name].size[0] - 1)
+    inside &= (ends[0][1] >= 0) & (ends[0][1] <= tank_rig[name].size[1] - 1)
+    np.testing.assert_allclose(page.column("camera_nodes", "X"), ends[0][0][inside], atol=0.01)
+    np.testing.assert_allclose(page.column("camera_nodes", "Y"), ends[0][1][inside], atol=0.01)
+    page.set("camera_over", "value", "'displacements'")
+    page.wait(f"{model('camera_moves')}.data.X0.length > 0")
+    moved = (page.column("camera_moves", "X1") - page.column("camera_moves", "X0")) / 5
+    np.testing.assert_allclose(moved, (ends[1][0] - ends[0][0])[inside], atol=0.01)
+    j, i = np.argwhere(inside)[inside.sum() // 2]
+    page.click("camera_view", float(ends[0][0][j, i]), float(ends[0][1][j, i]))
+    page.wait(f"Math.abs({model('map_node')}.data.x[0] - {X[i]}) < 1e-6")
+    assert page.column("camera_node", "X")[0] == pytest.approx(ends[0][0][j, i], abs=2.0)
+    page.set("camera_frame", "value", "'second'")
+    page.wait(f"{model('camera_view')}.title.text.endsWith('frame {STEP + 1}')")
+    page.set("camera_frame", "value", "'first'")
+    page.set("camera_over", "value", "'nodes'")
+    page.set("step", "value", "100")  # whose frame is not there
+    page.wait(f"{model('camera_words')}.text.includes('is missing')")
+
+
+def test_waves_have_a_ruler_for_the_dispersion_relation(page, whole):
+    from wavefield.explorer.wave_panel import log_density
+
+    waves = xr.open_datatree(whole[0].parent / "waves.zarr", engine="zarr", chunks={})
+    page.page.keyboard.press("4")
+    page.wait(f"{model('wave_image')}.data.image.length == 1 && {model('wave_ruler')}.data.k.length > 0")
+    name = page.get("wave_variable", "value")
+    energy = waves["spectra"][f"E_komega_{name}"].transpose("omega", "k").values
+    np.testing.assert_allclose(page.image("wave_image"), log_density(energy), atol=1e-5)
+    page.set("wave_current", "value", "0.3")
+    page.set("wave_depth", "value", "0.1")
+    k = 2 * np.pi * page.column("wave_ruler", "k")
+
+    def relation(k):
+        gamma = 0.0728 / 1000
+        return (np.sqrt((9.81 * k + gamma * k**3) * np.tanh(0.1 * k)) + 0.3 * k) / (2 * np.pi)
+
+    page.wait(f"Math.abs({model('wave_ruler')}.data.f[399] / {relation(k[399])} - 1) < 1e-6")
+    np.testing.assert_allclose(page.column("wave_ruler", "f"), relation(k), rtol=1e-6)
+    stored = waves["spectra"].omega_map.values / (2 * np.pi)
+    page.click(
+        "wave_spectrum",
+        0.5 * float(page.page.evaluate(f"{model('wave_spectrum')}.x_range.end")),
+        float(stored[2]),
+    )
+    page.wait(f"{model('wave_map')}.title.text.includes('at {stored[2]:.3g} Hz')")
+    plane = waves["spectra"][f"E_kxky_{name}"].isel(omega_map=2).transpose("ky", "kx").values
+    np.testing.assert_allclose(page.image("wave_plane"), log_density(plane), atol=1e-5)
+    np.testing.assert_allclose(
+        page.column("wave_coherence", "w"), waves["coherence"].gamma2_w.values, rtol=1e-6
+    )
+    direction = waves["direction"].D.isel(omega_map=2).values
+    np.testing.assert_allclose(page.column("wave_direction", "density"), direction, rtol=1e-5)
+
+
+def test_a_mask_is_drawn_and_given_as_lines_of_the_experiment_file(page):
+    import yaml
+
+    page.page.keyboard.press("m")
+    corners = [(-0.2, -0.1), (0.1, -0.12), (0.05, 0.15)]
+    for count, corner in enumerate(corners, 1):
+        page.click("map", *corner)
+        page.wait(f"{model('map_mask')}.data.x.length == {count}")
+        page.page.wait_for_timeout(350)  # two clicks are no double click
+    drawn = yaml.safe_load(page.get("mask_text", "text"))["mask"][0]["polygon"]
+    np.testing.assert_allclose(drawn, corners, atol=0.01)
+    page.page.get_by_role("button", name="Take back").click()
+    page.wait(f"{model('map_mask')}.data.x.length == 2")
+    page.page.get_by_role("button", name="Start again").click()
+    page.wait(f"{model('map_mask')}.data.x.length == 0")
+
+
+def test_the_link_shows_the_same_view_again(page, chrome, fields):
+    page.set("show", "value", "'z'")
+    page.click("map", X[4], Y[5])
+    page.set("step", "value", "31")
+    page.wait(f"{at_step(31)} && new URL(location).searchParams.get('step') == '31'")
+    url = page.page.url
+    other = type(page)(chrome.new_page(viewport={"width": 1000, "height": 700}))
+    other.open(url)
+    other.wait(f"{shown('z')} && {at_step(31)}")
+    np.testing.assert_allclose(other.image("map_image"), 100 * fields["z"][31], rtol=1e-6)
+    assert other.column("map_node", "x")[0] == pytest.approx(X[4], abs=0.01)
+    other.page.close()
+    assert other.errors == []
+
+
+def test_what_is_seen_can_be_saved(page, fields, served):
+    base = f"{served.url}save/"
+    query = "show=w&step=7&node=0.175,0.125&line=-0.2,-0.1,0.2,0.1&area=-0.1,-0.1,0.1,0.1"
+
+    def get(name, more=""):
+        answer = page.page.request.get(f"{base}{name}?{query}{more}")
+        assert answer.ok, (name, answer.text())
+        assert name in answer.headers["content-disposition"]
+        return answer.body()
+
+    assert get("map.png")[:4] == b"\x89PNG"
+    assert b"<svg" in get("map.svg")[:2000]
+    gif = get("play.gif", "&frames=4")
+    assert gif[:4] == b"GIF8"
+    assert get("play.mp4", "&frames=4")[4:8] == b"ftyp"
+    node = xr.open_dataset(io.BytesIO(get("node.nc")), engine="h5netcdf")
+    np.testing.assert_allclose(node.w.values, fields["w"][:, 10, 13], atol=6e-5)
+    table = np.genfromtxt(io.BytesIO(get("node.csv")), delimiter=",", names=True, deletechars="")
+    np.testing.assert_allclose(table["z_(m)"], fields["z"][:, 10, 13], atol=6e-6)
+    step = xr.open_dataset(io.BytesIO(get("step.nc")), engine="h5netcdf")
+    np.testing.assert_array_equal(step.u.values, fields["u"][7])
+    area = xr.open_dataset(io.BytesIO(get("area.nc")), engine="h5netcdf")
+    np.testing.assert_allclose(area.v.values, fields["v"][:, 6:10, 8:12], atol=6e-5)
+    line = np.genfromtxt(io.BytesIO(get("line.csv")), delimiter=",", names=True)
+    _, px, py = selections.line_points((-0.2, -0.1), (0.2, 0.1), 0.05)
+    np.testing.assert_allclose(line["w"], selections.interpolate(fields["w"][7], X, Y, px, py), rtol=1e-5)
+    refused = page.page.request.get(f"{base}node.csv?step=7")
+    assert refused.status == 409
+    assert "click one on the map" in refused.text()
+    assert page.page.request.get(f"{base}passwords.txt").status == 404
+
+
+def test_it_fits_a_phone(chrome, served):
+    from browser import Browser
+
+    phone = Browser(chrome.new_page(viewport={"width": 390, "height": 844}))
+    phone.open(served.url + "?node=0.1,0.1")
+    assert phone.page.evaluate("document.documentElement.scrollWidth") <= 390
+    phone.page.close()
+    assert phone.errors == []
+    assert phone.outside == []
+
+
+def test_only_this_machine_may_talk_to_it(served):
+    import urllib.error
+    import urllib.request
+
+    request = urllib.request.Request(served.url + "save/map.png", headers={"Host": "evil.example"})
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(request)
+
+
+def test_a_lost_connection_is_said_and_the_page_stays(chrome, whole):
+    from browser import Browser
+
+    from wavefield.explorer.notebook import look
+
+    served = look(whole[0])
+    window = Browser(chrome.new_page())
+    window.open(served.url)
+    served.stop()
+    window.page.get_by_role("alert").filter(has_text="connection").wait_for(state="visible", timeout=20_000)
+    assert window.image("map_image").shape == (16, 20)
+    window.page.close()
+
+
+def test_a_cube_that_is_being_written_is_followed(chrome, tmp_path):
+    from browser import Browser
+    from explorer_cases import create_cube, write_cube_block
+
+    from wavefield.explorer.notebook import look
+
+    path = tmp_path / "cube.zarr"
+    create_cube(path)
+    write_cube_block(path, 0)
+    served = look(path)
+    window = Browser(chrome.new_page())
+    window.open(served.url + "?step=50&node=0.1,0.1")
+    window.wait(f"{model('map')}.title.text.includes('not measured yet')")
+    assert window.page.get_by_text("measured so far: 40 (33 %)").is_visible()
+    written = write_cube_block(path, 40)
+    window.page.get_by_text("measured so far: 80 (66 %)").wait_for(timeout=20_000)
+    window.wait(
+        f"{model('map_image')}.data.image[0][100] != null && !isNaN({model('map_image')}.data.image[0][100])"
+    )
+    np.testing.assert_allclose(window.image("map_image"), 100 * written["w"][10], rtol=1e-6)
+    window.page.keyboard.press("4")
+    window.wait(f"{model('wave_words')}.text.includes('no waves yet')")
+    window.page.keyboard.press("3")
+    window.wait(f"{model('camera_words')}.text.includes('no images')")
+    window.page.close()
+    served.stop()
+    assert window.errors == []

@@ -1,0 +1,75 @@
+"""`wavefield look`: an interactive page of a cube."""
+
+import os
+import webbrowser
+from pathlib import Path
+
+import click
+
+
+def announce(url: str, port: int, open_page: bool) -> None:
+    """Say where a page is, and how to see it from another machine.
+
+    Parameters
+    ----------
+    url : str
+        Its address.
+    port : int
+        Where it listens.
+    open_page : bool
+        Whether to open it in a browser here.
+    """
+    click.echo(f"Open {url} in a browser; Ctrl-C stops.")
+    if os.environ.get("SSH_CONNECTION"):
+        click.echo(f"From your own machine first: ssh -L {port}:localhost:{port} and this machine's name")
+    elif open_page and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or os.name == "nt"):
+        webbrowser.open(url)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield look cube.zarr
+  wavefield look experiment.yaml              # the cube that `wavefield run` writes beside it
+  wavefield look cube.zarr --port 5010        # behind ssh -L 5010:localhost:5010
+"""
+)
+@click.argument("source", metavar="CUBE|EXPERIMENT", type=click.Path(exists=True, path_type=Path))
+@click.option(
+    "--waves", type=click.Path(exists=True, file_okay=False, path_type=Path), help="Its wave store."
+)
+@click.option("--port", type=click.IntRange(0, 65535), help="Port; by default 5006 or the next that is free.")
+@click.option("--open/--no-open", "open_page", default=True, help="Whether to open the page in a browser.")
+def look(source: Path, waves: Path | None, port: int | None, open_page: bool) -> None:
+    """Look at a cube: maps, the surface, series, spectra, camera images, waves.
+
+    Serves an interactive page to this machine only. The cube may still be being written: the page follows.
+    """
+    from wavefield.explorer.beside import find_beside
+    from wavefield.explorer.page import Looked
+    from wavefield.explorer.record import Record
+    from wavefield.explorer.server import look_server
+
+    record = Record(_cube_of(source))
+    looked = Looked(record, find_beside(record, waves))
+    server = look_server(looked, port)
+    looked.load()
+    server.start()
+    announce(f"http://localhost:{server.port}/", int(server.port or 0), open_page)
+    try:
+        server.io_loop.start()
+    except KeyboardInterrupt:
+        server.stop()
+
+
+def _cube_of(source: Path) -> Path:
+    """The cube of an experiment file; a cube is its own."""
+    if source.is_dir():
+        return source
+    from wavefield.errors import StoreError
+    from wavefield.series import Experiment
+
+    cube = Experiment.load(source).resolve("cube.zarr")
+    if not cube.exists():
+        raise StoreError(f"{source} has no cube beside it ({cube}); make it with `wavefield run {source}`")
+    return cube

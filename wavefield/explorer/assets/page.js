@@ -1,0 +1,24 @@
+// Keys, and what the page does when the program goes away. Widgets keep their own keys.
+const find = (name) => window.Bokeh && Bokeh.documents.length ? Bokeh.documents[0].get_model_by_name(name) : null
+const step = (by) => {
+  const slider = find("step")
+  if (slider) slider.value = Math.max(slider.start, Math.min(slider.end, slider.value + by))
+}
+const keys = {
+  ArrowRight: () => step(1), ArrowLeft: () => step(-1), PageUp: () => step(20), PageDown: () => step(-20),
+  Home: () => { find("step").value = find("step").start }, End: () => { find("step").value = find("step").end },
+  " ": () => { find("play").active = !find("play").active },
+  p: () => { find("drag").value = "move" }, l: () => { find("drag").value = "line" },
+  r: () => { find("drag").value = "rectangle" }, m: () => { find("drag").value = "mask" },
+  a: () => { find("arrows").active = !find("arrows").active },
+  1: () => { find("views").active = 0 }, 2: () => { find("views").active = 1 },
+  3: () => { find("views").active = 2 }, 4: () => { find("views").active = 3 },
+}
+document.addEventListener("keydown", (event) => {
+  const target = event.composedPath()[0]
+  const typing = target.matches && target.matches("input, select, textarea, [role=slider], .noUi-handle")
+  if (event.ctrlKey || event.altKey || event.metaKey || !keys[event.key] || !find("step")) return
+  if (typing || (event.key == " " && target.matches && target.matches("button, a"))) return
+  event.preventDefault()
+  keys[event.key]()
+})
