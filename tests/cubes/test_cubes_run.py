@@ -149,12 +149,16 @@ def test_signals_stop_as_ctrl_c_does(tank, tmp_path, name):
 
 
 def test_a_time_limit_stops_the_run(tank, tmp_path, monkeypatch):
-    def slow(block, plan, frame_rate):
-        signal.pause()
+    def alarm_rings(block, plan, frame_rate):
+        left.append(signal.getitimer(signal.ITIMER_REAL)[0])
+        signal.raise_signal(signal.SIGALRM)
 
-    monkeypatch.setattr(work, "measure_block", slow)
-    with pytest.raises(RunStopped, match=r"stopped by its time limit (after 0 of|before it began)"):
-        run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(4, time_limit="0.2s"))
+    left = []
+    monkeypatch.setattr(work, "measure_block", alarm_rings)
+    with pytest.raises(RunStopped, match="stopped by its time limit after 0 of"):
+        run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(4, time_limit="1h"))
+    assert 0 < left[0] <= 3600
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
 
 
 def test_a_block_is_not_done_before_all_its_data_are_there(tank, reference, tmp_path, monkeypatch):

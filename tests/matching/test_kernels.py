@@ -194,46 +194,6 @@ def test_the_same_bits_every_time_and_in_every_thread():
         np.testing.assert_array_equal(found.influence_v, expected.influence_v)
 
 
-_ASSEMBLY = """
-import re
-from pathlib import Path
-import llvmlite.binding as llvm
-import numpy as np
-from wavefield.matching import Settings, kernels, match
-features = llvm.get_host_cpu_features()
-if not (features.get("fma") and features.get("avx2")):
-    print("no vectors"); raise SystemExit
-image = np.random.default_rng(0).normal(size=(100, 100)).astype(np.float32)
-for settings in (Settings.piv(), Settings.fast()):
-    match(image, image, settings)
-for name in ("gradient_moments", "plain_sums", "robust_sums", "final_sums", "unweighted_sums"):
-    code = "".join(getattr(kernels, name).inspect_asm().values())
-    print(name, len(re.findall(r"vfn?m(?:add|sub)[0-9]+ps\\s[^\\n]*[yz]mm", code)))
-"""
-
-
-def test_inner_loops_are_vector_code(tmp_path):
-    environment = {
-        **os.environ,
-        "NUMBA_CACHE_DIR": str(tmp_path),
-    }  # the machine code of a cached kernel is not kept
-    done = subprocess.run(
-        [sys.executable, "-c", _ASSEMBLY], env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    if "no vectors" in done.stdout:
-        pytest.skip("this processor has no vector multiply-add")
-    counts = {name: int(n) for name, n in (line.split() for line in done.stdout.splitlines())}
-    for name, least in (
-        ("gradient_moments", 10),
-        ("plain_sums", 60),
-        ("robust_sums", 60),
-        ("final_sums", 60),
-        ("unweighted_sums", 60),
-    ):
-        assert counts[name] >= least, f"{name} has lost its vector code: {counts}"
-
-
 _GENERIC = """
 import sys
 import numpy as np

@@ -98,7 +98,8 @@ def _vertex(before: Array, at: Array, after: Array) -> Array:
 def _windows(table: Array, node: NDArray[np.int64]) -> Array:
     """Entries of a table over indices within two of each node, (m, 25, ...)."""
     at = node[:, None] + WINDOW + REACH
-    return table[at[..., 0], at[..., 1]]
+    out: Array = table[at[..., 0], at[..., 1]]
+    return out
 
 
 class Lattice:
@@ -128,7 +129,8 @@ class Lattice:
     @property
     def pixel(self) -> Array:
         """Their positions, (n, 2), px, in the order of `node`."""
-        return self.place[np.isfinite(self.place[..., 0])]
+        out: Array = self.place[np.isfinite(self.place[..., 0])]
+        return out
 
     def front(self) -> NDArray[np.int64]:
         """Indices of the empty nodes that have a filled neighbour, (m, 2)."""
@@ -253,7 +255,8 @@ class SmoothMap:
 
     def _homography(self, node: Array) -> Array:
         q = np.c_[node, np.ones(len(node))] @ self.matrix.T
-        return q[:, :2] / np.where(np.abs(q[:, 2:]) > 1e-12, q[:, 2:], np.nan)
+        out: Array = q[:, :2] / np.where(np.abs(q[:, 2:]) > 1e-12, q[:, 2:], np.nan)
+        return out
 
     def _basis(self, pixel: Array) -> Array:
         x, y = ((pixel - self.shift) / self.scale).T
@@ -262,7 +265,8 @@ class SmoothMap:
     def __call__(self, node: ArrayLike) -> Array:
         """Positions of nodes, (n, 2), px."""
         q = self._homography(np.asarray(node, float))
-        return q + self._basis(q) @ self.cubic
+        out: Array = q + self._basis(q) @ self.cubic
+        return out
 
     def slopes(self, node: ArrayLike) -> Array:
         """Mesh vectors at nodes, (n, 2, 2): [:, 0] along i, [:, 1] along j, px."""

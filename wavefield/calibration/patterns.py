@@ -383,4 +383,5 @@ def _centroid_bias(node: Node, pixel: Array, radius: float) -> Array:
     at = (node[:, None] + offset).reshape(-1, 2)
     place = smooth(at).reshape(len(node), -1, 2)
     area = np.abs(np.linalg.det(smooth.slopes(at))).reshape(len(node), -1, 1)
-    return (place * area).sum(1) / area.sum(1) - smooth(node.astype(float))
+    out: Array = (place * area).sum(1) / area.sum(1) - smooth(node.astype(float))
+    return out

@@ -178,7 +178,8 @@ def _oriented(image: NDArray[np.float32], smooth: SmoothMap, node: Node) -> Node
     """Renumber nodes so that the larger disc is (0, 0) and the smaller one (1, 0)."""
     origin, step = _marks(image, smooth, node)
     rotation = np.array([[step[0], step[1]], [-step[1], step[0]]])
-    return (node - origin) @ rotation.T
+    out: Node = (node - origin) @ rotation.T
+    return out
 
 
 def _marks(image: NDArray[np.float32], smooth: SmoothMap, node: Node) -> tuple[Node, Node]:
@@ -325,7 +326,8 @@ def _fitted(
 
 def _marked(node: Node) -> NDArray[np.bool_]:
     """Nodes covered by the two discs."""
-    return (node[:, 1] == 0) & ((node[:, 0] == 0) | (node[:, 0] == 1))
+    out: NDArray[np.bool_] = (node[:, 1] == 0) & ((node[:, 0] == 0) | (node[:, 0] == 1))
+    return out
 
 
 def _map(node: Node, pixel: Array, tolerance: float) -> SmoothMap:
@@ -349,7 +351,7 @@ def _sound(fit: Crossings, expected: Array, slopes: Array) -> NDArray[np.bool_]:
     turn = fit.angle - np.arctan2(slopes[..., 1], slopes[..., 0])
     turn = np.abs((turn + np.pi / 2) % np.pi - np.pi / 2)
     moved = np.hypot(*(fit.pixel - expected).T)
-    return (
+    out: NDArray[np.bool_] = (
         (fit.std < 0.3)
         & (moved < np.minimum(2.5, 0.2 * length.min(1)))
         & (turn < 0.06).all(1)
@@ -357,6 +359,7 @@ def _sound(fit: Crossings, expected: Array, slopes: Array) -> NDArray[np.bool_]:
         & ((fit.arms > 0.45).sum(1) >= 3)
         & (fit.arms.max(1) < 2.2)
     )
+    return out
 
 
 def _alike(fit: Crossings) -> NDArray[np.bool_]:
@@ -365,7 +368,9 @@ def _alike(fit: Crossings) -> NDArray[np.bool_]:
     width = fit.sigma / np.median(fit.sigma[near], axis=1)
     flux = fit.flux / np.median(fit.flux[near], axis=1)
     misfit = fit.misfit / np.median(fit.misfit[near], axis=1)
-    return ((width > 0.5) & (width < 1.8) & (flux > 0.3) & (flux < 3.0)).all(1) & (misfit < 4.0)
+    usual: NDArray[np.bool_] = ((width > 0.5) & (width < 1.8) & (flux > 0.3) & (flux < 3.0)).all(1)
+    usual &= misfit < 4.0
+    return usual
 
 
 def _blur(image: NDArray[np.float32], fit: Crossings, slopes: Array, good: NDArray[np.bool_]) -> float:

@@ -1,6 +1,7 @@
 """Distributions of the elevation and of the displacements, and of their errors where the truth is known."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -21,7 +22,9 @@ from wavefield.figures.style import (
 _COMPONENTS = {"u": "dx = u dt", "v": "dy = v dt", "w": "dz = w dt"}
 
 
-def _draw_density(axes: Axes, values: np.ndarray, unit: str, named: str, style: dict, span: float) -> float:
+def _draw_density(
+    axes: Axes, values: np.ndarray, unit: str, named: str, style: dict[str, Any], span: float
+) -> float:
     """Draw the density of values about their mean; return their standard deviation."""
     finite = values[np.isfinite(values)]
     sigma = float(finite.std()) if finite.size else 0.0

@@ -1,5 +1,7 @@
 """Spectra of a wave store (`wavefield analyze`): in wavenumber and frequency, and in frequency alone."""
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -237,7 +239,7 @@ def noise_spectra(spectra: xr.Dataset, fusion: xr.Dataset) -> Figure:
     left, right = axes[0]
     hertz = fusion.omega.values / (2 * np.pi)
 
-    def draw(values: xr.DataArray, label: str, style: dict) -> None:
+    def draw(values: xr.DataArray, label: str, style: dict[str, Any]) -> None:
         left.loglog(hertz, np.where(values.values > 0, values.values, np.nan), label=label, **style)
 
     draw(spectra.Ez_fusion, "elevation (fusion)", LINES[0])

@@ -271,4 +271,5 @@ def densities(values: Sequence[float] | np.ndarray, bins: np.ndarray) -> np.ndar
     finite = np.asarray(values, float).ravel()
     finite = finite[np.isfinite(finite)]
     counts, _ = np.histogram(finite, bins)
-    return counts / (max(finite.size, 1) * np.diff(bins))
+    out: np.ndarray = counts / (max(finite.size, 1) * np.diff(bins))
+    return out

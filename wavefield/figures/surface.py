@@ -69,7 +69,8 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
 def _relief(z: np.ndarray) -> np.ndarray:
     """Light from one side, weak enough to leave the colours readable: factors from .72 to 1."""
     slope = np.nan_to_num(np.gradient(z, axis=1) - np.gradient(z, axis=0))
-    return 0.86 + 0.14 * np.clip(slope / limit(slope, 95), -1, 1)
+    out: np.ndarray = 0.86 + 0.14 * np.clip(slope / limit(slope, 95), -1, 1)
+    return out
 
 
 def _mappable(colours: Normalize):  # type: ignore[no-untyped-def]

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -78,7 +79,7 @@ def summary(sources: Sources) -> Section:
         ):
             if name in statistics:
                 rows.append((label, _number(factor * float(statistics[name]), unit)))
-    items: list = [Table("The run in numbers", ("quantity", "value"), rows)]
+    items: list[Any] = [Table("The run in numbers", ("quantity", "value"), rows)]
     if sources.notes:
         items.append(Text("Not in this report: " + "; ".join(sources.notes) + "."))
     return Section("Summary", items)
@@ -221,7 +222,7 @@ def distributions(sources: Sources) -> Section:
     spread = ", ".join(
         f"d{a} {100 / rate * float(part[n].std()):.3g} cm" for a, n in zip("xyz", "uvw", strict=True)
     )
-    items: list = [
+    items: list[Any] = [
         Picture(
             figures.distributions(part),
             "Probability densities of the elevation and of the displacements in one step, beside the "

@@ -44,4 +44,5 @@ def epipolar_distance(
             (b.tangents(Xb, Yb + h), b.tangents(Xb, Yb - h)),
         )
     ]
-    return value / np.hypot(*gradient)
+    out: NDArray[np.float64] = value / np.hypot(*gradient)
+    return out

@@ -256,4 +256,7 @@ def solve_displacement(
     J, seen = np.asarray(jacobian, float), np.asarray(displacement, float)
     with np.errstate(divide="ignore"):
         weight = np.ones(1) if std is None else 1.0 / np.square(np.asarray(std, float))
-    return _solve(J, seen, np.broadcast_to(weight, np.broadcast_shapes(weight.shape, seen.shape[-1:])))
+    out: tuple[Array, Array, Array] = _solve(
+        J, seen, np.broadcast_to(weight, np.broadcast_shapes(weight.shape, seen.shape[-1:]))
+    )
+    return out

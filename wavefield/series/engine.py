@@ -44,7 +44,8 @@ class FrameArray(BackendArray):
         time, *rest = key
         inside = tuple(rest)
         if isinstance(time, int | np.integer):
-            return self._frame(int(time))[inside]
+            out: np.ndarray = self._frame(int(time))[inside]
+            return out
         indices = np.arange(len(self.series))[time]
         if indices.size == 0:
             return np.zeros((0, *self.shape[1:]), self.dtype)[(slice(None), *inside)]
@@ -83,7 +84,7 @@ class ExperimentBackend(BackendEntrypoint):
         except (TypeError, ValueError, OSError):
             return False
 
-    def open_dataset(  # type: ignore[override]
+    def open_dataset(
         self,
         filename_or_obj: Any,
         *,
@@ -122,7 +123,7 @@ class ExperimentBackend(BackendEntrypoint):
             raise ValueError(f"{filename_or_obj} has no camera {name!r}; it has {there}")
         return out.assign_coords(root.coords).assign_attrs(root.attrs).drop_vars(_several(drop_variables))
 
-    def open_groups_as_dict(  # type: ignore[override]
+    def open_groups_as_dict(
         self,
         filename_or_obj: Any,
         *,
@@ -152,7 +153,7 @@ class ExperimentBackend(BackendEntrypoint):
         groups |= {f"/{name}": _camera(s) for name, s in series.items()}
         return {path: group.drop_vars(drop, errors="ignore") for path, group in groups.items()}
 
-    def open_datatree(  # type: ignore[override]
+    def open_datatree(
         self,
         filename_or_obj: Any,
         *,

@@ -51,7 +51,8 @@ def read_entry(entry: Entry) -> np.ndarray:
         if entry.kind == "page":
             return _read_page(entry)
         if entry.kind == "video":
-            return _open(entry.path, _Video).read(entry.image)
+            out: np.ndarray = _open(entry.path, _Video).read(entry.image)
+            return out
         array = _open(entry.path, _open_array)
         try:
             return np.asarray(array[entry.image])

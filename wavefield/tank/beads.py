@@ -142,7 +142,8 @@ class Population:
         self._brightness = np.where(hidden, 0.0, own * each)
 
     def __len__(self) -> int:
-        return self._brightness.shape[1]
+        out: int = self._brightness.shape[1]
+        return out
 
     def time(self, frame: float) -> float:
         """Time of a frame, s."""

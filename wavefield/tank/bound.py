@@ -60,7 +60,8 @@ class BoundWaves:
         def gather(values: Complex) -> Complex:
             size = self.kx.size
             real = np.bincount(self.target, values.real, size)
-            return (real + 1j * np.bincount(self.target, values.imag, size)) * carried
+            out: Complex = (real + 1j * np.bincount(self.target, values.imag, size)) * carried
+            return out
 
         z = gather(self.z * turn)
         return {

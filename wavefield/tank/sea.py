@@ -80,7 +80,8 @@ class Sea:
     @cached_property
     def sigma(self) -> Array:
         """Angular frequencies of the free waves as seen by the water, (n,), rad/s."""
-        return dispersion(self.k, self.depth, self.surface_tension)
+        out: Array = dispersion(self.k, self.depth, self.surface_tension)
+        return out
 
     @cached_property
     def omega(self) -> Array:
@@ -102,7 +103,8 @@ class Sea:
     def reach(self) -> float:
         """Bound on the elevation that is hardly ever passed (4.5 standard deviations), metres."""
         power = 0.5 * float(np.sum(np.abs(self.amplitude) ** 2))
-        return min(float(np.sum(np.abs(self.amplitude))) * 1.1, 4.5 * np.sqrt(power))
+        out: float = min(float(np.sum(np.abs(self.amplitude))) * 1.1, 4.5 * np.sqrt(power))
+        return out
 
     @cached_property
     def _bound(self) -> BoundWaves | None:

@@ -1,6 +1,7 @@
 """From light to grey levels: spots integrated over pixels, uneven light, noise, quantisation."""
 
 import math
+from typing import Any
 
 import numba as nb
 import numpy as np
@@ -73,10 +74,11 @@ def uneven(size: tuple[int, int], unevenness: float, seed: int) -> Image:
     x = np.linspace(-1, 1, size[0], dtype=np.float32)
     y = np.linspace(-1, 1, size[1], dtype=np.float32)[:, None]
     slope = (np.cos(angle) * x + np.sin(angle) * y) / 2.8
-    return (1.0 + unevenness * (slope - 0.15 * (x * x + y * y - 0.67))).astype(np.float32)
+    out: Image = (1.0 + unevenness * (slope - 0.15 * (x * x + y * y - 0.67))).astype(np.float32)
+    return out
 
 
-def expose(light: Image, read: float, shot: float, bits: int, rng: np.random.Generator) -> NDArray:
+def expose(light: Image, read: float, shot: float, bits: int, rng: np.random.Generator) -> NDArray[Any]:
     """Turn light into the numbers of an image file.
 
     Parameters

@@ -29,7 +29,8 @@ def jonswap(f: Array, peak: float, enhancement: float = 3.3) -> Array:
     """
     width = np.where(f <= peak, 0.07, 0.09)
     bump = enhancement ** np.exp(-((f / peak - 1) ** 2) / (2 * width**2))
-    return f**-5.0 * np.exp(-1.25 * (peak / f) ** 4) * bump
+    out: Array = f**-5.0 * np.exp(-1.25 * (peak / f) ** 4) * bump
+    return out
 
 
 def power_law(f: Array, peak: float, exponent: float = 6.0) -> Array:

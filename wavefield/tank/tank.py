@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,7 +134,7 @@ class Tank:
         pixel = float(np.sqrt(np.prod(rigs.pixel_footprint(camera))))
         return float(np.hypot(self.scene.light.blur, size / 4 / pixel))
 
-    def render(self, frame: int, cameras: Iterable[str] | None = None) -> dict[str, NDArray]:
+    def render(self, frame: int, cameras: Iterable[str] | None = None) -> dict[str, NDArray[Any]]:
         """Images that the cameras take at one frame.
 
         Parameters
@@ -160,7 +161,7 @@ class Tank:
 
     def photograph(
         self, beads: floating.Beads, frame: int, cameras: Iterable[str] | None = None
-    ) -> dict[str, NDArray]:
+    ) -> dict[str, NDArray[Any]]:
         """Images of given beads.
 
         Parameters
@@ -181,7 +182,7 @@ class Tank:
             for name in (self.rig if cameras is None else cameras)
         }
 
-    def _beads(self, beads: floating.Beads, frame: int, name: str, fault: parts.Fault) -> NDArray:
+    def _beads(self, beads: floating.Beads, frame: int, name: str, fault: parts.Fault) -> NDArray[Any]:
         settings, camera = self.scene.surface, _shifted(self.rig[name], fault.shift)
         assert isinstance(settings, parts.Beads)
         X, Y = camera.project(beads.x, beads.y, beads.z)
@@ -205,7 +206,7 @@ class Tank:
         target = self.scene.calibration.target
         return targets.node_offsets(target, self.scene.seed) if isinstance(target, parts.Strings) else None
 
-    def target_image(self, name: str, camera: str) -> NDArray:
+    def target_image(self, name: str, camera: str) -> NDArray[Any]:
         """Image of the calibration target.
 
         Parameters
@@ -228,7 +229,7 @@ class Tank:
         )
         return self._expose(image, camera, -1 - list(self.target_poses).index(name))
 
-    def _painted(self, frame: int, name: str, fault: parts.Fault) -> NDArray:
+    def _painted(self, frame: int, name: str, fault: parts.Fault) -> NDArray[Any]:
         settings = self.scene.surface
         assert isinstance(settings, parts.Texture)
         snapshot = self.basin.snapshot(self.time(frame), ("z",))
@@ -252,7 +253,7 @@ class Tank:
             self._drift = drift = (frame, [RectBivariateSpline(axes[1], axes[0], b) for b in back])
         return x + drift[1][0].ev(y, x), y + drift[1][1].ev(y, x)
 
-    def _expose(self, image: NDArray[np.float32], name: str, frame: int) -> NDArray:
+    def _expose(self, image: NDArray[np.float32], name: str, frame: int) -> NDArray[Any]:
         light, number = self.scene.light, list(self.rig).index(name)
         rng = np.random.Generator(np.random.SFC64([self.scene.seed, 7, number, frame + 1000]))
         factor = light.gain.get(name, 1.0) * max(0.05, 1.0 + light.flicker * rng.standard_normal())
@@ -265,7 +266,7 @@ def _shifted(camera: Camera, shift: tuple[float, float]) -> Camera:
     return replace(camera, cx=camera.cx + shift[0], cy=camera.cy + shift[1]) if any(shift) else camera
 
 
-def render(scene: Scene, frame: int) -> dict[str, NDArray]:
+def render(scene: Scene, frame: int) -> dict[str, NDArray[Any]]:
     """Images of one frame of a scene.
 
     For several frames make a `Tank` and use its `render`, which remembers the beads.

@@ -147,6 +147,7 @@ def _draw_rows(
     offsets: Array | None,
 ) -> NDArray[np.float32]:
     """Coverage of the pixels inside the given columns and rows, of which the outermost only give slopes."""
+    cover: NDArray[np.float32]
     s, t = own.unproject(columns, rows[:, None])
     s, t = s / target.mesh, t / target.mesh
     if isinstance(target, Strings):
@@ -155,12 +156,15 @@ def _draw_rows(
         marks = np.array([[0.0, 0.0, target.origin_disc / 2], [1.0, 0.0, target.x_disc / 2]])
         marks[:, 2] /= target.mesh
         size = np.array([target.half + 0.5, _FRAME / target.mesh, _FRAME_SHADE])
-        return _strings(s, t, target.width / target.mesh, marks, size, blur)
+        cover = _strings(s, t, target.width / target.mesh, marks, size, blur)
+        return cover
     nx, ny = target.shape
     s, t = s + (nx - 1) / 2, t + (ny - 1) / 2
     if isinstance(target, Dots):
-        return _dots(s, t, nx, ny, target.diameter / 2 / target.mesh, blur)
-    return _chessboard(s, t, nx, ny, blur)
+        cover = _dots(s, t, nx, ny, target.diameter / 2 / target.mesh, blur)
+        return cover
+    cover = _chessboard(s, t, nx, ny, blur)
+    return cover
 
 
 def _undo(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) -> tuple[Array, Array]:
