@@ -212,6 +212,13 @@ def _ring_powers(
     return {"f": out}
 
 
+def _estimates(summed: dict[str, Array], welch: Welch) -> Array:
+    """E(k, omega), its freedom and interval, (4, omega, k): one task, not a graph of small ones."""
+    sums = summed["f"]
+    dof = np.maximum(welch.freedom(sums), 1.0)
+    return np.stack([sums[0] * welch.ring_density, dof, *interval(dof)]).transpose(0, 2, 1)
+
+
 def komega(
     field: xr.DataArray,
     *,
@@ -265,9 +272,10 @@ def komega(
     task = dask.delayed(_ring_powers, pure=False)
     weights = table.start, table.ring, table.weight, table.spread
     summed = segments.in_order([task(a, b, *weights) for run in runs for a, b in itertools.pairwise(run)])
-    sums = da.from_delayed(summed["f"], (2, table.k.size, welch.omega.size), np.float64)
-    values = xr.DataArray(sums[0].T * welch.ring_density, dims=("omega", "k"))
-    out = with_interval(values, xr.DataArray(welch.freedom(sums).T, dims=("omega", "k")))
+    found = dask.delayed(_estimates, pure=False)(summed, welch)
+    parts = da.from_delayed(found, (4, welch.omega.size, table.k.size), np.float64)
+    names = ("E", "dof", "low", "high")
+    out = annotate(xr.Dataset({name: (("omega", "k"), part) for name, part in zip(names, parts)}))
     out = out.assign(welch.ring_variables).assign_coords(omega_coords(welch.omega) | k_coords(table.k))
     out["valid"] = (("omega", "k"), welch.valid)
     out = annotate(out.assign_attrs(welch.attrs), "komega")
