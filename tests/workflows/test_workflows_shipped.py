@@ -1,17 +1,25 @@
 """The workflow files and catalogs that are shipped: they load, and they do what they say."""
 
 import re
+import socket
+import subprocess
+import sys
+from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 import intake
 import numpy as np
 import pytest
+import yaml
 from cube_cases import different
 
 from wavefield.cubes import Workflow, open_cube, run, run_catalog
 from wavefield.cubes.catalog import find_experiment
-from wavefield.cubes.dask_settings import dask_settings
+from wavefield.cubes.cluster import open_cluster
+from wavefield.cubes.dask_settings import dask_settings, temporary_credentials
 from wavefield.cubes.slurm import count_jobs, slurm_cluster
+from wavefield.errors import ExperimentError
 from wavefield.report import gather
 from wavefield.variables import FrameStatus
 
@@ -33,6 +41,58 @@ def test_the_local_workflow_makes_the_same_cube(tank, reference, tmp_path):
     state = run(tank, out=tmp_path / "cube.zarr", workflow=workflow)
     assert state.complete
     assert different(tmp_path / "cube.zarr", reference) == []
+
+
+@contextmanager
+def scheduler_with_tls(folder, credentials):
+    """A scheduler and two workers as processes of their own; gives its address."""
+    comm = credentials["distributed"]["comm"]["tls"]
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tls://127.0.0.1:{probe.getsockname()[1]}"
+
+    def start(kind, *arguments):
+        role = "worker" if kind == "worker" else "scheduler"
+        files = {"ca-file": comm["ca-file"], **comm[role]}
+        options = [f"--tls-{name}={path}" for name, path in files.items()]
+        command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *arguments, *options]
+        return subprocess.Popen([*command, "--no-dashboard"], stderr=subprocess.DEVNULL, cwd=folder)
+
+    processes = [start("scheduler", "--host", address)]
+    try:
+        processes += [start("worker", address, "--nthreads=1", "--no-nanny") for _ in range(2)]
+        yield address
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def test_the_address_workflow_makes_the_same_cube_with_a_scheduler_that_asks_for_tls(
+    tank, reference, tmp_path
+):
+    data = yaml.safe_load((ROOT / "workflows" / "address.yaml").read_text())
+    with (
+        temporary_credentials(tmp_path / "secret") as credentials,
+        scheduler_with_tls(tmp_path, credentials) as address,
+    ):
+        data |= {"address": address, "steps_per_block": 4, "dask": credentials}
+        state = run(tank, out=tmp_path / "cube.zarr", workflow=Workflow(**data))
+    assert state.complete
+    assert different(tmp_path / "cube.zarr", reference) == []
+
+
+@pytest.mark.parametrize("name", ["kubernetes", "gateway"])
+def test_workflows_that_are_not_tried_here_say_so_and_name_their_package(name, tmp_path):
+    path = ROOT / "workflows" / f"{name}.yaml"
+    assert "loaded, but not run, by the tests" in path.read_text()
+    workflow = Workflow.load(path)
+    if find_spec(workflow.deploy.split(".")[0]) is None:
+        with (
+            open_cluster(workflow, tmp_path) as map_unordered,
+            pytest.raises(ExperimentError, match=r"`deploy`: .* cannot be imported .* install its package"),
+        ):
+            list(map_unordered(abs, [-1]))
 
 
 def test_the_slurm_workflow_asks_for_jobs_that_end_after_the_run_does(tmp_path):

@@ -111,6 +111,7 @@ def open_dask_cluster(
                         settings = _merged(secrets, settings)
                     stack.enter_context(configured(settings))
                     client, watch = _connect(workflow, count, logs, settings, stack)
+                log.info("scheduler: %s", client.scheduler.address)
                 if client.dashboard_link and workflow.dashboard:
                     log.info("dashboard: %s", client.dashboard_link)
                 if workflow.performance_report:

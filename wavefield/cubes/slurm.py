@@ -120,12 +120,13 @@ def slurm_cluster(workflow: Workflow, logs: Path, settings: dict[str, Any]) -> A
 
     keywords = _keywords(workflow, logs, settings)
     try:
-        return Cluster(**keywords)
+        Path(keywords["log_directory"]).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ExperimentError(
             f"the jobs' logs cannot be written to {keywords['log_directory']} ({error.strerror}); make room, "
             "or name another place as `log_directory` in the workflow's `slurm` block"
         ) from None
+    return Cluster(**keywords)
 
 
 def _keywords(workflow: Workflow, logs: Path, settings: dict[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,162 @@
+"""What Dask is told: who may talk, what it holds, whose versions; and what is said when it goes wrong."""
+
+import logging
+import os
+import stat
+import sys
+
+import dask
+import psutil
+import pytest
+
+import wavefield
+from wavefield.cubes import Workflow, dask_cluster
+from wavefield.cubes.cluster import count_workers, open_cluster
+from wavefield.cubes.dask_cluster import Task
+from wavefield.cubes.dask_settings import temporary_credentials, wants_tls
+from wavefield.cubes.slurm import count_jobs
+from wavefield.errors import ExperimentError
+
+
+def ports(item):
+    """Addresses at which a worker and its relatives listen, and the worker's own."""
+    from distributed import get_worker
+
+    listening = set()
+    for process in [*psutil.Process().parents(), psutil.Process()]:
+        if process.pid > 1 and "pytest" not in process.name():
+            listening |= {c.laddr.ip for c in process.net_connections("tcp") if c.status == "LISTEN"}
+    return listening, get_worker().address, dict(os.environ).get("OMP_NUM_THREADS")
+
+
+def test_daemons_of_this_machine_listen_on_the_loopback_alone_and_through_tls_if_asked(tmp_path):
+    before, environment = dask.config.get("distributed.comm"), dict(os.environ)
+    workflow = Workflow(cluster="local", workers=1, dashboard=":0", security="tls")
+    with open_cluster(workflow, tmp_path) as map_unordered:
+        ((_, (worker, address, threads)),) = map_unordered(ports, [0])
+        # generator is exhausted: the cluster is gone
+    mine = {c.laddr.ip for c in psutil.Process().net_connections("tcp") if c.status == "LISTEN"}
+    assert worker | mine <= {"127.0.0.1", "::1"}
+    assert address.startswith("tls://127.0.0.1")
+    assert threads == "1"
+    assert dask.config.get("distributed.comm") == before
+    assert dict(os.environ) == environment
+    assert list(tmp_path.iterdir()) == [], "credentials go with their run"
+
+
+def test_credentials_are_for_their_owner_alone(tmp_path):
+    with temporary_credentials(tmp_path) as settings:
+        for role in ("scheduler", "worker", "client"):
+            for path in settings["distributed"]["comm"]["tls"][role].values():
+                assert stat.S_IMODE(os.stat(path).st_mode) == 0o600
+
+
+def test_tls_is_the_rule_where_ports_are_open_to_the_network():
+    assert wants_tls(Workflow(cluster="slurm"))
+    assert wants_tls(Workflow(cluster="dask", deploy="distributed.SSHCluster"))
+    assert not wants_tls(Workflow(cluster="slurm", security="none"))
+    assert not wants_tls(Workflow(cluster="local"))
+
+
+def test_workers_of_other_versions_are_refused_with_both():
+    python = sys.version_info[:2]
+    assert Task(abs, python, wavefield.__version__)(-1) == 1
+    with pytest.raises(
+        ExperimentError, match=rf"run Python {python[0]}\.{python[1]}, .* but the run Python 2\.7"
+    ):
+        Task(abs, (2, 7), wavefield.__version__)(-1)
+    with pytest.raises(
+        ExperimentError, match=r"but the run Python .*, wavefield 0\.0\.1: start both from one"
+    ):
+        Task(abs, python, "0.0.1")(-1)
+
+
+class Future:
+    """A task of a client that does everything at once."""
+
+    status = "finished"
+
+    def __init__(self, value):
+        self.value = value
+
+    def add_done_callback(self, function):
+        function(self)
+
+    def result(self):
+        return self.value
+
+
+class Client:
+    """Counts the tasks that were submitted and not read yet."""
+
+    status = "closed"
+
+    def __init__(self):
+        self.submitted = 0
+
+    def submit(self, task, item, **_):
+        self.submitted += 1
+        return Future(task(item))
+
+
+def test_few_tasks_are_held_however_long_the_record():
+    client, read = Client(), 0
+    for item, result in dask_cluster._map_on(client, abs, range(10_000), 8, lambda: None):
+        read += 1
+        assert result == item
+        assert client.submitted - read <= 8
+    assert read == client.submitted == 10_000
+
+
+def test_workers_from_how_many_to_how_many():
+    workflow = Workflow(cluster="slurm", workers={"minimum": 2, "maximum": 40}, slurm={"cores": 8})
+    assert count_workers(workflow) == 40
+    assert count_jobs(workflow) == (1, 5)
+    with pytest.raises(ValueError, match="below their minimum"):
+        Workflow(workers={"minimum": 3, "maximum": 2})
+
+
+def test_a_scheduler_without_workers_is_named(caplog):
+    client = type("Client", (), {"nthreads": lambda self: {}})()
+    look = dask_cluster._Patience(client, "tcp://here:1")
+    with caplog.at_level(logging.WARNING, "wavefield.run"):
+        look()
+        look()
+    assert caplog.messages == [
+        "the scheduler at tcp://here:1 has no workers; the run begins when the first is started: "
+        "`dask worker tcp://here:1 --nthreads 1`"
+    ]
+
+
+def test_a_worker_without_wavefield_is_named():
+    error = ModuleNotFoundError("No module named 'wavefield'", name="wavefield")
+    assert "cannot load wavefield" in str(dask_cluster._understood(error))
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"deploy": "nowhere.Cluster"}, "`deploy`: 'nowhere.Cluster' cannot be imported"),
+        ({"deploy": "distributed.SSHCluster", "options": {"hosts": []}}, "look at `options`"),
+    ],
+)
+def test_classes_that_do_not_deploy_are_named(settings, sentence, tmp_path):
+    workflow = Workflow(cluster="dask", **settings)
+    with open_cluster(workflow, tmp_path) as mapped, pytest.raises(ExperimentError, match=sentence):
+        list(mapped(abs, [1]))
+
+
+def test_a_folder_for_logs_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").touch()
+    workflow = Workflow(cluster="slurm")
+    with (
+        open_cluster(workflow, tmp_path / "file" / "logs") as mapped,
+        pytest.raises(ExperimentError, match="credentials of the run cannot be written there"),
+    ):
+        list(mapped(abs, [1]))
+    workflow = Workflow(cluster="slurm", security="none")
+    with (
+        open_cluster(workflow, tmp_path / "file" / "logs") as mapped,
+        pytest.raises(ExperimentError, match="the jobs' logs cannot be written"),
+    ):
+        list(mapped(abs, [1]))
