@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from wavefield.cubes.prepare import Prepared
 
 _FILE = click.Path(exists=True, path_type=Path)
+_JSON = click.option("--json", "as_json", is_flag=True, help="Say it as JSON, for scripts.")
 
 
 @click.command(
@@ -27,15 +29,22 @@ Examples:
 @click.option("--rig", type=_FILE, help="Rig file, in place of the one that the experiment names.")
 @click.option("--workflow", type=_FILE, help="Where and how it would run: a file as in workflows/.")
 @click.option("--pairs", is_flag=True, help="Also compare what each pair of cameras measures by itself.")
+@_JSON
 @click.pass_context
 def check(
-    context: click.Context, experiment: Path, rig: Path | None, workflow: Path | None, pairs: bool
+    context: click.Context,
+    experiment: Path,
+    rig: Path | None,
+    workflow: Path | None,
+    pairs: bool,
+    as_json: bool,
 ) -> None:
     """Say what is there, what is missing, and what a run will cost.
 
     Counts the frames of each camera, names missing ones, shows how much of the grid the cameras see,
-    measures a few steps to tell the time, memory and disk of the whole run, and says whether a camera has
-    moved since the calibration. Changes nothing. The exit status is 1 where something stands in the way.
+    measures a few steps to tell the time, memory and disk of the whole run, and compares the cameras' images:
+    is one mirrored, swapped, late, reversed, blurred, covered, or has it moved? Changes nothing. The exit
+    status is 1 where something stands in the way, 3 where the verdict has remarks that matter.
     """
     from wavefield import cubes
     from wavefield.cubes.worker_settings import keep_memory
@@ -43,22 +52,17 @@ def check(
     keep_memory()
     with Progress("Looking at the frames, measuring a few steps"):
         found = cubes.check(experiment, rig, workflow)
+    if as_json:
+        click.echo(json.dumps(found.to_dict(), indent=1, default=str))
+        context.exit(found.exit_status)
     click.echo(str(found))
     if words := _probes_line(experiment):
         click.echo(f"  probes: {words}")
-    if found.problems:
-        context.exit(1)
-    from wavefield.calibration.rest import check_rig
-    from wavefield.cubes.prepare import prepare
-    from wavefield.measurement.tie_points import matched_pixels, spread
+    if pairs and not found.problems:
+        from wavefield.cubes.prepare import prepare
 
-    prepared = prepare(experiment, rig, workflow)
-    frames = spread(len(next(iter(prepared.series.values()))), 3)
-    click.echo(
-        f"  rig: {check_rig(prepared.rig, matched_pixels(_reader(prepared), frames, prepared.plan)).sentence}"
-    )
-    if pairs:
-        click.echo(_pairs_table(prepared))
+        click.echo(_pairs_table(prepare(experiment, rig, workflow)))
+    context.exit(found.exit_status)
 
 
 def _reader(prepared: Prepared) -> Callable[[str, int], Any]:
@@ -213,18 +217,23 @@ Examples:
     callback=_named,
     help="name=value for a catalog's parameter.",
 )
+@_JSON
+@click.pass_context
 def run(
+    context: click.Context,
     source: Path,
     entries: tuple[str, ...],
     rig: Path | None,
     workflow: Path | None,
     output: Path | None,
     parameters: dict[str, str],
+    as_json: bool,
 ) -> None:
     """Measure an experiment, or all or some entries of a catalog.
 
     SOURCE is an experiment file or a catalog. A run that was interrupted goes on where it stopped when the
-    same command is given again.
+    same command is given again. The exit status is 1 where nothing could be measured, 3 where the verdict has
+    remarks that matter.
     """
     from wavefield import cubes
     from wavefield.cubes.worker_settings import keep_memory
@@ -239,18 +248,30 @@ def run(
             raise click.UsageError(f"{source} is an experiment, not a catalog: it has no runs and parameters")
         else:
             states = [cubes.run(source, output, **how)]
-    for state in states:
-        click.echo(str(state))
-    click.echo(f"Next: wavefield analyze {states[0].store}")
+    if as_json:
+        click.echo(json.dumps([state.to_dict() for state in states], indent=1, default=str))
+    else:
+        for state in states:
+            click.echo(str(state))
+        click.echo(f"Next: wavefield analyze {states[0].store}")
+    worst = [state.exit_status for state in states]
+    context.exit(1 if 1 in worst else max(worst))
 
 
 @click.command(epilog="\b\nExample:\n  wavefield status cube.zarr")
 @click.argument("store", metavar="CUBE", type=click.Path(exists=True, file_okay=False, path_type=Path))
-def status(store: Path) -> None:
-    """Say how far a run is, and which frames failed and why."""
+@_JSON
+@click.pass_context
+def status(context: click.Context, store: Path, as_json: bool) -> None:
+    """Say how far a run is, which frames failed and why, and whether the cube can be trusted.
+
+    The exit status is 3 where the verdict has remarks that matter, 1 where nothing could be measured.
+    """
     from wavefield.cubes import status as run_status
 
-    click.echo(run_status(store))
+    found = run_status(store)
+    click.echo(json.dumps(found.to_dict(), indent=1, default=str) if as_json else str(found))
+    context.exit(found.exit_status)
 
 
 @click.command(epilog="\b\nExample:\n  wavefield verify cube.zarr")

@@ -5,14 +5,16 @@ import shutil
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numcodecs
 import numpy as np
 
 from wavefield.cubes.block import Measured, make_block, measure_block
 from wavefield.cubes.cluster import count_workers
+from wavefield.cubes.judgement import look_at_cameras
 from wavefield.cubes.prepare import Prepared, expected_coverage, load_files, prepare
 from wavefield.cubes.worker_settings import one_thread
 from wavefield.cubes.workflow import Workflow
@@ -21,6 +23,7 @@ from wavefield.grid import Grid
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.layout import COMPRESSION
+from wavefield.store.verdict import Verdict
 from wavefield.variables import FrameFault, FrameStatus
 from wavefield.words import spell_ranges, spell_time
 
@@ -147,6 +150,8 @@ class Check:
         What a run will take; None if it cannot run yet.
     problems : tuple of str
         What stands in the way of a run.
+    verdict : Verdict or None
+        On the cameras' images; None if they could not be compared.
     """
 
     experiment: str
@@ -160,6 +165,24 @@ class Check:
     measured: float | None
     cost: Cost | None
     problems: tuple[str, ...]
+    verdict: Verdict | None = None
+
+    @property
+    def exit_status(self) -> int:
+        """Of a command: 1 where something stands in the way, 3 where a remark matters, else 0."""
+        if self.problems:
+            return 1
+        return self.verdict.exit_status if self.verdict else 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, as for ``--json``.
+
+        Returns
+        -------
+        dict
+        """
+        out = asdict(self) | {"path": str(self.path), "exit_status": self.exit_status}
+        return out | {"verdict": self.verdict.to_dict() if self.verdict else None}
 
     @property
     def ready(self) -> bool:
@@ -167,7 +190,9 @@ class Check:
         return not self.problems
 
     def __str__(self) -> str:
-        lines = [
+        verdict = "not ready" if self.problems else self.verdict.line if self.verdict else ""
+        lines = [f"verdict: {verdict}"] if verdict else []
+        lines += [
             f"{self.experiment} ({self.path}): {self.steps} steps at {self.frame_rate:g} Hz "
             f"({spell_time(self.steps / self.frame_rate)})"
         ]
@@ -187,8 +212,19 @@ class Check:
             lines.append(text)
         if self.cost:
             lines.append(f"  a run will take {self.cost}")
+        lines += self._agreements()
         lines += [f"  not ready: {problem}" for problem in self.problems]
+        lines += [f"  {remark}" for remark in (self.verdict.remarks if self.verdict else ())]
         return "\n".join(lines)
+
+    def _agreements(self) -> list[str]:
+        """How well the cameras agree, in a line."""
+        pairs = self.verdict.pairs if self.verdict else {}
+        words = [
+            f"{pair} {100 * float(np.median(of['agreement'])):.0f} %, miss {np.median(of['eps_y']):.2f} px"
+            for pair, of in pairs.items()
+        ]
+        return [f"  cameras agree: {'; '.join(words)}"] if words else []
 
 
 def check(
@@ -234,6 +270,7 @@ def check(
                 cost, measured = measure_cost(prepared)
         except ExperimentError as error:
             problems.append(str(error))
+    seen = look_at_cameras(prepared) if prepared and not problems else None
     return Check(
         experiment=experiment.name,
         path=experiment.path,
@@ -246,6 +283,7 @@ def check(
         measured=measured,
         cost=cost,
         problems=tuple(problems),
+        verdict=Verdict.of(seen.remarks, seen.cameras, seen.pairs) if seen else None,
     )
 
 

@@ -17,6 +17,7 @@ from wavefield.cubes.block import Block, make_block
 from wavefield.cubes.cluster import open_cluster
 from wavefield.cubes.guards import Stopped, jobs_folder, log_file, log_path, stop_signals
 from wavefield.cubes.interrupts import undisturbed
+from wavefield.cubes.judgement import judge
 from wavefield.cubes.lock import Lock
 from wavefield.cubes.prepare import Prepared, load_files, prepare
 from wavefield.cubes.work import Work
@@ -134,6 +135,8 @@ def process(
             raise RunStopped(
                 f"stopped{_why(stop)}{_how_far(path)}; nothing is lost, and the same command goes on"
             ) from None
+    found = status(path)
+    judge(prepared, found).save(path)
     return status(path)
 
 

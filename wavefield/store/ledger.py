@@ -1,15 +1,18 @@
 """How far a run is, and which frames failed and why."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from wavefield.errors import StoreError
 from wavefield.store.read import open_group, read_layout
+from wavefield.store.verdict import Verdict, read_verdict
 from wavefield.variables import FrameFault, FrameStatus
 from wavefield.words import spell_ranges
 
+_LEDGER = ("failed steps", "bad frames")  # remarks that the ledger's own lines say
 _WORDS = {
     FrameFault.MISSING: "missing",
     FrameFault.UNREADABLE: "corrupt or truncated",
@@ -60,6 +63,8 @@ class Status:
         Numbers of the frames that failed steps begin with.
     bad_frames : tuple of BadFrames
         Frames that were bad.
+    verdict : Verdict or None
+        On the cube, once its run has ended.
     """
 
     store: Path
@@ -71,6 +76,28 @@ class Status:
     failed: int
     failed_steps: tuple[int, ...]
     bad_frames: tuple[BadFrames, ...]
+    verdict: Verdict | None = None
+
+    @property
+    def exit_status(self) -> int:
+        """Of a command: 1 where nothing could be measured, 3 where a remark matters, else 0."""
+        if self.failed and self.failed == self.steps:
+            return 1
+        return self.verdict.exit_status if self.verdict else 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, as for ``--json``.
+
+        Returns
+        -------
+        dict
+        """
+        out = asdict(self) | {"store": str(self.store), "complete": self.complete, "left": self.left}
+        out["bad_frames"] = [
+            {"camera": b.camera, "fault": b.fault.name.lower(), "numbers": list(b.numbers)}
+            for b in self.bad_frames
+        ]
+        return out | {"verdict": self.verdict.to_dict() if self.verdict else None}
 
     @property
     def complete(self) -> bool:
@@ -84,7 +111,8 @@ class Status:
 
     def __str__(self) -> str:
         tried = self.steps - self.left
-        lines = [
+        lines = [f"verdict: {self.verdict.line}"] if self.verdict and self.complete else []
+        lines += [
             f"{self.store}: {self.experiment}, recipe {self.recipe_hash}",
             f"  {tried} of {self.steps} steps ({100 * tried // self.steps} %)"
             + ("" if self.complete else "; run the same command again to go on"),
@@ -96,6 +124,8 @@ class Status:
         lines += [f"  {bad}" for bad in self.bad_frames]
         if self.bad_frames:
             lines.append("  copy bad frames again and run the same command: their steps are measured again")
+        if self.verdict and self.complete:
+            lines += [f"  {remark}" for remark in self.verdict.remarks if remark.kind not in _LEDGER]
         return "\n".join(lines)
 
 
@@ -142,6 +172,7 @@ def status(store: str | Path) -> Status:
         failed=failed.size,
         failed_steps=tuple(int(n) for n in layout.first_frame + failed),
         bad_frames=tuple(bad),
+        verdict=read_verdict(path),
     )
 
 

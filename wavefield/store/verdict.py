@@ -10,6 +10,7 @@ from wavefield.store.beside import beside
 from wavefield.whole_files import write_text
 
 Weight = Literal["note", "remark", "grave"]
+Numbers = Mapping[str, Mapping[str, list[float]]]
 WORDS = {"note": "sound", "remark": "sound with remarks", "grave": "not to be trusted"}
 _RANK = {"note": 0, "remark": 1, "grave": 2}
 
@@ -58,6 +59,8 @@ class Verdict:
     ----------
     remarks : tuple of Remark
         The gravest first.
+    cameras, pairs : mapping of str to mapping of str to list of float
+        Numbers of every camera and pair over time.
 
     Examples
     --------
@@ -68,21 +71,28 @@ class Verdict:
     """
 
     remarks: tuple[Remark, ...] = ()
+    cameras: Numbers = field(default_factory=dict)
+    pairs: Numbers = field(default_factory=dict)
 
     @classmethod
-    def of(cls, remarks: Iterable[Remark]) -> "Verdict":
+    def of(
+        cls, remarks: Iterable[Remark], cameras: Numbers | None = None, pairs: Numbers | None = None
+    ) -> "Verdict":
         """Put remarks in order.
 
         Parameters
         ----------
         remarks : iterable of Remark
             In any order.
+        cameras, pairs : mapping, optional
+            Numbers behind them.
 
         Returns
         -------
         Verdict
         """
-        return cls(tuple(sorted(remarks, key=lambda remark: -_RANK[remark.weight])))
+        ordered = tuple(sorted(remarks, key=lambda remark: -_RANK[remark.weight]))
+        return cls(ordered, dict(cameras or {}), dict(pairs or {}))
 
     @property
     def weight(self) -> Weight:
@@ -111,12 +121,14 @@ class Verdict:
         Returns
         -------
         dict
-            ``verdict``, ``line``, ``remarks``.
+            ``verdict``, ``line``, ``remarks``, ``cameras``, ``pairs``.
         """
         return {
             "verdict": WORDS[self.weight],
             "line": self.line,
             "remarks": [asdict(remark) for remark in self.remarks],
+            "cameras": self.cameras,
+            "pairs": self.pairs,
         }
 
     def save(self, store: Path) -> None:
@@ -150,6 +162,7 @@ def read_verdict(store: str | Path) -> Verdict | None:
     """
     try:
         data = json.loads(beside(Path(store), "verdict", ".json").read_text(encoding="utf-8"))
-        return Verdict.of(Remark(**remark) for remark in data["remarks"])
+        remarks = [Remark(**remark) for remark in data["remarks"]]
+        return Verdict.of(remarks, data["cameras"], data["pairs"])
     except (OSError, ValueError, KeyError, TypeError):
         return None

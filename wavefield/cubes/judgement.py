@@ -1,0 +1,130 @@
+"""The verdict on an experiment before its run, and on a cube after it."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from wavefield.cubes.prepare import Prepared, expected_coverage
+from wavefield.cubes.suspects import Examination, examine
+from wavefield.cubes.witness import Witness
+from wavefield.store.ledger import Status
+from wavefield.store.read import open_group
+from wavefield.store.verdict import Remark, Verdict
+from wavefield.words import spell_ranges
+
+_INSTANTS = 4  # of a record, looked at before a run and after it
+_STEPS = 12  # of a cube, looked at after its run
+_EPS = (0.15, 0.5)  # px: eps' that is remarked upon, that nothing can be believed of
+_LEAST_MEASURED = (0.7, 0.2)  # of what all cameras see: less is remarked upon, is worth nothing
+_MANY = 0.01  # of the steps with bad frames: fewer are only noted
+
+
+def look_at_cameras(prepared: Prepared) -> Examination:
+    """Compare the cameras' images at some instants of the record.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        As from `wavefield.cubes.prepare.prepare`.
+
+    Returns
+    -------
+    Examination
+    """
+    count = prepared.steps + 1
+    frames = sorted({int((k + 0.5) * count / _INSTANTS) for k in range(_INSTANTS)})
+    witness = Witness(lambda name, k: prepared.series[name].read(k).image, prepared.rig, prepared.grid)
+    return examine(witness, count, frames)
+
+
+def judge(prepared: Prepared, status: Status, seen: Examination | None = None) -> Verdict:
+    """The verdict on a cube whose run has ended.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        What it was made from.
+    status : Status
+        Its ledger.
+    seen : Examination, optional
+        Of its cameras, if they were looked at already.
+
+    Returns
+    -------
+    Verdict
+    """
+    seen = look_at_cameras(prepared) if seen is None else seen
+    remarks = [
+        *seen.remarks,
+        *_steps(status),
+        *_fields(status.store, expected_coverage(prepared.rig, prepared.grid)),
+    ]
+    return Verdict.of(remarks, seen.cameras, seen.pairs)
+
+
+def _steps(status: Status) -> Iterator[Remark]:
+    if status.failed:
+        everything = status.failed == status.steps
+        yield Remark(
+            "record",
+            "failed steps",
+            "grave" if everything else "remark",
+            f"{'all' if everything else status.failed} of {status.steps} steps could not be measured, "
+            f"from frame {spell_ranges(status.failed_steps, 3)}",
+            "none",
+            "look at these frames: are they there, bright, seeded, and of all cameras?",
+            {"failed": status.failed, "steps": status.steps},
+        )
+    if status.faulty:
+        yield Remark(
+            "record",
+            "bad frames",
+            "remark" if status.faulty > _MANY * status.steps else "note",
+            f"{status.faulty} of {status.steps} steps have bad frames around them",
+            f"less than {100 * _MANY:.0f} %",
+            "copy these frames again and run the same command",
+            {"faulty": status.faulty, "steps": status.steps},
+        )
+
+
+def _fields(store: Path, seen: float) -> Iterator[Remark]:
+    """What the values themselves say, at some steps."""
+    group = open_group(store)
+    steps = _some(group["z"].shape[0])
+    z = np.stack([np.asarray(group["z"][k]) for k in steps])
+    if group["z"].dtype == np.int16:
+        z = np.where(z == group["z"].attrs["_FillValue"], np.nan, z.astype(np.float32))
+    found = np.isfinite(z)
+    if not found.any():
+        return  # the ledger says so
+    eps = np.stack([np.asarray(group["eps_piv"][k], np.float32) for k in steps])
+    eps *= np.float32(group["eps_piv"].attrs.get("scale_factor", 1.0))
+    misfit = (
+        float(np.median(np.abs(eps[found & np.isfinite(eps)]))) if (found & np.isfinite(eps)).any() else 0.0
+    )
+    if misfit > _EPS[0]:
+        yield Remark(
+            "velocity",
+            "eps'",
+            "grave" if misfit > _EPS[1] else "remark",
+            f"the cameras contradict each other on how the water moves: median eps' {misfit:.2f} px",
+            f"less than {_EPS[0]} px",
+            "are the frames of the same moments, and of the same order, for all cameras?",
+            {"eps_piv": misfit},
+        )
+    measured = float(found.mean()) / max(seen, 1e-9)
+    if seen > 0.05 and measured < _LEAST_MEASURED[0]:
+        yield Remark(
+            "surface",
+            "holes",
+            "grave" if measured < _LEAST_MEASURED[1] else "remark",
+            f"{100 * measured:.0f} % of what all cameras see was measured",
+            f"{100 * _LEAST_MEASURED[0]:.0f} % at least",
+            "look at seeding and light where `quality` says why nodes were rejected",
+            {"fraction": measured},
+        )
+
+
+def _some(count: int) -> Sequence[int]:
+    return sorted({int((k + 0.5) * count / _STEPS) for k in range(_STEPS)})
