@@ -14,7 +14,8 @@ experiment=${1:?usage: sbatch slurm_job.sh EXPERIMENT [options of wavefield run]
 shift
 srun --ntasks=1 wavefield run "$experiment" "$@"
 state=$?
-if [ "$state" -ne 0 ] && [ "${SLURM_RESTART_COUNT:-0}" -lt 20 ] && grep -q "stopped by SIGUSR1" "${experiment%/*}/cube.log" 2>/dev/null; then
+said=$(scontrol show job "$SLURM_JOB_ID" | sed -n 's/^ *StdErr=//p')
+if [ "$state" -ne 0 ] && [ "${SLURM_RESTART_COUNT:-0}" -lt 20 ] && tail -n 5 "$said" | grep -q "stopped by SIGUSR1"; then
     scontrol requeue "$SLURM_JOB_ID"
 fi
 exit "$state"

@@ -1,5 +1,6 @@
 """The small tank of the cubes' tests."""
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -24,3 +25,25 @@ def reference(tank, tmp_path_factory):
     path = tmp_path_factory.mktemp("reference") / "cube.zarr"
     run(tank, out=path, workflow=HERE)
     return path
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--require-slurm", action="store_true", help="fail where no Slurm answers, rather than skip"
+    )
+
+
+def slurm_answers():
+    try:
+        return subprocess.run(["sinfo", "--noheader"], capture_output=True, timeout=10).returncode == 0
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+
+
+@pytest.fixture(scope="session")
+def slurm_there(request):
+    """Skips where no Slurm answers, unless one must."""
+    if not slurm_answers():
+        if request.config.getoption("--require-slurm", default=False):
+            pytest.fail("no Slurm answers")
+        pytest.skip("no Slurm answers here; workflows/one_node_slurm.sh starts one")

@@ -1,36 +1,31 @@
-"""Runs in Slurm jobs, where a Slurm answers (workflows/one_node_slurm.sh starts one)."""
+"""Runs in Slurm jobs, where a Slurm answers; workflows/one_node_slurm.sh starts one, as .ci/run does."""
 
 import os
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+import yaml
 from cube_cases import different
 
-from wavefield.cubes import status
+from wavefield.cubes import Workflow, status
+from wavefield.cubes.cluster import open_cluster
+from wavefield.errors import ExperimentError
 
 ROOT = Path(__file__).parents[2]
 
 
-def slurm_answers() -> bool:
-    try:
-        return subprocess.run(["sinfo", "--noheader"], capture_output=True, timeout=10).returncode == 0
-    except (OSError, subprocess.TimeoutExpired):
-        return False
-
-
-pytestmark = pytest.mark.skipif(
-    not slurm_answers(), reason="no Slurm answers here; workflows/one_node_slurm.sh starts one"
-)
+pytestmark = pytest.mark.usefixtures("slurm_there")
 
 
 def slurm(*command, **keywords):
     return subprocess.run(command, check=True, capture_output=True, text=True, **keywords).stdout.strip()
 
 
-def wait_for(condition, patience=180.0):
+def wait_for(condition, patience=900.0):
     since = time.monotonic()
     while not condition():
         assert time.monotonic() - since < patience, "nothing happened for too long"
@@ -46,14 +41,19 @@ def steps_done(out):
 
 @pytest.fixture
 def workflow(tmp_path):
-    """Two jobs of one worker each."""
+    """The workflow that is shipped, with jobs of the size that a test needs: two of one worker each."""
+    data = yaml.safe_load((ROOT / "workflows" / "slurm.yaml").read_text())
+    data |= {"workers": 2, "memory": "500 MB", "steps_per_block": 1}
+    data["slurm"] |= {"cores": 1, "walltime": "00:10:00", "python": sys.executable, "queue": partition()}
     path = tmp_path / "slurm.yaml"
-    path.write_text(
-        "cluster: slurm\nworkers: 2\nmemory: 500 MB\nsteps_per_block: 1\ndashboard: null\n"
-        f"slurm: {{queue: cpu, cores: 1, walltime: '00:10:00', log_directory: '{tmp_path}', "
-        f"python: '{sys.executable}'}}\n"
-    )
+    path.write_text(yaml.safe_dump(data))
     return path
+
+
+def partition():
+    """The one that jobs go to if they name none."""
+    names = slurm("sinfo", "--noheader", "--format=%P").split()
+    return next((name.rstrip("*") for name in names if name.endswith("*")), names[0])
 
 
 @pytest.fixture
@@ -72,39 +72,94 @@ def submit(tank, out, workflow, environment, folder):
     )  # fmt: skip
 
 
-def test_a_job_that_is_cancelled_in_the_middle_goes_on(tank, reference, workflow, environment, tmp_path):
+def jobs(name):
+    """Numbers of the jobs of that name that run."""
+    return slurm("squeue", "--noheader", "--format=%A", f"--name={name}", "--states=RUNNING").split()
+
+
+def test_a_job_that_is_warned_puts_itself_back_and_one_that_is_cancelled_goes_on_when_asked(
+    tank, reference, workflow, environment, tmp_path
+):
     out = tmp_path / "cube.zarr"
     job = submit(tank, out, workflow, environment, tmp_path)
-    wait_for(lambda: steps_done(out) >= 2)
+    wait_for(lambda: steps_done(out) >= 1)
+    slurm("scancel", "--signal=USR1", job)  # as Slurm does before the time limit
+    wait_for(lambda: "stopped by SIGUSR1" in (tmp_path / "job.out").read_text())
+    before = steps_done(out)
+    wait_for(lambda: steps_done(out) > before)  # it is back
     slurm("scancel", job)
     wait_for(lambda: not slurm("squeue", "--noheader"))  # its workers go with it
     done = steps_done(out)
     assert 2 <= done < status(out).steps
-    assert "nothing is lost" in (tmp_path / "job.out").read_text()
+    assert (tmp_path / "job.out").read_text().count("nothing is lost") == 2
     submit(tank, out, workflow, environment, tmp_path)
     wait_for(lambda: status(out).complete and not slurm("squeue", "--noheader"))
     assert different(out, reference) == []
+    assert not list(out.with_suffix(".jobs").glob(".tls-*")), "credentials go with their run"
 
 
-def test_worker_jobs_that_are_cancelled_are_asked_for_again(tank, reference, workflow, environment, tmp_path):
+@contextmanager
+def drained(node):
+    """Let no new job on a node, where whoever tests may say so."""
+    change = ["scontrol", "update", f"nodename={node}"]
+    allowed = subprocess.run([*change, "state=drain", "reason=test"], capture_output=True).returncode == 0
+    try:
+        yield allowed
+    finally:
+        if allowed:
+            slurm(*change, "state=resume")
+
+
+def test_worker_jobs_that_are_cancelled_are_asked_for_again_on_nodes_that_are_left(
+    tank, reference, workflow, tmp_path, request
+):
     out = tmp_path / "cube.zarr"
-    command = [
-        sys.executable,
-        "-m",
-        "wavefield.commands.cli",
-        "run",
-        str(tank),
-        "-o",
-        str(out),
-        "--workflow",
-        str(workflow),
-    ]
+    command = [sys.executable, "-m", "wavefield.commands.cli", "run", str(tank), "-o", str(out)]
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=tmp_path
-    )
+        [*command, "--workflow", str(workflow)],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=tmp_path,
+    )  # fmt: skip
+    request.addfinalizer(lambda: (process.kill(), process.wait(), process.stdout.close()))
     wait_for(lambda: steps_done(out) >= 1)
-    slurm("scancel", "--name=wavefield")
-    text, _ = process.communicate(timeout=180)
+    first = jobs("wavefield")
+    node = slurm("squeue", "--noheader", "--format=%N", f"--jobs={first[0]}")
+    with drained(node) as allowed:
+        slurm("scancel", *first)
+        wait_for(lambda: set(jobs("wavefield")) - set(first) or process.poll() is not None)
+        if allowed and process.poll() is None:
+            nodes = slurm("squeue", "--noheader", "--format=%N", "--name=wavefield", "--states=RUNNING")
+            assert node not in nodes.split()
+        text, _ = process.communicate(timeout=900)
     assert process.returncode == 0, text
     assert different(out, reference) == []
+    wait_for(lambda: not slurm("squeue", "--noheader"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"queue": "nowhere"}, "Slurm refuses the jobs of this run: invalid partition specified: nowhere"),
+        ({"walltime": "400-00:00:00"}, "Slurm will never start the jobs of this run: PartitionTimeLimit"),
+        (
+            {"python": "/nowhere/python"},
+            r"ended before its workers started .*\.err says: .*/nowhere/python: No such",
+        ),
+        (
+            {"job_script_prologue": ["echo 'module: command not found' >&2; exit 1"]},
+            r"ended before its workers started .*\.err says: module: command not found",
+        ),
+    ],
+    ids=["wrong partition", "too long", "wrong Python", "no module"],
+)
+def test_jobs_that_never_work_are_named_with_what_tells_why(
+    changes, sentence, workflow, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    data = yaml.safe_load(workflow.read_text())
+    data["slurm"] |= changes
+    with (
+        open_cluster(Workflow(**data), tmp_path / "logs") as map_unordered,
+        pytest.raises(ExperimentError, match=sentence),
+    ):
+        list(map_unordered(abs, [-1]))
     wait_for(lambda: not slurm("squeue", "--noheader"))

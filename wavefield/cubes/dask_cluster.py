@@ -20,15 +20,16 @@ from wavefield.cubes.dask_settings import (
     wants_tls,
 )
 from wavefield.cubes.interrupts import undisturbed
+from wavefield.cubes.slurm_watch import Watch
 from wavefield.cubes.worker_settings import settle_worker
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, StoreError, WavefieldError
 
 log = logging.getLogger("wavefield.run")
-Watch = Callable[[], None]
+Look = Callable[[], None]
 
 _SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
-_LOOK_AFTER = 2.0  # seconds without news after which the workers are looked for
+_LOOK_AFTER = 2.0  # seconds without news after which the workers are looked after
 _HELD = 2  # tasks that the scheduler holds for each worker: one at work, one ready
 
 
@@ -133,10 +134,10 @@ def _merged(*settings: dict[str, Any]) -> dict[str, Any]:
 
 def _connect(
     workflow: Workflow, count: int, logs: Path, settings: dict[str, Any], stack: ExitStack
-) -> tuple[Any, Watch]:
+) -> tuple[Any, Look]:
     from distributed import Client
 
-    watch: Watch = lambda: None  # noqa: E731
+    watch: Look = lambda: None  # noqa: E731
     if workflow.cluster == "address":
         try:
             client = Client(workflow.address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)
@@ -152,7 +153,7 @@ def _connect(
         fewest, most = slurm.count_jobs(workflow)
         cluster.adapt(minimum_jobs=fewest, maximum_jobs=most)  # jobs that end or die are asked for again
         log.info("asked Slurm for %d jobs; the run begins when the first starts", fewest)
-        watch = slurm.Watch(cluster, Path(workflow.slurm.get("log_directory", logs)))
+        watch = Watch(cluster, Path(workflow.slurm.get("log_directory", logs)))
     elif workflow.cluster == "dask":
         cluster = stack.enter_context(_deploy(workflow))
     else:
@@ -220,7 +221,7 @@ class _Patience:
 
 
 def _map_on(
-    client: Any, work: Callable[[Any], Any], items: Sequence[Any], held: int, watch: Watch
+    client: Any, work: Callable[[Any], Any], items: Sequence[Any], held: int, watch: Look
 ) -> Generator[tuple[Any, Any], None, None]:
     """Map work over items, so that the scheduler never holds more than a few tasks for each worker."""
     from distributed import CancelledError
@@ -242,10 +243,10 @@ def _map_on(
         for _ in range(max(held, 1)):
             submit()
         while futures:
+            watch()
             try:
                 future = news.get(timeout=_LOOK_AFTER)
             except queue.Empty:
-                watch()
                 continue
             if future.status not in ("finished", "error"):  # cancelled or lost with its scheduler
                 raise lost

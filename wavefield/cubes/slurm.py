@@ -1,46 +1,18 @@
 """Slurm jobs as workers: asking for them, and saying why they do not come."""
 
-import getpass
 import inspect
-import logging
-import re
 import shlex
 import signal
-import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from wavefield.cubes.dask_settings import dashboard_address
 from wavefield.cubes.worker_settings import THREAD_VARIABLES
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError
-
-log = logging.getLogger("wavefield.run")
-
-_MOST_FAILURES = 3  # jobs that end before their workers have started
-_SAY_AFTER = 10.0  # seconds in the queue after which the reason is worth a line
-_NEVER = (  # reasons for which Slurm keeps a job waiting until somebody changes it
-    "BadConstraints",
-    "InvalidAccount",
-    "InvalidQOS",
-    "PartitionConfig",
-    "PartitionNodeLimit",
-    "PartitionTimeLimit",
-    "MaxCpuPerAccount",
-    "MaxMemPerLimit",
-    "WallDurationPerJobLimit",
-    "CpuPerJobLimit",
-    "MemoryPerJob",
-    "AccountNotAllowed",
-    "QOSNotAllowed",
-)
-_TELLING = re.compile(
-    r"error|cannot|no such|not found|no module|no space|quota|denied|killed|cancelled|exceeded|refused", re.I
-)
 
 
 def import_jobqueue() -> None:
@@ -79,7 +51,7 @@ def slurm_cluster(workflow: Workflow, logs: Path, settings: dict[str, Any]) -> A
     Returns
     -------
     dask_jobqueue.SLURMCluster
-        Its attribute ``refusals`` lists what sbatch said of jobs that it did not take.
+        Its jobs have an attribute ``refused``: what sbatch said of one that it did not take.
 
     Raises
     ------
@@ -90,6 +62,7 @@ def slurm_cluster(workflow: Workflow, logs: Path, settings: dict[str, Any]) -> A
     from dask_jobqueue import SLURMCluster
     from dask_jobqueue.core import Job, JobQueueCluster
     from dask_jobqueue.slurm import SLURMJob
+    from distributed.deploy.spec import ProcessInterface
 
     known = {
         name
@@ -105,18 +78,23 @@ def slurm_cluster(workflow: Workflow, logs: Path, settings: dict[str, Any]) -> A
         )
 
     class Asked(SLURMJob):
-        """Remembers why sbatch refuses a job, which Dask only logs."""
+        """Remembers why sbatch refuses a job, for the watch; Dask would say no more of it."""
+
+        refused = ""
 
         async def start(self) -> None:
             try:
                 await super().start()  # type: ignore[no-untyped-call]
             except (RuntimeError, OSError) as error:
-                Cluster.refusals.append(str(error))
-                raise
+                self.refused = str(error)
+                await ProcessInterface.start(self)
+
+        async def close(self) -> None:
+            await super().close()  # type: ignore[no-untyped-call]
+            await ProcessInterface.close(self)
 
     class Cluster(SLURMCluster):
         job_cls = Asked
-        refusals: ClassVar[list[str]] = []
 
     keywords = _keywords(workflow, logs, settings)
     try:
@@ -185,140 +163,3 @@ def count_jobs(workflow: Workflow) -> tuple[int, int]:
         return 1, 1
     fewest, most = (workers, workers) if isinstance(workers, int) else (workers.minimum, workers.maximum)
     return -(-fewest // processes), -(-most // processes)
-
-
-class Watch:
-    """Looks after jobs while no work comes back: says why they wait, and ends a run whose jobs never work.
-
-    Parameters
-    ----------
-    cluster : dask_jobqueue.SLURMCluster
-        As from `slurm_cluster`.
-    logs : path
-        Folder of the jobs' logs.
-    """
-
-    def __init__(self, cluster: Any, logs: Path) -> None:
-        self._cluster = cluster
-        self._logs = logs
-        self._since = time.monotonic()
-        self._said = ""
-        self._gone: dict[str, float] = {}
-        self._failed: list[str] = []
-
-    def __call__(self) -> None:
-        """Look once.
-
-        Raises
-        ------
-        ExperimentError
-            If Slurm refuses the jobs, will never start them, or they end before their workers start.
-        """
-        if self._cluster.refusals:
-            raise ExperimentError(_refusal(self._cluster.refusals[0]))
-        connected = {str(info["id"]) for info in self._cluster.scheduler_info["workers"].values()}
-        jobs = {
-            str(job.job_id): str(name)
-            for name, job in list(self._cluster.workers.items())
-            if getattr(job, "job_id", None)
-        }
-        silent = {
-            number: name
-            for number, name in jobs.items()
-            if not any(one == name or one.startswith(f"{name}-") for one in connected)
-        }
-        if not silent:
-            return
-        states = _states()
-        if states is None:  # Slurm does not answer just now
-            return
-        self._look_for_failures(silent, states)
-        if not connected:
-            self._look_at_queue({number: states[number] for number in silent if number in states})
-
-    def _look_for_failures(self, silent: dict[str, str], states: dict[str, tuple[str, str]]) -> None:
-        now = time.monotonic()
-        for number, name in silent.items():
-            if number in states:
-                self._gone.pop(number, None)
-            elif now - self._gone.setdefault(number, now) > 1.0:  # two looks: Slurm may be late to list it
-                self._failed.append(number)
-                self._cluster.sync(self._cluster.scale_down, [name])  # so that it is asked for again
-        if len(self._failed) >= min(_MOST_FAILURES, max(1, len(silent))):
-            raise ExperimentError(f"{why_ended(self._failed[0], self._logs)}")
-
-    def _look_at_queue(self, waiting: dict[str, tuple[str, str]]) -> None:
-        reasons = sorted({reason for state, reason in waiting.values() if state == "PENDING"})
-        for reason in reasons:
-            if any(never in reason for never in _NEVER):
-                raise ExperimentError(
-                    f"Slurm will never start the jobs of this run: {reason}; correct `queue`, `walltime`, "
-                    "`cores` or `memory` in the workflow (`scontrol show partition` says what there is)"
-                )
-        sentence = ", ".join(reasons)
-        if sentence and sentence != self._said and time.monotonic() - self._since > _SAY_AFTER:
-            self._said = sentence
-            log.warning(
-                "%d jobs wait in Slurm's queue (%s); the run begins when the first starts (`squeue --start` "
-                "estimates when)",
-                len(waiting),
-                sentence,
-            )
-
-
-def _refusal(text: str) -> str:
-    said = re.findall(r"sbatch: error: (.*)", text)
-    if said:
-        reason = "; ".join(dict.fromkeys(line.strip() for line in said))
-    elif "No such file" in text:
-        reason = "there is no sbatch here: start the run where jobs can be submitted"
-    else:
-        reason = text.strip().splitlines()[-1]
-    return f"Slurm refuses the jobs of this run: {reason}; correct the `slurm` block of the workflow"
-
-
-def _states() -> dict[str, tuple[str, str]] | None:
-    """State and reason of all our jobs that Slurm still lists, by number."""
-    command = ["squeue", "--noheader", f"--user={getpass.getuser()}", "--format=%A|%T|%r"]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True)
-    except (OSError, subprocess.SubprocessError):
-        return None
-    rows = (line.split("|", 2) for line in done.stdout.splitlines() if line.count("|") >= 2)
-    return {number: (state, reason) for number, state, reason in rows if state not in ("COMPLETING",)}
-
-
-def why_ended(number: str, logs: Path) -> str:
-    """A sentence that says why a job ended before its workers started, as far as Slurm and its log tell.
-
-    Parameters
-    ----------
-    number : str
-        Of the job.
-    logs : path
-        Folder of the jobs' logs.
-
-    Returns
-    -------
-    str
-    """
-    state = ""
-    try:
-        shown = subprocess.run(
-            ["scontrol", "show", "job", number], capture_output=True, text=True, timeout=30
-        ).stdout
-        found = dict(re.findall(r"(JobState|Reason|ExitCode)=(\S+)", shown))
-        state = ", ".join(found[name] for name in ("JobState", "Reason") if found.get(name, "None") != "None")
-    except (OSError, subprocess.SubprocessError):
-        pass
-    head = f"Slurm job {number} ended before its workers started{f' ({state})' if state else ''}; "
-    files = [*sorted(logs.glob(f"*-{number}*.err")), *sorted(logs.glob(f"*-{number}*.out"))]
-    for path in files:
-        lines = [line.strip() for line in path.read_text(errors="replace").splitlines() if line.strip()]
-        if lines:
-            telling = [line for line in lines if _TELLING.search(line)] or lines
-            return f"{head}{path} says: {telling[-1][:300]}"
-    return (
-        f"{head}it left no log in {logs}: is that a folder on a disk that all nodes share, with room, and is "
-        "`python` of the workflow's `slurm` block there on the nodes?"
-    )

@@ -1,0 +1,179 @@
+"""Looking after Slurm jobs: why they wait, why they ended, and asking again for those that are lost."""
+
+import getpass
+import logging
+import re
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+from wavefield.errors import ExperimentError
+
+log = logging.getLogger("wavefield.run")
+
+_MOST_FAILURES = 3  # jobs that end before their workers have started
+_OFTEN, _SELDOM = 2.0, 30.0  # seconds between questions to Slurm: at first, and in a long queue
+_SAY_AFTER = 10.0  # seconds in the queue after which the reason is worth a line
+_NEVER = (  # parts of reasons for which Slurm keeps a job waiting until somebody changes it
+    "BadConstraints",
+    "InvalidAccount",
+    "InvalidQOS",
+    "PartitionConfig",
+    "PartitionNodeLimit",
+    "PartitionTimeLimit",
+    "MaxMemPerLimit",
+    "WallDurationPerJob",
+    "CpuPerJob",
+    "MemPerJob",
+    "NodePerJob",
+    "AccountNotAllowed",
+    "QOSNotAllowed",
+)
+_PASSING = re.compile(r"temporar|timed out|unable to contact|limit", re.I)  # in what sbatch says of a refusal
+_TELLING = re.compile(
+    r"error|cannot|no such|not found|no module|no space|quota|denied|killed|cancelled|exceeded|refused", re.I
+)
+_LINE = 300  # characters of a log that are worth repeating
+
+
+class Watch:
+    """Looks after the jobs of a run: says why they wait, asks again for lost ones, and ends a run in vain.
+
+    Parameters
+    ----------
+    cluster : dask_jobqueue.SLURMCluster
+        As from `wavefield.cubes.slurm.slurm_cluster`.
+    logs : path
+        Folder of the jobs' logs.
+    """
+
+    def __init__(self, cluster: Any, logs: Path) -> None:
+        self._cluster, self._logs = cluster, logs
+        self._since = self._looked = time.monotonic()
+        self._said = ""
+        self._absent: set[str] = set()
+        self._failed: list[str] = []
+
+    def __call__(self) -> None:
+        """Look, unless that was a moment ago.
+
+        Raises
+        ------
+        ExperimentError
+            If Slurm refuses the jobs, will never start them, or they end before their workers start.
+        """
+        now = time.monotonic()
+        if now - self._looked < min(_SELDOM, max(_OFTEN, (now - self._since) / 10)):
+            return
+        self._looked = now
+        connected = {str(worker["id"]) for worker in self._cluster.scheduler_info["workers"].values()}
+        silent = {
+            str(name): job
+            for name, job in list(self._cluster.workers.items())
+            if not any(one == str(name) or one.startswith(f"{name}-") for one in connected)
+        }
+        self._look_at_refused(silent, bool(connected))
+        asked = {job.job_id: name for name, job in silent.items() if job.job_id}
+        states = _states() if asked else None
+        if states is not None:
+            self._look_for_ended(asked, states)
+            if not connected:
+                self._look_at_queue([states[number] for number in asked if number in states])
+
+    def _look_at_refused(self, silent: dict[str, Any], working: bool) -> None:
+        for name, job in silent.items():
+            if job.refused:
+                sentence = _refusal(job.refused)
+                if not working and not _PASSING.search(sentence):
+                    raise ExperimentError(f"{sentence}; correct the `slurm` block of the workflow")
+                self._say(f"{sentence}; asking again")
+                self._forget(name)
+
+    def _look_for_ended(self, asked: dict[str, str], states: dict[str, tuple[str, str]]) -> None:
+        absent = {number for number in asked if number not in states}
+        for number in absent & self._absent:  # twice: Slurm may be late to list it, the worker to be heard
+            self._failed.append(number)
+            self._forget(asked[number])
+        self._absent = absent - self._absent
+        if self._failed and len(self._failed) >= min(_MOST_FAILURES, len(self._cluster.worker_spec) or 1):
+            raise ExperimentError(why_ended(self._failed[0], self._logs))
+
+    def _look_at_queue(self, waiting: list[tuple[str, str]]) -> None:
+        reasons = sorted({reason for state, reason in waiting if state == "PENDING"})
+        for reason in reasons:
+            if any(never in reason for never in _NEVER):
+                raise ExperimentError(
+                    f"Slurm will never start the jobs of this run: {reason}; correct `queue`, `walltime`, "
+                    "`cores` or `memory` in the workflow (`scontrol show partition` says what there is)"
+                )
+        if reasons and time.monotonic() - self._since > _SAY_AFTER:
+            self._say(
+                f"{len(waiting)} jobs wait in Slurm's queue ({', '.join(reasons)}); the run begins when the "
+                "first starts (`squeue --start` estimates when)"
+            )
+
+    def _forget(self, name: str) -> None:
+        """Take a job for lost, so that another is asked for in its place."""
+        self._cluster.sync(self._cluster.scale_down, [name])
+
+    def _say(self, sentence: str) -> None:
+        if sentence != self._said:
+            self._said = sentence
+            log.warning("%s", sentence)
+
+
+def _refusal(text: str) -> str:
+    said = re.findall(r"sbatch: error: (.*)", text)
+    if said:
+        reason = "; ".join(dict.fromkeys(line.strip() for line in said))
+    elif "No such file" in text:
+        reason = "there is no sbatch here: start the run where jobs can be submitted"
+    else:
+        reason = text.strip().splitlines()[-1]
+    return f"Slurm refuses the jobs of this run: {reason}"
+
+
+def _states() -> dict[str, tuple[str, str]] | None:
+    """State and reason of all our jobs that Slurm still lists, by number; None if it does not answer."""
+    command = ["squeue", "--noheader", f"--user={getpass.getuser()}", "--format=%A|%T|%r"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    rows = (line.split("|", 2) for line in done.stdout.splitlines() if line.count("|") >= 2)
+    return {number: (state, reason) for number, state, reason in rows if state != "COMPLETING"}
+
+
+def why_ended(number: str, logs: Path) -> str:
+    """A sentence that says why a job ended before its workers started, as far as Slurm and its log tell.
+
+    Parameters
+    ----------
+    number : str
+        Of the job.
+    logs : path
+        Folder of the jobs' logs.
+
+    Returns
+    -------
+    str
+    """
+    state = ""
+    try:
+        command = ["scontrol", "show", "job", number]
+        shown = subprocess.run(command, capture_output=True, text=True, timeout=30).stdout
+        found = dict(re.findall(r"(JobState|Reason)=(\S+)", shown))
+        state = ", ".join(found[name] for name in ("JobState", "Reason") if found.get(name, "None") != "None")
+    except (OSError, subprocess.SubprocessError):
+        pass
+    head = f"Slurm job {number} ended before its workers started{f' ({state})' if state else ''}; "
+    for path in [*sorted(logs.glob(f"*-{number}*.err")), *sorted(logs.glob(f"*-{number}*.out"))]:
+        lines = [line.strip() for line in path.read_text(errors="replace").splitlines() if line.strip()]
+        if lines:
+            telling = [line for line in lines if _TELLING.search(line)] or lines
+            return f"{head}{path} says: {telling[-1][:_LINE]}"
+    return (
+        f"{head}it left no log in {logs}: is that a folder on a disk that all nodes share, with room, and is "
+        "`python` of the workflow's `slurm` block there on the nodes?"
+    )
