@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+MOST_NODES = 20_000_000  # cameras of 20 Mpx see no more
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -41,6 +43,12 @@ class Grid:
         for name, (lo, hi) in (("x", self.x), ("y", self.y)):
             if not hi - lo >= self.step:
                 raise ValueError(f"grid {name} runs from {lo} to {hi} m: less than one step of {self.step} m")
+        nodes = np.prod([(hi - lo) / self.step + 1 for lo, hi in (self.x, self.y)])
+        if not nodes <= MOST_NODES:
+            raise ValueError(
+                f"a grid of {nodes:.3g} nodes cannot be measured (at most {MOST_NODES:.0e}); are its limits "
+                "and its step in metres?"
+            )
 
     def _axis(self, ends: tuple[float, float]) -> np.ndarray:
         # one multiplication per node and rounding to the nanometre: 0.1 + 0.2 must print as 0.3

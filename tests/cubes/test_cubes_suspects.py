@@ -68,7 +68,7 @@ def late(name, frame):
     [
         (mirrored, "cam1", "mirrored", "its images are mirrored"),
         (swapped, "cam1 and cam2", "swapped", "when their images are exchanged"),
-        (late, "cam3", "late", "write `offset: -1`"),
+        (late, "cam3", "late", "take 1 from its `offset`"),
         (reversed_, "cam2", "reversed", "is run backwards"),
         (covered, "cam2", "covered", "shows nothing in"),
         (Shots(11, cam2={"defocus": 2.0}), "cam2", "out of focus", "blurred by"),

@@ -117,8 +117,8 @@ def test_check_says_where_cameras_are_not_of_the_same_moments(folder, tmp_path, 
     changed = _changed(folder, tmp_path, cameras=cameras)
     assert main(["-q", "check", changed, "--workflow", workflow, "--json"]) == 3
     found = json.loads(capsys.readouterr().out)
-    assert found["verdict"]["line"] == "not to be trusted: cam2 late"
-    assert "write `offset: -1`" in found["verdict"]["remarks"][0]["remedy"]
+    assert found["verdict"]["line"] == "not to be trusted: cam2 early"
+    assert "add 1 to its `offset`" in found["verdict"]["remarks"][0]["remedy"]
 
 
 def test_probes_that_are_not_there_are_missed(folder, tmp_path, capsys):

@@ -7,6 +7,7 @@ import tifffile
 
 from wavefield.errors import FrameError
 from wavefield.images import read_image, write_image
+from wavefield.series.frames import judge_content
 
 
 @pytest.fixture
@@ -129,3 +130,12 @@ def test_a_truncated_file_is_named_by_us_alone(tmp_path, picture, capfd, name):
         read_image(path)
     assert capfd.readouterr() == ("", "")
     assert cv2.utils.logging.getLogLevel() == level
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_an_image_with_pixels_that_are_no_numbers_is_not_measured(value):
+    image = np.linspace(0, 1, 400, dtype=np.float32).reshape(20, 20)
+    image[3, 4] = value
+    frame = judge_content(image, "cam1 frame 7")
+    assert frame.image is None
+    assert frame.message == "cam1 frame 7 has 1 pixels that are not finite numbers"

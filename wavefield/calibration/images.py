@@ -1,10 +1,12 @@
 """From the calibration block of an experiment to a rig: the images, the targets in them, the solution."""
 
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
 from pathlib import Path
 
 from wavefield.calibration.find import find_target
@@ -57,6 +59,19 @@ def _look(path: Path, target: Target, size: tuple[int, int] | None) -> TargetPoi
         return words if str(path) in words else f"{path}: {words}"
 
 
+def leave_with_parent() -> None:
+    """Let this worker end with the process that started it, however that ends (SIGTERM, SIGKILL)."""
+    parent = parent_process()
+    if parent is not None:
+        sentinel = parent.sentinel
+
+        def watch() -> None:
+            wait([sentinel])
+            os._exit(1)
+
+        threading.Thread(target=watch, daemon=True).start()
+
+
 def calibrate_experiment(
     experiment: str | Path | Experiment, progress: Callable[[int, int], None] | None = None
 ) -> TargetRig:
@@ -88,7 +103,8 @@ def calibrate_experiment(
     views: dict[str, dict[str, TargetPoints]] = {camera: {} for camera in images}
     notes = []
     workers = min(os.cpu_count() or 1, len(jobs), 8)
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    how = {"mp_context": get_context("spawn"), "initializer": leave_with_parent}
+    with ProcessPoolExecutor(workers, **how) as pool:
         found = pool.map(_look, [path for _, _, path in jobs], [target] * len(jobs), [None] * len(jobs))
         for done, ((camera, pose, _), points) in enumerate(zip(jobs, found, strict=True), 1):
             if isinstance(points, str):

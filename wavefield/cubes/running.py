@@ -41,6 +41,7 @@ log = logging.getLogger("wavefield.run")
 ProgressFunction = Callable[[int, int, str], None]
 MapFunction = Callable[[Work, Sequence[Block]], Generator[tuple[Block, Any]]]
 
+_MOST_TOLD = 30  # bad frames that the log names
 _ENOUGH_FAILURES = 3  # blocks that fail before any succeeds: something is wrong with all of them
 
 
@@ -238,6 +239,7 @@ def _work_off(
     path = lock.store
     work = Work(path, prepared.plan, prepared.experiment.frame_rate)
     failures: list[tuple[Block, BaseException]] = []
+    told = _Told()
     succeeded = 0
     tracker.start()
     # closed here and now: what is not done yet is called off before anything else
@@ -253,8 +255,7 @@ def _work_off(
                     break
                 continue
             succeeded += 1
-            for message in result.messages:
-                log.warning("%s", message)
+            told.tell(result.messages)
             tracker.add(result.stop - result.start)
     if failures:
         block, error = failures[0]
@@ -263,6 +264,21 @@ def _work_off(
             f"{block.stop - 1}) with {type(error).__name__}: {error}; see {log_path(path)}, and run the same "
             "command again to retry"
         ) from error
+
+
+class _Told:
+    """Passes sentences about bad frames on to the log: the first of them, then how many there are."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def tell(self, messages: Sequence[str]) -> None:
+        for message in messages:
+            self.count += 1
+            if self.count <= _MOST_TOLD:
+                log.warning("%s", message)
+            elif self.count == _MOST_TOLD + 1:
+                log.warning("more than %d bad frames; `wavefield status` lists them all", _MOST_TOLD)
 
 
 class _Tracker:

@@ -340,13 +340,13 @@ _WORDS = {
         name,
         "late",
         f"it agrees with the others when its frames are taken {what} later",
-        f"write `offset: -{what}` for it in the experiment file",
+        f"take {what} from its `offset` in the experiment file",
     ),
     "early": lambda name, what: _grave(
         name,
         "early",
         f"it agrees with the others when its frames are taken {what} before",
-        f"write `offset: {what}` for it in the experiment file",
+        f"add {what} to its `offset` in the experiment file",
     ),
     "reversed": lambda name, what: _grave(
         name,

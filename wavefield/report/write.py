@@ -3,11 +3,12 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from wavefield.report.page import render
+from wavefield.report.page import Section, Table, render
 from wavefield.report.player import pack
 from wavefield.report.sections import SECTIONS
 from wavefield.report.sources import Sources, gather
 from wavefield.store.beside import beside
+from wavefield.store.verdict import Verdict, read_verdict
 from wavefield.whole_files import check_writable, write_text
 
 
@@ -44,11 +45,34 @@ def report(
     store = Path(store)
     output = Path(output) if output is not None else beside(store, "report", ".html")
     check_writable(output)  # at once, not after all is drawn
-    return write_report(gather(store, waves or beside(store, "waves", ".zarr")), output, progress)
+    sources = gather(store, waves or beside(store, "waves", ".zarr"))
+    return write_report(sources, output, progress, read_verdict(store))
+
+
+def remarks_section(verdict: Verdict) -> Section:
+    """The remarks of a verdict, as a part of the page.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        With one remark at least.
+
+    Returns
+    -------
+    Section
+    """
+    rows = [
+        (f"{r.subject}: {r.kind}", r.sentence, r.expected or "-", r.remedy or "-") for r in verdict.remarks
+    ]
+    head = ("remark", "measured", "expected", "what to do")
+    return Section("Remarks", [Table(f"The cube is {verdict.line}", head, rows)])
 
 
 def write_report(
-    sources: Sources, output: str | Path, progress: Callable[[int, int], None] | None = None
+    sources: Sources,
+    output: str | Path,
+    progress: Callable[[int, int], None] | None = None,
+    verdict: Verdict | None = None,
 ) -> Path:
     """Write the report as one HTML file.
 
@@ -60,6 +84,8 @@ def write_report(
         File to write.
     progress : callable, optional
         Told (parts done, all parts).
+    verdict : Verdict, optional
+        On the cube: its line goes on top, its remarks into a part of their own.
 
     Returns
     -------
@@ -67,6 +93,9 @@ def write_report(
         The file.
     """
     sections = []
+    if verdict and verdict.remarks:
+        part = remarks_section(verdict)
+        sections.append((part, part.html()))
     for i, build in enumerate(SECTIONS):
         if progress:
             progress(i, len(SECTIONS))
@@ -76,6 +105,8 @@ def write_report(
     cube = sources.cube
     name = str(cube.attrs.get("experiment", "")) or "unnamed experiment"
     subtitle = f"{cube.sizes['time']} steps of z, u, v, w on {cube.sizes['x']} x {cube.sizes['y']} nodes"
+    if verdict:
+        subtitle = f"Verdict: {verdict.line}. {subtitle}"
     output = Path(output)
     write_text(output, render(f"{name}: water surface and velocity", subtitle, sections, pack(cube)))
     if progress:

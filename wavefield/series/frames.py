@@ -139,7 +139,7 @@ class FrameSeries:
 
 
 def judge_content(image: np.ndarray, place: str) -> Frame:
-    """Mark an image without any contrast.
+    """Mark an image without any contrast, or with pixels that are no numbers.
 
     Parameters
     ----------
@@ -152,6 +152,9 @@ def judge_content(image: np.ndarray, place: str) -> Frame:
     -------
     Frame
     """
+    if image.dtype.kind == "f" and not np.isfinite(image).all():
+        bad = int(image.size - np.isfinite(image).sum())
+        return Frame(None, FrameFault.UNREADABLE, f"{place} has {bad} pixels that are not finite numbers")
     # nearly every image shows contrast in a sample of its pixels, so the full look is rare
     sample = image[::17, ::17]
     if sample.min() == sample.max() and image.min() == image.max():

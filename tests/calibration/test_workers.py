@@ -1,0 +1,32 @@
+"""Workers of a calibration end with it, whatever ends it."""
+
+import signal
+import subprocess
+import sys
+
+import psutil
+import pytest
+
+PROGRAM = """
+import os, time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from wavefield.calibration.images import leave_with_parent
+
+if __name__ == "__main__":
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=leave_with_parent) as pool:
+        print(pool.submit(os.getpid).result(), flush=True)
+        pool.submit(time.sleep, 600).result()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_no_worker_outlives_the_calibration(tmp_path, number):
+    script = tmp_path / "program.py"
+    script.write_text(PROGRAM)
+    with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True) as program:
+        worker = psutil.Process(int(program.stdout.readline()))
+        program.send_signal(number)
+        program.wait()
+    gone, _ = psutil.wait_procs([worker], timeout=30)
+    assert gone == [worker]
