@@ -5,9 +5,12 @@ import pytest
 from scipy.optimize import least_squares
 from solve_cases import MESH, nodes, views
 
-from wavefield.calibration.bundle import Whitener, fit, huber, layout, linearised, minimise, moved, predict
-from wavefield.calibration.observations import LENS, Geometry, collect
+from wavefield.calibration.bundle import fit
+from wavefield.calibration.least_squares import Whitener, huber, minimise
+from wavefield.calibration.observations import Geometry, collect
+from wavefield.calibration.parameters import layout, linearised, moved, predict
 from wavefield.calibration.start import calibrate_alone
+from wavefield.rig.lens import LENS
 from wavefield.tank.rigs import paper_rig
 
 ALL = ("f", "aspect", "c", "k1", "k2", "p", "k3", "tilt")

@@ -77,7 +77,7 @@ def test_frames_of_different_moments_are_not_taken_for_a_bumped_camera(calibrate
 
 @pytest.mark.parametrize(("name", "axis"), [("cam1", (1, 2, 1)), ("cam2", (0, 1, 0)), ("cam3", (0, 1, 0))])
 def test_a_bumped_camera_is_mended_from_the_water_at_rest(calibrated, name, axis):
-    """Turns about y hide from lines of sight in a rig along x: the water's plane names the camera."""
+    """Turns about y hide from sight lines in a rig along x: the water's plane names the camera."""
     true = bumped(name, axis)
     new, verdict, plane = refine_and_level(calibrated, matches(true, rest)[0])
     assert verdict.moved == name
@@ -118,3 +118,33 @@ def test_bad_matches_are_told(calibrated):
         check_rig(calibrated, {**pixels, "cam9": pixels["cam1"]})
     with pytest.raises(CalibrationError, match="fifty"):
         check_rig(calibrated, {name: p[:20] for name, p in pixels.items()})
+
+
+def test_a_turn_that_matches_do_not_tell_is_refused():
+    """Two cameras of another program, a lens lost in conversion: no turn is the remedy, and none is made."""
+    rig = paper_rig()
+    true = Rig({"cam1": replace(rig["cam1"], p1=0.01), "cam2": replace(rig["cam2"], p1=-0.006)})
+    imported = Rig({n: rig[n] for n in ("cam1", "cam2")})
+    pixels, _ = matches(true, rest, count=300)
+    found = check_rig(imported, pixels)
+    assert found.misfit > 1
+    assert "no knock" in found.sentence
+    assert found.moved is None
+    new, verdict = refine(imported, pixels)
+    assert not verdict.suspects
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 5), np.linspace(-0.5, 0.5, 5))
+
+    def miss(now):
+        return max(
+            np.hypot(*np.subtract(now[n].project(x, y, 0), true[n].project(x, y, 0))).max() for n in now
+        )
+
+    assert miss(new) < 1.2 * miss(imported)
+
+
+def test_a_rig_of_other_images_is_told():
+    rig = paper_rig()
+    swapped = Rig({"cam1": rig["cam2"], "cam2": rig["cam1"], "cam3": rig["cam3"]})
+    found = check_rig(swapped, matches(paper_rig(), rest)[0])
+    assert found.misfit > 5
+    assert "does not fit these images" in found.sentence

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wavefield.calibration.start import Alone, angle_between, mean_rotation
-from wavefield.rig.camera import Array
+from wavefield.rig.lens import Array
 
 # what a view may differ by: five times the median of all views, within these limits
 ANGLE = 0.3, 1.5  # degrees; sound views differ by hundredths, wrong ones by 3 and more
@@ -174,7 +174,7 @@ def mirrored(alone: Alone) -> Alone:
     for pose, (R, t) in alone.poses.items():
         turned = F @ R @ G
         poses[pose] = turned, F @ t
-    return Alone(alone.lens, poses, alone.rms, alone.spread)
+    return Alone(alone.lens, poses, alone.rms, alone.spread, alone.deep)
 
 
 def chained(cameras: Mapping[str, Alone], first: str) -> dict[str, tuple[Array, Array]]:

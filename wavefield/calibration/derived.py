@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wavefield.calibration.bundle import Fit, linearised
+from wavefield.calibration.bundle import Fit
 from wavefield.calibration.observations import Observations
-from wavefield.rig.camera import Array
+from wavefield.calibration.parameters import linearised
+from wavefield.rig.lens import Array
 
 HEIGHT = 0.05  # of the volume about z = 0 in which errors are stated, metres
 
@@ -28,11 +29,13 @@ class Derived:
     z_tilt : float
         Of which the part that is a tilted plane, and so is mended by levelling, metres.
     coverage : mapping of str to float
-        Share of each image, in cells of an eighth of its side, that held a node in some view.
+        Fraction of each image, in cells of an eighth of its side, that held a node in some view.
     correlation : list of (str, str, float)
         The strongest correlations between parameters.
     condition : float
         Condition number of the scaled normal matrix.
+    where : str
+        The volume, in words.
     """
 
     reprojection: Mapping[str, float]
@@ -41,9 +44,10 @@ class Derived:
     coverage: Mapping[str, float]
     correlation: list[tuple[str, str, float]]
     condition: float
+    where: str = "near z = 0"
 
 
-def derive(observations: Observations, result: Fit) -> Derived:
+def derive(observations: Observations, result: Fit, level: bool = True) -> Derived:
     """Propagate the covariance of the fit.
 
     Parameters
@@ -52,41 +56,17 @@ def derive(observations: Observations, result: Fit) -> Derived:
         What was fitted.
     result : Fit
         The joint fit.
+    level : bool, default True
+        Whether z = 0 is known; errors are stated where the target was, if not.
 
     Returns
     -------
     Derived
     """
     o = observations
-    points = _volume(o, result)
-    # the volume as if it were a target in the reference frame: no pose parameter moves it
+    points = volume(o, result, level)
+    _, J, by_point = at_points(o, result, points)
     C, n = len(o.cameras), len(points)
-    probe = Observations(
-        o.cameras,
-        (*o.poses, "volume"),
-        o.sizes,
-        np.zeros((n, 2), np.int64),
-        1.0,
-        np.repeat(np.arange(C), n),
-        np.full(C * n, len(o.poses)),
-        np.tile(np.arange(n), C),
-        np.zeros((C * n, 2)),
-        np.ones(C * n),
-    )
-    g = result.geometry
-    there = type(g)(
-        g.lens,
-        g.R,
-        g.T,
-        np.concatenate([g.pose_R, np.eye(3)[None]]),
-        np.concatenate([g.pose_t, np.zeros((1, 3))]),
-        points,
-    )
-    plan = type(result.layout)(
-        result.layout.names, result.layout.lens, result.layout.camera, (*result.layout.pose, ())
-    )
-    _, J, by_point = linearised(there, plan, np.zeros(len(plan.names)), probe)
-    J, by_point = J.reshape(C, n, 2, -1), by_point.reshape(C, n, 2, 3)
     cov = result.covariance
     reach = np.sqrt(np.einsum("cnip,pq,cniq->c", J, cov, J, optimize=True) / (2 * n))
     z_std = z_tilt = float("nan")
@@ -116,16 +96,86 @@ def derive(observations: Observations, result: Fit) -> Derived:
         coverage,
         strongest,
         float(np.linalg.cond(unit)),
+        "near z = 0" if level else "where the target was",
     )
 
 
-def _volume(o: Observations, result: Fit) -> Array:
-    """Points over the field that all cameras see, within `HEIGHT` of z = 0; the target's extent if none."""
+def at_points(observations: Observations, result: Fit, points: Array) -> tuple[Array, Array, Array]:
+    """What a fit predicts at points of the physical frame, and how that hangs on its parameters.
+
+    Parameters
+    ----------
+    observations : Observations
+        What was fitted.
+    result : Fit
+        The joint fit.
+    points : ndarray, (n, 3)
+        Metres.
+
+    Returns
+    -------
+    pixel : ndarray, (C, n, 2)
+        Of each camera, px.
+    by_parameter : ndarray, (C, n, 2, p)
+        Derivatives with respect to the parameters of the fit.
+    by_point : ndarray, (C, n, 2, 3)
+        Derivatives with respect to the points, px per metre.
+    """
+    o = observations
+    # the points as if they were a target in the reference frame: no pose parameter moves it
+    C, n = len(o.cameras), len(points)
+    probe = Observations(
+        o.cameras,
+        (*o.poses, "volume"),
+        o.sizes,
+        np.zeros((n, 2), np.int64),
+        1.0,
+        np.repeat(np.arange(C), n),
+        np.full(C * n, len(o.poses)),
+        np.tile(np.arange(n), C),
+        np.zeros((C * n, 2)),
+        np.ones(C * n),
+    )
     g = result.geometry
-    corners = []
-    for c in range(len(o.cameras)):
-        corners.append(g.camera(c, o.sizes[c]).corners())
-    box = np.stack(corners)
+    there = type(g)(
+        g.lens,
+        g.R,
+        g.T,
+        np.concatenate([g.pose_R, np.eye(3)[None]]),
+        np.concatenate([g.pose_t, np.zeros((1, 3))]),
+        points,
+    )
+    plan = type(result.layout)(
+        result.layout.names, result.layout.lens, result.layout.camera, (*result.layout.pose, ())
+    )
+    pixel, J, by_point = linearised(there, plan, np.zeros(len(plan.names)), probe)
+    return pixel.reshape(C, n, 2), J.reshape(C, n, 2, -1), by_point.reshape(C, n, 2, 3)
+
+
+def volume(o: Observations, result: Fit, level: bool) -> Array:
+    """Points where the rig will be used.
+
+    Parameters
+    ----------
+    o : Observations
+        What was fitted.
+    result : Fit
+        The joint fit.
+    level : bool
+        Whether z = 0 is known.
+
+    Returns
+    -------
+    ndarray, (n, 3)
+        Over the field that all cameras see, within `HEIGHT` of z = 0 (over the target's extent if they have
+        none in common); or, without a level, where the target was seen. Metres.
+    """
+    if not level:
+        seen: Array = result.geometry.world(o)
+        some: Array = seen[np.linspace(0, len(seen) - 1, min(len(seen), 600)).astype(int)]
+        return some
+    g = result.geometry
+    box = np.stack([g.camera(c, o.sizes[c]).corners() for c in range(len(o.cameras))])
     lo, hi = box.min(axis=1).max(axis=0), box.max(axis=1).min(axis=0)
     if not np.isfinite(box).all() or not (hi > lo).all():
         plan = o.plan[np.unique(o.node), :2]
@@ -133,7 +183,8 @@ def _volume(o: Observations, result: Fit) -> Array:
     x, y = np.linspace(lo[0], hi[0], 17)[1:-1], np.linspace(lo[1], hi[1], 17)[1:-1]
     X, Y, Z = np.meshgrid(x, y, [-HEIGHT, 0.0, HEIGHT], indexing="ij")
     points = np.stack([X.ravel(), Y.ravel(), Z.ravel()], axis=-1)
-    seen = np.ones(len(points), bool)
+    inside = np.ones(len(points), bool)
     for c in range(len(o.cameras)):
-        seen &= g.camera(c, o.sizes[c]).sees(*points.T)
-    return points[seen] if seen.sum() >= 30 else points
+        inside &= g.camera(c, o.sizes[c]).sees(*points.T)
+    used: Array = points[inside] if inside.sum() >= 30 else points
+    return used

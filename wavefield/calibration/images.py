@@ -4,10 +4,12 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
 from pathlib import Path
+
+import numpy as np
 
 from wavefield.calibration.find import find_target
 from wavefield.calibration.pointfile import read_points
@@ -72,6 +74,24 @@ def leave_with_parent() -> None:
         threading.Thread(target=watch, daemon=True).start()
 
 
+def placed_at(points: TargetPoints, height: float) -> TargetPoints:
+    """Points of a target that lies parallel to z = 0 at a known height, its axes along those of the frame.
+
+    Parameters
+    ----------
+    points : TargetPoints
+        As found in an image.
+    height : float
+        Of the target's plane, metres.
+
+    Returns
+    -------
+    TargetPoints
+    """
+    own = np.zeros(len(points)) if points.z is None else points.z
+    return replace(points, z=own + height, placed=True)
+
+
 def calibrate_experiment(
     experiment: str | Path | Experiment, progress: Callable[[int, int], None] | None = None
 ) -> TargetRig:
@@ -98,6 +118,12 @@ def calibrate_experiment(
     images = find_views(experiment)
     section = experiment.calibration
     assert section is not None
+    strange = sorted(set(section.heights) - {pose for poses in images.values() for pose in poses})
+    if strange:
+        known = ", ".join(sorted({pose for poses in images.values() for pose in poses}))
+        raise CalibrationError(
+            f"{experiment.path}: heights names {', '.join(strange)}; the poses are {known}"
+        )
     target = Target.from_dict(section.target, experiment.path)
     jobs = [(camera, pose, path) for camera, poses in images.items() for pose, path in poses.items()]
     views: dict[str, dict[str, TargetPoints]] = {camera: {} for camera in images}
@@ -110,7 +136,8 @@ def calibrate_experiment(
             if isinstance(points, str):
                 notes.append(points)
             else:
-                views[camera][pose] = points
+                height = section.heights.get(pose)
+                views[camera][pose] = points if height is None else placed_at(points, height)
             if progress:
                 progress(done, len(jobs))
     named = {

@@ -8,8 +8,8 @@ import numpy as np
 from wavefield.calibration.bundle import Fit
 from wavefield.calibration.observations import Observations
 from wavefield.rig import Rig
-from wavefield.rig.camera import Array
 from wavefield.rig.epipolar import epipolar_distance
+from wavefield.rig.lens import Array
 from wavefield.rig.level import Plane, fit_plane
 from wavefield.rig.stereo import triangulate
 from wavefield.robust import robust_std
@@ -70,7 +70,7 @@ def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> F
         apparent[c][:, o.node[rows]] = np.stack(rig[name].unproject(*o.pixel[rows].T))
         sight[c] = np.stack(rig[name].sight_line(*apparent[c]))
     x, y, z, _ = triangulate(apparent, sight)
-    z = z - fit.geometry.offset[:, 2]
+    z = z - fit.geometry.offset[:, 2] - o.plan[:, 2]
     seen = np.isfinite(z)
     if seen.sum() < 10:
         return None

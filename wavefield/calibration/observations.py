@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.calibration.points import TargetPoints
-from wavefield.rig.camera import Array, Camera
+from wavefield.rig.camera import Camera
+from wavefield.rig.lens import LENS, Array
 
 Index = NDArray[np.int64]
-
-# columns of Geometry.lens
-LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew")
 
 
 @dataclass(frozen=True)
@@ -38,6 +36,10 @@ class Observations:
         Standard uncertainty per axis, px.
     origin : (float, float)
         Where node (0, 0) lies, metres.
+    height : ndarray, (N,), optional
+        Of the nodes above the target's plane, metres; zero if left out.
+    placed : tuple of int
+        Poses whose nodes are in the physical frame already.
     """
 
     cameras: tuple[str, ...]
@@ -51,6 +53,8 @@ class Observations:
     pixel: Array
     std: Array
     origin: tuple[float, float] = (0.0, 0.0)
+    height: Array | None = None
+    placed: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return len(self.camera)
@@ -58,7 +62,8 @@ class Observations:
     @property
     def plan(self) -> Array:
         """Positions of the nodes on a perfect target, (N, 3), metres."""
-        return np.column_stack([self.origin + self.nodes * self.mesh, np.zeros(len(self.nodes))])
+        height = np.zeros(len(self.nodes)) if self.height is None else self.height
+        return np.column_stack([self.origin + self.nodes * self.mesh, height])
 
     def only(self, keep: NDArray[np.bool_]) -> "Observations":
         """Some of the observations; names and nodes stay.
@@ -95,6 +100,7 @@ class Observations:
             cameras=(self.cameras[camera],),
             sizes=(self.sizes[camera],),
             poses=tuple(self.poses[p] for p in seen),
+            placed=tuple(int(np.searchsorted(seen, p)) for p in self.placed if p in seen),
             camera=np.zeros(len(part), np.int64),
             pose=np.searchsorted(seen, part.pose),
         )
@@ -132,14 +138,16 @@ def collect(
     def stack(parts: Sequence[NDArray[Any]], width: int) -> NDArray[Any]:
         return np.concatenate(parts) if parts else np.zeros((0, width) if width > 1 else 0)
 
-    all_nodes = stack([p.node for _, _, p in rows], 2).astype(np.int64)
-    nodes, node = np.unique(all_nodes, axis=0, return_inverse=True)
+    heights = [np.zeros(len(p)) if p.z is None else np.asarray(p.z, float) for _, _, p in rows]
+    nanometres = np.rint(1e9 * stack(heights, 1)).astype(np.int64)
+    all_nodes = np.column_stack([stack([p.node for _, _, p in rows], 2).astype(np.int64), nanometres])
+    unique, node = np.unique(all_nodes, axis=0, return_inverse=True)
     counts = [len(p) for _, _, p in rows]
     return Observations(
         cameras,
         tuple(poses),
         tuple(next(((p.size[0], p.size[1]) for p in views[name].values()), (0, 0)) for name in cameras),
-        nodes,
+        unique[:, :2],
         float(mesh),
         np.repeat([c for c, _, _ in rows], counts).astype(np.int64),
         np.repeat([q for _, q, _ in rows], counts).astype(np.int64),
@@ -147,6 +155,8 @@ def collect(
         stack([np.asarray(p.pixel, float) for _, _, p in rows], 2),
         stack([np.asarray(p.std, float) for _, _, p in rows], 1),
         origin,
+        np.asarray(1e-9 * unique[:, 2], float) if unique[:, 2].any() else None,
+        tuple(sorted({q for _, q, points in rows if points.placed})),
     )
 
 
@@ -203,6 +213,6 @@ class Geometry:
         ndarray, (n, 3)
         """
         points = (observations.plan + self.offset)[observations.node]
-        return (
-            np.einsum("nij,nj->ni", self.pose_R[observations.pose], points) + self.pose_t[observations.pose]
-        )
+        pose = observations.pose
+        world: Array = np.einsum("nij,nj->ni", self.pose_R[pose], points) + self.pose_t[pose]
+        return world

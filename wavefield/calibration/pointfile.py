@@ -4,6 +4,7 @@ import csv
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavefield.calibration.points import TargetPoints
 from wavefield.errors import CalibrationError
@@ -14,10 +15,11 @@ COLUMNS = ("i", "j", "X", "Y")
 def read_points(path: str | Path, size: tuple[int, int] | None = None, std: float = 0.1) -> TargetPoints:
     """Read target points from a CSV file.
 
-    The file has a header `i,j,X,Y` or `i,j,X,Y,std`: indices of the node (right-handed seen from above,
-    node at x = i * mesh, y = j * mesh), its pixel coordinates (column, row; 0-based, centres of pixels at
-    integers) and, if known, its standard uncertainty per axis in px. Lines that begin with `#` are
-    comments; a line `# size 1024 1024` states width and height of the image.
+    The file has a header `i,j,X,Y`, and `std` and `z` if known: indices of the node (right-handed seen from
+    above, node at x = i * mesh, y = j * mesh), its pixel coordinates (column, row; 0-based, centres of pixels
+    at integers), its standard uncertainty per axis in px. With z, the node's height in the physical frame in
+    metres, the view's pose is known: so are views of a target that a traverse moves along z. Lines that
+    begin with `#` are comments; a line `# size 1024 1024` states width and height of the image.
 
     Parameters
     ----------
@@ -47,39 +49,61 @@ def read_points(path: str | Path, size: tuple[int, int] | None = None, std: floa
     [[10.5  20.25]]
     """
     path = Path(path)
+    lines = _lines(path)
+    size = _stated_size(lines, path) or size
+    if size is None:
+        raise CalibrationError(f"{path} does not state the image's size; add a line like '# size 1024 1024'")
+    data, placed = _table(lines, path, std)
+    node = np.rint(data[:, :2]).astype(np.int64)
+    if not np.isfinite(data).all() or np.any(node != data[:, :2]) or np.any(data[:, 4] <= 0.0):
+        raise CalibrationError(f"{path}: i and j must be whole numbers, X and Y finite and std positive")
+    if len(np.unique(np.column_stack([node, data[:, 5]]), axis=0)) != len(node):
+        raise CalibrationError(f"{path} holds the same node twice; keep one line per node")
+    notes = (f"points read from {path.name}",)
+    z = data[:, 5] if placed else None
+    return TargetPoints(node, data[:, 2:4], data[:, 4], size, notes, z, placed)
+
+
+def _lines(path: Path) -> list[str]:
     try:
-        lines = path.read_text().splitlines()
+        return path.read_text().splitlines()
     except FileNotFoundError:
         raise CalibrationError(f"{path}: no such file of target points") from None
     except (OSError, UnicodeDecodeError) as error:
         raise CalibrationError(f"{path} cannot be read as a table of target points: {error}") from None
+
+
+def _stated_size(lines: list[str], path: Path) -> tuple[int, int] | None:
     for line in lines:
         words = line.lstrip("#").split()
-        if line.startswith("#") and len(words) == 3 and words[0] == "size":
-            size = (int(words[1]), int(words[2]))
-    if size is None:
-        raise CalibrationError(f"{path} does not state the image's size; add a line like '# size 1024 1024'")
+        if line.startswith("#") and words[:1] == ["size"]:
+            try:
+                width, height = (int(word) for word in words[1:])
+            except ValueError:
+                raise CalibrationError(f"{path}: {line!r} must be like '# size 1024 1024'") from None
+            return width, height
+    return None
+
+
+def _table(lines: list[str], path: Path, std: float) -> tuple[NDArray[np.float64], bool]:
+    """Columns i, j, X, Y, std, z, and whether the file has z."""
     rows = csv.DictReader(
         (line for line in lines if line.strip() and not line.startswith("#")), skipinitialspace=True
     )
-    missing = [name for name in COLUMNS if name not in (rows.fieldnames or ())]
+    header = rows.fieldnames or ()
+    missing = [name for name in COLUMNS if name not in header]
     if missing:
         raise CalibrationError(
-            f"{path} lacks the column {', '.join(missing)}; its header must be i,j,X,Y or i,j,X,Y,std"
+            f"{path} lacks the column {', '.join(missing)}; its header must be i,j,X,Y, or also std and z"
         )
     table = []
     for count, row in enumerate(rows, 1):
         try:
-            table.append([float(row[name]) for name in COLUMNS] + [float(row.get("std") or std)])
+            values = [float(row[name]) for name in COLUMNS]
+            table.append([*values, float(row.get("std") or std), float(row["z"]) if "z" in header else 0.0])
         except (TypeError, ValueError):
             raise CalibrationError(f"{path}: point {count} is not made of numbers: {dict(row)}") from None
-    data = np.array(table, float).reshape(-1, 5)
-    node = np.rint(data[:, :2]).astype(np.int64)
-    if not np.isfinite(data).all() or np.any(node != data[:, :2]) or np.any(data[:, 4] <= 0.0):
-        raise CalibrationError(f"{path}: i and j must be whole numbers, X and Y finite and std positive")
-    if len(np.unique(node, axis=0)) != len(node):
-        raise CalibrationError(f"{path} holds the same node twice; keep one line per node")
-    return TargetPoints(node, data[:, 2:4], data[:, 4], size, (f"points read from {path.name}",))
+    return np.array(table, float).reshape(-1, 6), "z" in header
 
 
 def write_points(path: str | Path, points: TargetPoints) -> None:
@@ -92,9 +116,11 @@ def write_points(path: str | Path, points: TargetPoints) -> None:
     points : TargetPoints
         What to write.
     """
-    lines = [f"# size {points.size[0]} {points.size[1]}", "i,j,X,Y,std"]
-    for (i, j), (x, y), std in zip(points.node, points.pixel, points.std):
-        lines.append(f"{i},{j},{float(x)!r},{float(y)!r},{float(std)!r}")
+    heights = points.z if points.placed and points.z is not None else None
+    lines = [f"# size {points.size[0]} {points.size[1]}", "i,j,X,Y,std" + ("" if heights is None else ",z")]
+    for k, ((i, j), (x, y), std) in enumerate(zip(points.node, points.pixel, points.std, strict=True)):
+        z = "" if heights is None else f",{float(heights[k])!r}"
+        lines.append(f"{i},{j},{float(x)!r},{float(y)!r},{float(std)!r}{z}")
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(lines) + "\n")

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class TargetPoints:
-    """Nodes of a plane target seen in one image.
+    """Nodes of a target seen in one image.
 
     Parameters
     ----------
@@ -23,6 +23,11 @@ class TargetPoints:
         Image (width, height), px.
     notes : tuple of str
         What a person should know (marks not found, partly out of view, ...).
+    z : ndarray, (n,), optional
+        Height of the nodes above the target's plane, metres, where they do not all lie in it.
+    placed : bool
+        Whether nodes and z are in the physical frame: the target was put where it is known to be, as one
+        that is moved along z by a traverse.
     """
 
     node: NDArray[np.int64]
@@ -30,6 +35,8 @@ class TargetPoints:
     std: NDArray[np.float64]
     size: tuple[int, int]
     notes: tuple[str, ...] = field(default=())
+    z: NDArray[np.float64] | None = None
+    placed: bool = False
 
     def __len__(self) -> int:
         return len(self.node)

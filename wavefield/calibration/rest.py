@@ -1,6 +1,6 @@
 """After the fact: has a camera moved, and how to mend the rig from matches between its cameras.
 
-Matched pixels of any record over-determine the rig: the lines of sight of one bead must meet. What they
+Matched pixels of any record over-determine the rig: the sight lines of one bead must meet. What they
 cannot tell is where the water's plane is; that takes a record at rest.
 """
 
@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import chi
 
-from wavefield.calibration.bundle import TERMS, Layout, layout, linearised, minimise, moved
-from wavefield.calibration.observations import LENS, Geometry, Observations
+from wavefield.calibration.least_squares import minimise
+from wavefield.calibration.observations import Geometry, Observations
+from wavefield.calibration.parameters import TERMS, Layout, layout, linearised, moved
 from wavefield.errors import CalibrationError
 from wavefield.rig import Rig
-from wavefield.rig.camera import Array
 from wavefield.rig.epipolar import epipolar_distance
+from wavefield.rig.lens import LENS, Array
 from wavefield.rig.level import Plane, level
 from wavefield.rig.stereo import jacobians, solve_displacement, triangulate
 from wavefield.robust import robust_std
@@ -27,6 +28,12 @@ KNOCK_ANGLE = np.radians(1.0)  # what a knocked camera may have turned
 KNOCK_SHIFT = 0.005  # and shifted, metres
 ALIKE = 40.0  # difference of chi2 that tells two explanations apart
 UNLIKE = 0.3  # px: sharp images of one moment match better than this
+FAR = 20.0  # times what it mends: a knock does not move the image further than that
+ASTRAY = 5.0  # px: no knocked camera, but another rig
+_ASTRAY = (
+    "the rig does not fit these images; are its cameras named as theirs, is it of this image size and crop, "
+    "and did its lens come through the conversion?"
+)
 _OTHERWISE = "are the frames of the same moments (`offset`), sharp and bright, and is the rig theirs?"
 FREE = ("f", "aspect", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y")
 
@@ -35,7 +42,7 @@ Matches = Mapping[str, ArrayLike]
 
 @dataclass(frozen=True)
 class RigCheck:
-    """Whether the lines of sight of matched pixels meet.
+    """Whether the sight lines of matched pixels meet.
 
     Parameters
     ----------
@@ -62,7 +69,7 @@ class RigCheck:
 
 
 def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array]:
-    """Points where the lines of sight of matched pixels meet.
+    """Points where the sight lines of matched pixels meet.
 
     Parameters
     ----------
@@ -197,6 +204,15 @@ class _Problem:
         loss = np.where(np.abs(r) <= 4.0, r * r, 8.0 * np.abs(r) - 16.0)
         return x, self.misfit(matched), float(loss.sum())
 
+    def angle(self, x: Array, name: str) -> float:
+        """By how much parameters turn a camera, degrees."""
+        k = self.layout.camera[self.names.index(name)]
+        return float(np.degrees(np.linalg.norm(x[k : k + 3])))
+
+    def turn(self, x: Array, name: str) -> float:
+        """By how much parameters turn a camera, px of its image."""
+        return self.rig[name].fx * float(np.radians(self.angle(x, name)))
+
     def _matches(self) -> dict[str, Array]:
         return {name: self.pixel[:, k] for k, name in enumerate(self.names)}
 
@@ -292,14 +308,30 @@ def _check(problem: _Problem) -> tuple[RigCheck, dict[str | None, tuple[Array, f
     # in units of the scatter that is there, not of the one stated
     unit = max(expected / problem.std, 1e-9) ** 2
     chi2 = {name: f[2] / unit for name, f in found.items()}
-    best = min(problem.names, key=lambda name: chi2[name])
+    before = misfit_as_it_is
+    if before > ASTRAY and expected > UNLIKE:
+        text = f"sight lines miss by {before:.1f} px: {_ASTRAY}"
+        return RigCheck(before, expected, None, (), 0.0, text), found
+    motion = {name: problem.turn(found[name][0], name) for name in problem.names}
+    # a turn that would move the image much further than it mends, but for a shift that undoes it, is no knock:
+    # matches do not tell the two apart
+    told = [name for name in problem.names if motion[name] < FAR * max(before - found[name][1], 0.0)]
+    best = min(told or problem.names, key=lambda name: chi2[name])
     gain = chi2[None] - chi2[best]
+    if not told and gain >= ALIKE:
+        angle = problem.angle(found[best][0], best)
+        text = (
+            f"sight lines miss by {before:.2f} px; turning {best} by {angle:.2f} degrees would mend "
+            f"{before - found[best][1]:.2f} px and turn its view by {motion[best]:.0f} px, so it is no "
+            "knock and is not mended: calibrate again, or look for what the lens model lost on its way"
+        )
+        return RigCheck(before, expected, None, (), 0.0, text), found
     if gain < ALIKE or misfit_as_it_is < 1.1 * expected:
-        text = f"no camera has moved: lines of sight meet within {misfit_as_it_is:.2f} px"
+        text = f"no camera has moved: sight lines meet within {misfit_as_it_is:.2f} px"
         if misfit_as_it_is > UNLIKE:
-            text = f"lines of sight miss by {misfit_as_it_is:.2f} px, and no camera has moved: {_OTHERWISE}"
+            text = f"sight lines miss by {misfit_as_it_is:.2f} px, and no camera has moved: {_OTHERWISE}"
         return RigCheck(misfit_as_it_is, expected, None, (), 0.0, text), found
-    suspects = tuple(n for n in problem.names if chi2[n] - chi2[best] < max(ALIKE, 1e-4 * gain))
+    suspects = tuple(n for n in told if chi2[n] - chi2[best] < max(ALIKE, 1e-4 * gain))
     return _verdict(problem, found, best, suspects, misfit_as_it_is, expected), found
 
 
@@ -311,14 +343,13 @@ def _verdict(
     before: float,
     after: float,
 ) -> RigCheck:
-    k = problem.layout.camera[problem.names.index(best)]
-    angle = float(np.degrees(np.linalg.norm(found[best][0][k : k + 3])))
+    angle = problem.angle(found[best][0], best)
     if after > max(0.5 * before, UNLIKE):
-        text = f"lines of sight miss by {before:.2f} px, and by {after:.2f} px with one turned: {_OTHERWISE}"
+        text = f"sight lines miss by {before:.2f} px, and by {after:.2f} px with one turned: {_OTHERWISE}"
         return RigCheck(before, after, None, suspects, angle, text)
     text = (
         f"{' or '.join(suspects)} has moved since the calibration (turned by about {angle:.3f} degrees): "
-        f"lines of sight miss by {before:.2f} px, and by {after:.2f} px once that is mended; "
+        f"sight lines miss by {before:.2f} px, and by {after:.2f} px once that is mended; "
         "refine the rig from a record at rest"
     )
     return RigCheck(before, after, best if len(suspects) == 1 else None, suspects, angle, text)
@@ -330,7 +361,7 @@ def _misfit_at_start(problem: _Problem) -> float:
 
 
 def refine(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig, RigCheck]:
-    """Refine a rig so that the lines of sight of matched pixels meet.
+    """Refine a rig so that the sight lines of matched pixels meet.
 
     Parameters
     ----------
@@ -344,7 +375,7 @@ def refine(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig, RigCheck]
     Returns
     -------
     rig : Rig
-        Refined. Level it afterwards (`refine_and_level`): lines of sight say nothing of the water's plane.
+        Refined. Level it afterwards (`refine_and_level`): sight lines say nothing of the water's plane.
     check : RigCheck
         What had been wrong.
     """
@@ -390,7 +421,7 @@ def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig,
     tilt = {name: float(np.hypot(*plane.slope)) for name, (_, plane) in levelled.items()}
     best = min(tilt, key=lambda name: tilt[name])
     if len(tilt) > 1:
-        # lines of sight alone do not tell these apart; but the target lay on the water, so the wrong
+        # sight lines alone do not tell these apart; but the target lay on the water, so the wrong
         # explanation tilts the water's plane
         suspects = tuple(name for name in verdict.suspects if tilt[name] < 3.0 * tilt[best])
         verdict = _verdict(problem, found, str(best), suspects, verdict.misfit, verdict.expected)

@@ -10,7 +10,7 @@ from wavefield.calibration.derived import Derived
 from wavefield.calibration.model_choice import Choice
 from wavefield.calibration.observations import Observations
 from wavefield.rig import Rig
-from wavefield.rig.camera import Array
+from wavefield.rig.lens import Array
 
 
 @dataclass(frozen=True)

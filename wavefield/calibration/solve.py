@@ -1,34 +1,30 @@
 """From target points to a rig: the whole way, with everything that can be wrong told in a sentence."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from datetime import UTC, datetime
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.calibration.bundle import Fit, fit
-from wavefield.calibration.compare import Agreement, chained, compare, mirrored
-from wavefield.calibration.derived import Derived, derive
+from wavefield.calibration.compare import chained
+from wavefield.calibration.derived import derive
+from wavefield.calibration.findings import Findings
+from wavefield.calibration.judge import judge
+from wavefield.calibration.judge import provenance as own_provenance
 from wavefield.calibration.model_choice import MODELS, Choice, choose, terms_of
-from wavefield.calibration.observations import LENS, Geometry, Observations, collect
-from wavefield.calibration.points import TargetPoints
-from wavefield.calibration.rest import covariance_to_dict
+from wavefield.calibration.observations import Geometry, Observations, collect
 from wavefield.calibration.result import Calibration
-from wavefield.calibration.start import FEWEST_NODES, Alone, calibrate_alone, mean_rotation
+from wavefield.calibration.start import Alone, mean_rotation
 from wavefield.calibration.target import Target
-from wavefield.errors import CalibrationError
+from wavefield.calibration.views import Views, agreeing, each_alone, sound_views
 from wavefield.rig import Rig
-from wavefield.rig.camera import Array
+from wavefield.rig.lens import LENS, Array
 from wavefield.robust import robust_std
 
-Views = Mapping[str, Mapping[str, TargetPoints]]
 
-SPREAD = 10.0  # degrees between views of the target, below which the focal length is a guess
-
-
-def calibrate(  # noqa: C901
+def calibrate(
     views: Views,
     target: Target | float,
     *,
@@ -43,7 +39,9 @@ def calibrate(  # noqa: C901
     Parameters
     ----------
     views : mapping of camera to mapping of pose to TargetPoints
-        What was found in each image. The same name of a pose is the same pose of the target for all cameras.
+        What was found in each image. The same name of a pose is the same pose of the target for all
+        cameras. Points of views that are ``placed`` are in the physical frame already (a target moved along
+        z by known steps).
     target : Target or float
         The target, or its mesh, metres.
     flat : str or sequence of str, default "flat"
@@ -51,7 +49,7 @@ def calibrate(  # noqa: C901
         on the same plane, turned or shifted. Empty: the first pose defines the frame, to be levelled later.
     model : str or sequence of str, default "auto"
         Camera model: a name of `wavefield.calibration.model_choice.MODELS`, a list of terms,
-        or ``auto``, the simplest that the data support (Bayes' information criterion).
+        or ``auto``: the one that predicts best where the rig will be used (`model_choice`).
     target_std : float, default 0
         Uncertainty of the target's nodes per axis, metres. If given, the nodes' offsets are solved for,
         with this as prior; take the level from the water at rest afterwards.
@@ -91,189 +89,82 @@ def calibrate(  # noqa: C901
     """
     mesh, origin = (target, (0.0, 0.0)) if isinstance(target, float | int) else (target.mesh, target.origin)
     flats = [name for name in ([flat] if isinstance(flat, str) else flat) if name]
-    problems: list[str] = []
-    notes: list[str] = []
-    left_out: dict[str, int] = {}
-
-    good = _sound_views(views, problems, notes, left_out)
-    alone: dict[str, Alone] = {}
-    for name in good:
-        if not good[name]:
-            continue
-        try:
-            alone[name] = calibrate_alone(collect({name: good[name]}, mesh, origin))
-        except CalibrationError as error:
-            problems.append(str(error))
-    for name, camera in alone.items():
-        for pose in [p for p in good[name] if p not in camera.poses]:
-            notes.append(f"{name} {pose}: its points are no plane grid; left out")
-            left_out[f"{name} {pose}"] = len(good[name].pop(pose))
-        tilted = [p for p in camera.poses if p not in flats]
-        if len(camera.poses) < 3:
-            problems.append(
-                f"{name} has {len(camera.poses)} usable view{'s' * (len(camera.poses) != 1)} of the target; "
-                "photograph at least five tilted ones and a flat one"
-            )
-        elif len(tilted) < 2 or camera.spread < SPREAD:
-            problems.append(
-                f"the views of {name} are parallel (at most {camera.spread:.1f} degrees apart): its "
-                "focal length is unknown; photograph the target tilted by 20 to 40 degrees, to several sides"
-            )
+    findings = Findings()
+    good = sound_views(views, findings)
+    alone = each_alone(good, mesh, origin, flats, findings)
     if not alone:
-        if not problems:
-            problems.append("no camera has a view of the target: photograph it with all cameras")
-        return Calibration(Rig({}), False, tuple(problems), tuple(notes), left_out=left_out)
-
-    agreement = compare(alone, mesh)
-    _tell_disagreement(agreement, alone, mesh, problems, notes)
-    for name, pose in agreement.wrong_views:
-        left_out[f"{name} {pose}"] = len(good[name].pop(pose))
-        del alone[name].poses[pose]
-    together = {
-        n: a for n, a in alone.items() if n not in agreement.wrong_cameras and n not in agreement.alone
-    }
-    if len(together) < 2:  # one camera, or cameras that have nothing in common: the first with the most views
-        name = max(alone, key=lambda n: len(alone[n].poses))
-        together = together or {name: alone[name]}
-    good = {name: dict(good[name]) for name in together}
-
-    observations = collect(good, mesh, origin)
-    reference = _reference(observations, flats, problems, notes)
-    flat_indices = [observations.poses.index(p) for p in flats if p in observations.poses]
-    geometry = _together(observations, together, reference)
-    for p in flat_indices:  # on the plane exactly: the fit turns them about z only
-        c, d = geometry.pose_R[p][0, 0], geometry.pose_R[p][1, 0]
-        c, d = c / np.hypot(c, d), d / np.hypot(c, d)
-        geometry.pose_R[p] = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]])
-        geometry.pose_t[p, 2] = 0.0
-
-    settled = _settle(observations, geometry, reference, flat_indices, model, target_std, notes, left_out)
-    observations, result, chosen, table = settled
-    rig_cameras = {
+        if not findings.problems:
+            findings.problems.append("no camera has a view of the target: photograph it with all cameras")
+        return Calibration(
+            Rig({}), False, tuple(findings.problems), tuple(findings.notes), left_out=findings.left_out
+        )
+    together = agreeing(alone, good, mesh, findings)
+    observations = collect({name: dict(good[name]) for name in together}, mesh, origin)
+    frame = _frame(observations, flats, findings)
+    geometry = _together(observations, together, frame)
+    observations, result, chosen, table = _settle(
+        observations, geometry, frame, terms_of(model), target_std, findings
+    )
+    derived = derive(observations, result, frame.level)
+    judge(observations, result, derived, target_std, camera_distance or {}, findings)
+    cameras = {
         name: result.geometry.camera(c, observations.sizes[c]) for c, name in enumerate(observations.cameras)
     }
-    derived = derive(observations, result)
-    _judge(observations, result, derived, target_std, camera_distance or {}, mesh, problems, notes)
     calibration = Calibration(
-        Rig(rig_cameras),
-        not problems,
-        tuple(problems),
-        tuple(notes),
+        Rig(cameras),
+        not findings.problems,
+        tuple(findings.problems),
+        tuple(findings.notes),
         chosen,
         tuple(table),
         observations,
         result,
         derived,
-        left_out,
+        findings.left_out,
         target_std,
-        observations.poses[reference],
+        observations.poses[frame.reference],
     )
-    stated = {**_provenance(calibration, mesh), **(provenance or {})}
-    return replace(calibration, rig=Rig(rig_cameras, stated))
+    return replace(calibration, rig=Rig(cameras, {**own_provenance(calibration), **(provenance or {})}))
 
 
-def _sound_views(
-    views: Views, problems: list[str], notes: list[str], left_out: dict[str, int]
-) -> dict[str, dict[str, TargetPoints]]:
-    """Views with enough points, of one size per camera."""
-    good: dict[str, dict[str, TargetPoints]] = {}
-    for name, of_camera in views.items():
-        sizes: dict[tuple[int, int], list[str]] = {}
-        for pose, points in of_camera.items():
-            sizes.setdefault((int(points.size[0]), int(points.size[1])), []).append(pose)
-        good[name] = {}
-        if len(sizes) > 1:
-            common = max(sizes, key=lambda s: len(sizes[s]))
-            odd = [f"{pose} ({s[0]} x {s[1]})" for s in sizes if s != common for pose in sizes[s]]
-            problems.append(
-                f"the images of {name} have different sizes, most {common[0]} x {common[1]}, but "
-                f"{', '.join(odd)}: take all views with the same settings of the camera"
-            )
-        for pose, given in of_camera.items():
-            points = _finite(given)
-            if len(sizes) > 1 and tuple(points.size) != common:
-                left_out[f"{name} {pose}"] = len(points)
-                continue
-            if len(points) < FEWEST_NODES:
-                what = f"only {len(points)} nodes of the target" if len(points) else "no target"
-                notes.append(f"{name} {pose}: {what} found; left out")
-                left_out[f"{name} {pose}"] = len(points)
-            else:
-                good[name][pose] = points
-        if not good[name]:
-            problems.append(f"no target was found in any view of {name}: photograph it again")
-    if not views:
-        problems.append("there are no views of the target")
-    return good
+@dataclass(frozen=True)
+class _Frame:
+    """What defines the physical frame: a pose that is not moved, and others on its plane, or all placed."""
+
+    reference: int
+    flat: tuple[int, ...]
+    placed: tuple[int, ...]
+    level: bool  # whether z = 0 is known
 
 
-def _finite(points: TargetPoints) -> TargetPoints:
-    """Points that are numbers; no uncertainty is below what an image can give."""
-    sound = np.isfinite(points.pixel).all(axis=-1) & np.isfinite(points.std)
-    return replace(
-        points,
-        node=points.node[sound],
-        pixel=points.pixel[sound],
-        std=np.maximum(points.std[sound], 1e-4),
-    )
-
-
-def _tell_disagreement(
-    agreement: Agreement, alone: Mapping[str, Alone], mesh: float, problems: list[str], notes: list[str]
-) -> None:
-    for name, pose in agreement.wrong_views:
-        notes.append(
-            f"{name} {pose}: the target's pose is not the one the other cameras saw "
-            "(its nodes are counted from another origin or turned, or it was moved between shots); left out"
-        )
-    if agreement.wrong_cameras:
-        trusted = [n for n in alone if n not in agreement.wrong_cameras]
-        for name in agreement.wrong_cameras:
-            trial = compare({**{n: alone[n] for n in trusted}, name: mirrored(alone[name])}, mesh)
-            who = name if len(alone) > 2 else f"{name} or {trusted[0]}"
-            if name not in trial.wrong_cameras:
-                problems.append(
-                    f"the images of {who} are mirrored: flip them left to right, or take the mirror away"
-                )
-            else:
-                problems.append(
-                    f"{name} saw the target move differently from {' and '.join(trusted)}: are its views in "
-                    "the same order, and was the target still while all cameras took their image?"
-                )
-    for name in agreement.alone:
-        problems.append(
-            f"{name} shares no view of the target with another camera: "
-            "photograph the target where all cameras see it at once"
-        )
-
-
-def _reference(
-    observations: Observations, flats: Sequence[str], problems: list[str], notes: list[str]
-) -> int:
+def _frame(observations: Observations, flats: Sequence[str], findings: Findings) -> _Frame:
     """The pose that defines the frame."""
-    for name in flats:
-        if name in observations.poses:
-            return observations.poses.index(name)
+    o = observations
+    placed = tuple(o.placed)
+    flat = tuple(o.poses.index(name) for name in flats if name in o.poses)
+    if placed:
+        flat = tuple(p for p in flat if p in placed)  # the frame is that of the stated positions
+        return _Frame(placed[0], (), placed, True)
+    if flat:
+        return _Frame(flat[0], flat, (), True)
     if flats:
-        problems.append(
+        findings.problems.append(
             f"no camera has a usable flat view ({', '.join(flats)}): photograph the target on the plane z = 0"
         )
     else:
-        notes.append(
-            f"no flat view: z = 0 is the target's plane in view {observations.poses[0]}; "
+        findings.notes.append(
+            f"no flat view: z = 0 is the target's plane in view {o.poses[0]}; "
             "level the rig on the water at rest before measuring"
         )
     # the pose that most cameras saw
-    seen = [
-        len(np.unique(observations.camera[observations.pose == p])) for p in range(len(observations.poses))
-    ]
-    return int(np.argmax(seen))
+    seen = [len(np.unique(o.camera[o.pose == p])) for p in range(len(o.poses))]
+    return _Frame(int(np.argmax(seen)), (), (), False)
 
 
-def _together(observations: Observations, alone: Mapping[str, Alone], reference: int) -> Geometry:
+def _together(observations: Observations, alone: Mapping[str, Alone], frame: _Frame) -> Geometry:
     """All cameras and poses in the frame of the reference pose, from what each camera found on its own."""
     o = observations
-    pose = o.poses[reference]
+    pose = o.poses[frame.reference]
     first = max(alone, key=lambda n: (pose in alone[n].poses, len(alone[n].poses)))
     links = chained(alone, first)
     in_first: dict[str, tuple[Array, Array]] = {}
@@ -293,43 +184,52 @@ def _together(observations: Observations, alone: Mapping[str, Alone], reference:
     T = np.stack([links[name][0] @ origin + links[name][1] for name in o.cameras])
     pose_R = np.stack([Q.T @ in_first[p][0] for p in o.poses])
     pose_t = np.stack([Q.T @ (in_first[p][1] - origin) for p in o.poses])
+    for q in frame.flat:  # on the plane exactly: the fit turns them about z only
+        c, d = pose_R[q][0, 0], pose_R[q][1, 0]
+        c, d = c / np.hypot(c, d), d / np.hypot(c, d)
+        pose_R[q] = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]])
+        pose_t[q, 2] = 0.0
+    for q in frame.placed:  # their nodes are in the physical frame already
+        pose_R[q], pose_t[q] = np.eye(3), 0.0
     return Geometry(lens, R, T, pose_R, pose_t, np.zeros((len(o.nodes), 3)))
 
 
 def _settle(
     observations: Observations,
     start: Geometry,
-    reference: int,
-    flats: Sequence[int],
-    model: str | Sequence[str],
+    frame: _Frame,
+    model: tuple[str, tuple[str, ...]] | None,
     target_std: float,
-    notes: list[str],
-    left_out: dict[str, int],
+    findings: Findings,
 ) -> tuple[Observations, Fit, str, list[Choice]]:
     """Joint fit, leaving out what does not fit, and the choice of the model."""
     o = observations
-    table: list[Choice] = []
-    auto = isinstance(model, str) and model == "auto"
-    terms = MODELS["paper"] if auto else terms_of(model)
-    name = "paper" if auto else model if isinstance(model, str) else " ".join(model)
+    name, terms = model or ("paper", MODELS["paper"])
 
     def run(terms: tuple[str, ...], begin: Geometry, scale: float | None = None) -> Fit:
         return fit(
-            o, _restricted(begin, terms, o), [terms] * len(o.cameras), reference, flats, target_std, scale
+            o,
+            _restricted(begin, terms, o),
+            [terms] * len(o.cameras),
+            frame.reference,
+            frame.flat,
+            target_std,
+            scale,
+            frame.placed,
         )
 
     result = run(terms, start)
     for _ in range(4):
-        keep = _fitting(o, result, notes, left_out, reference)
+        keep = _fitting(o, result, findings)
         if keep.all():
             break
         o = o.only(keep)
         result = run(terms, result.geometry)
-    if auto:
-        scale, begin = result.scale, result.geometry
-        name, fits, table = choose(lambda terms: run(terms, begin, scale), 2 * len(o), o.sizes)
-        result = fits[name]
-    return o, result, name, table
+    if model:
+        return o, result, name, []
+    scale, begin = result.scale, result.geometry
+    name, fits, table = choose(lambda terms: run(terms, begin, scale), o, frame.level)
+    return o, fits[name], name, table
 
 
 def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observations) -> Geometry:
@@ -347,9 +247,7 @@ def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observat
     return replace(geometry, lens=lens)
 
 
-def _fitting(
-    o: Observations, result: Fit, notes: list[str], left_out: dict[str, int], reference: int
-) -> NDArray[np.bool_]:
+def _fitting(o: Observations, result: Fit, findings: Findings) -> NDArray[np.bool_]:
     """Which observations fit: whole views first, then points."""
     size = np.abs(result.residual).max(axis=1) / o.std
     view = o.camera * len(o.poses) + o.pose
@@ -360,95 +258,20 @@ def _fitting(
     worst = max(scatter, key=lambda v: scatter[v])
     px = robust_std(result.residual[view == worst].ravel())
     if scatter[worst] > 6.0 * usual and px > 0.1 and len(scatter) > 4:
-        label = f"{o.cameras[worst // len(o.poses)]} {o.poses[worst % len(o.poses)]}"
-        notes.append(
-            f"{label}: its points miss the common fit by {px:.2f} px, {scatter[worst] / usual:.0f} times "
-            "as much as those of the other views (target moved or bent, image blurred?); left out"
+        findings.leave_out(
+            *_view(o, worst),
+            int((view == worst).sum()),
+            f"its points miss the common fit by {px:.2f} px, {scatter[worst] / usual:.0f} times "
+            "as much as those of the other views (target moved or bent, image blurred?)",
         )
-        left_out[label] = int((view == worst).sum())
-        return view != worst
+        others: NDArray[np.bool_] = view != worst
+        return others
     limit = 6.0 * np.array([max(scatter[v], usual) for v in view.tolist()])
-    keep = size <= limit
-    for v in np.unique(view[~keep]):
-        label = f"{o.cameras[v // len(o.poses)]} {o.poses[v % len(o.poses)]}"
-        left_out[label] = left_out.get(label, 0) + int((~keep & (view == v)).sum())
+    keep: NDArray[np.bool_] = size <= limit
+    for v in np.unique(view[~keep]).tolist():
+        findings.leave_out(*_view(o, v), int((~keep & (view == v)).sum()))
     return keep
 
 
-def _judge(
-    o: Observations,
-    result: Fit,
-    derived: Derived,
-    target_std: float,
-    camera_distance: Mapping[str, float],
-    mesh: float,
-    problems: list[str],
-    notes: list[str],
-) -> None:
-    """Whether the rig can be trusted, from what it predicts of itself."""
-    for c, name in enumerate(o.cameras):
-        stated = camera_distance.get(name)
-        if stated:
-            found = float(np.linalg.norm(result.geometry.R[c].T @ result.geometry.T[c]))
-            if abs(np.log(found / stated)) > 0.05:
-                problems.append(
-                    f"{name} stands {found:.2f} m from the origin by this calibration, not {stated:.2f} m as "
-                    f"stated: the mesh is given as {1e3 * mesh:g} mm; measure it, "
-                    f"it may be {1e3 * mesh * stated / found:.3g} mm"
-                )
-        reach = derived.reprojection[name]
-        if not reach < 0.3:
-            problems.append(
-                f"{name} is determined to {reach:.2f} px only near z = 0: photograph more tilted views "
-                "that fill its image"
-            )
-    if len(o.cameras) > 1 and not derived.z_std < 1e-3:
-        problems.append(f"z would be uncertain by {1e3 * derived.z_std:.1f} mm: photograph more tilted views")
-    if len(o.cameras) == 1:
-        notes.append("one camera only: z and the velocity need two at least")
-    if target_std > 0.0:
-        notes.append("the target is uncertain, and so is its plane: level the rig on the water at rest")
-    for name in o.cameras:
-        cover = derived.coverage[name]
-        if cover < 0.4:
-            notes.append(
-                f"the target's views cover {100 * cover:.0f} % of {name}'s image: its edges are extrapolated"
-            )
-
-
-def _provenance(calibration: Calibration, mesh: float) -> dict[str, Any]:
-    """Plain numbers that stay with the rig."""
-    o, result, derived = calibration.observations, calibration.fit, calibration.derived
-    assert o is not None
-    assert result is not None
-    assert derived is not None
-    std = np.sqrt(np.diag(result.covariance))
-    cameras = {}
-    for c, name in enumerate(o.cameras):
-        rows = o.camera == c
-        columns = [k for k, _ in result.layout.lens[c]] + list(
-            range(result.layout.camera[c], result.layout.camera[c] + 6)
-        )
-        cameras[name] = {
-            "views": [o.poses[p] for p in np.unique(o.pose[rows])],
-            "points": int(rows.sum()),
-            "rms_px": float(np.sqrt(np.mean(result.residual[rows] ** 2))),
-            "max_px": float(np.abs(result.residual[rows]).max()),
-            "reprojection_std_px": derived.reprojection[name],
-            "parameter_std": {result.layout.names[k].split()[-1]: float(std[k]) for k in columns},
-        }
-    return {
-        "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "usable": calibration.usable,
-        "problems": list(calibration.problems),
-        "notes": list(calibration.notes),
-        "model": calibration.model,
-        "mesh_m": float(mesh),
-        "target_std_m": float(calibration.target_std),
-        "reference_view": calibration.reference,
-        "z_std_m": derived.z_std,
-        "left_out_points": dict(calibration.left_out),
-        "cameras": cameras,
-        "parameter_units": "f, aspect: log of the focal lengths; c: px; R: rad; T: m; k, p: 1; tau: rad",
-        "covariance": covariance_to_dict(result.layout.names, result.covariance, o.cameras),
-    }
+def _view(o: Observations, index: int) -> tuple[str, str]:
+    return o.cameras[index // len(o.poses)], o.poses[index % len(o.poses)]

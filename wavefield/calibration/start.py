@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from wavefield.calibration.bundle import Fit, fit
-from wavefield.calibration.observations import LENS, Geometry, Observations
+from wavefield.calibration.observations import Geometry, Observations
 from wavefield.errors import CalibrationError
-from wavefield.rig.camera import Array
+from wavefield.rig.lens import LENS, Array
 from wavefield.robust import robust_std
 
 FEWEST_NODES = 12  # of the target in a view
@@ -28,12 +28,15 @@ class Alone:
         Robust scatter of each view, px.
     spread : float
         Largest angle between two views of the target, degrees.
+    deep : bool
+        Whether nodes in known places tell the focal length, however parallel the views.
     """
 
     lens: Array
     poses: dict[str, tuple[Array, Array]]
     rms: dict[str, float]
     spread: float
+    deep: bool = False
 
 
 def homography(plan: Array, pixel: Array) -> Array | None:
@@ -135,11 +138,33 @@ def calibrate_alone(observations: Observations) -> Alone:
         If no view can be used, or the views do not tell the focal length.
     """
     o = observations
+    start, seen, deep = _from_places(o) if o.placed else _from_planes(o)
+    used = o.only(np.isin(o.pose, seen))
+    terms = ("f", "k1") if len(seen) < 3 else ("f", "c", "k1")
+    result: Fit = fit(used, start, [terms], seen[0], placed=o.placed)
+    g = result.geometry
+    found = {o.poses[p]: (g.R[0] @ g.pose_R[p], g.R[0] @ g.pose_t[p] + g.T[0]) for p in seen}
+    rms = {o.poses[p]: robust_std(result.residual[used.pose == p]) for p in seen}
+    normals = np.stack([R[:, 2] for R, _ in found.values()])
+    spread = float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)).max()))
+    return Alone(g.lens[0], found, rms, spread, deep)
+
+
+def _from_planes(o: Observations) -> tuple[Geometry, list[int], bool]:
+    """Start from views of a plane target in unknown positions (Zhang's method)."""
     (name,) = o.cameras
     maps: dict[int, Array] = {}
+    depth: dict[int, float] = {}
     for p in range(len(o.poses)):
         rows = o.pose == p
-        H = homography(o.plan[o.node[rows], :2], o.pixel[rows])
+        plan = o.plan[o.node[rows]]
+        # a target of several levels: the fullest of them
+        levels, nodes = np.unique(plan[:, 2].round(9), return_counts=True)
+        if not nodes.size:
+            continue
+        depth[p] = float(levels[np.argmax(nodes)])
+        on = np.abs(plan[:, 2] - depth[p]) < 1e-8
+        H = homography(plan[on, :2], o.pixel[rows][on])
         if H is not None:
             maps[p] = H
     if not maps:
@@ -149,12 +174,13 @@ def calibrate_alone(observations: Observations) -> Alone:
     if f is None or not 0.2 * max(o.sizes[0]) < f < 200 * max(o.sizes[0]):
         raise CalibrationError(
             f"the views of {name} do not tell its focal length (all are parallel to its sensor, or show no "
-            "plane target): photograph the target tilted by 20 to 40 degrees, to several sides"
+            "plane target): photograph the target tilted by 20 to 40 degrees, to several sides, or state the "
+            "heights of a target that was moved along z"
         )
     lens = np.zeros(len(LENS))
     lens[:4] = f, f, *centre
     poses = {p: plane_pose(H, lens) for p, H in maps.items()}
-    used = o.only(np.isin(o.pose, list(maps)))
+    poses = {p: (R, t - depth[p] * R[:, 2]) for p, (R, t) in poses.items()}
     count = len(o.poses)
     start = Geometry(
         lens[None],
@@ -165,16 +191,51 @@ def calibrate_alone(observations: Observations) -> Alone:
         np.zeros((len(o.nodes), 3)),
     )
     # the frame is the camera's own: its pose stays, all target poses move
-    first = min(maps)
-    start = _seen_from(start, first)
-    terms = ("f", "k1") if len(maps) < 3 else ("f", "c", "k1")
-    result: Fit = fit(used, start, [terms], first)
-    g = result.geometry
-    found = {o.poses[p]: (g.R[0] @ g.pose_R[p], g.R[0] @ g.pose_t[p] + g.T[0]) for p in maps}
-    rms = {o.poses[p]: robust_std(result.residual[used.pose == p]) for p in maps}
-    normals = np.stack([R[:, 2] for R, _ in found.values()])
-    spread = float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)).max()))
-    return Alone(g.lens[0], found, rms, spread)
+    return _seen_from(start, min(maps)), sorted(maps), False
+
+
+def _from_places(o: Observations) -> tuple[Geometry, list[int], bool]:
+    """Start from nodes in known places: the focal length by which they are seen best."""
+    (name,) = o.cameras
+    rows = np.isin(o.pose, o.placed)
+    points, pixel = o.plan[o.node[rows]], o.pixel[rows]
+    if np.ptp(points[:, 2]) <= 0.0:
+        raise CalibrationError(
+            f"all points of {name} with known z lie in one plane, which does not tell its focal length: "
+            "move the target along z"
+        )
+    best: tuple[float, Array, Array, Array] | None = None
+    for f in max(o.sizes[0]) * np.geomspace(0.3, 60.0, 28):
+        K = np.array([[f, 0.0, (o.sizes[0][0] - 1) / 2], [0.0, f, (o.sizes[0][1] - 1) / 2], [0.0, 0.0, 1.0]])
+        ok, rvec, tvec = cv2.solvePnP(points, pixel, K, np.zeros(4), flags=cv2.SOLVEPNP_SQPNP)
+        if ok:
+            miss = cv2.projectPoints(points, rvec, tvec, K, np.zeros(4))[0][:, 0] - pixel
+            size = float(np.median(np.hypot(*miss.T)))
+            if best is None or size < best[0]:
+                turn: Array = np.asarray(cv2.Rodrigues(rvec)[0], float)
+                best = size, K, turn, np.asarray(tvec, float).ravel()
+    if best is None or best[0] > 0.02 * max(o.sizes[0]):
+        raise CalibrationError(
+            f"the points of {name} with known z do not fit a camera: are indices, mesh and heights (metres) "
+            "right?"
+        )
+    _, K, R, T = best
+    lens = np.zeros(len(LENS))
+    lens[:4] = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    count = len(o.poses)
+    pose_R, pose_t = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
+    seen = sorted(set(o.placed))
+    for p in range(count):  # tilted views beside those in known places
+        mine = o.pose == p
+        if p in o.placed or mine.sum() < FEWEST_NODES:
+            continue
+        ok, rvec, tvec = cv2.solvePnP(o.plan[o.node[mine]], o.pixel[mine], K, np.zeros(4))
+        if ok:
+            view = np.asarray(cv2.Rodrigues(rvec)[0], float)
+            pose_R[p], pose_t[p] = R.T @ view, R.T @ (tvec.ravel() - T)
+            seen.append(p)
+    geometry = Geometry(lens[None], R[None], T[None], pose_R, pose_t, np.zeros((len(o.nodes), 3)))
+    return geometry, seen, True
 
 
 def _seen_from(geometry: Geometry, pose: int) -> Geometry:
@@ -204,7 +265,8 @@ def mean_rotation(rotations: Array) -> Array:
         The rotation nearest to their mean.
     """
     U, _, V = np.linalg.svd(np.mean(rotations, axis=0))
-    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
+    nearest: Array = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
+    return nearest
 
 
 def angle_between(A: Array, B: Array) -> float:

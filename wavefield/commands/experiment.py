@@ -116,8 +116,11 @@ Examples:
 )
 @click.argument("experiment", type=_FILE)
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Rig file to write.")
+@click.option(
+    "--anyway", is_flag=True, help="Write the rig although it is refused; the file says why it was."
+)
 @click.pass_context
-def calibrate(context: click.Context, experiment: Path, output: Path | None) -> None:
+def calibrate(context: click.Context, experiment: Path, output: Path | None, anyway: bool) -> None:
     """Find the rig from target images.
 
     Reads the calibration block of EXPERIMENT, finds the target in its tilted and flat views, solves for all
@@ -141,10 +144,13 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None) -> 
     if not calibration.usable:
         for problem in calibration.problems:
             click.echo(f"not usable: {problem}", err=True)
-        click.echo(f"No rig was written; the pictures are in {page}.", err=True)
-        context.exit(1)
+        if not anyway or not len(calibration.rig):
+            again = "" if anyway or not len(calibration.rig) else "; --anyway writes it, marked as refused"
+            click.echo(f"No rig was written{again}; the pictures are in {page}.", err=True)
+            context.exit(1)
     calibration.rig.save(output)
-    click.echo(f"Wrote {output} with {', '.join(calibration.rig)}; how far to trust it: {page}")
+    refused = "" if calibration.usable else ", REFUSED (usable: false in the file)"
+    click.echo(f"Wrote {output} with {', '.join(calibration.rig)}{refused}; how far to trust it: {page}")
     if loaded.rig is None and output.resolve() != loaded.resolve("rig.yaml").resolve():
         click.echo(f"Name it in {experiment} as `rig: {output}`, or give it with --rig")
     click.echo(f"Next: wavefield check {experiment}")

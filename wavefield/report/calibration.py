@@ -52,7 +52,13 @@ def write_calibration(calibration: Calibration, directory: str | Path) -> Path:
         content |= {
             "model": calibration.model,
             "models_compared": [
-                {"model": c.model, "parameters": c.parameters, "rms_over_stated": c.rms, "bic": c.bic}
+                {
+                    "model": c.model,
+                    "parameters": c.parameters,
+                    "rms_over_stated": c.rms,
+                    "bic": c.bic,
+                    "expected_px": c.expected,
+                }
                 for c in calibration.models
             ],
             "predicted": {
@@ -194,12 +200,20 @@ def _page(content: dict[str, Any], drawn: list[tuple[str, str]]) -> str:
                 f"which tilt and level {predicted['z_of_which_tilt_mm']:.2g} mm.</p>"
             )
         rows = [
-            [m["model"], str(m["parameters"]), f"{m['rms_over_stated']:.3f}", f"{m['bic']:.0f}"]
+            [
+                m["model"],
+                str(m["parameters"]),
+                f"{m['rms_over_stated']:.3f}",
+                f"{m['bic']:.0f}",
+                f"{m['expected_px']:.4f}",
+            ]
             for m in content["models_compared"]
         ]
         parts.append(f"<h2>Camera model: {escape(content['model'])}</h2>")
         if rows:
-            parts.append(_table(["model", "parameters", "rms / stated uncertainty", "BIC"], rows))
+            parts.append(
+                _table(["model", "parameters", "rms / stated uncertainty", "BIC", "expected error px"], rows)
+            )
         names = list(content["parameters"])
         terms = [
             t

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from wavefield.calibration.bundle import Fit
 from wavefield.calibration.numbers import FlatSurface
 from wavefield.calibration.observations import Observations
-from wavefield.rig.camera import Array, Camera
+from wavefield.rig.camera import Camera
+from wavefield.rig.lens import Array
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # told apart by all eyes
 GREY, PALE = "#555555", "#dddddd"

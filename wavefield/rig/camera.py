@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wavefield.errors import RigError
-
-Array = NDArray[np.float64]
+from wavefield.rig.lens import Array, distort, distort_jacobian, tilt_matrix
 
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -118,40 +117,20 @@ class Camera:
         """Homography of the tilted sensor (OpenCV's CALIB_TILTED_MODEL), or None."""
         if self.tau_x == 0.0 and self.tau_y == 0.0:
             return None
-        cx, sx, cy, sy = np.cos(self.tau_x), np.sin(self.tau_x), np.cos(self.tau_y), np.sin(self.tau_y)
-        rot = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array(
-            [[1, 0, 0], [0, cx, sx], [0, -sx, cx]]
-        )
-        proj = np.array([[rot[2, 2], 0, -rot[0, 2]], [0, rot[2, 2], -rot[1, 2]], [0, 0, 1]])
-        return proj @ rot
-
-    @property
-    def _tangential(self) -> bool:
-        return self.p1 != 0.0 or self.p2 != 0.0
+        return tilt_matrix(self.tau_x, self.tau_y).real
 
     # -- sensor: tangents of the viewing angles <-> pixels -------------------------------------------
 
-    def _distort(self, a: Array, b: Array) -> tuple[Array, Array]:
-        r2 = a * a + b * b
-        radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        x, y = a * radial, b * radial
-        if self._tangential:
-            ab = 2.0 * a * b
-            x = x + self.p1 * ab + self.p2 * (r2 + 2.0 * a * a)
-            y = y + self.p1 * (r2 + 2.0 * b * b) + self.p2 * ab
-        return x, y
+    @property
+    def _radial(self) -> tuple[float, float, float]:
+        return self.k1, self.k2, self.k3
 
-    def _distort_jacobian(self, a: Array, b: Array) -> tuple[Array, Array, Array, Array]:
-        r2 = a * a + b * b
-        radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        slope = 2.0 * (self.k1 + r2 * (2.0 * self.k2 + r2 * 3.0 * self.k3))  # d radial / d(r2) * 2
-        xa = radial + slope * a * a + 2.0 * self.p1 * b + 6.0 * self.p2 * a
-        xb = slope * a * b + 2.0 * self.p1 * a + 2.0 * self.p2 * b
-        yb = radial + slope * b * b + 6.0 * self.p1 * b + 2.0 * self.p2 * a
-        return xa, xb, xb, yb  # the cross terms are equal: the displacement is a gradient
+    @property
+    def _tangential(self) -> tuple[float, float]:
+        return self.p1, self.p2
 
     def _to_pixels(self, a: Array, b: Array) -> tuple[Array, Array]:
-        x, y = self._distort(a, b)
+        x, y = distort(a, b, self._radial, self._tangential)
         if self._tilt is not None:
             h = self._tilt
             s = h[2, 0] * x + h[2, 1] * y + h[2, 2]
@@ -168,15 +147,16 @@ class Camera:
             h = np.linalg.inv(self._tilt)
             s = h[2, 0] * x + h[2, 1] * y + h[2, 2]
             x, y = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / s, (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / s
-        if not (self.k1 or self.k2 or self.k3 or self._tangential):
+        k, p = self._radial, self._tangential
+        if not any(k + p):
             return x, y
         a, b = x.copy(), y.copy()
         for _ in range(20):  # Newton; three steps reach machine precision for any usable lens
-            fx, fy = self._distort(a, b)
-            xa, xb, ya, yb = self._distort_jacobian(a, b)
-            det = xa * yb - xb * ya
-            da = (yb * (x - fx) - xb * (y - fy)) / det
-            db = (xa * (y - fy) - ya * (x - fx)) / det
+            fx, fy = distort(a, b, k, p)
+            xa, cross, yb = distort_jacobian(a, b, k, p)
+            det = xa * yb - cross * cross
+            da = (yb * (x - fx) - cross * (y - fy)) / det
+            db = (xa * (y - fy) - cross * (x - fx)) / det
             a, b = a + da, b + db
             if not np.nanmax(np.abs(da) + np.abs(db), initial=0.0) > 1e-15:
                 break
@@ -285,10 +265,11 @@ class Camera:
         """
         x, y, z = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float), np.asarray(z, float))
         a, b, zc = self._tangents_of(x, y, z)
-        xa, xb, ya, yb = self._distort_jacobian(a, b)
+        xa, xb, yb = distort_jacobian(a, b, self._radial, self._tangential)
+        ya = xb
         if self._tilt is not None:
             h = self._tilt
-            u, v = self._distort(a, b)
+            u, v = distort(a, b, self._radial, self._tangential)
             s = h[2, 0] * u + h[2, 1] * v + h[2, 2]
             U = (h[0, 0] * u + h[0, 1] * v + h[0, 2]) / s
             V = (h[1, 0] * u + h[1, 1] * v + h[1, 2]) / s
@@ -473,7 +454,9 @@ def rotation_about(vector: ArrayLike) -> Array:
     angle = float(np.sqrt(x * x + y * y + z * z))
     half = 0.5 * angle
     # sinc keeps both quotients exact at zero
-    return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(half / np.pi) ** 2 * cross @ cross
+    turn: Array = np.eye(3) + np.sinc(angle / np.pi) * cross
+    turn += 0.5 * np.sinc(half / np.pi) ** 2 * cross @ cross
+    return turn
 
 
 def _terms_of_opencv(D: ArrayLike | None) -> dict[str, float]:

@@ -48,6 +48,11 @@ class CalibrationSection(Section):
         examples=["0.001"],
         description="uncertainty of the target's nodes, m: their offsets are solved for",
     )
+    heights: dict[str, float] = Field(
+        default_factory=dict,
+        examples=["{z_1: -0.003, z_2: 0.0, z_3: 0.003}"],
+        description="z of a target that was moved along z, by pose (the file's name without the camera), m",
+    )
     camera_distance: dict[str, float] = Field(
         default_factory=dict,
         examples=["{cam1: 4.5}"],

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from wavefield.errors import RigError
-from wavefield.rig.camera import Array, Camera
+from wavefield.rig.camera import Camera
+from wavefield.rig.lens import Array
 
 Size = tuple[int, int]
 LENGTHS = {

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 
 from wavefield.errors import RigError
-from wavefield.rig.camera import Array, Camera
+from wavefield.rig.camera import Camera
 from wavefield.rig.formats.common import Stated, rotation_near
+from wavefield.rig.lens import Array
 from wavefield.rig.rig import Rig
 
 _LENS = ("m", "k", "cameramatrix", "intrinsics", "intrinsic", "intrinsicspinhole", "camera", "mtx", "kmat")

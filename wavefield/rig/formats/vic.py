@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from wavefield.errors import RigError
-from wavefield.rig.camera import Array, Camera
+from wavefield.rig.camera import Camera
 from wavefield.rig.formats.common import Stated, numbers_of, refuse_terms
+from wavefield.rig.lens import Array
 from wavefield.rig.rig import Rig
 
 

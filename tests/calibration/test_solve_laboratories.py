@@ -1,0 +1,98 @@
+"""Other people's targets: moved along z, of two levels, in tables; pairs of cameras without a flat view."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from solve_cases import nodes, poses
+
+from wavefield.calibration import calibrate
+from wavefield.calibration.derived import derive
+from wavefield.calibration.pointfile import read_points, write_points
+from wavefield.calibration.points import TargetPoints
+from wavefield.errors import CalibrationError
+from wavefield.rig import Camera
+from wavefield.tank.rigs import paper_rig
+
+MODEL = "f tilt k1"  # of the simulated cameras
+
+
+def seen(camera, grid, points, rng, noise, **more):
+    inside = camera.sees(*points.T, margin=5)
+    pixel = np.stack(camera.project(*points[inside].T), -1) + rng.normal(0, noise, (inside.sum(), 2))
+    more = {k: v[inside] if isinstance(v, np.ndarray) else v for k, v in more.items()}
+    return TargetPoints(grid[inside], pixel, np.full(inside.sum(), noise), camera.size, **more)
+
+
+def worst_pixel(found, exact):
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 5), np.linspace(-0.5, 0.5, 5))
+    return max(
+        np.hypot(*(np.array(found[n].project(x, y, 0.02)) - exact[n].project(x, y, 0.02))).max()
+        for n in exact
+    )
+
+
+def test_a_target_moved_along_z_calibrates_from_tables(tmp_path):
+    rig, grid, rng = paper_rig(), nodes()[::2], np.random.default_rng(3)
+    views = {name: {} for name in rig}
+    for height in (-0.06, -0.03, 0.0, 0.03, 0.06):
+        z = np.full(len(grid), height)
+        for name in rig:
+            points = seen(rig[name], grid, np.column_stack([0.1 * grid, z]), rng, 0.02, z=z, placed=True)
+            write_points(tmp_path / f"{name}{height}.csv", points)
+            views[name][f"at {height}"] = read_points(tmp_path / f"{name}{height}.csv")
+    found = calibrate(views, 0.1, flat="", model=MODEL)
+    assert found.usable, found.problems
+    assert worst_pixel(found.rig, rig) < 0.01
+    flat = {n: {p: replace(v, z=None, placed=False) for p, v in views[n].items()} for n in views}
+    assert any("moved along z" in p for p in calibrate(flat, 0.1, flat="", model=MODEL).problems)
+
+
+def test_nodes_of_two_levels_are_where_they_are():
+    rig, grid, rng = paper_rig(), nodes(), np.random.default_rng(5)
+    level = np.where(grid[:, 1] % 2, -0.02, 0.0)
+    views = {name: {} for name in rig}
+    for pose, (R, t) in poses(seed=2).items():
+        world = np.column_stack([0.1 * grid, level]) @ R.T + t
+        for name in rig:
+            views[name][pose] = seen(rig[name], grid, world, rng, 0.02, z=level)
+    found = calibrate(views, 0.1, model=MODEL)
+    assert found.usable, found.problems
+    assert worst_pixel(found.rig, rig) < 0.02
+    assert found.fit.scale == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("line", ["0,0,5.0,6.0,high", "0,0,5.0,6.0"])
+def test_a_table_without_its_heights_is_told(tmp_path, line):
+    (tmp_path / "points.csv").write_text(f"# size 100 80\ni,j,X,Y,z\n{line}\n")
+    with pytest.raises(CalibrationError, match="point 1 is not made of numbers"):
+        read_points(tmp_path / "points.csv")
+
+
+def pair_without_a_flat_view(seed, noise):
+    rng = np.random.default_rng(seed)
+    grid = np.stack(np.meshgrid(np.arange(9), np.arange(6)), -1).reshape(-1, 2)
+    left = Camera(540, 538, 330, 240, np.eye(3), (0, 0, 0), (640, 480), k1=-0.28, k2=0.08)
+    right = replace(left, rotation=cv2.Rodrigues(np.array([0, 0.1, 0.0]))[0], translation=(-0.1, 0, 0))
+    views = {"left": {}, "right": {}}
+    for pose in range(8):
+        R = cv2.Rodrigues(rng.uniform(-0.45, 0.45, 3))[0]
+        t = rng.uniform((-0.13, -0.1, 0.45), (-0.05, 0, 0.6))
+        world = np.column_stack([0.03 * grid, np.zeros(54)]) @ R.T + t
+        for name, camera in (("left", left), ("right", right)):
+            views[name][f"pose {pose}"] = seen(camera, grid, world, rng, noise)
+    return views
+
+
+def test_a_good_pair_is_judged_where_its_target_was_and_by_what_its_model_predicts():
+    found = calibrate(pair_without_a_flat_view(3, 0.1), 0.03, flat="")
+    assert found.usable, found.problems
+    best = {row.model: row for row in found.models}
+    richest = min(found.models, key=lambda row: row.bic)
+    assert best[found.model].parameters < richest.parameters  # BIC would have taken another
+    assert best[found.model].expected < 1.05 * min(row.expected for row in found.models)
+    assert max(found.derived.reprojection.values()) < 0.1
+    # on the plane of the first view, which lies anywhere, it would have been refused
+    elsewhere = derive(found.observations, found.fit, level=True)
+    assert max(elsewhere.reprojection.values()) > 3 * max(found.derived.reprojection.values())
