@@ -58,6 +58,8 @@ class RigCheck:
         By how much the moved camera has turned, degrees.
     sentence : str
         All this for a person.
+    refused : bool
+        Whether the rig is beyond mending by matches: `refine` leaves it as it is.
     """
 
     misfit: float
@@ -66,6 +68,7 @@ class RigCheck:
     suspects: tuple[str, ...]
     angle: float
     sentence: str
+    refused: bool = False
 
 
 def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array]:
@@ -311,10 +314,10 @@ def _check(problem: _Problem) -> tuple[RigCheck, dict[str | None, tuple[Array, f
     before = misfit_as_it_is
     if before > ASTRAY and expected > UNLIKE:
         text = f"sight lines miss by {before:.1f} px: {_ASTRAY}"
-        return RigCheck(before, expected, None, (), 0.0, text), found
+        return RigCheck(before, expected, None, (), 0.0, text, refused=True), found
     motion = {name: problem.turn(found[name][0], name) for name in problem.names}
-    # a turn that would move the image much further than it mends, but for a shift that undoes it, is no knock:
-    # matches do not tell the two apart
+    # a turn that would move the image much further than it mends, but for a shift that undoes it, is no
+    # knock: matches do not tell the two apart
     told = [name for name in problem.names if motion[name] < FAR * max(before - found[name][1], 0.0)]
     best = min(told or problem.names, key=lambda name: chi2[name])
     gain = chi2[None] - chi2[best]
@@ -325,7 +328,7 @@ def _check(problem: _Problem) -> tuple[RigCheck, dict[str | None, tuple[Array, f
             f"{before - found[best][1]:.2f} px and turn its view by {motion[best]:.0f} px, so it is no "
             "knock and is not mended: calibrate again, or look for what the lens model lost on its way"
         )
-        return RigCheck(before, expected, None, (), 0.0, text), found
+        return RigCheck(before, expected, None, (), 0.0, text, refused=True), found
     if gain < ALIKE or misfit_as_it_is < 1.1 * expected:
         text = f"no camera has moved: sight lines meet within {misfit_as_it_is:.2f} px"
         if misfit_as_it_is > UNLIKE:
@@ -381,6 +384,8 @@ def refine(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig, RigCheck]
     """
     problem = _Problem(rig, matches, std)
     verdict, found = _check(problem)
+    if verdict.refused:
+        return rig, verdict
     # where several cameras may be at fault, all of them are set free: the prior shares the motion out
     solution = problem.solve(verdict.suspects) if len(verdict.suspects) > 1 else found[verdict.moved]
     return _refined(problem, solution, verdict), verdict
@@ -416,7 +421,10 @@ def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig,
     """
     problem = _Problem(rig, matches, std)
     verdict, found = _check(problem)
-    candidates = {name: _refined(problem, found[name], verdict) for name in verdict.suspects or (None,)}
+    candidates: dict[str | None, Rig] = {None: rig}
+    if not verdict.refused:
+        names = verdict.suspects or (None,)
+        candidates = {name: _refined(problem, found[name], verdict) for name in names}
     levelled = {name: level(new, *sight_points(new, matches)[:3]) for name, new in candidates.items()}
     tilt = {name: float(np.hypot(*plane.slope)) for name, (_, plane) in levelled.items()}
     best = min(tilt, key=lambda name: tilt[name])
