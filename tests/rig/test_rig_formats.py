@@ -3,11 +3,12 @@ import csv
 import cv2
 import numpy as np
 import pytest
+import scipy.io
 import yaml
 from rig_cases import TERMS, field, random_camera
 
 from wavefield.errors import RigError
-from wavefield.rig import Rig
+from wavefield.rig import Camera, Rig
 from wavefield.rig.formats import load_rig, save_opencv, save_uvmat, save_vic
 
 
@@ -249,3 +250,109 @@ def test_opencv_second_camera_without_a_pose_is_refused(shared):
     sizes = {"cam1": (640, 480), "cam2": (640, 480)}
     with pytest.raises(RigError, match="no pose"):
         load_rig(shared / "data" / "stereo_chessboard" / "intrinsics.yml", sizes=sizes)
+
+
+# -- other programs ------------------------------------------------------------------------------------
+
+K = np.array([[900.0, 0.0, 330.0], [0.0, 905.0, 250.0], [0.0, 0.0, 1.0]])
+D = np.array([-0.1, 0.02, 1e-3, -2e-3, 0.01])
+TURN = cv2.Rodrigues(np.array([0.02, -0.3, 0.05]))[0]
+SHIFT = np.array([-0.4, 0.01, 0.05])
+
+
+def stereo_pair(size=(640, 480)):
+    return Rig(
+        {
+            "cam1": Camera.from_opencv(K, D, np.eye(3), np.zeros(3), size),
+            "cam2": Camera.from_opencv(K, D, TURN, SHIFT, size),
+        }
+    )
+
+
+def same_rig(found):
+    for name, camera in stereo_pair().cameras.items():
+        same(found[name], camera, 1e-9)
+
+
+def test_kalibrs_camera_chain(tmp_path):
+    step = np.eye(4)
+    step[:3, :3], step[:3, 3] = TURN, SHIFT
+    lens = {
+        "camera_model": "pinhole",
+        "intrinsics": [900.0, 905.0, 330.0, 250.0],
+        "distortion_model": "radtan",
+        "distortion_coeffs": D[:4].tolist(),
+        "resolution": [640, 480],
+    }
+    chain = {"cam0": lens, "cam1": lens | {"T_cn_cnm1": step.tolist()}}
+    (tmp_path / "camchain.yaml").write_text(yaml.safe_dump(chain))
+    found = load_rig(tmp_path / "camchain.yaml")
+    assert found["cam2"].centre == pytest.approx(stereo_pair()["cam2"].centre)
+    assert (found["cam2"].k2, found["cam2"].p2, found["cam2"].size) == (0.02, -2e-3, (640, 480))
+    chain["cam1"]["distortion_model"] = "equidistant"
+    (tmp_path / "camchain.yaml").write_text(yaml.safe_dump(chain))
+    with pytest.raises(RigError, match="pinhole-radtan"):
+        load_rig(tmp_path / "camchain.yaml")
+
+
+def test_bouguets_stereo_results(tmp_path):
+    lens = {"fc": [900.0, 905.0], "cc": [330.0, 250.0], "kc": D, "alpha_c": 0.0}
+    data = {f"{name}_{side}": v for side in ("left", "right") for name, v in lens.items()}
+    scipy.io.savemat(
+        tmp_path / "Calib_Results_stereo.mat", data | {"R": TURN, "T": 1e3 * SHIFT, "nx": 640, "ny": 480}
+    )
+    same_rig(load_rig(tmp_path / "Calib_Results_stereo.mat", unit="mm"))
+
+
+def test_matlabs_own_structs_count_pixels_from_one(tmp_path):
+    matrix = K.copy()
+    matrix[:2, 2] += 1
+    lens = {
+        "IntrinsicMatrix": matrix.T,
+        "RadialDistortion": D[[0, 1, 4]],
+        "TangentialDistortion": D[2:4],
+        "ImageSize": [480, 640],
+    }
+    params = {"CameraParameters1": lens, "CameraParameters2": lens}
+    params |= {"RotationOfCamera2": TURN.T, "TranslationOfCamera2": 1e3 * SHIFT}
+    scipy.io.savemat(tmp_path / "stereo.mat", {"params": params})
+    same_rig(load_rig(tmp_path / "stereo.mat", unit="mm"))
+    scipy.io.savemat(tmp_path / "nothing.mat", {"x": 3.0})
+    with pytest.raises(RigError, match="holds no calibration"):
+        load_rig(tmp_path / "nothing.mat")
+
+
+def write_matrix(path, name, matrix):
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write(name, np.asarray(matrix, float))
+    storage.release()
+
+
+def test_a_folder_of_wass_with_the_distance_between_its_cameras(tmp_path):
+    for n in (0, 1):
+        write_matrix(tmp_path / f"intrinsics_0000000{n}.xml", "intr", K)
+        write_matrix(tmp_path / f"distortion_0000000{n}.xml", "dist", D[:, None])
+    length = float(np.linalg.norm(SHIFT))
+    write_matrix(tmp_path / "ext_R.xml", "R", TURN)
+    write_matrix(tmp_path / "ext_T.xml", "T", SHIFT[:, None] / length)
+    sizes = dict.fromkeys(("cam1", "cam2"), (640, 480))
+    same_rig(load_rig(tmp_path, sizes=sizes, unit=str(length)))
+    (tmp_path / "ext_T.xml").unlink()
+    with pytest.raises(RigError, match="matched images"):
+        load_rig(tmp_path, sizes=sizes)
+
+
+@pytest.mark.parametrize(
+    "names", [("cameraMatrix1", "distCoeffs1"), ("K_left", "D_left"), ("Intrinsics", "kc"), ("foo", "bar")]
+)
+def test_opencv_matrices_under_any_name(tmp_path, names):
+    storage = cv2.FileStorage(str(tmp_path / "cal.xml"), cv2.FILE_STORAGE_WRITE)
+    storage.write(names[0], K)
+    storage.write(names[1], D[None])
+    storage.release()
+    same(load_rig(tmp_path / "cal.xml", sizes={"cam1": (640, 480)})["cam1"], stereo_pair()["cam1"], 1e-9)
+
+
+def test_an_image_smaller_than_uvmats_marked_points_is_refused(shared):
+    with pytest.raises(RigError, match="point marked at"):
+        load_rig(uvmat(shared), sizes={"PCO_top": (1280, 1080)})

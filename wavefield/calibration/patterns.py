@@ -39,22 +39,49 @@ def find_chessboard(image: NDArray[np.float32], target: Target) -> TargetPoints:
         If the whole board is not seen.
     """
     nx, ny = _shape(target)
-    small, factor = _searchable(image)
-    # each set of flags misses boards that another finds
-    for flags in (cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE, 0, cv2.CALIB_CB_NORMALIZE_IMAGE):
-        found, corners = cv2.findChessboardCornersSB(small, (nx, ny), flags=flags)
-        if found:
-            break
-    else:
+    found = _chessboard_corners(image, (nx, ny))
+    if found is None:
         raise CalibrationError(
             f"no chessboard with {nx} x {ny} inner corners was found; all of it must be in view and "
             "in focus, with a white margin around it"
         )
-    pixel = (corners.reshape(-1, 2).astype(float) + 0.5) * factor - 0.5
+    pixel = found
     node = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), -1).reshape(-1, 2)
     pixel = _corner_subpixel(image, node, pixel)
     node, notes = _right_handed(image, node, pixel, (nx, ny))
     return _points(image, node, pixel, notes)
+
+
+def _chessboard_corners(image: NDArray[np.float32], shape: tuple[int, int]) -> Array | None:
+    """Corners by every detector that OpenCV has, quick ones first: each misses boards that another finds."""
+    small, factor = _searchable(image)
+    whole = _bytes(image)
+    even = np.asarray(cv2.equalizeHist(small), np.uint8)
+    normal, exhaustive, accurate = (
+        cv2.CALIB_CB_NORMALIZE_IMAGE,
+        cv2.CALIB_CB_EXHAUSTIVE,
+        cv2.CALIB_CB_ACCURACY,
+    )
+    tries: list[tuple[NDArray[np.uint8], float, int]] = [
+        (small, factor, normal | exhaustive),
+        (small, factor, 0),
+        (small, factor, normal),
+        (small, factor, exhaustive),
+        (small, factor, exhaustive | accurate),
+        (even, factor, exhaustive | accurate),
+    ]
+    if factor != 1.0:
+        tries += [(whole, 1.0, normal | exhaustive), (whole, 1.0, exhaustive | accurate)]
+    for picture, scale, flags in tries:
+        found, corners = cv2.findChessboardCornersSB(picture, shape, flags=flags)
+        if found:
+            return np.asarray((corners.reshape(-1, 2) + 0.5) * scale - 0.5, float)
+    adaptive = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    for picture in (small, even):
+        found, corners = cv2.findChessboardCorners(picture, shape, flags=adaptive | cv2.CALIB_CB_FILTER_QUADS)
+        if found:
+            return np.asarray((corners.reshape(-1, 2) + 0.5) * factor - 0.5, float)
+    return None
 
 
 def find_charuco(image: NDArray[np.float32], target: Target) -> TargetPoints:

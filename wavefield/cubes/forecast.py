@@ -24,7 +24,7 @@ from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.layout import COMPRESSION
 from wavefield.store.verdict import Verdict
-from wavefield.variables import FrameFault, FrameStatus
+from wavefield.variables import FrameFault, FrameStatus, Quality
 from wavefield.words import spell_ranges, spell_time
 
 
@@ -145,13 +145,15 @@ class Check:
     coverage : float or None
         Share of the nodes that every measuring camera sees at rest.
     measured : float or None
-        Share of the nodes that a measured step filled.
+        Fraction of the nodes in view that the step tried measured; filled ones do not count.
     cost : Cost or None
         What a run will take; None if it cannot run yet.
     problems : tuple of str
         What stands in the way of a run.
     verdict : Verdict or None
         On the cameras' images; None if they could not be compared.
+    motion : str
+        How far the water moves from frame to frame, in words.
     """
 
     experiment: str
@@ -166,6 +168,7 @@ class Check:
     cost: Cost | None
     problems: tuple[str, ...]
     verdict: Verdict | None = None
+    motion: str = ""
 
     @property
     def exit_status(self) -> int:
@@ -212,6 +215,7 @@ class Check:
             lines.append(text)
         if self.cost:
             lines.append(f"  a run will take {self.cost}")
+        lines += [f"  {self.motion}"] if self.motion else []
         lines += self._agreements()
         lines += [f"  not ready: {problem}" for problem in self.problems]
         lines += [f"  {remark}" for remark in (self.verdict.remarks if self.verdict else ())]
@@ -284,6 +288,7 @@ def check(
         cost=cost,
         problems=tuple(problems),
         verdict=Verdict.of(seen.remarks, seen.cameras, seen.pairs) if seen else None,
+        motion=prepared.motion.sentence if prepared and prepared.motion else "",
     )
 
 
@@ -328,7 +333,7 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
     cost : Cost
         Time, memory, disk.
     measured : float
-        Share of the nodes that were measured.
+        Fraction of the nodes in view that were measured, not filled.
 
     Raises
     ------
@@ -358,7 +363,9 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
         disk=int(_stored_bytes(one.fields) * prepared.steps / (stop - start)),
         free=shutil.disk_usage(prepared.experiment.path.parent).free,
     )
-    return cost, float(np.isfinite(one.fields["z"]).mean())
+    quality = one.fields["quality"]
+    seen = (quality & np.uint8(Quality.OUTSIDE)) == 0  # filled nodes are finite too, but not measured
+    return cost, float((quality[seen] & np.uint8(Quality.MEASURED) != 0).mean()) if seen.any() else 0.0
 
 
 def _time_block(prepared: Prepared, start: int, stop: int) -> tuple[float, Measured]:

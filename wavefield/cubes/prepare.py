@@ -14,11 +14,13 @@ from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError
 from wavefield.grid import Grid
 from wavefield.measurement.algorithm import ALGORITHM
+from wavefield.measurement.first_guess import FirstGuess, first_guess, wide_enough
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_FIELDS, TABLE
 
+_LOOKS = 4  # steps over the record by which the range of displacements is found
 _LONGEST_BLOCK = 100  # steps; a block costs one to two steps more for its three extra frames
 
 
@@ -42,6 +44,8 @@ class Prepared:
         All of it as plain data.
     workflow : Workflow
         How to process.
+    motion : FirstGuess, optional
+        How far the water moves from frame to frame; None where the settings state the range to search.
     """
 
     experiment: Experiment
@@ -51,6 +55,7 @@ class Prepared:
     plan: Any
     recipe: Recipe
     workflow: Workflow
+    motion: FirstGuess | None = None
 
     @property
     def steps(self) -> int:
@@ -112,10 +117,36 @@ def prepare(
             f"y {grid.y[0]:g} to {grid.y[1]:g} m); correct `grid`, or leave it out to have it chosen"
         )
     settings = make_settings(experiment, workflow)
-    plan = Plan(rig, grid, settings)
     series = {name: series[name] for name in used}
+    plan = Plan(rig, grid, settings)
+    motion = None
+    if not _states_search(experiment, workflow):
+        motion = _look_ahead(series, plan)
+        settings = wide_enough(settings, motion)
+        plan = Plan(rig, grid, settings)
     recipe = make_recipe(experiment, series, rig, grid, settings, workflow.packing)
-    return Prepared(experiment, series, rig, grid, plan, recipe, workflow)
+    return Prepared(experiment, series, rig, grid, plan, recipe, workflow, motion)
+
+
+def _states_search(experiment: Experiment, workflow: Workflow) -> bool:
+    """Whether the range of displacements is among the settings."""
+    stated = (source.settings.get("piv") for source in (experiment, workflow))
+    return any(isinstance(piv, Mapping) and {"search_x", "search_y"} & set(piv) for piv in stated)
+
+
+def _look_ahead(series: Mapping[str, FrameSeries], plan: Any) -> FirstGuess:
+    """The range of the displacements over the whole record, from a few of its steps."""
+    from wavefield.measurement.frame import ready, usable
+
+    def read(name: str, frame: int) -> Any:
+        image = series[name].read(frame).image
+        if not usable(image, plan.rig[name].size):
+            return None
+        return ready(np.asarray(image), plan.binning[name])
+
+    count = min(len(series[name]) for name in plan.velocity_cameras) - 1
+    steps = sorted({int((i + 0.5) * count / _LOOKS) for i in range(_LOOKS)})
+    return first_guess(read, plan.velocity_cameras, steps)
 
 
 def load_files(

@@ -1,4 +1,4 @@
-"""Calibrations of other programs: UVMAT's XML, VIC-3D's XML, OpenCV's YAML or XML.
+"""Calibrations of other programs: UVMAT, VIC-3D, OpenCV, Kalibr, MATLAB (Bouguet's toolbox as well), WASS.
 
 All lengths become metres, all pixel coordinates (column, row) with centres at integers.
 """
@@ -8,15 +8,31 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import cv2
+import yaml
 
 from wavefield.errors import RigError
 from wavefield.rig.formats.common import LENGTHS, Size, Stated
+from wavefield.rig.formats.kalibr import is_kalibr, load_kalibr
+from wavefield.rig.formats.matlab import load_matlab
 from wavefield.rig.formats.opencv import load_opencv, save_opencv
 from wavefield.rig.formats.uvmat import load_uvmat, save_uvmat
 from wavefield.rig.formats.vic import load_vic, save_vic
+from wavefield.rig.formats.wass import load_wass
 from wavefield.rig.rig import Rig, read_rig_text
 
 __all__ = ["LENGTHS", "load_rig", "save_opencv", "save_uvmat", "save_vic"]
+
+
+_BROKEN = (
+    ET.ParseError,
+    yaml.YAMLError,
+    cv2.error,
+    LookupError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    OSError,
+)
 
 
 def load_rig(
@@ -30,13 +46,14 @@ def load_rig(
     Parameters
     ----------
     path : path, or mapping of camera name to path
-        One file, or one file per camera (UVMAT writes one per camera).
+        One file (a folder of WASS), or one file per camera (UVMAT writes one per camera).
     sizes : mapping of str to (width, height), optional
         Image size per camera, px; UVMAT's files and OpenCV's stereo files do not store it.
     names : sequence of str, optional
         Names for the cameras, in the file's order; cam1, cam2, ... if left out.
     unit : str, default "m"
-        Unit of length in OpenCV's files, which do not state it: that of the target's mesh.
+        Unit of length in files that do not state it (OpenCV, MATLAB: that of the target's mesh), or a number
+        of metres (WASS: the distance between the cameras).
 
     Returns
     -------
@@ -59,29 +76,36 @@ def load_rig(
             {"imported": {name: rig.provenance.get("imported", {}) for name, rig in rigs.items()}},
         )
     path = Path(path)
-    text = read_rig_text(path)
     stated = Stated(sizes, names, unit)
     try:
-        if text.lstrip().startswith("<"):
-            root = ET.fromstring(path.read_bytes())
-            if root.tag == "ImaDoc":
-                return load_uvmat(root, path, stated)
-            if root.tag == "opencv_storage":
-                return load_opencv(path, stated)
-            if root.find("calibration") is not None:
-                return load_vic(root, path, stated)
-            raise RigError(f"its outermost element is <{root.tag}>: neither UVMAT's, VIC-3D's nor OpenCV's")
-        if text.startswith("%YAML:1.0") or "opencv-matrix" in text:
-            return load_opencv(path, stated)
+        return _load(path, stated)
     except RigError as error:
-        raise RigError(f"{path} is not a usable rig file: {error}") from None
-    except (
-        ET.ParseError,
-        cv2.error,
-        ValueError,
-        TypeError,
-        KeyError,
-        AttributeError,
-    ) as error:
+        words = str(error)
+        raise RigError(words if str(path) in words else f"{path} is not a usable rig file: {words}") from None
+    except _BROKEN as error:
         raise RigError(f"{path} is not a rig file: {' '.join(str(error).split())}") from None
-    return Rig.load(path)
+
+
+def _load(path: Path, stated: Stated) -> Rig:
+    if path.is_dir():
+        return load_wass(path, stated)
+    if path.suffix == ".mat" and path.exists():
+        return load_matlab(path, stated)
+    text = read_rig_text(path)
+    if text.lstrip().startswith("<"):
+        return _load_xml(path, stated)
+    if text.startswith("%YAML:1.0") or "opencv-matrix" in text:
+        return load_opencv(path, stated)
+    data = yaml.safe_load(text)
+    return load_kalibr(data, path, stated) if is_kalibr(data) else Rig.load(path)
+
+
+def _load_xml(path: Path, stated: Stated) -> Rig:
+    root = ET.fromstring(path.read_bytes())
+    if root.tag == "ImaDoc":
+        return load_uvmat(root, path, stated)
+    if root.tag == "opencv_storage":
+        return load_opencv(path, stated)
+    if root.find("calibration") is not None:
+        return load_vic(root, path, stated)
+    raise RigError(f"its outermost element is <{root.tag}>: neither UVMAT's, VIC-3D's nor OpenCV's")

@@ -34,7 +34,7 @@ class Stated:
     names : sequence of str, optional
         Names for the cameras, in the file's order; cam1, cam2, ... if left out.
     unit : str, default "m"
-        Unit of length.
+        Unit of length, or a number of metres.
     """
 
     sizes: Mapping[str, Size] | None = None
@@ -44,9 +44,14 @@ class Stated:
     @property
     def length(self) -> float:
         """The unit of length, metres."""
-        if self.unit not in LENGTHS:
-            raise RigError(f"{self.unit!r} is no unit of length; use one of {', '.join(LENGTHS)}")
-        return LENGTHS[self.unit]
+        if self.unit in LENGTHS:
+            return LENGTHS[self.unit]
+        try:
+            return float(self.unit)
+        except ValueError:
+            raise RigError(
+                f"{self.unit!r} is no unit of length; use one of {', '.join(LENGTHS)}, or a number of metres"
+            ) from None
 
     def size(self, name: str, program: str, found: tuple[float, float] | None = None) -> Size:
         """Image size of a camera: as stated, or as found in the file."""

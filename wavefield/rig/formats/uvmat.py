@@ -42,6 +42,7 @@ def load_uvmat(root: ET.Element, path: Path, stated: Stated) -> Rig:
         )
     (name,) = stated.named(1, [path.stem])
     size = stated.size(name, "UVMAT")
+    _check_size(calibration, size)
     unit = (calibration.findtext("CoordUnit") or "").strip()
     if unit not in LENGTHS:
         raise RigError(f"its <CoordUnit> {unit!r} is no unit of length")
@@ -59,6 +60,21 @@ def load_uvmat(root: ET.Element, path: Path, stated: Stated) -> Rig:
     if index is not None and float(index) != 1.0:
         note["left_out"] = f"refraction index {float(index)}: sight lines are straight here, as in air"
     return Rig({name: camera}, {"imported": note})
+
+
+def _check_size(calibration: ET.Element, size: tuple[int, int]) -> None:
+    """Refuse an image too small for the points that were marked: UVMAT stores no size."""
+    marked = [
+        [float(v) for v in (point.text or "").split()]
+        for point in calibration.iterfind("SourceCalib/PointCoord")
+    ]
+    pixel = np.array([row[3:5] for row in marked if len(row) >= 5]).reshape(-1, 2)
+    if len(pixel) and (pixel.max(axis=0) > size).any():
+        x, y = pixel.max(axis=0)
+        raise RigError(
+            f"it has a point marked at ({x:.0f}, {y:.0f}) px, outside an image of {size[0]} x {size[1]} px: "
+            "state the size of the images it was made with"
+        )
 
 
 def save_uvmat(camera: Camera, path: str | Path, unit: str = "cm") -> None:

@@ -1,0 +1,82 @@
+"""The range of displacements is found from the images, before anything is measured."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from wavefield import matching
+from wavefield.measurement import Settings
+from wavefield.measurement.first_guess import FirstGuess, first_guess, shifts, wide_enough
+
+USUAL = (-16.0, 16.0)
+
+
+def photograph(seed=0, size=640):
+    rng = np.random.default_rng(seed)
+    beads = np.zeros((size, size), np.float32)
+    beads[rng.integers(0, size, size * 20), rng.integers(0, size, size * 20)] = 1.0
+    return 200 * ndimage.gaussian_filter(beads, 1.1).astype(np.float32) + 10
+
+
+def moved(image, dx, dy):
+    return np.roll(image, (dy, dx), (0, 1))
+
+
+def test_pieces_of_an_image_are_found_far_away():
+    image = photograph()
+    found = shifts(image, moved(image, 70, -41))
+    sure = found[np.isfinite(found[:, 0])]
+    assert len(sure) >= 25  # all but those that left the image
+    np.testing.assert_array_equal(np.unique(sure[:, :2], axis=0), [[70, -41]])
+
+
+def test_unlike_images_are_not_found():
+    found = shifts(photograph(1), photograph(2))
+    assert len(found) == 36
+    assert np.isnan(found[:, 0]).mean() > 0.95
+
+
+def guess(*steps):
+    """Of a record of one camera, whose every step moves as stated."""
+    frames = {}
+    for k, (dx, dy) in enumerate(steps):
+        frames[2 * k] = photograph(k)
+        frames[2 * k + 1] = moved(frames[2 * k], dx, dy)
+    return first_guess(lambda name, frame: frames[frame], ["cam1"], [2 * k for k in range(len(steps))])
+
+
+def test_a_sea_that_moves_both_ways_widens_the_search_both_ways():
+    found = guess((40, 0), (-38, 6))
+    assert (found.x, found.y) == ((-38, 40), (0, 6))
+    (low, high), _ = found.search(USUAL)
+    assert low < -38 - 12
+    assert high > 40 + 12
+    assert "-38 to +40 px along x" in found.sentence
+
+
+def test_what_the_usual_search_holds_changes_nothing():
+    settings = Settings()
+    assert wide_enough(settings, guess((9, -4))) is settings
+    assert wide_enough(settings, FirstGuess((0, 0), (0, 0), 0, 36, 1)) is settings
+    assert "only 0 of 36" in FirstGuess((0, 0), (0, 0), 0, 36, 1).sentence
+
+
+@pytest.mark.parametrize("shift", [5, 30, 90, 200])
+def test_real_texture_is_measured_however_far_it_moves(shared, shift):
+    from wavefield.images import read_image
+
+    folder = shared / "data" / "piv_samples" / "Milestone" / "Images"
+    image = read_image(sorted(p for p in folder.rglob("*") if p.suffix in (".png", ".tif"))[0]).astype(
+        np.float32
+    )
+    left = shift // 2
+    first, second = image[:, left + shift : -1 - left], image[:, left : image.shape[1] - 1 - left - shift]
+    frames = {0: np.ascontiguousarray(first), 1: np.ascontiguousarray(second)}
+    found = first_guess(lambda name, frame: frames[frame], ["cam1"], [0])
+    settings = wide_enough(Settings(), found).piv
+    match = matching.match(frames[0], frames[1], settings)
+    inside = (match.x > 30)[None, :] & (match.x < first.shape[1] - shift - 40)[None, :]
+    inside = inside & np.ones(match.u.shape, bool)
+    inside[:6], inside[-6:] = False, False
+    assert match.valid[inside].mean() > 0.95
+    assert np.sqrt(np.mean((match.u - shift)[inside & match.valid] ** 2)) < 0.02

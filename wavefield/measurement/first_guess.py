@@ -1,0 +1,193 @@
+"""How far the water moves between two frames: a coarse look over the record, before it is measured.
+
+The matching starts from a search of whole pixels within a range. Here that range is found from the images
+themselves, once per run, and written into the recipe, so that every block of the run starts alike.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.measurement.settings import Settings
+
+TILE = 64  # px: side of the pieces that are looked for
+REACH = 256  # px: how far
+ACROSS = 6  # pieces along each side of an image
+SURE = 0.4  # correlation of a piece that is found
+ALONE = 0.85  # second-best correlation over the best, above which there is no telling
+NEAR = 8.0  # px: pieces that moved alike differ by less than this and a quarter of their motion
+MARGIN = 12.0  # px added to what was found, and a quarter of its span
+
+Float = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class FirstGuess:
+    """Range of the displacements from one frame to the next.
+
+    Parameters
+    ----------
+    x, y : (float, float)
+        Smallest and largest displacement that was found, px of the image as it is matched.
+    found, tried : int
+        Pieces of images that were found again, and all that were looked for.
+    steps : int
+        Steps looked at.
+    """
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    found: int
+    tried: int
+    steps: int
+
+    def search(self, usual: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]] | None:
+        """Ranges to search along x and y; None where the usual one holds what was found, or nothing was.
+
+        Parameters
+        ----------
+        usual : (float, float)
+            The range that is searched unless said otherwise, px.
+
+        Returns
+        -------
+        (float, float), (float, float)
+            Along x and along y, px.
+        """
+        if not self.found:
+            return None
+        if all(low >= usual[0] and high <= usual[1] for low, high in (self.x, self.y)):
+            return None
+        return _widened(self.x), _widened(self.y)
+
+    @property
+    def sentence(self) -> str:
+        """All this for a person."""
+        if self.found < 0.1 * self.tried:
+            return (
+                f"motion: only {self.found} of {self.tried} pieces of images are found in the next frame; "
+                "are frames of one camera in order, bright and seeded, and the step short enough?"
+            )
+        along = (f"{low:+.0f} to {high:+.0f} px" for low, high in (self.x, self.y))
+        return (
+            f"motion: {next(along)} along x, {next(along)} along y from frame to frame "
+            f"({self.found} of {self.tried} pieces of {self.steps} steps found)"
+        )
+
+
+def _widened(ends: tuple[float, float]) -> tuple[float, float]:
+    margin = MARGIN + 0.25 * (ends[1] - ends[0])
+    return float(np.floor(ends[0] - margin)), float(np.ceil(ends[1] + margin))
+
+
+def shifts(a: Float, b: Float) -> NDArray[np.float64]:
+    """Whole-pixel displacement of pieces of one image to the next.
+
+    Parameters
+    ----------
+    a, b : ndarray of float32, (row, column)
+        Two frames of one camera, any scale.
+
+    Returns
+    -------
+    ndarray, (n, 3)
+        Displacement along x and y, px, and correlation of every piece that has light and shade; NaN for the
+        displacement of those that are not found for sure.
+
+    Notes
+    -----
+    Normalised correlation of squares of 64 px within 256 px around their place. A piece counts if its best
+    correlation exceeds .4 and all others further than 3 px from it are less than .85 of that.
+    """
+    height, width = a.shape
+    tile = min(TILE, height // 4, width // 4)
+    if tile < 16:
+        return np.zeros((0, 3))
+    rows = np.linspace(0, height - tile, ACROSS).astype(int)
+    columns = np.linspace(0, width - tile, ACROSS).astype(int)
+    contrast = float(a.std())
+    out = []
+    for y in rows.tolist():
+        for x in columns.tolist():
+            piece = a[y : y + tile, x : x + tile]
+            if not float(piece.std()) > 0.2 * contrast:
+                continue
+            x0, y0 = max(0, x - REACH), max(0, y - REACH)
+            around = b[y0 : y + tile + REACH, x0 : x + tile + REACH]
+            out.append(_found(piece, around, x - x0, y - y0))
+    return np.array(out, float).reshape(-1, 3)
+
+
+def _found(piece: Float, around: Float, x: int, y: int) -> tuple[float, float, float]:
+    score = cv2.matchTemplate(np.ascontiguousarray(around), np.ascontiguousarray(piece), cv2.TM_CCOEFF_NORMED)
+    _, best, _, (column, row) = cv2.minMaxLoc(score)
+    rest = score.copy()
+    rest[max(0, row - 3) : row + 4, max(0, column - 3) : column + 4] = -1.0
+    if not best > SURE or rest.max() > ALONE * best:
+        return np.nan, np.nan, float(best)
+    return float(column - x), float(row - y), float(best)
+
+
+def first_guess(
+    read: Callable[[str, int], NDArray[np.float32] | None], cameras: Sequence[str], steps: Sequence[int]
+) -> FirstGuess:
+    """Look at some steps of a record.
+
+    Parameters
+    ----------
+    read : callable
+        From camera and frame to the image as it is matched (row, column), or None where it is missing.
+    cameras : sequence of str
+        Which.
+    steps : sequence of int
+        First frames of the steps, spread over the record.
+
+    Returns
+    -------
+    FirstGuess
+        Of the pieces that another one nearby in the same step bears out.
+    """
+    kept: list[NDArray[np.float64]] = []
+    tried = seen = 0
+    for step in steps:
+        for name in cameras:
+            a, b = read(name, step), read(name, step + 1)
+            if a is None or b is None:
+                continue
+            seen += name == cameras[0]
+            moved = shifts(a, b)
+            tried += len(moved)
+            moved = moved[np.isfinite(moved[:, 0]), :2]
+            apart = np.hypot(*(moved[:, None] - moved).T) - NEAR - 0.25 * np.hypot(*moved.T)
+            kept.append(moved[(apart < 0).sum(axis=0) > 1])
+    found = np.concatenate(kept) if kept else np.zeros((0, 2))
+    if not len(found):
+        return FirstGuess((0.0, 0.0), (0.0, 0.0), 0, tried, seen)
+    (x0, y0), (x1, y1) = found.min(axis=0).tolist(), found.max(axis=0).tolist()
+    return FirstGuess((x0, x1), (y0, y1), len(found), tried, seen)
+
+
+def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
+    """Settings that search as far as the water moves.
+
+    Parameters
+    ----------
+    settings : Settings
+        The choices so far.
+    guess : FirstGuess
+        How far the water moves.
+
+    Returns
+    -------
+    Settings
+        The same where their range holds what was found.
+    """
+    piv = settings.piv
+    usual = piv.search_x or (-4.0, 4.0)  # without a search the pyramid reaches a few px
+    wide = guess.search(usual)
+    if wide is None:
+        return settings
+    return replace(settings, piv=replace(piv, search_x=wide[0], search_y=wide[1]))
