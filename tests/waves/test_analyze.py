@@ -203,10 +203,14 @@ def test_what_cannot_be_analysed_is_said_in_one_sentence(sea, probes, tmp_path):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("t,p1\n0,1\n", "no header"),
-        ("", "no header"),
-        ("time,p1\n0,one\n", "something else than numbers"),
-        ("time,p1,p2\n0,1\n1,2\n", "3 numbers in every line"),
+        ("when,p1\n0,1\n", "line 1: no header"),
+        ("", "are empty"),
+        ("time,p1\n", "hold 0 lines of numbers"),
+        ("time,p1\n0,one\n", "line 2: 'one' is no number"),
+        ("# a remark\ntime,p1,p2\n0,1,2\n1,2\n", "line 4: 2 values, but the header names 3 columns"),
+        ("time,p1\n0,1\n2,1\n1,1\n", "line 4: time does not rise"),
+        ("time,p1 [ft]\n0,1\n1,2\n", "unit 'ft' is not known"),
+        ("time,p1\n0,14\n1,-12\n2,9\n", "p1 varies by .* write 'p1 .mm.' into the header"),
     ],
 )
 def test_a_spoiled_probe_file_is_named(tmp_path, text, sentence):
@@ -254,3 +258,35 @@ def test_memory_stays_bounded_by_the_segment(tmp_path, chunks):
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
     assert peaks[1] < 1.5 * peaks[0]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time,p1,p2\n0,.01,0\n.1,-.01,0\n",
+        "t [ms];p1 [mm];p2 [cm]\n0;10;0\n100;-10;0\n",
+        "# unit mm\nTime (s)\tp1\tp2\n0\t10\t0\n0.1\t-10\t0\n",
+        "\ufefftime,p1 (m),p2\n0,.01,0\n.1,-.01,0\n",
+    ],
+)
+def test_a_laboratorys_header_is_read_with_its_units(tmp_path, text):
+    path = tmp_path / "probes.csv"
+    path.write_text(text, encoding="utf-8")
+    read = wv.read_probes(path)
+    np.testing.assert_allclose(read.elevation.sel(probe="p1"), [0.01, -0.01])
+    np.testing.assert_allclose(read.time, [0, 0.1])
+
+
+def test_a_bad_cell_costs_neither_its_probe_nor_the_others(sea, probes, tmp_path):
+    read = wv.read_probes(probes).load()
+    omega = wv.frequency_spectrum(wv.komega(sea.z, segment=64)).omega
+    span = (float(sea.time[0]), float(sea.time[-1]))
+    whole = wv.probe_spectra(read, omega, span)
+    read.elevation[0, 400:402] = np.nan
+    mended = wv.probe_spectra(read, omega, span)
+    assert float(abs(mended.Ez_probe / whole.Ez_probe - 1).isel(omega=slice(3, 20)).max()) < 0.2
+    read.elevation[0, 400:420] = np.nan
+    with pytest.warns(UserWarning, match=r"is left out: 20 of its \d+ values"):
+        left = wv.probe_spectra(read, omega, span)
+    assert np.isnan(left.Ez_probe[0]).all()
+    assert np.isfinite(left.Ez_probe[1:]).any()

@@ -1,7 +1,9 @@
 """Wave probes: reading their file, and their spectrum on the frequencies of the cube's."""
 
+import re
+import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -14,6 +16,8 @@ from wavefield.waves.welch import LOWEST
 from wavefield.waves.windows import degrees_of_freedom, hann, interval, segment_count
 
 Array = NDArray[Any]
+LONGEST_GAP = 3  # samples that are bridged
+_LARGEST = 0.5  # m, standard deviation: waves in a tank are lower
 
 
 def read_probes(path: str | Path) -> xr.Dataset:
@@ -22,7 +26,9 @@ def read_probes(path: str | Path) -> xr.Dataset:
     Parameters
     ----------
     path : path-like
-        CSV with header ``time,<names>`` (s, m), after lines ``# name x y`` that give positions (m).
+        Table with a header, columns parted by commas, semicolons or tabs: a column of time (``time``,
+        ``t``; s or ms) and one per probe. Units stand in brackets in the header, as in ``p1 [mm]``, or in a
+        line ``# unit mm``; without any they are metres. Lines ``# name x y`` give positions, m.
 
     Returns
     -------
@@ -33,15 +39,25 @@ def read_probes(path: str | Path) -> xr.Dataset:
     Raises
     ------
     ExperimentError
-        If the file cannot be read or its columns do not fit its header.
+        If the file cannot be read, a line does not fit the header, time does not rise, or the numbers are
+        no metres; the message names the line.
+
+    Notes
+    -----
+    An empty cell, or one that says nan, is a missing value of that probe at that time alone.
     """
     path = Path(path)
     try:
-        lines = path.read_text().splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
         raise ExperimentError(f"cannot read the probes {path}: {error.strerror}") from None
-    places = _places(lines)
-    names, table = _table(path, [line for line in lines if line.strip() and not line.startswith("#")])
+    except UnicodeDecodeError:
+        raise ExperimentError(f"the probes {path} are not a text file; write them as CSV") from None
+    places, unit = _places(lines), _unit_of(lines, path)
+    body = [(k, line) for k, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    columns, separator = _header(path, body, unit)
+    table = _table(path, body[1:], columns, separator)
+    names = [column.name for column in columns[1:]]
     nowhere = (np.nan, np.nan)
     out = xr.Dataset(
         {"elevation": (("probe", "time"), table[:, 1:].T)},
@@ -68,17 +84,74 @@ def _places(lines: list[str]) -> dict[str, tuple[float, float]]:
     return out
 
 
-def _table(path: Path, body: list[str]) -> tuple[list[str], Array]:
-    header = [word.strip() for word in body[0].split(",")] if body else []
-    if len(header) < 2 or header[0] != "time":
-        raise ExperimentError(f"the probes {path} have no header 'time,<names>': write one above the numbers")
-    try:
-        table = np.array([[float(word or "nan") for word in line.split(",")] for line in body[1:]])
-    except ValueError as error:
-        raise ExperimentError(f"the probes {path} hold something else than numbers: {error}") from None
-    if table.ndim != 2 or table.shape[1] != len(header):
-        raise ExperimentError(f"the probes {path} do not have {len(header)} numbers in every line")
-    return header[1:], table
+_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6, "s": 1.0, "ms": 0.001}
+_TIMES = ("time", "t", "zeit", "temps", "tiempo")
+
+
+class _Column(NamedTuple):
+    name: str
+    factor: float  # to metres, or seconds
+    stated: bool  # whether the file says its unit
+
+
+def _unit_of(lines: list[str], path: Path) -> str:
+    """Unit of all probes, from a line ``# unit mm``."""
+    for k, line in enumerate(lines, 1):
+        words = line.lstrip("#").replace(":", " ").split()
+        if line.startswith("#") and len(words) == 2 and words[0].lower() in ("unit", "units"):
+            if words[1] not in _UNITS:
+                raise ExperimentError(f"{path}, line {k}: unit {words[1]!r} is not known; use m, cm or mm")
+            return words[1]
+    return ""
+
+
+def _header(path: Path, body: list[tuple[int, str]], unit: str) -> tuple[list[_Column], str]:
+    if not body:
+        raise ExperimentError(f"the probes {path} are empty")
+    number, line = body[0]
+    separator = max(",;\t", key=line.count)
+    columns = []
+    for word in line.split(separator):
+        match = re.fullmatch(r"(.*?)\s*(?:[\[(]\s*(\w+)\s*[\])])?", word.strip().strip('"'))
+        name, own = (match[1], match[2] or "") if match else (word.strip(), "")
+        if own and own not in _UNITS:
+            raise ExperimentError(f"{path}, line {number}: unit {own!r} is not known; use m, cm, mm, s or ms")
+        own = own or ("" if not columns else unit)
+        columns.append(_Column(name, _UNITS.get(own, 1.0), bool(own)))
+    if len(columns) < 2 or columns[0].name.lower() not in _TIMES:
+        raise ExperimentError(f"{path}, line {number}: no header 'time,<names>': write one above the numbers")
+    return columns, separator
+
+
+def _table(path: Path, body: list[tuple[int, str]], columns: list[_Column], separator: str) -> Array:
+    rows = []
+    for number, line in body:
+        words = line.split(separator)
+        if len(words) != len(columns):
+            raise ExperimentError(
+                f"{path}, line {number}: {len(words)} values, but the header names {len(columns)} columns"
+            )
+        try:
+            rows.append([float(word.strip() or "nan") for word in words])
+        except ValueError as error:
+            raise ExperimentError(
+                f"{path}, line {number}: {str(error).split(': ')[-1]} is no number; where there is no value "
+                "leave the cell empty"
+            ) from None
+    if len(rows) < 2:
+        raise ExperimentError(f"the probes {path} hold {len(rows)} lines of numbers; two at least are needed")
+    table = np.array(rows) * [column.factor for column in columns]
+    rising = np.diff(table[:, 0]) > 0
+    if not rising.all():
+        raise ExperimentError(f"{path}, line {body[int(np.argmin(rising)) + 1][0]}: time does not rise")
+    for k, column in enumerate(columns[1:], 1):
+        values = table[:, k][np.isfinite(table[:, k])]
+        if values.size and not column.stated and float(values.std()) > _LARGEST:
+            raise ExperimentError(
+                f"{path}: {column.name} varies by {values.std():.3g} m; if these are millimetres write "
+                f"'{column.name} [mm]' into the header or add a line '# unit mm' (m, if they are metres)"
+            )
+    return table
 
 
 def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, float]) -> xr.Dataset:
@@ -108,10 +181,16 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
     target = omega.values
     duration = 2 * np.pi / float(omega[1] - omega[0])
     inside, rate = _shared_time(probes["time"].values, span, duration)
-    values = probes["elevation"].values[:, inside]
+    values = np.array([_bridged(row) for row in probes["elevation"].values[:, inside]])
     usable = np.isfinite(values).all(axis=1)
     if not usable.any():
         raise CubeError("every probe has missing values during the record: mend or leave out the probes")
+    for name, row in zip(probes["probe"].values[~usable], values[~usable]):
+        warnings.warn(
+            f"probe {name} is left out: {np.isnan(row).sum()} of its {row.size} values during the record are "
+            f"missing, more than {LONGEST_GAP} in a row",
+            stacklevel=2,
+        )
     own, density, count = _density(values, rate, duration)
     # the frequencies agree where the rates divide; else straight lines between them
     on_grid = np.array([np.interp(target, own, row, right=np.nan) for row in density])
@@ -133,6 +212,19 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
         {name: probes[name] for name in ("probe", "probe_x", "probe_y")} | {"omega": omega},
     )
     return annotate(out, "spectra")
+
+
+def _bridged(values: Array) -> Array:
+    """A series with its short gaps filled by straight lines."""
+    missing = ~np.isfinite(values)
+    if not missing.any() or missing.all():
+        return values
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(int), [0]])))
+    out, there = values.copy(), np.flatnonzero(~missing)
+    for start, stop in zip(edges[::2], edges[1::2]):
+        if stop - start <= LONGEST_GAP:
+            out[start:stop] = np.interp(np.arange(start, stop), there, values[there])
+    return out
 
 
 def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[Array, float]:
