@@ -1,0 +1,132 @@
+"""What a long record and many workers cost the scheduler: `python -m benchmarks.scheduler [WORKERS CHUNKS]`.
+
+The scheduler is a process of its own; stand-in workers (all in another process, so that a machine can hold
+200) do stand-in work that sleeps; all else is as in a run: the same map, the same messages, over TCP of the
+loopback. Then a store of a long record is opened.
+"""
+
+import asyncio
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+from distributed import Client, Worker
+
+from wavefield.cubes.dask_cluster import _map_on
+from wavefield.cubes.dask_settings import configured, dask_settings
+from wavefield.cubes.workflow import Workflow
+
+
+def nap(chunk: int) -> int:
+    """Stand-in for measuring a chunk."""
+    time.sleep(0.02)
+    return chunk
+
+
+def count_tasks(dask_scheduler) -> int:
+    """Tasks that the scheduler holds."""
+    return len(dask_scheduler.tasks)
+
+
+async def live(address: str, number: int) -> None:
+    """Be that many workers, for as long as there is a scheduler."""
+    workers = [
+        Worker(address, nthreads=1, host="127.0.0.1", dashboard_address="127.0.0.1:0") for _ in range(number)
+    ]
+    await asyncio.gather(*workers)
+    await asyncio.gather(*(worker.finished() for worker in workers))
+
+
+def schedule(number: int, chunks: int) -> None:
+    """Print what that many chunks cost."""
+    quiet = {"stderr": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
+    with tempfile.TemporaryDirectory() as folder, configured(dask_settings(Workflow())):
+        file = Path(folder) / "scheduler.json"
+        command = [
+            sys.executable,
+            "-m",
+            "distributed.cli.dask_scheduler",
+            "--host",
+            "127.0.0.1",
+            "--port",
+            "0",
+        ]
+        scheduler = subprocess.Popen([*command, "--no-dashboard", "--scheduler-file", str(file)], **quiet)
+        workers = None
+        try:
+            with Client(scheduler_file=str(file), set_as_default=False) as client:
+                command = [sys.executable, "-m", "benchmarks.scheduler", "live", client.scheduler.address]
+                workers = subprocess.Popen([*command, str(number)], **quiet)
+                client.wait_for_workers(number)
+                measure(client, psutil.Process(scheduler.pid), number, chunks)
+        finally:
+            for process in (workers, scheduler):
+                if process:
+                    process.kill()
+                    process.wait()
+
+
+def measure(client: Client, scheduler: psutil.Process, number: int, chunks: int) -> None:
+    """Map that many chunks, and print what the scheduler took for it."""
+    start, cpu, own = time.perf_counter(), sum(scheduler.cpu_times()[:2]), time.process_time()
+    memory, held, done = scheduler.memory_info().rss, 0, 0
+    for chunk, result in _map_on(client, nap, range(chunks), 2 * number, lambda: None):
+        done += chunk == result
+        if done % 500 == 250:
+            held = max(held, client.run_on_scheduler(count_tasks))
+    assert done == chunks
+    now = scheduler.memory_info().rss
+    print(
+        "| workers | chunks | wall s | scheduler, CPU ms per chunk | client, CPU ms per chunk "
+        "| memory of the scheduler, MB | grown by | most tasks held |\n|---|---|---|---|---|---|---|---|"
+    )
+    print(
+        f"| {number} | {chunks} | {time.perf_counter() - start:.0f} "
+        f"| {1e3 * (sum(scheduler.cpu_times()[:2]) - cpu) / chunks:.2f} "
+        f"| {1e3 * (time.process_time() - own) / chunks:.2f} "
+        f"| {now / 1e6:.0f} | {(now - memory) / 1e6:.0f} | {held} |\n",
+        flush=True,
+    )
+
+
+def ledger(steps: int) -> None:
+    """Print what opening and asking the store of a long record costs."""
+    import zarr
+
+    from wavefield.cubes import open_cube, status
+    from wavefield.store.layout import Layout, create_store
+    from wavefield.store.recipe import Recipe
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "cube.zarr"
+        x, y = np.linspace(-1, 1, 201), np.linspace(-0.75, 0.75, 151)
+        layout = Layout(steps, 100, ("cam1", "cam2", "cam3"), 0)
+        recipe = Recipe("stand-in", {}, (0, steps), 20.0, {}, {}, {})
+        create_store(path, recipe, x, y, layout, {})
+        zarr.open_group(path, mode="r+")["frame_status"][:] = 1
+        files = sum(1 for file in path.rglob("*") if file.is_file())
+        print(f"| store of {steps} steps, {files} files | s | CPU s |\n|---|---|---|")
+        for name, function in (("open", open_cube), ("status", status)):
+            function(path)  # imports
+            start, cpu = time.perf_counter(), time.process_time()
+            function(path)
+            wall, cpu = time.perf_counter() - start, time.process_time() - cpu
+            print(f"| {name} | {wall:.2f} | {cpu:.2f} |", flush=True)
+
+
+def main() -> None:
+    """Measure both."""
+    if sys.argv[1:2] == ["live"]:
+        asyncio.run(live(sys.argv[2], int(sys.argv[3])))
+        return
+    number, chunks = (int(word) for word in sys.argv[1:3]) if len(sys.argv) > 2 else (200, 20_000)
+    schedule(number, chunks)
+    ledger(120_000)
+
+
+if __name__ == "__main__":
+    main()
