@@ -62,9 +62,7 @@ def test_the_map_is_the_step_of_the_cube(page, fields):
     assert page.column("map_image", "dh")[0] == pytest.approx(0.8)
 
 
-@pytest.mark.parametrize(
-    ("key", "step"), [("ArrowRight", 3), ("ArrowLeft", 1), ("PageDown", 22), ("End", 159)]
-)
+@pytest.mark.parametrize(("key", "step"), [("ArrowRight", 3), ("ArrowLeft", 1), ("PageUp", 22), ("End", 159)])
 def test_keys_step(page, fields, key, step):
     page.page.keyboard.press(key)
     page.wait(at_step(step))

@@ -59,6 +59,7 @@ for _command in (
     waves.analyze,
     waves.report,
     look.look,
+    look.follow,
     archive.export,
     archive.catalog,
     archive.rig,

@@ -1,4 +1,4 @@
-"""`wavefield look`: an interactive page of a cube."""
+"""`wavefield look` and `wavefield follow`: interactive pages of a cube, and of cameras at work."""
 
 import os
 import webbrowser
@@ -60,6 +60,40 @@ def look(source: Path, waves: Path | None, port: int | None, open_page: bool) ->
         server.io_loop.start()
     except KeyboardInterrupt:
         server.stop()
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield follow experiment.yaml             # while the cameras write
+  wavefield follow experiment.yaml --rig rig.yaml
+"""
+)
+@click.argument("experiment", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--rig", type=click.Path(exists=True, path_type=Path), help="In place of the experiment's rig.")
+@click.option("--port", type=click.IntRange(0, 65535), help="Port; by default 5006 or the next free one.")
+@click.option("--open/--no-open", "open_page", default=True, help="Whether to open the page in a browser.")
+def follow(experiment: Path, rig: Path | None, port: int | None, open_page: bool) -> None:
+    """Follow an experiment while its cameras write: the newest map, and lights.
+
+    Measures the newest set of frames that is whole, as often as it can, and says how many it skips.
+    Lights tell of brightness, saturation, seeding, focus, synchronisation, mismatch, coverage; they work
+    before there is a rig, too. Writes nothing.
+    """
+    from wavefield.explorer.follow_page import follow_server
+    from wavefield.explorer.follower import Follower
+    from wavefield.series import Experiment
+
+    follower = Follower(Experiment.load(experiment), rig)
+    server = follow_server(follower, port)
+    follower.start()
+    server.start()
+    announce(f"http://localhost:{server.port}/", int(server.port or 0), open_page)
+    try:
+        server.io_loop.start()
+    except KeyboardInterrupt:
+        server.stop()
+    follower.stop()
 
 
 def _cube_of(source: Path) -> Path:

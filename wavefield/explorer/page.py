@@ -100,7 +100,7 @@ class Page:
         record, beside = looked.record, looked.beside
         self._record = record
         self._scheduled: set[str] = set()
-        self._known = -1
+        self._known = self._tried = -1
         self._fitting = False
         self._make_controls()
         self.map = MapPanel(record, self.drag, self.pick)
@@ -315,7 +315,7 @@ class Page:
         self.low.value, self.high.value = low, high
         self._fitting = False
         time = self._record.time[self.place.step]
-        tried = self._record.ledger[self.place.step]
+        tried = self._tried = int(self._record.ledger[self.place.step])
         words = {0: "not measured yet", 3: "this step could not be measured"}.get(int(tried), "")
         name, record = self.place.show, self._record
         self.map.figure.title.text = (
@@ -359,6 +359,8 @@ class Page:
         record = self._record
         if record.steps_done < record.layout.steps and record.refresh():
             self.looked.load()
+        if record.ledger[self.place.step] != self._tried:  # whoever noticed first
+            self.redraw()
         known = int(record.preview.known.sum())
         if known != self._known and (record.preview.complete or not self.place.node):
             self._show_picked()

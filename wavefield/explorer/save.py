@@ -96,7 +96,7 @@ def movie(record: Record, place: Place, kind: str, frames: int) -> bytes:
     place : Place
         Where it begins.
     kind : {"mp4", "gif"}
-        Format; MP4 holds VP9, which browsers and VLC play.
+        Format; MP4 holds MPEG-4 video, which players play and browsers do not: for those the GIF.
     frames : int
         Steps, at most.
 
@@ -144,7 +144,7 @@ def _mp4(pictures: Iterator[NDArray[np.uint8]], rate: float) -> bytes:
         writer: Any = None
         for rgb in pictures:
             if writer is None:
-                code = cv2.VideoWriter.fourcc(*"vp09")
+                code = cv2.VideoWriter.fourcc(*"mp4v")
                 writer = cv2.VideoWriter(str(path), code, rate, (rgb.shape[1], rgb.shape[0]))
                 if not writer.isOpened():
                     raise StoreError("this installation of OpenCV cannot write MP4: save a GIF instead")

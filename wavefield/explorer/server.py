@@ -162,6 +162,7 @@ class Served:
         finally:
             self._ready.set()
         self._server.io_loop.start()
+        self._server.io_loop.close(all_fds=True)  # pages notice
 
     @property
     def url(self) -> str:

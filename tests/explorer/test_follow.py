@@ -1,0 +1,225 @@
+"""Following cameras at work: the newest whole set, what is skipped, and the light that turns."""
+
+import os
+import shutil
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from wavefield.explorer.follower import Follower
+from wavefield.explorer.lights import bead_size, features, verdict
+from wavefield.explorer.watch import Watch
+from wavefield.images import write_image
+from wavefield.series import Experiment
+
+CAMERAS = ("cam1", "cam2", "cam3")
+
+
+@pytest.fixture(scope="module")
+def small_tank():
+    """Frames of a small tank, (camera, number), and its rig."""
+    from wavefield.tank import Scene, Tank
+
+    tank = Tank(Scene.load("demo").with_(rig={"crop": 0.2}, sea={"shortest": 0.15}))
+    return tank.rig, [tank.render(number) for number in range(7)]
+
+
+def record(folder, rig=None, rig_name="rig.yaml"):
+    """An experiment file whose cameras have not written anything yet."""
+    folder.mkdir(exist_ok=True)
+    if rig is not None:
+        rig.save(folder / rig_name)
+    cameras = "\n".join(f'  {name}: "{name}/img_{{frame:05d}}.tif"' for name in CAMERAS)
+    path = folder / "experiment.yaml"
+    path.write_text(
+        f"name: live\nframe_rate: 20\ncameras:\n{cameras}\n"
+        "grid: {x: [-0.06, 0.06], y: [-0.06, 0.06], step: 0.01}\n"
+    )
+    return path
+
+
+def write(folder, number, images):
+    for name, image in images.items():
+        write_image(folder / name / f"img_{number:05d}.tif", image)
+
+
+def blurred(image):
+    return cv2.GaussianBlur(image, (0, 0), 2.0)
+
+
+def dimmed(image):
+    dark = np.percentile(image, 0.1)
+    return np.clip(dark + 0.1 * (image.astype(float) - dark), 0, 255).round().astype(np.uint8)
+
+
+def without_beads(image):
+    rng = np.random.default_rng(4)
+    level, low = np.median(image), np.percentile(image, 5)
+    return (
+        np.clip(rng.normal(level, max(level - low, 1.0) / 1.6, image.shape), 0, 255).round().astype(np.uint8)
+    )
+
+
+def knocked(image):
+    return np.roll(image, (9, 4), (0, 1))
+
+
+FAULTS = {
+    "a lens out of focus": (blurred, "focus"),
+    "a lamp switched off": (dimmed, "brightness"),
+    "beads gone": (without_beads, "seeding"),
+    "a camera knocked": (knocked, "eps_y"),
+}
+
+
+@pytest.fixture(scope="module")
+def followed(small_tank, tmp_path_factory):
+    """A follower that has seen six good frames, and its folder; copied by each test."""
+    rig, frames = small_tank
+    folder = tmp_path_factory.mktemp("live")
+    follower = Follower(Experiment.load(record(folder, rig)))
+    assert not follower.look()
+    for number, images in enumerate(frames[:6]):
+        write(folder, number, images)
+        follower.look()
+    return follower, folder
+
+
+def test_good_frames_turn_no_light(followed):
+    follower, _ = followed
+    assert follower.seen.number == 4
+    assert follower.seen.measured == 5
+    assert verdict(follower.seen.lights) is None
+    assert np.isfinite(follower.seen.fields["z"]).mean() > 0.8
+    assert 0 <= follower.seen.delay < 60
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_right_light_turns(followed, small_tank, tmp_path, fault):
+    import copy
+
+    follower, folder = followed
+    _, frames = small_tank
+    spoil, name = FAULTS[fault]
+    later = copy.copy(follower)
+    shutil.copytree(folder, tmp_path / "live")
+    later.experiment = Experiment.load(tmp_path / "live" / "experiment.yaml")
+    later.watch = Watch(later.experiment)
+    later._start = copy.deepcopy(follower._start)
+    for number in (6, 7):
+        images = dict(frames[6])
+        images["cam2"] = spoil(images["cam2"])
+        if name == "brightness":  # a lamp lights all of them
+            images = {camera: spoil(image) for camera, image in frames[6].items()}
+        write(tmp_path / "live", number, images)
+    assert later.look()
+    first = verdict(later.seen.lights)
+    said = "\n".join(map(str, later.seen.lights))
+    assert first is not None, said
+    assert first.name == name, said
+    if name != "brightness":
+        assert "cam2" in first.camera
+
+
+def test_a_cable_pulled_turns_its_cameras_light_and_the_others_go_on(followed, small_tank, tmp_path):
+    import copy
+
+    follower, folder = followed
+    later = copy.copy(follower)
+    shutil.copytree(folder, tmp_path / "live")
+    later.experiment = Experiment.load(tmp_path / "live" / "experiment.yaml")
+    later.watch = Watch(later.experiment)
+    later._start = copy.deepcopy(follower._start)
+    now = time.time()
+    for name in CAMERAS:
+        for number in range(6):
+            path = tmp_path / "live" / name / f"img_{number:05d}.tif"
+            os.utime(path, (now - 3, now - 3))
+    for number in (6, 7):
+        write(tmp_path / "live", number, {n: i for n, i in small_tank[1][6].items() if n != "cam1"})
+    assert later.look()
+    first = verdict(later.seen.lights)
+    assert (first.name, first.camera) == ("synchronisation", "cam1")
+    assert later.seen.number == 6
+
+
+def test_frames_that_come_too_fast_are_skipped_and_counted(small_tank, tmp_path):
+    folder = tmp_path / "live"
+    follower = Follower(Experiment.load(record(folder)))
+    for number in range(3):
+        write(folder, number, small_tank[1][number])
+    follower.look()
+    for number in range(3, 7):
+        write(folder, number, small_tank[1][number])
+    follower.look()
+    assert (follower.seen.number, follower.seen.measured, follower.seen.skipped) == (5, 2, 3)
+
+
+def test_a_frame_that_is_not_written_to_its_end_waits(small_tank, tmp_path):
+    folder = tmp_path / "live"
+    follower = Follower(Experiment.load(record(folder)))
+    for number in range(3):
+        write(folder, number, small_tank[1][number])
+    path = folder / "cam2" / "img_00002.tif"
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    follower.look()
+    assert follower.seen.number == 0
+    path.write_bytes(whole)
+    follower.look()
+    assert follower.seen.number == 1
+
+
+def test_without_a_rig_each_camera_is_judged_and_the_reason_is_said(small_tank, tmp_path):
+    folder = tmp_path / "live"
+    follower = Follower(Experiment.load(record(folder)))
+    write(folder, 0, small_tank[1][0])
+    write(folder, 1, small_tank[1][1])
+    follower.look()
+    assert "rig" in follower.seen.trouble
+    assert follower.seen.fields == {}
+    assert {light.name for light in follower.seen.lights} == {
+        "synchronisation", "brightness", "saturation", "seeding", "focus",
+    }  # fmt: skip
+
+
+def test_following_leaves_no_trace(followed):
+    _, folder = followed
+    names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    frames = {f"{name}/img_{number:05d}.tif" for name in CAMERAS for number in range(6)}
+    assert names == frames | {"experiment.yaml", "rig.yaml"}
+
+
+@pytest.mark.parametrize("size", [0.8, 1.3, 2.4])
+def test_the_size_of_beads_is_found_in_noise(size):
+    rng = np.random.default_rng(6)
+    image = np.zeros((300, 300))
+    image[rng.integers(0, 300, 900), rng.integers(0, 300, 900)] = 2000.0 * size**2
+    image = cv2.GaussianBlur(image, (0, 0), size) + rng.normal(0, 8, image.shape)
+    assert bead_size(image) == pytest.approx(size, rel=0.12)
+
+
+def test_saturation_is_the_fraction_of_white_pixels():
+    image = np.full((120, 120), 20, np.uint8)
+    image[:, :30] = 255
+    assert features(image).saturated == pytest.approx(0.25)
+    assert features((image // 2).astype(np.uint8)).saturated == 0.0
+
+
+def test_the_page_shows_map_lights_and_cameras(followed):
+    from bokeh.document import Document
+
+    from wavefield.explorer.follow_page import FollowPage
+    from wavefield.explorer.target_watch import TargetWatch
+
+    follower, _ = followed
+    page, document = FollowPage(follower, TargetWatch(follower.experiment)), Document()
+    page.attach(document)
+    expected = 100 * follower.seen.fields["w"]
+    np.testing.assert_allclose(page.image.data["image"][0], expected, rtol=1e-6)
+    assert "frame 4; measured 5, skipped 0" in page.state.text
+    assert page.lights.text.count("<tr>") == 12
+    assert page.cameras["cam1"][1].data["image"]
+    document.to_json()

@@ -1,0 +1,239 @@
+"""The work behind `wavefield follow`: the newest set of frames measured and judged, the others counted."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.errors import WavefieldError
+from wavefield.explorer.lights import (
+    Agreement,
+    Features,
+    Light,
+    Quantities,
+    Start,
+    arrival_lights,
+    features,
+    frame_lights,
+    pair_light,
+    quantities,
+    step_lights,
+    tilt_light,
+)
+from wavefield.explorer.watch import FrameSet, Watch
+from wavefield.rig import Rig
+from wavefield.series import Experiment
+
+_AVERAGED = 200  # steps over which the tilt is averaged
+_PAUSE = 0.15  # s between looks at the folders
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was made of one set of frames.
+
+    Parameters
+    ----------
+    number : int
+        Of its first frame.
+    images : dict of camera to ndarray
+        The second frame.
+    fields : dict of str to ndarray, (ny, nx)
+        The measured step; empty without a rig.
+    lights : tuple of Light
+        The judgement.
+    delay : float
+        From the last byte of the set until it was measured, s.
+    measured, skipped : int
+        Steps so far.
+    trouble : str
+        Why nothing is measured, a sentence.
+    """
+
+    number: int
+    images: dict[str, NDArray[Any]]
+    fields: dict[str, NDArray[Any]]
+    lights: tuple[Light, ...]
+    delay: float
+    measured: int
+    skipped: int
+    trouble: str
+
+
+@dataclass
+class Follower:
+    """Follows an experiment in a thread of its own.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    rig : path or Rig, optional
+        In place of the one that the experiment names.
+    """
+
+    experiment: Experiment
+    rig: Any = None
+    seen: Seen | None = None
+    count: int = 0
+    _plan: Any = None
+    _trouble: str = ""
+    _sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.watch = Watch(self.experiment)
+        self._start = Start()
+        self._steps: deque[Quantities] = deque(maxlen=_AVERAGED)
+        self._stop = threading.Event()
+        self._first: int | None = None
+        self._measured = 0
+        self._thread = threading.Thread(target=self._work, daemon=True, name="follow")
+
+    @property
+    def nodes(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Nodes along x and y, metres; empty without a rig."""
+        if self._plan is None:
+            return np.empty(0), np.empty(0)
+        grid = self._plan.grid
+        return grid.x_nodes, grid.y_nodes
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End; a set that is being measured is finished first."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(20)
+
+    def _work(self) -> None:
+        while not self._stop.is_set():
+            if not self.look():
+                self._stop.wait(_PAUSE)
+
+    def look(self) -> bool:
+        """Look once; measure what is new.
+
+        Returns
+        -------
+        bool
+            Whether there was a new set.
+        """
+        self.watch.look()
+        found = self.watch.newest_set(after=self.seen.number if self.seen else -1)
+        if found is None:
+            if self.seen is not None:  # a camera that has gone silent shows without a new set
+                arrivals = self._arrivals()
+                others = tuple(one for one in self.seen.lights if one.name != "synchronisation")
+                self.seen = replace(self.seen, lights=(*arrivals, *others))
+            return False
+        self._take(found)
+        return True
+
+    def _arrivals(self) -> list[Light]:
+        return arrival_lights(self.watch.last, self.watch.newest, time.time())
+
+    def _take(self, found: FrameSet) -> None:
+        if self._first is None:
+            self._first = found.number
+        now = {name: features(both[1]) for name, both in found.images.items()}
+        fields, summary = self._measure(found)
+        pairs = self._agreements(found)
+        self._start.take(now, pairs, summary)
+        self._measured += 1
+        self.seen = Seen(
+            number=found.number,
+            images={name: both[1] for name, both in found.images.items()},
+            fields=fields,
+            lights=tuple(self._judge(now, pairs, summary)),
+            delay=time.time() - found.written,
+            measured=self._measured,
+            skipped=found.number - self._first + 1 - self._measured,
+            trouble=self._trouble,
+        )
+        self.count += 1
+
+    def _judge(
+        self, now: Mapping[str, Features], pairs: Mapping[str, Agreement], summary: Quantities | None
+    ) -> list[Light]:
+        lights = self._arrivals()
+        for name, found in now.items():
+            lights += frame_lights(name, found, self._start.of(name))
+        lights += [pair_light(pair, found, self._start.of_pair(pair)) for pair, found in pairs.items()]
+        if summary is None:
+            return lights
+        self._steps.append(summary)
+        return [*lights, *step_lights(summary, self._start.step), tilt_light(self._steps)]
+
+    # -- measuring -------------------------------------------------------------------------------------
+
+    def _measure(self, found: FrameSet) -> tuple[dict[str, NDArray[Any]], Quantities | None]:
+        """Measure a step, as far as there is a rig; the plan is made with the first frames."""
+        from wavefield.measurement import measure
+
+        sizes = {name: (both[0].shape[1], both[0].shape[0]) for name, both in found.images.items()}
+        if self._plan is None or (self._trouble and sizes != self._sizes):
+            self._plan_for(sizes)
+        if self._plan is None:
+            return {}, None
+        plan = self._plan
+        frames = {name: [None, *found.images.get(name, (None, None)), None] for name in plan.cameras}
+        try:
+            block = measure(frames, plan, self.experiment.frame_rate)
+        except (WavefieldError, ValueError) as error:
+            self._trouble = str(error)
+            return {}, None
+        fields = {name: values[0] for name, values in block.items() if np.ndim(values) == 3}
+        return fields, quantities(fields, plan.x, plan.y, plan.z_range)
+
+    def _agreements(self, found: FrameSet) -> dict[str, Agreement]:
+        """How each pair of cameras agrees on the second frame; nothing without a rig."""
+        from wavefield.measurement import surface
+        from wavefield.measurement.frame import ready, usable
+
+        plan = self._plan
+        if plan is None:
+            return {}
+        good = {
+            name: surface.prepare(ready(both[1], plan.binning[name]), name, plan)
+            for name, both in found.images.items()
+            if name in plan.surface_cameras and usable(both[1], plan.rig[name].size)
+        }
+        out = {}
+        for a, b in plan.pairs:
+            if a in good and b in good:
+                match = surface.match_pair(good[a], good[b], (a, b), plan)
+                seen = (plan.seen_blocks[a] > 0.5) & (plan.seen_blocks[b] > 0.5)
+                eps = match.eps_y[match.matched] / plan.pixel
+                rms = float(np.sqrt(np.mean(np.square(eps)))) if eps.size else float("nan")
+                out[f"{a}-{b}"] = Agreement(rms, float(match.valid.sum() / max(seen.sum(), 1)))
+        return out
+
+    def _plan_for(self, sizes: dict[str, tuple[int, int]]) -> None:
+        from wavefield.cubes.prepare import make_settings
+        from wavefield.cubes.workflow import Workflow
+        from wavefield.measurement import Plan
+
+        self._sizes = sizes
+        try:
+            rig = self.rig if isinstance(self.rig, Rig) else self.experiment.load_rig(self.rig)
+            used = replace(rig, cameras={name: rig[name] for name in self.experiment.measuring_cameras})
+            for name, size in sizes.items():
+                if name in used.cameras and used[name].size != size:
+                    wanted = "{} x {}".format(*used[name].size)
+                    self._trouble = (
+                        f"nothing is measured: the rig was made for images of {name} of {wanted} px, but "
+                        f"these have {size[0]} x {size[1]}; use the rig of these images"
+                    )
+                    return
+            settings = make_settings(self.experiment, Workflow(settings={"preset": "fast"}))
+            self._plan = Plan(used, self.experiment.choose_grid(used), settings)
+            self._trouble = ""
+        except WavefieldError as error:
+            self._trouble = f"nothing is measured: {error}"
