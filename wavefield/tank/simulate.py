@@ -1,9 +1,11 @@
 """Write a simulated experiment as a laboratory would have it, with the exact truth apart."""
 
+import itertools
 import warnings
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ import zarr
 
 from wavefield.errors import ExperimentError
 from wavefield.images import write_image
+from wavefield.tank import beads as floating
 from wavefield.tank import probes
 from wavefield.tank.parts import Beads
 from wavefield.tank.scene import Scene
@@ -25,7 +28,7 @@ Progress = Callable[[int, int], None]
 _FIELDS = ("z", "z_t", "u", "v", "w", "z_rate", "z_start", "z_end", "dx", "dy", "dz")
 
 
-def simulate(  # noqa: C901
+def simulate(
     scene: Scene, directory: str | Path, progress: Progress | None = None, *, workers: int = 2
 ) -> Path:
     """Write the experiment of a scene.
@@ -60,49 +63,58 @@ def simulate(  # noqa: C901
     tank = Tank(scene)
     steps, names = scene.frames - 1, list(tank.rig)
     total = len(names) * (scene.frames + len(tank.target_poses)) + steps
-    done = 0
+    done = itertools.count(1)
 
-    def tell(number: int = 1) -> None:
-        nonlocal done
-        done += number
+    def tell() -> None:
         if progress is not None:
-            progress(done, total)
-
-    def draw_target(camera: str, pose: str) -> None:
-        write_image(directory / "calib" / camera / f"{pose}.tif", tank.target_image(pose, camera))
-
-    def draw_frame(camera: str, frame: int, beads: object) -> None:
-        if beads is None:
-            image = tank.render(frame, [camera])[camera]
-        else:
-            image = tank.photograph(beads, frame, [camera])[camera]  # type: ignore[arg-type]
-        write_image(directory / camera / f"img_{frame:05d}.tif", image)
+            progress(next(done), total)
 
     _write_notes(scene, tank, directory)
     with ThreadPoolExecutor(max(1, workers)) as pool:
-        waiting: deque[Future[None]] = deque()
-
-        def give(task: Callable[..., None], *arguments: object) -> None:
-            # a short queue: beads of many frames would fill the memory
-            while len(waiting) >= 4 * max(1, workers):
-                waiting.popleft().result()
-                tell()
-            waiting.append(pool.submit(task, *arguments))
-
+        queue = _Queue(pool, 4 * max(1, workers), tell)
         for pose in tank.target_poses:
             for camera in names:
-                give(draw_target, camera, pose)
-        floating = isinstance(scene.surface, Beads)
+                queue.give(_draw_target, tank, directory, camera, pose)
+        with_beads = isinstance(scene.surface, Beads)
         for frame in range(scene.frames):
-            beads = tank.population.frame(frame) if floating else None
+            beads = tank.population.frame(frame) if with_beads else None
             for camera in names:
-                give(draw_frame, camera, frame, beads)
-        while waiting:
-            waiting.popleft().result()
-            tell()
+                queue.give(_draw_frame, tank, directory, camera, frame, beads)
+        queue.finish()
         if steps:
             _write_truth(tank, steps, directory / "truth" / "truth.zarr", pool, tell)
     return directory / "experiment.yaml"
+
+
+@dataclass
+class _Queue:
+    """Images to be drawn by a pool, few at a time: beads of many frames would fill the memory."""
+
+    pool: ThreadPoolExecutor
+    most: int
+    tell: Callable[[], None]
+    waiting: deque[Future[None]] = field(default_factory=deque)
+
+    def give(self, draw: Callable[..., None], *arguments: object) -> None:
+        self.finish(leave=self.most - 1)
+        self.waiting.append(self.pool.submit(draw, *arguments))
+
+    def finish(self, leave: int = 0) -> None:
+        while len(self.waiting) > leave:
+            self.waiting.popleft().result()
+            self.tell()
+
+
+def _draw_target(tank: Tank, directory: Path, camera: str, pose: str) -> None:
+    write_image(directory / "calib" / camera / f"{pose}.tif", tank.target_image(pose, camera))
+
+
+def _draw_frame(tank: Tank, directory: Path, camera: str, frame: int, beads: floating.Beads | None) -> None:
+    if beads is None:
+        image = tank.render(frame, [camera])[camera]
+    else:
+        image = tank.photograph(beads, frame, [camera])[camera]
+    write_image(directory / camera / f"img_{frame:05d}.tif", image)
 
 
 def _write_truth(
