@@ -158,7 +158,7 @@ def first_guess(
             if a is None or b is None:
                 continue
             seen += name == cameras[0]
-            moved = shifts(a, b)
+            moved = shifts(np.asarray(a, np.float32), np.asarray(b, np.float32))
             tried += len(moved)
             moved = moved[np.isfinite(moved[:, 0]), :2]
             apart = np.hypot(*(moved[:, None] - moved).T) - NEAR - 0.25 * np.hypot(*moved.T)
