@@ -95,6 +95,8 @@ def run(
     path = Path(out) if out is not None else experiment.resolve("cube.zarr")
     with ExitStack() as stack:
         lock = stack.enter_context(Lock.hold(path.absolute()))
+        if path.exists():
+            open_group(path)  # what is no cube is refused at once
         with undisturbed():  # Ctrl-C inside an import may be lost
             map_unordered = stack.enter_context(open_cluster(workflow, jobs_folder(path), not path.exists()))
             prepared = prepare(experiment, rig, workflow)

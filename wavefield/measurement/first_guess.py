@@ -102,6 +102,7 @@ def shifts(a: Float, b: Float) -> NDArray[np.float64]:
     Normalised correlation of squares of 64 px within 256 px around their place. A piece counts if its best
     correlation exceeds .4 and all others further than 3 px from it are less than .85 of that.
     """
+    a, b = (np.asarray(image, np.float32) for image in (a, b))  # of any depth
     height, width = a.shape
     tile = min(TILE, height // 4, width // 4)
     if tile < 16:

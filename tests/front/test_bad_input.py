@@ -1,0 +1,221 @@
+"""What is wrong with files, numbers and names is said in one sentence: which file, what to do, exit status.
+
+One row per kind. To add one: a name, a function that spoils the laboratory's folder, the command, the exit
+status, and words that the sentence must have.
+"""
+# ruff: noqa: E501
+
+import re
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+import yaml
+
+from wavefield.commands.cli import main
+from wavefield.tank import paper_rig
+
+NOTE = """\
+name: lab
+frame_rate: 20.0
+cameras:
+  cam1: {images: "cam1/img_{frame:03d}.tif"}
+  cam2: {images: "cam2/img_{frame:03d}.tif"}
+  cam3: {images: "cam3/img_{frame:03d}.tif"}
+calibration:
+  target: {kind: strings, mesh: 0.1}
+  tilted: "calib/{camera}/tilt_*.tif"
+rig: rig.yaml
+grid: {x: [-0.6, 0.6], y: [-0.4, 0.4], step: 0.02}
+water: {depth: 0.7}
+probes: probes.csv
+"""
+
+
+@pytest.fixture(scope="module")
+def pattern(tmp_path_factory):
+    """A laboratory's folder: images that show little, a rig, a lab note."""
+    folder = tmp_path_factory.mktemp("lab") / "lab"
+    rig = paper_rig(0.1)
+    rng = np.random.default_rng(1)
+    for name, camera in rig.cameras.items():
+        (folder / name).mkdir(parents=True)
+        width, height = camera.size
+        for k in range(3):
+            image = cv2.GaussianBlur(rng.integers(0, 255, (height, width), dtype=np.uint8), (0, 0), 1.0)
+            tifffile.imwrite(folder / name / f"img_{k:03d}.tif", image)
+    rig.save(folder / "rig.yaml")
+    (folder / "experiment.yaml").write_text(NOTE)
+    (folder / "probes.csv").write_text("time,p1\n0,0.01\n0.1,0.02\n")
+    return folder
+
+
+@pytest.fixture
+def lab(pattern, tmp_path):
+    shutil.copytree(pattern, tmp_path / "lab")
+    return tmp_path / "lab"
+
+
+def note(old, new):
+    def spoil(lab):
+        path = lab / "experiment.yaml"
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new))
+
+    return spoil
+
+
+def write(name, content):
+    def spoil(lab):
+        path = lab / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+
+    return spoil
+
+
+def lose(name):
+    def spoil(lab):
+        path = lab / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+    return spoil
+
+
+def rig_entry(**entries):
+    def spoil(lab):
+        data = yaml.safe_load((lab / "rig.yaml").read_text())
+        data["cameras"]["cam1"] |= entries
+        (lab / "rig.yaml").write_text(yaml.safe_dump(data))
+
+    return spoil
+
+
+def nothing(lab):
+    pass
+
+
+def in_the_way(lab):
+    (lab / "cube.zarr").mkdir()
+    (lab / "cube.zarr" / "precious.txt").write_text("mine")
+
+
+def file_in_the_way(lab):
+    (lab / "out").write_text("a file")
+
+
+EXP = "experiment.yaml"
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{b}: &{b} [{', '.join(9 * ['*' + a])}]\n" for a, b in zip("abcdefgh", "bcdefghi")
+)
+
+TABLE = [
+    # -- the lab note
+    ("no lab note", lose(EXP), ["run", EXP], 2, "does not exist"),
+    ("a folder for a lab note", nothing, ["run", "cam1"], 1, "is a folder"),
+    ("an image for a lab note", nothing, ["run", "cam1/img_000.tif"], 1, "img_000.tif"),
+    ("an empty lab note", write(EXP, ""), ["run", EXP], 1, "key: value"),
+    ("a list for a lab note", write(EXP, "- 1\n- 2\n"), ["run", EXP], 1, "key: value"),
+    ("no YAML", write(EXP, "name: [lab\n"), ["run", EXP], 1, "line "),
+    ("tabs", write(EXP, "name: lab\n\tframe_rate: 3\n"), ["run", EXP], 1, "line 2"),
+    ("not UTF-8", write(EXP, b"name: \xff\xfe\xfa"), ["run", EXP], 1, "not a text file"),
+    ("control characters", write(EXP, b"name: a\x00b"), ["run", EXP], 1, "experiment.yaml"),
+    ("an alias bomb", write(EXP, BOMB), ["run", EXP], 1, "aliases"),
+    ("nested too deeply", write(EXP, "a: " + 3000 * "["), ["run", EXP], 1, "nested too deeply"),
+    ("a key twice", note("name: lab", "name: lab\nname: two"), ["run", EXP], 1, "line 2: 'name' is there twice"),
+    ("a mistyped key", note("frame_rate", "frame_rat"), ["run", EXP], 1, "line 2: .*did you mean 'frame_rate'"),
+    ("a key too few", note("frame_rate: 20.0\n", ""), ["run", EXP], 1, "frame_rate is missing"),
+    ("frame rate 0", note("20.0", "0"), ["run", EXP], 1, "line 2: frame_rate should be greater than 0"),
+    ("frame rate below 0", note("20.0", "-20"), ["run", EXP], 1, "greater than 0"),
+    ("endless frame rate", note("20.0", ".inf"), ["run", EXP], 1, "finite"),
+    ("frame rate that is none", note("20.0", ".nan"), ["run", EXP], 1, "line 2"),
+    ("frame rate in words", note("20.0", "twenty"), ["run", EXP], 1, "line 2: frame_rate should be a valid number"),
+    ("a name with a slash", note("name: lab", "name: a/b"), ["run", EXP], 1, "line 1: name"),
+    ("depth below 0", note("0.7", "-0.7"), ["run", EXP], 1, "water.depth should be greater than 0"),
+    ("no cameras", note(NOTE[NOTE.index("  cam1") : NOTE.index("calib")], ""), ["run", EXP], 1, "cameras"),
+    ("a pair of strangers", note("rig:", "surface: {pairs: [[cam1, cam9]]}\nrig:"), ["run", EXP], 1, "names 'cam9'"),
+    ("one velocity camera", note("rig:", "velocity: {cameras: [cam1]}\nrig:"), ["run", EXP], 1, "velocity.cameras"),
+    ("frames backwards", note("rig:", "frames: {first: 9, last: 2}\nrig:"), ["run", EXP], 1, "frames runs from 9"),
+    ("frames that are not there", note("rig:", "frames: {first: 90, last: 99}\nrig:"), ["run", EXP], 1, "frame"),
+    ("an unknown setting", note("rig:", "settings: {sharpness: 3}\nrig:"), ["run", EXP], 1, "sharpness is not a known"),
+    ("a setting in words", note("rig:", "settings: {eps_limit: big}\nrig:"), ["run", EXP], 1, "settings.eps_limit"),
+    ("a setting too deep", note("rig:", "settings: {piv: {windows: 3}}\nrig:"), ["run", EXP], 1, "mean 'window'"),
+    # -- the grid
+    ("a grid without step", note(", step: 0.02", ""), ["run", EXP], 1, "grid.step is missing"),
+    ("a grid in millimetres", note("[-0.6, 0.6], y: [-0.4, 0.4]", "[-1e6, 1e6], y: [-1e6, 1e6]"), ["run", EXP], 1, "nodes"),
+    ("a grid of one step", note("step: 0.02", "step: 5"), ["run", EXP], 1, "less than one step"),
+    ("a grid turned round", note("x: [-0.6, 0.6]", "x: [0.6, -0.6]"), ["run", EXP], 1, "grid"),
+    ("a grid that nobody sees", note("x: [-0.6, 0.6]", "x: [90.0, 90.6]"), ["run", EXP], 1, "no camera sees the grid"),
+    # -- the images
+    ("no folder of images", lose("cam2"), ["run", EXP], 1, "cam2"),
+    ("no images that fit", note("cam2/img_", "cam2/pic_"), ["run", EXP], 1, "cam2"),
+    ("a broken pattern", note("cam2/img_{frame:03d}", "cam2/img_{frame"), ["run", EXP], 1, "cam2"),
+    ("text for the first image", write("cam1/img_000.tif", "no image"), ["run", EXP], 1, "img_000.tif"),
+    ("images of another size", lambda lab: [cv2.imwrite(str(p), np.eye(9, dtype=np.uint8) * 99) for p in (lab / "cam1").iterdir()], ["run", EXP], 1, "rig"),
+    # -- the rig
+    ("no rig", lose("rig.yaml"), ["run", EXP], 1, "rig.yaml"),
+    ("an empty rig", write("rig.yaml", ""), ["run", EXP], 1, "rig.yaml"),
+    ("a rig that is no rig", write("rig.yaml", "cameras: {cam1: 3}"), ["run", EXP], 1, "rig.yaml"),
+    ("a rig of other cameras", write("rig.yaml", "cameras: {}\nunits: {}\n"), ["run", EXP], 1, "rig.yaml"),
+    ("a rig without focal length", rig_entry(fx=None), ["run", EXP], 1, "rig.yaml"),
+    ("a rig with NaN", rig_entry(fx=float("nan")), ["run", EXP], 1, "rig.yaml"),
+    ("a rig of another format", write("rig.yaml", "<xml>"), ["run", EXP], 1, "rig.yaml"),
+    # -- the target
+    ("no target images", nothing, ["calibrate", EXP], 1, "calib"),
+    ("a target of no kind", note("strings", "ropes"), ["calibrate", EXP], 1, "tilt_|line 8: calibration.target.kind"),
+    ("no calibration block", note(NOTE[NOTE.index("calib") : NOTE.index("rig:")], ""), ["calibrate", EXP], 1, "calibration"),
+    # -- the workflow
+    ("no workflow", nothing, ["run", EXP, "--workflow", "none.yaml"], 2, "none.yaml"),
+    ("an unknown cluster", write("w.yaml", "cluster: cloud"), ["run", EXP, "--workflow", "w.yaml"], 1, "line 1: cluster"),
+    ("workers below 1", write("w.yaml", "workers: 0"), ["run", EXP, "--workflow", "w.yaml"], 1, "workers must be 1"),
+    ("too little memory", write("w.yaml", "memory: 3 kB"), ["run", EXP, "--workflow", "w.yaml"], 1, "too little"),
+    ("a strange time limit", write("w.yaml", "time_limit: soon"), ["run", EXP, "--workflow", "w.yaml"], 1, "no.? ?.*duration"),
+    # -- stores and files to write
+    ("something else is there", in_the_way, ["run", EXP], 1, "cube"),
+    ("a file for a folder", file_in_the_way, ["run", EXP, "-o", "out/cube.zarr"], 1, "cannot be written"),
+    ("status of no cube", nothing, ["status", "cam1"], 1, "not a cube|cannot be opened"),
+    ("verify of no cube", nothing, ["verify", "cam1"], 1, "not a cube|cannot be opened"),
+    ("analyze of no cube", nothing, ["analyze", "cam1"], 1, "not a cube|cannot be opened"),
+    ("report of no cube", nothing, ["report", "cam1"], 1, "not a cube|cannot be opened"),
+    ("export of no cube", nothing, ["export", "cam1", "a.nc"], 1, "not a cube|cannot be opened"),
+    ("export to a spreadsheet", nothing, ["export", "cam1", "a.xlsx"], 2, "NetCDF"),
+    # -- catalogs and scenes
+    ("a run that a catalog lacks", lambda lab: main(["-q", "catalog", "add", "c.yaml", EXP]), ["run", "c.yaml", "run9"], 1, "no run 'run9'"),
+    ("entries of no catalog", nothing, ["run", EXP, "run9"], 2, "not a catalog"),
+    ("a scene that there is not", nothing, ["simulate", "ocean", "sea"], 1, "no such scene"),
+    ("a scene with a typo", write("s.yaml", "sea: {kind: stil}"), ["simulate", "s.yaml", "sea"], 1, "s.yaml, line 1: sea"),
+]  # fmt: skip
+
+
+def files(lab):
+    return {p.relative_to(lab): p.read_bytes() for p in lab.rglob("*") if p.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words", "status", "says"), [row[1:] for row in TABLE], ids=[row[0] for row in TABLE]
+)
+def test_bad_input_is_one_sentence_with_file_and_remedy(lab, monkeypatch, capsys, spoil, words, status, says):
+    monkeypatch.chdir(lab)
+    spoil(lab)
+    before = files(lab)
+    capsys.readouterr()
+    assert main(["-q", *words]) == status
+    said = capsys.readouterr().err
+    assert re.search(says, said), said
+    assert "Traceback" not in said
+    assert "did not foresee" not in said
+    if status == 1:
+        assert said.startswith("wavefield: ")
+        assert said.count("\n") == 1
+    after = files(lab)
+    assert {path: after.get(path) for path in before} == before  # nothing is lost
+    left = {str(path) for path in set(after) - set(before)}
+    assert not {path for path in left if path.endswith((".partial", ".lock"))}, left
+
+
+def test_the_table_has_sixty_rows_of_different_names():
+    assert len(TABLE) >= 60
+    assert len({row[0] for row in TABLE}) == len(TABLE)
