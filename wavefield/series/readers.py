@@ -1,4 +1,4 @@
-"""Reading one frame from whatever holds it: a file of its own, a multi-page TIFF, a video, a Zarr array."""
+"""Reading one frame from whatever holds it: a file, a multi-page TIFF, a recording, a video, Zarr."""
 
 import os
 from collections import OrderedDict
@@ -13,14 +13,18 @@ import tifffile
 
 from wavefield.errors import FrameError
 from wavefield.images import grey, read_image
+from wavefield.series.formats import file_of, open_recording
 
 VIDEO_ENDINGS = (".avi", ".mp4", ".mov", ".mkv")
+
+
+Kind = Literal["file", "page", "video", "zarr", "recording"]
 
 
 class Entry(NamedTuple):
     """Where one frame is."""
 
-    kind: Literal["file", "page", "video", "zarr"]
+    kind: Kind
     path: str
     image: int = 0
 
@@ -53,6 +57,8 @@ def read_entry(entry: Entry) -> np.ndarray:
         if entry.kind == "video":
             out: np.ndarray = _open(entry.path, _Video).read(entry.image)
             return out
+        if entry.kind == "recording":
+            return np.asarray(_open(entry.path, open_recording).read(entry.image))
         array = _open(entry.path, _open_array)
         try:
             return np.asarray(array[entry.image])
@@ -60,13 +66,13 @@ def read_entry(entry: Entry) -> np.ndarray:
             raise FrameError(f"{entry} cannot be read: {error}") from None
 
 
-def count_images(path: Path) -> tuple[Literal["file", "page", "video", "zarr"], int]:
+def count_images(path: Path) -> tuple[Kind, int]:
     """What a single file or store holds.
 
     Parameters
     ----------
     path : path
-        TIFF, video or Zarr array.
+        TIFF, video, Zarr array, or a recording as cameras write it (`wavefield.series.formats`).
 
     Returns
     -------
@@ -80,6 +86,11 @@ def count_images(path: Path) -> tuple[Literal["file", "page", "video", "zarr"], 
     FrameError
         If it cannot be read.
     """
+    file = file_of(path)
+    if file is not None:
+        opened = open_recording(path)
+        opened.close()
+        return "recording", opened.count
     if path.suffix.lower() in VIDEO_ENDINGS:
         return "video", _Video(str(path)).count
     if path.suffix.lower() == ".zarr" or path.is_dir():

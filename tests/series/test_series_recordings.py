@@ -1,0 +1,208 @@
+"""Cameras' own files, written here byte by byte from the formats' public descriptions."""
+
+import struct
+
+import h5py
+import numpy as np
+import pytest
+import tifffile
+
+from wavefield.errors import FrameError
+from wavefield.images import read_image
+from wavefield.series.formats import open_recording
+from wavefield.series.listing import number_frames
+from wavefield.series.readers import close_files, read_entry
+
+COUNT, ROWS, COLUMNS = 5, 6, 8
+
+
+def images(bits):
+    return np.random.default_rng(bits).integers(0, 2**bits, (COUNT, ROWS, COLUMNS)).astype("<u2")
+
+
+def pack(image, bits):
+    """Pixels one after another, the highest bit first."""
+    text = "".join(f"{value:0{bits}b}" for value in image.ravel().tolist())
+    text += "0" * (-len(text) % 8)
+    return bytes(int(text[k : k + 8], 2) for k in range(0, len(text), 8))
+
+
+def as_bytes(image, bits):
+    return image.astype("u1").tobytes() if bits == 8 else image.astype("<u2").tobytes()
+
+
+def write_cine(path, bits, *, packed=False):
+    setup = bytearray(0x400)
+    setup[0x300:0x304] = struct.pack("<I", 2000)
+    code = {10: 256, 12: 1024}[bits] if packed else 0
+    depth = 8 if bits == 8 else 16
+    frames = [pack(i, bits) if packed else as_bytes(i[::-1], bits) for i in images(bits)]
+    at_image, at_setup = 44, 84
+    at_offsets = at_setup + len(setup)
+    offsets, at = [], at_offsets + 8 * COUNT
+    for frame in frames:
+        offsets.append(at)
+        at += 12 + len(frame)  # a note of 12 bytes before the pixels
+    header = struct.pack(
+        "<2sHHHiIiIIIIII", b"CI", 44, 2, 1, -3, COUNT, -3, COUNT, at_image, at_setup, at_offsets, 0, 0
+    )
+    bitmap = struct.pack(
+        "<IiiHHIIiiII", 40, COLUMNS, ROWS, 1, depth, code, len(frames[0]), 0, 0, 0, 1 << bits
+    )
+    body = b"".join(struct.pack("<III", 12, 7, len(frame)) + frame for frame in frames)
+    path.write_bytes(header + bitmap + bytes(setup) + struct.pack(f"<{COUNT}q", *offsets) + body)
+
+
+def write_photron(path, bits, *, xml=True):
+    frames = [pack(i, bits) if bits in (10, 12) else as_bytes(i, bits) for i in images(bits)]
+    path.write_bytes(b"".join(frames))
+    if xml:
+        path.with_suffix(".cihx").write_bytes(
+            b"\x00\x01binary<cih><frameInfo><totalFrame>%d</totalFrame><startFrame>-3</startFrame></frameInfo>"
+            b"<recordInfo><recordRate>2000</recordRate></recordInfo><imageDataInfo><resolution>"
+            b"<width>%d</width><height>%d</height></resolution><colorInfo><type>Mono</type><bit>%d</bit>"
+            b"</colorInfo></imageDataInfo></cih>\x00" % (COUNT, COLUMNS, ROWS, bits)
+        )
+    else:
+        path.with_suffix(".cih").write_text(
+            f"#Camera Information Header\nRecord Rate(fps) : 2000\nTotal Frame : {COUNT}\nStart Frame : -3\n"
+            f"Image Width : {COLUMNS}\nImage Height : {ROWS}\nColor Bit : {bits}\nFile Format : MRaw\n"
+        )
+
+
+def write_seq(path, bits):
+    each = ROWS * COLUMNS * (1 if bits == 8 else 2)
+    head = bytearray(8192)
+    struct.pack_into("<I", head, 0, 0xFEED)
+    struct.pack_into("<i", head, 28, 5)
+    depth = 8 if bits == 8 else 16
+    struct.pack_into("<9I", head, 548, COLUMNS, ROWS, depth, bits, each, 100, COUNT, 0, each + 16)
+    struct.pack_into("<d", head, 584, 2000.0)
+    path.write_bytes(bytes(head) + b"".join(as_bytes(i, bits) + bytes(16) for i in images(bits)))
+
+
+def write_hdf5(path, bits):
+    with h5py.File(path, "w") as file:
+        file["run/images"] = images(bits)
+        file.attrs["frame_rate"] = 2000.0
+
+
+CASES = {
+    "cine 8": ("a.cine", 8, lambda p: write_cine(p, 8)),
+    "cine 16": ("a.cine", 14, lambda p: write_cine(p, 14)),
+    "cine packed 10": ("a.cine", 10, lambda p: write_cine(p, 10, packed=True)),
+    "cine packed 12": ("a.cine", 12, lambda p: write_cine(p, 12, packed=True)),
+    "photron 8": ("a.mraw", 8, lambda p: write_photron(p, 8)),
+    "photron 10": ("a.mraw", 10, lambda p: write_photron(p, 10)),
+    "photron 12": ("a.mraw", 12, lambda p: write_photron(p, 12, xml=False)),
+    "photron 16": ("a.mraw", 16, lambda p: write_photron(p, 16)),
+    "streampix 8": ("a.seq", 8, lambda p: write_seq(p, 8)),
+    "streampix 16": ("a.seq", 12, lambda p: write_seq(p, 12)),
+    "hdf5": ("a.h5", 12, lambda p: write_hdf5(p, 12)),
+}
+
+
+@pytest.fixture(params=CASES.values(), ids=CASES)
+def recording(request, tmp_path):
+    name, bits, write = request.param
+    write(tmp_path / name)
+    yield tmp_path / name, bits
+    close_files()
+
+
+def test_images_come_back_to_the_bit_in_any_order(recording):
+    path, bits = recording
+    opened = open_recording(path)
+    assert (opened.count, opened.shape, opened.rate) == (COUNT, (ROWS, COLUMNS), 2000.0)
+    for index in (3, 0, 4, 1, 2):
+        np.testing.assert_array_equal(opened.read(index), images(bits)[index])
+    with pytest.raises(FrameError, match="there is no image 5"):
+        opened.read(5)
+    opened.close()
+
+
+def test_an_experiment_names_the_file_as_it_is(recording, tmp_path):
+    path, bits = recording
+    entries = number_frames("{camera}" + path.suffix, tmp_path, path.stem)
+    assert sorted(entries) == list(range(COUNT))
+    np.testing.assert_array_equal(read_entry(entries[2]), images(bits)[2])
+
+
+def test_damaged_files_are_told_in_one_sentence(recording):
+    path, _ = recording
+    whole, rng = path.read_bytes(), np.random.default_rng(1)
+    for k in range(50):
+        data = bytearray(whole[: rng.integers(0, len(whole))] if k % 2 else whole)
+        for place in rng.integers(0, max(1, min(len(data), 1200)), 30 if k % 2 == 0 else 0):
+            if len(data):
+                data[place] = int(rng.integers(0, 256))
+        path.write_bytes(data)
+        words = complaint(path)
+        assert not words or path.stem in words
+        assert "\n" not in words
+
+
+def complaint(path):
+    """What reading a recording ends with: nothing, or one sentence; anything else fails the test."""
+    opened = None
+    try:
+        opened = open_recording(path)
+        for index in range(min(opened.count, 8)):
+            opened.read(index)
+    except FrameError as error:
+        return str(error)
+    finally:
+        if opened:
+            opened.close()
+    return ""
+
+
+def test_a_recording_that_was_cut_short_keeps_the_images_before(tmp_path):
+    write_seq(tmp_path / "a.seq", 8)
+    data = (tmp_path / "a.seq").read_bytes()
+    (tmp_path / "a.seq").write_bytes(data[:-100])
+    assert open_recording(tmp_path / "a.seq").count == COUNT - 2
+
+
+def test_several_datasets_are_told_apart_by_name(tmp_path):
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["cam1/images"], file["cam2/images"] = images(8), images(8)[:, ::-1]
+    with pytest.raises(FrameError, match=r"name one, as run\.h5/cam1/images"):
+        open_recording(tmp_path / "run.h5")
+    entries = number_frames("run.h5/{camera}/images", tmp_path, "cam2")
+    np.testing.assert_array_equal(read_entry(entries[1]), images(8)[1, ::-1])
+    with pytest.raises(FrameError, match="no images called 'cam3/images'"):
+        open_recording(tmp_path / "run.h5" / "cam3" / "images")
+    close_files()
+
+
+@pytest.mark.parametrize("bits", [10, 12])
+def test_tiff_of_packed_pixels(tmp_path, bits):
+    """Rows begin at whole bytes, as TIFF has it; values fill the 16 bits in which they are read."""
+    image = np.random.default_rng(bits).integers(0, 2**bits, (6, 7)).astype("u2")
+    strip = b"".join(pack(row, bits) for row in image)
+    tags = [
+        (256, 3, 7),
+        (257, 3, 6),
+        (258, 3, bits),
+        (259, 3, 1),
+        (262, 3, 1),
+        (273, 4, 8 + 2 + 12 * 9 + 4),
+        (277, 3, 1),
+        (278, 3, 6),
+        (279, 4, len(strip)),
+    ]
+    directory = struct.pack("<H", len(tags))
+    directory += b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in tags)
+    (tmp_path / "a.tif").write_bytes(b"II*\0" + struct.pack("<I", 8) + directory + bytes(4) + strip)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), image << (16 - bits))
+
+
+def test_big_tiff_of_many_pages(tmp_path):
+    with tifffile.TiffWriter(tmp_path / "cam1.tif", bigtiff=True) as tiff:
+        for image in images(12):
+            tiff.write(image, contiguous=False)
+    entries = number_frames("{camera}.tif", tmp_path, "cam1")
+    assert len(entries) == COUNT
+    np.testing.assert_array_equal(read_entry(entries[4]), images(12)[4])
+    close_files()

@@ -1,0 +1,75 @@
+"""Recordings of cameras: files that hold many images, read one image at a time."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from wavefield.errors import FrameError
+from wavefield.series.formats.cine import open_cine
+from wavefield.series.formats.hdf5 import open_hdf5
+from wavefield.series.formats.photron import open_photron
+from wavefield.series.formats.recording import Recording
+from wavefield.series.formats.streampix import open_streampix
+
+_OPENERS: dict[str, Callable[[Path], Recording]] = {
+    ".cine": open_cine,
+    ".mraw": open_photron,
+    ".cih": open_photron,
+    ".cihx": open_photron,
+    ".seq": open_streampix,
+    ".h5": open_hdf5,
+    ".hdf5": open_hdf5,
+    ".nc": open_hdf5,
+}
+ENDINGS = tuple(_OPENERS)
+
+__all__ = ["ENDINGS", "Recording", "file_of", "open_recording"]
+
+
+def open_recording(path: str | Path) -> Recording:
+    """Open a recording: its header is read, its images are not.
+
+    Parameters
+    ----------
+    path : path
+        Phantom's ``.cine``, Photron's ``.mraw`` or ``.cihx``, StreamPix' ``.seq``, HDF5; of HDF5 the name of
+        the dataset may follow the file's, as in ``run.h5/camera1/images``.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    FrameError
+        If the file is missing, damaged, or of a kind that is not read.
+    """
+    path = Path(path)
+    file = file_of(path)
+    if file is None:
+        raise FrameError(f"{path} is no recording: its name must end in one of {', '.join(ENDINGS)}")
+    if not file.is_file():
+        raise FrameError(f"{file}: no such recording")
+    try:
+        return _OPENERS[file.suffix.lower()](path)
+    except FrameError:
+        raise
+    except Exception as error:  # whatever a damaged header leads to
+        words = " ".join(str(error).split())
+        raise FrameError(
+            f"{path} cannot be read as a recording ({words}): copy it again from the camera"
+        ) from None
+
+
+def file_of(path: Path) -> Path | None:
+    """The recording that a path names, or names a part of; None if it names none.
+
+    Parameters
+    ----------
+    path : Path
+        Such as ``run.cine`` or ``run.h5/camera1``.
+
+    Returns
+    -------
+    Path or None
+    """
+    return next((part for part in (path, *path.parents) if part.suffix.lower() in _OPENERS), None)

@@ -1,0 +1,79 @@
+"""Vision Research's Phantom: `.cine` files, as "The Cine File Format" describes them."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from wavefield.errors import FrameError
+from wavefield.series.formats.recording import (
+    RawRecording,
+    Recording,
+    checked_shape,
+    fitting,
+    packed,
+    packed_bytes,
+    plain,
+)
+
+_HEADER = struct.Struct("<2sHHHiIiIIIIII")  # CINEFILEHEADER
+_BITMAP = struct.Struct("<IiiHHIIiiII")  # BITMAPINFOHEADER
+_RATE = 0x300  # of FrameRate in SETUP
+_PACKED = {256: 10, 1024: 12}  # biCompression to bits
+
+
+def open_cine(path: Path) -> Recording:
+    """Open a cine file of grey or raw images.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Recording
+        Raw values: 8 and 16 bits as they are, 10 (on the camera's own curve) and 12 bits unpacked.
+
+    Raises
+    ------
+    FrameError
+        If it is no cine file, or holds colour or compressed images.
+    """
+    with path.open("rb") as stream:
+        head = stream.read(_HEADER.size)
+        if len(head) < _HEADER.size or head[:2] != b"CI":
+            raise FrameError(f"{path} is not a cine file")
+        _, _, compression, _, _, _, first, count, at_image, at_setup, at_offsets, *_ = _HEADER.unpack(head)
+        if compression == 1:
+            raise FrameError(f"{path} holds JPEG images: save it uncompressed in the camera's program")
+        stream.seek(at_image)
+        bitmap = stream.read(_BITMAP.size)
+        if len(bitmap) < _BITMAP.size:
+            raise FrameError(f"{path} ends within its header: it is truncated")
+        _, width, height, _, depth, code, _, _, _, _, _ = _BITMAP.unpack(bitmap)
+        stream.seek(at_setup + _RATE)
+        rate = struct.unpack("<I", stream.read(4).ljust(4, b"\0"))[0]
+        stream.seek(at_offsets)
+        if not 0 < count < 2**28:
+            raise FrameError(f"{path} says it holds {count} images: its header is damaged")
+        offsets = np.frombuffer(stream.read(8 * count), "<i8")
+        if not len(offsets):
+            raise FrameError(f"{path} ends before its list of images: it is truncated")
+    shape = checked_shape(path, width, abs(height))
+    if code in _PACKED:
+        decode, each = packed(shape, _PACKED[code]), packed_bytes(shape, _PACKED[code])
+    elif code == 0 and depth in (8, 16):
+        # as in Windows' bitmaps the lowest row comes first, unless the height is negative
+        decode = plain(shape, "u1" if depth == 8 else "<u2", upside_down=height > 0)
+        each = shape[0] * shape[1] * depth // 8
+    else:
+        raise FrameError(f"{path} holds images of {depth} bits of kind {code}: export them as grey TIFF")
+
+    def start(index: int) -> int:
+        return int(offsets[index])
+
+    there = fitting(path, len(offsets), start, each + 8)
+    return RawRecording(
+        path, there, shape, start, each, decode, float(rate) if rate else None, first, prefixed=True
+    )

@@ -1,0 +1,93 @@
+"""Images in HDF5 (and netCDF 4): a dataset of three dimensions, time, row, column."""
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from wavefield.errors import FrameError
+from wavefield.series.formats.recording import Pixels, Recording
+
+_ENDINGS = (".h5", ".hdf5", ".nc")
+
+
+class _Dataset:
+    """A dataset as a recording."""
+
+    def __init__(self, path: Path, file: h5py.File, data: h5py.Dataset) -> None:
+        self.path, self._file, self._data = path, file, data
+        self.count, self.shape = int(data.shape[0]), (int(data.shape[1]), int(data.shape[2]))
+        rate = data.attrs.get("frame_rate", file.attrs.get("frame_rate"))
+        self.rate = None if rate is None else float(np.ravel(rate)[0])
+        self.first = 0
+
+    def read(self, index: int) -> Pixels:
+        """Read one image."""
+        if not 0 <= index < self.count:
+            raise FrameError(f"{self.path} has {self.count} images: there is no image {index}")
+        try:
+            return np.asarray(self._data[index])
+        except (OSError, RuntimeError) as error:
+            raise FrameError(f"{self.path}, image {index} cannot be read: {error}") from None
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def open_hdf5(path: Path) -> Recording:
+    """Open images in HDF5.
+
+    Parameters
+    ----------
+    path : Path
+        The file; the dataset's name may follow it, and must where there are several of three dimensions.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    FrameError
+        If it is damaged, or holds no images or several series of them.
+    """
+    name = (
+        path
+        if path.suffix.lower() in _ENDINGS
+        else next(p for p in path.parents if p.suffix.lower() in _ENDINGS)
+    )
+    inside = path.relative_to(name).as_posix()
+    try:
+        file = h5py.File(name, "r")
+    except OSError as error:
+        raise FrameError(f"{name} cannot be read as HDF5: {error}") from None
+    try:
+        return _Dataset(path, file, _chosen(file, name, "" if inside == "." else inside))
+    except BaseException:
+        file.close()
+        raise
+
+
+def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
+    series: list[str] = []
+
+    def visit(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and item.ndim == 3 and item.dtype.kind in "uif" and item.shape[0]:
+            series.append(name)
+
+    file.visititems(visit)
+    if inside:
+        if inside not in series:
+            raise FrameError(
+                f"{path} holds no images called {inside!r}; it has {', '.join(series) or 'none'}"
+            )
+        return file[inside]
+    if len(series) != 1:
+        some = ", ".join(f"{path.name}/{name}" for name in series[:5])
+        raise FrameError(
+            f"{path} holds {len(series) or 'no'} datasets of three dimensions (time, row, column)"
+            + (f": name one, as {some}" if series else "")
+        )
+    return file[series[0]]

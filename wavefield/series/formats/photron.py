@@ -1,0 +1,108 @@
+"""Photron: pixels in `.mraw`, what they are in the `.cihx` (XML) or `.cih` (text) of the same name."""
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+from wavefield.errors import FrameError
+from wavefield.series.formats.recording import (
+    RawRecording,
+    Recording,
+    checked_shape,
+    fitting,
+    packed,
+    packed_bytes,
+    plain,
+)
+
+_NEEDED = ("Total Frame", "Image Width", "Image Height", "Color Bit")
+_XML = {
+    "Total Frame": "frameInfo/totalFrame",
+    "Start Frame": "frameInfo/startFrame",
+    "Image Width": "imageDataInfo/resolution/width",
+    "Image Height": "imageDataInfo/resolution/height",
+    "Color Bit": "imageDataInfo/colorInfo/bit",
+    "Color Type": "imageDataInfo/colorInfo/type",
+    "Record Rate(fps)": "recordInfo/recordRate",
+    "File Format": "imageFileInfo/fileFormat",
+}
+
+
+def open_photron(path: Path) -> Recording:
+    """Open a recording of Photron's cameras.
+
+    Parameters
+    ----------
+    path : Path
+        The ``.mraw``, or its ``.cihx`` or ``.cih``; both files must lie side by side.
+
+    Returns
+    -------
+    Recording
+        Of 8, 10, 12 or 16 bits a pixel.
+
+    Raises
+    ------
+    FrameError
+        If one of the two files is missing, or the images are in colour.
+    """
+    notes = [path.with_suffix(ending) for ending in (".cihx", ".cih", ".CIHX", ".CIH")]
+    note = next((file for file in notes if file.is_file()), None)
+    if note is None:
+        raise FrameError(f"{path} has no .cihx or .cih beside it, which says how large its images are")
+    pixels = next((f for f in (path.with_suffix(e) for e in (".mraw", ".MRAW")) if f.is_file()), None)
+    if pixels is None:
+        raise FrameError(f"{path} has no .mraw beside it: save the recording as MRAW")
+    said = _read_xml(note) if note.suffix.lower() == ".cihx" else _read_text(note)
+    missing = [
+        name for name in ("Total Frame", "Image Width", "Image Height", "Color Bit") if name not in said
+    ]
+    if missing:
+        raise FrameError(f"{note} does not state {', '.join(missing)}: it is damaged")
+    try:
+        count, width, height, bits = (int(said[name]) for name in _NEEDED)
+    except ValueError:
+        raise FrameError(f"{note} states sizes that are not whole numbers: it is damaged") from None
+    shape = checked_shape(note, width, height)
+    if bits in (8, 16):
+        decode, each = plain(shape, "u1" if bits == 8 else "<u2"), shape[0] * shape[1] * bits // 8
+    elif bits in (10, 12):
+        decode, each = packed(shape, bits), packed_bytes(shape, bits)
+    else:
+        raise FrameError(f"{note}: images of {bits} bits a pixel are not read; save them in grey")
+
+    def start(index: int) -> int:
+        return index * each
+
+    there = fitting(pixels, count, start, each)
+    rate, first = _number(said.get("Record Rate(fps)")), _number(said.get("Start Frame"))
+    return RawRecording(pixels, there, shape, start, each, decode, rate, int(first or 0))
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        return float(text) if text else None
+    except ValueError:
+        return None
+
+
+def _read_text(path: Path) -> dict[str, str]:
+    out = {}
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        name, colon, value = line.partition(":")
+        if colon:
+            out[name.strip()] = value.strip()
+    return out
+
+
+def _read_xml(path: Path) -> dict[str, str]:
+    """The XML lies between bytes that are none."""
+    data = path.read_bytes()
+    found = re.search(rb"<cih>.*</cih>", data, re.DOTALL)
+    if not found:
+        raise FrameError(f"{path} holds no <cih>: it is damaged or truncated")
+    try:
+        root = ET.fromstring(found[0])
+    except ET.ParseError as error:
+        raise FrameError(f"{path} is damaged: {error}") from None
+    return {name: text for name, place in _XML.items() if (text := root.findtext(place))}

@@ -1,0 +1,52 @@
+"""NorPix' StreamPix: `.seq` files of uncompressed grey images."""
+
+import struct
+from pathlib import Path
+
+from wavefield.errors import FrameError
+from wavefield.series.formats.recording import RawRecording, Recording, checked_shape, fitting, plain
+
+_MAGIC = 0xFEED
+_GREY = (100, 101)  # monochrome, and raw of a colour mosaic
+
+
+def open_streampix(path: Path) -> Recording:
+    """Open a sequence of StreamPix.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    FrameError
+        If it is no such file, or its images are compressed or in colour.
+    """
+    with path.open("rb") as stream:
+        head = stream.read(1024)
+    if len(head) < 1024 or struct.unpack_from("<I", head)[0] != _MAGIC:
+        raise FrameError(f"{path} is not a sequence of StreamPix")
+    (version,) = struct.unpack_from("<i", head, 28)
+    width, height, depth, _, size, kind, count, _, stride = struct.unpack_from("<9I", head, 548)
+    (rate,) = struct.unpack_from("<d", head, 584)
+    shape = checked_shape(path, width, height)
+    if kind not in _GREY or depth not in (8, 16):
+        raise FrameError(
+            f"{path} holds images of kind {kind} with {depth} bits: export them uncompressed, in grey"
+        )
+    each = width * height * depth // 8
+    if size != each or stride < each:
+        raise FrameError(f"{path} holds compressed images, or its header is damaged: export it uncompressed")
+    begin = 8192 if version >= 5 else 1024
+
+    def start(index: int) -> int:
+        return begin + index * int(stride)
+
+    there = fitting(path, count, start, each)
+    decode = plain(shape, "u1" if depth == 8 else "<u2")
+    return RawRecording(path, there, shape, start, each, decode, rate if 0 < rate < 1e7 else None)
