@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavefield import water
+from wavefield.errors import CubeError
 from wavefield.series.experiment import WaterSection
 
 
@@ -28,7 +29,7 @@ def test_waves_without_length_stand_still_in_deep_water():
 
 @pytest.mark.parametrize("depth", [0.0, -1.0, np.nan])
 def test_a_depth_that_is_none_is_refused(depth):
-    with pytest.raises(ValueError, match="depth of the water"):
+    with pytest.raises(CubeError, match="depth of the water"):
         water.dispersion(1.0, depth)
 
 

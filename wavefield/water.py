@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wavefield.errors import CubeError
+
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81  # m s-2
@@ -39,7 +41,7 @@ def tension_over_density(surface_tension: float | None = None, density: float | 
 
 def _depth(depth: float) -> float:
     if not depth > 0:
-        raise ValueError(f"the depth of the water is {depth} m: give a positive number, or inf")
+        raise CubeError(f"the depth of the water is {depth} m: give a positive number, or inf")
     return depth
 
 
@@ -64,7 +66,7 @@ def dispersion(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g: flo
 
     Raises
     ------
-    ValueError
+    CubeError
         If the depth is not positive.
 
     Examples
@@ -102,7 +104,7 @@ def group_velocity(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g:
 
     Raises
     ------
-    ValueError
+    CubeError
         If the depth is not positive.
 
     Examples
@@ -139,7 +141,7 @@ def wavenumber(omega: ArrayLike, depth: float = np.inf, gamma: float = GAMMA) ->
 
     Raises
     ------
-    ValueError
+    CubeError
         If the depth is not positive.
 
     Examples

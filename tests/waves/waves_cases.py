@@ -97,7 +97,9 @@ def axes(steps, ny, nx, dt=0.05, dx=0.01):
     return np.arange(steps) * dt + dt / 2, np.arange(ny) * dx, np.arange(nx) * dx
 
 
-def linear_cube(waves, steps, ny, nx, dt=0.05, dx=0.01, noise_z=0.0, noise_dz=0.0, seed=9, dtype="f4"):
+def linear_cube(
+    waves, steps, ny, nx, dt=0.05, dx=0.01, noise_z=0.0, noise_dz=0.0, seed=9, dtype="f4", frames=2
+):
     """A cube as measured from frames: four-frame z, z_t and w from differences, linear kinematics, u and v
     at mid-time. Noise is independent between frames (z) and steps (dz), correlated over 4 cm in space."""
     from scipy.ndimage import uniform_filter
@@ -113,13 +115,22 @@ def linear_cube(waves, steps, ny, nx, dt=0.05, dx=0.01, noise_z=0.0, noise_dz=0.
         raw = uniform_filter(raw, (0, box, box))[:, box:-box, box:-box] * box
         return rms * raw
 
-    frames = waves.on_grid(np.arange(-1, steps + 2) * dt, y, x, "z")["z"]
+    exact = waves.on_grid(np.arange(-1, steps + 2) * dt, y, x, "z")["z"]
     uv = waves.on_grid(t, y, x, "u", "v")
-    noisy = frames + noise(noise_z, steps + 3)
+    noisy = exact + noise(noise_z, steps + 3)
     z = (9 * (noisy[1:-2] + noisy[2:-1]) - noisy[:-3] - noisy[3:]) / 16
-    w = (frames[2:-1] - frames[1:-2] + noise(noise_dz, steps)) / dt
-    fields = {"z": z, "z_t": (noisy[2:-1] - noisy[1:-2]) / dt, "u": uv["u"], "v": uv["v"], "w": w}
-    return cube(fields, t, y, x, dtype, water_depth=waves.depth, frame_rate=1 / dt)
+    rise, sink = np.diff(noisy, axis=0) / dt, np.diff(exact, axis=0) / dt
+    sink[1:-1] += noise(noise_dz, steps) / dt
+    if frames == 4:
+        rise, sink = ((26 * d[1:-1] - d[:-2] - d[2:]) / 24 for d in (rise, sink))
+    else:
+        rise, sink = rise[1:-1], sink[1:-1]
+    fields = {"z": z, "z_t": rise, "u": uv["u"], "v": uv["v"], "w": sink}
+    out = cube(fields, t, y, x, dtype, water_depth=waves.depth, frame_rate=1 / dt)
+    if frames == 4:
+        for name in ("z_t", "u", "v", "w"):
+            out[name].attrs["frames"] = 4
+    return out
 
 
 def cube(fields, t, y, x, dtype="f4", **attrs):
@@ -201,13 +212,27 @@ class GaussianSea:
     Every (k, omega) is drawn anew, so a record holds as many independent waves as a sea without end.
     """
 
-    def __init__(self, n=100, steps=576, dx=0.04, dt=0.05, spread=0, heading=0.0, lowest=1.4, highest=3.3):
+    def __init__(
+        self,
+        n=100,
+        steps=576,
+        dx=0.04,
+        dt=0.05,
+        spread=0,
+        heading=0.0,
+        lowest=1.4,
+        highest=3.3,
+        current=(0.0, 0.0),
+        depth=0.7,
+        width=0.6,
+    ):
         self.n, self.steps, self.dx, self.dt = n, steps, dx, dt
         self.k = 2 * np.pi * np.fft.fftfreq(n, dx)
         self.omega = 2 * np.pi * np.arange(steps // 2 + 1) / (steps * dt)
         kx, ky = self.k, self.k[:, None]
-        ridge = relation(np.hypot(kx, ky), 0.7)
-        density = np.exp(-0.5 * ((self.omega[:, None, None] - ridge) / 0.6) ** 2)
+        ridge = relation(np.hypot(kx, ky), depth)
+        seen_at = ridge + kx * current[0] + ky * current[1]
+        density = np.exp(-0.5 * ((self.omega[:, None, None] - seen_at) / width) ** 2)
         density *= ((ridge > 2 * np.pi * lowest) & (ridge < 2 * np.pi * highest)) / np.maximum(ridge, 1) ** 5
         density *= np.cos((np.arctan2(ky, kx) - heading) / 2) ** (2 * spread)
         self.variance = density * 1e-4 / density.sum()  # of each wave (omega, ky, kx)
@@ -223,6 +248,12 @@ class GaussianSea:
         raw = rng.standard_normal((2, half + 1, self.n, self.n), dtype="f4")
         lines[-np.arange(half + 1)] *= (raw[0] + 1j * raw[1]) / np.float32(np.sqrt(2))
         return fft.ifftn(lines, overwrite_x=True).real * np.float32(lines.size)
+
+    def field(self, seed, units="m s-1"):
+        """One sea, labelled."""
+        t, y, x = axes(self.steps, self.n, self.n, self.dt, self.dx)
+        values = self.draw(seed).astype("f4")
+        return xr.DataArray(values, {"time": t, "y": y, "x": x}, ("time", "y", "x"), attrs={"units": units})
 
     def expected_map(self, ny, nx, segment):
         """Mean of E(ky, kx, omega) as a rectangle and a segment see it."""

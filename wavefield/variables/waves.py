@@ -92,6 +92,8 @@ _rows(
     ("low", "1", _LOW),
     ("high", "1", _HIGH),
 )
+_rows("", ("omega",), ("dof_omega", "1", "degrees of freedom of E(omega)"))
+_rows("", ("k",), ("dof_k", "1", "degrees of freedom of E(k)"))
 _rows("", ("omega", "k"), ("valid", "1", _TRUST), dtype="bool")
 _rows(
     "",
@@ -147,6 +149,8 @@ for _a in FIELD_UNITS:
         (f"E_{_a}", density_units(FIELD_UNITS[_a], "k", "omega"), f"E(k, omega) of {FIELD_TEXTS[_a]}"),
         (f"dof_{_a}", "1", "degrees of freedom"),
     )
+    for _axis in ("omega", "k"):
+        _rows("cross", (_axis,), (f"dof_{_axis}_{_a}", "1", f"degrees of freedom of E({_axis})"))
     for _b in FIELD_UNITS:
         _rows(
             "cross",
@@ -234,7 +238,14 @@ _rows(
     "statistics",
     ("quantity",),
     ("mean", "m", "mean"),
-    ("std", "m", "standard deviation"),
+    (
+        "std",
+        "m",
+        "standard deviation",
+        "in time: what stands still is taken off, and of skewness and kurtosis",
+    ),
+    ("static_std", "m", "standard deviation over the nodes of the mean over time"),
+    ("wild", "1", "values beyond six standard deviations"),
     ("std_px", "pixel", "standard deviation", "where the cube says how large a pixel is"),
     ("skewness", "1", "skewness"),
     ("kurtosis", "1", "excess kurtosis"),
@@ -351,6 +362,13 @@ _rows(
     ("omega_map",),
     ("direction", "rad", "mean direction of propagation, from x towards y"),
     ("spread", "rad", "directional spread", "the resolution is taken off"),
+)
+_rows(
+    "",
+    ("frequency",),
+    ("energy", "", "spectrum of the waves on the ridge, per Hz"),
+    ("r1", "1", "modulus of the first harmonic of the directional density"),
+    ("r2", "1", "modulus of the second harmonic of the directional density"),
 )
 _rows("direction", ("omega",), ("isotropy", "1", "isotropy, 1 - largest of the first two harmonics"))
 

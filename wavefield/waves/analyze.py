@@ -32,7 +32,7 @@ from wavefield.waves.onepass import FIELDS, MAPS, NAMES, PAIRS, Progress, Sums, 
 from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Record, find_record
 from wavefield.waves.ridge import dispersion_group
-from wavefield.waves.welch import Welch, omega_coords
+from wavefield.waves.welch import Welch, frames_of, omega_coords
 from wavefield.waves.window_gain import read_gain
 
 MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz; 2.8 is the paper's
@@ -151,7 +151,8 @@ def analyze(
 
 
 def _analyze(job: _Job, record: Record, alike: bool) -> xr.DataTree:
-    welch = Welch(record, segments.segment_length(record, job.segment))
+    segment = segments.segment_length(record, job.segment)
+    welch = Welch(record, segment, frames=frames_of(job.cube))
     time = job.cube["time"].values.astype(float)
     probes = _probes(job, welch, time)
     scale = statistics.pilot(job.cube, record, list(statistics.QUANTITIES.values()))
@@ -189,9 +190,18 @@ def _groups(
     ]
     maps = {f"E_kxky_{name}": _map(density[name], chosen, name) for name in MAPS}
     spectra_group = crosses.by_field(ring, NAMES).assign(fused[by_method].data_vars)
-    spectra_group = spectra_group.assign(transfer.gains(welch.omega, welch.record.dt)).assign(maps)
+    spectra_group = spectra_group.assign(transfer.gains(welch.omega, welch.record.dt, welch.frames)).assign(
+        maps
+    )
     moments = statistics.label(sums.survey, scale, welch.record.dt, job.pixel_size)
     moments = moments.assign(statistics.error_statistics(job.whole, welch.record).data_vars)
+    wild = {str(q): int(n) for q, n in zip(moments["quantity"].values, moments["wild"].values) if n}
+    if wild:
+        words = ", ".join(f"{n} of {q}" for q, n in wild.items())
+        notes.append(
+            f"Values beyond six standard deviations: {words}. A single wild value lifts the floor of its"
+            " spectra: look at them before you trust what lies decades below the peak."
+        )
     water = job.depth, job.gamma, welch.dof
     dispersion, note = dispersion_group(density["w"], welch.table.k, *water)
     notes.extend([note] if note else [])
@@ -201,7 +211,7 @@ def _groups(
         "statistics": statistics.spectral_peak(moments, fused, job.depth, job.gamma),
         "dispersion": dispersion,
         "fusion": fused.drop_vars(by_method),
-        "direction": direction_group(density["w"], chosen, *water),
+        "direction": direction_group(density["w"], chosen, dispersion, *water),
     }
 
 
@@ -264,6 +274,7 @@ def _attributes(job: _Job, welch: Welch) -> dict[str, Any]:
         "windows_undone": "no" if job.gain is None else str(job.gain.attrs.get("origin", "yes")),
         "segment": welch.segment,
         "segments": welch.count,
+        "frames_of_velocities": welch.frames,
         "degrees_of_freedom": welch.dof,
         "steps": record.steps,
         "steps_used": sum(b - a for a, b in record.runs if b - a >= welch.segment),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
-from wavefield.waves import kernels, segments, spectra
+from wavefield.waves import kernels, scatter, segments, spectra, transfer
 from wavefield.waves.record import Record
 from wavefield.waves.rings import Rings
 from wavefield.waves.welch import Welch, k_coords, omega_coords
@@ -43,11 +43,14 @@ def sources(names: Sequence[str]) -> list[str]:
 class _Nonlinear:
     """u . grad z: computed where it is cut out, never held whole."""
 
-    def __init__(self, fields: Mapping[str, Array], dt: float, dy: float, dx: float) -> None:
+    def __init__(self, fields: Mapping[str, Array], welch: Welch) -> None:
+        record = welch.record
+        # velocities along paths are those at mid-time, as z is; a displacement goes with its frames' mean
+        lean = record.dt / 16 if welch.frames == 2 else 0.0
         self.fields = [np.ascontiguousarray(fields[name]) for name in ("z", "z_t", "u", "v")]
         self.shape, self.dtype = self.fields[0].shape, self.fields[0].dtype
         real = self.dtype.type
-        self.distances = real(dt / 16), real(dt / 2), dy, dx
+        self.distances = real(lean), real(record.dt / 2), record.dy, record.dx
 
     def __getitem__(self, steps: slice) -> Array:
         first, end, _ = steps.indices(self.shape[0])
@@ -60,9 +63,7 @@ class _Nonlinear:
 def transforms(
     fields: dict[str, Array],
     names: Sequence[str],
-    dt: float,
-    dy: float,
-    dx: float,
+    welch: Welch,
     old: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
     """Transform a half segment in space.
@@ -73,8 +74,8 @@ def transforms(
         Fields of the cube; emptied on the way.
     names : sequence of str
         Spectral names.
-    dt, dy, dx : float
-        Distances, s and m.
+    welch : Welch
+        Distances, and what the velocities are.
     old : mapping, optional
         What it gave for an earlier half segment that is not needed any more: its memory is used again.
 
@@ -85,7 +86,7 @@ def transforms(
     """
     out, old = {}, old or {}
     if "nl" in names:
-        out["nl"] = segments.transform_space(_Nonlinear(fields, dt, dy, dx), old.get("nl"))
+        out["nl"] = segments.transform_space(_Nonlinear(fields, welch), old.get("nl"))
     wanted = {name for name in names if name != "nl"} | ({"z_t"} if "z" in names else set())
     for name in [*fields]:
         block = fields.pop(name)
@@ -107,8 +108,7 @@ def combine(
     names: Sequence[str],
     pairs: Sequence[tuple[str, str]],
     maps: Sequence[str],
-    table: Rings,
-    dt: float,
+    welch: Welch,
 ) -> dict[str, Array]:
     """Transform a segment in time and sum powers and cross products over rings.
 
@@ -122,10 +122,8 @@ def combine(
         Cross products wanted.
     maps : sequence of str
         Names whose power is wanted for each cell.
-    table : Rings
-        Rings of the k plane.
-    dt : float
-        Time between frames, s.
+    welch : Welch
+        Rings of the k plane and time between frames.
 
     Returns
     -------
@@ -133,8 +131,8 @@ def combine(
         "name" (2, rings, n // 2 + 1), power and its square, "a*b" the same shape, real and
         imaginary part, "map name" (cells, n).
     """
-    sums = empty_sums(first[names[0]], names, pairs, maps, table)
-    add_segment(sums, first, second, names, pairs, maps, table, dt)
+    sums = empty_sums(first[names[0]], names, pairs, maps, welch.table)
+    add_segment(sums, first, second, names, pairs, maps, welch)
     return sums
 
 
@@ -149,6 +147,8 @@ def empty_sums(
     cells, steps = half.shape
     shape = (table.k.size, steps + 1)
     sums = {name: np.zeros((2, *shape)) for name in (*names, *(f"{a}*{b}" for a, b in pairs))}
+    for name in names:
+        sums |= scatter.no_squares(name, shape)
     return sums | {f"map {name}": np.zeros((cells, 2 * steps), half.real.dtype) for name in maps}
 
 
@@ -159,32 +159,51 @@ def add_segment(
     names: Sequence[str],
     pairs: Sequence[tuple[str, str]],
     maps: Sequence[str],
-    table: Rings,
-    dt: float,
+    welch: Welch,
 ) -> None:
     """As `combine`, added to ``sums``."""
+    table, dt = welch.table, welch.record.dt
     cells, half = first[names[0]].shape
-    dtype = first[names[0]].dtype
-    real = dtype.type(0).real.dtype
-    transform = segments.TimeTransform(half, dtype, len(names))
-    halves = [part[name].T.view(real) for name in ("z", "z_t") for part in (first, second) if "z" in names]
+    transform = segments.TimeTransform(half, first[names[0]].dtype, len(names) + 1)
+    mine = {name: np.zeros_like(sums[name]) for name in names}  # of this segment alone
+    signed = 2 * np.pi * np.fft.fftfreq(2 * half, dt)
+    forward = transfer.to_frame_time(signed, dt, welch.frames).astype(first[names[0]].dtype)
+    frames = _FrameTimes(first, second, dt) if "z" in names and welch.frames == 2 else None
     for slab in segments.slabs(cells):
         start = table.start[slab.start : slab.stop + 1]
         lines = {}
         for i, name in enumerate(names):
             one, two = first[name][slab], second[name][slab]
-            if name == "z":
-                starts = [np.empty((half, one.shape[0]), dtype) for _ in range(2)]
-                parts = [part.view(real) for part in starts]
-                given = *halves, real.type(dt), 2 * slab.start, *parts
-                kernels.frames(*given)
-                one, two = (part.T for part in starts)
+            if name == "z" and frames is not None:
+                one, two = frames(slab)
             lines[name] = transform(one, two, i)
-            kernels.ring_powers(lines[name], start, table.ring, table.weight, table.spread, sums[name])
+            if name == "z" and frames is None:
+                lines[name] += forward * transform(first["z_t"][slab], second["z_t"][slab], len(names))
+            kernels.ring_powers(lines[name], start, table.ring, table.weight, table.spread, mine[name])
             if name in maps:
                 kernels.add_powers(lines[name], sums[f"map {name}"][slab])
         for a, b in pairs:
             kernels.ring_crosses(lines[a], lines[b], start, table.ring, table.weight, sums[f"{a}*{b}"])
+    for name in names:
+        scatter.take_in(sums, name, mine[name])
+
+
+class _FrameTimes:
+    """Takes z of a segment to frame times, exactly: z and the differences z_t hold the frames."""
+
+    def __init__(self, first: Mapping[str, Array], second: Mapping[str, Array], dt: float) -> None:
+        self.dtype = first["z"].dtype
+        self.real = self.dtype.type(0).real.dtype
+        self.halves = [part[name].T.view(self.real) for name in ("z", "z_t") for part in (first, second)]
+        self.dt = self.real.type(dt)
+        self.steps = first["z"].shape[1]
+
+    def __call__(self, slab: slice) -> tuple[Array, Array]:
+        starts = [np.empty((self.steps, slab.stop - slab.start), self.dtype) for _ in range(2)]
+        parts = [part.view(self.real) for part in starts]
+        given = *self.halves, self.dt, 2 * slab.start, *parts
+        kernels.frames(*given)
+        return starts[0].T, starts[1].T
 
 
 def label(
@@ -211,7 +230,9 @@ def label(
     out: dict[str, Any] = {}
     for name in names:
         out[f"E_{name}"] = (dims, sums[name][0].T * factor)
-        out[f"dof_{name}"] = (dims, welch.freedom(sums[name]).T)
+        out[f"dof_{name}"] = (dims, scatter.freedom(sums, name, welch, gaussian=name != "nl").T)
+        for axis in ("omega", "k"):
+            out[f"dof_{axis}_{name}"] = (axis, scatter.freedom_over(sums, name, axis, welch))
     for a, b in pairs:
         real, imaginary = sums[f"{a}*{b}"]
         out[f"S_{a}_{b}"] = (dims, (real + 1j * imaginary).T * factor)
@@ -297,15 +318,17 @@ def lazy_cross_spectra(
     record, table = welch.record, welch.table
 
     def make(blocks: list[Array], first: int) -> dict[str, Array]:
-        return transforms(take(fields, blocks), names, record.dt, record.dy, record.dx)
+        return transforms(take(fields, blocks), names, welch)
 
     runs = segments.half_segments([cube[field] for field in fields], record, welch.half, make)
     task = dask.delayed(combine, pure=False)
-    parts = [task(a, b, names, pairs, (), table, record.dt) for run in runs for a, b in pairwise(run)]
+    parts = [task(a, b, names, pairs, (), welch) for run in runs for a, b in pairwise(run)]
     summed = segments.in_order(parts)
     shape = (table.k.size, welch.omega.size)
     wanted = (*names, *(f"{a}*{b}" for a, b in pairs))
     sums = {name: da.from_delayed(summed[name], (2, *shape), float) for name in wanted}
+    for name in names:
+        sums |= scatter.lazy_squares(summed, name, shape)
     return label(sums, names, pairs, welch)
 
 
@@ -328,12 +351,14 @@ def by_field(ring: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
     out = xr.Dataset(attrs=ring.attrs)
     for name in names:
         energy, dof = ring[f"E_{name}"], ring[f"dof_{name}"]
+        whole = {"E": energy, "dof": dof, "dof_omega": ring[f"dof_omega_{name}"]}
         cells = dof / ring.attrs["degrees_of_freedom"]
-        in_time = 2 * spectra.samples_in_time(energy, duration, cells).clip(min=1)
+        theory = 2 * spectra.samples_in_time(energy, duration, cells).clip(min=1)
+        dof_k = ring[f"dof_k_{name}"].fillna(theory)
         parts = {
             f"komega_{name}": spectra.with_interval(energy, dof),
-            f"k_{name}": spectra.with_interval(energy.sum("omega") * step, in_time),
-            name: spectra.frequency_spectrum(xr.Dataset({"E": energy, "dof": dof}, attrs=ring.attrs)),
+            f"k_{name}": spectra.with_interval(energy.sum("omega") * step, dof_k),
+            name: spectra.frequency_spectrum(xr.Dataset(whole, attrs=ring.attrs)),
         }
         for of, part in parts.items():
             whole = of if of.startswith("komega") else f"E_{of}"

@@ -1,7 +1,11 @@
 """Where the waves go: the directional spectrum on the ridge, and how isotropic the sea is."""
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
+from scipy import ndimage
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
@@ -9,14 +13,108 @@ from wavefield.water import GAMMA, dispersion, wavenumber
 from wavefield.waves import rings
 from wavefield.waves.windows import interval
 
+Array = NDArray[Any]
+
 _HALF_WIDTH, _LEAST_CELLS = 0.22, 2.2  # of the ring around the ridge: relative, and in cells
+_HANN = np.array([1 / 36, 4 / 9, 1, 4 / 9, 1 / 36])  # squared correlation of neighbouring lines or cells
+
+
+def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, float]) -> Array:
+    """Spectrum as somebody sees it who drifts with the water.
+
+    Parameters
+    ----------
+    density : DataArray, (omega, ky, kx)
+        E(ky, kx, omega).
+    lines : ndarray of int, (lines,)
+        Lines of omega wanted.
+    current : tuple of float
+        Velocity of the water, m/s.
+
+    Returns
+    -------
+    ndarray, (lines, ky, kx)
+        E(k, omega + k . U), between lines by straight lines; waves that the current turns round,
+        omega + k . U below zero, are taken from where they are seen, at -k.
+    """
+    values = density.values
+    if not any(current):
+        return np.asarray(values[lines], float)
+    omega, ky, kx = (density[name].values for name in ("omega", "ky", "kx"))
+    step = omega[1] - omega[0]
+    shift = (current[1] * ky[:, None] + current[0] * kx) / step
+    row, column = np.meshgrid(np.arange(ky.size), np.arange(kx.size), indexing="ij")
+    mirror_row, mirror_column = (np.abs(k[:, None] + k).argmin(axis=1) for k in (ky, kx))
+    out = np.empty((lines.size, *shift.shape))
+    for i, line in enumerate(lines):
+        place = line + shift
+        back = place < 0
+        place = np.abs(place)
+        low = np.minimum(np.floor(place).astype(int), omega.size - 1)
+        high = np.minimum(low + 1, omega.size - 1)
+        y = np.where(back, mirror_row[row], row)
+        x = np.where(back, mirror_column[column], column)
+        part = place - low
+        out[i] = (1 - part) * values[low, y, x] + part * values[high, y, x]
+        out[i][place > omega.size - 1] = 0
+    return out
+
+
+class _Sectors:
+    """Fractions of the cells of a k plane in sectors of a ring."""
+
+    def __init__(self, ky: Array, kx: Array, count: int) -> None:
+        n = rings.SUPERSAMPLING
+        part = (np.arange(n) + 0.5) / n - 0.5
+        sub_y = ky[:, None, None, None] + (part * (ky[1] - ky[0]))[:, None, None]
+        sub_x = kx[:, None] + part * (kx[1] - kx[0])
+        self.count, self.width = count, 2 * np.pi / count
+        self.shape = ky.size, kx.size
+        self.cell = float((ky[1] - ky[0]) * (kx[1] - kx[0]))
+        self.radius = np.hypot(sub_y, sub_x)  # (ky, part, kx, part)
+        turn = np.arctan2(sub_y, sub_x) % (2 * np.pi)
+        self.sector = np.floor(turn / self.width).astype(int) % count
+        cells = np.arange(ky.size * kx.size).reshape(ky.size, 1, kx.size, 1)
+        self.place = np.broadcast_to(cells, self.radius.shape)
+
+    def of_ring(self, centre: float, half: float) -> tuple[Array, Array]:
+        """Fractions (sectors, cells) and how much of each sector the plane holds, (sectors,)."""
+        ring = np.abs(self.radius - centre) < half
+        size = self.shape[0] * self.shape[1]
+        index = self.sector[ring] * size + self.place[ring]
+        found = np.bincount(index, minlength=self.count * size).reshape(self.count, size)
+        out = found / rings.SUPERSAMPLING**2
+        whole = self.width / 2 * ((centre + half) ** 2 - max(centre - half, 0.0) ** 2)
+        return out, out.sum(axis=1) * self.cell / whole
+
+
+def _variances(shares: Array, energy: Array, dof: float) -> Array:
+    # relative variance of the energy of each sector, (sectors,): neighbouring cells and lines are correlated
+    lines, ny, nx = energy.shape
+    across = ndimage.convolve1d(
+        energy, _HANN[2 - min(2, lines - 1) : 3 + min(2, lines - 1)], axis=0, mode="constant"
+    )
+    out = np.full(shares.shape[0], np.nan)
+    for s, row in enumerate(shares):
+        part = row.reshape(ny, nx)
+        used = np.flatnonzero(part.any(axis=1)), np.flatnonzero(part.any(axis=0))
+        if not used[0].size:
+            continue
+        box = slice(used[0][0], used[0][-1] + 1), slice(used[1][0], used[1][-1] + 1)
+        mine, other = part[box] * energy[:, *box], part[box] * across[:, *box]
+        for axis in (1, 2):
+            other = ndimage.convolve1d(other, _HANN, axis=axis, mode="constant")
+        total = mine.sum()
+        out[s] = 2 / dof * (mine * other).sum() / total**2 if total > 0 else np.nan
+    return out
 
 
 def directions(
     density: xr.DataArray,
-    frequency: list[float] | np.ndarray,
+    frequency: list[float] | Array,
     depth: float = np.inf,
     *,
+    current: tuple[float, float] = (0.0, 0.0),
     sectors: int = 24,
     dof: float | None = None,
     gamma: float = GAMMA,
@@ -29,9 +127,11 @@ def directions(
     density : DataArray, (omega, ky, kx)
         Spectrum of z or w.
     frequency : array_like
-        Frequencies, Hz.
+        Frequencies as the water sees them, Hz: without a current those of the cameras.
     depth : float
         Depth of the water, m.
+    current : tuple of float
+        Velocity of the water along x and y, m/s (`fit_dispersion`).
     sectors : int
         Number of sectors of the circle.
     dof : float, optional
@@ -45,9 +145,10 @@ def directions(
     -------
     Dataset
         ``D`` (frequency, theta): density over the direction of propagation, its integral over theta is 1;
-        ``dof``, ``low``, ``high`` (frequency, theta); ``direction``, ``spread`` (frequency): mean direction
-        and directional spread, rad; ``isotropy`` (frequency): 1 - the larger modulus of the first two
-        harmonics of D, 1 for an isotropic sea, 0 for a single direction.
+        ``dof``, ``low``, ``high`` (frequency, theta); ``energy`` (frequency), the ridge's spectrum per Hz;
+        ``direction``, ``spread`` (frequency): mean direction and directional spread, rad; ``r1``, ``r2``
+        (frequency), moduli of the first two harmonics; ``isotropy`` (frequency): 1 - the larger of them,
+        1 for an isotropic sea, 0 for a single direction.
 
     Raises
     ------
@@ -56,53 +157,52 @@ def directions(
 
     Notes
     -----
-    Cells near the ridge are shared between sectors by area (8 x 8 parts); the k plane's own coverage of each
-    sector is divided out, so a rectangle of nodes does not look like a direction. The spread is
-    sqrt(2 (1 - |int D exp(i theta) dtheta|)), the resolution taken off: a Hann window of length L blurs k by
-    (2 pi / L) / sqrt(3), cells and sectors by their width over sqrt(12). D itself keeps that blur.
+    The spectrum is taken to still water first, E(k, omega + k . U). Cells near the ridge are shared between
+    sectors by area (8 x 8 parts); the k plane's own coverage of each sector is divided out, so a rectangle of
+    nodes does not look like a direction. The spread is sqrt(2 (1 - r1)), the resolution taken off: a Hann
+    window of length L blurs k by (2 pi / L) / sqrt(3), cells and sectors by their width over sqrt(12). D and
+    the harmonics keep that blur. The degrees of freedom are those of the energy found in a sector, its cells
+    and lines correlated as Hann windows have it, and of the sum over all that D is a fraction of.
     """
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
     if frequency.max() > lines[-1]:
         raise CubeError(f"{frequency.max():g} Hz is outside the spectrum, which ends at {lines[-1]:g} Hz")
     ky, kx = density["ky"].values, density["kx"].values
-    cell = max(float(ky[1] - ky[0]), float(kx[1] - kx[0]))
-    n = rings.SUPERSAMPLING
-    part = (np.arange(n) + 0.5) / n - 0.5
-    sub_y = ky[:, None, None, None] + (part * (ky[1] - ky[0]))[:, None, None]
-    sub_x = kx[:, None] + part * (kx[1] - kx[0])
-    radius = np.hypot(sub_y, sub_x)  # (ky, part, kx, part)
-    width = 2 * np.pi / sectors
-    sector = np.floor((np.arctan2(sub_y, sub_x) % (2 * np.pi)) / width).astype(int) % sectors
-    flat_cell = np.broadcast_to(np.arange(ky.size * kx.size).reshape(ky.size, 1, kx.size, 1), radius.shape)
-
-    density_rows, dof_rows, centres = [], [], []
-    for f in frequency:
+    cells = float(ky[1] - ky[0]), float(kx[1] - kx[0])
+    plane = _Sectors(ky, kx, sectors)
+    centres = wavenumber(2 * np.pi * frequency, depth, gamma)
+    levels, degrees = np.empty((frequency.size, sectors)), np.full((frequency.size, sectors), np.nan)
+    for i, (f, centre) in enumerate(zip(frequency, centres)):
         chosen = np.flatnonzero(np.abs(lines - f) <= bandwidth / 2 + 1e-9)
         if not chosen.size:
             chosen = np.array([np.abs(lines - f).argmin()])
-        energy = density.isel(omega=chosen).mean("omega").values.astype(float)
-        centre = float(wavenumber(2 * np.pi * f, depth, gamma))
-        centres.append(centre)
-        ring = np.abs(radius - centre) < max(_HALF_WIDTH * centre, _LEAST_CELLS * cell)
-        index = sector[ring] * energy.size + flat_cell[ring]
-        shares = np.bincount(index, minlength=sectors * energy.size).reshape(sectors, -1) / n**2
-        area = shares.sum(axis=1)
-        level = np.divide(shares @ energy.ravel(), area, out=np.zeros(sectors), where=area > 0)
-        total = level.sum() * width
-        density_rows.append(level / total if total > 0 else np.full(sectors, np.nan))
-        # Hann windows: 3.78 neighbouring cells and about two lines count as one
-        independent = np.maximum(area / 3.78, 1) * max(chosen.size / 1.94, 1)
-        dof_rows.append((np.nan if dof is None else dof) * independent)
+        energy = in_still_water(density, chosen, current)
+        shares, held = plane.of_ring(float(centre), max(_HALF_WIDTH * centre, _LEAST_CELLS * max(cells)))
+        sums = shares @ energy.mean(axis=0).ravel() * plane.cell
+        levels[i] = np.divide(sums, held, out=np.zeros(sectors), where=held > 0)
+        if dof is not None:
+            variance = _variances(shares, energy, dof)
+            p = levels[i] / max(levels[i].sum(), 1e-300)
+            # of a fraction of the whole
+            relative = (1 - 2 * p) * variance + np.nansum(p**2 * variance)
+            degrees[i] = 2 / np.maximum(relative, 1e-12)
+    return _label(frequency, centres, levels, degrees, cells)
+
+
+def _label(
+    frequency: Array, centres: Array, levels: Array, degrees: Array, cells: tuple[float, float]
+) -> xr.Dataset:
+    sectors = levels.shape[1]
+    width = 2 * np.pi / sectors
     theta = (np.arange(sectors) + 0.5) * width
-    values = np.array(density_rows)
+    total = levels.sum(axis=1, keepdims=True)
+    values = np.divide(levels, total * width, out=np.full(levels.shape, np.nan), where=total > 0)
     first, second = ((values * np.exp(1j * m * theta)).sum(axis=1) * width for m in (1, 2))
     mean = np.angle(first)
     # variance of a component of k: window 1/3 and cell 1/12, in cells; across the mean direction
-    across = np.hypot((ky[1] - ky[0]) * np.cos(mean), (kx[1] - kx[0]) * np.sin(mean)) / np.array(centres)
+    across = np.hypot(cells[0] * np.cos(mean), cells[1] * np.sin(mean)) / np.asarray(centres)
     blur = 5 / 12 * across**2 + width**2 / 12
-    spread = np.sqrt(np.maximum(2 * (1 - np.abs(first)) - blur, 0))
-    degrees = np.array(dof_rows)
     low, high = interval(degrees)
     dims = ("frequency", "theta")
     out = xr.Dataset(
@@ -111,8 +211,11 @@ def directions(
             "dof": (dims, degrees),
             "low": (dims, low),
             "high": (dims, high),
+            "energy": ("frequency", 2 * np.pi * total[:, 0]),
             "direction": ("frequency", mean % (2 * np.pi)),
-            "spread": ("frequency", spread),
+            "spread": ("frequency", np.sqrt(np.maximum(2 * (1 - np.abs(first)) - blur, 0))),
+            "r1": ("frequency", np.abs(first)),
+            "r2": ("frequency", np.abs(second)),
             "isotropy": ("frequency", 1 - np.maximum(np.abs(first), np.abs(second))),
         },
         {"frequency": ("frequency", frequency), "theta": ("theta", theta)},
@@ -121,7 +224,12 @@ def directions(
 
 
 def direction_group(
-    density: xr.DataArray, chosen: list[int], depth: float, gamma: float, dof: float
+    density: xr.DataArray,
+    chosen: list[int],
+    dispersion_fit: xr.Dataset,
+    depth: float,
+    gamma: float,
+    dof: float,
 ) -> xr.Dataset:
     """Directions at the frequencies of the maps, isotropy at all.
 
@@ -131,6 +239,8 @@ def direction_group(
         Spectrum of w.
     chosen : list of int
         Lines of the maps.
+    dispersion_fit : Dataset
+        As `ridge.dispersion_group` gives it: its current is used where there is one.
     depth, gamma : float
         Depth, m, and surface tension over density, m3/s2, of the water.
     dof : float
@@ -142,13 +252,17 @@ def direction_group(
         ``D`` and its interval (omega_map, theta), ``direction``, ``spread`` (omega_map), ``isotropy``
         (omega).
     """
+    current = (0.0, 0.0)
+    if "current_x" in dispersion_fit:
+        current = float(dispersion_fit["current_x"]), float(dispersion_fit["current_y"])
     lines = density["omega"].values / (2 * np.pi)
-    out = directions(density, lines[chosen], depth, dof=dof, gamma=gamma).drop_vars("isotropy")
+    out = directions(density, lines[chosen], depth, current=current, dof=dof, gamma=gamma)
+    out = out[["D", "dof", "low", "high", "direction", "spread"]]
     out = out.rename({name: f"{name}_D" for name in ("dof", "low", "high")})
     out = out.assign_coords(frequency=2 * np.pi * out["frequency"]).rename(frequency="omega_map")
     highest = min(0.9 * lines[-1], dispersion(0.7 * float(density["kx"].max()), depth, gamma) / (2 * np.pi))
     frequencies = np.arange(max(0.5, 2 * lines[1]), highest, 0.25)
     if frequencies.size:
-        isotropy = directions(density, frequencies, depth, gamma=gamma)["isotropy"].values
+        isotropy = directions(density, frequencies, depth, current=current, gamma=gamma)["isotropy"].values
         out = out.assign_coords(omega=2 * np.pi * frequencies).assign(isotropy=("omega", isotropy))
     return annotate(out, "direction")

@@ -15,6 +15,8 @@ from wavefield.waves import kernels
 from wavefield.waves.crosses import door
 from wavefield.waves.fusion import NAMES
 from wavefield.waves.record import Record, fill, find_record, piece
+from wavefield.waves.transfer import path_factor, to_frame_time
+from wavefield.waves.welch import frames_of
 from wavefield.waves.windows import hann
 
 Array = NDArray[Any]
@@ -27,6 +29,7 @@ def _filter(
     missing: Array,
     segment: int,
     dt: float,
+    frames: int,
     weight: Array,
     gain: Array,
 ) -> Array:
@@ -45,7 +48,7 @@ def _filter(
     b = omega * dt / 2
     with np.errstate(divide="ignore", invalid="ignore"):
         # numpy's signs: exp(+i omega t)
-        integrate = -1j * dt / (2 * np.sin(b))
+        integrate = -1j * dt / (2 * np.sin(b) * path_factor(omega, dt, frames))
     integrate[0] = 0
     advance = np.exp(1j * b) * weight * gain
     integrate = integrate * (1 - weight) * gain
@@ -53,11 +56,16 @@ def _filter(
     for start, kept in ((0, slice(half, None)), (half, slice(0, half))):
         part = slice(start, start + segment)
         z_flat, z_t_flat = (array[part].reshape(segment, -1) for array in (z, z_t))
-        frames = np.empty_like(z_flat)
+        starts = np.empty_like(z_flat)
         halves = [array[some] for array in (z_flat, z_t_flat) for some in (slice(half), slice(half, None))]
-        given = *halves, z.dtype.type(dt), 0, frames[:half], frames[half:]
-        kernels.frames(*given)
-        lines = fft.rfft(frames * window, axis=0) * advance[:, None]
+        if frames == 2:
+            given = *halves, z.dtype.type(dt), 0, starts[:half], starts[half:]
+            kernels.frames(*given)
+            lines = fft.rfft(starts * window, axis=0)
+        else:
+            lines = fft.rfft(z_flat * window, axis=0)
+            lines += fft.rfft(z_t_flat * window, axis=0) * to_frame_time(omega, dt, frames)[:, None]
+        lines *= advance[:, None]
         lines += fft.rfft(w[part].reshape(segment, -1) * window, axis=0) * integrate[:, None]
         out += fft.irfft(lines, segment, axis=0)[kept].reshape(half, *shape).astype(z.dtype)
     return out
@@ -125,7 +133,7 @@ def fuse(
             area = slice(*record.y), slice(*record.x)
             pieces = [piece(cube[name], slice(lo, hi), *area) for name in names]
             missing = np.isin(np.arange(lo, hi), bridged)
-            block = task(pieces, wanted, lo, missing, segment, record.dt, weight, more)
+            block = task(pieces, wanted, lo, missing, segment, record.dt, frames_of(cube), weight, more)
             count = min(half, run[1] - a)
             rows.append(da.from_delayed(block, (half, ny, nx), dtype)[:count])
             steps_used.append(np.arange(a, a + count))

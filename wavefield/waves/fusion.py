@@ -16,7 +16,7 @@ from wavefield.water import dispersion, wavenumber
 from wavefield.waves.crosses import cross_spectra
 from wavefield.waves.record import Record
 from wavefield.waves.spectra import frequency_spectrum, with_interval
-from wavefield.waves.transfer import LEAST_GAIN, LEAST_SIGNAL
+from wavefield.waves.transfer import LEAST_GAIN, LEAST_SIGNAL, elevation_from_w, path_factor
 from wavefield.waves.welch import inner, k_coords, omega_coords
 from wavefield.waves.window_gain import read_gain, ring_gain
 
@@ -109,11 +109,13 @@ class _Elevations:
 
 def _elevations(ring: xr.Dataset) -> _Elevations:
     dt, omega = float(ring.attrs["dt"]), ring["omega"].values
+    frames = int(ring.attrs.get("frames", 2))
     b = omega * dt / 2
     with np.errstate(divide="ignore", invalid="ignore"):
         # z is half a step early: exp(i b) brings it to mid-time
-        to_elevation = np.exp(1j * b) * 1j * dt / (2 * np.sin(b))
-        factor_w = (dt / 2) ** 2 / np.sin(b) ** 2
+        path = path_factor(omega, dt, frames)
+        to_elevation = np.exp(1j * b) * 1j * dt / (2 * np.sin(b) * path)
+        factor_w = elevation_from_w(omega, dt, frames)
     to_elevation[0], factor_w[0] = 0, 0
     cross = (ring["S_z_w"].values * to_elevation[:, None]).real
     return _Elevations(

@@ -405,6 +405,28 @@ def histogram(values, mean, std, reach, counts):
 
 
 @_loose
+def node_powers(values, mean, sums):
+    """Add the first three powers of (value - mean) at every node to ``sums``.
+
+    Parameters
+    ----------
+    values : ndarray, (steps, nodes)
+        Finite numbers.
+    mean : float
+        A first guess of the mean.
+    sums : ndarray, float64, (3, nodes)
+        Sums over the steps to add to.
+    """
+    for r in range(values.shape[0]):
+        for i in range(values.shape[1]):
+            d = np.float64(values[r, i]) - mean
+            q = d * d
+            sums[0, i] += d
+            sums[1, i] += q
+            sums[2, i] += q * d
+
+
+@_loose
 def moments(values, mean, sums):
     """Add the first four powers of (value - mean) to ``sums`` (5,), the first entry being the count.
 

@@ -11,6 +11,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.waves import kernels
 from wavefield.waves.record import check_axes
+from wavefield.waves.welch import frames_of
 
 Array = NDArray[Any]
 
@@ -98,8 +99,9 @@ def kinematics(cube: xr.Dataset) -> xr.Dataset:
 
     Notes
     -----
-    Central differences of sixth order, of lower order in the three rows at each edge. The slope in the
-    nonlinear term is that of the mean of the step's two frames, which z and z_t give exactly: with
+    Central differences of sixth order, of lower order in the three rows at each edge. With velocities along
+    paths of four frames the slope in the nonlinear term is that of z at mid-time; with displacements over one
+    step it is that of the mean of the step's two frames, which z and z_t give exactly: with
     displacements over dt this leaves a third of the error that the slope at mid-time leaves (3 % of the
     nonlinear term for waves of 1 to 5 Hz at 20 Hz). Vorticity and divergence are those of the surface water's
     horizontal velocity as a function of (x, y).
@@ -113,11 +115,7 @@ def kinematics(cube: xr.Dataset) -> xr.Dataset:
 
     fields = [cube[name].transpose("time", "y", "x") for name in _NAMES]
     z, z_t = fields[0], fields[1]
-    after, before = z_t.shift(time=-1), z_t.shift(time=1)
-    mean = z + (dt / 16) * (after - before)
-    # at the ends of the record from the neighbour
-    mean = mean.fillna(mean.shift(time=-1) - (dt / 2) * (z_t + after))
-    mean = mean.fillna(mean.shift(time=1) + (dt / 2) * (z_t + before)).fillna(z)
+    mean = z if frames_of(cube) == 4 else _mean_of_frames(z, z_t, dt)
     fields.append(mean.astype(z.dtype))
     results = xr.apply_ufunc(
         compute,
@@ -129,6 +127,14 @@ def kinematics(cube: xr.Dataset) -> xr.Dataset:
         dask_gufunc_kwargs={"allow_rechunk": True},
     )
     return annotate(xr.Dataset(dict(zip(_OUTPUTS, results))))
+
+
+def _mean_of_frames(z: xr.DataArray, z_t: xr.DataArray, dt: float) -> xr.DataArray:
+    after, before = z_t.shift(time=-1), z_t.shift(time=1)
+    mean = z + (dt / 16) * (after - before)
+    # at the ends of the record from the neighbour
+    mean = mean.fillna(mean.shift(time=-1) - (dt / 2) * (z_t + after))
+    return mean.fillna(mean.shift(time=1) + (dt / 2) * (z_t + before)).fillna(z)
 
 
 def frame_elevations(z: Any, z_before: Any, z_after: Any, z_t: Any, dt: float) -> tuple[Any, Any]:
@@ -219,7 +225,7 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
     Raises
     ------
     CubeError
-        If a variable is missing or the axes are uneven.
+        If a variable is missing, the axes are uneven, or the velocities are no displacements over one step.
 
     Notes
     -----
@@ -229,6 +235,11 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
     """
     cube = _door(cube)
     dt, dy, dx = check_axes(cube)
+    if frames_of(cube) == 4:
+        raise CubeError(
+            "the cube's velocities follow paths of four frames and hold no displacements: look at the"
+            " residual of wavefield.waves.kinematics, which is as exact"
+        )
     z_t = cube["z_t"]
     start, end = frame_elevations(cube["z"], z_t.shift(time=1), z_t.shift(time=-1), z_t, dt)
 
@@ -249,7 +260,9 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
     return annotate(out.to_dataset(name="finite_residual"))["finite_residual"]
 
 
-def balance(fields: Mapping[str, Array], i: int, dt: float, dy: float, dx: float) -> dict[str, float]:
+def balance(
+    fields: Mapping[str, Array], i: int, dt: float, dy: float, dx: float, frames: int = 2
+) -> dict[str, float]:
     """Root mean squares of the terms of the kinematic condition at one step.
 
     Parameters
@@ -260,6 +273,8 @@ def balance(fields: Mapping[str, Array], i: int, dt: float, dy: float, dx: float
         The step, with one before and one after it.
     dt, dy, dx : float
         Distances, s and m.
+    frames : int
+        Frames that the velocities come from: with four there is no ``finite_residual_rms`` (NaN).
 
     Returns
     -------
@@ -270,8 +285,12 @@ def balance(fields: Mapping[str, Array], i: int, dt: float, dy: float, dx: float
     now = {name: fields[name][i].astype(float) for name in _NAMES}
     before, after = fields["z_t"][i - 1].astype(float), fields["z_t"][i + 1].astype(float)
     ends = frame_elevations(now["z"], before, after, now["z_t"], dt)
-    finite = finite_residual_on_grid(*ends, now["u"], now["v"], now["w"], dt, dy, dx)
-    parts = terms(now | {"mean": (ends[0] + ends[1]) / 2}, dy, dx)
+    if frames == 2:
+        finite = finite_residual_on_grid(*ends, now["u"], now["v"], now["w"], dt, dy, dx)
+        mean = (ends[0] + ends[1]) / 2
+    else:
+        finite, mean = np.empty(0), now["z"]
+    parts = terms(now | {"mean": mean}, dy, dx)
     values = {
         "w_rms": now["w"],
         "z_t_rms": now["z_t"],

@@ -10,8 +10,7 @@ import xarray as xr
 from dask.callbacks import Callback
 from numpy.typing import NDArray
 
-from wavefield.waves import coherence, crosses, fusion, kinematics, rings, segments, statistics
-from wavefield.waves.record import Record
+from wavefield.waves import coherence, crosses, fusion, kinematics, segments, statistics
 from wavefield.waves.welch import Welch
 
 Array = NDArray[Any]
@@ -54,8 +53,7 @@ class _Step:
 
     read: segments.Reader
     scale: dict[str, tuple[float, float]]
-    record: Record
-    table: rings.Rings
+    welch: Welch
     every: int
     apart: tuple[int, int]
 
@@ -63,7 +61,6 @@ class _Step:
         self, state: dict[str, Any] | None, a: int, b: int, run: tuple[int, int], new: bool
     ) -> dict[str, Any]:
         state = {"survey": None, "sums": None, "balance": [], "points": []} if state is None else {**state}
-        dt, dy, dx = self.record.dt, self.record.dy, self.record.dx
         fields = dict(zip(FIELDS, self.read(a, b, run)))
         if new:
             survey = self._survey(fields)
@@ -72,21 +69,24 @@ class _Step:
             points = fields["w"][:, :: self.apart[0], :: self.apart[1]]
             state["points"] = [*state["points"], points.reshape(points.shape[0], -1).copy()]
         # transforms come last: the rest needs room too
-        half = crosses.transforms(fields, NAMES, dt, dy, dx, state.get("old"))
+        half = crosses.transforms(fields, NAMES, self.welch, state.get("old"))
         if "half" in state:
             if state["sums"] is None:
-                state["sums"] = crosses.empty_sums(half["z"], NAMES, PAIRS, MAPS, self.table)
-            crosses.add_segment(state["sums"], state["half"], half, NAMES, PAIRS, MAPS, self.table, dt)
+                state["sums"] = crosses.empty_sums(half["z"], NAMES, PAIRS, MAPS, self.welch.table)
+            crosses.add_segment(state["sums"], state["half"], half, NAMES, PAIRS, MAPS, self.welch)
         return state | {"half": half, "old": state.get("half")}
 
     def _survey(self, fields: dict[str, Array]) -> dict[str, Array]:
         sums = statistics.survey({name: fields[name] for name in self.scale}, self.scale)
-        return sums | {"slopes": statistics.slope_square(fields["z"], self.record.dy, self.record.dx)}
+        record = self.welch.record
+        sums |= statistics.time_sums({name: fields[name] for name in self.scale}, self.scale)
+        return sums | {"slopes": statistics.slope_square(fields["z"], record.dy, record.dx)}
 
     def _balance(self, fields: dict[str, Array], first: int) -> list[dict[str, float]]:
-        record = self.record
+        record, frames = self.welch.record, self.welch.frames
+        distances = record.dt, record.dy, record.dx
         return [
-            {"step": float(first + i)} | kinematics.balance(fields, i, record.dt, record.dy, record.dx)
+            {"step": float(first + i)} | kinematics.balance(fields, i, *distances, frames)
             for i in range(1, fields["z"].shape[0] - 1)
             if (first + i) % self.every == 0
         ]
@@ -145,8 +145,7 @@ def one_pass(
     step = _Step(
         segments.Reader([cube[name] for name in FIELDS], record, alike),
         scale,
-        record,
-        welch.table,
+        welch,
         max(1, used // _KINEMATIC_STEPS),
         (apart[0], apart[1]),
     )

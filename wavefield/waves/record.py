@@ -15,8 +15,8 @@ from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, factor
 LONGEST_BRIDGE = 2  # steps: longer gaps split the record
 _FIELDS = ("z", "z_t", "u", "v", "w")
 _LOOK = 256  # steps looked at in one piece
-_NODE_SHARE = 0.99  # of the good steps in which a node must be there to belong to the rectangle
-_STEP_SHARE = 0.98  # of the rectangle that must be there for a step to count
+_NODE_FRACTION = 0.9  # of the good steps in which a node must be there to belong to the rectangle
+_STEP_FRACTION = 0.95  # of the rectangle that must be there for a step to count
 _SMALLEST = 8  # nodes along either side of a usable rectangle
 
 
@@ -233,7 +233,7 @@ def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE) -> Record:  # n
             seen += int(good[a:b].sum())
         else:
             seen += unpack(mask, a, b)[good[a:b]].sum(axis=0)
-    y, x = largest_rectangle(seen >= _NODE_SHARE * good.sum())
+    y, x = largest_rectangle(seen >= _NODE_FRACTION * good.sum())
     if min(y[1] - y[0], x[1] - x[0]) < _SMALLEST:
         raise CubeError(
             f"the largest rectangle of nodes that are measured throughout is {y[1] - y[0]} x {x[1] - x[0]}"
@@ -245,7 +245,7 @@ def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE) -> Record:  # n
     for mask, (a, b) in zip(masks, pieces):
         if mask is not None:
             inside = unpack(mask, a, b)[:, y[0] : y[1], x[0] : x[1]].sum(axis=(1, 2))
-            good[a:b] &= inside >= _STEP_SHARE * size
+            good[a:b] &= inside >= _STEP_FRACTION * size
             holes += int((size - inside)[good[a:b]].sum())
     runs, bridged = _runs(good, longest_bridge)
     return Record(y, x, tuple(runs), tuple(bridged), steps, holes, dt, dy, dx)

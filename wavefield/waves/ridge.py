@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.optimize import least_squares
 
 from wavefield.errors import CubeError
@@ -17,6 +18,10 @@ from wavefield.waves.welch import k_coords
 Array = NDArray[Any]
 
 _LONGEST = 2.5  # cells of the k plane: longer waves lie within the window's reach of those that come back
+_ASTRAY = 0.1  # of k: a ridge lies within 3 %, what is taken for one by mistake within 8 to 70 %
+_LEAST = 1e-3  # of the strongest sector on a line: what is weaker has leaked
+_HELD_UP = 0.3  # of the free group velocity: waves that a current slows more smear over all k
+_FASTEST, _SCAN_STEP, _SCAN_SECTORS = 0.8, 0.02, 48  # m/s
 _SLOPE_OVER = 0.3  # Hz to either side: the slope of the spectrum is taken over this
 
 
@@ -106,24 +111,37 @@ def _centroids(
     table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
     free = dispersion(table, depth, fit[2])
     for sector in sectors:
-        doppler = free + table * (fit[0] * np.cos(sector.theta) + fit[1] * np.sin(sector.theta))
-        centres = np.interp(omega, doppler, table)
+        centres = _branch(omega, table, free, fit[0] * np.cos(sector.theta) + fit[1] * np.sin(sector.theta))
         reach = np.maximum(settings.half_width * centres, settings.least_width * plane.cell)
-        first = np.searchsorted(sector.k, centres - reach, "right")
-        last = np.searchsorted(sector.k, centres + reach, "left")
+        reach = np.nan_to_num(reach)
+        first = np.searchsorted(sector.k, np.nan_to_num(centres) - reach, "right")
+        last = np.searchsorted(sector.k, np.nan_to_num(centres) + reach, "left")
         sums = np.empty((4, omega.size))  # weight, of k, of the heading
         kernels.windowed_sums(energy, noise, sector.cells, sector.k, sector.heading, first, last, sums)
         count = last - first
-        held = (count >= 5) & (sums[0] > 0)
+        held = (count >= 5) & (sums[0] > 0) & np.isfinite(centres)
         weight = sums[0, held]
         k = sums[1, held] / weight
         k -= plane.spread / (2 * k)
         rows = np.stack([omega[held], k, np.arctan2(sums[3, held], sums[2, held]), weight, count[held]], 1)
         parts.append(rows[k > 0])  # waves about as long as the rectangle: the window's spread exceeds them
     points = np.concatenate(parts)
+    points = points[points[:, 3] > _LEAST * _strongest(points)]
     if len(points) and omega.size > 1:
         points[:, 0] += _leaning(points, omega[1] - omega[0])
     return points
+
+
+def _branch(omega: Array, table: Array, free: Array, along: float) -> Array:
+    # k of the waves that the current along them does not hold up, NaN where there are none: against a current
+    # omega rises with k only as far as the group velocity exceeds it
+    doppler = free + table * along
+    slope = np.gradient(doppler, table)
+    held_up = np.flatnonzero(slope < _HELD_UP * np.gradient(free, table))
+    last = int(held_up[0]) if held_up.size else table.size
+    if last < 2:
+        return np.full(omega.size, np.nan)
+    return np.interp(omega, doppler[:last], table[:last], right=np.nan)
 
 
 def _leaning(points: Array, step: float) -> Array:
@@ -141,14 +159,79 @@ def _leaning(points: Array, step: float) -> Array:
     return (step**2 / 3 * slope)[number]
 
 
+def _strongest(points: Array) -> Array:
+    # energy of the strongest sector on each point's line
+    _, number = np.unique(points[:, 0], return_inverse=True)
+    top = np.zeros(number.max(initial=-1) + 1)
+    np.maximum.at(top, number, points[:, 3])
+    return np.asarray(top[number])
+
+
+def scan_current(
+    energy: Array, omega: Array, noise: Array, plane: _Plane, depth: float, gamma: float
+) -> Array:
+    """Current that gathers most energy on the ridge, to start the fit from.
+
+    Parameters
+    ----------
+    energy : ndarray, (lines, cells)
+        Spectrum.
+    omega, noise : ndarray, (lines,)
+        Angular frequency, rad/s, and the level of the noise.
+    plane : _Plane
+        Cells.
+    depth, gamma : float
+        Depth, m, and surface tension over density, m3/s2.
+
+    Returns
+    -------
+    ndarray, (2,)
+        Along x and y, m/s, to .02 m/s; of currents that serve alike the weakest.
+
+    Notes
+    -----
+    Each cell asks for a current (omega - sigma(k)) / k along its direction. All votes are counted, each
+    line's energy as one and short waves, which know it better, more; those of a current U lie on
+    U cos(theta - phi).
+    """
+    kept = (plane.k > _LONGEST * plane.cell) & (plane.k < 0.9 * plane.k[plane.ky == 0].max())
+    k, angle = plane.k[kept], plane.angle[kept]
+    sector = np.rint(angle / (2 * np.pi) * _SCAN_SECTORS).astype(int) % _SCAN_SECTORS
+    slots = round(2 * _FASTEST / _SCAN_STEP) + 1
+    votes = np.zeros(_SCAN_SECTORS * slots)
+    sigma = dispersion(k, depth, gamma)
+    for o, line, floor in zip(omega, energy, noise):
+        weight = np.maximum(line[kept] - 3 * floor, 0.0)
+        total = weight.sum()
+        wanted = np.rint(((o - sigma) / k + _FASTEST) / _SCAN_STEP).astype(int)
+        inside = (wanted >= 0) & (wanted < slots) & (weight > 0)
+        if total > 0:
+            place = sector[inside] * slots + wanted[inside]
+            votes += np.bincount(place, weight[inside] * k[inside] / total, votes.size)
+    votes = ndimage.gaussian_filter1d(votes.reshape(_SCAN_SECTORS, slots), 1.0, axis=1)
+    speeds = np.arange(-(slots // 2), slots // 2 + 1) * _SCAN_STEP
+    ux, uy = np.meshgrid(speeds, speeds, indexing="ij")
+    theta = np.arange(_SCAN_SECTORS) * 2 * np.pi / _SCAN_SECTORS
+    score = np.zeros(ux.shape)
+    for t, row in zip(theta, votes):
+        along = (ux * np.cos(t) + uy * np.sin(t) + _FASTEST) / _SCAN_STEP
+        score += np.interp(along, np.arange(slots), row, left=0.0, right=0.0)
+    speed = np.hypot(ux, uy)
+    alike = score >= 0.98 * score[speed <= _FASTEST].max()
+    best = np.argmin(np.where(alike, speed, np.inf))
+    return np.array([ux.flat[best], uy.flat[best]])
+
+
 def _solve(points: Array, depth: float, start: Array) -> Array:
     omega, k, angle = points[:, 0], points[:, 1], points[:, 2]
     kx, ky = k * np.cos(angle), k * np.sin(angle)
 
     def misfit(p: Array) -> Array:
         model = dispersion(k, depth, max(p[2], 0.0) * 1e-5) + p[0] * kx + p[1] * ky
-        return (model - omega) / np.sqrt(k)
+        return weight * (model - omega) / np.sqrt(k)
 
+    # every line alike, on a line by energy: what leaks into empty sectors says nothing of the waves there
+    weight = np.sqrt(points[:, 3] / _strongest(points))
     scaled = np.array([start[0], start[1], start[2] * 1e5])
     result = least_squares(misfit, scaled, loss="soft_l1", f_scale=0.05, x_scale=[0.01, 0.01, 1.0])
     return np.array([result.x[0], result.x[1], max(result.x[2], 0.0) * 1e-5])
@@ -189,11 +272,13 @@ def fit_dispersion(
     Raises
     ------
     CubeError
-        If no energy stands out in the band.
+        If no energy stands out in the band, or it lies on the ridge of no current.
 
     Notes
     -----
-    k-centroids at fixed omega in sectors of angle, the window re-centred on the fit, |k| averaged and
+    The fit starts from the current that gathers most energy on the ridge (`scan_current`). k-centroids at
+    fixed omega in sectors of angle, sectors below a thousandth of the strongest left out, a line's points
+    weighted by energy; the window re-centred on the fit, |k| averaged and
     corrected by sigma_k^2 / 2k for the curvature of the ridge; a line's omega is corrected likewise, by
     sigma_omega^2 d ln E / d omega, for what neighbouring lines lend it: on a steep spectrum up to 1 % of k.
     Centroids in omega at fixed k would be biased by up to 8 %. The uncertainty joins the scatter of fits to
@@ -213,7 +298,7 @@ def fit_dispersion(
     noise = np.median(energy[:, outer], axis=1) if outer.any() else np.zeros(omega.size)
     used, floor = energy[band], noise[band]
     sectors = _sectors(plane, settings.sectors)
-    fit = np.array([0.0, 0.0, gamma])
+    fit = np.array([*scan_current(used, omega[band], floor, plane, depth, gamma), gamma])
     points = np.empty((0, 5))
     for _ in range(settings.rounds):
         points = _centroids(used, omega[band], floor, plane, sectors, depth, fit, settings)
@@ -224,6 +309,14 @@ def fit_dispersion(
             )
         fit = _solve(points, depth, fit)
 
+    astray = _astray(points, depth, fit)
+    if astray > _ASTRAY:
+        raise CubeError(
+            f"the waves between {bottom / (2 * np.pi):.2g} and {top / (2 * np.pi):.2g} Hz lie"
+            f" {100 * astray:.0f} % of their wavenumber beside the dispersion relation, whatever the current"
+            f" (the best is {fit[0]:.2f}, {fit[1]:.2f} m/s): check depth, frame rate and grid step, or choose"
+            " another band"
+        )
     spreads = np.full(3, np.nan)
     if dof is not None and settings.bootstrap > 1:
         rng = np.random.default_rng(0)
@@ -253,6 +346,14 @@ def fit_dispersion(
     out_set = annotate(xr.Dataset(out, attrs=attrs).set_coords("band_frequency"), "dispersion")
     out_set["ridge_weight"].attrs["units"] = density.attrs.get("units", "1")
     return out_set
+
+
+def _astray(points: Array, depth: float, fit: Array) -> float:
+    # rms distance of the points from the fitted ridge over their wavenumber, weighted as in the fit
+    k, angle = points[:, 1], points[:, 2]
+    model = dispersion(k, depth, fit[2]) + k * (fit[0] * np.cos(angle) + fit[1] * np.sin(angle))
+    apart = (points[:, 0] - model) / (k * group_velocity(k, depth, fit[2]))
+    return float(np.sqrt(np.average(apart**2, weights=points[:, 3] / _strongest(points))))
 
 
 def _misfit_spread(points: Array, depth: float, fit: Array) -> Array:
@@ -291,14 +392,19 @@ def _line_means(omega: Array, weight: Array) -> tuple[Array, Array]:
     return lines, np.array([weight[omega == line].mean() for line in lines])
 
 
-def _fraction(energy: Array, omega: Array, plane: _Plane, depth: float, fit: Array) -> float:
-    # within two cells in k and two lines in omega of the fitted relation
+def _near_ridge(omega: Array, plane: _Plane, depth: float, fit: Array) -> Array:
+    # within two cells in k and two lines in omega of the fitted relation, (lines, cells)
     free = dispersion(plane.k, depth, fit[2]) + fit[0] * plane.kx + fit[1] * plane.ky
     slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), depth, fit[2]))
+    slope += np.hypot(fit[0], fit[1])
     reach = 2 * plane.cell * slope + 2 * (omega[1] - omega[0])
-    total = energy.sum(dtype=float)
-    ridge = sum(float(line[np.abs(o - free) < reach].sum(dtype=float)) for o, line in zip(omega, energy))
-    return ridge / float(total) if total > 0 else float("nan")
+    return np.asarray(np.abs(omega[:, None] - free) < reach)
+
+
+def _fraction(energy: Array, omega: Array, plane: _Plane, depth: float, fit: Array) -> float:
+    near = _near_ridge(omega, plane, depth, fit)
+    total = float(energy.sum(dtype=float))
+    return float((energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
 
 
 def dispersion_group(

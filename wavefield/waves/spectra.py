@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
 from wavefield.variables import K_UNITS, TABLE, annotate, density_units, product
-from wavefield.waves import kernels, rings, segments
+from wavefield.waves import kernels, rings, scatter, segments
 from wavefield.waves.record import Record
 from wavefield.waves.welch import Welch, inner, k_coords, omega_coords
 from wavefield.waves.windows import interval
@@ -204,19 +204,15 @@ def _ring_powers(
     spread: Array,
 ) -> dict[str, Array]:
     cells, half = a["f"].shape
-    out = np.zeros((2, int(ring.max()) + 1, half + 1))
+    shape = int(ring.max()) + 1, half + 1
+    mine = np.zeros((2, *shape))
     transform = segments.TimeTransform(half, a["f"].dtype)
     for slab in segments.slabs(cells):
         lines = transform(a["f"][slab], b["f"][slab])
-        kernels.ring_powers(lines, start[slab.start : slab.stop + 1], ring, weight, spread, out)
-    return {"f": out}
-
-
-def _estimates(summed: dict[str, Array], welch: Welch) -> Array:
-    """E(k, omega), its freedom and interval, (4, omega, k): one task, not a graph of small ones."""
-    sums = summed["f"]
-    dof = np.maximum(welch.freedom(sums), 1.0)
-    return np.stack([sums[0] * welch.ring_density, dof, *interval(dof)]).transpose(0, 2, 1)
+        kernels.ring_powers(lines, start[slab.start : slab.stop + 1], ring, weight, spread, mine)
+    out = {"f": np.zeros_like(mine)} | scatter.no_squares("f", shape)
+    scatter.take_in(out, "f", mine)
+    return out
 
 
 def komega(
@@ -272,10 +268,15 @@ def komega(
     task = dask.delayed(_ring_powers, pure=False)
     weights = table.start, table.ring, table.weight, table.spread
     summed = segments.in_order([task(a, b, *weights) for run in runs for a, b in itertools.pairwise(run)])
-    found = dask.delayed(_estimates, pure=False)(summed, welch)
-    parts = da.from_delayed(found, (4, welch.omega.size, table.k.size), np.float64)
-    names = ("E", "dof", "low", "high")
-    out = annotate(xr.Dataset({name: (("omega", "k"), part) for name, part in zip(names, parts)}))
+    shape = table.k.size, welch.omega.size
+    sums = {"f": da.from_delayed(summed["f"], (2, *shape), np.float64)} | scatter.lazy_squares(
+        summed, "f", shape
+    )
+    values = xr.DataArray(sums["f"][0].T * welch.ring_density, dims=("omega", "k"))
+    freedom = scatter.freedom(sums, "f", welch, gaussian=True)
+    out = with_interval(values, xr.DataArray(freedom.T, dims=("omega", "k")))
+    out["dof_omega"] = ("omega", scatter.freedom_over(sums, "f", "omega", welch))
+    out["dof_k"] = ("k", scatter.freedom_over(sums, "f", "k", welch))
     out = out.assign(welch.ring_variables).assign_coords(omega_coords(welch.omega) | k_coords(table.k))
     out["valid"] = (("omega", "k"), welch.valid)
     out = annotate(out.assign_attrs(welch.attrs), "komega")
@@ -376,13 +377,15 @@ def frequency_spectrum(komega: xr.Dataset) -> xr.Dataset:
 
     Notes
     -----
-    The degrees of freedom follow from those of the rings and from the spread of the energy over them.
+    The degrees of freedom follow from the scatter between the segments; with fewer than four of those from
+    the degrees of the rings and the spread of the energy over them.
     """
     step = float(komega["k"][1] - komega["k"][0])
     energy = komega["E"].sum("k", dtype=np.float64) * step
-    table = rings.rings(*komega.attrs["nodes"], *komega.attrs["node_step"], step)
     single = float(komega.attrs["degrees_of_freedom"])
-    dof = single * independent_cells(komega["E"], komega["dof"] / single, table)
+    table = rings.rings(*komega.attrs["nodes"], *komega.attrs["node_step"], step)
+    theory = single * independent_cells(komega["E"], komega["dof"] / single, table)
+    dof = komega["dof_omega"].fillna(theory) if "dof_omega" in komega else theory
     out = with_interval(energy, dof)
     out["valid"] = ("omega", inner(out.sizes["omega"]))
     out = annotate(out, "frequency")

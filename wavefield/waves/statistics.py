@@ -84,6 +84,45 @@ def survey(fields: Mapping[str, Array], scale: Mapping[str, tuple[float, float]]
     return out
 
 
+def time_sums(fields: Mapping[str, Array], scale: Mapping[str, tuple[float, float]]) -> dict[str, Array]:
+    """Sums over the steps at every node, "map name" (3, nodes), of the first powers about the rough mean.
+
+    Parameters
+    ----------
+    fields : mapping of str to ndarray, (steps, ny, nx)
+        z, u, v, w; any of them.
+    scale : mapping of str to (float, float)
+        Rough mean and standard deviation of each.
+
+    Returns
+    -------
+    dict of str to ndarray
+        And "steps", their number, (1,).
+    """
+    out: dict[str, Array] = {}
+    for name, values in fields.items():
+        flat = values.reshape(values.shape[0], -1)
+        out[f"map {name}"] = np.zeros((3, flat.shape[1]))
+        kernels.node_powers(flat, scale[name][0], out[f"map {name}"])
+        out["steps"] = np.array([flat.shape[0]], float)
+    return out
+
+
+def _in_time(sums: Array, maps: Array, steps: float) -> tuple[Array, float]:
+    # sums of the powers about each node's own mean, and the standard deviation of these means: what stands
+    # still (an error of the calibration, mostly) is no wave
+    m = maps[0] / steps
+    n, s1, s2, s3, s4 = sums
+    moved = [
+        n,
+        0.0,
+        s2 - steps * (m**2).sum(),
+        s3 - (3 * m * maps[1]).sum() + 2 * steps * (m**3).sum(),
+        s4 - (4 * m * maps[2]).sum() + (6 * m**2 * maps[1]).sum() - 3 * steps * (m**4).sum(),
+    ]
+    return np.array(moved), float(m.std())
+
+
 def slope_square(z: Array, dy: float, dx: float) -> Array:
     """Sum of |grad z|^2 over the nodes of some steps, and their number, (2,)."""
     return np.array([kernels.slope_square(z, dy, dx), z.size], float)
@@ -165,11 +204,13 @@ def label(
         As `statistics` gives it.
     """
     names = [name for name, field in QUANTITIES.items() if f"sums {field}" in sums]
-    rows = {}
+    raw, rows = {}, {}
     for name in names:
         field = QUANTITIES[name]
-        rows[name] = central_moments(sums[f"sums {field}"], scale[field][0])
-    pdf = [rebin(sums[f"counts {QUANTITIES[name]}"], scale[QUANTITIES[name]], rows[name]) for name in names]
+        raw[name] = central_moments(sums[f"sums {field}"], scale[field][0])
+        moved, still = _in_time(sums[f"sums {field}"], sums[f"map {field}"], sums["steps"][0])
+        rows[name] = central_moments(moved, 0.0) | {"mean": raw[name]["mean"], "static_std": still}
+    pdf = [rebin(sums[f"counts {QUANTITIES[name]}"], scale[QUANTITIES[name]], raw[name]) for name in names]
     bins = bin_centres()
     to_length = np.array([1.0 if name == "z" else dt for name in names])
     column = lambda key: np.array([rows[name][key] for name in names])  # noqa: E731
@@ -182,6 +223,8 @@ def label(
         "skewness": ("quantity", column("skewness")),
         "kurtosis": ("quantity", column("kurtosis")),
         "count": ("quantity", column("count")),
+        "static_std": ("quantity", column("static_std") * to_length),
+        "wild": ("quantity", [rows[n]["count"] - sums[f"counts {QUANTITIES[n]}"].sum() for n in names]),
     }
     if pixel_size:
         out["std_px"] = ("quantity", std / pixel_size)
@@ -203,7 +246,7 @@ def _measure(
     dx: float,
 ) -> dict[str, Array]:
     fields = dict(zip(names, blocks))
-    out = survey(fields, scale)
+    out = survey(fields, scale) | time_sums(fields, scale)
     if "z" in fields:
         out["slopes"] = slope_square(fields["z"], dy, dx)
     return out

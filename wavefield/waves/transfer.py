@@ -56,8 +56,53 @@ def gain_four_frames(omega: Any, dt: float) -> Any:
     return ((9 * np.cos(b) - np.cos(3 * b)) / 8) ** 2
 
 
-def gain_displacement(omega: Any, dt: float) -> Any:
-    """Gain of a velocity taken from the displacement over dt, (sin b / b)^2.
+def path_factor(omega: Any, dt: float, frames: int) -> Any:
+    """Amplitude of a velocity along four frames over that of one displacement, (26 - 2 cos omega dt) / 24.
+
+    Parameters
+    ----------
+    omega : array_like
+        Angular frequency, rad/s, of either sign.
+    dt : float
+        Time between frames, s.
+    frames : int
+        2 for a displacement over dt, which has the factor 1; 4 for [26 d(k) - d(k-1) - d(k+1)] / 24.
+
+    Returns
+    -------
+    array_like
+        1 to 28/24.
+    """
+    return np.ones_like(omega) if frames == 2 else (26 - 2 * np.cos(omega * dt)) / 24
+
+
+def to_frame_time(omega: Any, dt: float, frames: int) -> Any:
+    """Factor T so that z + T z_t is the elevation at a step's first frame, in numpy's signs exp(+i omega t).
+
+    Parameters
+    ----------
+    omega : array_like
+        Angular frequency, rad/s, of either sign.
+    dt : float
+        Time between frames, s.
+    frames : int
+        Frames that z_t comes from (`path_factor`).
+
+    Returns
+    -------
+    array_like, complex
+        s.
+
+    Notes
+    -----
+    The mean of the two frames is z + (dt / 16) (d(k+1) - d(k-1)) with d the differences over dt.
+    """
+    mean = dt / 8 * 1j * np.sin(omega * dt)
+    return (mean - dt / 2) / path_factor(omega, dt, frames)
+
+
+def gain_displacement(omega: Any, dt: float, frames: int = 2) -> Any:
+    """Gain of a velocity taken from the displacement over dt, (sin b / b)^2, or along four frames.
 
     Parameters
     ----------
@@ -65,16 +110,18 @@ def gain_displacement(omega: Any, dt: float) -> Any:
         Angular frequency, rad/s.
     dt : float
         Time between frames, s.
+    frames : int
+        Frames that the velocity comes from (`path_factor`).
 
     Returns
     -------
     array_like
         Gain of power, 0 to 1.
     """
-    return np.sinc(omega * dt / (2 * np.pi)) ** 2
+    return (np.sinc(omega * dt / (2 * np.pi)) * path_factor(omega, dt, frames)) ** 2
 
 
-def elevation_from_w(omega: Any, dt: float) -> Any:
+def elevation_from_w(omega: Any, dt: float, frames: int = 2) -> Any:
     """Factor from the spectrum of w to that of the elevation, (dt / 2)^2 / sin^2 b; infinite at omega = 0.
 
     Parameters
@@ -83,6 +130,8 @@ def elevation_from_w(omega: Any, dt: float) -> Any:
         Angular frequency, rad/s.
     dt : float
         Time between frames, s.
+    frames : int
+        Frames that the velocity comes from (`path_factor`).
 
     Returns
     -------
@@ -95,7 +144,7 @@ def elevation_from_w(omega: Any, dt: float) -> Any:
     Dividing by omega^2 instead is wrong by sinc^2 b.
     """
     with np.errstate(divide="ignore"):
-        return (dt / 2) ** 2 / np.sin(omega * dt / 2) ** 2
+        return (dt / 2) ** 2 / (np.sin(omega * dt / 2) * path_factor(omega, dt, frames)) ** 2
 
 
 def gain_box(kx: Any, ky: Any, width: float) -> Any:
@@ -148,7 +197,7 @@ def undo(energy: xr.DataArray, gain: xr.DataArray, noise: xr.DataArray | float =
     return annotate(xr.Dataset({"E": corrected, "valid": valid}))
 
 
-def gains(omega: Any, dt: float) -> dict[str, tuple[str, Any]]:
+def gains(omega: Any, dt: float, frames: int) -> dict[str, tuple[str, Any]]:
     """The gains in time as variables ``gain_two_frames``, ``gain_four_frames``, ``gain_displacement``."""
-    parts = (gain_two_frames, gain_four_frames, gain_displacement)
-    return {gain.__name__: ("omega", gain(omega, dt)) for gain in parts}
+    out = {gain.__name__: ("omega", gain(omega, dt)) for gain in (gain_two_frames, gain_four_frames)}
+    return out | {"gain_displacement": ("omega", gain_displacement(omega, dt, frames))}

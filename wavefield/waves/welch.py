@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from wavefield.waves import rings, segments
 from wavefield.waves.record import Record, find_record
@@ -15,6 +16,9 @@ from wavefield.waves.windows import degrees_of_freedom, effective_duration
 Array = NDArray[np.float64]
 Coordinates = dict[str, tuple[str, Array]]
 
+LEAST_COUNT = 4  # segments
+_NEAR = 7  # lines over which the spread over cells is averaged
+_ALONG = 11  # lines over which the scatter is averaged
 LOWEST = 2  # cells: a Hann window mixes what is nearer to zero with the mean
 
 
@@ -40,11 +44,14 @@ class Welch:
         Steps of a segment.
     dk : float, optional
         Width of the rings, rad/m; by default 2 pi over the shorter side of the rectangle.
+    frames : int
+        Frames that velocities and z_t come from (`transfer.path_factor`).
     """
 
     record: Record
     segment: int
     dk: float | None = None
+    frames: int = 2
 
     @classmethod
     def of(
@@ -73,7 +80,7 @@ class Welch:
             If the record is shorter than a segment, its axes are uneven or no full rectangle is left.
         """
         record = find_record(fields) if record is None else record
-        return cls(record, segments.segment_length(record, segment), dk)
+        return cls(record, segments.segment_length(record, segment), dk, frames_of(fields))
 
     @cached_property
     def count(self) -> int:
@@ -135,7 +142,7 @@ class Welch:
         in_k = (table.k > LOWEST * table.dk) & (table.k + table.dk / 2 <= nyquist * (1 + 1e-9))
         return inner(self.omega.size)[:, None] & in_k
 
-    def freedom(self, sums: Any) -> Any:
+    def freedom(self, sums: Array) -> Array:
         """Degrees of freedom of E(k, omega) from how the energy is spread over the cells of each ring.
 
         Parameters
@@ -154,13 +161,45 @@ class Welch:
         by rho_cd. With the square of each cell's expected power taken from <|F_c|^4> / 2 (Gaussian waves),
         the number of independent cells is (sum A_c E_c)^2 / sum A_c E_c^2 (rho^2 A)_c: the geometric number
         of a ring for energy spread evenly over it, one for a single wave. Squares are averaged over segments
-        before they are summed, so the number does not depend on K.
+        before they are summed, so the number does not depend on K; its reciprocal is averaged over seven
+        lines and what chance adds to the squared power, 1 / K, taken off.
         """
         power, square = sums[0], sums[1]
-        filled = square > 0
-        cells = power**2 / (self.count * (square + ~filled))
-        cells = cells * filled + self.table.cells[:, None] * ~filled  # where there is no energy at all
-        return self.dof * cells.clip(1)
+        filled = power > 0
+        spread = np.divide(self.count * square, power**2, out=np.zeros_like(power), where=filled)
+        weight = ndimage.uniform_filter1d(filled.astype(float), _NEAR, axis=-1, mode="nearest")
+        spread = ndimage.uniform_filter1d(spread, _NEAR, axis=-1, mode="nearest")
+        cells = np.divide(weight, spread, out=np.zeros_like(power), where=spread > 0) - 1 / self.count
+        cells = np.where(filled, cells, self.table.cells[:, None])  # where there is no energy at all
+        return np.asarray(self.dof * cells.clip(1))
+
+    def scatter(self, total: Array, squares: Array) -> Array:
+        """Degrees of freedom of a sum of powers from its scatter between segments.
+
+        Parameters
+        ----------
+        total, squares : ndarray, (..., lines)
+            Sum over the segments of what each gives, and of its square.
+
+        Returns
+        -------
+        ndarray, (..., lines)
+            Twice the squared mean over the variance of the mean; the relative variance is averaged over
+            eleven lines. NaN with fewer than four segments, which tell no scatter.
+
+        Notes
+        -----
+        Unlike `freedom` it asks neither for Gaussian lines nor for cells that share no wave.
+        """
+        count = self.count
+        if count < LEAST_COUNT:
+            return np.full(np.shape(total), np.nan)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            relative = (squares / count) / (total / count) ** 2 - 1
+        relative = np.nan_to_num(relative, nan=0.0, posinf=0.0).clip(0) * count / (count - 1)
+        relative = ndimage.uniform_filter1d(relative, min(_ALONG, total.shape[-1]), axis=-1, mode="nearest")
+        overlap = 1 + (1 - 1 / count) / 18
+        return np.asarray(2 * count / overlap / relative.clip(1e-9))
 
     @property
     def ring_variables(self) -> Mapping[str, tuple[str, Array]]:
@@ -181,8 +220,29 @@ class Welch:
             "nodes": list(record.shape),
             "node_step": [record.dy, record.dx],
             "dt": record.dt,
+            "frames": self.frames,
             "convention": "k points where the wave goes; density in rad/m and rad/s, one-sided in omega",
         }
+
+
+def frames_of(fields: Any) -> int:
+    """Frames that the velocities of a cube come from: 4 along paths, else 2.
+
+    Parameters
+    ----------
+    fields : Dataset or DataArray
+        Whose ``z_t``, ``w``, ``u``, ``v`` carry the attribute ``frames``.
+
+    Returns
+    -------
+    int
+    """
+    arrays = (
+        [fields[n] for n in ("z_t", "w", "u", "v") if n in fields]
+        if hasattr(fields, "data_vars")
+        else [fields]
+    )
+    return 4 if any(int(array.attrs.get("frames", 2)) == 4 for array in arrays) else 2
 
 
 def inner(lines: int) -> NDArray[np.bool_]:

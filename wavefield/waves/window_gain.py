@@ -18,7 +18,8 @@ from wavefield.variables import CUBE_DIMS, annotate, validate
 from wavefield.water import dispersion
 from wavefield.waves import rings, segments
 from wavefield.waves.record import Record
-from wavefield.waves.welch import Welch, k_coords
+from wavefield.waves.transfer import path_factor
+from wavefield.waves.welch import Welch, frames_of, k_coords
 
 Array = NDArray[Any]
 
@@ -34,13 +35,14 @@ def _pair(measured: Array, exact: Array) -> dict[str, Array]:
     return {"measured": segments.transform_space(measured), "true": segments.transform_space(exact)}
 
 
-def _sums(first: dict[str, Any], second: dict[str, Any], near: Array) -> dict[str, Array]:
+def _sums(first: dict[str, Any], second: dict[str, Any], near: Array, path: Array) -> dict[str, Array]:
     # per cell, over the band of the ridge at both signs of the frequency
     out = {name: np.zeros(near.shape[0]) for name in ("true", "measured", "cross", "quadrature")}
     for slab in segments.slabs(near.shape[0]):
         mine, true = (
             segments.transform_time(first[name][slab], second[name][slab]) for name in ("measured", "true")
         )
+        mine /= path  # what paths of four frames change in time is no window's doing
         band = near[slab]
         cross = (true.conj() * mine * band).sum(axis=1)
         out["true"][slab] = (np.abs(true) ** 2 * band).sum(axis=1)
@@ -123,6 +125,8 @@ def window_gain(
     turn = np.arctan2(ky, kx).ravel() * DIRECTIONS / np.pi
     place = (np.rint(turn).astype(int) % DIRECTIONS) * table.k.size + ring
 
+    signed = 2 * np.pi * np.fft.fftfreq(welch.segment, record.dt)
+    path = path_factor(signed, record.dt, welch.frames) / path_factor(signed, record.dt, frames_of(exact))
     task = dask.delayed(_sums, pure=False)
     gains, coherences = {}, {}
     for name, (mine, true) in pairs.items():
@@ -132,7 +136,7 @@ def window_gain(
             return _pair(blocks[0], blocks[1] / blocks[1].dtype.type(scale))
 
         runs = segments.half_segments([measured[mine], exact[true]], record, welch.half, make)
-        parts = [task(a, b, near) for run in runs for a, b in pairwise(run)]
+        parts = [task(a, b, near, path) for run in runs for a, b in pairwise(run)]
         (sums,) = dask.compute(segments.in_order(parts))
         shape = (DIRECTIONS, table.k.size)
         power, own, cross, quadrature = (

@@ -1,0 +1,136 @@
+"""Seas with a direction, a current and gaps: what a referee would try."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from waves_cases import GaussianSea, PeriodicSea, linear_cube, random_waves
+
+import wavefield.waves as wv
+from wavefield.errors import CubeError
+from wavefield.waves.coherence import significance_level
+
+THIN = {"width": 0.06, "n": 96, "dx": 0.03, "highest": 4.2, "lowest": 1.2}  # a ridge thinner than a cell
+
+
+def test_mixed_float_types_give_the_spectra_of_one_type():
+    cube = linear_cube(random_waves(n=40), 96, 20, 24, dx=0.03, dtype="f8")
+    expected = wv.cross_spectra(cube, ("z", "w", "nl"), segment=48)
+    for narrow in (("z",), ("z_t", "w"), ("u",)):
+        mixed = cube.assign({name: cube[name].astype("f4") for name in narrow})
+        got = wv.cross_spectra(mixed, ("z", "w", "nl"), segment=48)
+        for name in ("E_z", "E_w", "E_nl"):
+            scale = float(expected[name].max())
+            np.testing.assert_allclose(
+                got[name], expected[name], atol=1e-5 * scale, err_msg=f"{narrow} {name}"
+            )
+
+
+@pytest.fixture(scope="module")
+def directional():
+    """Waves ~ cos^20(theta / 2) without a current, and on one of .3 m/s."""
+
+    def spectrum(current):
+        sea = GaussianSea(spread=10, current=current, steps=512, **THIN).field(3)
+        return wv.spectrum(sea.isel(y=slice(0, 64), x=slice(0, 80)), segment=256)
+
+    return {current: spectrum(current) for current in ((0.0, 0.0), (0.3, 0.0), (-0.3, 0.1))}
+
+
+@pytest.mark.parametrize("current", [(0.0, 0.0), (0.3, 0.0), (-0.3, 0.1)])
+def test_the_current_of_a_directional_sea_is_found(directional, current):
+    S = directional[current]
+    fit = wv.fit_dispersion(S.E, 0.7, dof=float(S.dof))
+    for name, true in zip(("current_x", "current_y"), current):
+        assert float(fit[name]) == pytest.approx(true, abs=0.004)
+        assert abs(float(fit[name]) - true) < 3 * float(fit[f"{name}_std"])
+    assert float(fit.ridge_fraction) > 0.95
+
+
+def test_a_ridge_that_no_current_explains_is_refused(directional):
+    E = directional[(0.0, 0.0)].E
+    wrong = E.assign_coords(omega=2.2 * E.omega)  # a frame rate mistaken
+    with pytest.raises(CubeError, match="check depth, frame rate and grid step"):
+        wv.fit_dispersion(wrong, 0.7)
+
+
+def test_an_isotropic_sea_stays_isotropic_on_a_current():
+    current = (0.1, 0.0)
+    sea = GaussianSea(spread=0, current=current, steps=512, **THIN).field(4)
+    E = wv.spectrum(sea.isel(y=slice(0, 64), x=slice(0, 80)), segment=128).E
+    D = wv.directions(E, [2.0, 3.0, 3.8], 0.7, current=current)
+    assert float(D.isotropy.min()) > 0.85
+    assert float(D.D.min()) > 0.4 / (2 * np.pi)
+    blind = wv.directions(E, [3.8], 0.7)
+    assert float(blind.isotropy.min()) < float(D.isotropy.isel(frequency=2)) - 0.1
+
+
+@pytest.mark.parametrize("spread", [0, 20])
+def test_unrelated_seas_of_one_spectrum_exceed_the_level_in_five_percent(spread):
+    # in a small basin waves must be drawn anew before they come round again
+    sea = GaussianSea(spread=spread, steps=640, **THIN | {"width": 0.4})
+    hits = []
+    for seed in range(4):
+        cube = xr.Dataset({"z_t": sea.field(20 + seed), "w": sea.field(40 + seed)})
+        cube = cube.isel(y=slice(0, 40), x=slice(0, 48))
+        ring = wv.cross_spectra(cube, ("z_t", "w"), (("z_t", "w"),), segment=64)
+        gamma2 = np.abs(ring.S_z_t_w) ** 2 / (ring.E_z_t * ring.E_w)
+        level = significance_level((ring.dof_z_t * ring.dof_w) ** 0.5 / 2)
+        where_waves_are = ring.valid & (ring.E_w > 1e-3 * ring.E_w.max())
+        hits.append(float((gamma2 > level).where(where_waves_are).mean()))
+    # few seas, whose cells share waves: with samples counted from geometry 13 to 85 %
+    assert np.mean(hits) < 0.1
+
+
+def test_a_few_holes_at_random_do_not_spoil_a_record():
+    cube = PeriodicSea(n=64).cube(200, 40, 48)[["z", "z_t", "w"]]
+    rng = np.random.default_rng(0)
+    holes = rng.random(cube.z.shape) < 0.005
+    record = wv.find_record(cube.where(~xr.DataArray(holes, dims=cube.z.dims)))
+    assert record.shape == (40, 48)
+    assert record.longest == 200
+    assert record.holes == holes.sum()
+
+
+def test_what_stands_still_is_no_wave():
+    cube = linear_cube(random_waves(n=60), 200, 30, 40, dx=0.02)
+    tilt = 0.02 * (cube.x - cube.x.mean())
+    plain, lifted = wv.statistics(cube), wv.statistics(cube.assign(z=(cube.z + tilt).transpose(*cube.z.dims)))
+    assert float(plain.static_std.sel(quantity="z")) < 0.2 * float(tilt.std())
+    for name in ("std", "skewness", "kurtosis"):
+        was, now = (float(s[name].sel(quantity="z")) for s in (plain, lifted))
+        assert now == pytest.approx(was, rel=1e-4, abs=1e-4 * (name != "std")), name
+
+
+def test_a_wild_value_is_said():
+    cube = linear_cube(random_waves(n=40), 128, 24, 28, dx=0.03)
+    assert "beyond six" not in wv.analyze(cube, segment=32).attrs["notes"]
+    cube["w"][60, 12, 14] = 30.0
+    assert "1 of dz" in wv.analyze(cube, segment=32).attrs["notes"]
+
+
+def test_a_depth_that_is_none_is_refused():
+    cube = linear_cube(random_waves(n=20), 64, 20, 24, dx=0.03)
+    with pytest.raises(CubeError, match="depth of the water is 0"):
+        wv.analyze(cube, depth=0.0)
+
+
+def test_velocities_along_four_frames_give_the_same_elevation_as_displacements():
+    waves = random_waves(n=80, highest=5.0, power=3)
+    two, four = (linear_cube(waves, 400, 32, 40, dx=0.02, dtype="f8", frames=n) for n in (2, 4))
+    spectra = [wv.cross_spectra(cube, ("z",), segment=100).E_z for cube in (two, four)]
+    band = wv.cross_spectra(two, ("z",), segment=100).valid & (spectra[0] > 1e-3 * float(spectra[0].max()))
+    np.testing.assert_allclose(spectra[1].where(band), spectra[0].where(band), rtol=0.01)
+    fused = [wv.fusion(cube, segment=100) for cube in (two, four)]
+    lines = (fused[0].frequency > 1.2) & (fused[0].frequency < 5)
+    for name in ("Ez_stereo", "Ez_w", "Ez_cross"):
+        np.testing.assert_allclose(fused[1][name][lines], fused[0][name][lines], rtol=0.02)
+    exact = wv.fuse(four, fused[1]).isel(time=slice(60, -60))
+    z = waves.on_grid(exact.time.values, exact.y.values, exact.x.values, "z")["z"]
+    assert float(np.std(exact - z)) < 0.004 * z.std()
+    # at mid-time all terms are, so that the slope of z goes with them
+    terms = wv.kinematics(four).isel(time=slice(20, -20))
+    assert (
+        float(terms.residual.std()) < float(wv.kinematics(two).isel(time=slice(20, -20)).residual.std()) * 1.5
+    )
+    with pytest.raises(CubeError, match="hold no displacements"):
+        wv.finite_residual(four)

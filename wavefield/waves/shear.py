@@ -1,0 +1,165 @@
+"""Current by depth: short waves feel the water near the surface, long ones that further down."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from wavefield.errors import CubeError
+from wavefield.variables import annotate
+from wavefield.water import GAMMA, dispersion
+
+Array = NDArray[Any]
+
+_LEAST = 12  # points of the ridge in a band
+
+
+@dataclass(frozen=True)
+class ShearSettings:
+    """How the current by depth is found.
+
+    Parameters
+    ----------
+    bands : int
+        Bands of wavenumber.
+    degree : int
+        Highest degree of the polynomial in depth; the data choose among 0 to this.
+    """
+
+    bands: int = 10
+    degree: int = 3
+
+
+def current_by_depth(
+    ridge: xr.Dataset,
+    *,
+    surface: tuple[float, float] | None = None,
+    surface_std: float = 0.002,
+    gamma: float | None = None,
+    settings: ShearSettings | None = None,
+) -> xr.Dataset:
+    """Current at depth from the Doppler shift of each band of wavenumbers.
+
+    Parameters
+    ----------
+    ridge : Dataset
+        As `fit_dispersion` gives it.
+    surface : tuple of float, optional
+        Mean of u and v at the surface, m/s: the point at depth 0.
+    surface_std : float
+        Its standard uncertainty, m/s.
+    gamma : float, optional
+        Surface tension over density, m3/s2; that of clean water if not given.
+    settings : ShearSettings, optional
+        Bands and degree.
+
+    Returns
+    -------
+    Dataset
+        ``doppler_x``, ``doppler_y`` and their ``_std`` (k_band), m/s, the current that waves of a band feel;
+        ``effective_depth`` (k_band), m; ``current_x``, ``current_y`` and their ``_std`` (z), m/s, over the
+        depths that waves reach; attribute ``degree``.
+
+    Raises
+    ------
+    CubeError
+        If fewer than three bands hold enough of the ridge.
+
+    Notes
+    -----
+    Waves of wavenumber k feel 2 k int U(z) exp(2 k z) dz (Stewart and Joy 1974). A polynomial sum p_n z^n
+    through these values at z = -1 / 2k comes from the current sum (p_n / n!) z^n (Smeltzer et al. 2019). The
+    degree is that of the least Akaike criterion for small samples. Uncertainties join the scatter of the
+    ridge within each band and the misfit of the polynomial.
+    """
+    settings = settings or ShearSettings()
+    gamma = GAMMA if gamma is None else gamma
+    k, shift, std = _doppler(ridge, gamma, settings.bands)
+    if k.size < 3:
+        raise CubeError(
+            "the ridge holds too few points for a current by depth: choose a wider band or a longer record"
+        )
+    places = -1 / (2 * k)
+    if surface is not None:
+        places = np.append(places, 0.0)
+        shift = np.vstack([shift, surface])
+        std = np.vstack([std, [surface_std, surface_std]])
+    degree, coefficients, covariances = _polynomial(places, shift, std, settings.degree)
+    z = np.linspace(places.min(), places.max(), 41)
+    powers = z[:, None] ** np.arange(degree + 1) / _factorials(degree)
+    out: dict[str, Any] = {"effective_depth": ("k_band", 1 / (2 * k))}
+    for i, name in enumerate("xy"):
+        out[f"doppler_{name}"] = ("k_band", shift[: k.size, i])
+        out[f"doppler_{name}_std"] = ("k_band", std[: k.size, i])
+        out[f"current_{name}"] = ("z", powers @ coefficients[:, i])
+        spread = np.sqrt(np.einsum("zi,ij,zj->z", powers, covariances[i], powers))
+        out[f"current_{name}_std"] = ("z", spread)
+    return annotate(xr.Dataset(out, {"k_band": k, "z": z}, {"degree": degree}), "shear")
+
+
+def _factorials(degree: int) -> Array:
+    return np.cumprod(np.maximum(np.arange(degree + 1), 1)).astype(float)
+
+
+def _doppler(ridge: xr.Dataset, gamma: float, bands: int) -> tuple[Array, Array, Array]:
+    # wavenumbers (bands,), Doppler velocity and its standard uncertainty (bands, 2)
+    k, angle, omega, weight = (
+        ridge[f"ridge_{name}"].values.astype(float) for name in ("k", "angle", "omega", "weight")
+    )
+    depth = float(ridge["depth"])
+    apparent = (omega - dispersion(k, depth, gamma)) / k  # of the current along the wave
+    # each line on its own scale: energy falls by decades
+    lines, number = np.unique(omega, return_inverse=True)
+    top = np.zeros(lines.size)
+    np.maximum.at(top, number, weight)
+    weight = weight / top[number]
+    edges = np.quantile(k, np.linspace(0, 1, bands + 1))
+    found = []
+    for low, high in zip(edges[:-1], edges[1:]):
+        inside = (k >= low) & (k < high)
+        if inside.sum() < _LEAST:
+            continue
+        heading = np.stack([np.cos(angle[inside]), np.sin(angle[inside])], axis=1)
+        w = weight[inside]
+        normal = heading.T @ (w[:, None] * heading)
+        if np.linalg.cond(normal) > 1e4:
+            continue
+        velocity = np.linalg.solve(normal, heading.T @ (w * apparent[inside]))
+        left = apparent[inside] - heading @ velocity
+        inverse = np.linalg.inv(normal)
+        # from the scatter of the points; a line shares its error with the next: half of them count
+        pulls = heading * (w * left)[:, None]
+        meat = pulls.T @ pulls
+        covariance = 2 * inverse @ meat @ inverse
+        centre = np.average(k[inside], weights=w)
+        found.append((centre, *velocity, *np.sqrt(np.diag(covariance))))
+    rows = np.array(found).reshape(-1, 5)
+    return rows[:, 0], rows[:, 1:3], np.maximum(rows[:, 3:5], 1e-5)
+
+
+def _polynomial(places: Array, values: Array, std: Array, highest: int) -> tuple[int, Array, list[Array]]:
+    # degree, coefficients (degree + 1, 2) and their covariances, by Akaike's criterion for small samples
+    best: tuple[float, int, Array, list[Array]] | None = None
+    n = values.size
+    for degree in range(min(highest, places.size - 2) + 1):
+        basis = places[:, None] ** np.arange(degree + 1)
+        columns, covariances, misfit = [], [], 0.0
+        for i in (0, 1):
+            scaled = basis / std[:, i : i + 1]
+            normal = scaled.T @ scaled
+            solved = np.linalg.solve(normal, scaled.T @ (values[:, i] / std[:, i]))
+            left = (values[:, i] - basis @ solved) / std[:, i]
+            misfit += float(left @ left)
+            columns.append(solved)
+            free = max(places.size - degree - 1, 1)
+            covariances.append(np.linalg.inv(normal) * max(float(left @ left) / free, 1.0))
+        parameters = 2 * (degree + 1)
+        if n - parameters - 1 <= 0:
+            break
+        criterion = misfit + 2 * parameters + 2 * parameters * (parameters + 1) / (n - parameters - 1)
+        if best is None or criterion < best[0]:
+            best = criterion, degree, np.stack(columns, axis=1), covariances
+    assert best is not None  # degree 0 always fits
+    return best[1:]
