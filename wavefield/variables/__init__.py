@@ -2,17 +2,17 @@
 
 from wavefield.variables.codes import FrameFault, FrameStatus, Quality
 from wavefield.variables.cube import CUBE_FIELDS
-from wavefield.variables.table import CUBE_DIMS, TABLE, Variable, annotate, find, register, rows_of, validate
-from wavefield.variables.units import factor, product
-from wavefield.variables.waves import (
+from wavefield.variables.spectra import (
     FIELD_TEXTS,
     FIELD_UNITS,
-    GROUPS,
     K_UNITS,
     METHODS,
     OMEGA_UNITS,
     density_units,
 )
+from wavefield.variables.table import CUBE_DIMS, TABLE, Variable, annotate, find, register, rows_of, validate
+from wavefield.variables.units import factor, product
+from wavefield.variables.waves import GROUPS
 
 __all__ = [
     "CUBE_DIMS",

@@ -1,201 +1,17 @@
-"""The variables of a wave store, group by group, and of what the estimators give in a notebook."""
+"""The variables of a wave store beyond its spectra, and of what the estimators give in a notebook."""
 
-from typing import Any
-
-from wavefield.variables.table import Variable, register
-from wavefield.variables.units import product
-
-K_UNITS, OMEGA_UNITS = "rad m-1", "rad s-1"
-
-# spectral names: units and words
-FIELD_UNITS = {"z": "m"} | dict.fromkeys(("z_t", "u", "v", "w", "nl"), "m s-1")
-FIELD_TEXTS = {
-    "z": "surface elevation at frame times",
-    "z_t": "rate of rise of the surface",
-    "u": "velocity along x",
-    "v": "velocity along y",
-    "w": "vertical velocity",
-    "nl": "nonlinear term u . grad z",
-}
-METHODS = {
-    "stereo": "elevation spectrum from stereo",
-    "w": "elevation spectrum from integrated w",
-    "cross": "elevation spectrum from the cross spectrum of stereo and integrated w",
-    "fusion": "elevation spectrum from the best combination, noise taken off",
-    "probes": "elevation spectrum from probes",
-}
-ELEVATION_UNITS = "m2 s rad-1"
-
-
-def density_units(unit: str, *over: str) -> str:
-    """Units of a power spectrum.
-
-    Parameters
-    ----------
-    unit : str
-        Unit of the field.
-    *over : str
-        Axes that it is a density over: k (once for each direction) or omega.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> density_units("m", "k", "omega")
-    'm3 s rad-2'
-    """
-    axes = {"k": K_UNITS, "omega": OMEGA_UNITS}
-    return product((unit, 2), *((axes[name], -1) for name in over))
-
-
-def _rows(group: str, dims: tuple[str, ...], *rows: tuple[Any, ...], **more: Any) -> None:
-    # (name, units, long_name[, meaning])
-    for name, units, text, *meaning in rows:
-        note = meaning[0] if meaning else ""
-        register(Variable(name, dims, units, text, meaning=note, group=group, **{"dtype": "float64"} | more))
-
-
-_TRUST = "where the spectrum can be trusted"
-_LOW, _HIGH = "lower end of the 95 % interval, factor", "upper end of the 95 % interval, factor"
-
-# ---- axes ----
-_rows("", ("omega",), ("omega", OMEGA_UNITS, "angular frequency"), ("frequency", "Hz", "frequency"))
-_rows("", ("k",), ("k", K_UNITS, "wavenumber"), ("cycles", "m-1", "wavenumber / 2 pi"))
-_rows("", ("kx",), ("kx", K_UNITS, "wavenumber along x"))
-_rows("", ("ky",), ("ky", K_UNITS, "wavenumber along y"))
-_rows("", ("omega_map",), ("omega_map", OMEGA_UNITS, "angular frequency of the map"))
-_rows("", ("omega1",), ("omega1", OMEGA_UNITS, "angular frequency"))
-_rows("", ("omega2",), ("omega2", OMEGA_UNITS, "angular frequency"))
-_rows("", ("theta",), ("theta", "rad", "direction of propagation, from x towards y"))
-_rows("", ("step",), ("step", "1", "step of the cube"), dtype="int64")
-_rows("", ("band",), ("band_frequency", "Hz", "middle of the band"))
-_rows("", ("bin",), ("bin", "1", "(value - mean) / standard deviation"))
-_rows("", ("eps_bin",), ("eps_bin", "1", "(value - mean) / standard deviation"))
-_rows("", ("quantity",), ("quantity", "", "elevation, and displacement over one time step"), dtype="str")
-_rows("", ("source",), ("source", "", "method that gives the elevation"), dtype="str")
-
-# ---- a spectrum of any field ----
-for _shape, _dims, _text in (
-    ("plane", ("omega", "ky", "kx"), "power spectrum"),
-    ("komega", ("omega", "k"), "E(k, omega)"),
-    ("k", ("k",), "E(k)"),
-    ("frequency", ("omega",), "E(omega)"),
-):
-    _rows(_shape, _dims, ("E", "", _text))
-_rows("maps", ("omega_map", "ky", "kx"), ("E", "", "E(ky, kx)"))
-_rows(
-    "",
-    ("omega", "k"),
-    ("dof", "1", "degrees of freedom"),
-    ("low", "1", _LOW),
-    ("high", "1", _HIGH),
+from wavefield.variables.spectra import (
+    ELEVATION_UNITS,
+    HIGH,
+    K_UNITS,
+    LOW,
+    OMEGA_UNITS,
+    density_units,
+    rows,
 )
-_rows("", ("omega",), ("dof_omega", "1", "degrees of freedom of E(omega)"))
-_rows("", ("k",), ("dof_k", "1", "degrees of freedom of E(k)"))
-_rows("", ("omega", "k"), ("valid", "1", _TRUST), dtype="bool")
-_rows(
-    "",
-    ("k",),
-    ("coverage", "1", "fraction of the ring inside the sampled plane"),
-    ("cells", "1", "independent cells of the ring", "for energy spread evenly over it"),
-)
-
-# ---- /spectra ----
-for _f, _unit in FIELD_UNITS.items():
-    for _name, _dims, _over, _text in (
-        ("komega", ("omega", "k"), ("k", "omega"), "E(k, omega)"),
-        ("E_k", ("k",), ("k",), "E(k)"),
-        ("E", ("omega",), ("omega",), "E(omega)"),
-    ):
-        _head = "E_komega" if _name == "komega" else _name
-        _rows(
-            "spectra",
-            _dims,
-            (f"{_head}_{_f}", density_units(_unit, *_over), f"{_text} of {FIELD_TEXTS[_f]}"),
-            family=f"{_head}_*",
-        )
-        for _q, _qt in (("dof", "degrees of freedom"), ("low", _LOW), ("high", _HIGH)):
-            _rows("spectra", _dims, (f"{_q}_{_name}_{_f}", "1", _qt), family=f"{_q}_{_name}_*")
-_rows("spectra", ("omega", "k"), ("valid_komega", "1", _TRUST), dtype="bool")
-for _m, _text in METHODS.items():
-    _rows("spectra", ("omega",), (f"Ez_{_m}", ELEVATION_UNITS, _text), family="Ez_*")
-    for _q, _qt in (("dof", "degrees of freedom"), ("low", _LOW), ("high", _HIGH)):
-        _rows("spectra", ("omega",), (f"{_q}_{_m}", "1", _qt), family=f"{_q}_*")
-    _flag = _TRUST if _m == "probes" else "right within a factor 2"
-    _rows("spectra", ("omega",), (f"valid_{_m}", "1", _flag), dtype="bool", family="valid_*")
-_rows("spectra", ("probe", "omega"), ("Ez_probe", ELEVATION_UNITS, "elevation spectrum of each probe"))
-for _g in ("two_frames", "four_frames", "displacement"):
-    _rows("spectra", ("omega",), (f"gain_{_g}", "1", f"power gain: {_g.replace('_', ' ')}"), family="gain_*")
-for _f in ("z", "w"):
-    _rows(
-        "spectra",
-        ("omega_map", "ky", "kx"),
-        (
-            f"E_kxky_{_f}",
-            density_units(FIELD_UNITS[_f], "k", "k", "omega"),
-            f"E(ky, kx) of {FIELD_TEXTS[_f]}",
-            "at chosen frequencies, the paper's 2.8 Hz among them",
-        ),
-        family="E_kxky_*",
-    )
-
-# ---- cross spectra in a notebook ----
-for _a in FIELD_UNITS:
-    _rows(
-        "cross",
-        ("omega", "k"),
-        (f"E_{_a}", density_units(FIELD_UNITS[_a], "k", "omega"), f"E(k, omega) of {FIELD_TEXTS[_a]}"),
-        (f"dof_{_a}", "1", "degrees of freedom"),
-    )
-    for _axis in ("omega", "k"):
-        _rows("cross", (_axis,), (f"dof_{_axis}_{_a}", "1", f"degrees of freedom of E({_axis})"))
-    for _b in FIELD_UNITS:
-        _rows(
-            "cross",
-            ("omega", "k"),
-            (
-                f"S_{_a}_{_b}",
-                product((FIELD_UNITS[_a], 1), (FIELD_UNITS[_b], 1), (K_UNITS, -1), (OMEGA_UNITS, -1)),
-                f"cross spectrum of {FIELD_TEXTS[_a]} with {FIELD_TEXTS[_b]}",
-                "conj of the first times the second, for waves exp(i (k . x - omega t))",
-            ),
-            dtype="complex128",
-        )
-_rows("cross", ("omega", "k"), ("valid", "1", _TRUST), dtype="bool")
-
-# ---- /coherence ----
-for _ending, _dims in (("", ("k",)), ("_komega", ("omega", "k"))):
-    for _t, _text in (("w", "w"), ("nl", "-u . grad z"), ("tot", "w - u . grad z")):
-        _rows(
-            "coherence",
-            _dims,
-            (
-                f"C_{_t}{_ending}",
-                "1",
-                f"coherence of z_t with {_text}, common normalisation",
-                "complex; its real part is the mean over both signs of omega; C_w + C_nl = C_tot,"
-                " so that the modulus of C_w may exceed 1",
-            ),
-            dtype="complex128",
-            family=f"C_*{_ending}",
-        )
-        _rows(
-            "coherence",
-            _dims,
-            (f"gamma2_{_t}{_ending}", "1", f"coherence of z_t with {_text}, magnitude squared"),
-            family=f"gamma2_*{_ending}",
-        )
-        for _q, _qt, _note in (
-            ("samples", "effective independent samples", "from the degrees of freedom of both spectra"),
-            ("bias", "mean gamma2 of unrelated signals", ""),
-            ("level", "gamma2 that unrelated signals exceed in 5 % of cases", ""),
-        ):
-            _rows("coherence", _dims, (f"{_q}_{_t}{_ending}", "1", _qt, _note), family=f"{_q}_*{_ending}")
 
 # ---- /kinematics ----
-_rows(
+rows(
     "kinematics",
     ("step",),
     ("w_rms", "m s-1", "vertical velocity, rms", "over the rectangle, at the sampled steps"),
@@ -207,14 +23,14 @@ _rows(
     ("divergence_rms", "s-1", "divergence, rms"),
     ("time", "s", "time"),
 )
-_rows(
+rows(
     "kinematics",
     (),
     ("nonlinear_fraction", "1", "nonlinear term over w, rms"),
     ("residual_fraction", "1", "residual over nonlinear term, rms"),
     ("finite_residual_fraction", "1", "residual for finite displacements over nonlinear term, rms"),
 )
-_rows(
+rows(
     "",
     ("time", "y", "x"),
     ("z_x", "1", "slope along x"),
@@ -228,13 +44,13 @@ _rows(
 )
 
 # ---- /statistics ----
-_rows(
+rows(
     "statistics",
     ("quantity", "bin"),
     ("pdf", "1", "probability density, standard deviation = 1"),
 )
-_rows("statistics", ("bin",), ("gaussian", "1", "Gaussian"))
-_rows(
+rows("statistics", ("bin",), ("gaussian", "1", "Gaussian"))
+rows(
     "statistics",
     ("quantity",),
     ("mean", "m", "mean"),
@@ -251,7 +67,7 @@ _rows(
     ("kurtosis", "1", "excess kurtosis"),
     ("count", "1", "number of values"),
 )
-_rows(
+rows(
     "statistics",
     (),
     ("significant_height", "m", "significant wave height, 4 sigma"),
@@ -263,21 +79,21 @@ _rows(
 )
 for _e, _unit in (("eps_y", "m"), ("eps_piv", "pixel")):
     for _q in ("mean", "std", "rms"):
-        _rows("statistics", (), (f"{_e}_{_q}", _unit, f"{_q} of {_e}"), family=f"{_e}_*")
-_rows(
+        rows("statistics", (), (f"{_e}_{_q}", _unit, f"{_q} of {_e}"), family=f"{_e}_*")
+rows(
     "statistics",
     ("error", "eps_bin"),
     ("eps_pdf", "1", "probability density of the errors, standard deviation = 1"),
 )
 
 # ---- /dispersion ----
-_rows(
+rows(
     "dispersion",
     ("k",),
     ("omega_theory", OMEGA_UNITS, "dispersion relation, clean water, no current"),
     ("omega_fit", OMEGA_UNITS, "dispersion relation with the fitted surface tension, no current"),
 )
-_rows(
+rows(
     "dispersion",
     ("point",),
     ("ridge_omega", OMEGA_UNITS, "angular frequency of the ridge"),
@@ -285,7 +101,7 @@ _rows(
     ("ridge_angle", "rad", "direction of propagation, from x towards y"),
     ("ridge_weight", "", "energy on the ridge"),
 )
-_rows(
+rows(
     "dispersion",
     (),
     ("current_x", "m s-1", "current along x"),
@@ -297,7 +113,7 @@ _rows(
     ("ridge_fraction", "1", "fraction of the variance within the ridge"),
     ("depth", "m", "depth of the water"),
 )
-_rows(
+rows(
     "dispersion",
     ("band",),
     (
@@ -309,7 +125,7 @@ _rows(
 )
 
 # ---- /fusion ----
-_rows(
+rows(
     "fusion",
     ("omega",),
     ("noise_z", ELEVATION_UNITS, "noise of the stereo elevation"),
@@ -319,7 +135,7 @@ _rows(
     ("weight_z", "1", "weight of stereo in the best combination"),
     ("wiener", "1", "Wiener gain S / (S + N), for time series"),
 )
-_rows(
+rows(
     "fusion",
     (),
     ("sigma_z", "m", "noise of z, rms", "without a record at rest"),
@@ -331,7 +147,7 @@ _rows(
         "off the ridge, above it in k; NaN where the spectrum has no such place",
     ),
 )
-_rows(
+rows(
     "fusion",
     ("omega", "k"),
     (
@@ -341,7 +157,7 @@ _rows(
         "with a gain alone; NaN where it cannot be trusted",
     ),
 )
-_rows(
+rows(
     "fusion",
     ("source",),
     ("range_frequency", "Hz", "right within a factor 2 up to"),
@@ -349,31 +165,31 @@ _rows(
 )
 
 # ---- /direction ----
-_rows(
+rows(
     "direction",
     ("omega_map", "theta"),
     ("D", "rad-1", "directional density on the ridge", "its integral over theta is 1"),
     ("dof_D", "1", "degrees of freedom"),
-    ("low_D", "1", _LOW),
-    ("high_D", "1", _HIGH),
+    ("low_D", "1", LOW),
+    ("high_D", "1", HIGH),
 )
-_rows(
+rows(
     "direction",
     ("omega_map",),
     ("direction", "rad", "mean direction of propagation, from x towards y"),
     ("spread", "rad", "directional spread", "the resolution is taken off"),
 )
-_rows(
+rows(
     "",
     ("frequency",),
     ("energy", "", "spectrum of the waves on the ridge, per Hz"),
     ("r1", "1", "modulus of the first harmonic of the directional density"),
     ("r2", "1", "modulus of the second harmonic of the directional density"),
 )
-_rows("direction", ("omega",), ("isotropy", "1", "isotropy, 1 - largest of the first two harmonics"))
+rows("direction", ("omega",), ("isotropy", "1", "isotropy, 1 - largest of the first two harmonics"))
 
 # ---- /higher_order ----
-_rows(
+rows(
     "higher_order",
     ("omega1", "omega2"),
     ("bicoherence", "1", "bicoherence"),
@@ -382,26 +198,85 @@ _rows(
     ("tricoherence_level", "1", "what surrogates exceed in 5 % of cases"),
     ("tricoherence_omega3", OMEGA_UNITS, "omega3 of the largest tricoherence"),
 )
-_rows("higher_order", (), ("bicoherence_samples", "1", "segments times points"))
+rows("higher_order", (), ("bicoherence_samples", "1", "segments times points"))
+
+# ---- /directional, in the oceanographers' words ----
+rows("directional", ("freq", "dir"), ("efth", "m2 s degree-1", "directional spectrum of the elevation"))
+rows("directional", ("freq", "dir"), ("dof", "1", "degrees of freedom"))
+rows("directional", ("freq",), ("freq", "Hz", "frequency", "as the water sees it"))
+rows(
+    "directional",
+    ("dir",),
+    ("dir", "degree", "direction where waves come from", "clockwise from the y axis"),
+)
+rows(
+    "directional",
+    ("freq",),
+    ("mean_direction", "degree", "mean direction where waves come from"),
+    ("directional_spread", "degree", "directional spread", "the resolution is taken off"),
+    ("r1", "1", "modulus of the first harmonic of the directional density"),
+    ("r2", "1", "modulus of the second harmonic of the directional density"),
+)
+
+# ---- /shear ----
+rows(
+    "shear",
+    ("k_band",),
+    ("k_band", K_UNITS, "wavenumber of the band"),
+    ("effective_depth", "m", "depth 1 / 2k that the band stands for"),
+    ("doppler_x", "m s-1", "current along x that waves of the band feel"),
+    ("doppler_x_std", "m s-1", "its standard uncertainty"),
+    ("doppler_y", "m s-1", "current along y that waves of the band feel"),
+    ("doppler_y_std", "m s-1", "its standard uncertainty"),
+)
+rows(
+    "shear",
+    ("z",),
+    ("z", "m", "height above the mean level"),
+    ("current_x", "m s-1", "current along x"),
+    ("current_x_std", "m s-1", "standard uncertainty of the current along x"),
+    ("current_y", "m s-1", "current along y"),
+    ("current_y_std", "m s-1", "standard uncertainty of the current along y"),
+)
+
+# ---- crests about to break, in a notebook ----
+rows(
+    "breaking",
+    ("time", "y", "x"),
+    ("B", "1", "speed of the water over that of the crest", "at crests; they break above about .85"),
+    ("crest_speed", "m s-1", "speed of the crest"),
+    dtype="float32",
+)
+rows(
+    "breaking",
+    ("event",),
+    ("event_time", "s", "time of the largest B"),
+    ("event_x", "m", "place of the largest B along x"),
+    ("event_y", "m", "place of the largest B along y"),
+    ("event_B", "1", "largest B of the event"),
+    ("event_duration", "s", "time above the onset"),
+    ("event_length", "m", "length of the crest above the onset"),
+)
+rows("breaking", ("event", "time"), ("history", "1", "largest B at each step"), dtype="float32")
 
 # ---- probes and gains ----
-_rows("probes", ("probe", "time"), ("elevation", "m", "surface elevation"))
-_rows("probes", ("time",), ("time", "s", "time"))
-_rows(
+rows("probes", ("probe", "time"), ("elevation", "m", "surface elevation"))
+rows("probes", ("time",), ("time", "s", "time"))
+rows(
     "",
     ("probe",),
     ("probe_x", "m", "place of the probe along x"),
     ("probe_y", "m", "place of the probe along y"),
 )
-_rows("gain", ("direction",), ("direction", "rad", "direction of the wave vector, either way"))
+rows("gain", ("direction",), ("direction", "rad", "direction of the wave vector, either way"))
 for _f, _text in (
     ("z", "elevation"),
     ("u", "displacement dx"),
     ("v", "displacement dy"),
     ("w", "displacement dz"),
 ):
-    _rows("gain", ("direction", "k"), (f"gain_{_f}", "1", f"amplitude gain of the {_text}"))
-    _rows("gain", ("k",), (f"coherence_{_f}", "1", f"squared coherence of the {_text} with the truth"))
+    rows("gain", ("direction", "k"), (f"gain_{_f}", "1", f"amplitude gain of the {_text}"))
+    rows("gain", ("k",), (f"coherence_{_f}", "1", f"squared coherence of the {_text} with the truth"))
 
 # groups of the wave store, in order, with what the documentation says of each as a whole
 GROUPS = {
@@ -414,5 +289,9 @@ GROUPS = {
     "dispersion": "The theory alone where no ridge could be followed.",
     "fusion": "Noise of stereo and of the integrated w, and their best combination.",
     "direction": "On the ridge. `isotropy` has its own omega.",
+    "directional": "E(f, theta) of the elevation as wavespectra takes it:"
+    " `xarray.open_dataset(store, engine='zarr', group='directional').spec`. Like `shear` it is missing where"
+    " no ridge could be followed.",
+    "shear": "Current by depth from the Doppler shift of each band of wavenumbers, and u, v at the surface.",
     "higher_order": "Missing where the record holds fewer than four segments.",
 }

@@ -6,9 +6,11 @@ objects; lazy input gives lazy results, reduced in one pass over Welch segments.
 
 from wavefield.water import dispersion, group_velocity, wavenumber
 from wavefield.waves.analyze import analyze
+from wavefield.waves.breaking import breaking
 from wavefield.waves.coherence import coherence
 from wavefield.waves.crosses import cross_spectra
 from wavefield.waves.direction import directions
+from wavefield.waves.directional import directional_spectrum
 from wavefield.waves.fuse import fuse
 from wavefield.waves.fusion import fusion
 from wavefield.waves.higher_order import HigherOrderSettings, higher_order
@@ -16,6 +18,7 @@ from wavefield.waves.kinematics import finite_residual, kinematics
 from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Record, find_record, whole_record
 from wavefield.waves.ridge import FitSettings, fit_dispersion
+from wavefield.waves.shear import ShearSettings, current_by_depth
 from wavefield.waves.spectra import (
     angular_integral,
     at_frequency,
@@ -39,11 +42,15 @@ __all__ = [
     "FitSettings",
     "HigherOrderSettings",
     "Record",
+    "ShearSettings",
     "analyze",
     "angular_integral",
     "at_frequency",
+    "breaking",
     "coherence",
     "cross_spectra",
+    "current_by_depth",
+    "directional_spectrum",
     "directions",
     "dispersion",
     "elevation_from_w",

@@ -22,16 +22,17 @@ import xarray as xr
 import wavefield
 from wavefield.errors import CubeError, StoreError
 from wavefield.store.waves import write_waves
-from wavefield.variables import TABLE, annotate, density_units, validate
-from wavefield.variables.waves import FIELD_TEXTS, FIELD_UNITS
+from wavefield.variables import FIELD_TEXTS, FIELD_UNITS, TABLE, annotate, density_units, validate
 from wavefield.water import GAMMA
 from wavefield.waves import coherence, crosses, fusion, kinematics, segments, spectra, statistics, transfer
 from wavefield.waves.direction import direction_group
+from wavefield.waves.directional import from_density
 from wavefield.waves.higher_order import higher_order
 from wavefield.waves.onepass import FIELDS, MAPS, NAMES, PAIRS, Progress, Sums, one_pass
 from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Record, find_record
 from wavefield.waves.ridge import dispersion_group
+from wavefield.waves.shear import current_by_depth
 from wavefield.waves.welch import Welch, frames_of, omega_coords
 from wavefield.waves.window_gain import read_gain
 
@@ -205,7 +206,8 @@ def _groups(
     water = job.depth, job.gamma, welch.dof
     dispersion, note = dispersion_group(density["w"], welch.table.k, *water)
     notes.extend([note] if note else [])
-    return {
+    found = _currents(job, density["w"], dispersion, moments, welch, notes)
+    return found | {
         "spectra": annotate(spectra_group, "spectra"),
         "coherence": coherence.from_spectra(ring),
         "statistics": statistics.spectral_peak(moments, fused, job.depth, job.gamma),
@@ -213,6 +215,28 @@ def _groups(
         "fusion": fused.drop_vars(by_method),
         "direction": direction_group(density["w"], chosen, dispersion, *water),
     }
+
+
+def _currents(
+    job: _Job,
+    density: xr.DataArray,
+    dispersion: xr.Dataset,
+    moments: xr.Dataset,
+    welch: Welch,
+    notes: list[str],
+) -> dict[str, xr.Dataset]:
+    # what rests on a fitted current
+    if "current_x" not in dispersion:
+        return {}
+    current = float(dispersion["current_x"]), float(dispersion["current_y"])
+    out = {"directional": from_density(density, job.depth, job.gamma, current, welch.dof, welch.frames)}
+    drift = moments["mean"] / welch.record.dt
+    surface = float(drift.sel(quantity="dx")), float(drift.sel(quantity="dy"))
+    try:
+        out["shear"] = current_by_depth(dispersion, surface=surface, gamma=job.gamma)
+    except CubeError as error:
+        notes.append(f"No current by depth: {error}.")
+    return out
 
 
 def _map_lines(omega: np.ndarray, wanted: Sequence[float]) -> list[int]:

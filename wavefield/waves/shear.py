@@ -1,6 +1,7 @@
 """Current by depth: short waves feel the water near the surface, long ones that further down."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -117,7 +118,7 @@ def _doppler(ridge: xr.Dataset, gamma: float, bands: int) -> tuple[Array, Array,
     weight = weight / top[number]
     edges = np.quantile(k, np.linspace(0, 1, bands + 1))
     found = []
-    for low, high in zip(edges[:-1], edges[1:]):
+    for low, high in pairwise(edges):
         inside = (k >= low) & (k < high)
         if inside.sum() < _LEAST:
             continue

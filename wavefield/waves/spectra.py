@@ -215,6 +215,13 @@ def _ring_powers(
     return out
 
 
+def _estimates(summed: dict[str, Array], welch: Welch) -> Array:
+    """E(k, omega), its freedom and interval, (4, omega, k): one task, not a graph of small ones."""
+    sums = summed["f"]
+    dof = np.maximum(welch.freedom(sums), 1.0)
+    return np.stack([sums[0] * welch.ring_density, dof, *interval(dof)]).transpose(0, 2, 1)
+
+
 def komega(
     field: xr.DataArray,
     *,
@@ -268,15 +275,13 @@ def komega(
     task = dask.delayed(_ring_powers, pure=False)
     weights = table.start, table.ring, table.weight, table.spread
     summed = segments.in_order([task(a, b, *weights) for run in runs for a, b in itertools.pairwise(run)])
-    shape = table.k.size, welch.omega.size
-    sums = {"f": da.from_delayed(summed["f"], (2, *shape), np.float64)} | scatter.lazy_squares(
-        summed, "f", shape
-    )
-    values = xr.DataArray(sums["f"][0].T * welch.ring_density, dims=("omega", "k"))
-    freedom = scatter.freedom(sums, "f", welch, gaussian=True)
-    out = with_interval(values, xr.DataArray(freedom.T, dims=("omega", "k")))
-    out["dof_omega"] = ("omega", scatter.freedom_over(sums, "f", "omega", welch))
-    out["dof_k"] = ("k", scatter.freedom_over(sums, "f", "k", welch))
+    found = dask.delayed(_estimates, pure=False)(summed, welch)
+    parts = da.from_delayed(found, (4, welch.omega.size, table.k.size), np.float64)
+    names = ("E", "dof", "low", "high")
+    out = annotate(xr.Dataset({name: (("omega", "k"), part) for name, part in zip(names, parts)}))
+    for axis, size in (("omega", welch.omega.size), ("k", table.k.size)):
+        dof = dask.delayed(scatter.freedom_over, pure=False)(summed, "f", axis, welch)
+        out[f"dof_{axis}"] = (axis, da.from_delayed(dof, (size,), np.float64))
     out = out.assign(welch.ring_variables).assign_coords(omega_coords(welch.omega) | k_coords(table.k))
     out["valid"] = (("omega", "k"), welch.valid)
     out = annotate(out.assign_attrs(welch.attrs), "komega")

@@ -112,7 +112,7 @@ def _in_time(sums: Array, maps: Array, steps: float) -> tuple[Array, float]:
     # sums of the powers about each node's own mean, and the standard deviation of these means: what stands
     # still (an error of the calibration, mostly) is no wave
     m = maps[0] / steps
-    n, s1, s2, s3, s4 = sums
+    n, _, s2, s3, s4 = sums
     moved = [
         n,
         0.0,

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Coordinates = dict[str, tuple[str, Array]]
 
 LEAST_COUNT = 4  # segments
-_NEAR = 7  # lines over which the spread over cells is averaged
+_NEAR = 3  # lines over which the spread over cells is averaged
 _ALONG = 11  # lines over which the scatter is averaged
 LOWEST = 2  # cells: a Hann window mixes what is nearer to zero with the mean
 
@@ -161,7 +161,7 @@ class Welch:
         by rho_cd. With the square of each cell's expected power taken from <|F_c|^4> / 2 (Gaussian waves),
         the number of independent cells is (sum A_c E_c)^2 / sum A_c E_c^2 (rho^2 A)_c: the geometric number
         of a ring for energy spread evenly over it, one for a single wave. Squares are averaged over segments
-        before they are summed, so the number does not depend on K; its reciprocal is averaged over seven
+        before they are summed, so the number does not depend on K; its reciprocal is averaged over three
         lines and what chance adds to the squared power, 1 / K, taken off.
         """
         power, square = sums[0], sums[1]

@@ -1,0 +1,101 @@
+"""Directional spectra, current by depth, crests about to break: on seas known exactly."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from waves_cases import GaussianSea, Waves, axes, cube, relation
+
+import wavefield.waves as wv
+from wavefield.waves.breaking import crest_ratio
+
+
+@pytest.fixture(scope="module")
+def directional():
+    sea = GaussianSea(spread=10, heading=np.radians(30), n=96, dx=0.03, steps=512, lowest=1.2, highest=4.0)
+    w = sea.field(5).isel(y=slice(0, 64), x=slice(0, 80))
+    made = xr.Dataset({"w": w}, attrs={"water_depth": 0.7})
+    return made, wv.directional_spectrum(made, current=(0.0, 0.0), segment=128)
+
+
+def test_wavespectra_takes_a_directional_spectrum_as_its_own(directional, tmp_path):
+    wavespectra = pytest.importorskip("wavespectra")
+    made, spectrum = directional
+    omega = 2 * np.pi * spectrum.freq
+    energy = wv.komega(made.w, segment=128)
+    elevation = wv.frequency_spectrum(energy).E * wv.elevation_from_w(energy.omega, 0.05)
+    inside = (energy.omega >= float(omega[0])) & (energy.omega <= float(omega[-1]))
+    height = 4 * np.sqrt(float(elevation.where(inside).sum()) * float(energy.omega[1]))
+    assert float(spectrum.spec.hs()) == pytest.approx(height, rel=0.06)
+    # waves that go 30 degrees from x towards y come from 240 degrees, clockwise from y
+    assert float(spectrum.spec.dm()) == pytest.approx(240, abs=4)
+    assert float(spectrum.mean_direction.sel(freq=2, method="nearest")) == pytest.approx(240, abs=6)
+    # cos^20(theta / 2): r1 = s / (s + 1)
+    assert float(spectrum.spec.dspr()) == pytest.approx(np.degrees(np.sqrt(2 / 11)), rel=0.12)
+    spectrum.to_netcdf(tmp_path / "sea.nc")
+    read = wavespectra.read_netcdf(tmp_path / "sea.nc")
+    assert float(read.spec.hs()) == pytest.approx(float(spectrum.spec.hs()), rel=1e-6)
+
+
+def sheared(felt, n=1200, seed=0):
+    """Points of a ridge over a current that waves of wavenumber k feel as felt(k) along x."""
+    rng = np.random.default_rng(seed)
+    k, angle = rng.uniform(7, 60, n), 2 * np.pi * rng.random(n)
+    omega = relation(k, 0.7) + k * felt(k) * np.cos(angle) + 0.004 * k * rng.standard_normal(n)
+    names = {"ridge_k": k, "ridge_angle": angle, "ridge_omega": omega, "ridge_weight": np.ones(n)}
+    return xr.Dataset({name: ("point", values) for name, values in names.items()} | {"depth": 0.7})
+
+
+def test_a_sheared_current_is_found_at_depth():
+    def felt(k):  # 2 k int .1 exp(z / .1) exp(2 k z) dz
+        return 0.1 * 2 * k / (2 * k + 10)
+
+    found = wv.current_by_depth(sheared(felt), surface=(0.1, 0.0))
+    true = 0.1 * np.exp(found.z / 0.1)
+    error = float(np.sqrt(((found.current_x - true) ** 2).mean()))
+    assert error < 0.003
+    plain = np.interp(found.z, -found.effective_depth[::1], found.doppler_x)
+    assert error < np.sqrt(((plain - true) ** 2).mean()) / 3
+    assert float(np.abs(found.current_y).max()) < 0.005
+    assert float(found.current_x_std.max()) < 0.01
+
+
+def test_a_uniform_current_stays_uniform():
+    found = wv.current_by_depth(sheared(lambda k: 0.05 + 0 * k), surface=(0.05, 0.0))
+    assert found.attrs["degree"] == 0
+    np.testing.assert_allclose(found.current_x, 0.05, atol=0.002)
+
+
+def test_crests_of_a_steep_wave_have_its_steepness_for_ratio_whatever_the_current():
+    t, y, x = axes(6, 40, 160, 0.05, 0.01)
+    k = 2 * np.pi / 0.6
+    for current in ((0.0, 0.0), (0.1, 0.0)):
+        wave = Waves(np.array([k]), np.array([0.0]), np.array([0.3 / k + 0j]), current=current)
+        f = wave.on_grid(t[:1], y, x, "z", "z_t", "u", "v")
+        fields = [f[name][0] for name in ("z", "z_t", "u", "v")]
+        fields[2] = fields[2] + current[0]
+        ratio, speed = crest_ratio(*fields, 0.01, 0.01, 0.05, 0.01, current)
+        assert np.isfinite(ratio).sum() >= 2 * 40
+        # a k over tanh kh, a node beside the crest it is a little less
+        np.testing.assert_allclose(ratio[np.isfinite(ratio)], 0.3 / np.tanh(k * 0.7), atol=0.01)
+        np.testing.assert_allclose(speed[np.isfinite(speed)], relation(k, 0.7) / k, rtol=0.01)
+
+
+def test_a_crest_that_outruns_itself_is_an_event_with_its_history():
+    t, y, x = axes(40, 32, 120, 0.05, 0.01)
+    k = 2 * np.pi / 0.6
+    passing = 1.2 * k / relation(k, 0.7)  # a crest is at x = .6 m then
+    f = Waves(np.array([k]), np.array([0.0]), np.array([0.3 / k + 0j])).on_grid(t, y, x, "z", "z_t", "u", "v")
+    # water three times as fast where and while the wave "breaks"
+    place = np.exp(-(((x - 0.6) / 0.15) ** 2)) * np.exp(-(((y[:, None] - 0.15) / 0.05) ** 2))
+    f["u"] = f["u"] * (1 + 2.2 * place * np.exp(-(((t[:, None, None] - passing) / 0.3) ** 2)))
+    found = wv.breaking(cube(f, t, y, x), wavelength=0.6)
+    assert found.sizes["event"] >= 1
+    top = int(found.event_B.argmax())
+    assert float(found.event_B[top]) == pytest.approx(0.3 * 3.2, abs=0.12)
+    assert float(found.event_time[top]) == pytest.approx(passing, abs=0.15)
+    assert float(found.event_x[top]) == pytest.approx(0.6, abs=0.12)
+    assert float(found.event_y[top]) == pytest.approx(0.15, abs=0.03)
+    assert float(np.nanmax(found.history[top])) == pytest.approx(float(found.event_B[top]))
+    assert 0 < float(found.event_duration[top]) < 1.0
+    calm = wv.breaking(cube(f | {"u": f["u"] * 0.2}, t, y, x), wavelength=0.6)
+    assert calm.sizes.get("event", 0) == 0
