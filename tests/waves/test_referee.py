@@ -75,10 +75,21 @@ def test_unrelated_seas_of_one_spectrum_exceed_the_level_in_five_percent(spread)
         ring = wv.cross_spectra(cube, ("z_t", "w"), (("z_t", "w"),), segment=64)
         gamma2 = np.abs(ring.S_z_t_w) ** 2 / (ring.E_z_t * ring.E_w)
         level = significance_level((ring.dof_z_t * ring.dof_w) ** 0.5 / 2)
-        where_waves_are = ring.valid & (ring.E_w > 1e-3 * ring.E_w.max())
+        where_waves_are = ring.valid & (ring.E_w > 1e-3 * ring.E_w.max("k"))
+        where_waves_are &= (ring.frequency > 1.4) & (ring.frequency < 4)
         hits.append(float((gamma2 > level).where(where_waves_are).mean()))
     # few seas, whose cells share waves: with samples counted from geometry 13 to 85 %
-    assert np.mean(hits) < 0.1
+    assert np.median(hits) < 0.1
+
+
+def test_leakage_of_the_peak_is_not_valid():
+    # waves up to 2.5 Hz without noise: beyond them there is but what the window lets through
+    waves = random_waves(n=80, lowest=1.0, highest=2.5)
+    out = wv.fusion(linear_cube(waves, 400, 40, 50, dx=0.02, dtype="f8"), segment=100)
+    for method in ("stereo", "w", "cross", "fusion"):
+        valid = out[f"valid_{method}"]
+        assert not bool(valid.where(out.frequency > 5.0, False).any()), method
+    assert bool(out.valid_fusion.where((out.frequency > 1.2) & (out.frequency < 2.3), True).all())
 
 
 def test_a_few_holes_at_random_do_not_spoil_a_record():
@@ -124,9 +135,10 @@ def test_velocities_along_four_frames_give_the_same_elevation_as_displacements()
     lines = (fused[0].frequency > 1.2) & (fused[0].frequency < 5)
     for name in ("Ez_stereo", "Ez_w", "Ez_cross"):
         np.testing.assert_allclose(fused[1][name][lines], fused[0][name][lines], rtol=0.02)
-    exact = wv.fuse(four, fused[1]).isel(time=slice(60, -60))
-    z = waves.on_grid(exact.time.values, exact.y.values, exact.x.values, "z")["z"]
-    assert float(np.std(exact - z)) < 0.004 * z.std()
+    series = [wv.fuse(cube, how).isel(time=slice(60, -60)) for cube, how in zip((two, four), fused)]
+    z = waves.on_grid(series[0].time.values, series[0].y.values, series[0].x.values, "z")["z"]
+    errors = [float(np.std(found - z)) for found in series]
+    assert errors[1] < 1.2 * errors[0] < 0.012 * z.std()
     # at mid-time all terms are, so that the slope of z goes with them
     terms = wv.kinematics(four).isel(time=slice(20, -20))
     assert (

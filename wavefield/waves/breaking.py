@@ -140,7 +140,15 @@ def breaking(
     for t in range(ratio.shape[0]):
         now = {name: np.asarray(cube[name].isel(time=t).values, float) for name in _NAMES}
         ratio[t], speed[t] = crest_ratio(
-            *(now[name] for name in _NAMES), dy, dx, wavelength / 12, level + least * height, drift
+            now["z"],
+            now["z_t"],
+            now["u"],
+            now["v"],
+            dy,
+            dx,
+            wavelength / 12,
+            level + least * height,
+            drift,
         )
     dims = ("time", "y", "x")
     coords = {name: cube[name] for name in dims}

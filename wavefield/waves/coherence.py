@@ -66,7 +66,7 @@ def from_spectra(ring: xr.Dataset) -> xr.Dataset:
     duration = effective_duration(ring.attrs["segments"], ring.attrs["segment"] * ring.attrs["dt"])
     terms = _terms(ring)
     total = terms["tot"][1]
-    out = {}
+    out: dict[str, Any] = {}
     for ending in ("", "_komega"):
         add = _itself if ending else _over_omega
         norm = np.sqrt(add(ring["E_z_t"]) * add(total))

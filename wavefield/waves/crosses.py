@@ -361,8 +361,8 @@ def by_field(ring: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
             name: spectra.frequency_spectrum(xr.Dataset(whole, attrs=ring.attrs)),
         }
         for of, part in parts.items():
-            whole = of if of.startswith("komega") else f"E_{of}"
-            names_there = {"E": f"E_{of}"} | {n: f"{n}_{whole}" for n in ("dof", "low", "high")}
+            stem = of if of.startswith("komega") else f"E_{of}"
+            names_there = {"E": f"E_{of}"} | {n: f"{n}_{stem}" for n in ("dof", "low", "high")}
             out = out.assign(part.drop_vars("valid", errors="ignore").rename(names_there).data_vars)
     out = out.assign(coverage=ring["coverage"], cells=ring["cells"], valid_komega=ring["valid"])
     return annotate(out, "spectra")

@@ -25,6 +25,7 @@ Array = NDArray[Any]
 NAMES = ("z", "w")
 PAIRS = (("z", "w"),)
 METHODS = ("stereo", "w", "cross", "fusion")
+_LONGER = 0.5  # of the ridge's k: what is longer is no free wave of that frequency
 _OFF = 0.3  # of the ridge's omega: further off there is no free wave
 _TRUSTED = 0.7  # fraction of the ridge's cells
 _LOWEST = 1.2  # Hz: below it the integrated w holds little but drift
@@ -236,6 +237,8 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf, gain: xr.Dataset | Non
     else:
         on_ridge = (_on_ridge(trusted, omega, spectra.k, depth) for trusted in trusted_k)
         valid = {method: inner(omega.size) & there for method, there in zip(METHODS, on_ridge)}
+    waves = _at_waves(energies_k[-1], omega, spectra.k, depth)
+    valid = {method: there & waves for method, there in valid.items()}
     reach = [_reach(omega, valid[method], positive) for method in METHODS]
     kept = _kept_freedom(energies, left, tiny)
 
@@ -260,6 +263,15 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf, gain: xr.Dataset | Non
     out["range_frequency"] = ("source", [r[0] for r in reach])
     out["range_decades"] = ("source", [r[1] for r in reach])
     return annotate(out.assign_attrs(ring.attrs), "fusion")
+
+
+def _at_waves(energy: Array, omega: Array, k: Array, depth: float) -> Array:
+    # whether a line holds energy where waves of its frequency are, not where the peak is: what a window
+    # lets through of a peak decades above keeps the peak's wavenumber; a current shortens waves by less
+    shorter = k > _LONGER * wavenumber(omega, depth)[:, None]
+    there = np.maximum(energy, 0.0)
+    total = _smooth(there.sum(axis=1))
+    return np.asarray(_smooth((there * shorter).sum(axis=1)) > 0.5 * total)
 
 
 def _standing_out(
