@@ -90,7 +90,7 @@ def test_a_crest_that_outruns_itself_is_an_event_with_its_history():
     f["u"] = f["u"] * (1 + 2.2 * place * np.exp(-(((t[:, None, None] - passing) / 0.3) ** 2)))
     found = wv.breaking(cube(f, t, y, x), wavelength=0.6)
     assert found.sizes["event"] >= 1
-    top = int(found.event_B.argmax())
+    top = int(found.event_B.values.argmax())
     assert float(found.event_B[top]) == pytest.approx(0.3 * 3.2, abs=0.12)
     assert float(found.event_time[top]) == pytest.approx(passing, abs=0.15)
     assert float(found.event_x[top]) == pytest.approx(0.6, abs=0.12)
