@@ -30,10 +30,12 @@ _NEVER = (  # parts of reasons for which Slurm keeps a job waiting until somebod
     "AccountNotAllowed",
     "QOSNotAllowed",
 )
+_NOT_ITS_FAULT = ("PREEMPTED", "NODE_FAIL", "BOOT_FAIL")
 _PASSING = re.compile(r"temporar|timed out|unable to contact|limit", re.I)  # in what sbatch says of a refusal
 _TELLING = re.compile(
     r"error|cannot|no such|not found|no module|no space|quota|denied|killed|cancelled|exceeded|refused", re.I
 )
+_DECISIVE = re.compile(r"DUE TO|out of memory|oom.kill", re.I)  # of Slurm itself
 _LINE = 300  # characters of a log that are worth repeating
 
 
@@ -52,6 +54,7 @@ class Watch:
         self._cluster, self._logs = cluster, logs
         self._since = self._looked = time.monotonic()
         self._said = ""
+        self._heard: set[str] = set()  # names of workers; what becomes of their jobs later is Dask's business
         self._absent: set[str] = set()
         self._failed: list[str] = []
 
@@ -68,10 +71,11 @@ class Watch:
             return
         self._looked = now
         connected = {str(worker["id"]) for worker in self._cluster.scheduler_info["workers"].values()}
+        self._heard |= connected
         silent = {
             str(name): job
             for name, job in list(self._cluster.workers.items())
-            if not any(one == str(name) or one.startswith(f"{name}-") for one in connected)
+            if not any(one == str(name) or one.startswith(f"{name}-") for one in self._heard)
         }
         self._look_at_refused(silent, bool(connected))
         asked = {job.job_id: name for name, job in silent.items() if job.job_id}
@@ -93,7 +97,8 @@ class Watch:
     def _look_for_ended(self, asked: dict[str, str], states: dict[str, tuple[str, str]]) -> None:
         absent = {number for number in asked if number not in states}
         for number in absent & self._absent:  # twice: Slurm may be late to list it, the worker to be heard
-            self._failed.append(number)
+            if not any(state in _shown(number) for state in _NOT_ITS_FAULT):
+                self._failed.append(number)
             self._forget(asked[number])
         self._absent = absent - self._absent
         if self._failed and len(self._failed) >= min(_MOST_FAILURES, len(self._cluster.worker_spec) or 1):
@@ -145,6 +150,17 @@ def _states() -> dict[str, tuple[str, str]] | None:
     return {number: (state, reason) for number, state, reason in rows if state != "COMPLETING"}
 
 
+def _shown(number: str) -> str:
+    """State of a job and its reason, as long as Slurm remembers it."""
+    command = ["scontrol", "show", "job", number]
+    try:
+        shown = subprocess.run(command, capture_output=True, text=True, timeout=30).stdout
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    found = dict(re.findall(r"(JobState|Reason)=(\S+)", shown))
+    return ", ".join(found[name] for name in ("JobState", "Reason") if found.get(name, "None") != "None")
+
+
 def why_ended(number: str, logs: Path) -> str:
     """A sentence that says why a job ended before its workers started, as far as Slurm and its log tell.
 
@@ -159,19 +175,13 @@ def why_ended(number: str, logs: Path) -> str:
     -------
     str
     """
-    state = ""
-    try:
-        command = ["scontrol", "show", "job", number]
-        shown = subprocess.run(command, capture_output=True, text=True, timeout=30).stdout
-        found = dict(re.findall(r"(JobState|Reason)=(\S+)", shown))
-        state = ", ".join(found[name] for name in ("JobState", "Reason") if found.get(name, "None") != "None")
-    except (OSError, subprocess.SubprocessError):
-        pass
+    state = _shown(number)
     head = f"Slurm job {number} ended before its workers started{f' ({state})' if state else ''}; "
     for path in [*sorted(logs.glob(f"*-{number}*.err")), *sorted(logs.glob(f"*-{number}*.out"))]:
         lines = [line.strip() for line in path.read_text(errors="replace").splitlines() if line.strip()]
         if lines:
-            telling = [line for line in lines if _TELLING.search(line)] or lines
+            telling = [line for line in lines if _DECISIVE.search(line)]
+            telling = telling or [line for line in lines if _TELLING.search(line)] or lines
             return f"{head}{path} says: {telling[-1][:_LINE]}"
     return (
         f"{head}it left no log in {logs}: is that a folder on a disk that all nodes share, with room, and is "
