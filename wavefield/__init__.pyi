@@ -15,6 +15,7 @@ from wavefield.rig.camera import Camera
 from wavefield.rig.formats import load_rig
 from wavefield.rig.rig import Rig
 from wavefield.series.experiment import Experiment
+from wavefield.series.proposal import propose
 from wavefield.store.export import export_netcdf as export
 from wavefield.store.ledger import status
 from wavefield.store.read import open_cube
@@ -45,6 +46,7 @@ __all__ = [
     "look",
     "match",
     "open_cube",
+    "propose",
     "reconstruct",
     "report",
     "run",

@@ -153,7 +153,7 @@ TABLE = [
     ("no folder of images", lose("cam2"), ["run", EXP], 1, "cam2"),
     ("no images that fit", note("cam2/img_", "cam2/pic_"), ["run", EXP], 1, "cam2"),
     ("a broken pattern", note("cam2/img_{frame:03d}", "cam2/img_{frame"), ["run", EXP], 1, "cam2"),
-    ("text for the first image", write("cam1/img_000.tif", "no image"), ["run", EXP], 1, "img_000.tif"),
+    ("text for images", lambda lab: [p.write_text("no image") for p in (lab / "cam1").iterdir()], ["run", EXP], 1, "img_00"),
     ("images of another size", lambda lab: [cv2.imwrite(str(p), np.eye(9, dtype=np.uint8) * 99) for p in (lab / "cam1").iterdir()], ["run", EXP], 1, "rig"),
     # -- the rig
     ("no rig", lose("rig.yaml"), ["run", EXP], 1, "rig.yaml"),

@@ -50,6 +50,7 @@ def cli(quiet: bool, verbose: bool, debug: bool) -> None:
 for _command in (
     simulate.demo,
     simulate.simulate,
+    experiment.init,
     experiment.check,
     experiment.calibrate,
     experiment.refine,

@@ -296,3 +296,27 @@ def verify(context: click.Context, store: Path) -> None:
     click.echo(str(found))
     if not found.sound:
         context.exit(1)
+
+
+@click.command(epilog="\b\nExample:\n  wavefield init run07          # writes run07/experiment.yaml")
+@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Experiment file to write."
+)
+def init(folder: Path, output: Path | None) -> None:
+    """Propose an experiment file for a folder of images, with a comment on every guess.
+
+    Finds the numbered images of each camera, target images, a record at rest and probes by their names. What
+    no folder can say (frame rate, target, depth) is marked TO FILL IN. Never writes over a file.
+    """
+    from wavefield.errors import ExperimentError
+    from wavefield.series.proposal import propose
+    from wavefield.whole_files import write_text
+
+    output = output or folder / "experiment.yaml"
+    if output.exists():
+        raise ExperimentError(f"{output} is there already; name another file with -o")
+    text = propose(folder)
+    write_text(output, text)
+    click.echo(text)
+    click.echo(f"Wrote {output}. Fill it in, then: wavefield check {output}")
