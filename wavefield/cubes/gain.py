@@ -1,4 +1,4 @@
-"""The gain of the matching windows of a cube, predicted from its recipe."""
+"""The gain of a cube's measurement, predicted from its recipe."""
 
 import json
 
@@ -7,14 +7,14 @@ import xarray as xr
 
 from wavefield.errors import CubeError
 from wavefield.grid import Grid
-from wavefield.measurement import Plan, Settings
+from wavefield.measurement import Plan, Record, Settings
 from wavefield.measurement.gain import gains
 from wavefield.rig import Camera, Rig
 from wavefield.waves.window_gain import DIRECTIONS, label
 
 
 def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
-    """Predict the gain of the matching windows from the settings and cameras of a cube.
+    """Predict the gain of the measurement from what a cube's run learned of its record.
 
     Parameters
     ----------
@@ -40,11 +40,12 @@ def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
         rig = Rig({name: Camera.from_dict(camera) for name, camera in recipe["rig"].items()})
         grid = Grid(**recipe["grid"])
         settings = Settings.from_dict(recipe["settings"])
+        record = Record.from_dict(recipe["record"])
     except (KeyError, TypeError, ValueError) as error:
         raise CubeError(
             f"the cube does not say how it was made ({error}): measure the gain of its windows, window_gain"
         ) from None
     k = np.linspace(0, np.sqrt(2) * np.pi / grid.step, 200)
     angle = np.arange(DIRECTIONS)[:, None] * np.pi / DIRECTIONS
-    by_field = gains(Plan(rig, grid, settings), k * np.cos(angle), k * np.sin(angle))
+    by_field = gains(Plan(rig, grid, settings, record), k * np.cos(angle), k * np.sin(angle))
     return label(by_field, k, "linear theory")

@@ -14,6 +14,7 @@ from dask.delayed import Delayed
 from dask.highlevelgraph import HighLevelGraph
 
 from wavefield.cubes.block import Block, make_block, measure_block
+from wavefield.cubes.learning import learn_from, samples
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.rig import Rig
@@ -88,7 +89,8 @@ def reconstruct(
 ) -> xr.Dataset:
     """Turn image series into a lazy cube of elevation and velocity.
 
-    Nothing is read or computed before values are asked for. To look at a few steps only, select their
+    Nothing is read or computed before values are asked for; then four sample steps of the whole series say
+    what every step is weighed with: beads, spectra, noise. To look at a few steps only, select their
     frames first: ``reconstruct(frames.isel(time=slice(0, 4)), ...)``; to process a whole experiment into a
     store that survives interruptions, use `wavefield.cubes.run`.
 
@@ -133,9 +135,12 @@ def reconstruct(
     steps = len(times) - 1
     edges = [(i, min(i + steps_per_task, steps)) for i in range(0, steps, steps_per_task)]
     token = uuid.uuid4().hex
+    learned = dask.delayed(learn_from, pure=False, traverse=True)(
+        samples(sources, steps), plan, dask_key_name=f"learn-{token}"
+    )
     measure = dask.delayed(_measure, pure=False, traverse=True)
     tasks = [
-        measure(make_block(sources, *edge), plan, frame_rate, dask_key_name=f"measure-{token}-{k}")
+        measure(make_block(sources, *edge), plan, learned, frame_rate, dask_key_name=f"measure-{token}-{k}")
         for k, edge in enumerate(edges)
     ]
     variables = {
@@ -153,7 +158,11 @@ def reconstruct(
     return annotate(out)
 
 
-def _measure(block: Block, plan: Any, frame_rate: float) -> dict[str, np.ndarray]:
+def _measure(block: Block, plan: Any, learned: Mapping[str, Any], frame_rate: float) -> dict[str, np.ndarray]:
+    from wavefield.measurement import Record
+
+    if learned:
+        plan = plan.knowing(Record.from_dict(learned))
     measured = measure_block(block, plan, frame_rate)
     return {**measured.fields, "frame_status": measured.frame_status}
 

@@ -57,6 +57,23 @@ class Prepared:
     workflow: Workflow
     motion: FirstGuess | None = None
 
+    def knowing(self, record: Mapping[str, Any]) -> "Prepared":
+        """The same with what sample frames of the record say.
+
+        Parameters
+        ----------
+        record : mapping
+            As in a recipe; empty if nothing could be learned.
+
+        Returns
+        -------
+        Prepared
+        """
+        from wavefield.measurement import Record
+
+        plan = self.plan.knowing(Record.from_dict(record)) if record else self.plan
+        return replace(self, plan=plan, recipe=replace(self.recipe, record=record))
+
     @property
     def steps(self) -> int:
         """Number of steps of the whole run."""

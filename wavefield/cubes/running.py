@@ -4,6 +4,7 @@ Whatever stops a run (Ctrl-C, a time limit, a dead scheduler, a full disk), the 
 ledger: only blocks that are not marked done are measured.
 """
 
+import json
 import logging
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -18,6 +19,7 @@ from wavefield.cubes.cluster import open_cluster
 from wavefield.cubes.guards import Stopped, jobs_folder, log_file, log_path, stop_signals
 from wavefield.cubes.interrupts import undisturbed
 from wavefield.cubes.judgement import judge
+from wavefield.cubes.learning import learn_record
 from wavefield.cubes.lock import Lock
 from wavefield.cubes.prepare import Prepared, load_files, prepare
 from wavefield.cubes.work import Work
@@ -147,7 +149,7 @@ def _go_on(
     prepared: Prepared, lock: Lock, map_unordered: MapFunction, progress: ProgressFunction | None
 ) -> None:
     path = lock.store
-    layout = _open_or_create(prepared, path)
+    prepared, layout = _open_or_create(prepared, path)
     ranges = unfinished(path, layout, prepared.series)
     todo = [make_block(prepared.series, start, stop) for start, stop in ranges]
     tracker = _Tracker(layout.steps, layout.steps - sum(b.steps for b in todo), progress)
@@ -168,12 +170,14 @@ def _how_far(path: Path) -> str:
     return f" after {now.steps - now.left} of {now.steps} steps"
 
 
-def _open_or_create(prepared: Prepared, path: Path) -> Layout:
+def _open_or_create(prepared: Prepared, path: Path) -> tuple[Prepared, Layout]:
     if path.exists():
         group = open_group(path)
         check_recipe(path, group, prepared.recipe)
         remove_leftovers(path)
-        return read_layout(group)
+        return prepared.knowing(json.loads(str(group.attrs["recipe"]))["record"]), read_layout(group)
+    log.info("learning beads, spectra and noise from sample frames")
+    prepared = prepared.knowing(learn_record(prepared.series, prepared.steps, prepared.plan))
     grid = prepared.grid
     first = next(iter(prepared.series.values())).first
     layout = Layout(prepared.steps, prepared.block, tuple(prepared.series), first)
@@ -187,7 +191,7 @@ def _open_or_create(prepared: Prepared, path: Path) -> Layout:
     remove_leftovers(path)
     create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes)
     create_preview(path, open_group(path))
-    return layout
+    return prepared, layout
 
 
 def unfinished(path: Path, layout: Layout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:

@@ -2,20 +2,31 @@
 
 from wavefield.matching.correlate import correlate
 from wavefield.matching.displacement import Displacement, Reason
-from wavefield.matching.gauss_newton import match
+from wavefield.matching.gauss_newton import look_again, match
+from wavefield.matching.posterior import Modes, edge_slopes, noise_of_scores
 from wavefield.matching.prepared import Prepared, prepare
+from wavefield.matching.prior import Prior, better_prior, first_prior
 from wavefield.matching.settings import Settings
+from wavefield.matching.spread import Spread
 from wavefield.matching.transfer import footprint, restoring, transfer_function, transfer_kernel
 from wavefield.matching.uncertainty import std_from_influence
 
 __all__ = [
     "Displacement",
+    "Modes",
     "Prepared",
+    "Prior",
     "Reason",
     "Settings",
+    "Spread",
+    "better_prior",
     "correlate",
+    "edge_slopes",
+    "first_prior",
     "footprint",
+    "look_again",
     "match",
+    "noise_of_scores",
     "prepare",
     "restoring",
     "std_from_influence",

@@ -14,6 +14,7 @@ from wavefield.matching.settings import Settings
 
 F = np.float32
 BLOCK = 5  # as in kernels.py: numba's cache wants its constants in the same file
+_ALIKE = 0.3  # correlation of windows below which a block says nothing
 
 njit: Any = nb.njit(error_model="numpy", nogil=True, cache=True)
 
@@ -96,6 +97,7 @@ def assess(
     reason = _reasons(a, b, u, v, outlier, correlation, energy, settings)
     valid = reason == 0
     ny, nx = u.shape
+    score, hessian = _says(sums, windowed, correlation, moved)
     return Displacement(
         x=np.arange(nx) * float(BLOCK) + (BLOCK - 1) / 2,
         y=np.arange(ny) * float(BLOCK) + (BLOCK - 1) / 2,
@@ -107,7 +109,26 @@ def assess(
         influence_v=measures[4],
         gain=_typical(gain, valid, 1.0),
         settings=settings,
+        score=score,
+        hessian=hessian,
     )
+
+
+def _says(
+    sums: np.ndarray, windowed: np.ndarray, correlation: np.ndarray, moved: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Score (2, ny, nx) and matched Hessian (3, ny, nx) of every block where the displacement is now.
+
+    The Hessian in ``sums`` is that of a alone, the gain that of the mean of both images: what they share of
+    the gradients is gain / (2 - gain). Where the images hardly look alike they share nothing.
+    """
+    gain = np.clip(windowed[10] / np.maximum(windowed[11], F(1e-12)), F(0), F(1))
+    gain[correlation <= F(_ALIKE)] = 0
+    hessian = sums[2:5] * (gain / (F(2) - gain))
+    score = sums[:2].copy()
+    score[0] -= hessian[0] * moved[0] + hessian[1] * moved[1]
+    score[1] -= hessian[1] * moved[0] + hessian[2] * moved[1]
+    return score, hessian
 
 
 def _typical(field: np.ndarray, known: np.ndarray, otherwise: float) -> float:

@@ -47,6 +47,12 @@ class Displacement:
         swell the gradients. See `transfer_kernel`.
     settings : Settings
         The settings used.
+    score : (2, ny, nx) float32
+        What every block alone says about u and v here: sums of gx r and gy r, with r what is left between the
+        images. Zero where the block is content.
+    hessian : (3, ny, nx) float32
+        How firmly it says so: sums of gx gx, gx gy, gy gy of what the two images share; the block alone would
+        move by the inverse of it times the score.
     """
 
     x: np.ndarray
@@ -59,6 +65,8 @@ class Displacement:
     influence_v: np.ndarray
     gain: float
     settings: Settings
+    score: np.ndarray
+    hessian: np.ndarray
 
     @property
     def valid(self) -> np.ndarray:
@@ -112,4 +120,6 @@ class Displacement:
             reason=self.reason[nearest],
             influence_u=self.influence_u[nearest],
             influence_v=self.influence_v[nearest],
+            score=self.score[:, *nearest],
+            hessian=self.hessian[:, *nearest],
         )

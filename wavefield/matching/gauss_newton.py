@@ -269,3 +269,47 @@ def _sharpness(rr: np.ndarray, share: np.ndarray, settings: Settings) -> np.ndar
     variance = rr / (F(BLOCK * BLOCK) * np.maximum(share, F(1e-3)))
     least = F(1e-6) * F(variance.mean()) + F(1e-12)
     return 1 / (F(settings.robust**2) * np.maximum(variance, least))
+
+
+def look_again(a: Prepared, b: Prepared, u: np.ndarray, v: np.ndarray, settings: Settings) -> Displacement:
+    """What every block says about a given displacement, without a step.
+
+    Parameters
+    ----------
+    a, b : Prepared
+        The two images.
+    u, v : (ny, nx) array
+        Displacement of every block, px.
+    settings : Settings
+        Those of the match that led there.
+
+    Returns
+    -------
+    Displacement
+        The same displacement with the blocks' scores, Hessians, correlation and reasons there.
+
+    Raises
+    ------
+    FrameError, ValueError
+        As for `match`.
+
+    Examples
+    --------
+    >>> import numpy as np, cv2
+    >>> noise = np.random.default_rng(1).normal(128, 40, (200, 240)).astype(np.float32)
+    >>> image = cv2.GaussianBlur(noise, (0, 0), 1.2)
+    >>> a, b = (prepare(f, Settings.piv()) for f in (image, np.roll(image, 3, 1)))
+    >>> off = np.full(a.levels[0].blocks, 2.9)
+    >>> seen = look_again(a, b, off, 0 * off, Settings.piv())
+    >>> round(float((seen.score[0] / seen.hessian[0].clip(1e-9))[seen.valid].mean()), 1)
+    0.1
+    """
+    a, b = prepared_pair(a, b, settings, None)
+    view = _View(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
+    u, v = initial_fields((u, v), view.a.blocks)
+    view.look(u, v)
+    sums = last_sums(view.a, view.b, u, v, view.work)
+    sums *= view.count
+    still = np.zeros(u.shape, np.float32)
+    none = np.zeros(u.shape, bool)
+    return assess(view.a, view.b, u, v, sums, view.windows(sums), view.share, (still, still), none, settings)

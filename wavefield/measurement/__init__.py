@@ -1,8 +1,20 @@
 """From frames to z, z_t, u, v, w with their errors, at the nodes of one grid. Arrays in, arrays out."""
 
 from wavefield.measurement.diagnostics import Diagnosis, diagnose, pooled
+from wavefield.measurement.learn import learn, sample_steps
 from wavefield.measurement.measure import measure
 from wavefield.measurement.plan import Plan
+from wavefield.measurement.record import Record
 from wavefield.measurement.settings import Settings
 
-__all__ = ["Diagnosis", "Plan", "Settings", "diagnose", "measure", "pooled"]
+__all__ = [
+    "Diagnosis",
+    "Plan",
+    "Record",
+    "Settings",
+    "diagnose",
+    "learn",
+    "measure",
+    "pooled",
+    "sample_steps",
+]

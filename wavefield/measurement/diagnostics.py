@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.measurement import surface as stereo
-from wavefield.measurement import velocity as motion
-from wavefield.measurement.frame import ready
-from wavefield.measurement.measure import look
+from wavefield.measurement.elevation import surface, windowed
+from wavefield.measurement.flow import flows
+from wavefield.measurement.instant import images_of
+from wavefield.measurement.learn import learn
 from wavefield.measurement.plan import Plan
+from wavefield.measurement.velocity import velocity
 from wavefield.variables import Quality
 
 Pair = tuple[str, str]
@@ -195,22 +197,28 @@ def diagnose(
     -----
     Recombined: (x_1 - x_2) = (x_1 - x_3) - (x_2 - x_3), with the middle camera 3 as reference.
     """
-    first, second = (look({n: frames[n][k] for n in frames}, plan, plan.cameras) for k in (0, 1))
-    for instant in (first, second):
-        if instant.missing:
-            raise ValueError(
-                f"camera {sorted(instant.missing)[0]} has no usable frame: nothing to compare with"
-            )
-    if first.surface is None or second.surface is None:
+    instants = [{n: frames[n][k] for n in frames} for k in (0, 1)]
+    if plan.record is None:
+        every = Plan(plan.rig, plan.grid, replace(plan.settings, velocity_cameras=plan.cameras))
+        record = learn([(instants[0], instants[1])], every)
+        if record is None:
+            raise ValueError("the frames cannot be matched: nothing to compare with")
+        plan = every.knowing(record)
+    assert plan.record is not None
+    first, second = (images_of(frame, plan, dict(plan.record.beads)) for frame in instants)
+    for view in (first, second):
+        if view.missing:
+            raise ValueError(f"camera {sorted(view.missing)[0]} has no usable frame: nothing to compare with")
+    surfaces = [surface(view.flat, plan) for view in (first, second)]
+    if surfaces[0] is None or surfaces[1] is None:
         raise ValueError("the frames cannot be matched: nothing to compare with")
-    raw = {n: np.asarray(frames[n][0]) for n in plan.surface_cameras}
-    flat = {n: stereo.prepare(ready(raw[n], plan.binning[n]), n, plan) for n in plan.surface_cameras}
+    flat = first.flat
     partners = [b for _, b in plan.pairs]
     direct = [(a, b) for k, a in enumerate(partners) for b in partners[k + 1 :]]
     matches = {
         pair: stereo.match_pair(flat[pair[0]], flat[pair[1]], pair, plan) for pair in (*plan.pairs, *direct)
     }
-    z = {pair: _nodes([match], plan) for pair, match in matches.items()}
+    z = {pair: windowed([match], plan) for pair, match in matches.items()}
     eps_y = {pair: match.eps_y[match.matched] for pair, match in matches.items()}
     z_std = {}
     for pair, match in matches.items():
@@ -221,26 +229,18 @@ def diagnose(
     for a, b in direct:
         to_a, to_b = matches[reference, a], matches[reference, b]
         both = stereo.difference_of(to_b, to_a)
-        recombined[a, b] = _nodes([both], plan) - z[a, b]
+        recombined[a, b] = windowed([both], plan) - z[a, b]
     moved, eps_piv = {}, {}
-    middle = 0.5 * (first.surface.z + second.surface.z)
+    middle = 0.5 * (surfaces[0].z + surfaces[1].z)
+    moves = flows(first.raw, second.raw, plan)
     for cameras in dict.fromkeys((*matches, plan.velocity_cameras)):
-        one, other = ({name: seen.images[name] for name in cameras} for seen in (first, second))
-        step = motion.velocity(one, other, middle, plan)
+        step = velocity((None, {name: moves[name] for name in cameras}, None), middle, plan)
         assert step is not None  # every camera has both frames
-        measured = step.quality == 0
+        measured = (step.quality & Quality.FILLED) == 0
         eps_piv[cameras] = np.where(measured, step.eps_piv, np.nan)
         if cameras in matches:
             moved[cameras] = np.where(measured, step.d, np.nan)
     return Diagnosis(pixel or plan.pixel, z, eps_y, z_std, recombined, moved, eps_piv)
-
-
-def _nodes(matches: Sequence[stereo.PairMatch], plan: Plan) -> NDArray:
-    blocks = stereo.combine(matches)
-    if not blocks.valid.any():
-        return np.full(plan.grid.shape, np.nan, np.float32)
-    found = stereo.to_nodes(blocks, matches, plan)
-    return np.where((found.quality & Quality.MEASURED) > 0, found.z, np.float32(np.nan))
 
 
 def diagnose_around(

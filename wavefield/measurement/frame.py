@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from wavefield.measurement.floor import above_floor, bead_width
 from wavefield.measurement.rectify import bin_pixels
 
 _KNEE = 0.5  # of the contrast: darker than this above the background, the logarithm is nearly a line
@@ -32,12 +33,12 @@ def usable(image: NDArray | None, size: tuple[int, int]) -> bool:
         return False
     if image.dtype.kind not in "uif":
         return False
-    low, high = _contrast(image)
+    low, _, high = _levels(image)
     return high > low
 
 
-def ready(image: NDArray, count: int) -> NDArray:
-    """A usable frame as it is matched: brightness evened out, pixels binned.
+def ready(image: NDArray, count: int, width: float | None = None) -> NDArray:
+    """A usable frame as it is matched: the floor taken off, brightness evened out, pixels binned.
 
     Parameters
     ----------
@@ -45,21 +46,31 @@ def ready(image: NDArray, count: int) -> NDArray:
         Raw image.
     count : int
         Side of the squares of pixels that are averaged, px; see `bin_pixels`.
+    width : float, optional
+        Width of the beads' images, px; measured in this image if left out.
 
     Returns
     -------
     ndarray of uint16 or float32, (row // count, column // count)
     """
+    width = bead_width(image) if width is None else width
+    if width:
+        image = above_floor(image, width)
+        low, half, _ = _levels(image)
+        # what half of the image lies below is no bead: twice as far above, grains of a floor and noise drown
+        return bin_pixels(even_out(image, half + (half - low)), count)
     return bin_pixels(even_out(image), count)
 
 
-def even_out(image: NDArray) -> NDArray:
+def even_out(image: NDArray, black: float | None = None) -> NDArray:
     """Logarithm of the brightness above the background.
 
     Parameters
     ----------
     image : ndarray, (row, column), any real type
         Raw image.
+    black : float, optional
+        Brightness that counts as none; that at 1 % if left out.
 
     Returns
     -------
@@ -67,7 +78,7 @@ def even_out(image: NDArray) -> NDArray:
 
     Notes
     -----
-    log(1 + (I - I_1) / (0.5 (I_99 - I_1))), with I_1 and I_99 the image's brightness at 1 and 99 %. Two
+    log(1 + (I - B) / (0.5 (I_99 - B))), with B the black level and I_99 the image's brightness at 99 %. Two
     cameras see a bead differently bright, and where the images of beads overlap the brighter one pulls the
     match: the logarithm turns factors into additions, which have no gradient, and lets faint beads count
     nearly as much as bright ones. Gains and offsets of a camera drop out.
@@ -78,7 +89,8 @@ def even_out(image: NDArray) -> NDArray:
     >>> np.array_equal(even_out(image), even_out((100 + 40 * image.astype(np.uint16))))
     True
     """
-    low, high = _contrast(image)
+    low, _, high = _levels(image)
+    low = low if black is None else black
     knee = max(_KNEE * (high - low), 1e-6 * max(abs(low), abs(high), 1e-30))
     if image.dtype in (np.uint8, np.uint16):
         grey = np.arange(256 if image.dtype == np.uint8 else 65536, dtype=np.float64)
@@ -101,20 +113,22 @@ def _look_up(image, table, out):  # type: ignore[no-untyped-def]  # pragma: no c
             out[y, x] = table[image[y, x]]
 
 
-def _contrast(image: NDArray) -> tuple[float, float]:
-    """Brightness at 1 and 99 % of a sample of the image; twice the same if there is too little to say."""
+def _levels(image: NDArray) -> tuple[float, float, float]:
+    """Brightness at 1, 50 and 99 % of a sample of the image; all alike if there is too little to say."""
     sample = image[3::8, 3::8].ravel()
     if image.dtype in (np.uint8, np.uint16):
         if not sample.size:
-            return 0.0, 0.0
+            return 0.0, 0.0, 0.0
         # counting is many times faster than sorting
         below, few = np.cumsum(np.bincount(sample)), sample.size // 100
-        low, high = np.searchsorted(below, (few, sample.size - few - 1), side="right")
-        return float(low), float(high)
+        places = (few, sample.size // 2, sample.size - few - 1)
+        low, half, high = np.searchsorted(below, places, side="right")
+        return float(low), float(half), float(high)
     sample = sample.astype(np.float32)
     sample = sample[np.isfinite(sample)]
     if 2 * sample.size < image.size // 64 or not sample.size:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     few = sample.size // 100
-    low, high = np.partition(sample, (few, -few - 1))[[few, -few - 1]]
-    return float(low), float(high)
+    ranks = [few, sample.size // 2, sample.size - few - 1]
+    low, half, high = np.partition(sample, ranks)[ranks]
+    return float(low), float(half), float(high)

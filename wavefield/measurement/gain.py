@@ -1,92 +1,100 @@
-"""The gain of the matching windows by linear theory, from plan and cameras: no simulation is needed."""
+"""What the most probable fields keep of a wave, by linear theory, from what was learned of the record."""
+
+from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from wavefield import matching
+from wavefield.matching.kernels import BLOCK
+from wavefield.matching.prior import Prior
 from wavefield.measurement.plan import Plan
 
-Array = NDArray[np.float64]
-
-_BLOCK = 5  # px: side of matching's blocks
-# px^2: variance of the area that a block's value stands for, as simulated experiments have it; the filter of
-# matching takes more, because it also makes up for what few beads lose
-_FOOTPRINT = 5.5
+Float = NDArray[np.floating[Any]]
 
 
-def gains(plan: Plan, kx: Array, ky: Array) -> dict[str, Array]:
+def gains(plan: Plan, kx: Float, ky: Float) -> dict[str, Float]:
     """Amplitude gains of what a plan measures.
 
     Parameters
     ----------
     plan : Plan
-        Of a measurement.
+        Of a measurement, its record learned.
     kx, ky : ndarray
         Wavenumbers, rad/m.
 
     Returns
     -------
     dict of str to ndarray
-        z, u, v and w, each of the wavenumbers' shape.
+        z, u, v and w, each of the wavenumbers' shape; what the mean over four frames does comes on top.
 
     Notes
     -----
-    Window, smoother and steps of every level of the pyramid (`matching.transfer_function`), the area of
-    blocks and beads, the filter and the spline on the lattice; for velocities each camera's displacement
-    in its own pixels at the middle of the grid, then the least squares of all.
+    The most probable field keeps S / (S + N) of a wave, with the spectrum S and the noise N of the blocks that
+    were learned from sample frames; for velocities each camera's displacement in its own pixels at the middle
+    of the grid, then the least squares of all.
     """
-    velocity = _velocity(plan, kx, ky)
-    return {"z": _surface(plan, kx, ky)} | {name: velocity[..., i, i] for i, name in enumerate("uvw")}
+    velocity = gain_of_velocity(plan, kx, ky)
+    out = {name: velocity[..., i, i] for i, name in enumerate("uvw")}
+    return {"z": gain_of_elevation(plan, kx, ky)} | out
 
 
-def matched(settings: matching.Settings, kx: Array, ky: Array) -> Array:
-    """Gain of a displacement field at the centres of matching's blocks.
+def gain_of_elevation(plan: Plan, kx: Float, ky: Float) -> Float:
+    """Gain of z.
 
     Parameters
     ----------
-    settings : matching.Settings
-        Those of the match.
+    plan : Plan
+        Its record learned.
     kx, ky : ndarray
-        Wavenumbers along columns and rows, rad per block.
+        Wavenumbers on the water, rad/m.
 
     Returns
     -------
     ndarray
-        Amplitude gain.
+        Amplitude gain of one frame; that of the mean over four frames comes on top.
     """
-    total = matching.transfer_function(settings, kx, ky)
-    return np.asarray(total * np.exp(-0.5 * _FOOTPRINT * (kx**2 + ky**2) / _BLOCK**2))
+    assert plan.record is not None
+    step = BLOCK * plan.pixel
+    gain = _between_blocks(plan.record.elevation, kx * step, ky * step)
+    return gain / (1.0 + plan.settings.smoothing * (np.square(kx * step) + np.square(ky * step)) ** 2)
 
 
-def _read(response: Array, kx: Array, ky: Array) -> Array:
-    # between the blocks: the filter of the lattice's cosines, then the cubic spline of what it gives
-    ny, nx = response.shape
-    places = [np.abs(ky) / np.pi * ny, np.abs(kx) / np.pi * nx]
-    gain = ndimage.map_coordinates(response, places, order=1, mode="nearest")
-    for q in (kx, ky):
-        gain = np.where(np.abs(q) < np.pi, gain * np.sinc(q / (2 * np.pi)) ** 4, 0.0)
-    return gain
+def gain_of_velocity(plan: Plan, kx: Float, ky: Float) -> Float:
+    """Displacement measured for one that is there, at the middle of the grid.
 
+    Parameters
+    ----------
+    plan : Plan
+        Its record learned.
+    kx, ky : ndarray, shape S
+        Wavenumbers on the water, rad/m.
 
-def _surface(plan: Plan, kx: Array, ky: Array) -> Array:
-    kx, ky = kx * _BLOCK * plan.pixel, ky * _BLOCK * plan.pixel
-    return matched(plan.settings.stereo, kx, ky) * _read(plan.response, kx, ky)
-
-
-def _velocity(plan: Plan, kx: Array, ky: Array) -> Array:
-    # (..., 3, 3): displacement measured for one that is there
+    Returns
+    -------
+    ndarray, S + (3, 3)
+        Measured (dx, dy, dz) by true (dx, dy, dz): each camera's gain in its own pixels, then the least
+        squares of all.
+    """
+    assert plan.record is not None
     grid = plan.grid
     middle = 0.5 * (grid.x[0] + grid.x[1]), 0.5 * (grid.y[0] + grid.y[1])
-    jacobians: list[Any] = [plan.binned[name].jacobian(*middle, 0.0) for name in plan.velocity_cameras]
+    priors = dict(plan.record.displacement)
+    jacobians: list[Any] = [plan.binned[name].jacobian(*middle, 0.0) for name in priors]
     inverse = np.linalg.pinv(np.concatenate(jacobians))
-    out = np.zeros((*kx.shape, 3, 3))
-    for i, (name, jacobian) in enumerate(zip(plan.velocity_cameras, jacobians)):
-        to_water = _BLOCK * np.linalg.inv(jacobian[:, :2])
-        q = np.stack([kx, ky], axis=-1) @ to_water
-        gain = matched(plan.settings.piv, q[..., 0], q[..., 1])
-        gain *= _read(plan.sights[name].response, q[..., 0], q[..., 1])
+    out = np.zeros((*np.broadcast_shapes(np.shape(kx), np.shape(ky)), 3, 3))
+    for i, (prior, jacobian) in enumerate(zip(priors.values(), jacobians)):
+        q = np.stack([kx, ky], axis=-1) @ (BLOCK * np.linalg.inv(jacobian[:, :2]))
+        gain = _between_blocks(prior, q[..., 0], q[..., 1])
         out += gain[..., None, None] * (inverse[:, 2 * i : 2 * i + 2] @ jacobian)
     return out
+
+
+def _between_blocks(prior: Prior, qx: Float, qy: Float) -> Float:
+    """Gain of the most probable field read between the blocks from a cubic spline, rad per block."""
+    gain = prior.gain(np.hypot(qx, qy))
+    for q in (qx, qy):
+        spline = np.sinc(q / (2 * np.pi)) ** 4 * 3.0 / (2.0 + np.cos(q))
+        gain = np.where(np.abs(q) < np.pi, gain * spline, 0.0)
+    return gain

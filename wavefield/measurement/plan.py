@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -10,16 +11,17 @@ from typing import Any
 import cv2
 import numpy as np
 import scipy.fft
-import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
+from wavefield.matching import Modes, Prior, Spread
 from wavefield.matching.kernels import BLOCK
 from wavefield.matching.prepared import Mask
+from wavefield.measurement.record import Record
 from wavefield.measurement.rectify import binned, sight_map
-from wavefield.measurement.regrid import Lattice, bending_energy, thin_plate
+from wavefield.measurement.regrid import Lattice, thin_plate
 from wavefield.measurement.settings import Settings
 from wavefield.rig import Camera, Rig
 from wavefield.rig.pairs import pairs_of
@@ -41,6 +43,8 @@ class Plan:
         Where every quantity is wanted.
     settings : Settings, optional
         The choices; defaults follow from the rig.
+    record : Record, optional
+        What sample frames of the record say (`learn`). Without it, `measure` learns from the frames it gets.
 
     Attributes
     ----------
@@ -58,6 +62,9 @@ class Plan:
         Blur of the rectified images along x and y that makes beads alike, px.
     binning : dict of str to int
         Squares of so many pixels are averaged before anything else: cameras must see beads alike.
+    modes, spread : Modes, Spread
+        Cosines of the elevation and its variance; only with a record. Those of displacements belong to the
+        `Sight` of each camera.
 
     Raises
     ------
@@ -68,11 +75,13 @@ class Plan:
 
     Notes
     -----
-    Pickles as its three parameters; the copy is computed anew, once per process.
+    Pickles as its four parameters; the copy is computed anew, once per process.
     """
 
-    def __init__(self, rig: Rig, grid: Grid, settings: Settings | None = None) -> None:
-        self.rig, self.grid = rig, grid
+    def __init__(
+        self, rig: Rig, grid: Grid, settings: Settings | None = None, record: Record | None = None
+    ) -> None:
+        self.rig, self.grid, self.record = rig, grid, record
         self.settings = settings = settings or Settings()
         if len(rig) < 2:
             raise RigError("a rig needs at least two cameras to measure a surface")
@@ -98,9 +107,38 @@ class Plan:
         self.blur = self._blur(*middle)
         self._lay_out()
         self.sights = {name: Sight(camera, self) for name, camera in self.binned.items()}
+        if record is not None:
+            self._use(record)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _cached, (tuple(self.rig.cameras.items()), self.grid, self.settings)
+        return _cached, (tuple(self.rig.cameras.items()), self.grid, self.settings, self.record)
+
+    def knowing(self, record: Record) -> Plan:
+        """The same plan with another record.
+
+        Parameters
+        ----------
+        record : Record
+            As given by `learn`.
+
+        Returns
+        -------
+        Plan
+        """
+        out = copy(self)
+        out.record = record
+        out.sights = {name: copy(sight) for name, sight in self.sights.items()}
+        out._use(record)
+        return out
+
+    def _use(self, record: Record) -> None:
+        """Lay out the cosines of the fields whose spectra the record has."""
+        shape = self.lattice.shape
+        self.modes, self.spread = Modes(record.elevation, shape), Spread(record.elevation, shape)
+        my, mx = self.modes.shape
+        self.spline = thin_plate(shape, self.settings.smoothing)[:my, :mx]
+        for name, prior in record.displacement:
+            self.sights[name].use(prior)
 
     def _check_view(self) -> None:
         """Refuse a grid of which no node is seen by two cameras."""
@@ -187,20 +225,10 @@ class Plan:
             )
         if not any((self.seen[a] & self.seen[b]).any() for a, b in self.pairs):
             raise RigError("no pair of cameras sees the grid in common: does the grid lie in their view?")
-        self.response = _response((ny, nx), self.settings.stereo, self.settings.smoothing)
-        self.energy: dict[str, sparse.csr_array] = {
-            name: bending_energy(self.seen_blocks[name] > 0.5) for name in self.surface_cameras[:1]
-        }
-        # what a block means in metres, per camera: its line of sight
+        # what a block means in metres, per camera: its sight line
         x, y = np.meshgrid(self.lattice.x, self.lattice.y)
         self.block_x, self.block_y = x.astype(np.float32), y.astype(np.float32)
         self.stereo = {pair: self._search(pair) for pair in self.pairs}
-
-    def energy_of(self, reference: str) -> sparse.csr_array:
-        """Bending energy of the lattice seen by a reference camera, computed when first asked for."""
-        if reference not in self.energy:
-            self.energy[reference] = bending_energy(self.seen_blocks[reference] > 0.5)
-        return self.energy[reference]
 
     def stereo_settings(self, pair: tuple[str, str]) -> matching.Settings:
         """Matching settings of a pair, its search range from the elevations searched."""
@@ -245,12 +273,6 @@ class Plan:
         return pairs_of(self.rig, rest) if len(rest) >= 2 else ()
 
 
-def _response(shape: tuple[int, int], settings: matching.Settings, smoothing: float) -> NDArray:
-    """Spline coefficients from values on a lattice, with what matching took from short waves given back."""
-    ky, kx = (np.pi * np.arange(n) / n for n in shape)
-    return thin_plate(shape, smoothing) * matching.restoring(settings, kx, ky[:, None]).astype(np.float32)
-
-
 class Sight:
     """Where one camera sees the nodes at any height, as polynomials in z.
 
@@ -267,8 +289,6 @@ class Sight:
         w, h = camera.size
         ny, nx = h // BLOCK, w // BLOCK
         self.lattice = Lattice(0.5 * (BLOCK - 1), 0.5 * (BLOCK - 1), float(BLOCK), (ny, nx))
-        self.response = _response((ny, nx), plan.settings.piv, 0.0)
-        self._energy: sparse.csr_array | None = None
         # projection is a ratio of linear functions of z with |z| well below the distance: order 4 is exact
         # to better than a thousandth of a pixel
         low, high = plan.z_range
@@ -284,12 +304,18 @@ class Sight:
         # (8, 5, ny, nx): X, Y, then the Jacobian row by row
         self.polynomial = np.einsum("pk,kfyx->fpyx", inverse, np.array(values)).astype(np.float32)
 
-    @property
-    def energy(self) -> sparse.csr_array:
-        """Bending energy of the lattice of blocks in the image."""
-        if self._energy is None:
-            self._energy = bending_energy(np.ones(self.lattice.shape, bool))
-        return self._energy
+    def use(self, prior: Prior) -> None:
+        """Lay out the cosines of this camera's displacements.
+
+        Parameters
+        ----------
+        prior : Prior
+            Their spectrum, px of the binned image.
+        """
+        shape = self.lattice.shape
+        self.modes, self.spread = Modes(prior, shape), Spread(prior, shape)
+        my, mx = self.modes.shape
+        self.spline = thin_plate(shape, 0.0)[:my, :mx]
 
     def at(self, z: NDArray) -> NDArray[np.float32]:
         """Image position and Jacobian of the nodes at given heights.
@@ -349,5 +375,7 @@ def _with_reference_first(pairs: Sequence[tuple[str, str]]) -> tuple[tuple[str, 
 
 
 @lru_cache(maxsize=4)
-def _cached(cameras: tuple[tuple[str, Camera], ...], grid: Grid, settings: Settings) -> Plan:
-    return Plan(Rig(dict(cameras)), grid, settings)
+def _cached(
+    cameras: tuple[tuple[str, Camera], ...], grid: Grid, settings: Settings, record: Record | None
+) -> Plan:
+    return Plan(Rig(dict(cameras)), grid, settings, record)

@@ -1,28 +1,19 @@
 """From a lattice of blocks to the nodes of the physical grid.
 
-Holes are filled by the thin plate that bends least, the whole lattice is smoothed by a thin plate (diagonal
-under the cosine transform), and nodes are read from a cubic spline where their line of sight meets the
-surface.
+Nodes are read from a cubic spline, its coefficients made of the field's cosines, where their sight line
+meets the surface.
 """
 
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 import scipy.fft
-import scipy.sparse as sparse
 from numba import njit
 from numpy.typing import NDArray
-from scipy.sparse.linalg import spsolve
 
 Float = NDArray[Any]
 Mask = NDArray[Any]
-
-_REACH = 12.0  # blocks: so far from anything measured the plate says no more than a local mean
-_STANDS_OUT = np.float32(5.0)  # times the median
-_AROUND = 3.0  # blocks: about a window, and a third of the shortest waves
-_SOME = 4  # of so many blocks one is enough for a median
 
 
 @dataclass(frozen=True)
@@ -53,40 +44,6 @@ class Lattice:
     def y(self) -> NDArray[Any]:
         """Block centres along y, (ny,)."""
         return self.y0 + self.step * np.arange(self.shape[0])
-
-
-def bending_energy(region: Mask) -> sparse.csr_array:
-    """Matrix of the thin plate's bending energy on a lattice.
-
-    Parameters
-    ----------
-    region : ndarray of bool, (ny, nx)
-        Blocks that belong to the plate; its edges are free.
-
-    Returns
-    -------
-    csr_array, (ny nx, ny nx)
-        Q with f Q f = sum f_xx^2 + 2 f_xy^2 + f_yy^2 over the second differences inside the region.
-    """
-    index = np.arange(region.size).reshape(region.shape)
-    stencils = (
-        ([index[:, :-2], index[:, 1:-1], index[:, 2:]], (1.0, -2.0, 1.0)),
-        ([index[:-2], index[1:-1], index[2:]], (1.0, -2.0, 1.0)),
-        (
-            [index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]],
-            np.sqrt(2.0) * np.array([1, -1, -1, 1]),
-        ),
-    )
-    flat = region.ravel()
-    total = sparse.csr_array((region.size, region.size))
-    for places, weights in stencils:
-        points = np.stack([p.ravel() for p in places], axis=1)
-        points = points[flat[points].all(axis=1)]
-        n, m = points.shape
-        rows = np.repeat(np.arange(n), m)
-        difference = sparse.csr_array((np.tile(weights, n), (rows, points.ravel())), shape=(n, region.size))
-        total = total + difference.T @ difference
-    return sparse.csr_array(total)
 
 
 @njit(cache=True)
@@ -150,100 +107,6 @@ def push_pull(fields: Float, valid: Mask) -> Float:
     return out
 
 
-def fill(fields: Float, valid: Mask, wanted: Mask, energy: sparse.csr_array) -> Float:
-    """Fill holes with the thin plate that passes through their rims.
-
-    Parameters
-    ----------
-    fields : ndarray of float32, (ny, nx, F)
-        Values; those at holes are not looked at.
-    valid : ndarray of bool, (ny, nx)
-        Where the values hold.
-    wanted : ndarray of bool, (ny, nx)
-        Blocks that are looked at later: holes there are filled by the plate, elsewhere by local means.
-    energy : csr_array
-        As given by `bending_energy`.
-
-    Returns
-    -------
-    ndarray of float32, (ny, nx, F)
-        The same without holes.
-
-    Notes
-    -----
-    Minimises f Q f over the blocks of the hole, the others held.
-    """
-    out = push_pull(fields, valid)
-    near = cv2.distanceTransform((~valid).astype(np.uint8), cv2.DIST_L2, 3) <= _REACH
-    holes = np.flatnonzero(wanted & ~valid & near)
-    if holes.size == 0 or not valid.any():
-        return out
-    flat = out.reshape(-1, out.shape[-1])
-    known = flat.astype(np.float64)
-    guess = known[holes]
-    known[holes] = 0.0
-    rows = energy[holes]
-    # the faint pull to the local mean settles blocks that touch nothing
-    faint = 1e-7
-    matrix = rows[:, holes] + faint * sparse.eye_array(holes.size)
-    right = faint * guess - rows @ known
-    solved = spsolve(sparse.csc_array(matrix), right)
-    flat[holes] = np.reshape(solved, guess.shape)
-    return out
-
-
-def levelled(std: Float, valid: Mask) -> Float:
-    """Uncertainty as it is around each block, holes filled.
-
-    Parameters
-    ----------
-    std : ndarray of float32, (..., ny, nx)
-        Standard uncertainty of each block, one field or several; those of holes are not looked at.
-    valid : ndarray of bool, (ny, nx)
-        Where it holds.
-
-    Returns
-    -------
-    ndarray of float32, (..., ny, nx)
-        Mean over the blocks around; never less than half the block's own.
-
-    Notes
-    -----
-    The uncertainty of one block comes from few residuals, and what the window takes from a wave is nil where
-    the wave passes through zero: neither says that the error is small there.
-    """
-    out = np.zeros_like(std)
-    if not valid.any():
-        return out
-    weight = _around(valid.astype(np.float32))
-    for own, to in zip(std.reshape(-1, *valid.shape), out.reshape(-1, *valid.shape), strict=True):
-        # a block at the edge of what is seen may stand out a hundredfold: that says nothing of its neighbours
-        usual = np.float32(np.median(own[valid][::_SOME]))
-        _level(own, valid, _around(_capped(own, valid, _STANDS_OUT * usual)), weight, usual, to)
-    return out
-
-
-def _around(field: Float) -> Float:
-    return cv2.GaussianBlur(field, (0, 0), _AROUND, borderType=cv2.BORDER_REFLECT)
-
-
-@njit(cache=True)
-def _capped(std, valid, most):  # type: ignore[no-untyped-def]  # pragma: no cover
-    out = np.empty_like(std)
-    for j in range(std.shape[0]):
-        for i in range(std.shape[1]):
-            out[j, i] = min(std[j, i], most) if valid[j, i] else np.float32(0)
-    return out
-
-
-@njit(cache=True, error_model="numpy")
-def _level(std, valid, total, weight, usual, out):  # type: ignore[no-untyped-def]  # pragma: no cover
-    for j in range(std.shape[0]):
-        for i in range(std.shape[1]):
-            around = total[j, i] / weight[j, i] if weight[j, i] > np.float32(1e-3) else usual
-            out[j, i] = max(around, np.float32(0.5) * std[j, i]) if valid[j, i] else around
-
-
 def thin_plate(shape: tuple[int, int], smoothing: float) -> Float:
     """Response of the smoothing thin plate and of the spline prefilter to each cosine.
 
@@ -265,15 +128,13 @@ def thin_plate(shape: tuple[int, int], smoothing: float) -> Float:
     return (1.0 / ((1.0 + smoothing * (ky[:, None] ** 2 + kx**2) ** 2) * spline)).astype(np.float32)
 
 
-def coefficients(fields: Float, response: Float) -> Float:
-    """Cubic-spline coefficients of the smoothed fields.
+def coefficients(fields: Float) -> Float:
+    """Cubic-spline coefficients of fields.
 
     Parameters
     ----------
     fields : ndarray of float32, (ny, nx, F)
         Values on the lattice, without gaps.
-    response : ndarray of float32, (ny, nx)
-        As given by `thin_plate`.
 
     Returns
     -------
@@ -281,13 +142,14 @@ def coefficients(fields: Float, response: Float) -> Float:
     """
     stack = np.ascontiguousarray(np.moveaxis(fields, -1, 0))
     waves = scipy.fft.dctn(stack, axes=(1, 2), norm="ortho", workers=1)
-    waves *= response
+    waves *= thin_plate(stack.shape[1:], 0.0)
     smooth = scipy.fft.idctn(waves, axes=(1, 2), norm="ortho", workers=1, overwrite_x=True)
     return np.ascontiguousarray(np.moveaxis(smooth, 0, -1), dtype=np.float32)
 
 
 @njit(cache=True, inline="always")
-def _weights(t):  # type: ignore[no-untyped-def]  # pragma: no cover
+def spline_weights(t):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Weights of four blocks for a fraction t of the way from the second to the third."""
     s = np.float32(1.0) - t
     w0 = s * s * s * np.float32(1 / 6)
     w3 = t * t * t * np.float32(1 / 6)
@@ -301,7 +163,7 @@ def _line(c, k, step, w):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @njit(cache=True, inline="always")
-def _spline(c, k, step, down, wx, wy):  # type: ignore[no-untyped-def]  # pragma: no cover
+def spline_at(c, k, step, down, wx, wy):  # type: ignore[no-untyped-def]  # pragma: no cover
     """One field: element k is the first of four by four; unsigned indices are not checked for a minus."""
     return (
         wy[0] * _line(c, k, step, wx)
@@ -312,7 +174,7 @@ def _spline(c, k, step, down, wx, wy):  # type: ignore[no-untyped-def]  # pragma
 
 
 @njit(cache=True, inline="always")
-def _place(p, n):  # type: ignore[no-untyped-def]  # pragma: no cover
+def place_of(p, n):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Block to the left and distance from it; kept one block inside the lattice."""
     p = min(max(np.float32(p), np.float32(1.0)), np.float32(n) - np.float32(2.001))
     i = np.int32(p)
@@ -330,14 +192,14 @@ def _read_surface(c, shape, x, y, x0, y0, step, cx, cy, cz, out, p, q):  # type:
         xa, ya = cx + (x[k] - cx) * shrink, cy + (y[k] - cy) * shrink
         i, j = 1, 1
         t = s = np.float32(0.0)
-        wx = wy = _weights(t)
+        wx = wy = spline_weights(t)
         first = np.uintp(0)
         for _ in range(30):
-            i, t = _place((xa - x0) * across, nx)
-            j, s = _place((ya - y0) * across, ny)
-            wx, wy = _weights(t), _weights(s)
+            i, t = place_of((xa - x0) * across, nx)
+            j, s = place_of((ya - y0) * across, ny)
+            wx, wy = spline_weights(t), spline_weights(s)
             first = np.uintp(((j - 1) * nx + i - 1) * fields)
-            z = float(_spline(c, first, step_x, step_y, wx, wy))
+            z = float(spline_at(c, first, step_x, step_y, wx, wy))
             shrink = 1.0 / (1.0 - z / cz)
             xn, yn = cx + (x[k] - cx) * shrink, cy + (y[k] - cy) * shrink
             move = abs(xn - xa) + abs(yn - ya)
@@ -345,7 +207,7 @@ def _read_surface(c, shape, x, y, x0, y0, step, cx, cy, cz, out, p, q):  # type:
             if move < 3e-4 * step:
                 break
         for f in range(fields):
-            out[f, k] = _spline(c, first + np.uintp(f), step_x, step_y, wx, wy)
+            out[f, k] = spline_at(c, first + np.uintp(f), step_x, step_y, wx, wy)
         p[k] = min(i + int(t + 0.5), nx - 1)
         q[k] = min(j + int(s + 0.5), ny - 1)
 
@@ -384,67 +246,5 @@ def read_surface(
     cx, cy, cz = (float(c) for c in centre)
     _read_surface(
         spline.ravel(), spline.shape, xs, ys, lattice.x0, lattice.y0, lattice.step, cx, cy, cz, out, p, q
-    )
-    return out.reshape(-1, *nodes), (q * lattice.shape[1] + p).reshape(nodes)
-
-
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _read_anchored(c, shape, x, y, x0, y0, step, steps, out, p, q):  # type: ignore[no-untyped-def]  # pragma: no cover
-    ny, nx, fields = shape
-    across = 1.0 / step
-    step_x, step_y, one = np.uintp(fields), np.uintp(nx * fields), np.uintp(1)
-    for k in range(x.size):
-        xa, ya = x[k], y[k]
-        if not (np.isfinite(xa) and np.isfinite(ya)):
-            for f in range(fields):
-                out[f, k] = np.nan
-            p[k] = q[k] = 0
-            continue
-        for _ in range(steps):
-            i, t = _place((xa - x0) * across, nx)
-            j, s = _place((ya - y0) * across, ny)
-            wx, wy = _weights(t), _weights(s)
-            first = np.uintp(((j - 1) * nx + i - 1) * fields)
-            xa = x[k] - 0.5 * _spline(c, first, step_x, step_y, wx, wy)
-            ya = y[k] - 0.5 * _spline(c, first + one, step_x, step_y, wx, wy)
-        i, t = _place((xa - x0) * across, nx)
-        j, s = _place((ya - y0) * across, ny)
-        wx, wy = _weights(t), _weights(s)
-        first = np.uintp(((j - 1) * nx + i - 1) * fields)
-        for f in range(fields):
-            out[f, k] = _spline(c, first + np.uintp(f), step_x, step_y, wx, wy)
-        p[k] = min(i + int(t + 0.5), nx - 1)
-        q[k] = min(j + int(s + 0.5), ny - 1)
-
-
-def read_anchored(
-    spline: Float, lattice: Lattice, X: NDArray, Y: NDArray, steps: int = 2
-) -> tuple[Float, NDArray[np.int64]]:
-    """Displacement of the patches whose paths have their mid-points at given pixels.
-
-    Parameters
-    ----------
-    spline : ndarray of float32, (ny, nx, F)
-        `coefficients`; fields 0 and 1 are the displacement (u, v), px, at the place of departure.
-    lattice : Lattice
-        Block centres, px.
-    X, Y : ndarray, shape S
-        Mid-points, px; NaN gives NaN.
-    steps : int, default 2
-        Fixed-point steps; 0 reads at the place of departure.
-
-    Returns
-    -------
-    values : ndarray of float32, (F,) + S
-        The fields, read at X - d/2.
-    block : ndarray of int, S
-        Flat index of the block nearest to each.
-    """
-    nodes = np.shape(X)
-    xs, ys = (np.ascontiguousarray(v, dtype=np.float64).ravel() for v in (X, Y))
-    out = np.empty((spline.shape[2], xs.size), np.float32)
-    p, q = np.empty(xs.size, np.int64), np.empty(xs.size, np.int64)
-    _read_anchored(
-        spline.ravel(), spline.shape, xs, ys, lattice.x0, lattice.y0, lattice.step, steps, out, p, q
     )
     return out.reshape(-1, *nodes), (q * lattice.shape[1] + p).reshape(nodes)

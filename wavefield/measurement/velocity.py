@@ -1,30 +1,26 @@
-"""Velocity of the surface water between two instants, from each camera's own displacement."""
+"""Velocity of the surface water at mid-time, from each camera's own displacements."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield import matching
-from wavefield.matching import Reason
+from wavefield.measurement.flow import Flow, Flows
+from wavefield.measurement.paths import read_path
 from wavefield.measurement.plan import Plan, Sight
-from wavefield.measurement.regrid import coefficients, fill, levelled, read_anchored
-from wavefield.measurement.surface import why_rejected
 from wavefield.rig.stereo import solve_displacement
 from wavefield.variables import Quality
 
 Float = NDArray[Any]
 
-_STD_FLOOR = 0.010  # px: what interpolation leaves and neighbouring blocks share
-
 
 @dataclass(frozen=True)
 class Motion:
-    """Displacement of the surface water during one step, anchored at the nodes at mid-time.
+    """Displacement per step of the surface water at the nodes, at mid-time.
 
     Parameters
     ----------
@@ -32,73 +28,57 @@ class Motion:
         (dx, dy, dz) and its standard uncertainty, metres; NaN where fewer than two cameras see the node.
     eps_piv : ndarray, (ny, nx)
         Misfit of the cameras' displacements, px.
+    misfit : ndarray, (ny, nx)
+        Squared misfit over what noise lets expect, per degree of freedom; NaN where fewer than two see it.
     quality : ndarray of uint8, (ny, nx)
         Bits of `Quality`: why a camera's displacement was rejected; `FILLED` where not enough of them were
-        measured.
+        measured; `TWO_FRAME_MEAN` where a path has fewer than four places.
     """
 
-    d: NDArray
-    d_std: NDArray
-    eps_piv: NDArray
+    d: NDArray[Any]
+    d_std: NDArray[Any]
+    eps_piv: NDArray[Any]
+    misfit: NDArray[Any]
     quality: NDArray[np.uint8]
 
 
-def displacement_at(
-    found: matching.Displacement, sight: Sight, X: NDArray, Y: NDArray
-) -> tuple[Float, Float, NDArray[np.uint8]]:
-    """One camera's displacement of the patches whose paths have their mid-points at given pixels.
+@dataclass(frozen=True)
+class Seen:
+    """What each of N cameras has at the nodes.
 
     Parameters
     ----------
-    found : Displacement
-        From the first frame to the second.
-    sight : Sight
-        The camera.
-    X, Y : ndarray, shape S
-        Mid-points, px of the (binned) image; NaN where not seen.
-
-    Returns
-    -------
-    d, std : ndarray of float32, (2,) + S
-        Displacement along X and Y and its standard uncertainty, px of the (binned) image.
-    rejected : ndarray of uint8, S
-        Bits of `Quality`; 0 where measured.
+    jacobian : ndarray, (2N, 3, ny, nx)
+        Px per metre.
+    moved : ndarray, (2N, ny, nx)
+        Displacement per step at mid-time, px; NaN where the camera does not see the node.
+    noise, missing : ndarray, (N, ny, nx)
+        Variance by noise, px^2, and what the prior takes away as a fraction of the displacement's variance.
+    rejected : ndarray of uint8, (N, ny, nx)
+        Why not measured: bits of `Quality`; `OUTSIDE` where not seen.
+    chord : ndarray of bool, (ny, nx)
+        Where a camera's path has fewer than four places.
     """
-    valid = found.valid
-    fields = np.stack([found.u, found.v], axis=-1)
-    if not valid.all():
-        # what left the image is no hole in it
-        wanted = (found.reason & np.uint8(Reason.EDGE | Reason.MASKED)) == 0
-        fields = fill(fields, valid, wanted, sight.energy)
-    std = levelled(np.stack(_block_std(found)), valid).reshape(2, -1)
-    d, block = read_anchored(coefficients(fields, sight.response), sight.lattice, X, Y)
-    rejected = why_rejected(found.reason.ravel()[block])
-    return d, np.hypot(np.take(std, block, axis=1), np.float32(_STD_FLOOR)), rejected
+
+    jacobian: Float
+    moved: Float
+    noise: Float
+    missing: Float
+    rejected: NDArray[np.uint8]
+    chord: NDArray[np.bool_]
 
 
-def _block_std(found: matching.Displacement) -> tuple[Float, Float]:
-    """Standard uncertainty of the blocks' u and v, px."""
-    gain = min(1.0, found.gain * found.settings.relaxation)
-    u, v = (
-        matching.std_from_influence(influence, found.settings, field=field, gain=gain, restored=True)
-        for influence, field in ((found.influence_u, found.u), (found.influence_v, found.v))
-    )
-    return u, v
-
-
-def velocity(
-    first: Mapping[str, matching.Prepared], second: Mapping[str, matching.Prepared], z: NDArray, plan: Plan
-) -> Motion | None:
-    """Displacement of the surface water at the nodes.
+def velocity(steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Motion | None:
+    """Displacement per step of the surface water at the nodes, at mid-time.
 
     Parameters
     ----------
-    first, second : mapping of str to Prepared
-        Those of the cameras that have a usable frame at the first and at the second instant.
+    steps : sequence of three mapping of str to Flow, or None
+        `flows` of the step before, of this step and of the step after.
     z : ndarray, (ny, nx)
         Elevation at mid-time, metres.
     plan : Plan
-        Everything computed beforehand.
+        Everything computed beforehand, its record learned.
 
     Returns
     -------
@@ -108,37 +88,107 @@ def velocity(
     Notes
     -----
     d = argmin sum w (J d - dX)^2, J the 2N x 3 Jacobian at the node's position on the surface at mid-time, dX
-    the displacements read at X - dX/2, w from their uncertainty. eps' = |J d - dX| / sqrt(2N).
+    the image velocity there (`read_path`): dX/dt = J dx/dt holds exactly, where the displacements themselves
+    would ask for the curvature of the projection. eps' = |J d - dX| / sqrt(2N).
+
+    Noise of the cameras is independent; what the prior takes from a wave all cameras miss alike, so it does
+    not shrink when they are averaged: of each component it is the same fraction of the water's own motion.
     """
-    names = [n for n in first if n in second]
+    names = list(steps[1] or {})
     if len(names) < 2:
         return None
-    count = len(names)
-    shape = z.shape
+    seen = _look(names, steps, z, plan)
+    return _solved(seen, plan)
+
+
+def _look(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Seen:
+    count, shape = len(names), z.shape
     jacobian = np.empty((2 * count, 3, *shape), np.float64)
     moved = np.empty((2 * count, *shape), np.float64)
-    std = np.empty((2 * count, *shape), np.float64)
-    trusted = np.zeros((count, *shape), bool)
-    rejected = np.zeros(shape, np.uint8)
+    noise, missing = np.empty((2, count, *shape), np.float64)
+    rejected = np.empty((count, *shape), np.uint8)
+    chord = np.zeros(shape, bool)
     for n, name in enumerate(names):
         sight = plan.sights[name]
         at = sight.at(z)
         X, Y = at[0], at[1]
         inside = sight.sees(X, Y)
         X, Y = np.where(inside, X, np.float32(np.nan)), np.where(inside, Y, np.float32(np.nan))
-        d, d_std, why = displacement_at(
-            matching.match(first[name], second[name], plan.settings.piv), sight, X, Y
-        )
+        path = [None if f is None else f.get(name) for f in steps]
         rows = slice(2 * n, 2 * n + 2)
         jacobian[rows] = at[2:].reshape(2, 3, *shape)
-        moved[rows] = d
-        # a filled displacement must not outvote a measured one
-        std[rows] = np.where(why == 0, d_std, np.float32(30.0) * d_std)
-        trusted[n] = inside & (why == 0)
-        rejected |= np.where(inside, why, np.uint8(0))
+        moved[rows], block, noise[n], missing[n] = _along_path(path, sight, X, Y)
+        here = path[1]
+        assert here is not None
+        rejected[n] = np.where(inside, here.rejected.ravel()[block[1]], np.uint8(Quality.OUTSIDE))
+        chord |= inside & ((block[0] < 0) | (block[2] < 0))
+    return Seen(jacobian, moved, noise, missing, rejected, chord)
+
+
+def _along_path(
+    path: Sequence[Flow | None], sight: Sight, X: NDArray[Any], Y: NDArray[Any]
+) -> tuple[Float, NDArray[np.int64], Float, Float]:
+    """Displacement per step of one camera at given pixels, blocks read, variance by noise, what is missing."""
+    here = path[1]
+    assert here is not None
+    splines = [None if f is None else f.spline for f in path]
+    valid = [None if f is None else f.valid for f in path]
+    d, block = read_path(splines, valid, sight.lattice, X, Y)
+    own = np.take(here.noise, block[1])
+    noise = 26.0**2 * own
+    for flow, at in ((path[0], block[0]), (path[2], block[2])):
+        if flow is not None:
+            noise += np.where(at >= 0, np.take(flow.noise, np.maximum(at, 0)), np.float32(0))
+    both = (block[0] >= 0) & (block[2] >= 0)
+    return d, block, np.where(both, noise / 24.0**2, own), np.take(here.missing, block[1])
+
+
+def _solved(seen: Seen, plan: Plan) -> Motion:
+    """Least squares over the cameras."""
+    record = plan.record
+    assert record is not None
+    total = seen.noise + seen.missing * _signal(seen, record.moved)
+    std = np.repeat(np.sqrt(total), 2, axis=0)
     d, eps, d_std = solve_displacement(
-        np.moveaxis(jacobian, (0, 1), (-2, -1)), np.moveaxis(moved, 0, -1), np.moveaxis(std, 0, -1)
+        np.moveaxis(seen.jacobian, (0, 1), (-2, -1)), np.moveaxis(seen.moved, 0, -1), np.moveaxis(std, 0, -1)
     )
+    trusted = seen.rejected == 0
+    weight = np.isfinite(seen.moved[::2]).astype(np.float64)
+    weight /= np.maximum(weight.sum(axis=0), 1.0)
+    by_noise = (weight * seen.noise / total).sum(axis=0)
+    missing = (weight * seen.missing).sum(axis=0)
+    variance = np.moveaxis(np.square(d_std), -1, 0) * by_noise
+    variance += missing * np.square(record.moved)[:, None, None]
     enough = trusted.sum(axis=0) >= 2
-    quality = np.where(enough, np.uint8(0), rejected | np.uint8(Quality.FILLED))
-    return Motion(np.moveaxis(d, -1, 0), np.moveaxis(d_std, -1, 0), eps, quality.astype(np.uint8))
+    why = np.bitwise_or.reduce(seen.rejected & ~np.uint8(Quality.OUTSIDE), axis=0)
+    quality = np.where(enough, np.uint8(0), why | np.uint8(Quality.FILLED))
+    quality |= np.where(seen.chord, np.uint8(Quality.TWO_FRAME_MEAN), np.uint8(0))
+    return Motion(np.moveaxis(d, -1, 0), np.sqrt(variance), eps, misfit(seen, d), quality)
+
+
+def _signal(seen: Seen, moved: Sequence[float]) -> Float:
+    """Variance of the displacement in each camera's image, px^2, mean of its two components: (N, ny, nx)."""
+    square = np.einsum("kiyx,i->kyx", np.square(seen.jacobian), np.square(moved))
+    return 0.5 * (square[::2] + square[1::2])
+
+
+def misfit(seen: Seen, d: Float) -> Float:
+    """Squared misfit of the cameras over what noise lets expect, per degree of freedom.
+
+    Parameters
+    ----------
+    seen : Seen
+        Of N cameras.
+    d : ndarray, (ny, nx, 3)
+        Displacement of the water, metres.
+
+    Returns
+    -------
+    ndarray, (ny, nx)
+        chi^2 / (2N - 3); its median should be .79 for three cameras; NaN where fewer than two see a node.
+    """
+    left = np.einsum("rcyx,yxc->ryx", seen.jacobian, d) - seen.moved
+    square = np.square(left) / np.repeat(seen.noise, 2, axis=0)
+    rows = np.isfinite(square).sum(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(rows > 3, np.nansum(square, axis=0) / (rows - 3), np.nan)

@@ -33,6 +33,9 @@ class Recipe:
         "float32" or "int16".
     algorithm : int
         Version of the measurement, raised when its values change.
+    record : mapping
+        What sample frames of the whole record said: beads, spectra, noise
+        (`wavefield.measurement.Record`). Not part of the hash: it follows from the rest.
     software : mapping
         Versions of this program and of what it rests on; not part of the hash.
     """
@@ -46,6 +49,7 @@ class Recipe:
     settings: Mapping[str, Any]
     packing: str = "float32"
     algorithm: int = 0
+    record: Mapping[str, Any] = field(default_factory=dict)
     software: Mapping[str, str] = field(default_factory=lambda: _software())
 
     def to_json(self) -> str:
@@ -61,7 +65,7 @@ class Recipe:
     def hash(self) -> str:
         """Sixteen hexadecimal digits that change whenever values of the cube could."""
         data = asdict(self)
-        del data["software"]
+        del data["software"], data["record"]
         text = json.dumps(data, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -86,7 +90,8 @@ def differences(old: str, new: str) -> list[str]:
         Such as "settings.piv.window: 20 there, 24 here".
     """
     a, b = dict(_leaves(json.loads(old))), dict(_leaves(json.loads(new)))
-    keys = [key for key in {**a, **b} if not key.startswith("software.") and a.get(key) != b.get(key)]
+    told = ("software.", "record.")
+    keys = [key for key in {**a, **b} if not key.startswith(told) and a.get(key) != b.get(key)]
     return [f"{key}: {a.get(key)!r} there, {b.get(key)!r} here" for key in keys]
 
 

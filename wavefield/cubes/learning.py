@@ -1,0 +1,76 @@
+"""Learning beads, spectra and noise from sample frames of a whole record, before its first block."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from wavefield.cubes.block import Source
+
+_TRIES = 3  # sets of samples, where frames are missing or bad
+
+
+def learn_record(sources: Mapping[str, Source], steps: int, plan: Any) -> dict[str, Any]:
+    """Learn from sample frames of a record.
+
+    Parameters
+    ----------
+    sources : mapping of str to Source
+        Its frames.
+    steps : int
+        Its steps.
+    plan : wavefield.measurement.Plan
+        Rig, grid and settings.
+
+    Returns
+    -------
+    dict
+        As a recipe has it (`wavefield.measurement.Record`); empty if no sample can be measured.
+    """
+    for number in range(_TRIES):
+        if found := learn_from(samples(sources, steps, number), plan):
+            return found
+    return {}
+
+
+def samples(sources: Mapping[str, Source], steps: int, number: int = 0) -> list[Mapping[str, Source]]:
+    """Sample steps of a record, two frames each.
+
+    Parameters
+    ----------
+    sources : mapping of str to Source
+        Its frames.
+    steps : int
+        Its steps.
+    number : int
+        Which set of samples.
+
+    Returns
+    -------
+    list of mapping of str to Source
+    """
+    from wavefield.measurement import sample_steps
+
+    return [{n: s.window(k, k + 2) for n, s in sources.items()} for k in sample_steps(steps, number)]
+
+
+def learn_from(pairs: Sequence[Mapping[str, Source]], plan: Any) -> dict[str, Any]:
+    """Learn from some steps.
+
+    Parameters
+    ----------
+    pairs : sequence of mapping of str to Source
+        Two frames each.
+    plan : wavefield.measurement.Plan
+        Rig, grid and settings.
+
+    Returns
+    -------
+    dict
+        As `learn_record`.
+    """
+    from wavefield.measurement import learn
+
+    steps = [
+        tuple({name: source.read(k).image for name, source in pair.items()} for k in (0, 1)) for pair in pairs
+    ]
+    record = learn(steps, plan)
+    return {} if record is None else record.to_dict()

@@ -1,0 +1,353 @@
+"""The most probable field on a lattice of blocks: what every block says, weighed against its spectrum.
+
+With the score s and the matched Hessian H of the blocks at the field u that matching reached, nu the noise
+that scores really have, A = H / nu, F the footprint of a block and S the field's spectrum, the field f solves
+
+    (F A F + 1/S) f = F (A u + s / nu).
+
+F and S are diagonal in cosines, A is diagonal in blocks; a hole has A = 0.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numba as nb
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from wavefield.matching.prior import Prior, wavenumbers
+from wavefield.matching.transfer import footprint
+
+Float = NDArray[Any]
+Factor = tuple[Float, Float]
+
+F = np.float32
+_CLUSTER = 5  # blocks: neighbours closer than this share pixels, gradients and noise
+_AROUND = 6.0  # blocks over which noise is taken as alike
+_FAINT = 1e-3  # signal over noise below which a mode is left out
+_EXACT = 300  # modes of the highest signal over noise that the preconditioner solves exactly
+_STEPS = 200  # at most; some ten are usual
+_EDGE = 6.0  # blocks: reach of a slope at the edge, and width over which it is taken
+_ALONG = 3.0  # blocks along the edge over which it is smoothed
+
+njit: Any = nb.njit(error_model="numpy", nogil=True, cache=True)
+
+
+def noise_of_scores(score: Float, trace: Float, counts: Float, freedom: float) -> Float:
+    """The noise nu that scores have, from how clusters of them scatter.
+
+    Parameters
+    ----------
+    score : ndarray of float32, (c, ny, nx)
+        Scores of the blocks.
+    trace : ndarray of float32, (ny, nx)
+        Sum of the Hessian's diagonal.
+    counts : ndarray of float32, (ny, nx)
+        1 for blocks that count, else 0.
+    freedom : float
+        Fraction of the scores' variance that the fit itself has left in them (`Modes.freedom`).
+
+    Returns
+    -------
+    ndarray of float32, (ny, nx)
+        Variance of a score over its Hessian.
+
+    Notes
+    -----
+    Clusters are of 5 x 5 blocks, all of which count; their squares and Hessians are smoothed over 6 blocks. A
+    tenth of the mean belongs to every place: few residuals say little.
+    """
+    full = (_clusters(counts) > _CLUSTER**2 - 0.5).astype(np.float32)
+    square = np.zeros_like(trace)
+    for part in score:
+        square += np.square(_clusters(part * counts))
+    square *= full
+    expected = _clusters(trace * counts) * full
+    total = float(square.sum(dtype=np.float64)) / max(float(expected.sum(dtype=np.float64)), 1e-30)
+    few = F(max(0.2 * float(expected.mean()), 1e-30))
+    out = _around(square) + few * F(max(total, 1e-30))
+    out /= (_around(expected) + few) * F(freedom)
+    return out
+
+
+def _clusters(field: Float) -> Float:
+    size = (_CLUSTER, _CLUSTER)
+    return cv2.boxFilter(field, cv2.CV_32F, size, normalize=False, borderType=cv2.BORDER_REFLECT)
+
+
+def _around(field: Float) -> Float:
+    return cv2.GaussianBlur(field, (0, 0), _AROUND, borderType=cv2.BORDER_REFLECT)
+
+
+def cosines(n: int, count: int) -> NDArray[np.float64]:
+    """The first orthonormal cosines on n blocks.
+
+    Parameters
+    ----------
+    n, count : int
+        Blocks and modes.
+
+    Returns
+    -------
+    ndarray, (count, n)
+    """
+    out = np.cos(np.pi * np.arange(count)[:, None] * (np.arange(n) + 0.5) / n) * np.sqrt(2.0 / n)
+    out[0] /= np.sqrt(2.0)
+    return out
+
+
+class Modes:
+    """The cosine modes in which a field is sought: those with more than a thousandth of signal over noise.
+
+    Parameters
+    ----------
+    prior : Prior
+        Spectrum and typical information.
+    shape : tuple of int
+        Lattice (ny, nx).
+
+    Attributes
+    ----------
+    k, foot, inverse : ndarray, (my, mx)
+        Wavenumber, rad per block, footprint and inverse spectrum of every mode.
+    """
+
+    def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
+        self.prior, self.lattice = prior, shape
+        kx, ky = wavenumbers(shape)
+        k, foot = np.hypot(kx, ky), footprint(kx, ky)
+        spectrum = prior.spectrum(k)
+        ratio = foot**2 * prior.information * spectrum
+        rows, columns = np.nonzero(ratio > _FAINT)
+        # whole vectors
+        my, mx = (
+            min(n, (int(i.max(initial=3)) + 4) // 4 * 4) for n, i in zip(shape, (rows, columns), strict=True)
+        )
+        band = np.s_[:my, :mx]
+        self.shape = my, mx
+        self.k = k[band]
+        self.foot = np.ascontiguousarray(foot[band], np.float32)
+        self.inverse = np.ascontiguousarray(1.0 / spectrum[band], np.float32)
+        self._rows, self._columns = (
+            cosines(n, m).astype(np.float32) for n, m in zip(shape, self.shape, strict=True)
+        )
+        self._rows_t, self._columns_t = (np.ascontiguousarray(c.T) for c in (self._rows, self._columns))
+        self.freedom = _freedom(ratio / (ratio + 1.0))
+        self._edge = _Edge(shape)
+        self._strongest(ratio[band])
+
+    def _strongest(self, ratio: Float) -> None:
+        """What the exact block of the preconditioner needs."""
+        count = min(_EXACT, ratio.size)
+        order = np.sort(np.argsort(-ratio.ravel(), kind="stable")[:count])
+        self._index = order
+        self._iy, self._ix = (i.astype(np.int64) for i in np.divmod(order, ratio.shape[1]))
+        sums = []
+        for n, i in zip(self.lattice, (self._iy, self._ix), strict=True):
+            m = np.arange(2 * int(i.max()) + 1)[:, None]
+            sums.append(np.cos(np.pi * m * (np.arange(n) + 0.5) / n).astype(np.float32))
+        self._sum_rows, self._sum_columns = sums[0], np.ascontiguousarray(sums[1].T)
+        norm = 0.5 * self.foot.ravel()[order].astype(np.float64)
+        for n, i in zip(self.lattice, (self._iy, self._ix), strict=True):
+            norm *= np.where(i == 0, np.sqrt(1.0 / n), np.sqrt(2.0 / n))
+        self._norm = norm.astype(np.float32)
+        self._own = self.inverse.ravel()[order]
+        self._square = np.square(self.foot.ravel()[order])
+
+    def waves(self, field: Float) -> Float:
+        """Coefficients (c, my, mx) of a field (c, ny, nx)."""
+        return np.matmul(np.matmul(self._rows, field), self._columns_t)
+
+    def field(self, waves: Float) -> Float:
+        """Field (c, ny, nx) of coefficients (c, my, mx)."""
+        return np.matmul(np.matmul(self._rows_t, waves), self._columns)
+
+    def seen(self, waves: Float) -> Float:
+        """Field as blocks see it, (c, ny, nx): with their footprint over it."""
+        return self.field(self.foot * waves)
+
+    def mean(self, field: Float) -> Float:
+        """Coefficients of a smooth field that has the edge slopes of a given one: cosines have none there.
+
+        Parameters
+        ----------
+        field : ndarray, (c, ny, nx)
+            First estimate of the field, without holes.
+
+        Returns
+        -------
+        ndarray of float32, (c, my, mx)
+        """
+        return self.waves(self._edge(np.asarray(field, np.float32)))
+
+    def factor(self, information: Float) -> Factor:
+        """Preconditioner for some information: the strongest modes as they really couple.
+
+        Parameters
+        ----------
+        information : ndarray of float32, (ny, nx)
+            A, or the mean of its two diagonal parts.
+
+        Returns
+        -------
+        tuple
+            For `solve`.
+        """
+        table = self._sum_rows @ information @ self._sum_columns
+        scale = 1.0 / np.sqrt(self._own + self._square * F(information.mean()))
+        count = self._index.size
+        matrix = np.zeros((count, count), np.float32)
+        _assemble(table, self._iy, self._ix, self._norm * scale, self._own * scale * scale, matrix)
+        lower, failed = scipy.linalg.lapack.spotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
+        if failed:  # rounding: the diagonal is always there
+            lower = np.asfortranarray(np.diag(np.sqrt(np.diag(matrix))))
+        return lower, scale.astype(np.float32)
+
+    def solve(
+        self,
+        information: Float,
+        right: Float,
+        start: Float,
+        tolerance: float,
+        mean: Float,
+        factor: Factor,
+    ) -> Float:
+        """Solve (F A F + 1/S) f = F b + m/S by preconditioned conjugate gradients.
+
+        Parameters
+        ----------
+        information : ndarray of float32, (1 or 3, ny, nx)
+            A of one field, or A_xx, A_xy, A_yy of two.
+        right : ndarray of float32, (c, ny, nx)
+            b = A u + s / nu, with c = 1 or 2 fields.
+        start : ndarray of float32, (c, my, mx)
+            First guess.
+        tolerance : float
+            Of the residual in its own uncertainty, rms over the modes.
+        mean : ndarray of float32, (c, my, mx)
+            m, as given by `mean`.
+        factor : tuple
+            As given by `factor`.
+
+        Returns
+        -------
+        ndarray of float32, (c, my, mx)
+            Coefficients of f.
+        """
+        a = information
+        typical = np.array([a[0].mean(), a[-1].mean()], np.float32)[: len(right), None, None]
+        diagonal = 1 / (self.foot**2 * typical + self.inverse)
+        waves = start.copy()
+        rest = self.foot * self.waves(right) + self.inverse * mean - self._times(a, waves)
+        step = self._precondition(rest, diagonal, factor)
+        direction = step.copy()
+        size = float(np.vdot(rest, step))
+        for _ in range(_STEPS):
+            if size <= tolerance * tolerance * waves.size:
+                break
+            image = self._times(a, direction)
+            length = F(size / float(np.vdot(direction, image)))
+            waves += length * direction
+            image *= length
+            rest -= image
+            step = self._precondition(rest, diagonal, factor)
+            size, before = float(np.vdot(rest, step)), size
+            direction *= F(size / before)
+            direction += step
+        return waves
+
+    def _times(self, a: Float, waves: Float) -> Float:
+        f = self.seen(waves)
+        if len(f) == 1:
+            f *= a[0]
+        else:
+            across = a[1] * f[0]
+            f[0] *= a[0]
+            f[0] += a[1] * f[1]
+            f[1] *= a[2]
+            f[1] += across
+        out = self.waves(f)
+        out *= self.foot
+        out += self.inverse * waves
+        return out
+
+    def _precondition(self, rest: Float, diagonal: Float, factor: Factor) -> Float:
+        out = diagonal * rest
+        lower, scale = factor
+        some = rest.reshape(len(rest), -1)[:, self._index] * scale
+        exact, _ = scipy.linalg.lapack.spotrs(lower, some.T, lower=0)
+        out.reshape(len(rest), -1)[:, self._index] = exact.T * scale
+        return out
+
+
+@njit
+def _assemble(table, iy, ix, norm, own, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Lower triangle of F A F + 1/S among some modes, scaled: products of cosines are sums of cosines."""
+    for p in range(iy.size):
+        for q in range(p + 1):
+            y0, y1 = abs(iy[p] - iy[q]), iy[p] + iy[q]
+            x0, x1 = abs(ix[p] - ix[q]), ix[p] + ix[q]
+            total = table[y0, x0] + table[y0, x1] + table[y1, x0] + table[y1, x1]
+            out[p, q] = norm[p] * norm[q] * total
+        out[p, p] += own[p]
+
+
+def _freedom(gain: Float) -> float:
+    """Fraction of the variance of clusters of scores that a fit with this response leaves in them."""
+    rows, columns = (_box(n) for n in gain.shape)
+    power = np.square(rows[:, None] * columns)
+    return float(max((power * (1.0 - gain)).sum() / power.sum(), 0.2))
+
+
+def _box(n: int) -> NDArray[np.float64]:
+    m = np.arange(1, _CLUSTER // 2 + 1)[:, None]
+    return 1.0 + 2.0 * np.cos(m * np.pi * np.arange(n) / n).sum(axis=0)
+
+
+class _Edge:
+    """A smooth field with the slopes that a field has at the edges of its lattice."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        near = int(_EDGE)
+        t = np.arange(near, dtype=np.float32) - F((near - 1) / 2)
+        self.slope = t / (t * t).sum()
+        self.near = near
+        self.grow_y, self.grow_x = (
+            (_EDGE * np.exp((np.arange(n) + 0.5 - n) / _EDGE)).astype(np.float32) for n in shape
+        )
+        self.smooth_y, self.smooth_x = (_smoother(n) for n in shape)
+
+    def __call__(self, field: Float) -> Float:
+        near, (ny, nx) = self.near, field.shape[-2:]
+        low = field[..., :near] @ self.slope @ self.smooth_y
+        high = field[..., nx - near :] @ self.slope @ self.smooth_y
+        out = high[..., None] * self.grow_x - low[..., None] * self.grow_x[::-1]
+        first, last = field[:, :near] - out[:, :near], field[:, ny - near :] - out[:, ny - near :]
+        low = np.einsum("cyx,y->cx", first, self.slope) @ self.smooth_x
+        high = np.einsum("cyx,y->cx", last, self.slope) @ self.smooth_x
+        return out + high[:, None] * self.grow_y[:, None] - low[:, None] * self.grow_y[::-1, None]
+
+
+def _smoother(n: int) -> Float:
+    modes = cosines(n, n)
+    gain = np.exp(-0.5 * np.square(_ALONG * np.pi * np.arange(n) / n))
+    return ((modes.T * gain) @ modes).astype(np.float32)
+
+
+def edge_slopes(field: Float) -> Float:
+    """A smooth field (c, ny, nx) with the edge slopes of a given one.
+
+    Parameters
+    ----------
+    field : ndarray, (c, ny, nx)
+        Without holes.
+
+    Returns
+    -------
+    ndarray of float32, (c, ny, nx)
+    """
+    field = np.asarray(field, np.float32)
+    return _Edge((field.shape[1], field.shape[2]))(field)

@@ -1,0 +1,181 @@
+"""How uncertain the most probable field is: the posterior's variance from the information around a block."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import map_coordinates
+
+from wavefield.matching.posterior import cosines
+from wavefield.matching.prior import Prior, wavenumbers
+from wavefield.matching.transfer import footprint
+
+Float = NDArray[Any]
+
+_LEVELS = 3.0 * 4.0 ** np.arange(0.0, -7.0, -1.0)  # of information over the typical one
+_SMALL = 1e-3  # of a kernel's transform is left out
+_RADII = (1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0)  # of holes, blocks
+_DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the way from a hole's rim to its middle
+_RIM = 5  # blocks around a hole that are thought known
+_BARE = 0.15  # of the typical information, over 7 x 7 blocks: less is a hole
+
+
+class Spread:
+    """Variance of the most probable field, split into noise and what the prior takes from waves.
+
+    Parameters
+    ----------
+    prior : Prior
+        Spectrum and typical information.
+    shape : tuple of int
+        Lattice (ny, nx).
+
+    Attributes
+    ----------
+    signal : float
+        Variance of the field itself about its mean, in its unit squared.
+
+    Notes
+    -----
+    For an even information A a mode's variance is 1 / (F^2 A + 1/S); of it F^2 A / (F^2 A + 1/S)^2 is noise
+    and 1/S / (F^2 A + 1/S)^2 what is missing of the waves. Where information differs from place to place the
+    level of A is taken that equals the information around, weighed by the squared impulse response of its own
+    level. In a hole the variance given the rim adds to it, tabulated for round holes by radius and depth.
+    """
+
+    def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
+        kx, ky = wavenumbers(shape)
+        square, inverse = footprint(kx, ky) ** 2, 1.0 / prior.spectrum(np.hypot(kx, ky))
+        self.shape = shape
+        self.usual = prior.information
+        self.signal = float(np.mean(1.0 / inverse.ravel()[1:]))
+        levels = _LEVELS * prior.information
+        certain = [square * a + inverse for a in levels]
+        noise = [np.mean(square * a / c**2) for a, c in zip(levels, certain)]
+        missing = [np.mean(inverse / c**2) for c in certain]
+        self._log = np.log(levels).astype(np.float32)
+        self._variance = np.log(np.array([noise, missing])).astype(np.float32)
+        kernels = np.array([_around(square * a / c) for a, c in zip(levels, certain)])
+        rows, columns = np.nonzero((kernels > _SMALL).any(axis=0))
+        my, mx = rows.max() + 1, columns.max() + 1
+        self._kernels = np.ascontiguousarray(kernels[:, :my, :mx], np.float32)
+        down, along = (cosines(n, m).astype(np.float32) for n, m in zip(shape, (my, mx)))
+        self._to = down, np.ascontiguousarray(along.T)
+        self._back = np.ascontiguousarray(down[:, ::2].T), np.ascontiguousarray(along[:, ::2])
+        self._holes = hole_variance(1.0 / inverse, 1.0 / prior.information)
+
+    def __call__(self, information: Float) -> tuple[Float, Float]:
+        """Variance of every block.
+
+        Parameters
+        ----------
+        information : ndarray of float32, (ny, nx)
+            A of the blocks.
+
+        Returns
+        -------
+        noise, missing : ndarray of float32, (ny, nx)
+            Variance by noise, and by what the prior takes away or makes up, in the field's unit squared.
+        """
+        waves = self._to[0] @ (information @ self._to[1])
+        x = self._back[0] @ ((self._kernels * waves) @ self._back[1])
+        x = np.log(np.maximum(x, np.float32(1e-30))) - self._log[:, None, None]
+        noise, missing = (self._whole(np.exp(self._at_level(x, row))) for row in self._variance)
+        known = cv2.blur(np.asarray(information, np.float32), (7, 7)) > _BARE * self.usual
+        known = cv2.erode(known.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+        if not known.all():
+            missing = missing + _in_holes(known, self._holes)
+        return noise, missing
+
+    @staticmethod
+    def _at_level(x: Float, variance: Float) -> Float:
+        """Logarithm of the variance where the information around equals that of the level it is taken at."""
+        out = np.full(x.shape[1:], variance[-1])
+        for n in range(len(x) - 1, 0, -1):
+            t = np.clip(x[n] / np.maximum(x[n] - x[n - 1], np.float32(1e-6)), 0, 1)
+            out = np.where(x[n] >= 0, variance[n] + t * (variance[n - 1] - variance[n]), out)
+        return np.where(x[0] >= 0, variance[0], out)
+
+    def _whole(self, half: Float) -> Float:
+        """From every second block to all."""
+        ny, nx = self.shape
+        twice = np.array([[2.0, 0, 0], [0, 2.0, 0]])
+        return cv2.warpAffine(
+            half.astype(np.float32), twice, (nx, ny), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+
+
+def _even(gain: Float) -> Float:
+    """A filter's response to cosines, continued to all wavenumbers of the doubled lattice."""
+    ny, nx = gain.shape
+    full = np.zeros((2 * ny, 2 * nx))
+    full[:ny, :nx] = gain
+    full[ny + 1 :, :nx] = gain[1:][::-1]
+    full[:ny, nx + 1 :] = gain[:, 1:][:, ::-1]
+    full[ny + 1 :, nx + 1 :] = gain[1:, 1:][::-1, ::-1]
+    return full
+
+
+def _around(gain: Float) -> Float:
+    """Response of the squared impulse response of a filter, made to have the sum 1."""
+    impulse = np.fft.ifft2(_even(gain)).real
+    out = np.fft.fft2(impulse * impulse).real[: gain.shape[0], : gain.shape[1]]
+    return out / out[0, 0]
+
+
+def hole_variance(spectrum: Float, noise: float) -> Float:
+    """Variance of a field in a round hole whose rim is known.
+
+    Parameters
+    ----------
+    spectrum : ndarray, (ny, nx)
+        Spectrum of the field's cosines.
+    noise : float
+        Variance of what the blocks of the rim say.
+
+    Returns
+    -------
+    ndarray, (radii, depths)
+        For holes of 1 to 16 blocks and from the rim to the middle.
+    """
+    ny, nx = spectrum.shape
+    covariance = np.fft.ifft2(_even(spectrum)).real
+    r = np.arange(min(ny, nx))
+    along = 0.5 * (covariance[0, : r.size] + covariance[: r.size, 0])
+    curve = CubicSpline(np.concatenate([-r[:0:-1], r]), np.concatenate([along[:0:-1], along]))
+
+    def between(p: Float, q: Float) -> Float:
+        return curve(np.minimum(np.hypot(*np.moveaxis(p[:, None] - q, -1, 0)), r[-1]))
+
+    out = np.zeros((len(_RADII), len(_DEPTHS)))
+    for i, radius in enumerate(_RADII):
+        g = np.arange(-np.ceil(radius + _RIM), np.ceil(radius + _RIM) + 1)
+        x, y = np.meshgrid(g, g)
+        d = np.hypot(x, y)
+        near = (d < radius + 2) | ((x + y) % 2 == 0)  # further out every second block tells as much
+        rim = (d >= radius) & (d < radius + _RIM) & near
+        p = np.stack([x[rim], y[rim]], axis=1)
+        q = np.stack([radius * (1 - np.array(_DEPTHS)), np.zeros(len(_DEPTHS))], axis=1)
+        known = between(p, p) + noise * np.eye(len(p))
+        to = between(p, q)
+        out[i] = np.maximum(along[0] - np.sum(to * np.linalg.solve(known, to), axis=0), 0.0)
+    return out
+
+
+def _in_holes(known: Float, table: Float) -> Float:
+    """Variance inside holes from how wide they are and how far the rim is, (ny, nx)."""
+    depth = cv2.distanceTransform((~known).astype(np.uint8), cv2.DIST_L2, 5)
+    out = np.zeros(known.shape, np.float32)
+    at = depth > 0
+    radius = depth.copy()
+    for _ in range(3):
+        radius = np.where(at, cv2.dilate(radius, np.ones((9, 9), np.uint8)), np.float32(0))
+    wide = np.maximum(radius[at], 1.0)
+    i = np.interp(wide, _RADII, np.arange(len(_RADII)))
+    j = np.interp(depth[at] / wide, _DEPTHS, np.arange(len(_DEPTHS)))
+    out[at] = np.exp(map_coordinates(np.log(table + 1e-30), [i, j], order=1, mode="nearest"))
+    return out

@@ -1,0 +1,324 @@
+"""Elevation of one instant: the most probable one that all pairs of cameras together have."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield import matching
+from wavefield.matching import Modes, Reason
+from wavefield.measurement.plan import Plan
+from wavefield.measurement.regrid import coefficients, push_pull, read_surface
+from wavefield.measurement.surface import PairMatch, match_pair
+from wavefield.variables import Quality
+
+Float = NDArray[Any]
+Mask = NDArray[np.bool_]
+
+TOLERANCES = 0.02, 0.005  # of the solver, at the first and at the second look
+_BAD = np.uint8(Reason.EDGE | Reason.MASKED | Reason.NEIGHBOURS)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Elevation of one instant at the nodes of the grid.
+
+    Parameters
+    ----------
+    z, eps_y, std : ndarray of float32, (ny, nx)
+        Elevation, mismatch across the sight line, standard uncertainty of z, metres.
+    quality : ndarray of uint8, (ny, nx)
+        Bits of `Quality`: measured or filled, and why it was rejected.
+    """
+
+    z: Float
+    eps_y: Float
+    std: Float
+    quality: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Elevation on the lattice by plain least squares over all pairs.
+
+    Parameters
+    ----------
+    z, eps_y : ndarray of float32, (ny, nx)
+        Elevation and mismatch, metres; NaN where no pair counts.
+    valid : ndarray of bool, (ny, nx)
+        Where at least one pair counts.
+    rejected : ndarray of uint8, (ny, nx)
+        Why none does: bits of `Quality`.
+    """
+
+    z: Float
+    eps_y: Float
+    valid: Mask
+    rejected: NDArray[np.uint8]
+
+    @property
+    def whole(self) -> Float:
+        """Elevation without holes, (1, ny, nx): filled by coarser and coarser means."""
+        return np.moveaxis(push_pull(self.z[..., None], self.valid), -1, 0)
+
+
+def combine(matches: Sequence[PairMatch]) -> Blocks:
+    """Least squares over all pairs.
+
+    Parameters
+    ----------
+    matches : sequence of PairMatch
+        Pairs with the same reference camera.
+
+    Returns
+    -------
+    Blocks
+
+    Notes
+    -----
+    z = -sum dD . d / sum |dD|^2 over the pairs that count. eps_Y is the like sum across the sight line,
+    sum (dD_y d_x - dD_x d_y) / sum |dD|.
+    """
+    shape = matches[0].eps_y.shape
+    along, across, square, length = np.zeros((4, *shape), np.float32)
+    rejected = np.zeros(shape, np.uint8)
+    for m in matches:
+        Dx, Dy = m.parallax * m.valid
+        along += Dx * m.difference[0] + Dy * m.difference[1]
+        own = Dx * Dx + Dy * Dy
+        square += own
+        own = np.sqrt(own)
+        length += own
+        across += own * m.eps_y
+        rejected |= m.rejected
+    valid = square > 0
+    rejected[valid] = 0
+    nan, one = np.float32(np.nan), np.float32(1.0)
+    z = np.where(valid, -along / np.where(valid, square, one), nan)
+    return Blocks(z, np.where(valid, across / np.where(valid, length, one), nan), valid, rejected)
+
+
+@dataclass
+class Estimate:
+    """The most probable elevation of one instant, and what it rests on.
+
+    Parameters
+    ----------
+    waves, mean : ndarray of float32, (1, my, mx)
+        Cosine coefficients of the elevation and of its prior mean, metres.
+    information : ndarray of float32, (ny, nx)
+        A of every block, per square metre.
+    """
+
+    waves: Float
+    mean: Float
+    information: Float = field(repr=False)
+
+
+def most_probable(
+    blocks: Blocks,
+    matches: Sequence[PairMatch],
+    prepared: Mapping[str, matching.Prepared],
+    modes: Modes,
+    pixel: float,
+) -> Estimate:
+    """Elevation as the blocks of all pairs together have it.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        As given by `combine`.
+    matches : sequence of PairMatch
+        The pairs behind it.
+    prepared : mapping of str to Prepared
+        Their rectified images: they are looked at once more at the first estimate.
+    modes : Modes
+        Cosines of the lattice.
+    pixel : float
+        Of the rectified images, metres.
+
+    Returns
+    -------
+    Estimate
+
+    Notes
+    -----
+    A rise of z moves a pair's patches by -dD z: its score is -dD . s, its information dD H dD. Pairs of one
+    reference share its noise, which cancels between opposite sides; so scores are summed over the pairs
+    before their noise is measured.
+    """
+    z = blocks.whole
+    mean, waves = modes.mean(z), modes.waves(z)
+    looks = [_Look(m, pixel) for m in matches]
+    freedom, factor = modes.freedom, None
+    information = z[:1]
+    for number, tolerance in enumerate(TOLERANCES):
+        if number:
+            z = modes.seen(waves)
+            for one in looks:
+                one.again(z[0], prepared)
+        score = np.sum([one.score(z[0]) for one in looks], axis=0)
+        hessian = np.sum([one.hessian for one in looks], axis=0)
+        counts = (hessian > 0).astype(np.float32)
+        nu = matching.noise_of_scores(score[None], hessian, counts, freedom)
+        nu *= np.float32(modes.prior.noise)
+        information = (hessian / nu)[None]
+        right = information * z + (score / nu)[None]
+        if factor is None:
+            factor = modes.factor(information[0])
+        waves = modes.solve(information, right, waves, tolerance, mean, factor)
+    return Estimate(waves, mean, information[0])
+
+
+def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float, freedom: float) -> float:
+    """Mean information of a block about the elevation, before any posterior.
+
+    Parameters
+    ----------
+    blocks, matches, pixel
+        As for `most_probable`.
+    freedom : float
+        Fraction of the scores' noise that windows leave in them.
+
+    Returns
+    -------
+    float
+        Per square metre.
+    """
+    looks = [_Look(m, pixel) for m in matches]
+    z = blocks.whole[0]
+    hessian = np.sum([one.hessian for one in looks], axis=0)
+    score = np.sum([one.score(z) for one in looks], axis=0)
+    nu = matching.noise_of_scores(score[None], hessian, (hessian > 0).astype(np.float32), freedom)
+    return float((hessian / nu).mean())
+
+
+class _Look:
+    """What the blocks of one pair say about the elevation."""
+
+    def __init__(self, match: PairMatch, pixel: float) -> None:
+        self.match = match
+        self.D = match.parallax / np.float32(pixel)
+        square = np.sum(np.square(match.parallax), axis=0)
+        self.own = -np.sum(match.parallax * match.difference, axis=0) / square
+        self.here, self.counts, self.found = self.own, match.valid, match.found
+        self._weigh()
+
+    def _weigh(self) -> None:
+        h = self.found.hessian * self.counts
+        self.hessian = self.D[0] ** 2 * h[0] + 2 * self.D[0] * self.D[1] * h[1] + self.D[1] ** 2 * h[2]
+
+    def again(self, z: Float, prepared: Mapping[str, matching.Prepared]) -> None:
+        """Look at the images at an elevation (ny, nx)."""
+        m, rise = self.match, z - self.own
+        a, b = (prepared[name] for name in m.pair)
+        u, v = m.found.u - self.D[0] * rise, m.found.v - self.D[1] * rise
+        self.here, self.found = z, matching.look_again(a, b, u, v, m.settings)
+        self.counts = m.valid & ((self.found.reason & _BAD) == 0)
+        self._weigh()
+
+    def score(self, z: Float) -> Float:
+        """Score at an elevation (ny, nx) near to where the images were looked at."""
+        s = self.found.score
+        return -(self.D[0] * s[0] + self.D[1] * s[1]) * self.counts + self.hessian * (self.here - z)
+
+
+def surface(prepared: Mapping[str, matching.Prepared], plan: Plan) -> Surface | None:
+    """Elevation at the nodes from the frames of one instant.
+
+    Parameters
+    ----------
+    prepared : mapping of str to Prepared
+        The cameras that have a usable frame: their rectified images.
+    plan : Plan
+        Everything computed beforehand, its record learned.
+
+    Returns
+    -------
+    Surface or None
+        Finite everywhere, also where no camera looks: the caller knows what lies outside. None if fewer than
+        two cameras have a frame, or too little of it can be matched.
+    """
+    found = look_at_pairs(prepared, plan)
+    if found is None:
+        return None
+    blocks, matches = found
+    estimate = most_probable(blocks, matches, prepared, plan.modes, plan.pixel)
+    spline = plan.modes.field(estimate.waves * plan.spline)
+    noise, missing = plan.spread(estimate.information)
+    z, block = _read(spline, matches, plan)
+    std = np.sqrt(noise + missing).ravel()[block]
+    return Surface(z, blocks.eps_y.ravel()[block], std, _quality(blocks, block))
+
+
+def look_at_pairs(
+    prepared: Mapping[str, matching.Prepared], plan: Plan
+) -> tuple[Blocks, list[PairMatch]] | None:
+    """Match the pairs of one instant.
+
+    Parameters
+    ----------
+    prepared : mapping of str to Prepared
+        The cameras that have a usable frame: their rectified images.
+    plan : Plan
+        Everything computed beforehand.
+
+    Returns
+    -------
+    (Blocks, list of PairMatch) or None
+        None if fewer than two cameras have a frame, or too little of it can be matched. A pair of which next
+        to nothing fits says nothing, and what fits by chance must not count.
+    """
+    present = tuple(prepared)
+    while pairs := plan.pairs_for(present):
+        reference = pairs[0][0]
+        least = plan.settings.min_valid * np.sum(plan.seen_blocks[reference] > 0.5)
+        matches = [match_pair(prepared[a], prepared[b], (a, b), plan) for a, b in pairs]
+        matches = [m for m in matches if m.valid.sum() >= least] or matches
+        blocks = combine(matches)
+        if blocks.valid.sum() >= least:
+            return blocks, matches
+        # its images may be there and yet show nothing: the others may do without it
+        present = tuple(n for n in present if n != reference)
+    return None
+
+
+def windowed(matches: Sequence[PairMatch], plan: Plan) -> NDArray[Any]:
+    """Elevation at the nodes as windows have it, without the posterior: to compare pairs with each other.
+
+    Parameters
+    ----------
+    matches : sequence of PairMatch
+        Pairs of one reference camera.
+    plan : Plan
+        Lattice and grid.
+
+    Returns
+    -------
+    ndarray of float32, (ny, nx)
+        Metres; NaN where not measured.
+    """
+    blocks = combine(matches)
+    if not blocks.valid.any():
+        return np.full(plan.grid.shape, np.nan, np.float32)
+    z, block = _read(np.moveaxis(coefficients(np.moveaxis(blocks.whole, 0, -1)), -1, 0), matches, plan)
+    return np.where(blocks.valid.ravel()[block], z, np.float32(np.nan))
+
+
+def _read(spline: Float, matches: Sequence[PairMatch], plan: Plan) -> tuple[Float, NDArray[np.int64]]:
+    """Elevation at the nodes and the block nearest to each, from spline coefficients (1, ny, nx)."""
+    centre = plan.rig[matches[0].pair[0]].centre
+    values, block = read_surface(
+        np.ascontiguousarray(np.moveaxis(spline, 0, -1), np.float32), plan.lattice, centre, plan.x, plan.y
+    )
+    return values[0], block
+
+
+def _quality(blocks: Blocks, block: NDArray[np.int64]) -> NDArray[np.uint8]:
+    measured = blocks.valid.ravel()[block]
+    out = np.where(measured, np.uint8(Quality.MEASURED), np.uint8(Quality.FILLED))
+    return out | blocks.rejected.ravel()[block]

@@ -1,0 +1,146 @@
+"""One camera's displacement from one frame to the next: the most probable one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield import matching
+from wavefield.matching import Modes
+from wavefield.measurement.elevation import TOLERANCES
+from wavefield.measurement.plan import Plan, Sight
+from wavefield.measurement.regrid import push_pull
+from wavefield.measurement.surface import why_rejected
+
+Float = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Flow:
+    """One camera's displacement from one frame to the next, ready to be read anywhere.
+
+    Parameters
+    ----------
+    spline : ndarray of float32, (ny, nx, 2)
+        Spline coefficients of the displacement on the lattice of blocks, px of the binned image.
+    noise, missing : ndarray of float32, (ny, nx)
+        Variance of either component by noise, px^2, and what the prior takes away or makes up as a fraction
+        of the displacement's own variance.
+    rejected : ndarray of uint8, (ny, nx)
+        Bits of `Quality`; 0 where measured.
+    """
+
+    spline: Float
+    noise: Float
+    missing: Float
+    rejected: NDArray[np.uint8]
+
+    @cached_property
+    def valid(self) -> NDArray[np.bool_]:
+        """(ny, nx): blocks that were measured."""
+        return self.rejected == 0
+
+
+Flows = Mapping[str, Flow]
+
+
+@dataclass
+class Estimate:
+    """The most probable displacement between two frames, and what it rests on.
+
+    Parameters
+    ----------
+    waves, mean : ndarray of float32, (2, my, mx)
+        Cosine coefficients of the displacement and of its prior mean, px.
+    information : ndarray of float32, (ny, nx)
+        Mean of the two diagonal parts of every block's A, px^-2.
+    reason : ndarray of uint8, (ny, nx)
+        Bits of `Reason` at the last look.
+    """
+
+    waves: Float
+    mean: Float
+    information: Float = field(repr=False)
+    reason: NDArray[np.uint8] = field(repr=False)
+
+
+def whole(found: matching.Displacement) -> Float:
+    """Displacement without holes, (2, ny, nx), px: filled by coarser and coarser means."""
+    return np.moveaxis(push_pull(np.stack([found.u, found.v], axis=-1), found.valid), -1, 0)
+
+
+def most_probable(
+    found: matching.Displacement, one: matching.Prepared, other: matching.Prepared, modes: Modes
+) -> Estimate:
+    """Displacement as all blocks together have it.
+
+    Parameters
+    ----------
+    found : Displacement
+        A match that is near.
+    one, other : Prepared
+        Its images: they are looked at once more at the first estimate.
+    modes : Modes
+        Cosines of the lattice.
+
+    Returns
+    -------
+    Estimate
+    """
+    u = whole(found)
+    mean, waves = modes.mean(u), modes.waves(u)
+    freedom, factor = modes.freedom, None
+    a = found.hessian
+    for number, tolerance in enumerate(TOLERANCES):
+        if number:
+            u = modes.seen(waves)
+            found = matching.look_again(one, other, u[0], u[1], found.settings)
+        counts = found.valid.astype(np.float32)
+        trace = found.hessian[0] + found.hessian[2]
+        nu = matching.noise_of_scores(found.score, trace, counts, freedom)
+        counts /= nu * np.float32(modes.prior.noise)
+        a = found.hessian * counts
+        right = found.score * counts
+        right[0] += a[0] * u[0] + a[1] * u[1]
+        right[1] += a[1] * u[0] + a[2] * u[1]
+        if factor is None:
+            factor = modes.factor(np.float32(0.5) * (a[0] + a[2]))
+        waves = modes.solve(a, right, waves, tolerance, mean, factor)
+    return Estimate(waves, mean, np.float32(0.5) * (a[0] + a[2]), found.reason)
+
+
+def flows(
+    first: Mapping[str, matching.Prepared], second: Mapping[str, matching.Prepared], plan: Plan
+) -> dict[str, Flow]:
+    """Displacements of every camera that has a usable frame at both instants.
+
+    Parameters
+    ----------
+    first, second : mapping of str to Prepared
+        Images of two instants.
+    plan : Plan
+        Everything computed beforehand, its record learned.
+
+    Returns
+    -------
+    dict of str to Flow
+    """
+    return {n: _flow(first[n], second[n], plan, plan.sights[n]) for n in first if n in second}
+
+
+def _flow(one: matching.Prepared, other: matching.Prepared, plan: Plan, sight: Sight) -> Flow:
+    near = matching.match(one, other, plan.settings.piv)
+    found = most_probable(near, one, other, sight.modes)
+    noise, missing = sight.spread(found.information)
+    spline = sight.modes.field(found.waves * sight.spline)
+    return Flow(
+        np.ascontiguousarray(np.moveaxis(spline, 0, -1), np.float32),
+        noise,
+        missing / np.float32(sight.spread.signal),
+        why_rejected(found.reason),
+    )

@@ -1,0 +1,96 @@
+"""Everything that the frames of one instant give on their own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from wavefield import matching
+from wavefield.measurement import surface as stereo
+from wavefield.measurement.elevation import Surface, surface
+from wavefield.measurement.frame import ready, usable
+from wavefield.measurement.plan import Plan
+
+
+@dataclass(frozen=True)
+class Images:
+    """The usable frames of one instant, ready for matching.
+
+    Parameters
+    ----------
+    flat, raw : mapping of str to Prepared
+        Rectified images, for the surface; raw ones, for matching in time.
+    missing : frozenset of str
+        Cameras without a usable frame.
+    """
+
+    flat: Mapping[str, matching.Prepared]
+    raw: Mapping[str, matching.Prepared]
+    missing: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Instant:
+    """What is kept of one instant.
+
+    Parameters
+    ----------
+    surface : Surface or None
+        Elevation at the nodes; None if it could not be measured.
+    images : mapping of str to Prepared
+        Raw images ready for matching in time.
+    missing : frozenset of str
+        Cameras without a usable frame.
+    """
+
+    surface: Surface | None
+    images: Mapping[str, matching.Prepared]
+    missing: frozenset[str]
+
+
+def images_of(frames: Mapping[str, NDArray[Any] | None], plan: Plan, beads: Mapping[str, float]) -> Images:
+    """Make the frames of one instant ready for matching.
+
+    Parameters
+    ----------
+    frames : mapping of str to ndarray or None
+        One frame per camera.
+    plan : Plan
+        Everything computed beforehand.
+    beads : mapping of str to float
+        Width of every camera's beads, raw px.
+
+    Returns
+    -------
+    Images
+    """
+    good: dict[str, NDArray[Any]] = {}
+    for name in plan.cameras:
+        image = frames.get(name)
+        if image is not None and usable(image, plan.rig[name].size):
+            good[name] = ready(image, plan.binning[name], beads[name])
+    flat = {n: stereo.prepare(good[n], n, plan) for n in plan.surface_cameras if n in good}
+    raw = {n: matching.prepare(good[n], plan.settings.piv) for n in plan.velocity_cameras if n in good}
+    return Images(flat, raw, frozenset(n for n in plan.cameras if n not in good))
+
+
+def look(frames: Mapping[str, NDArray[Any] | None], plan: Plan) -> Instant:
+    """Everything that the frames of one instant give on their own.
+
+    Parameters
+    ----------
+    frames : mapping of str to ndarray or None
+        One frame per camera.
+    plan : Plan
+        Everything computed beforehand, its record learned.
+
+    Returns
+    -------
+    Instant
+    """
+    assert plan.record is not None
+    images = images_of(frames, plan, dict(plan.record.beads))
+    return Instant(surface(images.flat, plan), images.raw, images.missing)

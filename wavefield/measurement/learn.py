@@ -1,0 +1,220 @@
+"""What sample frames of a whole record say: beads, spectra, noise. Once per run, before its first step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from wavefield import matching
+from wavefield.matching import Modes, Prior
+from wavefield.measurement import elevation, flow
+from wavefield.measurement.floor import bead_width
+from wavefield.measurement.frame import usable
+from wavefield.measurement.instant import Images, images_of
+from wavefield.measurement.plan import Plan
+from wavefield.measurement.record import Record
+from wavefield.measurement.surface import PairMatch
+from wavefield.measurement.velocity import velocity
+from wavefield.variables import Quality
+
+Frames = Mapping[str, NDArray[Any] | None]
+Float = NDArray[Any]
+
+SAMPLES = 4  # steps of a record that are looked at
+_ROUNDS = 3  # of spectrum and field in turn
+_FREEDOM = 0.6  # fraction of the scores' noise that windows leave in them, about
+_NOISE = 0.1, 10.0  # factors on the noise that are believed
+
+
+def sample_steps(count: int, number: int = 0) -> list[int]:
+    """Steps of a record from which its spectra and noise are learned.
+
+    Parameters
+    ----------
+    count : int
+        Steps of the record.
+    number : int, default 0
+        Which set: others where the first cannot be measured.
+
+    Returns
+    -------
+    list of int
+        At most four, evenly over the record.
+
+    Examples
+    --------
+    >>> sample_steps(100), sample_steps(100, 1), sample_steps(2)
+    ([12, 37, 62, 87], [20, 45, 70, 95], [0, 1])
+    """
+    wanted = min(count, SAMPLES)
+    return [int((i + 0.5 + number / 3) * count / wanted) % count for i in range(wanted)]
+
+
+def learn(steps: Sequence[tuple[Frames, Frames]], plan: Plan) -> Record | None:
+    """Learn a record's beads, spectra and noise from sample frames.
+
+    Parameters
+    ----------
+    steps : sequence of (mapping, mapping)
+        First and second frame of some steps, per camera; None where absent. `sample_steps` says which.
+    plan : Plan
+        Rig, grid and settings.
+
+    Returns
+    -------
+    Record or None
+        For `Plan.knowing`; None if none of the frames can be measured.
+
+    Notes
+    -----
+    The first spectrum is that of windowed fields over the windows' gain; then fields and spectra follow from
+    each other (`better_prior`). The noise of the displacements is what makes the cameras' misfit what it
+    should be: the median of chi^2.
+    """
+    beads = _beads(steps, plan)
+    views = [tuple(images_of(frames, plan, beads) for frames in step) for step in steps]
+    height = _learn_elevation([view for step in views for view in step], plan)
+    moves = {name: _learn_displacement(name, views, plan) for name in plan.velocity_cameras}
+    known = {name: samples for name, samples in moves.items() if samples is not None}
+    if height is None or len(known) < 2:
+        return None
+    some = next(iter(known.values()))
+    priors = {name: known.get(name, some).prior for name in plan.velocity_cameras}
+    record = Record(tuple(beads.items()), height, tuple(priors.items()), (1.0, 1.0, 1.0))
+    for _ in range(2):
+        plan = plan.knowing(record)
+        noise, moved = _misfit(views, plan)
+        priors = {}
+        for name, prior in record.displacement:
+            prior = replace(prior, noise=float(np.clip(prior.noise * noise, *_NOISE)))
+            priors[name] = known[name].better(prior) if name in known else prior
+        record = replace(record, displacement=tuple(priors.items()), moved=moved)
+    return record
+
+
+def _beads(steps: Sequence[tuple[Frames, Frames]], plan: Plan) -> dict[str, float]:
+    """Median width of every camera's beads, raw px."""
+    out = {}
+    for name in plan.cameras:
+        images = [image for image in (first.get(name) for first, _ in steps) if image is not None]
+        widths = [bead_width(image) for image in images if usable(image, plan.rig[name].size)]
+        out[name] = float(np.median(widths)) if widths else 0.0
+    return out
+
+
+def _learn_elevation(views: Sequence[Images], plan: Plan) -> Prior | None:
+    samples = []
+    for view in views:
+        found = elevation.look_at_pairs(view.flat, plan)
+        if found is not None:
+            samples.append(_Height(*found, view.flat, plan.pixel))
+    return _Samples.of(samples, plan.settings.stereo).prior if samples else None
+
+
+def _learn_displacement(name: str, views: Sequence[tuple[Images, ...]], plan: Plan) -> _Samples | None:
+    samples: list[_Sample] = []
+    for first, second in views:
+        if name in first.raw and name in second.raw:
+            one, other = first.raw[name], second.raw[name]
+            samples.append(_Shift(matching.match(one, other, plan.settings.piv), one, other))
+    if not samples or not any(sample.information > 0 for sample in samples):
+        return None
+    return _Samples.of(samples, plan.settings.piv)
+
+
+class _Sample:
+    """One field: as windows have it, and as a prior makes it."""
+
+    field: Float
+    information: float
+
+    def estimate(self, modes: Modes) -> elevation.Estimate | flow.Estimate:
+        """The most probable field."""
+        raise NotImplementedError
+
+
+class _Height(_Sample):
+    def __init__(
+        self,
+        blocks: elevation.Blocks,
+        matches: Sequence[PairMatch],
+        prepared: Mapping[str, matching.Prepared],
+        pixel: float,
+    ) -> None:
+        self._parts = blocks, matches, prepared, pixel
+        self.field = blocks.whole
+        self.information = elevation.first_information(blocks, matches, pixel, _FREEDOM)
+
+    def estimate(self, modes: Modes) -> elevation.Estimate:
+        blocks, matches, prepared, pixel = self._parts
+        return elevation.most_probable(blocks, matches, prepared, modes, pixel)
+
+
+class _Shift(_Sample):
+    def __init__(
+        self, found: matching.Displacement, one: matching.Prepared, other: matching.Prepared
+    ) -> None:
+        self._parts = found, one, other
+        self.field = flow.whole(found)
+        counts = found.valid.astype(np.float32)
+        trace = found.hessian[0] + found.hessian[2]
+        nu = matching.noise_of_scores(found.score, trace, counts, _FREEDOM)
+        self.information = 0.5 * float((trace * counts / nu).mean())
+
+    def estimate(self, modes: Modes) -> flow.Estimate:
+        return flow.most_probable(*self._parts, modes)
+
+
+@dataclass
+class _Samples:
+    """Fields of one kind, and the prior that they share."""
+
+    samples: Sequence[_Sample]
+    prior: Prior
+
+    @classmethod
+    def of(cls, samples: Sequence[_Sample], settings: matching.Settings) -> _Samples:
+        shape = samples[0].field.shape[-2:]
+        kx, ky = (np.pi * np.arange(n) / n for n in shape[::-1])
+        window = matching.transfer_function(settings, kx, ky[:, None]).clip(0, 1)
+        fields = [s.field - matching.edge_slopes(s.field) for s in samples]
+        typical = float(np.mean([s.information for s in samples]))
+        out = cls(samples, matching.first_prior(fields, window, typical))
+        for _ in range(_ROUNDS):
+            out.prior = out.better(out.prior)
+        return out
+
+    def better(self, prior: Prior) -> Prior:
+        """The prior that follows from the fields that this one gives."""
+        modes = Modes(prior, self.samples[0].field.shape[-2:])
+        found = [sample.estimate(modes) for sample in self.samples]
+        information = float(np.mean([f.information.mean() for f in found]))
+        waves = [f.waves - f.mean for f in found]
+        return matching.better_prior(prior, modes.k, modes.foot, waves, information)
+
+
+def _misfit(views: Sequence[tuple[Images, ...]], plan: Plan) -> tuple[float, tuple[float, float, float]]:
+    """Noise over what is thought, from the cameras' misfit, and the water's motion per step, metres."""
+    misfits, moved = [], []
+    for first, second in views:
+        one, other = (elevation.surface(view.flat, plan) for view in (first, second))
+        if one is None or other is None:
+            continue
+        flows = flow.flows(first.raw, second.raw, plan)
+        motion = velocity((None, flows, None), np.float32(0.5) * (one.z + other.z), plan)
+        if motion is None:
+            continue
+        freedom = 2 * len(flows) - 3
+        good = np.isfinite(motion.misfit) & ((motion.quality & Quality.FILLED) == 0)
+        if good.any():
+            misfits.append(float(np.median(motion.misfit[good])) / (chi2.median(freedom) / freedom))
+            moved.append([float(np.std(d[good])) for d in motion.d])
+    if not misfits:
+        return 1.0, (1.0, 1.0, 1.0)
+    x, y, z = np.sqrt(np.mean(np.square(moved), axis=0))
+    return float(np.median(misfits)), (float(x), float(y), float(z))

@@ -1,0 +1,70 @@
+"""What sample frames of a whole record say, once per run: kept in the recipe, so that every step is alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from wavefield.matching import Prior
+
+
+@dataclass(frozen=True)
+class Record:
+    """Beads, spectra and noise of a record, from sample frames (`learn`).
+
+    Parameters
+    ----------
+    beads : tuple of (str, float)
+        Width of the beads' images per camera, raw px; 0 where a camera sees a texture.
+    elevation : Prior
+        Of z on the rectified lattice, metres.
+    displacement : tuple of (str, Prior)
+        Of each velocity camera's displacement from frame to frame, px of the binned image.
+    moved : (float, float, float)
+        Standard deviation of dx, dy, dz of the water from frame to frame, metres.
+    """
+
+    beads: tuple[tuple[str, float], ...]
+    elevation: Prior
+    displacement: tuple[tuple[str, Prior], ...]
+    moved: tuple[float, float, float]
+
+    def width(self, camera: str) -> float:
+        """Width of a camera's beads, raw px."""
+        return dict(self.beads)[camera]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for a recipe.
+
+        Returns
+        -------
+        dict
+        """
+        return {
+            "beads": dict(self.beads),
+            "elevation": self.elevation.to_dict(),
+            "displacement": {name: prior.to_dict() for name, prior in self.displacement},
+            "moved": list(self.moved),
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Record:
+        """Inverse of `to_dict`.
+
+        Parameters
+        ----------
+        data : mapping
+            As given by `to_dict`.
+
+        Returns
+        -------
+        Record
+        """
+        x, y, z = map(float, data["moved"])
+        return cls(
+            tuple((str(name), float(width)) for name, width in data["beads"].items()),
+            Prior.from_dict(data["elevation"]),
+            tuple((str(name), Prior.from_dict(p)) for name, p in data["displacement"].items()),
+            (x, y, z),
+        )
