@@ -5,7 +5,7 @@ import pytest
 from measurement_cases import Series
 
 from wavefield.grid import Grid
-from wavefield.measurement import Plan
+from wavefield.measurement import Plan, learn
 from wavefield.tank import Scene, Tank
 
 
@@ -32,4 +32,8 @@ def series() -> Series:
 
 @pytest.fixture(scope="session")
 def plan(series: Series) -> Plan:
-    return Plan(series.rig, series.grid)
+    plan = Plan(series.rig, series.grid)
+    steps = [tuple({n: f[k + i] for n, f in series.frames.items()} for i in (0, 1)) for k in range(4)]
+    record = learn(steps, plan)
+    assert record is not None
+    return plan.knowing(record)

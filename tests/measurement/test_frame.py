@@ -43,7 +43,7 @@ def test_the_order_of_brightness_is_kept_and_pixels_are_binned_after() -> None:
     image = np.rint(beads(np.random.default_rng(3))).astype(np.uint8)
     out = even_out(image)
     assert (np.diff(out.ravel()[np.argsort(image, axis=None)].astype(int)) >= 0).all()
-    small = ready(image, 2).astype(float)
+    small = ready(image, 2, width=0.0).astype(float)
     np.testing.assert_allclose(small, out.reshape(80, 2, 100, 2).mean((1, 3)), atol=0.6)
 
 

@@ -1,10 +1,12 @@
+import json
+
 import cv2
 import numpy as np
 import pytest
 from measurement_cases import PIXEL, RATE
 
 from wavefield.grid import Grid
-from wavefield.measurement import Plan, Settings, measure
+from wavefield.measurement import Plan, Record, Settings, measure
 from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, Quality
 
 
@@ -27,10 +29,10 @@ def test_surface_and_velocity_are_those_of_the_water(series, cube):
         error = {
             name: (cube[name][step] - truth[name])[series.inside] / PIXEL for name in ("z", "u", "v", "w")
         }
-        assert rms(error["z"]) < 0.06
-        assert rms(error["u"]) / RATE < 0.06
-        assert rms(error["v"]) / RATE < 0.06
-        assert rms(error["w"]) / RATE < 0.09
+        assert rms(error["z"]) < 0.04
+        assert rms(error["u"]) / RATE < 0.02
+        assert rms(error["v"]) / RATE < 0.02
+        assert rms(error["w"]) / RATE < 0.03
         assert rms((cube["z_t"][step] - truth["z_t"])[series.inside]) / PIXEL / RATE < 0.08
 
 
@@ -49,11 +51,18 @@ def test_uncertainties_tell_the_truth(series, cube):
         assert 0.4 < share < 0.95, name
 
 
+def test_a_record_survives_as_plain_data_and_learning_from_the_frames_at_hand_serves(series, plan, cube):
+    again = Record.from_dict(json.loads(json.dumps(plan.record.to_dict())))
+    assert again == plan.record
+    alone = measure(series.frames, Plan(series.rig, series.grid), RATE)
+    assert rms((alone["u"] - cube["u"])[:, series.inside]) < 0.01 * PIXEL * RATE
+
+
 def test_water_rises_as_its_velocity_says(series, cube):
     z_y, z_x = np.gradient(cube["z"], series.grid.step, axis=(1, 2))
     carried = cube["u"] * z_x + cube["v"] * z_y
     residual = cube["z_t"] - cube["w"] + carried
-    assert rms(residual[:, series.inside]) < 0.5 * rms(carried[:, series.inside])
+    assert rms(residual[:, series.inside]) < 0.25 * rms(carried[:, series.inside])
 
 
 def test_a_step_is_the_same_to_the_bit_in_any_block(series, plan, cube):
@@ -74,17 +83,17 @@ def test_the_number_of_threads_changes_no_bit(series, plan, cube):
     same(again, {name: field[:1] for name, field in cube.items()})
 
 
-def test_without_a_neighbour_the_mean_of_two_frames_serves_and_is_marked(series, plan, cube):
+def test_without_a_neighbour_a_parabola_serves_and_is_marked(series, plan, cube):
     frames = series.without(*((name, 0) for name in series.rig))
     out = measure(frames, plan, RATE)
     seen = np.isfinite(out["z"][0])
     assert (out["quality"][0] & Quality.TWO_FRAME_MEAN).all()
     assert not (out["quality"][1:] & Quality.TWO_FRAME_MEAN).any()
     assert out["frame_status"][0] == FrameStatus.DONE
-    np.testing.assert_array_equal(out["z_t"], cube["z_t"])
-    # the mean is off by z_tt dt^2 / 8, which its uncertainty must know
+    np.testing.assert_array_equal(out["z_t"][1:], cube["z_t"][1:])
+    # a parabola is off by z_ttt dt^3 / 16, which its uncertainty must know
     error = np.abs(out["z"][0] - series.truth[0]["z"])[series.inside & seen]
-    assert rms(error) > 1.5 * rms((cube["z"][0] - series.truth[0]["z"])[series.inside])
+    assert 0.2 * PIXEL > rms(error) > rms((cube["z"][0] - series.truth[0]["z"])[series.inside])
     assert (error < 3 * out["z_std"][0][series.inside & seen]).mean() > 0.9
 
 

@@ -69,8 +69,8 @@ def learn_from(pairs: Sequence[Mapping[str, Source]], plan: Any) -> dict[str, An
     """
     from wavefield.measurement import learn
 
-    steps = [
-        tuple({name: source.read(k).image for name, source in pair.items()} for k in (0, 1)) for pair in pairs
-    ]
-    record = learn(steps, plan)
+    def frames(pair: Mapping[str, Source], k: int) -> dict[str, Any]:
+        return {name: source.read(k).image for name, source in pair.items()}
+
+    record = learn([(frames(pair, 0), frames(pair, 1)) for pair in pairs], plan)
     return {} if record is None else record.to_dict()

@@ -67,10 +67,10 @@ def noise_of_scores(score: Float, trace: Float, counts: Float, freedom: float) -
     square *= full
     expected = _clusters(trace * counts) * full
     total = float(square.sum(dtype=np.float64)) / max(float(expected.sum(dtype=np.float64)), 1e-30)
-    few = F(max(0.2 * float(expected.mean()), 1e-30))
-    out = _around(square) + few * F(max(total, 1e-30))
+    few = F(max(0.2 * float(expected.mean()), 1e-20))
+    out = _around(square) + few * F(total)
     out /= (_around(expected) + few) * F(freedom)
-    return out
+    return np.maximum(out, F(1e-12))
 
 
 def _clusters(field: Float) -> Float:
@@ -94,7 +94,8 @@ def cosines(n: int, count: int) -> NDArray[np.float64]:
     -------
     ndarray, (count, n)
     """
-    out = np.cos(np.pi * np.arange(count)[:, None] * (np.arange(n) + 0.5) / n) * np.sqrt(2.0 / n)
+    phase = np.pi * np.arange(count)[:, None] * (np.arange(n) + 0.5) / n
+    out: NDArray[np.float64] = np.cos(phase) * np.sqrt(2.0 / n)
     out[0] /= np.sqrt(2.0)
     return out
 
@@ -159,11 +160,13 @@ class Modes:
 
     def waves(self, field: Float) -> Float:
         """Coefficients (c, my, mx) of a field (c, ny, nx)."""
-        return np.matmul(np.matmul(self._rows, field), self._columns_t)
+        out: Float = np.matmul(np.matmul(self._rows, field), self._columns_t)
+        return out
 
     def field(self, waves: Float) -> Float:
         """Field (c, ny, nx) of coefficients (c, my, mx)."""
-        return np.matmul(np.matmul(self._rows_t, waves), self._columns)
+        out: Float = np.matmul(np.matmul(self._rows_t, waves), self._columns)
+        return out
 
     def seen(self, waves: Float) -> Float:
         """Field as blocks see it, (c, ny, nx): with their footprint over it."""
@@ -304,7 +307,8 @@ def _freedom(gain: Float) -> float:
 
 def _box(n: int) -> NDArray[np.float64]:
     m = np.arange(1, _CLUSTER // 2 + 1)[:, None]
-    return 1.0 + 2.0 * np.cos(m * np.pi * np.arange(n) / n).sum(axis=0)
+    out: NDArray[np.float64] = 1.0 + 2.0 * np.cos(m * np.pi * np.arange(n) / n).sum(axis=0)
+    return out
 
 
 class _Edge:
@@ -324,17 +328,20 @@ class _Edge:
         near, (ny, nx) = self.near, field.shape[-2:]
         low = field[..., :near] @ self.slope @ self.smooth_y
         high = field[..., nx - near :] @ self.slope @ self.smooth_y
-        out = high[..., None] * self.grow_x - low[..., None] * self.grow_x[::-1]
+        out: Float = high[..., None] * self.grow_x - low[..., None] * self.grow_x[::-1]
         first, last = field[:, :near] - out[:, :near], field[:, ny - near :] - out[:, ny - near :]
         low = np.einsum("cyx,y->cx", first, self.slope) @ self.smooth_x
         high = np.einsum("cyx,y->cx", last, self.slope) @ self.smooth_x
-        return out + high[:, None] * self.grow_y[:, None] - low[:, None] * self.grow_y[::-1, None]
+        out += high[:, None] * self.grow_y[:, None]
+        out -= low[:, None] * self.grow_y[::-1, None]
+        return out
 
 
 def _smoother(n: int) -> Float:
     modes = cosines(n, n)
     gain = np.exp(-0.5 * np.square(_ALONG * np.pi * np.arange(n) / n))
-    return ((modes.T * gain) @ modes).astype(np.float32)
+    out: Float = ((modes.T * gain) @ modes).astype(np.float32)
+    return out
 
 
 def edge_slopes(field: Float) -> Float:

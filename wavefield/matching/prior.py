@@ -60,7 +60,8 @@ class Prior:
         ndarray of float64
             In the field's unit squared.
         """
-        return np.exp(np.interp(k, self.k, np.log(self.power)))
+        out: NDArray[np.float64] = np.exp(np.interp(k, self.k, np.log(self.power)))
+        return out
 
     def gain(self, k: NDArray[Any]) -> NDArray[np.float64]:
         """How much of a wave the most probable field keeps.
@@ -224,4 +225,5 @@ def _continued(
 
 
 def _waves(field: Float) -> NDArray[Any]:
-    return scipy.fft.dctn(np.asarray(field, np.float64), axes=(-2, -1), norm="ortho", workers=1)
+    out: NDArray[Any] = scipy.fft.dctn(np.asarray(field, np.float64), axes=(-2, -1), norm="ortho", workers=1)
+    return out

@@ -123,8 +123,9 @@ def _even(gain: Float) -> Float:
 def _around(gain: Float) -> Float:
     """Response of the squared impulse response of a filter, made to have the sum 1."""
     impulse = np.fft.ifft2(_even(gain)).real
-    out = np.fft.fft2(impulse * impulse).real[: gain.shape[0], : gain.shape[1]]
-    return out / out[0, 0]
+    out: Float = np.fft.fft2(impulse * impulse).real[: gain.shape[0], : gain.shape[1]]
+    out /= out[0, 0]
+    return out
 
 
 def hole_variance(spectrum: Float, noise: float) -> Float:
@@ -149,7 +150,8 @@ def hole_variance(spectrum: Float, noise: float) -> Float:
     curve = CubicSpline(np.concatenate([-r[:0:-1], r]), np.concatenate([along[:0:-1], along]))
 
     def between(p: Float, q: Float) -> Float:
-        return curve(np.minimum(np.hypot(*np.moveaxis(p[:, None] - q, -1, 0)), r[-1]))
+        out: Float = curve(np.minimum(np.hypot(*np.moveaxis(p[:, None] - q, -1, 0)), r[-1]))
+        return out
 
     out = np.zeros((len(_RADII), len(_DEPTHS)))
     for i, radius in enumerate(_RADII):

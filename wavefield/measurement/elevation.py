@@ -224,7 +224,9 @@ class _Look:
     def score(self, z: Float) -> Float:
         """Score at an elevation (ny, nx) near to where the images were looked at."""
         s = self.found.score
-        return -(self.D[0] * s[0] + self.D[1] * s[1]) * self.counts + self.hessian * (self.here - z)
+        out: Float = self.hessian * (self.here - z)
+        out -= (self.D[0] * s[0] + self.D[1] * s[1]) * self.counts
+        return out
 
 
 def surface(prepared: Mapping[str, matching.Prepared], plan: Plan) -> Surface | None:

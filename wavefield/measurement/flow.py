@@ -43,7 +43,7 @@ class Flow:
     @cached_property
     def valid(self) -> NDArray[np.bool_]:
         """(ny, nx): blocks that were measured."""
-        return self.rejected == 0
+        return np.asarray(self.rejected == 0)
 
 
 Flows = Mapping[str, Flow]

@@ -57,8 +57,9 @@ def gain_of_elevation(plan: Plan, kx: Float, ky: Float) -> Float:
     """
     assert plan.record is not None
     step = BLOCK * plan.pixel
-    gain = _between_blocks(plan.record.elevation, kx * step, ky * step)
-    return gain / (1.0 + plan.settings.smoothing * (np.square(kx * step) + np.square(ky * step)) ** 2)
+    gain: Float = _between_blocks(plan.record.elevation, kx * step, ky * step)
+    gain /= 1.0 + plan.settings.smoothing * (np.square(kx * step) + np.square(ky * step)) ** 2
+    return gain
 
 
 def gain_of_velocity(plan: Plan, kx: Float, ky: Float) -> Float:

@@ -113,10 +113,10 @@ def left_out_of_z(surfaces: Surfaces, z: Float, squared: float, inside: Mask) ->
     assert second is not None
     if before is not None and after is not None:
         correction = z - F(0.5) * (first.z + second.z)
-        return 0.1875 * squared * typical(correction, inside)
+        return np.asarray(0.1875 * squared * typical(correction, inside))
     if before is not None or after is not None:
-        return 0.0625 * squared**1.5 * typical(z, inside)
-    return 0.125 * squared * typical(z, inside)
+        return np.asarray(0.0625 * squared**1.5 * typical(z, inside))
+    return np.asarray(0.125 * squared * typical(z, inside))
 
 
 def left_out_of_displacement(squared: float, chord: Mask) -> Float:

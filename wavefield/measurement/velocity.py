@@ -128,7 +128,7 @@ def _look(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], 
 def _along_path(
     path: Sequence[Flow | None], sight: Sight, X: NDArray[Any], Y: NDArray[Any]
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
-    """Displacement per step of one camera at given pixels, blocks read, variance by noise, what is missing."""
+    """Displacement per step of one camera at given pixels, blocks read, noise, what is missing."""
     here = path[1]
     assert here is not None
     splines = [None if f is None else f.spline for f in path]

@@ -1,0 +1,144 @@
+"""The most probable field: against a dense solve, with a gap, with a slope at the edge; noise, spectrum."""
+
+import numpy as np
+import pytest
+import scipy.fft
+
+from wavefield.matching import (
+    Modes,
+    Prior,
+    Spread,
+    better_prior,
+    edge_slopes,
+    first_prior,
+    noise_of_scores,
+)
+from wavefield.matching.posterior import cosines
+
+K = tuple(np.linspace(0.04, 3.1, 40))
+
+
+def prior_of(power, information=1.0):
+    return Prior(K, tuple(float(power(k)) for k in K), information)
+
+
+def sea(shape, power, rng, count=1):
+    """Fields (count, ny, nx) whose cosines have a spectrum."""
+    ky, kx = (np.pi * np.arange(n) / n for n in shape)
+    k = np.hypot(kx, ky[:, None])
+    waves = rng.standard_normal((count, *shape)) * np.sqrt(power(np.maximum(k, 0.02)))
+    return scipy.fft.idctn(waves, axes=(1, 2), norm="ortho")
+
+
+def steep_law(k):
+    return 3.0 * (k / 0.2) ** -5 / (1 + (0.1 / k) ** 6)
+
+
+@pytest.mark.parametrize("fields", [1, 2])
+def test_the_solver_agrees_with_a_dense_solve(fields):
+    rng = np.random.default_rng(1)
+    shape = (14, 17)
+    modes = Modes(prior_of(lambda k: 0.5 * k**-2), shape)
+    my, mx = modes.shape
+    basis = np.einsum("my,nx->mnyx", cosines(shape[0], my), cosines(shape[1], mx)).reshape(my * mx, -1)
+    F, size = modes.foot.ravel().astype(float), my * mx
+    seen = (basis * F[:, None]).T
+    a = rng.uniform(0.2, 2.0, (1 if fields == 1 else 3, *shape)).astype(np.float32)
+    if fields == 2:
+        a[1] *= 0.2
+    a[:, 4:9, 5:11] = 0  # a gap
+    right = rng.standard_normal((fields, *shape)).astype(np.float32) * (a[0] > 0)
+    mean = rng.standard_normal((fields, my, mx)).astype(np.float32)
+    parts = [[0]] if fields == 1 else [[0, 1], [1, 2]]
+    dense = np.block([[seen.T @ (a[q].ravel()[:, None] * seen) for q in row] for row in parts])
+    inverse = np.tile(modes.inverse.ravel().astype(float), fields)
+    dense += np.diag(inverse)
+    b = np.concatenate([seen.T @ f.ravel() for f in right]) + inverse * mean.ravel()
+    exact = np.linalg.solve(dense, b).reshape(fields, my, mx)
+    start = np.zeros((fields, my, mx), np.float32)
+    factor = modes.factor(a[0] if fields == 1 else 0.5 * (a[0] + a[2]))
+    found = modes.solve(a, right, start, 1e-7, mean, factor)
+    assert np.abs(found - exact).max() < 3e-6 * np.abs(exact).max()
+    assert size == exact[0].size
+
+
+def test_a_gap_is_filled_as_well_as_its_uncertainty_says_and_better_than_by_nothing():
+    rng = np.random.default_rng(2)
+    shape, noise = (60, 70), 0.05
+    prior = prior_of(steep_law, information=1 / noise**2)
+    modes, spread = Modes(prior, shape), Spread(prior, shape)
+    known = np.ones(shape, np.float32)
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    hole = np.hypot(y - 30, x - 35) < 5
+    known[hole] = 0
+    a = known / noise**2
+    errors, stds = [], []
+    for truth in sea(shape, steep_law, rng, 12):
+        said = modes.seen(modes.waves(truth[None].astype(np.float32)))
+        said = said + noise * rng.standard_normal(shape).astype(np.float32)
+        start = modes.waves(known * said)
+        waves = modes.solve(a[None], a * said, start, 1e-3, 0 * start, modes.factor(a))
+        errors.append(modes.field(waves)[0] - truth)
+        stds.append(np.sqrt(sum(spread(a))))
+    error, std = np.array(errors), np.array(stds)
+    assert np.abs(error[:, hole]).mean() < 0.5 * np.std(truth)
+    inside = np.abs(error) < std
+    assert 0.55 < inside[:, hole].mean() < 0.95
+    assert 0.6 < inside[:, 8:-8, 8:20].mean() < 0.76
+
+
+def test_a_slope_at_the_edge_is_kept():
+    shape, noise = (50, 60), 0.1
+    prior = prior_of(steep_law, information=1 / noise**2)
+    modes = Modes(prior, shape)
+    x = np.broadcast_to(np.arange(shape[1], dtype=np.float32), shape)
+    truth = (0.2 * x - 6.0)[None]
+    a = np.full(shape, 1 / noise**2, np.float32)
+    factor = modes.factor(a)
+    left = []
+    for mean in (modes.mean(truth), 0 * modes.mean(truth)):
+        found = modes.field(modes.solve(a[None], a * truth, modes.waves(truth), 1e-3, mean, factor))
+        left.append(np.abs(found - truth)[:, :, :2].max())
+    assert left[0] < 0.3 * left[1]
+    slope = np.gradient(edge_slopes(truth)[0], axis=1)
+    assert slope[25, 2] == pytest.approx(0.2, rel=0.4)
+
+
+def test_the_noise_of_scores_is_found_where_it_is():
+    rng = np.random.default_rng(3)
+    shape = (80, 100)
+    trace = rng.uniform(0.5, 1.5, shape).astype(np.float32)
+    nu = np.where(np.arange(shape[1]) < 50, 0.5, 2.0)
+    # of each of two components half the trace
+    score = rng.standard_normal((2, *shape)) * np.sqrt(0.5 * nu * trace)
+    counts = np.ones(shape, np.float32)
+    counts[30:40, 20:30] = 0
+    found = noise_of_scores(score.astype(np.float32), trace, counts, 1.0)
+    assert np.median(found[:, :35]) == pytest.approx(0.5, rel=0.3)
+    assert np.median(found[:, 65:]) == pytest.approx(2.0, rel=0.2)
+
+
+def test_field_and_spectrum_follow_from_each_other():
+    rng = np.random.default_rng(4)
+    shape, noise = (64, 72), 0.1
+    fields = sea(shape, steep_law, rng, 6).astype(np.float32)
+    a = np.full(shape, 1 / noise**2, np.float32)
+    prior = first_prior([f[None] for f in fields], np.ones(shape), 1 / noise**2)
+    # a first guess that is five times off
+    prior = Prior(prior.k, tuple(5.0 * p for p in prior.power), prior.information)
+    exact = Modes(prior_of(steep_law, 1 / noise**2), shape)
+    said = exact.seen(exact.waves(fields)) + noise * rng.standard_normal(fields.shape).astype(np.float32)
+    for _ in range(3):
+        modes = Modes(prior, shape)
+        waves = [
+            modes.solve(
+                a[None], a * f[None], modes.waves(f[None]), 1e-3, 0 * modes.inverse[None], modes.factor(a)
+            )
+            for f in said
+        ]
+        prior = better_prior(prior, modes.k, modes.foot, waves, 1 / noise**2)
+    k = np.array(prior.k[2:14])
+    ratio = prior.spectrum(k) / steep_law(k)
+    assert np.abs(np.log(ratio)).max() < np.log(1.5)
+    again = Prior.from_dict(prior.to_dict())
+    assert again == prior
