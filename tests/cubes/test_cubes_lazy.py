@@ -1,5 +1,7 @@
 """`reconstruct`: lazy, few tasks, the same values as the run."""
 
+import json
+
 import dask
 import numpy as np
 import pytest
@@ -93,12 +95,16 @@ def test_a_store_says_how_large_a_pixel_is(reference, rig, grid):
     assert wf.open_cube(reference).attrs["pixel_size"] == pytest.approx(pixel_seen(rig, grid), rel=1e-4)
 
 
+def record_of(reference):
+    return json.loads(wf.open_cube(reference).attrs["recipe"])["record"]
+
+
 def test_chunked_and_plain_arrays_give_the_same(tank, frames, rig, grid, reference):
     chunked = xr.open_datatree(tank, engine="wavefield", chunks={}).isel(time=slice(0, 6))
     arrays = {name: frames[name].image.isel(time=slice(0, 6)).load() for name in frames.children}
     flat = xr.open_dataset(tank, engine="wavefield").isel(time=slice(0, 6))
     for some in (chunked, arrays, flat):
-        cube = reconstruct(some, rig, grid).compute(scheduler="sync")
+        cube = reconstruct(some, rig, grid, record=record_of(reference)).compute(scheduler="sync")
         # the last step of a record has no neighbour after it
         assert different(cube.isel(time=slice(0, 4)), wf.open_cube(reference).isel(time=slice(0, 4))) == []
         assert (cube.quality[4].values & Quality.TWO_FRAME_MEAN).all()
@@ -107,7 +113,7 @@ def test_chunked_and_plain_arrays_give_the_same(tank, frames, rig, grid, referen
 def test_blank_frames_are_faults_of_their_steps_only(frames, rig, grid, reference):
     images = {name: frames[name].image.isel(time=slice(0, 9)).load() for name in frames.children}
     images["cam1"][5] = 0
-    cube = reconstruct(images, rig, grid).compute(scheduler="sync")
+    cube = reconstruct(images, rig, grid, record=record_of(reference)).compute(scheduler="sync")
     faulty = [4, 5]
     assert list(np.flatnonzero(cube.frame_status != FrameStatus.DONE)) == faulty
     untouched = slice(0, 3)  # step 3 has the blank frame as a neighbour

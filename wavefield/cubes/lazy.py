@@ -86,6 +86,7 @@ def reconstruct(
     settings: Any = None,
     *,
     steps_per_task: int = STEPS_PER_TASK,
+    record: Mapping[str, Any] | None = None,
 ) -> xr.Dataset:
     """Turn image series into a lazy cube of elevation and velocity.
 
@@ -108,6 +109,9 @@ def reconstruct(
         Choices of the measurement.
     steps_per_task : int
         Steps that one task measures; it does not change the values.
+    record : mapping, optional
+        What is known of the whole record, ``json.loads(cube.attrs["recipe"])["record"]`` of an earlier cube:
+        then a few of its steps come out as they are there. Otherwise it is learned from these frames.
 
     Returns
     -------
@@ -135,12 +139,12 @@ def reconstruct(
     steps = len(times) - 1
     edges = [(i, min(i + steps_per_task, steps)) for i in range(0, steps, steps_per_task)]
     token = uuid.uuid4().hex
-    learned = dask.delayed(learn_from, pure=False, traverse=True)(
-        samples(sources, steps), plan, dask_key_name=f"learn-{token}"
+    known = dask.delayed(_known, pure=False, traverse=True)(
+        samples(sources, steps), plan, record, dask_key_name=f"learn-{token}"
     )
     measure = dask.delayed(_measure, pure=False, traverse=True)
     tasks = [
-        measure(make_block(sources, *edge), plan, learned, frame_rate, dask_key_name=f"measure-{token}-{k}")
+        measure(make_block(sources, *edge), known, frame_rate, dask_key_name=f"measure-{token}-{k}")
         for k, edge in enumerate(edges)
     ]
     variables = {
@@ -158,11 +162,15 @@ def reconstruct(
     return annotate(out)
 
 
-def _measure(block: Block, plan: Any, learned: Mapping[str, Any], frame_rate: float) -> dict[str, np.ndarray]:
+def _known(pairs: Sequence[Mapping[str, Any]], plan: Any, record: Mapping[str, Any] | None) -> Any:
+    """The plan with what is known of the record."""
     from wavefield.measurement import Record
 
-    if learned:
-        plan = plan.knowing(Record.from_dict(learned))
+    learned = learn_from(pairs, plan) if record is None else record
+    return plan.knowing(Record.from_dict(learned)) if learned else plan
+
+
+def _measure(block: Block, plan: Any, frame_rate: float) -> dict[str, np.ndarray]:
     measured = measure_block(block, plan, frame_rate)
     return {**measured.fields, "frame_status": measured.frame_status}
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.matching.one_thread import one_thread
 from wavefield.measurement import surface as stereo
 from wavefield.measurement.elevation import surface, windowed
 from wavefield.measurement.flow import flows
@@ -170,6 +171,7 @@ def rms_within(values: NDArray) -> tuple[float, float]:
     return float(np.sqrt(np.mean(np.square(values[~large])))), float(large.mean())
 
 
+@one_thread()
 def diagnose(
     frames: Mapping[str, Sequence[NDArray | None]], plan: Plan, pixel: float | None = None
 ) -> Diagnosis:

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from wavefield import matching
 from wavefield.matching import Modes, Prior
+from wavefield.matching.one_thread import one_thread
 from wavefield.measurement import elevation, flow
 from wavefield.measurement.floor import bead_width
 from wavefield.measurement.frame import usable
@@ -26,7 +27,7 @@ Frames = Mapping[str, NDArray[Any] | None]
 Float = NDArray[Any]
 
 SAMPLES = 4  # steps of a record that are looked at
-_ROUNDS = 3  # of spectrum and field in turn
+_ROUNDS = 2  # of spectrum and field in turn
 _FREEDOM = 0.6  # fraction of the scores' noise that windows leave in them, about
 _NOISE = 0.1, 10.0  # factors on the noise that are believed
 
@@ -55,6 +56,7 @@ def sample_steps(count: int, number: int = 0) -> list[int]:
     return [int((i + 0.5 + number / 3) * count / wanted) % count for i in range(wanted)]
 
 
+@one_thread()
 def learn(steps: Sequence[tuple[Frames, Frames]], plan: Plan) -> Record | None:
     """Learn a record's beads, spectra and noise from sample frames.
 
@@ -77,8 +79,8 @@ def learn(steps: Sequence[tuple[Frames, Frames]], plan: Plan) -> Record | None:
     should be: the median of chi^2.
     """
     beads = _beads(steps, plan)
-    views = [tuple(images_of(frames, plan, beads) for frames in step) for step in steps]
-    height = _learn_elevation([view for step in views for view in step], plan)
+    views = [(images_of(one, plan, beads), images_of(other, plan, beads)) for one, other in steps]
+    height = _learn_elevation([first for first, _ in views], plan)
     moves = {name: _learn_displacement(name, views, plan) for name in plan.velocity_cameras}
     known = {name: samples for name, samples in moves.items() if samples is not None}
     if height is None or len(known) < 2:
@@ -86,9 +88,12 @@ def learn(steps: Sequence[tuple[Frames, Frames]], plan: Plan) -> Record | None:
     some = next(iter(known.values()))
     priors = {name: known.get(name, some).prior for name in plan.velocity_cameras}
     record = Record(tuple(beads.items()), height, tuple(priors.items()), (1.0, 1.0, 1.0))
-    for _ in range(2):
-        plan = plan.knowing(record)
-        noise, moved = _misfit(views, plan)
+    plan = plan.knowing(record)
+    heights = [_at_mid_time(step, plan) for step in views]
+    for number in range(2):
+        if number:
+            plan = plan.knowing(record)
+        noise, moved = _misfit(views, heights, plan)
         priors = {}
         for name, prior in record.displacement:
             prior = replace(prior, noise=float(np.clip(prior.noise * noise, *_NOISE)))
@@ -116,7 +121,7 @@ def _learn_elevation(views: Sequence[Images], plan: Plan) -> Prior | None:
     return _Samples.of(samples, plan.settings.stereo).prior if samples else None
 
 
-def _learn_displacement(name: str, views: Sequence[tuple[Images, ...]], plan: Plan) -> _Samples | None:
+def _learn_displacement(name: str, views: Sequence[tuple[Images, Images]], plan: Plan) -> _Samples | None:
     samples: list[_Sample] = []
     for first, second in views:
         if name in first.raw and name in second.raw:
@@ -198,15 +203,22 @@ class _Samples:
         return matching.better_prior(prior, modes.k, modes.foot, waves, information)
 
 
-def _misfit(views: Sequence[tuple[Images, ...]], plan: Plan) -> tuple[float, tuple[float, float, float]]:
+def _at_mid_time(step: tuple[Images, Images], plan: Plan) -> Float | None:
+    """Elevation at the nodes half-way between two frames, metres."""
+    one, other = (elevation.surface(view.flat, plan) for view in step)
+    return None if one is None or other is None else np.float32(0.5) * (one.z + other.z)
+
+
+def _misfit(
+    views: Sequence[tuple[Images, Images]], heights: Sequence[Float | None], plan: Plan
+) -> tuple[float, tuple[float, float, float]]:
     """Noise over what is thought, from the cameras' misfit, and the water's motion per step, metres."""
     misfits, moved = [], []
-    for first, second in views:
-        one, other = (elevation.surface(view.flat, plan) for view in (first, second))
-        if one is None or other is None:
+    for (first, second), z in zip(views, heights, strict=True):
+        if z is None:
             continue
         flows = flow.flows(first.raw, second.raw, plan)
-        motion = velocity((None, flows, None), np.float32(0.5) * (one.z + other.z), plan)
+        motion = velocity((None, flows, None), z, plan)
         if motion is None:
             continue
         freedom = 2 * len(flows) - 3

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.matching.one_thread import one_thread
 from wavefield.measurement.flow import Flows, flows
 from wavefield.measurement.instant import Instant, look
 from wavefield.measurement.learn import learn, sample_steps
@@ -24,6 +25,7 @@ from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, Quality
 Frames = Mapping[str, Sequence[NDArray | None]]
 
 
+@one_thread()
 def measure(frames: Frames, plan: Plan, frame_rate: float) -> dict[str, NDArray]:
     """Turn a block of frames into a block of the cube.
 

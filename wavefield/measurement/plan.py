@@ -18,6 +18,7 @@ from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.matching import Modes, Prior, Spread
 from wavefield.matching.kernels import BLOCK
+from wavefield.matching.one_thread import one_thread
 from wavefield.matching.prepared import Mask
 from wavefield.measurement.record import Record
 from wavefield.measurement.rectify import binned, sight_map
@@ -125,12 +126,16 @@ class Plan:
         -------
         Plan
         """
-        out = copy(self)
+        if record == self.record:
+            return self
+        out = object.__new__(Plan)  # `copy` would give the cached plan that all share
+        out.__dict__.update(self.__dict__)
         out.record = record
         out.sights = {name: copy(sight) for name, sight in self.sights.items()}
         out._use(record)
         return out
 
+    @one_thread()
     def _use(self, record: Record) -> None:
         """Lay out the cosines of the fields whose spectra the record has."""
         shape = self.lattice.shape

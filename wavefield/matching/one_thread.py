@@ -1,0 +1,43 @@
+"""Linear algebra on one thread: its matrices are small, blocks run side by side, and bits must not depend."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager
+from typing import Any
+
+import threadpoolctl
+
+_lock = threading.Lock()
+_state: dict[str, Any] = {"depth": 0, "limits": None, "pools": None}
+
+
+@contextmanager
+def one_thread() -> Generator[None]:
+    """Keep BLAS to one thread while inside; also a decorator.
+
+    Notes
+    -----
+    The limit holds for the whole process: it is set by the first that enters and taken back by the last that
+    leaves, whichever threads they are.
+
+    Examples
+    --------
+    >>> with one_thread():
+    ...     pools = threadpoolctl.threadpool_info()
+    >>> {pool["num_threads"] for pool in pools if pool["user_api"] == "blas"} <= {1}
+    True
+    """
+    with _lock:
+        if not _state["depth"]:
+            _state["pools"] = _state["pools"] or threadpoolctl.ThreadpoolController()
+            _state["limits"] = _state["pools"].limit(limits=1, user_api="blas")
+        _state["depth"] += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _state["depth"] -= 1
+            if not _state["depth"]:
+                _state["limits"].restore_original_limits()
