@@ -67,6 +67,8 @@ def noise_of_scores(score: Float, trace: Float, counts: Float, freedom: float) -
     square *= full
     expected = _clusters(trace * counts) * full
     total = float(square.sum(dtype=np.float64)) / max(float(expected.sum(dtype=np.float64)), 1e-30)
+    if not full.any():  # single blocks must do
+        total = float(np.square(score * counts).sum()) / max(float((trace * counts).sum()), 1e-30)
     few = F(max(0.2 * float(expected.mean()), 1e-20))
     out = _around(square) + few * F(total)
     out /= (_around(expected) + few) * F(freedom)
@@ -205,8 +207,8 @@ class Modes:
         matrix = np.zeros((count, count), np.float32)
         _assemble(table, self._iy, self._ix, self._norm * scale, self._own * scale * scale, matrix)
         lower, failed = scipy.linalg.lapack.spotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
-        if failed:  # rounding: the diagonal is always there
-            lower = np.asfortranarray(np.diag(np.sqrt(np.diag(matrix))))
+        if failed:  # by rounding: scaled as it is, its diagonal is about 1
+            lower = np.eye(count, dtype=np.float32, order="F")
         return lower, scale.astype(np.float32)
 
     def solve(
