@@ -39,6 +39,21 @@ water: {{depth: 0.7}}
     return path
 
 
+def far_apart(a, b, steps=slice(None)) -> list[str]:
+    """Fields in which two cubes differ by more than a third of their uncertainty at any node.
+
+    Cubes of different frames are weighed by spectra and noise of different samples.
+    """
+    out = []
+    for name in ("z", "u", "v", "w"):
+        one, other, std = (
+            np.asarray(c[q].isel(time=steps)) for c, q in ((a, name), (b, name), (b, f"{name}_std"))
+        )
+        if not np.array_equal(np.isnan(one), np.isnan(other)) or np.nanmax(np.abs(one - other) / std) > 0.33:
+            out.append(name)
+    return out
+
+
 def different(a, b, steps=slice(None)) -> list[str]:
     """Names of the variables in which two cubes differ in any bit of any value."""
     a, b = (open_cube(c) if isinstance(c, str | Path) else c for c in (a, b))

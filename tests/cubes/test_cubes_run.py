@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import tifffile
 import zarr
-from cube_cases import FRAMES, HERE, different
+from cube_cases import FRAMES, HERE, different, far_apart
 
 from wavefield.cubes import Workflow, open_cube, run, status, work
 from wavefield.cubes.lock import Lock
@@ -280,7 +280,7 @@ def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference, spoil,
     assert (cube.quality[touched].values & Quality.FEWER_CAMERAS).all()
     # steps 2 and 5 have it as a neighbour; the first and the last have none
     for steps in (slice(1, 2), slice(6, 8)):
-        assert different(cube, good, steps) == []
+        assert far_apart(cube, good, steps) == []
     assert [(b.camera, b.fault, b.numbers) for b in state.bad_frames] == [("cam2", fault, (9,))]
     assert "cam2: " in str(state)
     assert "frame 9" in str(state)

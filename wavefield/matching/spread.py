@@ -34,11 +34,6 @@ class Spread:
     shape : tuple of int
         Lattice (ny, nx).
 
-    Attributes
-    ----------
-    signal : float
-        Variance of the field itself about its mean, in its unit squared.
-
     Notes
     -----
     For an even information A a mode's variance is 1 / (F^2 A + 1/S); of it F^2 A / (F^2 A + 1/S)^2 is noise
@@ -52,7 +47,6 @@ class Spread:
         square, inverse = footprint(kx, ky) ** 2, 1.0 / prior.spectrum(np.hypot(kx, ky))
         self.shape = shape
         self.usual = prior.information
-        self.signal = float(np.mean(1.0 / inverse.ravel()[1:]))
         levels = _LEVELS * prior.information
         certain = [square * a + inverse for a in levels]
         noise = [np.mean(square * a / c**2) for a, c in zip(levels, certain)]

@@ -1,7 +1,7 @@
 """From frames to z, z_t, u, v, w with their errors, at the nodes of one grid. Arrays in, arrays out."""
 
 from wavefield.measurement.diagnostics import Diagnosis, diagnose, pooled
-from wavefield.measurement.gain import gain_of_elevation, gain_of_velocity
+from wavefield.measurement.gain import gains
 from wavefield.measurement.learn import learn, sample_steps
 from wavefield.measurement.measure import measure
 from wavefield.measurement.plan import Plan
@@ -14,8 +14,7 @@ __all__ = [
     "Record",
     "Settings",
     "diagnose",
-    "gain_of_elevation",
-    "gain_of_velocity",
+    "gains",
     "learn",
     "measure",
     "pooled",

@@ -29,8 +29,7 @@ class Flow:
     spline : ndarray of float32, (ny, nx, 2)
         Spline coefficients of the displacement on the lattice of blocks, px of the binned image.
     noise, missing : ndarray of float32, (ny, nx)
-        Variance of either component by noise, px^2, and what the prior takes away or makes up as a fraction
-        of the displacement's own variance.
+        Variance of either component by noise, and by what the prior takes away or makes up, px^2.
     rejected : ndarray of uint8, (ny, nx)
         Bits of `Quality`; 0 where measured.
     """
@@ -141,6 +140,6 @@ def _flow(one: matching.Prepared, other: matching.Prepared, plan: Plan, sight: S
     return Flow(
         np.ascontiguousarray(np.moveaxis(spline, 0, -1), np.float32),
         noise,
-        missing / np.float32(sight.spread.signal),
+        missing,
         why_rejected(found.reason),
     )

@@ -31,9 +31,9 @@ def gains(plan: Plan, kx: Float, ky: Float) -> dict[str, Float]:
 
     Notes
     -----
-    The most probable field keeps S / (S + N) of a wave, with the spectrum S and the noise N of the blocks that
-    were learned from sample frames; for velocities each camera's displacement in its own pixels at the middle
-    of the grid, then the least squares of all.
+    The most probable field keeps S / (S + N) of a wave, with the spectrum S and the noise N of the blocks
+    that were learned from sample frames; for velocities each camera's displacement in its own pixels at the
+    middle of the grid, then the least squares of all.
     """
     velocity = gain_of_velocity(plan, kx, ky)
     out = {name: velocity[..., i, i] for i, name in enumerate("uvw")}

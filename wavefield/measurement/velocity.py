@@ -53,7 +53,7 @@ class Seen:
     moved : ndarray, (2N, ny, nx)
         Displacement per step at mid-time, px; NaN where the camera does not see the node.
     noise, missing : ndarray, (N, ny, nx)
-        Variance by noise, px^2, and what the prior takes away as a fraction of the displacement's variance.
+        Variance by noise, and by what the prior takes away or makes up, px^2.
     rejected : ndarray of uint8, (N, ny, nx)
         Why not measured: bits of `Quality`; `OUTSIDE` where not seen.
     chord : ndarray of bool, (ny, nx)
@@ -92,7 +92,7 @@ def velocity(steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Moti
     would ask for the curvature of the projection. eps' = |J d - dX| / sqrt(2N).
 
     Noise of the cameras is independent; what the prior takes from a wave all cameras miss alike, so it does
-    not shrink when they are averaged: of each component it is the same fraction of the water's own motion.
+    not shrink when they are averaged: it is shared among the components as the water's own motion is.
     """
     names = list(steps[1] or {})
     if len(names) < 2:
@@ -147,7 +147,7 @@ def _solved(seen: Seen, plan: Plan) -> Motion:
     """Least squares over the cameras."""
     record = plan.record
     assert record is not None
-    total = seen.noise + seen.missing * _signal(seen, record.moved)
+    total = seen.noise + seen.missing
     std = np.repeat(np.sqrt(total), 2, axis=0)
     d, eps, d_std = solve_displacement(
         np.moveaxis(seen.jacobian, (0, 1), (-2, -1)), np.moveaxis(seen.moved, 0, -1), np.moveaxis(std, 0, -1)
@@ -156,7 +156,7 @@ def _solved(seen: Seen, plan: Plan) -> Motion:
     weight = np.isfinite(seen.moved[::2]).astype(np.float64)
     weight /= np.maximum(weight.sum(axis=0), 1.0)
     by_noise = (weight * seen.noise / total).sum(axis=0)
-    missing = (weight * seen.missing).sum(axis=0)
+    missing = (weight * seen.missing / _signal(seen, record.moved)).sum(axis=0)
     variance = np.moveaxis(np.square(d_std), -1, 0) * by_noise
     variance += missing * np.square(record.moved)[:, None, None]
     enough = trusted.sum(axis=0) >= 2
