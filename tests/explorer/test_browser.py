@@ -342,23 +342,6 @@ def test_waves_have_a_ruler_for_the_dispersion_relation(page, whole):
     np.testing.assert_allclose(page.column("wave_direction", "density"), direction, rtol=1e-5)
 
 
-def test_a_mask_is_drawn_and_given_as_lines_of_the_experiment_file(page):
-    import yaml
-
-    page.page.keyboard.press("m")
-    corners = [(-0.2, -0.1), (0.1, -0.12), (0.05, 0.15)]
-    for count, corner in enumerate(corners, 1):
-        page.click("map", *corner)
-        page.wait(f"{model('map_mask')}.data.x.length == {count}")
-        page.page.wait_for_timeout(350)  # two clicks are no double click
-    drawn = yaml.safe_load(page.get("mask_text", "text"))["mask"][0]["polygon"]
-    np.testing.assert_allclose(drawn, corners, atol=0.01)
-    page.page.get_by_role("button", name="Take back").click()
-    page.wait(f"{model('map_mask')}.data.x.length == 2")
-    page.page.get_by_role("button", name="Start again").click()
-    page.wait(f"{model('map_mask')}.data.x.length == 0")
-
-
 def test_the_link_shows_the_same_view_again(page, chrome, fields):
     page.set("show", "value", "'z'")
     page.click("map", X[4], Y[5])

@@ -20,8 +20,7 @@ DERIVED = {
 _BALANCE = ("z", "z_t", "u", "v", "w")
 
 # one word for each node, the first that fits: bit of `quality`, in words, colour (of Okabe and Ito's)
-_KINDS: tuple[tuple[str, str, str], ...] = (
-    ("MASKED", "masked", "#000000"),
+KINDS: tuple[tuple[str, str, str], ...] = (
     ("OUTSIDE", "outside the view", "#d9d9d9"),
     ("REJECTED_CORRELATION", "rejected: correlation", "#D55E00"),
     ("REJECTED_EPS", "rejected: mismatch", "#E69F00"),
@@ -30,7 +29,6 @@ _KINDS: tuple[tuple[str, str, str], ...] = (
     ("FEWER_CAMERAS", "measured, a camera missing", "#F0E442"),
     ("MEASURED", "measured", "#0072B2"),
 )
-KINDS = tuple((name, words, colour) for name, words, colour in _KINDS if name in Quality.__members__)
 
 
 def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:

@@ -124,7 +124,7 @@ class FollowPage:
     def _draw_camera(self, name: str) -> Any:
         made = make_figure(
             f"{name}_view", tools="pan,wheel_zoom,reset", x_range=(0, 100), y_range=(100, 0),
-            aspect_ratio=1.25, min_border_left=34, min_width=200, title=name,
+            aspect_ratio=1.25, min_border_left=34, min_width=150, title=name,
         )  # fmt: skip
         made.grid.grid_line_color = None
         grey = LinearColorMapper(palette=[f"#{k:02x}{k:02x}{k:02x}" for k in range(256)], low=0, high=255)

@@ -143,19 +143,27 @@ class Follower:
         if self._first is None:
             self._first = found.number
         now = {name: features(both[1]) for name, both in found.images.items()}
+        if self._plan is None and not self._trouble:  # a minute, the very first time: show what can be shown
+            self._publish(found, {}, self._judge(now, {}, None), "getting ready to measure")
         fields, summary = self._measure(found)
         pairs = self._agreements(found)
         self._start.take(now, pairs, summary)
         self._measured += 1
+        self._publish(found, fields, self._judge(now, pairs, summary), self._trouble)
+
+    def _publish(
+        self, found: FrameSet, fields: dict[str, NDArray[Any]], lights: list[Light], trouble: str
+    ) -> None:
+        assert self._first is not None
         self.seen = Seen(
             number=found.number,
             images={name: both[1] for name, both in found.images.items()},
             fields=fields,
-            lights=tuple(self._judge(now, pairs, summary)),
+            lights=tuple(lights),
             delay=time.time() - found.written,
             measured=self._measured,
-            skipped=found.number - self._first + 1 - self._measured,
-            trouble=self._trouble,
+            skipped=max(found.number - self._first + 1 - self._measured, 0),
+            trouble=trouble,
         )
         self.count += 1
 

@@ -67,7 +67,7 @@ class MapPanel:
     drag : Select
         What dragging does.
     picked : callable
-        Told what was picked: ("node", (x, y)), ("line" or "area", (x0, y0, x1, y1)), ("corner", (x, y)).
+        Told what was picked: ("node", (x, y)), ("line" or "area", (x0, y0, x1, y1)).
     """
 
     def __init__(self, record: Record, drag: Any, picked: Callable[[str, tuple[float, ...]], None]) -> None:
@@ -82,7 +82,6 @@ class MapPanel:
         self.node = ColumnDataSource({"x": [], "y": []}, name="map_node")
         self.line = ColumnDataSource({"x": [], "y": []}, name="map_line")
         self.area = ColumnDataSource({"left": [], "right": [], "bottom": [], "top": []}, name="map_area")
-        self.mask = ColumnDataSource({"x": [], "y": []}, name="map_mask")
         self.probes = ColumnDataSource({"x": [], "y": [], "name": []}, name="map_probes")
         self.figure = self._draw()
 
@@ -122,8 +121,6 @@ class MapPanel:
             "left", "right", "bottom", "top", source=self.area,
             fill_alpha=0.08, fill_color=INK, line_color=INK, line_width=2, line_dash=[6, 4],
         )  # fmt: skip
-        made.patch("x", "y", source=self.mask, fill_color=INK, fill_alpha=0.35, line_color=INK, line_width=2)
-        made.scatter("x", "y", source=self.mask, size=7, fill_color="white", line_color=INK)
         made.scatter(
             "x", "y", source=self.probes, marker="triangle", size=11, fill_color="#F0E442", line_color=INK
         )
@@ -171,7 +168,7 @@ class MapPanel:
             self._picked(kind, (*self._start, event.x, event.y))
 
     def _tapped(self, event: Any) -> None:
-        self._picked("corner" if self._drag.value == "mask" else "node", (event.x, event.y))
+        self._picked("node", (event.x, event.y))
 
     # -- showing ---------------------------------------------------------------------------------------
 

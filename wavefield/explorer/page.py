@@ -25,7 +25,6 @@ from wavefield.explorer.camera_panel import CameraPanel
 from wavefield.explorer.fields import shown_as
 from wavefield.explorer.line_panel import LinePanel
 from wavefield.explorer.map_panel import MapPanel
-from wavefield.explorer.mask_panel import MaskPanel
 from wavefield.explorer.node_panel import NodePanel
 from wavefield.explorer.parts import make_tabs
 from wavefield.explorer.place import DRAGS, TABS, Place
@@ -110,7 +109,6 @@ class Page:
         self.node = NodePanel(record, beside.probes)
         self.line = LinePanel(record)
         self.area = AreaPanel(record)
-        self.mask = MaskPanel(self.map.mask)
         self.save = SavePanel()
         if beside.probes is not None:
             places = beside.probes.probe_x.values, beside.probes.probe_y.values
@@ -163,7 +161,7 @@ class Page:
         self.views = make_tabs("views", TABS.index(self.place.tab), views)
         picked = (
             ("Node", self.node.layout), ("Line", self.line.layout), ("Rectangle", self.area.layout),
-            ("Mask", self.mask.layout), ("Save", self.save.layout),
+            ("Save", self.save.layout),
         )  # fmt: skip
         self.picked = make_tabs("picked", 1 if self.place.line else 2 if self.place.area else 0, picked)
 
@@ -237,14 +235,10 @@ class Page:
         Parameters
         ----------
         kind : str
-            "node", "line", "area" or "corner".
+            "node", "line" or "area".
         where : tuple of float
             Metres.
         """
-        if kind == "corner":
-            self.mask.add((where[0], where[1]))
-            self.picked.active = 3
-            return
         found: dict[str, Any] = {kind: tuple(where)}
         self.place = replace(self.place, **found)
         self.picked.active = {"node": 0, "line": 1, "area": 2}[kind]
@@ -255,7 +249,7 @@ class Page:
 
     def _dragging(self, kind: str) -> None:
         self.place = replace(self.place, drag=kind)
-        self.picked.active = {"line": 1, "rectangle": 2, "mask": 3}.get(kind, self.picked.active)
+        self.picked.active = {"line": 1, "rectangle": 2}.get(kind, self.picked.active)
         self._write_link()
 
     def _limits(self) -> None:
@@ -345,7 +339,7 @@ class Page:
             self.line.show(self.place, self.limits)
         elif active == 2:
             self.area.show(self.place)
-        elif active == 4:
+        elif active == 3:
             self.save.show(self.place, self._record)
         self._write_link()
 

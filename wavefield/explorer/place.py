@@ -6,7 +6,7 @@ from typing import Any
 from urllib.parse import urlencode
 
 TABS = ("map", "surface", "cameras", "waves")
-DRAGS = ("move", "line", "rectangle", "mask")
+DRAGS = ("move", "line", "rectangle")
 
 
 @dataclass(frozen=True)
