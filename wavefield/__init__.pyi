@@ -3,6 +3,7 @@ from wavefield.calibration.images import calibrate_experiment as calibrate
 from wavefield.calibration.target import Target
 from wavefield.cubes.catalog import run_catalog
 from wavefield.cubes.forecast import check
+from wavefield.cubes.gain import predicted_gain
 from wavefield.cubes.lazy import reconstruct
 from wavefield.cubes.running import run
 from wavefield.cubes.workflow import Workflow
@@ -23,6 +24,12 @@ from wavefield.store.verify import verify
 from wavefield.tank.scene import Scene
 from wavefield.tank.simulate import simulate
 from wavefield.waves.analyze import analyze
+from wavefield.waves.breaking import breaking
+from wavefield.waves.coherence import coherence
+from wavefield.waves.directional import directional_spectrum
+from wavefield.waves.kinematics import kinematics
+from wavefield.waves.ridge import fit_dispersion
+from wavefield.waves.shear import current_by_depth
 from wavefield.waves.spectra import komega, spectrum
 
 __version__: str
@@ -38,14 +45,21 @@ __all__ = [
     "Workflow",
     "__version__",
     "analyze",
+    "breaking",
     "calibrate",
     "check",
+    "coherence",
+    "current_by_depth",
+    "directional_spectrum",
     "export",
+    "fit_dispersion",
+    "kinematics",
     "komega",
     "load_rig",
     "look",
     "match",
     "open_cube",
+    "predicted_gain",
     "propose",
     "reconstruct",
     "report",

@@ -99,3 +99,10 @@ def test_a_crest_that_outruns_itself_is_an_event_with_its_history():
     assert 0 < float(found.event_duration[top]) < 1.0
     calm = wv.breaking(cube(f | {"u": f["u"] * 0.2}, t, y, x), wavelength=0.6)
     assert calm.sizes.get("event", 0) == 0
+
+
+def test_what_notebooks_want_is_on_the_face():
+    import wavefield as wf
+
+    for name in ("breaking", "current_by_depth", "directional_spectrum", "fit_dispersion", "kinematics"):
+        assert getattr(wf, name) is getattr(wv, name)
