@@ -1,5 +1,6 @@
 """What the site is made from beside its pages: a small simulated experiment, and pictures of figures."""
 
+import hashlib
 import re
 import shutil
 from pathlib import Path
@@ -24,14 +25,13 @@ SCENE = {
 
 
 def simulate(folder: Path) -> None:
-    """Simulate, measure and analyse a small experiment, unless the folder has one of this scene."""
-    import json
-
+    """Simulate, measure and analyse a small experiment, unless the folder has one by this very code."""
     import wavefield as wf
     from wavefield.commands.cli import main
 
-    done = folder / "made.json"
-    made = json.dumps([SCENE, wf.__version__], sort_keys=True)
+    sources = sorted(Path(wf.__file__).parent.rglob("*.py"))
+    made = hashlib.sha256(repr(SCENE).encode() + b"".join(path.read_bytes() for path in sources)).hexdigest()
+    done = folder / "made_by"
     if done.exists() and done.read_text(encoding="utf-8") == made:
         return
     shutil.rmtree(folder, ignore_errors=True)
