@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -129,7 +130,7 @@ def calibrate_experiment(
     views: dict[str, dict[str, TargetPoints]] = {camera: {} for camera in images}
     notes = []
     workers = min(os.cpu_count() or 1, len(jobs), 8)
-    how = {"mp_context": get_context("spawn"), "initializer": leave_with_parent}
+    how: dict[str, Any] = {"mp_context": get_context("spawn"), "initializer": leave_with_parent}
     with ProcessPoolExecutor(workers, **how) as pool:
         found = pool.map(_look, [path for _, _, path in jobs], [target] * len(jobs), [None] * len(jobs))
         for done, ((camera, pose, _), points) in enumerate(zip(jobs, found, strict=True), 1):

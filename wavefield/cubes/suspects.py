@@ -413,4 +413,4 @@ def _sure(found: Sequence[Agreement]) -> float:
     one = max(found, key=lambda each: each.fraction)
     if len(one.eps_y) < 8:
         return 0.0
-    return size(one.smooth) / max(float(one.eps_y.std()) / np.sqrt(len(one.eps_y) - 3), 1e-3)
+    return float(size(one.smooth) / max(float(one.eps_y.std()) / np.sqrt(len(one.eps_y) - 3), 1e-3))

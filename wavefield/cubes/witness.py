@@ -8,6 +8,7 @@ parallax of the two cameras; what is displaced across it (eps_y) cannot be water
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,7 +26,7 @@ SIDE = 32  # px of a patch
 REACH = 40  # px that it is looked for around its place
 _MOST = 120  # patches
 ALIKE = 0.5  # correlation of patches that show the same water
-_FLIPS = {
+_FLIPS: dict[str, Any] = {
     "mirrored": np.s_[:, ::-1],
     "upside down": np.s_[::-1],
     "turned by 180 degrees": np.s_[::-1, ::-1],
@@ -134,7 +135,7 @@ class Witness:
                     flat, *self._map(through or name), cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, np.nan
                 )
                 side = SIDE + 2 * REACH
-                self._patches[key] = laid.reshape(-1, side, side)
+                self._patches[key] = np.asarray(laid, np.float32).reshape(-1, side, side)
         return self._patches[key]
 
     def contrast(self, name: str, frame: int) -> Array | None:
@@ -268,7 +269,8 @@ def agreement(
 
 
 def _scaled(v: Array) -> Array:
-    return (v - v.mean()) / max(float(np.ptp(v)) / 2, 1e-12)
+    scaled: Array = (v - v.mean()) / max(float(np.ptp(v)) / 2, 1e-12)
+    return scaled
 
 
 def pairs_of_all(names: Sequence[str]) -> list[Pair]:

@@ -110,7 +110,7 @@ def _header(path: Path, body: list[tuple[int, str]], unit: str) -> tuple[list[_C
         raise ExperimentError(f"the probes {path} are empty")
     number, line = body[0]
     separator = max(",;\t", key=line.count)
-    columns = []
+    columns: list[_Column] = []
     for word in line.split(separator):
         match = re.fullmatch(r"(.*?)\s*(?:[\[(]\s*(\w+)\s*[\])])?", word.strip().strip('"'))
         name, own = (match[1], match[2] or "") if match else (word.strip(), "")
