@@ -6,6 +6,7 @@ loopback. Then a store of a long record is opened.
 """
 
 import asyncio
+import signal
 import subprocess
 import sys
 import tempfile
@@ -123,6 +124,7 @@ def main() -> None:
     if sys.argv[1:2] == ["live"]:
         asyncio.run(live(sys.argv[2], int(sys.argv[3])))
         return
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that no process is left behind
     number, chunks = (int(word) for word in sys.argv[1:3]) if len(sys.argv) > 2 else (200, 20_000)
     schedule(number, chunks)
     ledger(120_000)
