@@ -1,5 +1,6 @@
 """The work behind `wavefield follow`: the newest set of frames measured and judged, the others counted."""
 
+import logging
 import threading
 import time
 from collections import deque
@@ -29,6 +30,7 @@ from wavefield.explorer.watch import FrameSet, Watch
 from wavefield.rig import Rig
 from wavefield.series import Experiment
 
+log = logging.getLogger("wavefield.follow")
 _AVERAGED = 200  # steps over which the tilt is averaged
 _PAUSE = 0.15  # s between looks at the folders
 
@@ -114,7 +116,15 @@ class Follower:
 
     def _work(self) -> None:
         while not self._stop.is_set():
-            if not self.look():
+            try:
+                new = self.look()
+            except Exception as error:  # the watch goes on, whatever one set of frames does to it
+                log.warning("a set of frames was passed over", exc_info=True)
+                new, words = False, f"a set of frames was passed over: {error}"
+                if self.seen is not None:
+                    self.seen = replace(self.seen, trouble=words)
+                    self.count += 1
+            if not new:
                 self._stop.wait(_PAUSE)
 
     def look(self) -> bool:
