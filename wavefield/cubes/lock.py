@@ -107,8 +107,12 @@ class Lock:
             number = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
         except FileExistsError:
             return False
-        with os.fdopen(number, "w") as stream:
-            stream.write(json.dumps(self._owner))
+        try:
+            with os.fdopen(number, "w") as stream:
+                stream.write(json.dumps(self._owner))
+        except OSError:  # a full disk: a lock that does not say whose it is would stand in the way
+            path.unlink(missing_ok=True)
+            raise
         return True
 
     def _remove_dead(self, held: dict[str, Any]) -> None:
