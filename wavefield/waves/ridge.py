@@ -309,7 +309,7 @@ def fit_dispersion(
             )
         fit = _solve(points, depth, fit)
 
-    astray = _astray(points, depth, fit)
+    astray = _astray(points, depth, fit, plane.cell)
     if astray > _ASTRAY:
         raise CubeError(
             f"the waves between {bottom / (2 * np.pi):.2g} and {top / (2 * np.pi):.2g} Hz lie"
@@ -348,11 +348,12 @@ def fit_dispersion(
     return out_set
 
 
-def _astray(points: Array, depth: float, fit: Array) -> float:
-    # rms distance of the points from the fitted ridge over their wavenumber, weighted as in the fit
+def _astray(points: Array, depth: float, fit: Array, cell: float) -> float:
+    # rms distance of the points from the fitted ridge over their wavenumber, weighted as in the fit; in a
+    # small field what half a cell of the k plane allows is no fault
     k, angle = points[:, 1], points[:, 2]
     model = dispersion(k, depth, fit[2]) + k * (fit[0] * np.cos(angle) + fit[1] * np.sin(angle))
-    apart = (points[:, 0] - model) / (k * group_velocity(k, depth, fit[2]))
+    apart = (points[:, 0] - model) / group_velocity(k, depth, fit[2]) / np.maximum(k, cell / 2 / _ASTRAY)
     return float(np.sqrt(np.average(apart**2, weights=points[:, 3] / _strongest(points))))
 
 
