@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.matching import Modes, Reason
+from wavefield.measurement.contradiction import pairs_apart
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.regrid import coefficients, push_pull, read_surface
 from wavefield.measurement.surface import PairMatch, match_pair
@@ -33,12 +34,15 @@ class Surface:
         Elevation, mismatch across the sight line, standard uncertainty of z, metres.
     quality : ndarray of uint8, (ny, nx)
         Bits of `Quality`: measured or filled, and why it was rejected.
+    apart : ndarray of bool, (ny, nx)
+        Where pairs of cameras see different surfaces.
     """
 
     z: Float
     eps_y: Float
     std: Float
     quality: NDArray[np.uint8]
+    apart: Mask
 
 
 @dataclass(frozen=True)
@@ -254,7 +258,8 @@ def surface(prepared: Mapping[str, matching.Prepared], plan: Plan) -> Surface | 
     noise, missing = plan.spread(estimate.information)
     z, block = _read(spline, matches, plan)
     std = np.sqrt(noise + missing).ravel()[block]
-    return Surface(z, blocks.eps_y.ravel()[block], std, _quality(blocks, block))
+    apart = pairs_apart(matches, plan.pixel).ravel()[block]
+    return Surface(z, blocks.eps_y.ravel()[block], std, _quality(blocks, block), apart)
 
 
 def look_at_pairs(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from numpy.typing import NDArray
@@ -44,11 +44,34 @@ class Instant:
         Raw images ready for matching in time.
     missing : frozenset of str
         Cameras without a usable frame.
+    flat : mapping of str to Prepared
+        Rectified images, should a camera have to be left out.
     """
 
     surface: Surface | None
     images: Mapping[str, matching.Prepared]
     missing: frozenset[str]
+    flat: Mapping[str, matching.Prepared]
+    _others: dict[str, Surface | None] = field(default_factory=dict)
+
+    def without(self, camera: str, plan: Plan) -> Surface | None:
+        """Elevation at the nodes by the other cameras.
+
+        Parameters
+        ----------
+        camera : str
+            The one left out.
+        plan : Plan
+            As for `look`.
+
+        Returns
+        -------
+        Surface or None
+        """
+        if camera not in self._others:
+            rest = {name: image for name, image in self.flat.items() if name != camera}
+            self._others[camera] = surface(rest, plan)
+        return self._others[camera]
 
 
 def images_of(frames: Mapping[str, NDArray[Any] | None], plan: Plan, beads: Mapping[str, float]) -> Images:
@@ -93,4 +116,4 @@ def look(frames: Mapping[str, NDArray[Any] | None], plan: Plan) -> Instant:
     """
     assert plan.record is not None
     images = images_of(frames, plan, dict(plan.record.beads))
-    return Instant(surface(images.flat, plan), images.raw, images.missing)
+    return Instant(surface(images.flat, plan), images.raw, images.missing, images.flat)

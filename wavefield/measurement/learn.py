@@ -221,7 +221,7 @@ def _misfit(
         motion = velocity((None, flows, None), z, plan)
         if motion is None:
             continue
-        freedom = 2 * len(flows) - 3
+        freedom = 2 * (len(flows) - (motion.left_out is not None)) - 3
         good = np.isfinite(motion.misfit) & ((motion.quality & Quality.FILLED) == 0)
         if good.any():
             misfits.append(float(np.median(motion.misfit[good])) / (chi2.median(freedom) / freedom))

@@ -113,11 +113,27 @@ def _step(
     moved = velocity(moves, z, plan)
     if moved is None:
         return
+    if moved.left_out:
+        surfaces = [instant.without(moved.left_out, plan) for instant in window]
+        if surfaces[1] is None or surfaces[2] is None:
+            return
+        out["quality"][:] |= np.uint8(Quality.FEWER_CAMERAS)
+        missing |= {moved.left_out}
+        z, z_std, rise = at_mid_time(surfaces)
+        others = [{n: f for n, f in flow.items() if n != moved.left_out} for flow in moves]
+        moved = velocity(others, z, plan)
+        if moved is None:
+            return
     inside = np.ones(z.shape, bool)
     for name in plan.cameras:
         if name not in missing:
             inside &= plan.sights[name].sees(*plan.sights[name].position(z))
-    quality = first.surface.quality | second.surface.quality | moved.quality
+    first_surface, second_surface = surfaces[1], surfaces[2]
+    assert first_surface is not None
+    assert second_surface is not None
+    quality = first_surface.quality | second_surface.quality | moved.quality
+    apart = np.uint8(Quality.REJECTED_EPS | Quality.FILLED)
+    quality = np.where(first_surface.apart | second_surface.apart, quality | apart, quality)
     filled = (quality & Quality.FILLED) != 0
     quality = np.where(filled, quality & ~np.uint8(Quality.MEASURED), quality)
     out["quality"][:] |= np.where(inside, quality, np.uint8(Quality.OUTSIDE))
@@ -130,7 +146,7 @@ def _step(
         "u": moved.d[0] * frame_rate,
         "v": moved.d[1] * frame_rate,
         "w": moved.d[2] * frame_rate,
-        "eps_y": np.float32(0.5) * (first.surface.eps_y + second.surface.eps_y),
+        "eps_y": np.float32(0.5) * (first_surface.eps_y + second_surface.eps_y),
         "eps_piv": moved.eps_piv,
         "z_std": np.hypot(z_std, left_out_of_z(surfaces, z, squared, inside)),
         "u_std": d_std[0] * frame_rate,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.measurement.contradiction import NODE, median_misfit, who_lies
 from wavefield.measurement.flow import Flow, Flows
 from wavefield.measurement.paths import read_path
 from wavefield.measurement.plan import Plan, Sight
@@ -32,7 +33,9 @@ class Motion:
         Squared misfit over what noise lets expect, per degree of freedom; NaN where fewer than two see it.
     quality : ndarray of uint8, (ny, nx)
         Bits of `Quality`: why a camera's displacement was rejected; `FILLED` where not enough of them were
-        measured; `TWO_FRAME_MEAN` where a path has fewer than four places.
+        measured or they contradict each other; `TWO_FRAME_MEAN` where a path has fewer than four places.
+    left_out : str or None
+        The camera that contradicted the others, which agree without it.
     """
 
     d: NDArray[Any]
@@ -40,6 +43,7 @@ class Motion:
     eps_piv: NDArray[Any]
     misfit: NDArray[Any]
     quality: NDArray[np.uint8]
+    left_out: str | None = None
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,25 @@ def velocity(steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Moti
     if len(names) < 2:
         return None
     seen = _look(names, steps, z, plan)
-    return _solved(seen, plan)
+    motion = _solved(seen, plan)
+    known = (seen.rejected == 0).all(axis=0)
+
+    def without(n: int) -> float:
+        return median_misfit(_solved(_others(seen, n), plan).misfit, known)
+
+    liar = who_lies(len(names), median_misfit(motion.misfit, known), without)
+    if liar is not None:
+        motion = replace(_solved(_others(seen, liar), plan), left_out=names[liar])
+    against = np.where(motion.misfit > NODE, np.uint8(Quality.REJECTED_EPS | Quality.FILLED), np.uint8(0))
+    return replace(motion, quality=motion.quality | against)
+
+
+def _others(seen: Seen, n: int) -> Seen:
+    """The same without one camera."""
+    rows = [i for i in range(len(seen.moved)) if i // 2 != n]
+    cameras = [i for i in range(len(seen.noise)) if i != n]
+    noise, missing, rejected = seen.noise[cameras], seen.missing[cameras], seen.rejected[cameras]
+    return Seen(seen.jacobian[rows], seen.moved[rows], noise, missing, rejected, seen.chord)
 
 
 def _look(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Seen:

@@ -1,0 +1,101 @@
+"""Cameras and pairs that contradict each other: who is left out, and which nodes are not to be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.measurement.surface import PairMatch
+
+Float = NDArray[Any]
+Mask = NDArray[np.bool_]
+
+MISFIT = 12.0  # chi^2 per degree of freedom, median over the nodes: more, and a camera lies
+NODE = 36.0  # the same of a single node
+APART = 1.5  # px: two pairs' parallax for one surface
+_AROUND = (5, 5)  # blocks
+_FEW = 50  # nodes: less tell nothing
+
+
+def who_lies(count: int, typical: float, without: Callable[[int], float]) -> int | None:
+    """The camera without which the others agree.
+
+    Parameters
+    ----------
+    count : int
+        Cameras.
+    typical : float
+        Median misfit of all, chi^2 per degree of freedom.
+    without : callable
+        From a camera's number to the median misfit of the others.
+
+    Returns
+    -------
+    int or None
+        Its number; None if all agree, if no one camera explains it, or if fewer than three are there.
+
+    Examples
+    --------
+    >>> who_lies(3, 500.0, lambda n: 1.0 if n == 1 else 400.0)
+    1
+    """
+    if count < 3 or not typical > MISFIT:
+        return None
+    rest = [without(n) for n in range(count)]
+    best = int(np.argmin(rest))
+    return best if rest[best] < MISFIT and rest[best] < 0.1 * typical else None
+
+
+def median_misfit(misfit: Float, known: Mask) -> float:
+    """Median misfit over the nodes that all cameras measured.
+
+    Parameters
+    ----------
+    misfit : ndarray, (ny, nx)
+        chi^2 per degree of freedom.
+    known : ndarray of bool, (ny, nx)
+        Nodes that count.
+
+    Returns
+    -------
+    float
+        0 where too few nodes tell.
+    """
+    good = known & np.isfinite(misfit)
+    return float(np.median(misfit[good])) if good.sum() >= _FEW else 0.0
+
+
+def pairs_apart(matches: Sequence[PairMatch], pixel: float) -> Mask:
+    """Blocks at which pairs of cameras see different surfaces.
+
+    Parameters
+    ----------
+    matches : sequence of PairMatch
+        Pairs of one reference camera.
+    pixel : float
+        Of the rectified images, metres.
+
+    Returns
+    -------
+    ndarray of bool, (ny, nx)
+        Where their elevations differ by more than 1.5 px of parallax, on the mean of 5 x 5 blocks.
+    """
+    out = np.zeros(matches[0].eps_y.shape, bool)
+    for one, other in pairwise(matches):
+        z, length = zip(*(_along(m) for m in (one, other)), strict=True)
+        both = (one.valid & other.valid).astype(np.float32)
+        apart = (z[0] - z[1]) * np.minimum(*length) / np.float32(pixel)
+        mean = cv2.blur(np.where(both > 0, apart, np.float32(0)), _AROUND)
+        out |= np.abs(mean) > np.float32(APART) * np.maximum(cv2.blur(both, _AROUND), np.float32(0.2))
+    return out
+
+
+def _along(match: PairMatch) -> tuple[Float, Float]:
+    """Elevation by one pair, metres, and the length of its parallax."""
+    square = np.sum(np.square(match.parallax), axis=0)
+    return -np.sum(match.parallax * match.difference, axis=0) / square, np.sqrt(square)
