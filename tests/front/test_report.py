@@ -125,6 +125,17 @@ def test_a_long_cube_is_thinned_to_fit(cube):
     assert sum(map(len, pack(wide.chunk(time=48)).values())) < 8e6
 
 
+def test_the_nonlinear_term_and_its_residual_are_those_of_the_store(cube, page_text):
+    from wavefield.waves import kinematics
+
+    snap = Sources(cube).snapshot()
+    stored = kinematics(cube).sel(time=snap.time)
+    picture = next(p["alt"] for p in Page(page_text).all("img") if p["alt"].startswith("Four maps."))
+    for name, words in (("nonlinear", "nonlinear term"), ("residual", "residual")):
+        rms = 100 * float(np.sqrt(np.nanmean(stored[name].values.astype(float) ** 2)))
+        assert f"{words} {rms:.3g} cm/s" in picture
+
+
 def test_the_pairs_told_are_those_measured_when_the_origin_lies_aside(cube, tmp_path):
     rig = paper_rig().moved(np.eye(3), (2.0, 0.0, 0.0))  # the origin below the outer camera, or beyond it
     sources = Sources(cube.assign_attrs(recipe=json.dumps({"settings": {}})), rig=rig)

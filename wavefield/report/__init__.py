@@ -4,7 +4,7 @@ import sys
 from types import ModuleType
 from typing import Any
 
-from wavefield.report.sections import errors_against
+from wavefield.report.accuracy import errors_against
 from wavefield.report.sources import Sources, gather
 from wavefield.report.write import report, write_report
 

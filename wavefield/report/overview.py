@@ -1,0 +1,171 @@
+"""What was measured, by which cameras, with which recipe."""
+
+import json
+from typing import Any
+
+import numpy as np
+
+from wavefield import figures
+from wavefield.report.page import Listing, Picture, Section, Table, Text
+from wavefield.report.sources import Sources
+from wavefield.report.words import number, rms_of
+from wavefield.rig.pairs import pairs_of
+from wavefield.variables import FrameStatus, Quality
+
+
+def summary(sources: Sources) -> Section:
+    """Build the first screen: what was measured, how much of it, how well.
+
+    Parameters
+    ----------
+    sources : Sources
+        What there is.
+
+    Returns
+    -------
+    Section
+    """
+    cube = sources.cube
+    part = sources.thinned("z", "u", "v", "w", "eps_y", "eps_piv", "quality")
+    seen = (part.quality != 0) & ((part.quality & int(Quality.OUTSIDE)) == 0)
+    measured = ((part.quality & int(Quality.MEASURED)) != 0).sum() / max(int(seen.sum()), 1)
+    status = cube.frame_status.values
+    rate = float(cube.attrs["frame_rate"])
+    grid = sources.grid
+    ny, nx = cube.sizes["y"], cube.sizes["x"]
+    rows = [
+        ("steps", f"{cube.sizes['time']} at {rate:g} Hz, {cube.sizes['time'] / rate:.4g} s"),
+        (
+            "ledger",
+            ", ".join(
+                f"{int((status == s).sum())} {s.name.lower().replace('_', ' ')}"
+                for s in FrameStatus
+                if (status == s).any()
+            ),
+        ),
+        ("grid", f"{nx} x {ny} nodes, {grid.step * 100:g} cm apart"),
+        ("measured nodes in view", f"{100 * float(measured):.2f} %"),
+        ("rms of z about its mean", number(100 * float(part.z.std()), "cm")),
+        ("rms of u, v, w", ", ".join(number(100 * rms_of(part[n])) for n in "uvw") + " cm s⁻¹"),
+        ("rms of eps_y", number(1e3 * rms_of(part.eps_y), "mm") + " (paper: 0.4–0.8 mm)"),
+        ("rms of eps'", number(rms_of(part.eps_piv), "px") + " (paper: 0.34–0.37 px)"),
+    ]
+    statistics = sources.group("statistics")
+    if statistics is not None:
+        for name, label, factor, unit in (
+            ("significant_height", "significant height Hs", 100, "cm"),
+            ("peak_frequency", "frequency of the spectral peak", 1, "Hz"),
+            ("steepness", "steepness k_p σ", 1, ""),
+            ("slope_rms", "rms slope", 1, ""),
+        ):
+            if name in statistics:
+                rows.append((label, number(factor * float(statistics[name]), unit)))
+    items: list[Any] = [Table("The run in numbers", ("quantity", "value"), rows)]
+    if sources.notes:
+        items.append(Text("Not in this report: " + "; ".join(sources.notes) + "."))
+    return Section("Summary", items)
+
+
+def setup(sources: Sources) -> Section:
+    """Build the part on cameras and frames.
+
+    Parameters
+    ----------
+    sources : Sources
+        What there is.
+
+    Returns
+    -------
+    Section
+    """
+    section = Section("Set-up")
+    if sources.rig is None:
+        return section
+    rig, grid = sources.rig, sources.grid
+    pairs, velocity = _roles(sources)
+    section.items.append(
+        Picture(
+            figures.method_diagram(pairs, velocity),
+            "How a step is made: parallax between cameras gives the surface at each frame time; the "
+            "displacement "
+            "from one frame to the next in each camera, read on the surface at mid-time, gives the velocity.",
+            "Diagram. Frames of "
+            + ", ".join(velocity)
+            + " at t and t + dt. Stereo pairs "
+            + ", ".join(f"{a} with {b}" for a, b in pairs)
+            + " give the surface; displacements in time give u, v, w on it.",
+        )
+    )
+    places = ", ".join(
+        f"{name} at ({c[0]:.2f}, {c[1]:.2f}, {c[2]:.2f}) m"
+        for name, c in ((name, camera.centre) for name, camera in rig.cameras.items())
+    )
+    section.items.append(
+        Picture(
+            figures.rig_views(rig, grid),
+            "The rig from the side and from above, and a point 5 cm above the water at rest with its "
+            "apparent "
+            "positions on the plane z = 0, from which its height follows.",
+            f"Drawing of the rig to scale. {places}.",
+        )
+    )
+    frames = _middle_frames(sources)
+    if frames:
+        section.items.append(
+            Picture(
+                figures.camera_frames(frames, rig, grid),
+                "One frame of each camera with the outline of the grid on the water at rest (yellow), and "
+                "the middle 10 cm "
+                "of it enlarged (blue square), to judge the seeding.",
+                "Images of "
+                + ", ".join(f"{n}, {f.shape[1]} x {f.shape[0]} px" for n, f in frames.items())
+                + ".",
+            )
+        )
+    return section
+
+
+def _roles(sources: Sources) -> tuple[list[tuple[str, str]], list[str]]:
+    """Pairs for the surface and cameras for the velocity, as the run chose them."""
+    assert sources.rig is not None
+    settings = sources.recipe.get("settings", {})
+    names = list(sources.rig)
+    pairs = [(str(a), str(b)) for a, b in settings.get("pairs", ())] or list(pairs_of(sources.rig, names))
+    return pairs, list(settings.get("velocity_cameras", ())) or names
+
+
+def _middle_frames(sources: Sources) -> dict[str, np.ndarray]:
+    if not sources.frames or sources.rig is None:
+        return {}
+    series = sources.frames
+    out = {}
+    for name in sources.rig:
+        if name in series:
+            for index in (len(series[name]) // 2, 0, len(series[name]) - 1):
+                image = series[name].read(index).image
+                if image is not None:
+                    out[name] = image
+                    break
+    return out
+
+
+def recipe(sources: Sources) -> Section:
+    """Build the part on how the cube was made.
+
+    Parameters
+    ----------
+    sources : Sources
+        What there is.
+
+    Returns
+    -------
+    Section
+    """
+    attrs = {k: v for k, v in sources.cube.attrs.items() if k != "recipe"}
+    rows = [(name, str(value)) for name, value in attrs.items() if len(str(value)) < 300]
+    section = Section("Recipe", [Table("Attributes of the store", ("attribute", "value"), rows)])
+    if sources.recipe:
+        section.items.append(
+            Listing("The recipe: settings, rig, experiment, versions", json.dumps(sources.recipe, indent=1))
+        )
+    return section
