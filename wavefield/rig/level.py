@@ -9,6 +9,8 @@ from wavefield.errors import RigError
 from wavefield.rig.rig import Rig
 from wavefield.robust import robust_std
 
+_NEARLY = 10.0  # degrees: a frame tilted by more is not the water's
+
 
 @dataclass(frozen=True)
 class Plane:
@@ -101,27 +103,51 @@ def level(rig: Rig, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Rig, Plan
     -------
     rig : Rig
         The same cameras; the origin moves along z only, and the x axis is turned up or down onto the plane.
+        From a frame that is tilted by more than 10 degrees, such as a camera's own, the origin moves to the
+        middle of the points, z points to the cameras, and x is the old one's projection.
     plane : Plane
-        The plane in the old frame; its ``rms`` says how flat the water was.
+        The plane in the old frame (in the turned one, where that was tilted by more than 10 degrees); its
+        ``rms`` says how flat the water was.
 
     Raises
     ------
     RigError
-        As `fit_plane`; or if the plane is tilted by more than 10 degrees, which no reference plane is.
+        As `fit_plane`.
     """
-    plane = fit_plane(x, y, z)
-    tilt = float(np.degrees(np.arctan(np.hypot(*plane.slope))))
-    if tilt > 10.0:
-        raise RigError(
-            f"the surface at rest is tilted by {tilt:.0f} degrees: is it the right rig for these images?"
-        )
+    turned = rig
+    points = np.stack([np.ravel(v) for v in np.broadcast_arrays(x, y, z)], axis=-1).astype(float)
+    axes, origin = _across(rig, points)
+    steep = float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0))))
+    if steep > _NEARLY:  # the frame is a camera's, not the water's: turn it first, then level as any other
+        turned = rig.moved(axes, origin)
+        points = (points - origin) @ axes
+    plane = fit_plane(*points.T)
     note = {
         "height_m": plane.height,
-        "tilt_deg": tilt,
+        "tilt_deg": steep if steep > _NEARLY else float(np.degrees(np.arctan(np.hypot(*plane.slope)))),
         "rms_m": plane.rms,
         "points": int(plane.kept.sum()),
     }
-    return rig.moved(plane.axes, (0.0, 0.0, plane.height), levelled=note), plane
+    return turned.moved(plane.axes, (0.0, 0.0, plane.height), levelled=note), plane
+
+
+def _across(rig: Rig, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Axes (as columns) and origin of a frame on the plane of points, however it lies: z to the cameras."""
+    finite = points[np.isfinite(points).all(axis=1)]
+    if len(finite) < 10:
+        raise RigError(f"{len(finite)} points of the surface at rest: ten at least are needed for its plane")
+    middle, weight = np.median(finite, axis=0), np.ones(len(finite))
+    for _ in range(20):  # the plane that blunders do not move
+        middle = weight @ finite / weight.sum()
+        normal = np.linalg.svd((finite - middle) * np.sqrt(weight)[:, None], full_matrices=False)[2][2]
+        miss = np.abs((finite - middle) @ normal)
+        weight = 1.0 / np.maximum(miss, 0.1 * robust_std(miss) + 1e-12)
+    above = np.mean([camera.centre for camera in rig.cameras.values()], axis=0) - middle
+    z = normal * (1.0 if above @ normal > 0 else -1.0)
+    along = np.eye(3)[0] if abs(z[0]) < 0.9 else np.eye(3)[1]
+    x = along - (along @ z) * z
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1), middle
 
 
 def with_water_level(rig: Rig, height: float) -> Rig:
