@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
+from wavefield.explorer.features import bead_size, features
 from wavefield.explorer.follower import Follower
-from wavefield.explorer.lights import bead_size, features, verdict
+from wavefield.explorer.lights import verdict
 from wavefield.explorer.watch import Watch
 from wavefield.images import write_image
 from wavefield.series import Experiment

@@ -10,7 +10,7 @@ from wavefield.calibration.bundle import Fit
 from wavefield.calibration.derived import Derived
 from wavefield.calibration.findings import Findings
 from wavefield.calibration.observations import Observations
-from wavefield.calibration.rest import covariance_to_dict
+from wavefield.calibration.parameters import covariance_to_dict
 from wavefield.calibration.result import Calibration
 
 ENOUGH = 0.3  # px: a camera known less well than this is not used

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -221,3 +222,26 @@ def linearised(
                 else:
                     J[rows[here], :, k] = by_world[here][:, :, which - 3]
     return pixel, J, by_node
+
+
+def covariance_to_dict(names: tuple[str, ...], covariance: Array, cameras: tuple[str, ...]) -> dict[str, Any]:
+    """The cameras' part of a fit's covariance, as the rig's file keeps it.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Of all parameters of the fit.
+    covariance : ndarray, (p, p)
+        Of the fit.
+    cameras : tuple of str
+        Whose parameters to keep.
+
+    Returns
+    -------
+    dict
+        ``parameters`` and the rows of the ``lower`` triangle.
+    """
+    pick = [k for k, name in enumerate(names) if name.rsplit(" ", 1)[0] in cameras]
+    part = covariance[np.ix_(pick, pick)]
+    rows = [[float(f"{v:.12g}") for v in row[: k + 1]] for k, row in enumerate(part)]
+    return {"parameters": [names[k] for k in pick], "lower": rows}

@@ -6,7 +6,6 @@ cannot tell is where the water's plane is; that takes a record at rest.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -252,29 +251,6 @@ def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[Layo
 
 def _terms(columns: list[str]) -> list[str]:
     return [term for term, parts in TERMS.items() if all(part in columns for part in parts)]
-
-
-def covariance_to_dict(names: tuple[str, ...], covariance: Array, cameras: tuple[str, ...]) -> dict[str, Any]:
-    """The cameras' part of a fit's covariance, as the rig's file keeps it.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Of all parameters of the fit.
-    covariance : ndarray, (p, p)
-        Of the fit.
-    cameras : tuple of str
-        Whose parameters to keep.
-
-    Returns
-    -------
-    dict
-        ``parameters`` and the rows of the ``lower`` triangle.
-    """
-    pick = [k for k, name in enumerate(names) if name.rsplit(" ", 1)[0] in cameras]
-    part = covariance[np.ix_(pick, pick)]
-    rows = [[float(f"{v:.12g}") for v in row[: k + 1]] for k, row in enumerate(part)]
-    return {"parameters": [names[k] for k in pick], "lower": rows}
 
 
 def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
+from wavefield.explorer.features import Features, features
 from wavefield.explorer.lights import (
     Agreement,
-    Features,
     Light,
     Quantities,
     Start,
     arrival_lights,
-    features,
     frame_lights,
     pair_light,
     quantities,

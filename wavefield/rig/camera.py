@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wavefield.errors import RigError
 from wavefield.rig.lens import Array, distort, distort_jacobian, tilt_matrix
+from wavefield.rig.rotation import rotation_about
 
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -430,33 +431,6 @@ class Camera:
 
 
 _OPTIONAL = {"k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew"}
-
-
-def rotation_about(vector: ArrayLike) -> Array:
-    """Rotation matrix of a rotation vector (Rodrigues).
-
-    Parameters
-    ----------
-    vector : array_like, (3,)
-        Axis times angle, radians.
-
-    Returns
-    -------
-    ndarray, (3, 3)
-
-    Examples
-    --------
-    >>> (rotation_about([0, 0, np.pi / 2]) @ [1, 0, 0]).round(12).tolist()
-    [0.0, 1.0, 0.0]
-    """
-    x, y, z = np.asarray(vector, float)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    angle = float(np.sqrt(x * x + y * y + z * z))
-    half = 0.5 * angle
-    # sinc keeps both quotients exact at zero
-    turn: Array = np.eye(3) + np.sinc(angle / np.pi) * cross
-    turn += 0.5 * np.sinc(half / np.pi) ** 2 * cross @ cross
-    return turn
 
 
 def _terms_of_opencv(D: ArrayLike | None) -> dict[str, float]:

@@ -40,10 +40,7 @@ def load_wass(folder: Path, stated: Stated) -> Rig:
         raise RigError("it holds no intrinsics_*.xml and distortion_*.xml of two cameras")
     R, T = (_files(folder, (f"ext_{what}.xml",)) for what in "RT")
     if not R or not T:
-        raise RigError(
-            "it holds no ext_R.xml and ext_T.xml: find the second camera from matched images with "
-            "`wavefield rig --from-matches`"
-        )
+        raise RigError("it holds no ext_R.xml and ext_T.xml: let WASS place the second camera first")
     turn = _only(R[0])
     poses = [(np.eye(3), np.zeros(3)), (rotation_near(turn), stated.length * _only(T[0]).ravel())]
     cameras = {
