@@ -14,13 +14,15 @@ def spell_time(seconds: float) -> str:
     Returns
     -------
     str
-        Such as "8 s", "3 min 05 s", "2 h 10 min".
+        Such as "0.8 s", "8 s", "3 min 05 s", "2 h 10 min".
 
     Examples
     --------
     >>> spell_time(7.6), spell_time(185), spell_time(7800)
     ('8 s', '3 min 05 s', '2 h 10 min')
     """
+    if 0 < seconds < 0.95:
+        return f"{seconds:.1g} s"
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"

@@ -12,7 +12,7 @@ def pair():
     """The same sea through 4 cm boxes, with noise, and as it is."""
     measured = PeriodicSea(n=128, box=0.04).cube(300, 48, 56, noise_z=2e-5, noise_dz=1e-5)
     exact = PeriodicSea(n=128, box=0).cube(300, 48, 56)
-    return measured, exact.assign(dz=exact.w * 0.05)
+    return measured, exact.assign(dz=(exact.w * 0.05).assign_attrs(units="m"))
 
 
 def box(k, angle):

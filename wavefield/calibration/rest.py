@@ -294,7 +294,8 @@ def _check(problem: _Problem) -> tuple[RigCheck, dict[str | None, tuple[Array, f
     motion = {name: problem.turn(found[name][0], name) for name in problem.names}
     # a turn that would move the image much further than it mends, but for a shift that undoes it, is no
     # knock: matches do not tell the two apart
-    told = [name for name in problem.names if motion[name] < FAR * max(before - found[name][1], 0.0)]
+    mended = {name: np.sqrt(max(before**2 - found[name][1] ** 2, 0.0)) for name in problem.names}
+    told = [name for name in problem.names if motion[name] < FAR * mended[name]]
     best = min(told or problem.names, key=lambda name: chi2[name])
     gain = chi2[None] - chi2[best]
     if not told and gain >= ALIKE:

@@ -27,7 +27,7 @@ Factor = tuple[Float, Float]
 F = np.float32
 _CLUSTER = 5  # blocks: neighbours closer than this share pixels, gradients and noise
 _AROUND = 6.0  # blocks over which noise is taken as alike
-_FAINT = 1e-2  # signal over noise below which a mode is left out
+_FAINT = 1e-3  # signal over noise below which a mode is left out
 _EXACT = 300  # modes of the highest signal over noise that the preconditioner solves exactly
 _STEPS = 200  # at most; some ten are usual
 _EDGE = 6.0  # blocks: reach of a slope at the edge, and width over which it is taken
@@ -103,7 +103,7 @@ def cosines(n: int, count: int) -> NDArray[np.float64]:
 
 
 class Modes:
-    """The cosine modes in which a field is sought: those with more than a hundredth of signal over noise.
+    """The cosine modes in which a field is sought: those with more than a thousandth of signal over noise.
 
     Parameters
     ----------

@@ -350,10 +350,10 @@ def fit_dispersion(
 
 def _astray(points: Array, depth: float, fit: Array, cell: float) -> float:
     # rms distance of the points from the fitted ridge over their wavenumber, weighted as in the fit; in a
-    # small field what half a cell of the k plane allows is no fault
+    # small field what a cell of the k plane allows is no fault: a window spreads a wave over more than one
     k, angle = points[:, 1], points[:, 2]
     model = dispersion(k, depth, fit[2]) + k * (fit[0] * np.cos(angle) + fit[1] * np.sin(angle))
-    apart = (points[:, 0] - model) / group_velocity(k, depth, fit[2]) / np.maximum(k, cell / 2 / _ASTRAY)
+    apart = (points[:, 0] - model) / group_velocity(k, depth, fit[2]) / np.maximum(k, cell / _ASTRAY)
     return float(np.sqrt(np.average(apart**2, weights=points[:, 3] / _strongest(points))))
 
 
