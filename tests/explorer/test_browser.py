@@ -190,6 +190,7 @@ def test_a_click_shows_everything_at_the_node(page, fields):
     assert page.column("node_probe_spectrum", "f").size
     page.set("node_other", "value", "'eps_piv'")
     page.wait(f"{model('node_other_figure')}.left[0].axis_label.startsWith('eps_piv')")
+    page.wait(f"Math.abs({model('node_other_line')}.data.value[0] - {fields['eps_piv'][0, j, i]}) < 6e-4")
     np.testing.assert_allclose(page.column("node_other_line", "value"), fields["eps_piv"][:, j, i], atol=6e-4)
     page.set("node_which", "value", "'w'")
     expected = selections.spectrum(100 * fields["w"][:, j, i], 0.05)
