@@ -73,6 +73,7 @@ def calibrate(
     The paper's cameras from points of four tilted views and a flat one:
 
     >>> import cv2
+    >>> from wavefield.calibration import TargetPoints
     >>> from wavefield.tank.rigs import paper_rig
     >>> exact, node = paper_rig(), np.mgrid[-8:9, -6:7].reshape(2, -1).T
     >>> board = np.column_stack([0.1 * node, np.zeros(len(node))])

@@ -395,7 +395,7 @@ class Camera:
         --------
         >>> K, D = [[900, 0, 320], [0, 900, 240], [0, 0, 1]], [-0.1, 0.01, 0, 0]
         >>> camera = Camera.from_opencv(K, D, [3.14159265, 0, 0], [0, 0, 4], (640, 480))
-        >>> camera.k1, float(camera.centre[2])
+        >>> camera.k1, round(float(camera.centre[2]), 6)
         (-0.1, 4.0)
         """
         M = np.asarray(K, float)
