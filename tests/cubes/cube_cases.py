@@ -40,7 +40,7 @@ water: {{depth: 0.7}}
 
 
 def far_apart(a, b, steps=slice(None)) -> list[str]:
-    """Fields in which two cubes differ by more than their uncertainty at any node.
+    """Fields in which two cubes differ by more than half their uncertainty (rms), or by twice it at any node.
 
     Cubes of different frames are weighed by spectra and noise of different samples.
     """
@@ -49,7 +49,9 @@ def far_apart(a, b, steps=slice(None)) -> list[str]:
         one, other, std = (
             np.asarray(c[q].isel(time=steps)) for c, q in ((a, name), (b, name), (b, f"{name}_std"))
         )
-        if not np.array_equal(np.isnan(one), np.isnan(other)) or np.nanmax(np.abs(one - other) / std) > 1.0:
+        apart = np.abs(one - other) / std
+        alike = np.sqrt(np.nanmean(apart**2)) < 0.5 and np.nanmax(apart) < 2.0
+        if not (alike and np.array_equal(np.isnan(one), np.isnan(other))):
             out.append(name)
     return out
 
