@@ -3,10 +3,10 @@
 import math
 from dataclasses import dataclass
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.compiled import compiled
 from wavefield.robust import PER_MEDIAN
 
 Array = NDArray[np.float64]
@@ -54,8 +54,8 @@ class Crossings:
     noise: Array
 
 
-@nb.njit(cache=True, inline="always")
-def _profile(d, u, s):
+@compiled(inline="always")
+def _profile(d: float, u: float, s: float) -> tuple[float, float, float]:
     """Profile of a string averaged over a pixel, and its derivatives with respect to d and u.
 
     Three points of Gauss-Legendre stand for the pixel's extent along one axis.
@@ -70,8 +70,8 @@ def _profile(d, u, s):
     )
 
 
-@nb.njit(cache=True, inline="always")
-def _line(d, u, s):
+@compiled(inline="always")
+def _line(d: float, u: float, s: float) -> tuple[float, float, float]:
     """Profile of a string of unit flux, and its derivatives with respect to d and u.
 
     A box of half width sqrt(u) convolved with a Gaussian of standard deviation s; for small or negative u
@@ -89,8 +89,8 @@ def _line(d, u, s):
     return f, -d * f / v, f * (d * d / v - 1.0) / (6.0 * v)
 
 
-@nb.njit(cache=True)
-def _cholesky_solve(a, b, n):
+@compiled()
+def _cholesky_solve(a: Array, b: Array, n: int) -> bool:
     """Solve a x = b for the leading n x n block; a is overwritten, x replaces b. False if not positive."""
     for j in range(n):
         t = a[j, j]
@@ -118,8 +118,21 @@ def _cholesky_solve(a, b, n):
     return True
 
 
-@nb.njit(cache=True)
-def _fit_one(image, start, arm1, arm2, blur, band, var0, var1, p, covariance, arms, noise):  # noqa: C901
+@compiled()
+def _fit_one(  # noqa: C901
+    image: Array,
+    start: Array,
+    arm1: Array,
+    arm2: Array,
+    blur: float,
+    band: float,
+    var0: float,
+    var1: float,
+    p: Array,
+    covariance: Array,
+    arms: Array,
+    noise: Array,
+) -> float:
     """Fit one crossing in place; returns the misfit relative to the noise, or -1 if there is nothing to fit.
 
     start: parameters to begin with; arm1, arm2: half lengths of the arms (px vectors along the strings).
@@ -292,8 +305,22 @@ def _fit_one(image, start, arm1, arm2, blur, band, var0, var1, p, covariance, ar
     return chi
 
 
-@nb.njit(cache=True)
-def _fit_all(image, start, arm1, arm2, blur, band, var0, var1, parameters, covariance, arms, noise, misfit):
+@compiled()
+def _fit_all(
+    image: Array,
+    start: Array,
+    arm1: Array,
+    arm2: Array,
+    blur: float,
+    band: Array,
+    var0: float,
+    var1: float,
+    parameters: Array,
+    covariance: Array,
+    arms: Array,
+    noise: Array,
+    misfit: Array,
+) -> None:
     for k in range(len(start)):
         misfit[k] = _fit_one(
             image,

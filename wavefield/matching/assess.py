@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import numba as nb
 import numpy as np
 
+from wavefield.compiled import compiled
 from wavefield.matching.displacement import Displacement, Reason
 from wavefield.matching.lattice import block_weights
 from wavefield.matching.prepared import Level
@@ -16,11 +14,20 @@ F = np.float32
 BLOCK = 5  # as in kernels.py: numba's cache wants its constants in the same file
 _ALIKE = 0.3  # correlation of windows below which a block says nothing
 
-njit: Any = nb.njit(error_model="numpy", nogil=True, cache=True)
+njit = compiled(error_model="numpy")
 
 
 @njit
-def _measures(sums, windowed, share, du, dv, least, ridge, out):
+def _measures(
+    sums: np.ndarray,
+    windowed: np.ndarray,
+    share: np.ndarray,
+    du: np.ndarray,
+    dv: np.ndarray,
+    least: np.float32,
+    ridge: np.float32,
+    out: np.ndarray,
+) -> None:
     """Correlation, gain, matched gradient energy and the two influences of every block.
 
     sums, windowed (12, ny, nx) are those of `final_sums`, per block and over windows; share (ny, nx) is the

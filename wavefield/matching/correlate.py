@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import cv2
-import numba as nb
 import numpy as np
 import scipy.fft
 
+from wavefield.compiled import compiled
 from wavefield.matching.assess import assess
 from wavefield.matching.displacement import Displacement
 from wavefield.matching.gauss_newton import Initial, initial_fields, last_sums, prepared_pair
@@ -29,7 +29,7 @@ _REFINE = 4  # px: reach of the search once the images are deformed
 _PASSES = 4  # at the final window size, after the first one at twice that size
 _SMOOTHING = 1.0  # windows: of the displacement that deforms b; less, and the passes do not settle
 
-njit: Any = nb.njit(fastmath=True, error_model="numpy", nogil=True, cache=True)
+njit = compiled(fastmath=True, error_model="numpy")
 
 
 def correlate(
@@ -120,7 +120,8 @@ def _assessed(
     work = scratch(u.shape[1])
     sums = last_sums(first, second, u, v, work)
     weight = np.empty(u.shape, np.float32)
-    block_weights(first.good, second.good, u, v, *second.shape, weight)
+    height, width = second.shape
+    block_weights(first.good, second.good, u, v, height, width, weight)
     sums *= weight
     weights = window_weights(settings.window)
     windowed = np.stack([filtered(field, weights) for field in sums])
@@ -141,7 +142,7 @@ def _deformed(padded: np.ndarray, u: np.ndarray, v: np.ndarray, shape: tuple[int
 
 
 @njit
-def _spline_taps(f):
+def _spline_taps(f: np.float32) -> tuple[np.float32, ...]:
     g = F(1) - f
     f2, g2 = f * f, g * g
     f3, g3 = f2 * f, g2 * g
@@ -156,7 +157,7 @@ def _spline_taps(f):
 
 
 @njit
-def _spline_read(padded, u, v, pad, out):
+def _spline_read(padded: np.ndarray, u: np.ndarray, v: np.ndarray, pad: int, out: np.ndarray) -> None:
     height, width = padded.shape
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
@@ -203,7 +204,8 @@ def _peaks(
 
 def _centred(windows: np.ndarray, top_hat: np.ndarray) -> np.ndarray:
     windows = windows * top_hat
-    return (windows - windows.sum((1, 2), keepdims=True) / top_hat.sum()) * top_hat
+    out: np.ndarray = (windows - windows.sum((1, 2), keepdims=True) / top_hat.sum()) * top_hat
+    return out
 
 
 def _gauss_peak(plane: np.ndarray, shift_x: np.ndarray, shift_y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -214,7 +216,8 @@ def _gauss_peak(plane: np.ndarray, shift_x: np.ndarray, shift_y: np.ndarray) -> 
     floor = 1e-6 * np.abs(plane).max((1, 2)) + 1e-30
 
     def log(dj: int, di: int) -> np.ndarray:
-        return np.log(np.maximum(plane[n, j + 1 + dj, i + 1 + di], floor))
+        out: np.ndarray = np.log(np.maximum(plane[n, j + 1 + dj, i + 1 + di], floor))
+        return out
 
     def offset(before: np.ndarray, after: np.ndarray) -> np.ndarray:
         curvature = before - 2 * log(0, 0) + after

@@ -71,7 +71,8 @@ class Displacement:
     @property
     def valid(self) -> np.ndarray:
         """(ny, nx) bool: blocks to be trusted."""
-        return self.reason == 0
+        out: np.ndarray = self.reason == 0
+        return out
 
     @cached_property
     def u_std(self) -> np.ndarray:

@@ -268,7 +268,8 @@ def _sharpness(rr: np.ndarray, share: np.ndarray, settings: Settings) -> np.ndar
     """1 / (c s)^2 of the robust weights from the windowed sums of squared residuals."""
     variance = rr / (F(BLOCK * BLOCK) * np.maximum(share, F(1e-3)))
     least = F(1e-6) * F(variance.mean()) + F(1e-12)
-    return 1 / (F(settings.robust**2) * np.maximum(variance, least))
+    out: np.ndarray = 1 / (F(settings.robust**2) * np.maximum(variance, least))
+    return out
 
 
 def look_again(a: Prepared, b: Prepared, u: np.ndarray, v: np.ndarray, settings: Settings) -> Displacement:

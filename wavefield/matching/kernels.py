@@ -16,7 +16,10 @@ import numba.extending
 import numpy as np
 from llvmlite import ir
 
+from wavefield.compiled import compiled
+
 F = np.float32
+Array = np.ndarray
 
 BLOCK = 5  # side of a block, px: the step of the lattice
 TAPS = 6  # of the quintic B-spline
@@ -25,12 +28,11 @@ LANES = 8  # floats in a vector: BLOCK of them are wanted
 MID = F(2.0)  # (BLOCK - 1) / 2
 PAD = 8  # replicated border of b, px
 
-njit: Any = nb.njit(fastmath=True, error_model="numpy", nogil=True, cache=True)
-intrinsic: Any = numba.extending.intrinsic
+njit = compiled(fastmath=True, error_model="numpy")
 
 
 @njit
-def _spline_columns(image, y, s, d):
+def _spline_columns(image: Array, y: int, s: Array, d: Array) -> None:
     """Row y of an image smoothed with the quintic B-spline along y, and its exact derivative along y.
 
     image (h + 2 PAD, w + 2 PAD) has its border; s and d (w + 4) begin two pixels before the image.
@@ -45,19 +47,23 @@ def _spline_columns(image, y, s, d):
 
 
 @njit
-def _value(s, x):
+def _value(s: Array, x: int) -> np.float32:
     """The spline along the row at pixel x, s beginning two pixels before it."""
-    return F(66 / 120) * s[x + 2] + F(26 / 120) * (s[x + 1] + s[x + 3]) + F(1 / 120) * (s[x] + s[x + 4])
+    out: np.float32 = (
+        F(66 / 120) * s[x + 2] + F(26 / 120) * (s[x + 1] + s[x + 3]) + F(1 / 120) * (s[x] + s[x + 4])
+    )
+    return out
 
 
 @njit
-def _slope(s, x):
+def _slope(s: Array, x: int) -> np.float32:
     """Its derivative there."""
-    return F(10 / 24) * (s[x + 3] - s[x + 1]) + F(1 / 24) * (s[x + 4] - s[x])
+    out: np.float32 = F(10 / 24) * (s[x + 3] - s[x + 1]) + F(1 / 24) * (s[x + 4] - s[x])
+    return out
 
 
 @njit
-def _spline_row(image, y, s, d, a, gx, gy):
+def _spline_row(image: Array, y: int, s: Array, d: Array, a: Array, gx: Array, gy: Array) -> None:
     """Row y of an image smoothed with the quintic B-spline, and its exact derivatives along columns and rows.
 
     s, d (w + 4) are work space, a, gx, gy (w) output.
@@ -70,7 +76,7 @@ def _spline_row(image, y, s, d, a, gx, gy):
 
 
 @njit
-def spline_image(image, rows, out):
+def spline_image(image: Array, rows: Array, out: Array) -> None:
     """Smooth an image with the quintic B-spline, and take its derivatives.
 
     Parameters
@@ -87,7 +93,7 @@ def spline_image(image, rows, out):
 
 
 @njit
-def _fold(row, out):
+def _fold(row: Array, out: Array) -> None:
     """Sum BLOCK neighbours of `row` into each element of `out`."""
     for b in range(len(out)):
         total = F(0)
@@ -97,7 +103,7 @@ def _fold(row, out):
 
 
 @njit
-def gradient_moments(image, rows, sums, out):
+def gradient_moments(image: Array, rows: Array, sums: Array, out: Array) -> None:
     """Sums per block of products of the gradients of a, alone and times the place in the block.
 
     Parameters
@@ -138,8 +144,17 @@ def gradient_moments(image, rows, sums, out):
                 to[b] = total
 
 
-@intrinsic
-def _read_block(context, image, start, stride, strip, to, width, along_x, along_y):
+def _block_reader(
+    context: Any,
+    image: Any,
+    start: Any,
+    stride: Any,
+    strip: Any,
+    to: Any,
+    width: Any,
+    along_x: Any,
+    along_y: Any,
+) -> tuple[Any, Any]:
     """Read BLOCK rows of LANES pixels between the pixels of `image`: TAPS taps along x, then TAPS along y.
 
     image is read from its element `start` on, its rows `stride` apart; `strip` is written from its element
@@ -147,23 +162,23 @@ def _read_block(context, image, start, stride, strip, to, width, along_x, along_
     where LLVM sees that nothing overlaps.
     """
 
-    def build(context, builder, signature, arguments):
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         floats, vector = ir.FloatType(), ir.VectorType(ir.FloatType(), LANES)
         source, target = (
             context.make_array(signature.args[n])(context, builder, arguments[n]).data for n in (0, 3)
         )
 
-        def place(base, index):
+        def place(base: Any, index: Any) -> Any:
             return builder.bitcast(builder.gep(base, [index]), vector.as_pointer())
 
-        def everywhere(value):
+        def everywhere(value: Any) -> Any:
             one = builder.insert_element(
                 ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0)
             )
             lanes = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
             return builder.shuffle_vector(one, one, lanes)
 
-        def weighted(taps, vectors):
+        def weighted(taps: Any, vectors: Any) -> Any:
             total = ir.Constant(vector, [ir.Constant(floats, 0.0)] * LANES)
             for tap, value in zip(taps, vectors):
                 product = builder.fmul(tap, value, flags=("fast",))
@@ -193,8 +208,11 @@ def _read_block(context, image, start, stride, strip, to, width, along_x, along_
     return nb.types.void(image, index, index, strip, index, index, along_x, along_y), build
 
 
+_read_block: Any = numba.extending.intrinsic(_block_reader)
+
+
 @njit
-def _spline_taps(position, whole, taps):
+def _spline_taps(position: Array, whole: Array, taps: Array) -> None:
     """Split positions into whole pixels and the six quintic B-spline weights of the fraction."""
     for b in range(len(position)):
         low = np.floor(position[b])
@@ -212,13 +230,15 @@ def _spline_taps(position, whole, taps):
 
 
 @njit
-def _get(taps, b):
+def _get(taps: Array, b: int) -> tuple[np.float32, ...]:
     """The taps of one block as a tuple: they stay in registers."""
     return taps[0, b], taps[1, b], taps[2, b], taps[3, b], taps[4, b], taps[5, b]
 
 
 @njit
-def _warp_strip(image, by, u, v, position, whole, taps, strip):
+def _warp_strip(
+    image: Array, by: int, u: Array, v: Array, position: Array, whole: Array, taps: Array, strip: Array
+) -> None:
     """Read b under one row of blocks, each at its own displacement, into `strip` (BLOCK, nx BLOCK + 8)."""
     nx = len(u)
     h, w = image.shape
@@ -236,7 +256,7 @@ def _warp_strip(image, by, u, v, position, whole, taps, strip):
 
 
 @njit
-def _plain_row(s, d, b, s0, s1):
+def _plain_row(s: Array, d: Array, b: Array, s0: Array, s1: Array) -> None:
     for x in range(len(s0)):
         r = _value(s, x) - b[x]
         s0[x] += _slope(s, x) * r
@@ -244,7 +264,19 @@ def _plain_row(s, d, b, s0, s1):
 
 
 @njit
-def plain_sums(first, second, u, v, position, whole, taps, strip, rows, sums, out):
+def plain_sums(
+    first: Array,
+    second: Array,
+    u: Array,
+    v: Array,
+    position: Array,
+    whole: Array,
+    taps: Array,
+    strip: Array,
+    rows: Array,
+    sums: Array,
+    out: Array,
+) -> None:
     """Sums per block of gx r and gy r, with r = a - b(x + d) and d constant over the block.
 
     Parameters
@@ -272,20 +304,20 @@ def plain_sums(first, second, u, v, position, whole, taps, strip, rows, sums, ou
 
 
 @njit
-def _ramp(to, i, slope):
+def _ramp(to: Array, i: int, slope: np.float32) -> None:
     """The line of this slope through zero at the block's middle."""
     for k in range(BLOCK):
         to[i + k] = slope * (F(k) - MID)
 
 
 @njit
-def _level(to, i, value):
+def _level(to: Array, i: int, value: np.float32) -> None:
     for k in range(BLOCK):
         to[i + k] = value
 
 
 @njit
-def _spread_strip(slopes, c2, by, rows):
+def _spread_strip(slopes: Array, c2: Array, by: int, rows: Array) -> None:
     """Slopes of the displacement and weight constants of one row of blocks, spread over its pixels."""
     for b in range(slopes.shape[2]):
         x = b * BLOCK
@@ -297,7 +329,25 @@ def _spread_strip(slopes, c2, by, rows):
 
 
 @njit
-def _robust_row(a, gx, gy, b, ux, uy, vx, vy, y, c2, c2b2, s0, s1, s2, s3, s4, s5):
+def _robust_row(
+    a: Array,
+    gx: Array,
+    gy: Array,
+    b: Array,
+    ux: Array,
+    uy: Array,
+    vx: Array,
+    vy: Array,
+    y: np.float32,
+    c2: Array,
+    c2b2: np.float32,
+    s0: Array,
+    s1: Array,
+    s2: Array,
+    s3: Array,
+    s4: Array,
+    s5: Array,
+) -> None:
     for x in range(len(s0)):
         r = a[x] - b[x] - gx[x] * (ux[x] + y * uy[x]) - gy[x] * (vx[x] + y * vy[x])
         m = a[x] + b[x]
@@ -314,7 +364,22 @@ def _robust_row(a, gx, gy, b, ux, uy, vx, vy, y, c2, c2b2, s0, s1, s2, s3, s4, s
 
 
 @njit
-def robust_sums(first, second, u, v, slopes, c2, c2b2, position, whole, taps, strip, rows, sums, out):
+def robust_sums(
+    first: Array,
+    second: Array,
+    u: Array,
+    v: Array,
+    slopes: Array,
+    c2: Array,
+    c2b2: np.float32,
+    position: Array,
+    whole: Array,
+    taps: Array,
+    strip: Array,
+    rows: Array,
+    sums: Array,
+    out: Array,
+) -> None:
     """Sums per block with a weight w = (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 per pixel.
 
     Parameters
@@ -363,7 +428,22 @@ def robust_sums(first, second, u, v, slopes, c2, c2b2, position, whole, taps, st
 
 
 @njit
-def _residual_row(a, gx, gy, b, ux, uy, vx, vy, y, c2, c2b2, r, w, psi):
+def _residual_row(
+    a: Array,
+    gx: Array,
+    gy: Array,
+    b: Array,
+    ux: Array,
+    uy: Array,
+    vx: Array,
+    vy: Array,
+    y: np.float32,
+    c2: Array,
+    c2b2: np.float32,
+    r: Array,
+    w: Array,
+    psi: Array,
+) -> None:
     for x in range(len(r)):
         r[x] = a[x] - b[x] - gx[x] * (ux[x] + y * uy[x]) - gy[x] * (vx[x] + y * vy[x])
         m = a[x] + b[x]
@@ -374,7 +454,26 @@ def _residual_row(a, gx, gy, b, ux, uy, vx, vy, y, c2, c2b2, r, w, psi):
 
 
 @njit
-def _final_row(a, gx, gy, r, w, psi, s0, s1, s2, s3, s4, s5, s6, s7, s8, s9, s10, s11):
+def _final_row(
+    a: Array,
+    gx: Array,
+    gy: Array,
+    r: Array,
+    w: Array,
+    psi: Array,
+    s0: Array,
+    s1: Array,
+    s2: Array,
+    s3: Array,
+    s4: Array,
+    s5: Array,
+    s6: Array,
+    s7: Array,
+    s8: Array,
+    s9: Array,
+    s10: Array,
+    s11: Array,
+) -> None:
     for x in range(len(s0)):
         wx, wy = w[x] * gx[x], w[x] * gy[x]
         s0[x] += wx * r[x]
@@ -396,7 +495,22 @@ def _final_row(a, gx, gy, r, w, psi, s0, s1, s2, s3, s4, s5, s6, s7, s8, s9, s10
 
 
 @njit
-def final_sums(first, second, u, v, slopes, c2, c2b2, position, whole, taps, strip, rows, sums, out):
+def final_sums(
+    first: Array,
+    second: Array,
+    u: Array,
+    v: Array,
+    slopes: Array,
+    c2: Array,
+    c2b2: np.float32,
+    position: Array,
+    whole: Array,
+    taps: Array,
+    strip: Array,
+    rows: Array,
+    sums: Array,
+    out: Array,
+) -> None:
     """The sums of `robust_sums` and those that correlation and uncertainty are made of.
 
     Parameters
@@ -457,7 +571,20 @@ def final_sums(first, second, u, v, slopes, c2, c2b2, position, whole, taps, str
 
 
 @njit
-def _unweighted_row(s, d, b, ux, uy, vx, vy, y, a, r, s0, s1):
+def _unweighted_row(
+    s: Array,
+    d: Array,
+    b: Array,
+    ux: Array,
+    uy: Array,
+    vx: Array,
+    vy: Array,
+    y: np.float32,
+    a: Array,
+    r: Array,
+    s0: Array,
+    s1: Array,
+) -> None:
     for x in range(len(s0)):
         gx, gy, value = _slope(s, x), _value(d, x), _value(s, x)
         miss = value - b[x] - gx * (ux[x] + y * uy[x]) - gy * (vx[x] + y * vy[x])
@@ -468,7 +595,9 @@ def _unweighted_row(s, d, b, ux, uy, vx, vy, y, a, r, s0, s1):
 
 
 @njit
-def _strip_sums(a, r, s5, s6, s7, s8, s9, s10, s11):
+def _strip_sums(
+    a: Array, r: Array, s5: Array, s6: Array, s7: Array, s8: Array, s9: Array, s10: Array, s11: Array
+) -> None:
     """Sums of r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 over the rows of a strip.
 
     a, r (BLOCK, n + 4) begin one pixel before the sums (n).
@@ -496,7 +625,20 @@ def _strip_sums(a, r, s5, s6, s7, s8, s9, s10, s11):
 
 
 @njit
-def unweighted_sums(first, second, u, v, slopes, position, whole, taps, strip, rows, sums, out):
+def unweighted_sums(
+    first: Array,
+    second: Array,
+    u: Array,
+    v: Array,
+    slopes: Array,
+    position: Array,
+    whole: Array,
+    taps: Array,
+    strip: Array,
+    rows: Array,
+    sums: Array,
+    out: Array,
+) -> None:
     """The sums of `final_sums` with every weight 1, but without those of a's gradients alone.
 
     Parameters
@@ -526,7 +668,7 @@ def unweighted_sums(first, second, u, v, slopes, position, whole, taps, strip, r
 
 
 @njit
-def shift_sums(a, b, margin, first, dy, row, out):
+def shift_sums(a: Array, b: Array, margin: int, first: int, dy: int, row: Array, out: Array) -> None:
     """Sums per block of a b, with b shifted by whole pixels: by dy rows and, one after another, more columns.
 
     Parameters
@@ -564,7 +706,7 @@ def shift_sums(a, b, margin, first, dy, row, out):
             to[border + nx :] = to[border + nx - 1]
 
 
-def scratch(nx: int) -> dict[str, np.ndarray]:
+def scratch(nx: int) -> dict[str, Array]:
     """Work space for `nx` blocks in a row; every kernel writes what it reads."""
     n = nx * BLOCK
     return {

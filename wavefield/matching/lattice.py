@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import cv2
-import numba as nb
 import numpy as np
+
+from wavefield.compiled import compiled
 
 F = np.float32
 BLOCK = 5  # as in kernels.py: numba's cache wants its constants in the same file
 BORDER = cv2.BORDER_REPLICATE
 
-njit: Any = nb.njit(error_model="numpy", nogil=True, cache=True)
+njit = compiled(error_model="numpy")
 
 
 @lru_cache(maxsize=64)
@@ -21,7 +21,8 @@ def gaussian(sigma: float) -> np.ndarray:
     """Weights of a Gaussian of `sigma` blocks, cut at 2.7 sigma, sum 1."""
     reach = max(1, int(np.ceil(2.7 * sigma)))
     weights = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * sigma**2))
-    return (weights / weights.sum()).astype(np.float32)
+    out: np.ndarray = (weights / weights.sum()).astype(np.float32)
+    return out
 
 
 def window_sigma(window: float) -> float:
@@ -72,7 +73,8 @@ def smoothed(
         rest, product = field.copy(), field * weight
         for _ in range(order):
             _take_off(rest, product, filtered(product, g, part), weight, norm)
-    return np.subtract(field, rest, out=rest)
+    out: np.ndarray = np.subtract(field, rest, out=rest)
+    return out
 
 
 def trusted(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
@@ -81,7 +83,9 @@ def trusted(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @njit
-def _take_off(rest, product, part, weight, norm):
+def _take_off(
+    rest: np.ndarray, product: np.ndarray, part: np.ndarray, weight: np.ndarray, norm: np.ndarray
+) -> None:
     """rest -= norm part; product = weight rest."""
     for j in range(len(rest)):
         here, to, off, w, n = rest[j], product[j], part[j], weight[j], norm[j]
@@ -100,7 +104,7 @@ def slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 @njit
-def _slopes(f, fx, fy):
+def _slopes(f: np.ndarray, fx: np.ndarray, fy: np.ndarray) -> None:
     ny, nx = f.shape
     for j in range(ny):
         up, here, down = f[max(j - 1, 0)], f[j], f[min(j + 1, ny - 1)]
@@ -115,7 +119,7 @@ def _slopes(f, fx, fy):
 
 
 @njit
-def subtract_slopes(sums, moments, slope):
+def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) -> None:
     """Turn sums made with a displacement constant per block into those of one linear inside the block.
 
     sums (2, ny, nx) are changed in place; moments (9, ny, nx) are those of `gradient_moments`.
@@ -132,7 +136,15 @@ def subtract_slopes(sums, moments, slope):
 
 
 @njit
-def step(h, s, ridge, relaxation, limit, u, v):
+def step(
+    h: np.ndarray,
+    s: np.ndarray,
+    ridge: np.float32,
+    relaxation: np.float32,
+    limit: np.float32,
+    u: np.ndarray,
+    v: np.ndarray,
+) -> None:
     """One Gauss-Newton step per block: u, v += relaxation (H + ridge)^-1 s, at most `limit` px each way.
 
     h (3, ny, nx) holds the windowed sums gx gx, gx gy, gy gy; s (2, ny, nx) those of gx r, gy r.
@@ -162,7 +174,14 @@ def replace_outliers(u: np.ndarray, v: np.ndarray, limit: float) -> np.ndarray:
 
 
 @njit
-def _replace(u, v, median_u, median_v, limit, outlier):
+def _replace(
+    u: np.ndarray,
+    v: np.ndarray,
+    median_u: np.ndarray,
+    median_v: np.ndarray,
+    limit: np.float32,
+    outlier: np.ndarray,
+) -> None:
     for j in range(u.shape[0]):
         for i in range(u.shape[1]):
             wrong = abs(u[j, i] - median_u[j, i]) + abs(v[j, i] - median_v[j, i]) > limit
@@ -195,7 +214,15 @@ def to_coarser(field: np.ndarray, levels: int, shape: tuple[int, int]) -> np.nda
 
 
 @njit
-def block_weights(mask_a, mask_b, u, v, height, width, out):
+def block_weights(
+    mask_a: np.ndarray,
+    mask_b: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+    height: int,
+    width: int,
+    out: np.ndarray,
+) -> None:
     """Weight 1 of the blocks that lie inside b and touch no masked pixel, 0 of the others, into `out`.
 
     mask_a, mask_b (h, w) uint8 are 1 where a whole block around the pixel is good; of size 0 where nothing is
@@ -214,7 +241,7 @@ def block_weights(mask_a, mask_b, u, v, height, width, out):
 
 
 @njit
-def _cubic(t):
+def _cubic(t: np.float32) -> tuple[np.float32, ...]:
     """Weights of Keys' cubic convolution for a fraction t."""
     return (
         ((-F(0.5) * t + F(1)) * t - F(0.5)) * t,
@@ -225,7 +252,7 @@ def _cubic(t):
 
 
 @njit
-def _sample(field, x, y, out):
+def _sample(field: np.ndarray, x: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
     ny, nx = field.shape
     for k in range(len(out)):
         px, py = min(max(x[k], F(0)), F(nx - 1)), min(max(y[k], F(0)), F(ny - 1))

@@ -7,11 +7,11 @@ the cells; all that lies between works on the small fields. As in `kernels.py` t
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import cv2
-import numba as nb
 import numpy as np
+
+from wavefield.compiled import compiled
 
 F = np.float32
 
@@ -21,11 +21,11 @@ _FEW = F(1e-3)  # share of usable pixels below which there is no telling
 _NOTHING = np.empty((0, 0), np.uint8)
 
 # pixels that are not finite must reach the sums as they are: no fast-math but fused multiply-adds
-njit: Any = nb.njit(fastmath={"contract"}, error_model="numpy", nogil=True, cache=True)
+njit = compiled(fastmath={"contract"}, error_model="numpy")
 
 
 @njit
-def _fold(row, count, side, out):
+def _fold(row: np.ndarray, count: int, side: int, out: np.ndarray) -> None:
     """Sum `side` neighbours of the first `count` elements of `row`; what is left over goes to the last."""
     n = len(out)
     if side == 8:  # the usual one: a loop that becomes vector code
@@ -43,7 +43,7 @@ def _fold(row, count, side, out):
 
 
 @njit
-def _add_row(row, s, t, top):
+def _add_row(row: np.ndarray, s: np.ndarray, t: np.ndarray, top: np.ndarray) -> None:
     for x in range(len(row)):
         v = F(row[x])
         s[x] += v
@@ -52,7 +52,7 @@ def _add_row(row, s, t, top):
 
 
 @njit
-def _add_masked_row(row, good, s, t, top):
+def _add_masked_row(row: np.ndarray, good: np.ndarray, s: np.ndarray, t: np.ndarray, top: np.ndarray) -> None:
     for x in range(len(row)):
         v = F(row[x]) if good[x] != 0 else F(0)
         s[x] += v
@@ -61,7 +61,7 @@ def _add_masked_row(row, good, s, t, top):
 
 
 @njit
-def _cell_sums(image, good, side, rows, out):
+def _cell_sums(image: np.ndarray, good: np.ndarray, side: int, rows: np.ndarray, out: np.ndarray) -> None:
     h, w = image.shape
     ny = out.shape[1]
     s, t, top = rows[0], rows[1], rows[2]
@@ -79,7 +79,15 @@ def _cell_sums(image, good, side, rows, out):
 
 
 @njit
-def _normalize_row(row, m0, m1, s0, s1, t, out):
+def _normalize_row(
+    row: np.ndarray,
+    m0: np.ndarray,
+    m1: np.ndarray,
+    s0: np.ndarray,
+    s1: np.ndarray,
+    t: np.float32,
+    out: np.ndarray,
+) -> None:
     for x in range(len(row)):
         mean = m0[x] + t * (m1[x] - m0[x])
         scale = s0[x] + t * (s1[x] - s0[x])
@@ -87,13 +95,15 @@ def _normalize_row(row, m0, m1, s0, s1, t, out):
 
 
 @njit
-def _clear_row(good, out):
+def _clear_row(good: np.ndarray, out: np.ndarray) -> None:
     for x in range(len(out)):
         out[x] = out[x] if good[x] != 0 else F(0)
 
 
 @njit
-def _normalize(image, good, mean, scale, side, out):
+def _normalize(
+    image: np.ndarray, good: np.ndarray, mean: np.ndarray, scale: np.ndarray, side: int, out: np.ndarray
+) -> None:
     ny = len(mean)
     for y in range(len(image)):
         place = min(max((F(y) + F(0.5)) / F(side) - F(0.5), F(0)), F(ny - 1))
@@ -143,7 +153,8 @@ class Cells:
         mean = self.sums[number] * _inverse_area(self.image.shape, self.side)
         # averages over cells (variance 1/12), read linearly between them (1/6), are blurred already
         sigma = np.sqrt((self.width / self.side) ** 2 - 0.25)
-        return cv2.GaussianBlur(mean, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+        out: np.ndarray = cv2.GaussianBlur(mean, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+        return out
 
     def normalized(self, share: np.ndarray | None, out: np.ndarray) -> None:
         """Write the normalised image; pixels that are not usable become 0.
@@ -189,7 +200,8 @@ class Cells:
 
 def share_of(good: np.ndarray, width: float) -> np.ndarray:
     """(ny, nx) float32: share of usable pixels around each cell, never quite 0."""
-    return np.maximum(Cells(good, width).local(0), _FEW)
+    out: np.ndarray = np.maximum(Cells(good, width).local(0), _FEW)
+    return out
 
 
 def _side(h: int, w: int, width: float) -> int:

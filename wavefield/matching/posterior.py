@@ -13,11 +13,11 @@ from __future__ import annotations
 from typing import Any
 
 import cv2
-import numba as nb
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from wavefield.compiled import compiled
 from wavefield.matching.prior import Prior, wavenumbers
 from wavefield.matching.transfer import footprint
 
@@ -33,7 +33,7 @@ _STEPS = 200  # at most; some ten are usual
 _EDGE = 6.0  # blocks: reach of a slope at the edge, and width over which it is taken
 _ALONG = 3.0  # blocks along the edge over which it is smoothed
 
-njit: Any = nb.njit(error_model="numpy", nogil=True, cache=True)
+njit = compiled(error_model="numpy")
 
 
 def noise_of_scores(score: Float, trace: Float, counts: Float, freedom: float) -> Float:
@@ -289,7 +289,7 @@ class Modes:
 
 
 @njit
-def _assemble(table, iy, ix, norm, own, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _assemble(table: Float, iy: Float, ix: Float, norm: Float, own: Float, out: Float) -> None:
     """Lower triangle of F A F + 1/S among some modes, scaled: products of cosines are sums of cosines."""
     for p in range(iy.size):
         for q in range(p + 1):

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
-import numba as nb
 import numpy as np
 
+from wavefield.compiled import compiled
 from wavefield.matching.kernels import BLOCK, shift_sums
 from wavefield.matching.lattice import F, filtered, replace_outliers, smoothed, window_weights
 from wavefield.matching.prepared import Level
 from wavefield.matching.settings import Settings
 
-njit: Any = nb.njit(error_model="numpy", nogil=True, cache=True)
+njit = compiled(error_model="numpy")
 
 _LOCAL = 41  # px of the level: side of the box of its local normalisation
 
@@ -67,11 +65,12 @@ def _locally_normalized(image: np.ndarray) -> np.ndarray:
 
     image = image - mean(image)
     variance = mean(image * image)
-    return image / np.sqrt(variance + F(0.01) * F(variance.mean()) + F(1e-12))
+    out: np.ndarray = image / np.sqrt(variance + F(0.01) * F(variance.mean()) + F(1e-12))
+    return out
 
 
 @njit
-def _largest(score, j, border, top, best):
+def _largest(score: np.ndarray, j: int, border: int, top: np.ndarray, best: np.ndarray) -> None:
     """Which of all shifts has the largest score, the first of equals, for each block of row j."""
     rows, _, n, _ = score.shape
     nx = len(top)
@@ -87,7 +86,7 @@ def _largest(score, j, border, top, best):
 
 
 @njit
-def _vertex(before, here, after):
+def _vertex(before: np.float32, here: np.float32, after: np.float32) -> np.float32:
     """Where the parabola through three neighbours is highest, at most half a step from the middle one."""
     curvature = before - F(2) * here + after
     if curvature >= F(-1e-6):
@@ -96,7 +95,16 @@ def _vertex(before, here, after):
 
 
 @njit
-def _peaks(score, border, first_x, first_y, top, best, u, v):
+def _peaks(
+    score: np.ndarray,
+    border: int,
+    first_x: int,
+    first_y: int,
+    top: np.ndarray,
+    best: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+) -> None:
     """Shift of the largest score of each block, with a parabola through its neighbours.
 
     score (rows of shifts, ny, columns of shifts, nx + 2 border) begins with the shift first_x, first_y; top,

@@ -39,7 +39,7 @@ def transfer_function(settings: Settings, kx: np.ndarray, ky: np.ndarray, gain: 
     def response(weights: np.ndarray) -> np.ndarray:
         n = np.arange(len(weights)) - len(weights) // 2
         along_x, along_y = (np.cos(np.asarray(k)[..., None] * n) @ weights.astype(float) for k in (kx, ky))
-        return along_x * along_y
+        return np.asarray(along_x * along_y)
 
     total = np.zeros(np.broadcast_shapes(np.shape(kx), np.shape(ky)))
     for level in reversed(range(settings.levels)):
@@ -74,7 +74,8 @@ def restoring(settings: Settings, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
     `transfer_function` times exp(-4 px^2 k^2), which stands for the size of blocks and of beads' images.
     """
     lost = transfer_function(settings, kx, ky).clip(0.0, 1.0) * footprint(kx, ky)
-    return lost / (lost**2 + _NOISE * (1 - lost) ** 2)
+    out: np.ndarray = lost / (lost**2 + _NOISE * (1 - lost) ** 2)
+    return out
 
 
 def footprint(kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
@@ -90,7 +91,8 @@ def footprint(kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
     ndarray
         Amplitude gain.
     """
-    return np.exp(-0.5 * _FOOTPRINT * (np.square(kx) + np.square(ky)) / BLOCK**2)
+    out: np.ndarray = np.exp(-0.5 * _FOOTPRINT * (np.square(kx) + np.square(ky)) / BLOCK**2)
+    return out
 
 
 @lru_cache(maxsize=32)

@@ -101,4 +101,5 @@ def std_from_influence(
             np.ascontiguousarray(field, np.float32), _separable(settings, gain, restored)
         ) / (np.float32(kernel.sum()))
         variance += lost * lost
-    return np.sqrt(np.maximum(variance, 0))
+    out: np.ndarray = np.sqrt(np.maximum(variance, 0))
+    return out

@@ -51,20 +51,20 @@ class Diagnosis:
     """
 
     pixel: float
-    z: dict[Pair, NDArray]
-    eps_y: dict[Pair, NDArray]
+    z: dict[Pair, NDArray[Any]]
+    eps_y: dict[Pair, NDArray[Any]]
     z_std: dict[Pair, float]
-    recombined: dict[Pair, NDArray]
-    moved: dict[Pair, NDArray]
-    eps_piv: dict[tuple[str, ...], NDArray]
+    recombined: dict[Pair, NDArray[Any]]
+    moved: dict[Pair, NDArray[Any]]
+    eps_piv: dict[tuple[str, ...], NDArray[Any]]
 
     @property
-    def difference(self) -> dict[tuple[Pair, Pair], NDArray]:
+    def difference(self) -> dict[tuple[Pair, Pair], NDArray[Any]]:
         """Elevation by one pair minus that by another, metres, (..., ny, nx)."""
         return {(p, q): self.z[p] - self.z[q] for p, q in combinations(self.z, 2)}
 
     @property
-    def moved_difference(self) -> dict[tuple[Pair, Pair], NDArray]:
+    def moved_difference(self) -> dict[tuple[Pair, Pair], NDArray[Any]]:
         """Displacement by one pair minus that by another, metres, (..., 3, ny, nx)."""
         return {(p, q): self.moved[p] - self.moved[q] for p, q in combinations(self.moved, 2)}
 
@@ -95,7 +95,7 @@ class Diagnosis:
                 rows.append(self._row(name, part / np.sqrt(2.0)))
         return rows
 
-    def _row(self, name: str, values: NDArray) -> dict[str, Any]:
+    def _row(self, name: str, values: NDArray[Any]) -> dict[str, Any]:
         rms, share = rms_within(values)
         return {"name": name, **self._units(rms), "share": share}
 
@@ -118,7 +118,7 @@ def pooled(found: Sequence[Diagnosis]) -> Diagnosis:
     """
     first = found[0]
 
-    def stacked(name: str) -> dict[Any, NDArray]:
+    def stacked(name: str) -> dict[Any, NDArray[Any]]:
         return {key: np.stack([getattr(one, name)[key] for one in found]) for key in getattr(first, name)}
 
     return Diagnosis(
@@ -152,7 +152,7 @@ def joined(cameras: Sequence[str]) -> str:
     return "-".join(cameras)
 
 
-def rms_within(values: NDArray) -> tuple[float, float]:
+def rms_within(values: NDArray[Any]) -> tuple[float, float]:
     """Rms without what exceeds three times it, and the share that does.
 
     Parameters
@@ -173,7 +173,7 @@ def rms_within(values: NDArray) -> tuple[float, float]:
 
 @one_thread()
 def diagnose(
-    frames: Mapping[str, Sequence[NDArray | None]], plan: Plan, pixel: float | None = None
+    frames: Mapping[str, Sequence[NDArray[Any] | None]], plan: Plan, pixel: float | None = None
 ) -> Diagnosis:
     """Compare what pairs of cameras say about the same surface, and cameras about the same motion.
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from wavefield.compiled import compiled
 from wavefield.measurement.floor import above_floor, bead_width
 from wavefield.measurement.rectify import bin_pixels
 
@@ -14,7 +16,7 @@ _KNEE = 0.5  # of the contrast: darker than this above the background, the logar
 _SCALE = 5000.0  # grey levels for a factor e: log(65535) still fits 16 bits
 
 
-def usable(image: NDArray | None, size: tuple[int, int]) -> bool:
+def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
     """Whether a frame can be measured at all.
 
     Parameters
@@ -37,7 +39,7 @@ def usable(image: NDArray | None, size: tuple[int, int]) -> bool:
     return high > low
 
 
-def ready(image: NDArray, count: int, width: float | None = None) -> NDArray:
+def ready(image: NDArray[Any], count: int, width: float | None = None) -> NDArray[Any]:
     """A usable frame as it is matched: the floor taken off, brightness evened out, pixels binned.
 
     Parameters
@@ -62,7 +64,7 @@ def ready(image: NDArray, count: int, width: float | None = None) -> NDArray:
     return bin_pixels(even_out(image), count)
 
 
-def even_out(image: NDArray, black: float | None = None) -> NDArray:
+def even_out(image: NDArray[Any], black: float | None = None) -> NDArray[Any]:
     """Logarithm of the brightness above the background.
 
     Parameters
@@ -103,17 +105,18 @@ def even_out(image: NDArray, black: float | None = None) -> NDArray:
         _look_up(image, table, out)
         return out
     above = np.maximum(image.astype(np.float32) - np.float32(low), np.float32(0.0))
-    return np.float32(_SCALE) * np.log(np.float32(1.0) + above / np.float32(knee))
+    result: NDArray[Any] = np.float32(_SCALE) * np.log(np.float32(1.0) + above / np.float32(knee))
+    return result
 
 
-@njit(cache=True, nogil=True)
-def _look_up(image, table, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled()
+def _look_up(image: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) -> None:
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             out[y, x] = table[image[y, x]]
 
 
-def _levels(image: NDArray) -> tuple[float, float, float]:
+def _levels(image: NDArray[Any]) -> tuple[float, float, float]:
     """Brightness at 1, 50 and 99 % of a sample of the image; all alike if there is too little to say."""
     sample = image[3::8, 3::8].ravel()
     if image.dtype in (np.uint8, np.uint16):

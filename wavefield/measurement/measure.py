@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +23,11 @@ from wavefield.measurement.plan import Plan
 from wavefield.measurement.velocity import velocity
 from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, Quality
 
-Frames = Mapping[str, Sequence[NDArray | None]]
+Frames = Mapping[str, Sequence[NDArray[Any] | None]]
 
 
 @one_thread()
-def measure(frames: Frames, plan: Plan, frame_rate: float) -> dict[str, NDArray]:
+def measure(frames: Frames, plan: Plan, frame_rate: float) -> dict[str, NDArray[Any]]:
     """Turn a block of frames into a block of the cube.
 
     Parameters
@@ -80,12 +81,12 @@ def measure(frames: Frames, plan: Plan, frame_rate: float) -> dict[str, NDArray]
     return out
 
 
-def _pair(frames: Frames, k: int) -> tuple[dict[str, NDArray | None], dict[str, NDArray | None]]:
+def _pair(frames: Frames, k: int) -> tuple[dict[str, NDArray[Any] | None], dict[str, NDArray[Any] | None]]:
     return {n: f[k] for n, f in frames.items()}, {n: f[k + 1] for n, f in frames.items()}
 
 
-def _empty(steps: int, plan: Plan) -> dict[str, NDArray]:
-    out: dict[str, NDArray] = {}
+def _empty(steps: int, plan: Plan) -> dict[str, NDArray[Any]]:
+    out: dict[str, NDArray[Any]] = {}
     for name in CUBE_FIELDS:
         dtype = np.dtype(TABLE[name].dtype)
         out[name] = np.full((steps, *plan.grid.shape), np.nan if dtype.kind == "f" else 0, dtype)
@@ -98,7 +99,7 @@ def _step(
     moves: Sequence[Flows],
     plan: Plan,
     frame_rate: float,
-    out: dict[str, NDArray],
+    out: dict[str, NDArray[Any]],
 ) -> None:
     """Fill one step, the only row of ``out``; what cannot be measured stays NaN."""
     before, first, second, after = window

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from wavefield.compiled import compiled
 from wavefield.measurement.regrid import Lattice, place_of, spline_at, spline_weights
 
 Float = NDArray[Any]
@@ -17,8 +17,19 @@ Mask = NDArray[np.bool_]
 _STEPS = 4  # fixed-point steps: the last moves by less than a thousandth of a pixel
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _at(c, nx, ny, across, x0, y0, step_x, step_y, x, y):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled(error_model="numpy", fastmath={"contract"})
+def _at(
+    c: Float,
+    nx: int,
+    ny: int,
+    across: float,
+    x0: float,
+    y0: float,
+    step_x: np.uintp,
+    step_y: np.uintp,
+    x: float,
+    y: float,
+) -> tuple[float, float, int]:
     """Fields 0 and 1 at a place, and the block nearest to it."""
     i, t = place_of((x - x0) * across, nx)
     j, s = place_of((y - y0) * across, ny)
@@ -32,8 +43,24 @@ def _at(c, nx, ny, across, x0, y0, step_x, step_y, x, y):  # type: ignore[no-unt
     )
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _read_path(b, c, a, has_b, has_a, nx, ny, x, y, x0, y0, step, steps, out, block):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled(error_model="numpy", fastmath={"contract"})
+def _read_path(
+    b: Float,
+    c: Float,
+    a: Float,
+    has_b: Float,
+    has_a: Float,
+    nx: int,
+    ny: int,
+    x: Float,
+    y: Float,
+    x0: float,
+    y0: float,
+    step: float,
+    steps: int,
+    out: Float,
+    block: Float,
+) -> None:
     across = 1.0 / step
     sx, sy = np.uintp(2), np.uintp(nx * 2)
     for k in range(x.size):

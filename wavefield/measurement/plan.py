@@ -217,10 +217,10 @@ class Plan:
         middle_of_block = 0.5 * (BLOCK - 1) * self.pixel
         self.origin = (float(x0), float(y0))
         self.lattice = Lattice(x0 + middle_of_block, y0 + middle_of_block, step, (ny, nx))
-        self.maps: dict[str, tuple[NDArray, NDArray]] = {}
-        self.seen: dict[str, NDArray] = {}
+        self.maps: dict[str, tuple[NDArray[Any], NDArray[Any]]] = {}
+        self.seen: dict[str, NDArray[Any]] = {}
         self.masks: dict[str, Mask] = {}
-        self.seen_blocks: dict[str, NDArray] = {}
+        self.seen_blocks: dict[str, NDArray[Any]] = {}
         for name in self.surface_cameras:
             X, Y, seen = sight_map(self.binned[name], px, py)
             self.maps[name], self.seen[name] = (X, Y), seen
@@ -322,7 +322,7 @@ class Sight:
         my, mx = self.modes.shape
         self.spline = thin_plate(shape, 0.0)[:my, :mx]
 
-    def at(self, z: NDArray) -> NDArray[np.float32]:
+    def at(self, z: NDArray[Any]) -> NDArray[np.float32]:
         """Image position and Jacobian of the nodes at given heights.
 
         Parameters
@@ -337,7 +337,7 @@ class Sight:
         """
         return self._evaluate(z, 8)
 
-    def position(self, z: NDArray) -> NDArray[np.float32]:
+    def position(self, z: NDArray[Any]) -> NDArray[np.float32]:
         """Image position of the nodes at given heights.
 
         Parameters
@@ -352,15 +352,16 @@ class Sight:
         """
         return self._evaluate(z, 2)
 
-    def _evaluate(self, z: NDArray, count: int) -> NDArray[np.float32]:
+    def _evaluate(self, z: NDArray[Any], count: int) -> NDArray[np.float32]:
         t = (np.asarray(z, np.float32) - np.float32(self.z_middle)) / np.float32(self.z_half)
         out = self.polynomial[:count, 4].copy()
         for order in (3, 2, 1, 0):
             out *= t
             out += self.polynomial[:count, order]
-        return out
+        result: NDArray[np.float32] = out
+        return result
 
-    def sees(self, X: NDArray, Y: NDArray) -> NDArray[np.bool_]:
+    def sees(self, X: NDArray[Any], Y: NDArray[Any]) -> NDArray[np.bool_]:
         """Whether positions lie inside the binned image."""
         w, h = self.camera.size
         with np.errstate(invalid="ignore"):

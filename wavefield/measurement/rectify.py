@@ -11,25 +11,25 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import float32, njit, uint8, uint16, void
+from numba import float32, uint8, uint16, void
 from numpy.typing import NDArray
 
+from wavefield.compiled import compiled
 from wavefield.rig import Camera
 
 Float = NDArray[Any]
 
 
-@njit(
+@compiled(
     [
         void(uint8[:, ::1], float32, float32[:, ::1], uint16[:, ::1]),
         void(uint16[:, ::1], float32, float32[:, ::1], uint16[:, ::1]),
         void(float32[:, ::1], float32, float32[:, ::1], float32[:, ::1]),
     ],
-    cache=True,
     fastmath=True,
     error_model="numpy",
 )
-def _double(image, scale, rows, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _double(image: NDArray[Any], scale: np.float32, rows: NDArray[Any], out: NDArray[Any]) -> None:
     """Quintic B-spline without prefilter at whole and half pixels; out[2 r, 2 c] lies on pixel (r, c)."""
     h, w = image.shape
     # the spline at distances 0, 1, 2 and at 1/2, 3/2, 5/2
@@ -77,7 +77,7 @@ def _double(image, scale, rows, out):  # type: ignore[no-untyped-def]  # pragma:
                     )
 
 
-def bin_pixels(image: NDArray, count: int) -> NDArray:
+def bin_pixels(image: NDArray[Any], count: int) -> NDArray[Any]:
     """Means of squares of pixels, for a camera that resolves more than its partners.
 
     Parameters
@@ -121,7 +121,7 @@ def binned(camera: Camera, count: int) -> Camera:
     return replace(camera.scaled(1.0 / count), size=(width // count, height // count))
 
 
-def double(image: NDArray) -> NDArray:
+def double(image: NDArray[Any]) -> NDArray[Any]:
     """Sample an image on a grid twice as fine, both images of a match equally smoothed.
 
     Parameters
@@ -142,7 +142,7 @@ def double(image: NDArray) -> NDArray:
     return _doubled(image, np.empty)
 
 
-def _doubled(image: NDArray, space: Callable[[tuple[int, int], Any], NDArray]) -> NDArray:
+def _doubled(image: NDArray[Any], space: Callable[[tuple[int, int], Any], NDArray[Any]]) -> NDArray[Any]:
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32, copy=False)
     image = np.ascontiguousarray(image)
@@ -157,19 +157,20 @@ def _doubled(image: NDArray, space: Callable[[tuple[int, int], Any], NDArray]) -
 class _Space(threading.local):
     """Memory that each thread uses again: new pages cost as much as what is written to them."""
 
-    memory: NDArray = np.empty(0, np.uint8)
+    memory: NDArray[Any] = np.empty(0, np.uint8)
 
-    def __call__(self, shape: tuple[int, int], dtype: Any) -> NDArray:
+    def __call__(self, shape: tuple[int, int], dtype: Any) -> NDArray[Any]:
         size = shape[0] * shape[1] * np.dtype(dtype).itemsize
         if self.memory.size < size:
             self.memory = np.empty(size, np.uint8)
-        return self.memory[:size].view(dtype).reshape(shape)
+        out: NDArray[Any] = self.memory[:size].view(dtype).reshape(shape)
+        return out
 
 
 _space = _Space()
 
 
-def sight_map(camera: Camera, x: NDArray, y: NDArray) -> tuple[Float, Float, NDArray[np.bool_]]:
+def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, Float, NDArray[np.bool_]]:
     """Where a camera sees the points of a lattice on the water at rest.
 
     Parameters
@@ -195,7 +196,7 @@ def sight_map(camera: Camera, x: NDArray, y: NDArray) -> tuple[Float, Float, NDA
     return (2.0 * X).astype(np.float32), (2.0 * Y).astype(np.float32), seen
 
 
-def rectify(image: NDArray, X: Float, Y: Float) -> NDArray:
+def rectify(image: NDArray[Any], X: Float, Y: Float) -> NDArray[Any]:
     """Image in apparent coordinates.
 
     Parameters
@@ -215,7 +216,7 @@ def rectify(image: NDArray, X: Float, Y: Float) -> NDArray:
     )
 
 
-def widen(image: NDArray, x: float, y: float) -> NDArray:
+def widen(image: NDArray[Any], x: float, y: float) -> NDArray[Any]:
     """Blur an image by a Gaussian, differently along its axes.
 
     Parameters

@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 import scipy.fft
-from numba import njit
 from numpy.typing import NDArray
+
+from wavefield.compiled import compiled
 
 Float = NDArray[Any]
 Mask = NDArray[Any]
+Weights = tuple[np.float32, np.float32, np.float32, np.float32]  # of four blocks in a row
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,8 @@ class Lattice:
         return self.y0 + self.step * np.arange(self.shape[0])
 
 
-@njit(cache=True)
-def _pull(fields, weight, sums, total):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled()
+def _pull(fields: Float, weight: Float, sums: Float, total: Float) -> None:
     """Add up squares of two by two, blocks without weight left out."""
     sums[:] = 0
     total[:] = 0
@@ -59,8 +61,8 @@ def _pull(fields, weight, sums, total):  # type: ignore[no-untyped-def]  # pragm
                     sums[j // 2, i // 2, f] += fields[j, i, f]
 
 
-@njit(cache=True)
-def _push(coarse, sums, weight, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled()
+def _push(coarse: Float, sums: Float, weight: Float, out: Float) -> None:
     """Mean of each block, or where it has no weight the coarser means read between their centres."""
     quarter = np.float32(0.25)
     for j in range(weight.shape[0]):
@@ -147,8 +149,8 @@ def coefficients(fields: Float) -> Float:
     return np.ascontiguousarray(np.moveaxis(smooth, 0, -1), dtype=np.float32)
 
 
-@njit(cache=True, inline="always")
-def spline_weights(t):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled(inline="always")
+def spline_weights(t: np.float32) -> Weights:
     """Weights of four blocks for a fraction t of the way from the second to the third."""
     s = np.float32(1.0) - t
     w0 = s * s * s * np.float32(1 / 6)
@@ -157,13 +159,16 @@ def spline_weights(t):  # type: ignore[no-untyped-def]  # pragma: no cover
     return w0, w1, np.float32(1.0) - w0 - w1 - w3, w3
 
 
-@njit(cache=True, inline="always")
-def _line(c, k, step, w):  # type: ignore[no-untyped-def]  # pragma: no cover
-    return w[0] * c[k] + w[1] * c[k + step] + w[2] * c[k + step + step] + w[3] * c[k + step + step + step]
+@compiled(inline="always")
+def _line(c: Float, k: np.uintp, step: np.uintp, w: Weights) -> np.float32:
+    out: np.float32 = (
+        w[0] * c[k] + w[1] * c[k + step] + w[2] * c[k + step + step] + w[3] * c[k + step + step + step]
+    )
+    return out
 
 
-@njit(cache=True, inline="always")
-def spline_at(c, k, step, down, wx, wy):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled(inline="always")
+def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights, wy: Weights) -> np.float32:
     """One field: element k is the first of four by four; unsigned indices are not checked for a minus."""
     return (
         wy[0] * _line(c, k, step, wx)
@@ -173,16 +178,30 @@ def spline_at(c, k, step, down, wx, wy):  # type: ignore[no-untyped-def]  # prag
     )
 
 
-@njit(cache=True, inline="always")
-def place_of(p, n):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled(inline="always")
+def place_of(p: float, n: int) -> tuple[int, np.float32]:
     """Block to the left and distance from it; kept one block inside the lattice."""
-    p = min(max(np.float32(p), np.float32(1.0)), np.float32(n) - np.float32(2.001))
-    i = np.int32(p)
-    return i, p - np.float32(i)
+    q = min(max(np.float32(p), np.float32(1.0)), np.float32(n) - np.float32(2.001))
+    i: Any = np.int32(q)
+    return i, q - np.float32(i)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _read_surface(c, shape, x, y, x0, y0, step, cx, cy, cz, out, p, q):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled(error_model="numpy", fastmath={"contract"})
+def _read_surface(
+    c: Float,
+    shape: tuple[int, int, int],
+    x: Float,
+    y: Float,
+    x0: float,
+    y0: float,
+    step: float,
+    cx: float,
+    cy: float,
+    cz: float,
+    out: Float,
+    p: Float,
+    q: Float,
+) -> None:
     ny, nx, fields = shape
     across = 1.0 / step
     step_x, step_y = np.uintp(fields), np.uintp(nx * fields)
@@ -213,7 +232,7 @@ def _read_surface(c, shape, x, y, x0, y0, step, cx, cy, cz, out, p, q):  # type:
 
 
 def read_surface(
-    spline: Float, lattice: Lattice, centre: NDArray, x: NDArray, y: NDArray
+    spline: Float, lattice: Lattice, centre: NDArray[Any], x: NDArray[Any], y: NDArray[Any]
 ) -> tuple[Float, NDArray[np.int64]]:
     """Fields at physical positions, from a lattice in a camera's apparent coordinates.
 

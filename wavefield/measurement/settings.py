@@ -150,7 +150,8 @@ class Settings:
         dict
             Names to numbers, strings, lists and, for the two matchings, dicts.
         """
-        return _plain(asdict(self))
+        out: dict[str, Any] = _plain(asdict(self))
+        return out
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], path: Path | None = None) -> Settings:

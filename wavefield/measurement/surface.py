@@ -55,10 +55,11 @@ class PairMatch:
     @property
     def valid(self) -> Mask:
         """Blocks that count, (ny, nx)."""
-        return self.rejected == 0
+        out: Mask = self.rejected == 0
+        return out
 
 
-def prepare(image: NDArray, camera: str, plan: Plan) -> matching.Prepared:
+def prepare(image: NDArray[Any], camera: str, plan: Plan) -> matching.Prepared:
     """Rectify a raw image and make it ready for matching.
 
     Parameters
@@ -146,7 +147,7 @@ def difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
     )
 
 
-def _sight(centre: NDArray, x: Float, y: Float) -> tuple[Float, Float]:
+def _sight(centre: NDArray[Any], x: Float, y: Float) -> tuple[Float, Float]:
     depth = np.float32(-centre[2])
     return (x - np.float32(centre[0])) / depth, (y - np.float32(centre[1])) / depth
 

@@ -191,7 +191,8 @@ def _solved(seen: Seen, plan: Plan) -> Motion:
 def _signal(seen: Seen, moved: Sequence[float]) -> Float:
     """Variance of the displacement in each camera's image, px^2, mean of its two components: (N, ny, nx)."""
     square = np.einsum("kiyx,i->kyx", np.square(seen.jacobian), np.square(moved))
-    return 0.5 * (square[::2] + square[1::2])
+    out: Float = 0.5 * (square[::2] + square[1::2])
+    return out
 
 
 def misfit(seen: Seen, d: Float) -> Float:

@@ -4,6 +4,7 @@ Pure functions on arrays, a few milliseconds for the 30,000 nodes of a grid.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numba import float64, guvectorize
@@ -165,13 +166,7 @@ def jacobians(cameras: Sequence[Camera], x: ArrayLike, y: ArrayLike, z: ArrayLik
     return out
 
 
-@guvectorize(
-    [(float64[:, :], float64[:], float64[:], float64[:], float64[:], float64[:])],
-    "(n,m),(n),(n)->(m),(),(m)",
-    nopython=True,
-    cache=True,
-)
-def _solve(jacobian, seen, weight, out, eps, std):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _solve_one(jacobian: Array, seen: Array, weight: Array, out: Array, eps: Array, std: Array) -> None:
     a = b = c = d = e = f = 0.0  # normal matrix [[a, b, c], [b, d, e], [c, e, f]]
     p = q = r = 0.0
     rows = 0
@@ -222,6 +217,14 @@ def _solve(jacobian, seen, weight, out, eps, std):  # type: ignore[no-untyped-de
             miss = seen[i] - (jacobian[i, 0] * x + jacobian[i, 1] * y + jacobian[i, 2] * z)
             total += miss * miss
     eps[0] = np.sqrt(total / rows)
+
+
+_solve: Any = guvectorize(
+    [(float64[:, :], float64[:], float64[:], float64[:], float64[:], float64[:])],
+    "(n,m),(n),(n)->(m),(),(m)",
+    nopython=True,
+    cache=True,
+)(_solve_one)
 
 
 def solve_displacement(

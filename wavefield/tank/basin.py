@@ -9,10 +9,10 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from threading import Lock
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wavefield.compiled import compiled
 from wavefield.tank.sea import Sea
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ class Basin:
         Limits, metres.
     """
 
-    def __init__(self, sea: Sea, x: tuple[float, float], y: tuple[float, float]):
+    def __init__(self, sea: Sea, x: tuple[float, float], y: tuple[float, float]) -> None:
         self.sea, self.x, self.y = sea, x, y
         step = min(sea.shortest / 4.0, _COARSEST)
         margin = _WIDTH // 2
@@ -99,7 +99,7 @@ class Basin:
 class Snapshot:
     """Fields at one instant, as a function of position; made by `Basin.snapshot`."""
 
-    def __init__(self, values: Array, offset: Array, origin: tuple[float, float], step: float):
+    def __init__(self, values: Array, offset: Array, origin: tuple[float, float], step: float) -> None:
         self._values, self._offset, self._origin, self._step = values, offset, origin, step
 
     def __call__(self, x: Array, y: Array) -> Array:
@@ -120,8 +120,8 @@ class Snapshot:
         return (out + self._offset[:, None]).reshape(-1, *x.shape)
 
 
-@nb.njit(cache=True, nogil=True, fastmath=True)
-def _gather(x, y, values, x0, y0, step, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled(fastmath=True)
+def _gather(x: Array, y: Array, values: Array, x0: float, y0: float, step: float, out: Array) -> None:
     nf, ny, nx = values.shape
     wx, wy = np.empty(_WIDTH), np.empty(_WIDTH)
     for p in range(x.size):

@@ -13,10 +13,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wavefield.compiled import compiled
 from wavefield.tank.bound import BoundWaves, bound_waves
 from wavefield.water import GAMMA, dispersion
 
@@ -232,8 +232,8 @@ def _needed(names: Sequence[str]) -> tuple[str, ...]:
     return FIELDS[:-1] if "w" in names else tuple(names)
 
 
-@nb.njit(cache=True, nogil=True, fastmath=True)
-def _product(a, b):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled(fastmath=True)
+def _product(a: Array, b: Array) -> Array:
     """Matrix product on one thread: BLAS would start threads of its own inside each of ours."""
     out = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
@@ -247,7 +247,7 @@ def _product(a, b):  # type: ignore[no-untyped-def]  # pragma: no cover
 class _Layout:
     """Where each wave stands in a matrix (ky, kx) with kx >= 0: sums over waves become matrix products."""
 
-    def __init__(self, kx: Array, ky: Array):
+    def __init__(self, kx: Array, ky: Array) -> None:
         self._mirror = kx < 0  # Re(C e^{ikx}) = Re(C* e^{-ikx})
         kx, ky = np.where(self._mirror, -kx, kx), np.where(self._mirror, -ky, ky)
         # equal wave numbers must meet in one row whatever the rounding of their making

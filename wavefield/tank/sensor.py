@@ -3,9 +3,10 @@
 import math
 from typing import Any
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from wavefield.compiled import compiled
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -28,8 +29,8 @@ def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
     _splat(image, X, Y, flux, sigma)
 
 
-@nb.njit(cache=True, nogil=True, fastmath=True)
-def _splat(image, X, Y, flux, sigma):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled(fastmath=True)
+def _splat(image: NDArray[np.float32], X: Array, Y: Array, flux: Array, sigma: float) -> None:
     height, width = image.shape
     reach = math.ceil(4.5 * sigma) + 1
     size = 2 * reach + 1
@@ -104,7 +105,7 @@ def expose(light: Image, read: float, shot: float, bits: int, rng: np.random.Gen
     else:
         noise = np.zeros((1, 1), np.float32)
     if bits == 8:
-        out = np.empty(light.shape, np.uint8)
+        out: NDArray[Any] = np.empty(light.shape, np.uint8)
         _quantise(light, noise, read * read, shot, 1.0, 255.0, out)
     else:
         out = np.empty(light.shape, np.uint16)
@@ -112,8 +113,16 @@ def expose(light: Image, read: float, shot: float, bits: int, rng: np.random.Gen
     return out
 
 
-@nb.njit(cache=True, nogil=True, fastmath=True)
-def _quantise(light, noise, variance, shot, scale, top, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled(fastmath=True)
+def _quantise(
+    light: NDArray[np.float32],
+    noise: NDArray[np.float32],
+    variance: float,
+    shot: float,
+    scale: float,
+    top: float,
+    out: NDArray[Any],
+) -> None:
     noisy = noise.size > 1
     for i in range(light.shape[0]):
         for j in range(light.shape[1]):

@@ -3,11 +3,11 @@
 import math
 from dataclasses import dataclass, replace
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from wavefield.compiled import compiled
 from wavefield.rig import Camera
 from wavefield.tank.parts import Chessboard, Dots, Strings
 
@@ -147,7 +147,6 @@ def _draw_rows(
     offsets: Array | None,
 ) -> NDArray[np.float32]:
     """Coverage of the pixels inside the given columns and rows, of which the outermost only give slopes."""
-    cover: NDArray[np.float32]
     s, t = own.unproject(columns, rows[:, None])
     s, t = s / target.mesh, t / target.mesh
     if isinstance(target, Strings):
@@ -156,15 +155,12 @@ def _draw_rows(
         marks = np.array([[0.0, 0.0, target.origin_disc / 2], [1.0, 0.0, target.x_disc / 2]])
         marks[:, 2] /= target.mesh
         size = np.array([target.half + 0.5, _FRAME / target.mesh, _FRAME_SHADE])
-        cover = _strings(s, t, target.width / target.mesh, marks, size, blur)
-        return cover
+        return _strings(s, t, target.width / target.mesh, marks, size, blur)
     nx, ny = target.shape
     s, t = s + (nx - 1) / 2, t + (ny - 1) / 2
     if isinstance(target, Dots):
-        cover = _dots(s, t, nx, ny, target.diameter / 2 / target.mesh, blur)
-        return cover
-    cover = _chessboard(s, t, nx, ny, blur)
-    return cover
+        return _dots(s, t, nx, ny, target.diameter / 2 / target.mesh, blur)
+    return _chessboard(s, t, nx, ny, blur)
 
 
 def _undo(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) -> tuple[Array, Array]:
@@ -181,8 +177,8 @@ def _undo(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) -> tuple
     return s, t
 
 
-@nb.njit(cache=True, nogil=True)
-def _step(d, blur):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled()
+def _step(d: float, blur: float) -> float:
     """A blurred edge at d pixels inside it."""
     if d > 4.5 * blur:
         return 1.0
@@ -191,8 +187,10 @@ def _step(d, blur):  # type: ignore[no-untyped-def]  # pragma: no cover
     return 0.5 * (1.0 + math.erf(d / (1.4142135623730951 * blur)))
 
 
-@nb.njit(cache=True, nogil=True)
-def _disc(ds, dt, radius, sx, sy, tx, ty, blur):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled()
+def _disc(
+    ds: float, dt: float, radius: float, sx: float, sy: float, tx: float, ty: float, blur: float
+) -> float:
     """Blurred disc; its edge lies (r - radius) / |grad r| pixels away."""
     r = math.hypot(ds, dt)
     if r < 1e-12:
@@ -202,8 +200,10 @@ def _disc(ds, dt, radius, sx, sy, tx, ty, blur):  # type: ignore[no-untyped-def]
     return _step((radius - r) / slope - 0.5 * blur * blur * slope / radius, blur)
 
 
-@nb.njit(cache=True, nogil=True)
-def _strings(s, t, width, marks, frame, blur):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled()
+def _strings(
+    s: Array, t: Array, width: float, marks: Array, frame: Array, blur: float
+) -> NDArray[np.float32]:
     rows, columns = s.shape[0] - 2, s.shape[1] - 2
     out = np.zeros((rows, columns), np.float32)
     edge, thickness, shade = frame
@@ -248,8 +248,8 @@ def _strings(s, t, width, marks, frame, blur):  # type: ignore[no-untyped-def]  
     return out
 
 
-@nb.njit(cache=True, nogil=True)
-def _dots(s, t, nx, ny, radius, blur):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled()
+def _dots(s: Array, t: Array, nx: int, ny: int, radius: float, blur: float) -> NDArray[np.float32]:
     rows, columns = s.shape[0] - 2, s.shape[1] - 2
     out = np.zeros((rows, columns), np.float32)
     for i in range(rows):
@@ -273,8 +273,8 @@ def _dots(s, t, nx, ny, radius, blur):  # type: ignore[no-untyped-def]  # pragma
     return out
 
 
-@nb.njit(cache=True, nogil=True)
-def _chessboard(s, t, nx, ny, blur):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled()
+def _chessboard(s: Array, t: Array, nx: int, ny: int, blur: float) -> NDArray[np.float32]:
     rows, columns = s.shape[0] - 2, s.shape[1] - 2
     out = np.zeros((rows, columns), np.float32)
     for i in range(rows):

@@ -1,10 +1,10 @@
 """White noise painted on the surface, seen by ray casting."""
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
+from wavefield.compiled import compiled
 from wavefield.rig import Camera
 from wavefield.tank.basin import Snapshot
 
@@ -24,7 +24,7 @@ class Paint:
         Seed.
     """
 
-    def __init__(self, x: tuple[float, float], y: tuple[float, float], mesh: float, seed: int):
+    def __init__(self, x: tuple[float, float], y: tuple[float, float], mesh: float, seed: int) -> None:
         count = [int(np.ceil((hi - lo) / mesh)) + 5 for lo, hi in (x, y)]
         rng = np.random.default_rng([seed, 5])
         self._coefficients = rng.standard_normal((count[1], count[0]), np.float32)
@@ -50,8 +50,16 @@ class Paint:
         return out.reshape(x.shape)
 
 
-@nb.njit(cache=True, nogil=True, fastmath=True)
-def _spline(x, y, c, x0, y0, mesh, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled(fastmath=True)
+def _spline(
+    x: Array,
+    y: Array,
+    c: NDArray[np.float32],
+    x0: float,
+    y0: float,
+    mesh: float,
+    out: NDArray[np.float32],
+) -> None:
     ny, nx = c.shape
     wx, wy = np.empty(4), np.empty(4)
     for p in range(x.size):

@@ -60,7 +60,8 @@ def _open(cube: Any) -> xr.Dataset:
     if isinstance(cube, xr.Dataset):
         return cube
     try:
-        return xr.open_zarr(cube, chunks=None, consolidated=False)
+        out: xr.Dataset = xr.open_zarr(cube, chunks=None, consolidated=False)
+        return out
     except (OSError, ValueError, KeyError) as error:
         raise StoreError(f"{cube} cannot be read as a cube: {error}") from None
 

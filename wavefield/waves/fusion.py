@@ -34,7 +34,8 @@ _LOWEST = 1.2  # Hz: below it the integrated w holds little but drift
 def _white(noise: Array, use: Array) -> Array:
     # level of each ring: the median passes over the ridge, where gains err, and over the nonlinear term in w
     level = np.nanmedian(np.where(use, noise, np.nan), axis=0)
-    return np.nan_to_num(level).clip(min=0.0)
+    out: Array = np.nan_to_num(level).clip(min=0.0)
+    return out
 
 
 def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:

@@ -131,7 +131,8 @@ def shuffle_phases(z: np.ndarray, points: int, rng: np.random.Generator) -> np.n
     """
     n, samples = z.shape
     phase = np.exp(2j * np.pi * rng.random((n, samples // points))).astype(z.dtype)
-    return z * np.repeat(phase, points, axis=1)
+    out: np.ndarray = z * np.repeat(phase, points, axis=1)
+    return out
 
 
 @dataclass(frozen=True)
@@ -162,14 +163,16 @@ class HigherOrderSettings:
 def _level_one(surrogates: list[np.ndarray], chance: float) -> np.ndarray:
     # the square of one coherence without coupling: mean 1 / N, exceeded by chance as significance_level says
     mean = np.mean(np.square(surrogates), axis=0)
-    return np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9), chance))
+    out: np.ndarray = np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9), chance))
+    return out
 
 
 def _level_largest(surrogates: list[np.ndarray], chance: float) -> np.ndarray:
     # the largest of many follows Gumbel's distribution
     quantile = -np.log(-np.log(1 - chance))
     spread = np.std(surrogates, axis=0, ddof=1) * np.sqrt(6) / np.pi
-    return np.minimum(np.mean(surrogates, axis=0) + (quantile - np.euler_gamma) * spread, 1.0)
+    out: np.ndarray = np.minimum(np.mean(surrogates, axis=0) + (quantile - np.euler_gamma) * spread, 1.0)
+    return out
 
 
 def higher_order(

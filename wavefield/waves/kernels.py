@@ -6,20 +6,26 @@ run along contiguous memory and are written so that they vectorise: real and ima
 branches, unsigned indices where they run backwards (signed ones are checked for wrapping around).
 """
 
-import numba
-import numpy as np
+from typing import Any
 
-_fast = numba.njit(nogil=True, cache=True)
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.compiled import compiled
+
+Array = NDArray[Any]
+
+_fast = compiled()
 # sums may be taken in any order, always the same one for the same shape
-_loose = numba.njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "nsz"})
+_loose = compiled(fastmath={"reassoc", "contract", "nsz"})
 # and products are rounded before they are subtracted, so that conj(f) f is real
-_rounded = numba.njit(nogil=True, cache=True, fastmath={"reassoc", "nsz"})
+_rounded = compiled(fastmath={"reassoc", "nsz"})
 _TILE = 8  # steps turned around at once: a line of the cache
 _BATCH = 1024  # values sorted into bins at once
 
 
 @_loose
-def join(first, second, window, out):
+def join(first: Array, second: Array, window: Array, out: Array) -> None:
     """Put two halves of a segment together, take off mean and trend in time, window, and turn around.
 
     Parameters
@@ -71,7 +77,16 @@ def join(first, second, window, out):
 
 
 @_loose
-def frames(z_first, z_second, rate_first, rate_second, dt, begin, first, second):
+def frames(
+    z_first: Array,
+    z_second: Array,
+    rate_first: Array,
+    rate_second: Array,
+    dt: float,
+    begin: int,
+    first: Array,
+    second: Array,
+) -> None:
     """Elevation at the first frame of each step of a segment, from mid-time elevation and rate of rise.
 
     Parameters
@@ -109,13 +124,13 @@ def frames(z_first, z_second, rate_first, rate_second, dt, begin, first, second)
 
 
 @_loose
-def _add_row(row, factor, out):
+def _add_row(row: Array, factor: float, out: Array) -> None:
     for j in range(row.size):
         out[j] += factor * row[j]
 
 
 @_loose
-def ring_powers(f, start, ring, weight, spread, out):
+def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Array, out: Array) -> None:
     """Add power and squared power of every cell to its rings, +-omega folded: k points where the wave goes.
 
     Parameters
@@ -157,7 +172,7 @@ def ring_powers(f, start, ring, weight, spread, out):
 
 
 @_rounded
-def ring_crosses(f, g, start, ring, weight, out):
+def ring_crosses(f: Array, g: Array, start: Array, ring: Array, weight: Array, out: Array) -> None:
     """As the power in `ring_powers`, for conj(f) g; ``out`` holds real and imaginary parts.
 
     The phase is that of waves exp(i (k . x - omega t)), omega > 0.
@@ -185,7 +200,7 @@ def ring_crosses(f, g, start, ring, weight, out):
 
 
 @_loose
-def add_powers(f, out):
+def add_powers(f: Array, out: Array) -> None:
     """Add |f|^2.
 
     Parameters
@@ -203,7 +218,7 @@ def add_powers(f, out):
 
 
 @_fast
-def _along(z, factor, out):
+def _along(z: Array, factor: float, out: Array) -> None:
     # derivative of a line by central differences of sixth order, of lower order at the ends
     n = z.size
     if n > 6:
@@ -228,7 +243,7 @@ def _along(z, factor, out):
 
 
 @_fast
-def _across(z, i, factor, out):
+def _across(z: Array, i: int, factor: float, out: Array) -> None:
     # the same along the first axis, for one row
     ny, nx = z.shape
     room = min(i, ny - 1 - i)
@@ -255,7 +270,7 @@ def _across(z, i, factor, out):
 
 
 @_fast
-def gradient(z, dy, dx, z_y, z_x):
+def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
     """Gradient of each step by central differences of sixth order, of lower order at the edges.
 
     Parameters
@@ -274,7 +289,7 @@ def gradient(z, dy, dx, z_y, z_x):
 
 
 @_fast
-def two_frame_mean(z, z_t, t, slope, rise, out):
+def two_frame_mean(z: Array, z_t: Array, t: int, slope: float, rise: float, out: Array) -> None:
     """Mean elevation of the two frames of a step, from mid-time elevation and rate of rise.
 
     Parameters
@@ -310,7 +325,18 @@ def two_frame_mean(z, z_t, t, slope, rise, out):
 
 
 @_fast
-def advection(z, z_t, u, v, first, slope, rise, dy, dx, out):
+def advection(
+    z: Array,
+    z_t: Array,
+    u: Array,
+    v: Array,
+    first: int,
+    slope: float,
+    rise: float,
+    dy: float,
+    dx: float,
+    out: Array,
+) -> None:
     """Nonlinear term u . grad z of some steps, the gradient as `gradient` takes it.
 
     Parameters
@@ -342,7 +368,7 @@ def advection(z, z_t, u, v, first, slope, rise, dy, dx, out):
 
 
 @_fast
-def slope_square(z, dy, dx):
+def slope_square(z: Array, dy: float, dx: float) -> float:
     """Sum of |grad z|^2 over all nodes and steps, the gradient as `gradient` takes it.
 
     Parameters
@@ -370,7 +396,7 @@ def slope_square(z, dy, dx):
 
 
 @_fast
-def histogram(values, mean, std, reach, counts):
+def histogram(values: Array, mean: float, std: float, reach: float, counts: Array) -> None:
     """Count values in equal bins of (value - mean) / std from -reach to reach; the rest is left out.
 
     Parameters
@@ -405,7 +431,7 @@ def histogram(values, mean, std, reach, counts):
 
 
 @_loose
-def node_powers(values, mean, sums):
+def node_powers(values: Array, mean: float, sums: Array) -> None:
     """Add the first three powers of (value - mean) at every node to ``sums``.
 
     Parameters
@@ -427,7 +453,7 @@ def node_powers(values, mean, sums):
 
 
 @_loose
-def moments(values, mean, sums):
+def moments(values: Array, mean: float, sums: Array) -> None:
     """Add the first four powers of (value - mean) to ``sums`` (5,), the first entry being the count.
 
     Rows are summed one by one, so that single values do not drown in a long sum.
@@ -462,7 +488,7 @@ def moments(values, mean, sums):
 
 
 @_fast
-def _lagrange(fraction, scale, weights):
+def _lagrange(fraction: float, scale: Array, weights: Array) -> None:
     # weights of the nodes -(m/2 - 1) .. m/2 for a point at `fraction` in [0, 1); `scale`: `_denominators`
     m = weights.size
     first = -(m // 2 - 1)
@@ -477,7 +503,7 @@ def _lagrange(fraction, scale, weights):
 
 
 @_fast
-def _denominators(m):
+def _denominators(m: int) -> Array:
     scale = np.ones(m)
     for i in range(m):
         for j in range(m):
@@ -487,7 +513,7 @@ def _denominators(m):
 
 
 @_loose
-def sample(field, row, column, out, points):
+def sample(field: Array, row: Array, column: Array, out: Array, points: int) -> None:
     """Interpolate a field between its nodes by Lagrange polynomials; NaN where the stencil runs out.
 
     Parameters
@@ -525,7 +551,9 @@ def sample(field, row, column, out, points):
 
 
 @_loose
-def windowed_sums(energy, noise, cells, k, heading, first, last, out):
+def windowed_sums(
+    energy: Array, noise: Array, cells: Array, k: Array, heading: Array, first: Array, last: Array, out: Array
+) -> None:
     """Sum the energy above the noise over a window of cells of each line, and with it wavenumber and heading.
 
     Parameters

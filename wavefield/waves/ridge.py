@@ -228,7 +228,8 @@ def _solve(points: Array, depth: float, start: Array) -> Array:
 
     def misfit(p: Array) -> Array:
         model = dispersion(k, depth, max(p[2], 0.0) * 1e-5) + p[0] * kx + p[1] * ky
-        return weight * (model - omega) / np.sqrt(k)
+        out: Array = weight * (model - omega) / np.sqrt(k)
+        return out
 
     # every line alike, on a line by energy: what leaks into empty sectors says nothing of the waves there
     weight = np.sqrt(points[:, 3] / _strongest(points))

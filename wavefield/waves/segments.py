@@ -323,7 +323,8 @@ class TimeTransform:
         joined = self.lines[name, : 2 * self.half * cells].reshape(cells, 2 * self.half)
         first, second = (part.view(self.real) for part in halves)
         kernels.join(first, second, self.window, joined.view(self.real))
-        return fft.fft(joined, axis=-1, overwrite_x=True)
+        out: np.ndarray = fft.fft(joined, axis=-1, overwrite_x=True)
+        return out
 
 
 def transform_time(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -314,7 +314,8 @@ def angular_integral(density: xr.DataArray, dk: float | None = None) -> xr.DataA
     def integrate(values: Array) -> Array:
         flat = np.fft.ifftshift(values, axes=(-2, -1)).reshape(-1, ny * nx).astype(np.float64)
         out = (table.shares.T @ flat.T).T * (cell_y * cell_x / table.dk)
-        return out.reshape(*values.shape[:-2], table.k.size)
+        result: Array = out.reshape(*values.shape[:-2], table.k.size)
+        return result
 
     out = xr.apply_ufunc(
         integrate,
@@ -410,7 +411,8 @@ def independent_cells(energy: xr.DataArray, cells: xr.DataArray, table: rings.Ri
     norm = xr.dot(
         share, overlap, share.rename(k="k2").drop_vars(["k2", "cycles"], errors="ignore"), dim=["k", "k2"]
     )
-    return 1 / norm
+    out: xr.DataArray = 1 / norm
+    return out
 
 
 def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:

@@ -213,7 +213,10 @@ def label(
     pdf = [rebin(sums[f"counts {QUANTITIES[name]}"], scale[QUANTITIES[name]], raw[name]) for name in names]
     bins = bin_centres()
     to_length = np.array([1.0 if name == "z" else dt for name in names])
-    column = lambda key: np.array([rows[name][key] for name in names])  # noqa: E731
+
+    def column(key: str) -> Array:
+        return np.array([rows[name][key] for name in names])
+
     std = column("std") * to_length
     out: dict[str, Any] = {
         "pdf": (("quantity", "bin"), np.array(pdf)),
