@@ -17,8 +17,9 @@ from wavefield.rig.formats import load_rig
 from wavefield.rig.rig import Rig
 from wavefield.series.experiment import Experiment
 from wavefield.series.proposal import propose
-from wavefield.store.export import export_netcdf as export
+from wavefield.store.export import export
 from wavefield.store.ledger import status
+from wavefield.store.pivpy import to_pivpy
 from wavefield.store.read import open_cube
 from wavefield.store.verify import verify
 from wavefield.tank.scene import Scene
@@ -68,5 +69,6 @@ __all__ = [
     "simulate",
     "spectrum",
     "status",
+    "to_pivpy",
     "verify",
 ]

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 from cube_cases import HERE, different
 
-from wavefield.cubes import Workflow, catalog_add, check, export_netcdf, open_cube, run, run_catalog, status
+from wavefield.cubes import Workflow, catalog_add, check, export, open_cube, run, run_catalog, status
 from wavefield.cubes.prepare import choose_block
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.images import read_image, write_image
@@ -134,7 +134,7 @@ def test_status_of_a_whole_cube(reference):
 
 def test_netcdf_holds_the_same_and_follows_cf(reference, tmp_path):
     path = tmp_path / "new" / "cube.nc"
-    export_netcdf(reference, path)
+    export(reference, path)
     cube = open_cube(reference).load()
     with xr.open_dataset(path, engine="h5netcdf") as plain:
         assert different(plain, cube) == []
@@ -147,7 +147,7 @@ def test_netcdf_holds_the_same_and_follows_cf(reference, tmp_path):
         assert "_FillValue" not in plain.x.encoding
     assert [p.name for p in path.parent.iterdir()] == ["cube.nc"]
     with pytest.raises(StoreError, match="no such store"):
-        export_netcdf(tmp_path / "none.zarr", path)
+        export(tmp_path / "none.zarr", path)
 
 
 # -- catalogs ---------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import pytest
 from cube_cases import different
 
 from wavefield.commands.cli import main
-from wavefield.cubes import Workflow, export_netcdf, run, status
+from wavefield.cubes import Workflow, export, run, status
 from wavefield.errors import RunStopped, StoreError
 from wavefield.store.verify import chunk_path, verify
 
@@ -87,7 +87,7 @@ def test_an_unfinished_cube_is_not_passed_on_in_silence(tank, tmp_path, capsys):
         run(tank, out=out, workflow=FOURS, progress=stop)
     left = status(out).left
     with pytest.warns(UserWarning, match=f"of the 16 steps of .*, {left} are not measured yet"):
-        export_netcdf(out, tmp_path / "cube.nc")
+        export(out, tmp_path / "cube.nc")
     assert main(["-q", "export", str(out), str(tmp_path / "again.nc")]) == 3
     main(["-q", "analyze", str(out), "--segment", "8"])
     assert capsys.readouterr().err.count(f"{left} are not measured yet") >= 2
@@ -96,7 +96,7 @@ def test_an_unfinished_cube_is_not_passed_on_in_silence(tank, tmp_path, capsys):
 def test_a_finished_cube_is_passed_on_without_a_word(whole, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        export_netcdf(whole, tmp_path / "cube.nc")
+        export(whole, tmp_path / "cube.nc")
     assert np.fromfile(tmp_path / "cube.nc", np.uint8).size > 1000
 
 

@@ -11,28 +11,51 @@ _STORE = click.Path(exists=True, file_okay=False, path_type=Path)
 _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 
-@click.command(epilog="\b\nExample:\n  wavefield export cube.zarr cube.nc")
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield export cube.zarr cube.nc                    # NetCDF (CF)
+  wavefield export cube.zarr cube.mat                   # MATLAB 7.3
+  wavefield export cube.zarr cube.pvd --steps 0:500:5   # ParaView: the moving surface, every fifth step
+  wavefield export cube.zarr run7.uvmat                 # a folder of files for UVMAT
+"""
+)
 @click.argument("store", metavar="CUBE", type=_STORE)
-@click.argument("output", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("output", type=click.Path(path_type=Path))
+@click.option("--steps", help="Some of the steps, counted from 0: FIRST:STOP or FIRST:STOP:EVERY.")
 @click.pass_context
-def export(context: click.Context, store: Path, output: Path) -> None:
-    """Write a cube as NetCDF (CF), for MATLAB, Panoply and others.
+def export(context: click.Context, store: Path, output: Path, steps: str | None) -> None:
+    """Write a cube for other programs; the ending of OUTPUT says which.
 
     The exit status is 3 where steps of the cube are missing.
     """
-    from wavefield.store.export import ENDINGS, export_netcdf
+    from wavefield.store import export as exports
     from wavefield.store.ledger import unfinished_note
 
-    if output.suffix.lower() not in ENDINGS:
-        raise click.UsageError(f"{output} is written as NetCDF: let its name end in {' or '.join(ENDINGS)}")
+    if output.suffix.lower() not in exports.ENDINGS:
+        raise click.UsageError(f"{output} is no format that is written: let its name end in {exports.KNOWN}")
     note = unfinished_note(store)
     with Progress(f"Writing {output}"), warnings.catch_warnings():
         warnings.simplefilter("ignore" if note else "default", UserWarning)  # said below
-        export_netcdf(store, output)
+        exports.export(store, output, _slice(steps))
     click.echo(f"Wrote {output}.")
     if note:
         click.echo(f"note: {note}", err=True)
         context.exit(3)
+
+
+def _slice(words: str | None) -> slice | None:
+    if words is None:
+        return None
+    try:
+        parts = [int(word) if word else None for word in words.split(":")]
+        if len(parts) not in (2, 3) or any(part is not None and part < 0 for part in parts) or 0 in parts[2:]:
+            raise ValueError
+    except ValueError:
+        raise click.BadParameter(
+            f"--steps {words!r}: write FIRST:STOP or FIRST:STOP:EVERY, such as 0:500:5"
+        ) from None
+    return slice(*parts)
 
 
 @click.group()

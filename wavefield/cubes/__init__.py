@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from wavefield.cubes.lazy import reconstruct
     from wavefield.cubes.running import run
     from wavefield.cubes.workflow import Workflow
-    from wavefield.store.export import export_netcdf
+    from wavefield.store.export import export
     from wavefield.store.ledger import Status, status
     from wavefield.store.read import open_cube
 
@@ -23,7 +23,7 @@ _PUBLIC = {
     "is_catalog": "cubes.catalog",
     "run_catalog": "cubes.catalog",
     "check": "cubes.forecast",
-    "export_netcdf": "store.export",
+    "export": "store.export",
     "open_cube": "store.read",
     "predicted_gain": "cubes.gain",
     "reconstruct": "cubes.lazy",
@@ -37,7 +37,7 @@ __all__ = [
     "Workflow",
     "catalog_add",
     "check",
-    "export_netcdf",
+    "export",
     "is_catalog",
     "open_cube",
     "predicted_gain",

@@ -1,33 +1,51 @@
-"""The cube as one NetCDF file, for programs that do not read Zarr."""
+"""The cube as files of other programs: NetCDF, MATLAB, ParaView, UVMAT."""
 
 import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from wavefield.errors import StoreError
 from wavefield.store.ledger import unfinished_note
-from wavefield.store.read import open_cube
+from wavefield.store.read import cube_recipe, open_cube
 from wavefield.variables import TABLE
 from wavefield.whole_files import whole
 
-ENDINGS = (".nc", ".nc4", ".cdf", ".h5")
+if TYPE_CHECKING:
+    import xarray as xr
+
+NETCDF = (".nc", ".nc4", ".cdf", ".h5")
+ENDINGS = {
+    **dict.fromkeys(NETCDF, "netcdf"),
+    ".mat": "matlab",
+    ".pvd": "paraview",
+    ".uvmat": "uvmat",
+}
+KNOWN = ".nc (NetCDF), .mat (MATLAB), .pvd (ParaView) or .uvmat (a folder for UVMAT)"
+_AT_ONCE = 16  # steps in memory
 
 
-def export_netcdf(store: str | Path, path: str | Path) -> None:
-    """Write a cube as one NetCDF-4 file that follows the CF conventions (MATLAB, Panoply, ncview).
+def export(store: str | Path, path: str | Path, steps: slice | None = None) -> None:
+    """Write a cube for other programs; the ending of the name says which.
 
     Parameters
     ----------
     store : path
         Cube written by `run`.
     path : path
-        File to write, ``.nc``; it appears when it is whole.
+        ``.nc``: one NetCDF-4 file that follows the CF conventions; ``.mat``: MATLAB 7.3; ``.pvd``: a list of
+        steps for ParaView, each a ``.vts`` in the folder ``NAME_steps`` beside it; ``.uvmat``: a folder of
+        one NetCDF file per step. It appears when it is whole.
+    steps : slice, optional
+        Some of the steps; by default all.
 
     Raises
     ------
     StoreError
-        If the cube is not there, or the file cannot be written or has another program's ending.
+        If the cube is not there, has no such steps, or the file cannot be written or has another program's
+        ending.
 
     Warns
     -----
@@ -36,14 +54,29 @@ def export_netcdf(store: str | Path, path: str | Path) -> None:
 
     Notes
     -----
-    Values are unpacked float32, compressed. Goes through the cube one block at a time.
+    Values are unpacked float32. Goes through the cube a few steps at a time.
     """
     path = Path(path)
-    if path.suffix.lower() not in ENDINGS:
-        raise StoreError(f"{path} is written as NetCDF: let its name end in {' or '.join(ENDINGS)}")
+    kind = ENDINGS.get(path.suffix.lower())
+    if kind is None:
+        raise StoreError(f"{path} is no format that is written: let its name end in {KNOWN}")
     if note := unfinished_note(store):
         warnings.warn(note, stacklevel=2)
     cube = open_cube(store)
+    if steps is not None:
+        cube = cube.isel(time=steps)
+    if not cube.sizes["time"]:
+        raise StoreError(f"{store} has no such steps: it holds {open_cube(store).sizes['time']}")
+    _WRITERS[kind](cube, path)
+
+
+def _by_steps(cube: "xr.Dataset") -> Iterator["xr.Dataset"]:
+    count = cube.sizes["time"]
+    for start in range(0, count, _AT_ONCE):
+        yield cube.isel(time=slice(start, min(start + _AT_ONCE, count))).load()
+
+
+def _netcdf(cube: "xr.Dataset", path: Path) -> None:
     cube.attrs = {
         name: " ".join(value) if isinstance(value, list) else value for name, value in cube.attrs.items()
     }
@@ -59,3 +92,42 @@ def export_netcdf(store: str | Path, path: str | Path) -> None:
             variable.encoding |= {"zlib": True, "complevel": 4, "shuffle": True, "chunksizes": chunks}
     with whole(path) as draft:
         cube.to_netcdf(draft, engine="h5netcdf", format="NETCDF4")
+
+
+def _matlab(cube: "xr.Dataset", path: Path) -> None:
+    from wavefield.store.matlab import write_matlab
+
+    with whole(path) as draft:
+        write_matlab(cube, _by_steps(cube), draft)
+
+
+def _paraview(cube: "xr.Dataset", path: Path) -> None:
+    from wavefield.store.paraview import write_paraview
+
+    folder = path.with_name(f"{path.stem}_steps")
+    _refuse_others(folder, ".vts")
+    with whole(folder) as draft:
+        write_paraview(_by_steps(cube), draft, path, folder.name)
+
+
+def _uvmat(cube: "xr.Dataset", path: Path) -> None:
+    from wavefield.store.uvmat import write_uvmat
+
+    dt = 1.0 / float(cube_recipe(cube)["frame_rate"])
+    _refuse_others(path, ".nc")
+    with whole(path) as draft:
+        write_uvmat(_by_steps(cube), draft, path.stem, dt)
+
+
+def _refuse_others(folder: Path, ending: str) -> None:
+    """Never replace a folder that holds anything but an earlier export."""
+    if folder.exists() and (not folder.is_dir() or any(entry.suffix != ending for entry in folder.iterdir())):
+        raise StoreError(f"{folder} is there and holds other files; choose another name")
+
+
+_WRITERS: dict[str, Callable[[Any, Path], None]] = {
+    "netcdf": _netcdf,
+    "matlab": _matlab,
+    "paraview": _paraview,
+    "uvmat": _uvmat,
+}

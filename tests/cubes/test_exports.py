@@ -1,0 +1,124 @@
+"""Cubes for other programs: what they hold is what the cube holds."""
+
+import struct
+import xml.etree.ElementTree as ET
+import zlib
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import netcdf_file
+
+import wavefield as wf
+from wavefield.commands.cli import main
+from wavefield.errors import StoreError
+
+
+@pytest.fixture(scope="module")
+def cube(reference):
+    return wf.open_cube(reference).load()
+
+
+def test_matlab_reads_fields_as_y_x_time(reference, cube, tmp_path):
+    wf.export(reference, tmp_path / "cube.mat")
+    head = (tmp_path / "cube.mat").read_bytes()[:128]
+    assert head.startswith(b"MATLAB 7.3 MAT-file")
+    assert head[124:] == b"\x00\x02IM"
+    with h5py.File(tmp_path / "cube.mat") as file:
+        for name in ("z", "u", "v", "w", "z_std", "quality"):
+            as_matlab_has_it = file[name][:].T  # it reads dimensions in reverse
+            np.testing.assert_array_equal(as_matlab_has_it, cube[name].transpose("y", "x", "time"))
+        assert file["z"].attrs["MATLAB_class"] == b"single"
+        assert file["quality"].attrs["MATLAB_class"] == b"uint8"
+        assert file["time"][:].T.shape == (cube.sizes["time"], 1)
+        assert file["units"].attrs["MATLAB_class"] == b"struct"
+        assert file["units/w"][:].astype("<u2").tobytes().decode("utf-16-le") == "m s-1"
+        assert '"grid"' in file["recipe"][:].astype("<u2").tobytes().decode("utf-16-le")
+
+
+def points_and_fields(path):
+    """All arrays of a .vts, read by its own header."""
+    data = path.read_bytes()
+    start = data.index(b"_", data.index(b"<AppendedData")) + 1
+    root = ET.fromstring(data[: start - 1] + b"</AppendedData></VTKFile>")
+    kinds = {"Float32": "<f4", "UInt8": "u1"}
+    out = {}
+    for array in root.iter("DataArray"):
+        at = start + int(array.get("offset"))
+        blocks, size, _, packed = struct.unpack_from("<4Q", data, at)
+        raw = zlib.decompress(data[at + 32 : at + 32 + packed])
+        assert (blocks, len(raw)) == (1, size)
+        parts = int(array.get("NumberOfComponents"))
+        out[array.get("Name")] = np.frombuffer(raw, kinds[array.get("type")]).reshape(-1, parts)
+    return root.find("StructuredGrid").get("WholeExtent"), out
+
+
+def test_paraview_gets_the_surface_of_every_step_at_its_time(reference, cube, tmp_path):
+    assert main(["-q", "export", str(reference), str(tmp_path / "cube.pvd"), "--steps", "2:8:3"]) == 0
+    series = list(ET.parse(tmp_path / "cube.pvd").iter("DataSet"))
+    assert [float(s.get("timestep")) for s in series] == pytest.approx(cube.time.values[2:8:3])
+    extent, arrays = points_and_fields(tmp_path / series[1].get("file"))
+    one = cube.isel(time=5)
+    assert extent == f"0 {one.sizes['x'] - 1} 0 {one.sizes['y'] - 1} 0 0"
+    z = one.z.values.ravel()
+    hidden = arrays["vtkGhostType"][:, 0] == 2
+    np.testing.assert_array_equal(hidden, ~np.isfinite(z))
+    np.testing.assert_array_equal(arrays["Points"][~hidden, 2], z[~hidden])
+    x, y = np.meshgrid(one.x, one.y)
+    np.testing.assert_allclose(arrays["Points"][:, :2], np.stack([x.ravel(), y.ravel()], -1), rtol=1e-6)
+    np.testing.assert_array_equal(arrays["velocity"][:, 2], one.w.values.ravel())
+    np.testing.assert_array_equal(arrays["quality"][:, 0], one.quality.values.ravel())
+
+
+def test_uvmat_gets_a_file_per_step_with_roles(reference, cube, tmp_path):
+    wf.export(reference, tmp_path / "run.uvmat", slice(0, 3))
+    names = sorted(p.name for p in (tmp_path / "run.uvmat").iterdir())
+    assert names == ["run_1.nc", "run_2.nc", "run_3.nc"]
+    with netcdf_file(str(tmp_path / "run.uvmat" / "run_2.nc"), mmap=False) as file:
+        one = cube.isel(time=1)
+        assert (file.Conventions, file.CoordUnit) == (b"uvmat", b"m")
+        assert file.Time == pytest.approx(float(one.time))
+        roles = {name: variable.Role.decode() for name, variable in file.variables.items()}
+        assert (roles["U"], roles["V"]) == ("vector_x", "vector_y")
+        assert roles["coord_y"] == "coord_y"
+        np.testing.assert_array_equal(file.variables["W"][:], one.w.values)
+        np.testing.assert_array_equal(file.variables["FF"][:] == 0, (one.quality.values & 1) == 1)
+
+
+def test_pivpy_gets_y_x_t_with_flags(cube):
+    out = wf.to_pivpy(cube)
+    assert out.u.dims == ("y", "x", "t")
+    assert out.attrs["delta_t"] == pytest.approx(float(cube.time[1] - cube.time[0]))
+    np.testing.assert_array_equal(out.chc.values == 1, (cube.quality.values & 1).transpose(1, 2, 0) == 1)
+    np.testing.assert_array_equal(out.w.values, cube.w.values.transpose(1, 2, 0))
+
+
+def test_netcdf_passes_as_cf(reference, cube, tmp_path):
+    """Every variable has units, known axes and flags of its own type, and refers to what is there."""
+    import cf_xarray  # noqa: F401
+    import xarray as xr
+
+    wf.export(reference, tmp_path / "cube.nc")
+    with xr.open_dataset(tmp_path / "cube.nc", engine="h5netcdf") as plain:
+        assert {k: v for k, v in plain.cf.axes.items() if k in "TXY"} == {
+            "T": ["time"],
+            "X": ["x"],
+            "Y": ["y"],
+        }
+        for name, variable in plain.variables.items():
+            assert {"units", "long_name"} <= set(variable.attrs) | set(variable.encoding), name
+            for other in variable.attrs.get("ancillary_variables", "").split():
+                assert other in plain
+    assert not plain.variables.keys() - cube.variables.keys()
+
+
+def test_what_is_in_the_way_is_not_replaced(reference, tmp_path, capsys):
+    (tmp_path / "cube_steps").mkdir()
+    (tmp_path / "cube_steps" / "thesis.tex").write_text("years of work")
+    with pytest.raises(StoreError, match="holds other files"):
+        wf.export(reference, tmp_path / "cube.pvd")
+    assert (tmp_path / "cube_steps" / "thesis.tex").read_text() == "years of work"
+    with pytest.raises(StoreError, match="no such steps: it holds 16"):
+        wf.export(reference, tmp_path / "cube.mat", slice(90, 99))
+    assert main(["-q", "export", str(reference), str(tmp_path / "a.mat"), "--steps", "every"]) == 2
+    assert "FIRST:STOP" in capsys.readouterr().err

@@ -1,0 +1,81 @@
+"""A cube as a MATLAB file of version 7.3, which is HDF5 behind a header of MATLAB's own."""
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import xarray as xr
+
+_HEADER = 512  # bytes before the HDF5
+_CLASS = {"float32": "single", "float64": "double"}  # numpy's types whose names differ
+
+
+def write_matlab(cube: xr.Dataset, blocks: Iterator[xr.Dataset], path: Path) -> None:
+    """Write a cube as a MAT-file of version 7.3, which `load` and `matfile` read.
+
+    Parameters
+    ----------
+    cube : Dataset
+        As from `open_cube`.
+    blocks : iterator of Dataset
+        The same, loaded, a few steps at a time.
+    path : path
+        File to write.
+
+    Notes
+    -----
+    Fields are of size (y, x, time) as MATLAB reads them, so that ``surf(x, y, z(:,:,1))`` draws a step; one
+    step can be read without the rest (``matfile``). ``units`` and ``long_name`` are structs of texts;
+    ``recipe`` is JSON (``jsondecode``).
+    """
+    with h5py.File(path, "w", userblock_size=_HEADER) as file:
+        for name, variable in cube.variables.items():
+            _lay_out(file, str(name), variable)
+        at = 0
+        for block in blocks:
+            stop = at + block.sizes["time"]
+            for name, variable in block.variables.items():
+                if "time" in variable.dims and variable.ndim == 3:
+                    file[str(name)][at:stop] = np.asarray(variable).transpose(0, 2, 1)
+            at = stop
+        for key in ("units", "long_name"):
+            _write_struct(file, key, {str(n): str(v.attrs.get(key, "")) for n, v in cube.variables.items()})
+        for name, value in cube.attrs.items():
+            if isinstance(value, str) and value:
+                _write_text(file, name, value)
+    with path.open("r+b") as stream:
+        text = b"MATLAB 7.3 MAT-file, written by wavefield, HDF5 schema 1.00 ."
+        stream.write(text.ljust(116) + bytes(8) + struct.pack("<H", 0x0200) + b"IM")
+
+
+def _lay_out(file: h5py.File, name: str, variable: xr.Variable) -> None:
+    """A field without its values yet, or a whole vector; MATLAB reads dimensions in reverse."""
+    if variable.ndim == 3:
+        count, ny, nx = variable.shape
+        data = file.create_dataset(
+            name, (count, nx, ny), variable.dtype, chunks=(1, nx, ny), compression=4, shuffle=True
+        )
+    else:
+        values = np.asarray(variable)
+        data = file.create_dataset(name, data=np.atleast_2d(values).T if values.ndim == 2 else values[None])
+    kind = str(data.dtype)
+    data.attrs["MATLAB_class"] = np.bytes_(_CLASS.get(kind, kind))
+
+
+def _write_text(group: Any, name: str, text: str) -> None:
+    codes = np.frombuffer(text.encode("utf-16-le"), "<u2")
+    data = group.create_dataset(name, data=codes[:, None] if codes.size else np.zeros((2,), "u8"))
+    data.attrs["MATLAB_class"] = np.bytes_("char")
+    data.attrs["MATLAB_int_decode"] = np.int32(2)
+    if not codes.size:
+        data.attrs["MATLAB_empty"] = np.uint8(1)
+
+
+def _write_struct(file: h5py.File, name: str, texts: dict[str, str]) -> None:
+    group = file.create_group(name)
+    group.attrs["MATLAB_class"] = np.bytes_("struct")
+    for key, text in texts.items():
+        _write_text(group, key, text)

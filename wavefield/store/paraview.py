@@ -1,0 +1,106 @@
+"""A cube for ParaView: the surface of every step with its fields, and the list of steps."""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from wavefield.whole_files import write_text
+
+_TYPES = {"float32": "Float32", "float64": "Float64", "uint8": "UInt8"}
+_HIDDEN = np.uint8(2)  # vtkDataSetAttributes::HIDDENPOINT: nodes without an elevation are not drawn
+_VELOCITY = ("u", "v", "w")
+
+
+def write_paraview(blocks: Iterator[xr.Dataset], draft: Path, path: Path, folder: str) -> None:
+    """Write every step as a structured grid (.vts), and the series of them (.pvd).
+
+    Parameters
+    ----------
+    blocks : iterator of Dataset
+        The cube, loaded, a few steps at a time.
+    draft : path
+        Folder to write the steps to.
+    path : path
+        The ``.pvd``, written last.
+    folder : str
+        Name of the steps' folder when it is finished, beside the ``.pvd``.
+
+    Notes
+    -----
+    Points lie on the surface, (x, y, z); ``velocity`` is the vector (u, v, w). Nodes where z is unknown are
+    marked as hidden points (``vtkGhostType``).
+    """
+    draft.mkdir()
+    lines: list[str] = []
+    for block in blocks:
+        x, y = np.meshgrid(np.asarray(block.x), np.asarray(block.y))
+        for k in range(block.sizes["time"]):
+            one = block.isel(time=k)
+            name = f"step_{len(lines):05d}.vts"
+            (draft / name).write_bytes(structured_grid(x, y, one))
+            place = quoteattr(f"{folder}/{name}")
+            lines.append(f'<DataSet timestep="{float(one.time):.9g}" part="0" file={place}/>')
+    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="1.0" byte_order="LittleEndian">'
+    body = "\n".join(lines)
+    write_text(path, f"{head}\n<Collection>\n{body}\n</Collection>\n</VTKFile>\n")
+
+
+def structured_grid(x: NDArray[Any], y: NDArray[Any], step: xr.Dataset) -> bytes:
+    """One step as the bytes of a .vts file.
+
+    Parameters
+    ----------
+    x, y : ndarray, (ny, nx)
+        Nodes, metres.
+    step : Dataset, (y, x)
+        Its fields; z gives the points their height.
+
+    Returns
+    -------
+    bytes
+    """
+    z = np.asarray(step.z, np.float32)
+    known = np.isfinite(z)
+    points = np.stack([x, y, np.where(known, z, 0)], -1).astype(np.float32)
+    fields: dict[str, NDArray[Any]] = {
+        str(name): np.asarray(field)
+        for name, field in step.data_vars.items()
+        if field.ndim == 2 and name not in _VELOCITY
+    }
+    if all(name in step for name in _VELOCITY):
+        fields["velocity"] = np.stack([np.asarray(step[name], np.float32) for name in _VELOCITY], -1)
+    fields["vtkGhostType"] = np.where(known, np.uint8(0), _HIDDEN)
+    arrays, data, at = [], [], 0
+    for name, values in {"Points": points, **fields}.items():
+        parts = values.shape[2] if values.ndim == 3 else 1
+        arrays.append(
+            f'<DataArray type="{_TYPES[str(values.dtype)]}" Name="{name}" NumberOfComponents="{parts}" '
+            f'format="appended" offset="{at}"/>'
+        )
+        data.append(_compressed(values))
+        at += len(data[-1])
+    ny, nx = z.shape
+    extent = f"0 {nx - 1} 0 {ny - 1} 0 0"
+    text = (
+        '<?xml version="1.0"?>\n<VTKFile type="StructuredGrid" version="1.0" byte_order="LittleEndian" '
+        'header_type="UInt64" compressor="vtkZLibDataCompressor">\n'
+        f'<StructuredGrid WholeExtent="{extent}">\n<Piece Extent="{extent}">\n'
+        f'<Points>\n{arrays[0]}\n</Points>\n<PointData Scalars="z" Vectors="velocity">\n'
+        + "\n".join(arrays[1:])
+        + '\n</PointData>\n</Piece>\n</StructuredGrid>\n<AppendedData encoding="raw">\n_'
+    )
+    return text.encode() + b"".join(data) + b"\n</AppendedData>\n</VTKFile>\n"
+
+
+def _compressed(values: NDArray[Any]) -> bytes:
+    """One compressed block: number of blocks, size of each, of an incomplete last one, compressed size."""
+    raw = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes()
+    packed = zlib.compress(raw, 4)
+    return struct.pack("<4Q", 1, len(raw), 0, len(packed)) + packed
