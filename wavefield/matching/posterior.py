@@ -22,6 +22,7 @@ from wavefield.matching.prior import Prior, wavenumbers
 from wavefield.matching.transfer import footprint
 
 Float = NDArray[Any]
+Mask = NDArray[np.bool_]
 Factor = tuple[Float, Float]
 
 F = np.float32
@@ -30,6 +31,9 @@ _AROUND = 6.0  # blocks over which noise is taken as alike
 _FAINT = 1e-3  # signal over noise below which a mode is left out
 _EXACT = 300  # modes of the highest signal over noise that the preconditioner solves exactly
 _STEPS = 200  # at most; some ten are usual
+_BARE = 0.15  # of the typical information, over 7 x 7 blocks: less is a hole
+_CLOSE = 0.02, 0.005  # tolerances of the solver at the first and the second look
+_LOOSE = 0.05, 0.02  # the same without holes: only what lies far from any block converges late
 _EDGE = 6.0  # blocks: reach of a slope at the edge, and width over which it is taken
 _ALONG = 3.0  # blocks along the edge over which it is smoothed
 
@@ -75,6 +79,23 @@ def noise_of_scores(score: Float, trace: Float, counts: Float, freedom: float) -
     return np.maximum(out, F(1e-12))
 
 
+def bare(information: Float, usual: float) -> Mask:
+    """Blocks around which next to nothing is known.
+
+    Parameters
+    ----------
+    information : ndarray of float32, (ny, nx)
+        A of the blocks.
+    usual : float
+        Typical information.
+
+    Returns
+    -------
+    ndarray of bool, (ny, nx)
+    """
+    return np.asarray(cv2.blur(np.asarray(information, np.float32), (7, 7)) <= _BARE * usual)
+
+
 def _clusters(field: Float) -> Float:
     size = (_CLUSTER, _CLUSTER)
     return cv2.boxFilter(field, cv2.CV_32F, size, normalize=False, borderType=cv2.BORDER_REFLECT)
@@ -111,6 +132,8 @@ class Modes:
         Spectrum and typical information.
     shape : tuple of int
         Lattice (ny, nx).
+    wanted : ndarray of bool, (ny, nx), optional
+        Blocks whose field is wanted; all if left out.
 
     Attributes
     ----------
@@ -118,8 +141,8 @@ class Modes:
         Wavenumber, rad per block, footprint and inverse spectrum of every mode.
     """
 
-    def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
-        self.prior, self.lattice = prior, shape
+    def __init__(self, prior: Prior, shape: tuple[int, int], wanted: Mask | None = None) -> None:
+        self.prior, self.lattice, self.wanted = prior, shape, wanted
         kx, ky = wavenumbers(shape)
         k, foot = np.hypot(kx, ky), footprint(kx, ky)
         spectrum = prior.spectrum(k)
@@ -211,6 +234,24 @@ class Modes:
             lower = np.eye(count, dtype=np.float32, order="F")
         return lower, scale.astype(np.float32)
 
+    def tolerances(self, information: Float) -> tuple[float, float]:
+        """How exactly to solve at the first and at the second look.
+
+        Parameters
+        ----------
+        information : ndarray of float32, (ny, nx)
+            A, or the mean of its two diagonal parts.
+
+        Returns
+        -------
+        float, float
+            For `solve`: closer where there are holes, in which the field follows last.
+        """
+        hole = bare(information, self.prior.information)
+        if self.wanted is not None:
+            hole &= self.wanted
+        return _CLOSE if hole.any() else _LOOSE
+
     def solve(
         self,
         information: Float,
@@ -219,6 +260,7 @@ class Modes:
         tolerance: float,
         mean: Float,
         factor: Factor,
+        seen: Float | None = None,
     ) -> Float:
         """Solve (F A F + 1/S) f = F b + m/S by preconditioned conjugate gradients.
 
@@ -236,6 +278,8 @@ class Modes:
             m, as given by `mean`.
         factor : tuple
             As given by `factor`.
+        seen : ndarray of float32, (c, ny, nx), optional
+            `seen` of the first guess, where it is at hand.
 
         Returns
         -------
@@ -246,7 +290,8 @@ class Modes:
         typical = np.array([a[0].mean(), a[-1].mean()], np.float32)[: len(right), None, None]
         diagonal = 1 / (self.foot**2 * typical + self.inverse)
         waves = start.copy()
-        rest = self.foot * self.waves(right) + self.inverse * mean - self._times(a, waves)
+        seen = self.seen(start) if seen is None else seen
+        rest = self.foot * self.waves(right - _through(a, seen)) + self.inverse * (mean - start)
         step = self._precondition(rest, diagonal, factor)
         direction = step.copy()
         size = float(np.vdot(rest, step))
@@ -265,16 +310,7 @@ class Modes:
         return waves
 
     def _times(self, a: Float, waves: Float) -> Float:
-        f = self.seen(waves)
-        if len(f) == 1:
-            f *= a[0]
-        else:
-            across = a[1] * f[0]
-            f[0] *= a[0]
-            f[0] += a[1] * f[1]
-            f[1] *= a[2]
-            f[1] += across
-        out = self.waves(f)
+        out = self.waves(_through(a, self.seen(waves)))
         out *= self.foot
         out += self.inverse * waves
         return out
@@ -286,6 +322,24 @@ class Modes:
         exact, _ = scipy.linalg.lapack.spotrs(lower, some.T, lower=0)
         out.reshape(len(rest), -1)[:, self._index] = exact.T * scale
         return out
+
+
+def _through(a: Float, field: Float) -> Float:
+    """A times a field, (c, ny, nx)."""
+    if len(field) == 1:
+        return a * field
+    out = np.empty_like(field)
+    _through_both(a, field, out)
+    return out
+
+
+@njit
+def _through_both(a: Float, f: Float, out: Float) -> None:
+    for j in range(f.shape[1]):
+        for i in range(f.shape[2]):
+            u, v = f[0, j, i], f[1, j, i]
+            out[0, j, i] = a[0, j, i] * u + a[1, j, i] * v
+            out[1, j, i] = a[1, j, i] * u + a[2, j, i] * v
 
 
 @njit

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
-from wavefield.matching.posterior import cosines
+from wavefield.matching.posterior import bare, cosines
 from wavefield.matching.prior import Prior, wavenumbers
 from wavefield.matching.transfer import footprint
 
@@ -21,7 +21,6 @@ _SMALL = 1e-3  # of a kernel's transform is left out
 _RADII = (1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0)  # of holes, blocks
 _DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the way from a hole's rim to its middle
 _RIM = 5  # blocks around a hole that are thought known
-_BARE = 0.15  # of the typical information, over 7 x 7 blocks: less is a hole
 
 
 class Spread:
@@ -79,10 +78,10 @@ class Spread:
         x = self._back[0] @ ((self._kernels * waves) @ self._back[1])
         x = np.log(np.maximum(x, np.float32(1e-30))) - self._log[:, None, None]
         noise, missing = (self._whole(np.exp(self._at_level(x, row))) for row in self._variance)
-        known = cv2.blur(np.asarray(information, np.float32), (7, 7)) > _BARE * self.usual
-        known = cv2.erode(known.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
-        if not known.all():
-            missing = missing + _in_holes(known, self._holes)
+        hole = bare(information, self.usual)
+        if hole.any():
+            hole = cv2.dilate(hole.view(np.uint8), np.ones((7, 7), np.uint8)) > 0
+            missing = missing + _in_holes(~hole, self._holes)
         return noise, missing
 
     @staticmethod

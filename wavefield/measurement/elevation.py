@@ -20,7 +20,7 @@ from wavefield.variables import Quality
 Float = NDArray[Any]
 Mask = NDArray[np.bool_]
 
-TOLERANCES = 0.02, 0.005  # of the solver, at the first and at the second look
+LOOKS = 2  # at the images: where matching led, and where the first solution leads
 _BAD = np.uint8(Reason.EDGE | Reason.MASKED | Reason.NEIGHBOURS)
 
 
@@ -158,11 +158,11 @@ def most_probable(
     z = blocks.whole
     mean, waves = modes.mean(z), modes.waves(z)
     looks = [_Look(m, pixel) for m in matches]
-    freedom, factor = modes.freedom, None
+    freedom, seen = modes.freedom, None
     information = z[:1]
-    for number, tolerance in enumerate(TOLERANCES):
+    for number in range(LOOKS):
         if number:
-            z = modes.seen(waves)
+            z = seen = modes.seen(waves)
             for one in looks:
                 one.again(z[0], prepared)
         score = np.sum([one.score(z[0]) for one in looks], axis=0)
@@ -172,9 +172,9 @@ def most_probable(
         nu *= np.float32(modes.prior.noise)
         information = (hessian / nu)[None]
         right = information * z + (score / nu)[None]
-        if factor is None:
-            factor = modes.factor(information[0])
-        waves = modes.solve(information, right, waves, tolerance, mean, factor)
+        if not number:
+            factor, tolerances = modes.factor(information[0]), modes.tolerances(information[0])
+        waves = modes.solve(information, right, waves, tolerances[number], mean, factor, seen)
     return Estimate(waves, mean, information[0])
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.matching import Modes
-from wavefield.measurement.elevation import TOLERANCES
+from wavefield.measurement.elevation import LOOKS
 from wavefield.measurement.plan import Plan, Sight
 from wavefield.measurement.regrid import push_pull
 from wavefield.measurement.surface import why_rejected
@@ -93,11 +93,11 @@ def most_probable(
     """
     u = whole(found)
     mean, waves = modes.mean(u), modes.waves(u)
-    freedom, factor = modes.freedom, None
+    freedom, seen = modes.freedom, None
     a = found.hessian
-    for number, tolerance in enumerate(TOLERANCES):
+    for number in range(LOOKS):
         if number:
-            u = modes.seen(waves)
+            u = seen = modes.seen(waves)
             found = matching.look_again(one, other, u[0], u[1], found.settings)
         counts = found.valid.astype(np.float32)
         trace = found.hessian[0] + found.hessian[2]
@@ -107,10 +107,11 @@ def most_probable(
         right = found.score * counts
         right[0] += a[0] * u[0] + a[1] * u[1]
         right[1] += a[1] * u[0] + a[2] * u[1]
-        if factor is None:
-            factor = modes.factor(np.float32(0.5) * (a[0] + a[2]))
-        waves = modes.solve(a, right, waves, tolerance, mean, factor)
-    return Estimate(waves, mean, np.float32(0.5) * (a[0] + a[2]), found.reason)
+        information = np.float32(0.5) * (a[0] + a[2])
+        if not number:
+            factor, tolerances = modes.factor(information), modes.tolerances(information)
+        waves = modes.solve(a, right, waves, tolerances[number], mean, factor, seen)
+    return Estimate(waves, mean, information, found.reason)
 
 
 def flows(

@@ -9,87 +9,156 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
-from wavefield.measurement.regrid import Lattice, place_of, spline_at, spline_weights
+from wavefield.measurement.regrid import (
+    Lattice,
+    Weights,
+    place_of,
+    spline_line,
+    spline_slopes,
+    spline_weights,
+)
 
 Float = NDArray[Any]
 Mask = NDArray[np.bool_]
 
-_STEPS = 4  # fixed-point steps: the last moves by less than a thousandth of a pixel
+Real = Any  # np.float32
+
+F = np.float32
+
+# NaN must stay what it is; sums may be taken in any order
+_LOOSE = {"contract", "reassoc"}
 
 
-@compiled(error_model="numpy", fastmath={"contract"})
-def _at(
-    c: Float,
-    nx: int,
-    ny: int,
-    across: float,
-    x0: float,
-    y0: float,
-    step_x: np.uintp,
-    step_y: np.uintp,
-    x: float,
-    y: float,
-) -> tuple[float, float, int]:
-    """Fields 0 and 1 at a place, and the block nearest to it."""
-    i, t = place_of((x - x0) * across, nx)
-    j, s = place_of((y - y0) * across, ny)
-    wx, wy = spline_weights(t), spline_weights(s)
-    first = np.uintp(((j - 1) * nx + i - 1) * 2)
-    block = min(j + int(s + 0.5), ny - 1) * nx + min(i + int(t + 0.5), nx - 1)
+@compiled(error_model="numpy", fastmath=_LOOSE)
+def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, int]:
+    """Both fields at the block nearest to a place, in blocks, and that block."""
+    i = np.int64(min(max(x + F(0.5), F(1)), F(nx) - F(2)))
+    j = np.int64(min(max(y + F(0.5), F(1)), F(ny) - F(2)))
+    n = j * nx + i
+    return c[2 * n], c[2 * n + 1], n
+
+
+@compiled(error_model="numpy", fastmath=_LOOSE)
+def _lines(c: Float, first: np.uintp, down: np.uintp, w: Weights) -> Weights:
+    """Four blocks along x, weighed, of four rows."""
+    step = np.uintp(2)
     return (
-        float(spline_at(c, first, step_x, step_y, wx, wy)),
-        float(spline_at(c, first + np.uintp(1), step_x, step_y, wx, wy)),
-        block,
+        spline_line(c, first, step, w),
+        spline_line(c, first + down, step, w),
+        spline_line(c, first + down + down, step, w),
+        spline_line(c, first + down + down + down, step, w),
     )
 
 
-@compiled(error_model="numpy", fastmath={"contract"})
+@compiled(error_model="numpy", fastmath=_LOOSE)
+def _dot(a: Weights, b: Weights) -> Real:
+    return (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3])
+
+
+@compiled(error_model="numpy", fastmath=_LOOSE)
+def _at(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real]:
+    """Both fields at a place, in blocks."""
+    i, t = place_of(x, nx)
+    j, s = place_of(y, ny)
+    wx, wy = spline_weights(t), spline_weights(s)
+    first, down = np.uintp(((j - 1) * nx + i - 1) * 2), np.uintp(nx * 2)
+    return _dot(_lines(c, first, down, wx), wy), _dot(_lines(c, first + np.uintp(1), down, wx), wy)
+
+
+@compiled(error_model="numpy", fastmath=_LOOSE)
+def _solve_near(
+    c: Float, nx: int, ny: int, part: Real, x: Real, y: Real, u: Real, v: Real
+) -> tuple[Real, Real, Real, Real, Weights]:
+    """Solve p = x - part f(p) by one Newton step from p = x - part (u, v), all in blocks.
+
+    Returns p, f there, and how p follows a shift of x: (1 + part G)^-1, row by row.
+    """
+    px, py = x - part * u, y - part * v
+    i, t = place_of(px, nx)
+    j, s = place_of(py, ny)
+    wx, wy, dx, dy = spline_weights(t), spline_weights(s), spline_slopes(t), spline_slopes(s)
+    first, down = np.uintp(((j - 1) * nx + i - 1) * 2), np.uintp(nx * 2)
+    second = first + np.uintp(1)
+    lu, lv = _lines(c, first, down, wx), _lines(c, second, down, wx)
+    fu, fv, uy, vy = _dot(lu, wy), _dot(lv, wy), _dot(lu, dy), _dot(lv, dy)
+    ux, vx = _dot(_lines(c, first, down, dx), wy), _dot(_lines(c, second, down, dx), wy)
+    a, b, d, e = F(1) + part * ux, part * uy, part * vx, F(1) + part * vy
+    scale = F(1) / (a * e - b * d)
+    a, b, d, e = e * scale, -b * scale, -d * scale, a * scale
+    rx, ry = part * (u - fu), part * (v - fv)
+    sx, sy = a * rx + b * ry, d * rx + e * ry
+    return px + sx, py + sy, fu + ux * sx + uy * sy, fv + vx * sx + vy * sy, (a, b, d, e)
+
+
+@compiled(error_model="numpy", fastmath=_LOOSE)
+def _gone_on(after: bool, before: bool, u: Real, v: Real, ua: Real, va: Real, ub: Real, vb: Real) -> Weights:
+    """What was not measured at one end: the path goes on as it came."""
+    if not after:
+        ua, va = (F(2) * u - ub, F(2) * v - vb) if before else (u, v)
+    if not before:
+        ub, vb = F(2) * u - ua, F(2) * v - va
+    return ua, va, ub, vb
+
+
+@compiled(error_model="numpy", fastmath=_LOOSE)
 def _read_path(
     b: Float,
     c: Float,
     a: Float,
-    has_b: Float,
-    has_a: Float,
+    has_b: Mask,
+    has_a: Mask,
     nx: int,
     ny: int,
     x: Float,
     y: Float,
-    x0: float,
-    y0: float,
-    step: float,
-    steps: int,
+    x0: Real,
+    y0: Real,
+    step: Real,
     out: Float,
-    block: Float,
+    block: NDArray[np.int64],
 ) -> None:
-    across = 1.0 / step
-    sx, sy = np.uintp(2), np.uintp(nx * 2)
+    across, half, bend = F(1) / step, F(0.5), F(1 / 16)
     for k in range(x.size):
         if not (np.isfinite(x[k]) and np.isfinite(y[k])):
             out[0, k] = out[1, k] = np.nan
             block[:, k] = 0
             continue
-        u, v, n = _at(c, nx, ny, across, x0, y0, sx, sy, x[k], y[k])
-        xs, ys = x[k] - 0.5 * u, y[k] - 0.5 * v
-        xb, yb = xs - u, ys - v
-        ub, vb, ua, va = u, v, u, v
-        nb, na = n, n
-        for _ in range(steps):
-            u, v, n = _at(c, nx, ny, across, x0, y0, sx, sy, xs, ys)
-            if has_a.size:
-                ua, va, na = _at(a, nx, ny, across, x0, y0, sx, sy, xs + u, ys + v)
-            if has_b.size:
-                ub, vb, nb = _at(b, nx, ny, across, x0, y0, sx, sy, xb, yb)
-                xb, yb = xs - ub, ys - vb
-            after, before = has_a.size > 0 and has_a[na], has_b.size > 0 and has_b[nb]
-            if not after:  # the path goes on as it came
-                ua, va = (2 * u - ub, 2 * v - vb) if before else (u, v)
-            if not before:
-                ub, vb = 2 * u - ua, 2 * v - va
-            xs, ys = x[k] - 0.5 * u + (ua - ub) / 16.0, y[k] - 0.5 * v + (va - vb) / 16.0
-        out[0, k], out[1, k] = (26.0 * u - ub - ua) / 24.0, (26.0 * v - vb - va) / 24.0
-        block[0, k] = nb if has_b.size > 0 and has_b[nb] else -1
+        px, py = (x[k] - x0) * across, (y[k] - y0) * across
+        # from the nearest blocks, all within half a block's change of the field
+        u, v, n = _nearest(c, nx, ny, px, py)
+        u, v, n = _nearest(c, nx, ny, px - half * across * u, py - half * across * v)
+        ua, va, ub, vb = u, v, u, v
+        na = nb = 0
+        if has_a.size:
+            ua, va, na = _nearest(a, nx, ny, px + half * across * u, py + half * across * v)
+        if has_b.size:
+            for _ in range(2):
+                ub, vb, nb = _nearest(b, nx, ny, px - across * (half * u + ub), py - across * (half * v + vb))
+        after, before = has_a.size > 0 and has_a[na], has_b.size > 0 and has_b[nb]
+        ua, va, ub, vb = _gone_on(after, before, u, v, ua, va, ub, vb)
+        kx, ky = bend * across * (ua - ub), bend * across * (va - vb)
+        # in blocks from here on: the fields' unit is px
+        sx, sy, u, v, g = _solve_near(c, nx, ny, half * across, px + kx, py + ky, u, v)
+        n = _nearest(c, nx, ny, sx, sy)[2]
+        ua, va, ub, vb = u, v, u, v
+        if has_a.size:
+            ax, ay = sx + across * u, sy + across * v
+            ua, va = _at(a, nx, ny, ax, ay)
+            na = _nearest(a, nx, ny, ax, ay)[2]
+        if has_b.size:
+            wb, zb, _ = _nearest(b, nx, ny, sx - across * u, sy - across * v)
+            bx, by, ub, vb, _ = _solve_near(b, nx, ny, across, sx, sy, wb, zb)
+            nb = _nearest(b, nx, ny, bx, by)[2]
+        after, before = has_a.size > 0 and has_a[na], has_b.size > 0 and has_b[nb]
+        ua, va, ub, vb = _gone_on(after, before, u, v, ua, va, ub, vb)
+        # the bend as it is now moves the place of departure a little, and with it all three places
+        kx, ky = bend * across * (ua - ub) - kx, bend * across * (va - vb) - ky
+        us, vs = _at(c, nx, ny, sx + g[0] * kx + g[1] * ky, sy + g[2] * kx + g[3] * ky)
+        out[0, k] = us - (ua - F(2) * u + ub) / F(24)
+        out[1, k] = vs - (va - F(2) * v + vb) / F(24)
+        block[0, k] = nb if before else -1
         block[1, k] = n
-        block[2, k] = na if has_a.size > 0 and has_a[na] else -1
+        block[2, k] = na if after else -1
 
 
 def read_path(
@@ -139,13 +208,12 @@ def read_path(
     [1.5, 1.5]
     """
     nodes = np.shape(X)
-    xs, ys = (np.ascontiguousarray(v, dtype=np.float64).ravel() for v in (X, Y))
+    xs, ys = (np.ascontiguousarray(v, dtype=np.float32).ravel() for v in (X, Y))
     out, block = np.empty((2, xs.size), np.float32), np.empty((3, xs.size), np.int64)
     none, nothing = np.zeros(0, np.float32), np.zeros(0, np.bool_)
     b, c, a = (none if f is None else np.ascontiguousarray(f, np.float32).ravel() for f in splines)
     has_b, _, has_a = (nothing if f is None else np.ascontiguousarray(f).ravel() for f in valid)
     ny, nx = lattice.shape
-    _read_path(
-        b, c, a, has_b, has_a, nx, ny, xs, ys, lattice.x0, lattice.y0, lattice.step, _STEPS, out, block
-    )
+    x0, y0, step = F(lattice.x0), F(lattice.y0), F(lattice.step)
+    _read_path(b, c, a, has_b, has_a, nx, ny, xs, ys, x0, y0, step, out, block)
     return out.reshape(2, *nodes), block.reshape(3, *nodes)

@@ -139,11 +139,18 @@ class Plan:
     def _use(self, record: Record) -> None:
         """Lay out the cosines of the fields whose spectra the record has."""
         shape = self.lattice.shape
-        self.modes, self.spread = Modes(record.elevation, shape), Spread(record.elevation, shape)
+        self.modes = Modes(record.elevation, shape, self._in_view())
+        self.spread = Spread(record.elevation, shape)
         my, mx = self.modes.shape
         self.spline = thin_plate(shape, self.settings.smoothing)[:my, :mx]
         for name, prior in record.displacement:
             self.sights[name].use(prior)
+
+    def _in_view(self) -> NDArray[np.bool_]:
+        """(ny, nx): blocks well inside what the reference and a partner see of the water at rest."""
+        others = [self.seen_blocks[name] for name in self.surface_cameras[1:]]
+        both = np.minimum(self.seen_blocks[self.reference], np.max(others, axis=0)) > 0.99
+        return np.asarray(cv2.erode(both.view(np.uint8), np.ones((15, 15), np.uint8)) > 0)
 
     def _check_view(self) -> None:
         """Refuse a grid of which no node is seen by two cameras."""

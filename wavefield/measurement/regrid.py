@@ -149,7 +149,7 @@ def coefficients(fields: Float) -> Float:
     return np.ascontiguousarray(np.moveaxis(smooth, 0, -1), dtype=np.float32)
 
 
-@compiled(inline="always")
+@compiled(error_model="numpy", fastmath={"contract"})
 def spline_weights(t: np.float32) -> Weights:
     """Weights of four blocks for a fraction t of the way from the second to the third."""
     s = np.float32(1.0) - t
@@ -159,26 +159,36 @@ def spline_weights(t: np.float32) -> Weights:
     return w0, w1, np.float32(1.0) - w0 - w1 - w3, w3
 
 
-@compiled(inline="always")
-def _line(c: Float, k: np.uintp, step: np.uintp, w: Weights) -> np.float32:
+@compiled(error_model="numpy", fastmath={"contract"})
+def spline_slopes(t: np.float32) -> Weights:
+    """Derivatives of `spline_weights`."""
+    s = np.float32(1.0) - t
+    w0, w3 = np.float32(-0.5) * s * s, np.float32(0.5) * t * t
+    w1 = np.float32(3.0) * w3 - np.float32(2.0) * t
+    return w0, w1, -w0 - w1 - w3, w3
+
+
+@compiled(error_model="numpy", fastmath={"contract"})
+def spline_line(c: Float, k: np.uintp, step: np.uintp, w: Weights) -> np.float32:
+    """Four neighbours along x from element k on; unsigned indices are not checked for a minus."""
     out: np.float32 = (
         w[0] * c[k] + w[1] * c[k + step] + w[2] * c[k + step + step] + w[3] * c[k + step + step + step]
     )
     return out
 
 
-@compiled(inline="always")
+@compiled(error_model="numpy", fastmath={"contract"})
 def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights, wy: Weights) -> np.float32:
-    """One field: element k is the first of four by four; unsigned indices are not checked for a minus."""
+    """One field: element k is the first of four by four."""
     return (
-        wy[0] * _line(c, k, step, wx)
-        + wy[1] * _line(c, k + down, step, wx)
-        + wy[2] * _line(c, k + down + down, step, wx)
-        + wy[3] * _line(c, k + down + down + down, step, wx)
+        wy[0] * spline_line(c, k, step, wx)
+        + wy[1] * spline_line(c, k + down, step, wx)
+        + wy[2] * spline_line(c, k + down + down, step, wx)
+        + wy[3] * spline_line(c, k + down + down + down, step, wx)
     )
 
 
-@compiled(inline="always")
+@compiled(error_model="numpy", fastmath={"contract"})
 def place_of(p: float, n: int) -> tuple[int, np.float32]:
     """Block to the left and distance from it; kept one block inside the lattice."""
     q = min(max(np.float32(p), np.float32(1.0)), np.float32(n) - np.float32(2.001))
