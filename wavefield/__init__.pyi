@@ -25,6 +25,7 @@ from wavefield.store.verify import verify
 from wavefield.tank.scene import Scene
 from wavefield.tank.simulate import simulate
 from wavefield.waves.analyze import analyze
+from wavefield.waves.bound import free_and_bound, free_and_bound_fields
 from wavefield.waves.breaking import breaking
 from wavefield.waves.coherence import coherence
 from wavefield.waves.directional import directional_spectrum
@@ -54,6 +55,8 @@ __all__ = [
     "directional_spectrum",
     "export",
     "fit_dispersion",
+    "free_and_bound",
+    "free_and_bound_fields",
     "kinematics",
     "komega",
     "load_rig",

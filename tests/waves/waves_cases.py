@@ -278,3 +278,33 @@ class GaussianSea:
         on_ring *= (2 * np.pi / self.dx) ** 2 / (ny * nx) / table.dk
         on_omega = seen(E.omega.values, self.omega, E.attrs["segment"], self.dt)
         return on_omega @ self.variance.reshape(self.omega.size, -1) @ on_ring.reshape(table.k.size, -1).T
+
+
+def second_order_sea(seed=0, n=120, basin=10.0, lowest=0.9, highest=2.6, sigma=0.012, spread=2, **more):
+    """Free waves ~ f^-6 on the lattice of a basin with all the waves that pairs of them force.
+
+    On a lattice the sums of two waves meet others: the forced waves are few enough to be quick.
+    """
+    from wavefield.tank.sea import Sea
+
+    rng = np.random.default_rng(seed)
+    depth, step = 0.7, 2 * np.pi / basin
+    table = np.linspace(0.1, 200, 20000)
+    top = int(np.interp(2 * np.pi * highest, relation(table, depth), table) / step) + 1
+    line = np.arange(-top, top + 1) * step
+    kx, ky = (part.ravel() for part in np.meshgrid(line, line))
+    k = np.maximum(np.hypot(kx, ky), 1e-9)
+    f = relation(k, depth) / (2 * np.pi)
+    group = (relation(k + 1e-4, depth) - relation(k, depth)) / 1e-4
+    with np.errstate(divide="ignore", over="ignore"):
+        p = (
+            f**-6
+            * np.exp(-1.25 * (1.15 / f) ** 4)
+            * group
+            / k
+            * np.cos(np.arctan2(ky, kx) / 2) ** (2 * spread)
+        )
+    p = np.where((f > lowest) & (f < highest), p, 0.0)
+    pick = rng.choice(k.size, n, replace=False, p=p / p.sum())
+    a = sigma * np.sqrt(2 / n) * np.exp(2j * np.pi * rng.random(n))
+    return Sea(kx[pick], ky[pick], a, depth, bound=n, **more)

@@ -6,6 +6,7 @@ Each takes plain xarray datasets (a cube, one step of it, a group of a wave stor
 
 from wavefield.figures.distributions import distributions, error_distributions, error_maps
 from wavefield.figures.kinematics import balance_history, coherence_curves, kinematic_terms, kinematics_maps
+from wavefield.figures.nonlinear import bound_spectra
 from wavefield.figures.quality import (
     coverage_map,
     fault_history,
@@ -30,6 +31,7 @@ from wavefield.figures.surface import elevation_map, surface_3d, velocity_map
 __all__ = [
     "balance_history",
     "bicoherence_map",
+    "bound_spectra",
     "camera_frames",
     "coherence_curves",
     "coverage_map",

@@ -239,6 +239,34 @@ rows(
     ("current_y_std", "m s-1", "standard uncertainty of the current along y"),
 )
 
+# ---- /bound ----
+rows(
+    "bound",
+    ("omega",),
+    ("E_free", "m2 s rad-1", "spectrum of the free waves"),
+    ("E_bound", "m2 s rad-1", "spectrum of the bound waves"),
+    ("E_harmonic", "m2 s rad-1", "spectrum on the ridge of the second harmonic"),
+)
+rows(
+    "bound",
+    (),
+    ("bound_fraction", "1", "fraction of the variance of the elevation in bound waves"),
+    ("bound_fraction_std", "1", "its standard uncertainty"),
+    ("harmonic_fraction", "1", "fraction on the ridge of the second harmonic"),
+    ("sum_fraction", "1", "fraction in waves longer than free ones, without the second harmonic"),
+    ("difference_fraction", "1", "fraction in waves shorter than free ones"),
+    ("noise_fraction", "1", "fraction in noise, which is taken off"),
+    ("ridge_reach", K_UNITS, "half the width given to the ridge"),
+    ("ridge_width", K_UNITS, "width of the ridge beyond that of the windows, rms"),
+)
+rows(
+    "",
+    ("time", "y", "x"),
+    ("z_free", "m", "elevation of the free waves"),
+    ("z_bound", "m", "elevation of the bound waves"),
+    dtype="float32",
+)
+
 # ---- crests about to break, in a notebook ----
 rows(
     "breaking",
@@ -292,6 +320,7 @@ GROUPS = {
     "directional": "E(f, theta) of the elevation as wavespectra takes it:"
     " `xarray.open_dataset(store, engine='zarr', group='directional').spec`. Like `shear` it is missing where"
     " no ridge could be followed.",
+    "bound": "Free waves, and waves bound to others, which lie beside the ridge. Missing without a ridge.",
     "shear": "Current by depth from the Doppler shift of each band of wavenumbers, and u, v at the surface.",
     "higher_order": "Missing where the record holds fewer than four segments.",
 }

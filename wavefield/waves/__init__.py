@@ -6,6 +6,7 @@ objects; lazy input gives lazy results, reduced in one pass over Welch segments.
 
 from wavefield.water import dispersion, group_velocity, wavenumber
 from wavefield.waves.analyze import analyze
+from wavefield.waves.bound import free_and_bound, free_and_bound_fields
 from wavefield.waves.breaking import breaking
 from wavefield.waves.coherence import coherence
 from wavefield.waves.crosses import cross_spectra
@@ -57,6 +58,8 @@ __all__ = [
     "find_record",
     "finite_residual",
     "fit_dispersion",
+    "free_and_bound",
+    "free_and_bound_fields",
     "frequency_spectrum",
     "fuse",
     "fusion",

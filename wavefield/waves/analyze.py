@@ -25,6 +25,7 @@ from wavefield.store.waves import write_waves
 from wavefield.variables import FIELD_TEXTS, FIELD_UNITS, TABLE, annotate, density_units, validate
 from wavefield.water import GAMMA
 from wavefield.waves import coherence, crosses, fusion, kinematics, segments, spectra, statistics, transfer
+from wavefield.waves.bound import free_and_bound
 from wavefield.waves.direction import direction_group
 from wavefield.waves.directional import from_density
 from wavefield.waves.higher_order import higher_order
@@ -207,7 +208,7 @@ def _groups(
     water = job.depth, job.gamma, welch.dof
     dispersion, note = dispersion_group(density["w"], welch.table.k, *water)
     notes.extend([note] if note else [])
-    found = _currents(job, density["w"], dispersion, moments, welch, notes)
+    found = _currents(job, density, dispersion, moments, welch, notes)
     return found | {
         "spectra": annotate(spectra_group, "spectra"),
         "coherence": coherence.from_spectra(ring),
@@ -220,7 +221,7 @@ def _groups(
 
 def _currents(
     job: _Job,
-    density: xr.DataArray,
+    densities: dict[str, xr.DataArray],
     dispersion: xr.Dataset,
     moments: xr.Dataset,
     welch: Welch,
@@ -230,7 +231,11 @@ def _currents(
     if "current_x" not in dispersion:
         return {}
     current = float(dispersion["current_x"]), float(dispersion["current_y"])
-    out = {"directional": from_density(density, job.depth, job.gamma, current, welch.dof, welch.frames)}
+    water = {"gamma": job.gamma, "current": current}
+    out = {
+        "directional": from_density(densities["w"], job.depth, job.gamma, current, welch.dof, welch.frames),
+        "bound": free_and_bound(densities["z"], job.depth, **water, dof=welch.dof),
+    }
     drift = moments["mean"] / welch.record.dt
     surface = float(drift.sel(quantity="dx")), float(drift.sel(quantity="dy"))
     try:
