@@ -231,10 +231,9 @@ def _currents(
     if "current_x" not in dispersion:
         return {}
     current = float(dispersion["current_x"]), float(dispersion["current_y"])
-    water = {"gamma": job.gamma, "current": current}
     out = {
         "directional": from_density(densities["w"], job.depth, job.gamma, current, welch.dof, welch.frames),
-        "bound": free_and_bound(densities["z"], job.depth, **water, dof=welch.dof),
+        "bound": free_and_bound(densities["z"], job.depth, gamma=job.gamma, current=current, dof=welch.dof),
     }
     drift = moments["mean"] / welch.record.dt
     surface = float(drift.sel(quantity="dx")), float(drift.sel(quantity="dy"))
