@@ -176,3 +176,29 @@ def write_image(path: str | Path, image: np.ndarray) -> None:
         raise FrameError(f"{path} cannot be written: {error}") from None
     if not written:
         raise FrameError(f"{path} cannot be written: no such format, or no room")
+
+
+def made_even(image: np.ndarray, covered: np.ndarray) -> np.ndarray:
+    """An image in which nothing stands out where it is covered.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column)
+        Image.
+    covered : ndarray of bool, (row, column)
+        True where pixels do not count.
+
+    Returns
+    -------
+    ndarray, (row, column)
+        A copy; what is covered is as bright as the median of the rest.
+
+    Examples
+    --------
+    >>> made_even(np.array([[1, 1, 9, 9]]), np.array([[False, False, True, True]]))
+    array([[1, 1, 1, 1]])
+    """
+    rest = image[::8, ::8][~covered[::8, ::8]]
+    out = image.copy()
+    out[covered] = np.partition(rest, rest.size // 2)[rest.size // 2] if rest.size else 0
+    return out

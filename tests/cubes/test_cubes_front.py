@@ -142,7 +142,7 @@ def test_netcdf_holds_the_same_and_follows_cf(reference, tmp_path):
         assert plain.attrs["recipe"] == cube.attrs["recipe"]
         assert plain.z.attrs["standard_name"] == "water_surface_height_above_reference_datum"
         assert plain.time.attrs["axis"] == "T"
-        assert plain.quality.attrs["flag_masks"].dtype == np.uint8
+        assert plain.quality.attrs["flag_masks"].dtype == np.uint16
         assert plain.quality.attrs["flag_meanings"].split()[0] == "measured"
         assert "_FillValue" not in plain.x.encoding
     assert [p.name for p in path.parent.iterdir()] == ["cube.nc"]

@@ -68,6 +68,27 @@ def note(old, new):
     return spoil
 
 
+def mask(image):
+    def spoil(lab):
+        like = tifffile.imread(lab / "cam1" / "img_000.tif")
+        cv2.imwrite(str(lab / "m.png"), np.full_like(like, 255) if image is None else image)
+        note("rig:", "mask: {cam1: m.png}\nrig:")(lab)
+
+    return spoil
+
+
+def write_mask(lab):
+    (lab / "m.png").write_text("no image")
+    note("rig:", "mask: {cam1: m.png}\nrig:")(lab)
+
+
+def some_masks(lab):
+    like = tifffile.imread(lab / "cam1" / "img_000.tif")
+    for k in range(2):
+        cv2.imwrite(str(lab / f"m_{k:03d}.png"), np.zeros_like(like))
+    note("rig:", 'mask: {cam1: "m_{frame:03d}.png"}\nrig:')(lab)
+
+
 def write(name, content):
     def spoil(lab):
         path = lab / name
@@ -144,6 +165,17 @@ TABLE = [
     ("a setting in words", note("rig:", "settings: {eps_limit: big}\nrig:"), ["run", EXP], 1, "settings.eps_limit"),
     ("a setting too deep", note("rig:", "settings: {piv: {windows: 3}}\nrig:"), ["run", EXP], 1, "mean 'window'"),
     # -- the grid
+    ("a mask of a stranger", note("rig:", "mask: {cam9: m.png}\nrig:"), ["run", EXP], 1, "mask names 'cam9', but there are cam1, cam2, cam3, water"),
+    ("a mask that is not there", note("rig:", "mask: {cam1: m.png}\nrig:"), ["run", EXP], 1, "mask of cam1: there is no .*m.png; correct"),
+    ("a mask of another size", mask(np.zeros((9, 9), np.uint8)), ["run", EXP], 1, "mask of cam1: .*m.png is 9 x 9 px, but"),
+    ("a mask of everything", mask(None), ["run", EXP], 1, "mask of cam1: it covers the whole image; .*invert"),
+    ("a mask that is no image", write_mask, ["run", EXP], 1, "mask of cam1: .*m.png"),
+    ("a mask beside the image", note("rig:", "mask: {cam1: {polygon: [[9000, 1], [9001, 1], [9001, 3]]}}\nrig:"), ["run", EXP], 1, "mask of cam1: .*lies outside the image"),
+    ("a mask with crossed sides", note("rig:", "mask: {cam1: {polygon: [[0, 0], [9, 9], [9, 0], [0, 9]]}}\nrig:"), ["run", EXP], 1, "line 10: mask.cam1.* corners 1 and 3 cross"),
+    ("a mask of two corners", note("rig:", "mask: {cam1: {polygon: [[0, 0], [9, 9]]}}\nrig:"), ["run", EXP], 1, "three corners"),
+    ("a mask of two kinds", note("rig:", "mask: {cam1: {image: a.png, polygon: [[0, 0], [9, 9], [9, 0]]}}\nrig:"), ["run", EXP], 1, "give one of polygon"),
+    ("a cylinder in an image", note("rig:", "mask: {cam1: {cylinder: {x: 0, y: 0, radius: 0.1}}}\nrig:"), ["run", EXP], 1, "under cam1; put it under `water`"),
+    ("a mask for some frames", some_masks, ["run", EXP], 1, "mask of cam1: .* has no image for frame 2; every frame"),
     ("a grid without step", note(", step: 0.02", ""), ["run", EXP], 1, "grid.step is missing"),
     ("a grid in millimetres", note("[-0.6, 0.6], y: [-0.4, 0.4]", "[-1e6, 1e6], y: [-1e6, 1e6]"), ["run", EXP], 1, "nodes"),
     ("a grid of one step", note("step: 0.02", "step: 5"), ["run", EXP], 1, "less than one step"),

@@ -66,7 +66,7 @@ def check(
 
 
 def _reader(prepared: Prepared) -> Callable[[str, int], Any]:
-    return lambda camera, frame: prepared.series[camera].read(frame).image
+    return lambda camera, frame: prepared.series[camera].read_uncovered(frame)
 
 
 def _probes_line(path: Path) -> str:

@@ -23,6 +23,10 @@ class Source(Protocol):
         """Read one frame."""
         ...
 
+    def covered(self, index: int) -> np.ndarray | None:
+        """What is masked in a frame, True there; None if nothing is."""
+        ...
+
     def window(self, start: int, stop: int) -> "Source":
         """The part that a block needs."""
         ...
@@ -139,6 +143,28 @@ class BlockFrames(Sequence[np.ndarray | None]):
         return frame.image
 
 
+class BlockMasks(Sequence[np.ndarray | None]):
+    """What is masked in the n + 3 frames of one camera.
+
+    Parameters
+    ----------
+    source : Source
+        The frames of the block.
+    block : Block
+        Which they are.
+    """
+
+    def __init__(self, source: Source, block: Block) -> None:
+        self._source, self._block = source, block
+
+    def __len__(self) -> int:
+        return self._block.steps + 3
+
+    def __getitem__(self, position: Any) -> Any:
+        inside = self._block.start - 1 + position - self._block.first
+        return self._source.covered(inside) if 0 <= inside < len(self._source) else None
+
+
 def measure_block(block: Block, plan: Any, frame_rate: float) -> Measured:
     """Measure all steps of a block.
 
@@ -158,7 +184,8 @@ def measure_block(block: Block, plan: Any, frame_rate: float) -> Measured:
     from wavefield.measurement.measure import measure
 
     frames = {name: BlockFrames(source, block) for name, source in block.sources.items()}
-    fields = dict(measure(frames, plan, frame_rate))
+    masks = {name: BlockMasks(source, block) for name, source in block.sources.items()}
+    fields = dict(measure(frames, plan, frame_rate, masks))
     status = np.asarray(fields.pop("frame_status"), np.uint8)
     _find_dim_frames(frames, status, block, plan)
     faults = {name: dict(lazy.faults) for name, lazy in frames.items()}

@@ -364,8 +364,10 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
         free=shutil.disk_usage(prepared.experiment.path.parent).free,
     )
     quality = one.fields["quality"]
-    seen = (quality & np.uint8(Quality.OUTSIDE)) == 0  # filled nodes are finite too, but not measured
-    return cost, float((quality[seen] & np.uint8(Quality.MEASURED) != 0).mean()) if seen.any() else 0.0
+    seen = (
+        quality & (Quality.OUTSIDE | Quality.MASKED)
+    ) == 0  # filled nodes are finite too, but not measured
+    return cost, float((quality[seen] & Quality.MEASURED != 0).mean()) if seen.any() else 0.0
 
 
 def _time_block(prepared: Prepared, start: int, stop: int) -> tuple[float, Measured]:

@@ -34,7 +34,7 @@ def look_at_cameras(prepared: Prepared) -> Examination:
     """
     count = prepared.steps + 1
     frames = sorted({int((k + 0.5) * count / _INSTANTS) for k in range(_INSTANTS)})
-    witness = Witness(lambda name, k: prepared.series[name].read(k).image, prepared.rig, prepared.grid)
+    witness = Witness(lambda name, k: prepared.series[name].read_uncovered(k), prepared.rig, prepared.grid)
     return examine(witness, count, frames)
 
 

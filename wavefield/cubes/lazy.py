@@ -38,10 +38,13 @@ class ArraySource:
         Its name.
     variable : xarray.Variable
         (time, row, column).
+    mask : xarray.Variable, optional
+        (row, column) or (time, row, column): True where pixels do not count.
     """
 
     camera: str
     variable: xr.Variable
+    mask: xr.Variable | None = None
 
     def __len__(self) -> int:
         return int(self.variable.shape[0])
@@ -64,6 +67,24 @@ class ArraySource:
             return Frame(None, FrameFault.WRONG_SIZE, f"{place} has {image.ndim} dimensions")
         return judge_content(image, place)
 
+    def covered(self, index: int) -> np.ndarray | None:
+        """What is masked in a frame.
+
+        Parameters
+        ----------
+        index : int
+            Index along time.
+
+        Returns
+        -------
+        ndarray of bool, (row, column), or None
+            True where masked; None if nothing is.
+        """
+        if self.mask is None:
+            return None
+        mask = self.mask[index] if self.mask.ndim == 3 else self.mask
+        return np.asarray(mask.values, bool)
+
     def window(self, start: int, stop: int) -> "ArraySource":
         """The part that a block needs.
 
@@ -76,7 +97,9 @@ class ArraySource:
         -------
         ArraySource
         """
-        return replace(self, variable=self.variable[max(start, 0) : stop])
+        part = slice(max(start, 0), stop)
+        mask = self.mask[part] if self.mask is not None and self.mask.ndim == 3 else self.mask
+        return replace(self, variable=self.variable[part], mask=mask)
 
 
 def reconstruct(

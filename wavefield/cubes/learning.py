@@ -72,5 +72,9 @@ def learn_from(pairs: Sequence[Mapping[str, Source]], plan: Any) -> dict[str, An
     def frames(pair: Mapping[str, Source], k: int) -> dict[str, Any]:
         return {name: source.read(k).image for name, source in pair.items()}
 
-    record = learn([(frames(pair, 0), frames(pair, 1)) for pair in pairs], plan)
+    def masks(pair: Mapping[str, Source], k: int) -> dict[str, Any]:
+        return {name: source.covered(k) for name, source in pair.items()}
+
+    steps = [(frames(pair, 0), frames(pair, 1)) for pair in pairs]
+    record = learn(steps, plan, [(masks(pair, 0), masks(pair, 1)) for pair in pairs])
     return {} if record is None else record.to_dict()

@@ -16,7 +16,7 @@ from wavefield.grid import Grid
 from wavefield.measurement.algorithm import ALGORITHM
 from wavefield.measurement.first_guess import FirstGuess, first_guess, wide_enough
 from wavefield.rig import Rig
-from wavefield.series import Experiment, FrameSeries
+from wavefield.series import Experiment, FrameSeries, masks
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_FIELDS, TABLE
 
@@ -135,12 +135,15 @@ def prepare(
         )
     settings = make_settings(experiment, workflow)
     series = {name: series[name] for name in used}
-    plan = Plan(rig, grid, settings)
+    covered = masks.footprints(experiment.mask)
+    plan = Plan(rig, grid, settings, covered=covered)
+    folder = experiment.path.parent
+    series = masks.covered_series(experiment.mask, series, rig, folder, -plan.z_range[0])
     motion = None
     if not _states_search(experiment, workflow):
         motion = _look_ahead(series, plan)
         settings = wide_enough(settings, motion)
-        plan = Plan(rig, grid, settings)
+        plan = Plan(rig, grid, settings, covered=covered)
     recipe = make_recipe(experiment, series, rig, grid, settings, workflow.packing)
     return Prepared(experiment, series, rig, grid, plan, recipe, workflow, motion)
 
@@ -156,7 +159,7 @@ def _look_ahead(series: Mapping[str, FrameSeries], plan: Any) -> FirstGuess:
     from wavefield.measurement.frame import ready, usable
 
     def read(name: str, frame: int) -> Any:
-        image = series[name].read(frame).image
+        image = series[name].read_uncovered(frame)
         if not usable(image, plan.rig[name].size):
             return None
         return ready(np.asarray(image), plan.binning[name])
@@ -231,6 +234,7 @@ def make_recipe(
         rig={name: rig[name].to_dict() for name in series},
         settings=settings.to_dict(),
         packing=packing,
+        mask=masks.as_data(experiment.mask, experiment.path.parent),
         algorithm=ALGORITHM,
     )
 

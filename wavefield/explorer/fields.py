@@ -22,6 +22,7 @@ _BALANCE = ("z", "z_t", "u", "v", "w")
 # one word for each node, the first that fits: bit of `quality`, in words, colour (of Okabe and Ito's)
 KINDS: tuple[tuple[str, str, str], ...] = (
     ("OUTSIDE", "outside the view", "#d9d9d9"),
+    ("MASKED", "masked", "#000000"),
     ("REJECTED_CORRELATION", "rejected: correlation", "#D55E00"),
     ("REJECTED_EPS", "rejected: mismatch", "#E69F00"),
     ("REJECTED_NEIGHBOURS", "rejected: neighbours", "#CC79A7"),

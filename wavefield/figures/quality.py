@@ -30,7 +30,7 @@ def quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
 
     Parameters
     ----------
-    quality : DataArray, (time, y, x), uint8
+    quality : DataArray, (time, y, x), int
         The cube's bit mask.
     dims : tuple of str
         Dimensions to average over.
@@ -39,7 +39,7 @@ def quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
     -------
     Dataset
         One variable in [0, 1] for each of measured, filled and the three rejections; nodes outside the
-        field seen count as zero.
+        field seen, and masked ones, count as zero.
     """
     bits = {name: int(flag) for name, flag in _REASONS.items()}
     return xr.Dataset({name: ((quality & bit) != 0).mean(dims) for name, bit in bits.items()})
@@ -76,7 +76,8 @@ def fault_history(cube: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    inside = ((cube.quality & int(Quality.OUTSIDE)) == 0) & (cube.quality != 0)
+    nothing = int(Quality.OUTSIDE | Quality.MASKED)
+    inside = ((cube.quality & nothing) == 0) & (cube.quality != 0)
     seen = inside.mean(("y", "x")).compute()
     shares = quality_shares(cube.quality, ("y", "x")).compute()
     figure, axes = panels(1, 2, width=8.6, height=2.3)

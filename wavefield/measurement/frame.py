@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
+from wavefield.images import made_even
 from wavefield.measurement.floor import above_floor, bead_width
 from wavefield.measurement.rectify import bin_pixels
 
 _KNEE = 0.5  # of the contrast: darker than this above the background, the logarithm is nearly a line
+_PLACES = 0.01, 0.5, 0.99
 _SCALE = 5000.0  # grey levels for a factor e: log(65535) still fits 16 bits
 
 
@@ -39,7 +41,9 @@ def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
     return high > low
 
 
-def ready(image: NDArray[Any], count: int, width: float | None = None) -> NDArray[Any]:
+def ready(
+    image: NDArray[Any], count: int, width: float | None = None, covered: NDArray[np.bool_] | None = None
+) -> NDArray[Any]:
     """A usable frame as it is matched: the floor taken off, brightness evened out, pixels binned.
 
     Parameters
@@ -50,21 +54,27 @@ def ready(image: NDArray[Any], count: int, width: float | None = None) -> NDArra
         Side of the squares of pixels that are averaged, px; see `bin_pixels`.
     width : float, optional
         Width of the beads' images, px; measured in this image if left out.
+    covered : ndarray of bool, (row, column), optional
+        True where pixels do not count.
 
     Returns
     -------
     ndarray of uint16 or float32, (row // count, column // count)
     """
+    if covered is not None:
+        image = made_even(image, covered)
     width = bead_width(image) if width is None else width
     if width:
         image = above_floor(image, width)
-        low, half, _ = _levels(image)
+        low, half, _ = _levels(image, covered)
         # what half of the image lies below is no bead: twice as far above, grains of a floor and noise drown
-        return bin_pixels(even_out(image, half + (half - low)), count)
-    return bin_pixels(even_out(image), count)
+        return bin_pixels(even_out(image, half + (half - low), covered), count)
+    return bin_pixels(even_out(image, covered=covered), count)
 
 
-def even_out(image: NDArray[Any], black: float | None = None) -> NDArray[Any]:
+def even_out(
+    image: NDArray[Any], black: float | None = None, covered: NDArray[np.bool_] | None = None
+) -> NDArray[Any]:
     """Logarithm of the brightness above the background.
 
     Parameters
@@ -73,6 +83,8 @@ def even_out(image: NDArray[Any], black: float | None = None) -> NDArray[Any]:
         Raw image.
     black : float, optional
         Brightness that counts as none; that at 1 % if left out.
+    covered : ndarray of bool, (row, column), optional
+        True where pixels do not count.
 
     Returns
     -------
@@ -91,7 +103,7 @@ def even_out(image: NDArray[Any], black: float | None = None) -> NDArray[Any]:
     >>> np.array_equal(even_out(image), even_out((100 + 40 * image.astype(np.uint16))))
     True
     """
-    low, _, high = _levels(image)
+    low, _, high = _levels(image, covered)
     low = low if black is None else black
     knee = max(_KNEE * (high - low), 1e-6 * max(abs(low), abs(high), 1e-30))
     if image.dtype in (np.uint8, np.uint16):
@@ -116,22 +128,24 @@ def _look_up(image: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) -> Non
             out[y, x] = table[image[y, x]]
 
 
-def _levels(image: NDArray[Any]) -> tuple[float, float, float]:
+def _levels(image: NDArray[Any], covered: NDArray[np.bool_] | None = None) -> tuple[float, float, float]:
     """Brightness at 1, 50 and 99 % of a sample of the image; all alike if there is too little to say."""
     sample = image[3::8, 3::8].ravel()
+    if covered is not None:
+        sample = sample[~covered[3::8, 3::8].ravel()]
     if image.dtype in (np.uint8, np.uint16):
-        if not sample.size:
+        counts = np.bincount(sample)  # many times faster than sorting
+        grey = np.flatnonzero(counts)
+        counts = counts[grey]
+    else:
+        sample = sample.astype(np.float32)
+        sample = sample[np.isfinite(sample)]
+        if 2 * sample.size < image.size // 64:
             return 0.0, 0.0, 0.0
-        # counting is many times faster than sorting
-        below, few = np.cumsum(np.bincount(sample)), sample.size // 100
-        places = (few, sample.size // 2, sample.size - few - 1)
-        low, half, high = np.searchsorted(below, places, side="right")
-        return float(low), float(half), float(high)
-    sample = sample.astype(np.float32)
-    sample = sample[np.isfinite(sample)]
-    if 2 * sample.size < image.size // 64 or not sample.size:
+        grey, counts = np.unique(sample, return_counts=True)
+    if not sample.size:
         return 0.0, 0.0, 0.0
-    few = sample.size // 100
-    ranks = [few, sample.size // 2, sample.size - few - 1]
-    low, half, high = np.partition(sample, ranks)[ranks]
+    # between grey levels: whole ones, far apart where 8 bit are dark, would jump from frame to frame
+    rank = np.cumsum(counts) - 0.5 * counts
+    low, half, high = np.interp(sample.size * np.array(_PLACES), rank, grey)
     return float(low), float(half), float(high)

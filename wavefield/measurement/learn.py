@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from wavefield import matching
+from wavefield.images import made_even
 from wavefield.matching import Modes, Prior
 from wavefield.matching.one_thread import one_thread
 from wavefield.measurement import elevation, flow
+from wavefield.measurement.covered import Masks
 from wavefield.measurement.floor import bead_width
 from wavefield.measurement.frame import usable
 from wavefield.measurement.instant import Images, images_of
@@ -57,7 +59,11 @@ def sample_steps(count: int, number: int = 0) -> list[int]:
 
 
 @one_thread()
-def learn(steps: Sequence[tuple[Frames, Frames]], plan: Plan) -> Record | None:
+def learn(
+    steps: Sequence[tuple[Frames, Frames]],
+    plan: Plan,
+    masks: Sequence[tuple[Masks, Masks]] | None = None,
+) -> Record | None:
     """Learn a record's beads, spectra and noise from sample frames.
 
     Parameters
@@ -66,6 +72,8 @@ def learn(steps: Sequence[tuple[Frames, Frames]], plan: Plan) -> Record | None:
         First and second frame of some steps, per camera; None where absent. `sample_steps` says which.
     plan : Plan
         Rig, grid and settings.
+    masks : sequence of (mapping, mapping), optional
+        True where pixels of these frames do not count, per camera; None where all do.
 
     Returns
     -------
@@ -78,8 +86,12 @@ def learn(steps: Sequence[tuple[Frames, Frames]], plan: Plan) -> Record | None:
     each other (`better_prior`). The noise of the displacements is what makes the cameras' misfit what it
     should be: the median of chi^2.
     """
-    beads = _beads(steps, plan)
-    views = [(images_of(one, plan, beads), images_of(other, plan, beads)) for one, other in steps]
+    covered = masks or [({}, {})] * len(steps)
+    beads = _beads(steps, covered, plan)
+    views = [
+        (images_of(one, plan, beads, m), images_of(other, plan, beads, n))
+        for (one, other), (m, n) in zip(steps, covered, strict=True)
+    ]
     height = _learn_elevation([first for first, _ in views], plan)
     moves = {name: _learn_displacement(name, views, plan) for name in plan.velocity_cameras}
     known = {name: samples for name, samples in moves.items() if samples is not None}
@@ -102,12 +114,18 @@ def learn(steps: Sequence[tuple[Frames, Frames]], plan: Plan) -> Record | None:
     return record
 
 
-def _beads(steps: Sequence[tuple[Frames, Frames]], plan: Plan) -> dict[str, float]:
+def _beads(
+    steps: Sequence[tuple[Frames, Frames]], masks: Sequence[tuple[Masks, Masks]], plan: Plan
+) -> dict[str, float]:
     """Median width of every camera's beads, raw px."""
     out = {}
     for name in plan.cameras:
-        images = [image for image in (first.get(name) for first, _ in steps) if image is not None]
-        widths = [bead_width(image) for image in images if usable(image, plan.rig[name].size)]
+        images = [(first.get(name), mask.get(name)) for (first, _), (mask, _) in zip(steps, masks)]
+        widths = [
+            bead_width(image if mask is None else made_even(image, mask))
+            for image, mask in images
+            if image is not None and usable(image, plan.rig[name].size)
+        ]
         out[name] = float(np.median(widths)) if widths else 0.0
     return out
 

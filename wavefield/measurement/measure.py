@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching.one_thread import one_thread
+from wavefield.measurement.covered import masked_nodes
 from wavefield.measurement.flow import Flows, flows
 from wavefield.measurement.instant import Instant, look
 from wavefield.measurement.learn import learn, sample_steps
@@ -27,7 +28,9 @@ Frames = Mapping[str, Sequence[NDArray[Any] | None]]
 
 
 @one_thread()
-def measure(frames: Frames, plan: Plan, frame_rate: float) -> dict[str, NDArray[Any]]:
+def measure(
+    frames: Frames, plan: Plan, frame_rate: float, masks: Frames | None = None
+) -> dict[str, NDArray[Any]]:
     """Turn a block of frames into a block of the cube.
 
     Parameters
@@ -40,6 +43,8 @@ def measure(frames: Frames, plan: Plan, frame_rate: float) -> dict[str, NDArray[
         frames, and another block of the record would be weighed a little differently.
     frame_rate : float
         Frames per second, Hz.
+    masks : mapping of str to sequence of n + 3 (ndarray of bool or None), optional
+        Per camera, for every frame, True where its pixels do not count.
 
     Returns
     -------
@@ -63,14 +68,17 @@ def measure(frames: Frames, plan: Plan, frame_rate: float) -> dict[str, NDArray[
     steps = lengths.pop() - 3
     out = _empty(steps, plan)
     if plan.record is None:
-        record = learn([_pair(frames, k) for k in sample_steps(steps + 2)], plan)
+        samples = sample_steps(steps + 2)
+        pairs = [_pair(frames, k) for k in samples]
+        record = learn(pairs, plan, [_pair(masks, k) for k in samples] if masks else None)
         if record is None:
             return out
         plan = plan.knowing(record)
     window: list[Instant] = []
     moves: list[Flows] = []
     for number in range(steps + 3):
-        window.append(look({name: frames[name][number] for name in frames}, plan))
+        covered = {name: masks[name][number] for name in masks} if masks else None
+        window.append(look({name: frames[name][number] for name in frames}, plan, covered))
         if len(window) > 1:
             moves.append(flows(window[-2].images, window[-1].images, plan))
         if len(window) == 4:
@@ -129,6 +137,8 @@ def _step(
     for name in plan.cameras:
         if name not in missing:
             inside &= plan.sights[name].sees(*plan.sights[name].position(z))
+    masked = inside & masked_nodes((first.covered, second.covered), missing, z, plan)
+    inside &= ~masked
     first_surface, second_surface = surfaces[1], surfaces[2]
     assert first_surface is not None
     assert second_surface is not None
@@ -137,7 +147,8 @@ def _step(
     quality = np.where(first_surface.apart | second_surface.apart, quality | apart, quality)
     filled = (quality & Quality.FILLED) != 0
     quality = np.where(filled, quality & ~np.uint8(Quality.MEASURED), quality)
-    out["quality"][:] |= np.where(inside, quality, np.uint8(Quality.OUTSIDE))
+    nothing = np.where(masked, np.uint16(Quality.MASKED), np.uint16(Quality.OUTSIDE))
+    out["quality"][:] |= np.where(inside, quality, nothing)
     squared = squared_phase(surfaces, moved.d[2], inside)
     left_out = left_out_of_displacement(squared, (moved.quality & Quality.TWO_FRAME_MEAN) != 0)
     d_std = [np.hypot(std, left_out * typical(d, inside)) for d, std in zip(moved.d, moved.d_std)]

@@ -28,6 +28,8 @@ from wavefield.rig import Camera, Rig
 from wavefield.rig.pairs import pairs_of
 from wavefield.rig.resolution import pixel_at, pixel_sides
 
+Outlines = tuple[tuple[tuple[float, float], ...], ...]
+
 _MIN_BLOCKS = 8  # along each side of the common view
 _MARGIN = 4  # blocks around the nodes
 _LENS = 0.6  # px: blur of a usual lens
@@ -46,6 +48,8 @@ class Plan:
         The choices; defaults follow from the rig.
     record : Record, optional
         What sample frames of the record say (`learn`). Without it, `measure` learns from the frames it gets.
+    covered : tuple of ((x, y), ...)
+        Outlines on the water, metres, of what is no water.
 
     Attributes
     ----------
@@ -76,13 +80,18 @@ class Plan:
 
     Notes
     -----
-    Pickles as its four parameters; the copy is computed anew, once per process.
+    Pickles as its parameters; the copy is computed anew, once per process.
     """
 
     def __init__(
-        self, rig: Rig, grid: Grid, settings: Settings | None = None, record: Record | None = None
+        self,
+        rig: Rig,
+        grid: Grid,
+        settings: Settings | None = None,
+        record: Record | None = None,
+        covered: Outlines = (),
     ) -> None:
-        self.rig, self.grid, self.record = rig, grid, record
+        self.rig, self.grid, self.record, self.covered = rig, grid, record, covered
         self.settings = settings = settings or Settings()
         if len(rig) < 2:
             raise RigError("a rig needs at least two cameras to measure a surface")
@@ -96,6 +105,8 @@ class Plan:
         self.cameras = tuple(n for n in rig if n in self.surface_cameras or n in self.velocity_cameras)
 
         self.x, self.y = np.meshgrid(grid.x_nodes, grid.y_nodes)
+        self.covered_nodes = _inside(self.x, self.y, covered)
+        self.covered_before: dict[str, Any] = {}  # masks of cameras, as `covered_in` made them ready
         middle = 0.5 * (grid.x[0] + grid.x[1]), 0.5 * (grid.y[0] + grid.y[1])
         distance = float(np.linalg.norm(rig[self.reference].centre - [*middle, 0.0]))
         reach = 0.02 * distance
@@ -112,7 +123,13 @@ class Plan:
             self._use(record)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _cached, (tuple(self.rig.cameras.items()), self.grid, self.settings, self.record)
+        return _cached, (
+            tuple(self.rig.cameras.items()),
+            self.grid,
+            self.settings,
+            self.record,
+            self.covered,
+        )
 
     def knowing(self, record: Record) -> Plan:
         """The same plan with another record.
@@ -375,6 +392,18 @@ class Sight:
             return (X >= 0) & (X <= w - 1) & (Y >= 0) & (Y <= h - 1)
 
 
+def _inside(x: NDArray[Any], y: NDArray[Any], outlines: Outlines) -> NDArray[np.bool_]:
+    """Nodes inside or on closed outlines, (ny, nx)."""
+    out = np.zeros(x.shape, bool)
+    for outline in outlines:
+        line = np.array(outline, np.float32)
+        low, high = line.min(axis=0), line.max(axis=0)
+        near = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
+        points = np.stack([x[near], y[near]], axis=-1).tolist()
+        out[near] |= [cv2.pointPolygonTest(line, point, False) >= 0 for point in points]
+    return out
+
+
 def _with_reference_first(pairs: Sequence[tuple[str, str]]) -> tuple[tuple[str, str], ...]:
     common = set(pairs[0])
     for pair in pairs:
@@ -389,6 +418,10 @@ def _with_reference_first(pairs: Sequence[tuple[str, str]]) -> tuple[tuple[str, 
 
 @lru_cache(maxsize=4)
 def _cached(
-    cameras: tuple[tuple[str, Camera], ...], grid: Grid, settings: Settings, record: Record | None
+    cameras: tuple[tuple[str, Camera], ...],
+    grid: Grid,
+    settings: Settings,
+    record: Record | None,
+    covered: Outlines,
 ) -> Plan:
-    return Plan(Rig(dict(cameras)), grid, settings, record)
+    return Plan(Rig(dict(cameras)), grid, settings, record, covered)

@@ -59,7 +59,9 @@ class PairMatch:
         return out
 
 
-def prepare(image: NDArray[Any], camera: str, plan: Plan) -> matching.Prepared:
+def prepare(
+    image: NDArray[Any], camera: str, plan: Plan, mask: matching.prepared.Mask | None = None
+) -> matching.Prepared:
     """Rectify a raw image and make it ready for matching.
 
     Parameters
@@ -70,13 +72,15 @@ def prepare(image: NDArray[Any], camera: str, plan: Plan) -> matching.Prepared:
         Its camera.
     plan : Plan
         Maps and masks.
+    mask : wavefield.matching.prepared.Mask, optional
+        Pixels of the rectified image that count; those that the camera sees if left out.
 
     Returns
     -------
     matching.Prepared
     """
     flat = widen(rectify(image, *plan.maps[camera]), *plan.blur[camera])
-    return matching.prepare(flat, plan.settings.stereo, mask=plan.masks[camera])
+    return matching.prepare(flat, plan.settings.stereo, mask=mask or plan.masks[camera])
 
 
 def match_pair(a: matching.Prepared, b: matching.Prepared, pair: tuple[str, str], plan: Plan) -> PairMatch:

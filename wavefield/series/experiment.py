@@ -14,6 +14,7 @@ from wavefield.rig.field import common_field
 from wavefield.rig.formats import load_rig
 from wavefield.rig.level import with_water_level
 from wavefield.sections import Section, load, read_yaml
+from wavefield.series import masks
 from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import make_series, number_frames, place_by_time, read_time_stamps
 from wavefield.water import tension_over_density
@@ -149,6 +150,11 @@ class Experiment(Section):
         default="auto", examples=["{x: [-1.0, 1.0], y: [-0.75, 0.75], step: 0.01}"]
     )
     water: WaterSection = WaterSection()
+    mask: dict[str, list[masks.MaskSection]] = Field(
+        default_factory=dict,
+        examples=["{cam1: masks/cam1.png, water: {cylinder: {x: 0.2, y: -0.1, radius: 0.1}}}"],
+        description="what is no water, by camera (px) or on the `water` (m)",
+    )
     probes: str | None = Field(default=None, examples=["probes.csv"])
     settings: dict[str, Any] = Field(default_factory=dict, description="measurement settings that differ")
 
@@ -158,6 +164,13 @@ class Experiment(Section):
     @classmethod
     def _name_is_text(cls, value: Any) -> Any:
         return str(value) if isinstance(value, int | float) else value  # `name: 7` is a fine name
+
+    @model_validator(mode="before")
+    @classmethod
+    def _masks_written_out(cls, data: Any) -> Any:
+        if isinstance(data, Mapping) and isinstance(data.get("cameras"), Mapping) and "mask" in data:
+            return {**data, "mask": masks.normalized(data["mask"], data["cameras"])}
+        return data
 
     @model_validator(mode="after")
     def _cameras_exist(self) -> "Experiment":
@@ -171,6 +184,7 @@ class Experiment(Section):
         for name in self.velocity.cameras if self.velocity else ():
             if name not in self.cameras:
                 raise ValueError(f"velocity.cameras names {name!r}, but the cameras are {known}")
+        masks.check(self.mask)
         first, last = self.frames.first, self.frames.last
         if first is not None and last is not None and last <= first:
             raise ValueError(f"frames runs from {first} to {last}; a step needs two frames")

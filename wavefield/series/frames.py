@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from wavefield.errors import FrameError
+from wavefield.images import made_even
+from wavefield.series.camera_mask import CameraMask
 from wavefield.series.readers import Entry, read_entry
 from wavefield.variables import FrameFault
 
@@ -45,6 +47,8 @@ class FrameSeries:
         (rows, columns) that every frame must have.
     dtype : str
         Type that every frame must have.
+    mask : CameraMask, optional
+        What is covered in them.
     """
 
     camera: str
@@ -52,6 +56,7 @@ class FrameSeries:
     entries: Sequence[Entry | None] = field(repr=False)
     shape: tuple[int, int]
     dtype: str
+    mask: CameraMask | None = None
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -100,7 +105,47 @@ class FrameSeries:
             if entry.path in words:
                 place = f"{self.camera} frame {self.first + index}"
             return Frame(None, FrameFault.UNREADABLE, f"{place}: {words}")
+        if self.mask is not None and self.mask.moving:
+            try:
+                self.mask.covered(index)
+            except FrameError as error:
+                return Frame(None, FrameFault.UNREADABLE, f"{place}: its mask: {error}")
         return self.judge(image, place)
+
+    def covered(self, index: int) -> np.ndarray | None:
+        """What is covered in a frame that can be read.
+
+        Parameters
+        ----------
+        index : int
+            Index in the series, from 0.
+
+        Returns
+        -------
+        ndarray of bool, (row, column), or None
+            True where pixels do not count; None if all do, or the mask cannot be read.
+        """
+        try:
+            return None if self.mask is None else self.mask.covered(index)
+        except FrameError:
+            return None  # `read` gives no frame then, and says why
+
+    def read_uncovered(self, index: int) -> np.ndarray | None:
+        """Read a frame for a look at it as a whole: what is covered is made an even grey.
+
+        Parameters
+        ----------
+        index : int
+            Index in the series, from 0.
+
+        Returns
+        -------
+        ndarray, (row, column), or None
+            None where there is no good frame.
+        """
+        image = self.read(index).image
+        covered = None if image is None else self.covered(index)
+        return image if image is None or covered is None else made_even(image, covered)
 
     def judge(self, image: np.ndarray, place: str) -> Frame:
         """Check the size, type and content of an image.
@@ -135,7 +180,8 @@ class FrameSeries:
         FrameSeries
         """
         start = max(start, 0)
-        return replace(self, first=self.first + start, entries=list(self.entries[start:stop]))
+        mask = None if self.mask is None else self.mask.window(start, stop)
+        return replace(self, first=self.first + start, entries=list(self.entries[start:stop]), mask=mask)
 
 
 def judge_content(image: np.ndarray, place: str) -> Frame:

@@ -31,6 +31,8 @@ class Recipe:
         As plain data.
     packing : str
         "float32" or "int16".
+    mask : mapping
+        What does not count as water, as plain data; empty if all does.
     algorithm : int
         Version of the measurement, raised when its values change.
     record : mapping
@@ -48,6 +50,7 @@ class Recipe:
     rig: Mapping[str, Any]
     settings: Mapping[str, Any]
     packing: str = "float32"
+    mask: Mapping[str, Any] = field(default_factory=dict)
     algorithm: int = 0
     record: Mapping[str, Any] = field(default_factory=dict)
     software: Mapping[str, str] = field(default_factory=lambda: _software())
@@ -66,6 +69,8 @@ class Recipe:
         """Sixteen hexadecimal digits that change whenever values of the cube could."""
         data = asdict(self)
         del data["software"], data["record"]
+        if not data["mask"]:
+            del data["mask"]  # cubes from before there were masks have none
         text = json.dumps(data, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -14,6 +14,7 @@ class Quality(IntFlag):
     REJECTED_NEIGHBOURS = 32
     TWO_FRAME_MEAN = 64  # z at mid-time from two frames instead of four
     FEWER_CAMERAS = 128  # a camera's frame is missing: the others did the work
+    MASKED = 256  # covered: not water, or hidden from the cameras by what is not
 
 
 class FrameStatus(IntEnum):

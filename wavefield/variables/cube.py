@@ -68,7 +68,7 @@ register(
     _cube("u_std", "m s-1", "standard uncertainty of u"),
     _cube("v_std", "m s-1", "standard uncertainty of v"),
     _cube("w_std", "m s-1", "standard uncertainty of w"),
-    _cube("quality", "1", "how a value came about", dtype="uint8", extra=_flags(Quality)),
+    _cube("quality", "1", "how a value came about", dtype="uint16", extra=_flags(Quality)),
     Variable("frame_status", ("time",), "1", "ledger of the run", dtype="uint8", extra=_flags(FrameStatus)),
 )
 

@@ -1,0 +1,55 @@
+"""A run with something in the water, and cubes from before there were masks."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+from cube_cases import HERE, different
+
+from wavefield.cubes import open_cube, run
+from wavefield.errors import StoreError
+from wavefield.variables import Quality
+
+MASK = "mask: {water: {cylinder: {x: 0.0, y: 0.0, radius: 0.015, top: 0.01, bottom: -0.01}}}\n"
+MASKED = int(Quality.MASKED)
+
+
+@pytest.fixture
+def masked(own_tank):
+    own_tank.write_text(own_tank.read_text() + MASK + "frames: {first: 0, last: 4}\n")
+    return own_tank
+
+
+def test_masked_nodes_stay_empty_in_the_cube_and_the_recipe_says_what_was_masked(masked, tmp_path):
+    out = tmp_path / "cube.zarr"
+    status = run(masked, out=out, workflow=HERE)
+    assert status.complete
+    cube = open_cube(out)
+    hidden = (cube.quality.values & MASKED) != 0
+    assert 0 < hidden[0].sum() < 0.5 * hidden[0].size
+    for name in ("z", "z_t", "u", "v", "w"):
+        np.testing.assert_array_equal(np.isnan(cube[name].values), hidden, err_msg=name)
+    assert json.loads(cube.attrs["recipe"])["mask"]["water"][0]["cylinder"]["radius"] == 0.015
+    assert "masked" in cube.quality.attrs["flag_meanings"]
+
+
+def test_another_mask_is_another_recipe(masked, tmp_path):
+    out = tmp_path / "cube.zarr"
+    run(masked, out=out, workflow=HERE)
+    masked.write_text(masked.read_text().replace("radius: 0.015", "radius: 0.01"))
+    with pytest.raises(StoreError, match=r"mask\.water"):
+        run(masked, out=out, workflow=HERE)
+
+
+def test_a_cube_of_8_bit_quality_opens_as_ever(reference, tmp_path):
+    cube = xr.open_zarr(reference, chunks=None).load()
+    old = cube.assign(quality=cube.quality.astype(np.uint8))
+    old.quality.encoding = {}
+    old.quality.attrs["flag_masks"] = [int(q) for q in Quality if q < 256]
+    old.drop_encoding().to_zarr(tmp_path / "old.zarr", zarr_format=3, consolidated=False)
+    assert zarr.open_group(tmp_path / "old.zarr")["quality"].dtype == np.uint8
+    again = open_cube(tmp_path / "old.zarr")
+    np.testing.assert_array_equal(again.quality.values, cube.quality.values)
+    assert different(reference, again.assign(quality=again.quality.astype(np.uint16))) == []

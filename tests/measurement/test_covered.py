@@ -1,0 +1,116 @@
+"""Something stands in the water: a grey disc in every image, masked."""
+
+import cv2
+import numpy as np
+import pytest
+from measurement_cases import RATE
+
+from wavefield.measurement import Plan, Record, learn, measure
+from wavefield.series.camera_mask import CameraMask
+from wavefield.series.masks import MaskSection, _seen, footprints
+from wavefield.variables import Quality
+
+CYLINDER = MaskSection(cylinder={"x": 0.0, "y": 0.0, "radius": 0.03, "top": 0.02, "bottom": -0.02})
+FIELDS = ("z", "u", "v", "w")
+MASKED = int(Quality.MASKED)
+
+
+def masks_of(rig):
+    return {
+        name: CameraMask(camera.size[::-1], (_seen(CYLINDER, camera, 0.08),)).covered(0)
+        for name, camera in rig.cameras.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def drawn(series):
+    """The same sea with a cylinder in it, and what it covers."""
+    masks = masks_of(series.rig)
+    frames = {}
+    for name, images in series.frames.items():
+        grey = int(np.percentile(images[0], 90))
+        frames[name] = [np.where(masks[name], np.asarray(grey, i.dtype), i) for i in images[:4]]
+    return frames, {name: [mask] * 4 for name, mask in masks.items()}
+
+
+@pytest.fixture(scope="module")
+def free(series, plan):
+    return measure({name: images[:4] for name, images in series.frames.items()}, plan, RATE)
+
+
+def far(series, quality, metres):
+    covered = (quality & MASKED) != 0
+    return cv2.distanceTransform((~covered).astype(np.uint8), cv2.DIST_L2, 5) * series.grid.step > metres
+
+
+def test_a_masked_cylinder_changes_little_beyond_a_window(series, plan, drawn, free):
+    outlines = footprints({"water": [CYLINDER]})
+    with_mask = Plan(series.rig, series.grid, covered=outlines).knowing(plan.record)
+    found = measure(drawn[0], with_mask, RATE, drawn[1])
+    window = max(with_mask.settings.piv.window, with_mask.settings.stereo.window) * with_mask.pixel
+    away = far(series, found["quality"][0], window)
+    assert away.sum() > 100
+    change = {n: np.abs(found[n][0] - free[n][0])[away] / free[f"{n}_std"][0][away] for n in FIELDS}
+    assert {n: c for n, c in ((n, float(np.sqrt(np.mean(c**2)))) for n, c in change.items()) if c > 0.1} == {}
+    without = measure(drawn[0], plan, RATE)
+    assert np.sqrt(np.mean(((without["z"] - free["z"])[0][away] / free["z_std"][0][away]) ** 2)) > 0.1
+
+
+def test_masked_nodes_hold_nothing_and_say_so(series, plan, drawn):
+    with_mask = Plan(series.rig, series.grid, covered=footprints({"water": [CYLINDER]})).knowing(plan.record)
+    found = measure(drawn[0], with_mask, RATE, drawn[1])
+    masked = (found["quality"][0] & MASKED) != 0
+    x, y = np.meshgrid(series.grid.x_nodes, series.grid.y_nodes)
+    assert masked[np.hypot(x, y) < 0.03].all()
+    assert not masked[np.hypot(x, y) > 0.09].any()
+    assert found["quality"].dtype == np.uint16
+    for name in FIELDS:
+        np.testing.assert_array_equal(np.isnan(found[name][0]), masked)
+    assert not ((found["quality"][0] & int(Quality.FILLED)) != 0)[masked].any()
+
+
+def test_a_mask_in_one_camera_leaves_its_nodes_to_the_others(series, plan, drawn, free):
+    masks = {"cam1": drawn[1]["cam1"]}
+    frames = {n: [*images[:4]] for n, images in series.frames.items()} | {"cam1": drawn[0]["cam1"]}
+    found = measure(frames, plan, RATE, masks)
+    assert not (found["quality"] & MASKED).any()
+    x, y = np.meshgrid(series.grid.x_nodes, series.grid.y_nodes)
+    here = np.hypot(x, y) < 0.03
+    for name in FIELDS:
+        apart = (found[name][0] - free[name][0])[here] / found[f"{name}_std"][0][here]
+        assert np.sqrt(np.mean(apart**2)) < 2.0, name
+    blind = measure(frames, plan, RATE, masks | {"cam2": drawn[1]["cam2"]})
+    assert ((blind["quality"][0] & MASKED) != 0)[here].all()
+
+
+def test_what_a_mask_covers_changes_no_bit(series, plan, drawn):
+    frames, masks = drawn
+    one = measure(frames, plan, RATE, masks)
+    noise = np.random.default_rng(0)
+    other = {
+        n: [np.where(m, noise.integers(0, 255, i.shape).astype(i.dtype), i) for i, m in zip(f, masks[n])]
+        for n, f in frames.items()
+    }
+    again = measure(other, plan, RATE, {n: [m.copy() for m in ms] for n, ms in masks.items()})
+    for name, field in one.items():
+        np.testing.assert_array_equal(field, again[name], err_msg=name)
+
+
+def test_a_record_is_learned_without_what_is_covered(series, drawn):
+    plan = Plan(series.rig, series.grid)
+    frames, masks = drawn
+    noise = np.random.default_rng(0)
+    other = {
+        n: [np.where(m, noise.integers(0, 255, i.shape).astype(i.dtype), i) for i, m in zip(f, masks[n])]
+        for n, f in frames.items()
+    }
+    known = [
+        learn(
+            [tuple({n: f[k] for n, f in some.items()} for k in (1, 2))],
+            plan,
+            [tuple({n: m[k] for n, m in masks.items()} for k in (1, 2))],
+        )
+        for some in (frames, other)
+    ]
+    assert isinstance(known[0], Record)
+    assert known[0] == known[1]

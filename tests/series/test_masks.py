@@ -1,0 +1,118 @@
+import cv2
+import numpy as np
+import pytest
+
+from wavefield.errors import ExperimentError
+from wavefield.rig import Rig
+from wavefield.series import Experiment, masks
+from wavefield.tank import paper_rig
+
+SIZE = (40, 60)
+
+
+@pytest.fixture
+def lab(tmp_path):
+    for camera in ("cam1", "cam2"):
+        (tmp_path / camera).mkdir()
+        for k in range(4):
+            image = np.random.default_rng(k).integers(0, 200, SIZE, dtype=np.uint8)
+            cv2.imwrite(str(tmp_path / camera / f"{k:03d}.png"), image)
+    return tmp_path
+
+
+def opened(lab, mask, rig=None):
+    path = lab / "experiment.yaml"
+    path.write_text(
+        "name: lab\nframe_rate: 20\n"
+        'cameras: {cam1: "cam1/{frame:03d}.png", cam2: "cam2/{frame:03d}.png"}\n'
+        f"mask: {mask}\n"
+    )
+    experiment = Experiment.load(path)
+    series = experiment.open_frames()
+    return masks.covered_series(experiment.mask, series, rig or Rig({}), lab, 0.05)
+
+
+def test_a_polygon_covers_what_lies_inside_it_and_nothing_of_other_cameras(lab):
+    series = opened(lab, "{cam1: {polygon: [[10, 5], [30, 5], [30, 25], [10, 25]]}}")
+    covered = series["cam1"].covered(2)
+    wanted = np.zeros(SIZE, bool)
+    wanted[5:26, 10:31] = True
+    np.testing.assert_array_equal(covered, wanted)
+    assert series["cam2"].covered(2) is None
+
+
+def test_what_is_not_black_in_an_image_is_covered(lab):
+    image = np.zeros(SIZE, np.uint8)
+    image[:10] = 1
+    cv2.imwrite(str(lab / "m.png"), image)
+    series = opened(lab, "{cam1: m.png, cam2: [m.png, {polygon: [[0, 20], [9, 20], [0, 29]]}]}")
+    np.testing.assert_array_equal(series["cam1"].covered(0), image > 0)
+    assert series["cam2"].covered(0)[22, 2]
+    assert series["cam2"].covered(0)[2, 2]
+
+
+def test_an_image_for_every_frame_moves_with_the_frames_also_in_a_window(lab):
+    for k in range(4):
+        image = np.zeros(SIZE, np.uint8)
+        image[k] = 255
+        cv2.imwrite(str(lab / f"m_{k:03d}.png"), image)
+    series = opened(lab, '{cam1: "m_{frame:03d}.png"}')["cam1"]
+    for k in range(4):
+        assert np.flatnonzero(series.covered(k).any(axis=1)).tolist() == [k]
+    assert np.flatnonzero(series.window(2, 4).covered(1).any(axis=1)).tolist() == [3]
+    (lab / "m_001.png").write_text("torn")
+    frame = series.window(1, 3).read(0)
+    assert frame.image is None
+    assert "its mask" in frame.message
+
+
+def test_whole_images_are_looked_at_without_what_is_covered(lab):
+    series = opened(lab, "{cam1: {polygon: [[10, 5], [30, 5], [30, 25], [10, 25]]}}")["cam1"]
+    part = series.read_uncovered(0)[5:26, 10:31]
+    assert part.min() == part.max()
+    np.testing.assert_array_equal(series.read_uncovered(0)[26:], series.read(0).image[26:])
+
+
+@pytest.mark.parametrize("height", [0.0, 0.08, 0.2])
+def test_a_cylinder_hides_itself_in_every_camera(height):
+    rig = paper_rig(0.3)
+    cylinder = masks.MaskSection(
+        cylinder={"x": 0.03, "y": -0.02, "radius": 0.04, "top": 0.2, "bottom": -0.05}
+    )
+    angle = np.linspace(0, 2 * np.pi, 100)
+    x, y = 0.03 + 0.04 * np.cos(angle), -0.02 + 0.04 * np.sin(angle)
+    for camera in rig.cameras.values():
+        outline = np.array(masks._seen(cylinder, camera, 0.05), np.float32)
+        X, Y = camera.project(x, y, height)
+        inside = [cv2.pointPolygonTest(outline, (float(a), float(b)), True) for a, b in zip(X, Y)]
+        assert min(inside) > -0.1
+        X, Y = camera.project(0.03 + 0.06 * np.cos(angle), -0.02 + 0.06 * np.sin(angle), 0.0)
+        free = [cv2.pointPolygonTest(outline, (float(a), float(b)), False) < 0 for a, b in zip(X, Y)]
+        assert np.mean(free) > 0.4
+
+
+def test_only_what_covers_nodes_is_an_outline_on_the_water():
+    sections = {
+        "water": [
+            masks.MaskSection(polygon=[(0, 0), (1, 0), (0, 1)]),
+            masks.MaskSection(cylinder={"x": 1, "y": 2, "radius": 0.5}),
+        ],
+        "cam1": [masks.MaskSection(polygon=[(0, 0), (9, 0), (0, 9)])],
+    }
+    triangle, circle = masks.footprints(sections)
+    assert triangle == ((0, 0), (1, 0), (0, 1))
+    radius = np.hypot(*(np.array(circle) - (1, 2)).T)
+    assert radius.min() >= 0.5
+    assert radius.max() < 0.501
+
+
+def test_the_recipe_knows_what_an_image_of_a_mask_holds(lab):
+    cv2.imwrite(str(lab / "m.png"), np.zeros(SIZE, np.uint8))
+    one = masks.as_data({"cam1": [masks.MaskSection(image="m.png")]}, lab)
+    cv2.imwrite(str(lab / "m.png"), np.eye(*SIZE, dtype=np.uint8))
+    assert masks.as_data({"cam1": [masks.MaskSection(image="m.png")]}, lab) != one
+
+
+def test_a_cylinder_without_height_is_refused(lab):
+    with pytest.raises(ExperimentError, match="above its bottom"):
+        opened(lab, "{water: {cylinder: {x: 0, y: 0, radius: 1, top: 0, bottom: 1}}}")

@@ -1,0 +1,132 @@
+"""What is masked, as matching and the nodes want it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.matching.prepared import Mask
+from wavefield.measurement.plan import Plan
+
+Pixels = NDArray[np.bool_]
+Masks = Mapping[str, Pixels | None]
+
+
+@dataclass(frozen=True)
+class Covered:
+    """What is masked in one image of one camera.
+
+    Parameters
+    ----------
+    raw : Mask
+        Of the binned image, for matching in time.
+    flat : Mask or None
+        Of the rectified image; None for a camera that does not measure the surface.
+    """
+
+    raw: Mask
+    flat: Mask | None
+
+    def at(self, X: NDArray[Any], Y: NDArray[Any]) -> Pixels:
+        """Whether the blocks around positions hold masked pixels.
+
+        Parameters
+        ----------
+        X, Y : ndarray
+            Positions, px of the binned image.
+
+        Returns
+        -------
+        ndarray of bool
+            False outside the image.
+        """
+        whole = self.raw.levels[0]
+        h, w = whole.shape
+        with np.errstate(invalid="ignore"):
+            inside = (X >= 0) & (X <= w - 1) & (Y >= 0) & (Y <= h - 1)
+        column = np.rint(np.where(inside, X, 0)).astype(np.intp)
+        row = np.rint(np.where(inside, Y, 0)).astype(np.intp)
+        return np.asarray(inside & (whole[row, column] == 0))
+
+
+def covered_in(masks: Masks, plan: Plan) -> dict[str, Covered]:
+    """Masks of one instant, made ready; one that stays the same is worked out once.
+
+    Parameters
+    ----------
+    masks : mapping of str to ndarray of bool, (row, column), or None
+        True where pixels of a camera's raw image do not count; None where all do.
+    plan : Plan
+        Everything computed beforehand.
+
+    Returns
+    -------
+    dict of str to Covered
+        Of the cameras of which something is masked.
+    """
+    out = {}
+    for name in plan.cameras:
+        pixels = masks.get(name)
+        if pixels is None:
+            continue
+        known = plan.covered_before.get(name)
+        if known is None or known[0] is not pixels:
+            known = pixels, _ready(pixels, name, plan)
+            plan.covered_before[name] = known
+        out[name] = known[1]
+    return out
+
+
+def _ready(pixels: Pixels, name: str, plan: Plan) -> Covered:
+    w, h = plan.sights[name].camera.size
+    count = plan.binning[name]
+    good = np.where(pixels[: h * count, : w * count], np.uint8(0), np.uint8(255))
+    good = cv2.resize(good, (w, h), interpolation=cv2.INTER_AREA) if count > 1 else good
+    flat = None
+    if name in plan.maps:
+        X, Y = (np.float32(0.5) * place for place in plan.maps[name])
+        seen = cv2.remap(good, X, Y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        flat = Mask.of(plan.seen[name] & (seen > 250), plan.settings.stereo)
+    return Covered(Mask.of(good > 250, plan.settings.piv), flat)
+
+
+def masked_nodes(
+    covered: tuple[Mapping[str, Covered], Mapping[str, Covered]],
+    missing: frozenset[str],
+    z: NDArray[Any],
+    plan: Plan,
+) -> Pixels:
+    """Nodes that are masked: by an outline on the water, or for too many cameras.
+
+    Parameters
+    ----------
+    covered : pair of mapping of str to Covered
+        Of a step's two frames.
+    missing : frozenset of str
+        Cameras that are left out.
+    z : ndarray, (ny, nx)
+        Elevation, metres.
+    plan : Plan
+        Everything computed beforehand.
+
+    Returns
+    -------
+    ndarray of bool, (ny, nx)
+        True where no pair of the surface's cameras, or fewer than two of the velocity's, are left.
+    """
+    hidden = {}
+    for name in {*covered[0], *covered[1]}:
+        X, Y = plan.sights[name].position(z)
+        hidden[name] = np.any([one[name].at(X, Y) for one in covered if name in one], axis=0)
+    nowhere = np.zeros(z.shape, bool)
+    present = [name for name in plan.cameras if name not in missing]
+    pairs = plan.pairs_for([n for n in plan.surface_cameras if n in present])
+    no_pair = np.all([hidden.get(a, nowhere) | hidden.get(b, nowhere) for a, b in pairs], axis=0)
+    velocity = [name for name in plan.velocity_cameras if name in present]
+    seeing = np.sum([~hidden.get(name, nowhere) for name in velocity], axis=0)
+    return np.asarray(plan.covered_nodes | no_pair | (seeing < 2))
