@@ -46,7 +46,7 @@ def test_fields_leave_the_door_in_one_order_and_one_type():
     assert {name: str(out[name].dtype) for name in out} == {
         "z": "float64",
         "w": "float64",
-        "quality": "uint16",
+        "quality": "uint8",
     }
     assert validate(cube[["z"]], "z").z.dtype == np.float32
 
