@@ -4,8 +4,9 @@ The target has one pose per view, whoever looks. So the passage from one camera'
 from any view that both saw, must be the same. A view indexed wrongly, or a mirrored image, is not.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 
@@ -66,6 +67,15 @@ def _medoid(rotations: list[Array]) -> int:
     return int(np.argmin(np.median(angles, axis=1)))
 
 
+@dataclass(frozen=True)
+class _Pair:
+    """What two cameras say of each other: whether they agree, how far apart they are, each view's verdict."""
+
+    agrees: bool
+    angle: float | None = None  # degrees; None where one view alone was seen by both
+    good: Mapping[str, bool] = field(default_factory=dict)  # by pose, where they agree
+
+
 def compare(cameras: Mapping[str, Alone], mesh: float) -> Agreement:
     """Compare the poses of the target that the cameras found each on its own.
 
@@ -80,75 +90,71 @@ def compare(cameras: Mapping[str, Alone], mesh: float) -> Agreement:
     -------
     Agreement
     """
-    found = Agreement()
     names = list(cameras)
-    bad: dict[tuple[str, str], int] = {}  # (camera, pose) -> pairs in which it disagrees
-    asked: dict[tuple[str, str], int] = {}
-    partners: dict[str, list[str]] = {name: [] for name in names}
-    agrees: dict[str, list[str]] = {name: [] for name in names}
-    for i, a in enumerate(names):
-        for b in names[i + 1 :]:
-            common = passages(cameras[a], cameras[b])
-            if not common:
-                continue
-            partners[a].append(b)
-            partners[b].append(a)
-            if len(common) == 1:
-                agrees[a].append(b)
-                agrees[b].append(a)
-                continue
-            poses = list(common)
-            middle = common[poses[_medoid([common[p][0] for p in poses])]]
-            shift = np.median([t for _, t in common.values()], axis=0)
-            # translations of oblique views scatter along the sight line: judge them where the target is
-            angle = {p: angle_between(common[p][0], middle[0]) for p in poses}
-            away = {
-                p: float(np.linalg.norm(_at_target(cameras[a], cameras[b], p, middle[0], shift))) / mesh
-                for p in poses
-            }
-            off = {p: max(angle[p] / _limit(angle, ANGLE), away[p] / _limit(away, SHIFT)) for p in poses}
-            good = [p for p in poses if off[p] <= 1.0]
-            if len(good) > len(poses) / 2 or (len(good) >= 2 and len(poses) <= 4):
-                agrees[a].append(b)
-                agrees[b].append(a)
-                found.angle[a, b] = max(angle[p] for p in good)
-                for p in poses:
-                    for name in (a, b):
-                        asked[name, p] = asked.get((name, p), 0) + 1
-                        bad[name, p] = bad.get((name, p), 0) + (p not in good)
-            else:
-                found.angle[a, b] = float(np.median(list(angle.values())))
-    found.alone = [name for name in names if not partners[name]] if len(names) > 1 else []
+    pairs = {(a, b): _pair(cameras[a], cameras[b], mesh) for a, b in combinations(names, 2)}
+    met = {pair: verdict for pair, verdict in pairs.items() if verdict is not None}
+    alone = [name for name in names if not any(name in pair for pair in met)] if len(names) > 1 else []
     # the largest company is right; who agrees with none of it is wrong
-    company = max((_company(name, agrees) for name in names), key=len, default=[])
-    found.wrong_cameras = [name for name in names if name not in company and name not in found.alone]
-    for (name, pose), count in bad.items():
-        # with three cameras the one at fault disagrees with both others; with two there is no telling which
-        if count and count == asked[name, pose]:
-            others = [n for n in names if n != name and (n, pose) in bad]
-            if all(bad[n, pose] < asked[n, pose] for n in others) or all(
-                bad[n, pose] == asked[n, pose] for n in others
-            ):
-                found.wrong_views.append((name, pose))
-    return found
+    agreed = [pair for pair, verdict in met.items() if verdict.agrees]
+    company = max((_company(name, agreed) for name in names), key=len, default=[])
+    return Agreement(
+        _wrong_views(names, met),
+        [name for name in names if name not in company and name not in alone],
+        alone,
+        {pair: verdict.angle for pair, verdict in met.items() if verdict.angle is not None},
+    )
+
+
+def _pair(a: Alone, b: Alone, mesh: float) -> _Pair | None:
+    """What two cameras say of each other; None where they share no view."""
+    common = passages(a, b)
+    if len(common) < 2:
+        return _Pair(True) if common else None
+    turns = [R for R, _ in common.values()]
+    middle = turns[_medoid(turns)]
+    shift = np.median([t for _, t in common.values()], axis=0)
+    angle = {pose: angle_between(R, middle) for pose, (R, _) in common.items()}
+    # translations of oblique views scatter along the sight line: judge them where the target is
+    away = {pose: float(np.linalg.norm(_at_target(a, b, pose, middle, shift))) / mesh for pose in common}
+    most_angle, most_away = _limit(angle, ANGLE), _limit(away, SHIFT)
+    good = {pose: max(angle[pose] / most_angle, away[pose] / most_away) <= 1.0 for pose in common}
+    count = sum(good.values())
+    if count > len(good) / 2 or (count >= 2 and len(good) <= 4):
+        return _Pair(True, max(angle[pose] for pose in common if good[pose]), good)
+    return _Pair(False, float(np.median(list(angle.values()))))
+
+
+def _wrong_views(names: Sequence[str], met: Mapping[tuple[str, str], _Pair]) -> list[tuple[str, str]]:
+    """Views that disagree with all others; with two cameras there is no telling which of them it is."""
+    verdicts: dict[tuple[str, str], list[bool]] = {}  # (camera, pose): is it good, once per partner
+    for pair, verdict in met.items():
+        for pose, good in verdict.good.items():
+            for name in pair:
+                verdicts.setdefault((name, pose), []).append(good)
+    wrong = {view for view, good in verdicts.items() if not any(good)}
+    out = []
+    for name, pose in verdicts:
+        others = {(n, pose) in wrong for n in names if n != name and (n, pose) in verdicts}
+        if (name, pose) in wrong and len(others) < 2:  # none of the others is, or all of them are
+            out.append((name, pose))
+    return out
 
 
 def _limit(differences: Mapping[str, float], bounds: tuple[float, float]) -> float:
     return float(np.clip(5.0 * np.median(list(differences.values())), *bounds))
 
 
-def _company(name: str, agrees: Mapping[str, list[str]]) -> list[str]:
-    company, queue = [name], [name]
-    while queue:
-        for other in agrees[queue.pop()]:
-            if other not in company:
-                company.append(other)
-                queue.append(other)
+def _company(name: str, agreed: Sequence[tuple[str, str]]) -> list[str]:
+    """A camera, those it agrees with, those that they agree with, and so on."""
+    company = [name]
+    for member in company:
+        partners = [b if a == member else a for a, b in agreed if member in (a, b)]
+        company += [partner for partner in partners if partner not in company]
     return company
 
 
 def _at_target(a: Alone, b: Alone, pose: str, R: Array, t: Array) -> Array:
-    """How far apart the two cameras put the target's origin, across b's line of sight, metres."""
+    """How far apart the two cameras put the target's origin, across b's sight line, metres."""
     expected = R @ a.poses[pose][1] + t
     seen = b.poses[pose][1]
     along = seen / np.linalg.norm(seen)
@@ -172,8 +178,7 @@ def mirrored(alone: Alone) -> Alone:
     F, G = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
     poses = {}
     for pose, (R, t) in alone.poses.items():
-        turned = F @ R @ G
-        poses[pose] = turned, F @ t
+        poses[pose] = F @ R @ G, F @ t
     return Alone(alone.lens, poses, alone.rms, alone.spread, alone.deep)
 
 

@@ -10,6 +10,7 @@ from wavefield.compiled import compiled
 from wavefield.robust import PER_MEDIAN
 
 Array = NDArray[np.float64]
+Pair = tuple[float, float]
 
 # order of the parameters of one crossing
 CX, CY, ANGLE1, ANGLE2, WIDTH1, WIDTH2, FLUX1, FLUX2, GROUND, SLOPE_X, SLOPE_Y, OVERLAP = range(12)
@@ -119,166 +120,160 @@ def _cholesky_solve(a: Array, b: Array, n: int) -> bool:
 
 
 @compiled()
-def _fit_one(  # noqa: C901
-    image: Array,
-    start: Array,
-    arm1: Array,
-    arm2: Array,
-    blur: float,
-    band: float,
-    var0: float,
-    var1: float,
-    p: Array,
-    covariance: Array,
-    arms: Array,
-    noise: Array,
-) -> float:
-    """Fit one crossing in place; returns the misfit relative to the noise, or -1 if there is nothing to fit.
-
-    start: parameters to begin with; arm1, arm2: half lengths of the arms (px vectors along the strings).
-    """
+def _pixels_near(image: Array, start: Array, arm1: Array, arm2: Array, band: float) -> Array:
+    """Pixels of the parallelogram of the arms that lie close to either string: x, y and value, (3, n)."""
     rows, columns = image.shape
-    # pixels of the parallelogram of the arms, close to either string
     det = arm1[0] * arm2[1] - arm1[1] * arm2[0]
     wide, tall = abs(arm1[0]) + abs(arm2[0]), abs(arm1[1]) + abs(arm2[1])
     x0, x1 = max(0, int(start[CX] - wide)), min(columns - 1, int(start[CX] + wide) + 1)
     y0, y1 = max(0, int(start[CY] - tall)), min(rows - 1, int(start[CY] + tall) + 1)
-    room = max(0, x1 - x0 + 1) * max(0, y1 - y0 + 1)
-    c1, s1, c2, s2 = (
-        math.cos(start[ANGLE1]),
-        math.sin(start[ANGLE1]),
-        math.cos(start[ANGLE2]),
-        math.sin(start[ANGLE2]),
-    )
-    px = np.empty(room)
-    py = np.empty(room)
-    value = np.empty(room)
+    c1, s1 = math.cos(start[ANGLE1]), math.sin(start[ANGLE1])
+    c2, s2 = math.cos(start[ANGLE2]), math.sin(start[ANGLE2])
+    out = np.empty((3, max(0, x1 - x0 + 1) * max(0, y1 - y0 + 1)))
     n = 0
     for y in range(y0, y1 + 1):
         for x in range(x0, x1 + 1):
             dx, dy = x - start[CX], y - start[CY]
-            if (
-                abs((dx * arm2[1] - dy * arm2[0]) / det) > 1.0
-                or abs((dy * arm1[0] - dx * arm1[1]) / det) > 1.0
-            ):
+            if abs((dx * arm2[1] - dy * arm2[0]) / det) > 1.0:
+                continue
+            if abs((dy * arm1[0] - dx * arm1[1]) / det) > 1.0:
                 continue
             if abs(-s1 * dx + c1 * dy) < band or abs(-s2 * dx + c2 * dy) < band:
-                px[n], py[n], value[n] = x, y, image[y, x]
+                out[0, n], out[1, n], out[2, n] = x, y, image[y, x]
                 n += 1
-    if n < 45:
-        return -1.0
-    p[:] = start
-    residual = np.empty(n)
-    scaled = np.empty(n)
-    a = np.zeros((COUNT, COUNT))
-    damped = np.zeros((COUNT, COUNT))
-    b = np.zeros(COUNT)
+    return out[:, :n].copy()
+
+
+@compiled()
+def _equations(
+    pixels: Array,
+    p: Array,
+    blur: float,
+    variance: Pair,
+    spread: float,
+    free: int,
+    misses: Array,
+    a: Array,
+    b: Array,
+) -> Pair:
+    """Normal equations of the first `free` parameters, linear ones first; returns misfit and count.
+
+    misses (2, n) receives the residual of every pixel and its size in standard deviations.
+    """
+    a[:] = 0.0
+    b[:] = 0.0
     j = np.zeros(COUNT)
-    order = np.array([6, 7, 8, 9, 10, 11, 0, 1, 2, 3, 4, 5])  # linear parameters first
-    spread = 1e30
-    chi = 0.0
-    for iteration in range(16):
-        free = LINEAR if iteration == 0 else COUNT
-        a[:] = 0.0
-        b[:] = 0.0
-        c1, s1, c2, s2 = math.cos(p[ANGLE1]), math.sin(p[ANGLE1]), math.cos(p[ANGLE2]), math.sin(p[ANGLE2])
-        total, count = 0.0, 0.0
-        for k in range(n):
-            dx, dy = px[k] - p[CX], py[k] - p[CY]
-            d1, d2 = -s1 * dx + c1 * dy, -s2 * dx + c2 * dy
-            f1, g1, u1 = _profile(d1, p[WIDTH1], blur)
-            f2, g2, u2 = _profile(d2, p[WIDTH2], blur)
-            model = (
-                p[GROUND]
-                + p[SLOPE_X] * dx
-                + p[SLOPE_Y] * dy
-                + p[FLUX1] * f1
-                + p[FLUX2] * f2
-                + p[OVERLAP] * f1 * f2
-            )
-            m1 = p[FLUX1] + p[OVERLAP] * f2  # d model / d f1
-            m2 = p[FLUX2] + p[OVERLAP] * f1
-            r = value[k] - model
-            residual[k] = r
-            w = 1.0 / (var0 + var1 * max(model, 0.0))
-            scaled[k] = abs(r) * math.sqrt(w)
-            t = scaled[k] / spread  # biweight: what lies beyond six deviations has no say
-            if t >= 1.0:
-                continue
-            w *= (1.0 - t * t) ** 2
-            total += w * r * r
-            count += 1.0
-            j[0], j[1], j[2], j[3], j[4], j[5] = f1, f2, 1.0, dx, dy, f1 * f2
-            if free == COUNT:
-                j[6] = m1 * g1 * s1 + m2 * g2 * s2 - p[SLOPE_X]
-                j[7] = -m1 * g1 * c1 - m2 * g2 * c2 - p[SLOPE_Y]
-                j[8] = -m1 * g1 * (c1 * dx + s1 * dy)
-                j[9] = -m2 * g2 * (c2 * dx + s2 * dy)
-                j[10] = m1 * u1
-                j[11] = m2 * u2
-            for i in range(free):
-                wj = w * j[i]
-                b[i] += wj * r
-                for m in range(i + 1):
-                    a[i, m] += wj * j[m]
-        if count < 30:
-            return -1.0
-        chi = math.sqrt(total / max(count - COUNT, 1.0))
+    c1, s1, c2, s2 = math.cos(p[ANGLE1]), math.sin(p[ANGLE1]), math.cos(p[ANGLE2]), math.sin(p[ANGLE2])
+    total, count = 0.0, 0.0
+    for k in range(pixels.shape[1]):
+        dx, dy = pixels[0, k] - p[CX], pixels[1, k] - p[CY]
+        d1, d2 = -s1 * dx + c1 * dy, -s2 * dx + c2 * dy
+        f1, g1, u1 = _profile(d1, p[WIDTH1], blur)
+        f2, g2, u2 = _profile(d2, p[WIDTH2], blur)
+        model = (
+            p[GROUND]
+            + p[SLOPE_X] * dx
+            + p[SLOPE_Y] * dy
+            + p[FLUX1] * f1
+            + p[FLUX2] * f2
+            + p[OVERLAP] * f1 * f2
+        )
+        m1 = p[FLUX1] + p[OVERLAP] * f2  # d model / d f1
+        m2 = p[FLUX2] + p[OVERLAP] * f1
+        r = pixels[2, k] - model
+        w = 1.0 / (variance[0] + variance[1] * max(model, 0.0))
+        misses[0, k], misses[1, k] = r, abs(r) * math.sqrt(w)
+        t = misses[1, k] / spread  # biweight: what lies beyond six deviations has no say
+        if t >= 1.0:
+            continue
+        w *= (1.0 - t * t) ** 2
+        total += w * r * r
+        count += 1.0
+        j[0], j[1], j[2], j[3], j[4], j[5] = f1, f2, 1.0, dx, dy, f1 * f2
+        if free == COUNT:
+            j[6] = m1 * g1 * s1 + m2 * g2 * s2 - p[SLOPE_X]
+            j[7] = -m1 * g1 * c1 - m2 * g2 * c2 - p[SLOPE_Y]
+            j[8] = -m1 * g1 * (c1 * dx + s1 * dy)
+            j[9] = -m2 * g2 * (c2 * dx + s2 * dy)
+            j[10] = m1 * u1
+            j[11] = m2 * u2
         for i in range(free):
+            wj = w * j[i]
+            b[i] += wj * r
             for m in range(i + 1):
-                damped[i, m] = a[i, m]
-            damped[i, i] *= 1.0 + (1e-9 if iteration == 0 else 1e-3 * 0.2**iteration + 1e-9)
-            damped[i, i] += 1e-12
-        if not _cholesky_solve(damped, b, free):
-            return -1.0
-        largest = 0.0
-        for i in range(free):
-            step = b[i]
-            q = order[i]
-            if q in (CX, CY):
-                step = min(max(step, -1.0), 1.0)
-                largest = max(largest, abs(step))
-            elif q in (ANGLE1, ANGLE2):
-                step = min(max(step, -0.1), 0.1)
-            elif q in (WIDTH1, WIDTH2):
-                limit = max(0.5 * abs(p[q]), blur * blur)
-                step = min(max(step, -limit), limit)
-            p[q] += step
-        for q in (WIDTH1, WIDTH2):
-            p[q] = min(max(p[q], -1.8 * blur * blur), 60.0)
-        if iteration >= 2:
-            spread = 6.0 * max(PER_MEDIAN * np.median(scaled), 1e-3)
-        if iteration > 4 and largest < 2e-4:
-            break
-    # covariance of the centre
-    for i in range(COUNT):
+                a[i, m] += wj * j[m]
+    return total, count
+
+
+@compiled()
+def _damped(a: Array, by: float, least: float, n: int, out: Array) -> None:
+    """Copy the lower triangle of the leading n x n block, its diagonal made larger."""
+    for i in range(n):
         for m in range(i + 1):
-            damped[i, m] = a[i, m]
-        damped[i, i] *= 1.0 + 1e-9
+            out[i, m] = a[i, m]
+        out[i, i] *= 1.0 + by
+        out[i, i] += least
+
+
+@compiled()
+def _advance(p: Array, steps: Array, blur: float) -> float:
+    """Add the steps (linear parameters first) within limits; returns how far the centre moved at most, px."""
+    largest = 0.0
+    for i in range(len(steps)):
+        step = steps[i]
+        q = i + LINEAR if i < LINEAR else i - LINEAR
+        if q in (CX, CY):
+            step = min(max(step, -1.0), 1.0)
+            largest = max(largest, abs(step))
+        elif q in (ANGLE1, ANGLE2):
+            step = min(max(step, -0.1), 0.1)
+        elif q in (WIDTH1, WIDTH2):
+            limit = max(0.5 * abs(p[q]), blur * blur)
+            step = min(max(step, -limit), limit)
+        p[q] += step
+    for q in (WIDTH1, WIDTH2):
+        p[q] = min(max(p[q], -1.8 * blur * blur), 60.0)
+    return largest
+
+
+@compiled()
+def _centre_variance(a: Array, chi: float, out: Array) -> bool:
+    """Variance of the centre along x and y, px^2; False where the equations have no solution."""
+    damped, b = np.zeros((COUNT, COUNT)), np.zeros(COUNT)
     for axis in range(2):
-        for i in range(COUNT):
-            b[i] = 0.0
-        b[6 + axis] = 1.0
-        if axis:
-            for i in range(COUNT):
-                for m in range(i + 1):
-                    damped[i, m] = a[i, m]
-                damped[i, i] *= 1.0 + 1e-9
+        b[:] = 0.0
+        b[LINEAR + axis] = 1.0
+        _damped(a, 1e-9, 0.0, COUNT, damped)
         if not _cholesky_solve(damped, b, COUNT):
-            return -1.0
-        covariance[axis] = b[6 + axis] * max(chi, 1e-3) ** 2
-    # is each arm there, and how noisy are ground and strings
+            return False
+        out[axis] = b[LINEAR + axis] * max(chi, 1e-3) ** 2
+    return True
+
+
+@compiled()
+def _look(
+    pixels: Array,
+    p: Array,
+    angles: Pair,
+    blur: float,
+    misses: Array,
+    spread: float,
+    arms: Array,
+    noise: Array,
+) -> None:
+    """Is each arm there, and how noisy are ground and strings."""
+    c1, s1, c2, s2 = math.cos(angles[0]), math.sin(angles[0]), math.cos(angles[1]), math.sin(angles[1])
     v1, v2 = math.sqrt(blur * blur + p[WIDTH1] / 3.0), math.sqrt(blur * blur + p[WIDTH2] / 3.0)
     found = np.zeros(4)
     noise[:] = 0.0
     n_ground, n_string = 0, 0
     arms[:] = 0.0
-    for k in range(n):
-        dx, dy = px[k] - p[CX], py[k] - p[CY]
+    for k in range(pixels.shape[1]):
+        dx, dy, value, residual = pixels[0, k] - p[CX], pixels[1, k] - p[CY], pixels[2, k], misses[0, k]
         d1, d2 = -s1 * dx + c1 * dy, -s2 * dx + c2 * dy
         f1, _, _ = _profile(d1, p[WIDTH1], blur)
         f2, _, _ = _profile(d2, p[WIDTH2], blur)
-        above = value[k] - p[GROUND] - p[SLOPE_X] * dx - p[SLOPE_Y] * dy
+        above = value - p[GROUND] - p[SLOPE_X] * dx - p[SLOPE_Y] * dy
         if abs(d1) < v1 and abs(d2) > 2.5 * v2:
             arm = 0 if c1 * dx + s1 * dy > 0 else 1
             arms[arm] += above / (p[FLUX1] * f1)
@@ -287,55 +282,76 @@ def _fit_one(  # noqa: C901
             arm = 2 if c2 * dx + s2 * dy > 0 else 3
             arms[arm] += above / (p[FLUX2] * f2)
             found[arm] += 1
-        if scaled[k] < spread:
-            if abs(d1) > 2.5 * v1 and abs(d2) > 2.5 * v2:
-                noise[0] += value[k] - residual[k]
-                noise[1] += residual[k] ** 2
-                n_ground += 1
-            elif (abs(d1) < v1) != (abs(d2) < v2):
-                noise[2] += value[k] - residual[k]
-                noise[3] += residual[k] ** 2
-                n_string += 1
+        if not misses[1, k] < spread:
+            continue
+        if abs(d1) > 2.5 * v1 and abs(d2) > 2.5 * v2:
+            noise[0] += value - residual
+            noise[1] += residual**2
+            n_ground += 1
+        elif (abs(d1) < v1) != (abs(d2) < v2):
+            noise[2] += value - residual
+            noise[3] += residual**2
+            n_string += 1
     for i in range(4):
         arms[i] = arms[i] / found[i] if found[i] >= 3 else 0.0
-    noise[0] /= max(n_ground, 1)
-    noise[1] /= max(n_ground, 1)
-    noise[2] /= max(n_string, 1)
-    noise[3] /= max(n_string, 1)
+    noise[:2] /= max(n_ground, 1)
+    noise[2:] /= max(n_string, 1)
+
+
+@compiled()
+def _fit_one(
+    pixels: Array, blur: float, variance: Pair, p: Array, covariance: Array, arms: Array, noise: Array
+) -> float:
+    """Fit one crossing in place; returns the misfit relative to the noise, or -1 if there is nothing to fit.
+
+    p: parameters to begin with, and those found.
+    """
+    n = pixels.shape[1]
+    if n < 45:
+        return -1.0
+    misses = np.empty((2, n))
+    a, damped, b = np.zeros((COUNT, COUNT)), np.zeros((COUNT, COUNT)), np.zeros(COUNT)
+    spread, chi = 1e30, 0.0
+    angles = (p[ANGLE1], p[ANGLE2])
+    for iteration in range(16):
+        free = LINEAR if iteration == 0 else COUNT
+        angles = (p[ANGLE1], p[ANGLE2])
+        total, count = _equations(pixels, p, blur, variance, spread, free, misses, a, b)
+        if count < 30:
+            return -1.0
+        chi = math.sqrt(total / max(count - COUNT, 1.0))
+        _damped(a, 1e-9 if iteration == 0 else 1e-3 * 0.2**iteration + 1e-9, 1e-12, free, damped)
+        if not _cholesky_solve(damped, b, free):
+            return -1.0
+        moved = _advance(p, b[:free], blur)
+        if iteration >= 2:
+            spread = 6.0 * max(PER_MEDIAN * np.median(misses[1]), 1e-3)
+        if iteration > 4 and moved < 2e-4:
+            break
+    if not _centre_variance(a, chi, covariance):
+        return -1.0
+    _look(pixels, p, angles, blur, misses, spread, arms, noise)
     return chi
 
 
 @compiled()
 def _fit_all(
     image: Array,
-    start: Array,
     arm1: Array,
     arm2: Array,
     blur: float,
     band: Array,
-    var0: float,
-    var1: float,
+    variance: Pair,
     parameters: Array,
     covariance: Array,
     arms: Array,
     noise: Array,
     misfit: Array,
 ) -> None:
-    for k in range(len(start)):
-        misfit[k] = _fit_one(
-            image,
-            start[k],
-            arm1[k],
-            arm2[k],
-            blur,
-            band[k],
-            var0,
-            var1,
-            parameters[k],
-            covariance[k],
-            arms[k],
-            noise[k],
-        )
+    for k in range(len(parameters)):
+        p = parameters[k]
+        pixels = _pixels_near(image, p, arm1[k], arm2[k], band[k])
+        misfit[k] = _fit_one(pixels, blur, variance, p, covariance[k], arms[k], noise[k])
 
 
 def start_parameters(pixel: Array, slopes: Array, sigma: float, blur: float) -> Array:
@@ -410,13 +426,11 @@ def fit_crossings(
     band = 3.0 * np.sqrt(np.maximum(variance, 0.25)) + 1.5
     _fit_all(
         np.ascontiguousarray(image, np.float32),
-        np.ascontiguousarray(start, float),
         np.ascontiguousarray(arm[:, 0]),
         np.ascontiguousarray(arm[:, 1]),
         float(blur),
         band,
-        float(noise[0]),
-        float(noise[1]),
+        (float(noise[0]), float(noise[1])),
         parameters,
         covariance,
         arms,

@@ -6,12 +6,12 @@ import numpy as np
 
 from wavefield.compiled import compiled
 from wavefield.matching.displacement import Displacement, Reason
+from wavefield.matching.kernels import BLOCK
 from wavefield.matching.lattice import block_weights
 from wavefield.matching.prepared import Level
 from wavefield.matching.settings import Settings
 
 F = np.float32
-BLOCK = 5  # as in kernels.py: numba's cache wants its constants in the same file
 _ALIKE = 0.3  # correlation of windows below which a block says nothing
 
 njit = compiled(error_model="numpy")
@@ -27,6 +27,7 @@ def _measures(
     least: np.float32,
     ridge: np.float32,
     out: np.ndarray,
+    block: int = BLOCK,  # given, not read: numba keeps what it compiled by its arguments
 ) -> None:
     """Correlation, gain, matched gradient energy and the two influences of every block.
 
@@ -36,7 +37,7 @@ def _measures(
     ny, nx = du.shape
     for j in range(ny):
         for i in range(nx):
-            n = F(1) / (max(share[j, i], F(1e-3)) * F(BLOCK * BLOCK))
+            n = F(1) / (max(share[j, i], F(1e-3)) * F(block * block))
             a, r = windowed[6, j, i] * n, windowed[8, j, i] * n
             var_a = max(windowed[7, j, i] * n - a * a, F(0))
             var_r = windowed[5, j, i] * n - r * r

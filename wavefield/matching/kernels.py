@@ -4,7 +4,8 @@ What lets LLVM turn these plain loops into vector code, and must be kept:
 
 * loops run along whole rows of the image;
 * the one loop that cannot, the reading of a block, is written in vectors of eight (`_read_block`);
-* the constants below are literals: numba's cache bakes them in and would not notice a change elsewhere.
+* the constants below are literals: numba's cache bakes them in and would not notice a change elsewhere;
+  loops of other files take them as the default of an argument, by which the cache tells them apart.
 
 `tests/matching/test_kernels.py` looks into the machine code for vector multiplies.
 """

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 
 from wavefield.compiled import compiled
+from wavefield.matching.kernels import BLOCK
 
 F = np.float32
-BLOCK = 5  # as in kernels.py: numba's cache wants its constants in the same file
 BORDER = cv2.BORDER_REPLICATE
 
 njit = compiled(error_model="numpy")
@@ -104,18 +104,19 @@ def slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 @njit
-def _slopes(f: np.ndarray, fx: np.ndarray, fy: np.ndarray) -> None:
+def _slopes(f: np.ndarray, fx: np.ndarray, fy: np.ndarray, block: int = BLOCK) -> None:
+    # block is given, not read from elsewhere: numba keeps what it compiled by its arguments
     ny, nx = f.shape
     for j in range(ny):
         up, here, down = f[max(j - 1, 0)], f[j], f[min(j + 1, ny - 1)]
-        scale_y = F(1 / BLOCK) / F(max(min(j + 1, ny - 1) - max(j - 1, 0), 1))
+        scale_y = F(1 / block) / F(max(min(j + 1, ny - 1) - max(j - 1, 0), 1))
         for i in range(nx):
             fy[j, i] = (down[i] - up[i]) * scale_y
         for i in range(1, nx - 1):
-            fx[j, i] = (here[i + 1] - here[i - 1]) * F(0.5 / BLOCK)
+            fx[j, i] = (here[i + 1] - here[i - 1]) * F(0.5 / block)
         last = max(nx - 2, 0)
-        fx[j, 0] = (here[min(1, nx - 1)] - here[0]) * F(1 / BLOCK)
-        fx[j, nx - 1] = (here[nx - 1] - here[last]) * F(1 / BLOCK)
+        fx[j, 0] = (here[min(1, nx - 1)] - here[0]) * F(1 / block)
+        fx[j, nx - 1] = (here[nx - 1] - here[last]) * F(1 / block)
 
 
 @njit
@@ -222,6 +223,7 @@ def block_weights(
     height: int,
     width: int,
     out: np.ndarray,
+    block: int = BLOCK,
 ) -> None:
     """Weight 1 of the blocks that lie inside b and touch no masked pixel, 0 of the others, into `out`.
 
@@ -231,12 +233,12 @@ def block_weights(
     ny, nx = u.shape
     for j in range(ny):
         for i in range(nx):
-            x, y = F(i * BLOCK + 2) + u[j, i], F(j * BLOCK + 2) + v[j, i]
+            x, y = F(i * block + 2) + u[j, i], F(j * block + 2) + v[j, i]
             good = x >= F(1) and y >= F(1) and x <= F(width - 2) and y <= F(height - 2)
             if good and mask_b.size > 0:
                 good = mask_b[int(y + F(0.5)), int(x + F(0.5))] != 0
             if good and mask_a.size > 0:
-                good = mask_a[j * BLOCK + 2, i * BLOCK + 2] != 0
+                good = mask_a[j * block + 2, i * block + 2] != 0
             out[j, i] = F(1) if good else F(0)
 
 
