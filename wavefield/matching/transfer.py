@@ -6,7 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from wavefield.matching.lattice import BLOCK, gaussian, window_sigma
+from wavefield.matching.kernels import BLOCK
+from wavefield.matching.lattice import gaussian, window_sigma
 from wavefield.matching.settings import Settings
 
 _N = 128  # blocks: period of the Fourier transforms below

@@ -7,7 +7,8 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from wavefield.matching.lattice import BLOCK, BORDER, filtered
+from wavefield.matching.kernels import BLOCK
+from wavefield.matching.lattice import BORDER, filtered
 from wavefield.matching.settings import Settings
 from wavefield.matching.transfer import transfer_kernel
 
