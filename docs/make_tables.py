@@ -45,6 +45,21 @@ def cube() -> str:
     return rows_to_table(("variable", "dims", "units", "type", "meaning"), rows)
 
 
+def frames() -> str:
+    """Variables of the frames of an experiment."""
+    rows = [
+        (
+            f"`{v.name}`",
+            ", ".join(v.dims),
+            v.units,
+            "as the file" if v.name == "image" else v.dtype,
+            v.long_name,
+        )
+        for v in rows_of("frames")
+    ]
+    return rows_to_table(("variable", "dims", "units", "type", "meaning"), rows)
+
+
 def flags(meanings: dict, name: str) -> str:
     """Values of an enumeration."""
 
@@ -82,6 +97,7 @@ def waves() -> str:
 
 
 TABLES = {
+    "frames": frames,
     "cube": cube,
     "quality": lambda: flags(QUALITY, "bit"),
     "status": lambda: flags(STATUS, "value"),

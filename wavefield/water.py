@@ -1,5 +1,6 @@
 """Water and its free waves: constants, dispersion relation, wavenumber, group velocity."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,32 @@ def tension_over_density(surface_tension: float | None = None, density: float | 
     """
     tension = SURFACE_TENSION if surface_tension is None else surface_tension
     return float(tension) / float(density or DENSITY)
+
+
+def water_of(attributes: Mapping[str, Any], depth: float | None = None) -> tuple[float, float]:
+    """Depth and surface tension over density, as a cube's attributes say.
+
+    Parameters
+    ----------
+    attributes : mapping
+        ``water_depth``, m, deep if it is missing; ``surface_tension_over_density``, m3 s-2, or clean water's.
+    depth : float, optional
+        In place of what the attributes say, m.
+
+    Returns
+    -------
+    depth, gamma : float
+        m; m3 s-2.
+
+    Examples
+    --------
+    >>> water_of({"water_depth": 0.7})
+    (0.7, 7.28e-05)
+    """
+    if depth is None:
+        said = attributes.get("water_depth")
+        depth = np.inf if not said or said == "deep" else float(said)
+    return float(depth), float(attributes.get("surface_tension_over_density", GAMMA))
 
 
 def _depth(depth: float) -> float:

@@ -12,6 +12,7 @@ from xarray.core import indexing
 
 from wavefield.series.experiment import Experiment
 from wavefield.series.frames import FrameSeries
+from wavefield.variables import TABLE
 
 # about 100 MB of the paper's largest camera: a fair amount to read at once
 _CHUNK_BYTES = 100_000_000
@@ -192,7 +193,7 @@ def _camera(series: FrameSeries) -> xr.Dataset:
     image = xr.Variable(
         ("time", "row", "column"),
         indexing.LazilyIndexedArray(array),
-        {"long_name": f"image of {series.camera}", "units": "1"},
+        TABLE["frames/image"].of(series.camera, "1"),
     )
     per_frame = int(np.prod(series.shape)) * array.dtype.itemsize
     frames = int(np.clip(_CHUNK_BYTES // per_frame, 1, 64))
@@ -202,7 +203,7 @@ def _camera(series: FrameSeries) -> xr.Dataset:
     return xr.Dataset(
         {
             "image": image,
-            "present": ("time", present, {"long_name": f"{series.camera} has a file for this frame"}),
+            "present": ("time", present, TABLE["frames/present"].of(series.camera, "1")),
         }
     )
 
@@ -210,12 +211,8 @@ def _camera(series: FrameSeries) -> xr.Dataset:
 def _coordinates(experiment: Experiment, series: FrameSeries) -> dict[str, Any]:
     number = series.first + np.arange(len(series))
     return {
-        "time": (
-            "time",
-            experiment.frame_times(series),
-            {"long_name": "time of the frame", "units": "s", "axis": "T"},
-        ),
-        "frame": ("time", number, {"long_name": "frame number", "units": "1"}),
+        "time": ("time", experiment.frame_times(series), TABLE["frames/time"].attrs),
+        "frame": ("time", number, TABLE["frames/frame"].attrs),
     }
 
 

@@ -1,5 +1,6 @@
 """The variables of a cube, of its ledger and of a simulated experiment's truth."""
 
+from dataclasses import replace
 from enum import IntFlag
 from typing import Any
 
@@ -91,4 +92,12 @@ register(
     _cube("dx", "m", "displacement along x of the water whose path has its mid-point here"),
     _cube("dy", "m", "displacement along y of the water whose path has its mid-point here"),
     _cube("dz", "m", "displacement along z of the water whose path has its mid-point here"),
+)
+
+# what the frames of an experiment hold, as xarray opens them
+register(
+    replace(TABLE["time"], long_name="time of the frame", group="frames"),
+    Variable("frame", ("time",), "1", "frame number", dtype="int64", group="frames"),
+    Variable("image", ("time", "row", "column"), "1", "image", dtype="uint8", group="frames"),
+    Variable("present", ("time",), "1", "presence of a file", dtype="bool", group="frames"),
 )

@@ -23,7 +23,7 @@ import wavefield
 from wavefield.errors import CubeError, StoreError
 from wavefield.store.waves import write_waves
 from wavefield.variables import FIELD_TEXTS, FIELD_UNITS, TABLE, annotate, density_units, validate
-from wavefield.water import GAMMA
+from wavefield.water import water_of
 from wavefield.waves import coherence, crosses, fusion, kinematics, segments, spectra, statistics, transfer
 from wavefield.waves.bound import free_and_bound
 from wavefield.waves.direction import direction_group
@@ -134,8 +134,7 @@ def analyze(
             fields,
             whole,
             segment,
-            float(whole.attrs.get("water_depth") or np.inf) if depth is None else float(depth),
-            float(whole.attrs.get("surface_tension_over_density", GAMMA)),
+            *water_of(whole.attrs, depth),
             pixel_size or whole.attrs.get("pixel_size"),
             None if gain is None else read_gain(gain),
             probes if probes is None or isinstance(probes, xr.Dataset) else read_probes(probes),
@@ -185,7 +184,7 @@ def _groups(
     job: _Job, welch: Welch, sums: Sums, scale: dict[str, tuple[float, float]], notes: list[str]
 ) -> dict[str, xr.Dataset]:
     ring = crosses.label(sums.rings, NAMES, PAIRS, welch)
-    fused = fusion.from_spectra(ring, job.depth, job.gain)
+    fused = fusion.from_spectra(ring, (job.depth, job.gamma), job.gain)
     density = {name: _density(sums.rings.pop(f"map {name}"), name, welch) for name in MAPS}
     chosen = _map_lines(welch.omega, job.maps)
     by_method = [

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
-from wavefield.water import GAMMA, dispersion
+from wavefield.water import dispersion, water_of
 from wavefield.waves.direction import directions
 from wavefield.waves.record import Record
 from wavefield.waves.ridge import fit_dispersion
@@ -140,9 +140,7 @@ def directional_spectrum(
     ('freq', 'dir')
     """
     fields = validate(cube, "w")
-    if depth is None:
-        depth = float(cube.attrs.get("water_depth") or np.inf)
-    gamma = float(cube.attrs.get("surface_tension_over_density", GAMMA))
+    depth, gamma = water_of(cube.attrs, depth)
     found = spectrum(fields["w"], segment=segment, record=record).compute()
     if current is None:
         try:

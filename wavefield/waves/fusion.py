@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.variables import annotate
-from wavefield.water import dispersion, wavenumber
+from wavefield.water import dispersion, water_of, wavenumber
 from wavefield.waves.crosses import cross_spectra
 from wavefield.waves.record import Record
 from wavefield.waves.spectra import frequency_spectrum, with_interval
@@ -21,6 +21,7 @@ from wavefield.waves.welch import inner, k_coords, omega_coords
 from wavefield.waves.window_gain import read_gain, ring_gain
 
 Array = NDArray[Any]
+Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
 
 NAMES = ("z", "w")
 PAIRS = (("z", "w"),)
@@ -54,9 +55,9 @@ def _smooth(values: Array, width: int = 7) -> Array:
     return np.convolve(padded, np.full(width, 1 / width), "valid")
 
 
-def _on_ridge(trusted: Array, omega: Array, k: Array, depth: float) -> Array:
+def _on_ridge(trusted: Array, omega: Array, k: Array, water: Water) -> Array:
     # whether the waves' own cells are trusted: three rings about the ridge, seven lines
-    place = np.rint(np.interp(wavenumber(omega, depth), k, np.arange(k.size))).astype(int)
+    place = np.rint(np.interp(wavenumber(omega, *water), k, np.arange(k.size))).astype(int)
     near = np.clip(place[:, None] + np.arange(-1, 2), 0, k.size - 1)
     return _smooth(np.take_along_axis(trusted, near, axis=1).mean(axis=1)) > _TRUSTED
 
@@ -137,13 +138,13 @@ class _Noise:
     white_dz: Array
 
 
-def _noise(spectra: _Elevations, depth: float, gains: _Gains) -> _Noise:
+def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
     omega, k = spectra.omega, spectra.k
     use = (omega > 2 * np.pi * _LOWEST) & (omega < 0.95 * omega[-1])
     if use.sum() < 3:
         use = omega > 0
     # windows that leave too little to correct still leave some: noise is what is off the ridge there
-    free = dispersion(k, depth)
+    free = dispersion(k, *water)
     off = np.abs(omega[:, None] - free) > np.maximum(_OFF * free, 4 * omega[1])
     use = use[:, None] & (off | gains.sees_both)
     shape = 4 * np.sin(spectra.b) ** 2
@@ -200,15 +201,15 @@ def _by_method(
     return tuple(np.where(t, e, 0.0) for t, e in zip(trusted, energies)), trusted
 
 
-def from_spectra(ring: xr.Dataset, depth: float = np.inf, gain: xr.Dataset | None = None) -> xr.Dataset:
+def from_spectra(ring: xr.Dataset, water: Water, gain: xr.Dataset | None = None) -> xr.Dataset:
     """Fusion from the power and cross spectra of z and w.
 
     Parameters
     ----------
     ring : Dataset
         As `cross_spectra` gives it for `NAMES` and `PAIRS`.
-    depth : float
-        Depth of the water, m: it says where the ridge is.
+    water : tuple of float
+        Its depth, m, and surface tension over density, m3 s-2: they say where the ridge is.
     gain : Dataset, optional
         Gain of the matching windows, to be undone (`window_gain`).
 
@@ -221,7 +222,7 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf, gain: xr.Dataset | Non
     spectra = _elevations(ring)
     omega = spectra.omega
     gains = _gains(gain, spectra.k)
-    noise = _noise(spectra, depth, gains)
+    noise = _noise(spectra, water, gains)
     energies_k, trusted_k = _by_method(spectra, noise, gains, gain is not None)
     energies = dict(zip(METHODS, (spectra.over_k(array) for array in energies_k)))
     fit_z, fit_w = spectra.over_k(noise.fit_z), spectra.over_k(noise.fit_w)
@@ -236,9 +237,9 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf, gain: xr.Dataset | Non
     if trusted_k is None:
         valid = _standing_out(energies, dof, fit_z, fit_w, left, positive)
     else:
-        on_ridge = (_on_ridge(trusted, omega, spectra.k, depth) for trusted in trusted_k)
+        on_ridge = (_on_ridge(trusted, omega, spectra.k, water) for trusted in trusted_k)
         valid = {method: inner(omega.size) & there for method, there in zip(METHODS, on_ridge)}
-    waves = _at_waves(energies_k[-1], omega, spectra.k, depth)
+    waves = _at_waves(energies_k[-1], omega, spectra.k, water)
     valid = {method: there & waves for method, there in valid.items()}
     reach = [_reach(omega, valid[method], positive) for method in METHODS]
     kept = _kept_freedom(energies, left, tiny)
@@ -260,16 +261,16 @@ def from_spectra(ring: xr.Dataset, depth: float = np.inf, gain: xr.Dataset | Non
     band = np.pi / spectra.dt
     out["sigma_z"] = ((), np.sqrt(float(noise.white_z.sum()) * spectra.step * band))
     out["sigma_dz"] = ((), np.sqrt(float(noise.white_dz.sum()) * spectra.step * band))
-    out["noise_coherence"] = ((), _noise_coherence(ring, spectra, depth))
+    out["noise_coherence"] = ((), _noise_coherence(ring, spectra, water))
     out["range_frequency"] = ("source", [r[0] for r in reach])
     out["range_decades"] = ("source", [r[1] for r in reach])
     return annotate(out.assign_attrs(ring.attrs), "fusion")
 
 
-def _at_waves(energy: Array, omega: Array, k: Array, depth: float) -> Array:
+def _at_waves(energy: Array, omega: Array, k: Array, water: Water) -> Array:
     # whether a line holds energy where waves of its frequency are, not where the peak is: what a window
     # lets through of a peak decades above keeps the peak's wavenumber; a current shortens waves by less
-    shorter = k > _LONGER * wavenumber(omega, depth)[:, None]
+    shorter = k > _LONGER * wavenumber(omega, *water)[:, None]
     there = np.maximum(energy, 0.0)
     total = _smooth(there.sum(axis=1))
     return np.asarray(_smooth((there * shorter).sum(axis=1)) > 0.5 * total)
@@ -305,10 +306,10 @@ def _kept_freedom(energies: dict[str, Array], left: Array, tiny: float) -> dict[
     }
 
 
-def _noise_coherence(ring: xr.Dataset, spectra: _Elevations, depth: float) -> float:
+def _noise_coherence(ring: xr.Dataset, spectra: _Elevations, water: Water) -> float:
     # waves, bound ones too, have omega above the free relation's at their k or near it; below it there is but
     # noise
-    free = dispersion(spectra.k, depth)
+    free = dispersion(spectra.k, *water)
     omega = spectra.omega[:, None]
     off = (free > 1.6 * omega + 12) & ring["valid"].values & (omega > 2 * np.pi * 0.5)
     if off.sum() < 10:
@@ -363,7 +364,6 @@ def fusion(
     the elevation and N / H^2 for the noise, so that the weight passes at short waves to what resolves them.
     It rests on independent noises: ``noise_coherence`` measures how far they are.
     """
-    if depth is None:
-        depth = float(cube.attrs.get("water_depth") or np.inf)
+    water = water_of(cube.attrs, depth)
     gain = None if gain is None else read_gain(gain)
-    return from_spectra(cross_spectra(cube, NAMES, PAIRS, segment=segment, record=record), depth, gain)
+    return from_spectra(cross_spectra(cube, NAMES, PAIRS, segment=segment, record=record), water, gain)

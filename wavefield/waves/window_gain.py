@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import CubeError, StoreError
 from wavefield.variables import CUBE_DIMS, annotate, validate
-from wavefield.water import dispersion
+from wavefield.water import dispersion, water_of
 from wavefield.waves import rings, segments
 from wavefield.waves.record import Record
 from wavefield.waves.transfer import path_factor
@@ -112,14 +112,14 @@ def window_gain(
     exact = validate(exact, *sorted({b for _, b in pairs.values()}))
     welch = Welch.of(measured, segment, record)
     record, table = welch.record, welch.table
-    depth = float(measured.attrs.get("water_depth") or np.inf) if depth is None else depth
+    water = water_of(measured.attrs, depth)
 
     ny, nx = record.shape
     ky = rings.wavenumbers(ny, record.dy)[:, None]
     kx = np.abs(rings.wavenumbers(nx, record.dx)[: nx // 2 + 1])
     k = np.hypot(ky, kx).ravel()
     omega = np.abs(2 * np.pi * np.fft.fftfreq(welch.segment, record.dt))
-    ridge = dispersion(k, depth)[:, None]
+    ridge = dispersion(k, *water)[:, None]
     near = np.abs(omega - ridge) < np.maximum(_NEAR * ridge, _LINES * omega[1])
     ring = np.minimum((k / table.dk).astype(int), table.k.size - 1)
     turn = np.arctan2(ky, kx).ravel() * DIRECTIONS / np.pi
@@ -153,7 +153,7 @@ def window_gain(
     out = label(gains, table.k, "measured on a simulated experiment")
     for name, values in coherences.items():
         out[f"coherence_{name}"] = ("k", values)
-    return annotate(out.assign_attrs(segment=welch.segment, water_depth=depth), "gain")
+    return annotate(out.assign_attrs(segment=welch.segment, water_depth=water[0]), "gain")
 
 
 def read_gain(source: Any) -> xr.Dataset:
