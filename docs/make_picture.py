@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from wavefield import figures
-from wavefield.report import gather
+from wavefield.reports import gather
 
 PAGE = Path(__file__).with_name("surface.jpg")
 

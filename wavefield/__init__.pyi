@@ -11,7 +11,7 @@ from wavefield.explorer.notebook import look
 from wavefield.grid import Grid
 from wavefield.matching.gauss_newton import match
 from wavefield.measurement.settings import Settings
-from wavefield.report.write import report
+from wavefield.reports.write import report
 from wavefield.rig.camera import Camera
 from wavefield.rig.formats import load_rig
 from wavefield.rig.rig import Rig

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import tifffile
 
-from wavefield.errors import FrameError
+from wavefield.errors import FrameError, StoreError
+from wavefield.whole_files import whole
 
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _LAST = {".png": b"IEND", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}  # ends every whole file
@@ -151,7 +152,7 @@ def _read_otherwise(path: Path, page: int) -> np.ndarray:
 
 
 def write_image(path: str | Path, image: np.ndarray) -> None:
-    """Write one grey image; the ending of the name chooses the format (TIFF uncompressed, PNG).
+    """Write one grey image, whole or not at all; the name's ending chooses TIFF (uncompressed) or PNG.
 
     Parameters
     ----------
@@ -167,15 +168,17 @@ def write_image(path: str | Path, image: np.ndarray) -> None:
     """
     path = Path(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.suffix.lower() in (".tif", ".tiff"):
-            tifffile.imwrite(path, image)
-            return
-        written = cv2.imwrite(str(path), image)
-    except (OSError, cv2.error) as error:
-        raise FrameError(f"{path} cannot be written: {error}") from None
-    if not written:
-        raise FrameError(f"{path} cannot be written: no such format, or no room")
+        with whole(path) as draft:
+            if path.suffix.lower() in (".tif", ".tiff"):
+                tifffile.imwrite(draft, image)
+            else:
+                draft.write_bytes(cv2.imencode(path.suffix, image)[1].tobytes())
+    except StoreError as error:
+        raise FrameError(str(error)) from None
+    except cv2.error:
+        raise FrameError(
+            f"{path} cannot be written: {path.suffix or 'no ending'} is no image format"
+        ) from None
 
 
 def made_even(image: np.ndarray, covered: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ import xarray as xr
 
 import wavefield as wf
 from wavefield import figures
-from wavefield.report import errors_against
+from wavefield.reports import errors_against
 
 cube = wf.open_cube("wavefield-demo/cube.zarr")
 truth = xr.open_zarr("wavefield-demo/truth/truth.zarr", consolidated=False)

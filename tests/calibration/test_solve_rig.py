@@ -9,7 +9,7 @@ from wavefield.calibration import Target, calibrate
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.rest import sight_points
 from wavefield.errors import CalibrationError
-from wavefield.report.calibration import write_calibration
+from wavefield.reports.calibration import write_calibration
 from wavefield.rig import Camera, Rig
 from wavefield.rig.level import level
 from wavefield.tank.rigs import paper_rig

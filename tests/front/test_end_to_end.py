@@ -246,7 +246,7 @@ def test_margin_leaves_out_the_edge_of_what_was_measured():
 
 
 def test_report_is_written_without_the_images_too_and_says_so(folder, tmp_path):
-    from wavefield.report import gather, write_report
+    from wavefield.reports import gather, write_report
 
     images = folder / "cam1"
     images.rename(folder / "away")

@@ -128,7 +128,7 @@ def test_rig_is_drawn_with_its_cameras():
 
 def test_pairs_of_cameras_are_compared_in_pixels():
     from wavefield.measurement import Diagnosis
-    from wavefield.report.pair_pictures import pair_differences, pair_misfits
+    from wavefield.reports.pair_pictures import pair_differences, pair_misfits
 
     field = 1e-3 * np.random.default_rng(3).standard_normal((8, 9))
     pairs = ("3", "1"), ("3", "2"), ("1", "2")
@@ -162,7 +162,7 @@ def _rms(values):
 
 def test_found_nodes_are_drawn_in_pixels_and_on_the_plane():
     from wavefield.calibration import TargetPoints
-    from wavefield.report.targets import target_points
+    from wavefield.reports.targets import target_points
 
     rig = paper_rig(0.2)
     node = np.array([[i, j] for i in range(-2, 3) for j in range(-2, 3)])

@@ -10,8 +10,8 @@ import pytest
 
 from wavefield.grid import Grid
 from wavefield.measurement import Plan
-from wavefield.report import Sources, write_report
-from wavefield.report.player import pack
+from wavefield.reports import Sources, write_report
+from wavefield.reports.player import pack
 from wavefield.tank import paper_rig
 
 

@@ -20,7 +20,7 @@ from wavefield.cubes.cluster import open_cluster
 from wavefield.cubes.dask_settings import dask_settings, temporary_credentials
 from wavefield.cubes.slurm import count_jobs, slurm_cluster
 from wavefield.errors import ExperimentError
-from wavefield.report import gather
+from wavefield.reports import gather
 from wavefield.variables import FrameStatus
 
 ROOT = Path(__file__).parents[2]

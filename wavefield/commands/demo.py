@@ -74,8 +74,8 @@ def comparison(store: Path, directory: Path) -> str:
         A table: rms errors in mm and in px.
     """
     from wavefield.cubes import open_cube
-    from wavefield.report import errors_against
-    from wavefield.report.sources import grid_of
+    from wavefield.reports import errors_against
+    from wavefield.reports.sources import grid_of
     from wavefield.rig import Rig
     from wavefield.rig.resolution import pixel_size
 

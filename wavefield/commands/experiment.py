@@ -128,8 +128,8 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     exit status is 1 and the report says what to photograph again.
     """
     from wavefield.calibration.images import calibrate_experiment
-    from wavefield.report.calibration import write_calibration
-    from wavefield.report.targets import draw_found
+    from wavefield.reports.calibration import write_calibration
+    from wavefield.reports.targets import draw_found
     from wavefield.series import Experiment
 
     loaded = Experiment.load(experiment)

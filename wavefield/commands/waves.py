@@ -91,7 +91,7 @@ def _probes_of(store: Path) -> Path | None:
 )
 def report(store: Path, output: Path | None, waves: Path | None) -> None:
     """Write the report of a cube as one HTML file that opens offline."""
-    from wavefield.report.write import report as write
+    from wavefield.reports.write import report as write
 
     output = output or beside(store, "report", ".html")
     with Progress(f"Drawing {output}", "parts") as progress:

@@ -3,9 +3,9 @@
 import numpy as np
 
 from wavefield import figures
-from wavefield.report.page import Picture, Section, Text
-from wavefield.report.sources import Sources
-from wavefield.report.words import rms_of
+from wavefield.reports.page import Picture, Section, Text
+from wavefield.reports.sources import Sources
+from wavefield.reports.words import rms_of
 
 
 def spectra(sources: Sources) -> Section:

@@ -185,7 +185,7 @@ def render(
     str
         HTML, complete in itself.
     """
-    assets = files("wavefield.report").joinpath("assets")
+    assets = files("wavefield.reports").joinpath("assets")
     return Template(assets.joinpath("page.html").read_text(encoding="utf-8")).substitute(
         title=html.escape(title),
         subtitle=html.escape(subtitle),

@@ -6,10 +6,10 @@ import yaml
 from wavefield import figures
 from wavefield.measurement import Plan, Settings
 from wavefield.measurement.diagnostics import diagnose_around
-from wavefield.report.page import Picture, Section, Table
-from wavefield.report.pair_pictures import pair_differences, pair_misfits
-from wavefield.report.sources import Sources
-from wavefield.report.words import number, rms_of
+from wavefield.reports.page import Picture, Section, Table
+from wavefield.reports.pair_pictures import pair_differences, pair_misfits
+from wavefield.reports.sources import Sources
+from wavefield.reports.words import number, rms_of
 from wavefield.rig.resolution import pixel_size
 
 

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from wavefield.report.page import Section, Table, render
-from wavefield.report.player import pack
-from wavefield.report.sections import SECTIONS
-from wavefield.report.sources import Sources, gather
+from wavefield.reports.page import Section, Table, render
+from wavefield.reports.player import pack
+from wavefield.reports.sections import SECTIONS
+from wavefield.reports.sources import Sources, gather
 from wavefield.store.beside import beside
 from wavefield.store.verdict import Verdict, read_verdict
 from wavefield.whole_files import check_writable, write_text

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 
 from wavefield import figures
-from wavefield.report.page import Listing, Markup, Picture, Section, Table
-from wavefield.report.player import MARKUP
-from wavefield.report.sources import Sources
-from wavefield.report.words import number
+from wavefield.reports.page import Listing, Markup, Picture, Section, Table
+from wavefield.reports.player import MARKUP
+from wavefield.reports.sources import Sources
+from wavefield.reports.words import number
 from wavefield.variables import FrameStatus
 
 

@@ -12,6 +12,7 @@ from wavefield.calibration.images import TABLES, TargetRig
 from wavefield.figures.style import LINES, panels
 from wavefield.images import read_image
 from wavefield.rig import Rig
+from wavefield.whole_files import whole
 
 
 def target_points(
@@ -88,4 +89,5 @@ def draw_found(result: TargetRig, path: Path) -> None:
         result.calibration.rig if len(result.calibration.rig) and set(poses.values()) == {"flat"} else None,
         result.mesh,
     )
-    figure.savefig(path, dpi=110)
+    with whole(path) as draft:
+        figure.savefig(draft, format="png", dpi=110)

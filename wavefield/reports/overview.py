@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from wavefield import figures
-from wavefield.report.page import Listing, Picture, Section, Table, Text
-from wavefield.report.sources import Sources
-from wavefield.report.words import number, rms_of
+from wavefield.reports.page import Listing, Picture, Section, Table, Text
+from wavefield.reports.sources import Sources
+from wavefield.reports.words import number, rms_of
 from wavefield.rig.pairs import pairs_of
 from wavefield.variables import FrameStatus, Quality
 

@@ -1,0 +1,158 @@
+"""The page of a calibration, from its numbers and pictures."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from wavefield.reports.page import Listing, Picture, Section, Table, Text, render
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A picture of the page.
+
+    Parameters
+    ----------
+    file : str
+        Name of the file beside the page that holds it too.
+    title : str
+        What it shows.
+    png : bytes
+        The picture.
+    """
+
+    file: str
+    title: str
+    png: bytes
+
+
+def calibration_page(content: dict[str, Any], drawn: Sequence[Drawn]) -> str:
+    """Put the page together.
+
+    Parameters
+    ----------
+    content : dict
+        What ``numbers.yaml`` says.
+    drawn : sequence of Drawn
+        The pictures.
+
+    Returns
+    -------
+    str
+        HTML, complete in itself.
+    """
+    sections = list(_sections(content))
+    if drawn:
+        shown = [Picture(one.png, f"{one.title} ({one.file})", one.title) for one in drawn]
+        sections.append(Section("Pictures", list(shown)))
+    line = "The rig can be used." if content["usable"] else "The rig cannot be used."
+    return render("Calibration of the rig", line, [(section, section.html()) for section in sections], {})
+
+
+def _sections(content: dict[str, Any]) -> Iterator[Section]:
+    if content["problems"] or content["notes"]:
+        rows = [("problem", words) for words in content["problems"]]
+        rows += [("note", words) for words in content["notes"]]
+        yield Section(
+            "Remarks", [Table("Problems must be mended before the rig can be used", ("", "remark"), rows)]
+        )
+    if "cameras" not in content:
+        return
+    yield Section("Cameras", [_cameras(content), Text(_PREDICTED)])
+    between = Section("Between cameras")
+    if content["epipolar"]:
+        between.items.append(_epipolar(content))
+    if "flat_target" in content:
+        between.items.append(Text(_flat(content)))
+    yield between
+    yield Section(f"Camera model: {content['model']}", [*_models(content), _lens(content), Text(_CORRELATED)])
+    strongest = content["predicted"]["strongest_correlations"]
+    words = "\n".join(f"{a} with {b}: {r:.4f}" for a, b, r in strongest)
+    if words:
+        yield Section("Covariance", [Listing("strongest correlations of the parameters", words)])
+
+
+_PREDICTED = (
+    "rms: of the fitted points. Predicted: standard uncertainty of a pixel within 5 cm of z = 0, from the "
+    "covariance of the fit; it, and not the rms, measures the rig."
+)
+_CORRELATED = "Parameters are correlated with the pose: judge the rig by the predicted errors above."
+
+
+def _cameras(content: dict[str, Any]) -> Table:
+    predicted = content["predicted"]
+    head = (
+        "camera",
+        "views",
+        "points",
+        "rms px",
+        "rms mm",
+        "largest px",
+        "predicted px",
+        "covered",
+        "position m",
+    )
+    rows = [
+        (
+            name,
+            str(len(c["views"])),
+            str(sum(view["points"] for view in c["views"].values())),
+            f"{c['rms_px']:.3g}",
+            f"{c['rms_mm']:.2g}",
+            f"{c['max_px']:.2g}",
+            f"{predicted['reprojection_px'][name]:.2g}",
+            f"{100 * predicted['image_covered'][name]:.0f} %",
+            ", ".join(f"{v:.2f}" for v in c["position_m"]),
+        )
+        for name, c in content["cameras"].items()
+    ]
+    return Table("What each camera saw of the target, and how well the fit explains it", head, rows)
+
+
+def _epipolar(content: dict[str, Any]) -> Table:
+    rows = [
+        (pair, str(e["points"]), f"{e['rms_px']:.3f}", f"{e['median_px']:.3f}", f"{e['max_px']:.2f}")
+        for pair, e in content["epipolar"].items()
+    ]
+    head = ("pair", "points", "rms px", "median px", "largest px")
+    return Table("Distance of the points from the epipolar line", head, rows)
+
+
+def _flat(content: dict[str, Any]) -> str:
+    flat, predicted = content["flat_target"], content["predicted"]
+    return (
+        f"z of the {flat['nodes']} nodes of view {flat['view']}, triangulated: rms "
+        f"{flat['z_rms_mm']:.3f} mm, {flat['z_about_its_plane_rms_mm']:.3f} mm about its plane, "
+        f"tilt {flat['tilt_mrad']:.3f} mrad. "
+        f"Predicted uncertainty of z: {predicted['z_mm']:.2g} mm, of which tilt and level "
+        f"{predicted['z_of_which_tilt_mm']:.2g} mm."
+    )
+
+
+def _models(content: dict[str, Any]) -> list[Table]:
+    rows = [
+        (
+            m["model"],
+            str(m["parameters"]),
+            f"{m['rms_over_stated']:.3f}",
+            f"{m['bic']:.0f}",
+            f"{m['expected_px']:.4f}",
+        )
+        for m in content["models_compared"]
+    ]
+    head = ("model", "parameters", "rms / stated uncertainty", "BIC", "expected error px")
+    return [Table("Models that were compared", head, rows)] if rows else []
+
+
+def _lens(content: dict[str, Any]) -> Table:
+    cameras = content["parameters"]
+    terms = dict.fromkeys(term for values in cameras.values() for term in values)
+    rows = [
+        (
+            term.replace("_", " "),
+            *("{:.6g} ± {:.2g}".format(*v[term]) if term in v else "" for v in cameras.values()),
+        )
+        for term in terms
+        if not term.startswith(("rotation", "translation"))
+    ]
+    return Table("Parameters of the lenses, with their standard uncertainty", ("", *cameras), rows)
