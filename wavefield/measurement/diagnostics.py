@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -14,13 +14,14 @@ from wavefield.matching.one_thread import one_thread
 from wavefield.measurement import surface as stereo
 from wavefield.measurement.elevation import surface, windowed
 from wavefield.measurement.flow import flows
-from wavefield.measurement.instant import images_of
+from wavefield.measurement.instant import Images, images_of
 from wavefield.measurement.learn import learn
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.velocity import velocity
 from wavefield.variables import Quality
 
 Pair = tuple[str, str]
+Frames = Mapping[str, Sequence[NDArray[Any] | None]]
 
 _STEPS = 3  # measured to compare the pairs of cameras
 _TRIED = 12  # around the one asked for, where frames are missing or bad
@@ -38,7 +39,7 @@ class Diagnosis:
         Elevation from each pair alone at the first frame, metres: the planned pairs and the direct pairs
         among their partners.
     eps_y : dict of (str, str) to ndarray, (n,)
-        Mismatch across the line of sight at all blocks that were matched, before rejection by it, metres.
+        Mismatch across the sight line at all blocks that were matched, before rejection by it, metres.
     z_std : dict of (str, str) to float
         eps_y's rms over |dD|: the standard uncertainty of z under isotropy of the matching error, metres.
     recombined : dict of (str, str) to ndarray, (..., ny, nx)
@@ -172,9 +173,7 @@ def rms_within(values: NDArray[Any]) -> tuple[float, float]:
 
 
 @one_thread()
-def diagnose(
-    frames: Mapping[str, Sequence[NDArray[Any] | None]], plan: Plan, pixel: float | None = None
-) -> Diagnosis:
+def diagnose(frames: Frames, plan: Plan, pixel: float | None = None) -> Diagnosis:
     """Compare what pairs of cameras say about the same surface, and cameras about the same motion.
 
     Parameters
@@ -199,6 +198,25 @@ def diagnose(
     -----
     Recombined: (x_1 - x_2) = (x_1 - x_3) - (x_2 - x_3), with the middle camera 3 as reference.
     """
+    plan, first, second = _learned(frames, plan)
+    surfaces = [surface(view.flat, plan) for view in (first, second)]
+    if surfaces[0] is None or surfaces[1] is None:
+        raise ValueError("the frames cannot be matched: nothing to compare with")
+    matches = _matched(first, plan)
+    eps_y = {pair: match.eps_y[match.matched] for pair, match in matches.items()}
+    lengths = {pair: np.hypot(*match.parallax)[match.matched] for pair, match in matches.items()}
+    z_std = {pair: rms_within(eps_y[pair] / lengths[pair])[0] for pair in matches}
+    z = {pair: windowed([match], plan) for pair, match in matches.items()}
+    recombined = {}
+    for a, b in (pair for pair in matches if pair not in plan.pairs):
+        both = stereo.difference_of(matches[plan.reference, b], matches[plan.reference, a])
+        recombined[a, b] = windowed([both], plan) - z[a, b]
+    moved, eps_piv = _moved((first, second), 0.5 * (surfaces[0].z + surfaces[1].z), matches, plan)
+    return Diagnosis(pixel or plan.pixel, z, eps_y, z_std, recombined, moved, eps_piv)
+
+
+def _learned(frames: Frames, plan: Plan) -> tuple[Plan, Images, Images]:
+    """The images of both frames, with what is learned of them where the plan does not know the record."""
     instants = [{n: frames[n][k] for n in frames} for k in (0, 1)]
     if plan.record is None:
         every = Plan(plan.rig, plan.grid, replace(plan.settings, velocity_cameras=plan.cameras))
@@ -211,38 +229,30 @@ def diagnose(
     for view in (first, second):
         if view.missing:
             raise ValueError(f"camera {sorted(view.missing)[0]} has no usable frame: nothing to compare with")
-    surfaces = [surface(view.flat, plan) for view in (first, second)]
-    if surfaces[0] is None or surfaces[1] is None:
-        raise ValueError("the frames cannot be matched: nothing to compare with")
-    flat = first.flat
-    partners = [b for _, b in plan.pairs]
-    direct = [(a, b) for k, a in enumerate(partners) for b in partners[k + 1 :]]
-    matches = {
-        pair: stereo.match_pair(flat[pair[0]], flat[pair[1]], pair, plan) for pair in (*plan.pairs, *direct)
-    }
-    z = {pair: windowed([match], plan) for pair, match in matches.items()}
-    eps_y = {pair: match.eps_y[match.matched] for pair, match in matches.items()}
-    z_std = {}
-    for pair, match in matches.items():
-        length = np.hypot(*match.parallax)[match.matched]
-        z_std[pair] = rms_within(eps_y[pair] / length)[0]
-    reference = plan.reference
-    recombined = {}
-    for a, b in direct:
-        to_a, to_b = matches[reference, a], matches[reference, b]
-        both = stereo.difference_of(to_b, to_a)
-        recombined[a, b] = windowed([both], plan) - z[a, b]
-    moved, eps_piv = {}, {}
-    middle = 0.5 * (surfaces[0].z + surfaces[1].z)
-    moves = flows(first.raw, second.raw, plan)
-    for cameras in dict.fromkeys((*matches, plan.velocity_cameras)):
+    return plan, first, second
+
+
+def _matched(view: Images, plan: Plan) -> dict[Pair, stereo.PairMatch]:
+    """Each planned pair, and the direct pairs among their partners."""
+    pairs = [*plan.pairs, *combinations([b for _, b in plan.pairs], 2)]
+    return {(a, b): stereo.match_pair(view.flat[a], view.flat[b], (a, b), plan) for a, b in pairs}
+
+
+def _moved(
+    views: tuple[Images, Images], middle: NDArray[Any], pairs: Collection[Any], plan: Plan
+) -> tuple[dict[Pair, NDArray[Any]], dict[tuple[str, ...], NDArray[Any]]]:
+    """Displacement by each pair alone, and the misfit of each pair and of all that the plan takes."""
+    moved: dict[Pair, NDArray[Any]] = {}
+    eps_piv: dict[tuple[str, ...], NDArray[Any]] = {}
+    moves = flows(views[0].raw, views[1].raw, plan)
+    for cameras in dict.fromkeys((*pairs, plan.velocity_cameras)):
         step = velocity((None, {name: moves[name] for name in cameras}, None), middle, plan)
         assert step is not None  # every camera has both frames
         measured = (step.quality & Quality.FILLED) == 0
         eps_piv[cameras] = np.where(measured, step.eps_piv, np.nan)
-        if cameras in matches:
-            moved[cameras] = np.where(measured, step.d, np.nan)
-    return Diagnosis(pixel or plan.pixel, z, eps_y, z_std, recombined, moved, eps_piv)
+        if cameras in pairs:
+            moved[cameras[0], cameras[1]] = np.where(measured, step.d, np.nan)
+    return moved, eps_piv
 
 
 def diagnose_around(
