@@ -24,7 +24,7 @@ ROOMS = [
     "figures",
     "matching",
     "measurement",
-    "report",
+    "reports",
     "rig",
     "series",
     "tank",

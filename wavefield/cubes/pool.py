@@ -210,6 +210,9 @@ def _start_deaf(context: Any, process: BaseProcess) -> None:
 def _serve(connection: Connection) -> None:
     """What a worker does: take the work, then one item after the other."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    if sys.platform != "win32":
+        # locks that libraries make (Blosc's) then have no name that would be left when this process is ended
+        multiprocessing.set_start_method("fork", force=True)
     settle_worker()
     try:
         work = connection.recv_bytes()

@@ -29,7 +29,7 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
 
     Notes
     -----
-    Counterpart of the paper's sketches of the set-up and of the apparent coordinates: a line of sight through
+    Counterpart of the paper's sketches of the set-up and of the apparent coordinates: a sight line through
     a point at height z meets the plane z = 0 at x_a = x - D z.
     """
     figure, axes = panels(3, width=3.9, height=4.0)

@@ -68,7 +68,7 @@ class Settings:
         Thin-plate smoothing of z on the lattice of blocks, beyond what matching does, block lengths to the
         fourth power; it halves waves of 2 pi smoothing^(1/4) blocks.
     eps_limit : float
-        A match is rejected where its mismatch across the line of sight exceeds this many times its rms.
+        A match is rejected where its mismatch across the sight line exceeds this many times its rms.
     eps_floor : float
         Mismatch that is never rejected, px of the rectified images.
     min_valid : float

@@ -31,7 +31,7 @@ def accuracy(sources: Sources) -> Section:
         [
             Picture(
                 figures.misfit_distributions(part),
-                "Distributions of the stereo mismatch across the line of sight and of the misfit of the "
+                "Distributions of the stereo mismatch across the sight line and of the misfit of the "
                 "cameras' "
                 "displacements: the measurement's own account of its errors.",
                 f"Densities. Rms of eps_y {1e3 * rms_of(part.eps_y):.3g} mm, of eps' "

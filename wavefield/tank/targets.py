@@ -172,7 +172,7 @@ def _undo(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) -> tuple
         dx, dy, dz = (
             map_coordinates(offsets[..., i], [t + half, s + half], order=1, mode="nearest") for i in range(3)
         )
-        # a crossing above the plane appears where its line of sight meets the plane
+        # a crossing above the plane appears where its sight line meets the plane
         s, t = x - dx + lean_x * dz, y - dy + lean_y * dz
     return s, t
 

@@ -87,7 +87,7 @@ def _spline(
 
 
 def cast(camera: Camera, snapshot: Snapshot) -> tuple[Array, Array]:
-    """Where the line of sight of every pixel meets the water.
+    """Where the sight line of every pixel meets the water.
 
     Parameters
     ----------
