@@ -6,6 +6,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from wavefield import figures
+from wavefield import waves as wv
 from wavefield.figures import style
 from wavefield.grid import Grid
 from wavefield.tank import paper_rig
@@ -97,7 +98,7 @@ def test_quality_shares_count_bits(cube):
 
 
 def test_kinematic_residual_is_small_on_an_exact_sea(cube):
-    terms = figures.kinematic_terms(cube.isel(time=10))
+    terms = wv.kinematics_at(cube.isel(time=10))
     inner = {"x": slice(4, -4), "y": slice(4, -4)}
     rms = {name: float(np.sqrt((terms[name].isel(inner) ** 2).mean())) for name in terms}
     assert rms["residual"] < 0.5 * rms["nonlinear"]

@@ -5,7 +5,7 @@ Each takes plain xarray datasets (a cube, one step of it, a group of a wave stor
 """
 
 from wavefield.figures.distributions import distributions, error_distributions, error_maps
-from wavefield.figures.kinematics import balance_history, coherence_curves, kinematic_terms, kinematics_maps
+from wavefield.figures.kinematics import balance_history, coherence_curves, kinematics_maps
 from wavefield.figures.nonlinear import bound_spectra
 from wavefield.figures.quality import (
     coverage_map,
@@ -43,7 +43,6 @@ __all__ = [
     "error_distributions",
     "error_maps",
     "fault_history",
-    "kinematic_terms",
     "kinematics_maps",
     "komega_map",
     "method_diagram",

@@ -5,34 +5,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from wavefield.figures.style import LINES, draw_map, limit, map_panels, moment_title, panels, plain_axes
-from wavefield.waves.kinematics import kinematics, terms
-
-
-def kinematic_terms(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> xr.Dataset:
-    """Nonlinear term and residual of one step, as `wavefield.waves.kinematics` has them.
-
-    Parameters
-    ----------
-    snapshot : Dataset, (y, x)
-        One step of a cube with z (m) and z_t, u, v, w (m s-1).
-    cube : Dataset, (time, y, x), optional
-        The cube it is taken from: its steps before and after give the mean of the step's two frames, whose
-        slopes the nonlinear term wants. Without it the slopes are those at mid-time.
-
-    Returns
-    -------
-    Dataset
-        ``nonlinear`` = u . grad z and ``residual`` = z_t - w + u . grad z, m s-1.
-    """
-    if cube is not None and cube.sizes["time"] >= 3:
-        at = int(np.argmin(np.abs(cube.time.values - float(snapshot.time))))
-        first = min(max(at - 1, 0), cube.sizes["time"] - 3)
-        around = cube[["z", "z_t", "u", "v", "w"]].isel(time=slice(first, first + 3)).load()
-        return kinematics(around.assign_attrs(cube.attrs))[["nonlinear", "residual"]].isel(time=at - first)
-    fields = {name: snapshot[name].values for name in ("z", "z_t", "u", "v", "w")}
-    dy, dx = (float(np.mean(np.diff(snapshot[axis].values))) for axis in ("y", "x"))
-    found = terms(fields | {"mean": fields["z"]}, dy, dx)
-    return xr.Dataset({name: snapshot.z.copy(data=found[name]) for name in ("nonlinear", "residual")})
+from wavefield.waves.kinematics import kinematics_at
 
 
 def kinematics_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Figure:
@@ -43,7 +16,7 @@ def kinematics_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Fig
     snapshot : Dataset, (y, x)
         One step of a cube with z (m) and z_t, u, v, w (m s-1).
     cube : Dataset, (time, y, x), optional
-        As `kinematic_terms`.
+        As `wavefield.waves.kinematics_at` takes it.
 
     Returns
     -------
@@ -54,7 +27,7 @@ def kinematics_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Fig
     Counterpart of the paper's maps of eta, u . grad eta and the error field. The residual has the scale of
     the nonlinear term, so that one sees which part of it is measured.
     """
-    drawn = kinematic_terms(snapshot, cube)
+    drawn = kinematics_at(snapshot, cube)
     figure, axes = map_panels(snapshot.z, 2, 2)
     draw_map(axes[0, 0], snapshot.z, "z (cm)", factor=100, title=f"elevation, {moment_title(snapshot)}")
     draw_map(axes[0, 1], snapshot.w, "w (cm s⁻¹)", factor=100, title="vertical velocity")

@@ -6,6 +6,7 @@ from wavefield import figures
 from wavefield.reports.page import Picture, Section, Text
 from wavefield.reports.sources import Sources
 from wavefield.reports.words import rms_of
+from wavefield.waves.kinematics import kinematics_at
 
 
 def spectra(sources: Sources) -> Section:
@@ -99,7 +100,7 @@ def nonlinearity(sources: Sources) -> Section:
     Section
     """
     snap = sources.snapshot()
-    terms = figures.kinematic_terms(snap, sources.cube)
+    terms = kinematics_at(snap, sources.cube)
     rms = {name: 100 * rms_of(terms[name]) for name in ("nonlinear", "residual")}
     section = Section(
         "Nonlinear term and coherence",

@@ -15,7 +15,7 @@ from wavefield.waves.directional import directional_spectrum
 from wavefield.waves.fuse import fuse
 from wavefield.waves.fusion import fusion
 from wavefield.waves.higher_order import HigherOrderSettings, higher_order
-from wavefield.waves.kinematics import finite_residual, kinematics
+from wavefield.waves.kinematics import finite_residual, kinematics, kinematics_at
 from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Record, find_record, whole_record
 from wavefield.waves.ridge import FitSettings, fit_dispersion
@@ -70,6 +70,7 @@ __all__ = [
     "group_velocity",
     "higher_order",
     "kinematics",
+    "kinematics_at",
     "komega",
     "probe_spectra",
     "read_gain",

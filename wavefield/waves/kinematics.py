@@ -129,6 +129,33 @@ def kinematics(cube: xr.Dataset) -> xr.Dataset:
     return annotate(xr.Dataset(dict(zip(_OUTPUTS, results))))
 
 
+def kinematics_at(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> xr.Dataset:
+    """Nonlinear term and residual of one step, as `kinematics` has them.
+
+    Parameters
+    ----------
+    snapshot : Dataset, (y, x)
+        One step of a cube with z (m) and z_t, u, v, w (m s-1).
+    cube : Dataset, (time, y, x), optional
+        The cube it is taken from: its steps before and after give the mean of the step's two frames, whose
+        slopes the nonlinear term wants. Without it the slopes are those at mid-time.
+
+    Returns
+    -------
+    Dataset
+        ``nonlinear`` = u . grad z and ``residual`` = z_t - w + u . grad z, m s-1.
+    """
+    if cube is not None and cube.sizes["time"] >= 3:
+        at = int(np.argmin(np.abs(cube.time.values - float(snapshot.time))))
+        first = min(max(at - 1, 0), cube.sizes["time"] - 3)
+        around = cube[["z", "z_t", "u", "v", "w"]].isel(time=slice(first, first + 3)).load()
+        return kinematics(around.assign_attrs(cube.attrs))[["nonlinear", "residual"]].isel(time=at - first)
+    fields = {name: snapshot[name].values for name in ("z", "z_t", "u", "v", "w")}
+    dy, dx = (float(np.mean(np.diff(snapshot[axis].values))) for axis in ("y", "x"))
+    found = terms(fields | {"mean": fields["z"]}, dy, dx)
+    return xr.Dataset({name: snapshot.z.copy(data=found[name]) for name in ("nonlinear", "residual")})
+
+
 def _mean_of_frames(z: xr.DataArray, z_t: xr.DataArray, dt: float) -> xr.DataArray:
     after, before = z_t.shift(time=-1), z_t.shift(time=1)
     mean = z + (dt / 16) * (after - before)
