@@ -34,7 +34,7 @@ def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, 
     """Both fields at the block nearest to a place, in blocks, and that block."""
     i = np.int64(min(max(x + F(0.5), F(1)), F(nx) - F(2)))
     j = np.int64(min(max(y + F(0.5), F(1)), F(ny) - F(2)))
-    n = j * nx + i
+    n: Any = j * nx + i
     return c[2 * n], c[2 * n + 1], n
 
 
