@@ -75,7 +75,7 @@ def measure(client: Client, scheduler: psutil.Process, number: int, chunks: int)
     """Map that many chunks, and print what the scheduler took for it."""
     start, cpu, own = time.perf_counter(), sum(scheduler.cpu_times()[:2]), time.process_time()
     memory, held, done = scheduler.memory_info().rss, 0, 0
-    for chunk, result in _map_on(client, nap, range(chunks), 2 * number, lambda: None):
+    for chunk, result in _map_on(client, nap, range(chunks), number, lambda: None):
         done += chunk == result
         if done % 500 == 250:
             held = max(held, client.run_on_scheduler(count_tasks))

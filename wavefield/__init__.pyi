@@ -1,6 +1,7 @@
 # The public names and where they live: read by type checkers, and by __init__.py, which imports on first use.
 from wavefield.calibration.images import calibrate_experiment as calibrate
 from wavefield.calibration.target import Target
+from wavefield.cubes.analysis import analyze_on_workers
 from wavefield.cubes.catalog import run_catalog
 from wavefield.cubes.forecast import check
 from wavefield.cubes.gain import predicted_gain
@@ -47,6 +48,7 @@ __all__ = [
     "Workflow",
     "__version__",
     "analyze",
+    "analyze_on_workers",
     "breaking",
     "calibrate",
     "check",

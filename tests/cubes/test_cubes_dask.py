@@ -60,15 +60,15 @@ def test_tls_is_the_rule_where_ports_are_open_to_the_network():
 
 def test_workers_of_other_versions_are_refused_with_both():
     python = sys.version_info[:2]
-    assert Task(abs, python, wavefield.__version__)(-1) == 1
+    assert Task(abs, python, wavefield.__version__)([-1, -2]) == [1, 2]
     with pytest.raises(
         ExperimentError, match=rf"run Python {python[0]}\.{python[1]}, .* but the run Python 2\.7"
     ):
-        Task(abs, (2, 7), wavefield.__version__)(-1)
+        Task(abs, (2, 7), wavefield.__version__)([-1])
     with pytest.raises(
         ExperimentError, match=r"but the run Python .*, wavefield 0\.0\.1: start both from one"
     ):
-        Task(abs, python, "0.0.1")(-1)
+        Task(abs, python, "0.0.1")([-1])
 
 
 class Future:
@@ -78,34 +78,73 @@ class Future:
 
     def __init__(self, value):
         self.value = value
+        if isinstance(value, Exception):
+            self.status = "error"
 
     def add_done_callback(self, function):
         function(self)
 
-    def result(self):
+    def exception(self):
         return self.value
 
 
 class Client:
-    """Counts the tasks that were submitted and not read yet."""
+    """Counts the tasks that were submitted and not fetched yet."""
 
     status = "closed"
 
     def __init__(self):
-        self.submitted = 0
+        self.sizes, self.fetched, self.most_held = [], 0, 0
 
-    def submit(self, task, item, **_):
-        self.submitted += 1
-        return Future(task(item))
+    def map(self, task, batches, key, pure):
+        self.sizes += [len(batch) for batch in batches]
+        self.most_held = max(self.most_held, len(self.sizes) - self.fetched)
+        assert len(set(key)) == len(batches)
+        return [Future(self.do(task, batch)) for batch in batches]
+
+    def do(self, task, batch):
+        return task(batch)
+
+    def gather(self, futures):
+        self.fetched += len(futures)
+        return [future.value for future in futures]
 
 
 def test_few_tasks_are_held_however_long_the_record():
-    client, read = Client(), 0
-    for item, result in dask_cluster._map_on(client, abs, range(10_000), 8, lambda: None):
+    client, read, seen = Client(), 0, set()
+    for item, result in dask_cluster._map_on(client, abs, range(10_000), 4, lambda: None):
         read += 1
         assert result == item
-        assert client.submitted - read <= 8
-    assert read == client.submitted == 10_000
+        seen.add(item)
+    assert read == len(seen) == 10_000
+    assert client.most_held <= 2 * 4
+    assert max(client.sizes) == 8
+    assert sum(client.sizes) == 10_000
+    assert set(client.sizes[-30:]) == {1}, "the last tasks are small, so that all workers end together"
+
+
+def root(item):
+    if item == 7:
+        raise ValueError("seven")
+    return item
+
+
+def test_an_item_that_fails_costs_none_of_those_that_were_sent_with_it():
+    results = dict(dask_cluster._map_on(Client(), root, range(2_000), 2, lambda: None))
+    assert isinstance(results.pop(7), ValueError)
+    assert results == {item: item for item in range(2_000) if item != 7}
+
+
+def test_an_item_that_ends_its_workers_is_found_among_those_that_were_sent_with_it():
+    from distributed import KilledWorker
+
+    class Deadly(Client):
+        def do(self, task, batch):
+            return KilledWorker("blocks", None, 10) if 7 in batch else task(batch)
+
+    results = dict(dask_cluster._map_on(Deadly(), abs, range(2_000), 2, lambda: None))
+    assert "10 workers ended while they worked on it" in str(results.pop(7))
+    assert results == {item: item for item in range(2_000) if item != 7}
 
 
 def test_workers_from_how_many_to_how_many():

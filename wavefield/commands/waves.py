@@ -1,6 +1,7 @@
 """`wavefield analyze` and `wavefield report`: from a cube to waves and to pages."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -29,6 +30,11 @@ _STORE = click.Path(exists=True, file_okay=False, path_type=Path)
     help="Undo what the matching windows take from short waves: a gain measured on a simulated experiment, or"
     " `theory` for the one that follows from cameras and settings.",
 )
+@click.option(
+    "--workflow",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Where to compute: a file as in workflows/; by default the cores of this machine.",
+)
 @click.pass_context
 def analyze(
     context: click.Context,
@@ -37,13 +43,14 @@ def analyze(
     segment: int | None,
     probes: Path | None,
     gain: str | None,
+    workflow: Path | None,
 ) -> None:
     """Compute the waves of a cube: spectra, coherence, statistics.
 
     Also dispersion, fusion of z and w, directions, bicoherence. Writes one Zarr store;
     `xarray.open_datatree` reads it.
     """
-    from wavefield.cubes import open_cube, predicted_gain
+    from wavefield.cubes import analyze_on_workers, open_cube, predicted_gain
     from wavefield.store.ledger import unfinished_note
     from wavefield.waves import analyze as analyze_cube
 
@@ -54,7 +61,11 @@ def analyze(
     probes = probes or _probes_of(store)
     undone = predicted_gain(open_cube(store)) if gain == "theory" else gain
     with Progress(f"Analysing {store}") as progress:
-        analyze_cube(store, output, segment=segment, probes=probes, gain=undone, progress=progress)
+        asked: dict[str, Any] = {"segment": segment, "probes": probes, "gain": undone, "progress": progress}
+        if workflow:
+            analyze_on_workers(store, output, workflow, **asked)
+        else:
+            analyze_cube(store, output, **asked)
     click.echo(f"Wrote {output}. Next: wavefield report {store}")
     if note:
         context.exit(3)

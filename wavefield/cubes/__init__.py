@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from wavefield.cubes.analysis import analyze_on_workers
     from wavefield.cubes.catalog import catalog_add, is_catalog, run_catalog
     from wavefield.cubes.forecast import Check, check
     from wavefield.cubes.gain import predicted_gain
@@ -19,6 +20,7 @@ _PUBLIC = {
     "Check": "cubes.forecast",
     "Status": "store.ledger",
     "Workflow": "cubes.workflow",
+    "analyze_on_workers": "cubes.analysis",
     "catalog_add": "cubes.catalog",
     "is_catalog": "cubes.catalog",
     "run_catalog": "cubes.catalog",
@@ -35,6 +37,7 @@ __all__ = [
     "Check",
     "Status",
     "Workflow",
+    "analyze_on_workers",
     "catalog_add",
     "check",
     "export",

@@ -34,8 +34,10 @@ def count_workers(workflow: Workflow) -> int:
 
 
 @contextmanager
-def open_cluster(workflow: Workflow, logs: Path | None = None, ahead: bool = False) -> Iterator[MapUnordered]:
-    """Give a function that maps work over items, once, on workers that come and go with it.
+def open_cluster(
+    workflow: Workflow, logs: Path | None = None, ahead: bool = False, lasting: bool = False
+) -> Iterator[MapUnordered]:
+    """Give a function that maps work over items on workers that come and go with it.
 
     Parameters
     ----------
@@ -45,6 +47,8 @@ def open_cluster(workflow: Workflow, logs: Path | None = None, ahead: bool = Fal
         Folder for what the workers of a cluster say, seen by all its machines; by default here.
     ahead : bool
         Start processes of this machine at once, while the caller prepares their work.
+    lasting : bool
+        Keep the workers for more work until the caller leaves; else they do work once, and end with it.
 
     Yields
     ------
@@ -57,14 +61,15 @@ def open_cluster(workflow: Workflow, logs: Path | None = None, ahead: bool = Fal
     if workflow.cluster == "none" or (workflow.cluster == "local" and count == 1 and not watched):
         yield _map_here
     elif workflow.cluster == "local" and not watched:
-        with Pool(count, workflow.memory_bytes) as pool:
+        with Pool(count, workflow.memory_bytes, lasting) as pool:
             if ahead:
                 pool.start()
             yield pool.map_unordered
     else:
         from wavefield.cubes.dask_cluster import open_dask_cluster
 
-        with open_dask_cluster(workflow, count, logs or Path("wavefield.jobs").absolute()) as map_unordered:
+        folder = logs or Path("wavefield.jobs").absolute()
+        with open_dask_cluster(workflow, count, folder, lasting) as map_unordered:
             yield map_unordered
 
 

@@ -1,10 +1,12 @@
 """Workers of a Dask cluster: one that runs already, or one that comes and goes with the run."""
 
+import itertools
 import logging
 import queue
 import sys
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -20,6 +22,7 @@ from wavefield.cubes.dask_settings import (
     wants_tls,
 )
 from wavefield.cubes.interrupts import undisturbed
+from wavefield.cubes.pool import portable
 from wavefield.cubes.slurm_watch import Watch
 from wavefield.cubes.worker_settings import settle_worker
 from wavefield.cubes.workflow import Workflow
@@ -31,6 +34,8 @@ Look = Callable[[], None]
 _SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
 _LOOK_AFTER = 2.0  # seconds without news after which the workers are looked after
 _HELD = 2  # tasks that the scheduler holds for each worker: one at work, one ready
+_MOST_TOGETHER = 8  # items in a task
+_TASKS_LEFT = 16  # for each worker: with fewer to come, tasks become smaller, so that all end together
 
 
 @dataclass(frozen=True)
@@ -51,17 +56,18 @@ class Task:
     python: tuple[int, ...]
     version: str
 
-    def __call__(self, item: Any) -> Any:
-        """Do the work for one item.
+    def __call__(self, items: Sequence[Any]) -> list[Any]:
+        """Do the work for some items.
 
         Parameters
         ----------
-        item : object
-            What the work is called with.
+        items : sequence
+            What the work is called with, one after the other.
 
         Returns
         -------
-        object
+        list
+            Results; an exception in the place of the first that failed ends it: all may fail, and slowly.
         """
         here, client = sys.version_info[:2], f"Python {_dotted(self.python)}, wavefield {self.version}"
         if (here, wavefield.__version__) != (self.python, self.version):
@@ -70,7 +76,13 @@ class Task:
                 f"({sys.executable}), but the run {client}: start both from one environment"
             )
         settle_worker()
-        return self.work(item)
+        out = []
+        for item in items:
+            try:
+                out.append(self.work(item))
+            except Exception as error:
+                return [*out, portable(error)]
+        return out
 
 
 def _dotted(version: tuple[int, ...]) -> str:
@@ -79,9 +91,9 @@ def _dotted(version: tuple[int, ...]) -> str:
 
 @contextmanager
 def open_dask_cluster(
-    workflow: Workflow, count: int, logs: Path
+    workflow: Workflow, count: int, logs: Path, lasting: bool = False
 ) -> Iterator[Callable[[Callable[[Any], Any], Sequence[Any]], Generator[tuple[Any, Any], None, None]]]:
-    """Give a function that maps work over items, once, on a Dask cluster that it starts and ends.
+    """Give a function that maps work over items on a Dask cluster that it starts and ends.
 
     Parameters
     ----------
@@ -91,6 +103,8 @@ def open_dask_cluster(
         Most workers that it asks for.
     logs : path
         Folder for what the workers of a cluster say, and for its credentials: all machines see it.
+    lasting : bool
+        Keep the cluster for more work until the caller leaves; else it ends with its first work.
 
     Yields
     ------
@@ -99,30 +113,39 @@ def open_dask_cluster(
     """
     if workflow.cluster == "slurm":
         slurm.import_jobqueue()
+    started: list[tuple[Any, Look]] = []
     with ExitStack() as stack:
 
         def map_unordered(
             work: Callable[[Any], Any], items: Sequence[Any]
         ) -> Generator[tuple[Any, Any], None, None]:
-            with stack:  # the workers end with their work, while the caller still guards the store
-                with undisturbed():  # what is closed while it starts prints tracebacks from other threads
-                    settings = dask_settings(workflow)
-                    if wants_tls(workflow):
-                        secrets = stack.enter_context(temporary_credentials(logs))
-                        settings = _merged(secrets, settings)
-                    stack.enter_context(configured(settings))
-                    client, watch = _connect(workflow, count, logs, settings, stack)
-                log.info("scheduler: %s", client.scheduler.address)
-                if client.dashboard_link and workflow.dashboard:
-                    log.info("dashboard: %s", client.dashboard_link)
-                if workflow.performance_report:
-                    from distributed import performance_report
-
-                    stack.enter_context(client.as_current())
-                    stack.enter_context(performance_report(filename=workflow.performance_report))
-                yield from _map_on(client, work, items, _HELD * count, watch)
+            # the workers end with their work, while the caller still guards the store
+            with nullcontext() if lasting else stack:
+                if not started:
+                    started.append(_start(workflow, count, logs, stack))
+                client, watch = started[0]
+                yield from _map_on(client, work, items, count, watch)
 
         yield map_unordered
+
+
+def _start(workflow: Workflow, count: int, logs: Path, stack: ExitStack) -> tuple[Any, Look]:
+    with undisturbed():  # what is closed while it starts prints tracebacks from other threads
+        settings = dask_settings(workflow)
+        if wants_tls(workflow):
+            secrets = stack.enter_context(temporary_credentials(logs))
+            settings = _merged(secrets, settings)
+        stack.enter_context(configured(settings))
+        client, watch = _connect(workflow, count, logs, settings, stack)
+    log.info("scheduler: %s", client.scheduler.address)
+    if client.dashboard_link and workflow.dashboard:
+        log.info("dashboard: %s", client.dashboard_link)
+    if workflow.performance_report:
+        from distributed import performance_report
+
+        stack.enter_context(client.as_current())
+        stack.enter_context(performance_report(filename=workflow.performance_report))
+    return client, watch
 
 
 def _merged(*settings: dict[str, Any]) -> dict[str, Any]:
@@ -221,45 +244,103 @@ class _Patience:
 
 
 def _map_on(
-    client: Any, work: Callable[[Any], Any], items: Sequence[Any], held: int, watch: Look
+    client: Any, work: Callable[[Any], Any], items: Sequence[Any], workers: int, watch: Look
 ) -> Generator[tuple[Any, Any], None, None]:
     """Map work over items, so that the scheduler never holds more than a few tasks for each worker."""
     from distributed import CancelledError
 
-    task = Task(work, sys.version_info[:2], wavefield.__version__)
-    news: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    futures: dict[Any, int] = {}
-    waiting = iter(range(len(items)))
-
-    def submit() -> None:
-        for index in waiting:
-            future = client.submit(task, items[index], pure=False, key=f"block-{index}-{id(items)}")
-            futures[future] = index
-            future.add_done_callback(news.put)
-            return
-
+    tasks = _Tasks(client, Task(work, sys.version_info[:2], wavefield.__version__), items, workers)
     lost = StoreError("the scheduler was lost; what is done is kept: run the same command again to go on")
     try:
-        for _ in range(max(held, 1)):
-            submit()
-        while futures:
+        tasks.submit()
+        while tasks.futures:
             watch()
-            try:
-                future = news.get(timeout=_LOOK_AFTER)
-            except queue.Empty:
-                continue
-            if future.status not in ("finished", "error"):  # cancelled or lost with its scheduler
-                raise lost
-            with undisturbed():
-                result: Any = future.result() if future.status == "finished" else future.exception()
-            index = futures.pop(future)
-            submit()
-            yield items[index], _understood(result)
+            done = tasks.wait()
+            if any(future.status not in ("finished", "error") for future in done):
+                raise lost  # cancelled or lost with its scheduler
+            if done:
+                with undisturbed():
+                    results = tasks.fetch(done)
+                    tasks.submit()
+                for index, result in results:
+                    yield items[index], _understood(result)
     except (OSError, CancelledError) as error:  # the connection broke while a report was fetched
         raise lost from error
     finally:
-        if futures and client.status == "running":
-            client.cancel(list(futures), force=True)
+        if tasks.futures and client.status == "running":
+            client.cancel(list(tasks.futures), force=True)
+
+
+class _Tasks:
+    """Items as tasks: several in one while many are left, so that a scheduler of many workers keeps up.
+
+    What ended while the last results were fetched is fetched at once, and as much submitted at once.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        Of the scheduler.
+    task : Task
+        What a worker does.
+    items : sequence
+        All of them.
+    workers : int
+        How many there may be.
+    """
+
+    def __init__(self, client: Any, task: Task, items: Sequence[Any], workers: int) -> None:
+        self._client, self._task, self._items = client, task, items
+        self._workers = max(workers, 1)
+        self._news: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._left = deque(range(len(items)))
+        self._alone: set[int] = set()  # items of a task that ended with its workers: which of them was it?
+        self._number = itertools.count()
+        self.futures: dict[Any, list[int]] = {}
+
+    def submit(self) -> None:
+        """Submit until the scheduler holds enough."""
+        room = min(_HELD * self._workers - len(self.futures), len(self._left))
+        some = [indices for indices in (self._take() for _ in range(room)) if indices]
+        if not some:
+            return
+        keys = [f"blocks-{next(self._number)}-{id(self._items)}" for _ in some]
+        batches = [[self._items[index] for index in indices] for indices in some]
+        for future, indices in zip(self._client.map(self._task, batches, pure=False, key=keys), some):
+            self.futures[future] = indices
+            future.add_done_callback(self._news.put)
+
+    def _take(self) -> list[int]:
+        if self._left and self._left[0] in self._alone:
+            return [self._left.popleft()]
+        size = min(max(len(self._left) // (_TASKS_LEFT * self._workers), 1), _MOST_TOGETHER)
+        return [self._left.popleft() for _ in range(min(size, len(self._left)))]
+
+    def wait(self) -> list[Any]:
+        """Tasks that have ended; none if nothing happens for a while."""
+        try:
+            done = [self._news.get(timeout=_LOOK_AFTER)]
+        except queue.Empty:
+            return []
+        while not self._news.empty():
+            done.append(self._news.get())
+        return done
+
+    def fetch(self, done: Sequence[Any]) -> list[tuple[int, Any]]:
+        """Results of tasks that have ended, item by item; what was not done goes back to what is left."""
+        finished = [future for future in done if future.status == "finished"]
+        results = dict(zip(finished, self._client.gather(finished))) if finished else {}
+        out: list[tuple[int, Any]] = []
+        for future in done:
+            indices = self.futures.pop(future)
+            if future in results:
+                out += zip(indices, results[future])
+                self._left.extendleft(reversed(indices[len(results[future]) :]))
+            elif len(indices) > 1:
+                self._alone.update(indices)
+                self._left.extendleft(reversed(indices))
+            else:
+                out.append((indices[0], future.exception()))
+        return out
 
 
 def _understood(result: Any) -> Any:

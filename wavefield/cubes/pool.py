@@ -29,6 +29,7 @@ from wavefield.cubes.worker_settings import settle_worker
 from wavefield.errors import StoreError
 
 _MOST_DEATHS = 3  # of workers over one item: it is the item
+_WORK, _ITEM = b"w", b"i"  # what a message to a worker begins with
 _LOOK_AFTER = 1.0  # seconds between looks at the memory of the workers
 
 
@@ -48,10 +49,12 @@ class Pool:
         Number of processes.
     memory : int, optional
         Bytes that each may take; one that takes more is replaced.
+    lasting : bool
+        Keep the processes for more work, until `stop`.
     """
 
-    def __init__(self, count: int, memory: int | None = None) -> None:
-        self._count, self._memory = count, memory
+    def __init__(self, count: int, memory: int | None = None, lasting: bool = False) -> None:
+        self._count, self._memory, self._lasting = count, memory, lasting
         self._workers: list[_Worker] = []
         self._starter: ThreadPoolExecutor | None = None
         self._started: Future[None] | None = None
@@ -92,7 +95,7 @@ class Pool:
     def map_unordered(
         self, work: Callable[[Any], Any], items: Sequence[Any]
     ) -> Generator[tuple[Any, Any], None, None]:
-        """Do work for every item, as processes get free, and end them.
+        """Do work for every item, as processes get free, and end them unless they are to last.
 
         Parameters
         ----------
@@ -113,7 +116,8 @@ class Pool:
                 self._started.result()
             yield from self._work_off(pickle.dumps(work), items)
         finally:
-            self.stop()
+            if not self._lasting or any(worker.index is not None for worker in self._workers):
+                self.stop()
 
     def _start_all(self) -> None:
         for _ in range(self._count):
@@ -129,12 +133,12 @@ class Pool:
     def _work_off(self, work: bytes, items: Sequence[Any]) -> Generator[tuple[Any, Any], None, None]:
         todo, deaths = deque(range(len(items))), Counter[int]()
         for worker in self._workers:
-            self._send(worker, work)
+            self._send(worker, _WORK + work)
         while todo or any(worker.index is not None for worker in self._workers):
             for worker in self._workers:
                 if worker.index is None and todo:
                     worker.index = todo.popleft()
-                    self._send(worker, pickle.dumps(items[worker.index]))
+                    self._send(worker, _ITEM + pickle.dumps(items[worker.index]))
             busy = {worker.connection: worker for worker in self._workers if worker.index is not None}
             ready = connections.wait(list(busy), _LOOK_AFTER if self._memory else None)
             for one in ready:
@@ -167,7 +171,7 @@ class Pool:
         with undisturbed():
             new = self._start_one()
         worker.process, worker.connection, worker.index = new.process, new.connection, None
-        self._send(worker, work)
+        self._send(worker, _WORK + work)
         return code
 
     def _end_the_large(self, workers: Any) -> None:
@@ -208,21 +212,25 @@ def _start_deaf(context: Any, process: BaseProcess) -> None:
 
 
 def _serve(connection: Connection) -> None:
-    """What a worker does: take the work, then one item after the other."""
+    """What a worker does: take work, then one item after the other, then other work."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if sys.platform != "win32":
         # locks that libraries make (Blosc's) then have no name that would be left when this process is ended
         multiprocessing.set_start_method("fork", force=True)
     settle_worker()
+    work = b""
     try:
-        work = connection.recv_bytes()
         while True:
-            connection.send_bytes(_attempt(work, connection.recv_bytes()))
+            message = connection.recv_bytes()
+            if message.startswith(_WORK):
+                work = message[len(_WORK) :]
+            else:
+                connection.send_bytes(_attempt(work, message[len(_ITEM) :]))
     except (EOFError, OSError):  # the run is over
         return
 
 
-@functools.cache
+@functools.lru_cache(maxsize=1)
 def _unpacked(work: bytes) -> Callable[[Any], Any]:
     out: Callable[[Any], Any] = pickle.loads(work)
     return out
@@ -232,13 +240,28 @@ def _attempt(work: bytes, item: bytes) -> bytes:
     try:
         return pickle.dumps(_unpacked(work)(pickle.loads(item)))
     except Exception as error:
-        error.add_note(f"in a worker process:\n{traceback.format_exc()}")
-        try:
-            message = pickle.dumps(error)
-            pickle.loads(message)
-        except Exception:  # exceptions of libraries may not be made for travelling
-            message = pickle.dumps(RuntimeError(traceback.format_exc()))
-        return message
+        return pickle.dumps(portable(error))
+
+
+def portable(error: Exception) -> Exception:
+    """An exception that can travel to another process: exceptions of libraries may not be made for it.
+
+    Parameters
+    ----------
+    error : Exception
+        Just caught.
+
+    Returns
+    -------
+    Exception
+        The same, with its place as a note, or one of its words.
+    """
+    error.add_note(f"in a worker process:\n{traceback.format_exc()}")
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(traceback.format_exc())
+    return error
 
 
 def _end_with_parent() -> None:

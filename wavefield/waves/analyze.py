@@ -31,7 +31,7 @@ from wavefield.waves.directional import from_density
 from wavefield.waves.higher_order import higher_order
 from wavefield.waves.onepass import FIELDS, MAPS, NAMES, PAIRS, Progress, Sums, one_pass
 from wavefield.waves.probes import probe_spectra, read_probes
-from wavefield.waves.record import Record, find_record
+from wavefield.waves.record import Each, Record, find_record
 from wavefield.waves.ridge import dispersion_group
 from wavefield.waves.shear import current_by_depth
 from wavefield.waves.welch import Welch, frames_of, omega_coords
@@ -55,6 +55,7 @@ class _Job:
     probes: xr.Dataset | None
     maps: Sequence[float]
     progress: Progress | None
+    each: Each | None
 
 
 def _open(cube: Any) -> xr.Dataset:
@@ -78,6 +79,7 @@ def analyze(
     gain: Any = None,
     maps: Sequence[float] = MAP_FREQUENCIES,
     progress: Progress | None = None,
+    each: Each | None = None,
 ) -> xr.DataTree:
     """Compute the waves of a cube: spectra, coherence, kinematics, statistics, dispersion, fusion and more.
 
@@ -103,6 +105,9 @@ def analyze(
         Frequencies of the maps E(ky, kx), Hz.
     progress : callable, optional
         Called with the parts done and all parts.
+    each : callable, optional
+        ``each(work, items)`` does work for every item elsewhere and gives the results in the order of the
+        items; for a cube in a store (`wavefield.analyze_on_workers` gives one).
 
     Returns
     -------
@@ -140,13 +145,14 @@ def analyze(
             probes if probes is None or isinstance(probes, xr.Dataset) else read_probes(probes),
             maps,
             progress,
+            each,
         )
         status = {"frame_status": whole["frame_status"]} if "frame_status" in whole else {}
         # a cube has all fields where it has z: the pass sees to it, so the others need not be read twice
         try:
-            tree = _analyze(job, find_record(fields[["z"]].assign(status)), True)
+            tree = _analyze(job, find_record(fields[["z"]].assign(status), each=each), True)
         except segments.UnlikeFirst:
-            tree = _analyze(job, find_record(fields.assign(status)), False)
+            tree = _analyze(job, find_record(fields.assign(status), each=each), False)
     if out is not None:
         write_waves(tree, Path(out))
     return tree
@@ -158,7 +164,7 @@ def _analyze(job: _Job, record: Record, alike: bool) -> xr.DataTree:
     time = job.cube["time"].values.astype(float)
     probes = _probes(job, welch, time)
     scale = statistics.pilot(job.cube, record, list(statistics.QUANTITIES.values()))
-    sums = one_pass(job.cube, welch, alike, scale, job.progress)
+    sums = one_pass(job.cube, welch, alike, scale, job.progress, job.each)
     notes = _notes(welch, job)
     groups = _groups(job, welch, sums, scale, notes)
     if probes is not None:
@@ -196,7 +202,7 @@ def _groups(
         maps
     )
     moments = statistics.label(sums.survey, scale, welch.record.dt, job.pixel_size)
-    moments = moments.assign(statistics.error_statistics(job.whole, welch.record).data_vars)
+    moments = moments.assign(statistics.error_statistics(job.whole, welch.record, job.each).data_vars)
     wild = {str(q): int(n) for q, n in zip(moments["quantity"].values, moments["wild"].values) if n}
     if wild:
         words = ", ".join(f"{n} of {q}" for q, n in wild.items())

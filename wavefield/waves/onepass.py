@@ -1,16 +1,18 @@
 """One pass over a cube in bounded memory: all sums that the analysis is made of."""
 
-from collections.abc import Callable
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import dask
 import numpy as np
 import xarray as xr
-from dask.callbacks import Callback
 from numpy.typing import NDArray
 
 from wavefield.waves import coherence, crosses, fusion, kinematics, segments, statistics
+from wavefield.waves.record import Each
 from wavefield.waves.welch import Welch
 
 Array = NDArray[Any]
@@ -92,25 +94,70 @@ class _Step:
         ]
 
 
-class _Count(Callback):
-    """Tells how many tasks are done."""
+@dataclass(frozen=True)
+class _Chain:
+    """Takes in the half segments of a chain, one after the other."""
+
+    step: _Step
+    tell: Callable[[], None] | None = None
+
+    def __call__(self, links: Sequence[segments.Link]) -> dict[str, Any]:
+        state: dict[str, Any] | None = None
+        for link in links:
+            state = self.step(state, *link)
+            if self.tell:
+                self.tell()
+        assert state is not None
+        return {name: part for name, part in state.items() if name not in ("half", "old")}
+
+
+class _Count:
+    """Tells how many parts are done; parts end in any thread."""
 
     def __init__(self, tell: Progress, total: int) -> None:
-        self.tell, self.total, self.done = tell, total, 0
-        super().__init__(posttask=self._finished)  # type: ignore[no-untyped-call]
+        self._tell, self._total, self._done, self._lock = tell, total, 0, threading.Lock()
 
-    def _finished(self, key: Any, result: Any, dsk: Any, state: Any, worker_id: Any) -> None:
-        if str(key).startswith("_Step"):
-            self.done = min(self.done + 1, self.total)
-            self.tell(self.done, self.total)
-
-
-def _close(state: dict[str, Any]) -> dict[str, Any]:
-    return {name: part for name, part in state.items() if name not in ("half", "old")}
+    def __call__(self) -> None:
+        with self._lock:
+            self._done += 1
+            self._tell(self._done, self._total)
 
 
-def _look(read: segments.Reader, a: int, b: int, run: tuple[int, int]) -> None:
-    read(a, b, run)  # complains
+@dataclass(frozen=True)
+class _Look:
+    """Reads a piece, which complains if a field lacks values there."""
+
+    read: segments.Reader
+
+    def __call__(self, rest: tuple[int, int, tuple[int, int]]) -> None:
+        self.read(*rest)
+
+
+def _sum_here(chain: _Chain, chains: list[list[segments.Link]]) -> list[Any]:
+    """Chains as tasks of this process; sums, survey, and what is put together of each chain."""
+    task = dask.delayed(chain, pure=False)
+    states = [task(links) for links in chains]
+    return list(
+        dask.compute(
+            segments.in_order([state["sums"] for state in states]),
+            segments.in_order([state["survey"] for state in states]),
+            [state["balance"] for state in states],
+            [state["points"] for state in states],
+        )
+    )
+
+
+def _sum_of(states: Iterable[dict[str, Any]]) -> list[Any]:
+    """The same from chains that are done elsewhere, as they come in."""
+    out: list[Any] = []
+    for state in states:
+        if not out:
+            out = [state["sums"], state["survey"], [state["balance"]], [state["points"]]]
+            continue
+        out[:2] = segments.add(out[0], state["sums"]), segments.add(out[1], state["survey"])
+        out[2].append(state["balance"])
+        out[3].append(state["points"])
+    return out
 
 
 def one_pass(
@@ -119,6 +166,7 @@ def one_pass(
     alike: bool,
     scale: dict[str, tuple[float, float]],
     progress: Progress | None,
+    each: Each | None = None,
 ) -> Sums:
     """Read a cube once.
 
@@ -134,6 +182,8 @@ def one_pass(
         As `statistics.pilot` gives it.
     progress : callable or None
         Called with the parts done and all parts.
+    each : callable, optional
+        Does the work elsewhere (`record.Each`).
 
     Returns
     -------
@@ -142,31 +192,25 @@ def one_pass(
     record = welch.record
     used = sum(b - a for a, b in record.runs)
     apart = tuple(max(1, round(_POINT_DISTANCE / step)) for step in (record.dy, record.dx))
-    step = _Step(
-        segments.Reader([cube[name] for name in FIELDS], record, alike),
-        scale,
-        welch,
-        max(1, used // _KINEMATIC_STEPS),
-        (apart[0], apart[1]),
-    )
-    chains = segments.chains(record, welch.segment, step)
-    states = [dask.delayed(_close, pure=False)(state) for state in chains]
-    wanted = (
-        segments.in_order([state["sums"] for state in states]),
-        segments.in_order([state["survey"] for state in states]),
-        [state["balance"] for state in states],
-        [state["points"] for state in states],
-        # what lies in no segment has a say in where the runs end
-        [
-            dask.delayed(_look)(step.read, *rest)
-            for rest in segments.remainders(record, welch.segment)
-            if alike
-        ],
-    )
-    if progress is None:
-        sums, survey, balance, points, _ = dask.compute(*wanted)
+    read = segments.Reader([cube[name] for name in FIELDS], record, alike)
+    step = _Step(read, scale, welch, max(1, used // _KINEMATIC_STEPS), (apart[0], apart[1]))
+    chains = segments.chains(record, welch.segment)
+    # what lies in no segment has a say in where the runs end
+    rests = segments.remainders(record, welch.segment) if alike else []
+    parts = len(chains) if each else sum(len(links) for links in chains)
+    tell = None if progress is None else _Count(progress, parts)
+    if each is None:
+        dask.compute(*(dask.delayed(_Look(read), pure=False)(rest) for rest in rests))
+        sums, survey, balance, points = _sum_here(_Chain(step, tell), chains)
     else:
-        with _Count(progress, welch.count + len(chains)):
-            sums, survey, balance, points, _ = dask.compute(*wanted)
+        deque(each(_Look(read), rests), maxlen=0)
+        sums, survey, balance, points = _sum_of(_told(each(_Chain(step), chains), tell))
     series = np.concatenate([np.concatenate(run) for run in points])
     return Sums(sums, survey, [row for rows in balance for row in rows], series)
+
+
+def _told(states: Iterable[dict[str, Any]], tell: Callable[[], None] | None) -> Iterator[dict[str, Any]]:
+    for state in states:
+        yield state
+        if tell:
+            tell()

@@ -1,5 +1,6 @@
 """The part of a cube that spectra can be taken from: its largest full rectangle, its unbroken runs."""
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,9 @@ from scipy import ndimage
 from wavefield.errors import CubeError
 from wavefield.grid import largest_rectangle
 from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, factor
+
+# does work for every item, on workers, and gives the results in the order of the items
+Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[Any]]
 
 LONGEST_BRIDGE = 2  # steps: longer gaps split the record
 _FIELDS = ("z", "z_t", "u", "v", "w")
@@ -176,7 +180,25 @@ def _runs(good: np.ndarray, longest_bridge: int) -> tuple[list[tuple[int, int]],
     return runs, bridged
 
 
-def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE) -> Record:  # noqa: C901
+def _masks(arrays: Sequence[xr.DataArray], pieces: Sequence[tuple[int, int]]) -> Sequence[np.ndarray | None]:
+    tasks = (dask.delayed(_finite)([piece(array, slice(a, b)) for array in arrays]) for a, b in pieces)
+    found: tuple[np.ndarray | None, ...] = dask.compute(*tasks, traverse=True)
+    return found
+
+
+@dataclass(frozen=True)
+class _Mask:
+    """What is there of some steps of fields that are not computed yet, or stored."""
+
+    arrays: Sequence[xr.DataArray]
+
+    def __call__(self, steps: tuple[int, int]) -> np.ndarray | None:
+        return _finite([piece(array, slice(*steps)) for array in self.arrays])
+
+
+def find_record(  # noqa: C901
+    cube: Any, longest_bridge: int = LONGEST_BRIDGE, each: Each | None = None
+) -> Record:
     """Find the largest full rectangle of nodes and the runs of good steps of a cube.
 
     The values are read once (a cube that is not computed yet is computed for it); nothing is kept but a mask.
@@ -187,6 +209,8 @@ def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE) -> Record:  # n
         Variables over (time, y, x), metres and seconds; ``frame_status`` is heeded where there is one.
     longest_bridge : int
         Longest gap, in steps, that is bridged by interpolation in time; longer ones split the record.
+    each : callable, optional
+        ``each(work, items)`` does the work elsewhere, and gives the results in order.
 
     Returns
     -------
@@ -204,10 +228,7 @@ def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE) -> Record:  # n
         raise CubeError(f"the cube has none of {', '.join(_FIELDS)} over time, y and x")
     steps, ny, nx = (arrays[0].sizes[name] for name in CUBE_DIMS)
     pieces = [(a, min(a + _LOOK, steps)) for a in range(0, steps, _LOOK)]
-    masks = dask.compute(
-        *(dask.delayed(_finite)([piece(array, slice(a, b)) for array in arrays]) for a, b in pieces),
-        traverse=True,
-    )
+    masks = _masks(arrays, pieces) if each is None else list(each(_Mask(arrays), pieces))
 
     known = np.ones(steps, bool)
     if isinstance(cube, xr.Dataset) and "frame_status" in cube:

@@ -6,7 +6,7 @@ depend on how the data are chunked.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -97,6 +97,15 @@ def _lay(
     return delayed(_half, pure=False)(make, pieces, missing, inner, a)
 
 
+class Link(NamedTuple):
+    """Half a segment of a chain: steps ``start`` to ``stop`` of a run; ``new`` if no other chain has them."""
+
+    start: int
+    stop: int
+    run: tuple[int, int]
+    new: bool
+
+
 class UnlikeFirst(Exception):
     """A field of a record lacks values where the first one has them."""
 
@@ -149,8 +158,8 @@ def remainders(record: Record, segment: int) -> list[tuple[int, int, tuple[int, 
     return out
 
 
-def chains(record: Record, segment: int, step: Callable[..., Any]) -> list[Any]:
-    """Lay out chains of tasks over the segments of a record: few pieces are in memory at once.
+def chains(record: Record, segment: int) -> list[list[Link]]:
+    """Cut the segments of a record into chains that are summed one after the other.
 
     Parameters
     ----------
@@ -158,26 +167,21 @@ def chains(record: Record, segment: int, step: Callable[..., Any]) -> list[Any]:
         Rectangle and runs.
     segment : int
         Steps of a segment.
-    step : callable
-        ``step(state, a, b, run, new)`` takes in the half segment from step a to b: ``state`` is what it gave
-        for the half before, None at the beginning of a chain; ``new`` says that no other chain has the half.
 
     Returns
     -------
-    list of delayed
-        The last state of each chain, in the order of the record. Chains are fixed by the record alone.
+    list of list of Link
+        The half segments of each chain, in the order of the record: fixed by the record alone. A chain begins
+        with the half that the one before ends with, and only one of them has it as new.
     """
     half = segment // 2
-    task = delayed(step, pure=False)
     out = []
     for run in record.runs:
         count = segment_count(run[1] - run[0], segment)
         for some in np.array_split(np.arange(count), -(-count // _CHAIN)) if count else ():
-            state = None
-            for i in range(int(some[0]), int(some[-1]) + 2):
-                a = run[0] + i * half
-                state = task(state, a, a + half, run, i > some[0] or i == 0)
-            out.append(state)
+            halves = range(int(some[0]), int(some[-1]) + 2)
+            starts = [run[0] + i * half for i in halves]
+            out.append([Link(a, a + half, run, i > some[0] or i == 0) for i, a in zip(halves, starts)])
     return out
 
 

@@ -1,6 +1,9 @@
 """Distributions and moments of the surface, and the internal errors of the measurement."""
 
-from collections.abc import Mapping, Sequence
+import functools
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import dask
@@ -12,7 +15,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.water import wavenumber
 from wavefield.waves import kernels, segments
-from wavefield.waves.record import Record, find_record, piece
+from wavefield.waves.record import Each, Record, find_record, piece
 
 Array = NDArray[Any]
 
@@ -304,12 +307,27 @@ def statistics(
     return label(sums, scale, record.dt, pixel_size or cube.attrs.get("pixel_size"))
 
 
+@dataclass(frozen=True)
+class _Errors:
+    """Counts and sums what the statistics need of some steps of the fields of error."""
+
+    fields: Mapping[str, xr.DataArray]
+    scales: Mapping[str, tuple[float, float]]
+    record: Record
+
+    def lay(self, name: str, steps: tuple[int, int]) -> Any:
+        return piece(self.fields[name], slice(*steps), slice(*self.record.y), slice(*self.record.x))
+
+    def __call__(self, item: tuple[str, tuple[int, int]]) -> dict[str, Array]:
+        return _errors(self.lay(*item), self.scales[item[0]])
+
+
 def _errors(block: Any, scale: tuple[float, float]) -> dict[str, Array]:
     values = np.asarray(block).ravel()
     return survey({"e": values[np.isfinite(values)][None, None]}, {"e": scale})
 
 
-def error_statistics(cube: xr.Dataset, record: Record) -> xr.Dataset:
+def error_statistics(cube: xr.Dataset, record: Record, each: Each | None = None) -> xr.Dataset:
     """Distributions and moments of the internal errors ``eps_y`` and ``eps_piv``, where the cube has them.
 
     Parameters
@@ -318,6 +336,8 @@ def error_statistics(cube: xr.Dataset, record: Record) -> xr.Dataset:
         With ``eps_y`` (m), ``eps_piv`` (pixel) over (time, y, x), or without.
     record : Record
         Rectangle and runs.
+    each : callable, optional
+        Does the work elsewhere (`record.Each`).
 
     Returns
     -------
@@ -332,15 +352,9 @@ def error_statistics(cube: xr.Dataset, record: Record) -> xr.Dataset:
     if not names:
         return xr.Dataset()
     scales = pilot(cube, record, names)
-    task = dask.delayed(_errors, pure=False)
-    for name in names:
-        area = slice(*record.y), slice(*record.x)
-        parts = []
-        for a, b in record.runs:
-            for first in range(a, b, _PIECE):
-                part = piece(cube[name], slice(first, min(first + _PIECE, b)), *area)
-                parts.append(task(part, scales[name]))
-        (sums,) = dask.compute(segments.in_order(parts))
+    work = _Errors({name: cube[name] for name in names}, scales, record)
+    pieces = [(i, min(i + _PIECE, b)) for a, b in record.runs for i in range(a, b, _PIECE)]
+    for name, sums in zip(names, _error_sums(work, names, pieces, each)):
         moments = central_moments(sums["sums e"], scales[name][0])
         rms = float(np.hypot(moments["mean"], moments["std"]))
         for key, value in (("mean", moments["mean"]), ("std", moments["std"]), ("rms", rms)):
@@ -349,6 +363,20 @@ def error_statistics(cube: xr.Dataset, record: Record) -> xr.Dataset:
     out["eps_pdf"] = (("error", "eps_bin"), np.array(densities))
     coords = {"error": ("error", names), "eps_bin": ("eps_bin", bin_centres())}
     return annotate(xr.Dataset(out, coords), "statistics")
+
+
+def _error_sums(
+    work: _Errors, names: Sequence[str], pieces: Sequence[tuple[int, int]], each: Each | None
+) -> Iterator[dict[str, Array]]:
+    if each is not None:
+        parts = each(work, [(name, steps) for name in names for steps in pieces])
+        for _ in names:
+            yield functools.reduce(segments.add, itertools.islice(parts, len(pieces)))
+        return
+    task = dask.delayed(_errors, pure=False)
+    for name in names:
+        laid = [task(work.lay(name, steps), work.scales[name]) for steps in pieces]
+        yield from dask.compute(segments.in_order(laid))
 
 
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:

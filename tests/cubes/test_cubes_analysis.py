@@ -1,0 +1,121 @@
+"""The waves of a cube on workers: what one process finds, to the bit."""
+
+import signal
+import threading
+
+import numpy as np
+import pytest
+import xarray as xr
+import yaml
+from click.testing import CliRunner
+
+import wavefield as wf
+from wavefield.commands.cli import cli
+from wavefield.errors import CubeError, RunStopped, StoreError
+
+SEGMENT = 16
+
+
+def sea(steps=400, gap=0):
+    """Waves of all directions with noise, in several runs, and errors to count."""
+    rng = np.random.default_rng(3)
+    axes = {"time": np.arange(steps) * 0.05, "y": np.arange(20) * 0.02, "x": np.arange(24) * 0.02}
+    attrs = {"z": {"units": "m"}} | {name: {"units": "m s-1"} for name in ("z_t", "u", "v", "w")}
+    attrs |= {"eps_y": {"units": "m"}, "eps_piv": {"units": "pixel"}}
+    t, y, x = axes["time"][:, None, None], axes["y"][:, None], axes["x"]
+    wave = 0.01 * np.cos(12.3 * x + 4 * y - 10.98 * t)
+    fields = {name: wave + 0.001 * rng.standard_normal(wave.shape) for name in attrs}
+    cube = xr.Dataset(
+        {name: (("time", "y", "x"), fields[name].astype("f4"), attrs[name]) for name in attrs}, axes
+    )
+    cube["z"][200:205] = np.nan  # two runs
+    cube["z"][90, 3, 4] = np.nan
+    cube["w"][steps - gap :] = np.nan
+    return cube.assign_attrs(water_depth=0.7)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    path = tmp_path_factory.mktemp("sea") / "cube.zarr"
+    sea().to_zarr(path, consolidated=False, encoding={"z": {"chunks": (32, 20, 24)}})
+    return path
+
+
+@pytest.fixture(scope="module")
+def expected(store, tmp_path_factory):
+    """As one process writes it."""
+    path = tmp_path_factory.mktemp("one") / "waves.zarr"
+    wf.analyze(store, path, segment=SEGMENT)
+    return path
+
+
+def unlike(one, other):
+    """Variables in which two stores of waves differ in any bit."""
+    one, other = (xr.open_datatree(path, engine="zarr") for path in (one, other))
+    assert one.groups == other.groups
+    return [
+        f"{group}/{name}"
+        for group in one.groups
+        for name in one[group].data_vars
+        if np.asarray(one[group][name]).tobytes() != np.asarray(other[group][name]).tobytes()
+    ]
+
+
+THREADS = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+
+
+@pytest.mark.parametrize(
+    "workflow",
+    [
+        {"cluster": "local", "workers": 2},
+        {"cluster": "dask", "deploy": "distributed.LocalCluster", "options": THREADS, "workers": "auto"},
+    ],
+    ids=["local", "dask"],
+)
+def test_workers_find_what_one_process_finds_to_the_bit(workflow, store, expected, tmp_path):
+    assert xr.open_datatree(expected, engine="zarr").attrs["segments"] > 3 * 8  # several chains
+    file = tmp_path / "workflow.yaml"
+    file.write_text(yaml.safe_dump(workflow))
+    out = tmp_path / "waves.zarr"
+    wf.analyze_on_workers(store, out, file, segment=SEGMENT)
+    assert unlike(out, expected) == []
+    assert not list(tmp_path.glob(".*partial")), "sums on their way go with the analysis"
+
+
+def test_the_command_analyses_where_its_workflow_says(reference, tmp_path):
+    file = tmp_path / "workflow.yaml"
+    file.write_text("cluster: none")
+    words = ["analyze", str(reference), "--segment", "8", "-o"]
+    for more in ([str(tmp_path / "one.zarr")], [str(tmp_path / "two.zarr"), "--workflow", str(file)]):
+        result = CliRunner().invoke(cli, [*words, *more])
+        assert result.exit_code == 0, result.output
+    assert unlike(tmp_path / "one.zarr", tmp_path / "two.zarr") == []
+    assert (tmp_path / "two.log").exists()
+    assert not (tmp_path / "one.log").exists()
+
+
+def test_a_field_that_lacks_more_than_the_elevation_is_found_on_workers_too(tmp_path):
+    sea(steps=200, gap=9).to_zarr(tmp_path / "cube.zarr", consolidated=False)
+    wf.analyze(tmp_path / "cube.zarr", tmp_path / "one.zarr", segment=SEGMENT)
+    workflow = wf.Workflow(cluster="local", workers=2)
+    wf.analyze_on_workers(tmp_path / "cube.zarr", tmp_path / "two.zarr", workflow, segment=SEGMENT)
+    assert unlike(tmp_path / "one.zarr", tmp_path / "two.zarr") == []
+
+
+def test_what_cannot_be_analysed_is_said_as_by_one_process(store, tmp_path):
+    workflow = wf.Workflow(cluster="local", workers=2)
+    with pytest.raises(CubeError, match="less than one segment"):
+        wf.analyze_on_workers(store, tmp_path / "waves.zarr", workflow, segment=4000)
+    with pytest.raises(StoreError, match="cannot be read as a cube"):
+        wf.analyze_on_workers(tmp_path / "none.zarr", tmp_path / "waves.zarr", workflow)
+    assert [path.name for path in tmp_path.iterdir()] == ["waves.log"]
+
+
+def test_a_signal_stops_the_analysis_and_leaves_nothing_behind(store, tmp_path):
+    def stop(done, total):
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGTERM)
+
+    workflow = wf.Workflow(cluster="local", workers=2)
+    with pytest.raises(RunStopped, match="stopped by SIGTERM; nothing was written"):
+        wf.analyze_on_workers(store, tmp_path / "waves.zarr", workflow, segment=SEGMENT, progress=stop)
+    assert [path.name for path in tmp_path.iterdir()] == ["waves.log"]
