@@ -1,16 +1,19 @@
-"""What a long record and many workers cost the scheduler: `python -m benchmarks.scheduler [WORKERS CHUNKS]`.
+"""What a long record and many workers cost: `python -m benchmarks.scheduler [WORKERS CHUNKS [WATCHED]]`.
 
 The scheduler is a process of its own; stand-in workers (all in another process, so that a machine can hold
 200) do stand-in work that sleeps; all else is as in a run: the same map, the same messages, over TCP of the
-loopback. Then a store of a long record is opened.
+loopback. Of a long record only the first chunks need be watched. Then the store of a long record is opened,
+asked and verified.
 """
 
 import asyncio
+import os
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +45,7 @@ async def live(address: str, number: int) -> None:
     await asyncio.gather(*(worker.finished() for worker in workers))
 
 
-def schedule(number: int, chunks: int) -> None:
+def schedule(number: int, chunks: int, watched: int) -> None:
     """Print what that many chunks cost."""
     quiet = {"stderr": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
     with tempfile.TemporaryDirectory() as folder, configured(dask_settings(Workflow())):
@@ -63,7 +66,7 @@ def schedule(number: int, chunks: int) -> None:
                 command = [sys.executable, "-m", "benchmarks.scheduler", "live", client.scheduler.address]
                 workers = subprocess.Popen([*command, str(number)], **quiet)
                 client.wait_for_workers(number)
-                measure(client, psutil.Process(scheduler.pid), number, chunks)
+                measure(client, psutil.Process(scheduler.pid), number, chunks, watched)
         finally:
             for process in (workers, scheduler):
                 if process:
@@ -71,31 +74,34 @@ def schedule(number: int, chunks: int) -> None:
                     process.wait()
 
 
-def measure(client: Client, scheduler: psutil.Process, number: int, chunks: int) -> None:
+def measure(client: Client, scheduler: psutil.Process, number: int, chunks: int, watched: int) -> None:
     """Map that many chunks, and print what the scheduler took for it."""
     start, cpu, own = time.perf_counter(), sum(scheduler.cpu_times()[:2]), time.process_time()
     memory, held, done = scheduler.memory_info().rss, 0, 0
-    for chunk, result in _map_on(client, nap, range(chunks), number, lambda: None):
-        done += chunk == result
-        if done % 500 == 250:
-            held = max(held, client.run_on_scheduler(count_tasks))
-    assert done == chunks
+    with closing(_map_on(client, nap, range(chunks), number, lambda: None)) as results:
+        for chunk, result in results:
+            done += chunk == result
+            if done % 500 == 250:
+                held = max(held, client.run_on_scheduler(count_tasks))
+            if done == watched:
+                break
+    assert done == watched
     now = scheduler.memory_info().rss
     print(
-        "| workers | chunks | wall s | scheduler, CPU ms per chunk | client, CPU ms per chunk "
-        "| memory of the scheduler, MB | grown by | most tasks held |\n|---|---|---|---|---|---|---|---|"
+        "| workers | chunks | watched | wall s | scheduler, CPU ms per chunk | client, CPU ms per chunk "
+        "| memory of the scheduler, MB | grown by | most tasks held |\n|---|---|---|---|---|---|---|---|---|"
     )
     print(
-        f"| {number} | {chunks} | {time.perf_counter() - start:.0f} "
-        f"| {1e3 * (sum(scheduler.cpu_times()[:2]) - cpu) / chunks:.2f} "
-        f"| {1e3 * (time.process_time() - own) / chunks:.2f} "
+        f"| {number} | {chunks} | {watched} | {time.perf_counter() - start:.0f} "
+        f"| {1e3 * (sum(scheduler.cpu_times()[:2]) - cpu) / watched:.2f} "
+        f"| {1e3 * (time.process_time() - own) / watched:.2f} "
         f"| {now / 1e6:.0f} | {(now - memory) / 1e6:.0f} | {held} |\n",
         flush=True,
     )
 
 
 def ledger(steps: int) -> None:
-    """Print what opening and asking the store of a long record costs."""
+    """Print what opening, asking and verifying the store of a long record costs."""
     import zarr
 
     from wavefield.cubes import open_cube, status
@@ -108,15 +114,24 @@ def ledger(steps: int) -> None:
         layout = Layout(steps, 100, ("cam1", "cam2", "cam3"), 0)
         recipe = Recipe("stand-in", {}, (0, steps), 20.0, {}, {}, {})
         create_store(path, recipe, x, y, layout, {})
-        zarr.open_group(path, mode="r+")["frame_status"][:] = 1
+        group = zarr.open_group(path, mode="r+")
+        group["frame_status"][:] = 1
+        group["frame_fault"][:] = 1
         files = sum(1 for file in path.rglob("*") if file.is_file())
-        print(f"| store of {steps} steps, {files} files | s | CPU s |\n|---|---|---|")
+        print(f"| store of {steps} steps, {files} files of its ledger | s | CPU s |\n|---|---|---|")
         for name, function in (("open", open_cube), ("status", status)):
             function(path)  # imports
             start, cpu = time.perf_counter(), time.process_time()
             function(path)
             wall, cpu = time.perf_counter() - start, time.process_time() - cpu
             print(f"| {name} | {wall:.2f} | {cpu:.2f} |", flush=True)
+        start = time.perf_counter()
+        subprocess.run(
+            [sys.executable, "-m", "wavefield.commands.cli", "status", str(path)],
+            stdout=subprocess.DEVNULL,
+        )
+        cpu = sum(os.times()[2:4])
+        print(f"| the command `wavefield status` | {time.perf_counter() - start:.2f} | {cpu:.2f} |")
 
 
 def main() -> None:
@@ -125,8 +140,9 @@ def main() -> None:
         asyncio.run(live(sys.argv[2], int(sys.argv[3])))
         return
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that no process is left behind
-    number, chunks = (int(word) for word in sys.argv[1:3]) if len(sys.argv) > 2 else (200, 20_000)
-    schedule(number, chunks)
+    words = [int(word) for word in sys.argv[1:]] or [200, 100_000, 5_000]
+    number, chunks = words[:2]
+    schedule(number, chunks, words[2] if len(words) > 2 else chunks)
     ledger(120_000)
 
 

@@ -246,6 +246,7 @@ def test_the_job_that_slurm_is_asked_for(tmp_path):
         "export OPENBLAS_NUM_THREADS=1",
         "module load python",
         "export DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED=False",
+        'export NUMBA_CACHE_DIR="${NUMBA_CACHE_DIR:-${TMPDIR:-/tmp}/wavefield-$(id -u)}"',
     ):
         assert line in script
     for option in ("--nworkers 8", "--nthreads 1", "--memory-limit 1.86GiB"):

@@ -2,16 +2,20 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
 from wavefield.cubes.lock import Lock
 from wavefield.errors import StoreError
 
+NOBODY = 65534
 KILLED = """
 import os, sys
 from pathlib import Path
@@ -35,6 +39,39 @@ def test_a_second_run_is_refused_and_told_who_holds_the_store(tmp_path):
             pass
         assert left(tmp_path) == [".cube.zarr.lock"]
     assert left(tmp_path) == []
+
+
+@pytest.fixture
+def two_users():
+    """A folder of one user, and the other whom we are from now on."""
+    folder = Path(tempfile.mkdtemp(dir="/tmp"))  # pytest's own cannot be entered by others
+    if os.geteuid():
+        pytest.skip("only root can be two users")
+    try:
+        yield folder
+    finally:
+        os.seteuid(0)
+        shutil.rmtree(folder)
+
+
+def test_of_two_users_in_one_folder_the_second_is_told_who_is_there_and_what_may_not_be(two_users):
+    store = two_users / "cube.zarr"
+    with Lock.hold(store):
+        pass  # what is imported late is imported
+    two_users.chmod(0o755)
+    os.seteuid(NOBODY)
+    with pytest.raises(StoreError, match=r"cube.zarr cannot be written: Permission denied; .*permissions"):
+        Lock.hold(store).__enter__()
+    os.seteuid(0)
+    two_users.chmod(0o1777)
+    with Lock.hold(store):
+        os.seteuid(NOBODY)
+        with pytest.raises(StoreError, match=f"another run is writing .*process {os.getpid()} of"):
+            Lock.hold(store).__enter__()
+        os.seteuid(0)
+    os.seteuid(NOBODY)
+    with Lock.hold(store):  # the other has gone
+        assert store.with_name(".cube.zarr.lock").stat().st_uid == NOBODY
 
 
 def test_the_lock_of_a_killed_run_is_taken_over(tmp_path):

@@ -3,14 +3,19 @@
 import os
 import subprocess
 import sys
+import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import numpy as np
+import psutil
 import pytest
+import xarray as xr
 import yaml
 from cube_cases import different
 
+import wavefield as wf
 from wavefield.cubes import Workflow, status
 from wavefield.cubes.cluster import open_cluster
 from wavefield.errors import ExperimentError
@@ -110,16 +115,22 @@ def drained(node):
             slurm(*change, "state=resume")
 
 
+def start_run(tank, out, workflow, request):
+    """A run of its own process, as on a login node."""
+    command = [sys.executable, "-m", "wavefield.commands.cli", "run", str(tank), "-o", str(out)]
+    process = subprocess.Popen(
+        [*command, "--workflow", str(workflow)],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=out.parent,
+    )  # fmt: skip
+    request.addfinalizer(lambda: (process.kill(), process.wait(), process.stdout.close()))
+    return process
+
+
 def test_worker_jobs_that_are_cancelled_are_asked_for_again_on_nodes_that_are_left(
     tank, reference, workflow, tmp_path, request
 ):
     out = tmp_path / "cube.zarr"
-    command = [sys.executable, "-m", "wavefield.commands.cli", "run", str(tank), "-o", str(out)]
-    process = subprocess.Popen(
-        [*command, "--workflow", str(workflow)],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=tmp_path,
-    )  # fmt: skip
-    request.addfinalizer(lambda: (process.kill(), process.wait(), process.stdout.close()))
+    process = start_run(tank, out, workflow, request)
     wait_for(lambda: steps_done(out) >= 1)
     first = jobs("wavefield")
     node = slurm("squeue", "--noheader", "--format=%N", f"--jobs={first[0]}")
@@ -132,6 +143,82 @@ def test_worker_jobs_that_are_cancelled_are_asked_for_again_on_nodes_that_are_le
         text, _ = process.communicate(timeout=900)
     assert process.returncode == 0, text
     assert different(out, reference) == []
+    wait_for(lambda: not slurm("squeue", "--noheader"))
+
+
+def test_workers_whose_time_limit_ends_them_in_the_middle_of_a_block_leave_the_same_cube(
+    tank, reference, workflow, tmp_path, request
+):
+    data = yaml.safe_load(workflow.read_text())
+    data["slurm"] |= {"walltime": "00:01:00"}  # Slurm counts in minutes
+    workflow.write_text(yaml.safe_dump(data))
+    out = tmp_path / "cube.zarr"
+    process = start_run(tank, out, workflow, request)
+    wait_for(lambda: steps_done(out) >= 1 or process.poll() is not None)
+    first = jobs("wavefield")
+    for worker in processes_of(first):
+        worker.suspend()  # blocks that take longer than the job lives
+    done = steps_done(out)
+    wait_for(lambda: all(state_of(job) == "TIMEOUT" for job in first) or process.poll() is not None)
+    assert done < status(out).steps
+    text, _ = process.communicate(timeout=900)
+    assert process.returncode == 0, text
+    assert [state_of(job) for job in first] == ["TIMEOUT"] * len(first)
+    assert different(out, reference) == []
+    wait_for(lambda: not slurm("squeue", "--noheader"))
+
+
+def processes_of(jobs):
+    """Processes of workers that run in some jobs on this machine."""
+    found = []
+    for process in psutil.process_iter():
+        with suppress(psutil.Error):
+            if process.environ().get("SLURM_JOB_ID") in jobs and "python" in process.name():
+                found.append(process)
+    return found
+
+
+def state_of(job):
+    shown = subprocess.run(["scontrol", "show", "job", job], capture_output=True, text=True).stdout
+    return dict(word.split("=", 1) for word in shown.split() if "=" in word).get("JobState", "")
+
+
+def test_more_jobs_are_asked_for_while_work_waits_and_given_back_before_the_last_of_it_ends(
+    workflow, tmp_path
+):
+    data = yaml.safe_load(workflow.read_text())
+    data["workers"] = {"minimum": 1, "maximum": 2}
+    seen, stop = [], threading.Event()
+
+    def look():
+        while not stop.wait(0.5):
+            seen.append(len(slurm("squeue", "--noheader", "--name=wavefield").split("\n")))
+
+    with open_cluster(Workflow(**data), tmp_path / "logs") as map_unordered:
+        looking = threading.Thread(target=look)
+        done = []
+        for item, _ in map_unordered(time.sleep, [4.0] * 8 + [15.0]):
+            if not done:
+                looking.start()
+            done.append(item)
+            if len(done) == 8:
+                most, last = max(seen), len(seen)
+        stop.set()
+        looking.join()
+    assert sorted(done) == [4.0] * 8 + [15.0]
+    assert most == 2, "work waits, and there is one job"
+    assert seen[last:][-1] == 1, "one item is left, and there are two jobs"
+    wait_for(lambda: not slurm("squeue", "--noheader"))
+
+
+def test_the_waves_that_slurm_jobs_find_are_those_of_one_process(reference, workflow, tmp_path):
+    one, two = tmp_path / "one.zarr", tmp_path / "two.zarr"
+    wf.analyze(reference, one, segment=8)
+    wf.analyze_on_workers(reference, two, workflow, segment=8)
+    one, two = (xr.open_datatree(path, engine="zarr") for path in (one, two))
+    for group in one.groups:
+        for name, values in one[group].data_vars.items():
+            assert np.asarray(values).tobytes() == np.asarray(two[group][name]).tobytes(), f"{group}/{name}"
     wait_for(lambda: not slurm("squeue", "--noheader"))
 
 

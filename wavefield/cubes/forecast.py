@@ -16,6 +16,7 @@ from wavefield.cubes.block import Measured, make_block, measure_block
 from wavefield.cubes.cluster import count_workers
 from wavefield.cubes.judgement import look_at_cameras
 from wavefield.cubes.prepare import Prepared, expected_coverage, load_files, prepare
+from wavefield.cubes.reading import Reading, look_at_reading
 from wavefield.cubes.worker_settings import one_thread
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, RigError
@@ -102,6 +103,8 @@ class Cost:
         Size of the store, bytes.
     free : int
         Room on the disk of the store, bytes.
+    reading : Reading or None
+        What the workers want to read, and what the images' disk gives.
     """
 
     step_seconds: float
@@ -110,6 +113,7 @@ class Cost:
     memory: int
     disk: int
     free: int
+    reading: Reading | None = None
 
     def __str__(self) -> str:
         workers = "1 worker" if self.workers == 1 else f"{self.workers} workers"
@@ -215,6 +219,7 @@ class Check:
             lines.append(text)
         if self.cost:
             lines.append(f"  a run will take {self.cost}")
+            lines += [f"  {self.cost.reading}"] if self.cost.reading else []
         lines += [f"  {self.motion}"] if self.motion else []
         lines += self._agreements()
         lines += [f"  not ready: {problem}" for problem in self.problems]
@@ -362,6 +367,7 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
         memory=_peak_memory() + 3 * prepared.block * prepared.step_bytes,
         disk=int(_stored_bytes(one.fields) * prepared.steps / (stop - start)),
         free=shutil.disk_usage(prepared.experiment.path.parent).free,
+        reading=look_at_reading(prepared.series, prepared.block, step, workers),
     )
     quality = one.fields["quality"]
     seen = (

@@ -182,6 +182,7 @@ def _fill_in(
             chunks=chunks,
             dtype=row.dtype,
             fill_value=0,
+            compressors=None,  # read file by file: `blocks.read_blocks`
             dimension_names=row.dims,
             attributes=row.attrs,
         )

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from wavefield.errors import StoreError
+from wavefield.store.blocks import read_blocks
 from wavefield.store.read import open_group, read_layout
 from wavefield.store.verdict import Verdict, read_verdict
 from wavefield.variables import FrameFault, FrameStatus
@@ -150,8 +151,8 @@ def status(store: str | Path) -> Status:
     group = open_group(path)
     layout = read_layout(group)
     try:
-        ledger = np.asarray(group["frame_status"][:])
-        faults = np.asarray(group["frame_fault"][:])
+        ledger = read_blocks(path, group, "frame_status", layout)
+        faults = read_blocks(path, group, "frame_fault", layout)
     except Exception as error:  # whatever a codec makes of damaged bytes
         raise StoreError(
             f"the ledger of {path} is damaged ({error}); the command that measured it mends it"

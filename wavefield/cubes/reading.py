@@ -1,0 +1,139 @@
+"""How fast the workers of a run want to read, and how fast the disk of the images lets them."""
+
+import os
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from wavefield.series import FrameSeries
+
+_SAMPLE_BYTES, _SAMPLE_SECONDS = 200_000_000, 1.0  # read to know the disk: whichever comes first
+_LEAST_BYTES = 1_000_000  # less tells nothing of a disk
+_PIECE = 4_000_000  # bytes of one read
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a run reads, beside what its disk gives.
+
+    Parameters
+    ----------
+    step_bytes : float
+        Bytes of images that a step takes from the disk.
+    worker_rate : float
+        What one worker wants, bytes/s.
+    workers : int
+        How many there are.
+    disk_rate : float or None
+        What one reader gets from the images' disk, bytes/s; None where too little could be read to tell.
+    """
+
+    step_bytes: float
+    worker_rate: float
+    workers: int
+    disk_rate: float | None = None
+
+    @property
+    def enough_for(self) -> int | None:
+        """Workers that one reader's rate would feed; None where it is not known."""
+        return None if self.disk_rate is None else max(int(self.disk_rate / self.worker_rate), 1)
+
+    @property
+    def limited(self) -> bool:
+        """Whether the workers want more than one reader gets."""
+        return self.disk_rate is not None and self.workers * self.worker_rate > self.disk_rate
+
+    def __str__(self) -> str:
+        text = f"reading: a worker wants {_rate(self.worker_rate)}"
+        if self.workers > 1:
+            text += f", {self.workers} workers {_rate(self.workers * self.worker_rate)}"
+        if self.disk_rate is None:
+            return text
+        text += f"; one reader gets {_rate(self.disk_rate)} from the disk of the images"
+        if not self.limited:
+            return text
+        few = "1 worker" if self.enough_for == 1 else f"{self.enough_for} workers"
+        return (
+            f"{text}: beyond {few} the disk is the limit, unless several readers get more; read from "
+            "a local or parallel file system, or write smaller images"
+        )
+
+
+def _rate(value: float) -> str:
+    return f"{value / 1e9:.1f} GB/s" if value >= 1e9 else f"{value / 1e6:.3g} MB/s"
+
+
+def look_at_reading(
+    series: Mapping[str, FrameSeries], block: int, step_seconds: float, workers: int
+) -> Reading | None:
+    """Tell what a run wants to read, and try its disk.
+
+    Parameters
+    ----------
+    series : mapping of str to FrameSeries
+        The frames.
+    block : int
+        Steps of a block: it reads three frames more than it has steps.
+    step_seconds : float
+        Time of a step on a worker, s.
+    workers : int
+        Number of workers.
+
+    Returns
+    -------
+    Reading or None
+        None where no frame is there.
+    """
+    sizes = [_frame_bytes(one) for one in series.values()]
+    if not all(sizes) or step_seconds <= 0:
+        return None
+    step_bytes = sum(sizes) * (1 + 3 / block)
+    return Reading(step_bytes, step_bytes / step_seconds, workers, _try_disk(list(_files(series))))
+
+
+def _frame_bytes(series: FrameSeries) -> float:
+    """Bytes that a frame takes on the disk, on average."""
+    entries = [entry for entry in series.entries if entry is not None]
+    paths = {entry.path for entry in entries}
+    return sum(_size(path) for path in paths) / len(entries) if entries else 0.0
+
+
+def _size(path: str) -> int:
+    try:
+        return Path(path).stat().st_size
+    except OSError:
+        return 0
+
+
+def _files(series: Mapping[str, FrameSeries]) -> Iterator[str]:
+    """Files of images, those from the end of the record first: they are the least likely to be remembered."""
+    seen = set()
+    for frames in zip(*(reversed(one.entries) for one in series.values())):
+        for entry in frames:
+            if entry is not None and entry.path not in seen:
+                seen.add(entry.path)
+                yield entry.path
+
+
+def _try_disk(paths: list[str]) -> float | None:
+    """Bytes/s of reading files that the system is asked to forget before; None if there is too little."""
+    if not hasattr(os, "posix_fadvise"):
+        return None
+    count, spent = 0, 0.0
+    for path in paths:
+        try:
+            with open(path, "rb", buffering=0) as stream:
+                os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+                while spent < _SAMPLE_SECONDS and count < _SAMPLE_BYTES:
+                    since = time.perf_counter()
+                    piece = stream.read(_PIECE)
+                    spent += time.perf_counter() - since
+                    count += len(piece)
+                    if len(piece) < _PIECE:
+                        break
+        except OSError:  # a frame that cannot be read is told elsewhere
+            continue
+        if spent >= _SAMPLE_SECONDS or count >= _SAMPLE_BYTES:
+            break
+    return count / spent if count >= _LEAST_BYTES and spent > 0 else None
