@@ -44,5 +44,5 @@ def test_of_earlier_stores_too(tmp_path):
 def test_a_file_that_is_too_short_is_damage(store):
     path = chunk_path(store, "frame_status", 1)
     path.write_bytes(path.read_bytes()[:5])
-    with pytest.raises(StoreError, match="the ledger of .* is damaged"):
+    with pytest.raises(StoreError, match=r"the ledger of .* is damaged"):
         status(store)
