@@ -196,9 +196,7 @@ class _Mask:
         return _finite([piece(array, slice(*steps)) for array in self.arrays])
 
 
-def find_record(  # noqa: C901
-    cube: Any, longest_bridge: int = LONGEST_BRIDGE, each: Each | None = None
-) -> Record:
+def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE, each: Each | None = None) -> Record:
     """Find the largest full rectangle of nodes and the runs of good steps of a cube.
 
     The values are read once (a cube that is not computed yet is computed for it); nothing is kept but a mask.
@@ -230,30 +228,65 @@ def find_record(  # noqa: C901
     pieces = [(a, min(a + _LOOK, steps)) for a in range(0, steps, _LOOK)]
     masks = _masks(arrays, pieces) if each is None else list(each(_Mask(arrays), pieces))
 
-    known = np.ones(steps, bool)
+    looked = _Looked(pieces, masks, (ny, nx))
+    good = _good_steps(looked, _measured(cube, steps))
+    y, x = _rectangle(looked, good)
+    size, holes = (y[1] - y[0]) * (x[1] - x[0]), 0
+    for steps_of, there in looked:
+        if there is not None:
+            inside = there[:, y[0] : y[1], x[0] : x[1]].sum(axis=(1, 2))
+            good[steps_of] &= inside >= _STEP_FRACTION * size
+            holes += int((size - inside)[good[steps_of]].sum())
+    runs, bridged = _runs(good, longest_bridge)
+    return Record(y, x, tuple(runs), tuple(bridged), steps, holes, dt, dy, dx)
+
+
+@dataclass(frozen=True)
+class _Looked:
+    """Which nodes hold values: of each piece of the steps a mask in bits, None where all do."""
+
+    pieces: Sequence[tuple[int, int]]
+    masks: Sequence[np.ndarray | None]
+    shape: tuple[int, int]
+
+    def __iter__(self) -> Iterator[tuple[slice, np.ndarray | None]]:
+        """Steps of each piece and, unless all nodes hold values, (steps, ny, nx) bool."""
+        ny, nx = self.shape
+        for mask, (a, b) in zip(self.masks, self.pieces):
+            if mask is None:
+                yield slice(a, b), None
+            else:
+                bits = np.unpackbits(mask, axis=1, count=ny * nx)
+                yield slice(a, b), bits.reshape(b - a, ny, nx).astype(bool)
+
+
+def _measured(cube: Any, steps: int) -> np.ndarray:
+    """Steps that the ledger, where there is one, calls measured."""
     if isinstance(cube, xr.Dataset) and "frame_status" in cube:
-        known = np.isin(cube["frame_status"].values, (FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS))
+        done = FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS
+        return np.isin(cube["frame_status"].values, done)
+    return np.ones(steps, bool)
 
-    def unpack(mask: np.ndarray | None, a: int, b: int) -> np.ndarray:
-        if mask is None:
-            return np.ones((b - a, ny, nx), bool)
-        return np.unpackbits(mask, axis=1, count=ny * nx).reshape(b - a, ny, nx).astype(bool)
 
-    there = np.full(steps, ny * nx)
-    for mask, (a, b) in zip(masks, pieces):
-        if mask is not None:
-            there[a:b] = unpack(mask, a, b).sum(axis=(1, 2))
-    alive = known & (there > 0)
+def _good_steps(looked: _Looked, known: np.ndarray) -> np.ndarray:
+    """Measured steps that hold half as many values as the median one at least."""
+    ny, nx = looked.shape
+    count = np.full(known.size, ny * nx)
+    for steps, there in looked:
+        if there is not None:
+            count[steps] = there.sum(axis=(1, 2))
+    alive = known & (count > 0)
     if not alive.any():
         raise CubeError("no step of the cube holds a single value: run it first, or look at its frame_status")
-    good = alive & (there >= np.median(there[alive]) / 2)
+    out: np.ndarray = alive & (count >= np.median(count[alive]) / 2)
+    return out
 
-    seen = np.zeros((ny, nx), int)
-    for mask, (a, b) in zip(masks, pieces):
-        if mask is None:
-            seen += int(good[a:b].sum())
-        else:
-            seen += unpack(mask, a, b)[good[a:b]].sum(axis=0)
+
+def _rectangle(looked: _Looked, good: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Largest rectangle of nodes, y and x, that hold values in nearly all good steps."""
+    seen = np.zeros(looked.shape, int)
+    for steps, there in looked:
+        seen += int(good[steps].sum()) if there is None else there[good[steps]].sum(axis=0)
     y, x = largest_rectangle(seen >= _NODE_FRACTION * good.sum())
     if min(y[1] - y[0], x[1] - x[0]) < _SMALLEST:
         raise CubeError(
@@ -261,15 +294,7 @@ def find_record(  # noqa: C901
             f" (y, x), less than {_SMALLEST} x {_SMALLEST}: choose a grid inside the field that all cameras"
             " see"
         )
-    size = (y[1] - y[0]) * (x[1] - x[0])
-    holes = 0
-    for mask, (a, b) in zip(masks, pieces):
-        if mask is not None:
-            inside = unpack(mask, a, b)[:, y[0] : y[1], x[0] : x[1]].sum(axis=(1, 2))
-            good[a:b] &= inside >= _STEP_FRACTION * size
-            holes += int((size - inside)[good[a:b]].sum())
-    runs, bridged = _runs(good, longest_bridge)
-    return Record(y, x, tuple(runs), tuple(bridged), steps, holes, dt, dy, dx)
+    return y, x
 
 
 def whole_record(array: Any) -> Record:
