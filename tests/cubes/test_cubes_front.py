@@ -1,6 +1,7 @@
 """What a user asks before and after a run: check, status, export, catalogs, workflow files."""
 
 import math
+import re
 
 import intake
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import xarray as xr
 from cube_cases import HERE, different
 
+from wavefield.commands.cli import main
 from wavefield.cubes import Workflow, catalog_add, check, export, open_cube, run, run_catalog, status
 from wavefield.cubes.prepare import choose_block
 from wavefield.errors import ExperimentError, StoreError
@@ -87,11 +89,20 @@ def test_check_tells_uniform_images_from_truncated_ones(own_tank):
     )
 
 
-def test_frames_are_numbered_as_their_files_are(own_tank):
+def test_check_counts_frames_as_run_does_and_says_which_files_they_are(own_tank):
     own_tank.write_text(own_tank.read_text().replace('.tif"}', '.tif", offset: 100}'))
     (own_tank.parent / "cam1" / "img_00003.tif").unlink()
+    for n in (14, 15, 16):
+        (own_tank.parent / "cam2" / f"img_{n:05d}.tif").unlink()
     found = check(own_tank, workflow=HERE)
-    assert "1 missing: frame 3" in str(found.cameras[0])
+    assert "1 missing: frame 103 (frame n is file n -100)" in str(found.cameras[0])
+    assert str(found.cameras[0]).endswith("; not used: 3 after the record")
+    assert found.steps == 13
+    assert found.cameras[1].missing == ()  # no gaps are invented at the ends
+    assert [(r.subject, r.kind) for r in found.verdict.remarks] == [("cam1", "longer"), ("cam3", "longer")]
+    state = run(own_tank, workflow=HERE)
+    assert [str(bad) for bad in state.bad_frames] == ["cam1: missing: frame 103"]
+    assert state.steps == 13
 
 
 def test_check_gives_the_frame_rate_and_the_duration(tank):
@@ -227,6 +238,32 @@ def test_comments_at_the_head_of_a_catalog_stay(catalog, own_tank):
     catalog.write_text("# Our tanks.\n\n" + catalog.read_text())
     catalog_add(catalog, own_tank, "again")
     assert catalog.read_text().startswith("# Our tanks.\n\nversion: 2")
+
+
+def test_a_campaign_is_checked_measured_verified_analysed_and_compared(catalog, capsys):
+    """With every run; what fails with one does not keep the others, and one page compares them."""
+    lab, here = str(catalog), ["--workflow", str(catalog.with_name("here.yaml"))]
+    catalog.with_name("here.yaml").write_text("cluster: none\n")
+    said = capsys.readouterr
+    assert main(["-q", "check", lab, "other-tank", *here]) == 0
+    assert "other-tank (1 of 1)" in (out := said().out)
+    assert "other-tank: sound" in out
+    assert main(["-q", "verify", lab]) == 1
+    assert "small-tank is not measured yet; `wavefield run CATALOG small-tank` does it" in said().err
+    assert main(["run", lab, *here]) == 0
+    assert "Measuring other-tank (2 of 2)" in said().err
+    assert main(["-q", "verify", lab]) == 0
+    assert "5 of 5 steps are done, and all of them are as written" in said().out
+    assert main(["-q", "analyze", lab, "--segment", "8"]) == 1  # 7 and 5 steps
+    assert said().err.count("segment") >= 2
+    assert main(["-q", "report", lab]) == 0
+    page = catalog.with_suffix(".html").read_text()
+    assert "2 of 2 runs measured" in page
+    assert page.count(">sound<") == 2
+    link = re.search(r'href="(tanks/small-tank/[0-9a-f]{8}|tanks/small-tank/latest)/report.html"', page)
+    assert link
+    assert (catalog.parent / link[0][6:-1]).exists()
+    assert main(["-q", "verify", str(catalog.with_name("here.yaml")), "small-tank"]) == 2
 
 
 # -- workflows --------------------------------------------------------------------------------------------

@@ -59,13 +59,21 @@ def test_numbers_are_those_in_the_names(numbers, pattern):
 
 
 def test_cameras_share_one_range_of_frames(tmp_path):
-    write_frames(tmp_path / "a", range(2, 6))
-    write_frames(tmp_path / "b", range(4, 9))
+    write_frames(tmp_path / "a", range(2, 7))
+    write_frames(tmp_path / "b", [4, 6, 7, 8])
     series = open_frames(tmp_path, "cam1: a/*.tif\ncam2: b/*.tif")
-    assert {s.first for s in series.values()} == {2}
-    assert {len(s) for s in series.values()} == {7}
-    assert list(series["cam1"].missing) == [6, 7, 8]
-    assert list(series["cam2"].missing) == [2, 3]
+    assert {(s.first, len(s)) for s in series.values()} == {(4, 3)}  # what all have seen
+    assert [s.beyond for s in series.values()] == [(2, 0), (0, 2)]
+    assert [list(s.missing) for s in series.values()] == [[], [5]]
+    stated = open_frames(tmp_path, "cam1: a/*.tif\ncam2: b/*.tif", "frames: {first: 2, last: 8}\n")
+    assert [list(s.missing) for s in stated.values()] == [[7, 8], [2, 3, 5]]
+
+
+def test_cameras_without_a_common_frame_are_told_so(tmp_path):
+    write_frames(tmp_path / "a", range(2, 7))
+    write_frames(tmp_path / "b", range(102, 107))
+    with pytest.raises(ExperimentError, match=r"share no two frames \(frames of cam1 2 to 6, cam2 102"):
+        open_frames(tmp_path, "cam1: a/*.tif\ncam2: b/*.tif")
 
 
 def test_range_and_offset(tmp_path):

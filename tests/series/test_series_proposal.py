@@ -17,6 +17,9 @@ def folder(tmp_path):
         (tmp_path / "run 07" / "calib" / camera).mkdir(parents=True)
         for k in range(4):
             (tmp_path / "run 07" / "calib" / camera / f"tilt_{k}.tif").touch()
+        (tmp_path / "run 07" / "rest" / camera).mkdir(parents=True)
+        for k in range(4):
+            (tmp_path / "run 07" / "rest" / camera / f"img_{k}.tif").touch()
     (tmp_path / "run 07" / "cam2" / "img_0003.tif").unlink()
     (tmp_path / "run 07" / "probes.csv").write_text("time,p1 [mm]\n0,1\n")
     return tmp_path / "run 07"
@@ -31,6 +34,7 @@ def test_what_is_proposed_is_an_experiment_file(folder, capsys):
     assert made.cameras["cam3"].offset == -5
     assert made.calibration.tilted == "calib/{camera}/tilt_*.tif"
     assert made.probes == "probes.csv"
+    assert made.rest == "rest/{camera}/img_{frame}.tif"
     for words in ("5 images, 0 to 5, 1 missing", "begins 5 later than another", "TO FILL IN: Hz", "p1 [mm]"):
         assert words in said
     assert main(["init", str(folder)]) == 1  # never over a file

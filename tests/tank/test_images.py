@@ -179,6 +179,26 @@ def test_faults_change_what_a_camera_records_and_nothing_else():
     assert np.array_equal(swapped.target_image("flat", "cam1"), sound.target_image("flat", "cam1"))
 
 
+def test_a_late_shutter_sees_the_same_beads_a_moment_later():
+    tank = Tank(small(light=QUIET, surface={"renewal": 0.0}))
+    between = Tank(small(light=QUIET, surface={"renewal": 0.0}, faults={"cam2": {"delay": 0.05}}))
+    seen, next_frame = between.render(1), tank.render(2)
+    assert np.corrcoef(seen["cam2"].ravel(), next_frame["cam2"].ravel())[0, 1] > 0.999
+    assert np.array_equal(seen["cam1"], tank.render(1)["cam1"])
+
+
+def test_a_camera_turns_when_it_is_knocked_and_not_before():
+    knocked = Tank(small(light=QUIET, faults={"cam3": {"turned": (0.05, 0.0, 0.0), "since": 1}}))
+    sound = Tank(small(light=QUIET))
+    assert np.array_equal(knocked.render(0)["cam3"], sound.render(0)["cam3"])
+    image, before = (t.render(1)["cam3"].astype(float) for t in (knocked, sound))
+    shift = np.radians(0.05) * sound.rig["cam3"].fy  # px, along the rows
+    rows = np.arange(image.shape[0] - 8)
+    moved = [map_coordinates(before[:, k], [rows + s], order=3) for k in (50, 90) for s in (shift, -shift)]
+    close = [np.abs(image[: len(rows), k] - m).mean() for k, m in zip((50, 50, 90, 90), moved)]
+    assert min(close[:2]) < 0.3 * max(close[:2])
+
+
 @pytest.mark.parametrize("surface", [{"density": 600}, {"kind": "texture"}])
 def test_defocus_widens_what_is_seen_and_keeps_its_light(surface):
     scene = small(light=QUIET, surface=surface)

@@ -147,6 +147,11 @@ def test_a_short_record_is_analysed_and_says_how_little_it_knows(steps):
     assert out.attrs["degrees_of_freedom"] >= 2
     E = out["spectra"].E_w
     assert float(E.sum()) > 0
+    if steps <= 41:  # at most 2 s: what it is too short to say is not said
+        assert "No spectral peak, no steepness" in out.attrs["notes"]
+        assert not {"peak_frequency", "peak_k", "steepness"} & set(out["statistics"].data_vars)
+        assert not {"gamma", "gamma_std", "omega_fit"} & set(out["dispersion"].data_vars)
+    assert "significant_height" in out["statistics"]
 
 
 def test_gaps_edges_and_unknown_depth_are_said(sea):

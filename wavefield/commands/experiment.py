@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from wavefield.commands import campaign
 from wavefield.commands.progress import Progress
 
 if TYPE_CHECKING:
+    from wavefield.cubes import Check
     from wavefield.cubes.prepare import Prepared
+    from wavefield.series import Experiment
 
 _FILE = click.Path(exists=True, path_type=Path)
 _JSON = click.option("--json", "as_json", is_flag=True, help="Say it as JSON, for scripts.")
@@ -25,36 +28,68 @@ Examples:
   wavefield check experiment.yaml --pairs      # do the cameras agree on what they see?
 """
 )
-@click.argument("experiment", type=_FILE)
+@click.argument("source", type=_FILE)
+@campaign.ENTRIES
 @click.option("--rig", type=_FILE, help="Rig file, in place of the one that the experiment names.")
 @click.option("--workflow", type=_FILE, help="Where and how it would run: a file as in workflows/.")
+@campaign.PARAMETERS
 @click.option("--pairs", is_flag=True, help="Also compare what each pair of cameras measures by itself.")
 @_JSON
 @click.pass_context
 def check(
     context: click.Context,
-    experiment: Path,
+    source: Path,
+    entries: tuple[str, ...],
     rig: Path | None,
     workflow: Path | None,
+    parameters: dict[str, str],
     pairs: bool,
     as_json: bool,
 ) -> None:
     """Say what is there, what is missing, and what a run will cost.
 
-    Counts the frames of each camera, names missing ones, shows how much of the grid the cameras see,
-    measures a few steps to tell the time, memory and disk of the whole run, and compares the cameras' images:
-    is one mirrored, swapped, late, reversed, blurred, covered, or has it moved? Changes nothing. The exit
-    status is 1 where something stands in the way, 3 where the verdict has remarks that matter.
+    SOURCE is an experiment file or a catalog. Counts the frames of each camera, names missing ones, shows how
+    much of the grid the cameras see, measures a few steps to tell the time, memory and disk of the whole run,
+    and compares the cameras' images: is one mirrored, swapped, late, reversed, blurred, covered, or has it
+    moved? Changes nothing. The exit status is 1 where something stands in the way, 3 where the verdict has
+    remarks that matter.
     """
     from wavefield import cubes
     from wavefield.cubes.worker_settings import keep_memory
 
     keep_memory()
-    with Progress("Looking at the frames, measuring a few steps"):
-        found = cubes.check(experiment, rig, workflow)
-    if as_json:
-        click.echo(json.dumps(found.to_dict(), indent=1, default=str))
+    if not campaign.is_campaign(source, entries, parameters):
+        with Progress("Looking at the frames, measuring a few steps"):
+            found = cubes.check(source, rig, workflow)
+        if as_json:
+            click.echo(json.dumps(found.to_dict(), indent=1, default=str))
+            context.exit(found.exit_status)
+        _say(found, source, rig, workflow, pairs)
         context.exit(found.exit_status)
+    from wavefield.cubes.catalog import find_experiment, runs_of
+
+    runs = [(run, find_experiment(source, {"run": run, **parameters})) for run in runs_of(source, entries)]
+    seen: dict[str, Check] = {}
+
+    def work(run: str, experiment: Experiment) -> int:
+        with Progress(f"Looking at {run}"):
+            seen[run] = cubes.check(experiment, rig, workflow)
+        if not as_json:
+            _say(seen[run], experiment, rig, workflow, pairs)
+        return seen[run].exit_status
+
+    status_of_all = campaign.each(runs, work, quiet=as_json)
+    if as_json:
+        click.echo(json.dumps({run: one.to_dict() for run, one in seen.items()}, indent=1, default=str))
+    else:
+        for run, one in seen.items():
+            click.echo(f"{run}: {one.line}")
+    context.exit(status_of_all)
+
+
+def _say(
+    found: Check, experiment: Path | Experiment, rig: Path | None, workflow: Path | None, pairs: bool
+) -> None:
     click.echo(str(found))
     if words := _probes_line(experiment):
         click.echo(f"  probes: {words}")
@@ -62,20 +97,19 @@ def check(
         from wavefield.cubes.prepare import prepare
 
         click.echo(_pairs_table(prepare(experiment, rig, workflow)))
-    context.exit(found.exit_status)
 
 
 def _reader(prepared: Prepared) -> Callable[[str, int], Any]:
     return lambda camera, frame: prepared.series[camera].read_uncovered(frame)
 
 
-def _probes_line(path: Path) -> str:
+def _probes_line(source: Path | Experiment) -> str:
     """The experiment's probes and their clock beside the cameras', or what is wrong with their file."""
     from wavefield.errors import ExperimentError
     from wavefield.series import Experiment
     from wavefield.waves import read_probes
 
-    experiment = Experiment.load(path)
+    experiment = source if isinstance(source, Experiment) else Experiment.load(source)
     if not experiment.probes:
         return ""
     try:
@@ -124,8 +158,9 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     """Find the rig from target images.
 
     Reads the calibration block of EXPERIMENT, finds the target in its tilted and flat views, solves for all
-    cameras together, and writes the rig and a report with pictures. When the rig cannot be trusted the
-    exit status is 1 and the report says what to photograph again.
+    cameras together, and writes the rig and a report with pictures. Where the experiment names a record of
+    the water at rest (`rest:`), it mends the rig and brings z = 0 to the water. When the rig cannot be
+    trusted the exit status is 1 and the report says what to photograph again.
     """
     from wavefield.calibration.images import calibrate_experiment
     from wavefield.reports.calibration import write_calibration
@@ -148,9 +183,16 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
             again = "" if anyway or not len(calibration.rig) else "; --anyway writes it, marked as refused"
             click.echo(f"No rig was written{again}; the pictures are in {page}.", err=True)
             context.exit(1)
-    calibration.rig.save(output)
+    rig = calibration.rig
+    if loaded.rest and calibration.usable:
+        from wavefield.cubes.at_rest import level_at_rest, plane_sentence
+
+        with Progress("Matching the water at rest", "frames") as progress:
+            rig, found, plane = level_at_rest(loaded.at_rest(), rig, progress=progress)
+        click.echo(f"{found.sentence}\n{plane_sentence(plane)}")
+    rig.save(output)
     refused = "" if calibration.usable else ", REFUSED (usable: false in the file)"
-    click.echo(f"Wrote {output} with {', '.join(calibration.rig)}{refused}; how far to trust it: {page}")
+    click.echo(f"Wrote {output} with {', '.join(rig)}{refused}; how far to trust it: {page}")
     if loaded.rig is None and output.resolve() != loaded.resolve("rig.yaml").resolve():
         click.echo(f"Name it in {experiment} as `rig: {output}`, or give it with --rig")
     click.echo(f"Next: wavefield check {experiment}")
@@ -173,32 +215,21 @@ Example:
 def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
     """Mend and level a rig from water at rest.
 
-    EXPERIMENT is a record of still, seeded water. Says whether a camera has moved since the calibration,
-    turns it back so that sight lines meet, brings z = 0 to the water's plane, and writes the new rig.
+    EXPERIMENT is a record of still, seeded water, or names one (`rest:`). Says whether a camera has moved
+    since the calibration, turns it back so that sight lines meet, brings z = 0 to the water's plane, and
+    writes the new rig.
     """
-    from wavefield.calibration.rest import refine_and_level
-    from wavefield.cubes.prepare import prepare
-    from wavefield.measurement.tie_points import matched_pixels, spread
+    from wavefield.cubes.at_rest import level_at_rest, plane_sentence
+    from wavefield.series import Experiment
 
-    prepared = prepare(experiment, rig)
-    count = len(next(iter(prepared.series.values())))
+    loaded = Experiment.load(experiment)
     with Progress("Matching the cameras", "frames") as progress:
-        matches = matched_pixels(_reader(prepared), spread(count, frames), prepared.plan, progress)
-    refined, found, plane = refine_and_level(prepared.rig, matches)
+        still = loaded.at_rest() if loaded.rest else loaded
+        refined, found, plane = level_at_rest(still, rig, frames, progress)
     click.echo(found.sentence)
-    click.echo(
-        f"The water's plane: {1e3 * plane.height:+.3f} mm at the origin, slope {1e3 * plane.slope[0]:+.3f}, "
-        f"{1e3 * plane.slope[1]:+.3f} mrad along x, y; rms about it {1e3 * plane.rms:.3f} mm."
-    )
+    click.echo(plane_sentence(plane))
     refined.save(output)
     click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
-
-
-def _named(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    for value in values:
-        if "=" not in value:
-            raise click.BadParameter(f"{value!r}: write name=value")
-    return dict(value.split("=", 1) for value in values)
 
 
 @click.command(
@@ -211,18 +242,11 @@ Examples:
 """
 )
 @click.argument("source", type=_FILE)
-@click.argument("entries", nargs=-1)
+@campaign.ENTRIES
 @click.option("--rig", type=_FILE, help="Rig file, in place of the one that the experiment names.")
 @click.option("--workflow", type=_FILE, help="Where and how to run: a file as in workflows/.")
 @click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Cube to write.")
-@click.option(
-    "-p",
-    "--parameter",
-    "parameters",
-    multiple=True,
-    callback=_named,
-    help="name=value for a catalog's parameter.",
-)
+@campaign.PARAMETERS
 @_JSON
 @click.pass_context
 def run(
@@ -247,21 +271,22 @@ def run(
     keep_memory()  # where it measures in this very process
     with Progress(f"Measuring {source}", "steps") as progress:
         how: dict[str, Any] = {"rig": rig, "workflow": workflow}
-        how["progress"] = lambda done, total, _: progress(done, total)
-        if cubes.is_catalog(source):
-            states = cubes.run_catalog(source, entries, output, parameters=parameters, **how)
-        elif entries or parameters:
-            raise click.UsageError(f"{source} is an experiment, not a catalog: it has no runs and parameters")
+        if campaign.is_campaign(source, entries, parameters):
+
+            def tell(done: int, total: int, sentence: str) -> None:
+                progress.stage = f"Measuring {sentence.split(':')[0]}"  # which run of how many
+                progress(done, total)
+
+            states = cubes.run_catalog(source, entries, output, parameters=parameters, progress=tell, **how)
         else:
-            states = [cubes.run(source, output, **how)]
+            states = [cubes.run(source, output, progress=lambda done, total, _: progress(done, total), **how)]
     if as_json:
         click.echo(json.dumps([state.to_dict() for state in states], indent=1, default=str))
     else:
         for state in states:
             click.echo(str(state))
-        click.echo(f"Next: wavefield analyze {states[0].store}")
-    worst = [state.exit_status for state in states]
-    context.exit(1 if 1 in worst else max(worst))
+        click.echo(f"Next: wavefield analyze {source if len(states) > 1 else states[0].store}")
+    context.exit(campaign.worst([state.exit_status for state in states]))
 
 
 @click.command(epilog="\b\nExample:\n  wavefield status cube.zarr")
@@ -280,10 +305,14 @@ def status(context: click.Context, store: Path, as_json: bool) -> None:
     context.exit(found.exit_status)
 
 
-@click.command(epilog="\b\nExample:\n  wavefield verify cube.zarr")
-@click.argument("store", metavar="CUBE", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.command(epilog="\b\nExamples:\n  wavefield verify cube.zarr\n  wavefield verify campaign.yaml")
+@click.argument("source", metavar="CUBE|CATALOG", type=_FILE)
+@campaign.ENTRIES
+@campaign.PARAMETERS
 @click.pass_context
-def verify(context: click.Context, store: Path) -> None:
+def verify(
+    context: click.Context, source: Path, entries: tuple[str, ...], parameters: dict[str, str]
+) -> None:
     """Make sure that a cube holds what its ledger says: every block there, and as it was written.
 
     The exit status is 1 where something is damaged; the command that measured the cube then measures those
@@ -291,11 +320,16 @@ def verify(context: click.Context, store: Path) -> None:
     """
     from wavefield.store.verify import verify as verify_store
 
-    with Progress(f"Reading {store}", "blocks") as progress:
-        found = verify_store(store, progress)
-    click.echo(str(found))
-    if not found.sound:
-        context.exit(1)
+    def work(cube: Path) -> int:
+        with Progress(f"Reading {cube}", "blocks") as progress:
+            found = verify_store(cube, progress)
+        click.echo(str(found))
+        return 0 if found.sound else 1
+
+    if campaign.is_campaign(source, entries, parameters):
+        cubes = campaign.cubes_of(source, entries, parameters)
+        context.exit(campaign.each(cubes, campaign.with_cube(work)))
+    context.exit(work(campaign.one_cube(source)))
 
 
 @click.command(epilog="\b\nExample:\n  wavefield init run07          # writes run07/experiment.yaml")

@@ -5,14 +5,18 @@ from typing import Any
 
 import click
 
+from wavefield.commands import campaign
 from wavefield.commands.progress import Progress
 from wavefield.store.beside import beside
 
 _STORE = click.Path(exists=True, file_okay=False, path_type=Path)
+_SOURCE = click.Path(exists=True, path_type=Path)
 
 
 @click.command(epilog="\b\nExample:\n  wavefield analyze cube.zarr      # writes waves.zarr beside it")
-@click.argument("store", metavar="CUBE", type=_STORE)
+@click.argument("source", metavar="CUBE|CATALOG", type=_SOURCE)
+@campaign.ENTRIES
+@campaign.PARAMETERS
 @click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Wave store to write.")
 @click.option(
     "--segment",
@@ -38,7 +42,9 @@ _STORE = click.Path(exists=True, file_okay=False, path_type=Path)
 @click.pass_context
 def analyze(
     context: click.Context,
-    store: Path,
+    source: Path,
+    entries: tuple[str, ...],
+    parameters: dict[str, str],
     output: Path | None,
     segment: int | None,
     probes: Path | None,
@@ -48,8 +54,26 @@ def analyze(
     """Compute the waves of a cube: spectra, coherence, statistics.
 
     Also dispersion, fusion of z and w, directions, bicoherence. Writes one Zarr store;
-    `xarray.open_datatree` reads it.
+    `xarray.open_datatree` reads it. Of a catalog, the waves of every run.
     """
+    asked: dict[str, Any] = {"segment": segment, "probes": probes, "gain": gain}
+
+    def work(cube: Path) -> int:
+        return _analyze(cube, output, workflow, asked)
+
+    if campaign.is_campaign(source, entries, parameters):
+        if output:
+            raise click.UsageError("the waves of a campaign lie beside its cubes; leave out -o")
+        cubes = campaign.cubes_of(source, entries, parameters)
+        found = campaign.each(cubes, campaign.with_cube(work))
+        click.echo(f"Next: wavefield report {source}")
+        context.exit(found)
+    found = work(campaign.one_cube(source))
+    click.echo(f"Next: wavefield report {source}")
+    context.exit(found)
+
+
+def _analyze(store: Path, output: Path | None, workflow: Path | None, asked: dict[str, Any]) -> int:
     from wavefield.cubes import analyze_on_workers, open_cube, predicted_gain
     from wavefield.store.ledger import unfinished_note
     from wavefield.waves import analyze as analyze_cube
@@ -58,17 +82,16 @@ def analyze(
     if note:
         click.echo(f"note: {note}", err=True)
     output = output or beside(store, "waves", ".zarr")
-    probes = probes or _probes_of(store)
-    undone = predicted_gain(open_cube(store)) if gain == "theory" else gain
+    known = asked["probes"] or _probes_of(store)
+    undone = predicted_gain(open_cube(store)) if asked["gain"] == "theory" else asked["gain"]
     with Progress(f"Analysing {store}") as progress:
-        asked: dict[str, Any] = {"segment": segment, "probes": probes, "gain": undone, "progress": progress}
+        asked = asked | {"probes": known, "gain": undone, "progress": progress}
         if workflow:
             analyze_on_workers(store, output, workflow, **asked)
         else:
             analyze_cube(store, output, **asked)
-    click.echo(f"Wrote {output}. Next: wavefield report {store}")
-    if note:
-        context.exit(3)
+    click.echo(f"Wrote {output}.")
+    return 3 if note else 0
 
 
 def _probes_of(store: Path) -> Path | None:
@@ -93,18 +116,45 @@ def _probes_of(store: Path) -> Path | None:
 
 
 @click.command(epilog="\b\nExample:\n  wavefield report cube.zarr      # writes report.html beside it")
-@click.argument("store", metavar="CUBE", type=_STORE)
+@click.argument("source", metavar="CUBE|CATALOG", type=_SOURCE)
+@campaign.ENTRIES
+@campaign.PARAMETERS
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="HTML file to write.")
 @click.option(
     "--waves",
     type=_STORE,
     help="Wave store; by default the one that `wavefield analyze` writes beside the cube.",
 )
-def report(store: Path, output: Path | None, waves: Path | None) -> None:
-    """Write the report of a cube as one HTML file that opens offline."""
+@click.pass_context
+def report(
+    context: click.Context,
+    source: Path,
+    entries: tuple[str, ...],
+    parameters: dict[str, str],
+    output: Path | None,
+    waves: Path | None,
+) -> None:
+    """Write the report of a cube as one HTML file that opens offline.
+
+    Of a catalog, the report of every run, and beside the catalog (or as -o says) one page that compares them.
+    """
     from wavefield.reports.write import report as write
 
-    output = output or beside(store, "report", ".html")
-    with Progress(f"Drawing {output}", "parts") as progress:
-        write(store, output, waves=waves, progress=progress)
-    click.echo(f"Wrote {output}; open it in a browser.")
+    def work(cube: Path, page: Path | None = None) -> int:
+        page = page or beside(cube, "report", ".html")
+        with Progress(f"Drawing {page}", "parts") as progress:
+            write(cube, page, waves=waves, progress=progress)
+        click.echo(f"Wrote {page}; open it in a browser.")
+        return 0
+
+    if not campaign.is_campaign(source, entries, parameters):
+        context.exit(work(campaign.one_cube(source), output))
+    if waves:
+        raise click.UsageError("the waves of a campaign lie beside its cubes; leave out --waves")
+    from wavefield.reports.campaign import Entry, compare
+
+    cubes = campaign.cubes_of(source, entries, parameters)
+    found = campaign.each(cubes, campaign.with_cube(work))
+    page = compare(source.stem, [Entry(*one) for one in cubes], output or source.with_suffix(".html"))
+    click.echo(f"Wrote {page}, which compares {len(cubes)} runs; open it in a browser.")
+    context.exit(found)

@@ -211,6 +211,44 @@ def run_catalog(
         If a run or a parameter is unknown, or the catalog lacks what is needed.
     """
     path = Path(catalog).absolute()
+    runs = runs_of(path, entries)
+    if out is not None and len(runs) > 1:
+        raise ExperimentError(f"one store cannot hold {len(runs)} runs; name the run, or leave out -o")
+    done = []
+    for number, run in enumerate(runs, 1):
+        chosen = {"run": run, **(parameters or {})}
+        prepared = prepare(find_experiment(path, chosen), rig, workflow)
+        store = Path(out) if out is not None else store_of(path, chosen, prepared)
+        with (
+            Lock.hold(store.absolute()) as lock,
+            open_cluster(prepared.workflow, jobs_folder(store)) as mapped,
+        ):
+            done.append(process(prepared, lock, mapped, _named(progress, f"{run} ({number} of {len(runs)})")))
+        if out is None:
+            _link_latest(store, prepared)
+    return done
+
+
+def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
+    """Names of a catalog's runs.
+
+    Parameters
+    ----------
+    catalog : path
+        Intake catalog.
+    entries : sequence of str
+        Those that are wanted; all of them if left out.
+
+    Returns
+    -------
+    list of str
+
+    Raises
+    ------
+    ExperimentError
+        If it has no runs, or not one that is wanted.
+    """
+    path = Path(catalog).absolute()
     options = read_yaml(path).get("user_parameters", {}).get("run", {}).get("options", [])
     unknown = [name for name in entries if name not in options]
     if unknown:
@@ -220,21 +258,29 @@ def run_catalog(
         raise ExperimentError(
             f"{path} has no runs; add one with `wavefield catalog add {path.name} EXPERIMENT`"
         )
-    if out is not None and len(runs) > 1:
-        raise ExperimentError(f"one store cannot hold {len(runs)} runs; name the run, or leave out -o")
-    done = []
-    for run in runs:
-        chosen = {"run": run, **(parameters or {})}
-        prepared = prepare(find_experiment(path, chosen), rig, workflow)
-        store = Path(out) if out is not None else store_of(path, chosen, prepared)
-        with (
-            Lock.hold(store.absolute()) as lock,
-            open_cluster(prepared.workflow, jobs_folder(store)) as mapped,
-        ):
-            done.append(process(prepared, lock, mapped, _named(progress, run)))
-        if out is None:
-            _link_latest(store, prepared)
-    return done
+    return runs
+
+
+def cube_of(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
+    """Where the cube of a run lies, or will: that of the recipe run last, unless ``recipe`` is chosen.
+
+    Parameters
+    ----------
+    catalog : path
+        Intake catalog.
+    chosen : mapping
+        Values of its parameters, ``run`` among them.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    ExperimentError
+        If the catalog lacks what is needed.
+    """
+    return Path(_local(_open_entry(Path(catalog).absolute(), "cube", chosen).kwargs["data"].url))
 
 
 def _named(progress: ProgressFunction | None, run: str) -> ProgressFunction | None:
@@ -306,7 +352,7 @@ def store_of(catalog: Path, chosen: Mapping[str, str], prepared: Prepared) -> Pa
             recipe["options"].append(short)
             _save(catalog, data)
         chosen = {**chosen, "recipe": short}
-    return Path(_local(_open_entry(catalog, "cube", chosen).kwargs["data"].url))
+    return cube_of(catalog, chosen)
 
 
 def _local(url: str) -> str:

@@ -4,7 +4,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import numcodecs
 import numpy as np
 
+from wavefield.cubes.at_rest import remark_on_rest
 from wavefield.cubes.block import Measured, make_block, measure_block
 from wavefield.cubes.cluster import count_workers
 from wavefield.cubes.judgement import look_at_cameras
@@ -24,9 +25,11 @@ from wavefield.grid import Grid
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.layout import COMPRESSION
-from wavefield.store.verdict import Verdict
+from wavefield.store.verdict import Remark, Verdict
 from wavefield.variables import FrameFault, FrameStatus, Quality
 from wavefield.words import spell_ranges, spell_time
+
+_ENDS = 0.02  # of the record: more frames of one camera beyond its ends are remarked upon
 
 
 @dataclass(frozen=True)
@@ -44,13 +47,17 @@ class CameraCheck:
     dtype : str
         Type of the images.
     missing : tuple of int
-        Numbers of the frames that have none, as in the names of files.
+        Numbers of the frames that have none: those of the run, file numbers plus the camera's `offset`.
     small : tuple of int
         Numbers of the frames whose file is empty or truncated.
     blank : tuple of int
         Numbers of those without any contrast.
     other : tuple of int
         Numbers of those of another size or type than the first.
+    beyond : tuple of int
+        Frames before and after the record, which are not used.
+    offset : int
+        Of the camera: number of a frame less that of its file.
 
     Notes
     -----
@@ -65,6 +72,8 @@ class CameraCheck:
     small: tuple[int, ...]
     blank: tuple[int, ...] = ()
     other: tuple[int, ...] = ()
+    beyond: tuple[int, int] = (0, 0)
+    offset: int = 0
 
     def __str__(self) -> str:
         text = f"{self.name}: {self.frames} frames of {self.size[0]} x {self.size[1]} px, {self.dtype}"
@@ -78,6 +87,11 @@ class CameraCheck:
             if numbers:
                 files = "1 file is" if len(numbers) == 1 else f"{len(numbers)} files are"
                 text += f"; {files} {state}: {_frames(numbers)}"
+        if self.offset and (self.missing or self.small or self.blank or self.other):
+            text += f" (frame n is file n {-self.offset:+d})"
+        ends = [f"{n} {where}" for n, where in zip(self.beyond, ("before", "after")) if n]
+        if ends:
+            text += f"; not used: {' and '.join(ends)} the record"
         return text
 
 
@@ -196,9 +210,13 @@ class Check:
         """Whether a run can start."""
         return not self.problems
 
+    @property
+    def line(self) -> str:
+        """The verdict in one line."""
+        return "not ready" if self.problems else self.verdict.line if self.verdict else ""
+
     def __str__(self) -> str:
-        verdict = "not ready" if self.problems else self.verdict.line if self.verdict else ""
-        lines = [f"verdict: {verdict}"] if verdict else []
+        lines = [f"verdict: {self.line}"] if self.line else []
         lines += [
             f"{self.experiment} ({self.path}): {self.steps} steps at {self.frame_rate:g} Hz "
             f"({spell_time(self.steps / self.frame_rate)})"
@@ -270,6 +288,8 @@ def check(
     prepared, cost, coverage, measured = None, None, None, None
     try:
         prepared = prepare(experiment, rig, workflow)
+        if experiment.rest:
+            experiment.at_rest().open_frames()  # are they there?
     except (RigError, ExperimentError) as error:
         problems.append(str(error))
     if prepared:
@@ -280,6 +300,9 @@ def check(
         except ExperimentError as error:
             problems.append(str(error))
     seen = look_at_cameras(prepared) if prepared and not problems else None
+    remarks = [*(seen.remarks if seen else ()), *_ends(experiment, series)]
+    if prepared:
+        remarks.append(remark_on_rest(prepared.experiment, prepared.rig))
     return Check(
         experiment=experiment.name,
         path=experiment.path,
@@ -292,14 +315,32 @@ def check(
         measured=measured,
         cost=cost,
         problems=tuple(problems),
-        verdict=Verdict.of(seen.remarks, seen.cameras, seen.pairs) if seen else None,
+        verdict=Verdict.of(remarks, seen.cameras, seen.pairs) if seen else None,
         motion=prepared.motion.sentence if prepared and prepared.motion else "",
     )
 
 
+def _ends(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
+    """Cameras of which much is not used because others begin later or end earlier."""
+    given = experiment.frames.first is not None, experiment.frames.last is not None
+    for name in experiment.measuring_cameras:
+        ends = [n for n, stated in zip(series[name].beyond, given) if not stated]
+        if sum(ends) > max(2, _ENDS * len(series[name])):
+            yield Remark(
+                name,
+                "longer",
+                "remark",
+                f"{sum(ends)} of its frames lie before or after the record, where another camera has none",
+                f"{100 * _ENDS:.0f} % of the record at most",
+                "are the other cameras' images all there? do the frames of one moment have one number "
+                "(`offset`)?",
+                {"frames": sum(ends)},
+            )
+
+
 def _look_at(series: FrameSeries, offset: int) -> CameraCheck:
-    """Look at one camera's files; frames are numbered as their files are, without the camera's offset."""
-    missing = tuple(int(n) - offset for n in series.missing)
+    """Look at one camera's files; frames are numbered as the run counts them."""
+    missing = tuple(int(n) for n in series.missing)
     sizes = {}
     for index, entry in enumerate(series.entries):
         if entry is not None and entry.kind == "file":
@@ -311,7 +352,7 @@ def _look_at(series: FrameSeries, offset: int) -> CameraCheck:
     bad: dict[FrameFault, list[int]] = {fault: [] for fault in FrameFault}
     for index, size in sizes.items():
         if size < usual / 2:
-            bad[series.read(index).fault].append(series.first + index - offset)
+            bad[series.read(index).fault].append(series.first + index)
     rows, columns = series.shape
     return CameraCheck(
         series.camera,
@@ -322,6 +363,8 @@ def _look_at(series: FrameSeries, offset: int) -> CameraCheck:
         small=tuple(bad[FrameFault.UNREADABLE]),
         blank=tuple(bad[FrameFault.BLANK]),
         other=tuple(bad[FrameFault.WRONG_SIZE]),
+        beyond=series.beyond,
+        offset=offset,
     )
 
 

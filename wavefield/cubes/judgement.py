@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wavefield.cubes.at_rest import remark_on_rest
 from wavefield.cubes.prepare import Prepared, expected_coverage
 from wavefield.cubes.suspects import Examination, examine
 from wavefield.cubes.witness import Witness
@@ -57,6 +58,7 @@ def judge(prepared: Prepared, status: Status, seen: Examination | None = None) -
     seen = look_at_cameras(prepared) if seen is None else seen
     remarks = [
         *seen.remarks,
+        remark_on_rest(prepared.experiment, prepared.rig),
         *_steps(status),
         *_fields(status.store, expected_coverage(prepared.rig, prepared.grid)),
     ]

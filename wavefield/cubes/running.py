@@ -16,6 +16,7 @@ import numpy as np
 
 from wavefield.cubes.block import Block, make_block
 from wavefield.cubes.cluster import open_cluster
+from wavefield.cubes.fingerprint import check_images, fingerprints
 from wavefield.cubes.guards import Stopped, jobs_folder, log_file, log_path, stop_signals
 from wavefield.cubes.interrupts import undisturbed
 from wavefield.cubes.judgement import judge
@@ -31,9 +32,10 @@ from wavefield.series import Experiment, FrameSeries
 from wavefield.store.layout import Layout, create_store
 from wavefield.store.ledger import Status, status
 from wavefield.store.preview import create_preview
-from wavefield.store.read import open_group, read_layout
+from wavefield.store.read import measured_rate, open_group, read_layout
 from wavefield.store.recipe import check_recipe
-from wavefield.store.verify import verify
+from wavefield.store.relabel import relabel
+from wavefield.store.verify import suspicious
 from wavefield.store.write import discard_blocks, reset_blocks
 from wavefield.variables import FrameStatus
 from wavefield.whole_files import remove_leftovers
@@ -88,7 +90,9 @@ def run(
     Results do not depend on the workflow: neither on the number of workers nor on the size of blocks.
 
     A store goes on with the recipe that it was begun with: settings, rig, grid, names of images, and the
-    version of the measurement. Changed images of one name are not noticed.
+    version of the measurement. Its labels may change: name, description, `offset` of all cameras, frame rate,
+    water; they are written into the cube, and nothing is measured again. Other images under the same names
+    are refused if some frames (first, middle, last) show it.
 
     Worker processes start by importing the program that started them: in a script, call this below
     ``if __name__ == "__main__":``.
@@ -174,24 +178,36 @@ def _open_or_create(prepared: Prepared, path: Path) -> tuple[Prepared, Layout]:
     if path.exists():
         group = open_group(path)
         check_recipe(path, group, prepared.recipe)
+        check_images(str(path), json.loads(group.attrs.get("fingerprints", "{}")), prepared.series)
         remove_leftovers(path)
-        return prepared.knowing(json.loads(str(group.attrs["recipe"]))["record"]), read_layout(group)
+        prepared = prepared.knowing(json.loads(str(group.attrs["recipe"]))["record"])
+        for change in relabel(path, prepared.recipe, _labels(prepared.experiment)):
+            log.info("labelled anew, nothing is measured again: %s", change)
+        return prepared, read_layout(open_group(path))
     log.info("learning beads, spectra and noise from sample frames")
     prepared = prepared.knowing(learn_record(prepared.series, prepared.steps, prepared.plan))
     grid = prepared.grid
     first = next(iter(prepared.series.values())).first
     layout = Layout(prepared.steps, prepared.block, tuple(prepared.series), first)
-    attributes: dict[str, Any] = {
-        "experiment_file": str(prepared.experiment.path),
+    attributes = {
         "pixel_size": pixel_size(prepared.rig, grid),
+        "fingerprints": json.dumps(fingerprints(prepared.series)),
+        **_labels(prepared.experiment),
     }
-    if prepared.experiment.folder:
-        attributes["image_folder"] = str(prepared.experiment.image_folder)
-    attributes |= prepared.experiment.water.attributes()
     remove_leftovers(path)
     create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes)
     create_preview(path, open_group(path))
     return prepared, layout
+
+
+def _labels(experiment: Experiment) -> dict[str, Any]:
+    """What a cube says of its experiment, and no value follows from."""
+    out: dict[str, Any] = {"experiment_file": str(experiment.path)}
+    if experiment.description:
+        out["description"] = experiment.description
+    if experiment.folder:
+        out["image_folder"] = str(experiment.image_folder)
+    return out | experiment.water.attributes()
 
 
 def unfinished(path: Path, layout: Layout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
@@ -211,7 +227,7 @@ def unfinished(path: Path, layout: Layout, series: Mapping[str, FrameSeries]) ->
     list of (start, stop)
         Ranges of steps.
     """
-    damaged = verify(path).starts
+    damaged = suspicious(path)
     if damaged:
         log.warning("%d blocks are damaged: measuring them again", len(damaged))
         discard_blocks(path, damaged)
@@ -243,7 +259,7 @@ def _work_off(
     tracker: "_Tracker",
 ) -> None:
     path = lock.store
-    work = Work(path, prepared.plan, prepared.experiment.frame_rate)
+    work = Work(path, prepared.plan, measured_rate(open_group(path)))
     failures: list[tuple[Block, BaseException]] = []
     told = _Told()
     succeeded = 0

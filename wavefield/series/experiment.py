@@ -141,6 +141,11 @@ class Experiment(Section):
     cameras: dict[str, CameraSection] = Field(min_length=1, examples=['{cam1: {images: "cam1/*.tif"}}'])
     frames: FramesSection = FramesSection()
     calibration: CalibrationSection | None = None
+    rest: str | dict[str, str] | None = Field(
+        default=None,
+        examples=['"rest/{camera}/img_{frame:05d}.tif"'],
+        description="images of the water at rest, one pattern or one per camera: they mend and level the rig",
+    )
     rig: str | dict[str, str] | None = Field(
         default=None, examples=["rig.yaml"], description="this program's or another's; or one file per camera"
     )
@@ -252,6 +257,34 @@ class Experiment(Section):
         """
         return self._path.parent / str(name).replace("{folder}", str(self.image_folder))
 
+    def at_rest(self) -> "Experiment":
+        """The record of the water at rest, as an experiment of its own.
+
+        Returns
+        -------
+        Experiment
+            The same cameras, rig and grid with the images of ``rest``.
+
+        Raises
+        ------
+        ExperimentError
+            If none is named, or not for every camera.
+        """
+        if not self.rest:
+            raise ExperimentError(f"{self.path} names no record at rest; add `rest:` with its images")
+        patterns = self.rest if isinstance(self.rest, dict) else dict.fromkeys(self.cameras, self.rest)
+        absent = [name for name in self.measuring_cameras if name not in patterns]
+        if absent:
+            raise ExperimentError(f"{self.path}: rest names no images of {', '.join(absent)}")
+        if isinstance(self.rest, str) and len(self.cameras) > 1 and "{camera}" not in self.rest:
+            raise ExperimentError(f"{self.path}: rest: {self.rest} does not say where {{camera}} is")
+        strange = [name for name in patterns if name not in self.cameras]
+        if strange:
+            raise ExperimentError(f"{self.path}: rest names {strange[0]!r}, which is no camera of it")
+        cameras = {name: CameraSection(images=pattern) for name, pattern in patterns.items()}
+        more = {"cameras": cameras, "frames": FramesSection(), "rest": None, "probes": None}
+        return self.model_copy(update={"name": f"{self.name}, at rest", **more})
+
     # -- what follows from it ------------------------------------------------------------------------
 
     def open_frames(self) -> dict[str, FrameSeries]:
@@ -288,13 +321,25 @@ class Experiment(Section):
         for name, section in self.cameras.items():
             if section.offset:
                 numbered[name] = {n + section.offset: entry for n, entry in numbered[name].items()}
-        first = min(min(frames) for frames in numbered.values())
-        last = max(max(frames) for frames in numbered.values())
+        measuring = [numbered[name] for name in self.measuring_cameras]
+        # a record is what all cameras saw: what one has before or after the others is no gap of theirs
+        first = max(min(frames) for frames in measuring)
+        last = min(max(frames) for frames in measuring)
         first = first if self.frames.first is None else self.frames.first
         last = last if self.frames.last is None else self.frames.last
         if last <= first:
-            raise ExperimentError(f"{self.path}: there is one frame only; a step needs two")
+            raise ExperimentError(self._no_step(numbered))
         return make_series(numbered, first, last)
+
+    def _no_step(self, numbered: Mapping[str, Mapping[int, Any]]) -> str:
+        ranges = {name: (min(numbered[name]), max(numbered[name])) for name in self.measuring_cameras}
+        if all(low == high for low, high in ranges.values()):
+            return f"{self.path}: there is one frame only; a step needs two"
+        words = ", ".join(f"{name} {low} to {high}" for name, (low, high) in ranges.items())
+        return (
+            f"{self.path}: the cameras share no two frames (frames of {words}); "
+            "correct `offset`, or `frames` if it is given"
+        )
 
     def frame_times(self, series: FrameSeries) -> np.ndarray:
         """Times of the frames, from their numbers and the frame rate.

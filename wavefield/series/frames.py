@@ -49,6 +49,9 @@ class FrameSeries:
         Type that every frame must have.
     mask : CameraMask, optional
         What is covered in them.
+    beyond : tuple of int
+        Frames that this camera has before and after the record: other cameras, or ``frames`` of the
+        experiment file, end it there.
     """
 
     camera: str
@@ -57,6 +60,7 @@ class FrameSeries:
     shape: tuple[int, int]
     dtype: str
     mask: CameraMask | None = None
+    beyond: tuple[int, int] = (0, 0)
 
     def __len__(self) -> int:
         return len(self.entries)

@@ -285,7 +285,8 @@ def make_series(numbered: Mapping[str, Numbered], first: int, last: int) -> dict
     for camera, frames in numbered.items():
         entries = [frames.get(number) for number in range(first, last + 1)]
         shape, dtype = _first_readable(entries, camera)
-        out[camera] = FrameSeries(camera, first, entries, shape, dtype)
+        beyond = sum(number < first for number in frames), sum(number > last for number in frames)
+        out[camera] = FrameSeries(camera, first, entries, shape, dtype, beyond)
     return out
 
 

@@ -112,10 +112,7 @@ def propose(folder: str | Path) -> str:
         *_head(folder),
         *_cameras(waves),
         *_calibration([s for s in series if _TARGETS.search(s.pattern)]),
-        *(
-            f"# {s.pattern} looks like water at rest: mend the rig by it with `wavefield refine`"
-            for s in rest
-        ),
+        *(_rest(rest)),
         "grid: auto                    # what all cameras see; or {x: [..], y: [..], step: ..} in metres",
         "water: {depth: 0.70}          # TO FILL IN: metres",
         *_probes(folder),
@@ -159,6 +156,24 @@ def _calibration(targets: list[Numbered]) -> Iterator[str]:
     else:
         listed = ", ".join(f'"{name}"' for name in names)
         yield f"  tilted: [{listed}]      # put {{camera}} where a name says the camera"
+
+
+def _rest(records: list[Numbered]) -> Iterator[str]:
+    if not records:
+        yield '# rest: "rest/{camera}/img_{frame:05d}.tif"     # images of still, seeded water level the rig'
+        return
+    patterns = [s.pattern for s in records]
+    general = {re.sub(r"(?i)cam(era)?[_-]?\d+", "{camera}", pattern) for pattern in patterns}
+    if len(general) == 1 and "{camera}" in next(iter(general)) and _names_fit(patterns):
+        yield f'rest: "{general.pop()}"      # water at rest? `wavefield calibrate` levels the rig by it'
+        return
+    listed = ", ".join(f'cam{k}: "{pattern}"' for k, pattern in enumerate(patterns, 1))
+    yield f"rest: {{{listed}}}      # looks like water at rest; is each of its own camera?"
+
+
+def _names_fit(patterns: list[str]) -> bool:
+    """Whether the images themselves call the cameras cam1, cam2 and so on, in order."""
+    return all(f"cam{k}" in pattern for k, pattern in enumerate(patterns, 1))
 
 
 def _probes(folder: Path) -> Iterator[str]:

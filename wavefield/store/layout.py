@@ -26,6 +26,14 @@ register(
         dtype="uint32",
         meaning=f"0 where nothing is; variables in the order {' '.join(WATCHED)}",
     ),
+    Variable(
+        "stored_bytes",
+        ("block", "variable"),
+        "1",
+        "bytes that are stored of a block",
+        dtype="uint64",
+        meaning="variables as in `checksum`",
+    ),
 )
 
 # value = scale * stored; -32768 is missing, and so is what does not fit into 16 bits
@@ -126,6 +134,7 @@ def _fill_in(
             "title": f"water surface and its velocity, {recipe.experiment}",
             "experiment": recipe.experiment,
             "frame_rate": recipe.frame_rate,
+            "measured_frame_rate": recipe.frame_rate,
             "cameras": list(layout.cameras),
             "steps_per_block": block,
             "recipe": recipe.to_json(),
@@ -172,6 +181,7 @@ def _fill_in(
     blocks, watched = len(layout.blocks()), len(WATCHED)
     for name, shape, chunks in (
         ("checksum", (blocks, watched), (1, watched)),
+        ("stored_bytes", (blocks, watched), (1, watched)),
         ("frame_status", (n,), (block,)),
         ("frame_fault", (len(layout.cameras), n + 1), (len(layout.cameras), block)),
     ):
@@ -186,7 +196,17 @@ def _fill_in(
             dimension_names=row.dims,
             attributes=row.attrs,
         )
+    gather_metadata(path)
+
+
+def gather_metadata(path: Path) -> None:
+    """Put the metadata of all arrays into the store's own, for quick opening without a warning.
+
+    Parameters
+    ----------
+    path : path
+        The store. Whoever changes metadata afterwards gathers them again.
+    """
     with warnings.catch_warnings():
-        # metadata never change after this, so that gathering them is safe; it spares readers a warning
         warnings.simplefilter("ignore")
         zarr.consolidate_metadata(path)

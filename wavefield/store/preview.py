@@ -7,7 +7,7 @@ be removed at any time: `read_block` thins the cube itself, and `wavefield look`
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,8 @@ from zarr.codecs import BloscCodec
 
 from wavefield.errors import StoreError
 from wavefield.store.layout import COMPRESSION, MISSING, PACKING, Layout
-from wavefield.store.read import read_layout
-from wavefield.variables import CUBE_FIELDS
+from wavefield.store.read import measured_rate, read_layout
+from wavefield.variables import CUBE_FIELDS, TABLE
 from wavefield.whole_files import whole, write_error
 
 _NODES = 2000  # of a preview: every fourth of 150 x 200, either way
@@ -81,9 +81,9 @@ def thinning(group: Any) -> Thinning:
     names = tuple(name for name in CUBE_FIELDS if name in group)
     steps, ny, nx = group[names[0]].shape
     most = min(_NODES, max(1, _VALUES // max(steps, 1)))
-    return Thinning(
-        math.ceil(math.sqrt(ny * nx / most)), names, tuple(PACKING.get(name, 1.0) for name in names)
-    )
+    rate = float(group.attrs["frame_rate"]) / measured_rate(group)  # a mended clock leaves what is stored
+    scales = tuple(PACKING.get(name, 1.0) * (rate if TABLE[name].units == "m s-1" else 1.0) for name in names)
+    return Thinning(math.ceil(math.sqrt(ny * nx / most)), names, scales)
 
 
 def create_preview(cube: Path, group: Any) -> None:
@@ -144,7 +144,7 @@ def _shape(group: Any, thin: Thinning) -> tuple[int, int]:
 def _mark(group: Any) -> str:
     """What a preview must share with its cube: recipe and size."""
     layout = read_layout(group)
-    return f"{group.attrs['recipe_hash']} {layout.steps} {layout.block} {layout.first_frame}"
+    return f"{group.attrs['recipe_hash']} {layout.steps} {layout.block}"
 
 
 def open_preview(cube: Path, group: Any, mode: Any = "r") -> Any | None:
@@ -212,7 +212,7 @@ def write_preview(cube: Path, group: Any, start: int, fields: Mapping[str, NDArr
     start : int
         First step of the block.
     fields : mapping of str to ndarray, (n, ny, nx)
-        The block's results.
+        The block's results, at the frame rate that velocities are stored for.
 
     Raises
     ------
@@ -221,7 +221,9 @@ def write_preview(cube: Path, group: Any, start: int, fields: Mapping[str, NDArr
     """
     preview = open_preview(cube, group, "r+")
     if preview is not None:
-        store_block(cube, preview, start, thin_block(fields, thinning(group)))
+        thin = thinning(group)
+        thin = replace(thin, scales=tuple(PACKING.get(name, 1.0) for name in thin.names))
+        store_block(cube, preview, start, thin_block(fields, thin))
 
 
 def store_block(cube: Path, preview: Any, start: int, thinned: NDArray[np.int16]) -> None:
@@ -304,7 +306,8 @@ def read_steps(group: Any, name: str, start: int, stop: int) -> NDArray[Any]:
     if scale is None:
         return values
     out = values.astype(np.float32) * np.float32(scale)
-    out[values == MISSING] = np.nan
+    if values.dtype == np.int16:
+        out[values == MISSING] = np.nan
     return out
 
 

@@ -64,6 +64,22 @@ def read_layout(group: Any) -> Layout:
     )
 
 
+def measured_rate(group: Any) -> float:
+    """Frame rate that velocities are stored for; the cube's own may have been mended since.
+
+    Parameters
+    ----------
+    group : zarr.Group
+        As from `open_group`.
+
+    Returns
+    -------
+    float
+        Hz.
+    """
+    return float(group.attrs.get("measured_frame_rate", group.attrs["frame_rate"]))
+
+
 def open_cube(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
     """Open a cube, lazily.
 
@@ -91,7 +107,7 @@ def open_cube(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
     if chunks == "auto":
         chunks = {"time": read_layout(group).block}
     cube: xr.Dataset = xr.open_zarr(path, chunks=chunks, consolidated=False).drop_vars(
-        "checksum", errors="ignore"
+        ["checksum", "stored_bytes"], errors="ignore"
     )
     for name in PACKING:
         if cube[name].dtype == "float64":  # as 16-bit values are unpacked

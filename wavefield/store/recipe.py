@@ -22,7 +22,7 @@ class Recipe:
     experiment : str
         Name of the experiment.
     images : mapping
-        The images of every camera, as the experiment file names them.
+        Of every camera the images as the experiment file names them, its offset, its file of time stamps.
     frames : tuple of int
         First and last frame number.
     frame_rate : float
@@ -66,11 +66,24 @@ class Recipe:
 
     @property
     def hash(self) -> str:
-        """Sixteen hexadecimal digits that change whenever values of the cube could."""
+        """Sixteen hexadecimal digits that change whenever values of the cube could.
+
+        Name and clock are labels (`wavefield.store.relabel`): of the frames' numbers only which files they
+        are and how many is part of it, and the rate only where time stamps place the frames.
+        """
         data = asdict(self)
-        del data["software"], data["record"]
+        del data["software"], data["record"], data["experiment"]
         if not data["mask"]:
             del data["mask"]  # cubes from before there were masks have none
+        first, last = data.pop("frames")
+        stamped = any(times for _, _, times in data["images"].values())
+        data["images"] = {
+            name: [pattern, first - offset, times]
+            for name, (pattern, offset, times) in data["images"].items()
+        }
+        data["frames"] = last - first + 1
+        if not stamped:
+            del data["frame_rate"]
         text = json.dumps(data, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -108,6 +121,17 @@ def _leaves(data: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
         yield prefix, data
 
 
+_LABELS = ("experiment:", "frame_rate:")
+
+
+def _hash_of(recipe: str) -> str:
+    """Of a recipe as text: not what its store says, for what is a label may have changed since."""
+    try:
+        return Recipe(**json.loads(recipe)).hash
+    except (TypeError, ValueError):  # another version's
+        return ""
+
+
 def check_recipe(path: Path, group: Any, recipe: Recipe) -> None:
     """Refuse to go on with a store that was made with another recipe.
 
@@ -125,9 +149,10 @@ def check_recipe(path: Path, group: Any, recipe: Recipe) -> None:
     StoreError
         If the recipes differ; the message says in what.
     """
-    if group.attrs["recipe_hash"] == recipe.hash:
+    there = str(group.attrs["recipe"])
+    if _hash_of(there) == recipe.hash:
         return
-    found = differences(str(group.attrs["recipe"]), recipe.to_json())
+    found = [d for d in differences(there, recipe.to_json()) if not d.startswith(_LABELS)]
     more = f" and {len(found) - 2} more" if len(found) > 2 else ""
     raise StoreError(
         f"{path} was made with another recipe ({'; '.join(found[:2])}{more}); "

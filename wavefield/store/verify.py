@@ -1,7 +1,9 @@
 """Whether a store holds what its ledger says: every block there, and as it was written."""
 
+import json
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,9 +11,11 @@ from typing import Any
 import numpy as np
 
 from wavefield.errors import StoreError
+from wavefield.store.beside import beside
 from wavefield.store.layout import WATCHED
 from wavefield.store.read import open_group, read_layout
 from wavefield.variables import FrameStatus
+from wavefield.whole_files import write_text
 from wavefield.words import spell_ranges
 
 
@@ -97,6 +101,11 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
     ------
     StoreError
         If it is not there, is not a cube, or is damaged beyond mending: a variable is gone as a whole.
+
+    Notes
+    -----
+    What is damaged is noted beside the store (``cube.zarr``: ``damaged.json``): the next run, which itself
+    looks at the sizes of files only, measures it again.
     """
     path = Path(store)
     group = open_group(path)
@@ -114,7 +123,70 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
         if progress:
             progress(k + 1, len(blocks))
     done = int(np.count_nonzero(ledger != FrameStatus.NOT_STARTED))
-    return Verification(path, layout.steps, done, tuple(damages))
+    found = Verification(path, layout.steps, done, tuple(damages))
+    _note(found)
+    return found
+
+
+def suspicious(store: Path) -> list[int]:
+    """Blocks that are not what the ledger says, without reading all of the store.
+
+    Parameters
+    ----------
+    store : path
+        Written by `run`.
+
+    Returns
+    -------
+    list of int
+        First steps of blocks whose files are missing or have another size than when they were written, and
+        of those that `verify` found damaged and that still are.
+
+    Raises
+    ------
+    StoreError
+        If it is not there, is not a cube, or a variable is gone as a whole.
+    """
+    group = open_group(store)
+    if "stored_bytes" not in group:  # begun before sizes were kept
+        return verify(store).starts
+    layout = read_layout(group)
+    for name in ("time", "y", "x", "frame", *WATCHED):
+        _check_variable(store, group, name)
+    ledger, unreadable = _ledger(store, group, layout.blocks())
+    noted = _noted(store)
+    out = {damage.start for damage in unreadable}
+    for k, (start, stop) in enumerate(layout.blocks()):
+        if not (ledger[start:stop] != FrameStatus.NOT_STARTED).any():
+            continue
+        try:
+            sizes = [int(value) for value in group["stored_bytes"][k]]
+        except Exception:  # damaged itself
+            sizes = []
+        if sizes != [stored_bytes(store, name, k) for name in WATCHED]:
+            out.add(start)
+        elif start in noted:
+            wanted = _wanted(group, k)
+            if any(_compare(store, group, name, k, wanted) for name in WATCHED):
+                out.add(start)
+    return sorted(out)
+
+
+def _note(found: Verification) -> None:
+    """Leave what was found for the next run, where that can be written."""
+    path = beside(found.store, "damaged", ".json")
+    with suppress(StoreError, OSError):
+        if found.sound:
+            path.unlink(missing_ok=True)
+        else:
+            write_text(path, json.dumps(found.starts) + "\n")
+
+
+def _noted(store: Path) -> set[int]:
+    try:
+        return set(json.loads(beside(store, "damaged", ".json").read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return set()
 
 
 def _check_variable(path: Path, group: Any, name: str) -> None:
@@ -184,6 +256,29 @@ def checksum(path: Path, name: str, block: int) -> int:
     """
     try:
         return zlib.crc32(chunk_path(path, name, block).read_bytes()) or 1
+    except FileNotFoundError:
+        return 0
+
+
+def stored_bytes(path: Path, name: str, block: int) -> int:
+    """Size of what is stored of one block of a variable.
+
+    Parameters
+    ----------
+    path : path
+        The store.
+    name : str
+        The variable.
+    block : int
+        Which block.
+
+    Returns
+    -------
+    int
+        0 if nothing is stored.
+    """
+    try:
+        return chunk_path(path, name, block).stat().st_size
     except FileNotFoundError:
         return 0
 

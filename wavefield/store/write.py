@@ -14,7 +14,7 @@ import numpy as np
 from wavefield.store.layout import MISSING, PACKING, WATCHED
 from wavefield.store.preview import write_preview
 from wavefield.store.read import open_group, read_layout
-from wavefield.store.verify import checksum, chunk_path
+from wavefield.store.verify import checksum, chunk_path, stored_bytes
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus
 from wavefield.whole_files import write_error
 
@@ -78,6 +78,8 @@ def write_block(
         if "checksum" in group:  # cubes begun before there were any have none
             block = start // layout.block
             group["checksum"][block] = [checksum(path, name, block) for name in WATCHED]
+            if "stored_bytes" in group:
+                group["stored_bytes"][block] = [stored_bytes(path, name, block) for name in WATCHED]
         group["frame_status"][start:stop] = frame_status
     except OSError as error:
         raise write_error(path, error) from None

@@ -230,6 +230,11 @@ class Fault(Part):
         default=(0.0, 0.0), description="columns and rows by which its picture has moved, px"
     )
     defocus: NotNegative = Field(default=0.0, description="standard deviation added to the blur, px")
+    delay: float = Field(default=0.0, description="s by which its frames are taken later (beads only)")
+    turned: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 0.0), description="rotation vector in its own axes, degrees (beads only)"
+    )
+    since: Annotated[int, Field(ge=0)] = Field(default=0, description="frame from which it is turned")
 
 
 class Strings(Part):

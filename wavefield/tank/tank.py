@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
@@ -185,12 +186,23 @@ class Tank:
     def _beads(self, beads: floating.Beads, frame: int, name: str, fault: parts.Fault) -> NDArray[Any]:
         settings, camera = self.scene.surface, _shifted(self.rig[name], fault.shift)
         assert isinstance(settings, parts.Beads)
+        if any(fault.turned) and frame >= fault.since:
+            camera = _turned(camera, fault.turned)
+        if fault.delay:
+            beads = self._later(beads, self.time(frame), fault.delay)
         X, Y = camera.project(beads.x, beads.y, beads.z)
         sharp = self.spot_width(self.rig[name])
         image = np.zeros(camera.size[::-1], np.float32)
         flux = settings.brightness * 2 * np.pi * sharp**2 * beads.brightness[list(self.rig).index(name)]
         sensor.splat(image, X, Y, flux, float(np.hypot(sharp, fault.defocus)))
         return self._expose(image, name, frame)
+
+    def _later(self, beads: floating.Beads, time: float, delay: float) -> floating.Beads:
+        """The same beads a moment later."""
+        x, y = floating.carry(self.basin, beads.x, beads.y, time, time + delay)
+        x, y = np.where(np.isnan(x), beads.x, x), np.where(np.isnan(y), beads.y, y)
+        (z,) = self.basin.snapshot(time + delay, ("z",))(x, y)
+        return replace(beads, x=x, y=y, z=z)
 
     @cached_property
     def target_poses(self) -> dict[str, targets.Pose]:
@@ -264,6 +276,12 @@ class Tank:
 def _shifted(camera: Camera, shift: tuple[float, float]) -> Camera:
     """A camera whose whole picture has moved by columns and rows, px."""
     return replace(camera, cx=camera.cx + shift[0], cy=camera.cy + shift[1]) if any(shift) else camera
+
+
+def _turned(camera: Camera, degrees: tuple[float, float, float]) -> Camera:
+    """A camera turned about its own centre."""
+    turn = cv2.Rodrigues(np.radians(degrees))[0]
+    return replace(camera, rotation=turn @ camera.R, translation=turn @ camera.T)
 
 
 def render(scene: Scene, frame: int) -> dict[str, NDArray[Any]]:

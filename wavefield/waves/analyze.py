@@ -28,6 +28,7 @@ from wavefield.waves import coherence, crosses, fusion, kinematics, segments, sp
 from wavefield.waves.bound import free_and_bound
 from wavefield.waves.direction import direction_group
 from wavefield.waves.directional import from_density
+from wavefield.waves.enough import leave_out_unknown
 from wavefield.waves.higher_order import higher_order
 from wavefield.waves.onepass import FIELDS, MAPS, NAMES, PAIRS, Progress, Sums, one_pass
 from wavefield.waves.probes import probe_spectra, read_probes
@@ -214,10 +215,14 @@ def _groups(
     dispersion, note = dispersion_group(density["w"], welch.table.k, *water)
     notes.extend([note] if note else [])
     found = _currents(job, density, dispersion, moments, welch, notes)
+    seconds = sum(b - a for a, b in welch.record.runs) * welch.record.dt
+    peaks = statistics.spectral_peak(moments, fused, job.depth, job.gamma)
+    peaks, dispersion, unknown = leave_out_unknown(peaks, dispersion, seconds, welch.count)
+    notes.extend(unknown)
     return found | {
         "spectra": annotate(spectra_group, "spectra"),
         "coherence": coherence.from_spectra(ring),
-        "statistics": statistics.spectral_peak(moments, fused, job.depth, job.gamma),
+        "statistics": peaks,
         "dispersion": dispersion,
         "fusion": fused.drop_vars(by_method),
         "direction": direction_group(density["w"], chosen, dispersion, *water),

@@ -1,0 +1,82 @@
+"""A record at rest levels the rig; whoever has none is asked for it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wavefield.commands.cli import main
+from wavefield.cubes.at_rest import level_at_rest, remark_on_rest
+from wavefield.errors import ExperimentError
+from wavefield.images import write_image
+from wavefield.rig import Rig
+from wavefield.series import Experiment
+from wavefield.tank import Scene, Tank
+
+SUNK = 0.002  # m by which the target lay below the water
+REST = 'rest: "rest/{camera}_{frame:02d}.tif"\n'
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    """Still water seen by a rig that takes the water for 2 mm higher than it is."""
+    folder = tmp_path_factory.mktemp("rest")
+    tank = Tank(Scene.load("rest").with_(rig={"crop": 0.2}))
+    tank.rig.moved(np.eye(3), (0.0, 0.0, -SUNK)).save(folder / "rig.yaml")
+    for frame in range(2):
+        for name, image in tank.render(frame).items():
+            write_image(folder / "rest" / f"{name}_{frame:02d}.tif", image)
+    path = folder / "experiment.yaml"
+    cameras = "".join(f'  {name}: "{name}/*.tif"\n' for name in tank.rig)
+    grid = "grid: {x: [-0.1, 0.1], y: [-0.08, 0.08], step: 0.01}\n"
+    path.write_text(f"name: lab\nframe_rate: 20\nrig: rig.yaml\n{REST}cameras:\n{cameras}{grid}")
+    return path
+
+
+def test_the_record_at_rest_levels_the_rig(lab, capsys):
+    before = Rig.load(lab.with_name("rig.yaml"))
+    assert main(["-q", "refine", str(lab), "-o", str(lab.with_name("level.yaml")), "--frames", "2"]) == 0
+    assert "The water's plane: +2.0" in capsys.readouterr().out
+    rig = Rig.load(lab.with_name("level.yaml"))
+    rise = rig["cam3"].centre[2] - before["cam3"].centre[2]
+    assert rise == pytest.approx(-SUNK, abs=3e-4)
+    assert rig.provenance["levelled"]["height_m"] == pytest.approx(SUNK, abs=3e-4)
+    said = remark_on_rest(Experiment.load(lab), rig)
+    assert (said.kind, said.weight) == ("levelled", "note")
+    assert "z = 0 is the water at rest" in str(said)
+
+
+def test_what_is_not_levelled_is_asked_for(lab, tmp_path):
+    rig, experiment = Rig.load(lab.with_name("rig.yaml")), Experiment.load(lab)
+    named = remark_on_rest(experiment, rig)
+    assert (named.kind, named.weight) == ("not levelled", "remark")
+    assert "run `wavefield calibrate experiment.yaml` again" in str(named)
+    plain = tmp_path / "experiment.yaml"
+    plain.write_text(lab.read_text().replace(REST, ""))
+    absent = remark_on_rest(Experiment.load(plain), rig)
+    assert (absent.kind, absent.weight) == ("no rest", "note")
+    assert "name them as `rest:`" in str(absent)
+    with pytest.raises(ExperimentError, match="names no record at rest"):
+        Experiment.load(plain).at_rest()
+
+
+@pytest.mark.parametrize(
+    ("rest", "says"),
+    [
+        ("rest/*.tif", "does not say where {camera} is"),
+        ("{cam1: a/*.tif, cam2: b/*.tif}", "rest names no images of cam3"),
+        ("{cam1: a/*.tif, cam2: b/*.tif, cam3: c/*.tif, cam9: d/*.tif}", "rest names 'cam9'"),
+    ],
+)
+def test_mistakes_in_it_are_named(lab, tmp_path, rest, says):
+    path = tmp_path / "experiment.yaml"
+    path.write_text(lab.read_text().replace(REST, f"rest: {rest}\n"))
+    with pytest.raises(ExperimentError) as caught:
+        Experiment.load(path).at_rest()
+    assert says in str(caught.value)
+
+
+def test_a_rest_record_that_is_not_there_is_named(lab):
+    gone = Experiment.load(lab).model_copy(update={"rest": "nowhere/{camera}_{frame:02d}.tif"})
+    with pytest.raises(ExperimentError, match="there is no folder"):
+        level_at_rest(gone.at_rest(), replace(Rig.load(lab.with_name("rig.yaml"))))

@@ -1,0 +1,125 @@
+"""A record of the water at rest: it mends the rig, and tells where the beads lie above the water."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from wavefield.calibration.rest import RigCheck, refine_and_level
+from wavefield.cubes.prepare import prepare
+from wavefield.rig import Rig
+from wavefield.rig.level import Plane
+from wavefield.series import Experiment
+from wavefield.store.verdict import Remark
+
+FRAMES = 10  # of the record at rest that are matched
+
+
+def level_at_rest(
+    experiment: Experiment,
+    rig: str | Path | Rig | None = None,
+    frames: int = FRAMES,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[Rig, RigCheck, Plane]:
+    """Mend and level a rig by a record of still, seeded water.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The record at rest itself (`Experiment.at_rest` gives it where an experiment names one).
+    rig : path or Rig, optional
+        In place of the one that the experiment names.
+    frames : int
+        How many to match, evenly over the record.
+    progress : callable, optional
+        Told (frames done, all frames).
+
+    Returns
+    -------
+    rig : Rig
+        Turned back so that sight lines meet, with z = 0 on what the cameras see of the water: the beads, as
+        high as they float.
+    check : RigCheck
+        What had been wrong.
+    plane : Plane
+        The water's plane before.
+
+    Raises
+    ------
+    ExperimentError, RigError, CalibrationError
+        If images or rig are missing or wrong, or nothing matches.
+    """
+    from wavefield.measurement.tie_points import matched_pixels, spread
+
+    prepared = prepare(experiment, rig)
+    series = prepared.series
+
+    def read(camera: str, frame: int) -> Any:
+        return series[camera].read(frame).image
+
+    count = len(next(iter(series.values())))
+    matches = matched_pixels(read, spread(count, frames), prepared.plan, progress)
+    return refine_and_level(prepared.rig, matches)
+
+
+def plane_sentence(plane: Plane) -> str:
+    """Where the water was, for a person.
+
+    Parameters
+    ----------
+    plane : Plane
+        As from `level_at_rest`.
+
+    Returns
+    -------
+    str
+    """
+    return (
+        f"The water's plane: {1e3 * plane.height:+.3f} mm at the origin, slope {1e3 * plane.slope[0]:+.3f}, "
+        f"{1e3 * plane.slope[1]:+.3f} mrad along x, y; rms about it {1e3 * plane.rms:.3f} mm."
+    )
+
+
+def remark_on_rest(experiment: Experiment, rig: Rig) -> Remark:
+    """Say whether z = 0 is the water at rest, and how that is known.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    rig : Rig
+        Its rig, with its provenance.
+
+    Returns
+    -------
+    Remark
+    """
+    found = rig.provenance.get("levelled")
+    if isinstance(found, dict) and {"height_m", "rms_m", "points"} <= set(found):
+        height, rms = 1e3 * float(found["height_m"]), 1e3 * float(found["rms_m"])
+        return Remark(
+            "rig",
+            "levelled",
+            "note",
+            f"z = 0 is the water at rest: {found['points']} points of it stood {height:+.2f} mm beside the "
+            f"target's plane, {rms:.2f} mm rms about their own",
+            values={"height_m": height / 1e3, "rms_m": rms / 1e3},
+        )
+    if experiment.rest:
+        return Remark(
+            "rig",
+            "not levelled",
+            "remark",
+            "it was not mended by the record at rest that the experiment names",
+            "z = 0 on the water at rest",
+            f"run `wavefield calibrate {experiment.path.name}` again, or `wavefield refine "
+            f"{experiment.path.name}` where the rig is another program's",
+        )
+    return Remark(
+        "rig",
+        "no rest",
+        "note",
+        "no record of the water at rest: z = 0 is the target's plane, and beads show above the water, by "
+        "about .4 mm where they are 3 to 5 mm large",
+        "z = 0 on the water at rest",
+        "photograph some twenty frames of still, seeded water; name them as `rest:` in the experiment file",
+    )

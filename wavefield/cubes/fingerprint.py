@@ -1,0 +1,68 @@
+"""Are these the images that a cube was begun with? Some frames of each camera tell."""
+
+import zlib
+from collections.abc import Mapping
+
+import numpy as np
+
+from wavefield.errors import StoreError
+from wavefield.series import FrameSeries
+
+_SAMPLES = 3  # frames of each camera: first, middle and last
+
+Fingerprints = dict[str, dict[str, int]]
+
+
+def fingerprints(series: Mapping[str, FrameSeries]) -> Fingerprints:
+    """Checksums of the grey levels of some frames.
+
+    Parameters
+    ----------
+    series : mapping of str to FrameSeries
+        The frames of the cameras that measure.
+
+    Returns
+    -------
+    dict of str to dict of str to int
+        Of every camera, CRC-32 by index of the frame; frames that cannot be read are left out.
+    """
+    out: Fingerprints = {}
+    for name, frames in series.items():
+        indices = np.unique(np.linspace(0, len(frames) - 1, _SAMPLES).astype(int))
+        read = {str(k): frames.read(int(k)).image for k in indices}
+        out[name] = {k: _sum(image) for k, image in read.items() if image is not None}
+    return out
+
+
+def _sum(image: np.ndarray) -> int:
+    return zlib.crc32(np.ascontiguousarray(image).tobytes())
+
+
+def check_images(
+    store: str, begun: Mapping[str, Mapping[str, int]], series: Mapping[str, FrameSeries]
+) -> None:
+    """Refuse to go on with other images than a cube was begun with.
+
+    Parameters
+    ----------
+    store : str
+        The cube, for the message.
+    begun : mapping of str to mapping of str to int
+        Its fingerprints.
+    series : mapping of str to FrameSeries
+        The frames of now.
+
+    Raises
+    ------
+    StoreError
+        If a frame shows something else; the message names it.
+    """
+    for name, sums in begun.items():
+        for index, wanted in sums.items():
+            frames = series.get(name)
+            image = frames.read(int(index)).image if frames is not None else None
+            if frames is not None and image is not None and _sum(image) != wanted:
+                raise StoreError(
+                    f"{store} was begun with other images: {frames.place(int(index))} is not what it was; "
+                    "write to another store with -o, or remove this one"
+                )

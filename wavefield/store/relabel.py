@@ -1,0 +1,107 @@
+"""Labels of a cube: changing them costs no measurement.
+
+Name, clock (number of the first frame, frame rate), depth of the water and places of files are labels: the
+values of a cube follow from its images alone, in metres and metres per frame. Velocities are stored at the
+frame rate they were measured with, ``measured_frame_rate``; another rate is a ``scale_factor`` of theirs,
+which every reader of CF knows.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+
+from wavefield.store.layout import PACKING, gather_metadata
+from wavefield.store.read import measured_rate, open_group
+from wavefield.store.recipe import Recipe, differences
+from wavefield.variables import CUBE_FIELDS, TABLE
+from wavefield.whole_files import write_error
+
+RATES = tuple(name for name in CUBE_FIELDS if TABLE[name].units == "m s-1")
+
+
+def relabel(path: Path, recipe: Recipe, attributes: Mapping[str, Any]) -> list[str]:
+    """Give a cube the labels of another description of the same images.
+
+    Parameters
+    ----------
+    path : path
+        The cube.
+    recipe : Recipe
+        Of the same hash as the cube's; what is known of the record is kept as it is.
+    attributes : mapping
+        What else it says of itself; what it said and is not here any more is taken away.
+
+    Returns
+    -------
+    list of str
+        What changed, such as "frame_rate: 20.0 there, 25.0 here"; empty if nothing did.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+
+    Notes
+    -----
+    May be cut off anywhere: the recipe is written last, then the metadata are gathered for quick opening, and
+    until both are done the same call does all of it again.
+    """
+    group = open_group(path)
+    before = str(group.attrs["recipe"])
+    recipe = replace(recipe, software=json.loads(before)["software"])  # of those who measured
+    changed = differences(before, recipe.to_json())
+    old = {name: group.attrs.get(name) for name in _OURS}
+    new = {name: attributes.get(name) for name in _OURS}
+    changed += [
+        f"{name}: {old[name]!r} there, {new[name]!r} here" for name in _OURS if old[name] != new[name]
+    ]
+    if not changed and _gathered(path):
+        return []
+    try:
+        _write(open_group(path, "r+"), path, recipe, new)
+    except OSError as error:
+        raise write_error(path, error) from None
+    return changed
+
+
+def _gathered(path: Path) -> bool:
+    """Whether the metadata are consolidated: the last thing that is done, and undone by the first."""
+    return zarr.open_group(path, mode="r").metadata.consolidated_metadata is not None
+
+
+# attributes that the description of an experiment gives a cube
+_OURS = ("experiment_file", "image_folder", "water_depth", "surface_tension_over_density", "description")
+
+
+def _write(group: Any, path: Path, recipe: Recipe, attributes: Mapping[str, Any]) -> None:
+    measured = measured_rate(group)
+    group.attrs["measured_frame_rate"] = measured
+    factor = recipe.frame_rate / measured
+    for name in RATES:
+        scale = PACKING[name] * factor if group[name].dtype == np.int16 else factor
+        attrs = group[name].attrs.asdict() | {"scale_factor": scale}
+        if scale == 1.0:
+            del attrs["scale_factor"]
+        group[name].attrs.put(attrs)
+    frames = recipe.frames[0] + np.arange(group["frame"].shape[0])
+    group["frame"][:] = frames
+    group["time"][:] = (frames[:-1] + 0.5) / recipe.frame_rate
+    kept = {name: value for name, value in group.attrs.asdict().items() if name not in _OURS}
+    labels = {name: value for name, value in attributes.items() if value is not None}
+    group.attrs.put(
+        kept
+        | labels
+        | {
+            "title": f"water surface and its velocity, {recipe.experiment}",
+            "experiment": recipe.experiment,
+            "frame_rate": recipe.frame_rate,
+            "recipe": recipe.to_json(),
+            "recipe_hash": recipe.hash,
+        }
+    )
+    gather_metadata(path)
