@@ -7,6 +7,7 @@ moment: what makes it agree is what is wrong with it.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import cv2
@@ -81,7 +82,7 @@ def examine(witness: Witness, count: int, frames: Sequence[int]) -> Examination:
     remarks = [*_covered(table), *_blurred(table)]
     lying, explained = _lying(table, count)
     remarks = [remark for remark in remarks if remark.subject not in lying] + explained
-    remarks += _knocked(table, lying)
+    remarks += _knocked(table, lying) or _uneven(table, lying)
     return Examination(tuple(remarks), table.camera_numbers(), table.pair_numbers(), whole)
 
 
@@ -376,7 +377,7 @@ def _contradicts(table: _Table, name: str, now: float) -> Remark:
     )
 
 
-def _knocked(table: _Table, lying: set[str]) -> Iterator[Remark]:
+def _knocked(table: _Table, lying: set[str]) -> list[Remark]:
     """Cameras whose sight lines miss those of the others by a smooth eps_y."""
     smooth = {
         pair: np.median([one.smooth for one in found if one.fraction > 0], axis=0)
@@ -386,7 +387,7 @@ def _knocked(table: _Table, lying: set[str]) -> Iterator[Remark]:
     missed = {pair: size(value) for pair, value in smooth.items()}
     wrong = [pair for pair, value in missed.items() if value > _MATTERS and _sure(table.found[pair]) > 4]
     if not wrong:
-        return
+        return []
     most = max(missed[pair] for pair in wrong)
     suspects = [
         name
@@ -397,7 +398,7 @@ def _knocked(table: _Table, lying: set[str]) -> Iterator[Remark]:
     weight: Weight = "grave" if most > 0.5 else "remark"
     subject = suspects[0] if len(suspects) == 1 else "rig"
     between = " and of ".join("-".join(pair) for pair in wrong)
-    yield Remark(
+    remark = Remark(
         subject,
         "moved",
         weight,
@@ -406,6 +407,49 @@ def _knocked(table: _Table, lying: set[str]) -> Iterator[Remark]:
         "mend the rig by a record of water at rest (`rest:`, or `wavefield refine`), or calibrate again",
         {f"eps_y {'-'.join(pair)}": value for pair, value in missed.items()},
     )
+    return [remark]
+
+
+def _uneven(table: _Table, lying: set[str]) -> list[Remark]:
+    """Pairs of cameras that see the same water at different heights: one has moved along the parallax.
+
+    Which one cannot be told: heights of two pairs are one number more than there is water.
+    """
+    worst, sure, which = 0.0, 0.0, ((), ())
+    for first, second in combinations(table.pairs, 2):
+        if first[0] != second[0] or lying & {*first, *second}:
+            continue  # both look for the same camera's patches
+        apart = [_apart(table, first, second, k) for k in range(len(table.frames))]
+        values = np.concatenate(apart)
+        if len(values) < _FEWEST * 4:
+            continue
+        off = float(np.median(values))
+        spread = float(1.4826 * np.median(np.abs(values - off)) / np.sqrt(len(values) / 4)) + 1e-3
+        if abs(off) > abs(worst):
+            worst, sure, which = off, abs(off) / spread, (first, second)
+    if abs(worst) <= _MATTERS or sure < 6:
+        return []
+    names = " and ".join("-".join(pair) for pair in which)
+    return [
+        Remark(
+            "rig",
+            "moved",
+            "grave" if abs(worst) > 0.5 else "remark",
+            f"{names} see the same water at different heights, as if a camera had moved "
+            f"{abs(worst):.2f} px along the parallax",
+            f"less than {_MATTERS} px",
+            "mend the rig by a record of water at rest (`rest:`, or `wavefield refine`), or calibrate again",
+            {"height": worst},
+        )
+    ]
+
+
+def _apart(table: _Table, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:
+    """By how much the heights of two pairs differ where both found a patch, px of parallax."""
+    a, b = table.found[first][k], table.found[second][k]
+    both, ia, ib = np.intersect1d(a.places, b.places, return_indices=True)
+    parallax = np.minimum(table.witness.parallax(first), table.witness.parallax(second))[both]
+    return np.asarray((a.height[ia] - b.height[ib]) * parallax / table.witness.pixel)
 
 
 def _sure(found: Sequence[Agreement]) -> float:

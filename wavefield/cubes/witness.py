@@ -145,11 +145,18 @@ class Witness:
 
     def across(self, pair: Pair) -> tuple[Array, Array]:
         """Unit vectors along and across the parallax of two cameras, each (n, 2)."""
-        a, b = (self.rig[name].centre for name in pair)
-        at = np.stack([self.x, self.y], axis=-1)
-        along = (at - b[:2]) / b[2] - (at - a[:2]) / a[2]
+        along = self._rise(pair)
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
         return along, np.stack([-along[:, 1], along[:, 0]], axis=-1)
+
+    def parallax(self, pair: Pair) -> Array:
+        """Displacement from one camera to the other per height, (n,)."""
+        return np.maximum(np.linalg.norm(self._rise(pair), axis=1), 1e-12)
+
+    def _rise(self, pair: Pair) -> Array:
+        a, b = (self.rig[name].centre for name in pair)
+        at = np.stack([self.x, self.y], axis=-1)
+        return np.asarray((at - b[:2]) / b[2] - (at - a[:2]) / a[2])
 
 
 def middle(patches: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -218,12 +225,15 @@ class Agreement:
         Its smooth part: px, px per half width along x, along y.
     places : ndarray of int, (m,)
         Which patches.
+    height : ndarray, (m,)
+        Of those, m: by what they are displaced along the parallax.
     """
 
     fraction: float
     eps_y: Array
     smooth: Array
     places: NDArray[np.intp]
+    height: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def agreement(
@@ -251,7 +261,9 @@ def agreement(
     counted = n if ground is None else int(ground.sum())
     if found is None or counted < 4:
         return nothing
-    eps_y = (found.moved * witness.across(pair)[1]).sum(axis=1)
+    along, across = witness.across(pair)
+    eps_y = (found.moved * across).sum(axis=1)
+    height = (found.moved * along).sum(axis=1) * witness.pixel / witness.parallax(pair)
     good = (found.likeness > ALIKE) & np.isfinite(eps_y)
     if ground is not None:
         good &= ground
@@ -265,7 +277,7 @@ def agreement(
             break
         smooth = np.linalg.lstsq(design[near], eps_y[near], rcond=None)[0]
     near = good & (np.abs(eps_y - design @ smooth) < _NEAR)
-    return Agreement(float(near.sum() / counted), eps_y[near], smooth, np.flatnonzero(near))
+    return Agreement(float(near.sum() / counted), eps_y[near], smooth, np.flatnonzero(near), height[near])
 
 
 def _scaled(v: Array) -> Array:
