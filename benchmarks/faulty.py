@@ -20,6 +20,7 @@ from benchmarks.scenes import HALF
 from wavefield.cubes.suspects import Examination, examine
 from wavefield.cubes.synchrony import delays
 from wavefield.cubes.witness import Witness
+from wavefield.measurement import Plan, Settings
 from wavefield.tank import Scene, Tank
 
 COUNT, LOOKS = 8, (1, 3, 5, 6)
@@ -98,7 +99,8 @@ def delay(options: argparse.Namespace) -> None:
     for seed, late in ((FIRST + 60, 2e-4), (FIRST + 61, 2e-4), (FIRST + 62, 0.0)):
         tank, read = shots(seed, max(INSTANTS) + 2, cam2={"delay": late})
         witness = Witness(read, tank.rig, tank.scene.grid)
-        found = delays(witness, tuple(INSTANTS), tank.scene.frame_rate)
+        plan = Plan(tank.rig, tank.scene.grid, Settings())
+        found, _ = delays(plan, witness, tuple(INSTANTS), tank.scene.frame_rate)
         words = ", ".join(f"{n} {1e3 * d.seconds:+.4f} +- {1e3 * d.std:.4f}" for n, d in found.items())
         print(f"    cam2 late by {1e3 * late:g} ms, found (ms): {words or 'nothing'}", flush=True)
 

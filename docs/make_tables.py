@@ -37,7 +37,18 @@ def rows_to_table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 def cube() -> str:
     """Variables of a cube."""
     importlib.import_module("wavefield.store.layout")  # registers the ledger's variables
-    names = ("time", "y", "x", *CUBE_FIELDS, "frame_status", "frame", "frame_fault", "checksum")
+    names = (
+        "time",
+        "y",
+        "x",
+        *CUBE_FIELDS,
+        "frame_status",
+        "frame",
+        "frame_fault",
+        "checksum",
+        "stored_bytes",
+        "camera_shift",
+    )
     rows = []
     for v in (TABLE[name] for name in names):
         meaning = v.long_name + (f"; {v.meaning}" if v.meaning else "")

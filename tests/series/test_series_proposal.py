@@ -33,7 +33,7 @@ def test_what_is_proposed_is_an_experiment_file(folder, capsys):
     assert made.cameras["cam1"].images == "cam1/img_{frame:04d}.tif"
     assert made.cameras["cam3"].offset == -5
     assert made.calibration.tilted == "calib/{camera}/tilt_*.tif"
-    assert made.probes == "probes.csv"
+    assert made.probes.file == "probes.csv"
     assert made.rest == "rest/{camera}/img_{frame}.tif"
     for words in ("5 images, 0 to 5, 1 missing", "begins 5 later than another", "TO FILL IN: Hz", "p1 [mm]"):
         assert words in said

@@ -107,13 +107,12 @@ def _probes_line(source: Path | Experiment) -> str:
     """The experiment's probes and their clock beside the cameras', or what is wrong with their file."""
     from wavefield.errors import ExperimentError
     from wavefield.series import Experiment
-    from wavefield.waves import read_probes
 
     experiment = source if isinstance(source, Experiment) else Experiment.load(source)
     if not experiment.probes:
         return ""
     try:
-        probes = read_probes(experiment.resolve(experiment.probes))
+        probes = experiment.read_probes()
     except ExperimentError as error:
         return str(error)
     times = experiment.frame_times(next(iter(experiment.open_frames().values())))

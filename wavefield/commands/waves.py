@@ -94,7 +94,7 @@ def _analyze(store: Path, output: Path | None, workflow: Path | None, asked: dic
     return 3 if note else 0
 
 
-def _probes_of(store: Path) -> Path | None:
+def _probes_of(store: Path) -> Any:
     """Probes that the experiment of a cube names, if its file is still there."""
     from wavefield.cubes import open_cube
     from wavefield.errors import ExperimentError
@@ -106,9 +106,9 @@ def _probes_of(store: Path) -> Path | None:
         return None
     if not experiment.probes:
         return None
-    path = experiment.resolve(experiment.probes)
+    path = experiment.resolve(experiment.probes.file)
     if path.is_file():
-        return path
+        return experiment.read_probes()
     click.echo(
         f"note: without the probes {path}, which {experiment.path} names: there is no such file", err=True
     )

@@ -71,12 +71,16 @@ class Measured:
         Bad frames of each camera, by index in the whole series.
     messages : list of str
         A sentence about each of them.
+    shifts : dict of int to dict of str to ndarray, (3,)
+        By how much each camera was turned back in each frame, by index in the whole series
+        (`wavefield.cubes.steadied`); empty unless the settings ask for it.
     """
 
     fields: dict[str, np.ndarray]
     frame_status: np.ndarray
     faults: dict[str, dict[int, FrameFault]]
     messages: list[str]
+    shifts: dict[int, dict[str, np.ndarray]] = field(default_factory=dict)
 
 
 def make_block(sources: Mapping[str, Source], start: int, stop: int) -> Block:
@@ -185,12 +189,20 @@ def measure_block(block: Block, plan: Any, frame_rate: float) -> Measured:
 
     frames = {name: BlockFrames(source, block) for name, source in block.sources.items()}
     masks = {name: BlockMasks(source, block) for name, source in block.sources.items()}
-    fields = dict(measure(frames, plan, frame_rate, masks))
+    given: Mapping[str, Sequence[np.ndarray | None]] = frames
+    steadier = None
+    if plan.settings.vibration == "correct":
+        from wavefield.cubes.steadied import Steadier
+
+        steadier = Steadier(frames, plan)
+        given = steadier.sequences()
+    fields = dict(measure(given, plan, frame_rate, masks))
     status = np.asarray(fields.pop("frame_status"), np.uint8)
     _find_dim_frames(frames, status, block, plan)
     faults = {name: dict(lazy.faults) for name, lazy in frames.items()}
     messages = [lazy.messages[i] for lazy in frames.values() for i in sorted(lazy.messages)]
-    return Measured(fields, status, faults, messages)
+    shifts = {block.start - 1 + k: found for k, found in steadier.shifts.items()} if steadier else {}
+    return Measured(fields, status, faults, messages, shifts)
 
 
 def _find_dim_frames(frames: Mapping[str, BlockFrames], status: np.ndarray, block: Block, plan: Any) -> None:

@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from wavefield.cubes import steadiness, synchrony
 from wavefield.cubes.at_rest import remark_on_rest
 from wavefield.cubes.prepare import Prepared, expected_coverage
+from wavefield.cubes.probe_remarks import remark_on_probes
 from wavefield.cubes.suspects import Examination, examine
 from wavefield.cubes.witness import Witness
 from wavefield.store.ledger import Status
@@ -15,6 +17,7 @@ from wavefield.store.verdict import Remark, Verdict
 from wavefield.words import spell_ranges
 
 _INSTANTS = 4  # of a record, looked at before a run and after it
+_SYNCHRONY = 24  # of a record, by which delays of cameras are measured after its run
 _STEPS = 12  # of a cube, looked at after its run
 _EPS = (0.15, 0.5)  # px: eps' that is remarked upon, that nothing can be believed of
 _LEAST_MEASURED = (0.7, 0.2)  # of what all cameras see: less is remarked upon, is worth nothing
@@ -35,8 +38,31 @@ def look_at_cameras(prepared: Prepared) -> Examination:
     """
     count = prepared.steps + 1
     frames = sorted({int((k + 0.5) * count / _INSTANTS) for k in range(_INSTANTS)})
-    witness = Witness(lambda name, k: prepared.series[name].read_uncovered(k), prepared.rig, prepared.grid)
-    return examine(witness, count, frames)
+    return examine(_witness(prepared), count, frames)
+
+
+def synchrony_of(prepared: Prepared, instants: int) -> list[Remark]:
+    """Whether the cameras take their frames at the same moment.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        As from `wavefield.cubes.prepare.prepare`.
+    instants : int
+        How many to look at, evenly over the record; more make it surer.
+
+    Returns
+    -------
+    list of Remark
+    """
+    count = prepared.steps + 1
+    frames = sorted({int((k + 0.5) * count / instants) for k in range(instants)} - {0, count - 1})
+    found, speed = synchrony.delays(prepared.plan, _witness(prepared), frames, prepared.experiment.frame_rate)
+    return list(synchrony.remarks(found, speed))
+
+
+def _witness(prepared: Prepared) -> Witness:
+    return Witness(lambda name, k: prepared.series[name].read_uncovered(k), prepared.rig, prepared.grid)
 
 
 def judge(prepared: Prepared, status: Status, seen: Examination | None = None) -> Verdict:
@@ -56,9 +82,13 @@ def judge(prepared: Prepared, status: Status, seen: Examination | None = None) -
     Verdict
     """
     seen = look_at_cameras(prepared) if seen is None else seen
+    witness = _witness(prepared)
     remarks = [
+        *synchrony_of(prepared, _SYNCHRONY),
+        *steadiness.remarks(status.store, witness, next(iter(prepared.series.values())).first),
         *seen.remarks,
         remark_on_rest(prepared.experiment, prepared.rig),
+        *remark_on_probes(prepared.experiment, status.store),
         *_steps(status),
         *_fields(status.store, expected_coverage(prepared.rig, prepared.grid)),
     ]

@@ -67,10 +67,12 @@ def learn_from(pairs: Sequence[Mapping[str, Source]], plan: Any) -> dict[str, An
     dict
         As `learn_record`.
     """
+    from wavefield.cubes.steadied import corrected
     from wavefield.measurement import learn
 
     def frames(pair: Mapping[str, Source], k: int) -> dict[str, Any]:
-        return {name: source.read(k).image for name, source in pair.items()}
+        images = {name: source.read(k).image for name, source in pair.items()}
+        return corrected(images, plan)[0] if plan.settings.vibration == "correct" else images
 
     def masks(pair: Mapping[str, Source], k: int) -> dict[str, Any]:
         return {name: source.covered(k) for name, source in pair.items()}

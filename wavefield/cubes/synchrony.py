@@ -9,17 +9,15 @@ its own and which is taken out.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from wavefield.cubes.witness import ALIKE, REACH, SIDE, Array, Pair, Witness, compare, pairs_of_all
+from wavefield.cubes.witness import ALIKE, SIDE, Array, Pair, Witness, compare
 from wavefield.store.verdict import Remark
 
-_ROUNDS = 6
-_FINE = 1 / 32  # px: cv2.remap knows no finer places
-_FEWEST = 60  # patches over all instants
+_APART = 5  # blocks: nearer ones share their window, and say the same
+_FEWEST = 40  # blocks of an instant
 _SURE = 4.0  # standard deviations
 _SHORTEST = 2e-5  # s: less is noted nowhere
 _MATTERS = 0.1  # px that a bead moves meanwhile
@@ -53,96 +51,27 @@ class Sample:
         Of the beads across the sight lines, px per frame.
     low : ndarray, (m, 3)
         Constant, and places scaled to -1 to 1 along x and y.
+    speed : float
+        Of the beads in all directions, rms, px per frame.
     """
 
     miss: Array
     velocity: Array
     low: Array
+    speed: float = 0.0
 
 
-def register(
-    first: NDArray[np.float32], second: NDArray[np.float32], start: Array
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Find the middle of each patch in another to a few thousandths of a pixel, however it is sheared.
-
-    Parameters
-    ----------
-    first, second : ndarray, (n, SIDE + 2 REACH, SIDE + 2 REACH)
-        As from `Witness.patches`.
-    start : ndarray, (n, 2)
-        By how much they moved, to a pixel; NaN where that is not known.
-
-    Returns
-    -------
-    moved : ndarray, (n, 2)
-        By how much, px.
-    good : ndarray of bool, (n,)
-        Whether the patches are alike there.
-
-    Notes
-    -----
-    Gauss-Newton with the mean of both gradients; shift, shear, gain and offset of every patch.
-    """
-    n, side = len(first), SIDE + 2 * REACH
-    template = first[:, REACH : REACH + SIDE, REACH : REACH + SIDE]
-    axis = (np.arange(SIDE) - (SIDE - 1) / 2) / (SIDE / 2)
-    u, v = np.broadcast_to(axis, (SIDE, SIDE)), np.broadcast_to(axis[:, None], (SIDE, SIDE))
-    tall = np.ascontiguousarray(second.reshape(n * side, side), np.float32)
-    good = np.isfinite(start).all(axis=1) & np.isfinite(template).all(axis=(1, 2))
-    shift = np.where(good[:, None], start, 0.0)
-    shear = np.zeros((n, 2, 2))
-    inner = np.arange(SIDE) + REACH
-    top = np.arange(n)[:, None, None] * side
-    step = np.zeros((n, 8))
-    likeness = np.zeros(n)
-    flat = np.where(good[:, None, None], template, 0.0)
-    slope_t = np.gradient(flat, axis=(2, 1))
-    for _ in range(_ROUNDS):
-        shift = np.round(np.clip(shift + step[:, :2], -REACH + 2, REACH - 2) / _FINE) * _FINE
-        shear = np.clip(shear + step[:, 2:6].reshape(n, 2, 2), -4.0, 4.0)
-        column = (
-            inner + shift[:, 0, None, None] + shear[:, 0, 0, None, None] * u + shear[:, 0, 1, None, None] * v
-        )
-        row = inner[:, None] + shift[:, 1, None, None]
-        row = row + shear[:, 1, 0, None, None] * u + shear[:, 1, 1, None, None] * v
-        good &= (np.abs(column - side / 2).max(axis=(1, 2)) < side / 2 - 3) & (
-            np.abs(row - side / 2).max(axis=(1, 2)) < side / 2 - 3
-        )
-        at = [
-            (part + offset).reshape(-1, SIDE).astype(np.float32) for part, offset in ((column, 0), (row, top))
-        ]
-        seen = cv2.remap(tall, at[0], at[1], cv2.INTER_CUBIC).reshape(n, SIDE, SIDE)
-        good &= np.isfinite(seen).all(axis=(1, 2))
-        seen = np.where(good[:, None, None], seen, 0.0)
-        gx, gy = ((a + b) / 2 for a, b in zip(slope_t, np.gradient(seen, axis=(2, 1))))
-        one = np.ones_like(seen)
-        design = np.stack([gx, gy, gx * u, gx * v, gy * u, gy * v, seen, one], axis=-1).reshape(n, -1, 8)
-        normal = np.einsum("nki,nkj->nij", design, design)
-        normal += (1e-9 * np.trace(normal, axis1=1, axis2=2) + 1e-9)[:, None, None] * np.eye(8)
-        wanted = np.einsum("nki,nk->ni", design, (flat - seen).reshape(n, -1))
-        step = np.linalg.solve(normal, wanted[..., None])[..., 0]
-        step[:, :6] = np.clip(step[:, :6], -1.0, 1.0)
-        likeness = _likeness(flat, seen)
-    moved = shift + step[:, :2]
-    good &= (likeness > ALIKE) & (np.abs(step[:, :2]).max(axis=1) < 0.1)
-    return moved, good & (np.abs(moved - np.nan_to_num(start)).max(axis=1) < 2.0)
-
-
-def _likeness(a: NDArray[np.float32], b: NDArray[np.float32]) -> Array:
-    a, b = (v - v.mean(axis=(1, 2), keepdims=True) for v in (a, b))
-    power = np.sqrt((a * a).sum(axis=(1, 2)) * (b * b).sum(axis=(1, 2)))
-    return np.asarray((a * b).sum(axis=(1, 2)) / np.maximum(power, 1e-9), float)
-
-
-def sample(witness: Witness, pair: Pair, frame: int) -> Sample | None:
-    """Miss and velocity of all patches that two cameras share at an instant.
+def sample(plan: Any, witness: Witness, pair: Pair, frame: int) -> Sample | None:
+    """Miss and velocity all over what two cameras share at an instant.
 
     Parameters
     ----------
+    plan : wavefield.measurement.Plan
+        Matches the cameras.
     witness : Witness
-        The cameras.
+        Their images, and how fast the second's beads move.
     pair : (str, str)
-        Which two; the second's velocity is taken.
+        One of the plan's.
     frame : int
         When; the second's frames before and after it are looked at, too.
 
@@ -151,19 +80,34 @@ def sample(witness: Witness, pair: Pair, frame: int) -> Sample | None:
     Sample or None
         None where images are missing or next to nothing is found.
     """
-    first, second = witness.patches(pair[0], frame), witness.patches(pair[1], frame)
-    found, drift = compare(first, second), _drift(witness, pair[1], frame)
-    if first is None or second is None or found is None or drift is None:
+    from wavefield.measurement import surface
+    from wavefield.measurement.frame import ready, usable
+
+    images = {name: witness.read(name, frame) for name in pair}
+    if not all(usable(image, plan.rig[name].size) for name, image in images.items()):
         return None
-    moved, good = register(first, second, found.moved)
-    across = witness.across(pair)[1]
-    x, y = witness.x + moved[:, 0] * witness.pixel, witness.y + moved[:, 1] * witness.pixel
-    miss, velocity = (moved * across).sum(axis=1), (drift(x, y) * across).sum(axis=1)
-    good &= np.isfinite(velocity) & np.isfinite(miss)
-    if good.sum() < 8:
+    drift = _drift(witness, pair[1], frame)
+    if drift is None:
         return None
-    low = np.stack([np.ones(len(miss)), _scaled(witness.x), _scaled(witness.y)], axis=-1)
-    return Sample(miss[good], velocity[good], low[good])
+    flat = [
+        surface.prepare(ready(np.asarray(image), plan.binning[name]), name, plan)
+        for name, image in images.items()
+    ]
+    match = surface.match_pair(flat[0], flat[1], pair, plan)
+    cells = np.s_[::_APART, ::_APART]
+    length = np.maximum(np.hypot(*match.parallax), 1e-12)
+    x, y = (v[cells] for v in np.meshgrid(plan.lattice.x, plan.lattice.y))
+    at = [(v + d[cells]).ravel() for v, d in zip((x, y), match.difference)]
+    moved = drift(*at).reshape(*x.shape, 2) * witness.pixel
+    p, q = (part[cells] / length[cells] for part in match.parallax)
+    velocity = (q * moved[..., 0] - p * moved[..., 1]) / plan.pixel
+    miss = match.eps_y[cells] / plan.pixel
+    good = match.matched[cells] & np.isfinite(velocity) & np.isfinite(miss)
+    if good.sum() < _FEWEST:
+        return None
+    low = np.stack([np.ones(good.sum()), _scaled(x[good]), _scaled(y[good])], axis=-1)
+    speed = float(np.sqrt((moved[good] ** 2).sum(axis=1).mean())) / plan.pixel
+    return Sample(miss[good].astype(float), velocity[good].astype(float), low, speed)
 
 
 def _drift(witness: Witness, name: str, frame: int) -> Callable[[Array, Array], Array] | None:
@@ -214,7 +158,7 @@ def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
     Robust least squares (Huber at 2.5); every instant has a constant and slopes of its own. The uncertainty
     is that of instants, not of patches: residuals of one instant may depend on each other.
     """
-    if len(samples) < 2 or sum(len(s.miss) for s in samples) < _FEWEST:
+    if len(samples) < 2:
         return None
     weights = [np.ones(len(s.miss)) for s in samples]
     delay = 0.0
@@ -241,11 +185,13 @@ def _cleared(one: Sample, weight: Array) -> tuple[Array, Array]:
     return rest[:, 0], rest[:, 1]
 
 
-def delays(witness: Witness, frames: Sequence[int], rate: float) -> dict[str, Delay]:
+def delays(plan: Any, witness: Witness, frames: Sequence[int], rate: float) -> tuple[dict[str, Delay], float]:
     """By how much each camera's frames are taken later than those of most.
 
     Parameters
     ----------
+    plan : wavefield.measurement.Plan
+        Matches the cameras.
     witness : Witness
         The cameras.
     frames : sequence of int
@@ -255,19 +201,24 @@ def delays(witness: Witness, frames: Sequence[int], rate: float) -> dict[str, De
 
     Returns
     -------
-    dict of str to Delay
+    delays : dict of str to Delay
         Empty if there is too little to say; with two cameras the second's against the first's.
+    speed : float
+        Of the water in images, rms, px/s.
     """
-    names = list(witness.rig)
+    names = list(plan.surface_cameras)
     rows, values, spreads = [], [], []
-    for a, b in pairs_of_all(names):
-        found = regress([s for k in frames if (s := sample(witness, (a, b), k)) is not None])
+    speeds: list[float] = []
+    for a, b in plan.pairs:
+        samples = [s for k in frames if (s := sample(plan, witness, (a, b), k)) is not None]
+        speeds += [s.speed for s in samples]
+        found = regress(samples)
         if found is not None:
             rows.append([float(name == b) - float(name == a) for name in names])
             values.append(found[0] / rate)
             spreads.append(max(found[1] / rate, 1e-7))
     if not rows or np.linalg.matrix_rank(rows) < len(names) - 1:
-        return {}
+        return {}, 0.0
     design = np.array(rows) / np.array(spreads)[:, None]
     # only differences are known: the middle of the cameras, or the first of two, is taken for right
     design = np.vstack([design, np.eye(len(names))[:1] * 1e9])
@@ -280,7 +231,7 @@ def delays(witness: Witness, frames: Sequence[int], rate: float) -> dict[str, De
         difference = np.eye(len(names))[k] - np.eye(len(names))[usual]
         variance = float(difference @ inverse @ difference)
         out[name] = Delay(float(difference @ best), float(np.sqrt(max(variance, 0.0))))
-    return out
+    return out, rate * float(np.median(speeds))
 
 
 def remarks(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:

@@ -62,6 +62,13 @@ class Work:
         Report
         """
         measured = measure_block(block, self.plan, self.frame_rate)
-        write_block(self.store, block.start, measured.fields, measured.frame_status, measured.faults)
+        write_block(
+            self.store,
+            block.start,
+            measured.fields,
+            measured.frame_status,
+            measured.faults,
+            measured.shifts,
+        )
         failed = int(np.count_nonzero(measured.frame_status == FrameStatus.FAILED))
         return Report(block.start, block.stop, failed, tuple(measured.messages))

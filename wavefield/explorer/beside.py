@@ -12,7 +12,6 @@ from wavefield.errors import WavefieldError
 from wavefield.explorer.record import Record
 from wavefield.rig import Camera, Rig
 from wavefield.series import Experiment, FrameSeries
-from wavefield.waves import read_probes
 
 
 @dataclass
@@ -105,7 +104,7 @@ def find_beside(record: Record, waves: str | Path | None = None) -> Beside:
         out.notes["cameras"] = f"no images: {error}"
     if experiment.probes:
         try:
-            out.probes = read_probes(experiment.resolve(experiment.probes))
+            out.probes = experiment.read_probes()
         except WavefieldError as error:
             out.notes["probes"] = str(error)
     return out

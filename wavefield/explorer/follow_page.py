@@ -285,12 +285,11 @@ def follow_server(follower: Follower, port: int | None = None) -> Server:
 
 def _probes(follower: Follower) -> Any:
     from wavefield.errors import WavefieldError
-    from wavefield.waves import read_probes
 
     beside = Beside()
     if follower.experiment.probes:
         try:
-            beside.probes = read_probes(follower.experiment.resolve(follower.experiment.probes))
+            beside.probes = follower.experiment.read_probes()
         except WavefieldError as error:
             beside.notes["probes"] = str(error)
     return beside.probes

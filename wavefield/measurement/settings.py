@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from wavefield import matching
 from wavefield.errors import ExperimentError
@@ -73,6 +73,9 @@ class Settings:
         Mismatch that is never rejected, px of the rectified images.
     min_valid : float
         Smallest share of the common view that a frame must measure; below, it counts as missing.
+    vibration : {"leave", "correct"}
+        Whether each frame of each camera is turned back by what its sight lines miss those of the others
+        (constant, tilt, roll), before it is measured; the cube keeps by how much (``camera_shift``).
     stereo : matching.Settings
         Matching between cameras; its search range is set from z_range.
     piv : matching.Settings
@@ -95,6 +98,7 @@ class Settings:
     eps_limit: float = 3.0
     eps_floor: float = 0.3
     min_valid: float = 0.2
+    vibration: Literal["leave", "correct"] = "leave"
     stereo: matching.Settings = field(default_factory=_stereo)
     piv: matching.Settings = field(default_factory=_piv)
 

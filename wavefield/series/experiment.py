@@ -107,6 +107,31 @@ class WaterSection(Section):
         return out
 
 
+class ProbesSection(Section):
+    """A file of wave probes, and what its header does not say."""
+
+    file: str = Field(examples=["probes.csv"])
+    time: str | int = Field(
+        default="time", examples=['"Zeit [s]"'], description="column of time: its name, or its number from 1"
+    )
+    columns: dict[str, str | int] = Field(
+        default_factory=dict, examples=['{p1: "WG 1", p2: 3}'], description="column of every probe, likewise"
+    )
+    unit: Literal["", "m", "cm", "mm", "um"] = Field(default="", description="where the file does not say it")
+    factor: float = Field(
+        default=1.0, description="on the values, such as -1 for gauges that count downwards"
+    )
+    clock: float = Field(default=0.0, description="s, added to their times")
+    places: dict[str, tuple[float, float]] = Field(
+        default_factory=dict, examples=["{p1: [0.2, -0.1]}"], description="x, y of every probe, m"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _shorthand(cls, data: Any) -> Any:
+        return {"file": data} if isinstance(data, str) else data
+
+
 class FramesSection(Section):
     """Range of frame numbers to use, both included."""
 
@@ -160,7 +185,7 @@ class Experiment(Section):
         examples=["{cam1: masks/cam1.png, water: {cylinder: {x: 0.2, y: -0.1, radius: 0.1}}}"],
         description="what is no water, by camera (px) or on the `water` (m)",
     )
-    probes: str | None = Field(default=None, examples=["probes.csv"])
+    probes: ProbesSection | None = Field(default=None, examples=["probes.csv"])
     settings: dict[str, Any] = Field(default_factory=dict, description="measurement settings that differ")
 
     _path: Path = PrivateAttr(default=Path("experiment.yaml"))
@@ -340,6 +365,29 @@ class Experiment(Section):
             f"{self.path}: the cameras share no two frames (frames of {words}); "
             "correct `offset`, or `frames` if it is given"
         )
+
+    def read_probes(self) -> Any:
+        """Read the wave probes.
+
+        Returns
+        -------
+        Dataset or None
+            As from `wavefield.waves.read_probes`; None if the file names none.
+
+        Raises
+        ------
+        ExperimentError
+            If their file is missing or wrong.
+        """
+        if self.probes is None:
+            return None
+        from wavefield.waves import read_probes
+        from wavefield.waves.probes import Columns
+
+        section = self.probes
+        columns = Columns(section.time, section.columns) if section.columns else None
+        more = {"unit": section.unit, "factor": section.factor, "clock": section.clock}
+        return read_probes(self.resolve(section.file), columns, places=section.places, **more)
 
     def frame_times(self, series: FrameSeries) -> np.ndarray:
         """Times of the frames, from their numbers and the frame rate.

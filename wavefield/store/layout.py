@@ -27,6 +27,14 @@ register(
         meaning=f"0 where nothing is; variables in the order {' '.join(WATCHED)}",
     ),
     Variable(
+        "camera_shift",
+        ("camera", "frame", "part"),
+        "pixel",
+        "by how much the picture of a camera was turned back",
+        meaning="across the sight lines, px on the water: in the middle, more at the right, at the upper "
+        "edge; only with `settings: {vibration: correct}`",
+    ),
+    Variable(
         "stored_bytes",
         ("block", "variable"),
         "1",
@@ -179,6 +187,17 @@ def _fill_in(
             attributes=row.attrs | encoding,
         )
     blocks, watched = len(layout.blocks()), len(WATCHED)
+    if recipe.settings.get("vibration") == "correct":
+        row = TABLE["camera_shift"]
+        group.create_array(
+            row.name,
+            shape=(len(layout.cameras), n + 1, 3),
+            chunks=(len(layout.cameras), block, 3),
+            dtype=row.dtype,
+            fill_value=np.nan,
+            dimension_names=row.dims,
+            attributes=row.attrs,
+        )
     for name, shape, chunks in (
         ("checksum", (blocks, watched), (1, watched)),
         ("stored_bytes", (blocks, watched), (1, watched)),

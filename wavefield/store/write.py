@@ -8,6 +8,7 @@ all its data.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,7 @@ def write_block(
     fields: Mapping[str, np.ndarray],
     frame_status: np.ndarray,
     faults: Mapping[str, Mapping[int, FrameFault]],
+    shifts: Mapping[int, Mapping[str, np.ndarray]] | None = None,
 ) -> None:
     """Write all results of one block, the ledger last. The only function that writes results.
 
@@ -40,6 +42,8 @@ def write_block(
         Ledger of these steps; never NOT_STARTED.
     faults : mapping of str to mapping of int to FrameFault
         Bad frames by camera and index; those of neighbouring blocks are left to them.
+    shifts : mapping of int to mapping of str to ndarray, (3,), optional
+        By how much cameras were turned back, px, by index of the frame.
 
     Raises
     ------
@@ -74,15 +78,32 @@ def write_block(
                 if start <= index < last:
                     codes[k, index - start] = fault
         group["frame_fault"][:, start:last] = codes
+        if "camera_shift" in group:
+            group["camera_shift"][:, start:last] = _shifts(shifts or {}, layout.cameras, start, last)
         write_preview(path, group, start, fields)
-        if "checksum" in group:  # cubes begun before there were any have none
-            block = start // layout.block
-            group["checksum"][block] = [checksum(path, name, block) for name in WATCHED]
-            if "stored_bytes" in group:
-                group["stored_bytes"][block] = [stored_bytes(path, name, block) for name in WATCHED]
+        _witness(path, group, start // layout.block)
         group["frame_status"][start:stop] = frame_status
     except OSError as error:
         raise write_error(path, error) from None
+
+
+def _witness(path: Path, group: Any, block: int) -> None:
+    """Keep what a block's files must be later; cubes begun before there were such records have none."""
+    if "checksum" in group:
+        group["checksum"][block] = [checksum(path, name, block) for name in WATCHED]
+    if "stored_bytes" in group:
+        group["stored_bytes"][block] = [stored_bytes(path, name, block) for name in WATCHED]
+
+
+def _shifts(
+    shifts: Mapping[int, Mapping[str, np.ndarray]], cameras: Sequence[str], start: int, last: int
+) -> np.ndarray:
+    out = np.full((len(cameras), last - start, 3), np.nan, np.float32)
+    for index, found in shifts.items():
+        if start <= index < last:
+            for name, low in found.items():
+                out[cameras.index(name), index - start] = low
+    return out
 
 
 def reset_blocks(path: Path, starts: Sequence[int]) -> None:

@@ -2,6 +2,8 @@
 
 import re
 import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +22,31 @@ LONGEST_GAP = 3  # samples that are bridged
 _LARGEST = 0.5  # m, standard deviation: waves in a tank are lower
 
 
-def read_probes(path: str | Path) -> xr.Dataset:
+@dataclass(frozen=True)
+class Columns:
+    """Which columns of a laboratory's file are what.
+
+    Parameters
+    ----------
+    time : str or int
+        Name in the header, or number from 1 where there is no header.
+    probes : mapping of str to str or int
+        The same for every probe, by the name that it gets.
+    """
+
+    time: str | int
+    probes: Mapping[str, str | int]
+
+
+def read_probes(
+    path: str | Path,
+    columns: Columns | None = None,
+    *,
+    unit: str = "",
+    factor: float = 1.0,
+    clock: float = 0.0,
+    places: Mapping[str, tuple[float, float]] | None = None,
+) -> xr.Dataset:
     """Read a file of probes.
 
     Parameters
@@ -29,6 +55,18 @@ def read_probes(path: str | Path) -> xr.Dataset:
         Table with a header, columns parted by commas, semicolons or tabs: a column of time (``time``,
         ``t``; s or ms) and one per probe. Units stand in brackets in the header, as in ``p1 [mm]``, or in a
         line ``# unit mm``; without any they are metres. Lines ``# name x y`` give positions, m.
+        With `columns` lines above the header and columns that are not named are passed over, and numbers may
+        have decimal commas where columns are parted otherwise.
+    columns : Columns, optional
+        Which columns are what, where the header does not say it.
+    unit : str
+        Of the probes, where the file does not say it: m, cm, mm, um.
+    factor : float
+        On their values, such as -1 for gauges that count downwards.
+    clock : float
+        Added to their times, s.
+    places : mapping of str to (float, float), optional
+        Where they stand, m; more than what the file says.
 
     Returns
     -------
@@ -53,22 +91,83 @@ def read_probes(path: str | Path) -> xr.Dataset:
         raise ExperimentError(f"cannot read the probes {path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ExperimentError(f"the probes {path} are not a text file; write them as CSV") from None
-    places, unit = _places(lines), _unit_of(lines, path)
+    known = _places(lines) | dict(places or {})
+    unit = unit or _unit_of(lines, path)
+    if unit and unit not in _UNITS:
+        raise ExperimentError(f"the probes {path}: unit {unit!r} is not known; use m, cm or mm")
     body = [(k, line) for k, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
-    columns, separator = _header(path, body, unit)
-    table = _table(path, body[1:], columns, separator)
-    names = [column.name for column in columns[1:]]
+    if columns is not None:
+        body = _chosen(path, body, columns)
+    found, separator = _header(path, body, unit)
+    table = _table(path, body[1:], found, separator)
+    table[:, 0] += clock
+    table[:, 1:] *= factor
+    names = [column.name for column in found[1:]]
     nowhere = (np.nan, np.nan)
     out = xr.Dataset(
         {"elevation": (("probe", "time"), table[:, 1:].T)},
         {
             "time": ("time", table[:, 0]),
             "probe": ("probe", names),
-            "probe_x": ("probe", [places.get(n, nowhere)[0] for n in names]),
-            "probe_y": ("probe", [places.get(n, nowhere)[1] for n in names]),
+            "probe_x": ("probe", [known.get(n, nowhere)[0] for n in names]),
+            "probe_y": ("probe", [known.get(n, nowhere)[1] for n in names]),
         },
     )
     return annotate(out, "probes")
+
+
+def _chosen(path: Path, body: list[tuple[int, str]], columns: Columns) -> list[tuple[int, str]]:
+    """The table of the wanted columns alone, with a header of our own."""
+    wanted = [columns.time, *columns.probes.values()]
+    separator = max(";\t,", key=lambda mark: sum(line.count(mark) > 0 for _, line in body))
+    cells = [(k, [cell.strip().strip('"') for cell in line.split(separator)]) for k, line in body]
+    if all(isinstance(one, int) for one in wanted):
+        at = [int(one) - 1 for one in wanted]
+        first = next((i for i, (_, row) in enumerate(cells) if _numeric(row, at)), None)
+        if first is None:
+            raise ExperimentError(
+                f"the probes {path}: no line has numbers in the columns {', '.join(map(str, wanted))}"
+            )
+        units = [""] * len(at)
+    else:
+        plain = [[re.sub(r"\s*[\[(]\s*\w*\s*[\])]$", "", cell) for cell in row] for _, row in cells]
+        head = next(
+            (i for i, row in enumerate(plain) if all(_named(one, row, cells[i][1]) for one in wanted)), None
+        )
+        if head is None:
+            known = max((row for _, row in cells[:20]), key=len, default=[])
+            raise ExperimentError(
+                f"the probes {path}: no header has the columns {', '.join(map(str, wanted))}; there is "
+                f"{', '.join(known[:12]) or 'nothing'}"
+            )
+        raw = cells[head][1]
+        at = [_place(one, plain[head], raw) for one in wanted]
+        units = [match[0] if (match := re.search(r"[\[(]\s*\w+\s*[\])]$", raw[i])) else "" for i in at]
+        first = head + 1
+    header = ",".join(f"{name} {unit}" for name, unit in zip(("time", *columns.probes), units))
+    rows = [(body[max(first - 1, 0)][0], header)]
+    for k, row in cells[first:]:
+        if len(row) <= max(at):
+            raise ExperimentError(f"{path}, line {k}: {len(row)} columns, but column {max(at) + 1} is wanted")
+        values = [row[i].replace(",", ".") if separator != "," else row[i] for i in at]
+        rows.append((k, ",".join(values)))
+    return rows
+
+
+def _numeric(row: list[str], at: list[int]) -> bool:
+    if len(row) <= max(at):
+        return False
+    return all(re.fullmatch(r"[-+]?[\d.,]+([eE][-+]?\d+)?", row[i]) for i in at)
+
+
+def _named(one: str | int, plain: list[str], raw: list[str]) -> bool:
+    return (isinstance(one, int) and 0 < one <= len(raw)) or one in plain or one in raw
+
+
+def _place(one: str | int, plain: list[str], raw: list[str]) -> int:
+    if isinstance(one, int):
+        return one - 1
+    return raw.index(one) if one in raw else plain.index(one)
 
 
 def _places(lines: list[str]) -> dict[str, tuple[float, float]]:

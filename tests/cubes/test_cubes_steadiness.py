@@ -1,0 +1,89 @@
+"""Cameras that are knocked, shake or are late: dated, measured, named; steady ones raise nothing."""
+
+import shutil
+
+import numpy as np
+import pytest
+import zarr
+
+from wavefield.cubes.steadiness import jump, knocks, shaking, size, steadiness
+from wavefield.cubes.synchrony import Delay, Sample, regress, remarks
+
+
+@pytest.fixture
+def cube(reference, tmp_path):
+    """The small tank's cube; its eps_y is to be spoiled."""
+    shutil.copytree(reference, tmp_path / "cube.zarr")
+    return tmp_path / "cube.zarr"
+
+
+def add(cube, what):
+    """Add to eps_y, px, what is given for each step (n,) or node (n, ny, nx)."""
+    group = zarr.open_group(cube, mode="r+")
+    what = np.broadcast_to(np.asarray(what).T, group["eps_y"].shape[::-1]).T
+    group["eps_y"][:] = group["eps_y"][:] + (what * group.attrs["pixel_size"]).astype("float32")
+
+
+def test_a_knock_is_dated_to_the_frame_and_measured(cube):
+    steps = np.arange(16)
+    add(cube, np.where(steps > 8, 0.45, np.where(steps == 8, 0.225, 0.0)))  # step 8 has one frame of each
+    found = steadiness(cube)
+    (knock,) = knocks(cube, found)
+    assert knock.frame == 9
+    assert knock.size == pytest.approx(0.45, abs=0.03)
+
+
+def test_a_shaking_camera_is_measured_tilt_and_roll_alike(cube):
+    still = shaking(steadiness(cube), [])[0]
+    rng = np.random.default_rng(2)
+    x = np.linspace(-1, 1, 9)
+    add(cube, 0.2 * rng.standard_normal(16)[:, None, None] + 0.3 * rng.standard_normal((16, 1, 1)) * x)
+    rms, std = shaking(steadiness(cube), [])
+    assert still < 0.05
+    assert rms == pytest.approx(np.sqrt(0.2**2 + 0.3**2 / 3), rel=0.4)
+    assert 0 < std < rms / 2
+
+
+def test_a_steady_record_has_no_knock(reference):
+    found = steadiness(reference)
+    assert len(found.steps) == 16
+    assert knocks(reference, found) == []
+
+
+def test_a_slow_drift_and_waves_are_no_knock():
+    t = np.linspace(0, 1, 200)[:, None]
+    assert jump(np.hstack([0.2 * np.sin(60 * t), 0 * t, 0 * t])) is None
+    assert size(np.array([0.3, 0.0, 0.0])) == pytest.approx(0.3)
+
+
+def samples(delay, rng, instants=10, shake=0.3):
+    out = []
+    for _ in range(instants):
+        x, y = rng.uniform(-1, 1, (2, 300))
+        low = np.stack([np.ones(300), x, y], axis=-1)
+        velocity = np.sin(5 * x + 3 * y + rng.uniform(0, 6)) + 0.3 * rng.standard_normal(300)
+        miss = delay * velocity + low @ (shake * rng.standard_normal(3)) + 0.03 * rng.standard_normal(300)
+        miss[:6] += 3.0  # wrong matches
+        out.append(Sample(miss, velocity, low))
+    return out
+
+
+def test_a_delay_is_found_whatever_the_cameras_shake():
+    rng = np.random.default_rng(5)
+    misses = []
+    for _ in range(40):
+        found, std = regress(samples(0.004, rng))
+        misses.append((found - 0.004) / std)
+        assert std < 0.002
+    assert np.std(misses) == pytest.approx(1.0, abs=0.35)  # the uncertainty holds
+    assert regress(samples(0.004, rng, instants=1)) is None
+
+
+def test_a_delay_that_matters_is_a_remark_and_a_small_one_a_note():
+    found = {"cam1": Delay(0.0, 0.0), "cam2": Delay(2e-4, 1e-5), "cam3": Delay(-5e-5, 4e-5)}
+    (note,) = remarks(found, 100.0)
+    assert (note.subject, note.kind, note.weight) == ("cam2", "delayed", "note")
+    assert "taken 0.200 ms later than the others' (+- 0.010 ms)" in str(note)
+    (remark,) = remarks({"cam2": Delay(-2e-3, 1e-5)}, 100.0)
+    assert remark.weight == "remark"
+    assert "earlier" in str(remark)

@@ -1,0 +1,340 @@
+"""Do the cameras stand still? The low-order part of eps_y, step by step, says it.
+
+Water makes no eps_y whatever its shape, so what is constant or linear in it over the field belongs to the
+cameras: one that shakes makes it vary from step to step (tilt, roll), one that is knocked makes it jump once.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.cubes.witness import Witness, agreement, compare, pairs_of_all
+from wavefield.store.preview import read_steps
+from wavefield.store.read import open_group, read_layout
+from wavefield.store.verdict import Remark
+
+Array = NDArray[np.float64]
+
+_LOOKS = 600  # steps that are read, evenly over the record
+_NODES = 2000  # of each
+_FEWEST = 50  # nodes of a step, to say anything
+_SIDE = 3  # steps on either side of a jump, at least
+_JUMP = 0.05  # px: a smaller one is not told from what shakes
+_MATTERS = 0.1  # px
+_MOST = 3  # knocks that are looked for
+
+
+@dataclass(frozen=True)
+class Steadiness:
+    """Low-order part of eps_y over time.
+
+    Parameters
+    ----------
+    steps : ndarray of int, (n,)
+        Which steps were read.
+    low : ndarray, (n, 3)
+        px: over the middle, at the right and at the upper edge against the middle.
+    std : ndarray, (n, 3)
+        Standard uncertainty, px.
+    """
+
+    steps: NDArray[np.intp]
+    low: Array
+    std: Array
+
+
+@dataclass(frozen=True)
+class Knock:
+    """A jump.
+
+    Parameters
+    ----------
+    frame : int
+        First frame (index in the record) after it.
+    size : float
+        Rms over the field of what eps_y is more since, px.
+    """
+
+    frame: int
+    size: float
+
+
+def steadiness(store: Path, steps: Sequence[int] | None = None) -> Steadiness:
+    """Fit the low-order part of eps_y at steps of a cube.
+
+    Parameters
+    ----------
+    store : path
+        The cube.
+    steps : sequence of int, optional
+        Which; some hundreds over the record by default.
+
+    Returns
+    -------
+    Steadiness
+        Only of steps that say enough.
+    """
+    group = open_group(store)
+    count, ny, nx = group["eps_y"].shape
+    every = max(1, int(np.sqrt(ny * nx / _NODES)))
+    pixel = float(group.attrs["pixel_size"])
+    x, y = np.meshgrid(*(np.linspace(-1, 1, n)[::every] for n in (nx, ny)))
+    design = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=-1)
+    wanted = np.unique(np.linspace(0, count - 1, min(count, _LOOKS)).astype(int)) if steps is None else steps
+    kept, low, std = [], [], []
+    block = read_layout(group).block
+    for first in range(0, count, block):
+        inside = [k for k in wanted if first <= k < first + block]
+        if not inside:
+            continue
+        values = read_steps(group, "eps_y", first, min(first + block, count))[:, ::every, ::every] / pixel
+        for k in inside:
+            fit = _fit(design, values[k - first].ravel())
+            if fit is not None:
+                kept.append(k)
+                low.append(fit[0])
+                std.append(fit[1])
+    return Steadiness(np.array(kept, int), np.array(low).reshape(-1, 3), np.array(std).reshape(-1, 3))
+
+
+def _fit(design: Array, values: Array) -> tuple[Array, Array] | None:
+    good = np.isfinite(values)
+    if good.sum() < _FEWEST:
+        return None
+    middle = np.median(values[good])
+    spread = 1.4826 * np.median(np.abs(values[good] - middle)) + 1e-6
+    good &= np.abs(values - middle) < 4 * spread + 1.0
+    A, b = design[good], values[good].astype(float)
+    if len(b) < _FEWEST:
+        return None
+    found = np.linalg.lstsq(A, b, rcond=None)[0]
+    variance = float(np.var(b - A @ found))
+    return found, np.sqrt(variance * np.diag(np.linalg.pinv(A.T @ A)))
+
+
+def size(low: Array) -> float:
+    """Rms over the field of a low-order eps_y.
+
+    Parameters
+    ----------
+    low : ndarray, (3,)
+        As in `Steadiness`.
+
+    Returns
+    -------
+    float
+        px.
+
+    Examples
+    --------
+    >>> size(np.array([0.3, 0.0, 0.0]))
+    0.3
+    """
+    return float(np.sqrt(low[0] ** 2 + (low[1] ** 2 + low[2] ** 2) / 3))
+
+
+def jump(low: Array) -> int | None:
+    """Where a series jumps, if it does.
+
+    Parameters
+    ----------
+    low : ndarray, (n, 3)
+        Low-order eps_y over time, px.
+
+    Returns
+    -------
+    int or None
+        First index after the jump: it is larger than .05 px, and than twice what the series scatters by.
+
+    Examples
+    --------
+    >>> quiet = np.zeros((12, 3))
+    >>> jump(quiet) is None
+    True
+    >>> jump(np.vstack([quiet, quiet + [0.4, 0.0, 0.0]]))
+    12
+    """
+    n = len(low)
+    if n < 2 * _SIDE:
+        return None
+    total, squares = np.cumsum(low, axis=0), float((low**2).sum())
+    cuts = np.arange(_SIDE, n - _SIDE + 1)
+    before, after = total[cuts - 1] / cuts[:, None], (total[-1] - total[cuts - 1]) / (n - cuts)[:, None]
+    left = squares - (before**2).sum(axis=1) * cuts - (after**2).sum(axis=1) * (n - cuts)
+    best = int(np.argmin(left))
+    scatter = float(np.sqrt(max(left[best], 0.0) / max(n - 2, 1)))
+    if size(after[best] - before[best]) < max(_JUMP, 2 * scatter):
+        return None
+    return int(cuts[best])
+
+
+def knocks(store: Path, found: Steadiness) -> list[Knock]:
+    """Jumps of a record, each dated to a frame.
+
+    Parameters
+    ----------
+    store : path
+        The cube; steps around a jump are read again, every one.
+    found : Steadiness
+        As from `steadiness`.
+
+    Returns
+    -------
+    list of Knock
+        The first first.
+    """
+    pieces, cuts = [(0, len(found.steps))], []
+    while pieces and len(cuts) < _MOST:
+        a, b = pieces.pop(0)
+        at = jump(found.low[a:b])
+        if at is not None:
+            cuts.append(a + at)
+            pieces += [(a, a + at), (a + at, b)]
+    out = []
+    edges = [0, *sorted(cuts), len(found.steps)]
+    for a, at, b in zip(edges, edges[1:], edges[2:]):
+        before, after = (np.median(found.low[s], axis=0) for s in (slice(a, at), slice(at, b)))
+        between = range(max(int(found.steps[at - 1]) - 1, 0), int(found.steps[at]) + 1)
+        near = steadiness(store, list(between))
+        along = (near.low - before) @ (after - before) / float((after - before) @ (after - before))
+        # a step shows the mean of its two frames: the one in which the knock falls is half way
+        whole = near.steps[along > 0.75]
+        frame = int(whole[0]) if whole.size else int(found.steps[at])
+        out.append(Knock(frame, size(after - before)))
+    return out
+
+
+def shaking(found: Steadiness, cuts: Sequence[int]) -> tuple[float, float]:
+    """How far the picture of the cameras shakes from step to step.
+
+    Parameters
+    ----------
+    found : Steadiness
+        As from `steadiness`.
+    cuts : sequence of int
+        Steps at which the record jumps.
+
+    Returns
+    -------
+    rms, std : float
+        px over the field, and its standard uncertainty.
+    """
+    edges = [0, *np.searchsorted(found.steps, cuts).tolist(), len(found.steps)]
+    parts = [found.low[a:b] - found.low[a:b].mean(axis=0) for a, b in pairwise(edges) if b - a > 1]
+    if not parts:
+        return 0.0, np.inf
+    rest = np.concatenate(parts)
+    freedom = len(rest) - len(parts)
+    variance = (rest**2).sum(axis=0) / freedom - np.mean(found.std**2, axis=0)
+    power = max(float(variance[0] + (variance[1] + variance[2]) / 3), 0.0)
+    noise = float(np.mean(found.std[:, 0] ** 2)) + power
+    return float(np.sqrt(power)), float(np.sqrt(noise / (2 * freedom)))
+
+
+def who(witness: Witness, frame: int, count: int) -> str:
+    """The camera that a knock moved: it alone is in every pair of cameras that misses differently since.
+
+    Parameters
+    ----------
+    witness : Witness
+        The cameras.
+    frame : int
+        First frame after the knock.
+    count : int
+        Frames of the record.
+
+    Returns
+    -------
+    str
+        "rig" if that cannot be told.
+    """
+    names = list(witness.rig)
+    moved = {}
+    for pair in pairs_of_all(names):
+        sides = []
+        for frames in (range(max(frame - 4, 0), frame), range(frame, min(frame + 4, count))):
+            found = [
+                agreement(witness, pair, compare(*(witness.patches(name, k) for name in pair)))
+                for k in frames
+            ]
+            sides.append([one.smooth for one in found if len(one.eps_y) >= 8])
+        if not all(sides):
+            return "rig"
+        moved[pair] = size(np.median(sides[1], axis=0) - np.median(sides[0], axis=0))
+    wrong = [pair for pair, by in moved.items() if by > max(moved.values()) / 2]
+    common = [name for name in names if all(name in pair for pair in wrong)]
+    return common[0] if len(common) == 1 and len(names) > 2 else "rig"
+
+
+def remarks(store: Path, witness: Witness, first_frame: int) -> Iterator[Remark]:
+    """What to say of cameras that do not stand still.
+
+    Parameters
+    ----------
+    store : path
+        The cube.
+    witness : Witness
+        Its cameras.
+    first_frame : int
+        Number of frame 0.
+
+    Yields
+    ------
+    Remark
+    """
+    yield from _turned_back(store, first_frame)
+    found = steadiness(store)
+    if len(found.steps) < 2 * _SIDE:
+        return
+    jumps = knocks(store, found)
+    count = int(open_group(store)["frame"].shape[0])
+    for one in jumps:
+        yield Remark(
+            who(witness, one.frame, count),
+            "knocked",
+            "grave" if one.size > 5 * _MATTERS else "remark",
+            f"it moved between frames {first_frame + one.frame - 1} and {first_frame + one.frame}: since "
+            f"then sight lines miss each other by {one.size:.2f} px more",
+            f"less than {_JUMP} px",
+            "run the two parts by themselves (`frames: {first, last}`), the second with a rig mended by "
+            "`wavefield refine`",
+            {"frame": first_frame + one.frame, "px": one.size},
+        )
+    rms, std = shaking(found, [one.frame for one in jumps])
+    if rms > max(_JUMP, 3 * std):
+        yield Remark(
+            "cameras",
+            "shaking",
+            "remark" if rms > _MATTERS else "note",
+            f"their pictures shake by {rms:.3f} +- {std:.3f} px from step to step "
+            "(tilt and roll across the sight lines)",
+            f"{_MATTERS} px at most",
+            "stiffen their mounts, or let no carriage, pump or person move while they record",
+            {"px": rms, "std": std},
+        )
+
+
+def _turned_back(store: Path, first_frame: int) -> Iterator[Remark]:
+    """What was corrected, of a cube that was measured so."""
+    group = open_group(store)
+    if "camera_shift" not in group:
+        return
+    for name, low in zip(read_layout(group).cameras, np.asarray(group["camera_shift"][:], float)):
+        known = np.flatnonzero(np.isfinite(low).all(axis=1))
+        if not known.size:
+            continue
+        rms = float(np.sqrt(np.mean([size(one) ** 2 for one in low[known]])))
+        at = jump(low[known])
+        when = "" if at is None else f", most of it from frame {first_frame + int(known[at])} on"
+        if rms > _JUMP / 5:
+            yield Remark(
+                name,
+                "turned back",
+                "note",
+                f"its pictures were turned back by {rms:.3f} px rms across the sight lines{when}",
+                values={"px": rms} | ({} if at is None else {"frame": float(first_frame + known[at])}),
+            )

@@ -1,0 +1,214 @@
+"""A probe beside the cube's elevation at the same place: unit, sign, clock and position, by correlation."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import signal
+
+Array = NDArray[np.float64]
+
+_LEAST_OVERLAP = 0.5  # of the elevation's record, at any lag that is tried
+_SHORTEST = 40  # samples: less says nothing
+_ALIKE = 0.8  # correlation: the same waves
+_BETTER = 0.1  # by so much must another lag or place be better
+_UNITS = {1e3: "mm", 1e2: "cm", 1e6: "um", 1e-3: "km"}
+
+
+@dataclass(frozen=True)
+class ProbeFit:
+    """How a probe fits the elevation at its place.
+
+    Parameters
+    ----------
+    name : str
+        The probe.
+    likeness : float
+        Correlation as clock and position are stated.
+    best : float
+        The same at the best lag; negative where the sign is turned.
+    lag : float
+        Seconds by which the probe's clock is ahead: its event comes that much later by its own clock.
+    gain : float
+        Standard deviation of the probe over that of the elevation.
+    place : (float, float) or None
+        Where in the cube it fits, m, if that is elsewhere than stated.
+    """
+
+    name: str
+    likeness: float
+    best: float
+    lag: float
+    gain: float
+    place: tuple[float, float] | None = None
+
+    def problems(self, dt: float) -> Iterator[tuple[str, str, str]]:
+        """What does not fit: a word, a sentence, a remedy.
+
+        Parameters
+        ----------
+        dt : float
+            Step of the cube, s.
+
+        Yields
+        ------
+        (str, str, str)
+        """
+        if abs(self.best) < _ALIKE:
+            if self.place is not None:
+                x, y = self.place
+                yield "position", f"it fits the elevation at x {x:.2f}, y {y:.2f} m", "correct its place"
+            else:
+                yield (
+                    "unlike",
+                    f"it is unlike the elevation at its place at any time (correlation {self.best:.2f})",
+                    "is it in the cameras' field, of the same record, and was it wet?",
+                )
+            return
+        if self.best < 0:
+            yield "sign", "it falls where the elevation rises", "turn its sign (`factor: -1` in `probes:`)"
+        if abs(self.lag) > 0.5 * dt and abs(self.best) > abs(self.likeness) + _BETTER:
+            yield (
+                "clock",
+                f"its clock is {abs(self.lag):.3f} s {'ahead of' if self.lag > 0 else 'behind'} the cameras'",
+                f"add {-self.lag:.3f} to its times (`clock` in `probes:`), or mend `offset` of the cameras",
+            )
+        for factor, unit in _UNITS.items():
+            if 0.7 < self.gain / factor < 1.4:
+                yield (
+                    "unit",
+                    f"it is {self.gain:.3g} times the elevation, as if it were in {unit}",
+                    f"say so: `unit: {unit}` in `probes:`",
+                )
+                return
+        if not 0.8 < self.gain < 1.25:
+            yield (
+                "gain",
+                f"it is {self.gain:.2f} times the elevation",
+                "calibrate it, or say its `factor` in `probes:`",
+            )
+
+
+def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
+    """Compare every probe that lies in the field with the elevation there.
+
+    Parameters
+    ----------
+    z : DataArray, (time, y, x)
+        Elevation, m, evenly in time; thinned or not.
+    probes : Dataset
+        As from `read_probes`: ``elevation`` (probe, time), ``probe_x``, ``probe_y``.
+
+    Returns
+    -------
+    list of ProbeFit
+        Without those whose place is not known, or that have too little to say.
+
+    Notes
+    -----
+    Correlation normalised over what overlaps, at every lag that leaves half of the record; the peak to a
+    fraction of a step by a parabola.
+    """
+    time = z["time"].values.astype(float)
+    if time.size < _SHORTEST:
+        return []
+    dt = float(np.median(np.diff(time)))
+    out = []
+    for k, name in enumerate(probes["probe"].values):
+        x, y = float(probes["probe_x"][k]), float(probes["probe_y"][k])
+        inside = z["x"].min() <= x <= z["x"].max() and z["y"].min() <= y <= z["y"].max()
+        series = _even(probes["time"].values, probes["elevation"].values[k], dt)
+        if not inside or series is None:
+            continue
+        clock, values = series
+        here = z.interp(x=x, y=y).values.astype(float)
+        if np.isfinite(here).sum() >= _SHORTEST:
+            fit = _fit(str(name), time, here, clock, values, dt)
+            out.append(_elsewhere(fit, z, clock, values, dt) if fit and abs(fit.best) < _ALIKE else fit)
+    return [fit for fit in out if fit is not None]
+
+
+def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
+    """A probe at the steps of the cube; averaged over a step where it is quicker."""
+    good = np.isfinite(values) & np.isfinite(clock)
+    if good.sum() < _SHORTEST:
+        return None
+    clock, values = clock[good], values[good]
+    own = float(np.median(np.diff(clock)))
+    width = max(1, round(dt / max(own, 1e-9)))
+    smooth = np.convolve(values, np.ones(width) / width, "same") if width > 1 else values
+    even = np.arange(np.ceil(clock[0] / dt), np.floor(clock[-1] / dt) + 1) * dt
+    return (even, np.interp(even, clock, smooth)) if even.size >= _SHORTEST else None
+
+
+def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: float) -> ProbeFit | None:
+    lags, likeness = correlation(here, values, int(_LEAST_OVERLAP * time.size))
+    if not lags.size:
+        return None
+    shift = lags * dt + (clock[0] - time[0])  # by which the probe's time is later, event by event
+    k = int(np.argmax(np.abs(likeness)))
+    if 0 < k < lags.size - 1:
+        before, at, after = np.abs(likeness[k - 1 : k + 2])
+        bend = before - 2 * at + after
+        fine = 0.5 * (before - after) / bend if bend < 0 else 0.0
+    else:
+        fine = 0.0
+    now = float(np.interp(0.0, shift, likeness, left=0.0, right=0.0))
+    return ProbeFit(
+        name, now, float(likeness[k]), float(shift[k] + fine * dt), float(values.std() / np.nanstd(here))
+    )
+
+
+def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array]:
+    """Normalised correlation of two series at every lag, over what overlaps.
+
+    Parameters
+    ----------
+    a, b : ndarray, (n,) and (m,)
+        Series; NaN where there is nothing.
+    least : int
+        Samples that must overlap.
+
+    Returns
+    -------
+    lags : ndarray of int
+        b[i + lag] is held beside a[i].
+    likeness : ndarray
+        -1 to 1.
+    """
+    known = [np.isfinite(v).astype(float) for v in (a, b)]
+    value = [np.where(k > 0, v - np.nanmean(v), 0.0) for k, v in zip(known, (a, b))]
+
+    def sums(p: Array, q: Array) -> Array:
+        return np.asarray(signal.correlate(q, p, mode="full", method="fft"))
+
+    count = sums(known[0], known[1])
+    one, other = sums(value[0], known[1]), sums(known[0], value[1])
+    held = np.maximum(count, 1.0)
+    power = (sums(value[0] ** 2, known[1]) - one**2 / held) * (
+        sums(known[0], value[1] ** 2) - other**2 / held
+    )
+    likeness = (sums(value[0], value[1]) - one * other / held) / np.sqrt(np.maximum(power, 1e-30))
+    lags = np.arange(-(a.size - 1), b.size)
+    enough = (count > least - 0.5) & (power > 1e-12 * float(np.max(power)))
+    return lags[enough], np.clip(likeness[enough], -1.0, 1.0)
+
+
+def _elsewhere(fit: ProbeFit, z: xr.DataArray, clock: Array, values: Array, dt: float) -> ProbeFit:
+    """Look for the place in the cube that a probe fits, by its own clock."""
+    there = np.interp(z["time"].values.astype(float), clock, values, left=np.nan, right=np.nan)
+    good = np.isfinite(there)
+    if good.sum() < _SHORTEST:
+        return fit
+    field = z.values[good].astype(float)
+    field = field - field.mean(axis=0)
+    wanted = there[good] - there[good].mean()
+    power = np.sqrt((field**2).sum(axis=0) * (wanted**2).sum())
+    likeness = np.nan_to_num(np.tensordot(wanted, field, 1) / np.where(power > 0, power, np.inf))
+    row, column = np.unravel_index(int(np.argmax(likeness)), likeness.shape)
+    if likeness[row, column] < max(_ALIKE, abs(fit.likeness) + _BETTER):
+        return fit
+    place = float(z["x"][column]), float(z["y"][row])
+    return ProbeFit(fit.name, fit.likeness, fit.best, fit.lag, fit.gain, place)
