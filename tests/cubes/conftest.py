@@ -3,9 +3,11 @@
 import shutil
 
 import pytest
-from cube_cases import HERE, write_tank
+from cube_cases import HERE, KNOCKED, write_tank
 
 from wavefield.cubes import run
+from wavefield.images import write_image
+from wavefield.tank import Scene, Tank
 
 
 @pytest.fixture(scope="session")
@@ -26,4 +28,21 @@ def reference(tank, tmp_path_factory):
     """Its cube from one uninterrupted run in one block."""
     path = tmp_path_factory.mktemp("reference") / "cube.zarr"
     run(tank, out=path, workflow=HERE)
+    return path
+
+
+@pytest.fixture(scope="session")
+def knocked(tmp_path_factory):
+    """A wider tank whose cam1 turns by .01 degrees in mid-record; not to be changed."""
+    folder = tmp_path_factory.mktemp("knocked")
+    fault = {"cam1": {"turned": (0.01, 0.0, 0.0), "since": KNOCKED}}
+    tank = Tank(Scene.load("demo").with_(rig={"crop": 0.25}, sea={"shortest": 0.15}, faults=fault))
+    tank.rig.save(folder / "rig.yaml")
+    for frame in range(11):
+        for name, image in tank.render(frame).items():
+            write_image(folder / name / f"img_{frame:02d}.tif", image)
+    cameras = "".join(f'  {name}: "{name}/*.tif"\n' for name in tank.rig)
+    grid = "grid: {x: [-0.15, 0.15], y: [-0.1, 0.1], step: 0.01}\n"
+    path = folder / "experiment.yaml"
+    path.write_text(f"name: lab\nframe_rate: 20\nrig: rig.yaml\ncameras:\n{cameras}{grid}")
     return path

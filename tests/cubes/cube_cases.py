@@ -10,6 +10,7 @@ from wavefield.tank import Scene, Tank
 
 HERE = Workflow(cluster="none")
 FRAMES = 17
+KNOCKED = 6  # first frame of the wider tank after its cam1 was knocked
 
 
 def write_tank(folder: Path, frames: int = FRAMES) -> Path:

@@ -72,6 +72,7 @@ def late(name, frame):
         (reversed_, "cam2", "reversed", "is run backwards"),
         (covered, "cam2", "covered", "shows nothing in"),
         (Shots(11, cam2={"defocus": 2.0}), "cam2", "out of focus", "blurred by"),
+        (Shots(11, cam2={"defocus": 4.0}), "cam2", "out of focus", "blurred by"),
     ],
 )
 def test_a_camera_that_lies_is_named_with_its_lie(read, subject, kind, says):
@@ -87,6 +88,15 @@ def test_a_knocked_camera_is_named_and_the_miss_is_told_in_px():
     assert (remark.subject, remark.kind) == ("cam1", "moved")
     assert 0.3 < remark.values["eps_y cam1-cam3"] < 3
     assert remark.values["eps_y cam2-cam3"] < 0.1
+
+
+def test_a_camera_knocked_along_the_parallax_makes_heights_disagree():
+    rig = SOUND.tank.rig
+    turned = replace(rig["cam1"], cx=rig["cam1"].cx + 1)
+    (remark,) = found(SOUND, replace(rig, cameras={**rig.cameras, "cam1": turned})).remarks
+    assert (remark.subject, remark.kind) == ("rig", "moved")
+    assert abs(remark.values["height"]) == pytest.approx(1.0, abs=0.4)
+    assert "see the same water at different heights" in str(remark)
 
 
 @pytest.mark.parametrize("seed", [11, 12])

@@ -33,7 +33,7 @@ Examples:
 @click.option("--rig", type=_FILE, help="Rig file, in place of the one that the experiment names.")
 @click.option("--workflow", type=_FILE, help="Where and how it would run: a file as in workflows/.")
 @campaign.PARAMETERS
-@click.option("--pairs", is_flag=True, help="Also compare what each pair of cameras measures by itself.")
+@click.option("--pairs", is_flag=True, help="Also compare each pair of cameras, and their clocks.")
 @_JSON
 @click.pass_context
 def check(
@@ -94,9 +94,13 @@ def _say(
     if words := _probes_line(experiment):
         click.echo(f"  probes: {words}")
     if pairs and not found.problems:
+        from wavefield.cubes.judgement import synchrony_of
         from wavefield.cubes.prepare import prepare
+        from wavefield.cubes.synchrony import sentence
 
-        click.echo(_pairs_table(prepare(experiment, rig, workflow)))
+        prepared = prepare(experiment, rig, workflow)
+        click.echo(_pairs_table(prepared))
+        click.echo(f"  clocks: {sentence(synchrony_of(prepared)[0])}")
 
 
 def _reader(prepared: Prepared) -> Callable[[str, int], Any]:

@@ -10,6 +10,7 @@ from wavefield.cubes.at_rest import remark_on_rest
 from wavefield.cubes.prepare import Prepared, expected_coverage
 from wavefield.cubes.probe_remarks import remark_on_probes
 from wavefield.cubes.suspects import Examination, examine
+from wavefield.cubes.synchrony import Delay
 from wavefield.cubes.witness import Witness
 from wavefield.store.ledger import Status
 from wavefield.store.read import open_group
@@ -41,7 +42,7 @@ def look_at_cameras(prepared: Prepared) -> Examination:
     return examine(_witness(prepared), count, frames)
 
 
-def synchrony_of(prepared: Prepared, instants: int) -> list[Remark]:
+def synchrony_of(prepared: Prepared, instants: int = _SYNCHRONY) -> tuple[dict[str, Delay], float]:
     """Whether the cameras take their frames at the same moment.
 
     Parameters
@@ -53,12 +54,15 @@ def synchrony_of(prepared: Prepared, instants: int) -> list[Remark]:
 
     Returns
     -------
-    list of Remark
+    delays : dict of str to Delay
+        As from `wavefield.cubes.synchrony.delays`.
+    speed : float
+        Of the water in images, rms, px/s.
     """
     count = prepared.steps + 1
     frames = sorted({int((k + 0.5) * count / instants) for k in range(instants)} - {0, count - 1})
-    found, speed = synchrony.delays(prepared.plan, _witness(prepared), frames, prepared.experiment.frame_rate)
-    return list(synchrony.remarks(found, speed))
+    rate = prepared.experiment.frame_rate
+    return synchrony.delays(prepared.plan, _witness(prepared), frames, rate)
 
 
 def _witness(prepared: Prepared) -> Witness:
@@ -83,8 +87,9 @@ def judge(prepared: Prepared, status: Status, seen: Examination | None = None) -
     """
     seen = look_at_cameras(prepared) if seen is None else seen
     witness = _witness(prepared)
+    instants = min(_SYNCHRONY, max(_INSTANTS, prepared.steps // 6))  # of a short record, not most of its cost
     remarks = [
-        *synchrony_of(prepared, _SYNCHRONY),
+        *synchrony.remarks(*synchrony_of(prepared, instants)),
         *steadiness.remarks(status.store, witness, next(iter(prepared.series.values())).first),
         *seen.remarks,
         remark_on_rest(prepared.experiment, prepared.rig),

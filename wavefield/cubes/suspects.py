@@ -81,6 +81,13 @@ def examine(witness: Witness, count: int, frames: Sequence[int]) -> Examination:
     table = _Table(witness, names, whole)
     remarks = [*_covered(table), *_blurred(table)]
     lying, explained = _lying(table, count)
+    seen = {remark.subject: remark for remark in remarks}
+    explained = [  # what is so blurred or covered that nothing matches is no contradiction
+        replace(seen[one.subject], weight="grave")
+        if one.kind == "contradicts" and one.subject in seen
+        else one
+        for one in explained
+    ]
     remarks = [remark for remark in remarks if remark.subject not in lying] + explained
     remarks += _knocked(table, lying) or _uneven(table, lying)
     return Examination(tuple(remarks), table.camera_numbers(), table.pair_numbers(), whole)

@@ -263,3 +263,29 @@ def remarks(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
             "trigger all cameras by one signal and give them one exposure time",
             {"delay": one.seconds, "std": one.std, "px": off},
         )
+
+
+def sentence(found: Mapping[str, Delay]) -> str:
+    """Delays of all cameras in a line.
+
+    Parameters
+    ----------
+    found : mapping of str to Delay
+        As from `delays`.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> sentence({"cam1": Delay(0.0, 0.0), "cam2": Delay(2e-4, 1e-5)})
+    'cam2 is later than cam1 by 0.200 +- 0.010 ms'
+    """
+    first = next((name for name, one in found.items() if one.std == 0), "")
+    words = [
+        f"{name} is later than {first} by {1e3 * one.seconds:.3f} +- {1e3 * one.std:.3f} ms"
+        for name, one in found.items()
+        if name != first
+    ]
+    return "; ".join(words) or "too little moves, or matches, to tell"

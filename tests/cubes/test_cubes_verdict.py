@@ -1,0 +1,73 @@
+"""A camera that lies stops scripts: exit status and words of check, run, status and report agree."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from wavefield.commands.cli import main
+from wavefield.images import read_image, write_image
+
+
+@pytest.fixture
+def lab(knocked, tmp_path):
+    """The first frames of the wider tank, which are sound, and a file for plain runs."""
+    shutil.copytree(knocked.parent, tmp_path / "lab")
+    path = tmp_path / "lab" / "experiment.yaml"
+    path.write_text(path.read_text() + "frames: {last: 4}\n")
+    (path.parent / "here.yaml").write_text("cluster: none\n")
+    return path
+
+
+def mirror(image):
+    return np.ascontiguousarray(image[:, ::-1])
+
+
+def blank(image):
+    return np.full_like(image, 7)
+
+
+def change(lab, camera, how):
+    for file in (lab.parent / camera).glob("*.tif"):
+        write_image(file, how(read_image(file)))
+
+
+def test_a_mirrored_camera_is_named_by_every_command_and_stops_check_and_run(lab, capsys):
+    change(lab, "cam2", mirror)
+    here, cube = ["--workflow", str(lab.with_name("here.yaml"))], str(lab.with_name("cube.zarr"))
+
+    def said(*words, status):
+        assert main(["-q", *words]) == status
+        return capsys.readouterr().out
+
+    assert said("check", str(lab), *here, status=3).startswith("verdict: not to be trusted: cam2 mirrored")
+    found = json.loads(said("check", str(lab), "--json", *here, status=3))["verdict"]
+    assert found["verdict"] == "not to be trusted"
+    assert (found["remarks"][0]["subject"], found["remarks"][0]["kind"]) == ("cam2", "mirrored")
+    assert set(found["cameras"]["cam2"]) == {"blur", "brightness", "coverage"}
+    assert "cam2 mirrored" in said("run", str(lab), *here, status=3)
+    assert said("status", cube, status=3).startswith("verdict: not to be trusted: cam2 mirrored")
+    said("report", cube, status=0)
+    page = lab.with_name("report.html").read_text()
+    assert "Verdict: not to be trusted: cam2 mirrored" in page
+    assert "mend its images" in page
+
+
+def test_a_run_in_which_nothing_could_be_measured_failed(lab, capsys):
+    change(lab, "cam3", blank)
+    change(lab, "cam1", blank)
+    here = ["--workflow", str(lab.with_name("here.yaml"))]
+    assert main(["-q", "check", str(lab), *here]) == 1
+    assert capsys.readouterr().out.startswith("verdict: not ready")
+    assert main(["-q", "run", str(lab), *here]) == 1
+    assert "record failed steps" in capsys.readouterr().out
+    assert main(["-q", "status", str(lab.with_name("cube.zarr"))]) == 1
+
+
+def test_a_sound_record_stops_nothing(lab, capsys):
+    here = ["--workflow", str(lab.with_name("here.yaml"))]
+    assert main(["-q", "check", str(lab), *here]) == 0
+    assert capsys.readouterr().out.startswith("verdict: sound\n")
+    assert main(["-q", "run", str(lab), *here]) == 0
+    assert capsys.readouterr().out.startswith("verdict: sound\n")
