@@ -35,6 +35,7 @@ import xarray as xr
 from wavefield.cubes import open_cube, reconstruct, status
 from wavefield.images import read_image, write_image
 from wavefield.series import frames, listing
+from wavefield.store.verify import verify
 from wavefield.tank import Scene, Tank, paper_rig
 from wavefield.variables import CUBE_FIELDS
 
@@ -382,6 +383,7 @@ def kills(folder: Path, options: argparse.Namespace) -> None:
         "bit-identical",
         _yes(same(out, reference)),
     )
+    say("    `wavefield verify` of it", "sound", _yes(verify(out).sound))
     print("    steps done at start and end of each: " + ", ".join(log))
     partial = list(out.rglob("*.partial"))
     say("    half-written files left behind", "0", str(len(partial)))
