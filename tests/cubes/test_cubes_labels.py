@@ -7,9 +7,11 @@ import pytest
 import xarray as xr
 from cube_cases import HERE, different
 
+from wavefield.commands.cli import main
 from wavefield.cubes import open_cube, run, work
 from wavefield.errors import StoreError
 from wavefield.images import read_image, write_image
+from wavefield.report.sources import gather
 from wavefield.store.preview import open_preview, read_steps, thinning
 from wavefield.store.read import cube_recipe, open_group
 from wavefield.store.relabel import RATES
@@ -71,6 +73,16 @@ def test_what_reads_the_cube_by_itself_sees_the_new_rate(own_tank, cube, referen
     row = thin.names.index("w")
     shown = preview["fields"][row, ..., 3] * np.float64(thin.scales[row])
     np.testing.assert_allclose(shown, 2 * wide[0, :: thin.every, :: thin.every], atol=1.01e-4)
+
+
+def test_a_report_does_not_show_waves_of_another_rate(own_tank, cube):
+    assert main(["-q", "analyze", str(cube), "--segment", "8"]) == 0
+    assert gather(cube, cube.with_name("waves.zarr")).waves is not None
+    change(own_tank, ("frame_rate: 20.0", "frame_rate: 25.0"))
+    run(own_tank, workflow=HERE)
+    found = gather(cube, cube.with_name("waves.zarr"))
+    assert found.waves is None
+    assert "another frame rate since" in "".join(found.notes)
 
 
 def test_labels_go_there_and_back_bit_for_bit(own_tank, cube, reference):

@@ -166,6 +166,13 @@ def gather(
             out.waves = xr.open_datatree(waves, engine="zarr", chunks={})
         except (OSError, ValueError, KeyError) as error:
             raise StoreError(f"{waves} cannot be read as a wave store: {error}") from None
+        rate = float(cube.attrs.get("frame_rate", np.nan))
+        if abs(float(out.waves.attrs.get("frame_rate", rate)) / rate - 1) > 1e-3:
+            out.waves = None
+            out.notes.append(
+                "spectra and coherence (the cube has another frame rate since: run "
+                f"`wavefield analyze {store}` again)"
+            )
     else:
         out.notes.append(f"spectra and coherence (run `wavefield analyze {store}` first)")
     rig = out.recipe.get("rig")

@@ -175,6 +175,8 @@ class Rig:
                 camera = Camera.from_dict(values)
             except (TypeError, ValueError) as error:
                 raise RigError(f"camera {name!r}: {error}") from None
+            if unreal := [key for key, value in camera.to_dict().items() if not np.isfinite(value).all()]:
+                raise RigError(f"camera {name!r}: {unreal[0]} is no finite number")
             wrong = np.abs(camera.R @ camera.R.T - np.eye(3)).max()
             if not wrong < 1e-6 or np.linalg.det(camera.R) < 0:
                 raise RigError(f"camera {name!r}: `rotation` is not a right-handed rotation matrix")
