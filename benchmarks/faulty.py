@@ -24,7 +24,7 @@ from wavefield.measurement import Plan, Settings
 from wavefield.tank import Scene, Tank
 
 COUNT, LOOKS = 8, (1, 3, 5, 6)
-INSTANTS = range(1, 19, 2)  # of a delay
+INSTANTS = range(1, 49, 2)  # of a delay
 FIRST = 101  # seed; none of them was tuned on
 
 Read = Callable[[str, int], NDArray[Any]]

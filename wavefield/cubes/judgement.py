@@ -86,18 +86,23 @@ def judge(prepared: Prepared, status: Status, seen: Examination | None = None) -
     Verdict
     """
     seen = look_at_cameras(prepared) if seen is None else seen
-    witness = _witness(prepared)
-    instants = min(_SYNCHRONY, max(_INSTANTS, prepared.steps // 6))  # of a short record, not most of its cost
     remarks = [
-        *synchrony.remarks(*synchrony_of(prepared, instants)),
-        *steadiness.remarks(status.store, witness, next(iter(prepared.series.values())).first),
         *seen.remarks,
+        *([] if any(one.weight == "grave" for one in seen.remarks) else _clocks_and_mounts(prepared, status)),
         remark_on_rest(prepared.experiment, prepared.rig),
         *remark_on_probes(prepared.experiment, status.store),
         *_steps(status),
         *_fields(status.store, expected_coverage(prepared.rig, prepared.grid)),
     ]
     return Verdict.of(remarks, seen.cameras, seen.pairs)
+
+
+def _clocks_and_mounts(prepared: Prepared, status: Status) -> Iterator[Remark]:
+    """What eps_y says of cameras that see the same water."""
+    instants = min(_SYNCHRONY, max(_INSTANTS, prepared.steps // 6))  # of a short record, not most of its cost
+    yield from synchrony.remarks(*synchrony_of(prepared, instants))
+    first = next(iter(prepared.series.values())).first
+    yield from steadiness.remarks(status.store, _witness(prepared), first)
 
 
 def _steps(status: Status) -> Iterator[Remark]:
