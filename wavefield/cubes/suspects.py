@@ -422,7 +422,8 @@ def _uneven(table: _Table, lying: set[str]) -> list[Remark]:
 
     Which one cannot be told: heights of two pairs are one number more than there is water.
     """
-    worst, sure, which = 0.0, 0.0, ((), ())
+    worst, sure = 0.0, 0.0
+    which: tuple[Pair, ...] = ()
     for first, second in combinations(table.pairs, 2):
         if first[0] != second[0] or lying & {*first, *second}:
             continue  # both look for the same camera's patches

@@ -151,7 +151,7 @@ class Witness:
 
     def parallax(self, pair: Pair) -> Array:
         """Displacement from one camera to the other per height, (n,)."""
-        return np.maximum(np.linalg.norm(self._rise(pair), axis=1), 1e-12)
+        return np.asarray(np.maximum(np.linalg.norm(self._rise(pair), axis=1), 1e-12))
 
     def _rise(self, pair: Pair) -> Array:
         a, b = (self.rig[name].centre for name in pair)

@@ -286,7 +286,7 @@ def make_series(numbered: Mapping[str, Numbered], first: int, last: int) -> dict
         entries = [frames.get(number) for number in range(first, last + 1)]
         shape, dtype = _first_readable(entries, camera)
         beyond = sum(number < first for number in frames), sum(number > last for number in frames)
-        out[camera] = FrameSeries(camera, first, entries, shape, dtype, beyond)
+        out[camera] = FrameSeries(camera, first, entries, shape, dtype, beyond=beyond)
     return out
 
 
