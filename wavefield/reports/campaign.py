@@ -67,9 +67,10 @@ def _group(waves: Path, name: str) -> xr.Dataset | None:
     if not waves.is_dir():
         return None
     try:
-        return xr.open_zarr(waves, group=name, chunks=None, consolidated=False)
+        found: xr.Dataset = xr.open_zarr(waves, group=name, chunks=None, consolidated=False)
     except (OSError, ValueError, KeyError) as error:
         raise StoreError(f"{waves} cannot be read as a wave store: {error}") from None
+    return found
 
 
 def compare(title: str, entries: Sequence[Entry], output: str | Path) -> Path:
