@@ -168,7 +168,7 @@ def _scaled(plan: Any) -> tuple[Array, Array, Array]:
 def _fit(design: Array, values: Array) -> Array | None:
     if len(values) < _FEWEST:
         return None
-    weight = np.ones(len(values))
+    weight: Array = np.ones(len(values))
     found = np.zeros(3)
     for _ in range(6):
         root = np.sqrt(weight)
@@ -209,7 +209,7 @@ def moved(image: Image, low: Array, name: str, plan: Any) -> NDArray[np.float32]
     along = (np.stack([x, y]) - other[:2, None]) / other[2] - (np.stack([x, y]) - centre[:2, None]) / centre[
         2
     ]
-    along = along / np.maximum(np.hypot(*along), 1e-12)
+    along /= np.maximum(np.hypot(*along), 1e-12)
     # eps_y is the part of x_b - x_a along (dD_y, -dD_x) / |dD|, and dD = D_b - D_a points against `along`
     size = -(design @ low) * plan.pixel
     dx, dy = -along[1] * size, along[0] * size

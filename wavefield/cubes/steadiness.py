@@ -187,7 +187,8 @@ def knocks(store: Path, found: Steadiness) -> list[Knock]:
     list of Knock
         The first first.
     """
-    pieces, cuts = [(0, len(found.steps))], []
+    pieces = [(0, len(found.steps))]
+    cuts: list[int] = []
     while pieces and len(cuts) < _MOST:
         a, b = pieces.pop(0)
         at = jump(found.low[a:b])

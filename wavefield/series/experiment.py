@@ -386,8 +386,14 @@ class Experiment(Section):
 
         section = self.probes
         columns = Columns(section.time, section.columns) if section.columns else None
-        more = {"unit": section.unit, "factor": section.factor, "clock": section.clock}
-        return read_probes(self.resolve(section.file), columns, places=section.places, **more)
+        return read_probes(
+            self.resolve(section.file),
+            columns,
+            unit=section.unit,
+            factor=section.factor,
+            clock=section.clock,
+            places=section.places,
+        )
 
     def frame_times(self, series: FrameSeries) -> np.ndarray:
         """Times of the frames, from their numbers and the frame rate.

@@ -123,9 +123,9 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
         if progress:
             progress(k + 1, len(blocks))
     done = int(np.count_nonzero(ledger != FrameStatus.NOT_STARTED))
-    found = Verification(path, layout.steps, done, tuple(damages))
-    _note(found)
-    return found
+    out = Verification(path, layout.steps, done, tuple(damages))
+    _note(out)
+    return out
 
 
 def suspicious(store: Path) -> list[int]:
