@@ -11,7 +11,7 @@ from wavefield.commands.cli import main
 from wavefield.cubes import open_cube, run, work
 from wavefield.errors import StoreError
 from wavefield.images import read_image, write_image
-from wavefield.report.sources import gather
+from wavefield.reports.sources import gather
 from wavefield.store.preview import open_preview, read_steps, thinning
 from wavefield.store.read import cube_recipe, open_group
 from wavefield.store.relabel import RATES
