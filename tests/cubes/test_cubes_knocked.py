@@ -1,0 +1,30 @@
+"""A camera that is knocked while it records: dated, named, and turned back where that is asked for."""
+
+import pytest
+from cube_cases import HERE, KNOCKED
+
+from wavefield.cubes import Workflow, open_cube, run
+from wavefield.cubes.steadiness import size, steadiness
+
+
+def test_a_camera_knocked_in_mid_record_is_dated_and_named(knocked, tmp_path):
+    verdict = run(knocked, tmp_path / "cube.zarr", workflow=HERE).verdict
+    (knock,) = [remark for remark in verdict.remarks if remark.kind == "knocked"]
+    assert knock.subject == "cam1"
+    assert knock.values["frame"] == KNOCKED
+    assert knock.values["px"] == pytest.approx(0.5, abs=0.1)  # of .01 degrees
+    assert f"it moved between frames {KNOCKED - 1} and {KNOCKED}" in str(knock)
+
+
+def test_and_is_turned_back_where_that_is_asked_for(knocked, tmp_path):
+    correct = Workflow(cluster="none", settings={"vibration": "correct"}, steps_per_block=4)
+    state = run(knocked, tmp_path / "cube.zarr", workflow=correct)
+    assert not [remark for remark in state.verdict.remarks if remark.kind == "knocked"]
+    shift = open_cube(state.store).camera_shift.sel(part=0).values  # camera, frame
+    assert abs(shift[0, KNOCKED:] - 0.5).max() < 0.1
+    assert abs(shift[0, :KNOCKED]).max() < 0.05
+    assert abs(shift[1:]).max() < 0.05
+    left = steadiness(state.store).low
+    assert max(size(one) for one in left) < 0.03
+    (note,) = [r for r in state.verdict.remarks if r.kind == "turned back" and r.subject == "cam1"]
+    assert note.values["frame"] == KNOCKED
