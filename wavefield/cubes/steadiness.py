@@ -236,7 +236,7 @@ def shaking(found: Steadiness, cuts: Sequence[int]) -> tuple[float, float]:
     return float(np.sqrt(power)), float(np.sqrt(noise / (2 * freedom)))
 
 
-def who(witness: Witness, frame: int, count: int) -> str:
+def who(witness: Witness, frame: int, count: int) -> tuple[str, float]:
     """The camera that a knock moved: it alone is in every pair of cameras that misses differently since.
 
     Parameters
@@ -250,8 +250,10 @@ def who(witness: Witness, frame: int, count: int) -> str:
 
     Returns
     -------
-    str
+    name : str
         "rig" if that cannot be told.
+    size : float
+        By how much its sight lines miss the others' more, px; 0 if that cannot be told.
     """
     names = list(witness.rig)
     moved = {}
@@ -264,11 +266,12 @@ def who(witness: Witness, frame: int, count: int) -> str:
             ]
             sides.append([one.smooth for one in found if len(one.eps_y) >= 8])
         if not all(sides):
-            return "rig"
+            return "rig", 0.0
         moved[pair] = size(np.median(sides[1], axis=0) - np.median(sides[0], axis=0))
     wrong = [pair for pair, by in moved.items() if by > max(moved.values()) / 2]
     common = [name for name in names if all(name in pair for pair in wrong)]
-    return common[0] if len(common) == 1 and len(names) > 2 else "rig"
+    named = len(common) == 1 and len(names) > 2
+    return (common[0], max(moved.values())) if named else ("rig", 0.0)
 
 
 def remarks(store: Path, witness: Witness, first_frame: int) -> Iterator[Remark]:
@@ -294,16 +297,18 @@ def remarks(store: Path, witness: Witness, first_frame: int) -> Iterator[Remark]
     jumps = knocks(store, found)
     count = int(open_group(store)["frame"].shape[0])
     for one in jumps:
+        name, alone = who(witness, one.frame, count)
+        off = max(one.size, alone)  # eps_y of a cube is the mean of its pairs
         yield Remark(
-            who(witness, one.frame, count),
+            name,
             "knocked",
-            "grave" if one.size > 5 * _MATTERS else "remark",
+            "grave" if off > 10 * _MATTERS else "remark",
             f"it moved between frames {first_frame + one.frame - 1} and {first_frame + one.frame}: since "
-            f"then sight lines miss each other by {one.size:.2f} px more",
+            f"then sight lines miss each other by {off:.2f} px more",
             f"less than {_JUMP} px",
             "run the two parts by themselves (`frames: {first, last}`), the second with a rig mended by "
             "`wavefield refine`",
-            {"frame": first_frame + one.frame, "px": one.size},
+            {"frame": first_frame + one.frame, "px": off},
         )
     rms, std = shaking(found, [one.frame for one in jumps])
     if rms > max(_JUMP, 3 * std):
