@@ -102,7 +102,7 @@ def _clocks_and_mounts(prepared: Prepared, status: Status) -> Iterator[Remark]:
     instants = min(_SYNCHRONY, max(_INSTANTS, prepared.steps // 6))  # of a short record, not most of its cost
     yield from synchrony.remarks(*synchrony_of(prepared, instants))
     first = next(iter(prepared.series.values())).first
-    yield from steadiness.remarks(status.store, _witness(prepared), first)
+    yield from steadiness.remarks(status.store, prepared.plan, _witness(prepared), first)
 
 
 def _steps(status: Status) -> Iterator[Remark]:

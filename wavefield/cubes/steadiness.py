@@ -8,11 +8,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.cubes.witness import Witness, agreement, compare, pairs_of_all
+from wavefield.cubes.steadied import shifts
+from wavefield.cubes.witness import Witness
 from wavefield.store.preview import read_steps
 from wavefield.store.read import open_group, read_layout
 from wavefield.store.verdict import Remark
@@ -236,13 +238,15 @@ def shaking(found: Steadiness, cuts: Sequence[int]) -> tuple[float, float]:
     return float(np.sqrt(power)), float(np.sqrt(noise / (2 * freedom)))
 
 
-def who(witness: Witness, frame: int, count: int) -> tuple[str, float]:
-    """The camera that a knock moved: it alone is in every pair of cameras that misses differently since.
+def who(plan: Any, witness: Witness, frame: int, count: int) -> tuple[str, float]:
+    """The camera that a knock moved: its picture alone has moved since.
 
     Parameters
     ----------
+    plan : wavefield.measurement.Plan
+        Matches the cameras.
     witness : Witness
-        The cameras.
+        Their images.
     frame : int
         First frame after the knock.
     count : int
@@ -255,34 +259,31 @@ def who(witness: Witness, frame: int, count: int) -> tuple[str, float]:
     size : float
         By how much its sight lines miss the others' more, px; 0 if that cannot be told.
     """
-    names = list(witness.rig)
-    moved = {}
-    for pair in pairs_of_all(names):
-        sides = []
-        for frames in (range(max(frame - 4, 0), frame), range(frame, min(frame + 4, count))):
-            found = [
-                agreement(witness, pair, compare(*(witness.patches(name, k) for name in pair)))
-                for k in frames
-            ]
-            sides.append([one.smooth for one in found if len(one.eps_y) >= 8])
-        if not all(sides):
-            return "rig", 0.0
-        moved[pair] = size(np.median(sides[1], axis=0) - np.median(sides[0], axis=0))
-    wrong = [pair for pair, by in moved.items() if by > max(moved.values()) / 2]
-    common = [name for name in names if all(name in pair for pair in wrong)]
-    named = len(common) == 1 and len(names) > 2
-    return (common[0], max(moved.values())) if named else ("rig", 0.0)
+    sides = []
+    for frames in (range(max(frame - _SIDE, 0), frame), range(frame, min(frame + _SIDE, count))):
+        found = [shifts({name: witness.read(name, k) for name in plan.cameras}, plan) for k in frames]
+        sides.append([one for one in found if one])
+    if not all(sides):
+        return "rig", 0.0
+    middle = [{name: np.median([one[name] for one in side], axis=0) for name in side[0]} for side in sides]
+    moved = {name: size(middle[1][name] - middle[0][name]) for name in middle[0]}
+    first, *others = sorted(moved, key=lambda name: -moved[name])
+    if len(moved) < 3 or moved[first] < 2 * moved[others[0]]:
+        return "rig", 0.0
+    return first, moved[first]
 
 
-def remarks(store: Path, witness: Witness, first_frame: int) -> Iterator[Remark]:
+def remarks(store: Path, plan: Any, witness: Witness, first_frame: int) -> Iterator[Remark]:
     """What to say of cameras that do not stand still.
 
     Parameters
     ----------
     store : path
         The cube.
+    plan : wavefield.measurement.Plan
+        Matches its cameras.
     witness : Witness
-        Its cameras.
+        Their images.
     first_frame : int
         Number of frame 0.
 
@@ -297,7 +298,7 @@ def remarks(store: Path, witness: Witness, first_frame: int) -> Iterator[Remark]
     jumps = knocks(store, found)
     count = int(open_group(store)["frame"].shape[0])
     for one in jumps:
-        name, alone = who(witness, one.frame, count)
+        name, alone = who(plan, witness, one.frame, count)
         off = max(one.size, alone)  # eps_y of a cube is the mean of its pairs
         yield Remark(
             name,
