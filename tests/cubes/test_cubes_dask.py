@@ -6,6 +6,7 @@ import stat
 import sys
 
 import dask
+import distributed  # noqa: F401  its defaults join the configuration
 import psutil
 import pytest
 
@@ -54,8 +55,30 @@ def test_credentials_are_for_their_owner_alone(tmp_path):
 def test_tls_is_the_rule_where_ports_are_open_to_the_network():
     assert wants_tls(Workflow(cluster="slurm"))
     assert wants_tls(Workflow(cluster="dask", deploy="distributed.SSHCluster"))
+    assert wants_tls(Workflow(cluster="dask", deploy="dask_jobqueue.PBSCluster"))
     assert not wants_tls(Workflow(cluster="slurm", security="none"))
     assert not wants_tls(Workflow(cluster="local"))
+
+
+def test_jobs_of_other_queues_get_the_credentials_and_settings_of_the_run(tmp_path, monkeypatch):
+    pytest.importorskip("dask_jobqueue")
+    options = {"cores": 1, "memory": "1 GB", "job_script_prologue": ["module load python"]}
+    workflow = Workflow(cluster="dask", deploy="dask_jobqueue.PBSCluster", options=options)
+    scripts = []
+    monkeypatch.setattr(
+        dask_cluster, "_map_on", lambda client, *_: iter([scripts.append(client.cluster.job_script())])
+    )
+    with open_cluster(workflow, tmp_path) as map_unordered:
+        list(map_unordered(abs, [-1]))
+    (script,) = scripts
+    assert "tls://" in script
+    for line in (
+        "export DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION=True",
+        f"export DASK_DISTRIBUTED__COMM__TLS__WORKER__CERT={tmp_path}",
+        "export OMP_NUM_THREADS=1",
+        "module load python",
+    ):
+        assert line in script
 
 
 def test_workers_of_other_versions_are_refused_with_both():

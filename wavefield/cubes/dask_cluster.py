@@ -18,6 +18,7 @@ from wavefield.cubes.dask_settings import (
     configured,
     dashboard_address,
     dask_settings,
+    of_jobqueue,
     temporary_credentials,
     wants_tls,
 )
@@ -111,7 +112,7 @@ def open_dask_cluster(
     map_unordered : callable
         As that of `wavefield.cubes.cluster.open_cluster`.
     """
-    if workflow.cluster == "slurm":
+    if workflow.cluster == "slurm" or of_jobqueue(workflow):
         slurm.import_jobqueue()
     started: list[tuple[Any, Look]] = []
     with ExitStack() as stack:
@@ -178,7 +179,7 @@ def _connect(
         log.info("asked Slurm for %d jobs; the run begins when the first starts", fewest)
         watch = Watch(cluster, Path(workflow.slurm.get("log_directory", logs)))
     elif workflow.cluster == "dask":
-        cluster = stack.enter_context(_deploy(workflow))
+        cluster = stack.enter_context(_deploy(workflow, settings))
     else:
         cluster = stack.enter_context(_local(workflow, count))
     client = Client(cluster, timeout="60s", set_as_default=False)
@@ -201,9 +202,12 @@ def _local(workflow: Workflow, count: int) -> Any:
     )
 
 
-def _deploy(workflow: Workflow) -> Any:
+def _deploy(workflow: Workflow, settings: dict[str, Any]) -> Any:
     """Start a cluster of any class that deploys Dask."""
-    name = workflow.deploy or ""
+    name, options = workflow.deploy or "", dict(workflow.options)
+    if of_jobqueue(workflow):  # its jobs know nothing of our configuration, TLS among it
+        own = list(options.get("job_script_prologue", []))
+        options["job_script_prologue"] = slurm.environment_lines(settings) + own
     module, _, attribute = name.rpartition(".")
     try:
         kind = getattr(import_module(module), attribute)
@@ -213,7 +217,7 @@ def _deploy(workflow: Workflow) -> Any:
             "correct the name, such as distributed.SSHCluster"
         ) from None
     try:
-        cluster = kind(**workflow.options)
+        cluster = kind(**options)
     except Exception as error:  # each library has exceptions of its own
         raise ExperimentError(
             f"the workflow's `deploy`: {name} does not start: {type(error).__name__}: {error}; look at "

@@ -82,6 +82,21 @@ def dashboard_address(workflow: Workflow) -> str:
     return f"{host or '127.0.0.1'}:{port}"
 
 
+def of_jobqueue(workflow: Workflow) -> bool:
+    """Whether a class of dask-jobqueue deploys the cluster: PBSCluster, LSFCluster and others.
+
+    Parameters
+    ----------
+    workflow : Workflow
+        The workflow.
+
+    Returns
+    -------
+    bool
+    """
+    return (workflow.deploy or "").startswith("dask_jobqueue.")
+
+
 def wants_tls(workflow: Workflow) -> bool:
     """Whether client, scheduler and workers talk through TLS, with credentials made for this run.
 
@@ -95,7 +110,8 @@ def wants_tls(workflow: Workflow) -> bool:
     bool
     """
     if workflow.security == "auto":
-        return workflow.cluster == "slurm" or workflow.deploy == "distributed.SSHCluster"
+        open_ports = workflow.deploy == "distributed.SSHCluster" or of_jobqueue(workflow)
+        return workflow.cluster == "slurm" or open_ports
     return workflow.security == "tls"
 
 

@@ -122,16 +122,30 @@ def _keywords(workflow: Workflow, logs: Path, settings: dict[str, Any]) -> dict[
     if "cores" in given and workflow.memory_bytes:
         keywords["memory"] = f"{workflow.memory_bytes * int(given['cores']) // 1_000_000} MB"
     keywords |= given
-    prologue = [f"export {name}=1" for name in THREAD_VARIABLES]
-    # compiled kernels: not on a home that may be full and is shared by nodes of several kinds
-    prologue.append('export NUMBA_CACHE_DIR="${NUMBA_CACHE_DIR:-${TMPDIR:-/tmp}/wavefield-$(id -u)}"')
-    prologue += _exports(settings["distributed"], "DASK_DISTRIBUTED")
-    keywords["job_script_prologue"] = prologue + list(given.get("job_script_prologue", []))
+    keywords["job_script_prologue"] = environment_lines(settings) + list(given.get("job_script_prologue", []))
     ours = ["--preload", "wavefield.cubes.dask_preload", "--dashboard-address", "127.0.0.1:0"]
     keywords["worker_extra_args"] = ours + list(given.get("worker_extra_args", []))
     options = {"dashboard_address": dashboard_address(workflow), "dashboard": bool(workflow.dashboard)}
     keywords["scheduler_options"] = options | dict(given.get("scheduler_options", {}))
     return keywords
+
+
+def environment_lines(settings: dict[str, Any]) -> list[str]:
+    """Lines of a job script that set what its workers need: one thread each, our configuration of Dask.
+
+    Parameters
+    ----------
+    settings : dict
+        Dask's configuration for the run.
+
+    Returns
+    -------
+    list of str
+    """
+    lines = [f"export {name}=1" for name in THREAD_VARIABLES]
+    # compiled kernels: not on a home that may be full and is shared by nodes of several kinds
+    lines.append('export NUMBA_CACHE_DIR="${NUMBA_CACHE_DIR:-${TMPDIR:-/tmp}/wavefield-$(id -u)}"')
+    return lines + list(_exports(settings["distributed"], "DASK_DISTRIBUTED"))
 
 
 def _exports(settings: dict[str, Any], prefix: str) -> Iterator[str]:
