@@ -12,6 +12,9 @@ from wavefield.errors import WavefieldError
 from wavefield.explorer.record import Record
 from wavefield.rig import Camera, Rig
 from wavefield.series import Experiment, FrameSeries
+from wavefield.series.masks import covered_series
+
+_REACH = 0.05  # m: how low the water is thought to go where a cylinder stands
 
 
 @dataclass
@@ -22,8 +25,10 @@ class Beside:
     ----------
     rig : Rig, optional
         Cameras of the run.
+    experiment : Experiment, optional
+        Its file.
     frames : dict of camera to FrameSeries
-        The images.
+        The images, with what is masked in them.
     waves : DataTree, optional
         The wave store.
     waves_path : Path
@@ -35,11 +40,25 @@ class Beside:
     """
 
     rig: Rig | None = None
+    experiment: Experiment | None = None
     frames: dict[str, FrameSeries] = field(default_factory=dict)
     waves: xr.DataTree | None = None
     waves_path: Path = Path()
     probes: xr.Dataset | None = None
     notes: dict[str, str] = field(default_factory=dict)
+
+    def take(self, experiment: Experiment) -> None:
+        """Find the images of an experiment, and what is masked in them; a note says what is not there."""
+        self.experiment = experiment
+        try:
+            frames = experiment.open_frames()
+            self.frames = frames
+            if self.rig is not None:
+                known = {name: one for name, one in frames.items() if name in self.rig.cameras}
+                folder = experiment.path.parent
+                self.frames = frames | covered_series(experiment.mask, known, self.rig, folder, _REACH)
+        except WavefieldError as error:
+            self.notes["cameras"] = str(error) if self.frames else f"no images: {error}"
 
     def group(self, name: str) -> xr.Dataset | None:
         """One group of the wave store, loaded; None if there is none."""
@@ -98,10 +117,7 @@ def find_beside(record: Record, waves: str | Path | None = None) -> Beside:
     except (WavefieldError, OSError) as error:
         out.notes["cameras"] = f"no images: the experiment file cannot be read ({error})"
         return out
-    try:
-        out.frames = experiment.open_frames()
-    except WavefieldError as error:
-        out.notes["cameras"] = f"no images: {error}"
+    out.take(experiment)
     if experiment.probes:
         try:
             out.probes = experiment.read_probes()

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from wavefield.explorer.beside import Beside
 from wavefield.explorer.fields import KINDS, quality_kind
-from wavefield.explorer.parts import INK, VERMILION, make_figure
+from wavefield.explorer.mask_panel import outlines_of
+from wavefield.explorer.parts import INK, VERMILION, draw_masks, make_figure
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import Record
 from wavefield.explorer.selections import nearest
@@ -100,12 +101,18 @@ class CameraPanel:
         With rig and frames.
     picked : callable
         Told ("node", (x, y)) when a node is clicked in the image.
+    corner : callable
+        Asked first, with camera, column and row: whether the click is the corner of a mask.
     """
 
     def __init__(
-        self, record: Record, beside: Beside, picked: Callable[[str, tuple[float, ...]], None]
+        self,
+        record: Record,
+        beside: Beside,
+        picked: Callable[[str, tuple[float, ...]], None],
+        corner: Callable[[str, tuple[float, float]], bool] = lambda name, where: False,
     ) -> None:
-        self._record, self._beside, self._picked = record, beside, picked
+        self._record, self._beside, self._picked, self._corner = record, beside, picked, corner
         cameras = [n for n in beside.frames if beside.rig is None or n in beside.rig.cameras]
         self.camera = Select(
             title="Camera", value=cameras[0] if cameras else "", options=cameras, name="camera"
@@ -124,6 +131,8 @@ class CameraPanel:
         self.moves = ColumnDataSource({"X0": [], "Y0": [], "X1": [], "Y1": []}, name="camera_moves")
         self.grid = ColumnDataSource({"xs": [], "ys": []}, name="camera_grid")
         self.node = ColumnDataSource({"X": [], "Y": []}, name="camera_node")
+        self.mask = ColumnDataSource({"x": [], "y": []}, name="camera_mask")
+        self.masks = ColumnDataSource({"xs": [], "ys": []}, name="camera_masks")
         self._seen: dict[str, NDArray[Any]] = {}
         self.figure = self._draw()
         self.layout = column(
@@ -160,6 +169,7 @@ class CameraPanel:
         made.scatter(
             "X", "Y", source=self.node, size=15, fill_color=None, line_color=VERMILION, line_width=2.4
         )
+        draw_masks(made, self.mask, self.masks)
         made.on_event(Tap, self._tapped)
         made.title.text_color = INK
         return made
@@ -195,7 +205,14 @@ class CameraPanel:
             # bokeh draws row 0 at y, and the axis runs downwards: a positive dh is right as it is
             data = {"image": [small], "x": [-0.5], "y": [-0.5], "dw": [w * factor], "dh": [h * factor]}
             self.image.data = data
+        self._show_masks(place.step + int(second))
         self._show_nodes(place, second)
+
+    def _show_masks(self, frame: int) -> None:
+        series = self._beside.frames[self.camera.value]
+        covered = series.covered(frame) if frame < len(series) else None
+        lines = [] if covered is None else outlines_of(covered)
+        self.masks.data = {"xs": [line[:, 0] for line in lines], "ys": [line[:, 1] for line in lines]}
 
     def _show_nodes(self, place: Place, second: bool) -> None:
         record, rig, name = self._record, self._beside.rig, self.camera.value
@@ -251,6 +268,8 @@ class CameraPanel:
 
     def _tapped(self, event: Any) -> None:
         rig, name = self._beside.rig, self.camera.value
+        if name and self._corner(name, (float(event.x), float(event.y))):
+            return
         if rig is None or not name or name not in rig.cameras or not self._seen:
             return
         if not self._seen["X"].size:

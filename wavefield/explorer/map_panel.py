@@ -33,6 +33,7 @@ from wavefield.explorer.parts import (
     GREY,
     INK,
     colour_bar,
+    draw_masks,
     fixed_labels,
     image_data,
     image_source,
@@ -82,6 +83,8 @@ class MapPanel:
         self.node = ColumnDataSource({"x": [], "y": []}, name="map_node")
         self.line = ColumnDataSource({"x": [], "y": []}, name="map_line")
         self.area = ColumnDataSource({"left": [], "right": [], "bottom": [], "top": []}, name="map_area")
+        self.mask = ColumnDataSource({"x": [], "y": []}, name="map_mask")
+        self.masks = ColumnDataSource({"xs": [], "ys": []}, name="map_masks")
         self.probes = ColumnDataSource({"x": [], "y": [], "name": []}, name="map_probes")
         self.figure = self._draw()
 
@@ -121,6 +124,7 @@ class MapPanel:
             "left", "right", "bottom", "top", source=self.area,
             fill_alpha=0.08, fill_color=INK, line_color=INK, line_width=2, line_dash=[6, 4],
         )  # fmt: skip
+        draw_masks(made, self.mask, self.masks)
         made.scatter(
             "x", "y", source=self.probes, marker="triangle", size=11, fill_color="#F0E442", line_color=INK
         )

@@ -25,6 +25,7 @@ from wavefield.explorer.camera_panel import CameraPanel
 from wavefield.explorer.fields import shown_as
 from wavefield.explorer.line_panel import LinePanel
 from wavefield.explorer.map_panel import MapPanel
+from wavefield.explorer.mask_panel import MaskPanel
 from wavefield.explorer.node_panel import NodePanel
 from wavefield.explorer.parts import make_tabs
 from wavefield.explorer.place import DRAGS, TABS, Place
@@ -33,6 +34,7 @@ from wavefield.explorer.save_panel import SavePanel
 from wavefield.explorer.surface_panel import SurfacePanel
 from wavefield.explorer.template import dress
 from wavefield.explorer.wave_panel import WavePanel
+from wavefield.series.masks import WATER, footprints
 from wavefield.words import spell_time
 
 _LOOK_AGAIN = 2000  # ms between looks at the ledger of a cube that is being written
@@ -104,12 +106,13 @@ class Page:
         self._make_controls()
         self.map = MapPanel(record, self.drag, self.pick)
         self.surface = SurfacePanel(record)
-        self.cameras = CameraPanel(record, beside, self.pick)
+        self.cameras = CameraPanel(record, beside, self.pick, self._is_corner)
         self.waves = WavePanel(beside, float(record.group.attrs.get("water_depth", np.inf)))
         self.node = NodePanel(record, beside.probes)
         self.line = LinePanel(record)
         self.area = AreaPanel(record)
         self.save = SavePanel()
+        self.masks = MaskPanel(beside, self._show_masks)
         if beside.probes is not None:
             places = beside.probes.probe_x.values, beside.probes.probe_y.values
             self.map.mark_probes([str(n) for n in beside.probes.probe.values], *places)
@@ -161,7 +164,7 @@ class Page:
         self.views = make_tabs("views", TABS.index(self.place.tab), views)
         picked = (
             ("Node", self.node.layout), ("Line", self.line.layout), ("Rectangle", self.area.layout),
-            ("Save", self.save.layout),
+            ("Save", self.save.layout), ("Mask", self.masks.layout),
         )  # fmt: skip
         self.picked = make_tabs("picked", 1 if self.place.line else 2 if self.place.area else 0, picked)
 
@@ -207,6 +210,7 @@ class Page:
         document.on_event(DocumentReady, lambda event: self._soon(self._show_picked))
         document.add_periodic_callback(self._look_again, _LOOK_AGAIN)
         self._fit_words()
+        self._show_masks()
         self.redraw()
 
     # -- what people do --------------------------------------------------------------------------------
@@ -239,6 +243,8 @@ class Page:
         where : tuple of float
             Metres.
         """
+        if kind == "node" and self._is_corner(WATER, (where[0], where[1])):
+            return
         found: dict[str, Any] = {kind: tuple(where)}
         self.place = replace(self.place, **found)
         self.picked.active = {"node": 0, "line": 1, "area": 2}[kind]
@@ -249,8 +255,16 @@ class Page:
 
     def _dragging(self, kind: str) -> None:
         self.place = replace(self.place, drag=kind)
-        self.picked.active = {"line": 1, "rectangle": 2}.get(kind, self.picked.active)
+        self.picked.active = {"line": 1, "rectangle": 2, "mask": 4}.get(kind, self.picked.active)
         self._write_link()
+
+    def _is_corner(self, where: str, corner: tuple[float, float]) -> bool:
+        """Take a click as the corner of a mask, if masks are being drawn."""
+        if self.place.drag != "mask":
+            return False
+        self.picked.active = 4
+        self.masks.add(where, corner)
+        return True
 
     def _limits(self) -> None:
         low, high = self.low.value, self.high.value
@@ -327,6 +341,8 @@ class Page:
             self.surface.show(self.place, self.limits)
         elif self.place.tab == "cameras":
             self.cameras.show(self.place)
+            x, y = self.masks.closed(self.cameras.camera.value)
+            self.cameras.mask.data = {"x": x, "y": y}
         elif self.place.tab == "waves" and maps:
             self.waves.show()
         self._write_link()
@@ -342,6 +358,19 @@ class Page:
         elif active == 3:
             self.save.show(self.place, self._record)
         self._write_link()
+
+    def _show_masks(self) -> None:
+        """Draw corners and the masks of the experiment file."""
+        x, y = self.masks.closed(WATER)
+        self.map.mask.data = {"x": x, "y": y}
+        x, y = self.masks.closed(self.cameras.camera.value)
+        self.cameras.mask.data = {"x": x, "y": y}
+        experiment = self.looked.beside.experiment
+        lines = footprints(experiment.mask) if experiment else ()
+        xs, ys = ([[corner[k] for corner in line] for line in lines] for k in (0, 1))
+        self.map.masks.data = {"xs": xs, "ys": ys}
+        if self.place.tab == "cameras":
+            self._soon(self._show_view)
 
     def _write_link(self) -> None:
         self.link.text = self.place.query()

@@ -91,6 +91,28 @@ def make_tabs(name: str, active: int, panels: Sequence[tuple[str, Any]]) -> Tabs
     return made
 
 
+def draw_masks(made: Any, drawn: ColumnDataSource, there: ColumnDataSource) -> None:
+    """Draw what is masked, and the corners of what is being drawn.
+
+    Parameters
+    ----------
+    made : figure
+        The map, or a camera's image.
+    drawn : ColumnDataSource
+        ``x``, ``y`` of the corners, the first one again at the end.
+    there : ColumnDataSource
+        ``xs``, ``ys`` of the outlines in the experiment file.
+    """
+    made.patches(
+        "xs", "ys", source=there, fill_alpha=0.15, fill_color=INK, hatch_pattern="/", hatch_alpha=0.5,
+        hatch_color="white", line_color=INK, line_width=1.5,
+    )  # fmt: skip
+    made.patch("x", "y", source=drawn, fill_alpha=0.25, fill_color=VERMILION, line_color=None)
+    made.line("x", "y", source=drawn, color="white", line_width=4.5)
+    made.line("x", "y", source=drawn, color=VERMILION, line_width=2)
+    made.scatter("x", "y", source=drawn, size=8, fill_color="white", line_color=VERMILION, line_width=2)
+
+
 def colour_bar(mapper: LinearColorMapper, title: str = "") -> ColorBar:
     """A colour bar beside a map.
 

@@ -6,7 +6,7 @@ from typing import Any
 from urllib.parse import urlencode
 
 TABS = ("map", "surface", "cameras", "waves")
-DRAGS = ("move", "line", "rectangle")
+DRAGS = ("move", "line", "rectangle", "mask")
 
 
 @dataclass(frozen=True)

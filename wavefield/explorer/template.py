@@ -11,7 +11,7 @@ from jinja2 import Environment
 
 _KEYS = (
     ("\u2190 \u2192", "step"), ("space", "play"), ("1\u20134", "views"),
-    ("P L R", "move, line, rectangle"), ("A", "arrows"), ("Home End", "first, last step"),
+    ("P L R M", "move, line, rectangle, mask"), ("A", "arrows"), ("Home End", "first, last step"),
 )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ const keys = {
   Home: () => { find("step").value = find("step").start }, End: () => { find("step").value = find("step").end },
   " ": () => { find("play").active = !find("play").active },
   p: () => { find("drag").value = "move" }, l: () => { find("drag").value = "line" },
-  r: () => { find("drag").value = "rectangle" },
+  r: () => { find("drag").value = "rectangle" }, m: () => { find("drag").value = "mask" },
   a: () => { find("arrows").active = !find("arrows").active },
   1: () => { find("views").active = 0 }, 2: () => { find("views").active = 1 },
   3: () => { find("views").active = 2 }, 4: () => { find("views").active = 3 },
