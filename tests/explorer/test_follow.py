@@ -7,6 +7,7 @@ import time
 import cv2
 import numpy as np
 import pytest
+import xarray as xr
 
 from wavefield.explorer.features import bead_size, features
 from wavefield.explorer.follower import Follower
@@ -191,6 +192,27 @@ def test_following_leaves_no_trace(followed):
     names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     frames = {f"{name}/img_{number:05d}.tif" for name in CAMERAS for number in range(6)}
     assert names == frames | {"experiment.yaml", "rig.yaml"}
+
+
+def test_a_run_after_following_was_interrupted_is_the_run_that_was_never_followed(small_tank, tmp_path):
+    from wavefield.cubes import Workflow, run
+
+    rig, frames = small_tank
+    cubes = []
+    for name in ("plain", "followed"):
+        experiment = Experiment.load(record(tmp_path / name, rig))
+        follower = Follower(experiment)
+        for number, images in enumerate(frames[:5]):
+            write(tmp_path / name, number, images)
+            if name == "followed" and number < 3:  # then it is stopped
+                follower.look()
+        out = tmp_path / name / "cube.zarr"
+        run(experiment.path, out=out, workflow=Workflow(cluster="none"))
+        cubes.append(xr.open_zarr(out, chunks=None, consolidated=False).load())
+    plain, followed = cubes
+    assert plain.attrs["recipe_hash"] == followed.attrs["recipe_hash"]
+    for name in plain.data_vars:
+        assert plain[name].values.tobytes() == followed[name].values.tobytes(), name
 
 
 @pytest.mark.parametrize("size", [0.8, 1.3, 2.4])

@@ -31,26 +31,29 @@ def announce(url: str, port: int, open_page: bool) -> None:
 Examples:
   wavefield look cube.zarr
   wavefield look experiment.yaml              # the cube that `wavefield run` writes beside it
+  wavefield look tank.yaml coriolis-07        # the cube of a run of a catalog
   wavefield look cube.zarr --port 5010        # behind ssh -L 5010:localhost:5010
 """
 )
-@click.argument("source", metavar="CUBE|EXPERIMENT", type=click.Path(exists=True, path_type=Path))
+@click.argument("source", metavar="CUBE|EXPERIMENT|CATALOG", type=click.Path(exists=True, path_type=Path))
+@click.argument("run", required=False)
 @click.option(
     "--waves", type=click.Path(exists=True, file_okay=False, path_type=Path), help="Its wave store."
 )
 @click.option("--port", type=click.IntRange(0, 65535), help="Port; by default 5006 or the next that is free.")
 @click.option("--open/--no-open", "open_page", default=True, help="Whether to open the page in a browser.")
-def look(source: Path, waves: Path | None, port: int | None, open_page: bool) -> None:
+def look(source: Path, run: str | None, waves: Path | None, port: int | None, open_page: bool) -> None:
     """Look at a cube: maps, the surface, series, spectra, camera images, waves.
 
     Serves an interactive page to this machine only. The cube may still be being written: the page follows.
+    Of a catalog name the RUN, unless only one has a cube.
     """
     from wavefield.explorer.beside import find_beside
     from wavefield.explorer.page import Looked
     from wavefield.explorer.record import Record
     from wavefield.explorer.server import look_server
 
-    record = Record(_cube_of(source))
+    record = Record(_cube_of(source, run))
     looked = Looked(record, find_beside(record, waves))
     server = look_server(looked, port)
     looked.load()
@@ -96,11 +99,19 @@ def follow(experiment: Path, rig: Path | None, port: int | None, open_page: bool
     follower.stop()
 
 
-def _cube_of(source: Path) -> Path:
-    """The cube of an experiment file; a cube is its own."""
+def _cube_of(source: Path, run: str | None = None) -> Path:
+    """The cube of an experiment file or of a catalog's run; a cube is its own."""
+    from wavefield.errors import StoreError
+
+    if source.is_file():
+        from wavefield.cubes.catalog import find_cube, is_catalog
+
+        if is_catalog(source):
+            return find_cube(source, run)
+    if run is not None:
+        raise StoreError(f"{source} is no catalog: leave out {run!r}")
     if source.is_dir():
         return source
-    from wavefield.errors import StoreError
     from wavefield.series import Experiment
 
     cube = Experiment.load(source).resolve("cube.zarr")

@@ -328,6 +328,44 @@ def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> Experimen
     return Experiment.load(_local(reader.kwargs["data"].url), reader.kwargs.get("folder") or None)
 
 
+def find_cube(catalog: str | Path, run: str | None = None) -> Path:
+    """The cube of a run: that of the recipe that was run last.
+
+    Parameters
+    ----------
+    catalog : path
+        Intake catalog.
+    run : str, optional
+        Name of the run; may be left out where only one has a cube.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    ExperimentError
+        If the run is unknown or has no cube yet, or several have one and none is named.
+    """
+    path = Path(catalog).absolute()
+    runs = read_yaml(path).get("user_parameters", {}).get("run", {}).get("options", [])
+    if run is not None and run not in runs:
+        raise ExperimentError(f"{path} has no run {run!r}; it has {', '.join(runs) or 'none'}")
+    cubes = {
+        name: Path(_local(_open_entry(path, "cube", {"run": name}).kwargs["data"].url))
+        for name in (runs if run is None else [run])
+    }
+    there = {name: cube for name, cube in cubes.items() if cube.exists()}
+    if not there:
+        raise ExperimentError(
+            f"{path} has no cube of {run or 'any run'} yet; make it with `wavefield run {path.name}"
+            + (f" {run}`" if run else "`")
+        )
+    if len(there) > 1:
+        raise ExperimentError(f"{path} has the cubes of {', '.join(there)}; name one of these runs")
+    return next(iter(there.values()))
+
+
 def store_of(catalog: Path, chosen: Mapping[str, str], prepared: Prepared) -> Path:
     """Where a catalog wants the cube of a run, and put its recipe among the catalog's options.
 

@@ -1,0 +1,39 @@
+import pytest
+from explorer_cases import create_cube
+
+from wavefield.commands.look import _cube_of
+from wavefield.cubes.catalog import catalog_add
+from wavefield.errors import WavefieldError
+
+
+@pytest.fixture
+def catalog(tmp_path):
+    for name in ("calm", "rough"):
+        (tmp_path / f"{name}.yaml").write_text(
+            f'name: {name}\nframe_rate: 20\ncameras: {{cam1: "{name}/*.tif"}}\n'
+        )
+        catalog_add(tmp_path / "tank.yaml", tmp_path / f"{name}.yaml")
+    return tmp_path / "tank.yaml"
+
+
+def made(catalog, run):
+    folder = catalog.with_suffix("") / run / "1a2b3c4d"
+    folder.mkdir(parents=True)
+    (folder.parent / "latest").symlink_to("1a2b3c4d")
+    create_cube(folder / "cube.zarr", preview=False)
+    return folder / "cube.zarr"
+
+
+def test_a_run_of_a_catalog_is_looked_at_by_name(catalog):
+    with pytest.raises(WavefieldError, match="no cube of any run yet; make it with `wavefield run"):
+        _cube_of(catalog)
+    rough = made(catalog, "rough")
+    assert _cube_of(catalog).resolve() == rough
+    calm = made(catalog, "calm")
+    assert _cube_of(catalog, "calm").resolve() == calm
+    with pytest.raises(WavefieldError, match="cubes of calm, rough; name one"):
+        _cube_of(catalog)
+    with pytest.raises(WavefieldError, match="no run 'wild'; it has calm, rough"):
+        _cube_of(catalog, "wild")
+    with pytest.raises(WavefieldError, match="is no catalog: leave out 'calm'"):
+        _cube_of(calm, "calm")
