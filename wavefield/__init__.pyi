@@ -31,6 +31,7 @@ from wavefield.waves.breaking import breaking
 from wavefield.waves.coherence import coherence
 from wavefield.waves.directional import directional_spectrum
 from wavefield.waves.kinematics import kinematics
+from wavefield.waves.resonances import resonances
 from wavefield.waves.ridge import fit_dispersion
 from wavefield.waves.shear import current_by_depth
 from wavefield.waves.spectra import komega, spectrum
@@ -69,6 +70,7 @@ __all__ = [
     "propose",
     "reconstruct",
     "report",
+    "resonances",
     "run",
     "run_catalog",
     "simulate",

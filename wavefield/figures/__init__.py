@@ -6,7 +6,7 @@ Each takes plain xarray datasets (a cube, one step of it, a group of a wave stor
 
 from wavefield.figures.distributions import distributions, error_distributions, error_maps
 from wavefield.figures.kinematics import balance_history, coherence_curves, kinematics_maps
-from wavefield.figures.nonlinear import bound_spectra
+from wavefield.figures.nonlinear import bound_spectra, resonance_map
 from wavefield.figures.quality import (
     coverage_map,
     fault_history,
@@ -50,6 +50,7 @@ __all__ = [
     "misfit_maps",
     "noise_spectra",
     "quality_shares",
+    "resonance_map",
     "rig_views",
     "surface_3d",
     "uncertainty_maps",

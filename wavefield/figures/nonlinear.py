@@ -40,3 +40,49 @@ def bound_spectra(bound: xr.Dataset) -> Figure:
     )
     plain_axes(ax)
     return figure
+
+
+def resonance_map(resonances: xr.Dataset) -> Figure:
+    """The significant quartets over the k plane, and the mean coherence on resonance and off it.
+
+    Parameters
+    ----------
+    resonances : Dataset
+        Group ``/resonances`` of a wave store, or what `wavefield.resonances` gives.
+
+    Returns
+    -------
+    Figure
+
+    Notes
+    -----
+    Left: k1 and k2 as points, k3 and k4 as circles, joined by the parallelogram that they span; the ten least
+    probable ones. Right: squared coherence of all quartets less that of surrogates against the frequency by
+    which the fourth wave lies off the dispersion relation.
+    """
+    figure, axes = panels(2, height=4.4)
+    left, right = axes[0]
+    kx, ky = (resonances[f"quartet_k{axis}"].values / (2 * np.pi) for axis in "xy")
+    chosen = np.flatnonzero(resonances.quartet_significant.values)[:10]
+    for style, i in zip(LINES * 2, chosen):
+        left.plot(kx[i, [0, 2, 1, 3, 0]], ky[i, [0, 2, 1, 3, 0]], color=style["color"], linewidth=0.8)
+        left.plot(kx[i, :2], ky[i, :2], "o", color=style["color"])
+        left.plot(kx[i, 2:], ky[i, 2:], "o", color=style["color"], markerfacecolor="white")
+    half = 1.1 * max(float(np.abs(kx).max(initial=0)), float(np.abs(ky).max(initial=0)), 1.0)
+    tests = int(resonances.quartet_tests)
+    left.set(
+        xlabel="kx / 2π (m⁻¹)",
+        ylabel="ky / 2π (m⁻¹)",
+        xlim=(-half, half),
+        ylim=(-half, half),
+        aspect="equal",
+        title=f"{int(resonances.quartet_significant.sum())} significant of {tests} quartets",
+    )
+    plain_axes(left)
+    hertz = resonances.mismatch.values / (2 * np.pi)
+    excess, std = resonances.coherence_excess.values, resonances.coherence_excess_std.values
+    right.errorbar(hertz, 1e3 * excess, 2e3 * std, fmt="o-", color="#0072B2", capsize=3)
+    right.axhline(0.0, color="0.5", linewidth=0.8)
+    right.set(xlabel="frequency off resonance (Hz)", ylabel="10³ (mean γ² − surrogates)")
+    plain_axes(right)
+    return figure

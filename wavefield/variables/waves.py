@@ -267,6 +267,40 @@ rows(
     dtype="float32",
 )
 
+# ---- /resonances ----
+for _kind, _words in (("quartet", "k1 + k2 = k3 + k4"), ("triad", "k1 + k2 = k3")):
+    rows(
+        "resonances",
+        (_kind, f"{_kind}_wave"),
+        (f"{_kind}_kx", K_UNITS, f"wave vectors along x, {_words}"),
+        (f"{_kind}_ky", K_UNITS, f"wave vectors along y, {_words}"),
+        (f"{_kind}_omega", OMEGA_UNITS, "angular frequencies"),
+    )
+    rows(
+        "resonances",
+        (_kind,),
+        (f"{_kind}_coherence", "1", "squared coherence"),
+        (f"{_kind}_coherence_std", "1", "its standard uncertainty"),
+        (f"{_kind}_probability", "1", "probability that chance gives as much"),
+        (f"{_kind}_significant", "1", "whether it is significant among all that were tested"),
+        (f"{_kind}_mismatch", OMEGA_UNITS, "how far the last wave lies off the dispersion relation"),
+    )
+    rows("resonances", (), (f"{_kind}_tests", "1", f"number of {_kind}s tested"))
+rows("resonances", ("mismatch",), ("mismatch", OMEGA_UNITS, "frequency off resonance"))
+rows(
+    "resonances",
+    ("mismatch",),
+    ("coherence_excess", "1", "mean squared coherence of quartets less that of surrogates"),
+    ("coherence_excess_std", "1", "its standard uncertainty"),
+    ("quartets", "1", "number of quartets"),
+)
+rows(
+    "resonances",
+    (),
+    ("modes", "1", "number of wave vectors"),
+    ("samples", "1", "number of segments"),
+)
+
 # ---- crests about to break, in a notebook ----
 rows(
     "breaking",
@@ -321,6 +355,8 @@ GROUPS = {
     " `xarray.open_dataset(store, engine='zarr', group='directional').spec`. Like `shear` it is missing where"
     " no ridge could be followed.",
     "bound": "Free waves, and waves bound to others, which lie beside the ridge. Missing without a ridge.",
+    "resonances": "Triads and quartets of wave vectors, the least probable first. Missing without a ridge, or"
+    " with fewer than 16 segments of 64 steps.",
     "shear": "Current by depth from the Doppler shift of each band of wavenumbers, and u, v at the surface.",
     "higher_order": "Missing where the record holds fewer than four segments.",
 }

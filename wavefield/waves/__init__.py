@@ -18,6 +18,7 @@ from wavefield.waves.higher_order import HigherOrderSettings, higher_order
 from wavefield.waves.kinematics import finite_residual, kinematics, kinematics_at
 from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Record, find_record, whole_record
+from wavefield.waves.resonances import ResonanceSettings, resonances
 from wavefield.waves.ridge import FitSettings, fit_dispersion
 from wavefield.waves.shear import ShearSettings, current_by_depth
 from wavefield.waves.spectra import (
@@ -43,6 +44,7 @@ __all__ = [
     "FitSettings",
     "HigherOrderSettings",
     "Record",
+    "ResonanceSettings",
     "ShearSettings",
     "analyze",
     "angular_integral",
@@ -75,6 +77,7 @@ __all__ = [
     "probe_spectra",
     "read_gain",
     "read_probes",
+    "resonances",
     "spectrum",
     "statistics",
     "total",

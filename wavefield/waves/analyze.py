@@ -33,6 +33,7 @@ from wavefield.waves.higher_order import higher_order
 from wavefield.waves.onepass import FIELDS, MAPS, NAMES, PAIRS, Progress, Sums, one_pass
 from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Each, Record, find_record
+from wavefield.waves.resonances import resonances
 from wavefield.waves.ridge import dispersion_group
 from wavefield.waves.shear import current_by_depth
 from wavefield.waves.welch import Welch, frames_of, omega_coords
@@ -245,6 +246,17 @@ def _currents(
         "directional": from_density(densities["w"], job.depth, job.gamma, current, welch.dof, welch.frames),
         "bound": free_and_bound(densities["z"], job.depth, gamma=job.gamma, current=current, dof=welch.dof),
     }
+    try:
+        out["resonances"] = resonances(
+            job.cube["w"],
+            job.depth,
+            gamma=job.gamma,
+            current=current,
+            density=densities["w"],
+            record=welch.record,
+        )
+    except CubeError as error:
+        notes.append(f"No coherence of wave vectors: {error}.")
     drift = moments["mean"] / welch.record.dt
     surface = float(drift.sel(quantity="dx")), float(drift.sel(quantity="dy"))
     try:

@@ -1,0 +1,117 @@
+"""Coherences of wave vectors on random seas, with and without a quartet or triad planted in them."""
+
+import dask.array
+import numpy as np
+import pytest
+from waves_cases import GaussianSea, relation
+
+import wavefield.waves as wv
+from wavefield.errors import CubeError
+from wavefield.waves.resonances import discoveries, probabilities
+
+NY, NX, DX = 24, 32, 0.06
+CELL = 2 * np.array([2 * np.pi / (NY * DX), 2 * np.pi / (NX * DX)])  # of every second cell
+
+
+@pytest.fixture(scope="module")
+def sea():
+    return GaussianSea(n=40, steps=3072, dx=DX, lowest=1.2, highest=3.0, width=0.6)
+
+
+def piece(field):
+    field = field.isel(y=slice(0, NY), x=slice(0, NX))
+    field.name = "w"
+    return field
+
+
+def train(rng, n, dt=0.05, band=1.0):
+    """A wave's complex amplitude, Gaussian, that remembers itself for a second or so."""
+    omega = 2 * np.pi * np.fft.fftfreq(n, dt)
+    lines = rng.standard_normal(n) + 1j * rng.standard_normal(n)
+    a = np.fft.ifft(lines * np.exp(-0.5 * (omega / band) ** 2))
+    return a / np.sqrt((np.abs(a) ** 2).mean())
+
+
+def with_waves(field, vectors, omegas, amplitudes):
+    out = field.copy(data=field.values.copy())
+    t, y, x = (field[name].values for name in ("time", "y", "x"))
+    for (ky, kx), omega, a in zip(vectors, omegas, amplitudes):
+        series = (a * np.exp(-1j * omega * t)).astype("c8")
+        plane = np.exp(1j * (ky * y[:, None] + kx * x)).astype("c8")
+        out.values += (series[:, None, None] * plane).real
+    return out
+
+
+def test_random_phases_give_no_coherence(sea):
+    for seed in range(3):
+        found = wv.resonances(piece(sea.field(seed)), 0.7)
+        assert int(found.quartet_tests) > 3000
+        assert int(found.triad_tests) > 1000
+        assert not found.quartet_significant.any()
+        assert not found.triad_significant.any()
+        pulls = found.coherence_excess / found.coherence_excess_std
+        assert float(np.abs(pulls).median()) < 3
+
+
+def test_a_planted_quartet_is_found_and_named(sea):
+    field = piece(sea.field(7))
+    rng = np.random.default_rng(7)
+    # k and its mirror images: all of one length, so that the frequencies meet too
+    cells = np.array([(2, 2), (-2, -2), (2, -2), (-2, 2)])
+    a = [train(rng, field.sizes["time"]) for _ in range(3)]
+    product = a[0] * a[1] * a[2].conj()
+    a.append(product / np.sqrt((np.abs(product) ** 2).mean()))
+    omega = relation(np.hypot(*(CELL * cells[0])), 0.7)
+    size = 0.3 * float(field.std())
+    planted = with_waves(field, cells * CELL, [omega] * 4, [size * one for one in a])
+    found = wv.resonances(planted, 0.7)
+    assert bool(found.quartet_significant[0])
+    k = np.stack([found.quartet_ky[0] / CELL[0], found.quartet_kx[0] / CELL[1]], axis=-1).round()
+    assert {tuple(v) for v in k.astype(int).tolist()} == {tuple(v) for v in cells.tolist()}
+    assert float(found.quartet_coherence[0]) > 0.2
+    assert float(np.abs(found.quartet_omega[0] - omega).max()) < 2.0
+    # random phases in the fourth wave: none
+    a[3] = train(rng, field.sizes["time"])
+    unrelated = with_waves(field, cells * CELL, [omega] * 4, [size * one for one in a])
+    assert not wv.resonances(unrelated, 0.7).quartet_significant.any()
+
+
+def test_a_forced_wave_shows_as_a_triad_off_resonance(sea):
+    field = piece(sea.field(8))
+    rng = np.random.default_rng(8)
+    cells = np.array([(1, 2), (1, 1), (2, 3)])
+    a = [train(rng, field.sizes["time"]) for _ in range(2)]
+    a.append(a[0] * a[1])
+    omegas = [relation(np.hypot(*(CELL * c)), 0.7) for c in cells[:2]]
+    size = 0.3 * float(field.std())
+    planted = with_waves(field, cells * CELL, [*omegas, sum(omegas)], [size * one for one in a])
+    found = wv.resonances(planted, 0.7)
+    assert bool(found.triad_significant[0])
+    k = np.stack([found.triad_ky[0] / CELL[0], found.triad_kx[0] / CELL[1]], axis=-1).round()
+    assert k[2].tolist() == [2, 3]
+    assert float(np.abs(found.triad_mismatch[0])) > 2.0
+
+
+def test_chunks_do_not_matter(sea):
+    field = piece(sea.field(9)).isel(time=slice(0, 800))
+    settings = wv.ResonanceSettings(modes=20, surrogates=2)
+    plain = wv.resonances(field, 0.7, settings=settings)
+    chunked = field.copy(data=dask.array.from_array(field.values, chunks=(93, 24, 11)))
+    assert plain.identical(wv.resonances(chunked, 0.7, settings=settings))
+
+
+def test_a_short_record_is_refused(sea):
+    with pytest.raises(CubeError, match="need 16"):
+        wv.resonances(piece(sea.field(9)).isel(time=slice(0, 300)), 0.7)
+
+
+def test_probabilities_are_those_of_chance():
+    rng = np.random.default_rng(0)
+    p = probabilities(rng.exponential(size=20_000), rng.exponential(size=40_000))
+    for level in (0.5, 0.05, 0.005, 0.0005):
+        assert np.mean(p < level) == pytest.approx(level, rel=0.05 + 2 / np.sqrt(20_000 * level))
+    false = [
+        discoveries(probabilities(rng.exponential(size=500), rng.exponential(size=3000)), 0.05).any()
+        for _ in range(200)
+    ]
+    assert np.mean(false) < 0.1
