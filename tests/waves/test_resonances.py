@@ -98,6 +98,9 @@ def test_chunks_do_not_matter(sea):
     plain = wv.resonances(field, 0.7, settings=settings)
     chunked = field.copy(data=dask.array.from_array(field.values, chunks=(93, 24, 11)))
     assert plain.identical(wv.resonances(chunked, 0.7, settings=settings))
+    # nor does the unit: products of four lie far from single precision's end
+    small = wv.resonances(field.copy(data=1e-8 * field.values), 0.7, settings=settings)
+    np.testing.assert_allclose(small.quartet_coherence, plain.quartet_coherence, rtol=1e-3)
 
 
 def test_a_short_record_is_refused(sea):

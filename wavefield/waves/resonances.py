@@ -137,7 +137,7 @@ def segment_lines(runs: list[Array], segment: int) -> Array:
     Returns
     -------
     ndarray, complex64, (cells, segments, segment // 2)
-        Lines of waves exp(-i omega t), omega from zero on.
+        Lines of waves exp(-i omega t), omega from zero on, each over its rms.
     """
     half, window = segment // 2, hann(segment).astype(np.float32)
     lines = []
@@ -150,7 +150,10 @@ def segment_lines(runs: list[Array], segment: int) -> Array:
         raise CubeError(
             f"the record holds {len(lines)} segments of {segment} steps: coherences of wave vectors need 16"
         )
-    return np.ascontiguousarray(np.stack(lines, axis=1)).astype(np.complex64)
+    x = np.stack(lines, axis=1)
+    # coherences are of any scale; products of four in single precision are not
+    size = np.sqrt((np.abs(x) ** 2).mean(axis=1, dtype=np.float64, keepdims=True))
+    return np.asarray(np.divide(x, size, out=np.zeros_like(x), where=size > 0), np.complex64)
 
 
 def shuffle(lines: Array, rng: np.random.Generator) -> Array:
