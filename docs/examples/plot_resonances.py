@@ -13,7 +13,7 @@ import wavefield as wf
 from wavefield import figures
 
 rng = np.random.default_rng(2)
-steps, nodes, step = 2048, 40, 0.06
+steps, nodes, step = 3072, 36, 0.06
 omega = 2 * np.pi * np.fft.fftfreq(steps, 0.05)[:, None, None]
 k = 2 * np.pi * np.fft.fftfreq(nodes, step)
 length = np.hypot(k[:, None], k)
@@ -32,7 +32,7 @@ ky, kx = 8 * np.pi / (24 * step), 8 * np.pi / (32 * step)
 for train, (a, b) in zip(trains, ((1, 1), (-1, -1), (1, -1), (-1, 1)), strict=True):
     turned = train * np.exp(-1j * np.sqrt(9.81 * np.hypot(ky, kx)) * t) / np.sqrt((np.abs(train) ** 2).mean())
     plane = np.exp(1j * (a * ky * y[:, None] + b * kx * x))
-    w = w + 0.3 * w.std() * (turned[:, None, None] * plane).real
+    w = w + 0.4 * w.std() * (turned[:, None, None] * plane).real
 axes = {"time": t, "y": y, "x": x}
 w = xr.DataArray(w.astype("f4"), axes, ("time", "y", "x"), name="w", attrs={"units": "m s-1"})
 
