@@ -12,6 +12,7 @@ from wavefield.explorer.notebook import look
 from wavefield.grid import Grid
 from wavefield.matching.gauss_newton import match
 from wavefield.measurement.settings import Settings
+from wavefield.reports.paper import paper
 from wavefield.reports.write import report
 from wavefield.rig.camera import Camera
 from wavefield.rig.formats import load_rig
@@ -66,6 +67,7 @@ __all__ = [
     "look",
     "match",
     "open_cube",
+    "paper",
     "predicted_gain",
     "propose",
     "reconstruct",

@@ -256,3 +256,33 @@ def test_report_is_written_without_the_images_too_and_says_so(folder, tmp_path):
         (folder / "away").rename(images)
     assert "pictures of the cameras' frames" in page.replace("&#x27;", "'").replace("&#39;", "'")
     assert "Coverage and faults" in page
+
+
+def test_the_papers_figures_are_on_one_page(folder, tmp_path):
+    # any record will do for one at rest
+    page = tmp_path / "paper.html"
+    assert (
+        main(["-q", "paper", str(folder / "cube.zarr"), "--rest", str(folder / "cube.zarr"), "-o", str(page)])
+        == 0
+    )
+    text = page.read_text(encoding="utf-8")
+    for anchor in (
+        "surface-and-velocity",
+        "distributions",
+        "spectrum-of-the-vertical-velocity",
+        "nonlinear-term",
+        "spectrum-of-the-elevation",
+        "water-at-rest",
+        "pairs-of-cameras-against-one-another",
+        "numbers",
+    ):
+        assert f'<section id="{anchor}">' in text
+    assert text.count("<img ") >= 13
+    for words in ("eps_Y, pair cam", "z at rest, rms", "0.34 to 0.37 px", "Right within a factor 2"):
+        assert words in text
+    # each row of the numbers has one
+    rows = re.findall(
+        r'<th scope="row">([^<]*)</th><td>[^<]*</td><td>([^<]*)</td>', text.split('id="numbers"')[1]
+    )
+    assert len(rows) >= 8
+    assert all(re.match(r"[\d.]+", here) for _, here in rows), rows

@@ -104,8 +104,8 @@ def test_chunks_do_not_matter(sea):
 
 
 def test_a_short_record_is_refused(sea):
-    with pytest.raises(CubeError, match="need 16"):
-        wv.resonances(piece(sea.field(9)).isel(time=slice(0, 300)), 0.7)
+    with pytest.raises(CubeError, match="need 8"):
+        wv.resonances(piece(sea.field(9)).isel(time=slice(0, 200)), 0.7)
 
 
 def test_probabilities_are_those_of_chance():

@@ -59,6 +59,7 @@ for _command in (
     experiment.verify,
     waves.analyze,
     waves.report,
+    waves.paper,
     look.look,
     look.follow,
     archive.export,

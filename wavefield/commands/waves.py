@@ -1,4 +1,4 @@
-"""`wavefield analyze` and `wavefield report`: from a cube to waves and to pages."""
+"""`wavefield analyze`, `wavefield report` and `wavefield paper`: from a cube to waves and to pages."""
 
 from pathlib import Path
 from typing import Any
@@ -158,3 +158,26 @@ def report(
     page = compare(source.stem, [Entry(*one) for one in cubes], output or source.with_suffix(".html"))
     click.echo(f"Wrote {page}, which compares {len(cubes)} runs; open it in a browser.")
     context.exit(found)
+
+
+@click.command(
+    epilog="\b\nExample:\n  wavefield paper cube.zarr --rest rest.zarr      # writes paper.html beside it"
+)
+@click.argument("store", metavar="CUBE", type=_STORE)
+@click.option("--rest", type=_STORE, help="Cube of the water at rest, by the same cameras.")
+@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="HTML file to write.")
+@click.option(
+    "--waves", type=_STORE, help="Wave store; by default the one beside the cube, made if there is none."
+)
+def paper(store: Path, rest: Path | None, output: Path | None, waves: Path | None) -> None:
+    """Write the figures and numbers of the method's paper for a cube.
+
+    One HTML file: snapshot, distributions, spectra, nonlinear term and coherence, probes, water at rest, the
+    pairs of cameras over the whole record, and a table beside the paper's numbers.
+    """
+    from wavefield.reports.paper import paper as write
+
+    output = output or beside(store, "paper", ".html")
+    with Progress(f"Drawing {output}", "parts") as progress:
+        write(store, output, rest=rest, waves=waves, progress=progress)
+    click.echo(f"Wrote {output}; open it in a browser.")

@@ -7,6 +7,7 @@ Each takes plain xarray datasets (a cube, one step of it, a group of a wave stor
 from wavefield.figures.distributions import distributions, error_distributions, error_maps
 from wavefield.figures.kinematics import balance_history, coherence_curves, kinematics_maps
 from wavefield.figures.nonlinear import bound_spectra, resonance_map
+from wavefield.figures.paper import plane_coherence_maps, rest_distributions, vorticity_map
 from wavefield.figures.quality import (
     coverage_map,
     fault_history,
@@ -49,12 +50,15 @@ __all__ = [
     "misfit_distributions",
     "misfit_maps",
     "noise_spectra",
+    "plane_coherence_maps",
     "quality_shares",
     "resonance_map",
+    "rest_distributions",
     "rig_views",
     "surface_3d",
     "uncertainty_maps",
     "velocity_map",
+    "vorticity_map",
     "wavenumber_spectra",
     "wavevector_map",
 ]

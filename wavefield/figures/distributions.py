@@ -22,10 +22,29 @@ from wavefield.figures.style import (
 _COMPONENTS = {"u": "dx = u dt", "v": "dy = v dt", "w": "dz = w dt"}
 
 
-def _draw_density(
+def draw_density(
     axes: Axes, values: np.ndarray, unit: str, named: str, style: dict[str, Any], span: float
 ) -> float:
-    """Draw the density of values about their mean; return their standard deviation."""
+    """Draw the density of values about their mean.
+
+    Parameters
+    ----------
+    axes : Axes
+        The panel.
+    values : ndarray
+        Any shape; those that are not finite are left out.
+    unit, named : str
+        Unit and name, for the legend.
+    style : dict
+        Of the line.
+    span : float
+        Half the width of the axis; 1 if zero.
+
+    Returns
+    -------
+    float
+        Standard deviation.
+    """
     finite = values[np.isfinite(values)]
     sigma = float(finite.std()) if finite.size else 0.0
     mean = float(finite.mean()) if finite.size else 0.0
@@ -67,13 +86,13 @@ def distributions(cube: xr.Dataset) -> Figure:
     figure, axes = panels(2)
     z = 100 * cube.z.values.astype(float)
     span = 5 * float(np.nanstd(z)) if np.isfinite(z).any() else 1.0
-    sigma = _draw_density(axes[0, 0], z, "cm", "z", LINES[1], span)
+    sigma = draw_density(axes[0, 0], z, "cm", "z", LINES[1], span)
     _draw_gaussian(axes[0, 0], sigma, float(np.nanmean(z)) if sigma else 0.0, span)
     axes[0, 0].set(xlabel="z (cm)", ylabel="probability density (cm⁻¹)")
     moves = {name: 100 / rate * cube[name].values.astype(float) for name in _COMPONENTS}
     widest = max((float(np.nanstd(m)) for m in moves.values() if np.isfinite(m).any()), default=1.0)
     for style, (name, label) in zip(LINES[1:], _COMPONENTS.items(), strict=False):
-        _draw_density(axes[0, 1], moves[name], "cm", label, style, 5 * widest)
+        draw_density(axes[0, 1], moves[name], "cm", label, style, 5 * widest)
     _draw_gaussian(axes[0, 1], widest, 0.0, 5 * widest)
     axes[0, 1].set(xlabel="displacement in one step (cm)", ylabel="probability density (cm⁻¹)")
     for ax in axes[0]:
@@ -108,7 +127,7 @@ def error_distributions(errors: xr.Dataset, pixel: float) -> Figure:
     for ax, piece in zip(axes[0], pieces, strict=True):
         span = 6 * max(float(np.nanstd(e)) for e in piece.values())
         for style, (label, error) in zip(LINES[1:], piece.items(), strict=False):
-            _draw_density(ax, error.astype(float), "px", label, style, span)
+            draw_density(ax, error.astype(float), "px", label, style, span)
         ax.set(xlabel="measured − exact (px)", ylabel="probability density (px⁻¹)")
         plain_axes(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     axes[0, 0].set_xlabel(f"measured − exact (px; 1 px = {1e3 * pixel:.3g} mm on the water)")

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from wavefield.figures.style import LINES, POSITIVE, colour_bar, edges, panels, plain_axes
+from wavefield.water import GRAVITY
 
 _UNITS = {"z": "m² (rad/m)⁻¹ (rad/s)⁻¹", "w": "m² s⁻² (rad/m)⁻¹ (rad/s)⁻¹"}
 _METHODS = {
@@ -62,7 +63,9 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
         curve = dispersion.omega_theory.values / (2 * np.pi)
         ax.plot(k, curve, color="white", linewidth=2.6)
         ax.plot(k, curve, color="black", linewidth=1.3, label="linear dispersion relation")
-        ax.legend(loc="lower right", fontsize=9, framealpha=0.9)
+        plain = np.sqrt(GRAVITY * dispersion.k.values) / (2 * np.pi)
+        ax.plot(k, plain, color="white", linewidth=1.0, linestyle="--", label="ω = √(gk)")
+        ax.legend(loc="lower right", fontsize=9, framealpha=0.9, facecolor="0.6")
     ax.set(xlabel="k / 2π (m⁻¹)", ylabel="ω / 2π (Hz)")
     right = edges(cycles)[-1]
     if dispersion is not None and "omega_theory" in dispersion:  # beyond, waves are too fast for the frames

@@ -301,6 +301,11 @@ rows(
     ("samples", "1", "number of segments"),
 )
 
+# ---- coherence of each wave vector, in a notebook and on the paper's page ----
+for _term, _words in (("w", "w"), ("nl", "-u . grad z"), ("tot", "w - u . grad z")):
+    rows("", ("ky", "kx"), (f"plane_C_{_term}", "1", f"coherence of z_t with {_words}, modulus"))
+    rows("", ("k",), (f"mean_C_{_term}", "1", f"coherence of z_t with {_words}, averaged after the ratio"))
+
 # ---- crests about to break, in a notebook ----
 rows(
     "breaking",
@@ -356,7 +361,7 @@ GROUPS = {
     " no ridge could be followed.",
     "bound": "Free waves, and waves bound to others, which lie beside the ridge. Missing without a ridge.",
     "resonances": "Triads and quartets of wave vectors, the least probable first. Missing without a ridge, or"
-    " with fewer than 16 segments of 64 steps.",
+    " with fewer than 8 segments of 64 steps.",
     "shear": "Current by depth from the Doppler shift of each band of wavenumbers, and u, v at the surface.",
     "higher_order": "Missing where the record holds fewer than four segments.",
 }

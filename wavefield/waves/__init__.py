@@ -38,6 +38,7 @@ from wavefield.waves.transfer import (
     gain_two_frames,
     undo,
 )
+from wavefield.waves.wave_vectors import plane_coherence
 from wavefield.waves.window_gain import read_gain, window_gain
 
 __all__ = [
@@ -74,6 +75,7 @@ __all__ = [
     "kinematics",
     "kinematics_at",
     "komega",
+    "plane_coherence",
     "probe_spectra",
     "read_gain",
     "read_probes",

@@ -28,6 +28,7 @@ _LONGEST = 2.5  # cells
 _SHORTEST = 0.8  # of the Nyquist wavenumber
 _CELLS = 700  # wave vectors held over time
 _STANDS_OUT = 3.0  # energy on the ridge over what lies beside it
+_LEAST = 8  # segments
 _TAIL = 0.02  # of the surrogates, to which the tail of the null is fitted
 _LAGS = 24  # segments over which lines may remember themselves
 _BATCH = 2048  # coherences computed at a time
@@ -146,9 +147,10 @@ def segment_lines(runs: list[Array], segment: int) -> Array:
             part = run[:, a : a + segment]
             part = (part - part.mean(axis=1, keepdims=True)) * window
             lines.append(fft.ifft(part, axis=1)[:, : segment // 2])
-    if len(lines) < 16:
+    if len(lines) < _LEAST:
         raise CubeError(
-            f"the record holds {len(lines)} segments of {segment} steps: coherences of wave vectors need 16"
+            f"the record holds {len(lines)} segments of {segment} steps: coherences of wave vectors need"
+            f" {_LEAST}"
         )
     x = np.stack(lines, axis=1)
     # coherences are of any scale; products of four in single precision are not
