@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
-from waves_cases import GaussianSea, Waves, axes, cube, relation
+from waves_cases import GaussianSea, Waves, axes, cube, relation, second_order_sea
 
 import wavefield.waves as wv
 from wavefield.waves.breaking import crest_ratio
@@ -59,6 +59,20 @@ def test_a_sheared_current_is_found_at_depth():
     assert float(found.current_x_std.max()) < 0.01
 
 
+def test_a_sheared_current_is_found_in_a_field():
+    made = {"n": 96, "dx": 0.03, "steps": 512, "width": 0.06, "lowest": 1.2, "highest": 4.2}
+    sea = GaussianSea(felt=lambda k: 0.1 * 2 * k / (2 * k + 10), **made).field(2)
+    S = wv.spectrum(sea.isel(y=slice(0, 64), x=slice(0, 80)), segment=256)
+    ridge = wv.fit_dispersion(S.E, 0.7, dof=float(S.dof))
+    found = wv.current_by_depth(ridge, surface=(0.1, 0.0))
+    true = 0.1 * np.exp(found.z / 0.1)
+    error = float(np.sqrt(((found.current_x - true) ** 2).mean()))
+    assert error < 0.003
+    plain = np.interp(found.z, -found.effective_depth, found.doppler_x)
+    assert error < np.sqrt(((plain - true) ** 2).mean()) / 2
+    assert float(np.abs(found.current_y).max()) < 0.003
+
+
 def test_a_uniform_current_stays_uniform():
     found = wv.current_by_depth(sheared(lambda k: 0.05 + 0 * k), surface=(0.05, 0.0))
     assert found.attrs["degree"] == 0
@@ -78,6 +92,45 @@ def test_crests_of_a_steep_wave_have_its_steepness_for_ratio_whatever_the_curren
         # a k over tanh kh, a node beside the crest it is a little less
         np.testing.assert_allclose(ratio[np.isfinite(ratio)], 0.3 / np.tanh(k * 0.7), atol=0.01)
         np.testing.assert_allclose(speed[np.isfinite(speed)], relation(k, 0.7) / k, rtol=0.01)
+
+
+def highest(sea, x, y, n, now):
+    """Distance along n from points to the highest one within 10 cm, and whether there is one."""
+    s = np.linspace(-0.1, 0.1, 201)
+    z = sea.at(x[:, None] + s * n[0][:, None], y[:, None] + s * n[1][:, None], now, ("z",))["z"]
+    i = z.argmax(axis=1)
+    inside = (i > 0) & (i < s.size - 1)
+    a, b, c = (z[np.arange(i.size), i.clip(1, s.size - 2) + d] for d in (-1, 0, 1))
+    return s[i] + 0.0005 * (a - c) / np.where(inside, a - 2 * b + c, 1), inside
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_crests_of_a_steep_random_sea_have_the_exact_ratio(seed):
+    sea = second_order_sea(seed, n=60, sigma=0.02, spread=20, lowest=1.0, highest=1.6)
+    x, y, step = np.arange(160) * 0.01, np.arange(80) * 0.01, 0.01
+    errors, ratios = [], []
+    for t in (0.0, 2.0, 4.0, 6.0):
+        f = sea.on_grid(x, y, t, ("z", "z_t", "u", "v"))
+        ratio, _ = crest_ratio(*(f[name] for name in ("z", "z_t", "u", "v")), step, step, 0.06, 0.02)
+        rows, columns = np.nonzero(np.isfinite(ratio[8:-8, 8:-8]))
+        rows, columns = rows[::9] + 8, columns[::9] + 8
+        n = np.stack([f["u"][rows, columns], f["v"][rows, columns]])
+        n /= np.hypot(*n)
+        (before, one), (at, two), (after, three) = (
+            highest(sea, x[columns], y[rows], n, t + d) for d in (-0.01, 0.0, 0.01)
+        )
+        water = sea.at(x[columns] + at * n[0], y[rows] + at * n[1], t, ("u", "v"))
+        speed = (after - before) / 0.02
+        # a crest that meets another along n has no speed of its own
+        use = one & two & three & (np.abs(at) < 0.03) & (speed > 0.3) & (speed < 3)
+        exact = (water["u"] * n[0] + water["v"] * n[1]) / speed
+        errors.append((ratio[rows, columns] - exact)[use])
+        ratios.append(exact[use])
+    errors, ratios = np.concatenate(errors), np.concatenate(ratios)
+    assert errors.size > 20
+    assert ratios.max() > 0.25
+    assert np.mean(np.abs(errors) < 0.03) > 0.97
+    assert abs(errors.mean()) < 0.01
 
 
 def test_a_crest_that_outruns_itself_is_an_event_with_its_history():

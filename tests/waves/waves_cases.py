@@ -225,6 +225,7 @@ class GaussianSea:
         current=(0.0, 0.0),
         depth=0.7,
         width=0.6,
+        felt=None,
     ):
         self.n, self.steps, self.dx, self.dt = n, steps, dx, dt
         self.k = 2 * np.pi * np.fft.fftfreq(n, dx)
@@ -232,6 +233,8 @@ class GaussianSea:
         kx, ky = self.k, self.k[:, None]
         ridge = relation(np.hypot(kx, ky), depth)
         seen_at = ridge + kx * current[0] + ky * current[1]
+        if felt is not None:  # the current along x that waves of wavenumber k feel
+            seen_at = seen_at + kx * felt(np.hypot(kx, ky))
         density = np.exp(-0.5 * ((self.omega[:, None, None] - seen_at) / width) ** 2)
         density *= ((ridge > 2 * np.pi * lowest) & (ridge < 2 * np.pi * highest)) / np.maximum(ridge, 1) ** 5
         density *= np.cos((np.arctan2(ky, kx) - heading) / 2) ** (2 * spread)

@@ -7,6 +7,7 @@ Each takes plain xarray datasets (a cube, one step of it, a group of a wave stor
 from wavefield.figures.distributions import distributions, error_distributions, error_maps
 from wavefield.figures.kinematics import balance_history, coherence_curves, kinematics_maps
 from wavefield.figures.nonlinear import bound_spectra, resonance_map
+from wavefield.figures.oceans import breaking_map, current_profile
 from wavefield.figures.paper import plane_coherence_maps, rest_distributions, vorticity_map
 from wavefield.figures.quality import (
     coverage_map,
@@ -33,9 +34,11 @@ __all__ = [
     "balance_history",
     "bicoherence_map",
     "bound_spectra",
+    "breaking_map",
     "camera_frames",
     "coherence_curves",
     "coverage_map",
+    "current_profile",
     "directions",
     "dispersion_ridge",
     "distributions",

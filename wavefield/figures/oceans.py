@@ -1,0 +1,69 @@
+"""Current by depth, and crests about to break."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from wavefield.figures.style import LINES, draw_map, map_panels, moment_title, panels, plain_axes
+
+
+def current_profile(shear: xr.Dataset) -> Figure:
+    """Current by depth, and what waves of each band feel at the depth 1 / 2k.
+
+    Parameters
+    ----------
+    shear : Dataset
+        Group ``/shear`` of a wave store, or what `wavefield.current_by_depth` gives.
+
+    Returns
+    -------
+    Figure
+    """
+    figure, axes = panels(1, width=5.6, height=4.6)
+    ax = axes[0, 0]
+    centimetres = 100 * shear.z.values
+    for style, name in zip(LINES[1:], "xy"):
+        speed, std = 100 * shear[f"current_{name}"].values, 100 * shear[f"current_{name}_std"].values
+        ax.plot(speed, centimetres, label=f"current along {name}", **style)
+        ax.fill_betweenx(centimetres, speed - 2 * std, speed + 2 * std, color=style["color"], alpha=0.2)
+        ax.errorbar(
+            100 * shear[f"doppler_{name}"].values,
+            -100 * shear.effective_depth.values,
+            xerr=200 * shear[f"doppler_{name}_std"].values,
+            fmt="o",
+            color=style["color"],
+            markersize=4,
+            label=f"felt by waves, {name}",
+        )
+    ax.set(xlabel="velocity (cm s⁻¹)", ylabel="z (cm)")
+    plain_axes(ax, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def breaking_map(snapshot: xr.Dataset) -> Figure:
+    """Elevation with the crests, coloured by B = u / c.
+
+    Parameters
+    ----------
+    snapshot : Dataset, (y, x)
+        One step of a cube with z (m) and of what `wavefield.breaking` gives, with B.
+
+    Returns
+    -------
+    Figure
+    """
+    figure, axes = map_panels(snapshot.z, 1, width=7.4)
+    ax = axes[0, 0]
+    draw_map(ax, snapshot.z, "z (cm)", factor=100, cmap="Greys_r", title=moment_title(snapshot))
+    rows, columns = np.nonzero(np.isfinite(snapshot.B.values))
+    drawn = ax.scatter(
+        snapshot.x.values[columns],
+        snapshot.y.values[rows],
+        c=snapshot.B.values[rows, columns],
+        s=9,
+        vmin=0,
+        vmax=1,
+        cmap="inferno",
+    )
+    figure.colorbar(drawn, ax=ax, label="B = u / c (1), they break above .85")
+    return figure
