@@ -30,6 +30,7 @@ from wavefield.waves.analyze import analyze
 from wavefield.waves.bound import free_and_bound, free_and_bound_fields
 from wavefield.waves.breaking import breaking
 from wavefield.waves.coherence import coherence
+from wavefield.waves.crests import crest_statistics
 from wavefield.waves.directional import directional_spectrum
 from wavefield.waves.kinematics import kinematics
 from wavefield.waves.resonances import resonances
@@ -55,6 +56,7 @@ __all__ = [
     "calibrate",
     "check",
     "coherence",
+    "crest_statistics",
     "current_by_depth",
     "directional_spectrum",
     "export",

@@ -306,6 +306,31 @@ for _term, _words in (("w", "w"), ("nl", "-u . grad z"), ("tot", "w - u . grad z
     rows("", ("ky", "kx"), (f"plane_C_{_term}", "1", f"coherence of z_t with {_words}, modulus"))
     rows("", ("k",), (f"mean_C_{_term}", "1", f"coherence of z_t with {_words}, averaged after the ratio"))
 
+# ---- crests, troughs and errors of moments, in a notebook ----
+rows(
+    "crests",
+    (),
+    ("significant_height", "m", "significant wave height, 4 sigma"),
+    ("significant_height_std", "m", "its standard uncertainty"),
+    ("skewness", "1", "skewness of the elevation"),
+    ("skewness_std", "1", "its standard uncertainty"),
+    ("kurtosis", "1", "excess kurtosis of the elevation"),
+    ("kurtosis_std", "1", "its standard uncertainty"),
+    ("mean_period", "s", "mean time between zero up-crossings"),
+    ("waves", "1", "number of waves"),
+)
+rows(
+    "crests",
+    ("level",),
+    ("level", "1", "level over the standard deviation of the elevation"),
+    ("crest_exceedance", "1", "fraction of crests above the level"),
+    ("crest_exceedance_std", "1", "its standard uncertainty"),
+    ("trough_exceedance", "1", "fraction of troughs below the level, turned"),
+    ("trough_exceedance_std", "1", "its standard uncertainty"),
+    ("rayleigh", "1", "Rayleigh's fraction"),
+    ("tayfun", "1", "Tayfun's fraction, of second-order crests"),
+)
+
 # ---- crests about to break, in a notebook ----
 rows(
     "breaking",

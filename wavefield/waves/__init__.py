@@ -9,6 +9,7 @@ from wavefield.waves.analyze import analyze
 from wavefield.waves.bound import free_and_bound, free_and_bound_fields
 from wavefield.waves.breaking import breaking
 from wavefield.waves.coherence import coherence
+from wavefield.waves.crests import crest_statistics
 from wavefield.waves.crosses import cross_spectra
 from wavefield.waves.direction import directions
 from wavefield.waves.directional import directional_spectrum
@@ -52,6 +53,7 @@ __all__ = [
     "at_frequency",
     "breaking",
     "coherence",
+    "crest_statistics",
     "cross_spectra",
     "current_by_depth",
     "directional_spectrum",
