@@ -1,13 +1,33 @@
 """The small tank and its cube, made once."""
 
+import hashlib
+import pickle
 import shutil
 
 import pytest
 from cube_cases import HERE, KNOCKED, write_tank
 
+import wavefield.measurement
 from wavefield.cubes import run
 from wavefield.images import write_image
 from wavefield.tank import Scene, Tank
+
+
+@pytest.fixture(scope="session", autouse=True)
+def learned_once():
+    """Beads, spectra and noise of the same frames are learned once for all runs: a third of a run here."""
+    learn, known = wavefield.measurement.learn, {}
+
+    def remembered(steps, plan, masks=None):
+        asked = pickle.dumps((steps, masks, plan.rig, plan.grid, plan.settings, plan.record, plan.covered))
+        key = hashlib.sha256(asked).digest()
+        if key not in known:
+            known[key] = learn(steps, plan, masks)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(wavefield.measurement, "learn", remembered)
+        yield
 
 
 @pytest.fixture(scope="session")

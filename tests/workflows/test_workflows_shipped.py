@@ -118,11 +118,16 @@ def test_real_images_run_from_the_catalog_with_their_place_as_a_parameter(shared
     assert frames.left.shape == frames.right.shape == (6, 1200, 1920)
     assert int(frames.left[5].max()) > 100
     assert find_experiment(catalog, {"run": "loads", "location": folder}).frame_rate == 1.0
+    # two load states are run as the six are
+    two = tmp_path / "two"
+    (two / "images").mkdir(parents=True)
+    for name in ("cal.xml", *(f"images/GT4-000{number}_{side}.tif" for number in (0, 1) for side in (0, 1))):
+        (two / name).symlink_to(Path(folder, name))
     (state,) = run_catalog(
         catalog,
         out=tmp_path / "cube.zarr",
         workflow=Workflow(cluster="none"),
-        parameters={"location": folder},
+        parameters={"location": str(two)},
     )
     cube = open_cube(state.store).load()
     assert (cube.frame_status == FrameStatus.DONE).all()
