@@ -142,3 +142,19 @@ def test_field_and_spectrum_follow_from_each_other():
     assert np.abs(np.log(ratio)).max() < np.log(1.5)
     again = Prior.from_dict(prior.to_dict())
     assert again == prior
+
+
+def test_noise_that_is_thought_too_small_is_not_taken_for_waves():
+    rng = np.random.default_rng(7)
+    shape, noise = (60, 70), 0.05
+    prior = prior_of(lambda k: max(steep_law(k), 1e-4 * noise**2), information=4 / noise**2)
+    for _ in range(4):
+        modes = Modes(prior, shape)
+        found = []
+        for truth in sea(shape, steep_law, np.random.default_rng(8), 3):
+            said = modes.seen(modes.waves(truth[None].astype(np.float32)))
+            said = said + noise * rng.standard_normal(shape).astype(np.float32)
+            gain = prior.gain(modes.k)
+            found.append(modes.waves(said) * gain / modes.foot)
+        prior = better_prior(prior, modes.k, modes.foot, found, prior.information)
+    assert prior.gain(np.array([2.2]))[0] < 0.1

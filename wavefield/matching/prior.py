@@ -181,10 +181,18 @@ def better_prior(
     bins = _Bins(k)
     weight = np.maximum(bins.mean(gain**2), 1e-30)
     drowned = bins.mean(gain**2 * noise) / weight
-    signal = bins.mean(power) / weight - drowned
+    whole = bins.mean(power) / weight
+    drowned *= max(_plateau(whole / np.maximum(drowned, 1e-30), bins.count), 1.0)
+    signal = whole - drowned
     last = bins.until((bins.count > 0) & (signal > _HEARD * drowned))
     least = float(noise.min())
     return Prior(bins.k, _continued(bins.middle, signal, last, least), information, prior.noise)
+
+
+def _plateau(ratio: NDArray[np.float64], count: NDArray[Any]) -> float:
+    """What power over noise falls to where there are no more waves: its least, of the mean of three rings."""
+    some = ratio[count > 0]
+    return float(np.convolve(some, np.ones(3) / 3, mode="valid").min()) if some.size > 3 else 1.0
 
 
 class _Bins:

@@ -15,6 +15,7 @@ from wavefield.measurement.rectify import bin_pixels
 
 _KNEE = 0.5  # of the contrast: darker than this above the background, the logarithm is nearly a line
 _PLACES = 0.01, 0.5, 0.99
+BETWEEN_CAMERAS, IN_TIME = 1.5, 0.3  # `sharpened` for the surface and for displacements
 _SCALE = 5000.0  # grey levels for a factor e: log(65535) still fits 16 bits
 
 
@@ -70,6 +71,35 @@ def ready(
         # what half of the image lies below is no bead: twice as far above, grains of a floor and noise drown
         return bin_pixels(even_out(image, half + (half - low), covered), count)
     return bin_pixels(even_out(image, covered=covered), count)
+
+
+def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
+    """An image with its short waves raised, so that beads do not reach into each other.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column), uint8, uint16 or float32
+        As given by `ready`.
+    amount : float
+        a of the filter (-a, 1 + 2a, -a) along rows and columns: waves of two pixels grow by 1 + 4a each way.
+
+    Returns
+    -------
+    ndarray of float32, (row, column)
+
+    Notes
+    -----
+    Two cameras see a bead differently bright, and where it reaches into its neighbour it pulls at the match.
+    That error has the spectrum of the beads themselves: weighed by it, short waves tell as much as long ones.
+
+    Examples
+    --------
+    >>> sharpened(np.eye(5, dtype=np.float32)[2:3] * np.ones((5, 1), np.float32), 0.5)[2].tolist()
+    [0.0, -0.5, 2.0, -0.5, 0.0]
+    """
+    kernel = np.array([-amount, 1.0 + 2.0 * amount, -amount], np.float32)
+    part = np.ascontiguousarray(image, np.float32)
+    return np.asarray(cv2.sepFilter2D(part, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REPLICATE))
 
 
 def even_out(

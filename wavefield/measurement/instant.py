@@ -12,7 +12,7 @@ from wavefield import matching
 from wavefield.measurement import surface as stereo
 from wavefield.measurement.covered import Covered, Masks, covered_in
 from wavefield.measurement.elevation import Surface, surface
-from wavefield.measurement.frame import ready, usable
+from wavefield.measurement.frame import IN_TIME, ready, sharpened, usable
 from wavefield.measurement.plan import Plan
 
 
@@ -114,8 +114,8 @@ def images_of(
     flat_of = {n: one.flat for n, one in covered.items()}
     raw_of = {n: one.raw for n, one in covered.items()}
     flat = {n: stereo.prepare(good[n], n, plan, flat_of.get(n)) for n in plan.surface_cameras if n in good}
-    piv = plan.settings.piv
-    raw = {n: matching.prepare(good[n], piv, raw_of.get(n)) for n in plan.velocity_cameras if n in good}
+    sharp = {n: sharpened(good[n], IN_TIME) for n in plan.velocity_cameras if n in good}
+    raw = {n: matching.prepare(image, plan.settings.piv, raw_of.get(n)) for n, image in sharp.items()}
     return Images(flat, raw, frozenset(n for n in plan.cameras if n not in good), covered)
 
 

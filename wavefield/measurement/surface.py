@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.matching import Reason
+from wavefield.measurement.frame import BETWEEN_CAMERAS, sharpened
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.rectify import rectify, widen
 from wavefield.robust import robust_std
@@ -79,7 +80,8 @@ def prepare(
     -------
     matching.Prepared
     """
-    flat = widen(rectify(image, *plan.maps[camera]), *plan.blur[camera])
+    sharp = sharpened(image, BETWEEN_CAMERAS)
+    flat = widen(rectify(sharp, *plan.maps[camera]), *plan.blur[camera])
     return matching.prepare(flat, plan.settings.stereo, mask=mask or plan.masks[camera])
 
 
