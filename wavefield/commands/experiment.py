@@ -141,6 +141,9 @@ def _pairs_table(prepared: Prepared) -> str:
     for row in rows:
         centimetres = "" if row["cm"] is None else f"{row['cm']:.4f} cm"
         lines.append(f"    {row['name']:<{width}} {centimetres:>10} {row['px']:.3f} px")
+    lines.append("  waves of which half is kept, cm (with half the noise; with twice the beads):")
+    for name, (now, quieter, denser) in found.carried.items():
+        lines.append(f"    {name} {100 * now:.1f} ({100 * quieter:.1f}; {100 * denser:.1f})")
     return "\n".join(lines)
 
 

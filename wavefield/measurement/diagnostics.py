@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
 
@@ -14,6 +14,7 @@ from wavefield.matching.one_thread import one_thread
 from wavefield.measurement import surface as stereo
 from wavefield.measurement.elevation import surface, windowed
 from wavefield.measurement.flow import flows
+from wavefield.measurement.gain import shortest_carried
 from wavefield.measurement.instant import Images, images_of
 from wavefield.measurement.learn import learn
 from wavefield.measurement.plan import Plan
@@ -49,6 +50,9 @@ class Diagnosis:
     eps_piv : dict of tuple of str to ndarray, (..., ny, nx)
         Misfit of the cameras' displacements, px of the binned images: of each pair alone, and of all the
         cameras that the plan takes for the velocity.
+    carried : dict of str to (float, float, float)
+        Wavelength of which these images keep half in z, u, v, w, metres; with half the noise, with twice the
+        beads (`shortest_carried`).
     """
 
     pixel: float
@@ -58,6 +62,7 @@ class Diagnosis:
     recombined: dict[Pair, NDArray[Any]]
     moved: dict[Pair, NDArray[Any]]
     eps_piv: dict[tuple[str, ...], NDArray[Any]]
+    carried: dict[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @property
     def difference(self) -> dict[tuple[Pair, Pair], NDArray[Any]]:
@@ -130,6 +135,7 @@ def pooled(found: Sequence[Diagnosis]) -> Diagnosis:
         stacked("recombined"),
         stacked("moved"),
         stacked("eps_piv"),
+        first.carried,
     )
 
 
@@ -212,7 +218,9 @@ def diagnose(frames: Frames, plan: Plan, pixel: float | None = None) -> Diagnosi
         both = stereo.difference_of(matches[plan.reference, b], matches[plan.reference, a])
         recombined[a, b] = windowed([both], plan) - z[a, b]
     moved, eps_piv = _moved((first, second), 0.5 * (surfaces[0].z + surfaces[1].z), matches, plan)
-    return Diagnosis(pixel or plan.pixel, z, eps_y, z_std, recombined, moved, eps_piv)
+    now, quieter, denser = (shortest_carried(plan, better) for better in (1.0, 4.0, 2.0))
+    carried = {name: (now[name], quieter[name], denser[name]) for name in now}
+    return Diagnosis(pixel or plan.pixel, z, eps_y, z_std, recombined, moved, eps_piv, carried)
 
 
 def _learned(frames: Frames, plan: Plan) -> tuple[Plan, Images, Images]:

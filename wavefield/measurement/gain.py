@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from wavefield.matching.kernels import BLOCK
 from wavefield.matching.prior import Prior
 from wavefield.measurement.plan import Plan
+from wavefield.measurement.record import Record
 
 Float = NDArray[np.floating[Any]]
 
@@ -40,7 +42,45 @@ def gains(plan: Plan, kx: Float, ky: Float) -> dict[str, Float]:
     return {"z": gain_of_elevation(plan, kx, ky)} | out
 
 
-def gain_of_elevation(plan: Plan, kx: Float, ky: Float) -> Float:
+def shortest_carried(plan: Plan, better: float = 1.0) -> dict[str, float]:
+    """Wavelengths of which the measurement keeps half, by linear theory.
+
+    Parameters
+    ----------
+    plan : Plan
+        Of a measurement, its record learned.
+    better : float, default 1
+        Factor on what every block tells: 2 for twice the beads, 4 for half the noise.
+
+    Returns
+    -------
+    dict of str to float
+        Metres, of z, u, v and w, mean over the directions.
+    """
+    assert plan.record is not None
+    record = replace(
+        plan.record,
+        elevation=_told(plan.record.elevation, better),
+        displacement=tuple((name, _told(prior, better)) for name, prior in plan.record.displacement),
+    )
+    k = np.linspace(0.0, np.pi / plan.grid.step, 600)
+    angle = np.arange(8)[:, None] * np.pi / 8
+    kx, ky = k * np.cos(angle), k * np.sin(angle)
+    velocity = gain_of_velocity(plan, kx, ky, record)
+    fields = {"z": gain_of_elevation(plan, kx, ky, record)}
+    fields |= {name: velocity[..., i, i] for i, name in enumerate("uvw")}
+    out = {}
+    for name, gain in fields.items():
+        below = np.flatnonzero(gain.mean(axis=0) < 0.5)
+        out[name] = float(2 * np.pi / k[max(below[0], 1)]) if below.size else 2.0 * plan.grid.step
+    return out
+
+
+def _told(prior: Prior, factor: float) -> Prior:
+    return replace(prior, information=prior.information * factor)
+
+
+def gain_of_elevation(plan: Plan, kx: Float, ky: Float, record: Record | None = None) -> Float:
     """Gain of z.
 
     Parameters
@@ -49,20 +89,23 @@ def gain_of_elevation(plan: Plan, kx: Float, ky: Float) -> Float:
         Its record learned.
     kx, ky : ndarray
         Wavenumbers on the water, rad/m.
+    record : Record, optional
+        Another record than the plan's.
 
     Returns
     -------
     ndarray
         Amplitude gain of one frame; that of the mean over four frames comes on top.
     """
-    assert plan.record is not None
+    record = record or plan.record
+    assert record is not None
     step = BLOCK * plan.pixel
-    gain: Float = _between_blocks(plan.record.elevation, kx * step, ky * step)
+    gain: Float = _between_blocks(record.elevation, kx * step, ky * step)
     gain /= 1.0 + plan.settings.smoothing * (np.square(kx * step) + np.square(ky * step)) ** 2
     return gain
 
 
-def gain_of_velocity(plan: Plan, kx: Float, ky: Float) -> Float:
+def gain_of_velocity(plan: Plan, kx: Float, ky: Float, record: Record | None = None) -> Float:
     """Displacement measured for one that is there, at the middle of the grid.
 
     Parameters
@@ -71,6 +114,8 @@ def gain_of_velocity(plan: Plan, kx: Float, ky: Float) -> Float:
         Its record learned.
     kx, ky : ndarray, shape S
         Wavenumbers on the water, rad/m.
+    record : Record, optional
+        Another record than the plan's.
 
     Returns
     -------
@@ -78,10 +123,11 @@ def gain_of_velocity(plan: Plan, kx: Float, ky: Float) -> Float:
         Measured (dx, dy, dz) by true (dx, dy, dz): each camera's gain in its own pixels, then the least
         squares of all.
     """
-    assert plan.record is not None
+    record = record or plan.record
+    assert record is not None
     grid = plan.grid
     middle = 0.5 * (grid.x[0] + grid.x[1]), 0.5 * (grid.y[0] + grid.y[1])
-    priors = dict(plan.record.displacement)
+    priors = dict(record.displacement)
     jacobians: list[Any] = [plan.binned[name].jacobian(*middle, 0.0) for name in priors]
     inverse = np.linalg.pinv(np.concatenate(jacobians))
     out = np.zeros((*np.broadcast_shapes(np.shape(kx), np.shape(ky)), 3, 3))
