@@ -12,6 +12,10 @@ from wavefield.matching.prepared import Level
 from wavefield.matching.settings import Settings
 
 F = np.float32
+# `Reason` in numbers that the compiler knows
+MASKED, EDGE, TEXTURE, CORRELATION, NEIGHBOURS = (
+    int(r) for r in (Reason.MASKED, Reason.EDGE, Reason.TEXTURE, Reason.CORRELATION, Reason.NEIGHBOURS)
+)
 _ALIKE = 0.3  # correlation of windows below which a block says nothing
 
 njit = compiled(error_model="numpy")
@@ -27,12 +31,18 @@ def _measures(
     least: np.float32,
     ridge: np.float32,
     out: np.ndarray,
+    score: np.ndarray,
+    hessian: np.ndarray,
     block: int = BLOCK,  # given, not read: numba keeps what it compiled by its arguments
 ) -> None:
-    """Correlation, gain, matched gradient energy and the two influences of every block.
+    """Correlation, gain, matched gradient energy and the two influences of every block; score and Hessian.
+
+    The Hessian in ``sums`` is that of a alone, the gain that of the mean of both images: what they share of
+    the gradients is gain / (2 - gain). Where the images hardly look alike they share nothing.
 
     sums, windowed (12, ny, nx) are those of `final_sums`, per block and over windows; share (ny, nx) is the
-    seen share of each window; du, dv (ny, nx) the step taken since the sums were made; out (5, ny, nx).
+    seen share of each window; du, dv (ny, nx) the step taken since the sums were made; out (5, ny, nx),
+    score (2, ny, nx) and hessian (3, ny, nx) output.
     """
     ny, nx = du.shape
     for j in range(ny):
@@ -58,6 +68,14 @@ def _measures(
             scale = F(1) / max(xx * yy - xy * xy, F(1e-30))
             out[3, j, i] = (yy * sx - xy * sy) * scale
             out[4, j, i] = (xx * sy - xy * sx) * scale
+            common = min(max(windowed[10, j, i] / max(windowed[11, j, i], F(1e-12)), F(0)), F(1))
+            if out[0, j, i] <= F(_ALIKE):
+                common = F(0)
+            common /= F(2) - common
+            xx, xy, yy = sums[2, j, i] * common, sums[3, j, i] * common, sums[4, j, i] * common
+            hessian[0, j, i], hessian[1, j, i], hessian[2, j, i] = xx, xy, yy
+            score[0, j, i] = sums[0, j, i] - (xx * x + xy * y)
+            score[1, j, i] = sums[1, j, i] - (xy * x + yy * y)
 
 
 def assess(
@@ -100,12 +118,12 @@ def assess(
     power = float(windowed[7].mean() / n)
     least = F((1e-4 * power + 1e-12) ** 2)
     ridge = F(1e-4 * float((windowed[2] + windowed[4]).mean()) + 1e-12)
-    _measures(sums, windowed, share, *moved, least, ridge, measures)
+    score, hessian = np.empty((2, *u.shape), np.float32), np.empty((3, *u.shape), np.float32)
+    _measures(sums, windowed, share, *moved, least, ridge, measures, score, hessian)
     correlation, gain, energy = measures[:3]
     reason = _reasons(a, b, u, v, outlier, correlation, energy, settings)
     valid = reason == 0
     ny, nx = u.shape
-    score, hessian = _says(sums, windowed, correlation, moved)
     return Displacement(
         x=np.arange(nx) * float(BLOCK) + (BLOCK - 1) / 2,
         y=np.arange(ny) * float(BLOCK) + (BLOCK - 1) / 2,
@@ -122,26 +140,36 @@ def assess(
     )
 
 
-def _says(
-    sums: np.ndarray, windowed: np.ndarray, correlation: np.ndarray, moved: tuple[np.ndarray, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Score (2, ny, nx) and matched Hessian (3, ny, nx) of every block where the displacement is now.
-
-    The Hessian in ``sums`` is that of a alone, the gain that of the mean of both images: what they share of
-    the gradients is gain / (2 - gain). Where the images hardly look alike they share nothing.
-    """
-    gain = np.clip(windowed[10] / np.maximum(windowed[11], F(1e-12)), F(0), F(1))
-    gain[correlation <= F(_ALIKE)] = 0
-    hessian = sums[2:5] * (gain / (F(2) - gain))
-    score = sums[:2].copy()
-    score[0] -= hessian[0] * moved[0] + hessian[1] * moved[1]
-    score[1] -= hessian[1] * moved[0] + hessian[2] * moved[1]
-    return score, hessian
+@njit
+def _why(
+    inside: np.ndarray,
+    weight: np.ndarray,
+    energy: np.ndarray,
+    least: np.float32,
+    correlation: np.ndarray,
+    smallest: np.float32,
+    outlier: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    for j in range(out.shape[0]):
+        for i in range(out.shape[1]):
+            bits = 0
+            if inside[j, i] == 0:
+                bits |= EDGE
+            elif weight[j, i] == 0:
+                bits |= MASKED
+            if energy[j, i] <= least:
+                bits |= TEXTURE
+            if correlation[j, i] < smallest:
+                bits |= CORRELATION
+            if outlier[j, i]:
+                bits |= NEIGHBOURS
+            out[j, i] = bits
 
 
 def _typical(field: np.ndarray, known: np.ndarray, otherwise: float) -> float:
-    """Median of a field where it is known, from every second block each way: windows overlap that much."""
-    some = field[::2, ::2][known[::2, ::2]]
+    """Median of a field where it is known, of every third block each way: windows overlap that much."""
+    some = field[::3, ::3][known[::3, ::3]]
     return float(np.median(some)) if some.size else otherwise
 
 
@@ -156,20 +184,16 @@ def _reasons(
     settings: Settings,
 ) -> np.ndarray:
     """Bits of `Reason` per block."""
-    reason = np.zeros(u.shape, np.uint8)
-    weight = np.empty(u.shape, np.float32)
+    inside, weight = np.empty((2, *u.shape), np.float32)
     nothing = np.empty((0, 0), np.uint8)
-    block_weights(nothing, nothing, u, v, *b.shape, weight)
-    seen = weight > 0
-    reason[~seen] |= np.uint8(Reason.EDGE)
+    block_weights(nothing, nothing, u, v, *b.shape, inside)
     if a.good.size or b.good.size:
         block_weights(a.good, b.good, u, v, *b.shape, weight)
-        reason[seen & (weight == 0)] |= np.uint8(Reason.MASKED)
-        seen = weight > 0
-    least = max(settings.min_gradient_energy * _typical(energy, seen, 0.0), 1e-12)
-    reason[energy <= least] |= np.uint8(Reason.TEXTURE)
-    reason[correlation < settings.min_correlation] |= np.uint8(Reason.CORRELATION)
-    reason[outlier] |= np.uint8(Reason.NEIGHBOURS)
+    else:
+        weight = inside
+    least = max(settings.min_gradient_energy * _typical(energy, weight > 0, 0.0), 1e-12)
+    reason = np.empty(u.shape, np.uint8)
+    _why(inside, weight, energy, F(least), correlation, F(settings.min_correlation), outlier, reason)
     if settings.search_x is not None and settings.search_y is not None:
         slack = 2.0 ** (settings.levels - 1)  # px: one of the coarsest level
         for field, (low, high) in ((u, settings.search_x), (v, settings.search_y)):

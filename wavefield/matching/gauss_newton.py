@@ -313,4 +313,7 @@ def look_again(a: Prepared, b: Prepared, u: np.ndarray, v: np.ndarray, settings:
     sums *= view.count
     still = np.zeros(u.shape, np.float32)
     none = np.zeros(u.shape, bool)
-    return assess(view.a, view.b, u, v, sums, view.windows(sums), view.share, (still, still), none, settings)
+    windowed = np.empty_like(sums)
+    windowed[:2] = 0  # no step is taken
+    windowed[2:] = view.windows(sums[2:])
+    return assess(view.a, view.b, u, v, sums, windowed, view.share, (still, still), none, settings)

@@ -33,7 +33,7 @@ _EXACT = 300  # modes of the highest signal over noise that the preconditioner s
 _STEPS = 200  # at most; some ten are usual
 _BARE = 0.15  # of the typical information, over 7 x 7 blocks: less is a hole
 _CLOSE = 0.02, 0.005  # tolerances of the solver at the first and the second look
-_LOOSE = 0.05, 0.02  # the same without holes: only what lies far from any block converges late
+_LOOSE = 0.1, 0.03  # the same without holes: only what lies far from any block converges late
 _EDGE = 6.0  # blocks: reach of a slope at the edge, and width over which it is taken
 _ALONG = 3.0  # blocks along the edge over which it is smoothed
 
@@ -102,7 +102,10 @@ def _clusters(field: Float) -> Float:
 
 
 def _around(field: Float) -> Float:
-    return cv2.GaussianBlur(field, (0, 0), _AROUND, borderType=cv2.BORDER_REFLECT)
+    ny, nx = field.shape  # every second block tells as much
+    half = cv2.resize(field, ((nx + 1) // 2, (ny + 1) // 2), interpolation=cv2.INTER_AREA)
+    half = cv2.GaussianBlur(half, (0, 0), 0.5 * _AROUND, borderType=cv2.BORDER_REFLECT)
+    return cv2.resize(half, (nx, ny), interpolation=cv2.INTER_LINEAR)
 
 
 def cosines(n: int, count: int) -> NDArray[np.float64]:

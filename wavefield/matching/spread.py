@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
+from wavefield.compiled import compiled
 from wavefield.matching.posterior import bare, cosines
 from wavefield.matching.prior import Prior, wavenumbers
 from wavefield.matching.transfer import footprint
 
 Float = NDArray[Any]
+F = np.float32
 
 _LEVELS = 3.0 * 4.0 ** np.arange(0.0, -7.0, -1.0)  # of information over the typical one
 _SMALL = 1e-3  # of a kernel's transform is left out
@@ -76,22 +78,14 @@ class Spread:
         """
         waves = self._to[0] @ (information @ self._to[1])
         x = self._back[0] @ ((self._kernels * waves) @ self._back[1])
-        x = np.log(np.maximum(x, np.float32(1e-30))) - self._log[:, None, None]
-        noise, missing = (self._whole(np.exp(self._at_level(x, row))) for row in self._variance)
+        both = np.empty((2, *x.shape[1:]), np.float32)
+        _at_level(x, self._log, self._variance, both)
+        noise, missing = (self._whole(f) for f in both)
         hole = bare(information, self.usual)
         if hole.any():
             hole = cv2.dilate(hole.view(np.uint8), np.ones((7, 7), np.uint8)) > 0
             missing = missing + _in_holes(~hole, self._holes)
         return noise, missing
-
-    @staticmethod
-    def _at_level(x: Float, variance: Float) -> Float:
-        """Logarithm of the variance where the information around equals that of the level it is taken at."""
-        out = np.full(x.shape[1:], variance[-1])
-        for n in range(len(x) - 1, 0, -1):
-            t = np.clip(x[n] / np.maximum(x[n] - x[n - 1], np.float32(1e-6)), 0, 1)
-            out = np.where(x[n] >= 0, variance[n] + t * (variance[n - 1] - variance[n]), out)
-        return np.where(x[0] >= 0, variance[0], out)
 
     def _whole(self, half: Float) -> Float:
         """From every second block to all."""
@@ -100,6 +94,26 @@ class Spread:
         return cv2.warpAffine(
             half.astype(np.float32), twice, (nx, ny), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
+
+
+@compiled(error_model="numpy", fastmath={"contract"})
+def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
+    """Both variances where the information around, x per level, equals that of the level it is taken at.
+
+    log (levels,) and variance (2, levels) are logarithms, the richest level first.
+    """
+    for j in range(x.shape[1]):
+        for i in range(x.shape[2]):
+            before = np.log(max(x[0, j, i], F(1e-30))) - log[0]
+            n, t = 0, F(0)
+            while before < F(0) and n < x.shape[0] - 1:
+                n += 1
+                here = np.log(max(x[n, j, i], F(1e-30))) - log[n]
+                t = min(max(here / max(here - before, F(1e-6)), F(0)), F(1))
+                before = here
+            for k in range(2):
+                low, high = variance[k, n], variance[k, max(n - 1, 0)]
+                out[k, j, i] = np.exp(low + t * (high - low))
 
 
 def _even(gain: Float) -> Float:
