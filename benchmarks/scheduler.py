@@ -105,8 +105,9 @@ def ledger(steps: int) -> None:
     import zarr
 
     from wavefield.cubes import open_cube, status
-    from wavefield.store.layout import Layout, create_store
+    from wavefield.store.layout import WATCHED, Layout, create_store
     from wavefield.store.recipe import Recipe
+    from wavefield.store.verify import chunk_path, stored_bytes, suspicious
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "cube.zarr"
@@ -119,18 +120,26 @@ def ledger(steps: int) -> None:
         group["frame_fault"][:] = 1
         files = sum(1 for file in path.rglob("*") if file.is_file())
         print(f"| store of {steps} steps, {files} files of its ledger | s | CPU s |\n|---|---|---|")
-        for name, function in (("open", open_cube), ("status", status)):
+        for block in range(len(layout.blocks())):  # files of one byte, and a note of their size
+            for name in WATCHED:
+                file = chunk_path(path, name, block)
+                if not file.exists():
+                    file.parent.mkdir(parents=True, exist_ok=True)
+                    file.write_bytes(b"0")
+            group["stored_bytes"][block] = [stored_bytes(path, name, block) for name in WATCHED]
+        asked = ("open", open_cube), ("status", status), ("verify sizes, not data", suspicious)
+        for name, function in asked:
             function(path)  # imports
             start, cpu = time.perf_counter(), time.process_time()
             function(path)
             wall, cpu = time.perf_counter() - start, time.process_time() - cpu
             print(f"| {name} | {wall:.2f} | {cpu:.2f} |", flush=True)
-        start = time.perf_counter()
+        start, cpu = time.perf_counter(), sum(os.times()[2:4])
         subprocess.run(
             [sys.executable, "-m", "wavefield.commands.cli", "status", str(path)],
             stdout=subprocess.DEVNULL,
         )
-        cpu = sum(os.times()[2:4])
+        cpu = sum(os.times()[2:4]) - cpu
         print(f"| the command `wavefield status` | {time.perf_counter() - start:.2f} | {cpu:.2f} |")
 
 
