@@ -12,6 +12,8 @@ def lying(series, kind):
     frames = {name: list(images) for name, images in series.frames.items()}
     if kind == "mirrored":
         frames["cam1"] = [image[:, ::-1].copy() for image in frames["cam1"]]
+    elif kind == "swapped":
+        frames["cam1"], frames["cam2"] = frames["cam2"], frames["cam1"]
     elif kind == "late":
         frames["cam1"] = [frames["cam1"][0], *frames["cam1"][:-1]]
     else:
@@ -19,7 +21,7 @@ def lying(series, kind):
     return {name: images[1:5] for name, images in frames.items()}
 
 
-@pytest.mark.parametrize("kind", ["mirrored", "late", "shifted"])
+@pytest.mark.parametrize("kind", ["mirrored", "swapped", "late", "shifted"])
 def test_what_a_lying_camera_spoils_is_not_called_measured(series, plan, kind):
     out = measure(lying(series, kind), plan, RATE)
     truth = series.truth[1]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.measurement.contradiction import NODE, median_misfit, who_lies
+from wavefield.measurement.contradiction import MISFIT, NODE, median_misfit, who_lies
 from wavefield.measurement.flow import Flow, Flows
 from wavefield.measurement.paths import read_path
 from wavefield.measurement.plan import Plan, Sight
@@ -108,10 +108,13 @@ def velocity(steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Moti
     def without(n: int) -> float:
         return median_misfit(_solved(_others(seen, n), plan).misfit, known)
 
-    liar = who_lies(len(names), median_misfit(motion.misfit, known), without)
+    typical = median_misfit(motion.misfit, known)
+    liar = who_lies(len(names), typical, without)
     if liar is not None:
         motion = replace(_solved(_others(seen, liar), plan), left_out=names[liar])
-    against = np.where(motion.misfit > NODE, np.uint8(Quality.REJECTED_EPS | Quality.FILLED), np.uint8(0))
+    # where most contradict each other and no one camera explains it, some nodes agree by chance
+    limit = NODE if liar is not None or typical <= MISFIT else 0.0
+    against = np.where(motion.misfit > limit, np.uint8(Quality.REJECTED_EPS | Quality.FILLED), np.uint8(0))
     return replace(motion, quality=motion.quality | against)
 
 
