@@ -15,6 +15,7 @@ from wavefield.explorer.lights import verdict
 from wavefield.explorer.watch import Watch
 from wavefield.images import write_image
 from wavefield.series import Experiment
+from wavefield.variables import Quality
 
 CAMERAS = ("cam1", "cam2", "cam3")
 
@@ -246,3 +247,19 @@ def test_the_page_shows_map_lights_and_cameras(followed):
     assert page.lights.text.count("<tr>") == 12
     assert page.cameras["cam1"][1].data["image"]
     document.to_json()
+
+
+def test_what_is_masked_is_masked_while_following(small_tank, tmp_path):
+    rig, frames = small_tank
+    path = record(tmp_path / "live", rig)
+    path.write_text(
+        path.read_text() + "mask: {water: {polygon: [[-0.03, -0.03], [0.03, -0.03], [0.0, 0.03]]}}\n"
+    )
+    follower = Follower(Experiment.load(path))
+    for number in range(3):
+        write(path.parent, number, frames[number])
+    follower.look()
+    assert follower.seen.trouble == ""
+    masked = (follower.seen.fields["quality"] & int(Quality.MASKED)) != 0
+    assert 0 < masked.sum() < masked.size / 2
+    np.testing.assert_array_equal(np.isnan(follower.seen.fields["w"]), masked)

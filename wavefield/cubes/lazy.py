@@ -123,6 +123,7 @@ def reconstruct(
     frames : DataTree, Dataset or mapping of str to DataArray
         Images (time, row, column) per camera: a tree with one node per camera and ``image`` in it, as
         ``xr.open_datatree("experiment.yaml", engine="wavefield")`` gives, or arrays by name of camera.
+        ``mask`` beside an image, (row, column) or (time, row, column), is true where pixels do not count.
         All have the same times, evenly spaced.
     rig : Rig
         The cameras.
@@ -158,7 +159,8 @@ def reconstruct(
     times, frame_rate = _times(arrays, attributes)
     _check_sizes(arrays, rig)
 
-    sources = {name: ArraySource(name, array.variable) for name, array in arrays.items()}
+    masks = _masks(frames)
+    sources = {name: ArraySource(name, array.variable, masks.get(name)) for name, array in arrays.items()}
     steps = len(times) - 1
     edges = [(i, min(i + steps_per_task, steps)) for i in range(0, steps, steps_per_task)]
     token = uuid.uuid4().hex
@@ -227,6 +229,13 @@ def _arrays(
     if isinstance(frames, xr.Dataset):
         return {str(n): a for n, a in frames.data_vars.items() if a.ndim == 3}, attributes
     return {str(name): array for name, array in frames.items()}, attributes
+
+
+def _masks(frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray]) -> dict[str, xr.Variable]:
+    """What is masked, by camera."""
+    if not isinstance(frames, xr.DataTree):
+        return {}
+    return {name: node["mask"].variable for name, node in frames.children.items() if "mask" in node}
 
 
 def _times(arrays: Mapping[str, xr.DataArray], attributes: Mapping[str, Any]) -> tuple[np.ndarray, float]:

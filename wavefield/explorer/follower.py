@@ -27,7 +27,8 @@ from wavefield.explorer.lights import (
 )
 from wavefield.explorer.watch import FrameSet, Watch
 from wavefield.rig import Rig
-from wavefield.series import Experiment
+from wavefield.series import Experiment, FrameSeries
+from wavefield.series.masks import covered_series, footprints
 
 log = logging.getLogger("wavefield.follow")
 _AVERAGED = 200  # steps over which the tilt is averaged
@@ -93,6 +94,7 @@ class Follower:
         self._stop = threading.Event()
         self._first: int | None = None
         self._measured = 0
+        self._masks: dict[str, NDArray[np.bool_]] = {}
         self._thread = threading.Thread(target=self._work, daemon=True, name="follow")
 
     @property
@@ -202,7 +204,8 @@ class Follower:
         plan = self._plan
         frames = {name: [None, *found.images.get(name, (None, None)), None] for name in plan.cameras}
         try:
-            block = measure(frames, plan, self.experiment.frame_rate)
+            masks = {name: [pixels] * 4 for name, pixels in self._masks.items()}
+            block = measure(frames, plan, self.experiment.frame_rate, masks)
         except (WavefieldError, ValueError) as error:
             self._trouble = str(error)
             return {}, None
@@ -232,6 +235,14 @@ class Follower:
                 out[f"{a}-{b}"] = Agreement(rms, float(match.valid.sum() / max(seen.sum(), 1)))
         return out
 
+    def _still_masks(self, rig: Rig, reach: float) -> dict[str, NDArray[np.bool_]]:
+        """What is masked in every frame; images that move with the frames are not waited for."""
+        still = {name: [s for s in shapes if not s.frames] for name, shapes in self.experiment.mask.items()}
+        blank = {name: FrameSeries(name, 0, [], rig[name].size[::-1], "uint8") for name in rig}
+        folder = self.experiment.path.parent
+        series = covered_series(still, blank, rig, folder, reach)
+        return {name: one.mask.covered(0) for name, one in series.items() if one.mask is not None}
+
     def _plan_for(self, sizes: dict[str, tuple[int, int]]) -> None:
         from wavefield.cubes.prepare import make_settings
         from wavefield.cubes.workflow import Workflow
@@ -250,7 +261,9 @@ class Follower:
                     )
                     return
             settings = make_settings(self.experiment, Workflow(settings={"preset": "fast"}))
-            self._plan = Plan(used, self.experiment.choose_grid(used), settings)
+            covered = footprints(self.experiment.mask)
+            self._plan = Plan(used, self.experiment.choose_grid(used), settings, covered=covered)
+            self._masks = self._still_masks(used, -self._plan.z_range[0])
             self._trouble = ""
         except WavefieldError as error:
             self._trouble = f"nothing is measured: {error}"
