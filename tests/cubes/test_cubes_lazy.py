@@ -134,3 +134,19 @@ def test_frames_that_do_not_fit_are_refused(frames, rig, grid):
         reconstruct({**images, "cam2": images["cam2"][:, :, :60]}, rig, grid)
     with pytest.raises(ExperimentError, match="need the same `time`"):
         reconstruct({**images, "cam2": frames["cam2"].image.isel(time=slice(1, 6))}, rig, grid)
+
+
+def test_a_mask_beside_the_images_is_heeded(frames, rig, grid, reference):
+    tree = frames.copy()
+    for name in rig:
+        camera = tree[name].to_dataset()
+        X, Y = rig[name].project(0.0, 0.0, 0.0)
+        rows, columns = np.indices(camera.image.shape[1:])
+        near = np.hypot(columns - float(X), rows - float(Y)) < 12
+        tree[name] = xr.DataTree(camera.assign(mask=(("row", "column"), near)))
+    cube = reconstruct(tree, rig, grid, record=record_of(reference))
+    step = cube[["w", "quality"]].isel(time=slice(0, 1)).compute(scheduler="sync")
+    masked = (step.quality.values & int(Quality.MASKED)) != 0
+    assert masked[0, 6, 4]
+    assert masked.mean() < 0.5
+    np.testing.assert_array_equal(np.isnan(step.w.values), masked)

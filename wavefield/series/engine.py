@@ -148,6 +148,13 @@ class ExperimentBackend(BackendEntrypoint):
         """
         experiment = Experiment.load(filename_or_obj, folder)
         series = experiment.open_frames()
+        if experiment.mask:
+            warnings.warn(
+                f"{experiment.path}: what `mask` covers is not marked in frames opened like this; put it "
+                "beside a camera's image as `mask`, or measure with `wavefield run`",
+                FrameWarning,
+                stacklevel=2,
+            )
         drop = _several(drop_variables)
         coordinates = _coordinates(experiment, next(iter(series.values())))
         groups = {"/": xr.Dataset(coords=coordinates, attrs=_attributes(experiment))}
