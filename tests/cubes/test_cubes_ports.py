@@ -53,7 +53,7 @@ sys.exit(max(main(["-q", *words]) for words in {commands!r}))
     over = threading.Event()
 
     def watch():
-        while not over.wait(0.02):
+        while not over.wait(0.1):
             ips, looked = listening(watched)
             found.update(ips)
             most[0] = max(most[0], looked)
