@@ -169,7 +169,7 @@ def _fit(design: Array, values: Array) -> Array | None:
     if len(values) < _FEWEST:
         return None
     weight: Array = np.ones(len(values))
-    found = np.zeros(3)
+    found: Array = np.zeros(3)
     for _ in range(6):
         root = np.sqrt(weight)
         found = np.linalg.lstsq(root[:, None] * design, root * values, rcond=None)[0]
