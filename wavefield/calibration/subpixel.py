@@ -302,10 +302,7 @@ def _look(
 def _fit_one(
     pixels: Array, blur: float, variance: Pair, p: Array, covariance: Array, arms: Array, noise: Array
 ) -> float:
-    """Fit one crossing in place; returns the misfit relative to the noise, or -1 if there is nothing to fit.
-
-    p: parameters to begin with, and those found.
-    """
+    """Fit one crossing, p in place; returns the misfit relative to the noise, or -1 if nothing can be fitted."""
     n = pixels.shape[1]
     if n < 45:
         return -1.0

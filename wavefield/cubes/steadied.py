@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.robust import PER_MEDIAN
+
 Array = NDArray[np.float64]
 Image = NDArray[Any]
 
@@ -168,13 +170,13 @@ def _scaled(plan: Any) -> tuple[Array, Array, Array]:
 def _fit(design: Array, values: Array) -> Array | None:
     if len(values) < _FEWEST:
         return None
-    weight: Array = np.ones(len(values))
+    weight: NDArray[Any] = np.ones(len(values))
     found: Array = np.zeros(3)
     for _ in range(6):
         root = np.sqrt(weight)
         found = np.linalg.lstsq(root[:, None] * design, root * values, rcond=None)[0]
         miss = np.abs(values - design @ found)
-        weight = np.minimum(1.0, 2.0 * (1.4826 * np.median(miss) + 1e-9) / np.maximum(miss, 1e-12))
+        weight = np.minimum(1.0, 2.0 * (PER_MEDIAN * np.median(miss) + 1e-9) / np.maximum(miss, 1e-12))
     return np.asarray(found)
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from wavefield.cubes.steadied import shifts
 from wavefield.cubes.witness import Witness
+from wavefield.robust import PER_MEDIAN
 from wavefield.store.preview import read_steps
 from wavefield.store.read import open_group, read_layout
 from wavefield.store.verdict import Remark
@@ -108,7 +109,7 @@ def _fit(design: Array, values: Array) -> tuple[Array, Array] | None:
     if good.sum() < _FEWEST:
         return None
     middle = np.median(values[good])
-    spread = 1.4826 * np.median(np.abs(values[good] - middle)) + 1e-6
+    spread = PER_MEDIAN * np.median(np.abs(values[good] - middle)) + 1e-6
     good &= np.abs(values - middle) < 4 * spread + 1.0
     A, b = design[good], values[good].astype(float)
     if len(b) < _FEWEST:

@@ -24,6 +24,7 @@ from wavefield.cubes.witness import (
     pairs_of_all,
     pooled,
 )
+from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark, Weight
 
 _FEWEST = 6  # patches: with fewer nothing is said
@@ -432,7 +433,7 @@ def _uneven(table: _Table, lying: set[str]) -> list[Remark]:
         if len(values) < _FEWEST * 4:
             continue
         off = float(np.median(values))
-        spread = float(1.4826 * np.median(np.abs(values - off)) / np.sqrt(len(values) / 4)) + 1e-3
+        spread = float(PER_MEDIAN * np.median(np.abs(values - off)) / np.sqrt(len(values) / 4)) + 1e-3
         if abs(off) > abs(worst):
             worst, sure, which = off, abs(off) / spread, (first, second)
     if abs(worst) <= _MATTERS or sure < 6:

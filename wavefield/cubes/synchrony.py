@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from wavefield.cubes.witness import ALIKE, SIDE, Array, Pair, Witness, compare
+from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark
 
 _APART = 5  # blocks: nearer ones share their window, and say the same
@@ -169,7 +170,7 @@ def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
             return None
         delay = sum(float((w * v * y).sum()) for (y, v), w in zip(cleared, weights)) / power
         left = [y - delay * v for y, v in cleared]
-        scale = 1.4826 * float(np.median(np.abs(np.concatenate(left)))) + 1e-9
+        scale = PER_MEDIAN * float(np.median(np.abs(np.concatenate(left)))) + 1e-9
         weights = [np.minimum(1.0, 2.5 * scale / np.maximum(np.abs(r), 1e-12)) for r in left]
     scores = np.array([float((w * v * r).sum()) for w, (_, v), r in zip(weights, cleared, left)])
     count = len(samples)

@@ -7,6 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.robust import PER_MEDIAN
+
 _CELL = 16  # px: cells of which each should hold a bead
 _FULL = (255, 1023, 4095, 16383, 65535)  # what 8, 10, 12, 14, 16 bits reach
 _BROAD = 31  # px: what is broader is no bead
@@ -55,7 +57,7 @@ def features(image: NDArray[Any]) -> Features:
         top = float(image.max()) or 1.0
     saturated = float(np.mean(sample >= top)) if peak > 0.5 * top else 0.0
     rows = image[::3].astype(np.float32)
-    noise = 1.4826 / np.sqrt(2.0) * float(np.median(np.abs(np.diff(rows, axis=1)))) + 0.5
+    noise = PER_MEDIAN / np.sqrt(2.0) * float(np.median(np.abs(np.diff(rows, axis=1)))) + 0.5
     h, w = (n - n % _CELL for n in image.shape)
     cells = image[:h, :w].reshape(h // _CELL, _CELL, w // _CELL, _CELL).max(axis=(1, 3))
     held = float(np.mean(cells.astype(np.float32) - background > 5.5 * noise))

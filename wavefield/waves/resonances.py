@@ -389,7 +389,7 @@ def resonances(
     to 1 / N: smaller ones show in ``coherence_excess``.
     """
     s = settings or ResonanceSettings()
-    name = str(field.name or "w")
+    name = "w" if field.name is None else str(field.name)
     field = validate(field.to_dataset(name=name), name)[name] if name in ("z", "w", "z_t") else field
     record = find_record(field) if record is None else record
     if density is None:
