@@ -302,7 +302,7 @@ def _look(
 def _fit_one(
     pixels: Array, blur: float, variance: Pair, p: Array, covariance: Array, arms: Array, noise: Array
 ) -> float:
-    """Fit one crossing, p in place; returns the misfit relative to the noise, or -1 if nothing can be fitted."""
+    """Fit one crossing, p in place; returns the misfit over the noise, or -1 if nothing can be fitted."""
     n = pixels.shape[1]
     if n < 45:
         return -1.0
