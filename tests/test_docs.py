@@ -98,8 +98,8 @@ def test_notebook_is_kept_clean(path):
             assert cell["execution_count"] is None
 
 
-def test_there_are_three_notebooks():
-    assert len(NOTEBOOKS) == 3
+def test_there_are_four_notebooks():
+    assert len(NOTEBOOKS) == 4
 
 
 def test_every_page_of_the_guide_is_on_the_site():
