@@ -158,6 +158,37 @@ def string_truth(camera, mesh=0.10, extent=(-12, 12, -12, 12), margin=5.0, marks
 
 def pattern_picture(camera, inside, picture=Picture(), samples=4):
     """A picture of any pattern: inside(x, y) gives the reflectance, 0 to 1; supersampled."""
+    return expose(pattern_cover(camera, inside, picture, samples), picture)
+
+
+def two_level_picture(camera, mesh, depth, diameter, extent, marks, picture=Picture(), samples=4):
+    """White dots on two planes, those of odd rows deeper; a square and a triangle in place of two."""
+
+    def level(odd):
+        def inside(x, y):
+            i, j = (2 * np.rint((v / mesh - odd) / 2).astype(int) + odd for v in (x, y))
+            dx, dy = x - i * mesh, y - j * mesh
+            out = np.hypot(dx, dy) < diameter / 2
+            if not odd:
+                square = np.maximum(abs(dx), abs(dy)) < 0.5 * diameter
+                h = 0.7 * diameter
+                triangle = (dy > -h / 2) & (abs(dx) * np.sqrt(3) < h - dy)
+                for (a, b), shape in zip(marks, (square, triangle)):
+                    out = np.where((i == a) & (j == b), shape, out)
+            i0, i1, j0, j1 = extent
+            return np.where((i >= i0) & (i <= i1) & (j >= j0) & (j <= j1) & out, 1.0, 0.0)
+
+        return inside
+
+    lower = replace(camera, translation=camera.T - camera.R @ np.array([0.0, 0.0, depth]))
+    cover = pattern_cover(camera, level(0), picture, samples) + pattern_cover(
+        lower, level(1), picture, samples
+    )
+    return expose(cover, picture)
+
+
+def pattern_cover(camera, inside, picture, samples=4):
+    """Blurred reflectance of every pixel."""
     camera = camera.scaled(2)
     w, h = camera.size
     o = (np.arange(samples) + 0.5) / samples - 0.5
@@ -169,7 +200,7 @@ def pattern_picture(camera, inside, picture=Picture(), samples=4):
         x, y = camera.unproject(X, Y)
         out[rows] = inside(x, y).reshape(len(rows), samples, w, samples).mean((1, 3))
     out = cv2.GaussianBlur(out, (0, 0), 2 * picture.blur)
-    return expose(out.reshape(h // 2, 2, w // 2, 2).mean((1, 3)), picture)
+    return out.reshape(h // 2, 2, w // 2, 2).mean((1, 3))
 
 
 def chessboard(shape, mesh):

@@ -9,6 +9,7 @@ from wavefield.calibration.patterns import find_charuco, find_chessboard, find_d
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.strings import find_strings
 from wavefield.calibration.target import Target
+from wavefield.calibration.two_level import find_two_level
 from wavefield.errors import CalibrationError
 
 _FINDERS = {
@@ -16,6 +17,7 @@ _FINDERS = {
     "chessboard": find_chessboard,
     "dots": find_dots,
     "charuco": find_charuco,
+    "two-level": find_two_level,
 }
 
 

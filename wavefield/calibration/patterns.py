@@ -49,7 +49,7 @@ def find_chessboard(image: NDArray[np.float32], target: Target) -> TargetPoints:
     node = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), -1).reshape(-1, 2)
     pixel = _corner_subpixel(image, node, pixel)
     node, notes = _right_handed(image, node, pixel, (nx, ny))
-    return _points(image, node, pixel, notes)
+    return make_points(image, node, pixel, notes)
 
 
 def _chessboard_corners(image: NDArray[np.float32], shape: tuple[int, int]) -> Array | None:
@@ -138,7 +138,7 @@ def find_charuco(image: NDArray[np.float32], target: Target) -> TargetPoints:
         )
     node = np.stack([ids % (nx - 1), ny - 2 - ids // (nx - 1)], -1)
     pixel = _corner_subpixel(image, node, pixel)
-    return _points(image, node, pixel, ())
+    return make_points(image, node, pixel, ())
 
 
 def find_dots(image: NDArray[np.float32], target: Target) -> TargetPoints:
@@ -170,7 +170,7 @@ def find_dots(image: NDArray[np.float32], target: Target) -> TargetPoints:
     best: tuple[Node, Array, NDArray[np.float32]] | None = None
     most = 0
     for polarity in (image, 255.0 - image):
-        blobs, area = _blobs(polarity)
+        blobs, area = find_blobs(polarity)
         lattice = _dot_lattice(blobs, area, polarity.shape[::-1])
         if lattice is None:
             continue
@@ -189,12 +189,12 @@ def find_dots(image: NDArray[np.float32], target: Target) -> TargetPoints:
     if tuple(span) != shape:  # the lattice's first axis is the target's second
         node = np.stack([node[:, 1], span[0] - 1 - node[:, 0]], -1)
     node, notes = _right_handed(None, node, pixel, shape)
-    pixel, noise = _centroids(polarity, node, pixel)
+    pixel, noise = centroids(polarity, node, pixel)
     if target.diameter is None:
         notes = (*notes, "centroids not corrected for perspective: state the target's diameter")
     else:
-        pixel = pixel - _centroid_bias(node, pixel, 0.5 * target.diameter / target.mesh)
-    return _points(image, node, pixel, notes, noise)
+        pixel = pixel - centroid_bias(node, pixel, 0.5 * target.diameter / target.mesh)
+    return make_points(image, node, pixel, notes, noise)
 
 
 # -- shared -------------------------------------------------------------------------------------------
@@ -274,7 +274,7 @@ def _first_square_dark(image: NDArray[np.float32], node: Node, pixel: Array, sha
     return bool(np.median(grey[even]) < np.median(grey[~even]))
 
 
-def _points(
+def make_points(
     image: NDArray[np.float32], node: Node, pixel: Array, notes: tuple[str, ...], noise: Array | float = 0.0
 ) -> TargetPoints:
     """Points with their uncertainty: what noise causes, or the scatter about a smooth map if larger."""
@@ -297,8 +297,22 @@ def _points(
 # -- dots ---------------------------------------------------------------------------------------------
 
 
-def _blobs(image: NDArray[np.float32]) -> tuple[Array, Array]:
-    """Centres (n, 2) and areas (n,) of bright, elliptical, closed blobs."""
+def find_blobs(image: NDArray[np.float32], least: float = 0.9) -> tuple[Array, Array]:
+    """Centres (n, 2) and areas (n,) of bright, closed blobs.
+
+    Parameters
+    ----------
+    image : ndarray, (row, column)
+        Grey image.
+    least : float
+        Area of a blob over that of an ellipse of the same moments: 1 for ellipses, .95 for squares, .83 for
+        triangles.
+
+    Returns
+    -------
+    centre, area : ndarray
+        Px, px^2.
+    """
     ground = cv2.blur(image, (2 * (max(image.shape) // 16) + 1,) * 2)
     binary = (cv2.GaussianBlur(image, (0, 0), 1.0) > ground + 0.15 * np.std(image)).astype(np.uint8)
     count, label, box, centre = cv2.connectedComponentsWithStats(binary)
@@ -311,7 +325,7 @@ def _blobs(image: NDArray[np.float32]) -> tuple[Array, Array]:
         rows, columns = np.nonzero(label[y : y + h, x : x + w] == k)
         spread = np.cov(np.stack([columns, rows])) + np.eye(2) / 12
         fullness = area / (4 * np.pi * np.sqrt(max(np.linalg.det(spread), 1e-9)))  # 1 for an ellipse
-        if 0.9 < fullness < 1.1:
+        if least < fullness < 1.1:
             keep.append(k)
     return centre[keep].astype(float), box[keep, 4].astype(float)
 
@@ -350,7 +364,7 @@ def _window(node: Node, shape: tuple[int, int]) -> tuple[NDArray[np.bool_], Node
     return None
 
 
-def _centroids(image: NDArray[np.float32], node: Node, pixel: Array) -> tuple[Array, Array]:
+def centroids(image: NDArray[np.float32], node: Node, pixel: Array) -> tuple[Array, Array]:
     """Centroids of light of bright dots, the light evened out first, and the uncertainty from noise, px."""
     half_mesh = 0.5 * SmoothMap(node, pixel, np.inf).slopes(node)
     inverse = np.linalg.inv(np.moveaxis(half_mesh, 1, 2))
@@ -400,7 +414,7 @@ def _raster(x: NDArray[np.int64], y: NDArray[np.int64], value: NDArray[np.bool_]
     return out
 
 
-def _centroid_bias(node: Node, pixel: Array, radius: float) -> Array:
+def centroid_bias(node: Node, pixel: Array, radius: float) -> Array:
     """Centroid of the picture of a disc minus the picture of its centre, px; radius in meshes."""
     smooth = SmoothMap(node, pixel, max(1.0, 0.1 * _mesh_length(node, pixel)))
     rings, spokes = 4, 12

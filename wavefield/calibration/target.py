@@ -23,22 +23,27 @@ class Target:
 
     Parameters
     ----------
-    kind : {"strings", "chessboard", "dots", "charuco"}
+    kind : {"strings", "chessboard", "dots", "charuco", "two-level"}
         White strings stretched across a dark ground; chessboard corners; centres of round dots; the
-        chessboard corners of a ChArUco board.
+        chessboard corners of a ChArUco board; dots on two parallel planes, every second row on the deeper
+        one and set off by half a dot.
     mesh : float
-        Distance between neighbouring nodes, metres.
+        Distance between neighbouring nodes, metres; of a two-level target that of neighbouring rows, half of
+        that between the dots of a row.
     shape : tuple of int, optional
         Nodes along x and along y. Needed for a chessboard (inner corners) and for dots; for ChArUco the
         number of *squares* along x and y, as its makers count. A grid of strings needs none.
     origin_mark, x_mark : str
-        Marks of a grid of strings: a disc on the node (0, 0), a smaller one on (1, 0).
+        Marks of a grid of strings: a disc on the node (0, 0), a smaller one on (1, 0). A two-level target has
+        a square in place of the dot at (0, 0) and a triangle in place of one further along x.
     diameter : float, optional
         Diameter of a dot, metres. With it the bias of a dot's centroid in perspective is removed.
     dictionary : str
         ChArUco: OpenCV's name of the marker dictionary.
     marker : float, optional
         ChArUco: side of a marker, metres.
+    depth : float, optional
+        Two-level: how far the other level lies below that of the marks, metres; negative where above.
     origin : (float, float)
         Where node (0, 0) of the flat target lies in the physical frame, metres.
 
@@ -55,18 +60,21 @@ class Target:
     (9, 6)
     """
 
-    kind: Literal["strings", "chessboard", "dots", "charuco"]
+    kind: Literal["strings", "chessboard", "dots", "charuco", "two-level"]
     mesh: Length
     shape: tuple[Nodes, Nodes] | None = None
-    origin_mark: Literal["disc"] = "disc"
-    x_mark: Literal["small disc"] = "small disc"
+    origin_mark: Literal["disc", "square"] = "disc"
+    x_mark: Literal["small disc", "triangle"] = "small disc"
     diameter: Length | None = None
     dictionary: str = "DICT_4X4_50"
     marker: Length | None = None
+    depth: Annotated[float, Field(gt=-1, lt=1)] | None = None
     origin: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if self.shape is None and self.kind != "strings":
+        if self.kind == "two-level" and not self.depth:
+            raise ValueError("a two-level target needs its depth, for example depth: 0.002 (metres)")
+        if self.shape is None and self.kind not in ("strings", "two-level"):
             raise ValueError(f"a {self.kind} target needs its shape, for example shape: [9, 6]")
         if self.diameter is not None and self.diameter >= self.mesh:
             raise ValueError("the target's dots are larger than its mesh; check diameter and mesh (metres)")

@@ -199,6 +199,7 @@ def measure_block(block: Block, plan: Any, frame_rate: float) -> Measured:
     fields = dict(measure(given, plan, frame_rate, masks))
     status = np.asarray(fields.pop("frame_status"), np.uint8)
     _find_dim_frames(frames, status, block, plan)
+    _find_ranges(frames, fields, status, block, plan)
     faults = {name: dict(lazy.faults) for name, lazy in frames.items()}
     messages = [lazy.messages[i] for lazy in frames.values() for i in sorted(lazy.messages)]
     shifts = {block.start - 1 + k: found for k, found in steadier.shifts.items()} if steadier else {}
@@ -218,3 +219,31 @@ def _find_dim_frames(frames: Mapping[str, BlockFrames], status: np.ndarray, bloc
                 if image is not None and not usable(image, plan.rig[name].size):
                     lazy.faults[index] = FrameFault.BLANK
                     lazy.messages[index] = f"{name} frame at index {index} shows next to nothing"
+
+
+def _find_ranges(
+    frames: Mapping[str, BlockFrames],
+    fields: Mapping[str, np.ndarray],
+    status: np.ndarray,
+    block: Block,
+    plan: Any,
+) -> None:
+    """Mark the frames from which the water went further than is searched; their steps have faults."""
+    from wavefield.measurement.range_border import at_border, few_measured, moved_beyond
+
+    def mark(name: str, step: int, words: str) -> None:
+        index = block.start + step
+        frames[name].faults.setdefault(index, FrameFault.RANGE)
+        frames[name].messages.setdefault(index, f"{name} frame at index {index}: {words}")
+        status[step] = max(status[step], FrameStatus.DONE_WITH_FAULTS)
+
+    for step in range(len(status)):
+        quality = fields["quality"][step]
+        if status[step] != FrameStatus.FAILED and at_border(fields["z"][step], plan.z_range):
+            mark(plan.reference, step, "the water reaches the border of the elevations searched")
+        if few_measured(quality) or status[step] == FrameStatus.FAILED:
+            for name in plan.velocity_cameras:
+                if name in frames and moved_beyond(
+                    frames[name][step + 1], frames[name][step + 2], name, plan
+                ):
+                    mark(name, step, "the water moves further than is searched")

@@ -170,8 +170,8 @@ class Check:
         What stands in the way of a run.
     verdict : Verdict or None
         On the cameras' images; None if they could not be compared.
-    motion : str
-        How far the water moves from frame to frame, in words.
+    motion, heights : str
+        How far the water moves from frame to frame, and how high it stands, in words.
     """
 
     experiment: str
@@ -187,6 +187,7 @@ class Check:
     problems: tuple[str, ...]
     verdict: Verdict | None = None
     motion: str = ""
+    heights: str = ""
 
     @property
     def exit_status(self) -> int:
@@ -238,7 +239,7 @@ class Check:
         if self.cost:
             lines.append(f"  a run will take {self.cost}")
             lines += [f"  {self.cost.reading}"] if self.cost.reading else []
-        lines += [f"  {self.motion}"] if self.motion else []
+        lines += [f"  {words}" for words in (self.motion, self.heights) if words]
         lines += self._agreements()
         lines += [f"  not ready: {problem}" for problem in self.problems]
         lines += [f"  {remark}" for remark in (self.verdict.remarks if self.verdict else ())]
@@ -317,6 +318,7 @@ def check(
         problems=tuple(problems),
         verdict=Verdict.of(remarks, seen.cameras, seen.pairs) if seen else None,
         motion=prepared.motion.sentence if prepared and prepared.motion else "",
+        heights=prepared.heights.sentence if prepared and prepared.heights else "",
     )
 
 

@@ -15,6 +15,7 @@ from wavefield.errors import ExperimentError
 from wavefield.grid import Grid
 from wavefield.measurement.algorithm import ALGORITHM
 from wavefield.measurement.first_guess import FirstGuess, first_guess, wide_enough
+from wavefield.measurement.first_heights import FirstHeights, first_heights, high_enough
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries, masks
 from wavefield.store.recipe import Recipe
@@ -46,6 +47,8 @@ class Prepared:
         How to process.
     motion : FirstGuess, optional
         How far the water moves from frame to frame; None where the settings state the range to search.
+    heights : FirstHeights, optional
+        How high it stands and rises; None where the settings state ``z_range``.
     """
 
     experiment: Experiment
@@ -56,6 +59,7 @@ class Prepared:
     recipe: Recipe
     workflow: Workflow
     motion: FirstGuess | None = None
+    heights: FirstHeights | None = None
 
     def knowing(self, record: Mapping[str, Any]) -> "Prepared":
         """The same with what sample frames of the record say.
@@ -137,15 +141,20 @@ def prepare(
     series = {name: series[name] for name in used}
     covered = masks.footprints(experiment.mask)
     plan = Plan(rig, grid, settings, covered=covered)
-    folder = experiment.path.parent
-    series = masks.covered_series(experiment.mask, series, rig, folder, -plan.z_range[0])
-    motion = None
+    bare, folder = series, experiment.path.parent
+    series = masks.covered_series(experiment.mask, bare, rig, folder, -plan.z_range[0])
+    look = _Look(series, plan)
+    motion, heights = None, None
     if not _states_search(experiment, workflow):
-        motion = _look_ahead(series, plan)
+        motion = first_guess(look.read, plan.velocity_cameras, look.steps)
         settings = wide_enough(settings, motion)
+    if settings.z_range is None:
+        settings, heights = high_enough(settings, first_heights(look.read, plan, look.steps))
+    if settings != plan.settings:
         plan = Plan(rig, grid, settings, covered=covered)
+        series = masks.covered_series(experiment.mask, bare, rig, folder, -plan.z_range[0])
     recipe = make_recipe(experiment, series, rig, grid, settings, workflow.packing)
-    return Prepared(experiment, series, rig, grid, plan, recipe, workflow, motion)
+    return Prepared(experiment, series, rig, grid, plan, recipe, workflow, motion, heights)
 
 
 def _states_search(experiment: Experiment, workflow: Workflow) -> bool:
@@ -154,19 +163,22 @@ def _states_search(experiment: Experiment, workflow: Workflow) -> bool:
     return any(isinstance(piv, Mapping) and {"search_x", "search_y"} & set(piv) for piv in stated)
 
 
-def _look_ahead(series: Mapping[str, FrameSeries], plan: Any) -> FirstGuess:
-    """The range of the displacements over the whole record, from a few of its steps."""
-    from wavefield.measurement.frame import ready, usable
+class _Look:
+    """Some steps over the whole record, their images as they are matched."""
 
-    def read(name: str, frame: int) -> Any:
-        image = series[name].read_uncovered(frame)
-        if not usable(image, plan.rig[name].size):
+    def __init__(self, series: Mapping[str, FrameSeries], plan: Any) -> None:
+        self.series, self.plan = series, plan
+        count = min(len(series[name]) for name in plan.cameras) - 1
+        self.steps = sorted({int((i + 0.5) * count / _LOOKS) for i in range(_LOOKS)})
+
+    def read(self, name: str, frame: int) -> Any:
+        """Image of a camera; None where there is none that can be used."""
+        from wavefield.measurement.frame import ready, usable
+
+        image = self.series[name].read_uncovered(frame)
+        if not usable(image, self.plan.rig[name].size):
             return None
-        return ready(np.asarray(image), plan.binning[name])
-
-    count = min(len(series[name]) for name in plan.velocity_cameras) - 1
-    steps = sorted({int((i + 0.5) * count / _LOOKS) for i in range(_LOOKS)})
-    return first_guess(read, plan.velocity_cameras, steps)
+        return ready(np.asarray(image), self.plan.binning[name])
 
 
 def load_files(

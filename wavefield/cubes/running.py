@@ -37,7 +37,7 @@ from wavefield.store.recipe import check_recipe
 from wavefield.store.relabel import relabel
 from wavefield.store.verify import suspicious
 from wavefield.store.write import discard_blocks, reset_blocks
-from wavefield.variables import FrameStatus
+from wavefield.variables import FrameFault, FrameStatus
 from wavefield.whole_files import remove_leftovers
 from wavefield.words import spell_time
 
@@ -235,7 +235,7 @@ def unfinished(path: Path, layout: Layout, series: Mapping[str, FrameSeries]) ->
     ledger = np.asarray(group["frame_status"][:])
     faults = np.asarray(group["frame_fault"][:])
     mended = np.zeros(layout.steps + 1, bool)
-    for camera, index in np.argwhere(faults):
+    for camera, index in np.argwhere((faults != 0) & (faults != FrameFault.RANGE)):
         if not series[layout.cameras[camera]].read(int(index)).fault:
             mended[index] = True
     again, todo = [], []

@@ -83,30 +83,36 @@ def _widened(ends: tuple[float, float]) -> tuple[float, float]:
     return float(np.floor(ends[0] - margin)), float(np.ceil(ends[1] + margin))
 
 
-def shifts(a: Float, b: Float) -> NDArray[np.float64]:
+def shifts(
+    a: Float, b: Float, side: int = TILE, reach: tuple[int, int] = (REACH, REACH)
+) -> NDArray[np.float64]:
     """Whole-pixel displacement of pieces of one image to the next.
 
     Parameters
     ----------
     a, b : ndarray of float32, (row, column)
         Two frames of one camera, any scale.
+    side : int
+        Of the pieces, px.
+    reach : (int, int)
+        How far they are looked for along x and along y, px.
 
     Returns
     -------
-    ndarray, (n, 3)
-        Displacement along x and y, px, and correlation of every piece that has light and shade; NaN for the
-        displacement of those that are not found for sure.
+    ndarray, (n, 5)
+        Displacement along x and y, px, correlation, and middle (x, y) of every piece that has light and
+        shade; NaN for the displacement of those that are not found for sure.
 
     Notes
     -----
-    Normalised correlation of squares of 64 px within 256 px around their place. A piece counts if its best
+    Normalised correlation of the pieces within the reach around their place. A piece counts if its best
     correlation exceeds .4 and all others further than 3 px from it are less than .85 of that.
     """
     a, b = (np.asarray(image, np.float32) for image in (a, b))  # of any depth
     height, width = a.shape
-    tile = min(TILE, height // 4, width // 4)
+    tile = min(side, height // 4, width // 4)
     if tile < 16:
-        return np.zeros((0, 3))
+        return np.zeros((0, 5))
     rows = np.linspace(0, height - tile, ACROSS).astype(int)
     columns = np.linspace(0, width - tile, ACROSS).astype(int)
     contrast = float(a.std())
@@ -116,10 +122,11 @@ def shifts(a: Float, b: Float) -> NDArray[np.float64]:
             piece = a[y : y + tile, x : x + tile]
             if not float(piece.std()) > 0.2 * contrast:
                 continue
-            x0, y0 = max(0, x - REACH), max(0, y - REACH)
-            around = b[y0 : y + tile + REACH, x0 : x + tile + REACH]
-            out.append(_found(piece, around, x - x0, y - y0))
-    return np.array(out, float).reshape(-1, 3)
+            x0, y0 = max(0, x - reach[0]), max(0, y - reach[1])
+            around = b[y0 : y + tile + reach[1], x0 : x + tile + reach[0]]
+            middle = x + 0.5 * (tile - 1), y + 0.5 * (tile - 1)
+            out.append((*_found(piece, around, x - x0, y - y0), *middle))
+    return np.array(out, float).reshape(-1, 5)
 
 
 def _found(piece: Float, around: Float, x: int, y: int) -> tuple[float, float, float]:
@@ -130,6 +137,24 @@ def _found(piece: Float, around: Float, x: int, y: int) -> tuple[float, float, f
     if not best > SURE or rest.max() > ALONE * best:
         return np.nan, np.nan, float(best)
     return float(column - x), float(row - y), float(best)
+
+
+def borne_out(moved: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Displacements that another piece of the same images shares, nearly.
+
+    Parameters
+    ----------
+    moved : ndarray, (n, 2)
+        Along x and y, px; NaN where not found.
+
+    Returns
+    -------
+    ndarray, (m, 2)
+    """
+    moved = moved[np.isfinite(moved[:, 0])]
+    apart = np.hypot(*(moved[:, None] - moved).T) - NEAR - 0.25 * np.hypot(*moved.T)
+    out: NDArray[np.float64] = moved[(apart < 0).sum(axis=0) > 1]
+    return out
 
 
 def first_guess(
@@ -161,9 +186,7 @@ def first_guess(
             seen += name == cameras[0]
             moved = shifts(np.asarray(a, np.float32), np.asarray(b, np.float32))
             tried += len(moved)
-            moved = moved[np.isfinite(moved[:, 0]), :2]
-            apart = np.hypot(*(moved[:, None] - moved).T) - NEAR - 0.25 * np.hypot(*moved.T)
-            kept.append(moved[(apart < 0).sum(axis=0) > 1])
+            kept.append(borne_out(moved[:, :2]))
     found = np.concatenate(kept) if kept else np.zeros((0, 2))
     if not len(found):
         return FirstGuess((0.0, 0.0), (0.0, 0.0), 0, tried, seen)
@@ -187,8 +210,36 @@ def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
         The same where their range holds what was found.
     """
     piv = settings.piv
-    usual = piv.search_x or (-4.0, 4.0)  # without a search the pyramid reaches a few px
-    wide = guess.search(usual)
+    wide = guess.search(searched(settings)[0])
     if wide is None:
         return settings
     return replace(settings, piv=replace(piv, search_x=wide[0], search_y=wide[1]))
+
+
+def searched(settings: Settings) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Range of displacements that matching in time reaches, along x and along y, px."""
+    nothing = (-4.0, 4.0)  # without a search the pyramid reaches a few px
+    return settings.piv.search_x or nothing, settings.piv.search_y or nothing
+
+
+def beyond(settings: Settings, moved: NDArray[np.float64]) -> bool:
+    """Whether most of what is found for sure has moved further than is searched.
+
+    Parameters
+    ----------
+    settings : Settings
+        Of the run.
+    moved : ndarray, (n, 2)
+        Displacements as from `borne_out`, px.
+
+    Returns
+    -------
+    bool
+        False where fewer than three pieces were found.
+    """
+    if len(moved) < 3:
+        return False
+    out = np.zeros(len(moved), bool)
+    for along, (low, high) in zip(moved.T, searched(settings)):
+        out |= (along < low) | (along > high)
+    return bool(out.mean() > 0.5)

@@ -19,6 +19,7 @@ _WORDS = {
     FrameFault.UNREADABLE: "corrupt or truncated",
     FrameFault.WRONG_SIZE: "of another size or type",
     FrameFault.BLANK: "blank",
+    FrameFault.RANGE: "the water went further than is searched",
 }
 
 
@@ -123,7 +124,12 @@ class Status:
         if self.failed:
             lines.append(f"  {self.failed} steps failed, from frame {spell_ranges(self.failed_steps)}")
         lines += [f"  {bad}" for bad in self.bad_frames]
-        if self.bad_frames:
+        if any(bad.fault is FrameFault.RANGE for bad in self.bad_frames):
+            lines.append(
+                "  state wider ranges (settings: piv.search_x and search_y in px, z_range in m) and run into "
+                "another cube"
+            )
+        if any(bad.fault is not FrameFault.RANGE for bad in self.bad_frames):
             lines.append("  copy bad frames again and run the same command: their steps are measured again")
         if self.verdict and self.complete:
             lines += [f"  {remark}" for remark in self.verdict.remarks if remark.kind not in _LEDGER]

@@ -34,3 +34,4 @@ class FrameFault(IntEnum):
     UNREADABLE = 2  # corrupt, truncated, or not an image
     WRONG_SIZE = 3  # other rows, columns or type than the rest
     BLANK = 4  # black, or all pixels equal
+    RANGE = 5  # the water went further than is searched; the image itself is good

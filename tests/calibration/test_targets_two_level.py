@@ -1,0 +1,88 @@
+"""Stereo PIV's target: staggered dots on two levels, a square and a triangle, partly out of view."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from rendering import Picture, camera_at, two_level_picture
+
+from wavefield.calibration import Target, calibrate, find_target
+from wavefield.calibration.images import placed_at
+from wavefield.errors import CalibrationError
+
+MESH, DEPTH, DIAMETER, EXTENT = 0.0075, 0.002, 0.0032, (-12, 12, -10, 10)
+MARKS = (0, 0), (4, 0)
+TARGET = Target("two-level", MESH, depth=DEPTH, diameter=DIAMETER)
+
+
+def picture(camera, read=0.6, marks=MARKS, seed=0):
+    how = Picture(dark=20, bright=200, light=0.3, read=read, seed=seed)
+    return two_level_picture(camera, MESH, DEPTH, DIAMETER, EXTENT, marks, how, samples=2)
+
+
+def dots_in_view(camera, margin):
+    i, j = np.meshgrid(np.arange(EXTENT[0], EXTENT[1] + 1), np.arange(EXTENT[2], EXTENT[3] + 1))
+    dot = i % 2 == j % 2
+    i, j = i[dot], j[dot]
+    seen = camera.sees(i * MESH, j * MESH, np.where(j % 2, -DEPTH, 0.0), margin)
+    return set(zip(i[seen].tolist(), j[seen].tolist())) - set(MARKS)
+
+
+@pytest.mark.parametrize(
+    ("tilt", "turn", "roll", "at", "read"),
+    [
+        (0, 0, 0, (0.0, 0.0), 0.6),
+        (35, 180, -4, (0.01, 0.01), 3.0),
+        (50, 90, 100, (0.02, 0.0), 0.6),
+        (45, 200, 30, (-0.03, 0.02), 6.0),
+    ],
+)
+def test_both_levels_are_found_from_any_side(tilt, turn, roll, at, read):
+    camera = camera_at((416, 320), tilt, turn, roll, 0.8, 2150.0, at)
+    points = find_target(picture(camera, read), TARGET)
+    exact = np.stack(camera.project(points.node[:, 0] * MESH, points.node[:, 1] * MESH, points.z), -1)
+    error = np.hypot(*(points.pixel - exact).T)
+    assert (error < 0.5).all()  # no dot is taken for another
+    missed = dots_in_view(camera, 14.0) - set(map(tuple, points.node.tolist()))
+    assert len(missed) <= 0.01 * len(points)
+    assert np.sqrt((error**2).mean() / 2) < 0.05
+    np.testing.assert_array_equal(points.z, np.where(points.node[:, 1] % 2, -DEPTH, 0.0))
+
+
+def test_the_target_moved_along_z_gives_the_rig_of_a_stereo_pair():
+    """Five known heights, the usual calibration of stereo PIV."""
+    cameras = {
+        name: camera_at((384, 304), 35.0, turn, 3.0, 0.8, 2000.0, k1=-0.2)
+        for name, turn in (("left", 180.0), ("right", 0.0))
+    }
+    views = {name: {} for name in cameras}
+    for seed, height in enumerate((-0.009, -0.004, 0.0, 0.004, 0.009)):
+        for name, camera in cameras.items():
+            shift = camera.T + camera.R @ [0.0, 0.0, height]
+            moved = type(camera)(**{**vars_of(camera), "translation": shift})
+            points = find_target(picture(moved, 1.0, seed=seed), TARGET)
+            views[name][f"z {height}"] = placed_at(points, height)
+    found = calibrate(views, TARGET, flat="", model="f k1")
+    assert found.usable, found.problems
+    x, y = np.meshgrid(np.linspace(-0.05, 0.05, 5), np.linspace(-0.04, 0.04, 5))
+    for name, camera in cameras.items():
+        for z in (-0.009, 0.0, 0.009):
+            miss = np.array(found.rig[name].project(x, y, z)) - camera.project(x, y, z)
+            assert np.hypot(*miss).max() < 0.05
+
+
+def vars_of(camera):
+    return {name: getattr(camera, name) for name in camera.__dataclass_fields__}
+
+
+def test_a_target_without_its_marks_is_told_what_was_seen():
+    camera = camera_at((320, 256), 30.0, 0.0, 0.0, 0.8, 1700.0)
+    with pytest.raises(CalibrationError, match=r"not both in view .* dots were found"):
+        find_target(picture(camera, marks=((99, 99), (98, 98))), TARGET)
+    with pytest.raises(CalibrationError, match="no two levels"):
+        find_target(np.random.default_rng(0).integers(0, 255, (200, 200)).astype(np.uint8), TARGET)
+    with pytest.raises(CalibrationError, match="needs its depth"):
+        Target.from_dict({"kind": "two-level", "mesh": 0.0075})

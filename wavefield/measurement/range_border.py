@@ -1,0 +1,86 @@
+"""Whether the water went further than was searched: what a step says about its ranges."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.measurement.first_guess import beyond, borne_out, shifts
+from wavefield.measurement.frame import ready, usable
+from wavefield.measurement.plan import Plan
+from wavefield.variables import Quality
+
+_BORDER = 0.03  # of the range of elevations: nearer to an end, what lies beyond is not seen
+_SOME = 0.01  # of the nodes
+_FEW = 0.5  # of the nodes in view: fewer measured ones ask for a reason
+
+
+def at_border(z: NDArray[Any], searched: tuple[float, float]) -> bool:
+    """Whether a surface reaches an end of the range of elevations that is searched.
+
+    Parameters
+    ----------
+    z : ndarray, (ny, nx)
+        Elevation, metres; NaN where unknown.
+    searched : (float, float)
+        The range, metres.
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> at_border(np.array([[0.01, 0.099], [np.nan, 0.02]]), (-0.1, 0.1))
+    True
+    """
+    known = z[np.isfinite(z)]
+    if not known.size:
+        return False
+    spare = _BORDER * (searched[1] - searched[0])
+    outside = (known < searched[0] + spare) | (known > searched[1] - spare)
+    return bool(outside.mean() > _SOME)
+
+
+def few_measured(quality: NDArray[np.uint8]) -> bool:
+    """Whether fewer than half of the nodes in view were measured.
+
+    Parameters
+    ----------
+    quality : ndarray of uint8, (ny, nx)
+        Bits of `Quality`.
+
+    Returns
+    -------
+    bool
+    """
+    seen = (quality & np.uint8(Quality.OUTSIDE)) == 0
+    measured = (quality[seen] & np.uint8(Quality.MEASURED)) != 0
+    return bool(measured.size) and bool(measured.mean() < _FEW)
+
+
+def moved_beyond(one: NDArray[Any] | None, other: NDArray[Any] | None, name: str, plan: Plan) -> bool:
+    """Whether a camera's image moved further than is searched, by a look far beyond.
+
+    Parameters
+    ----------
+    one, other : ndarray or None, (row, column)
+        Its frames of a step, raw.
+    name : str
+        The camera.
+    plan : Plan
+        With the range searched.
+
+    Returns
+    -------
+    bool
+        False where a frame is missing, or too little of it is found again.
+    """
+    size, count = plan.rig[name].size, plan.binning[name]
+    if one is None or other is None or not usable(one, size) or not usable(other, size):
+        return False
+    a, b = (np.asarray(ready(image, count), np.float32) for image in (one, other))
+    moved = shifts(a, b)
+    return beyond(plan.settings, borne_out(moved[:, :2]))
