@@ -1,4 +1,5 @@
 # The public names and where they live: read by type checkers, and by __init__.py, which imports on first use.
+from wavefield.calibration.afloat import level_experiment as level
 from wavefield.calibration.images import calibrate_experiment as calibrate
 from wavefield.calibration.target import Target
 from wavefield.cubes.analysis import analyze_on_workers
@@ -65,6 +66,7 @@ __all__ = [
     "free_and_bound_fields",
     "kinematics",
     "komega",
+    "level",
     "load_rig",
     "look",
     "match",

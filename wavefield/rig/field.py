@@ -3,12 +3,15 @@
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavefield.errors import RigError
 from wavefield.grid import Grid, largest_rectangle
 from wavefield.rig.camera import Camera
 from wavefield.rig.resolution import pixel_sides
 
+_SAMPLES = 65  # pixels along each side of an image that shows the horizon
+_FAR = 3.0  # times the nearest water: what lies further towards the horizon is too coarse to be measured
 _LATTICE = 401  # candidate corners along each axis: the rectangle is right to a quarter per cent
 
 
@@ -47,10 +50,9 @@ def common_field(
     Grid(x=(-1.98, 1.98), y=(-1.98, 1.98), step=0.02)
     """
     cameras = list(cameras)
-    corners = np.stack([camera.corners() for camera in cameras])
-    if not np.isfinite(corners).all():
-        raise RigError("a camera sees the horizon: state the grid instead of `auto`")
-    lo, hi = corners.min(axis=1).max(axis=0), corners.max(axis=1).min(axis=0)
+    views = [_view(camera) for camera in cameras]
+    lo = np.max([points.min(axis=0) for points in views], axis=0)
+    hi = np.min([points.max(axis=0) for points in views], axis=0)
     if not (hi > lo).all():
         raise RigError("the cameras have no common field at z = 0: is it the right rig for these images?")
     x, y = np.linspace(lo[0], hi[0], _LATTICE), np.linspace(lo[1], hi[1], _LATTICE)
@@ -71,6 +73,21 @@ def common_field(
             raise RigError(f"the cameras' common field is narrower than one grid step of {step} m")
         ends.append((round(float(nodes[0] * step), 9), round(float(nodes[1] * step), 9)))
     return Grid(ends[0], ends[1], step)
+
+
+def _view(camera: Camera) -> NDArray[np.float64]:
+    """Places on z = 0 that bound what a camera sees, (n, 2), metres: its corners, or short of the horizon."""
+    corners = camera.corners()
+    if np.isfinite(corners).all():
+        return corners
+    pixel = [np.linspace(0.0, n - 1.0, _SAMPLES) for n in camera.size]
+    x, y = camera.unproject(*np.meshgrid(*pixel))
+    distance = np.sqrt((x - camera.centre[0]) ** 2 + (y - camera.centre[1]) ** 2 + camera.centre[2] ** 2)
+    seen = np.isfinite(distance)
+    if not seen.any():
+        raise RigError("a camera does not see the water: is z = 0 its level, and z up?")
+    seen &= distance < _FAR * distance[seen].min()
+    return np.stack([x[seen], y[seen]], axis=-1)
 
 
 def _round_up(length: float) -> float:

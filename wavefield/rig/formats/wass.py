@@ -19,7 +19,7 @@ def load_wass(folder: Path, stated: Stated) -> Rig:
     ----------
     folder : Path
         With ``intrinsics_*.xml`` and ``distortion_*.xml`` (or ``intr_*``, ``dist_*``) of two cameras, and
-        ``ext_R.xml`` and ``ext_T.xml``.
+        ``ext_R.xml`` and ``ext_T.xml``; without these two both cameras are in one place.
     stated : Stated
         Image sizes; its unit is the distance between the cameras, which WASS counts as one, where it is given
         as a number of metres in `wavefield.rig.formats.load_rig`.
@@ -39,15 +39,16 @@ def load_wass(folder: Path, stated: Stated) -> Rig:
     if len(lenses) < 2 or len(distortions) != len(lenses):
         raise RigError("it holds no intrinsics_*.xml and distortion_*.xml of two cameras")
     R, T = (_files(folder, (f"ext_{what}.xml",)) for what in "RT")
-    if not R or not T:
-        raise RigError("it holds no ext_R.xml and ext_T.xml: let WASS place the second camera first")
-    turn = _only(R[0])
-    poses = [(np.eye(3), np.zeros(3)), (rotation_near(turn), stated.length * _only(T[0]).ravel())]
+    poses = [(np.eye(3), np.zeros(3))] * 2
+    left = "no pose in the world: the frame is that of the first camera; level it on the water"
+    if R and T:
+        poses[1] = rotation_near(_only(R[0])), stated.length * _only(T[0]).ravel()
+    else:
+        left = "no poses at all: place and level the cameras with `wavefield level --distance`"
     cameras = {
         name: Camera.from_opencv(K, D, *pose, stated.size(name, "WASS"))
         for name, K, D, pose in zip(stated.named(2), lenses, distortions, poses, strict=False)
     }
-    left = "no pose in the world: the frame is that of the first camera; level it on the water"
     return Rig(cameras, {"imported": {"program": "WASS", "file": folder.name, "left_out": left}})
 
 

@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 import numpy as np
+from numba import int64, types, uint8, uint16, void
 from numpy.typing import NDArray
 
+from wavefield.compiled import compiled
 from wavefield.errors import FrameError
 
 Pixels = NDArray[Any]
@@ -166,24 +168,35 @@ def packed(shape: tuple[int, int], bits: int) -> Callable[[bytes], Pixels]:
     >>> packed((1, 2), 12)(bytes([0x12, 0x34, 0x56])).tolist()
     [[291, 1110]]
     """
-    size = shape[0] * shape[1]
 
     def decode(data: bytes) -> Pixels:
-        raw = np.frombuffer(data, np.uint8).astype(np.uint16)
-        out = np.empty(-(-size // 4) * 4, np.uint16)
-        if bits == 12:
-            three = np.resize(raw, -(-raw.size // 3) * 3).reshape(-1, 3)
-            pairs = np.empty((len(three), 2), np.uint16)
-            pairs[:, 0] = (three[:, 0] << 4) | (three[:, 1] >> 4)
-            pairs[:, 1] = ((three[:, 1] & 15) << 8) | three[:, 2]
-            return pairs.ravel()[:size].reshape(shape)
-        five = np.resize(raw, -(-raw.size // 5) * 5).reshape(-1, 5)
-        for k in range(4):
-            high, low = 8 - 2 * k, 2 + 2 * k  # bits taken of byte k, and of the next
-            out[k::4] = ((five[:, k] & ((1 << high) - 1)) << low) | (five[:, k + 1] >> (8 - low))
-        return out[:size].reshape(shape)
+        out = np.empty(shape, np.uint16)
+        _unpack(np.frombuffer(data, np.uint8), bits, out.reshape(-1))
+        return out
 
     return decode
+
+
+@compiled([void(types.Array(uint8, 1, "C", readonly=True), int64, uint16[::1])], error_model="numpy")
+def _unpack(raw: Pixels, bits: int, out: Pixels) -> None:
+    """Pixels of 10 or 12 bits, the highest bit first, four or two at a time, the last ones bit by bit."""
+    group, width = (4, 5) if bits == 10 else (2, 3)
+    whole = len(out) // group
+    for k in range(whole):
+        i, o = width * k, group * k
+        if bits == 12:
+            a, b, c = np.uint16(raw[i]), np.uint16(raw[i + 1]), np.uint16(raw[i + 2])
+            out[o], out[o + 1] = (a << 4) | (b >> 4), ((b & 15) << 8) | c
+        else:
+            a, b, c = np.uint16(raw[i]), np.uint16(raw[i + 1]), np.uint16(raw[i + 2])
+            d, e = np.uint16(raw[i + 3]), np.uint16(raw[i + 4])
+            out[o], out[o + 1] = (a << 2) | (b >> 6), ((b & 63) << 4) | (c >> 4)
+            out[o + 2], out[o + 3] = ((c & 15) << 6) | (d >> 2), ((d & 3) << 8) | e
+    for o in range(group * whole, len(out)):
+        value = 0
+        for bit in range(o * bits, (o + 1) * bits):
+            value = 2 * value + ((raw[bit >> 3] >> (7 - (bit & 7))) & 1)
+        out[o] = value
 
 
 def packed_bytes(shape: tuple[int, int], bits: int) -> int:

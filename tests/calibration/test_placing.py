@@ -1,0 +1,119 @@
+"""Cameras of which only the lenses are known are placed and levelled by natural texture of moving water."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rendering import camera_at
+from scipy import ndimage
+
+from wavefield.calibration.placing import level_on_water, match_features, place_second
+from wavefield.commands.cli import main
+from wavefield.errors import RigError
+from wavefield.images import write_image
+from wavefield.rig import Rig
+from wavefield.rig.field import common_field
+
+
+def sea_rig():
+    """Two cameras 2 m apart that look down at 55 degrees to the vertical, as from a platform."""
+    return {
+        name: camera_at((480, 360), 55.0, turn, roll, 12.0, 800.0, k1=-0.05)
+        for name, turn, roll in (("left", 175.0, 1.0), ("right", 185.0, -1.0))
+    }
+
+
+def texture(seed=0):
+    """Foam-like texture of the water, grains of many sizes, 10 cm the smallest."""
+    rng = np.random.default_rng(seed)
+    out = sum(s * ndimage.gaussian_filter(rng.normal(size=(700, 700)), s) for s in (1.0, 2.0, 4.0, 8.0))
+    return ndimage.spline_filter(out / out.std(), 3)
+
+
+def photograph(camera, grains, phase, seed):
+    """The sea at a moment: each pixel's sight line meets the waves after a few steps."""
+    w, h = camera.size
+    X, Y = np.meshgrid(np.arange(w, dtype=float), np.arange(h, dtype=float))
+    z = np.zeros((h, w))
+    for _ in range(12):
+        x, y = camera.unproject(X, Y, z)
+        z = 0.08 * np.sin(1.5 * x + 0.7 * y + phase) + 0.05 * np.sin(0.4 * x - 1.9 * y + 2.3 * phase)
+    where = [np.clip(v / 0.05 + 350, 1, 698) for v in (y, x)]
+    grey = 120 + 35 * ndimage.map_coordinates(grains, where, order=3, prefilter=False)
+    return np.clip(grey + np.random.default_rng(seed).normal(0, 1.5, grey.shape), 0, 255).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def sea(tmp_path_factory):
+    cameras, folder = sea_rig(), tmp_path_factory.mktemp("sea")
+    matches = []
+    for k in range(4):
+        images = [photograph(c, texture(k), 1.3 * k, n + 10 * k) for n, c in enumerate(cameras.values())]
+        for name, image in zip(cameras, images):
+            write_image(folder / f"{name}_{k}.png", image)
+        matches.append(match_features(*images))
+    return cameras, matches, folder
+
+
+def test_features_of_moving_water_are_matched_to_fractions_of_a_pixel(sea):
+    from wavefield.rig.epipolar import epipolar_distance
+
+    cameras, matches, _ = sea
+    miss = np.concatenate([np.abs(epipolar_distance(*cameras.values(), *a.T, *b.T)) for a, b in matches])
+    assert len(miss) > 1000
+    assert np.median(miss) < 0.3
+
+
+def test_the_second_camera_is_placed_and_the_sea_levelled(sea):
+    cameras, matches, _ = sea
+    left, right = cameras.values()
+    distance = float(np.linalg.norm(left.centre - right.centre))
+    # in the left camera's own frame, and nothing known of where the right one is
+    first = replace(left, rotation=np.eye(3), translation=np.zeros(3))
+    unknown = replace(right, rotation=np.eye(3), translation=np.zeros(3))
+    both = tuple(np.concatenate([m[side] for m in matches]) for side in (0, 1))
+    rig = Rig({"left": first, "right": place_second(first, unknown, both, distance)})
+    true = right.R @ left.R.T
+    turn = rig["right"].R @ true.T
+    assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 0.1
+    found = level_on_water(rig, [{("left", "right"): m} for m in matches])
+    tilt_left = np.degrees(np.arccos(-found.rig["left"].R[2, 2]))
+    assert tilt_left == pytest.approx(np.degrees(np.arccos(-left.R[2, 2])), abs=0.2)
+    assert found.rig["left"].centre[2] == pytest.approx(left.centre[2], abs=0.05)
+    assert 0 < found.tilt_std < 0.5
+    assert "instants" in found.sentence
+
+
+def test_the_command_places_and_levels_cameras_whose_lenses_alone_are_known(sea, capsys):
+    cameras, _, folder = sea
+    lenses = {n: replace(c, rotation=np.eye(3), translation=np.zeros(3)) for n, c in cameras.items()}
+    Rig(lenses).save(folder / "lenses.yaml")
+    text = "name: sea\nframe_rate: 2.0\nrig: lenses.yaml\ncameras:\n"
+    text += "".join(f'  {name}: {{images: "{name}_{{frame}}.png"}}\n' for name in cameras)
+    (folder / "experiment.yaml").write_text(text)
+    command = ["-q", "level", str(folder / "experiment.yaml"), "-o", str(folder / "rig.yaml")]
+    assert main(command) == 1
+    assert "state the distance between them" in capsys.readouterr().err
+    distance = np.linalg.norm(cameras["left"].centre - cameras["right"].centre)
+    assert main([*command, "--distance", f"{distance:.4f}"]) == 0
+    assert "of 4 instants" in capsys.readouterr().out
+    levelled = Rig.load(folder / "rig.yaml")
+    assert levelled["right"].centre[2] == pytest.approx(cameras["right"].centre[2], abs=0.05)
+
+
+def test_a_grid_is_chosen_though_the_horizon_is_in_view():
+    """12 m up, 80 degrees from the vertical: the upper corners of the images show the sky."""
+    cameras = [camera_at((480, 360), 80.0, turn, 0.0, 12.0, 800.0) for turn in (175.0, 185.0)]
+    assert not np.isfinite(cameras[0].corners()).all()
+    grid = common_field(cameras)
+    x, y = np.meshgrid(grid.x, grid.y)
+    for camera in cameras:
+        assert camera.sees(x, y, 0.0).all()
+        assert np.hypot(x - camera.centre[0], y - camera.centre[1]).max() < 60
+
+
+def test_images_that_share_nothing_are_refused(sea):
+    left, right = sea_rig().values()
+    one, other = (photograph(left, texture(seed), 0.0, seed) for seed in (50, 60))
+    with pytest.raises(RigError, match="features are seen alike by both cameras"):
+        place_second(left, right, match_features(one, other), 2.0)

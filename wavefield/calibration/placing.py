@@ -1,0 +1,259 @@
+"""A pair of cameras placed by what both see, and a rig levelled on the mean surface of moving water.
+
+For cameras of which only the lenses are known, as at sea: features of natural texture are matched, the second
+camera is turned until sight lines meet, a stated distance gives the scale, and the plane through the
+surface of many instants is the level.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from wavefield.errors import RigError
+from wavefield.rig import Camera, Rig
+from wavefield.rig.epipolar import epipolar_distance
+from wavefield.rig.level import level
+
+Array = NDArray[np.float64]
+Pixels = tuple[Array, Array]  # (n, 2) in one image and in the other
+
+FEWEST = 30  # matches by which a camera is placed
+_FEATURES = 6000  # per image
+_RATIO = 0.8  # of the best distance to the second best, below which a match is no accident
+_NEAR = 3.0  # px from the epipolar line: further is a false match
+_FAR = 3.0  # times the median distance: further out, towards the horizon, depth is only noise
+
+
+@dataclass(frozen=True)
+class Levelled:
+    """A rig in the frame of the water's mean surface.
+
+    Parameters
+    ----------
+    rig : Rig
+        z = 0 on the mean surface, z up.
+    tilt, tilt_std : float
+        How far z was turned, and its standard uncertainty from the scatter of the instants, degrees; the
+        uncertainty is NaN for one instant.
+    rms : float
+        Of the points about the plane, metres.
+    miss : float
+        Median distance of the matches from their epipolar lines, px.
+    points, instants : int
+        What it rests on.
+    """
+
+    rig: Rig
+    tilt: float
+    tilt_std: float
+    rms: float
+    miss: float
+    points: int
+    instants: int
+
+    @property
+    def sentence(self) -> str:
+        """All this for a person."""
+        return (
+            f"{self.points} points of {self.instants} instants: sight lines miss each other by "
+            f"{self.miss:.2f} px (median); the frame was turned by {self.tilt:.2f} +- {self.tilt_std:.2f} "
+            f"degrees; the surface lies {100 * self.rms:.2g} cm (rms) about its plane"
+        )
+
+
+def match_features(one: NDArray[Any], other: NDArray[Any]) -> Pixels:
+    """Features of natural texture that two images share.
+
+    Parameters
+    ----------
+    one, other : ndarray, (row, column), any real type
+        Images of two cameras that look from not too different sides.
+
+    Returns
+    -------
+    ndarray, (n, 2), twice
+        Their pixels (X, Y); a few may be wrong.
+
+    Notes
+    -----
+    SIFT (Lowe 2004), each the other's best, clearly better than the second best.
+    """
+    sift: Any = cv2.SIFT.create(nfeatures=_FEATURES)
+    found = [sift.detectAndCompute(_bytes(image), None) for image in (one, other)]
+    if any(len(points) < 2 for points, _ in found):
+        return np.empty((0, 2)), np.empty((0, 2))
+    best = [_best(found[a][1], found[b][1]) for a, b in ((0, 1), (1, 0))]
+    both = [(i, j) for i, j in best[0].items() if best[1].get(j) == i]
+    a, b = (np.array([found[k][0][pair[k]].pt for pair in both], float).reshape(-1, 2) for k in (0, 1))
+    return a, b
+
+
+def _best(one: Any, other: Any) -> dict[int, int]:
+    pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(one, other, k=2)
+    return {
+        p[0].queryIdx: p[0].trainIdx for p in pairs if len(p) == 2 and p[0].distance < _RATIO * p[1].distance
+    }
+
+
+def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
+    low, high = np.percentile(image[::4, ::4], [0.5, 99.5])
+    even = (image.astype(np.float32) - low) * (255.0 / max(high - low, 1e-6))
+    return np.asarray(np.clip(even, 0, 255), np.uint8)
+
+
+def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -> Camera:
+    """Place a camera of known lens beside another by what both see.
+
+    Parameters
+    ----------
+    one, other : Camera
+        The first stays; of the second only the lens is used.
+    matches : (n, 2) ndarray, twice
+        As from `match_features`, of as many instants as there are.
+    distance : float
+        Between the two cameras, metres: images do not tell it.
+
+    Returns
+    -------
+    Camera
+
+    Raises
+    ------
+    RigError
+        If fewer than 30 matches agree with each other.
+
+    Notes
+    -----
+    The essential matrix by RANSAC (Nister 2004), then the turn and the direction to the second camera by
+    least squares of the distances to epipolar lines, in pixels, wrong matches weighed down.
+    """
+    a, b = matches
+    if len(a) < FEWEST:
+        raise RigError(_few(len(a)))
+    seen = [np.stack(camera.tangents(*pixel.T), -1) for camera, pixel in ((one, a), (other, b))]
+    reach = _NEAR / min(one.fx, other.fx)
+    E, agree = cv2.findEssentialMat(seen[0], seen[1], np.eye(3), cv2.RANSAC, 0.9999, reach)
+    if E is None or E.shape != (3, 3):
+        raise RigError(_few(0))
+    _, R, t, _ = cv2.recoverPose(E, seen[0], seen[1], np.eye(3), mask=agree.copy())
+    good = agree.ravel() > 0
+    if good.sum() < FEWEST:
+        raise RigError(_few(int(good.sum())))
+    t = t.ravel()
+    aside = np.linalg.svd(t[None])[2][1:]  # two directions across t
+
+    def placed(x: Array) -> Camera:
+        turn = np.asarray(cv2.Rodrigues(x[:3])[0], float) @ R
+        towards = t + x[3:] @ aside
+        towards = distance * towards / np.linalg.norm(towards)
+        return replace(other, rotation=turn @ one.R, translation=turn @ one.T + towards)
+
+    def misses(x: Array) -> Array:
+        return epipolar_distance(one, placed(x), *a[good].T, *b[good].T)
+
+    fit = least_squares(misses, np.zeros(5), loss="soft_l1", f_scale=0.5, x_scale=[1e-3] * 3 + [1e-2] * 2)
+    return placed(np.asarray(fit.x, float))
+
+
+def _few(count: int) -> str:
+    return (
+        f"only {count} features are seen alike by both cameras, {FEWEST} at least are needed: the images "
+        "must show texture, be taken at the same moment, and from sides that are not too different"
+    )
+
+
+def points_of(one: Camera, other: Camera, matches: Pixels) -> Array:
+    """Where sight lines meet, in the rig's frame, whatever that is.
+
+    Parameters
+    ----------
+    one, other : Camera
+        Two cameras of a rig.
+    matches : (n, 2) ndarray, twice
+        Pixels of the same points.
+
+    Returns
+    -------
+    ndarray, (m, 3)
+        Metres; without matches off their epipolar lines, behind a camera, or far out.
+    """
+    a, b = matches
+    near = np.abs(epipolar_distance(one, other, *a.T, *b.T)) < _NEAR
+    rays = []
+    for camera, pixel in ((one, a[near]), (other, b[near])):
+        x, y = camera.tangents(*pixel.T)
+        ray = np.stack([x, y, np.ones(len(x))], -1) @ camera.R
+        rays.append(ray / np.linalg.norm(ray, axis=1)[:, None])
+    u, v = rays
+    between = other.centre - one.centre
+    cosine = np.sum(u * v, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along_u = (u @ between - cosine * (v @ between)) / (1 - cosine**2)
+        along_v = (cosine * (u @ between) - v @ between) / (1 - cosine**2)
+    points = 0.5 * (one.centre + along_u[:, None] * u + other.centre + along_v[:, None] * v)
+    ahead = np.isfinite(points).all(1) & (along_u > 0) & (along_v > 0)
+    if ahead.any():
+        ahead &= along_u < _FAR * np.median(along_u[ahead])
+    out: Array = points[ahead]
+    return out
+
+
+def level_on_water(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> Levelled:
+    """Bring z = 0 to the mean surface of moving water.
+
+    Parameters
+    ----------
+    rig : Rig
+        In any frame, such as that of its first camera.
+    matches : sequence of mapping of (str, str) to pixels
+        Per instant and pair of cameras, as from `match_features`.
+
+    Returns
+    -------
+    Levelled
+        Waves average out over instants and over the field: tens of instants, some waves apart.
+
+    Raises
+    ------
+    RigError
+        If fewer than 30 points are left.
+    """
+    each = []
+    misses = []
+    for instant in matches:
+        some = [points_of(rig[a], rig[b], found) for (a, b), found in instant.items()]
+        each.append(np.concatenate(some) if some else np.empty((0, 3)))
+        misses += [epipolar_distance(rig[a], rig[b], *p.T, *q.T) for (a, b), (p, q) in instant.items()]
+    points = np.concatenate(each) if each else np.empty((0, 3))
+    if len(points) < FEWEST:
+        raise RigError(_few(len(points)))
+    moved, plane = level(rig, *points.T)
+    up = _up(rig, moved)
+    tilts = [_angle(up, _up(rig, level(rig, *own.T)[0])) for own in each if len(own) >= FEWEST]
+    std = float(np.sqrt(np.mean(np.square(tilts)) / (len(tilts) - 1))) if len(tilts) > 1 else float("nan")
+    miss = np.abs(np.concatenate(misses))
+    return Levelled(
+        moved,
+        _angle(up, np.array([0.0, 0.0, 1.0])),
+        std,
+        plane.rms,
+        float(np.median(miss[miss < _NEAR])) if (miss < _NEAR).any() else float("nan"),
+        len(points),
+        len(each),
+    )
+
+
+def _up(old: Rig, new: Rig) -> Array:
+    """The new frame's z in the old one: a camera's rotation says both."""
+    name = next(iter(old))
+    out: Array = (old[name].R.T @ new[name].R)[:, 2]
+    return out
+
+
+def _angle(a: Array, b: Array) -> float:
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))

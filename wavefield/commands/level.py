@@ -1,0 +1,44 @@
+"""`wavefield level`: cameras placed and levelled by the moving water that they see."""
+
+from pathlib import Path
+
+import click
+
+from wavefield.commands.progress import Progress
+
+_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield level sea/experiment.yaml --rig stereo.yaml -o rig.yaml                 # the level alone
+  wavefield level sea/experiment.yaml --rig wass_config --distance 2.5 -o rig.yaml  # lenses known alone
+"""
+)
+@click.argument("experiment", type=_FILE)
+@click.option("--rig", type=click.Path(exists=True, path_type=Path), help="In place of the experiment's.")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="Rig to write."
+)
+@click.option(
+    "--distance",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Between two cameras, m: the second is placed anew by what both see.",
+)
+@click.option(
+    "--frames", default=20, show_default=True, type=click.IntRange(min=1), help="How many instants to use."
+)
+def level(experiment: Path, rig: Path | None, output: Path, distance: float | None, frames: int) -> None:
+    """Place and level cameras by moving water of natural texture, as at sea.
+
+    Features that the cameras share are triangulated at many instants; the plane through them becomes z = 0,
+    whatever frame the rig is in. For water at rest seeded with beads `wavefield refine` is the better way.
+    """
+    from wavefield.calibration.afloat import level_experiment
+
+    with Progress("Matching the cameras", "instants") as progress:
+        found = level_experiment(experiment, rig, distance, frames, progress)
+    click.echo(found.sentence)
+    found.rig.save(output)
+    click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
