@@ -34,7 +34,7 @@ def test_water_is_found_however_high_it_stands(level):
     }
     plan = Plan(Rig(lower), tank.scene.grid, Settings())
     found = first_heights(lambda name, frame: ready(images[name], plan.binning[name]), plan, [0])
-    truth = tank.truth().z.isel(time=0).values + level
+    truth = tank.truth(0).z + level
     settings, found = high_enough(Settings(), found)
     assert found.found > 20
     assert found.searched[0] < truth.min() < truth.max() < found.searched[1]

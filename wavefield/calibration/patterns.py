@@ -14,6 +14,8 @@ from wavefield.robust import robust_std
 Array = NDArray[np.float64]
 Node = NDArray[np.int64]
 
+_ALONG = 0.42  # meshes along the edges of squares that place a corner of a ChArUco board
+_TURNS = 12  # looks at a corner, the window brought along
 LARGEST = 1500  # px; larger pictures are first searched at half size
 
 
@@ -137,7 +139,7 @@ def find_charuco(image: NDArray[np.float32], target: Target) -> TargetPoints:
             "needed (check dictionary, focus and light)"
         )
     node = np.stack([ids % (nx - 1), ny - 2 - ids // (nx - 1)], -1)
-    pixel = _corner_subpixel(image, node, pixel)
+    pixel = _between_markers(image, node, pixel, 0.5 * (1 - float(target.marker or 0.0) / target.mesh))
     return make_points(image, node, pixel, ())
 
 
@@ -232,6 +234,41 @@ def _corner_subpixel(image: NDArray[np.float32], node: Node, pixel: Array) -> Ar
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
     start = pixel.astype(np.float32).reshape(-1, 1, 2)
     return cv2.cornerSubPix(image, start, (half, half), (-1, -1), criteria).reshape(-1, 2).astype(float)
+
+
+def _between_markers(image: NDArray[np.float32], node: Node, pixel: Array, gap: float) -> Array:
+    """Corners where the squares' edges cross, seen through the gaps between squares and markers.
+
+    The edges of a marker lie so near that a plain window takes part of them: only what lies within ``gap``
+    (in meshes) of the squares' own edges counts, and all the more of their length does.
+    """
+    gx, gy = (cv2.Sobel(image, cv2.CV_32F, dx, 1 - dx, scale=0.125) for dx in (1, 0))
+    try:
+        slopes = SmoothMap(node, pixel, np.inf).slopes(node)
+    except (ValueError, np.linalg.LinAlgError):
+        return _corner_subpixel(image, node, pixel)
+    height, width = image.shape
+    out = pixel.copy()
+    for k, (e1, e2) in enumerate(slopes):
+        near = gap - 2.0 / min(np.hypot(*e1), np.hypot(*e2))  # the lens spreads a marker's edge by 2 px
+        if near < 0.03:
+            continue
+        to_board = np.linalg.inv(np.stack([e1, e2], -1))
+        reach = int(np.ceil(_ALONG * (np.abs(e1) + np.abs(e2)).max()))
+        for _ in range(_TURNS):
+            x, y = np.rint(out[k]).astype(int)
+            if not (reach < x < width - reach - 1 and reach < y < height - reach - 1):
+                break
+            window = slice(y - reach, y + reach + 1), slice(x - reach, x + reach + 1)
+            at = np.stack(np.meshgrid(*(np.arange(c - reach, c + reach + 1) for c in (x, y))), -1) - out[k]
+            u, v = np.abs(np.einsum("ab,yxb->ayx", to_board, at))
+            counts = (np.minimum(u, v) < near) & (np.maximum(u, v) < _ALONG)
+            g = np.stack([gx[window][counts], gy[window][counts]])
+            step = np.linalg.lstsq(g @ g.T, g @ np.sum(g * at[counts].T, axis=0), rcond=None)[0]
+            out[k] += np.clip(step, -1, 1)
+            if np.abs(step).max() < 1e-3:
+                break
+    return out
 
 
 def _right_handed(

@@ -229,7 +229,7 @@ def _find_ranges(
     plan: Any,
 ) -> None:
     """Mark the frames from which the water went further than is searched; their steps have faults."""
-    from wavefield.measurement.range_border import at_border, few_measured, moved_beyond
+    from wavefield.measurement.range_border import at_border, few_measured, moved_beyond, rose_beyond
 
     def mark(name: str, step: int, words: str) -> None:
         index = block.start + step
@@ -241,6 +241,10 @@ def _find_ranges(
         quality = fields["quality"][step]
         if status[step] != FrameStatus.FAILED and at_border(fields["z"][step], plan.z_range):
             mark(plan.reference, step, "the water reaches the border of the elevations searched")
+        if status[step] == FrameStatus.FAILED and rose_beyond(
+            {name: lazy[step + 1] for name, lazy in frames.items()}, plan
+        ):
+            mark(plan.reference, step, "the water stands beyond the elevations searched")
         if few_measured(quality) or status[step] == FrameStatus.FAILED:
             for name in plan.velocity_cameras:
                 if name in frames and moved_beyond(

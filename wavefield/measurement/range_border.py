@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.measurement.first_guess import beyond, borne_out, shifts
+from wavefield.measurement.first_heights import first_heights
 from wavefield.measurement.frame import ready, usable
 from wavefield.measurement.plan import Plan
 from wavefield.variables import Quality
@@ -59,6 +61,31 @@ def few_measured(quality: NDArray[np.uint8]) -> bool:
     seen = (quality & np.uint8(Quality.OUTSIDE)) == 0
     measured = (quality[seen] & np.uint8(Quality.MEASURED)) != 0
     return bool(measured.size) and bool(measured.mean() < _FEW)
+
+
+def rose_beyond(images: Mapping[str, NDArray[Any] | None], plan: Plan) -> bool:
+    """Whether the water of an instant stands higher or lower than is searched, by a look far beyond.
+
+    Parameters
+    ----------
+    images : mapping of str to ndarray or None, (row, column)
+        A raw frame per camera.
+    plan : Plan
+        With the range searched.
+
+    Returns
+    -------
+    bool
+    """
+
+    def read(name: str, _: int) -> NDArray[Any] | None:
+        image = images.get(name)
+        if image is None or not usable(image, plan.rig[name].size):
+            return None
+        return ready(image, plan.binning[name])
+
+    found = first_heights(read, plan, [0])
+    return bool(found.found) and (found.z[0] < plan.z_range[0] or found.z[1] > plan.z_range[1])
 
 
 def moved_beyond(one: NDArray[Any] | None, other: NDArray[Any] | None, name: str, plan: Plan) -> bool:
