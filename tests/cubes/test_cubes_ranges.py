@@ -1,21 +1,20 @@
 """How far the water goes is found before a run, stated, and told where it went further than was searched."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from cube_cases import HERE
 
-from wavefield.commands.cli import main
-from wavefield.cubes import check, run, status
+from wavefield.cubes import check
+from wavefield.cubes.block import Block, _find_ranges
 from wavefield.images import read_image, write_image
 from wavefield.measurement import Plan, Settings
 from wavefield.measurement.first_heights import first_heights, high_enough
 from wavefield.measurement.frame import ready
 from wavefield.rig import Rig
 from wavefield.tank import Scene, Tank
-from wavefield.variables import FrameFault
+from wavefield.variables import FrameFault, FrameStatus
 
 
 def with_settings(experiment, settings, last=3):
@@ -43,43 +42,48 @@ def test_water_is_found_however_high_it_stands(level):
     assert f"{100 * found.searched[0]:+.1f} to {100 * found.searched[1]:+.1f} cm" in found.sentence
 
 
-def test_check_states_the_ranges_and_the_recipe_keeps_them(own_tank, tmp_path):
-    """The cameras' frame lies .15 m below the water: outside what is searched unless said otherwise."""
-    rig = Rig.load(own_tank.parent / "rig.yaml")
-    lower = {n: replace(c, translation=c.T - c.R @ [0.0, 0.0, 0.15]) for n, c in rig.cameras.items()}
-    Rig(lower).save(own_tank.parent / "rig.yaml")
-    with_settings(own_tank, "{}")
-    found = check(own_tank, workflow=HERE)
-    assert "motion: " in str(found)
-    assert "elevation: +1" in str(found)
-    cube = tmp_path / "cube.zarr"
-    run(own_tank, out=cube, workflow=HERE)
-    recipe = json.loads(json.loads((cube / "zarr.json").read_text())["attributes"]["recipe"])
-    low, high = recipe["settings"]["z_range"]
-    assert low < 0.14 < 0.16 < high
+class Frames(list):
+    """A camera's frames of a block, as `BlockFrames` has them."""
+
+    def __init__(self, images):
+        super().__init__(images)
+        self.faults, self.messages = {}, {}
 
 
-def test_a_run_whose_water_rises_beyond_the_range_is_told(own_tank, tmp_path, capsys):
-    with_settings(own_tank, "{z_range: [-0.003, 0.003]}")
-    cube = tmp_path / "cube.zarr"
-    run(own_tank, out=cube, workflow=HERE)
-    state = status(cube)
-    assert {bad.fault for bad in state.bad_frames} == {FrameFault.RANGE}
-    assert "the water went further than is searched: frame" in str(state)
-    assert "state wider ranges" in str(state)
-    assert "copy bad frames" not in str(state)
-    before = (cube / "zarr.json").stat().st_mtime_ns, (cube / "z" / "c").stat().st_mtime_ns
-    assert run(own_tank, out=cube, workflow=HERE).complete  # nothing is measured again for it
-    assert ((cube / "zarr.json").stat().st_mtime_ns, (cube / "z" / "c").stat().st_mtime_ns) == before
-    assert main(["status", str(cube), "--json"]) in (0, 3)
-    assert '"range"' in capsys.readouterr().out
+@pytest.fixture(scope="module")
+def demo():
+    tank = Tank(Scene.load("demo"))
+    return tank, tank.render(0)
 
 
-def test_a_run_whose_water_moves_beyond_the_range_is_told(own_tank, tmp_path):
-    with_settings(own_tank, "{piv: {search_x: [24.0, 32.0], search_y: [24.0, 32.0]}}")
-    run(own_tank, out=tmp_path / "cube.zarr", workflow=HERE)
-    told = {bad.camera for bad in status(tmp_path / "cube.zarr").bad_frames if bad.fault is FrameFault.RANGE}
-    assert told == {"cam1", "cam2", "cam3"}
+def marks(demo, level=0.0, shift=0, status=FrameStatus.FAILED, z=0.0):
+    """What is marked of a step of which too little was measured."""
+    tank, images = demo
+    lower = {n: replace(c, translation=c.T - c.R @ [0.0, 0.0, level]) for n, c in tank.rig.cameras.items()}
+    plan = Plan(Rig(lower), tank.scene.grid, Settings())
+    frames = {n: Frames([None, i, np.roll(i, shift, 1), None]) for n, i in images.items()}
+    fields = {"z": np.full((1, 4, 5), z), "quality": np.zeros((1, 4, 5), np.uint8)}
+    state = np.array([status], np.uint8)
+    _find_ranges(frames, fields, state, Block(7, 8, {}, 6), plan)
+    return {n: f.faults for n, f in frames.items() if f.faults}, state[0], plan
+
+
+def test_a_step_whose_water_stands_beyond_the_range_is_marked(demo):
+    assert marks(demo)[0] == {}
+    found, state, plan = marks(demo, level=0.2)
+    assert found == {plan.reference: {7: FrameFault.RANGE}}
+    assert state == FrameStatus.FAILED
+
+
+def test_a_step_whose_water_moves_beyond_the_range_is_marked(demo):
+    found, _, _ = marks(demo, shift=45)
+    assert found == {name: {7: FrameFault.RANGE} for name in ("cam1", "cam2", "cam3")}
+
+
+def test_a_step_whose_surface_touches_the_border_has_faults(demo):
+    found, state, plan = marks(demo, status=FrameStatus.DONE, z=0.0869)
+    assert found == {plan.reference: {7: FrameFault.RANGE}}
+    assert state == FrameStatus.DONE_WITH_FAULTS
 
 
 def test_check_counts_only_what_was_measured(own_tank):
