@@ -451,3 +451,33 @@ def test_a_cube_that_is_being_written_is_followed(chrome, tmp_path):
     window.page.close()
     served.stop()
     assert window.errors == []
+
+
+def test_masks_are_drawn_with_the_mouse_and_saved_as_polygons(page, whole):
+    from wavefield.series import Experiment
+
+    file = whole[0].parent / "experiment.yaml"
+    before = file.read_text()
+    page.page.keyboard.press("m")
+    page.wait(f"{model('drag')}.value == 'mask'")
+    corners = [(-0.3, -0.2), (0.2, -0.25), (0.1, 0.2), (-0.4, 0.3)]
+    for number, corner in enumerate(corners, 1):
+        page.click("map", *corner)
+        page.wait(f"{model('map_mask')}.data.x.length == {number + 1}")
+    page.page.get_by_role("button", name="Take back a corner").click()
+    page.wait(f"{model('map_mask')}.data.x.length == 4")
+    page.page.keyboard.press("3")
+    page.wait(f"{model('views')}.active == 2 && {model('camera_image')}.data.image.length == 1")
+    for number, pixel in enumerate(((20, 20), (80, 25), (50, 70)), 1):
+        page.click("camera_view", *pixel)
+        page.wait(f"{model('camera_mask')}.data.x.length == {number + 1}")
+    page.page.get_by_role("button", name="Save").click()
+    page.wait(f"{model('mask_words')}.text.includes('Saved in experiment.yaml')")
+    try:
+        saved = Experiment.load(file).mask
+        np.testing.assert_allclose(saved["water"][0].polygon, corners[:3], atol=0.01)
+        np.testing.assert_allclose(saved["cam1"][0].polygon, [(20, 20), (80, 25), (50, 70)], atol=2)
+        page.wait(f"{model('map_masks')}.data.xs.length == 1 && {model('map_mask')}.data.x.length == 0")
+        page.wait(f"{model('camera_masks')}.data.xs.length >= 1")
+    finally:
+        file.write_text(before)

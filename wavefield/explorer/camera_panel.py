@@ -5,7 +5,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from bokeh.events import Tap
+from bokeh.events import DoubleTap, Tap
 from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Range1d, Select
 from numpy.typing import NDArray
@@ -170,7 +170,8 @@ class CameraPanel:
             "X", "Y", source=self.node, size=15, fill_color=None, line_color=VERMILION, line_width=2.4
         )
         draw_masks(made, self.mask, self.masks)
-        made.on_event(Tap, self._tapped)
+        for tap in (Tap, DoubleTap):  # a second click within .3 s is no tap, wherever it is
+            made.on_event(tap, self._tapped)
         made.title.text_color = INK
         return made
 

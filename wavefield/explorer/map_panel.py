@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from bokeh.events import PanEnd, PanStart, Tap
+from bokeh.events import DoubleTap, PanEnd, PanStart, Tap
 from bokeh.models import (
     BoxZoomTool,
     ColumnDataSource,
@@ -154,7 +154,8 @@ class MapPanel:
             made.js_on_event(event, follow)
         made.on_event(PanStart, self._drag_begins)
         made.on_event(PanEnd, self._drag_ends)
-        made.on_event(Tap, self._tapped)
+        for tap in (Tap, DoubleTap):  # a second click within .3 s is no tap, wherever it is
+            made.on_event(tap, self._tapped)
         self._drag.js_on_change(
             "value",
             CustomJS(

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from bokeh.events import Tap
+from bokeh.events import DoubleTap, Tap
 from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Range1d, Select, Slider, Span
 from numpy.typing import NDArray
@@ -139,7 +139,8 @@ class WavePanel:
         )
         self.figure.add_layout(self.picked)
         self.figure.add_layout(colour_bar(self.mapper), "right")
-        self.figure.on_event(Tap, lambda event: self.choose(event.y))
+        for tap in (Tap, DoubleTap):  # a second click within .3 s is no tap, wherever it is
+            self.figure.on_event(tap, lambda event: self.choose(event.y))
         self.map = make_figure(
             "wave_map", height=300, min_width=280, match_aspect=True, tools="pan,wheel_zoom,reset,save",
             x_axis_label="kx / 2\u03c0 (1/m)", y_axis_label="ky / 2\u03c0 (1/m)",
