@@ -129,7 +129,7 @@ def test_probes_that_are_not_there_are_missed(folder, tmp_path, capsys):
     assert main(["-q", "check", changed, "--workflow", workflow]) == 0
     assert re.search(r"probes: .*nowhere.csv", capsys.readouterr().out)
     cube = str(tmp_path / "cube.zarr")
-    assert main(["-q", "run", changed, "--workflow", workflow, "-o", cube]) == 0
+    assert main(["-q", "run", changed, "--workflow", workflow, "-o", cube]) == 3
     assert main(["-q", "analyze", cube]) == 0
     assert re.search(r"without the probes .*nowhere.csv", capsys.readouterr().err)
 

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from wavefield.calibration.blobs import centroid_bias, centroids, find_blobs
 from wavefield.calibration.lattice import Candidates, Lattice, SmoothMap
-from wavefield.calibration.patterns import centroid_bias, centroids, find_blobs, make_points
+from wavefield.calibration.patterns import make_points
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError

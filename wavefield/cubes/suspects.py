@@ -8,29 +8,20 @@ moment: what makes it agree is what is wrong with it.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.cubes.agreements import LEAST, Table, covered, score, size
 from wavefield.cubes.witness import (
     Agreement,
     Pair,
     Witness,
-    agreement,
-    compare,
-    grounds,
-    pairs_of_all,
-    pooled,
 )
 from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark, Weight
 
 _FEWEST = 6  # patches: with fewer nothing is said
-_LEAST = 0.2  # of the patches: two cameras that agree in fewer do not agree
-_BESIDE = 0.5  # of what the best pair of cameras agrees in
-_SCATTER = 0.4  # px of eps_y: more is not the same water
 _MATTERS = 0.1  # px: what the mending of a rig is worth
 _BLURRED = 1.6  # times the blur of the other cameras
 _COVERED = 0.08  # of the patches
@@ -79,7 +70,7 @@ def examine(witness: Witness, count: int, frames: Sequence[int]) -> Examination:
     whole = tuple(k for k in frames if all(witness.read(name, k) is not None for name in names))
     if len(witness.x) < _FEWEST or not whole or len(names) < 2:
         return Examination((), {}, {}, whole)
-    table = _Table(witness, names, whole)
+    table = Table(witness, names, whole)
     remarks = [*_covered(table), *_blurred(table)]
     lying, explained = _lying(table, count)
     seen = {remark.subject: remark for remark in remarks}
@@ -94,123 +85,10 @@ def examine(witness: Witness, count: int, frames: Sequence[int]) -> Examination:
     return Examination(tuple(remarks), table.camera_numbers(), table.pair_numbers(), whole)
 
 
-class _Table:
-    """Agreements of all pairs at all instants."""
-
-    def __init__(self, witness: Witness, names: list[str], frames: tuple[int, ...]) -> None:
-        self.witness, self.names, self.frames = witness, names, frames
-        self.pairs = pairs_of_all(names)
-        self.grounds = {k: grounds(witness, k, names) for k in frames}
-        self.found: dict[Pair, list[Agreement]] = {
-            pair: [self.compare(pair, k, pair[0], pair[1]) for k in frames] for pair in self.pairs
-        }
-        self.blur = {name: [blur(witness.read(name, k)) for k in frames] for name in names}
-
-    def compare(
-        self, pair: Pair, frame: int, first: str, second: str, *, change: str = "", later: int = 0
-    ) -> Agreement:
-        """Images of two cameras through the lenses of a pair; the second changed, or of another moment."""
-        witness, a, b = self.witness, *pair
-        one = witness.patches(first, frame, "", a)
-        other = witness.patches(second, frame + later, change, b)
-        ground = self.grounds[frame][first] if first == a else None
-        if not change and second == b and ground is not None:
-            ground = ground & self.grounds[frame][second]
-        return agreement(witness, pair, compare(one, other), ground)
-
-    def good(self) -> list[Pair]:
-        """Pairs of cameras that agree."""
-        scores = {pair: score(found) for pair, found in self.found.items()}
-        limit = max(_LEAST, _BESIDE * max(scores.values()))
-        return [pair for pair, value in scores.items() if value >= limit]
-
-    def camera_numbers(self) -> dict[str, dict[str, list[float]]]:
-        """Of every camera, over time."""
-        return {
-            name: {
-                "blur": [round(value, 3) for value in self.blur[name]],
-                "brightness": [round(float(np.mean(self._image(name, k))), 2) for k in self.frames],
-                "coverage": [round(1 - value, 3) for value in covered(self, name)],
-            }
-            for name in self.names
-        }
-
-    def pair_numbers(self) -> dict[str, dict[str, list[float]]]:
-        """Of every pair, over time."""
-        return {
-            "-".join(pair): {
-                "agreement": [round(one.fraction, 3) for one in found],
-                "eps_y": [round(size(one.smooth), 3) for one in found],
-            }
-            for pair, found in self.found.items()
-        }
-
-    def _image(self, name: str, frame: int) -> NDArray[Any]:
-        return np.asarray(self.witness.read(name, frame))
-
-
-def score(found: Sequence[Agreement]) -> float:
-    """How well two cameras agree over some instants: patches found, nothing if they scatter.
-
-    Parameters
-    ----------
-    found : sequence of Agreement
-        One per instant.
-
-    Returns
-    -------
-    float
-        0 to 1.
-    """
-    scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= 4]
-    return pooled(found) if scatter and float(np.median(scatter)) < _SCATTER else 0.0
-
-
-def size(smooth: NDArray[np.float64]) -> float:
-    """Rms over the field of the smooth part of eps_y, px."""
-    return float(np.sqrt(smooth[0] ** 2 + (smooth[1] ** 2 + smooth[2] ** 2) / 3))
-
-
-def blur(image: NDArray[Any] | None) -> float:
-    """Width of the finest things in an image, px: from how alike neighbouring pixels are.
-
-    Parameters
-    ----------
-    image : ndarray, (rows, columns), or None
-        Grey levels.
-
-    Returns
-    -------
-    float
-        Standard deviation of a Gaussian that would make them so alike; NaN where there is nothing to see.
-    """
-    if image is None:
-        return float("nan")
-    fine = np.asarray(image, np.float32)
-    fine = fine - cv2.blur(fine, (15, 15))
-    power = float((fine * fine).mean())
-    if power <= 0:
-        return float("nan")
-    alike = [float((fine[1:] * fine[:-1]).mean()), float((fine[:, 1:] * fine[:, :-1]).mean())]
-    across = [float((fine[2:] * fine[:-2]).mean()), float((fine[:, 2:] * fine[:, :-2]).mean())]
-    # two pixels aside against one: noise, which is alike in no two pixels, has no part in it
-    ratio = np.clip(np.array(across) / np.maximum(alike, 1e-6 * power), 1e-4, 0.9999)
-    return float(np.sqrt(-3 / (4 * np.log(np.sqrt(ratio.prod())))))
-
-
 # -- one thing after another -------------------------------------------------------------------------------
 
 
-def covered(table: _Table, name: str) -> list[float]:
-    """Fraction of the patches in which a camera shows nothing where another shows something."""
-    out = []
-    for ground in table.grounds.values():
-        others = np.mean([ground[other] for other in table.names if other != name], axis=0) > 0.5
-        out.append(float((others & ~ground[name]).sum() / max(others.sum(), 1)))
-    return out
-
-
-def _covered(table: _Table) -> Iterator[Remark]:
+def _covered(table: Table) -> Iterator[Remark]:
     for name in table.names:
         fraction = float(np.median(covered(table, name)))
         if fraction > _COVERED:
@@ -225,7 +103,7 @@ def _covered(table: _Table) -> Iterator[Remark]:
             )
 
 
-def _blurred(table: _Table) -> Iterator[Remark]:
+def _blurred(table: Table) -> Iterator[Remark]:
     widths = {name: float(np.nanmedian(table.blur[name])) for name in table.names}
     for name, width in widths.items():
         usual = float(np.median([widths[other] for other in table.names if other != name]))
@@ -241,7 +119,7 @@ def _blurred(table: _Table) -> Iterator[Remark]:
             )
 
 
-def _lying(table: _Table, count: int) -> tuple[set[str], list[Remark]]:
+def _lying(table: Table, count: int) -> tuple[set[str], list[Remark]]:
     """Cameras that agree with none, and what explains it."""
     good = table.good()
     if len(good) == len(table.pairs):
@@ -249,7 +127,7 @@ def _lying(table: _Table, count: int) -> tuple[set[str], list[Remark]]:
     lying = {name for name in table.names if not any(name in pair for pair in good)}
     if not lying:  # a wide pair of cameras may see too different pictures; each still agrees with a third
         return set(), []
-    level = max(_LEAST, _BESIDE * max(score(found) for found in table.found.values()))
+    level = table.level()
     if swap := _swapped(table, level):
         return set(table.names), [swap]
     remarks = []
@@ -264,20 +142,20 @@ def _lying(table: _Table, count: int) -> tuple[set[str], list[Remark]]:
     return lying, remarks
 
 
-def _nobody(table: _Table) -> Remark:
+def _nobody(table: Table) -> Remark:
     best = max(score(found) for found in table.found.values())
     return Remark(
         "cameras",
         "disagree",
         "grave",
         f"no two of them see the same water: at best {100 * best:.0f} % of the patches are found again",
-        f"more than {100 * _LEAST:.0f} %",
+        f"more than {100 * LEAST:.0f} %",
         "is the rig theirs, are the frames of the same moments (`offset`), is the water seeded?",
         {"agreement": best},
     )
 
 
-def _swapped(table: _Table, level: float) -> Remark | None:
+def _swapped(table: Table, level: float) -> Remark | None:
     before = float(np.mean([score(found) for found in table.found.values()]))
     best, which = max(before + 0.1, level), None
     for one, other in table.pairs:
@@ -288,7 +166,7 @@ def _swapped(table: _Table, level: float) -> Remark | None:
             score([table.compare((a, b), k, turned.get(a, a), turned.get(b, b)) for k in table.frames[:2]])
             for a, b in table.pairs
         ]
-        if min(scores) > _LEAST / 2 and float(np.mean(scores)) > best:
+        if min(scores) > LEAST / 2 and float(np.mean(scores)) > best:
             best, which = float(np.mean(scores)), (one, other)
     if which is None:
         return None
@@ -303,7 +181,7 @@ def _swapped(table: _Table, level: float) -> Remark | None:
     )
 
 
-def _explain(table: _Table, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
+def _explain(table: Table, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
     """What makes a camera agree with its partners, tried at two instants."""
     frames = table.frames[:2]
     candidates: dict[tuple[str, str, str], float] = {}
@@ -325,7 +203,7 @@ def _explain(table: _Table, name: str, partners: Sequence[str], level: float, co
                 _keep(candidates, ("swapped", other, partner), score(found))
     (kind, what, _), best = max(candidates.items(), key=lambda item: item[1])
     now = max(score(table.found[pair]) for pair in table.pairs if name in pair)
-    if best < max(_LEAST, level, 2 * now):
+    if best < max(LEAST, level, 2 * now):
         return _contradicts(table, name, now)
     return replace(_WORDS[kind](name, what), values={"agreement": best, "as it is": now})
 
@@ -372,20 +250,20 @@ _WORDS = {
 }
 
 
-def _contradicts(table: _Table, name: str, now: float) -> Remark:
+def _contradicts(table: Table, name: str, now: float) -> Remark:
     usual = max(score(found) for found in table.found.values())
     return Remark(
         name,
         "contradicts",
         "grave",
         f"it agrees with no other camera: {100 * now:.0f} % of its patches are found again",
-        f"{100 * usual:.0f} % as the others among themselves" if usual else f"more than {100 * _LEAST:.0f} %",
+        f"{100 * usual:.0f} % as the others among themselves" if usual else f"more than {100 * LEAST:.0f} %",
         "is it sharp and bright, are its frames of the same moments, is the rig that of these images?",
         {"agreement": now, "usual": usual},
     )
 
 
-def _knocked(table: _Table, lying: set[str]) -> list[Remark]:
+def _knocked(table: Table, lying: set[str]) -> list[Remark]:
     """Cameras whose sight lines miss those of the others by a smooth eps_y."""
     smooth = {
         pair: np.median([one.smooth for one in found if one.fraction > 0], axis=0)
@@ -418,7 +296,7 @@ def _knocked(table: _Table, lying: set[str]) -> list[Remark]:
     return [remark]
 
 
-def _uneven(table: _Table, lying: set[str]) -> list[Remark]:
+def _uneven(table: Table, lying: set[str]) -> list[Remark]:
     """Pairs of cameras that see the same water at different heights: one has moved along the parallax.
 
     Which one cannot be told: heights of two pairs are one number more than there is water.
@@ -453,7 +331,7 @@ def _uneven(table: _Table, lying: set[str]) -> list[Remark]:
     ]
 
 
-def _apart(table: _Table, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:
+def _apart(table: Table, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:
     """By how much the heights of two pairs differ where both found a patch, px of parallax."""
     a, b = table.found[first][k], table.found[second][k]
     both, ia, ib = np.intersect1d(a.places, b.places, return_indices=True)

@@ -15,6 +15,7 @@ from scipy import fft
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.water import GAMMA, dispersion
+from wavefield.waves.discoveries import discoveries, probabilities
 from wavefield.waves.record import Record, find_record
 from wavefield.waves.segments import Reader, spatial_window
 from wavefield.waves.spectra import spectrum
@@ -29,7 +30,6 @@ _SHORTEST = 0.8  # of the Nyquist wavenumber
 _CELLS = 700  # wave vectors held over time
 _STANDS_OUT = 3.0  # energy on the ridge over what lies beside it
 _LEAST = 8  # segments
-_TAIL = 0.02  # of the surrogates, to which the tail of the null is fitted
 _LAGS = 24  # segments over which lines may remember themselves
 _BATCH = 2048  # coherences computed at a time
 _PIECE = 256  # steps transformed in space at a time
@@ -283,53 +283,6 @@ def _coherences(x: Array, memory: Array, tests: _Tests) -> _Found:
         chance = np.maximum((powers[0] * powers[1]).sum(axis=1) * np.maximum(longer, 1.0), 1e-300)
         parts.append(np.stack([cross / norm, cross / chance, norm / chance]))
     return _Found(*(np.concatenate(parts, axis=1) if parts else np.zeros((3, 0))))
-
-
-def probabilities(score: Array, null: Array) -> Array:
-    """Probability that chance gives a score at least as high.
-
-    Parameters
-    ----------
-    score, null : ndarray
-        Of the record, and of surrogates.
-
-    Returns
-    -------
-    ndarray
-        From the surrogates' distribution, its tail continued as exponential.
-    """
-    null = np.sort(null)
-    edge = null[int((1 - _TAIL) * (null.size - 1))]
-    scale = float((null[null > edge] - edge).mean())
-    count = null.size - np.searchsorted(null, score, "left")
-    return np.where(score > edge, _TAIL * np.exp(-(score - edge) / scale), (count + 1) / (null.size + 1))
-
-
-def discoveries(p: Array, false: float) -> Array:
-    """Which of many tests are significant (Benjamini and Hochberg 1995).
-
-    Parameters
-    ----------
-    p : ndarray, (n,)
-        Probabilities.
-    false : float
-        Expected fraction of false ones among the discoveries.
-
-    Returns
-    -------
-    ndarray of bool, (n,)
-
-    Examples
-    --------
-    >>> discoveries(np.array([0.001, 0.5, 0.02, 0.9]), 0.05).tolist()
-    [True, False, True, False]
-    """
-    order = np.argsort(p)
-    below = np.flatnonzero(p[order] <= false * np.arange(1, p.size + 1) / max(p.size, 1))
-    out = np.zeros(p.size, bool)
-    if below.size:
-        out[order[: below[-1] + 1]] = True
-    return out
 
 
 def resonances(

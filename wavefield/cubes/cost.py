@@ -1,0 +1,150 @@
+"""What a run will take, told from a few steps of it."""
+
+import shutil
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numcodecs
+import numpy as np
+
+from wavefield.cubes.block import Measured, make_block, measure_block
+from wavefield.cubes.cluster import count_workers
+from wavefield.cubes.prepare import Prepared
+from wavefield.cubes.reading import Reading, look_at_reading
+from wavefield.errors import ExperimentError
+from wavefield.series import FrameSeries
+from wavefield.store.layout import COMPRESSION
+from wavefield.variables import FrameStatus, Quality
+from wavefield.words import spell_time
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a run will take, from measured steps.
+
+    Parameters
+    ----------
+    step_seconds : float
+        Time per step on one worker, s.
+    workers : int
+        Workers that share the steps.
+    seconds : float
+        Time of the whole run, s.
+    memory : int
+        Memory per worker, bytes.
+    disk : int
+        Size of the store, bytes.
+    free : int
+        Room on the disk of the store, bytes.
+    reading : Reading or None
+        What the workers want to read, and what the images' disk gives.
+    """
+
+    step_seconds: float
+    workers: int
+    seconds: float
+    memory: int
+    disk: int
+    free: int
+    reading: Reading | None = None
+
+    def __str__(self) -> str:
+        workers = "1 worker" if self.workers == 1 else f"{self.workers} workers"
+        text = (
+            f"{spell_time(self.seconds)} on {workers} ({self.step_seconds:.2f} s per step), "
+            f"{self.memory / 1e9:.2f} GB of memory per worker, {_size(self.disk)} of disk"
+        )
+        if self.free < 1.1 * self.disk:
+            text += f" - but only {_size(self.free)} are free: free some room or write elsewhere with -o"
+        return text
+
+
+def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
+    """Measure a few steps in the middle of the run, and tell from them what the whole will take.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        As from `wavefield.cubes.prepare.prepare`.
+
+    Returns
+    -------
+    cost : Cost
+        Time, memory, disk.
+    measured : float
+        Fraction of the nodes in view that were measured, not filled.
+
+    Raises
+    ------
+    ExperimentError
+        If no step could be measured.
+    """
+    start = _whole_step(prepared.series)
+    stop = min(start + 3, prepared.steps)
+    _time_block(prepared, start, start + 1)  # compiles, and fills caches
+    single, one = _time_block(prepared, start, start + 1)
+    step = single / 4  # of a record of one step, which takes nearly as much as its four frames
+    if stop > start + 1:
+        several, one = _time_block(prepared, start, stop)
+        step = max(several - single, 0.1 * several) / (stop - start - 1)
+    if (one.frame_status == FrameStatus.FAILED).all():
+        raise ExperimentError(
+            f"the step of frame {next(iter(prepared.series.values())).first + start} could not be measured; "
+            "look at its images, the rig and the grid"
+        )
+    workers = count_workers(prepared.workflow)
+    frames_measured = prepared.steps * (1 + 3 / prepared.block)
+    cost = Cost(
+        step_seconds=step,
+        workers=workers,
+        seconds=step * frames_measured / workers,
+        memory=_peak_memory() + 3 * prepared.block * prepared.step_bytes,
+        disk=int(_stored_bytes(one.fields) * prepared.steps / (stop - start)),
+        free=shutil.disk_usage(prepared.experiment.path.parent).free,
+        reading=look_at_reading(prepared.series, prepared.block, step, workers),
+    )
+    quality = one.fields["quality"]
+    seen = (
+        quality & (Quality.OUTSIDE | Quality.MASKED)
+    ) == 0  # filled nodes are finite too, but not measured
+    return cost, float((quality[seen] & Quality.MEASURED != 0).mean()) if seen.any() else 0.0
+
+
+def _time_block(prepared: Prepared, start: int, stop: int) -> tuple[float, Measured]:
+    since = time.perf_counter()
+    measured = measure_block(
+        make_block(prepared.series, start, stop), prepared.plan, prepared.experiment.frame_rate
+    )
+    return time.perf_counter() - since, measured
+
+
+def _stored_bytes(fields: Mapping[str, np.ndarray]) -> int:
+    """Bytes of measured fields after compression as in the store."""
+    codec = numcodecs.Blosc(**COMPRESSION, shuffle=numcodecs.Blosc.SHUFFLE)
+    return sum(len(codec.encode(np.ascontiguousarray(field))) for field in fields.values())
+
+
+def _peak_memory() -> int:
+    """Most memory that this process has used so far, bytes."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
+
+
+def _size(count: float) -> str:
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
+
+
+def _whole_step(series: Mapping[str, FrameSeries]) -> int:
+    """A step near the middle whose frames and neighbours are all there, if there is one."""
+    there = np.all([[entry is not None for entry in s.entries] for s in series.values()], axis=0)
+    whole = there[:-1] & there[1:]
+    steps = np.flatnonzero(whole)
+    if steps.size == 0:
+        raise ExperimentError("no two consecutive frames are there in all cameras: nothing can be measured")
+    return int(steps[np.argmin(np.abs(steps - len(whole) // 2))])
