@@ -288,18 +288,17 @@ def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference, spoil,
 
 
 def test_a_frame_that_was_copied_again_is_measured(own_tank, reference, measured):
-    frames = [own_tank.parent / "cam1" / f"img_{n:05d}.tif" for n in (8, FRAMES - 1)]
+    frames = [own_tank.parent / "cam1" / f"img_{n:05d}.tif" for n in (8, 13)]
     whole = [frame.read_bytes() for frame in frames]
     for frame in frames:
         frame.unlink()
-    # the number of frames follows from the other cameras
     state = run(own_tank, workflow=blocks_of(4))
-    assert state.bad_frames[0].numbers == (8, FRAMES - 1)
+    assert state.bad_frames[0].numbers == (8, 13)
     frames[0].write_bytes(whole[0])
     measured.clear()
     state = run(own_tank, workflow=blocks_of(4))
     assert measured == [4, 8]
-    assert state.bad_frames[0].numbers == (FRAMES - 1,)
+    assert state.bad_frames[0].numbers == (13,)
     frames[1].write_bytes(whole[1])
     state = run(own_tank, workflow=blocks_of(4))
     assert not state.bad_frames

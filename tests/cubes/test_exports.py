@@ -29,7 +29,7 @@ def test_matlab_reads_fields_as_y_x_time(reference, cube, tmp_path):
             as_matlab_has_it = file[name][:].T  # it reads dimensions in reverse
             np.testing.assert_array_equal(as_matlab_has_it, cube[name].transpose("y", "x", "time"))
         assert file["z"].attrs["MATLAB_class"] == b"single"
-        assert file["quality"].attrs["MATLAB_class"] == b"uint8"
+        assert file["quality"].attrs["MATLAB_class"] == b"uint16"
         assert file["time"][:].T.shape == (cube.sizes["time"], 1)
         assert file["units"].attrs["MATLAB_class"] == b"struct"
         assert file["units/w"][:].astype("<u2").tobytes().decode("utf-16-le") == "m s-1"
@@ -41,7 +41,7 @@ def points_and_fields(path):
     data = path.read_bytes()
     start = data.index(b"_", data.index(b"<AppendedData")) + 1
     root = ET.fromstring(data[: start - 1] + b"</AppendedData></VTKFile>")
-    kinds = {"Float32": "<f4", "UInt8": "u1"}
+    kinds = {"Float32": "<f4", "UInt8": "u1", "UInt16": "u2"}
     out = {}
     for array in root.iter("DataArray"):
         at = start + int(array.get("offset"))

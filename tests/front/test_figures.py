@@ -217,7 +217,8 @@ def test_pictures_of_the_waves(waves, name, groups, words):
 
 def test_dispersion_curve_lies_on_the_ridge_of_the_map(waves):
     figure = figures.komega_map(waves["spectra"].to_dataset(), waves["dispersion"].to_dataset())
-    curve = figure.axes[0].lines[-1].get_xydata()
+    named = {line.get_label(): line for line in figure.axes[0].lines}
+    curve = named["linear dispersion relation"].get_xydata()
     k, hertz = curve[len(curve) // 3]
     exact = np.sqrt((9.81 * 2 * np.pi * k + 7.28e-5 * (2 * np.pi * k) ** 3) * np.tanh(2 * np.pi * k * 0.7))
     assert hertz == pytest.approx(exact / (2 * np.pi), rel=2e-3)

@@ -50,7 +50,15 @@ def test_cameras_without_a_common_field_are_told():
         common_field([down()], step=5.0)
 
 
-def test_a_camera_that_sees_the_horizon_is_told():
+def test_a_field_ends_short_of_the_horizon():
     level = Camera(1000, 1000, 500, 500, ((1, 0, 0), (0, 0, -1), (0, 1, 0)), (0, 2, 0), (1000, 1000))
-    with pytest.raises(RigError, match="horizon"):
-        common_field([level])
+    x, y = np.meshgrid(*(common_field([level]).x, common_field([level]).y))
+    nearest = 2.0 * np.sqrt(5.0)  # the image's lowest row looks down by 1 in 2 from 2 m
+    assert level.sees(x, y, 0.0).all()
+    assert np.sqrt(x**2 + y**2 + 4.0).max() < 3.2 * nearest
+
+
+def test_a_camera_that_sees_no_water_is_told():
+    upwards = Camera(1000, 1000, 500, 500, ((1, 0, 0), (0, -1, 0), (0, 0, 1)), (0, 0, -2), (1000, 1000))
+    with pytest.raises(RigError, match="does not see the water"):
+        common_field([upwards])

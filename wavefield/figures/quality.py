@@ -76,7 +76,7 @@ def fault_history(cube: xr.Dataset) -> Figure:
     -------
     Figure
     """
-    nothing = int(Quality.OUTSIDE | Quality.MASKED)
+    nothing = np.uint16(Quality.OUTSIDE | Quality.MASKED)  # older cubes hold 8 bits
     inside = ((cube.quality & nothing) == 0) & (cube.quality != 0)
     seen = inside.mean(("y", "x")).compute()
     shares = quality_shares(cube.quality, ("y", "x")).compute()

@@ -27,7 +27,8 @@ def summary(sources: Sources) -> Section:
     """
     cube = sources.cube
     part = sources.thinned("z", "u", "v", "w", "eps_y", "eps_piv", "quality")
-    seen = (part.quality != 0) & ((part.quality & int(Quality.OUTSIDE | Quality.MASKED)) == 0)
+    nothing = np.uint16(Quality.OUTSIDE | Quality.MASKED)  # older cubes hold 8 bits
+    seen = (part.quality != 0) & ((part.quality & nothing) == 0)
     measured = ((part.quality & int(Quality.MEASURED)) != 0).sum() / max(int(seen.sum()), 1)
     status = cube.frame_status.values
     rate = float(cube.attrs["frame_rate"])

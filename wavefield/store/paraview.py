@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from wavefield.whole_files import write_text
 
-_TYPES = {"float32": "Float32", "float64": "Float64", "uint8": "UInt8"}
+_TYPES = {"float32": "Float32", "float64": "Float64", "uint8": "UInt8", "uint16": "UInt16"}
 _HIDDEN = np.uint8(2)  # vtkDataSetAttributes::HIDDENPOINT: nodes without an elevation are not drawn
 _VELOCITY = ("u", "v", "w")
 
