@@ -260,8 +260,8 @@ def _map_on(
         while tasks.futures:
             watch()
             done = tasks.wait()
-            if any(future.status not in ("finished", "error") for future in done):
-                raise lost  # cancelled or lost with its scheduler
+            if client.status != "running" or any(future.status == "cancelled" for future in done):
+                raise lost
             if done:
                 with undisturbed():
                     results = tasks.fetch(done)
@@ -331,14 +331,22 @@ class _Tasks:
 
     def fetch(self, done: Sequence[Any]) -> list[tuple[int, Any]]:
         """Results of tasks that have ended, item by item; what was not done goes back to what is left."""
+        from distributed import CancelledError
+
         finished = [future for future in done if future.status == "finished"]
-        results = dict(zip(finished, self._client.gather(finished))) if finished else {}
+        gone = [future for future in done if future.status not in ("finished", "error")]
+        try:
+            results = dict(zip(finished, self._client.gather(finished))) if finished else {}
+        except CancelledError:
+            results, gone = {}, gone + finished
         out: list[tuple[int, Any]] = []
         for future in done:
             indices = self.futures.pop(future)
             if future in results:
                 out += zip(indices, results[future])
                 self._left.extendleft(reversed(indices[len(results[future]) :]))
+            elif future in gone:  # its worker ended before the results were fetched
+                self._left.extendleft(reversed(indices))
             elif len(indices) > 1:
                 self._alone.update(indices)
                 self._left.extendleft(reversed(indices))

@@ -53,7 +53,7 @@ def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
     """
     out = np.full(np.shape(quality), len(KINDS), np.uint8)
     for index in range(len(KINDS) - 1, -1, -1):
-        out[(np.asarray(quality) & int(Quality[KINDS[index][0]])) != 0] = index
+        out[(np.asarray(quality) & np.uint16(Quality[KINDS[index][0]])) != 0] = index
     return out
 
 
