@@ -260,7 +260,8 @@ def _map_on(
         while tasks.futures:
             watch()
             done = tasks.wait()
-            if client.status != "running" or any(future.status == "cancelled" for future in done):
+            gone = {future.status for future in done} - {"finished", "error"}
+            if "cancelled" in gone or (gone and client.status != "running"):
                 raise lost
             if done:
                 with undisturbed():
