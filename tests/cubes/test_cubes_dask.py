@@ -16,7 +16,7 @@ from wavefield.cubes.cluster import count_workers, open_cluster
 from wavefield.cubes.dask_cluster import Task
 from wavefield.cubes.dask_settings import temporary_credentials, wants_tls
 from wavefield.cubes.slurm import count_jobs
-from wavefield.errors import ExperimentError
+from wavefield.errors import ExperimentError, StoreError
 
 
 def ports(item):
@@ -168,6 +168,38 @@ def test_an_item_that_ends_its_workers_is_found_among_those_that_were_sent_with_
     results = dict(dask_cluster._map_on(Deadly(), abs, range(2_000), 2, lambda: None))
     assert "10 workers ended while they worked on it" in str(results.pop(7))
     assert results == {item: item for item in range(2_000) if item != 7}
+
+
+class Forgetful(Client):
+    """A task's results are gone with its worker: once before they are fetched, once while they are."""
+
+    status = "running"
+
+    def map(self, task, batches, key, pure):
+        futures = super().map(task, batches, key, pure)
+        if len(self.sizes) == len(batches):  # the first that are submitted
+            futures[0].status = "lost"
+        return futures
+
+    def gather(self, futures):
+        from distributed import CancelledError
+
+        if not self.fetched:
+            self.fetched = 1
+            raise CancelledError("blocks")
+        return super().gather(futures)
+
+
+def test_results_that_went_with_their_worker_are_computed_again():
+    results = list(dask_cluster._map_on(Forgetful(), abs, range(200), 2, lambda: None))
+    assert sorted(results) == [(item, item) for item in range(200)]
+
+
+def test_results_that_are_gone_with_the_scheduler_end_the_run():
+    client = Forgetful()
+    client.status = "closed"
+    with pytest.raises(StoreError, match="the scheduler was lost"):
+        list(dask_cluster._map_on(client, abs, range(200), 2, lambda: None))
 
 
 def test_workers_from_how_many_to_how_many():
