@@ -57,7 +57,8 @@ def water_of(attributes: Mapping[str, Any], depth: float | None = None) -> tuple
 
     Examples
     --------
-    >>> water_of({"water_depth": 0.7})
+    >>> depth, gamma = water_of({"water_depth": 0.7})
+    >>> depth, round(gamma, 8)
     (0.7, 7.28e-05)
     """
     if depth is None:
