@@ -30,14 +30,18 @@ from wavefield.tank.simulate import simulate
 from wavefield.waves.analyze import analyze
 from wavefield.waves.bound import free_and_bound, free_and_bound_fields
 from wavefield.waves.breaking import breaking
+from wavefield.waves.budget import energy_budget
 from wavefield.waves.coherence import coherence
 from wavefield.waves.crests import crest_statistics
 from wavefield.waves.directional import directional_spectrum
+from wavefield.waves.drift import stokes_drift, surface_paths
+from wavefield.waves.increments import structure_functions
 from wavefield.waves.kinematics import kinematics
 from wavefield.waves.resonances import resonances
 from wavefield.waves.ridge import fit_dispersion
 from wavefield.waves.shear import current_by_depth
 from wavefield.waves.spectra import komega, spectrum
+from wavefield.waves.vortices import waves_and_vortices
 
 __version__: str
 
@@ -60,6 +64,7 @@ __all__ = [
     "crest_statistics",
     "current_by_depth",
     "directional_spectrum",
+    "energy_budget",
     "export",
     "fit_dispersion",
     "free_and_bound",
@@ -82,6 +87,10 @@ __all__ = [
     "simulate",
     "spectrum",
     "status",
+    "stokes_drift",
+    "structure_functions",
+    "surface_paths",
     "to_pivpy",
     "verify",
+    "waves_and_vortices",
 ]

@@ -8,14 +8,17 @@ from wavefield.water import dispersion, group_velocity, wavenumber
 from wavefield.waves.analyze import analyze
 from wavefield.waves.bound import free_and_bound, free_and_bound_fields
 from wavefield.waves.breaking import breaking
+from wavefield.waves.budget import energy_budget
 from wavefield.waves.coherence import coherence
 from wavefield.waves.crests import crest_statistics
 from wavefield.waves.crosses import cross_spectra
 from wavefield.waves.direction import directions
 from wavefield.waves.directional import directional_spectrum
+from wavefield.waves.drift import stokes_drift, surface_paths
 from wavefield.waves.fuse import fuse
 from wavefield.waves.fusion import fusion
 from wavefield.waves.higher_order import HigherOrderSettings, higher_order
+from wavefield.waves.increments import structure_functions
 from wavefield.waves.kinematics import finite_residual, kinematics, kinematics_at
 from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Record, find_record, whole_record
@@ -39,6 +42,7 @@ from wavefield.waves.transfer import (
     gain_two_frames,
     undo,
 )
+from wavefield.waves.vortices import waves_and_vortices
 from wavefield.waves.wave_vectors import plane_coherence
 from wavefield.waves.window_gain import read_gain, window_gain
 
@@ -60,6 +64,7 @@ __all__ = [
     "directions",
     "dispersion",
     "elevation_from_w",
+    "energy_budget",
     "find_record",
     "finite_residual",
     "fit_dispersion",
@@ -84,9 +89,13 @@ __all__ = [
     "resonances",
     "spectrum",
     "statistics",
+    "stokes_drift",
+    "structure_functions",
+    "surface_paths",
     "total",
     "undo",
     "wavenumber",
+    "waves_and_vortices",
     "whole_record",
     "window_gain",
 ]
