@@ -13,7 +13,7 @@ from wavefield.matching import (
     first_prior,
     noise_of_scores,
 )
-from wavefield.matching.posterior import cosines
+from wavefield.matching.cosines import cosines
 
 K = tuple(np.linspace(0.04, 3.1, 40))
 

@@ -260,7 +260,7 @@ class Follower:
                         f"these have {size[0]} x {size[1]}; use the rig of these images"
                     )
                     return
-            settings = make_settings(self.experiment, Workflow(settings={"preset": "fast"}))
+            settings = make_settings(self.experiment, Workflow())
             covered = footprints(self.experiment.mask)
             self._plan = Plan(used, self.experiment.choose_grid(used), settings, covered=covered)
             self._masks = self._still_masks(used, -self._plan.z_range[0])

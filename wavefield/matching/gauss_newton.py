@@ -160,7 +160,8 @@ def initial_fields(
             raise ValueError(f"initial is on a lattice of {field.shape} blocks but the image has {shape}")
         field = np.array(np.broadcast_to(field, shape))
         known = np.isfinite(field)
-        field[~known] = np.median(field[known]) if known.any() else 0
+        if not known.all():
+            field[~known] = np.median(field[known]) if known.any() else 0
         fields.append(field)
     return fields[0], fields[1]
 
@@ -198,9 +199,9 @@ class _View:
             self._hessian = self.windows(self.a.moments[:3] * self.count)
         return self._hessian
 
-    def windows(self, fields: np.ndarray) -> np.ndarray:
+    def windows(self, fields: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         """Fields filtered with the window."""
-        out = np.empty_like(fields)
+        out = np.empty_like(fields) if out is None else out
         for field, to in zip(fields, out):
             filtered(field, self.weights, to)
         return out
@@ -315,5 +316,5 @@ def look_again(a: Prepared, b: Prepared, u: np.ndarray, v: np.ndarray, settings:
     none = np.zeros(u.shape, bool)
     windowed = np.empty_like(sums)
     windowed[:2] = 0  # no step is taken
-    windowed[2:] = view.windows(sums[2:])
+    view.windows(sums[2:], windowed[2:])
     return assess(view.a, view.b, u, v, sums, windowed, view.share, (still, still), none, settings)

@@ -18,6 +18,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
+from wavefield.matching.cosines import Cosines, cosines, weigh
 from wavefield.matching.prior import Prior, wavenumbers
 from wavefield.matching.transfer import footprint
 
@@ -28,16 +29,18 @@ Factor = tuple[Float, Float]
 F = np.float32
 _CLUSTER = 5  # blocks: neighbours closer than this share pixels, gradients and noise
 _AROUND = 6.0  # blocks over which noise is taken as alike
-_FAINT = 1e-3  # signal over noise below which a mode is left out
+_FAINT = 2e-2  # signal over noise below which a mode is left out: it would keep no more of itself
 _EXACT = 300  # modes of the highest signal over noise that the preconditioner solves exactly
 _STEPS = 200  # at most; some ten are usual
 _BARE = 0.15  # of the typical information, over 7 x 7 blocks: less is a hole
-_CLOSE = 0.02, 0.005  # tolerances of the solver at the first and the second look
-_LOOSE = 0.1, 0.03  # the same without holes: only what lies far from any block converges late
+_CLOSE = 0.03, 0.007  # tolerances of the solver at the first and the second look
+_LOOSE = 0.1, 0.025  # the same without holes: only what lies far from any block converges late
 _EDGE = 6.0  # blocks: reach of a slope at the edge, and width over which it is taken
 _ALONG = 3.0  # blocks along the edge over which it is smoothed
 
 njit = compiled(error_model="numpy")
+# sums may be taken in any order, and are always taken in the same
+loose = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 
 
 def noise_of_scores(score: Float, trace: Float, counts: Float, freedom: float) -> Float:
@@ -108,26 +111,8 @@ def _around(field: Float) -> Float:
     return cv2.resize(half, (nx, ny), interpolation=cv2.INTER_LINEAR)
 
 
-def cosines(n: int, count: int) -> NDArray[np.float64]:
-    """The first orthonormal cosines on n blocks.
-
-    Parameters
-    ----------
-    n, count : int
-        Blocks and modes.
-
-    Returns
-    -------
-    ndarray, (count, n)
-    """
-    phase = np.pi * np.arange(count)[:, None] * (np.arange(n) + 0.5) / n
-    out: NDArray[np.float64] = np.cos(phase) * np.sqrt(2.0 / n)
-    out[0] /= np.sqrt(2.0)
-    return out
-
-
 class Modes:
-    """The cosine modes in which a field is sought: those with more than a thousandth of signal over noise.
+    """The cosine modes in which a field is sought: those with more than a fiftieth of signal over noise.
 
     Parameters
     ----------
@@ -145,25 +130,29 @@ class Modes:
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int], wanted: Mask | None = None) -> None:
-        self.prior, self.lattice, self.wanted = prior, shape, wanted
+        self.prior, self.lattice = prior, shape
+        self._wanted = np.ones(shape, np.bool_) if wanted is None else wanted.copy()
+        edge = int(_EDGE)  # so near to it little is known anyway: that is no hole
+        inside = np.zeros(shape, np.bool_)
+        inside[edge:-edge, edge:-edge] = True
+        self._wanted &= inside
         kx, ky = wavenumbers(shape)
         k, foot = np.hypot(kx, ky), footprint(kx, ky)
         spectrum = prior.spectrum(k)
         ratio = foot**2 * prior.information * spectrum
         rows, columns = np.nonzero(ratio > _FAINT)
-        # whole vectors
+        # whole vectors, and as many even as odd ones
         my, mx = (
-            min(n, (int(i.max(initial=3)) + 4) // 4 * 4) for n, i in zip(shape, (rows, columns), strict=True)
+            min(n // 2 * 2, (int(i.max(initial=3)) + 8) // 8 * 8)
+            for n, i in zip(shape, (rows, columns), strict=True)
         )
         band = np.s_[:my, :mx]
         self.shape = my, mx
         self.k = k[band]
         self.foot = np.ascontiguousarray(foot[band], np.float32)
         self.inverse = np.ascontiguousarray(1.0 / spectrum[band], np.float32)
-        self._rows, self._columns = (
-            cosines(n, m).astype(np.float32) for n, m in zip(shape, self.shape, strict=True)
-        )
-        self._rows_t, self._columns_t = (np.ascontiguousarray(c.T) for c in (self._rows, self._columns))
+        self._cosines = Cosines(shape, self.shape)
+        self._foot, self._inverse = (self._cosines.split(f[None]) for f in (self.foot, self.inverse))
         self.freedom = _freedom(ratio / (ratio + 1.0))
         self._edge = _Edge(shape)
         self._strongest(ratio[band])
@@ -185,16 +174,17 @@ class Modes:
         self._norm = norm.astype(np.float32)
         self._own = self.inverse.ravel()[order]
         self._square = np.square(self.foot.ravel()[order])
+        half = self.shape[1] // 2  # where they stand among coefficients by kind
+        line = (self._iy % 2 * (self.shape[0] // 2) + self._iy // 2) * 2 + self._ix % 2
+        self._places = {c: (line * c + np.arange(c)[:, None]) * half + self._ix // 2 for c in (1, 2)}
 
     def waves(self, field: Float) -> Float:
         """Coefficients (c, my, mx) of a field (c, ny, nx)."""
-        out: Float = np.matmul(np.matmul(self._rows, field), self._columns_t)
-        return out
+        return self._cosines.waves(field)
 
     def field(self, waves: Float) -> Float:
         """Field (c, ny, nx) of coefficients (c, my, mx)."""
-        out: Float = np.matmul(np.matmul(self._rows_t, waves), self._columns)
-        return out
+        return self._cosines.field(waves)
 
     def seen(self, waves: Float) -> Float:
         """Field as blocks see it, (c, ny, nx): with their footprint over it."""
@@ -250,9 +240,7 @@ class Modes:
         float, float
             For `solve`: closer where there are holes, in which the field follows last.
         """
-        hole = bare(information, self.prior.information)
-        if self.wanted is not None:
-            hole &= self.wanted
+        hole = bare(information, self.prior.information) & self._wanted
         return _CLOSE if hole.any() else _LOOSE
 
     def solve(
@@ -289,60 +277,92 @@ class Modes:
         ndarray of float32, (c, my, mx)
             Coefficients of f.
         """
-        a = information
-        typical = np.array([a[0].mean(), a[-1].mean()], np.float32)[: len(right), None, None]
-        diagonal = 1 / (self.foot**2 * typical + self.inverse)
-        waves = start.copy()
+        a, c = information, len(right)
         seen = self.seen(start) if seen is None else seen
         rest = self.foot * self.waves(right - _through(a, seen)) + self.inverse * (mean - start)
-        step = self._precondition(rest, diagonal, factor)
-        direction = step.copy()
-        size = float(np.vdot(rest, step))
+        waves, rest = self._cosines.split(start), self._cosines.split(rest)
+        foot, inverse = (np.repeat(f, c, axis=3) for f in (self._foot, self._inverse))
+        typical = np.array([a[0].mean(), a[-1].mean()], np.float32)[:c, None]
+        diagonal = 1 / (foot**2 * typical + inverse)
+        a = self._cosines.mirrored(a)
+        step = np.empty_like(rest)
+        size = self._precondition(rest, diagonal, factor, step)
+        direction, image = step.copy(), np.empty_like(rest)
         for _ in range(_STEPS):
             if size <= tolerance * tolerance * waves.size:
                 break
-            image = self._times(a, direction)
-            length = F(size / float(np.vdot(direction, image)))
-            waves += length * direction
-            image *= length
-            rest -= image
-            step = self._precondition(rest, diagonal, factor)
-            size, before = float(np.vdot(rest, step)), size
-            direction *= F(size / before)
-            direction += step
-        return waves
+            np.multiply(foot, direction, out=image)
+            quarters = self._cosines.of_kind(image)
+            weigh(a, quarters)
+            image = self._cosines.by_kind(quarters)
+            flat = direction.ravel(), image.ravel()
+            length = F(size / _finish(foot.ravel(), inverse.ravel(), *flat))
+            _advance(length, *flat, waves.ravel(), rest.ravel())
+            size, before = self._precondition(rest, diagonal, factor, step), size
+            _turn(F(size / before), step.ravel(), direction.ravel())
+        return self._cosines.joined(waves)
 
-    def _times(self, a: Float, waves: Float) -> Float:
-        out = self.waves(_through(a, self.seen(waves)))
-        out *= self.foot
-        out += self.inverse * waves
-        return out
-
-    def _precondition(self, rest: Float, diagonal: Float, factor: Factor) -> Float:
-        out = diagonal * rest
+    def _precondition(self, rest: Float, diagonal: Float, factor: Factor, out: Float) -> float:
+        """Write the next step; return its product with what is left."""
         lower, scale = factor
-        some = rest.reshape(len(rest), -1)[:, self._index] * scale
-        exact, _ = scipy.linalg.lapack.spotrs(lower, some.T, lower=0)
-        out.reshape(len(rest), -1)[:, self._index] = exact.T * scale
-        return out
+        places = self._places[rest.shape[3]]
+        some = np.empty(places.shape, F)
+        _take(rest.ravel(), places, scale, some)
+        exact, _ = scipy.linalg.lapack.spotrs(lower, some.T, lower=0, overwrite_b=1)
+        return float(_next(diagonal.ravel(), rest.ravel(), exact.T, places, scale, out.ravel()))
 
 
 def _through(a: Float, field: Float) -> Float:
     """A times a field, (c, ny, nx)."""
     if len(field) == 1:
         return a * field
-    out = np.empty_like(field)
-    _through_both(a, field, out)
-    return out
+    u, v = field
+    return np.stack([a[0] * u + a[1] * v, a[1] * u + a[2] * v])
 
 
-@njit
-def _through_both(a: Float, f: Float, out: Float) -> None:
-    for j in range(f.shape[1]):
-        for i in range(f.shape[2]):
-            u, v = f[0, j, i], f[1, j, i]
-            out[0, j, i] = a[0, j, i] * u + a[1, j, i] * v
-            out[1, j, i] = a[1, j, i] * u + a[2, j, i] * v
+@loose
+def _take(rest: Float, places: Float, scale: Float, out: Float) -> None:
+    for n in range(len(places)):
+        for k in range(len(scale)):
+            out[n, k] = rest[places[n, k]] * scale[k]
+
+
+@loose
+def _next(diagonal: Float, rest: Float, exact: Float, places: Float, scale: Float, out: Float) -> F:
+    """Write what diagonal and exact part of the preconditioner make of ``rest``; return their product."""
+    for i in range(len(out)):
+        out[i] = diagonal[i] * rest[i]
+    for n in range(len(places)):
+        for k in range(len(scale)):
+            out[places[n, k]] = exact[n, k] * scale[k]
+    total = F(0)
+    for i in range(len(out)):
+        total += rest[i] * out[i]
+    return total
+
+
+@loose
+def _finish(foot: Float, inverse: Float, direction: Float, image: Float) -> F:
+    """Make F A F direction, and 1/S of it, of A F direction; return its product with the direction."""
+    total = F(0)
+    for i in range(len(image)):
+        value = foot[i] * image[i] + inverse[i] * direction[i]
+        image[i] = value
+        total += value * direction[i]
+    return total
+
+
+@loose
+def _advance(length: F, direction: Float, image: Float, waves: Float, rest: Float) -> None:
+    for i in range(len(waves)):
+        waves[i] += length * direction[i]
+        rest[i] -= length * image[i]
+
+
+@loose
+def _turn(kept: F, step: Float, direction: Float) -> None:
+    for i in range(len(step)):
+        direction[i] = kept * direction[i] + step[i]
 
 
 @njit

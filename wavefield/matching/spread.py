@@ -11,7 +11,8 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
 from wavefield.compiled import compiled
-from wavefield.matching.posterior import bare, cosines
+from wavefield.matching.cosines import cosines
+from wavefield.matching.posterior import bare
 from wavefield.matching.prior import Prior, wavenumbers
 from wavefield.matching.transfer import footprint
 

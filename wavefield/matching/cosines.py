@@ -1,0 +1,223 @@
+"""Cosines on a lattice of blocks, a quarter of it at a time.
+
+A cosine is even or odd about the middle of its lattice. What is even along both sides, along either or along
+none is told by a quarter of the lattice, so that the four kinds of products, transformed apart, cost half of
+what all together do. Coefficients *by kind* are (2, my / 2, 2, c, mx / 2), the parities along y and x before
+what they belong to; *quarters* are (2, hy, 2, c, hx) with hy = ceil(ny / 2).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.compiled import compiled
+
+Float = NDArray[Any]
+
+F = np.float32
+
+# sums may be taken in any order, and are always taken in the same
+njit = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
+
+
+def cosines(n: int, count: int) -> NDArray[np.float64]:
+    """The first orthonormal cosines on n blocks.
+
+    Parameters
+    ----------
+    n, count : int
+        Blocks and modes.
+
+    Returns
+    -------
+    ndarray, (count, n)
+    """
+    phase = np.pi * np.arange(count)[:, None] * (np.arange(n) + 0.5) / n
+    out: NDArray[np.float64] = np.cos(phase) * np.sqrt(2.0 / n)
+    out[0] /= np.sqrt(2.0)
+    return out
+
+
+class Cosines:
+    """Transforms between fields on a lattice and the coefficients of their first cosines.
+
+    Parameters
+    ----------
+    lattice : tuple of int
+        Blocks (ny, nx).
+    shape : tuple of int
+        Modes (my, mx), even numbers.
+
+    Examples
+    --------
+    >>> waves = np.zeros((1, 4, 6), np.float32)
+    >>> waves[0, 1, 2] = 1.0
+    >>> some = Cosines((7, 10), (4, 6))
+    >>> bool(np.allclose(some.waves(some.field(waves)), waves, atol=1e-6))
+    True
+    """
+
+    def __init__(self, lattice: tuple[int, int], shape: tuple[int, int]) -> None:
+        self.lattice, self.shape = lattice, shape
+        self._half = (lattice[0] + 1) // 2, (lattice[1] + 1) // 2
+        rows, columns = (
+            cosines(n, m).astype(F)[:, :h] for n, m, h in zip(lattice, shape, self._half, strict=True)
+        )
+        # (2, my / 2, hy) and its transpose; (2, mx / 2, hx) and its transpose
+        self._rows, self._columns = (np.ascontiguousarray([c[::2], c[1::2]]) for c in (rows, columns))
+        self._rows_t, self._columns_t = (
+            np.ascontiguousarray(c.transpose(0, 2, 1)) for c in (self._rows, self._columns)
+        )
+
+    def waves(self, field: Float) -> Float:
+        """Coefficients (c, my, mx) of a field (c, ny, nx)."""
+        return self.joined(self.by_kind(self.quarters(field)))
+
+    def field(self, waves: Float) -> Float:
+        """Field (c, ny, nx) of coefficients (c, my, mx)."""
+        ny, nx = self.lattice
+        quarters = self.of_kind(self.split(waves))
+        out = np.empty((len(waves), ny, nx), F)
+        _unfold(quarters, out)
+        return out
+
+    def split(self, waves: Float) -> Float:
+        """Coefficients by kind of (c, my, mx)."""
+        c, (my, mx) = len(waves), self.shape
+        parts = waves.reshape(c, my // 2, 2, mx // 2, 2).transpose(2, 1, 4, 0, 3)
+        return np.ascontiguousarray(parts, F)
+
+    def joined(self, kinds: Float) -> Float:
+        """Coefficients (c, my, mx) of those by kind."""
+        c = kinds.shape[3]
+        return np.ascontiguousarray(kinds.transpose(3, 1, 0, 4, 2)).reshape(c, *self.shape)
+
+    def quarters(self, field: Float) -> Float:
+        """Quarters of a field (c, ny, nx): what of it is even and odd."""
+        parts = self.mirrored(field)
+        y_even, y_odd = parts[0] + parts[1], parts[0] - parts[1]
+        both = [(y_even[0] + y_even[1], y_even[0] - y_even[1]), (y_odd[0] + y_odd[1], y_odd[0] - y_odd[1])]
+        return np.ascontiguousarray(np.array(both).transpose(0, 3, 1, 2, 4))
+
+    def mirrored(self, field: Float) -> Float:
+        """A field (c, ny, nx) by places that mirror each other, (2, 2, c, hy, hx).
+
+        The middle of an odd number of blocks mirrors itself: it counts once.
+        """
+        (ny, nx), (hy, hx) = self.lattice, self._half
+        out = np.zeros((2, 2, len(field), hy, hx), F)
+        out[0, 0] = field[:, :hy, :hx]
+        out[0, 1, ..., : nx - hx] = field[:, :hy, : hx - 1 : -1]
+        out[1, 0, :, : ny - hy] = field[:, : hy - 1 : -1, :hx]
+        out[1, 1, :, : ny - hy, : nx - hx] = field[:, : hy - 1 : -1, : hx - 1 : -1]
+        return out
+
+    def of_kind(self, kinds: Float) -> Float:
+        """Quarters of coefficients by kind."""
+        _, my, _, c, mx = kinds.shape
+        hy, hx = self._half
+        part = np.matmul(self._rows_t, kinds.reshape(2, my, 2 * c * mx)).reshape(2 * hy, 2, c, mx)
+        out = np.empty((2 * hy, 2, c, hx), F)
+        for parity in range(2):
+            for n in range(c):
+                np.matmul(part[:, parity, n], self._columns[parity], out=out[:, parity, n])
+        return out.reshape(2, hy, 2, c, hx)
+
+    def by_kind(self, quarters: Float) -> Float:
+        """Coefficients by kind of quarters."""
+        _, hy, _, c, hx = quarters.shape
+        my, mx = self.shape[0] // 2, self.shape[1] // 2
+        flat = quarters.reshape(2 * hy, 2, c, hx)
+        part = np.empty((2 * hy, 2, c, mx), F)
+        for parity in range(2):
+            for n in range(c):
+                np.matmul(flat[:, parity, n], self._columns_t[parity], out=part[:, parity, n])
+        out: Float = np.matmul(self._rows, part.reshape(2, hy, 2 * c * mx))
+        return out.reshape(2, my, 2, c, mx)
+
+
+@njit
+def _unfold(quarters: Float, out: Float) -> None:
+    _, hy, _, c, hx = quarters.shape
+    _, ny, nx = out.shape
+    for n in range(c):
+        for j in range(hy):
+            up, down = out[n, j], out[n, ny - 1 - j]
+            ee, eo, oe, oo = (
+                quarters[0, j, 0, n],
+                quarters[0, j, 1, n],
+                quarters[1, j, 0, n],
+                quarters[1, j, 1, n],
+            )
+            for i in range(hx):
+                p, q, r, s = ee[i] + oe[i], eo[i] + oo[i], ee[i] - oe[i], eo[i] - oo[i]
+                up[i], down[i] = p + q, r + s
+                up[nx - 1 - i], down[nx - 1 - i] = p - q, r - s
+
+
+@njit
+def weigh(a: Float, quarters: Float) -> None:
+    """A times a field, in its quarters and in place.
+
+    Parameters
+    ----------
+    a : ndarray of float32, (2, 2, 1 or 3, hy, hx)
+        A, or A_xx, A_xy, A_yy of two fields, as `Cosines.mirrored` has them.
+    quarters : ndarray of float32, (2, hy, 2, 1 or 2, hx)
+        As given by `Cosines.of_kind`.
+    """
+    _, hy, _, c, _ = quarters.shape
+    for j in range(hy):
+        top, bottom = quarters[0, j], quarters[1, j]
+        if c == 1:
+            _weigh_one(a[0, 0, 0, j], a[0, 1, 0, j], a[1, 0, 0, j], a[1, 1, 0, j], top, bottom)
+        else:
+            _weigh_two(a[0, 0, :, j], a[0, 1, :, j], a[1, 0, :, j], a[1, 1, :, j], top, bottom)
+
+
+@njit
+def _apart(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
+    """From what is even and odd to the four places; and back, but for a factor that `weigh` does not want."""
+    p, q, r, s = ee + oe, eo + oo, ee - oe, eo - oo
+    return p + q, p - q, r + s, r - s
+
+
+@njit
+def _weigh_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
+    ee, eo, oe, oo = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
+    for i in range(len(a0)):
+        f0, f1, f2, f3 = _apart(ee[i], eo[i], oe[i], oo[i])
+        f0, f1, f2, f3 = a0[i] * f0, a1[i] * f1, a2[i] * f2, a3[i] * f3
+        ee[i], eo[i] = (f0 + f2) + (f1 + f3), (f0 + f2) - (f1 + f3)
+        oe[i], oo[i] = (f0 - f2) + (f1 - f3), (f0 - f2) - (f1 - f3)
+
+
+@njit
+def _weigh_two(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
+    ue, uo, pe, po = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
+    ve, vo, qe, qo = top[0, 1], top[1, 1], bottom[0, 1], bottom[1, 1]
+    x0, x1, x2, x3 = a0[0], a1[0], a2[0], a3[0]
+    m0, m1, m2, m3 = a0[1], a1[1], a2[1], a3[1]
+    y0, y1, y2, y3 = a0[2], a1[2], a2[2], a3[2]
+    for i in range(len(x0)):
+        u0, u1, u2, u3 = _apart(ue[i], uo[i], pe[i], po[i])
+        v0, v1, v2, v3 = _apart(ve[i], vo[i], qe[i], qo[i])
+        f0, f1, f2, f3 = (
+            x0[i] * u0 + m0[i] * v0,
+            x1[i] * u1 + m1[i] * v1,
+            x2[i] * u2 + m2[i] * v2,
+            x3[i] * u3 + m3[i] * v3,
+        )
+        g0, g1, g2, g3 = (
+            m0[i] * u0 + y0[i] * v0,
+            m1[i] * u1 + y1[i] * v1,
+            m2[i] * u2 + y2[i] * v2,
+            m3[i] * u3 + y3[i] * v3,
+        )
+        ue[i], uo[i] = (f0 + f2) + (f1 + f3), (f0 + f2) - (f1 + f3)
+        pe[i], po[i] = (f0 - f2) + (f1 - f3), (f0 - f2) - (f1 - f3)
+        ve[i], vo[i] = (g0 + g2) + (g1 + g3), (g0 + g2) - (g1 + g3)
+        qe[i], qo[i] = (g0 - g2) + (g1 - g3), (g0 - g2) - (g1 - g3)
