@@ -25,7 +25,7 @@ from test_rig_camera import project_in_50_digits
 from wavefield.rig import common_field
 from wavefield.rig.epipolar import epipolar_distance
 from wavefield.rig.formats import load_rig, save_uvmat
-from wavefield.rig.stereo import jacobians, solve_displacement, triangulate_pair, triangulate_pairs
+from wavefield.rig.stereo import jacobians, solve_displacement, triangulate
 from wavefield.tank.rigs import paper_rig
 
 cv2.setNumThreads(1)
@@ -97,15 +97,10 @@ def speed():
     took = least_time(lambda: solve_displacement(J[:, :4], seen[:, :4], std[:, :4]))
     row("2N x 3 solve with eps_piv and std, 2 cameras, 30,000 nodes, CPU", None, took, "ms")
     row("the same, 3 cameras", None, least_time(lambda: solve_displacement(J, seen, std)), "ms")
-    a, b, Da, Db = rng.normal(size=(4, 2, 30_000))
-    row(
-        "z and eps_Y of a pair, 30,000 nodes, CPU",
-        None,
-        least_time(lambda: triangulate_pair(a, b, Da, Db)),
-        "ms",
-    )
-    d, D = rng.normal(size=(2, 2, 2, 30_000))
-    row("z of two weighted pairs, 30,000 nodes, CPU", None, least_time(lambda: triangulate_pairs(d, D)), "ms")
+    apparent, sight = rng.normal(size=(2, 3, 2, 30_000))
+    took = least_time(lambda: triangulate(apparent[:2], sight[:2]))
+    row("points seen by 2 cameras, 30,000 nodes, CPU", None, took, "ms")
+    row("the same, 3 cameras", None, least_time(lambda: triangulate(apparent, sight)), "ms")
     rig = paper_rig()
     row(
         "common field of the paper's rig, CPU",

@@ -26,7 +26,7 @@ from wavefield.measurement import Plan, measure
 from wavefield.rig import Rig
 from wavefield.rig.formats import load_rig
 from wavefield.rig.level import level
-from wavefield.rig.stereo import triangulate_pair
+from wavefield.rig.stereo import triangulate as nearest_point
 from wavefield.variables import Quality
 
 MICRON = 1e-6
@@ -77,9 +77,8 @@ def differences(folder: Path, loads: Sequence[int] = range(1, 6)) -> tuple[Plan,
     # z = 0 is the specimen's own plane
     rig, _ = level(rig, *triangulate(rig, left, right).T)
     seen = [rig[name].unproject(*pixels) for name, pixels in zip(names, (left, right), strict=True)]
-    x, y, z, _ = triangulate_pair(
-        *seen, *(rig[name].sight_line(*at) for name, at in zip(names, seen, strict=True))
-    )
+    sight = [rig[name].sight_line(*at) for name, at in zip(names, seen, strict=True)]
+    x, y, z, _ = nearest_point(seen, sight, [1e-2, 1.0])  # DICe's points are exact in the left image
     good = (rest["MATCH"] >= 0) & np.isfinite(z)
     grid = Grid((x[good].min(), x[good].max() + 5e-4), (y[good].min(), y[good].max() + 5e-4), 5e-4)
     plan = Plan(rig, grid)

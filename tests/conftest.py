@@ -25,8 +25,33 @@ def shared() -> Path:
     return SHARED
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+# what takes longest comes first, so that no worker is left alone with it at the end
+LONG = (
+    "test_end_to_end",
+    "test_cubes_run",
+    "test_cubes_cluster",
+    "test_analyze",
+    "test_cubes_front",
+    "test_cubes_dask",
+    "test_follow",
+    "test_cubes_analysis",
+    "test_measure",
+)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """With several workers (`-n 2`), leave each file to one, so that what its tests share is made once."""
+    if getattr(config.option, "dist", "no") == "load":
+        config.option.dist = "loadfile"
+        config.option.loadscopereorder = False
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark every test that asks for the real images, so that `-m real_data` leaves none out."""
     for item in items:
         if "shared" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.real_data)
+    if hasattr(config, "workerinput"):
+        place = {name: number for number, name in enumerate(LONG)}
+        items.sort(key=lambda item: place.get(item.path.stem, len(LONG)))

@@ -25,7 +25,7 @@ def test_unrelated_signals_show_the_bias_and_the_false_positives_that_are_predic
     names = ("z_t", "u", "v", "w")
     pairs = tuple(combinations(names, 2))
     means, hits, hits_k, over_k = [], [], [], []
-    for seed in range(30):
+    for seed in range(12):
         ring = wv.cross_spectra(white_cube(seed, steps=256), names, pairs, segment=64)
         inside = (ring.k > 10) & (ring.k < np.pi / 0.04)
         use = inside & (ring.omega > 5) & (ring.omega < 58)

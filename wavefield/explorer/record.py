@@ -248,13 +248,6 @@ class Preview:
         except (StoreError, TypeError) as error:
             self.trouble = f"no preview is kept: {error}"
 
-    def steps_known(self) -> NDArray[np.bool_]:
-        """Which steps are in memory, (time,)."""
-        out = np.zeros(self._record.layout.steps, bool)
-        for (start, stop), known in zip(self._record.layout.blocks(), self.known):
-            out[start:stop] = known
-        return out
-
     def scale(self, name: str) -> float:
         """Value = scale * stored."""
         return self.thin.scales[self.thin.names.index(name)]

@@ -74,8 +74,8 @@ def _largest(score: np.ndarray, j: int, border: int, top: np.ndarray, best: np.n
     """Which of all shifts has the largest score, the first of equals, for each block of row j."""
     rows, _, n, _ = score.shape
     nx = len(top)
-    top[:] = score[0, j, 0, border : border + nx]
-    best[:] = 0
+    for i in range(nx):  # copied as a slice, it takes five seconds more to compile
+        top[i], best[i] = score[0, j, 0, border + i], np.int32(0)
     for dy in range(rows):
         for k in range(n):
             here = score[dy, j, k, border : border + nx]

@@ -121,28 +121,12 @@ def binned(camera: Camera, count: int) -> Camera:
     return replace(camera.scaled(1.0 / count), size=(width // count, height // count))
 
 
-def double(image: NDArray[Any]) -> NDArray[Any]:
+def _doubled(image: NDArray[Any], space: Callable[[tuple[int, int], Any], NDArray[Any]]) -> NDArray[Any]:
     """Sample an image on a grid twice as fine, both images of a match equally smoothed.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), uint8, uint16 or float32
-        Image; 8 bit are spread over 16.
-
-    Returns
-    -------
-    ndarray, (2 row, 2 column), uint16 or float32
-        Element (2 r, 2 c) lies on pixel (r, c).
-
-    Notes
-    -----
-    Quintic B-spline without prefilter, weights 66, 26, 1 over 120 at whole and 1682, 237, 1 over 3840 at half
-    pixels.
+    Element (2 r, 2 c) lies on pixel (r, c); 8 bit are spread over 16. Quintic B-spline without prefilter,
+    weights 66, 26, 1 over 120 at whole and 1682, 237, 1 over 3840 at half pixels.
     """
-    return _doubled(image, np.empty)
-
-
-def _doubled(image: NDArray[Any], space: Callable[[tuple[int, int], Any], NDArray[Any]]) -> NDArray[Any]:
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32, copy=False)
     image = np.ascontiguousarray(image)

@@ -13,98 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from wavefield.rig.camera import Camera
 
 Array = NDArray[np.float64]
-Pair = tuple[ArrayLike, ArrayLike]
-
-
-def triangulate_pair(
-    apparent_a: Pair, apparent_b: Pair, sight_a: Pair, sight_b: Pair
-) -> tuple[Array, Array, Array, Array]:
-    """Point seen by two cameras, image a's position taken as exact.
-
-    Parameters
-    ----------
-    apparent_a, apparent_b : (x, y) of array_like, shape S
-        Apparent positions on the plane z = 0 of the same piece of surface in images a and b, metres.
-    sight_a, sight_b : (Dx, Dy) of array_like, shape S
-        Sight lines (`Camera.sight_line`), each taken at its own apparent position.
-
-    Returns
-    -------
-    x, y, z : ndarray, S
-        Position, metres; NaN where a position is, or where the two lines of sight are parallel.
-    eps_y : ndarray, S
-        Mismatch across the line of sight, metres.
-
-    Notes
-    -----
-    With d = x_b - x_a and dD = D_b - D_a, z = -(dD . d) / |dD|^2 minimises |d + dD z|, and
-    eps_y = (dD_y d_x - dD_x d_y) / |dD| is what is left. The standard uncertainty of z is that of
-    eps_y over |dD|, if matching errs alike along and across.
-
-    Examples
-    --------
-    >>> x, y, z, eps = triangulate_pair((0.0, 0.0), (0.02, 0.0), (0.5, 0.0), (-0.5, 0.0))
-    >>> print(float(x), float(z))
-    0.01 0.02
-    """
-    xa, ya = (np.asarray(v, float) for v in apparent_a)
-    dx, dy = np.asarray(apparent_b[0], float) - xa, np.asarray(apparent_b[1], float) - ya
-    ax, ay = (np.asarray(v, float) for v in sight_a)
-    Dx, Dy = np.asarray(sight_b[0], float) - ax, np.asarray(sight_b[1], float) - ay
-    square = Dx * Dx + Dy * Dy
-    with np.errstate(divide="ignore", invalid="ignore"):
-        square = np.where(square > 0.0, square, np.nan)
-        z = -(Dx * dx + Dy * dy) / square
-        eps_y = (Dy * dx - Dx * dy) / np.sqrt(square)
-    return xa + ax * z, ya + ay * z, z, eps_y
-
-
-def triangulate_pairs(
-    difference: ArrayLike, parallax: ArrayLike, std: ArrayLike | None = None
-) -> tuple[Array, Array, Array]:
-    """Elevation from all pairs of cameras together.
-
-    Parameters
-    ----------
-    difference : array_like, (P, 2, ...)
-        d = x_b - x_a of the P pairs: apparent position in image b less that in image a, metres.
-    parallax : array_like, (P, 2, ...)
-        dD = D_b - D_a of the same pairs.
-    std : array_like, broadcastable to (P, ...), optional
-        Standard uncertainty of each difference per axis, metres; all alike if left out.
-
-    Returns
-    -------
-    z : ndarray, (...)
-        Elevation, metres. A pair with NaN is left out; NaN where none is left.
-    eps_y : ndarray, (P, ...)
-        Mismatch of each pair across its line of sight, metres.
-    z_std : ndarray, (...)
-        Standard uncertainty of z for independent pairs of the stated ``std`` (per unit of it, if left out).
-
-    Notes
-    -----
-    z = -sum w (dD . d) / sum w |dD|^2 with w = 1 / std^2.
-    """
-    d, D = np.asarray(difference, float), np.asarray(parallax, float)
-    dx, dy, Dx, Dy = d[:, 0], d[:, 1], D[:, 0], D[:, 1]
-    along, square = Dx * dx + Dy * dy, Dx * Dx + Dy * Dy
-    weight = np.ones(1) if std is None else 1.0 / np.square(np.asarray(std, float))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        eps_y = (Dy * dx - Dx * dy) / np.sqrt(square)
-        weight = np.where(
-            np.isfinite(along), weight.reshape(weight.shape + (1,) * (along.ndim - weight.ndim)), 0
-        )
-        total = np.sum(weight * square, axis=0)
-        total = np.where(total > 0.0, total, np.nan)
-        z = -np.sum(weight * np.where(np.isfinite(along), along, 0.0), axis=0) / total
-    return z, eps_y, 1.0 / np.sqrt(total)
 
 
 def triangulate(
     apparent: ArrayLike, sight: ArrayLike, std: ArrayLike | None = None
 ) -> tuple[Array, Array, Array, Array]:
-    """Point nearest to the lines of sight of all cameras.
+    """Point nearest to the sight lines of all cameras.
 
     Parameters
     ----------
@@ -124,8 +38,15 @@ def triangulate(
 
     Notes
     -----
-    Least squares for x_k = x - D_k z + error with weights w_k = 1 / std_k^2. The same as
-    `triangulate_pairs` over every pair of cameras with weights w_a w_b / sum w.
+    Least squares for x_k = x - D_k z + error with weights w_k = 1 / std_k^2. For two cameras
+    z = -(dD . d) / |dD|^2 with d = x_2 - x_1 and dD = D_2 - D_1; for more, the mean of the pairs' z with
+    weights w_a w_b |dD|^2.
+
+    Examples
+    --------
+    >>> x, y, z, eps = triangulate([(0.0, 0.0), (0.02, 0.0)], [(0.5, 0.0), (-0.5, 0.0)])
+    >>> print(f"{x:.3f} {y:.3f} {z:.3f}")
+    0.010 0.000 0.020
     """
     p, D = np.asarray(apparent, float), np.asarray(sight, float)
     seen = np.isfinite(p).all(1) & np.isfinite(D).all(1)
@@ -137,7 +58,7 @@ def triangulate(
         p_mean, D_mean = np.sum(weight * p0, axis=0) / total, np.sum(weight * D0, axis=0) / total
         dp, dD = p0 - p_mean, D0 - D_mean
         square = np.sum(weight * dD * dD, axis=(0, 1))
-        # two lines of sight within a ten-thousandth of a radian give no height
+        # two sight lines within a ten-thousandth of a radian give no height
         square = np.where(square > 1e-8 * total[0], square, np.nan)
         z = -np.sum(weight * dp * dD, axis=(0, 1)) / square
     x, y = p_mean + D_mean * z

@@ -38,7 +38,7 @@ def to_pivpy(cube: xr.Dataset) -> xr.Dataset:
     measured = (quality & np.uint8(Quality.MEASURED)) != 0
     filled = (quality & np.uint8(Quality.FILLED)) != 0
     chc = (measured.astype("int8") + (filled | measured).astype("int8") - np.int8(1)).astype("int8")
-    chc.attrs = {"long_name": "1 measured, 0 filled, -1 outside or rejected"}
+    chc.attrs = {"flag_values": [-1, 0, 1], "flag_meanings": "outside_or_rejected filled measured"}
     out = cube[[name for name in ("u", "v", "w", "z") if name in cube]].assign(chc=chc)
     out = out.rename({"time": "t"}).transpose("y", "x", "t")
     steps = np.diff(np.asarray(cube["time"], float))
