@@ -71,6 +71,30 @@ def test_damage_is_found_named_and_measured_again(tank, reference, cube, capsys,
     assert main(["-q", "verify", str(cube)]) == 0
 
 
+@pytest.mark.parametrize(
+    ("harm", "word"),
+    [
+        (remove, "missing: z, steps 4-7"),
+        (cut, "not as long as it was written: z, steps 4-7"),
+        (empty, "missing: z, steps 4-7"),
+        (change, ""),
+    ],
+)
+def test_sizes_alone_tell_what_is_gone_and_not_what_changed_in_place(cube, capsys, harm, word):
+    harm(chunk_path(cube, "z", 1))
+    assert main(["-q", "verify", str(cube), "--quick"]) == (1 if word else 0)
+    assert (word or "no data were read") in capsys.readouterr().out
+
+
+def test_a_quick_look_does_not_take_back_what_a_whole_one_found(tank, reference, cube):
+    change(chunk_path(cube, "z", 1))
+    assert not verify(cube).sound
+    assert verify(cube, read=False).sound
+    run(tank, out=cube, workflow=FOURS)
+    assert verify(cube).sound
+    assert not different(reference, cube)
+
+
 def test_what_cannot_be_mended_is_said(cube):
     shutil.rmtree(cube / "eps_y")
     with pytest.raises(StoreError, match=r"eps_y cannot be read .* remove it and run again"):

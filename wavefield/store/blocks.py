@@ -37,6 +37,7 @@ def read_blocks(path: Path, group: Any, name: str, layout: Layout) -> np.ndarray
     if array.compressors:  # stores of earlier versions
         return np.asarray(array[:])
     out = np.zeros(array.shape, array.dtype)
+    chunks, dtype = array.chunks, array.dtype  # Zarr works these out at every look
     folder = str(chunk_path(path, name, 0).parent)  # many files: plain words are quicker than paths
     for start in range(0, array.shape[-1], layout.block):
         try:
@@ -44,7 +45,7 @@ def read_blocks(path: Path, group: Any, name: str, layout: Layout) -> np.ndarray
                 stored = stream.read()
         except FileNotFoundError:
             continue
-        values = np.frombuffer(stored, array.dtype).reshape(array.chunks)
+        values = np.frombuffer(stored, dtype).reshape(chunks)
         part = out[..., start : start + layout.block]
         part[...] = values[..., : part.shape[-1]]
     return out

@@ -167,7 +167,7 @@ def status(store: str | Path) -> Status:
     for camera, codes in zip(layout.cameras, faults):
         for code in np.unique(codes[codes > 0]):
             numbers = layout.first_frame + np.flatnonzero(codes == code)
-            bad.append(BadFrames(camera, FrameFault(int(code)), tuple(int(n) for n in numbers)))
+            bad.append(BadFrames(camera, FrameFault(int(code)), tuple(numbers.tolist())))
     failed = np.flatnonzero(ledger == FrameStatus.FAILED)
     return Status(
         store=path,
@@ -177,7 +177,7 @@ def status(store: str | Path) -> Status:
         done=int(np.count_nonzero(ledger == FrameStatus.DONE)),
         faulty=int(np.count_nonzero(ledger == FrameStatus.DONE_WITH_FAULTS)),
         failed=failed.size,
-        failed_steps=tuple(int(n) for n in layout.first_frame + failed),
+        failed_steps=tuple((layout.first_frame + failed).tolist()),
         bad_frames=tuple(bad),
         verdict=read_verdict(path),
     )

@@ -30,7 +30,7 @@ class Damage:
     start, stop : int
         Range of steps.
     what : str
-        "missing", "not as it was written" or "unreadable".
+        "missing", "not as it was written", "not as long as it was written" or "unreadable".
     """
 
     variable: str
@@ -53,12 +53,15 @@ class Verification:
         Steps that the ledger calls done.
     damages : tuple of Damage
         Blocks that the ledger calls done and that are not as they were written.
+    read : bool
+        Whether data were read; else only sizes of files were looked at.
     """
 
     store: Path
     steps: int
     done: int
     damages: tuple[Damage, ...]
+    read: bool = True
 
     @property
     def sound(self) -> bool:
@@ -72,7 +75,10 @@ class Verification:
 
     def __str__(self) -> str:
         if self.sound:
-            return f"{self.store}: {self.done} of {self.steps} steps are done, and all of them are as written"
+            how = (
+                "as written" if self.read else "there, as long as when they were written (no data were read)"
+            )
+            return f"{self.store}: {self.done} of {self.steps} steps are done, and all of them are {how}"
         lines = [f"{self.store}: {len(self.starts)} blocks are damaged"]
         for what in dict.fromkeys(damage.what for damage in self.damages):
             of = [damage for damage in self.damages if damage.what == what]
@@ -83,7 +89,9 @@ class Verification:
         return "\n".join(lines)
 
 
-def verify(store: str | Path, progress: Callable[[int, int], None] | None = None) -> Verification:
+def verify(
+    store: str | Path, progress: Callable[[int, int], None] | None = None, read: bool = True
+) -> Verification:
     """Compare every block that a store calls done with the checksums taken when it was written.
 
     Parameters
@@ -92,6 +100,9 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
         Written by `run`, finished or not.
     progress : callable, optional
         Told (blocks done, all blocks).
+    read : bool
+        Whether to read the data. If not, what is compared is the size of every file: seconds, whatever the
+        cube, but bytes that changed in place are not seen.
 
     Returns
     -------
@@ -108,23 +119,22 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
     looks at the sizes of files only, measures it again.
     """
     path = Path(store)
-    group = open_group(path)
+    group = _whole_group(path)
     layout = read_layout(group)
-    for name in ("time", "y", "x", "frame", *WATCHED):
-        _check_variable(path, group, name)
-    ledger, unreadable = _ledger(path, group, layout.blocks())
-    damages = list(unreadable)
     blocks = layout.blocks()
+    read = read or "stored_bytes" not in group  # begun before sizes were kept
+    ledger, damages = _ledger(group, blocks)
+    sizes = None if read else _sizes(group, len(blocks))
     for k, (start, stop) in enumerate(blocks):
         if (ledger[start:stop] != FrameStatus.NOT_STARTED).any():
-            wanted = _wanted(group, k)
-            found = {name: _compare(path, group, name, k, wanted) for name in WATCHED}
-            damages += [Damage(name, start, stop, what) for name, what in found.items() if what]
+            found = _compared(path, group, k) if sizes is None else _sized(path, sizes[k], k)
+            damages += [Damage(name, start, stop, what) for name, what in found.items()]
         if progress:
             progress(k + 1, len(blocks))
     done = int(np.count_nonzero(ledger != FrameStatus.NOT_STARTED))
-    out = Verification(path, layout.steps, done, tuple(damages))
-    _note(out)
+    out = Verification(path, layout.steps, done, tuple(damages), read)
+    if read:
+        _note(out)
     return out
 
 
@@ -147,29 +157,14 @@ def suspicious(store: Path) -> list[int]:
     StoreError
         If it is not there, is not a cube, or a variable is gone as a whole.
     """
+    found = verify(store, read=False)
+    if found.read:  # all of it was
+        return found.starts
     group = open_group(store)
-    if "stored_bytes" not in group:  # begun before sizes were kept
-        return verify(store).starts
-    layout = read_layout(group)
-    for name in ("time", "y", "x", "frame", *WATCHED):
-        _check_variable(store, group, name)
-    ledger, unreadable = _ledger(store, group, layout.blocks())
-    noted = _noted(store)
-    out = {damage.start for damage in unreadable}
-    for k, (start, stop) in enumerate(layout.blocks()):
-        if not (ledger[start:stop] != FrameStatus.NOT_STARTED).any():
-            continue
-        try:
-            sizes = [int(value) for value in group["stored_bytes"][k]]
-        except Exception:  # damaged itself
-            sizes = []
-        if sizes != [stored_bytes(store, name, k) for name in WATCHED]:
-            out.add(start)
-        elif start in noted:
-            wanted = _wanted(group, k)
-            if any(_compare(store, group, name, k, wanted) for name in WATCHED):
-                out.add(start)
-    return sorted(out)
+    noted = _noted(store).difference(found.starts)
+    blocks = enumerate(read_layout(group).blocks())
+    still = [start for k, (start, _) in blocks if start in noted and _compared(store, group, k)]
+    return sorted([*found.starts, *still])
 
 
 def _note(found: Verification) -> None:
@@ -200,16 +195,58 @@ def _check_variable(path: Path, group: Any, name: str) -> None:
         ) from None
 
 
-def _ledger(path: Path, group: Any, blocks: list[tuple[int, int]]) -> tuple[np.ndarray, list[Damage]]:
+def _ledger(group: Any, blocks: list[tuple[int, int]]) -> tuple[np.ndarray, list[Damage]]:
     """The ledger, and the blocks of which it cannot be read."""
     ledger = np.zeros(group["frame_status"].shape, np.uint8)
     damages = []
-    for start, stop in blocks:
-        try:
-            ledger[start:stop] = group["frame_status"][start:stop]
-        except Exception:  # whatever a codec makes of damaged bytes
-            damages.append(Damage("frame_status", start, stop, "unreadable"))
+    stored = group["frame_status"]
+    try:
+        return np.asarray(stored[:]), []
+    except Exception:  # whatever a codec makes of damaged bytes: which of the blocks is it?
+        for start, stop in blocks:
+            try:
+                ledger[start:stop] = stored[start:stop]
+            except Exception:
+                damages.append(Damage("frame_status", start, stop, "unreadable"))
     return ledger, damages
+
+
+def _whole_group(path: Path) -> Any:
+    """The store opened, with every variable there."""
+    group = open_group(path)
+    for name in ("time", "y", "x", "frame", *WATCHED):
+        _check_variable(path, group, name)
+    return group
+
+
+def _sizes(group: Any, blocks: int) -> np.ndarray:
+    """Bytes of every block by variable when it was written; -1 where that cannot be read."""
+    stored = group["stored_bytes"]
+    try:
+        return np.asarray(stored[:], np.int64)
+    except Exception:  # damaged itself
+        out = np.full(stored.shape, -1, np.int64)
+        for k in range(blocks):
+            with suppress(Exception):
+                out[k] = stored[k]
+    return out
+
+
+def _sized(path: Path, wanted: np.ndarray, block: int) -> dict[str, str]:
+    """What is wrong with a block's variables by the sizes of their files."""
+    out = {}
+    for name, size in zip(WATCHED, wanted):
+        found = stored_bytes(path, name, block)
+        if found != size:
+            out[name] = "not as long as it was written" if found else "missing"
+    return out
+
+
+def _compared(path: Path, group: Any, block: int) -> dict[str, str]:
+    """What is wrong with a block's variables by their checksums."""
+    wanted = _wanted(group, block)
+    found = {name: _compare(path, group, name, block, wanted) for name in WATCHED}
+    return {name: what for name, what in found.items() if what}
 
 
 def _wanted(group: Any, block: int) -> dict[str, int] | None:
