@@ -8,6 +8,7 @@ asked and verified.
 
 import asyncio
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -23,6 +24,8 @@ from distributed import Client, Worker
 from wavefield.cubes.dask_cluster import _map_on
 from wavefield.cubes.dask_settings import configured, dask_settings
 from wavefield.cubes.workflow import Workflow
+
+_ROW = 10_000  # chunks: a row of the table each
 
 
 def nap(chunk: int) -> int:
@@ -78,26 +81,30 @@ def measure(client: Client, scheduler: psutil.Process, number: int, chunks: int,
     """Map that many chunks, and print what the scheduler took for it."""
     start, cpu, own = time.perf_counter(), sum(scheduler.cpu_times()[:2]), time.process_time()
     memory, held, done = scheduler.memory_info().rss, 0, 0
+    print(
+        "| workers | chunks | watched | wall s | scheduler, CPU ms per chunk | client, CPU ms per chunk "
+        "| memory of the scheduler, MB | grown by | most tasks held |\n|---|---|---|---|---|---|---|---|---|",
+        flush=True,
+    )
     with closing(_map_on(client, nap, range(chunks), number, lambda: None)) as results:
         for chunk, result in results:
-            done += chunk == result
+            done += 1
+            assert chunk == result
             if done % 500 == 250:
                 held = max(held, client.run_on_scheduler(count_tasks))
+            if done == watched or done % _ROW == 0:
+                now = scheduler.memory_info().rss
+                print(
+                    f"| {number} | {chunks} | {done} | {time.perf_counter() - start:.0f} "
+                    f"| {1e3 * (sum(scheduler.cpu_times()[:2]) - cpu) / done:.2f} "
+                    f"| {1e3 * (time.process_time() - own) / done:.2f} "
+                    f"| {now / 1e6:.0f} | {(now - memory) / 1e6:.0f} | {held} |",
+                    flush=True,
+                )
             if done == watched:
                 break
     assert done == watched
-    now = scheduler.memory_info().rss
-    print(
-        "| workers | chunks | watched | wall s | scheduler, CPU ms per chunk | client, CPU ms per chunk "
-        "| memory of the scheduler, MB | grown by | most tasks held |\n|---|---|---|---|---|---|---|---|---|"
-    )
-    print(
-        f"| {number} | {chunks} | {watched} | {time.perf_counter() - start:.0f} "
-        f"| {1e3 * (sum(scheduler.cpu_times()[:2]) - cpu) / watched:.2f} "
-        f"| {1e3 * (time.process_time() - own) / watched:.2f} "
-        f"| {now / 1e6:.0f} | {(now - memory) / 1e6:.0f} | {held} |\n",
-        flush=True,
-    )
+    print()
 
 
 def ledger(steps: int) -> None:
@@ -118,8 +125,7 @@ def ledger(steps: int) -> None:
         group = zarr.open_group(path, mode="r+")
         group["frame_status"][:] = 1
         group["frame_fault"][:] = 1
-        files = sum(1 for file in path.rglob("*") if file.is_file())
-        print(f"| store of {steps} steps, {files} files of its ledger | s | CPU s |\n|---|---|---|")
+        print(f"| store of {steps} steps | files |\n|---|---|\n| its ledger | {count(path)} |")
         for block in range(len(layout.blocks())):  # files of one byte, and a note of their size
             for name in WATCHED:
                 file = chunk_path(path, name, block)
@@ -127,6 +133,8 @@ def ledger(steps: int) -> None:
                     file.parent.mkdir(parents=True, exist_ok=True)
                     file.write_bytes(b"0")
             group["stored_bytes"][block] = [stored_bytes(path, name, block) for name in WATCHED]
+        print(f"| all | {count(path)} |\n")
+        print("| | s | CPU s |\n|---|---|---|")
         asked = ("open", open_cube), ("status", status), ("verify sizes, not data", suspicious)
         for name, function in asked:
             function(path)  # imports
@@ -142,6 +150,36 @@ def ledger(steps: int) -> None:
             print(f"| the command `wavefield {' '.join(words)}` | {wall:.2f} | {cpu:.2f} |", flush=True)
 
 
+def count(folder: Path) -> int:
+    """Files below a folder."""
+    return sum(1 for file in folder.rglob("*") if file.is_file())
+
+
+def message() -> None:
+    """Print how large a task is that a worker is sent: rig, grid and settings, and a block's frames."""
+    from wavefield.cubes.block import make_block
+    from wavefield.cubes.work import Work
+    from wavefield.images import write_image
+    from wavefield.measurement import Plan
+    from wavefield.series import Experiment
+    from wavefield.tank import Scene, Tank
+
+    tank = Tank(Scene.load("full"))
+    work = Work(Path("cube.zarr"), Plan(tank.rig, tank.scene.grid), tank.scene.frame_rate)
+    with tempfile.TemporaryDirectory() as folder:
+        for name in tank.rig:
+            first = Path(folder) / name / "img_000000.tif"
+            write_image(first, np.zeros((8, 8), np.uint8))
+            for frame in range(1, 103):
+                os.link(first, first.with_name(f"img_{frame:06d}.tif"))
+        path = Path(folder) / "experiment.yaml"
+        cameras = "".join(f'  {name}: "{name}/img_{{frame:06d}}.tif"\n' for name in tank.rig)
+        path.write_text(f"name: long\nframe_rate: 20\ncameras:\n{cameras}")
+        block = make_block(Experiment.load(path).open_frames(), 0, 100)
+        sizes = [len(pickle.dumps(one)) for one in (work, block)]
+    print(f"bytes sent to a worker: {sizes[0]} once a task, {sizes[1]} for each block of 100 steps\n")
+
+
 def main() -> None:
     """Measure both."""
     if sys.argv[1:2] == ["live"]:
@@ -151,6 +189,7 @@ def main() -> None:
     words = [int(word) for word in sys.argv[1:]] or [200, 100_000, 5_000]
     number, chunks = words[:2]
     schedule(number, chunks, words[2] if len(words) > 2 else chunks)
+    message()
     ledger(120_000)
 
 

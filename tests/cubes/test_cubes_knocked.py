@@ -1,10 +1,14 @@
 """A camera that is knocked while it records: dated, named, and turned back where that is asked for."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from cube_cases import HERE, KNOCKED
 
-from wavefield.cubes import Workflow, open_cube, run
+from wavefield.cubes import Workflow, check, open_cube, run
 from wavefield.cubes.steadiness import size, steadiness
+from wavefield.rig import Rig
 
 
 def test_a_camera_knocked_in_mid_record_is_dated_and_named(knocked, tmp_path):
@@ -28,3 +32,15 @@ def test_and_is_turned_back_where_that_is_asked_for(knocked, tmp_path):
     assert max(size(one) for one in left) < 0.03
     (note,) = [r for r in state.verdict.remarks if r.kind == "turned back" and r.subject == "cam1"]
     assert note.values["frame"] == KNOCKED
+
+
+def test_cameras_that_are_not_in_a_row_are_not_turned_back(tank):
+    rig = Rig.load(tank.with_name("rig.yaml"))
+    turn = np.deg2rad(60)  # about the vertical
+    R = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    around = rig.moved(R, (0.0, 0.0, 0.0))
+    rig = replace(rig, cameras={**rig.cameras, "cam1": around["cam1"]})
+    found = check(tank, rig, Workflow(cluster="none", settings={"vibration": "correct"}))
+    assert not found.ready
+    assert "`vibration: correct` is for cameras in a row" in found.problems[0]
+    assert "60 degrees apart" in found.problems[0] or "120 degrees" in found.problems[0]

@@ -7,7 +7,11 @@ import pytest
 import zarr
 
 from wavefield.cubes.steadiness import jump, knocks, shaking, size, steadiness
-from wavefield.cubes.synchrony import Delay, Sample, regress, remarks
+from wavefield.cubes.synchrony import Delay, Sample, delays, regress, remarks
+from wavefield.cubes.witness import Witness
+from wavefield.grid import Grid
+from wavefield.measurement import Plan, Settings
+from wavefield.tank import Scene, Tank
 
 
 @pytest.fixture
@@ -87,3 +91,15 @@ def test_a_delay_that_matters_is_a_remark_and_a_small_one_a_note():
     (remark,) = remarks({"cam2": Delay(-2e-3, 1e-5)}, 100.0)
     assert remark.weight == "remark"
     assert "earlier" in str(remark)
+
+
+def test_a_delay_is_seen_in_images_by_check_without_bias():
+    tank = Tank(Scene.load("demo").with_(rig={"crop": 0.35}, faults={"cam2": {"delay": 2e-3}}))
+    drawn = [tank.render(k) for k in range(8)]
+    grid = Grid((-0.2, 0.2), (-0.15, 0.15), 0.01)
+    witness = Witness(lambda name, k: drawn[k][name], tank.rig, grid)
+    found, _ = delays(Plan(tank.rig, grid, Settings()), witness, (2, 3, 4, 5), tank.scene.frame_rate)
+    late = found["cam2"]
+    assert late.seconds == pytest.approx(2e-3, abs=3 * late.std)
+    assert late.std < 2e-4
+    assert next(iter(remarks(found, 100.0))).subject == "cam2"

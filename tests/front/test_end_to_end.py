@@ -9,6 +9,9 @@ import yaml
 
 from wavefield.commands.cli import main
 from wavefield.commands.demo import comparison, inside
+from wavefield.images import write_image
+from wavefield.rig import Rig
+from wavefield.tank import Scene, Tank
 
 SCENE = {
     "name": "puddle",
@@ -287,3 +290,20 @@ def test_the_papers_figures_are_on_one_page(folder, tmp_path):
     )
     assert len(rows) >= 8
     assert all(re.match(r"[\d.]+", here) for _, here in rows), rows
+
+
+def test_calibrate_levels_the_rig_on_the_record_at_rest(folder, tmp_path, capsys):
+    still = Tank(Scene.load("rest").with_(rig=SCENE["rig"]))
+    for frame in range(2):
+        for name, image in still.render(frame).items():
+            write_image(tmp_path / "rest" / f"{name}_{frame:02d}.tif", image)
+    rest = f"{tmp_path}/rest/{{camera}}_{{frame:02d}}.tif"
+    experiment = _changed(folder, tmp_path, rest=rest, rig=str(tmp_path / "rig.yaml"))
+    assert main(["-q", "calibrate", experiment]) == 0
+    assert "The water's plane: " in capsys.readouterr().out
+    levelled = Rig.load(tmp_path / "rig.yaml")
+    assert levelled.provenance["levelled"]["points"] > 100
+    plain, height = Rig.load(folder / "rig.yaml"), levelled.provenance["levelled"]["height_m"]
+    for name in levelled:
+        lowered = plain[name].centre[2] - levelled[name].centre[2]
+        assert lowered == pytest.approx(height, abs=5e-4)

@@ -33,7 +33,9 @@ Examples:
 @click.option("--rig", type=_FILE, help="Rig file, in place of the one that the experiment names.")
 @click.option("--workflow", type=_FILE, help="Where and how it would run: a file as in workflows/.")
 @campaign.PARAMETERS
-@click.option("--pairs", is_flag=True, help="Also compare each pair of cameras, and their clocks.")
+@click.option(
+    "--pairs", is_flag=True, help="Also compare each pair of cameras, and their clocks at more instants."
+)
 @_JSON
 @click.pass_context
 def check(
@@ -100,7 +102,7 @@ def _say(
 
         prepared = prepare(experiment, rig, workflow)
         click.echo(_pairs_table(prepared))
-        click.echo(f"  clocks: {sentence(synchrony_of(prepared)[0])}")
+        click.echo(f"  clocks, by more instants: {sentence(synchrony_of(prepared)[0])}")
 
 
 def _reader(prepared: Prepared) -> Callable[[str, int], Any]:

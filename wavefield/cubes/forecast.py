@@ -10,7 +10,7 @@ import numpy as np
 
 from wavefield.cubes.at_rest import remark_on_rest
 from wavefield.cubes.cost import Cost, measure_cost
-from wavefield.cubes.judgement import look_at_cameras
+from wavefield.cubes.judgement import clocks, look_at_cameras
 from wavefield.cubes.prepare import expected_coverage, load_files, prepare
 from wavefield.cubes.worker_settings import one_thread
 from wavefield.cubes.workflow import Workflow
@@ -122,8 +122,9 @@ class Check:
         What stands in the way of a run.
     verdict : Verdict or None
         On the cameras' images; None if they could not be compared.
-    motion, heights : str
-        How far the water moves from frame to frame, and how high it stands, in words.
+    motion, heights, clocks : str
+        How far the water moves from frame to frame, how high it stands, and whether the cameras take their
+        frames at the same moment, in words.
     """
 
     experiment: str
@@ -140,6 +141,7 @@ class Check:
     verdict: Verdict | None = None
     motion: str = ""
     heights: str = ""
+    clocks: str = ""
 
     @property
     def exit_status(self) -> int:
@@ -193,6 +195,7 @@ class Check:
             lines += [f"  {self.cost.reading}"] if self.cost.reading else []
         lines += [f"  {words}" for words in (self.motion, self.heights) if words]
         lines += self._agreements()
+        lines += [f"  clocks: {self.clocks}"] if self.clocks else []
         lines += [f"  not ready: {problem}" for problem in self.problems]
         lines += [f"  {remark}" for remark in (self.verdict.remarks if self.verdict else ())]
         return "\n".join(lines)
@@ -253,7 +256,10 @@ def check(
         except ExperimentError as error:
             problems.append(str(error))
     seen = look_at_cameras(prepared) if prepared and not problems else None
-    remarks = [*(seen.remarks if seen else ()), *_ends(experiment, series)]
+    said, late = "", list[Remark]()
+    if prepared and seen and not any(one.weight == "grave" for one in seen.remarks):
+        said, late = clocks(prepared)
+    remarks = [*(seen.remarks if seen else ()), *late, *_ends(experiment, series)]
     if prepared:
         remarks.append(remark_on_rest(prepared.experiment, prepared.rig))
     return Check(
@@ -271,6 +277,7 @@ def check(
         verdict=Verdict.of(remarks, seen.cameras, seen.pairs) if seen else None,
         motion=prepared.motion.sentence if prepared and prepared.motion else "",
         heights=prepared.heights.sentence if prepared and prepared.heights else "",
+        clocks=said,
     )
 
 

@@ -19,6 +19,7 @@ from wavefield.words import spell_ranges
 
 _INSTANTS = 4  # of a record, looked at before a run and after it
 _SYNCHRONY = 24  # of a record, by which delays of cameras are measured after its run
+_FIRST_LOOK = 4  # the same before it
 _STEPS = 12  # of a cube, looked at after its run
 _EPS = (0.15, 0.5)  # px: eps' that is remarked upon, that nothing can be believed of
 _LEAST_MEASURED = (0.7, 0.2)  # of what all cameras see: less is remarked upon, is worth nothing
@@ -60,9 +61,29 @@ def synchrony_of(prepared: Prepared, instants: int = _SYNCHRONY) -> tuple[dict[s
         Of the water in images, rms, px/s.
     """
     count = prepared.steps + 1
-    frames = sorted({int((k + 0.5) * count / instants) for k in range(instants)} - {0, count - 1})
+    even = ((k + 0.5) * count / instants for k in range(instants))
+    frames = sorted({min(max(int(k), 2), count - 3) for k in even}) if count >= 5 else []
     rate = prepared.experiment.frame_rate
     return synchrony.delays(prepared.plan, _witness(prepared), frames, rate)
+
+
+def clocks(prepared: Prepared) -> tuple[str, list[Remark]]:
+    """A first look at whether the cameras take their frames at the same moment, at a few instants.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        As from `wavefield.cubes.prepare.prepare`.
+
+    Returns
+    -------
+    sentence : str
+        Delays of the cameras.
+    remarks : list of Remark
+        On those that are sure.
+    """
+    found, speed = synchrony_of(prepared, _FIRST_LOOK)
+    return synchrony.sentence(found), list(synchrony.remarks(found, speed))
 
 
 def _witness(prepared: Prepared) -> Witness:

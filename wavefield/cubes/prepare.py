@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from wavefield.cubes.cluster import count_workers
+from wavefield.cubes.steadied import refuse_unless_in_a_row
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError
 from wavefield.grid import Grid
@@ -141,6 +142,8 @@ def prepare(
     series = {name: series[name] for name in used}
     covered = masks.footprints(experiment.mask)
     plan = Plan(rig, grid, settings, covered=covered)
+    if settings.vibration == "correct":
+        refuse_unless_in_a_row(plan)
     bare, folder = series, experiment.path.parent
     series = masks.covered_series(experiment.mask, bare, rig, folder, -plan.z_range[0])
     look = _Look(series, plan)

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.errors import ExperimentError
 from wavefield.robust import PER_MEDIAN
 
 Array = NDArray[np.float64]
@@ -22,6 +23,37 @@ _APART = 5  # blocks: nearer ones share their window
 _FEWEST = 40  # of them, to correct a frame
 _KEPT = 4  # frames
 _ALONG = 0.9  # cosine: cameras in one line share the direction across their sight lines
+
+
+def refuse_unless_in_a_row(plan: Any) -> None:
+    """Make sure that the pairs of cameras share the direction across their sight lines.
+
+    Parameters
+    ----------
+    plan : wavefield.measurement.Plan
+        Rig, pairs and grid.
+
+    Raises
+    ------
+    ExperimentError
+        If they do not: what one camera has moved cannot then be told from what another has.
+    """
+    middle = np.array([float(np.mean(plan.grid.x)), float(np.mean(plan.grid.y))])
+    along = {}
+    for a, b in plan.pairs:
+        one, other = plan.rig[a].centre, plan.rig[b].centre
+        rise = (middle - other[:2]) / other[2] - (middle - one[:2]) / one[2]
+        along[a, b] = rise / max(float(np.hypot(*rise)), 1e-12)
+    (first, of_first), *others = along.items()
+    for pair, direction in others:
+        cosine = abs(float(direction @ of_first))
+        if cosine <= _ALONG:
+            raise ExperimentError(
+                f"`vibration: correct` is for cameras in a row: the sight lines of {'-'.join(first)} and of "
+                f"{'-'.join(pair)} part in directions {np.degrees(np.arccos(cosine)):.0f} degrees apart, and "
+                "which camera shakes cannot be told; leave `vibration` out of the settings, or measure z "
+                "with two cameras (`surface: {pairs: ...}`)"
+            )
 
 
 class Steadier:
