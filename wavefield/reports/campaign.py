@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from wavefield.errors import StoreError
 from wavefield.figures.style import LINES, panels
@@ -127,7 +128,9 @@ def _cells(entry: Entry, output: Path) -> list[str]:
     if not entry.there:
         return [first, *(f"<td>{word}</td>" for word in ("not run yet", *"–" * (len(_COLUMNS) + 2)))]
     state, numbers = status(entry.cube), entry.numbers()
-    verdict = state.verdict.line if state.verdict and state.complete else "not finished"
+    verdict = "not finished"
+    if state.complete:
+        verdict = state.verdict.line if state.verdict else "none yet: run it once more"
     words = [verdict, f"{state.steps - state.left} of {state.steps}"]
     words += [number(factor * numbers.get(name, np.nan)) for name, _, factor in _COLUMNS]
     report = beside(entry.cube, "report", ".html")
@@ -145,5 +148,8 @@ def _figure(spectra: Mapping[str, xr.DataArray]) -> Any:
         positive = one.where(one > 0)
         axes[0, 0].loglog(one["omega"].values / (2 * np.pi), positive.values, label=run, **style)
     axes[0, 0].set(xlabel="ω / 2π (Hz)", ylabel="E(ω) of z (m² s rad⁻¹)")
+    axes[0, 0].xaxis.set_major_formatter("{x:g}")  # powers of ten over a decade or two run into each other
+    axes[0, 0].xaxis.set_minor_formatter(NullFormatter())
+    axes[0, 0].xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes[0, 0].legend(frameon=False, fontsize=9)
     return figure
