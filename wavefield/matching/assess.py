@@ -44,38 +44,104 @@ def _measures(
     seen share of each window; du, dv (ny, nx) the step taken since the sums were made; out (5, ny, nx),
     score (2, ny, nx) and hessian (3, ny, nx) output.
     """
-    ny, nx = du.shape
-    for j in range(ny):
-        for i in range(nx):
-            n = F(1) / (max(share[j, i], F(1e-3)) * F(block * block))
-            a, r = windowed[6, j, i] * n, windowed[8, j, i] * n
-            var_a = max(windowed[7, j, i] * n - a * a, F(0))
-            var_r = windowed[5, j, i] * n - r * r
-            cov = windowed[9, j, i] * n - a * r
-            var_b = max(var_a - F(2) * cov + var_r, F(0))
-            out[0, j, i] = min(max((var_a - cov) / np.sqrt(max(var_a * var_b, least)), F(-1)), F(1))
-            gain = min(max(windowed[10, j, i] / max(windowed[11, j, i], F(1e-12)), F(0.3)), F(1.05))
-            out[1, j, i] = gain
-            out[2, j, i] = windowed[10, j, i] * n
-            x, y = du[j, i], dv[j, i]
-            sx = sums[0, j, i] - gain * (sums[2, j, i] * x + sums[3, j, i] * y)
-            sy = sums[1, j, i] - gain * (sums[3, j, i] * x + sums[4, j, i] * y)
-            xx, xy, yy = (
-                windowed[2, j, i] * gain + ridge,
-                windowed[3, j, i] * gain,
-                windowed[4, j, i] * gain + ridge,
-            )
-            scale = F(1) / max(xx * yy - xy * xy, F(1e-30))
-            out[3, j, i] = (yy * sx - xy * sy) * scale
-            out[4, j, i] = (xx * sy - xy * sx) * scale
-            common = min(max(windowed[10, j, i] / max(windowed[11, j, i], F(1e-12)), F(0)), F(1))
-            if out[0, j, i] <= F(_ALIKE):
-                common = F(0)
-            common /= F(2) - common
-            xx, xy, yy = sums[2, j, i] * common, sums[3, j, i] * common, sums[4, j, i] * common
-            hessian[0, j, i], hessian[1, j, i], hessian[2, j, i] = xx, xy, yy
-            score[0, j, i] = sums[0, j, i] - (xx * x + xy * y)
-            score[1, j, i] = sums[1, j, i] - (xy * x + yy * y)
+    work = np.empty((4, du.shape[1]), np.float32)
+    for j in range(len(du)):
+        _alike(j, windowed, share[j], F(block * block), least, out, work)
+        _influences(j, sums, windowed, du[j], dv[j], ridge, out, work)
+        _shared(j, sums, windowed, du[j], dv[j], out[0, j], score, hessian, work)
+
+
+# Loops of one output and few inputs: LLVM makes vector code of them, as more would have to be told apart.
+
+
+@njit
+def _alike(
+    j: int,
+    windowed: np.ndarray,
+    share: np.ndarray,
+    area: np.float32,
+    least: np.float32,
+    out: np.ndarray,
+    work: np.ndarray,
+) -> None:
+    """Correlation, gain and energy of a row of blocks."""
+    rr, sa, aa, sr, ar = windowed[5, j], windowed[6, j], windowed[7, j], windowed[8, j], windowed[9, j]
+    ab, mm, scale = windowed[10, j], windowed[11, j], work[0]
+    alike, gain, energy = out[0, j], out[1, j], out[2, j]
+    for i in range(len(scale)):
+        scale[i] = F(1) / (max(share[i], F(1e-3)) * area)
+    for i in range(len(scale)):
+        n = scale[i]
+        a, r = sa[i] * n, sr[i] * n
+        var_a = max(aa[i] * n - a * a, F(0))
+        var_r = rr[i] * n - r * r
+        cov = ar[i] * n - a * r
+        var_b = max(var_a - F(2) * cov + var_r, F(0))
+        alike[i] = min(max((var_a - cov) / np.sqrt(max(var_a * var_b, least)), F(-1)), F(1))
+    for i in range(len(scale)):
+        gain[i] = min(max(ab[i] / max(mm[i], F(1e-12)), F(0.3)), F(1.05))
+    for i in range(len(scale)):
+        energy[i] = ab[i] * scale[i]
+
+
+@njit
+def _influences(
+    j: int,
+    sums: np.ndarray,
+    windowed: np.ndarray,
+    du: np.ndarray,
+    dv: np.ndarray,
+    ridge: np.float32,
+    out: np.ndarray,
+    work: np.ndarray,
+) -> None:
+    """Influences of a row of blocks, below its gains."""
+    s0, s1, s2, s3, s4 = sums[0, j], sums[1, j], sums[2, j], sums[3, j], sums[4, j]
+    w2, w3, w4 = windowed[2, j], windowed[3, j], windowed[4, j]
+    gain, to_u, to_v, sx, sy, scale = out[1, j], out[3, j], out[4, j], work[0], work[1], work[2]
+    for i in range(len(sx)):
+        sx[i] = s0[i] - gain[i] * (s2[i] * du[i] + s3[i] * dv[i])
+    for i in range(len(sx)):
+        sy[i] = s1[i] - gain[i] * (s3[i] * du[i] + s4[i] * dv[i])
+    for i in range(len(sx)):
+        xx, xy, yy = w2[i] * gain[i] + ridge, w3[i] * gain[i], w4[i] * gain[i] + ridge
+        scale[i] = F(1) / max(xx * yy - xy * xy, F(1e-30))
+    for i in range(len(sx)):
+        to_u[i] = ((w4[i] * gain[i] + ridge) * sx[i] - w3[i] * gain[i] * sy[i]) * scale[i]
+    for i in range(len(sx)):
+        to_v[i] = ((w2[i] * gain[i] + ridge) * sy[i] - w3[i] * gain[i] * sx[i]) * scale[i]
+
+
+@njit
+def _shared(
+    j: int,
+    sums: np.ndarray,
+    windowed: np.ndarray,
+    du: np.ndarray,
+    dv: np.ndarray,
+    alike: np.ndarray,
+    score: np.ndarray,
+    hessian: np.ndarray,
+    work: np.ndarray,
+) -> None:
+    """Score and Hessian of a row of blocks."""
+    s0, s1, s2, s3, s4 = sums[0, j], sums[1, j], sums[2, j], sums[3, j], sums[4, j]
+    ab, mm, common = windowed[10, j], windowed[11, j], work[3]
+    xx, xy, yy, sx, sy = hessian[0, j], hessian[1, j], hessian[2, j], score[0, j], score[1, j]
+    for i in range(len(common)):
+        part = min(max(ab[i] / max(mm[i], F(1e-12)), F(0)), F(1))
+        part = F(0) if alike[i] <= F(_ALIKE) else part
+        common[i] = part / (F(2) - part)
+    for i in range(len(common)):
+        xx[i] = s2[i] * common[i]
+    for i in range(len(common)):
+        xy[i] = s3[i] * common[i]
+    for i in range(len(common)):
+        yy[i] = s4[i] * common[i]
+    for i in range(len(common)):
+        sx[i] = s0[i] - (xx[i] * du[i] + xy[i] * dv[i])
+    for i in range(len(common)):
+        sy[i] = s1[i] - (xy[i] * du[i] + yy[i] * dv[i])
 
 
 def assess(

@@ -97,10 +97,10 @@ class Cosines:
 
     def quarters(self, field: Float) -> Float:
         """Quarters of a field (c, ny, nx): what of it is even and odd."""
-        parts = self.mirrored(field)
-        y_even, y_odd = parts[0] + parts[1], parts[0] - parts[1]
-        both = [(y_even[0] + y_even[1], y_even[0] - y_even[1]), (y_odd[0] + y_odd[1], y_odd[0] - y_odd[1])]
-        return np.ascontiguousarray(np.array(both).transpose(0, 3, 1, 2, 4))
+        hy, hx = self._half
+        out = np.empty((2, hy, 2, len(field), hx), F)
+        _fold(np.ascontiguousarray(field, F), out)
+        return out
 
     def mirrored(self, field: Float) -> Float:
         """A field (c, ny, nx) by places that mirror each other, (2, 2, c, hy, hx).
@@ -137,6 +137,26 @@ class Cosines:
                 np.matmul(flat[:, parity, n], self._columns_t[parity], out=part[:, parity, n])
         out: Float = np.matmul(self._rows, part.reshape(2, hy, 2 * c * mx))
         return out.reshape(2, my, 2, c, mx)
+
+
+@njit
+def _fold(field: Float, out: Float) -> None:
+    _, hy, _, c, hx = out.shape
+    _, ny, nx = field.shape
+    for n in range(c):
+        for j in range(hy):
+            up, down = field[n, j], field[n, ny - 1 - j]
+            once = F(1) if j < ny - hy else F(0)  # the middle of an odd number of rows
+            ee, eo, oe, oo = out[0, j, 0, n], out[0, j, 1, n], out[1, j, 0, n], out[1, j, 1, n]
+            for i in range(nx - hx):
+                p, q = up[i], up[nx - 1 - i]
+                r, s = once * down[i], once * down[nx - 1 - i]
+                ee[i], eo[i] = (p + r) + (q + s), (p + r) - (q + s)
+                oe[i], oo[i] = (p - r) + (q - s), (p - r) - (q - s)
+            for i in range(nx - hx, hx):
+                p, r = up[i], once * down[i]
+                ee[i] = eo[i] = p + r
+                oe[i] = oo[i] = p - r
 
 
 @njit
