@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -7,6 +8,7 @@ from measurement_cases import PIXEL, RATE
 
 from wavefield.grid import Grid
 from wavefield.measurement import Plan, Record, Settings, measure
+from wavefield.rig import Rig
 from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, Quality
 
 
@@ -49,6 +51,20 @@ def test_uncertainties_tell_the_truth(series, cube):
         error = np.abs(np.stack([cube[name][k] - series.truth[k][name] for k in range(3)]))
         share = (error < cube[name + "_std"])[:, series.inside].mean()
         assert 0.4 < share < 0.95, name
+
+
+def test_sight_lines_that_miss_each_other_make_z_less_certain(series, plan, cube):
+    bent = series.rig.cameras | {"cam1": replace(series.rig["cam1"], cy=series.rig["cam1"].cy + 0.1)}
+    frames = {name: images[1:5] for name, images in series.frames.items()}
+    out = measure(frames, Plan(Rig(bent), series.grid, record=plan.record), RATE)
+    more = out["z_std"][0] ** 2 - cube["z_std"][1] ** 2
+    assert 0.02 * PIXEL < np.sqrt(np.median(more[series.inside])) < 0.15 * PIXEL
+
+
+def test_where_the_water_moves_further_than_is_searched_the_run_goes_on_and_says_so(series):
+    piv = replace(Settings().piv, search_x=(40.0, 48.0), search_y=(40.0, 48.0))
+    out = measure(series.frames, Plan(series.rig, series.grid, Settings(piv=piv)), RATE)
+    assert not ((out["quality"] & Quality.MEASURED) > 0).any()
 
 
 def test_a_record_survives_as_plain_data_and_learning_from_the_frames_at_hand_serves(series, plan, cube):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,9 @@ Float = NDArray[Any]
 Mask = NDArray[np.bool_]
 
 LOOKS = 2  # at the images: where matching led, and where the first solution leads
+_SMOOTH = 6  # half waves along the lattice: sight lines that miss each other so smoothly are ill calibrated
+_CAREFUL = 1.5  # weights think the noise so much larger than across the sight lines: spectra hold some of it
+_LONGER = 1.22  # noise of z over that across the sight lines: cameras see a bead's light at different places
 _BAD = np.uint8(Reason.EDGE | Reason.MASKED | Reason.NEIGHBOURS)
 
 
@@ -116,11 +119,15 @@ class Estimate:
         Cosine coefficients of the elevation and of its prior mean, metres.
     information : ndarray of float32, (ny, nx)
         A of every block, per square metre.
+    miss : float
+        By how much sight lines miss each other smoothly, rms, as metres of elevation: the calibration's
+        fault, which is thought to be as large along them.
     """
 
     waves: Float
     mean: Float
     information: Float = field(repr=False)
+    miss: float
 
 
 def most_probable(
@@ -129,6 +136,7 @@ def most_probable(
     prepared: Mapping[str, matching.Prepared],
     modes: Modes,
     pixel: float,
+    across: bool = True,
 ) -> Estimate:
     """Elevation as the blocks of all pairs together have it.
 
@@ -144,6 +152,8 @@ def most_probable(
         Cosines of the lattice.
     pixel : float
         Of the rectified images, metres.
+    across : bool, default True
+        Whether the noise is taken across the sight lines; else from the scores of the elevation itself.
 
     Returns
     -------
@@ -153,12 +163,14 @@ def most_probable(
     -----
     A rise of z moves a pair's patches by -dD z: its score is -dD . s, its information dD H dD. Pairs of one
     reference share its noise, which cancels between opposite sides; so scores are summed over the pairs
-    before their noise is measured.
+    before their noise is measured. Across the sight lines nothing but noise is to be found, once what is
+    smooth there, the calibration's fault, is taken off: no wave hides in it, and no fit has taken from it.
     """
     z = blocks.whole
     mean, waves = modes.mean(z), modes.waves(z)
     looks = [_Look(m, pixel) for m in matches]
-    freedom, seen = modes.freedom, None
+    smooth = _smooth(matches, modes)
+    seen = None
     information = z[:1]
     for number in range(LOOKS):
         if number:
@@ -167,15 +179,40 @@ def most_probable(
                 one.again(z[0], prepared)
         score = np.sum([one.score(z[0]) for one in looks], axis=0)
         hessian = np.sum([one.hessian for one in looks], axis=0)
-        counts = (hessian > 0).astype(np.float32)
-        nu = matching.noise_of_scores(score[None], hessian, counts, freedom)
-        nu *= np.float32(modes.prior.noise)
+        nu = _noise_across(looks, smooth) if across else _noise(score, hessian, modes.freedom)
         information = (hessian / nu)[None]
         right = information * z + (score / nu)[None]
         if not number:
             factor, tolerances = modes.factor(information[0]), modes.tolerances(information[0])
         waves = modes.solve(information, right, waves, tolerances[number], mean, factor, seen)
-    return Estimate(waves, mean, information[0])
+    counts = information[0] > 0
+    miss = float(np.sqrt(np.mean(np.square(smooth[counts])))) if counts.any() else 0.0
+    return Estimate(waves, mean, information[0], miss)
+
+
+def _noise(score: Float, hessian: Float, freedom: float) -> Float:
+    return matching.noise_of_scores(score[None], hessian, (hessian > 0).astype(np.float32), freedom)
+
+
+def _noise_across(looks: Sequence[_Look], smooth: Float) -> Float:
+    """Noise of the scores, (ny, nx), from those across the sight lines."""
+    parts = [one.across(smooth) for one in looks]
+    score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
+    return np.float32(_CAREFUL) * _noise(score, hessian, 1.0)
+
+
+def _smooth(matches: Sequence[PairMatch], modes: Modes) -> Float:
+    """What is smooth of the "elevation" across the sight lines, metres, (ny, nx)."""
+    turned = [replace(m, parallax=_quarter(m.parallax)) for m in matches]
+    waves = modes.waves(combine(turned).whole)
+    waves[:, _SMOOTH:] = 0.0
+    waves[:, :, _SMOOTH:] = 0.0
+    return modes.field(waves)[0]
+
+
+def _quarter(vector: Float) -> Float:
+    """Turned to the left by a quarter, (2, ny, nx)."""
+    return np.stack([-vector[1], vector[0]])
 
 
 def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float, freedom: float) -> float:
@@ -197,8 +234,7 @@ def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float
     z = blocks.whole[0]
     hessian = np.sum([one.hessian for one in looks], axis=0)
     score = np.sum([one.score(z) for one in looks], axis=0)
-    nu = matching.noise_of_scores(score[None], hessian, (hessian > 0).astype(np.float32), freedom)
-    return float((hessian / nu).mean())
+    return float((hessian / _noise(score, hessian, freedom)).mean())
 
 
 class _Look:
@@ -207,14 +243,12 @@ class _Look:
     def __init__(self, match: PairMatch, pixel: float) -> None:
         self.match = match
         self.D = match.parallax / np.float32(pixel)
-        square = np.sum(np.square(match.parallax), axis=0)
-        self.own = -np.sum(match.parallax * match.difference, axis=0) / square
+        self.own = _height(match.parallax, match.difference)
         self.here, self.counts, self.found = self.own, match.valid, match.found
         self._weigh()
 
     def _weigh(self) -> None:
-        h = self.found.hessian * self.counts
-        self.hessian = self.D[0] ** 2 * h[0] + 2 * self.D[0] * self.D[1] * h[1] + self.D[1] ** 2 * h[2]
+        self.hessian = _through(self.D, self.found.hessian * self.counts)
 
     def again(self, z: Float, prepared: Mapping[str, matching.Prepared]) -> None:
         """Look at the images at an elevation (ny, nx)."""
@@ -231,6 +265,25 @@ class _Look:
         out: Float = self.hessian * (self.here - z)
         out -= (self.D[0] * s[0] + self.D[1] * s[1]) * self.counts
         return out
+
+    def across(self, smooth: Float) -> tuple[Float, Float]:
+        """Score and Hessian as if the parallax were turned by a quarter, at a field (ny, nx) of heights."""
+        D, m, s = _quarter(self.D), self.match, self.found.score
+        hessian = _through(D, self.found.hessian * self.counts)
+        here = _height(_quarter(m.parallax), m.difference)
+        return hessian * (here - smooth) - (D[0] * s[0] + D[1] * s[1]) * self.counts, hessian
+
+
+def _through(D: Float, h: Float) -> Float:
+    """D h D of blocks."""
+    out: Float = D[0] ** 2 * h[0] + 2 * D[0] * D[1] * h[1] + D[1] ** 2 * h[2]
+    return out
+
+
+def _height(parallax: Float, difference: Float) -> Float:
+    """Elevation, metres, that explains a difference best."""
+    out: Float = -np.sum(parallax * difference, axis=0) / np.sum(np.square(parallax), axis=0)
+    return out
 
 
 def surface(prepared: Mapping[str, matching.Prepared], plan: Plan) -> Surface | None:
@@ -257,7 +310,8 @@ def surface(prepared: Mapping[str, matching.Prepared], plan: Plan) -> Surface | 
     spline = plan.modes.field(estimate.waves * plan.spline)
     noise, missing = plan.spread(estimate.information)
     z, block = _read(spline, matches, plan)
-    std = np.sqrt(noise + missing).ravel()[block]
+    variance = np.float32(_LONGER / _CAREFUL) * noise + missing + np.float32(estimate.miss**2)
+    std = np.sqrt(variance).ravel()[block]
     apart = pairs_apart(matches, plan.pixel).ravel()[block]
     return Surface(z, blocks.eps_y.ravel()[block], std, _quality(blocks, block), apart)
 

@@ -32,6 +32,7 @@ SAMPLES = 4  # steps of a record that are looked at
 _ROUNDS = 2  # of spectrum and field in turn
 _FREEDOM = 0.6  # fraction of the scores' noise that windows leave in them, about
 _NOISE = 0.1, 10.0  # factors on the noise that are believed
+_STILL = 1e-3  # of the pixel: the least motion from frame to frame that water is thought to have
 
 
 def sample_steps(count: int, number: int = 0) -> list[int]:
@@ -136,7 +137,14 @@ def _learn_elevation(views: Sequence[Images], plan: Plan) -> Prior | None:
         found = elevation.look_at_pairs(view.flat, plan)
         if found is not None:
             samples.append(_Height(*found, view.flat, plan.pixel))
-    return _Samples.of(samples, plan.settings.stereo).prior if samples else None
+    if not samples:
+        return None
+    prior = _Samples.of(samples, plan.settings.stereo).prior
+    modes = Modes(prior, plan.lattice.shape)
+    told = [
+        elevation.most_probable(*sample.parts, modes, plan.pixel).information.mean() for sample in samples
+    ]
+    return replace(prior, information=float(np.mean(told)))
 
 
 def _learn_displacement(name: str, views: Sequence[tuple[Images, Images]], plan: Plan) -> _Samples | None:
@@ -169,13 +177,13 @@ class _Height(_Sample):
         prepared: Mapping[str, matching.Prepared],
         pixel: float,
     ) -> None:
-        self._parts = blocks, matches, prepared, pixel
+        self.parts, self._pixel = (blocks, matches, prepared), pixel
         self.field = blocks.whole
         self.information = elevation.first_information(blocks, matches, pixel, _FREEDOM)
 
     def estimate(self, modes: Modes) -> elevation.Estimate:
-        blocks, matches, prepared, pixel = self._parts
-        return elevation.most_probable(blocks, matches, prepared, modes, pixel)
+        # noise from the same scores as the field: taken across, what is more along would pass for waves
+        return elevation.most_probable(*self.parts, modes, self._pixel, across=False)
 
 
 class _Shift(_Sample):
@@ -246,5 +254,5 @@ def _misfit(
             moved.append([float(np.std(d[good])) for d in motion.d])
     if not misfits:
         return 1.0, (1.0, 1.0, 1.0)
-    x, y, z = np.sqrt(np.mean(np.square(moved), axis=0))
+    x, y, z = np.maximum(np.sqrt(np.mean(np.square(moved), axis=0)), _STILL * plan.pixel)
     return float(np.median(misfits)), (float(x), float(y), float(z))
