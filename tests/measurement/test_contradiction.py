@@ -1,10 +1,14 @@
 """A camera that lies: left out where the others agree, else the nodes are not called measured."""
 
+import sys
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from measurement_cases import RATE
 
 from wavefield.measurement import measure
+from wavefield.measurement.instant import look
 from wavefield.variables import Quality
 
 
@@ -39,3 +43,23 @@ def test_cameras_that_tell_the_truth_are_not_accused(series, plan):
     out = measure({name: images[1:5] for name, images in series.frames.items()}, plan, RATE)
     assert not (out["quality"][0] & Quality.FEWER_CAMERAS).any()
     assert ((out["quality"][0] & Quality.MEASURED) > 0)[series.inside].mean() > 0.99
+
+
+def test_water_that_stands_where_none_was_searched_is_not_called_measured(series, plan, monkeypatch):
+    """Not even where it is only the frame before the step, which has a say in z at mid-time."""
+
+    def look_up(frames, plan, masks=None):
+        found = look(frames, plan, masks)
+        first = frames["cam1"] is series.frames["cam1"][1]
+        z = found.surface.z.copy()
+        z[10, 12] += 0.5 if first else 0.0
+        return replace(found, surface=replace(found.surface, z=z))
+
+    monkeypatch.setattr(sys.modules["wavefield.measurement.measure"], "look", look_up)
+    out = measure({name: images[1:5] for name, images in series.frames.items()}, plan, RATE)
+    measured = (out["quality"][0] & Quality.MEASURED) > 0
+    assert series.inside[10, 12]
+    assert not measured[10, 12]
+    assert measured[10, 13]
+    assert out["z_std"][0, 10, 12] > 0.01  # z is off by a sixteenth of half a metre
+    assert out["z_std"][0, 10, 13] < 1e-3

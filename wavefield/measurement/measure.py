@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from wavefield.matching.one_thread import one_thread
 from wavefield.measurement.covered import masked_nodes
+from wavefield.measurement.elevation import Surface
 from wavefield.measurement.flow import Flows, flows
 from wavefield.measurement.instant import Instant, look
 from wavefield.measurement.learn import learn, sample_steps
@@ -143,15 +144,18 @@ def _step(
     assert first_surface is not None
     assert second_surface is not None
     quality = first_surface.quality | second_surface.quality | moved.quality
+    beyond = _beyond(surfaces, plan)
+    quality[beyond] |= np.uint8(Quality.REJECTED_NEIGHBOURS | Quality.FILLED)
     apart = np.uint8(Quality.REJECTED_EPS | Quality.FILLED)
     quality = np.where(first_surface.apart | second_surface.apart, quality | apart, quality)
     filled = (quality & Quality.FILLED) != 0
     quality = np.where(filled, quality & ~np.uint8(Quality.MEASURED), quality)
     nothing = np.where(masked, np.uint16(Quality.MASKED), np.uint16(Quality.OUTSIDE))
     out["quality"][:] |= np.where(inside, quality, nothing)
-    squared = squared_phase(surfaces, moved.d[2], inside)
+    known = inside & ~filled  # what is made up in holes says nothing of the rest
+    squared = squared_phase(surfaces, moved.d[2], known)
     left_out = left_out_of_displacement(squared, (moved.quality & Quality.TWO_FRAME_MEAN) != 0)
-    d_std = [np.hypot(std, left_out * typical(d, inside)) for d, std in zip(moved.d, moved.d_std)]
+    d_std = [np.hypot(std, left_out * typical(d, known)) for d, std in zip(moved.d, moved.d_std)]
     fields = {
         "z": z,
         "z_t": rise * np.float32(frame_rate),
@@ -160,11 +164,20 @@ def _step(
         "w": moved.d[2] * frame_rate,
         "eps_y": np.float32(0.5) * (first_surface.eps_y + second_surface.eps_y),
         "eps_piv": moved.eps_piv,
-        "z_std": np.hypot(z_std, left_out_of_z(surfaces, z, squared, inside)),
+        "z_std": np.hypot(z_std, left_out_of_z(surfaces, z, squared, known)),
         "u_std": d_std[0] * frame_rate,
         "v_std": d_std[1] * frame_rate,
         "w_std": d_std[2] * frame_rate,
     }
+    for name in ("z", "u", "v", "w"):  # such water there cannot be: nothing is known
+        fields[f"{name}_std"] = np.where(beyond, np.abs(fields[name]), fields[f"{name}_std"])
     for name, field in fields.items():
         out[name][0][inside] = field[inside]
     out["frame_status"][:] = FrameStatus.DONE_WITH_FAULTS if missing else FrameStatus.DONE
+
+
+def _beyond(surfaces: Sequence[Surface | None], plan: Plan) -> NDArray[np.bool_]:
+    """Nodes at which one of the surfaces that make z at mid-time stands where none was searched, (ny, nx)."""
+    lowest, highest = plan.z_range
+    found = [(one.z < lowest) | (one.z > highest) for one in surfaces if one is not None]
+    return np.asarray(np.logical_or.reduce(found))
