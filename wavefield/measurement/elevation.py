@@ -198,7 +198,8 @@ def _noise_across(looks: Sequence[_Look], smooth: Float) -> Float:
     """Noise of the scores, (ny, nx), from those across the sight lines."""
     parts = [one.across(smooth) for one in looks]
     score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
-    return np.float32(_CAREFUL) * _noise(score, hessian, 1.0)
+    out: Float = np.float32(_CAREFUL) * _noise(score, hessian, 1.0)
+    return out
 
 
 def _smooth(matches: Sequence[PairMatch], modes: Modes) -> Float:
@@ -207,7 +208,8 @@ def _smooth(matches: Sequence[PairMatch], modes: Modes) -> Float:
     waves = modes.waves(combine(turned).whole)
     waves[:, _SMOOTH:] = 0.0
     waves[:, :, _SMOOTH:] = 0.0
-    return modes.field(waves)[0]
+    out: Float = modes.field(waves)[0]
+    return out
 
 
 def _quarter(vector: Float) -> Float:
