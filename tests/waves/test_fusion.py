@@ -113,6 +113,33 @@ def test_undone_windows_give_the_truth_to_the_shortest_waves(through_windows):
     assert frequency["fusion"] >= frequency["w"]
 
 
+def test_what_the_measurement_takes_comes_back_where_half_is_left():
+    half = 60.0  # rad/m at which the most probable field keeps half of a wave
+
+    def kept(k):
+        return 1 / (1 + (k / half) ** 5)
+
+    sea, exact = PeriodicSea(n=128, box=0), PeriodicSea(n=128, box=0).cube(1024, 50, 64)
+    k = 2 * np.pi * np.fft.fftfreq(sea.n, sea.dx)
+    sea.box = kept(np.hypot(k, k[:, None]))
+    k = np.linspace(0, 220, 111)
+    both = {f"gain_{name}": (("direction", "k"), np.tile(kept(k), (8, 1))) for name in "zw"}
+    gain = xr.Dataset(both, {"k": k})
+    measured = sea.cube(1024, 50, 64, noise_z=1e-5, noise_dz=1e-5).drop_vars("exact")
+    undone = wv.fusion(measured, segment=256, record=wv.whole_record(measured), gain=gain)
+    true = wv.komega(exact.exact, segment=256).E
+    truth = true.sum("k") * float(true.k[1] - true.k[0])
+    last = float(wv.dispersion(half, 0.7)) / (2 * np.pi)
+    for method in ("stereo", "w", "fusion"):
+        valid = (undone[f"valid_{method}"] & (undone.frequency > 1.2)).values
+        assert 0.85 * last < undone.frequency.values[valid].max() < 1.05 * last, method
+        ratio = undone[f"Ez_{method}"].values[valid].sum() / truth.values[valid].sum()
+        assert ratio == pytest.approx(1, abs=0.03), method
+        short = valid & (undone.frequency.values > 0.75 * last)
+        ratio = undone[f"Ez_{method}"].values[short].sum() / truth.values[short].sum()
+        assert ratio == pytest.approx(1, abs=0.05), method  # and what leaks from longer waves is raised too
+
+
 def test_noise_is_told_from_what_windows_take(through_windows):
     cube, _ = through_windows
     undone = wv.fusion(cube, segment=256, record=wv.whole_record(cube), gain=box_gain())

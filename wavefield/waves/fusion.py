@@ -16,7 +16,7 @@ from wavefield.water import dispersion, water_of, wavenumber
 from wavefield.waves.crosses import cross_spectra
 from wavefield.waves.record import Record
 from wavefield.waves.spectra import frequency_spectrum, with_interval
-from wavefield.waves.transfer import LEAST_GAIN, LEAST_SIGNAL, elevation_from_w, path_factor
+from wavefield.waves.transfer import LEAST_SIGNAL, elevation_from_w, path_factor
 from wavefield.waves.welch import inner, k_coords, omega_coords
 from wavefield.waves.window_gain import read_gain, ring_gain
 
@@ -29,6 +29,7 @@ METHODS = ("stereo", "w", "cross", "fusion")
 _LONGER = 0.5  # of the ridge's k: what is longer is no free wave of that frequency
 _OFF = 0.3  # of the ridge's omega: further off there is no free wave
 _TRUSTED = 0.7  # fraction of the ridge's cells
+_KEPT = 0.25  # of a wave's power, half its amplitude: less cannot be undone
 _LOWEST = 1.2  # Hz: below it the integrated w holds little but drift
 
 
@@ -84,7 +85,7 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
     if gain is None:
         return _Gains(np.ones_like(k), np.ones_like(k), np.ones_like(k))
     z, w, both = (ring_gain(gain, *names, k) for names in (("z", "z"), ("w", "w"), ("z", "w")))
-    return _Gains(np.where(z > LEAST_GAIN, z, 0.0), np.where(w > LEAST_GAIN, w, 0.0), both)
+    return _Gains(np.where(z > _KEPT, z, 0.0), np.where(w > _KEPT, w, 0.0), both)
 
 
 @dataclass(frozen=True)
@@ -336,7 +337,7 @@ def fusion(
         z, z_t, w over (time, y, x), m and m/s.
     gain : path or Dataset, optional
         Gain of the matching windows (`window_gain`): it is undone, and all four have their noise taken
-        off, where the gain of power exceeds 0.1 and the signal 3 times the noise.
+        off, where half of the amplitude is left and the signal is 3 times the noise.
     depth : float, optional
         Depth of the water, m; the attribute ``water_depth`` of the cube, or deep, if not given.
     segment : int, optional
