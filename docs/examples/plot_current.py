@@ -30,6 +30,6 @@ w = xr.DataArray(w.astype("f4"), axes, ("time", "y", "x"), attrs={"units": "m s-
 # The ridge of the spectrum, band by band; u and v of the surface are the point at depth 0. In a wave store it
 # is the group ``shear``.
 spectrum = wf.spectrum(w, segment=256)
-ridge = wf.fit_dispersion(spectrum.E, dof=float(spectrum.dof))
+ridge = wf.fit_dispersion(spectrum.E)
 current = wf.current_by_depth(ridge, surface=(0.1, 0.0))
 figures.current_profile(current)

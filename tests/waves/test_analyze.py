@@ -42,11 +42,13 @@ def store(sea, probes, tmp_path_factory):
 
 def test_the_store_holds_the_variables_of_the_table(store):
     # with a gain only: see test_fusion
-    with_gain = {"Ez_komega"}
+    left_out = {"Ez_komega"}
+    if "No surface tension was fitted" in store.attrs["notes"]:  # a small field does not tell it to 5 %
+        left_out |= {"gamma", "gamma_std", "omega_fit"}
     for group in GROUPS:
         dataset = store[group].to_dataset()
         rows = {row.name: row for row in rows_of(group)}
-        assert set(rows) - with_gain <= set(dataset.variables), group
+        assert set(rows) - left_out <= set(dataset.variables), group
         for name, row in rows.items():
             if name in dataset:
                 assert dataset[name].dims == row.dims, f"{group}: {name}"

@@ -23,7 +23,7 @@ import wavefield
 from wavefield.errors import CubeError, StoreError
 from wavefield.store.waves import write_waves
 from wavefield.variables import FIELD_TEXTS, FIELD_UNITS, TABLE, annotate, density_units, validate
-from wavefield.water import water_of
+from wavefield.water import water_of, wavenumber
 from wavefield.waves import coherence, crosses, fusion, kinematics, segments, spectra, statistics, transfer
 from wavefield.waves.bound import free_and_bound
 from wavefield.waves.direction import direction_group
@@ -41,6 +41,7 @@ from wavefield.waves.window_gain import read_gain
 
 MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz; 2.8 is the paper's
 _FEW = 7  # segments: with fewer, single cells say little
+_TOLD, _FELT = 3.0, 0.03  # Hz at which a current is told, from this part of the frequency on
 
 
 @dataclass(frozen=True)
@@ -213,7 +214,7 @@ def _groups(
             " spectra: look at them before you trust what lies decades below the peak."
         )
     water = job.depth, job.gamma, welch.dof
-    dispersion, note = dispersion_group(density["w"], welch.table.k, *water)
+    dispersion, note = dispersion_group(density["w"], welch.table.k, job.depth, job.gamma)
     notes.extend([note] if note else [])
     found = _currents(job, density, dispersion, moments, welch, notes)
     seconds = sum(b - a for a, b in welch.record.runs) * welch.record.dt
@@ -242,6 +243,7 @@ def _currents(
     if "current_x" not in dispersion:
         return {}
     current = float(dispersion["current_x"]), float(dispersion["current_y"])
+    notes.extend(_current_note(current, job))
     out = {
         "directional": from_density(densities["w"], job.depth, job.gamma, current, welch.dof, welch.frames),
         "bound": free_and_bound(densities["z"], job.depth, gamma=job.gamma, current=current, dof=welch.dof),
@@ -264,6 +266,20 @@ def _currents(
     except CubeError as error:
         notes.append(f"No current by depth: {error}.")
     return out
+
+
+def _current_note(current: tuple[float, float], job: _Job) -> list[str]:
+    # w is -i (omega - k . U) z: what takes it for the z_t of still water is wrong by that
+    k = wavenumber(2 * np.pi * _TOLD, job.depth, job.gamma)
+    part = float(k * np.hypot(*current) / (2 * np.pi * _TOLD))
+    if part < _FELT:
+        return []
+    return [
+        f"The water moves at {np.hypot(*current):.2g} m/s: w and z_t of waves along it differ by"
+        f" {100 * part:.0f} % at {_TOLD:g} Hz, and more at higher frequencies. Spectra of the elevation from"
+        " w, and by the combination, hold twice that as an error; those from stereo, and group `directional`,"
+        " do not."
+    ]
 
 
 def _map_lines(omega: np.ndarray, wanted: Sequence[float]) -> list[int]:

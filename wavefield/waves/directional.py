@@ -53,8 +53,11 @@ def from_density(
     """
     omega = density["omega"].values
     dt = np.pi / float(omega[-1])
-    factor = np.where(omega > 0, elevation_from_w(np.maximum(omega, 1e-9), dt, frames), 0.0)
-    elevation = density * xr.DataArray(factor, dims="omega")
+    # the water sees omega - k . U, and w is the rise of a particle that the current carries
+    still = density["omega"] - density["kx"] * current[0] - density["ky"] * current[1]
+    still = abs(still.transpose(*density.dims))
+    factor = elevation_from_w(still.clip(min=omega[1]), dt, frames)
+    elevation = density * factor.where(still > omega[1] / 2, 0.0)
     line = float(omega[1]) / (2 * np.pi)
     shortest = dispersion(0.8 * float(density["kx"].max()), depth, gamma) / (2 * np.pi)
     step = max(_STEP, line)

@@ -4,7 +4,7 @@ import xarray as xr
 
 _PERIODS = 10  # of a wave: fewer do not tell it from its neighbours, nor its height from chance
 _SEGMENTS = 4  # independent ones, before a fitted surface tension is more than their noise
-_SPREAD = 1 / 3  # of the surface tension: its uncertainty must be less
+_SPREAD = 0.05  # of the surface tension: its uncertainty must be less
 
 Groups = tuple[xr.Dataset, xr.Dataset, list[str]]
 
@@ -30,7 +30,7 @@ def leave_out_unknown(
     statistics, dispersion : Dataset
         Without the spectral peak and what follows from it where the record lasts less than ten of its
         periods; without the surface tension where there are fewer than four segments, or where it is not
-        known to a third.
+        known to 5 %.
     notes : list of str
         A sentence about each.
 

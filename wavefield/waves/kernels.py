@@ -583,3 +583,31 @@ def windowed_sums(
             cosine += part * heading[0, c]
             sine += part * heading[1, c]
         out[0, i], out[1, i], out[2, i], out[3, i] = total, along, cosine, sine
+
+
+@_loose
+def spread_waves(first: Array, weights: Array, power: Array, out: Array) -> None:
+    """Add waves to a spectrum as windows spread them over neighbouring cells.
+
+    Parameters
+    ----------
+    first : ndarray, int, (3, waves)
+        First line, row and column that a wave is seen in; may lie outside.
+    weights : ndarray, (3, waves, near)
+        Its part in each of them from there on.
+    power : ndarray, (waves,)
+        Its energy.
+    out : ndarray, float64, (lines, ny, nx)
+        Is added to; rows and columns go on at the other side, lines do not.
+    """
+    lines, ny, nx = out.shape
+    near = weights.shape[2]
+    for p in range(power.size):
+        for a in range(near):
+            i = first[0, p] + a
+            if 0 <= i < lines:
+                for b in range(near):
+                    part = power[p] * weights[0, p, a] * weights[1, p, b]
+                    row = out[i, (first[1, p] + b) % ny]
+                    for c in range(near):
+                        row[(first[2, p] + c) % nx] += part * weights[2, p, c]

@@ -1,28 +1,31 @@
 """The measured ridge of the dispersion relation: current and surface tension fitted to it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.optimize import least_squares
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
-from wavefield.water import GAMMA, dispersion, group_velocity, wavenumber
+from wavefield.water import GAMMA, dispersion, group_velocity
 from wavefield.waves import kernels
+from wavefield.waves.current_scan import LONGEST, Plane, plane_of, scan_current
+from wavefield.waves.ridge_windows import Cells, as_seen
 from wavefield.waves.welch import k_coords
 
 Array = NDArray[Any]
 
-_LONGEST = 2.5  # cells of the k plane: longer waves lie within the window's reach of those that come back
 _ASTRAY = 0.1  # of k: a ridge lies within 3 %, what is taken for one by mistake within 8 to 70 %
 _LEAST = 1e-3  # of the strongest sector on a line: what is weaker has leaked
 _HELD_UP = 0.3  # of the free group velocity: waves that a current slows more smear over all k
-_FASTEST, _SCAN_STEP, _SCAN_SECTORS = 0.8, 0.02, 48  # m/s
-_SLOPE_OVER = 0.3  # Hz to either side: the slope of the spectrum is taken over this
+_ROBUST = 0.05  # of a misfit over sqrt(k): larger ones count less
+_LEANING = 0.3  # cells of the k plane: what the windows move further is theirs
+_TENSION = 0.02  # of the surface tension: what noisy seas leave wrong in it
+_MENDS = 2  # rounds in which the windows' doing is taken off
 
 
 @dataclass(frozen=True)
@@ -42,8 +45,6 @@ class FitSettings:
         The same in cells of the k plane: a Hann window spreads a wave over two on either side.
     rounds : int
         How often the window is re-centred on the fit.
-    bootstrap : int
-        Number of synthetic spectra for the uncertainty.
     """
 
     lowest: float = 1.5
@@ -52,28 +53,6 @@ class FitSettings:
     half_width: float = 0.22
     least_width: float = 2.2
     rounds: int = 4
-    bootstrap: int = 24
-
-
-@dataclass(frozen=True)
-class _Plane:
-    kx: Array  # (cells,)
-    ky: Array
-    k: Array
-    angle: Array
-    cell: float  # larger side of a cell, rad/m
-    spread: float  # variance along k that the window lends to a single wave, (rad/m)^2
-
-
-def _plane(density: xr.DataArray) -> _Plane:
-    ky, kx = np.meshgrid(density["ky"].values, density["kx"].values, indexing="ij")
-    cells = [float(density[name][1] - density[name][0]) for name in ("ky", "kx")]
-    # second moment of a Hann line |W|^2 (weights 1, 4, 1 over 6) is a third of a cell squared; across the ray
-    # it lengthens |k| on average by spread / 2k
-    spread = float(np.mean(np.square(cells))) / 3
-    return _Plane(
-        kx.ravel(), ky.ravel(), np.hypot(kx, ky).ravel(), np.arctan2(ky, kx).ravel(), max(cells), spread
-    )
 
 
 @dataclass(frozen=True)
@@ -84,7 +63,7 @@ class _Sector:
     heading: Array  # (2, cells), cosine and sine of the angle
 
 
-def _sectors(plane: _Plane, count: int) -> list[_Sector]:
+def _sectors(plane: Plane, count: int) -> list[_Sector]:
     out = []
     width = np.pi / count
     rising = np.argsort(plane.k, kind="stable")
@@ -100,17 +79,17 @@ def _centroids(
     energy: Array,
     omega: Array,
     noise: Array,
-    plane: _Plane,
+    plane: Plane,
     sectors: list[_Sector],
     depth: float,
     fit: Array,
     settings: FitSettings,
 ) -> Array:
-    # rows: omega, k, angle, weight, number of cells
+    # rows: omega, k, angle, weight, number of cells, key of line and sector
     parts = []
     table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
     free = dispersion(table, depth, fit[2])
-    for sector in sectors:
+    for number, sector in enumerate(sectors):
         centres = _branch(omega, table, free, fit[0] * np.cos(sector.theta) + fit[1] * np.sin(sector.theta))
         reach = np.maximum(settings.half_width * centres, settings.least_width * plane.cell)
         reach = np.nan_to_num(reach)
@@ -123,13 +102,12 @@ def _centroids(
         weight = sums[0, held]
         k = sums[1, held] / weight
         k -= plane.spread / (2 * k)
-        rows = np.stack([omega[held], k, np.arctan2(sums[3, held], sums[2, held]), weight, count[held]], 1)
+        key = np.flatnonzero(held) * len(sectors) + number
+        angle = np.arctan2(sums[3, held], sums[2, held])
+        rows = np.stack([omega[held], k, angle, weight, count[held], key], 1)
         parts.append(rows[k > 0])  # waves about as long as the rectangle: the window's spread exceeds them
     points = np.concatenate(parts)
-    points = points[points[:, 3] > _LEAST * _strongest(points)]
-    if len(points) and omega.size > 1:
-        points[:, 0] += _leaning(points, omega[1] - omega[0])
-    return points
+    return points[points[:, 3] > _LEAST * _strongest(points)]
 
 
 def _branch(omega: Array, table: Array, free: Array, along: float) -> Array:
@@ -144,21 +122,6 @@ def _branch(omega: Array, table: Array, free: Array, along: float) -> Array:
     return np.interp(omega, doppler[:last], table[:last], right=np.nan)
 
 
-def _leaning(points: Array, step: float) -> Array:
-    # a Hann window mixes waves of neighbouring lines, variance step^2 / 3: where energy falls steeply a line
-    # holds more of the slower ones, which are longer
-    lines, number = np.unique(points[:, 0], return_inverse=True)
-    energy = np.log(np.bincount(number, points[:, 3]))
-    reach = max(3, round(2 * np.pi * _SLOPE_OVER / step))
-    slope = np.zeros(lines.size)
-    for i in range(lines.size):
-        near = slice(max(i - reach, 0), i + reach + 1)
-        if lines[near].size > 2:
-            apart = lines[near] - lines[near].mean()
-            slope[i] = apart @ energy[near] / (apart @ apart)
-    return (step**2 / 3 * slope)[number]
-
-
 def _strongest(points: Array) -> Array:
     # energy of the strongest sector on each point's line
     _, number = np.unique(points[:, 0], return_inverse=True)
@@ -167,82 +130,53 @@ def _strongest(points: Array) -> Array:
     return np.asarray(top[number])
 
 
-def scan_current(
-    energy: Array, omega: Array, noise: Array, plane: _Plane, depth: float, gamma: float
-) -> Array:
-    """Current that gathers most energy on the ridge, to start the fit from.
-
-    Parameters
-    ----------
-    energy : ndarray, (lines, cells)
-        Spectrum.
-    omega, noise : ndarray, (lines,)
-        Angular frequency, rad/s, and the level of the noise.
-    plane : _Plane
-        Cells.
-    depth, gamma : float
-        Depth, m, and surface tension over density, m3/s2.
-
-    Returns
-    -------
-    ndarray, (2,)
-        Along x and y, m/s, to .02 m/s; of currents that serve alike the weakest.
-
-    Notes
-    -----
-    Each cell asks for a current (omega - sigma(k)) / k along its direction. All votes are counted, each
-    line's energy as one and short waves, which know it better, more; those of a current U lie on
-    U cos(theta - phi).
-    """
-    kept = (plane.k > _LONGEST * plane.cell) & (plane.k < 0.9 * plane.k[plane.ky == 0].max())
-    k, angle = plane.k[kept], plane.angle[kept]
-    sector = np.rint(angle / (2 * np.pi) * _SCAN_SECTORS).astype(int) % _SCAN_SECTORS
-    slots = round(2 * _FASTEST / _SCAN_STEP) + 1
-    votes = np.zeros(_SCAN_SECTORS * slots)
-    sigma = dispersion(k, depth, gamma)
-    for o, line, floor in zip(omega, energy, noise):
-        weight = np.maximum(line[kept] - 3 * floor, 0.0)
-        total = weight.sum()
-        wanted = np.rint(((o - sigma) / k + _FASTEST) / _SCAN_STEP).astype(int)
-        inside = (wanted >= 0) & (wanted < slots) & (weight > 0)
-        if total > 0:
-            place = sector[inside] * slots + wanted[inside]
-            votes += np.bincount(place, weight[inside] * k[inside] / total, votes.size)
-    votes = ndimage.gaussian_filter1d(votes.reshape(_SCAN_SECTORS, slots), 1.0, axis=1)
-    speeds = np.arange(-(slots // 2), slots // 2 + 1) * _SCAN_STEP
-    ux, uy = np.meshgrid(speeds, speeds, indexing="ij")
-    theta = np.arange(_SCAN_SECTORS) * 2 * np.pi / _SCAN_SECTORS
-    score = np.zeros(ux.shape)
-    for t, row in zip(theta, votes):
-        along = (ux * np.cos(t) + uy * np.sin(t) + _FASTEST) / _SCAN_STEP
-        score += np.interp(along, np.arange(slots), row, left=0.0, right=0.0)
-    speed = np.hypot(ux, uy)
-    alike = score >= 0.98 * score[speed <= _FASTEST].max()
-    best = np.argmin(np.where(alike, speed, np.inf))
-    return np.array([ux.flat[best], uy.flat[best]])
-
-
-def _solve(points: Array, depth: float, start: Array) -> Array:
+def _misfit(points: Array, depth: float) -> Callable[[Array], Array]:
+    # of current and surface tension in 1e-5 m3/s2, (points,)
     omega, k, angle = points[:, 0], points[:, 1], points[:, 2]
     kx, ky = k * np.cos(angle), k * np.sin(angle)
+    # every line alike, on a line by amplitude: weak sectors say less of the waves there
+    weight = (points[:, 3] / _strongest(points)) ** 0.25 / np.sqrt(k)
 
     def misfit(p: Array) -> Array:
         model = dispersion(k, depth, max(p[2], 0.0) * 1e-5) + p[0] * kx + p[1] * ky
-        out: Array = weight * (model - omega) / np.sqrt(k)
-        return out
+        return np.asarray(weight * (model - omega))
 
-    # every line alike, on a line by energy: what leaks into empty sectors says nothing of the waves there
-    weight = np.sqrt(points[:, 3] / _strongest(points))
+    return misfit
+
+
+def _solve(points: Array, depth: float, start: Array) -> Array:
     scaled = np.array([start[0], start[1], start[2] * 1e5])
-    result = least_squares(misfit, scaled, loss="soft_l1", f_scale=0.05, x_scale=[0.01, 0.01, 1.0])
+    result = least_squares(
+        _misfit(points, depth), scaled, loss="soft_l1", f_scale=_ROBUST, x_scale=[0.01, 0.01, 1.0]
+    )
     return np.array([result.x[0], result.x[1], max(result.x[2], 0.0) * 1e-5])
+
+
+def _spreads(points: Array, depth: float, fit: Array) -> Array:
+    # from the scatter of the points about the fit, those of half a hertz and an octant of directions taken
+    # together: they share waves, and whatever else is wrong with them (sandwich of clusters)
+    misfit, scaled = _misfit(points, depth), fit * [1, 1, 1e5]
+    steps = np.diag([1e-4, 1e-4, 1e-2])
+    slopes = np.stack([(misfit(scaled + d) - misfit(scaled - d)) / (2 * d.sum()) for d in steps], axis=1)
+    left = misfit(scaled)
+    robust = 1 / np.sqrt(1 + (left / _ROBUST) ** 2)
+    octant = np.round(points[:, 2] / (np.pi / 4)) % 8
+    _, cluster = np.unique(np.floor(points[:, 0] / np.pi) * 8 + octant, return_inverse=True)
+    count = int(cluster.max()) + 1
+    normal = (slopes * robust[:, None]).T @ slopes
+    if count <= 3 or np.linalg.cond(normal) > 1e12:
+        return np.full(3, np.nan)
+    pulls = np.zeros((count, 3))
+    np.add.at(pulls, cluster, slopes * (robust * left)[:, None])
+    inverse = np.linalg.inv(normal)
+    covariance = inverse @ (pulls.T @ pulls) @ inverse * count / (count - 3)
+    return np.asarray(np.sqrt(np.diag(covariance)) * [1, 1, 1e-5])
 
 
 def fit_dispersion(
     density: xr.DataArray,
     depth: float = np.inf,
     *,
-    dof: float | None = None,
     gamma: float = GAMMA,
     settings: FitSettings | None = None,
 ) -> xr.Dataset:
@@ -254,9 +188,6 @@ def fit_dispersion(
         Spectrum, best of w: its ridge is the clearest.
     depth : float
         Depth of the water, m. It is kept fixed: waves this short do not feel it.
-    dof : float, optional
-        Degrees of freedom of a cell, for the uncertainty; from ``spectrum(...).dof``. Without it none is
-        given.
     gamma : float
         Surface tension over density, m3/s2, to start from and to compare the ridge with.
     settings : FitSettings, optional
@@ -279,20 +210,21 @@ def fit_dispersion(
     -----
     The fit starts from the current that gathers most energy on the ridge (`scan_current`). k-centroids at
     fixed omega in sectors of angle, sectors below a thousandth of the strongest left out, a line's points
-    weighted by energy; the window re-centred on the fit, |k| averaged and
-    corrected by sigma_k^2 / 2k for the curvature of the ridge; a line's omega is corrected likewise, by
-    sigma_omega^2 d ln E / d omega, for what neighbouring lines lend it: on a steep spectrum up to 1 % of k.
-    Centroids in omega at fixed k would be biased by up to 8 %. The uncertainty joins the scatter of fits to
-    spectra drawn from chi-squared distributions around the measured one and that of fits without one band of
-    half a hertz, or one octant of directions, at a time.
+    weighted by amplitude; the window re-centred on the fit. What the windows do to a centroid (leakage along
+    a falling spectrum and from strong directions into weak ones, the curvature of the ridge) is taken off:
+    free waves of the measured energy on the fitted relation are seen through the same windows and followed
+    likewise (`ridge_windows.as_seen`), and what lies beside the relation there is subtracted. Centroids in
+    omega at fixed k would be biased by up to 8 %. The uncertainty follows from the scatter of the points
+    about the fit, those of half a hertz and an octant of directions taken together, joined with half of what
+    the fit changes by when twice the noise is taken off, and 2 % of the surface tension.
     """
     settings = settings or FitSettings()
     density = density.compute()
     omega = density["omega"].values
     nyquist_k = min(abs(float(density[name].min())) for name in ("ky", "kx"))
     top = min(2 * np.pi * settings.highest, 0.92 * dispersion(0.9 * nyquist_k, depth), 0.97 * omega[-1])
-    plane = _plane(density)
-    bottom = max(2 * np.pi * settings.lowest, dispersion(_LONGEST * plane.cell, depth))
+    plane = plane_of(density)
+    bottom = max(2 * np.pi * settings.lowest, dispersion(LONGEST * plane.cell, depth))
     band = (omega >= bottom) & (omega <= top)
     energy = density.values.reshape(omega.size, -1)
     outer = plane.k > 0.8 * nyquist_k
@@ -300,7 +232,7 @@ def fit_dispersion(
     used, floor = energy[band], noise[band]
     sectors = _sectors(plane, settings.sectors)
     fit = np.array([*scan_current(used, omega[band], floor, plane, depth, gamma), gamma])
-    points = np.empty((0, 5))
+    points = np.empty((0, 6))
     for _ in range(settings.rounds):
         points = _centroids(used, omega[band], floor, plane, sectors, depth, fit, settings)
         if len(points) < 6:
@@ -308,6 +240,12 @@ def fit_dispersion(
                 f"no ridge stands out between {bottom / (2 * np.pi):.2g} and {top / (2 * np.pi):.2g} Hz:"
                 " choose a longer segment or another band"
             )
+        fit = _solve(points, depth, fit)
+    lean = np.zeros((2, 0))
+    for _ in range(_MENDS):
+        lean = _windows_lean(density, noise, band, sectors, plane, depth, fit, settings)
+        points = _centroids(used, omega[band], floor, plane, sectors, depth, fit, settings)
+        points = _straightened(points, lean)
         fit = _solve(points, depth, fit)
 
     astray = _astray(points, depth, fit, plane.cell)
@@ -318,23 +256,9 @@ def fit_dispersion(
             f" (the best is {fit[0]:.2f}, {fit[1]:.2f} m/s): check depth, frame rate and grid step, or choose"
             " another band"
         )
-    spreads = np.full(3, np.nan)
-    if dof is not None and settings.bootstrap > 1:
-        rng = np.random.default_rng(0)
-        # neighbouring cells and segments share a Hann window: draw in blocks of 2 x 2 x 2 to keep that
-        trials = []
-        for _ in range(settings.bootstrap):
-            shape = ((used.shape[0] + 1) // 2, (density.sizes["ky"] + 1) // 2, (density.sizes["kx"] + 1) // 2)
-            draw = (rng.chisquare(dof, shape) / dof).astype(energy.dtype)
-            draw = draw.repeat(2, 0).repeat(2, 1).repeat(2, 2)
-            draw = draw[: used.shape[0], : density.sizes["ky"], : density.sizes["kx"]]
-            drawn = used * draw.reshape(used.shape)
-            again = _centroids(drawn, omega[band], floor, plane, sectors, depth, fit, settings)
-            if len(again) >= 6:
-                trials.append(_solve(again, depth, fit))
-        if len(trials) > 1:
-            spreads = np.hypot(np.std(trials, axis=0, ddof=1), _misfit_spread(points, depth, fit))
-
+    quieter = _centroids(used, omega[band], 2 * floor, plane, sectors, depth, fit, settings)
+    doubt = 0.5 * np.abs(_solve(_straightened(quieter, lean), depth, fit) - fit)
+    spreads = np.hypot(_spreads(points, depth, fit), np.hypot(doubt, [0.0, 0.0, _TENSION * gamma]))
     out: dict[str, Any] = {}
     for i, name in enumerate(("current_x", "current_y", "gamma")):
         out[name], out[f"{name}_std"] = ((), fit[i]), ((), spreads[i])
@@ -349,6 +273,38 @@ def fit_dispersion(
     return out_set
 
 
+def _windows_lean(
+    density: xr.DataArray,
+    noise: Array,
+    band: Array,
+    sectors: list[_Sector],
+    plane: Plane,
+    depth: float,
+    fit: Array,
+    settings: FitSettings,
+) -> Array:
+    # keys of points (see `_centroids`) and how far in k they lie beside the relation by the windows' doing;
+    # without those that lie where they do for the windows: beyond the end of a sea all is leakage
+    cells = Cells(*(density[name].values for name in ("omega", "ky", "kx")))
+    values = density.values.reshape(cells.omega.size, -1)
+    seen = as_seen(values, noise, cells, depth, fit)[band]
+    quiet = np.zeros(int(band.sum()))
+    points = _centroids(seen, cells.omega[band], quiet, plane, sectors, depth, fit, settings)
+    k, along = points[:, 1], fit[0] * np.cos(points[:, 2]) + fit[1] * np.sin(points[:, 2])
+    beside = points[:, 0] - dispersion(k, depth, fit[2]) - k * along
+    lean = -beside / (group_velocity(k, depth, fit[2]) + along)
+    own = np.abs(lean) < _LEANING * plane.cell
+    return np.array([points[own, 5], lean[own]])
+
+
+def _straightened(points: Array, lean: Array) -> Array:
+    # points with what the windows did to them taken off; without those whose like no free wave would show
+    _, mine, theirs = np.intersect1d(points[:, 5], lean[0], assume_unique=True, return_indices=True)
+    out = points[mine]
+    out[:, 1] -= lean[1, theirs]
+    return out[out[:, 1] > 0]
+
+
 def _astray(points: Array, depth: float, fit: Array, cell: float) -> float:
     # rms distance of the points from the fitted ridge over their wavenumber, weighted as in the fit; in a
     # small field what a cell of the k plane allows is no fault: a window spreads a wave over more than one
@@ -358,25 +314,16 @@ def _astray(points: Array, depth: float, fit: Array, cell: float) -> float:
     return float(np.sqrt(np.average(apart**2, weights=points[:, 3] / _strongest(points))))
 
 
-def _misfit_spread(points: Array, depth: float, fit: Array) -> Array:
-    # what the fit owes to single bands of frequency or to single directions (jackknife): the ridge has errors
-    # besides chance, and a sea of few waves repeats itself
-    variance = np.zeros(3)
-    for group in (np.floor(points[:, 0] / np.pi), np.round(points[:, 2] / (np.pi / 4)) % 8):
-        kept = [group != g for g in np.unique(group)]
-        again = [_solve(points[keep], depth, fit) for keep in kept if keep.sum() >= 6]
-        if len(again) > 1:
-            variance += np.var(again, axis=0) * (len(again) - 1)
-    return np.sqrt(variance)
-
-
 def _against_theory(points: Array, depth: float, fit: Array, gamma: float) -> dict[str, Any]:
     # by bands of half a hertz: energy-weighted mean of k over the theory's k for that omega and direction
     omega, k, angle, weight = points.T[:4]
     along = fit[0] * np.cos(angle) + fit[1] * np.sin(angle)
-    theory = wavenumber(omega, depth, gamma)
+    theory = k.copy()
     for _ in range(20):
-        theory = wavenumber(np.maximum(omega - theory * along, 1e-6), depth, gamma)
+        beside = dispersion(theory, depth, gamma) + theory * along - omega
+        speed = group_velocity(theory, depth, gamma)
+        slope = np.maximum(speed + along, _HELD_UP / 2 * speed)
+        theory = np.clip(theory - beside / slope, 0.5 * theory, 2 * theory)
     frequency = omega / (2 * np.pi)
     band = np.floor(frequency / 0.5)
     centres, errors = [], []
@@ -394,7 +341,7 @@ def _line_means(omega: Array, weight: Array) -> tuple[Array, Array]:
     return lines, np.array([weight[omega == line].mean() for line in lines])
 
 
-def _near_ridge(omega: Array, plane: _Plane, depth: float, fit: Array) -> Array:
+def _near_ridge(omega: Array, plane: Plane, depth: float, fit: Array) -> Array:
     # within two cells in k and two lines in omega of the fitted relation, (lines, cells)
     free = dispersion(plane.k, depth, fit[2]) + fit[0] * plane.kx + fit[1] * plane.ky
     slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), depth, fit[2]))
@@ -403,15 +350,13 @@ def _near_ridge(omega: Array, plane: _Plane, depth: float, fit: Array) -> Array:
     return np.asarray(np.abs(omega[:, None] - free) < reach)
 
 
-def _fraction(energy: Array, omega: Array, plane: _Plane, depth: float, fit: Array) -> float:
+def _fraction(energy: Array, omega: Array, plane: Plane, depth: float, fit: Array) -> float:
     near = _near_ridge(omega, plane, depth, fit)
     total = float(energy.sum(dtype=float))
     return float((energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
 
 
-def dispersion_group(
-    density: xr.DataArray, k: Array, depth: float, gamma: float, dof: float
-) -> tuple[xr.Dataset, str]:
+def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float) -> tuple[xr.Dataset, str]:
     """The theory and the fitted ridge.
 
     Parameters
@@ -422,8 +367,6 @@ def dispersion_group(
         Wavenumbers of the theory, rad/m.
     depth, gamma : float
         Depth, m, and surface tension over density, m3/s2, of the water.
-    dof : float
-        Degrees of freedom of a cell.
 
     Returns
     -------
@@ -434,7 +377,7 @@ def dispersion_group(
     """
     theory = xr.Dataset({"omega_theory": ("k", dispersion(k, depth, gamma))}, k_coords(k))
     try:
-        out = fit_dispersion(density, depth, dof=dof, gamma=gamma)
+        out = fit_dispersion(density, depth, gamma=gamma)
     except CubeError as error:
         return annotate(theory, "dispersion"), f"No ridge was fitted: {error}."
     fitted = ("k", dispersion(k, depth, float(out["gamma"])))
