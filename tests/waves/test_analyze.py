@@ -46,6 +46,8 @@ def test_the_store_holds_the_variables_of_the_table(store):
     if "No surface tension was fitted" in store.attrs["notes"]:  # a small field does not tell it to 5 %
         left_out |= {"gamma", "gamma_std", "omega_fit"}
     for group in GROUPS:
+        if group == "shear" and "No current by depth" in store.attrs["notes"]:  # nor this
+            continue
         dataset = store[group].to_dataset()
         rows = {row.name: row for row in rows_of(group)}
         assert set(rows) - left_out <= set(dataset.variables), group
