@@ -96,6 +96,28 @@ def run(
 
     Worker processes start by importing the program that started them: in a script, call this below
     ``if __name__ == "__main__":``.
+
+    Examples
+    --------
+    Two steps of a small simulated tank, in this process; the same call would go on where it stopped.
+
+    >>> import tempfile
+    >>> from wavefield.images import write_image
+    >>> from wavefield.store.read import open_cube
+    >>> from wavefield.tank import Scene, Tank
+    >>> tank = Tank(Scene.load("demo").with_(rig={"crop": 0.12}, sea={"shortest": 0.15}))
+    >>> note = "{name: a, frame_rate: 20, rig: rig.yaml, grid: {x: [-.04, .04], y: [-.06, .06], step: .01}"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     tank.rig.save(Path(folder) / "rig.yaml")
+    ...     for number in range(3):
+    ...         for camera, image in tank.render(number).items():
+    ...             write_image(Path(folder) / camera / f"{number}.tif", image)
+    ...     file = Path(folder) / "experiment.yaml"
+    ...     _ = file.write_text(note + ", cameras: {cam1: cam1/*.tif, cam2: cam2/*.tif, cam3: cam3/*.tif}}")
+    ...     found = run(file, workflow=Workflow(cluster="none"))
+    ...     sizes = dict(open_cube(file.with_name("cube.zarr")).sizes)
+    >>> found.complete, sizes
+    (True, {'time': 2, 'y': 13, 'x': 9})
     """
     experiment, workflow = load_files(experiment, workflow)
     path = Path(out) if out is not None else experiment.resolve("cube.zarr")

@@ -96,6 +96,19 @@ def propose(folder: str | Path) -> str:
     ------
     ExperimentError
         If there are no numbered images of two cameras.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import numpy as np
+    >>> from wavefield.images import write_image
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     for camera in ("left", "right"):
+    ...         for number in range(4):
+    ...             write_image(Path(folder) / camera / f"img_{number:03d}.tif", np.zeros((8, 9), np.uint8))
+    ...     text = propose(folder)
+    >>> "left/img_" in text and "right/img_" in text
+    True
     """
     folder = Path(folder).absolute()
     series = find_series(folder)

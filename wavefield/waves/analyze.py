@@ -128,6 +128,23 @@ def analyze(
     Notes
     -----
     One pass over the cube in bounded memory; the result does not depend on how the cube is chunked.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> t, y, x = np.arange(64) * 0.05, np.arange(16) * 0.05, np.arange(20) * 0.05
+    >>> noise = np.random.default_rng(0).standard_normal((5, 64, 16, 20))
+    >>> wave = 0.01 * np.cos(12.3 * x - 10.98 * t[:, None, None] + 0 * y[:, None])
+    >>> names, axes = ("z", "z_t", "u", "v", "w"), {"time": t, "y": y, "x": x}
+    >>> fields = {
+    ...     name: (tuple(axes), wave + 1e-3 * n, {"units": "m" if name == "z" else "m s-1"})
+    ...     for name, n in zip(names, noise)
+    ... }
+    >>> waves = analyze(xr.Dataset(fields, axes), segment=16)
+    >>> sorted({"coherence", "spectra", "statistics"} & set(waves))
+    ['coherence', 'spectra', 'statistics']
+    >>> waves["spectra"].E_komega_w.dims
+    ('omega', 'k')
     """
     whole = _open(cube)
     for name in FIELDS:

@@ -63,6 +63,16 @@ def load_rig(
     ------
     RigError
         If a file is missing, is of no known kind, or lacks what a camera in space needs.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from wavefield.tank import paper_rig
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     paper_rig().save(Path(folder) / "rig.yaml")
+    ...     rig = load_rig(Path(folder) / "rig.yaml")
+    >>> list(rig)
+    ['cam1', 'cam2', 'cam3']
     """
     if isinstance(path, Mapping):
         rigs = {name: load_rig(p, sizes, [name], unit) for name, p in path.items()}
