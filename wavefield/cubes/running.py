@@ -115,9 +115,9 @@ def run(
     ...     file = Path(folder) / "experiment.yaml"
     ...     _ = file.write_text(note + ", cameras: {cam1: cam1/*.tif, cam2: cam2/*.tif, cam3: cam3/*.tif}}")
     ...     found = run(file, workflow=Workflow(cluster="none"))
-    ...     sizes = dict(open_cube(file.with_name("cube.zarr")).sizes)
-    >>> found.complete, sizes
-    (True, {'time': 2, 'y': 13, 'x': 9})
+    ...     shape = open_cube(file.with_name("cube.zarr")).z.shape
+    >>> found.complete, shape
+    (True, (2, 13, 9))
     """
     experiment, workflow = load_files(experiment, workflow)
     path = Path(out) if out is not None else experiment.resolve("cube.zarr")
