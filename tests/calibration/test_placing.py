@@ -91,7 +91,7 @@ def test_the_command_places_and_levels_cameras_whose_lenses_alone_are_known(sea,
     text = "name: sea\nframe_rate: 2.0\nrig: lenses.yaml\ncameras:\n"
     text += "".join(f'  {name}: {{images: "{name}_{{frame}}.png"}}\n' for name in cameras)
     (folder / "experiment.yaml").write_text(text)
-    command = ["-q", "level", str(folder / "experiment.yaml"), "-o", str(folder / "rig.yaml")]
+    command = ["-q", "rig", "level", str(folder / "experiment.yaml"), "-o", str(folder / "rig.yaml")]
     assert main(command) == 1
     assert "state the distance between them" in capsys.readouterr().err
     distance = np.linalg.norm(cameras["left"].centre - cameras["right"].centre)

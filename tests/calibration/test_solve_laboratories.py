@@ -11,8 +11,9 @@ from wavefield.calibration import calibrate
 from wavefield.calibration.derived import derive
 from wavefield.calibration.pointfile import read_points, write_points
 from wavefield.calibration.points import TargetPoints
+from wavefield.commands.cli import main
 from wavefield.errors import CalibrationError
-from wavefield.rig import Camera
+from wavefield.rig import Camera, Rig
 from wavefield.tank.rigs import paper_rig
 
 MODEL = "f tilt k1"  # of the simulated cameras
@@ -96,3 +97,26 @@ def test_a_good_pair_is_judged_where_its_target_was_and_by_what_its_model_predic
     # on the plane of the first view, which lies anywhere, it would have been refused
     elsewhere = derive(found.observations, found.fit, level=True)
     assert max(elsewhere.reprojection.values()) > 3 * max(found.derived.reprojection.values())
+
+
+def test_a_refused_rig_is_written_on_request_and_says_so(tmp_path, capsys):
+    """Points of 3 px: what comes of them is no rig to trust, but one to look at."""
+    exact, grid, rng = paper_rig(), nodes()[::8], np.random.default_rng(7)
+    for pose, (R, t) in poses(seed=2).items():
+        world = np.column_stack([0.1 * grid, np.zeros(len(grid))]) @ R.T + t
+        for name in exact:
+            points = seen(exact[name], grid, world, rng, 3.0)
+            write_points(tmp_path / f"{name}_{pose}.csv", points)
+    text = "name: lab\nframe_rate: 20.0\ncameras:\n"
+    text += "".join(f'  {name}: {{images: "{name}/*.tif"}}\n' for name in exact)
+    text += "calibration:\n  target: {kind: chessboard, mesh: 0.1, shape: [9, 6]}\n"
+    text += '  tilted: "{camera}_tilt_*.csv"\n  flat: "{camera}_flat.csv"\n  model: f\n'
+    (tmp_path / "experiment.yaml").write_text(text)
+    assert main(["-q", "calibrate", str(tmp_path / "experiment.yaml"), "--anyway"]) == 0
+    said = capsys.readouterr()
+    assert "not usable: " in said.err
+    assert "REFUSED" in said.out
+    written = Rig.load(tmp_path / "rig.yaml")
+    assert list(written) == list(exact)
+    assert written.provenance["usable"] is False
+    assert written.provenance["problems"]

@@ -29,7 +29,7 @@ COMMANDS = _commands(cli)
 
 def test_the_house_has_every_command():
     expected = {"demo", "simulate", "check", "calibrate", "run", "status", "analyze", "report", "export"}
-    assert expected | {"refine", "verify", "catalog add", "rig"} <= set(COMMANDS)
+    assert expected | {"refine", "verify", "catalog add", "rig convert", "rig level"} <= set(COMMANDS)
 
 
 @pytest.mark.parametrize("words", COMMANDS)

@@ -339,7 +339,7 @@ def test_a_folder_of_wass_with_the_distance_between_its_cameras(tmp_path):
     same_rig(load_rig(tmp_path, sizes=sizes, unit=str(length)))
     (tmp_path / "ext_T.xml").unlink()
     unplaced = load_rig(tmp_path, sizes=sizes)
-    assert "wavefield level --distance" in unplaced.provenance["imported"]["left_out"]
+    assert "wavefield rig level --distance" in unplaced.provenance["imported"]["left_out"]
     np.testing.assert_array_equal(unplaced["cam1"].centre, unplaced["cam2"].centre)
 
 

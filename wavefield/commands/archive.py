@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from wavefield.commands.level import level
 from wavefield.commands.progress import Progress
 
 _STORE = click.Path(exists=True, file_okay=False, path_type=Path)
@@ -81,13 +82,38 @@ def add(catalog: Path, experiment: Path) -> None:
 _SAVERS = ("wavefield", "uvmat", "vic3d", "opencv")
 
 
-@click.command(
+class _Files(click.Group):
+    """A group whose first word may be a file: then the file is shown or converted."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if args and args[0] not in (*self.commands, "-h", "--help"):
+            args = ["convert", *args]
+        return super().parse_args(ctx, args)
+
+
+@click.group(
+    cls=_Files,
     epilog="""\b
 Examples:
-  wavefield rig rig.yaml                                        # show it
-  wavefield rig cal.xml -o rig.yaml                             # from VIC-3D or OpenCV
-  wavefield rig cam1=a.xml cam2=b.xml --size 1024x1024 -o rig.yaml    # from UVMAT, a file per camera
-  wavefield rig rig.yaml --to opencv -o rig_opencv.yaml
+  wavefield rig rig.yaml                             # show it; `convert` may be left out
+  wavefield rig cal.xml -o rig.yaml                  # from VIC-3D or OpenCV
+  wavefield rig level sea/experiment.yaml -o rig.yaml
+""",
+)
+def rig() -> None:
+    """Show, convert or level rigs; other programs' as well."""
+
+
+rig.add_command(level)
+
+
+@rig.command(
+    epilog="""\b
+Examples:
+  wavefield rig convert rig.yaml                                # show it; `convert` may be left out
+  wavefield rig convert cal.xml -o rig.yaml                     # from VIC-3D or OpenCV
+  wavefield rig convert cam1=a.xml cam2=b.xml --size 1024x1024 -o rig.yaml    # from UVMAT, a file per camera
+  wavefield rig convert rig.yaml --to opencv -o rig_opencv.yaml
 """
 )
 @click.argument("files", nargs=-1, required=True)
@@ -97,7 +123,7 @@ Examples:
 )
 @click.option("--size", multiple=True, help="Image size where the file does not say: WxH or camera=WxH.")
 @click.option("--unit", default="m", show_default=True, help="Unit of length of OpenCV's files.")
-def rig(files: tuple[str, ...], output: Path | None, to: str, size: tuple[str, ...], unit: str) -> None:
+def convert(files: tuple[str, ...], output: Path | None, to: str, size: tuple[str, ...], unit: str) -> None:
     """Show a rig, or convert one from or to UVMAT, VIC-3D and OpenCV.
 
     FILES is one file, or camera=file for each camera.

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import click
 
 from wavefield import __version__
-from wavefield.commands import archive, experiment, level, look, simulate, waves
+from wavefield.commands import archive, experiment, look, simulate, waves
 from wavefield.errors import WavefieldError
 
 _EPILOG = """\b
@@ -54,7 +54,6 @@ for _command in (
     experiment.check,
     experiment.calibrate,
     experiment.refine,
-    level.level,
     experiment.run,
     experiment.status,
     experiment.verify,

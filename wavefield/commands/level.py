@@ -1,4 +1,4 @@
-"""`wavefield level`: cameras placed and levelled by the moving water that they see."""
+"""`wavefield rig level`: cameras placed and levelled by the moving water that they see."""
 
 from pathlib import Path
 
@@ -12,8 +12,8 @@ _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 @click.command(
     epilog="""\b
 Examples:
-  wavefield level sea/experiment.yaml --rig stereo.yaml -o rig.yaml                 # the level alone
-  wavefield level sea/experiment.yaml --rig wass_config --distance 2.5 -o rig.yaml  # lenses known alone
+  wavefield rig level sea/experiment.yaml --rig stereo.yaml -o rig.yaml                 # the level alone
+  wavefield rig level sea/experiment.yaml --rig wass_config --distance 2.5 -o rig.yaml  # lenses known alone
 """
 )
 @click.argument("experiment", type=_FILE)

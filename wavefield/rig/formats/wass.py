@@ -44,7 +44,7 @@ def load_wass(folder: Path, stated: Stated) -> Rig:
     if R and T:
         poses[1] = rotation_near(_only(R[0])), stated.length * _only(T[0]).ravel()
     else:
-        left = "no poses at all: place and level the cameras with `wavefield level --distance`"
+        left = "no poses at all: place and level the cameras with `wavefield rig level --distance`"
     cameras = {
         name: Camera.from_opencv(K, D, *pose, stated.size(name, "WASS"))
         for name, K, D, pose in zip(stated.named(2), lenses, distortions, poses, strict=False)
