@@ -15,6 +15,7 @@ import numpy as np
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.series.frames import FrameSeries
 from wavefield.series.readers import Entry, count_images, read_entry
+from wavefield.series.remote import is_remote, list_remote
 
 Numbered = dict[int, Entry]
 _FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
@@ -27,7 +28,8 @@ def number_frames(images: str | Sequence[str | None], folder: Path, camera: str)
     ----------
     images : str or sequence of str or None
         A pattern with ``{frame:05d}``, a glob, a multi-page TIFF, a video, a Zarr array; or a list of
-        files (None where a frame is known to be missing), numbered from 0.
+        files (None where a frame is known to be missing), numbered from 0. Patterns, files and Zarr arrays
+        may be addresses of an object store, as ``s3://bucket/cam1/img_{frame:05d}.tif``.
     folder : path
         Relative names start here.
     camera : str
@@ -45,14 +47,29 @@ def number_frames(images: str | Sequence[str | None], folder: Path, camera: str)
     """
     if not isinstance(images, str):
         return _from_list(images, folder, camera)
-    path = folder / images.replace("{camera}", camera)
+    name = images.replace("{camera}", camera)
+    if is_remote(name):
+        return _from_store(name, camera)
+    path = folder / name
     if _FRAME.search(str(path)) or any(c in str(path.name) for c in "*?["):
         return _from_names(path, camera)
     kind, count = _counted(path, camera)
     return {i: Entry(kind, str(path), i) for i in range(count)}
 
 
-def _counted(path: Path, camera: str):  # type: ignore[no-untyped-def]
+def _from_store(address: str, camera: str) -> Numbered:
+    folder, _, pattern = address.rpartition("/")
+    if not (_FRAME.search(pattern) or any(c in pattern for c in "*?[")):
+        kind, count = _counted(address, camera)
+        return {i: Entry(kind, address, i) for i in range(count)}
+    try:
+        numbered = _numbered(list_remote(folder), pattern, folder, camera)
+    except FrameError as error:
+        raise ExperimentError(f"images of {camera}: {error}") from None
+    return {number: Entry("remote", f"{folder}/{name}") for number, name in sorted(numbered.items())}
+
+
+def _counted(path: Path | str, camera: str):  # type: ignore[no-untyped-def]
     try:
         return count_images(path)
     except FrameError as error:
@@ -119,7 +136,12 @@ def _from_names(path: Path, camera: str) -> Numbered:
         raise ExperimentError(
             f"images of {camera}: {path} has a pattern in its folder; only the file may vary"
         )
-    names = list_folder(folder, camera)
+    numbered = _numbered(list_folder(folder, camera), pattern, folder, camera)
+    prefix = str(folder) + os.sep
+    return {number: Entry("file", prefix + name) for number, name in sorted(numbered.items())}
+
+
+def _numbered(names: Sequence[str], pattern: str, folder: Path | str, camera: str) -> dict[int, str]:
     if _FRAME.search(pattern):
         before, after = _FRAME.sub("\0", pattern).split("\0", 1)
         if "\0" in after:
@@ -131,8 +153,7 @@ def _from_names(path: Path, camera: str) -> Numbered:
         raise ExperimentError(
             f"images of {camera}: no file in {folder} fits {pattern!r}" + _hint(names, folder, pattern)
         )
-    prefix = str(folder) + os.sep
-    return {number: Entry("file", prefix + name) for number, name in sorted(numbered.items())}
+    return numbered
 
 
 def _numbers_by_pattern(names: Sequence[str], before: str, after: str) -> dict[int, str]:
@@ -169,7 +190,7 @@ def _numbers_by_glob(names: Sequence[str], pattern: str, camera: str) -> dict[in
     return {d[varying[0]]: name for d, name in zip(digits, names)}
 
 
-def _hint(names: Sequence[str], folder: Path, pattern: str) -> str:
+def _hint(names: Sequence[str], folder: Path | str, pattern: str) -> str:
     ending = Path(pattern).suffix
     alike = sorted(name for name in names if name.endswith(ending)) or sorted(names)
     return f"; the folder holds {alike[0]!r} and others" if alike else f"; {folder} is empty"

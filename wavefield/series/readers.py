@@ -1,4 +1,5 @@
-"""Reading one frame from whatever holds it: a file, a multi-page TIFF, a recording, a video, Zarr."""
+"""Reading one frame from whatever holds it: a file, a multi-page TIFF, a recording, a video, Zarr;
+or an object store that holds such files."""
 
 import os
 from collections import OrderedDict
@@ -14,11 +15,13 @@ import tifffile
 from wavefield.errors import FrameError
 from wavefield.images import grey, read_image
 from wavefield.series.formats import file_of, open_recording
+from wavefield.series.remote import is_remote, read_remote
 
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # what is wrong with a video is said here
 VIDEO_ENDINGS = (".avi", ".mp4", ".mov", ".mkv")
 
 
-Kind = Literal["file", "page", "video", "zarr", "recording"]
+Kind = Literal["file", "page", "video", "zarr", "recording", "remote"]
 
 
 class Entry(NamedTuple):
@@ -29,7 +32,7 @@ class Entry(NamedTuple):
     image: int = 0
 
     def __str__(self) -> str:
-        return self.path if self.kind == "file" else f"{self.path}, image {self.image}"
+        return self.path if self.kind in ("file", "remote") else f"{self.path}, image {self.image}"
 
 
 def read_entry(entry: Entry) -> np.ndarray:
@@ -51,6 +54,8 @@ def read_entry(entry: Entry) -> np.ndarray:
     """
     if entry.kind == "file":
         return read_image(entry.path)
+    if entry.kind == "remote":
+        return read_remote(entry.path)
     with _lock:  # open files keep a position, which threads would fight over
         if entry.kind == "page":
             return _read_page(entry)
@@ -66,13 +71,14 @@ def read_entry(entry: Entry) -> np.ndarray:
             raise FrameError(f"{entry} cannot be read: {error}") from None
 
 
-def count_images(path: Path) -> tuple[Kind, int]:
+def count_images(name: str | Path) -> tuple[Kind, int]:
     """What a single file or store holds.
 
     Parameters
     ----------
-    path : path
-        TIFF, video, Zarr array, or a recording as cameras write it (`wavefield.series.formats`).
+    name : path or str
+        TIFF, IM7, video, Zarr array, or a recording as cameras write it (`wavefield.series.formats`); the
+        address of an image or of a Zarr array in an object store.
 
     Returns
     -------
@@ -86,6 +92,11 @@ def count_images(path: Path) -> tuple[Kind, int]:
     FrameError
         If it cannot be read.
     """
+    if is_remote(str(name)):
+        if str(name).rstrip("/").lower().endswith(".zarr"):
+            return "zarr", _open_array(str(name)).shape[0]
+        return "remote", 1
+    path = Path(name)
     file = file_of(path)
     if file is not None:
         opened = open_recording(path)
@@ -99,7 +110,7 @@ def count_images(path: Path) -> tuple[Kind, int]:
         try:
             with tifffile.TiffFile(path) as tiff:
                 pages = len(tiff.pages)
-        except (OSError, tifffile.TiffFileError, ValueError) as error:
+        except Exception as error:  # whatever a damaged header leads to
             raise FrameError(f"{path} cannot be read: {error}") from None
         return ("page", pages) if pages > 1 else ("file", 1)
     if not path.is_file():
@@ -142,7 +153,7 @@ def _open(path: str, opener: Callable[[str], Any]) -> Any:
 def _open_tiff(path: str) -> tifffile.TiffFile:
     try:
         return tifffile.TiffFile(path)
-    except (OSError, tifffile.TiffFileError, ValueError) as error:
+    except Exception as error:  # whatever a damaged header leads to
         raise FrameError(f"{path} cannot be read: {error}") from None
 
 
@@ -159,6 +170,8 @@ def _read_page(entry: Entry) -> np.ndarray:
             image = page.asarray()
         except Exception as error:
             raise FrameError(f"{entry} is corrupt or truncated: {error}") from None
+        if image.ndim not in (2, 3) or not image.size:
+            raise FrameError(f"{entry} is corrupt: its header is that of no image")
         return grey(image[..., ::-1]) if image.ndim == 3 else image
     return read_image(entry.path, entry.image)
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from wavefield.errors import FrameError
 from wavefield.series.formats.cine import open_cine
+from wavefield.series.formats.davis import open_davis
 from wavefield.series.formats.hdf5 import open_hdf5
 from wavefield.series.formats.photron import open_photron
 from wavefield.series.formats.recording import Recording
@@ -16,6 +17,7 @@ _OPENERS: dict[str, Callable[[Path], Recording]] = {
     ".cih": open_photron,
     ".cihx": open_photron,
     ".seq": open_streampix,
+    ".set": open_davis,
     ".h5": open_hdf5,
     ".hdf5": open_hdf5,
     ".nc": open_hdf5,
@@ -31,8 +33,9 @@ def open_recording(path: str | Path) -> Recording:
     Parameters
     ----------
     path : path
-        Phantom's ``.cine``, Photron's ``.mraw`` or ``.cihx``, StreamPix' ``.seq``, HDF5; of HDF5 the name of
-        the dataset may follow the file's, as in ``run.h5/camera1/images``.
+        Phantom's ``.cine``, Photron's ``.mraw`` or ``.cihx``, StreamPix' ``.seq``, DaVis' ``.set``, HDF5;
+        of HDF5 the name of the dataset may follow the file's, as in ``run.h5/camera1/images``, of a set the
+        number of the image in its buffers.
 
     Returns
     -------

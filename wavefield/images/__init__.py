@@ -1,7 +1,9 @@
 """Reading and writing image files: one grey image at a time."""
 
+import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -9,22 +11,25 @@ import numpy as np
 import tifffile
 
 from wavefield.errors import FrameError, StoreError
+from wavefield.images.davis import read_buffer
+from wavefield.images.dng import read_dng
 from wavefield.whole_files import whole
 
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # what is wrong with a file is said here
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _LAST = {".png": b"IEND", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}  # ends every whole file
 _TAIL = 4096  # bytes at the end of a file in which that stands
 
 
 def read_image(path: str | Path, page: int = 0) -> np.ndarray:
-    """Read one grey image: TIFF, PNG, BMP, JPEG.
+    """Read one grey image: TIFF, PNG, BMP, JPEG, DNG, LaVision's IM7.
 
     Parameters
     ----------
     path : path
         Image file.
     page : int, default 0
-        Which image of a TIFF that holds several.
+        Which image of a TIFF or IM7 that holds several.
 
     Returns
     -------
@@ -45,11 +50,59 @@ def read_image(path: str | Path, page: int = 0) -> np.ndarray:
     array([[0, 1, 2],
            [3, 4, 5]], dtype=uint16)
     """
+    ending = Path(path).suffix.lower()
+    if ending == ".im7":
+        return read_buffer(path, page or None)
+    if ending == ".dng":
+        return read_dng(path)
     with _quiet():
         image = _read_page(path, page) if page else _read_file(path)
     if image is None:
         image = _read_otherwise(Path(path), page)
+    return _checked(image, str(path))
+
+
+def _checked(image: np.ndarray, name: str) -> np.ndarray:
+    """The image in grey; a damaged header may make of it something that is none."""
+    if image.ndim not in (2, 3) or not image.size:
+        raise FrameError(f"{name} is corrupt: its header is that of no image; copy it again from the camera")
     return grey(image)
+
+
+def decode_image(data: bytes, name: str) -> np.ndarray:
+    """Read one grey image from the bytes of a file: what `read_image` reads, DNG and IM7 apart.
+
+    Parameters
+    ----------
+    data : bytes
+        The whole file.
+    name : str
+        What to call it in a message.
+
+    Returns
+    -------
+    ndarray, (row, column)
+
+    Raises
+    ------
+    FrameError
+        If it is no image, or truncated.
+    """
+    image = None
+    last = _LAST.get(Path(name).suffix.lower(), b"")
+    if data and last in data[-_TAIL:]:
+        with _quiet(), suppress(cv2.error):
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None and data[:4] in _TIFF:
+        try:
+            with tifffile.TiffFile(BytesIO(data)) as tiff:
+                image = np.asarray(tiff.pages.first.asarray())
+        except Exception as error:
+            raise FrameError(f"{name} is corrupt or truncated: {error}") from None
+    if image is None:
+        state = "not an image, corrupt or truncated" if data else "empty"
+        raise FrameError(f"{name} is {state}; copy it again from the camera")
+    return _checked(image, name)
 
 
 def grey(image: np.ndarray) -> np.ndarray:

@@ -1,0 +1,169 @@
+"""Fifty damaged files of each kind are told in one sentence each; videos, DNG and DaVis' buffers are read."""
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+import zarr
+
+from wavefield.errors import ExperimentError, FrameError
+from wavefield.images import read_image
+from wavefield.series.readers import Entry as ImageEntry
+from wavefield.series.readers import close_files, count_images, read_entry
+
+COUNT, ROWS, COLUMNS = 6, 48, 64
+
+
+def images(dtype="uint8"):
+    grains = np.random.default_rng(4).normal(size=(COUNT, ROWS, COLUMNS)).astype(np.float32)
+    grey = 120 + 90 * np.stack([cv2.GaussianBlur(one, (0, 0), 1.5) for one in grains])
+    return np.clip(grey, 0, 255).astype(dtype) * (1 if dtype == "uint8" else 16)
+
+
+def write_video(path, code):
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), 25.0, (COLUMNS, ROWS), isColor=True)
+    for image in images():
+        film.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    film.release()
+
+
+def write_pages(path):
+    with tifffile.TiffWriter(path) as tiff:
+        for image in images("uint16"):
+            tiff.write(image, contiguous=False)
+
+
+def write_dng(path):
+    small = images()[0, :16, :16]
+    with tifffile.TiffWriter(path) as tiff:
+        tiff.write(small, subifds=1, photometric="minisblack")
+        tiff.write(images("uint16")[0], photometric=32803)
+
+
+def write_im7(path):
+    lvpyio = pytest.importorskip("lvpyio", reason="LaVision's package is an extra: pip install lvpyio")
+    lvpyio.write_buffer(lvpyio.arrays_to_buffer(images("uint16")[0]), str(path))
+
+
+FILES = {
+    "tif": lambda p: tifffile.imwrite(p, images("uint16")[0]),
+    "packed.tif": lambda p: cv2.imwrite(str(p), images("uint16")[0], [cv2.IMWRITE_TIFF_COMPRESSION, 5]),
+    "pages.tif": write_pages,
+    "png": lambda p: cv2.imwrite(str(p), images("uint16")[0]),
+    "bmp": lambda p: cv2.imwrite(str(p), images()[0]),
+    "jpg": lambda p: cv2.imwrite(str(p), images()[0]),
+    "dng": write_dng,
+    "im7": write_im7,
+    "mjpg.avi": lambda p: write_video(p, "MJPG"),
+    "mp4": lambda p: write_video(p, "mp4v"),
+}
+
+
+def look(path):
+    """The sentence that reading ends with, or nothing."""
+    try:
+        kind, count = count_images(path)
+        for k in range(min(count, 3)):
+            image = read_entry(ImageEntry(kind, str(path), k))
+            assert image.ndim == 2
+    except FrameError as error:
+        return str(error)
+    finally:
+        close_files()
+    return ""
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_damaged_files_are_told_in_one_sentence(tmp_path, name):
+    path = tmp_path / f"a.{name}"
+    FILES[name](path)
+    whole, rng, told = path.read_bytes(), np.random.default_rng(1), 0
+    assert look(path) == ""
+    for k in range(50):
+        data = bytearray(whole[: rng.integers(0, len(whole))] if k % 2 else whole)
+        for place in rng.integers(0, max(1, len(data)), 30 if k % 2 == 0 else 0):
+            data[place] = int(rng.integers(0, 256))
+        path.write_bytes(data)
+        words = look(path)
+        told += bool(words)
+        assert not words or path.name in words
+        assert "\n" not in words
+    assert told >= 15  # most that were cut; of many images the first ones may be whole
+
+
+def test_a_zarr_array_that_lost_or_broke_a_part_is_told(tmp_path):
+    path, rng, told = tmp_path / "cam1.zarr", np.random.default_rng(2), 0
+    for k in range(50):
+        array = zarr.create_array(
+            str(path), shape=(3, ROWS, COLUMNS), dtype="u2", chunks=(1, ROWS, COLUMNS), overwrite=True
+        )
+        array[:] = images("uint16")[:3]
+        parts = sorted(p for p in path.rglob("*") if p.is_file())
+        part = parts[rng.integers(0, len(parts))]
+        data = bytearray(part.read_bytes())
+        if k % 2:
+            data = data[: rng.integers(0, len(data))]
+        for place in rng.integers(0, max(1, len(data)), 0 if k % 2 else 30):
+            data[place] = int(rng.integers(0, 256))
+        part.write_bytes(data)
+        words = look(path)
+        told += bool(words)
+        assert not words or "cam1.zarr" in words
+        assert "\n" not in words
+    assert told >= 30
+
+
+@pytest.mark.parametrize(("name", "code"), [("a.avi", "MJPG"), ("a.mp4", "mp4v"), ("a.mkv", "FFV1")])
+def test_frames_of_a_video_come_in_any_order(tmp_path, name, code):
+    write_video(tmp_path / name, code)
+    kind, count = count_images(tmp_path / name)
+    assert (kind, count) == ("video", COUNT)
+    for k in (4, 0, 5, 2, 3, 1):
+        got = read_entry(ImageEntry(kind, str(tmp_path / name), k)).astype(int)
+        far = [np.abs(got - image).mean() for image in images().astype(int)]
+        assert int(np.argmin(far)) == k
+        assert far[k] < 12  # these codecs lose little
+    close_files()
+
+
+def test_a_digital_negative_gives_the_sensor_not_its_preview(tmp_path):
+    path, raw = tmp_path / "a.dng", images("uint16")[0]
+    tifffile.imwrite(path, raw)
+    with tifffile.TiffFile(path, mode="r+") as tiff:
+        tiff.pages.first.tags[262].overwrite(34892)  # a sensor without a mosaic
+    np.testing.assert_array_equal(read_image(path), raw)
+    write_dng(path)
+    got = read_image(path)
+    assert got.shape == raw.shape
+    assert got[20, 30] == pytest.approx(
+        (raw[19:22, 29:32] * [[1, 2, 1], [2, 4, 2], [1, 2, 1]]).sum() / 16, abs=0.5
+    )
+    mosaic = np.tile([[100, 200], [200, 400]], (ROWS // 2, COLUMNS // 2)).astype("u2")  # an even colour
+    tifffile.imwrite(path, mosaic, photometric=32803)
+    assert set(read_image(path).ravel()) == {225}
+    tifffile.imwrite(path, mosaic, photometric="minisblack")
+    with pytest.raises(FrameError, match="no sensor's values"):
+        read_image(path)
+
+
+def test_buffers_of_davis_and_sets_of_them(tmp_path):
+    lvpyio = pytest.importorskip("lvpyio", reason="LaVision's package is an extra: pip install lvpyio")
+    from wavefield.series.listing import number_frames
+
+    frames = images("uint16")
+    lvpyio.write_set([lvpyio.arrays_to_buffer(image) for image in frames], str(tmp_path / "cam1.set"))
+    entries = number_frames("{camera}.set", tmp_path, "cam1")
+    assert len(entries) == COUNT
+    np.testing.assert_array_equal(read_entry(entries[4]), frames[4])
+    singly = number_frames("cam1/B{frame:05d}.im7", tmp_path, "cam1")
+    assert sorted(singly) == list(range(1, COUNT + 1))
+    np.testing.assert_array_equal(read_entry(singly[3]), frames[2])
+    pairs = [lvpyio.arrays_to_buffer([frames[k], frames[k + 1]]) for k in range(2)]
+    lvpyio.write_set(pairs, str(tmp_path / "pair.set"))
+    np.testing.assert_array_equal(read_entry(number_frames("pair.set/1", tmp_path, "cam1")[0]), frames[1])
+    for name, words in (("pair.set", "name one, as pair.set/0"), ("pair.set/2", "images 0 to 1")):
+        with pytest.raises(ExperimentError, match=words):
+            number_frames(name, tmp_path, "cam1")
+    with pytest.raises(FrameError, match="2 images: name the set"):
+        read_image(tmp_path / "pair" / "B00001.im7")
+    close_files()

@@ -1,0 +1,89 @@
+"""LaVision's DaVis: images of `.im7` buffers, read by LaVision's own package where that is installed."""
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.errors import FrameError
+
+_HEAD = struct.Struct("<hhhh4i")  # version, packing, kind, sparse; columns, rows, depth, frames
+_MOST = 2000  # times that zlib makes bytes fewer
+
+
+def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
+    """Read one image of a buffer.
+
+    Parameters
+    ----------
+    path : path
+        ``.im7``.
+    frame : int, optional
+        Which image, from 0: buffers may hold those of both exposures, or of several cameras. Left out: the
+        only one.
+
+    Returns
+    -------
+    ndarray, (row, column)
+        Counts as the camera gave them.
+
+    Raises
+    ------
+    FrameError
+        If the file is missing or damaged, has no such image or several and none is named, or the package
+        ``lvpyio`` is not installed.
+    """
+    path = Path(path)
+    try:
+        import lvpyio
+    except ImportError:
+        raise FrameError(
+            f"{path} is an image of DaVis: `pip install lvpyio` to read it, or export TIFF from DaVis"
+        ) from None
+    count = count_frames(path)
+    if frame is None and count > 1:
+        raise FrameError(f"{path} has {count} images: name the set and one of them, as in run.set/0")
+    frame = frame or 0
+    if not 0 <= frame < count:
+        raise FrameError(f"{path} has {count} images: there is no image {frame}")
+    try:
+        return np.asarray(lvpyio.read_buffer(str(path))[frame].components["PIXEL"].planes[0])
+    except Exception as error:  # whatever a damaged file leads to
+        words = " ".join(str(error).split()).rstrip("!.")
+        raise FrameError(f"{path} is damaged or truncated ({words}); copy it again") from None
+
+
+def count_frames(path: Path) -> int:
+    """Images in a buffer, by its header: LaVision's reader may look for ever at a damaged one.
+
+    Parameters
+    ----------
+    path : Path
+        ``.im7``.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    FrameError
+        If it is missing, or its header is that of no image.
+    """
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD.size)
+    except FileNotFoundError:
+        raise FrameError(f"{path}: no such image") from None
+    except OSError as error:
+        raise FrameError(f"{path} cannot be read: {error.strerror}") from None
+    if len(head) < _HEAD.size:
+        raise FrameError(f"{path} is empty or truncated; copy it again")
+    columns, rows, depth, frames = (int(number) for number in _HEAD.unpack(head)[4:])
+    sound = 0 < columns <= 65536 and 0 < rows <= 65536 and depth == 1 and 0 < frames <= 1000
+    if not sound or columns * rows * frames > _MOST * size:
+        raise FrameError(f"{path} is no image of DaVis, or its header is damaged; copy it again")
+    return frames

@@ -1,0 +1,59 @@
+"""LaVision's DaVis: a `.set` of `.im7` buffers in the folder of the same name."""
+
+from pathlib import Path
+
+from wavefield.errors import FrameError
+from wavefield.images.davis import count_frames, read_buffer
+from wavefield.series.formats.recording import Pixels, Recording
+
+
+class _Set:
+    """One image of every buffer of a set, as a recording."""
+
+    def __init__(self, path: Path, buffers: list[Path], frame: int) -> None:
+        self.path, self._buffers, self._frame = path, buffers, frame
+        first = read_buffer(buffers[0], frame)
+        self.count, self.shape = len(buffers), (first.shape[0], first.shape[1])
+        self.rate: float | None = None
+        self.first = 0
+
+    def read(self, index: int) -> Pixels:
+        """Read one image."""
+        if not 0 <= index < self.count:
+            raise FrameError(f"{self.path} has {self.count} images: there is no image {index}")
+        return read_buffer(self._buffers[index], self._frame)
+
+    def close(self) -> None:
+        """Nothing stays open."""
+
+
+def open_davis(path: Path) -> Recording:
+    """Open a set of DaVis.
+
+    Parameters
+    ----------
+    path : Path
+        The ``.set``; where its buffers hold several images (of both exposures, of several cameras) the
+        number of one must follow, from 0, as in ``run.set/1``.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    FrameError
+        If its folder or its buffers are missing or damaged, or it is not said which image is meant.
+    """
+    name = path if path.suffix.lower() == ".set" else path.parent
+    folder = name.with_suffix("")
+    buffers = sorted(folder.glob("*.im7"))
+    if not buffers:
+        raise FrameError(f"{name} has no .im7 in the folder {folder.name} beside it: copy both")
+    count = count_frames(buffers[0])
+    if path == name and count > 1:
+        raise FrameError(f"{name} has {count} images in each buffer: name one, as {name.name}/0")
+    inside = "0" if path == name else path.name
+    if not inside.isdecimal() or int(inside) >= count:
+        raise FrameError(f"{name} has images 0 to {count - 1} in each buffer, none called {inside!r}")
+    return _Set(path, buffers, int(inside))
