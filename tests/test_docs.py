@@ -155,3 +155,16 @@ def test_public_docstrings_name_every_parameter_and_what_comes_back():
         wrong = [f"{code} {text}" for code, text in validate(path)["errors"] if code in checks - told]
         faults += [f"{path}: {line}" for line in wrong]
     assert not faults, "\n".join(faults)
+
+
+def test_experiment_files_of_the_pages_load(tmp_path):
+    from wavefield.series import Experiment
+
+    found = 0
+    for page in PAGES:
+        for block in re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), re.S):
+            if block.startswith("name:"):
+                (tmp_path / "experiment.yaml").write_text(block)
+                assert Experiment.load(tmp_path / "experiment.yaml").cameras, page.name
+                found += 1
+    assert found >= 3

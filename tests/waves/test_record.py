@@ -9,7 +9,7 @@ from waves_cases import axes, cube, linear_cube, random_waves
 import wavefield.waves as wv
 from wavefield.errors import CubeError
 from wavefield.grid import largest_rectangle
-from wavefield.variables import FrameStatus
+from wavefield.variables import FrameStatus, Quality
 from wavefield.waves.record import fill
 
 
@@ -135,3 +135,29 @@ def test_a_single_precision_and_a_double_precision_cube_agree(sea):
     double = cube({"w": sea.w.values}, sea.time.values, sea.y.values, sea.x.values, "f8")
     one, two = wv.komega(sea.w, segment=64).E, wv.komega(double.w, segment=64).E
     np.testing.assert_allclose(one, two, rtol=1e-3, atol=1e-6 * float(two.max()))
+
+
+def with_mask(sea, masked):
+    """The sea without what is masked, as a run leaves it."""
+    masked = xr.DataArray(masked, dims=("time", "y", "x"))
+    quality = xr.where(masked, int(Quality.MASKED), int(Quality.MEASURED)).astype("u2")
+    return sea.where(~masked).assign(quality=quality)
+
+
+def test_what_is_masked_for_a_few_steps_is_not_filled_but_left_out(sea):
+    masked = np.zeros(sea.z.shape, bool)
+    masked[20:26, 5, 7] = True  # a float drifts by, under a tenth of the time
+    record = wv.find_record(with_mask(sea, masked))
+    y, x = record.y, record.x
+    assert not any(masked[a:b, y[0] : y[1], x[0] : x[1]].any() for a, b in record.runs)
+    assert record.holes == 0
+
+
+def test_something_masked_that_crosses_the_whole_field_takes_its_steps_instead(sea):
+    masked = np.zeros(sea.z.shape, bool)
+    for k in range(2):  # a boat, so fast that its steps would be bridged if they were missing
+        masked[30 + k, :, k * sea.sizes["x"] // 2 : (k + 1) * sea.sizes["x"] // 2] = True
+    record = wv.find_record(with_mask(sea, masked))
+    assert record.shape == sea.z.shape[1:]
+    assert record.runs == ((0, 30), (32, sea.sizes["time"]))
+    assert record.bridged == ()

@@ -81,7 +81,7 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
     ExperimentError
         If no step could be measured.
     """
-    start = _whole_step(prepared.series)
+    start = whole_step(prepared.series)
     stop = min(start + 3, prepared.steps)
     _time_block(prepared, start, start + 1)  # compiles, and fills caches
     single, one = _time_block(prepared, start, start + 1)
@@ -105,11 +105,7 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
         free=shutil.disk_usage(prepared.experiment.path.parent).free,
         reading=look_at_reading(prepared.series, prepared.block, step, workers),
     )
-    quality = one.fields["quality"]
-    seen = (
-        quality & (Quality.OUTSIDE | Quality.MASKED)
-    ) == 0  # filled nodes are finite too, but not measured
-    return cost, float((quality[seen] & Quality.MEASURED != 0).mean()) if seen.any() else 0.0
+    return cost, fraction_measured(one.fields["quality"])
 
 
 def _time_block(prepared: Prepared, start: int, stop: int) -> tuple[float, Measured]:
@@ -140,11 +136,80 @@ def _size(count: float) -> str:
     return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
 
 
-def _whole_step(series: Mapping[str, FrameSeries]) -> int:
-    """A step near the middle whose frames and neighbours are all there, if there is one."""
-    there = np.all([[entry is not None for entry in s.entries] for s in series.values()], axis=0)
-    whole = there[:-1] & there[1:]
-    steps = np.flatnonzero(whole)
+def whole_step(series: Mapping[str, FrameSeries]) -> int:
+    """A step near the middle whose frames are there in all cameras.
+
+    Parameters
+    ----------
+    series : mapping of str to FrameSeries
+        Frames of the cameras that measure.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    ExperimentError
+        If there is none.
+    """
+    steps = _steps(series)
     if steps.size == 0:
         raise ExperimentError("no two consecutive frames are there in all cameras: nothing can be measured")
-    return int(steps[np.argmin(np.abs(steps - len(whole) // 2))])
+    return int(steps[np.argmin(np.abs(steps - (len(next(iter(series.values()))) - 1) // 2))])
+
+
+def has_step(series: Mapping[str, FrameSeries]) -> bool:
+    """Whether two consecutive frames are there in all cameras.
+
+    Parameters
+    ----------
+    series : mapping of str to FrameSeries
+        Frames of the cameras that measure.
+
+    Returns
+    -------
+    bool
+    """
+    return bool(_steps(series).size)
+
+
+def _steps(series: Mapping[str, FrameSeries]) -> np.ndarray:
+    there = np.all([[entry is not None for entry in one.entries] for one in series.values()], axis=0)
+    return np.flatnonzero(there[:-1] & there[1:])
+
+
+def in_view(quality: np.ndarray) -> np.ndarray:
+    """Nodes that could be measured: seen by the cameras and not masked.
+
+    Parameters
+    ----------
+    quality : ndarray of int
+        Bits of `Quality`.
+
+    Returns
+    -------
+    ndarray of bool
+    """
+    return np.asarray((quality & (Quality.OUTSIDE | Quality.MASKED)) == 0)
+
+
+def fraction_measured(quality: np.ndarray) -> float:
+    """Fraction of the nodes in view that were measured: filled ones are finite too, but do not count.
+
+    Parameters
+    ----------
+    quality : ndarray of int
+        Bits of `Quality`.
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> fraction_measured(np.array([Quality.MEASURED, Quality.FILLED, Quality.OUTSIDE]))
+    0.5
+    """
+    seen = in_view(quality)
+    return float((quality[seen] & Quality.MEASURED != 0).mean()) if seen.any() else 0.0

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from wavefield.cubes.advice import advise
 from wavefield.cubes.at_rest import remark_on_rest
 from wavefield.cubes.cost import Cost, measure_cost
 from wavefield.cubes.judgement import clocks, look_at_cameras
@@ -125,6 +126,8 @@ class Check:
     motion, heights, clocks : str
         How far the water moves from frame to frame, how high it stands, and whether the cameras take their
         frames at the same moment, in words.
+    advice : str
+        What would help where little is measured.
     """
 
     experiment: str
@@ -142,6 +145,7 @@ class Check:
     motion: str = ""
     heights: str = ""
     clocks: str = ""
+    advice: str = ""
 
     @property
     def exit_status(self) -> int:
@@ -193,7 +197,7 @@ class Check:
         if self.cost:
             lines.append(f"  a run will take {self.cost}")
             lines += [f"  {self.cost.reading}"] if self.cost.reading else []
-        lines += [f"  {words}" for words in (self.motion, self.heights) if words]
+        lines += [f"  {words}" for words in (self.motion, self.heights, self.advice) if words]
         lines += self._agreements()
         lines += [f"  clocks: {self.clocks}"] if self.clocks else []
         lines += [f"  not ready: {problem}" for problem in self.problems]
@@ -241,7 +245,7 @@ def check(
     cameras = tuple(_look_at(s, experiment.cameras[name].offset) for name, s in series.items())
     steps = len(next(iter(series.values()))) - 1
     problems: list[str] = []
-    prepared, cost, coverage, measured = None, None, None, None
+    prepared, cost, coverage, measured, advice = None, None, None, None, ""
     try:
         prepared = prepare(experiment, rig, workflow)
         if experiment.rest:
@@ -250,11 +254,12 @@ def check(
         problems.append(str(error))
     if prepared:
         coverage = expected_coverage(prepared.rig, prepared.grid)
-        try:
-            with one_thread():
+        with one_thread():
+            try:
                 cost, measured = measure_cost(prepared)
-        except ExperimentError as error:
-            problems.append(str(error))
+            except ExperimentError as error:
+                problems.append(str(error))
+            advice = advise(prepared, measured or 0.0)
     seen = look_at_cameras(prepared) if prepared and not problems else None
     said, late = "", list[Remark]()
     if prepared and seen and not any(one.weight == "grave" for one in seen.remarks):
@@ -278,6 +283,7 @@ def check(
         motion=prepared.motion.sentence if prepared and prepared.motion else "",
         heights=prepared.heights.sentence if prepared and prepared.heights else "",
         clocks=said,
+        advice=advice,
     )
 
 

@@ -52,6 +52,11 @@ class FirstHeights:
     def sentence(self) -> str:
         """All this for a person."""
         low, high = (100 * z for z in self.searched)
+        if not self.tried:
+            return (
+                f"elevation: the images are too small for a look at its range; searched {low:+.1f} to "
+                f"{high:+.1f} cm; where water goes further state z_range"
+            )
         if not self.found:
             return (
                 f"elevation: none of {self.tried} pieces of images is found in another camera's; "

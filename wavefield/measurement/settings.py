@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,10 +11,21 @@ from wavefield import matching
 from wavefield.errors import ExperimentError
 from wavefield.sections import CHECKED, make, place_of
 
-_NO_PRESETS = (
-    "there are no presets any more: `fast` saved a few per cent of a step's time and erred by a third more "
-    "in z; take the line out"
+_NOT_FAST = (
+    "`fast` is gone: it saved a few per cent of a step's time and erred by a third more in z; take the line out"
 )
+# what differs from the defaults, which are for floating beads
+_PRESETS: dict[str, dict[str, dict[str, Any]]] = {
+    "floating": {},
+    "sheet": {
+        "stereo": {"window": 32.0, "min_correlation": 0.2},
+        "piv": {"window": 24.0, "min_correlation": 0.2, "robust": 1.5},
+    },
+    "texture": {
+        "stereo": {"window": 36.0, "min_correlation": 0.3, "max_deviation": 5.0},
+        "piv": {"window": 24.0, "min_correlation": 0.3},
+    },
+}
 
 
 def _stereo() -> matching.Settings:
@@ -123,6 +134,28 @@ class Settings:
             if not getattr(self, name) >= 0:
                 raise ExperimentError(f"{name} must be 0 or more, not {getattr(self, name)}")
 
+    def adjusted(self, preset: str) -> Settings:
+        """The same, fit for other images.
+
+        Parameters
+        ----------
+        preset : {"floating", "sheet", "texture"}
+            Floating beads (as it is); particles that come and go in a light sheet, weakly correlated;
+            natural texture, as of the sea.
+
+        Returns
+        -------
+        Settings
+
+        Examples
+        --------
+        >>> Settings().adjusted("texture").stereo.window
+        36.0
+        """
+        changes = _PRESETS[preset]
+        stereo, piv = (replace(getattr(self, name), **changes.get(name, {})) for name in ("stereo", "piv"))
+        return replace(self, stereo=stereo, piv=piv)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe.
 
@@ -141,7 +174,8 @@ class Settings:
         Parameters
         ----------
         data : mapping
-            Names to values; ``stereo`` and ``piv`` may name only what differs.
+            Names to values; ``stereo`` and ``piv`` may name only what differs. ``preset`` starts from those
+            of `adjusted` instead of the defaults.
         path : path, optional
             The file whose ``settings`` they are, to be named with the line at fault.
 
@@ -155,10 +189,12 @@ class Settings:
             If a name is unknown or a value does not fit.
         """
         values: dict[str, Any] = dict(data)
-        if "preset" in values:
+        preset = values.pop("preset", "floating")
+        if not isinstance(preset, str) or preset not in _PRESETS:
             where = f"{place_of(path, ('settings', 'preset'))}: " if path else ""
-            raise ExperimentError(f"{where}settings.preset: {_NO_PRESETS}")
-        base = cls()
+            why = _NOT_FAST if preset == "fast" else f"choose one of {', '.join(_PRESETS)}, not {preset!r}"
+            raise ExperimentError(f"{where}settings.preset: {why}")
+        base = cls().adjusted(preset)
         for name, default in (("stereo", base.stereo), ("piv", base.piv)):
             if isinstance(values.get(name, {}), Mapping):
                 values[name] = asdict(default) | dict(values.get(name, {}))

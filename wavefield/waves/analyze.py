@@ -167,7 +167,7 @@ def analyze(
             progress,
             each,
         )
-        status = {"frame_status": whole["frame_status"]} if "frame_status" in whole else {}
+        status = {name: whole[name] for name in ("frame_status", "quality") if name in whole}
         # a cube has all fields where it has z: the pass sees to it, so the others need not be read twice
         try:
             tree = _analyze(job, find_record(fields[["z"]].assign(status), each=each), True)

@@ -107,7 +107,8 @@ def fuse(
     """
     names = ["z", "z_t", "w"]
     cube = door(cube, NAMES)
-    record = find_record(cube[names]) if record is None else record
+    known = [*names, "quality"] if "quality" in cube else names
+    record = find_record(cube[known]) if record is None else record
     segment = int(fusion.attrs["segment"])
     if record.longest < segment:
         raise CubeError(

@@ -1,6 +1,7 @@
 """The part of a cube that spectra can be taken from: its largest full rectangle, its unbroken runs."""
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,7 @@ from scipy import ndimage
 
 from wavefield.errors import CubeError
 from wavefield.grid import largest_rectangle
-from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, factor
+from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, Quality, factor
 
 # does work for every item, on workers, and gives the results in the order of the items
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[Any]]
@@ -165,14 +166,16 @@ def _finite(pieces: list[Any]) -> np.ndarray | None:
     return None if mask is None else np.packbits(mask.reshape(mask.shape[0], -1), axis=1)
 
 
-def _runs(good: np.ndarray, longest_bridge: int) -> tuple[list[tuple[int, int]], list[int]]:
-    # runs of good steps; gaps up to `longest_bridge` between good steps are bridged
+def _runs(
+    good: np.ndarray, longest_bridge: int, barred: np.ndarray
+) -> tuple[list[tuple[int, int]], list[int]]:
+    # runs of good steps; gaps up to `longest_bridge` between good steps are bridged, but none that is barred
     edges = np.flatnonzero(np.diff(np.r_[False, good, False].astype(int)))
     pieces = list(zip(edges[::2].tolist(), edges[1::2].tolist()))
     runs: list[tuple[int, int]] = []
     bridged: list[int] = []
     for a, b in pieces:
-        if runs and a - runs[-1][1] <= longest_bridge:
+        if runs and a - runs[-1][1] <= longest_bridge and not barred[runs[-1][1] : a].any():
             bridged.extend(range(runs[-1][1], a))
             runs[-1] = (runs[-1][0], b)
         else:
@@ -204,7 +207,8 @@ def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE, each: Each | No
     Parameters
     ----------
     cube : xarray.Dataset or xarray.DataArray
-        Variables over (time, y, x), metres and seconds; ``frame_status`` is heeded where there is one.
+        Variables over (time, y, x), metres and seconds; ``frame_status`` is heeded where there is one, and
+        what ``quality`` calls masked: no node of the rectangle is masked at any step of the runs.
     longest_bridge : int
         Longest gap, in steps, that is bridged by interpolation in time; longer ones split the record.
     each : callable, optional
@@ -230,14 +234,15 @@ def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE, each: Each | No
 
     looked = _Looked(pieces, masks, (ny, nx))
     good = _good_steps(looked, _measured(cube, steps))
-    y, x = _rectangle(looked, good)
+    (y, x), barred = _beside_masks(looked, good, _masked_pieces(cube, looked))
+    good &= ~barred
     size, holes = (y[1] - y[0]) * (x[1] - x[0]), 0
     for steps_of, there in looked:
         if there is not None:
             inside = there[:, y[0] : y[1], x[0] : x[1]].sum(axis=(1, 2))
             good[steps_of] &= inside >= _STEP_FRACTION * size
             holes += int((size - inside)[good[steps_of]].sum())
-    runs, bridged = _runs(good, longest_bridge)
+    runs, bridged = _runs(good, longest_bridge, barred)
     return Record(y, x, tuple(runs), tuple(bridged), steps, holes, dt, dy, dx)
 
 
@@ -282,12 +287,14 @@ def _good_steps(looked: _Looked, known: np.ndarray) -> np.ndarray:
     return out
 
 
-def _rectangle(looked: _Looked, good: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
+def _rectangle(
+    looked: _Looked, good: np.ndarray, open_water: np.ndarray | bool = True
+) -> tuple[tuple[int, int], tuple[int, int]]:
     """Largest rectangle of nodes, y and x, that hold values in nearly all good steps."""
     seen = np.zeros(looked.shape, int)
     for steps, there in looked:
         seen += int(good[steps].sum()) if there is None else there[good[steps]].sum(axis=0)
-    y, x = largest_rectangle(seen >= _NODE_FRACTION * good.sum())
+    y, x = largest_rectangle((seen >= _NODE_FRACTION * good.sum()) & open_water)
     if min(y[1] - y[0], x[1] - x[0]) < _SMALLEST:
         raise CubeError(
             f"the largest rectangle of nodes that are measured throughout is {y[1] - y[0]} x {x[1] - x[0]}"
@@ -295,6 +302,43 @@ def _rectangle(looked: _Looked, good: np.ndarray) -> tuple[tuple[int, int], tupl
             " see"
         )
     return y, x
+
+
+def _masked_pieces(cube: Any, looked: _Looked) -> list[tuple[slice, np.ndarray]]:
+    """Where something is masked at some steps, (steps, ny, nx) bool; a mask leaves no values."""
+    if not (isinstance(cube, xr.Dataset) and "quality" in cube):
+        return []
+    out = []
+    for steps, there in looked:
+        if there is not None:
+            bits = np.asarray(piece(cube["quality"], steps), np.float64)  # NaN where it was reindexed
+            masked = (np.nan_to_num(bits).astype(np.int64) & int(Quality.MASKED)) != 0
+            if masked.any():
+                out.append((steps, masked))
+    return out
+
+
+def _beside_masks(
+    looked: _Looked, good: np.ndarray, masked: Sequence[tuple[slice, np.ndarray]]
+) -> tuple[tuple[tuple[int, int], tuple[int, int]], np.ndarray]:
+    """Rectangle, and steps to be left out, so that nothing masked is left: it is no water, and never filled.
+
+    Nodes that are masked at any step are left out, or all such steps are: what keeps more.
+    """
+    ever, none = np.zeros(looked.shape, bool), np.zeros(good.size, bool)
+    for _, what in masked:
+        ever |= what.any(axis=0)
+    across, barred = _rectangle(looked, good), none.copy()
+    (y0, y1), (x0, x1) = across
+    for steps, what in masked:
+        barred[steps] = what[:, y0:y1, x0:x1].any(axis=(1, 2))
+    if not barred.any():
+        return across, barred
+    with suppress(CubeError):  # where no rectangle is left beside what moves
+        (v0, v1), (u0, u1) = beside = _rectangle(looked, good, ~ever)
+        if (v1 - v0) * (u1 - u0) * good.sum() >= (y1 - y0) * (x1 - x0) * (good & ~barred).sum():
+            return beside, none
+    return across, barred
 
 
 def whole_record(array: Any) -> Record:

@@ -1,0 +1,80 @@
+"""Two cameras and natural texture: elevation from a run's own path, and what helps where images are poor."""
+
+import numpy as np
+import pytest
+from sea_pictures import photograph, sea_rig, texture, waves
+
+from wavefield.cubes import check
+from wavefield.cubes.advice import advise
+from wavefield.cubes.block import make_block, measure_block
+from wavefield.cubes.cost import fraction_measured
+from wavefield.cubes.prepare import prepare
+from wavefield.errors import ExperimentError
+from wavefield.images import write_image
+from wavefield.measurement.settings import Settings
+from wavefield.rig import Rig
+from wavefield.rig.resolution import pixel_size
+from wavefield.variables import Quality
+
+PHASE = 0.02  # from frame to frame
+
+
+def at_sea(folder, noise):
+    cameras, grains = sea_rig(), texture()
+    folder.mkdir()
+    Rig(cameras).save(folder / "rig.yaml")
+    for k in range(4):
+        for n, (name, camera) in enumerate(cameras.items()):
+            write_image(folder / f"{name}_{k}.png", photograph(camera, grains, PHASE * k, 10 * k + n, noise))
+    text = "name: sea\nframe_rate: 10.0\nrig: rig.yaml\ncameras:\n"
+    text += "".join(f'  {name}: {{images: "{name}_{{frame}}.png"}}\n' for name in cameras)
+    (folder / "experiment.yaml").write_text(text)
+    return prepare(folder / "experiment.yaml")
+
+
+def measured(prepared, settings=None):
+    from wavefield.measurement import Plan
+
+    plan = prepared.plan if settings is None else Plan(prepared.rig, prepared.grid, settings)
+    return measure_block(make_block(prepared.series, 1, 2), plan, 10.0).fields
+
+
+def test_the_elevation_of_a_sea_of_natural_texture(tmp_path):
+    sea = at_sea(tmp_path / "sea", 1.5)
+    fields = measured(sea)
+    x, y = np.meshgrid(sea.grid.x_nodes, sea.grid.y_nodes)
+    true = 0.5 * (waves(x, y, PHASE) + waves(x, y, 2 * PHASE))
+    inside = np.zeros(true.shape, bool)
+    inside[2:-2, 2:-2] = True
+    inside &= (fields["quality"][0] & Quality.MEASURED) != 0
+    error = (fields["z"][0] - true)[inside] / pixel_size(sea.rig, sea.grid)
+    assert fraction_measured(fields["quality"]) > 0.98
+    assert np.sqrt(np.mean(error**2)) < 0.1
+    assert advise(sea, 1.0) == ""
+
+
+def test_settings_that_measure_more_of_poor_images_are_found_and_said(tmp_path):
+    sea = at_sea(tmp_path / "sea", 30.0)
+    plain = fraction_measured(measured(sea)["quality"])
+    better = fraction_measured(measured(sea, sea.plan.settings.adjusted("sheet"))["quality"])
+    assert better > plain + 0.3
+    found = check(tmp_path / "sea" / "experiment.yaml")
+    assert f"only {100 * plain:.0f} % measured; with `settings: {{preset: sheet}}`" in str(found)
+    assert f"{100 * better:.0f} %" in found.advice
+
+
+def test_images_that_no_settings_can_read_are_told_what_they_lack(tmp_path):
+    assert "more light, more seeding" in advise(at_sea(tmp_path / "sea", 90.0), 0.0)
+
+
+def test_presets_are_named_where_another_is_asked_for():
+    with pytest.raises(ExperimentError, match=r"one of default, floating, fast, sheet, texture, not 'best'"):
+        Settings.from_dict({"preset": "best"})
+    assert Settings.from_dict({"preset": "floating"}) == Settings()
+    assert Settings.from_dict({"preset": "texture", "stereo": {"window": 40.0}}).stereo.min_correlation == 0.3
+
+
+def test_small_images_are_told_that_no_range_of_elevations_is_looked_for():
+    from wavefield.measurement.first_heights import FirstHeights
+
+    assert "too small for a look" in FirstHeights((0.0, 0.0), 0, 0, (-0.05, 0.05)).sentence
