@@ -68,7 +68,7 @@ def test_images_that_no_settings_can_read_are_told_what_they_lack(tmp_path):
 
 
 def test_presets_are_named_where_another_is_asked_for():
-    with pytest.raises(ExperimentError, match=r"one of default, floating, fast, sheet, texture, not 'best'"):
+    with pytest.raises(ExperimentError, match=r"one of floating, sheet, texture, not 'best'"):
         Settings.from_dict({"preset": "best"})
     assert Settings.from_dict({"preset": "floating"}) == Settings()
     assert Settings.from_dict({"preset": "texture", "stereo": {"window": 40.0}}).stereo.min_correlation == 0.3
