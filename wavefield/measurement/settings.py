@@ -11,7 +11,7 @@ from wavefield import matching
 from wavefield.errors import ExperimentError
 from wavefield.sections import CHECKED, make, place_of
 
-_NOT_FAST = "`fast` is gone: it saved a few per cent of a step's time and erred by a third more in z; take the line out"
+_NOT_FAST = "`fast` is gone: it saved a few per cent of a step and erred by a third more; take the line out"
 # what differs from the defaults, which are for floating beads
 _PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "floating": {},
