@@ -4,6 +4,7 @@ import itertools
 import logging
 import queue
 import sys
+import uuid
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
@@ -300,6 +301,7 @@ class _Tasks:
         self._left = deque(range(len(items)))
         self._alone: set[int] = set()  # items of a task that ended with its workers: which of them was it?
         self._number = itertools.count()
+        self._mark = uuid.uuid4().hex  # an address would come again, and with it the results of other items
         self.futures: dict[Any, list[int]] = {}
 
     def submit(self) -> None:
@@ -308,7 +310,7 @@ class _Tasks:
         some = [indices for indices in (self._take() for _ in range(room)) if indices]
         if not some:
             return
-        keys = [f"blocks-{next(self._number)}-{id(self._items)}" for _ in some]
+        keys = [f"blocks-{next(self._number)}-{self._mark}" for _ in some]
         batches = [[self._items[index] for index in indices] for indices in some]
         for future, indices in zip(self._client.map(self._task, batches, pure=False, key=keys), some):
             self.futures[future] = indices
