@@ -14,6 +14,9 @@ from wavefield.variables.table import CUBE_DIMS, TABLE, Variable, annotate, find
 from wavefield.variables.units import factor, product
 from wavefield.variables.waves import GROUPS
 
+# isort: split
+import wavefield.variables.estimators  # noqa: F401  its rows join the table
+
 __all__ = [
     "CUBE_DIMS",
     "CUBE_FIELDS",
