@@ -21,6 +21,8 @@ Key = str | int
 T = TypeVar("T")
 
 _LARGEST = 200_000  # values in a file; a list of every image of a long record has fewer
+_MOST_TOLD = 4  # problems of a file
+_KNOWN = "; known keys here: "
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
 
@@ -102,14 +104,19 @@ def make(
         node = _compose(path) if path else None
         wrong = found.errors()
         unknown = [p for p in wrong if p["type"] in _UNKNOWN]  # what is missing is there under a wrong name
-        wrong = unknown or wrong
+        wrong = unknown or [p for p in wrong if not _is_other_form(p, wrong)]
         problems = [_sentence(problem, kind, path, node, location, name) for problem in wrong]
+    told = list(dict.fromkeys(problems))
     by_place: dict[str, list[str]] = {}
-    for where, words in dict.fromkeys(problems):
-        by_place.setdefault(where, []).append(words)
-    raise error(
-        "; ".join((f"{where}: " if where else "") + "; ".join(words) for where, words in by_place.items())
-    )
+    listed: set[str] = set()
+    for where, words in told[:_MOST_TOLD]:
+        bare, _, keys = words.partition(_KNOWN)
+        by_place.setdefault(where, []).append(bare if keys in listed else words)
+        listed |= {keys} - {""}
+    sentences = [(f"{where}: " if where else "") + "; ".join(words) for where, words in by_place.items()]
+    if len(told) > _MOST_TOLD:
+        sentences.append(f"and {len(told) - _MOST_TOLD} more: is it a file of this kind at all?")
+    raise error("; ".join(sentences))
 
 
 # -- YAML ----------------------------------------------------------------------------------------------------
@@ -271,13 +278,21 @@ def _sentence(
     return where, words
 
 
+def _is_other_form(problem: Any, wrong: Sequence[Any]) -> bool:
+    """Whether it only says that a block is not the word that could stand in its place."""
+    if problem["type"] != "literal_error" or not isinstance(problem["input"], Mapping):
+        return False
+    place = problem["loc"][:-1]
+    return any(other is not problem and other["loc"][: len(place)] == place for other in wrong)
+
+
 def _message(problem: Any, kinds: Sequence[Any]) -> str:
     sort, message = problem["type"], str(problem["msg"])
     if sort in _UNKNOWN:
         known = list(dict.fromkeys(name for member in kinds for name in _fields(member)))
         close = difflib.get_close_matches(str(problem["loc"][-1]), known, n=1)
-        remedy = f"did you mean {close[0]!r}?" if close else f"known keys here: {', '.join(known)}"
-        return f"is not a known key; {remedy}"
+        remedy = f"; did you mean {close[0]!r}?" if close else f"{_KNOWN}{', '.join(known)}"
+        return f"is not a known key{remedy}"
     if sort == "missing":
         return "is missing"
     if sort == "value_error":

@@ -293,7 +293,7 @@ def test_the_papers_figures_are_on_one_page(folder, tmp_path):
 
 
 def test_calibrate_levels_the_rig_on_the_record_at_rest(folder, tmp_path, capsys):
-    still = Tank(Scene.load("rest").with_(rig=SCENE["rig"]))
+    still = Tank(Scene.from_dict(SCENE | {"sea": {"kind": "still"}}))
     for frame in range(2):
         for name, image in still.render(frame).items():
             write_image(tmp_path / "rest" / f"{name}_{frame:02d}.tif", image)

@@ -172,3 +172,19 @@ def test_what_no_lab_note_says_is_refused_at_once(tmp_path, text, says):
     message = complaint(tmp_path, text)
     assert says in message
     assert "experiment.yaml" in message
+
+
+def test_a_file_of_another_kind_gets_one_sentence_and_a_block_is_not_told_to_be_a_word(tmp_path):
+    path = tmp_path / "experiment.yaml"
+    path.write_text("cluster: local\nworkers: 3\nmemory: 2 GB\ndashboard: x\nsecurity: tls\ntime_limit: 3h\n")
+    with pytest.raises(ExperimentError) as caught:
+        Experiment.load(path)
+    said = str(caught.value)
+    assert said.count("known keys here") == 1
+    assert said.endswith("and 2 more: is it a file of this kind at all?")
+    path.write_text(
+        'name: lab\nframe_rate: 20\ncameras: {a: "a/*.tif"}\ngrid: {x: [1, -1], y: [-1, 1], step: 0.1}\n'
+    )
+    with pytest.raises(ExperimentError, match="less than one step") as caught:
+        Experiment.load(path)
+    assert "'auto'" not in str(caught.value)
