@@ -68,7 +68,8 @@ def matched_pixels(
             progress(done, len(frames))
     if not any(parts.values()):
         raise CalibrationError(
-            f"none of the {len(frames)} frames tried is there, and of the rig's size, in all of {', '.join(parts)}: nothing to match"
+            f"none of the {len(frames)} frames tried is there, and of the rig's size, in all of "
+            f"{', '.join(parts)}: nothing to match"
         )
     return {name: np.concatenate(pixels) for name, pixels in parts.items()}
 
