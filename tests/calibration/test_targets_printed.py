@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from rendering import Picture, camera_at, centred, charuco, chessboard, dots, pattern_picture
+from rendering import Picture, aprilgrid, camera_at, centred, charuco, chessboard, dots, pattern_picture
 
 from wavefield.calibration import Target, find_target
 from wavefield.calibration.lattice import SmoothMap
@@ -87,6 +87,24 @@ def test_a_charuco_board_is_numbered_by_its_markers_and_a_mirrored_one_is_refuse
     assert np.abs(errors(points, camera, 0.05)).max() < 0.3
     with pytest.raises(CalibrationError, match="mirrored"):
         find_target(image[:, ::-1], target)
+
+
+@pytest.mark.parametrize(("roll", "border"), [(0.0, 2), (70.0, 1)])
+def test_tags_of_an_aprilgrid_are_found_from_the_side(roll, border):
+    pattern = aprilgrid((4, 3), 0.05, 0.0115, border)
+    image, camera = seen((4, 3), 0.05, pattern, tilt=45.0, roll=roll, span=0.6)
+    points = find_target(image, Target("aprilgrid", 0.05, (4, 3)))
+    assert len(points) == 12
+    assert np.sqrt((errors(points, camera, 0.05) ** 2).mean()) < 0.02
+
+
+def test_an_aprilgrid_partly_out_of_view_and_a_mirrored_one():
+    image, camera = seen((6, 5), 0.05, aprilgrid((6, 5), 0.05, 0.0115), span=1.1)
+    points = find_target(image, Target("aprilgrid", 0.05, (6, 5)))
+    assert 8 <= len(points) < 28
+    assert np.abs(errors(points, camera, 0.05)).max() < 0.1
+    with pytest.raises(CalibrationError, match="not mirrored"):
+        find_target(image[:, ::-1], Target("aprilgrid", 0.05, (6, 5)))
 
 
 def test_pictures_without_the_printed_target_are_refused():

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from wavefield.calibration.patterns import find_charuco, find_chessboard, find_dots
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.strings import find_strings
+from wavefield.calibration.tags import find_aprilgrid
 from wavefield.calibration.target import Target
 from wavefield.calibration.two_level import find_two_level
 from wavefield.errors import CalibrationError
@@ -17,6 +18,7 @@ _FINDERS = {
     "chessboard": find_chessboard,
     "dots": find_dots,
     "charuco": find_charuco,
+    "aprilgrid": find_aprilgrid,
     "two-level": find_two_level,
 }
 

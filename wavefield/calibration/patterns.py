@@ -40,7 +40,7 @@ def find_chessboard(image: NDArray[np.float32], target: Target) -> TargetPoints:
     CalibrationError
         If the whole board is not seen.
     """
-    nx, ny = _shape(target)
+    nx, ny = shape_of(target)
     found = _chessboard_corners(image, (nx, ny))
     if found is None:
         raise CalibrationError(
@@ -57,7 +57,7 @@ def find_chessboard(image: NDArray[np.float32], target: Target) -> TargetPoints:
 def _chessboard_corners(image: NDArray[np.float32], shape: tuple[int, int]) -> Array | None:
     """Corners by every detector that OpenCV has, quick ones first: each misses boards that another finds."""
     small, factor = _searchable(image)
-    whole = _bytes(image)
+    whole = as_bytes(image)
     even = np.asarray(cv2.equalizeHist(small), np.uint8)
     normal, exhaustive, accurate = (
         cv2.CALIB_CB_NORMALIZE_IMAGE,
@@ -106,13 +106,13 @@ def find_charuco(image: NDArray[np.float32], target: Target) -> TargetPoints:
     CalibrationError
         If fewer than 8 corners are seen, or the picture is mirrored.
     """
-    nx, ny = _shape(target)
+    nx, ny = shape_of(target)
     code = getattr(cv2.aruco, target.dictionary, None)
     if not isinstance(code, int):
         raise CalibrationError(
             f"marker dictionary {target.dictionary!r} is not known; use OpenCV's name, e.g. DICT_4X4_50"
         )
-    grey = _bytes(image)
+    grey = as_bytes(image)
     dictionary = cv2.aruco.getPredefinedDictionary(code)
     board = cv2.aruco.CharucoBoard((nx, ny), target.mesh, float(target.marker or 0.0), dictionary)
 
@@ -168,7 +168,7 @@ def find_dots(image: NDArray[np.float32], target: Target) -> TargetPoints:
     In perspective the centroid of a disc's picture is not the picture of its centre. The difference is
     computed by integrating the fitted map over the disc, and subtracted.
     """
-    shape = _shape(target)
+    shape = shape_of(target)
     best: tuple[Node, Array, NDArray[np.float32]] | None = None
     most = 0
     for polarity in (image, 255.0 - image):
@@ -202,18 +202,20 @@ def find_dots(image: NDArray[np.float32], target: Target) -> TargetPoints:
 # -- shared -------------------------------------------------------------------------------------------
 
 
-def _shape(target: Target) -> tuple[int, int]:
+def shape_of(target: Target) -> tuple[int, int]:
+    """Nodes along x and y of a target that has a shape."""
     assert target.shape is not None  # Target refuses these kinds without a shape
     return target.shape
 
 
-def _bytes(image: NDArray[np.float32]) -> NDArray[np.uint8]:
+def as_bytes(image: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """A picture as OpenCV's detectors want it."""
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
 def _searchable(image: NDArray[np.float32]) -> tuple[NDArray[np.uint8], float]:
     """The picture as bytes, small enough to be searched, and the factor back to its own pixels."""
-    grey, factor = _bytes(image), 1.0
+    grey, factor = as_bytes(image), 1.0
     while max(grey.shape) > LARGEST:
         half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         grey, factor = np.asarray(half, np.uint8), factor * 2

@@ -23,23 +23,25 @@ class Target:
 
     Parameters
     ----------
-    kind : {"strings", "chessboard", "dots", "charuco", "two-level"}
+    kind : {"strings", "chessboard", "dots", "charuco", "aprilgrid", "two-level"}
         White strings stretched across a dark ground; chessboard corners; centres of round dots; the
-        chessboard corners of a ChArUco board; dots on two parallel planes, every second row on the deeper
-        one and set off by half a dot.
+        chessboard corners of a ChArUco board; middles of the tags of an AprilGrid; dots on two parallel
+        planes, every second row on the deeper one and set off by half a dot.
     mesh : float
-        Distance between neighbouring nodes, metres; of a two-level target that of neighbouring rows, half of
-        that between the dots of a row.
+        Distance between neighbouring nodes, metres (of an AprilGrid: a tag and the gap beside it); of a
+        two-level target that of neighbouring rows, half of that between the dots of a row.
     shape : tuple of int, optional
         Nodes along x and along y. Needed for a chessboard (inner corners) and for dots; for ChArUco the
-        number of *squares* along x and y, as its makers count. A grid of strings needs none.
+        number of *squares* along x and y, as its makers count; for an AprilGrid that of tags. A grid of
+        strings needs none.
     origin_mark, x_mark : str
         Marks of a grid of strings: a disc on the node (0, 0), a smaller one on (1, 0). A two-level target has
         a square in place of the dot at (0, 0) and a triangle in place of one further along x.
     diameter : float, optional
         Diameter of a dot, metres. With it the bias of a dot's centroid in perspective is removed.
     dictionary : str
-        ChArUco: OpenCV's name of the marker dictionary.
+        ChArUco, AprilGrid: OpenCV's name of the marker dictionary; left out, DICT_4X4_50 of a ChArUco board,
+        DICT_APRILTAG_36h11 of an AprilGrid.
     marker : float, optional
         ChArUco: side of a marker, metres.
     depth : float, optional
@@ -60,13 +62,13 @@ class Target:
     (9, 6)
     """
 
-    kind: Literal["strings", "chessboard", "dots", "charuco", "two-level"]
+    kind: Literal["strings", "chessboard", "dots", "charuco", "aprilgrid", "two-level"]
     mesh: Length
     shape: tuple[Nodes, Nodes] | None = None
     origin_mark: Literal["disc", "square"] = "disc"
     x_mark: Literal["small disc", "triangle"] = "small disc"
     diameter: Length | None = None
-    dictionary: str = "DICT_4X4_50"
+    dictionary: str = ""
     marker: Length | None = None
     depth: Annotated[float, Field(gt=-1, lt=1)] | None = None
     origin: tuple[float, float] = (0.0, 0.0)
@@ -78,6 +80,9 @@ class Target:
             raise ValueError(f"a {self.kind} target needs its shape, for example shape: [9, 6]")
         if self.diameter is not None and self.diameter >= self.mesh:
             raise ValueError("the target's dots are larger than its mesh; check diameter and mesh (metres)")
+        if not self.dictionary:
+            family = "DICT_APRILTAG_36h11" if self.kind == "aprilgrid" else "DICT_4X4_50"
+            object.__setattr__(self, "dictionary", family)
         if self.kind == "charuco":
             if self.marker is None:
                 raise ValueError("a charuco target needs the side of its markers, for example marker: 0.02")
