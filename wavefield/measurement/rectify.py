@@ -121,11 +121,27 @@ def binned(camera: Camera, count: int) -> Camera:
     return replace(camera.scaled(1.0 / count), size=(width // count, height // count))
 
 
-def _doubled(image: NDArray[Any], space: Callable[[tuple[int, int], Any], NDArray[Any]]) -> NDArray[Any]:
+def double(
+    image: NDArray[Any], space: Callable[[tuple[int, int], Any], NDArray[Any]] = np.empty
+) -> NDArray[Any]:
     """Sample an image on a grid twice as fine, both images of a match equally smoothed.
 
-    Element (2 r, 2 c) lies on pixel (r, c); 8 bit are spread over 16. Quintic B-spline without prefilter,
-    weights 66, 26, 1 over 120 at whole and 1682, 237, 1 over 3840 at half pixels.
+    Parameters
+    ----------
+    image : ndarray, (row, column), uint8, uint16 or float32
+        Image; 8 bit are spread over 16.
+    space : callable
+        Gives the memory of the result, from its shape and dtype.
+
+    Returns
+    -------
+    ndarray, (2 row, 2 column), uint16 or float32
+        Element (2 r, 2 c) lies on pixel (r, c).
+
+    Notes
+    -----
+    Quintic B-spline without prefilter, weights 66, 26, 1 over 120 at whole and 1682, 237, 1 over 3840 at half
+    pixels.
     """
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32, copy=False)
@@ -196,7 +212,7 @@ def rectify(image: NDArray[Any], X: Float, Y: Float) -> NDArray[Any]:
         Brightness; zero where the camera sees nothing. 8 bit become 16 (times 256).
     """
     return cv2.remap(
-        _doubled(image, _space), X, Y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0
+        double(image, _space), X, Y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0
     )
 
 
