@@ -7,6 +7,7 @@ import threading
 import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import psutil
@@ -21,7 +22,7 @@ from wavefield.cubes.cluster import open_cluster
 from wavefield.errors import ExperimentError
 
 ROOT = Path(__file__).parents[2]
-
+LIMITED = "limited"  # name of the jobs that end at their time limit, beside the other tests
 
 pytestmark = pytest.mark.usefixtures("slurm_there")
 
@@ -34,7 +35,13 @@ def wait_for(condition, patience=900.0):
     since = time.monotonic()
     while not condition():
         assert time.monotonic() - since < patience, "nothing happened for too long"
-        time.sleep(0.1)
+        time.sleep(0.3)  # each look is a process, beside the workers
+
+
+def queue(*options):
+    """Jobs that wait or run, but for those of the run at its time limit."""
+    shown = slurm("squeue", "--noheader", "--format=%A %j", *options).split("\n")
+    return [line.split()[0] for line in shown if line and not line.endswith(f" {LIMITED}")]
 
 
 def steps_done(out):
@@ -44,15 +51,21 @@ def steps_done(out):
     return now.steps - now.left
 
 
-@pytest.fixture
-def workflow(tmp_path):
+def write_workflow(folder, **more):
     """The workflow that is shipped, with jobs of the size that a test needs: two of one worker each."""
     data = yaml.safe_load((ROOT / "workflows" / "slurm.yaml").read_text())
     data |= {"workers": 2, "memory": "500 MB", "steps_per_block": 1}
     data["slurm"] |= {"cores": 1, "walltime": "00:10:00", "python": sys.executable, "queue": partition()}
-    path = tmp_path / "slurm.yaml"
+    data["slurm"] |= more
+    path = folder / "slurm.yaml"
     path.write_text(yaml.safe_dump(data))
     return path
+
+
+@pytest.fixture
+def workflow(tmp_path):
+    """The workflow file of a test."""
+    return write_workflow(tmp_path)
 
 
 def partition():
@@ -82,6 +95,7 @@ def jobs(name):
     return slurm("squeue", "--noheader", "--format=%A", f"--name={name}", "--states=RUNNING").split()
 
 
+@pytest.mark.usefixtures("limited")  # so that its minute begins
 def test_a_job_that_is_warned_puts_itself_back_and_one_that_is_cancelled_goes_on_when_asked(
     tank, reference, workflow, environment, tmp_path
 ):
@@ -93,12 +107,12 @@ def test_a_job_that_is_warned_puts_itself_back_and_one_that_is_cancelled_goes_on
     before = steps_done(out)
     wait_for(lambda: steps_done(out) > before)  # it is back
     slurm("scancel", job)
-    wait_for(lambda: not slurm("squeue", "--noheader"))  # its workers go with it
+    wait_for(lambda: not queue())  # its workers go with it
     done = steps_done(out)
     assert 2 <= done < status(out).steps
     assert (tmp_path / "job.out").read_text().count("nothing is lost") == 2
     submit(tank, out, workflow, environment, tmp_path)
-    wait_for(lambda: status(out).complete and not slurm("squeue", "--noheader"))
+    wait_for(lambda: status(out).complete and not queue())
     assert different(out, reference) == []
     assert not list(out.with_suffix(".jobs").glob(".tls-*")), "credentials go with their run"
 
@@ -115,22 +129,27 @@ def drained(node):
             slurm(*change, "state=resume")
 
 
-def start_run(tank, out, workflow, request):
+def start_run(tank, out, workflow):
     """A run of its own process, as on a login node."""
     command = [sys.executable, "-m", "wavefield.commands.cli", "run", str(tank), "-o", str(out)]
-    process = subprocess.Popen(
+    return subprocess.Popen(
         [*command, "--workflow", str(workflow)],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=out.parent,
     )  # fmt: skip
-    request.addfinalizer(lambda: (process.kill(), process.wait(), process.stdout.close()))
-    return process
+
+
+def end(process):
+    process.kill()
+    process.wait()
+    process.stdout.close()
 
 
 def test_worker_jobs_that_are_cancelled_are_asked_for_again_on_nodes_that_are_left(
     tank, reference, workflow, tmp_path, request
 ):
     out = tmp_path / "cube.zarr"
-    process = start_run(tank, out, workflow, request)
+    process = start_run(tank, out, workflow)
+    request.addfinalizer(lambda: end(process))
     wait_for(lambda: steps_done(out) >= 1)
     first = jobs("wavefield")
     node = slurm("squeue", "--noheader", "--format=%N", f"--jobs={first[0]}")
@@ -143,29 +162,35 @@ def test_worker_jobs_that_are_cancelled_are_asked_for_again_on_nodes_that_are_le
         text, _ = process.communicate(timeout=900)
     assert process.returncode == 0, text
     assert different(out, reference) == []
-    wait_for(lambda: not slurm("squeue", "--noheader"))
+    wait_for(lambda: not queue())
 
 
-def test_workers_whose_time_limit_ends_them_in_the_middle_of_a_block_leave_the_same_cube(
-    tank, reference, workflow, tmp_path, request
-):
-    data = yaml.safe_load(workflow.read_text())
-    data["slurm"] |= {"walltime": "00:01:00"}  # Slurm counts in minutes
-    workflow.write_text(yaml.safe_dump(data))
-    out = tmp_path / "cube.zarr"
-    process = start_run(tank, out, workflow, request)
-    wait_for(lambda: steps_done(out) >= 1 or process.poll() is not None)
-    first = jobs("wavefield")
-    for worker in processes_of(first):
-        worker.suspend()  # blocks that take longer than the job lives
-    done = steps_done(out)
+@pytest.fixture(scope="module")
+def limited(slurm_there, tank, tmp_path_factory):
+    """A run whose workers hang until their time limit, which Slurm counts in minutes: other tests go on."""
+    folder = tmp_path_factory.mktemp("limited")
+    workflow = write_workflow(folder, walltime="00:01:00", job_name=LIMITED)
+    out = folder / "cube.zarr"
+    process = start_run(tank, out, workflow)
+    try:
+        wait_for(lambda: steps_done(out) >= 1 or process.poll() is not None)
+        first = jobs(LIMITED)
+        for worker in processes_of(first):
+            worker.suspend()  # blocks that take longer than the job lives
+        yield SimpleNamespace(out=out, process=process, first=first, done=steps_done(out))
+    finally:
+        end(process)
+
+
+def test_workers_whose_time_limit_ends_them_in_the_middle_of_a_block_leave_the_same_cube(limited, reference):
+    first, process = limited.first, limited.process
     wait_for(lambda: all(state_of(job) == "TIMEOUT" for job in first) or process.poll() is not None)
-    assert done < status(out).steps
     text, _ = process.communicate(timeout=900)
     assert process.returncode == 0, text
+    assert limited.done < status(limited.out).steps
     assert [state_of(job) for job in first] == ["TIMEOUT"] * len(first)
-    assert different(out, reference) == []
-    wait_for(lambda: not slurm("squeue", "--noheader"))
+    assert different(limited.out, reference) == []
+    wait_for(lambda: not slurm("squeue", "--noheader", f"--name={LIMITED}"))
 
 
 def processes_of(jobs):
@@ -192,12 +217,12 @@ def test_more_jobs_are_asked_for_while_work_waits_and_given_back_before_the_last
 
     def look():
         while not stop.wait(0.5):
-            seen.append(len(slurm("squeue", "--noheader", "--name=wavefield").split("\n")))
+            seen.append(len(queue("--name=wavefield")))
 
     with open_cluster(Workflow(**data), tmp_path / "logs") as map_unordered:
         looking = threading.Thread(target=look)
         done = []
-        for item, _ in map_unordered(time.sleep, [4.0] * 8 + [15.0]):
+        for item, _ in map_unordered(time.sleep, [2.0] * 8 + [15.0]):
             if not done:
                 looking.start()
             done.append(item)
@@ -205,10 +230,10 @@ def test_more_jobs_are_asked_for_while_work_waits_and_given_back_before_the_last
                 most, last = max(seen), len(seen)
         stop.set()
         looking.join()
-    assert sorted(done) == [4.0] * 8 + [15.0]
+    assert sorted(done) == [2.0] * 8 + [15.0]
     assert most == 2, "work waits, and there is one job"
     assert seen[last:][-1] == 1, "one item is left, and there are two jobs"
-    wait_for(lambda: not slurm("squeue", "--noheader"))
+    wait_for(lambda: not queue())
 
 
 def test_the_waves_that_slurm_jobs_find_are_those_of_one_process(reference, workflow, tmp_path):
@@ -219,7 +244,7 @@ def test_the_waves_that_slurm_jobs_find_are_those_of_one_process(reference, work
     for group in one.groups:
         for name, values in one[group].data_vars.items():
             assert np.asarray(values).tobytes() == np.asarray(two[group][name]).tobytes(), f"{group}/{name}"
-    wait_for(lambda: not slurm("squeue", "--noheader"))
+    wait_for(lambda: not queue())
 
 
 @pytest.mark.parametrize(
@@ -249,4 +274,4 @@ def test_jobs_that_never_work_are_named_with_what_tells_why(
         pytest.raises(ExperimentError, match=sentence),
     ):
         list(map_unordered(abs, [-1]))
-    wait_for(lambda: not slurm("squeue", "--noheader"))
+    wait_for(lambda: not queue())
