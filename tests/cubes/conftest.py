@@ -1,5 +1,6 @@
 """The small tank and its cube, made once."""
 
+import functools
 import hashlib
 import pickle
 import shutil
@@ -12,18 +13,21 @@ from wavefield.cubes import run
 from wavefield.images import write_image
 from wavefield.tank import Scene, Tank
 
+LEARNED = {}  # what was learned from the same frames, by its inputs
 
-@pytest.fixture(scope="session", autouse=True)
+
+@pytest.fixture(scope="package", autouse=True)
 def learned_once():
     """Beads, spectra and noise of the same frames are learned once for all runs: a third of a run here."""
-    learn, known = wavefield.measurement.learn, {}
+    learn = wavefield.measurement.learn
 
+    @functools.wraps(learn)
     def remembered(steps, plan, masks=None):
         asked = pickle.dumps((steps, masks, plan.rig, plan.grid, plan.settings, plan.record, plan.covered))
         key = hashlib.sha256(asked).digest()
-        if key not in known:
-            known[key] = learn(steps, plan, masks)
-        return known[key]
+        if key not in LEARNED:
+            LEARNED[key] = learn(steps, plan, masks)
+        return LEARNED[key]
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(wavefield.measurement, "learn", remembered)

@@ -125,3 +125,14 @@ def test_the_rate_of_rise_lags_the_elevation_by_a_quarter_turn():
     # z at frame times is half a step early
     half_step = float(line.omega) * 0.05 / 2
     assert np.angle(S) == pytest.approx(-np.pi / 2 - half_step, abs=0.05)
+
+
+def test_a_surface_without_slopes_has_no_coherence_with_its_nonlinear_term():
+    names = ("z_t", "w", "u")
+    ring = wv.cross_spectra(white_cube(0, steps=128), names, tuple(combinations(names, 2)), segment=32)
+    nil = {"E_nl": 0 * ring.E_u, "S_z_t_nl": 0 * ring.S_z_t_u, "S_w_nl": 0 * ring.S_w_u, "dof_nl": ring.dof_u}
+    # in pieces, since xarray keeps silent about what it divides at once; any warning is an error here
+    C = coherence_module.from_spectra(ring.assign(nil).chunk()).compute()
+    assert np.isnan(C["gamma2_nl"]).all()
+    assert np.isnan(C["gamma2_nl_komega"]).all()
+    assert np.isfinite(C["gamma2_w"]).sum() == np.isfinite(C["gamma2_tot"]).sum() > 0

@@ -72,7 +72,8 @@ def from_spectra(ring: xr.Dataset) -> xr.Dataset:
         norm = np.sqrt(add(ring["E_z_t"]) * add(total))
         for name, (cross, power) in terms.items():
             out[f"C_{name}{ending}"] = add(cross) / norm
-            out[f"gamma2_{name}{ending}"] = np.abs(add(cross)) ** 2 / (add(ring["E_z_t"]) * add(power))
+            both = add(ring["E_z_t"]) * add(power)
+            out[f"gamma2_{name}{ending}"] = np.abs(add(cross)) ** 2 / both.where(both > 0)
             samples = _samples(ring, name)
             if not ending:
                 cells = 2 * samples / ring.attrs["degrees_of_freedom"]

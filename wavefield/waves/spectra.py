@@ -444,4 +444,5 @@ def samples_in_time(energy: xr.DataArray, duration: float, cells: xr.DataArray |
         than the number of steps.
     """
     step = float(energy["omega"][1] - energy["omega"][0])
-    return duration * step * energy.sum("omega") ** 2 / (2 * np.pi * (energy**2 / cells).sum("omega"))
+    squares = (energy**2 / cells).sum("omega")
+    return duration * step * energy.sum("omega") ** 2 / (2 * np.pi * squares.where(squares > 0))
