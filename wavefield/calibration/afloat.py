@@ -42,6 +42,14 @@ def level_experiment(
     ------
     RigError
         If too little is seen alike, or the cameras are in one place and no distance is stated.
+
+    Examples
+    --------
+    >>> import wavefield as wf
+    >>> found = wf.level("experiment.yaml")  # doctest: +SKIP
+    >>> found.instants  # doctest: +SKIP
+    20
+    >>> found.rig.save("rig.yaml")  # doctest: +SKIP
     """
     if not isinstance(experiment, Experiment):
         experiment = Experiment.load(experiment)

@@ -113,6 +113,14 @@ def calibrate_experiment(
     ------
     CalibrationError
         If target images are not there.
+
+    Examples
+    --------
+    >>> import wavefield as wf
+    >>> found = wf.calibrate("experiment.yaml")  # doctest: +SKIP
+    >>> found.calibration.usable, found.notes  # doctest: +SKIP
+    (True, ())
+    >>> found.calibration.rig.save("rig.yaml")  # doctest: +SKIP
     """
     if not isinstance(experiment, Experiment):
         experiment = Experiment.load(experiment)

@@ -54,6 +54,14 @@ def analyze_on_workers(
     -----
     The record is cut into chains of eight segments whatever the workers are; each chain is summed by one
     worker, and the sums of the chains are added in their order.
+
+    Examples
+    --------
+    >>> import wavefield as wf
+    >>> workflow = wf.Workflow(cluster="local", workers=4)
+    >>> waves = wf.analyze_on_workers("cube.zarr", "cube_waves.zarr", workflow, depth=0.7)  # doctest: +SKIP
+    >>> waves["coherence"].C_tot.dims  # doctest: +SKIP
+    ('k',)
     """
     if not isinstance(workflow, Workflow):
         workflow = Workflow.load(workflow)

@@ -209,6 +209,16 @@ def run_catalog(
     ------
     ExperimentError
         If a run or a parameter is unknown, or the catalog lacks what is needed.
+
+    Examples
+    --------
+    >>> import wavefield as wf
+    >>> from wavefield.cubes.catalog import catalog_add
+    >>> catalog_add("tank.yaml", "experiment.yaml")  # doctest: +SKIP
+    'coriolis-07'
+    >>> found = wf.run_catalog("tank.yaml", ["coriolis-07"])  # doctest: +SKIP
+    >>> all(one.complete for one in found)  # doctest: +SKIP
+    True
     """
     path = Path(catalog).absolute()
     runs = runs_of(path, entries)

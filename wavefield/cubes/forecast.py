@@ -239,6 +239,13 @@ def check(
     ------
     ExperimentError
         If the experiment file is wrong or images are not there.
+
+    Examples
+    --------
+    >>> import wavefield as wf
+    >>> found = wf.check("experiment.yaml")  # doctest: +SKIP
+    >>> found.ready, found.problems  # doctest: +SKIP
+    (True, ())
     """
     experiment, _ = load_files(experiment, None)  # a wrong workflow is one of the problems
     series = experiment.open_frames()

@@ -34,6 +34,19 @@ def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
     Notes
     -----
     By linear theory: `wavefield.measurement.gain.gains`.
+
+    Examples
+    --------
+    >>> import wavefield as wf
+    >>> gain = wf.predicted_gain(wf.open_cube("cube.zarr"))  # doctest: +SKIP
+    >>> waves = wf.analyze("cube.zarr", gain=gain)  # doctest: +SKIP
+
+    A cube from elsewhere does not say how it was made:
+
+    >>> predicted_gain(xr.Dataset())
+    Traceback (most recent call last):
+        ...
+    wavefield.errors.CubeError: the cube does not say how it was made ...
     """
     try:
         recipe = json.loads(cube.attrs["recipe"])

@@ -146,6 +146,24 @@ def reconstruct(
     ------
     ExperimentError
         If cameras are missing, or times are not evenly spaced.
+
+    Examples
+    --------
+    Images that are all black, of which nothing is read yet: work begins when values are asked for.
+
+    >>> from wavefield.tank import Scene
+    >>> rig = Scene.load("demo").build_rig()
+    >>> times = {"time": np.arange(5) / 20}
+    >>> frames = {}
+    >>> for name in rig:
+    ...     width, height = rig[name].size
+    ...     images = da.zeros((5, height, width), np.uint8, chunks=(1, -1, -1))
+    ...     frames[name] = xr.DataArray(images, times, ("time", "row", "column"))
+    >>> cube = reconstruct(frames, rig, Grid(x=(-0.5, 0.5), y=(-0.4, 0.4), step=0.02))
+    >>> cube.z.dims, cube.z.shape
+    (('time', 'y', 'x'), (4, 41, 51))
+    >>> round(float(cube.time[0]), 3)
+    0.025
     """
     from wavefield.measurement import Plan, Settings
 

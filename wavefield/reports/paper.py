@@ -57,6 +57,13 @@ def paper(
         If a cube is not there, or the file cannot be written.
     CubeError
         If the record is too short for its waves.
+
+    Examples
+    --------
+    >>> import wavefield as wf
+    >>> page = wf.paper("cube.zarr", "paper.html", rest="rest.zarr")  # doctest: +SKIP
+    >>> page.name  # doctest: +SKIP
+    'paper.html'
     """
     store = Path(store)
     output = Path(output) if output is not None else beside(store, "paper", ".html")

@@ -41,6 +41,13 @@ def report(
     ------
     StoreError
         If the cube is not there, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import wavefield as wf
+    >>> page = wf.report("cube.zarr", "report.html")  # doctest: +SKIP
+    >>> page.name  # doctest: +SKIP
+    'report.html'
     """
     store = Path(store)
     output = Path(output) if output is not None else beside(store, "report", ".html")

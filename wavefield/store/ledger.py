@@ -152,6 +152,21 @@ def status(store: str | Path) -> Status:
     ------
     StoreError
         If it is not there or is not a cube.
+
+    Examples
+    --------
+    The empty store that a run of ten steps begins with.
+
+    >>> import tempfile
+    >>> from wavefield.store.layout import Layout, create_store
+    >>> from wavefield.store.recipe import Recipe
+    >>> recipe, layout = Recipe("basin", {}, (0, 10), 20.0, {}, {}, {}), Layout(10, 4, ("left", "right"), 0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     store = Path(folder) / "cube.zarr"
+    ...     create_store(store, recipe, np.arange(4) * 0.1, np.arange(3) * 0.1, layout, {})
+    ...     found = status(store)
+    >>> found.steps, found.done, found.left, found.complete
+    (10, 0, 10, False)
     """
     path = Path(store)
     group = open_group(path)

@@ -99,6 +99,25 @@ def open_cube(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
     ------
     StoreError
         If it is not there or is not a cube.
+
+    Examples
+    --------
+    The empty store that a run of ten steps begins with, in blocks of four.
+
+    >>> import tempfile
+    >>> import numpy as np
+    >>> from wavefield.store.layout import create_store
+    >>> from wavefield.store.recipe import Recipe
+    >>> recipe, layout = Recipe("basin", {}, (0, 10), 20.0, {}, {}, {}), Layout(10, 4, ("left", "right"), 0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     store = Path(folder) / "cube.zarr"
+    ...     create_store(store, recipe, np.arange(4) * 0.1, np.arange(3) * 0.1, layout, {})
+    ...     cube = open_cube(store)
+    ...     missing = bool(cube.z.isnull().all())
+    >>> cube.z.dims, cube.z.shape, cube.z.chunks[0]
+    (('time', 'y', 'x'), (10, 3, 4), (4, 4, 2))
+    >>> missing
+    True
     """
     import xarray as xr
 

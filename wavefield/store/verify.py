@@ -117,6 +117,29 @@ def verify(
     -----
     What is damaged is noted beside the store (``cube.zarr``: ``damaged.json``): the next run, which itself
     looks at the sizes of files only, measures it again.
+
+    Examples
+    --------
+    A store of two steps, of which a file is lost.
+
+    >>> import tempfile
+    >>> from wavefield.store.layout import Layout, create_store
+    >>> from wavefield.store.recipe import Recipe
+    >>> from wavefield.store.write import write_block
+    >>> from wavefield.variables import CUBE_FIELDS
+    >>> recipe, layout = Recipe("basin", {}, (0, 2), 20.0, {}, {}, {}), Layout(2, 2, ("left", "right"), 0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     store = Path(folder) / "cube.zarr"
+    ...     create_store(store, recipe, np.arange(4) * 0.1, np.arange(3) * 0.1, layout, {})
+    ...     fields = {name: np.ones((2, 3, 4), np.float32) for name in CUBE_FIELDS}
+    ...     write_block(store, 0, fields, np.full(2, FrameStatus.DONE), {})
+    ...     before = verify(store)
+    ...     chunk_path(store, "z", 0).unlink()
+    ...     after = verify(store)
+    >>> before.done, before.sound
+    (2, True)
+    >>> [(damage.variable, damage.what) for damage in after.damages]
+    [('z', 'missing')]
     """
     path = Path(store)
     group = _whole_group(path)

@@ -56,6 +56,19 @@ def simulate(
     ------
     ExperimentError
         If the folder holds something already.
+
+    Examples
+    --------
+    Two small frames of each camera, with two poses of the target.
+
+    >>> import tempfile
+    >>> small = {"rig": {"crop": 0.06}, "sea": {"shortest": 0.15}, "calibration": {"tilted": 1}}
+    >>> scene = Scene.load("demo").with_(frames=2, **small)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = simulate(scene, Path(folder) / "tank")
+    ...     images = sorted(path.name for path in (file.parent / "cam1").iterdir())
+    >>> file.name, images
+    ('experiment.yaml', ['img_00000.tif', 'img_00001.tif'])
     """
     directory = Path(directory)
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):

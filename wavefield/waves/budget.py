@@ -133,6 +133,21 @@ def energy_budget(
     of a field forbids is NaN: bands with waves longer than half its shorter side, and the divergence of bands
     with waves longer than a quarter of it. A decay length far above ``longest_decay`` cannot be told from
     none, which is why the balance of a wave tank seldom closes within one field.
+
+    Examples
+    --------
+    A wave of 1 cm amplitude holds rho g a^2 / 2, and this travels at the group velocity.
+
+    >>> axes = {"time": np.arange(512) * 0.05, "y": np.arange(32) * 0.08, "x": np.arange(40) * 0.08}
+    >>> k, omega = 12.3, float(dispersion(12.3))
+    >>> phase = k * axes["x"] - omega * axes["time"][:, None, None] + 0 * axes["y"][:, None]
+    >>> w = 0.01 * omega * np.sin(phase)
+    >>> cube = xr.Dataset({"w": (("time", "y", "x"), w, {"units": "m s-1"})}, axes)
+    >>> found = energy_budget(cube, bands=(1.2, 3.0))
+    >>> bool(abs(found.energy[0] / (DENSITY * GRAVITY * 0.01**2 / 2) - 1) < 0.1)
+    True
+    >>> bool(abs(found.flux_x[0] / found.energy[0] / group_velocity(k) - 1) < 0.02)
+    True
     """
     field = validate(cube, "w")["w"]
     record = find_record(field) if record is None else record

@@ -340,6 +340,24 @@ def resonances(
     are controlled over the whole map (Benjamini and Hochberg 1995). See Aubourg and Mordant 2015 (arXiv
     1503.04110), Campagne et al. 2019 (arXiv 1906.06385). With N samples a single squared coherence is known
     to 1 / N: smaller ones show in ``coherence_excess``.
+
+    Examples
+    --------
+    Two hundred waves whose phases have nothing to do with each other.
+
+    >>> rng = np.random.default_rng(0)
+    >>> k, angle = rng.uniform(15, 45, 200), rng.uniform(-np.pi, np.pi, 200)
+    >>> kx, ky = k * np.cos(angle), k * np.sin(angle)
+    >>> t, y, x = np.arange(512) * 0.05, np.arange(24) * 0.05, np.arange(32) * 0.05
+    >>> place = np.exp(1j * (kx[:, None, None] * x + ky[:, None, None] * y[:, None]))
+    >>> phase = np.exp(2j * np.pi * rng.random(200) - 1j * np.outer(t, dispersion(k)))
+    >>> w = np.tensordot(phase / k, place, 1).real
+    >>> field = xr.DataArray(w, {"time": t, "y": y, "x": x}, ("time", "y", "x"), attrs={"units": "m s-1"})
+    >>> found = resonances(field, settings=ResonanceSettings(modes=30, surrogates=3))
+    >>> int(found.modes), int(found.samples)
+    (30, 15)
+    >>> bool(found.quartet_significant.any()), bool(found.triad_significant.any())
+    (False, False)
     """
     s = settings or ResonanceSettings()
     name = "w" if field.name is None else str(field.name)

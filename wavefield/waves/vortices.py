@@ -109,6 +109,20 @@ def waves_and_vortices(
     half of it. Velocities are those at the moving surface: its tilt adds to the vorticity of an irrotational
     sea a part of the order of the squared slope, which stays in ``E_vortices``. Mean and trend in time of
     each wave vector are taken off, so that a steady swirl does not count.
+
+    Examples
+    --------
+    Water that moves across the wave vector, then along it.
+
+    >>> axes = {"time": np.arange(128) * 0.05, "y": np.arange(32) * 0.05, "x": np.arange(32) * 0.05}
+    >>> series = np.random.default_rng(0).standard_normal((128, 1, 1))
+    >>> moving = series * np.cos(12 * axes["y"])[:, None] + 0 * axes["x"]
+    >>> at, units = ("time", "y", "x"), {"units": "m s-1"}
+    >>> across = xr.Dataset({"u": (at, moving, units), "v": (at, 0 * moving, units)}, axes)
+    >>> along = xr.Dataset({"u": (at, 0 * moving, units), "v": (at, moving, units)}, axes)
+    >>> parts = [float(waves_and_vortices(one, segment=32).vortical_fraction) for one in (across, along)]
+    >>> parts[0] > 0.9, abs(parts[1]) < 0.02
+    (True, True)
     """
     fields = validate(cube, "u", "v")
     welch = Welch.of(fields, segment, record)
