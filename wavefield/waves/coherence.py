@@ -128,7 +128,7 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     Notes
     -----
     The three C share the norm sqrt(<|z_t|^2> <|w - u . grad z|^2>), cross and auto spectra being averaged
-    over angle first, so C_w + C_nl = C_tot exactly and |C_w| may exceed 1. Sums run over omega > 0, where k
+    over angle first, so C_w + C_nl = C_tot exactly and |C_w| may exceed 1. Sums run over omega >= 0, where k
     points where the wave goes; the mean over both signs of omega is the real part. gamma2 is the standard
     coherence; for unrelated signals its mean is 1 / samples.
 

@@ -185,7 +185,8 @@ class Welch:
         -------
         ndarray, (..., lines)
             Twice the squared mean over the variance of the mean; the relative variance is averaged over
-            eleven lines. NaN with fewer than four segments, which tell no scatter.
+            eleven along the last axis: lines, of E(k) rings. NaN with fewer than four segments, which tell
+            no scatter.
 
         Notes
         -----
