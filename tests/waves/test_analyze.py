@@ -193,6 +193,17 @@ def test_still_water_does_not_break_it():
     assert "No ridge was fitted" in out.attrs["notes"]
 
 
+def test_noise_on_short_segments_has_no_directional_spectrum_and_says_so():
+    rng, at = np.random.default_rng(0), ("time", "y", "x")
+    units = {"z": "m"} | dict.fromkeys(("z_t", "u", "v", "w"), "m s-1")
+    noise = {n: (at, 1e-3 * rng.standard_normal((64, 16, 20)), {"units": unit}) for n, unit in units.items()}
+    axes = {"time": np.arange(64) * 0.05, "y": np.arange(16) * 0.05, "x": np.arange(20) * 0.05}
+    waves = wv.analyze(xr.Dataset(noise, axes, {"water_depth": 0.7}), segment=16)
+    assert "directional" not in waves.children
+    assert "No directional spectrum: no frequency is left" in waves.attrs["notes"]
+    assert "nan" not in waves.attrs["notes"]
+
+
 def test_what_cannot_be_analysed_is_said_in_one_sentence(sea, probes, tmp_path):
     with pytest.raises(CubeError, match="no 'z_t'"):
         wv.analyze(sea.drop_vars("z_t"))

@@ -90,7 +90,7 @@ rows(
 rows(
     "dispersion",
     ("k",),
-    ("omega_theory", OMEGA_UNITS, "dispersion relation, clean water, no current"),
+    ("omega_theory", OMEGA_UNITS, "dispersion relation without current"),
     ("omega_fit", OMEGA_UNITS, "dispersion relation with the fitted surface tension, no current"),
 )
 rows(

@@ -261,17 +261,19 @@ def _currents(
         return {}
     current = float(dispersion["current_x"]), float(dispersion["current_y"])
     notes.extend(_current_note(current, job))
-    out = {
-        "directional": from_density(densities["w"], job.depth, job.gamma, current, welch.dof, welch.frames),
-        "bound": free_and_bound(densities["z"], job.depth, gamma=job.gamma, current=current, dof=welch.dof),
-    }
+    of_z, of_w = densities["z"], densities["w"]
+    out = {"bound": free_and_bound(of_z, job.depth, gamma=job.gamma, current=current, dof=welch.dof)}
+    try:
+        out["directional"] = from_density(of_w, job.depth, job.gamma, current, welch.dof, welch.frames)
+    except CubeError as error:
+        notes.append(f"No directional spectrum: {error}.")
     try:
         out["resonances"] = resonances(
             job.cube["w"],
             job.depth,
             gamma=job.gamma,
             current=current,
-            density=densities["w"],
+            density=of_w,
             record=welch.record,
         )
     except CubeError as error:

@@ -153,7 +153,7 @@ def directions(
     Raises
     ------
     CubeError
-        If a frequency lies beyond the Nyquist frequency.
+        If a frequency lies beyond the Nyquist frequency, or there is none.
 
     Notes
     -----
@@ -166,6 +166,8 @@ def directions(
     """
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
+    if not frequency.size:
+        raise CubeError("no frequency is left between a segment's longest waves and the grid's shortest")
     if frequency.max() > lines[-1]:
         raise CubeError(f"{frequency.max():g} Hz is outside the spectrum, which ends at {lines[-1]:g} Hz")
     ky, kx = density["ky"].values, density["kx"].values

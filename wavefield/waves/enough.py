@@ -1,5 +1,6 @@
 """What a record is too short to say is not said."""
 
+import numpy as np
 import xarray as xr
 
 _PERIODS = 10  # of a wave: fewer do not tell it from its neighbours, nor its height from chance
@@ -55,6 +56,8 @@ def leave_out_unknown(
         why = ""
         if segments < _SEGMENTS:
             why = f"the record holds {segments} segment{'s' if segments > 1 else ''}; four are needed"
+        elif not np.isfinite(spread):
+            why = "the ridge does not tell it"
         elif not spread < _SPREAD * fitted:
             why = f"its uncertainty is {1e6 * spread:.2g}e-6 of {1e6 * fitted:.2g}e-6 m3/s2"
         if why:
