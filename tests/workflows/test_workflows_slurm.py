@@ -184,7 +184,9 @@ def limited(slurm_there, tank, tmp_path_factory):
 
 def test_workers_whose_time_limit_ends_them_in_the_middle_of_a_block_leave_the_same_cube(limited, reference):
     first, process = limited.first, limited.process
-    wait_for(lambda: not {state_of(job) for job in first} & {"RUNNING", "PENDING"} or process.poll() is not None)
+    wait_for(
+        lambda: process.poll() is not None or not {state_of(job) for job in first} & {"RUNNING", "PENDING"}
+    )
     text, _ = process.communicate(timeout=900)
     assert process.returncode == 0, text
     assert limited.done < status(limited.out).steps
