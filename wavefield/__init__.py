@@ -2,14 +2,8 @@
 
 import ast
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
-
-try:
-    __version__ = version("wavefield")
-except PackageNotFoundError:  # run from a source tree that is not installed
-    __version__ = "0+unknown"
 
 
 def _public() -> dict[str, tuple[str, str]]:
@@ -27,7 +21,18 @@ _PUBLIC = _public()  # imported on first use, so that `import wavefield` stays q
 __all__ = ["__version__", *sorted(_PUBLIC)]
 
 
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version  # half of what `wavefield --help` would cost
+
+    try:
+        return version("wavefield")
+    except PackageNotFoundError:  # run from a source tree that is not installed
+        return "0+unknown"
+
+
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return globals().setdefault(name, _version())
     if name in _PUBLIC:
         module, there = _PUBLIC[name]
         return getattr(import_module(module), there)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi
+from scipy.special import gammaincinv
 
 from wavefield.calibration.least_squares import minimise
 from wavefield.calibration.observations import Geometry, Observations
@@ -222,7 +222,8 @@ class _Problem:
         """Robust scatter of a pixel, px, from residuals of which three per point were taken up."""
         norm = np.sqrt(np.sum(projected.reshape(self.n, -1) ** 2, axis=1)) * self.std
         # each point's misfit, made comparable to a standard deviation by its degrees of freedom
-        return float(np.median(norm / chi.median(2 * self.seen.sum(axis=1) - 3)))
+        median = np.sqrt(2 * gammaincinv(self.seen.sum(axis=1) - 1.5, 0.5))  # of chi
+        return float(np.median(norm / median))
 
 
 def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[Layout, Array]:

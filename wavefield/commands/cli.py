@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import click
 
-from wavefield import __version__
+import wavefield
 from wavefield.commands import archive, experiment, look, simulate, waves
 from wavefield.errors import WavefieldError
 
@@ -29,7 +29,14 @@ Your own data:  wavefield calibrate experiment.yaml
 @click.group(
     epilog=_EPILOG, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
 )
-@click.version_option(__version__, "--version", message="wavefield %(version)s")
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=lambda context, option, asked: _say_version(context) if asked else None,
+    help="Show the version and exit.",
+)
 @click.option("-q", "--quiet", is_flag=True, help="Only results, warnings and errors; no progress.")
 @click.option("-v", "--verbose", is_flag=True, help="Say more about what is done.")
 @click.option("--debug", is_flag=True, help="Show the whole traceback of an error.")
@@ -67,6 +74,11 @@ for _command in (
     archive.rig,
 ):
     cli.add_command(_command)
+
+
+def _say_version(context: click.Context) -> None:
+    click.echo(f"wavefield {wavefield.__version__}")  # asking for it takes longer than all of --help
+    context.exit()
 
 
 def _one_line_warning(message, category, filename, lineno, file=None, line=None) -> None:  # type: ignore[no-untyped-def]

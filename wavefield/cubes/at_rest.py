@@ -1,15 +1,19 @@
 """A record of the water at rest: it mends the rig, and tells where the beads lie above the water."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from wavefield.calibration.rest import RigCheck, refine_and_level
 from wavefield.cubes.prepare import prepare
 from wavefield.rig import Rig
 from wavefield.rig.level import Plane
 from wavefield.series import Experiment
 from wavefield.store.verdict import Remark
+
+if TYPE_CHECKING:
+    from wavefield.calibration.rest import RigCheck
 
 FRAMES = 10  # of the record at rest that are matched
 
@@ -48,6 +52,7 @@ def level_at_rest(
     ExperimentError, RigError, CalibrationError
         If images or rig are missing or wrong, or nothing matches.
     """
+    from wavefield.calibration.rest import refine_and_level
     from wavefield.measurement.tie_points import matched_pixels, spread
 
     prepared = prepare(experiment, rig)

@@ -22,8 +22,6 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any, Self
 
-from dask.utils import format_bytes
-
 from wavefield.cubes.interrupts import undisturbed
 from wavefield.cubes.worker_settings import settle_worker
 from wavefield.errors import StoreError
@@ -190,6 +188,8 @@ def _lost(code: int | None, memory: int | None) -> StoreError:
         how = f"was ended by {signal.Signals(-code).name}"
     else:
         how = f"ended by itself (exit status {code})"
+    from dask.utils import format_bytes
+
     limit = f" beyond the workflow's `memory` of {format_bytes(memory)}" if memory else ""
     return StoreError(
         f"the process that worked on it {how}, {_MOST_DEATHS} times: if memory ran out{limit}, ask for fewer "

@@ -173,15 +173,19 @@ class _Look:
         self.series, self.plan = series, plan
         count = min(len(series[name]) for name in plan.cameras) - 1
         self.steps = sorted({int((i + 0.5) * count / _LOOKS) for i in range(_LOOKS)})
+        self._widths: dict[str, float] = {}  # of the beads, measured in the first image of a camera
 
     def read(self, name: str, frame: int) -> Any:
         """Image of a camera; None where there is none that can be used."""
+        from wavefield.measurement.floor import bead_width
         from wavefield.measurement.frame import ready, usable
 
         image = self.series[name].read_uncovered(frame)
         if not usable(image, self.plan.rig[name].size):
             return None
-        return ready(np.asarray(image), self.plan.binning[name])
+        if name not in self._widths:
+            self._widths[name] = bead_width(np.asarray(image))
+        return ready(np.asarray(image), self.plan.binning[name], self._widths[name])
 
 
 def load_files(

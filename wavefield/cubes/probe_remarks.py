@@ -11,7 +11,6 @@ from wavefield.series import Experiment
 from wavefield.store.preview import read_steps
 from wavefield.store.read import open_group
 from wavefield.store.verdict import Remark
-from wavefield.waves.probe_fit import fit_probes
 
 _STEPS = 1500  # of a long record, in its middle
 _NODES = 2000  # of each
@@ -40,6 +39,8 @@ def remark_on_probes(experiment: Experiment, store: Path) -> Iterator[Remark]:
         return
     if probes is None:
         return
+    from wavefield.waves.probe_fit import fit_probes  # imports all of the analysis
+
     z = _elevation(store)
     dt = float(z["time"][1] - z["time"][0]) if z.sizes["time"] > 1 else 1.0
     for fit in fit_probes(z, probes):

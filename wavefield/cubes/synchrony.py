@@ -11,6 +11,7 @@ velocity is that of five frames (of three it is 7 % low for 2 Hz waves at 20 fra
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,7 +68,36 @@ class Sample:
     speed: float = 0.0
 
 
-def sample(plan: Any, witness: Witness, pair: Pair, frame: int) -> Sample | None:
+def prepared(plan: Any, witness: Witness, frame: int, widths: Mapping[str, float]) -> dict[str, Any]:
+    """Images of an instant, ready for matching between cameras; those that cannot be used are left out.
+
+    Parameters
+    ----------
+    plan : wavefield.measurement.Plan
+        Its surface cameras.
+    witness : Witness
+        Their images.
+    frame : int
+        When.
+    widths : mapping of str to float
+        Width of every camera's beads, raw px.
+
+    Returns
+    -------
+    dict of str to wavefield.matching.Prepared
+    """
+    from wavefield.measurement import surface
+    from wavefield.measurement.frame import ready, usable
+
+    images = {name: witness.read(name, frame) for name in plan.surface_cameras}
+    return {
+        name: surface.prepare(ready(np.asarray(image), plan.binning[name], widths[name]), name, plan)
+        for name, image in images.items()
+        if usable(image, plan.rig[name].size)
+    }
+
+
+def sample(plan: Any, witness: Witness, pair: Pair, frame: int, flat: Mapping[str, Any]) -> Sample | None:
     """Miss and velocity all over what two cameras share at an instant.
 
     Parameters
@@ -80,6 +110,8 @@ def sample(plan: Any, witness: Witness, pair: Pair, frame: int) -> Sample | None
         One of the plan's.
     frame : int
         When; two frames of the second before it and after it are looked at, too.
+    flat : mapping of str to wavefield.matching.Prepared
+        As from `prepared`.
 
     Returns
     -------
@@ -87,19 +119,13 @@ def sample(plan: Any, witness: Witness, pair: Pair, frame: int) -> Sample | None
         None where images are missing or next to nothing is found.
     """
     from wavefield.measurement import surface
-    from wavefield.measurement.frame import ready, usable
 
-    images = {name: witness.read(name, frame) for name in pair}
-    if not all(usable(image, plan.rig[name].size) for name, image in images.items()):
+    if not all(name in flat for name in pair):
         return None
     moved = _moved(witness, pair[1], frame)
     if moved is None:
         return None
-    flat = [
-        surface.prepare(ready(np.asarray(image), plan.binning[name]), name, plan)
-        for name, image in images.items()
-    ]
-    match = surface.match_pair(flat[0], flat[1], pair, plan)
+    match = surface.match_pair(flat[pair[0]], flat[pair[1]], pair, plan)
     length = np.maximum(np.hypot(*match.parallax), 1e-12)
     p, q = (part / length for part in match.parallax)
     x, y = np.meshgrid(plan.lattice.x, plan.lattice.y)
@@ -198,7 +224,24 @@ def _cleared(one: Sample, weight: Array) -> tuple[Array, Array]:
     return rest[:, 0], rest[:, 1]
 
 
-def delays(plan: Any, witness: Witness, frames: Sequence[int], rate: float) -> tuple[dict[str, Delay], float]:
+def _widths(plan: Any, witness: Witness, frames: Sequence[int]) -> dict[str, float]:
+    """Widths of the beads: those of the record, or of the first image that can be used."""
+    from wavefield.measurement.floor import bead_width
+    from wavefield.measurement.frame import usable
+
+    if plan.record is not None:
+        return dict(plan.record.beads)
+    out = dict.fromkeys(plan.surface_cameras, 0.0)
+    for name in out:
+        images = (witness.read(name, k) for k in frames)
+        one = next((image for image in images if usable(image, plan.rig[name].size)), None)
+        out[name] = 0.0 if one is None else bead_width(np.asarray(one))
+    return out
+
+
+def delays(
+    plan: Any, witness: Witness, frames: Sequence[int], rate: float, threads: int = 1
+) -> tuple[dict[str, Delay], float]:
     """By how much each camera's frames are taken later than those of most.
 
     Parameters
@@ -211,6 +254,8 @@ def delays(plan: Any, witness: Witness, frames: Sequence[int], rate: float) -> t
         Instants, none of them among the first or the last two frames.
     rate : float
         Frames per second.
+    threads : int, default 1
+        Instants that are looked at side by side.
 
     Returns
     -------
@@ -222,8 +267,16 @@ def delays(plan: Any, witness: Witness, frames: Sequence[int], rate: float) -> t
     names = list(plan.surface_cameras)
     rows, values, spreads = [], [], []
     speeds: list[float] = []
-    for a, b in plan.pairs:
-        samples = [s for k in frames if (s := sample(plan, witness, (a, b), k)) is not None]
+    widths = _widths(plan, witness, frames)
+
+    def look(frame: int) -> list[Sample | None]:
+        flat = prepared(plan, witness, frame, widths)
+        return [sample(plan, witness, pair, frame, flat) for pair in plan.pairs]
+
+    with ThreadPoolExecutor(threads) as pool:
+        found_at = list(pool.map(look, frames))
+    for (a, b), of_pair in zip(plan.pairs, zip(*found_at)):
+        samples = [s for s in of_pair if s is not None]
         speeds += [s.speed for s in samples]
         found = regress(samples)
         if found is not None:

@@ -4,7 +4,6 @@ import re
 from pathlib import Path
 from typing import Any, Literal
 
-from dask.utils import format_bytes, parse_bytes
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from wavefield.sections import Section, load
@@ -93,7 +92,11 @@ class Workflow(Section):
     @field_validator("memory")
     @classmethod
     def _size(cls, value: str | None) -> str | None:
-        if value is not None and parse_bytes(value) < 100_000_000:
+        if value is None:
+            return value
+        from dask.utils import format_bytes, parse_bytes
+
+        if parse_bytes(value) < 100_000_000:
             raise ValueError(
                 f"memory of {format_bytes(parse_bytes(value))} per worker is too little; give 1 GB or more"
             )
@@ -156,7 +159,11 @@ class Workflow(Section):
     @property
     def memory_bytes(self) -> int | None:
         """Memory limit per worker, bytes."""
-        return parse_bytes(self.memory) if self.memory else None
+        if not self.memory:
+            return None
+        from dask.utils import parse_bytes
+
+        return int(parse_bytes(self.memory))
 
     @property
     def time_limit_seconds(self) -> float | None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import cv2
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, spline_filter1d
 
 from wavefield.compiled import compiled
 from wavefield.matching.cosines import cosines
@@ -62,7 +63,11 @@ class Spread:
         down, along = (cosines(n, m).astype(np.float32) for n, m in zip(shape, (my, mx)))
         self._to = down, np.ascontiguousarray(along.T)
         self._back = np.ascontiguousarray(down[:, ::2].T), np.ascontiguousarray(along[:, ::2])
-        self._holes = hole_variance(1.0 / inverse, 1.0 / prior.information)
+        self._spectrum = 1.0 / inverse
+
+    @cached_property
+    def _holes(self) -> Float:
+        return hole_variance(self._spectrum, 1.0 / self.usual)
 
     def __call__(self, information: Float) -> tuple[Float, Float]:
         """Variance of every block.
@@ -117,21 +122,18 @@ def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
                 out[k, j, i] = np.exp(low + t * (high - low))
 
 
-def _even(gain: Float) -> Float:
-    """A filter's response to cosines, continued to all wavenumbers of the doubled lattice."""
-    ny, nx = gain.shape
-    full = np.zeros((2 * ny, 2 * nx))
-    full[:ny, :nx] = gain
-    full[ny + 1 :, :nx] = gain[1:][::-1]
-    full[:ny, nx + 1 :] = gain[:, 1:][:, ::-1]
-    full[ny + 1 :, nx + 1 :] = gain[1:, 1:][::-1, ::-1]
-    return full
+def _impulse(gain: Float) -> Float:
+    """Response to a single block, (ny + 1, nx + 1), from a filter's response to cosines (ny, nx).
+
+    Of one quarter: it is even in both, and the response to the wave of two blocks is taken for zero.
+    """
+    out: Float = scipy.fft.dctn(np.pad(gain, (0, 1)), type=1) / (4 * gain.size)
+    return out
 
 
 def _around(gain: Float) -> Float:
     """Response of the squared impulse response of a filter, made to have the sum 1."""
-    impulse = np.fft.ifft2(_even(gain)).real
-    out: Float = np.fft.fft2(impulse * impulse).real[: gain.shape[0], : gain.shape[1]]
+    out: Float = scipy.fft.dctn(_impulse(gain) ** 2, type=1)[:-1, :-1]
     out /= out[0, 0]
     return out
 
@@ -152,13 +154,14 @@ def hole_variance(spectrum: Float, noise: float) -> Float:
         For holes of 1 to 16 blocks and from the rim to the middle.
     """
     ny, nx = spectrum.shape
-    covariance = np.fft.ifft2(_even(spectrum)).real
-    r = np.arange(min(ny, nx))
-    along = 0.5 * (covariance[0, : r.size] + covariance[: r.size, 0])
-    curve = CubicSpline(np.concatenate([-r[:0:-1], r]), np.concatenate([along[:0:-1], along]))
+    covariance = _impulse(spectrum)
+    most = min(ny, nx)
+    along = 0.5 * (covariance[0, :most] + covariance[:most, 0])
+    curve = spline_filter1d(along, mode="mirror")
 
     def between(p: Float, q: Float) -> Float:
-        out: Float = curve(np.minimum(np.hypot(*np.moveaxis(p[:, None] - q, -1, 0)), r[-1]))
+        far = np.minimum(np.hypot(*np.moveaxis(p[:, None] - q, -1, 0)), most - 1)
+        out: Float = map_coordinates(curve, far[None], mode="mirror", prefilter=False)
         return out
 
     out = np.zeros((len(_RADII), len(_DEPTHS)))

@@ -19,6 +19,7 @@ ACROSS = 6  # pieces along each side of an image
 SURE = 0.4  # correlation of a piece that is found
 ALONE = 0.85  # second-best correlation over the best, above which there is no telling
 NEAR = 8.0  # px: pieces that moved alike differ by less than this and a quarter of their motion
+_NEAR = 4  # px: how far a piece is looked for around where images of half the size have it
 MARGIN = 12.0  # px added to what was found, and a quarter of its span
 
 Float = NDArray[np.float32]
@@ -106,7 +107,8 @@ def shifts(
     Notes
     -----
     Normalised correlation of the pieces within the reach around their place. A piece counts if its best
-    correlation exceeds .4 and all others further than 3 px from it are less than .85 of that.
+    correlation exceeds .4 and all others further than 3 px from it are less than .85 of that. Large pieces
+    are looked for in images of half the size, and then within a few pixels of where they were found.
     """
     a, b = (np.asarray(image, np.float32) for image in (a, b))  # of any depth
     height, width = a.shape
@@ -116,27 +118,58 @@ def shifts(
     rows = np.linspace(0, height - tile, ACROSS).astype(int)
     columns = np.linspace(0, width - tile, ACROSS).astype(int)
     contrast = float(a.std())
+    small = [cv2.resize(i, (width // 2, height // 2), interpolation=cv2.INTER_AREA) for i in (a, b)]
     out = []
     for y in rows.tolist():
         for x in columns.tolist():
             piece = a[y : y + tile, x : x + tile]
             if not float(piece.std()) > 0.2 * contrast:
                 continue
-            x0, y0 = max(0, x - reach[0]), max(0, y - reach[1])
-            around = b[y0 : y + tile + reach[1], x0 : x + tile + reach[0]]
             middle = x + 0.5 * (tile - 1), y + 0.5 * (tile - 1)
-            out.append((*_found(piece, around, x - x0, y - y0), *middle))
+            if tile < TILE:
+                found = _found(a, b, (x, y), tile, reach)
+            else:
+                found = _found(*small, (x // 2, y // 2), tile // 2, (reach[0] // 2, reach[1] // 2))
+                found = _near(a, b, (x, y), tile, found)
+            out.append((*found, *middle))
     return np.array(out, float).reshape(-1, 5)
 
 
-def _found(piece: Float, around: Float, x: int, y: int) -> tuple[float, float, float]:
-    score = cv2.matchTemplate(np.ascontiguousarray(around), np.ascontiguousarray(piece), cv2.TM_CCOEFF_NORMED)
+def _near(
+    a: Float, b: Float, at: tuple[int, int], tile: int, found: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """The same piece in the whole images, near where it was found in those of half the size."""
+    if not np.isfinite(found[0]):
+        return found
+    dx, dy = (int(2 * d) for d in found[:2])
+    x, y = at[0] + dx, at[1] + dy
+    x0, y0 = max(0, x - _NEAR), max(0, y - _NEAR)
+    score = _scores(
+        a[at[1] : at[1] + tile, at[0] : at[0] + tile], b[y0 : y + tile + _NEAR, x0 : x + tile + _NEAR]
+    )
+    _, best, _, (column, row) = cv2.minMaxLoc(score)
+    if not best > SURE:
+        return np.nan, np.nan, float(best)
+    return float(x0 + column - at[0]), float(y0 + row - at[1]), float(best)
+
+
+def _scores(piece: Float, around: Float) -> Float:
+    return cv2.matchTemplate(np.ascontiguousarray(around), np.ascontiguousarray(piece), cv2.TM_CCOEFF_NORMED)
+
+
+def _found(
+    a: Float, b: Float, at: tuple[int, int], tile: int, reach: tuple[int, int]
+) -> tuple[float, float, float]:
+    """Displacement of one piece and its correlation; NaN where it is not found for sure."""
+    x0, y0 = max(0, at[0] - reach[0]), max(0, at[1] - reach[1])
+    piece = a[at[1] : at[1] + tile, at[0] : at[0] + tile]
+    score = _scores(piece, b[y0 : at[1] + tile + reach[1], x0 : at[0] + tile + reach[0]])
     _, best, _, (column, row) = cv2.minMaxLoc(score)
     rest = score.copy()
     rest[max(0, row - 3) : row + 4, max(0, column - 3) : column + 4] = -1.0
     if not best > SURE or rest.max() > ALONE * best:
         return np.nan, np.nan, float(best)
-    return float(column - x), float(row - y), float(best)
+    return float(x0 + column - at[0]), float(y0 + row - at[1]), float(best)
 
 
 def borne_out(moved: NDArray[np.float64]) -> NDArray[np.float64]:

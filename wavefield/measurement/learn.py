@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from wavefield import matching
 from wavefield.images import made_even
@@ -250,7 +250,9 @@ def _misfit(
         freedom = 2 * (len(flows) - (motion.left_out is not None)) - 3
         good = np.isfinite(motion.misfit) & ((motion.quality & Quality.FILLED) == 0)
         if good.any():
-            misfits.append(float(np.median(motion.misfit[good])) / (chi2.median(freedom) / freedom))
+            misfits.append(
+                float(np.median(motion.misfit[good])) / (2 * gammaincinv(freedom / 2, 0.5) / freedom)
+            )
             moved.append([float(np.std(d[good])) for d in motion.d])
     if not misfits:
         return 1.0, (1.0, 1.0, 1.0)

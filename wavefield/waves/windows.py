@@ -104,5 +104,6 @@ def interval(dof: np.ndarray | float, confidence: float = 0.95) -> tuple[np.ndar
         The truth lies in [low E, high E].
     """
     dof = np.asarray(dof, float)
-    tail = (1 - confidence) / 2
-    return dof / stats.chi2.ppf(1 - tail, dof), dof / stats.chi2.ppf(tail, dof)
+    some, place = np.unique(dof, return_inverse=True)  # rings of all frequencies have the same
+    low, high = (some / stats.chi2.ppf(at, some) for at in (0.5 + confidence / 2, 0.5 - confidence / 2))
+    return low[place].reshape(dof.shape), high[place].reshape(dof.shape)

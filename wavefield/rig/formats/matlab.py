@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.io
 
 from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
@@ -36,6 +35,8 @@ def load_matlab(path: Path, stated: Stated) -> Rig:
     RigError
         If the file is of version 7.3, or holds neither.
     """
+    import scipy.io  # half a second that no other rig needs
+
     try:
         data = scipy.io.loadmat(str(path), simplify_cells=True)
     except NotImplementedError:
