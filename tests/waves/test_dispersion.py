@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.ndimage import gaussian_filter
 from waves_cases import GAMMA, GaussianSea, PeriodicSea, relation
 
 import wavefield.waves as wv
@@ -127,3 +128,32 @@ def test_a_spectrum_without_a_ridge_is_refused(spectrum):
         wv.fit_dispersion(spectrum.E * 0, 0.7)
     with pytest.raises(CubeError, match="outside the spectrum"):
         wv.directions(spectrum.E, [12.0])
+
+
+def labelled(values, dx=0.02, dt=0.05):
+    t, y, x = (np.arange(n) * step for n, step in zip(values.shape, (dt, dx, dx)))
+    return xr.DataArray(values, {"time": t, "y": y, "x": x}, ("time", "y", "x"))
+
+
+@pytest.mark.parametrize("smooth", [0, 2])
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_noise_states_no_current(seed, smooth):
+    # its best current was 20 to 170 mm/s, stated to 2 to 10
+    noise = np.random.default_rng(seed).standard_normal((200, 36, 48))
+    E = wv.spectrum(labelled(gaussian_filter(noise, (0, smooth, smooth))), segment=64).E
+    with pytest.raises(CubeError, match="no ridge stands out"):
+        wv.fit_dispersion(E, 0.7)
+
+
+@pytest.mark.parametrize(("noise", "told"), [(0.001, True), (0.01, False), (0.03, False)])
+def test_a_small_noisy_field_without_a_current_states_none_or_holds_it_within_its_error(noise, told):
+    for seed in range(21, 24):
+        w = PeriodicSea(seed=seed, n=128).cube(300, 30, 40, noise_dz=noise).w
+        E = wv.spectrum(w, segment=64).E
+        if not told:
+            with pytest.raises(CubeError, match="no ridge stands out"):
+                wv.fit_dispersion(E, 0.7)
+            continue
+        fit = wv.fit_dispersion(E, 0.7)
+        for name in ("current_x", "current_y"):
+            assert abs(float(fit[name])) < 3 * float(fit[f"{name}_std"])

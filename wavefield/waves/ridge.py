@@ -25,6 +25,7 @@ _HELD_UP = 0.3  # of the free group velocity: waves that a current slows more sm
 _ROBUST = 0.05  # of a misfit over sqrt(k): larger ones count less
 _LEANING = 0.3  # cells of the k plane: what the windows move further is theirs
 _TENSION = 0.02  # of the surface tension: what noisy seas leave wrong in it
+_CONTRAST = 1.5  # energy on the ridge over what its cells hold at other frequencies: noise has .9 to 1.2
 _MENDS = 2  # rounds in which the windows' doing is taken off
 
 
@@ -204,7 +205,8 @@ def fit_dispersion(
     Raises
     ------
     CubeError
-        If no energy stands out in the band, or it lies on the ridge of no current.
+        If no energy stands out in the band, or it lies on the ridge of no current, or the ridge hardly stands
+        out of what the same wave vectors hold at other frequencies: noise has a best current, too.
 
     Notes
     -----
@@ -215,8 +217,9 @@ def fit_dispersion(
     free waves of the measured energy on the fitted relation are seen through the same windows and followed
     likewise (`ridge_windows.as_seen`), and what lies beside the relation there is subtracted. Centroids in
     omega at fixed k would be biased by up to 8 %. The uncertainty follows from the scatter of the points
-    about the fit, those of half a hertz and an octant of directions taken together, joined with half of what
-    the fit changes by when twice the noise is taken off, and 2 % of the surface tension.
+    about the fit, those of half a hertz and an octant of directions taken together, larger the less the ridge
+    stands out, joined with half of what the fit changes by when twice the noise is taken off, and 2 % of the
+    surface tension.
 
     Examples
     --------
@@ -276,9 +279,18 @@ def fit_dispersion(
             f" (the best is {fit[0]:.2f}, {fit[1]:.2f} m/s): check depth, frame rate and grid step, or choose"
             " another band"
         )
+    contrast = _contrast(used, omega[band], plane, depth, fit)
+    if contrast < _CONTRAST:
+        raise CubeError(
+            f"no ridge stands out between {bottom / (2 * np.pi):.2g} and {top / (2 * np.pi):.2g} Hz: the best"
+            f" one holds {contrast:.2f} times what the same wave vectors hold at other frequencies, where"
+            " noise has 1"
+        )
     quieter = _centroids(used, omega[band], 2 * floor, plane, sectors, depth, fit, settings)
     doubt = 0.5 * np.abs(_solve(_straightened(quieter, lean), depth, fit) - fit)
-    spreads = np.hypot(_spreads(points, depth, fit), np.hypot(doubt, [0.0, 0.0, _TENSION * gamma]))
+    # of what the points say 1 / contrast is noise
+    chance = _spreads(points, depth, fit) / (1 - 1 / contrast)
+    spreads = np.hypot(chance, np.hypot(doubt, [0.0, 0.0, _TENSION * gamma]))
     out: dict[str, Any] = {}
     for i, name in enumerate(("current_x", "current_y", "gamma")):
         out[name], out[f"{name}_std"] = ((), fit[i]), ((), spreads[i])
@@ -368,6 +380,18 @@ def _near_ridge(omega: Array, plane: Plane, depth: float, fit: Array) -> Array:
     slope += np.hypot(fit[0], fit[1])
     reach = 2 * plane.cell * slope + 2 * (omega[1] - omega[0])
     return np.asarray(np.abs(omega[:, None] - free) < reach)
+
+
+def _contrast(energy: Array, omega: Array, plane: Plane, depth: float, fit: Array) -> float:
+    # energy on the ridge over what the same cells of the k plane would hold there if every line held as much
+    # as those off the ridge do: 1 for whatever knows nothing of the dispersion relation
+    near = _near_ridge(omega, plane, depth, fit)
+    near[:, plane.k < LONGEST * plane.cell] = False
+    on, lines = (energy * near).sum(axis=0, dtype=float), near.sum(axis=0)
+    there = (lines > 0) & (lines < omega.size)
+    rest = (energy.sum(axis=0, dtype=float) - on)[there] / (omega.size - lines[there])
+    expected = float((rest * lines[there]).sum())
+    return float(on[there].sum()) / expected if expected > 0 else np.inf
 
 
 def _fraction(energy: Array, omega: Array, plane: Plane, depth: float, fit: Array) -> float:
