@@ -193,15 +193,21 @@ def test_still_water_does_not_break_it():
     assert "No ridge was fitted" in out.attrs["notes"]
 
 
-def test_noise_on_short_segments_has_no_directional_spectrum_and_says_so():
+def test_noise_has_no_current_and_what_rests_on_one_is_left_out():
     rng, at = np.random.default_rng(0), ("time", "y", "x")
     units = {"z": "m"} | dict.fromkeys(("z_t", "u", "v", "w"), "m s-1")
-    noise = {n: (at, 1e-3 * rng.standard_normal((64, 16, 20)), {"units": unit}) for n, unit in units.items()}
-    axes = {"time": np.arange(64) * 0.05, "y": np.arange(16) * 0.05, "x": np.arange(20) * 0.05}
-    waves = wv.analyze(xr.Dataset(noise, axes, {"water_depth": 0.7}), segment=16)
-    assert "directional" not in waves.children
-    assert "No directional spectrum: no frequency is left" in waves.attrs["notes"]
+    noise = {n: (at, 1e-3 * rng.standard_normal((128, 32, 40)), {"units": unit}) for n, unit in units.items()}
+    axes = {"time": np.arange(128) * 0.05, "y": np.arange(32) * 0.03, "x": np.arange(40) * 0.03}
+    cube = xr.Dataset(noise, axes, {"water_depth": 0.7})
+    waves = wv.analyze(cube, segment=64)
+    assert "No ridge was fitted: no ridge stands out" in waves.attrs["notes"]
+    assert not {"directional", "bound", "resonances", "shear"} & set(waves.children)
+    assert "current_x" not in waves["dispersion"]
     assert "nan" not in waves.attrs["notes"]
+    coarse = cube.isel(y=slice(0, 16), x=slice(0, 20))
+    coarse = coarse.assign_coords(y=np.arange(16) * 0.05, x=np.arange(20) * 0.05)
+    with pytest.raises(CubeError, match="no frequency is left"):
+        wv.directional_spectrum(coarse, current=(0.0, 0.0), segment=16)
 
 
 def test_what_cannot_be_analysed_is_said_in_one_sentence(sea, probes, tmp_path):

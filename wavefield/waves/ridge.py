@@ -279,7 +279,7 @@ def fit_dispersion(
             f" (the best is {fit[0]:.2f}, {fit[1]:.2f} m/s): check depth, frame rate and grid step, or choose"
             " another band"
         )
-    contrast = _contrast(used, omega[band], plane, depth, fit)
+    contrast = _contrast(energy, omega, (omega > bottom / 2) & (omega < 1.5 * top), plane, depth, fit)
     if contrast < _CONTRAST:
         raise CubeError(
             f"no ridge stands out between {bottom / (2 * np.pi):.2g} and {top / (2 * np.pi):.2g} Hz: the best"
@@ -382,16 +382,20 @@ def _near_ridge(omega: Array, plane: Plane, depth: float, fit: Array) -> Array:
     return np.asarray(np.abs(omega[:, None] - free) < reach)
 
 
-def _contrast(energy: Array, omega: Array, plane: Plane, depth: float, fit: Array) -> float:
+def _contrast(energy: Array, omega: Array, lines: Array, plane: Plane, depth: float, fit: Array) -> float:
     # energy on the ridge over what the same cells of the k plane would hold there if every line held as much
-    # as those off the ridge do: 1 for whatever knows nothing of the dispersion relation
-    near = _near_ridge(omega, plane, depth, fit)
+    # as those off the ridge do: 1 for whatever knows nothing of the dispersion relation, and where lines are
+    # too few to tell
+    near = _near_ridge(omega, plane, depth, fit)[lines]
     near[:, plane.k < LONGEST * plane.cell] = False
-    on, lines = (energy * near).sum(axis=0, dtype=float), near.sum(axis=0)
-    there = (lines > 0) & (lines < omega.size)
-    rest = (energy.sum(axis=0, dtype=float) - on)[there] / (omega.size - lines[there])
-    expected = float((rest * lines[there]).sum())
-    return float(on[there].sum()) / expected if expected > 0 else np.inf
+    energy = energy[lines]
+    on, count = (energy * near).sum(axis=0, dtype=float), near.sum(axis=0)
+    there = (count > 0) & (count < near.shape[0])
+    rest = (energy.sum(axis=0, dtype=float) - on)[there] / (near.shape[0] - count[there])
+    expected = float((rest * count[there]).sum())
+    if expected > 0:
+        return float(on[there].sum()) / expected
+    return np.inf if there.any() else 1.0
 
 
 def _fraction(energy: Array, omega: Array, plane: Plane, depth: float, fit: Array) -> float:
