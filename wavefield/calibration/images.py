@@ -1,15 +1,17 @@
 """From the calibration block of an experiment to a rig: the images, the targets in them, the solution."""
 
 import os
+import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context, parent_process
+from multiprocessing import forkserver, get_context, parent_process
 from multiprocessing.connection import wait
+from multiprocessing.context import BaseContext
 from pathlib import Path
-from typing import Any
 
+import cv2
 import numpy as np
 
 from wavefield.calibration.find import find_target
@@ -60,6 +62,26 @@ def _look(path: Path, target: Target, size: tuple[int, int] | None) -> TargetPoi
     except (CalibrationError, FrameError) as error:
         words = str(error)
         return words if str(path) in words else f"{path}: {words}"
+
+
+def start_workers_from() -> BaseContext:
+    """How processes that find targets are started, and where that can be the start of what they import.
+
+    They are forked from one process that imports while the caller does, which is half of the time of few
+    images.
+    """
+    if sys.platform != "linux":
+        return get_context("spawn")
+    context = get_context("forkserver")
+    context.set_forkserver_preload([__name__])
+    forkserver.ensure_running()
+    return context
+
+
+def _settle() -> None:
+    """What a worker does first: one thread each, and an end with the caller."""
+    cv2.setNumThreads(1)
+    leave_with_parent()
 
 
 def leave_with_parent() -> None:
@@ -138,8 +160,7 @@ def calibrate_experiment(
     views: dict[str, dict[str, TargetPoints]] = {camera: {} for camera in images}
     notes = []
     workers = min(os.cpu_count() or 1, len(jobs), 8)
-    how: dict[str, Any] = {"mp_context": get_context("spawn"), "initializer": leave_with_parent}
-    with ProcessPoolExecutor(workers, **how) as pool:
+    with ProcessPoolExecutor(workers, mp_context=start_workers_from(), initializer=_settle) as pool:
         found = pool.map(_look, [path for _, _, path in jobs], [target] * len(jobs), [None] * len(jobs))
         for done, ((camera, pose, _), points) in enumerate(zip(jobs, found, strict=True), 1):
             if isinstance(points, str):

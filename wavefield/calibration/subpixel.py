@@ -59,8 +59,11 @@ class Crossings:
 def _profile(d: float, u: float, s: float) -> tuple[float, float, float]:
     """Profile of a string averaged over a pixel, and its derivatives with respect to d and u.
 
-    Three points of Gauss-Legendre stand for the pixel's extent along one axis.
+    Three points of Gauss-Legendre stand for the pixel's extent along one axis. A pixel near one string is
+    mostly far from the other, where six standard deviations from the box there is nothing.
     """
+    if abs(d) > math.sqrt(max(u, 0.0)) + 6.2 * s + 0.4:
+        return 0.0, 0.0, 0.0
     f0, g0, u0 = _line(d, u, s)
     f1, g1, u1 = _line(d + 0.3872983346207417, u, s)
     f2, g2, u2 = _line(d - 0.3872983346207417, u, s)
@@ -69,6 +72,21 @@ def _profile(d: float, u: float, s: float) -> tuple[float, float, float]:
         (8.0 * g0 + 5.0 * (g1 + g2)) / 18.0,
         (8.0 * u0 + 5.0 * (u1 + u2)) / 18.0,
     )
+
+
+@compiled(inline="always")
+def _above(x: float, density: float) -> float:
+    """How much of a normal distribution lies above x, to 1e-7, from its density at x.
+
+    Abramowitz and Stegun 26.2.17: a third of the time of an error function, since the density is known.
+    """
+    t = 1.0 / (1.0 + 0.2316419 * abs(x))
+    out = (
+        density
+        * t
+        * (0.319381530 + t * (-0.356563782 + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429))))
+    )
+    return 1.0 - out if x < 0.0 else out
 
 
 @compiled(inline="always")
@@ -83,7 +101,7 @@ def _line(d: float, u: float, s: float) -> tuple[float, float, float]:
         p, m = (d + h) / s, (d - h) / s
         gp = math.exp(-0.5 * p * p) * 0.3989422804014327
         gm = math.exp(-0.5 * m * m) * 0.3989422804014327
-        f = 0.5 * (math.erf(p * 0.7071067811865476) - math.erf(m * 0.7071067811865476)) / (2.0 * h)
+        f = (_above(m, gm) - _above(p, gp)) / (2.0 * h)
         return f, (gp - gm) / (2.0 * h * s), ((gp + gm) / (2.0 * h * s) - f / h) / (2.0 * h)
     v = s * s + u / 3.0
     f = math.exp(-0.5 * d * d / v) * 0.3989422804014327 / math.sqrt(v)
@@ -200,7 +218,7 @@ def _equations(
         for i in range(free):
             wj = w * j[i]
             b[i] += wj * r
-            for m in range(i + 1):
+            for m in range(COUNT):  # beyond the diagonal as well: a loop that becomes vector code
                 a[i, m] += wj * j[m]
     return total, count
 

@@ -5,7 +5,6 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from wavefield.figures.style import LINES, draw_map, limit, map_panels, moment_title, panels, plain_axes
-from wavefield.waves.kinematics import kinematics_at
 
 
 def kinematics_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Figure:
@@ -27,6 +26,8 @@ def kinematics_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Fig
     Counterpart of the paper's maps of eta, u . grad eta and the error field. The residual has the scale of
     the nonlinear term, so that one sees which part of it is measured.
     """
+    from wavefield.waves.kinematics import kinematics_at  # imports all of the waves, other figures do not
+
     drawn = kinematics_at(snapshot, cube)
     figure, axes = map_panels(snapshot.z, 2, 2)
     draw_map(axes[0, 0], snapshot.z, "z (cm)", factor=100, title=f"elevation, {moment_title(snapshot)}")

@@ -118,7 +118,7 @@ def shifts(
     rows = np.linspace(0, height - tile, ACROSS).astype(int)
     columns = np.linspace(0, width - tile, ACROSS).astype(int)
     contrast = float(a.std())
-    small = [cv2.resize(i, (width // 2, height // 2), interpolation=cv2.INTER_AREA) for i in (a, b)]
+    small_a, small_b = _half(a), _half(b)
     out = []
     for y in rows.tolist():
         for x in columns.tolist():
@@ -129,10 +129,16 @@ def shifts(
             if tile < TILE:
                 found = _found(a, b, (x, y), tile, reach)
             else:
-                found = _found(*small, (x // 2, y // 2), tile // 2, (reach[0] // 2, reach[1] // 2))
+                found = _found(small_a, small_b, (x // 2, y // 2), tile // 2, (reach[0] // 2, reach[1] // 2))
                 found = _near(a, b, (x, y), tile, found)
             out.append((*found, *middle))
     return np.array(out, float).reshape(-1, 5)
+
+
+def _half(image: Float) -> Float:
+    height, width = image.shape
+    small = cv2.resize(image, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.float32)
 
 
 def _near(
@@ -154,7 +160,8 @@ def _near(
 
 
 def _scores(piece: Float, around: Float) -> Float:
-    return cv2.matchTemplate(np.ascontiguousarray(around), np.ascontiguousarray(piece), cv2.TM_CCOEFF_NORMED)
+    score = cv2.matchTemplate(np.ascontiguousarray(around), np.ascontiguousarray(piece), cv2.TM_CCOEFF_NORMED)
+    return np.asarray(score, np.float32)
 
 
 def _found(
