@@ -83,26 +83,40 @@ def analyze_on_workers(
 
 
 @dataclass(frozen=True)
-class _ToDisk:
-    """Does work for an item and leaves the result in a file: sums are large, messages should not be."""
+class _ThroughDisk:
+    """Does work for an item in a file, leaves the result in one: both are large, messages should not be."""
 
     work: Callable[[Any], Any]
     folder: Path
 
-    def __call__(self, numbered: tuple[int, Any]) -> Path:
-        result = self.work(numbered[1])
-        path = self.folder / uuid.uuid4().hex
-        try:
-            with path.open("wb") as stream:
-                pickle.dump(result, stream, pickle.HIGHEST_PROTOCOL)
-        except FileNotFoundError:
-            raise ExperimentError(
-                f"a worker does not see {self.folder.parent}: write the waves to a disk that all workers "
-                "share"
-            ) from None
-        except OSError as error:
-            raise write_error(self.folder.parent, error) from None
-        return path
+    def __call__(self, numbered: tuple[int, Path]) -> Path:
+        return _laid(self.work(_taken(numbered[1])), self.folder)
+
+
+def _taken(path: Path) -> Any:
+    try:
+        with path.open("rb") as stream:
+            return pickle.load(stream)
+    except FileNotFoundError:
+        raise _unseen(path.parent.parent) from None
+
+
+def _laid(thing: Any, folder: Path) -> Path:
+    path = folder / uuid.uuid4().hex
+    try:
+        with path.open("wb") as stream:
+            pickle.dump(thing, stream, pickle.HIGHEST_PROTOCOL)
+    except FileNotFoundError:
+        raise _unseen(folder.parent) from None
+    except OSError as error:
+        raise write_error(folder.parent, error) from None
+    return path
+
+
+def _unseen(folder: Path) -> ExperimentError:
+    return ExperimentError(
+        f"a worker does not see {folder}: write the waves to a disk that all workers share"
+    )
 
 
 @dataclass(frozen=True)
@@ -117,14 +131,14 @@ class _InOrder:
         wanted = 0
         if not items:
             return
-        with closing(self.map_unordered(_ToDisk(work, self.folder), list(enumerate(items)))) as results:
+        laid = list(enumerate(_laid(item, self.folder) for item in items))
+        with closing(self.map_unordered(_ThroughDisk(work, self.folder), laid)) as results:
             for (number, _), result in results:
                 if isinstance(result, BaseException):
                     raise result
                 waiting[number] = result
                 while wanted in waiting:
                     path = waiting.pop(wanted)
-                    with path.open("rb") as stream:
-                        yield pickle.load(stream)
+                    yield _taken(path)
                     path.unlink()
                     wanted += 1

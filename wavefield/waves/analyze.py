@@ -11,8 +11,9 @@ rings) with ``cycles`` (m-1) beside it, ``kx`` and ``ky`` (rad m-1). Intervals a
 in [low E, high E] with 95 % confidence. ``valid`` masks say where a spectrum can be trusted.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -186,16 +187,41 @@ def _analyze(job: _Job, record: Record, alike: bool) -> xr.DataTree:
     scale = statistics.pilot(job.cube, record, list(statistics.QUANTITIES.values()))
     sums = one_pass(job.cube, welch, alike, scale, job.progress, job.each)
     notes = _notes(welch, job)
-    groups = _groups(job, welch, sums, scale, notes)
+    groups, subjects = _groups(job, welch, sums, scale, notes)
     if probes is not None:
         groups["spectra"] = groups["spectra"].assign(probes.data_vars)
     groups["kinematics"] = kinematics.balance_group(sums.balance, time)
     if welch.count >= 4:
-        groups["higher_order"] = higher_order(sums.points, record.dt, welch.segment)
+        alone = partial(higher_order, sums.points, record.dt, welch.segment)
+        subjects.append(_Subject("higher_order", alone))
     else:
         notes.append("Bicoherence and tricoherence were left out: they need four segments at least.")
+    for subject, found in zip(subjects, (job.each or map)(_computed, subjects)):
+        if isinstance(found, CubeError):
+            notes.append(f"{subject.without}: {found}.")
+        else:
+            groups[subject.name] = found
     attrs = _attributes(job, welch) | {"notes": "\n".join(notes)}
     return xr.DataTree.from_dict({"/": xr.Dataset(attrs=attrs)} | {f"/{n}": g for n, g in groups.items()})
+
+
+@dataclass(frozen=True)
+class _Subject:
+    """A group that no other needs: computed in any process."""
+
+    name: str
+    compute: Callable[[], xr.Dataset]
+    without: str | None = None  # what is said where the record does not allow it; None if it always does
+
+
+def _computed(subject: _Subject) -> xr.Dataset | CubeError:
+    with np.errstate(all="ignore"):
+        try:
+            return subject.compute()
+        except CubeError as error:
+            if subject.without is None:
+                raise
+            return error
 
 
 def _probes(job: _Job, welch: Welch, time: np.ndarray) -> xr.Dataset | None:
@@ -208,7 +234,7 @@ def _probes(job: _Job, welch: Welch, time: np.ndarray) -> xr.Dataset | None:
 
 def _groups(
     job: _Job, welch: Welch, sums: Sums, scale: dict[str, tuple[float, float]], notes: list[str]
-) -> dict[str, xr.Dataset]:
+) -> tuple[dict[str, xr.Dataset], list[_Subject]]:
     ring = crosses.label(sums.rings, NAMES, PAIRS, welch)
     fused = fusion.from_spectra(ring, (job.depth, job.gamma), job.gain)
     density = {name: _density(sums.rings.pop(f"map {name}"), name, welch) for name in MAPS}
@@ -233,19 +259,19 @@ def _groups(
     water = job.depth, job.gamma, welch.dof
     dispersion, note = dispersion_group(density["w"], welch.table.k, job.depth, job.gamma)
     notes.extend([note] if note else [])
-    found = _currents(job, density, dispersion, moments, welch, notes)
+    subjects = _currents(job, density, dispersion, moments, welch, notes)
     seconds = sum(b - a for a, b in welch.record.runs) * welch.record.dt
     peaks = statistics.spectral_peak(moments, fused, job.depth, job.gamma)
     peaks, dispersion, unknown = leave_out_unknown(peaks, dispersion, seconds, welch.count)
     notes.extend(unknown)
-    return found | {
+    alone = partial(direction_group, density["w"], chosen, dispersion, *water)
+    return {
         "spectra": annotate(spectra_group, "spectra"),
         "coherence": coherence.from_spectra(ring),
         "statistics": peaks,
         "dispersion": dispersion,
         "fusion": fused.drop_vars(by_method),
-        "direction": direction_group(density["w"], chosen, dispersion, *water),
-    }
+    }, [*subjects, _Subject("direction", alone)]
 
 
 def _currents(
@@ -255,36 +281,35 @@ def _currents(
     moments: xr.Dataset,
     welch: Welch,
     notes: list[str],
-) -> dict[str, xr.Dataset]:
-    # what rests on a fitted current
+) -> list[_Subject]:
+    # what rests on a fitted current; what takes longest comes first
     if "current_x" not in dispersion:
-        return {}
+        return []
     current = float(dispersion["current_x"]), float(dispersion["current_y"])
     notes.extend(_current_note(current, job))
-    of_z, of_w = densities["z"], densities["w"]
-    out = {"bound": free_and_bound(of_z, job.depth, gamma=job.gamma, current=current, dof=welch.dof)}
-    try:
-        out["directional"] = from_density(of_w, job.depth, job.gamma, current, welch.dof, welch.frames)
-    except CubeError as error:
-        notes.append(f"No directional spectrum: {error}.")
-    try:
-        out["resonances"] = resonances(
-            job.cube["w"],
-            job.depth,
-            gamma=job.gamma,
-            current=current,
-            density=of_w,
-            record=welch.record,
-        )
-    except CubeError as error:
-        notes.append(f"No coherence of wave vectors: {error}.")
     drift = moments["mean"] / welch.record.dt
     surface = float(drift.sel(quantity="dx")), float(drift.sel(quantity="dy"))
-    try:
-        out["shear"] = current_by_depth(dispersion, surface=surface, gamma=job.gamma)
-    except CubeError as error:
-        notes.append(f"No current by depth: {error}.")
-    return out
+    of_z, of_w = densities["z"], densities["w"]
+    moving: dict[str, Any] = {"gamma": job.gamma, "current": current}
+    vectors = moving | {"density": of_w, "record": welch.record}
+    return [
+        _Subject(
+            "resonances",
+            partial(resonances, job.cube["w"], job.depth, **vectors),
+            "No coherence of wave vectors",
+        ),
+        _Subject("bound", partial(free_and_bound, of_z, job.depth, dof=welch.dof, **moving)),
+        _Subject(
+            "directional",
+            partial(from_density, of_w, job.depth, job.gamma, current, welch.dof, welch.frames),
+            "No directional spectrum",
+        ),
+        _Subject(
+            "shear",
+            partial(current_by_depth, dispersion, surface=surface, gamma=job.gamma),
+            "No current by depth",
+        ),
+    ]
 
 
 def _current_note(current: tuple[float, float], job: _Job) -> list[str]:

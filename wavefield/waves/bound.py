@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -77,19 +78,29 @@ class Split:
         k = np.hypot(ky, kx)
         drift = kx * self.current[0] + ky * self.current[1]
         still = np.maximum(omega - drift, 0.0)
-        table = np.geomspace(1e-3, 4e3, 6000)
-        sigma = dispersion(table, self.depth, self.gamma)
+        table, sigma, speeds = self._free
         free = np.interp(still, sigma, table, left=0.0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            along = np.nan_to_num(drift / k)
-        # the current of this cell stands for that of the ridge on its ray
-        speed = group_velocity(np.maximum(free, 0.1), self.depth, self.gamma)
-        steeper = np.clip(1 + along / speed, _SLOWEST, 1 / _SLOWEST)
-        return (k - free) / steeper, k - 2 * np.interp(still / 2, sigma, table, left=0.0)
+        ridge = k - free
+        if any(self.current):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                along = np.nan_to_num(drift / k)
+            # the current of this cell stands for that of the ridge on its ray
+            ridge /= np.clip(1 + along / np.interp(still, sigma, speeds), _SLOWEST, 1 / _SLOWEST)
+        return ridge, k - 2 * np.interp(still / 2, sigma, table, left=0.0)
+
+    @cached_property
+    def _free(self) -> tuple[Array, Array, Array]:
+        # free waves: wavenumber, frequency and group velocity
+        k = np.geomspace(1e-3, 4e3, 6000)
+        speed = group_velocity(np.maximum(k, 0.1), self.depth, self.gamma)
+        return k, dispersion(k, self.depth, self.gamma), speed
 
     def kind(self, omega: Array, ky: Array, kx: Array) -> NDArray[np.int8]:
         """`Kind` of cells; arrays of one shape as in `apart`."""
-        ridge, harmonic = self.apart(omega, ky, kx)
+        return self.kind_at(*self.apart(omega, ky, kx))
+
+    def kind_at(self, ridge: Array, harmonic: Array) -> NDArray[np.int8]:
+        """`Kind` of cells at these distances from the ridge and its second harmonic, rad/m (`apart`)."""
         off = np.abs(ridge)
         out = np.where(ridge > 0, np.int8(Kind.DIFFERENCE), np.int8(Kind.SUM))
         out[np.abs(harmonic) < self.reach] = Kind.HARMONIC
@@ -157,9 +168,9 @@ def _leaks(energy: Array, kinds: Array, grid: _Grid, split: Split) -> tuple[Arra
         for i, p in enumerate(places)
     ]
     power = lines[0][:, :, None, None] * lines[1][:, None, :, None] * lines[2][:, None, None, :]
-    found = split.kind(*full)
+    ridge, harmonic = split.apart(*full)
+    found = split.kind_at(ridge, harmonic)
     total = np.bincount(found.ravel(), power.ravel(), len(Kind))
-    ridge = split.apart(*full)[0]
     inside = found == Kind.FREE
     return total / total.sum(), float((power * ridge**2)[inside].sum() / power[inside].sum())
 
@@ -252,11 +263,11 @@ def _sort(values: Array, grid: _Grid, split: Split, ky: Array, kx: Array) -> tup
     kinds = np.empty(values.shape, np.int8)
     second = total = 0.0
     for i, omega in enumerate(grid.omega):
-        at = np.full(ky.shape, omega)
-        kinds[i] = split.kind(at, ky, kx)
+        ridge, harmonic = split.apart(np.full(ky.shape, omega), ky, kx)
+        kinds[i] = split.kind_at(ridge, harmonic)
         if i >= LOWEST:
             inside = np.where(kinds[i] == Kind.FREE, values[i], 0.0)
-            second += float((inside * split.apart(at, ky, kx)[0] ** 2).sum(dtype=float))
+            second += float((inside * ridge**2).sum(dtype=float))
             total += float(inside.sum(dtype=float))
     return kinds, second, total
 

@@ -71,18 +71,20 @@ class _Sectors:
         self.count, self.width = count, 2 * np.pi / count
         self.shape = ky.size, kx.size
         self.cell = float((ky[1] - ky[0]) * (kx[1] - kx[0]))
-        self.radius = np.hypot(sub_y, sub_x)  # (ky, part, kx, part)
+        radius = np.hypot(sub_y, sub_x)  # (ky, part, kx, part)
         turn = np.arctan2(sub_y, sub_x) % (2 * np.pi)
-        self.sector = np.floor(turn / self.width).astype(int) % count
+        sector = np.floor(turn / self.width).astype(int) % count
         cells = np.arange(ky.size * kx.size).reshape(ky.size, 1, kx.size, 1)
-        self.place = np.broadcast_to(cells, self.radius.shape)
+        rising = np.argsort(radius, axis=None)  # a ring is a piece of what is sorted
+        self.radius = radius.ravel()[rising]
+        self.place = (sector * cells.size + cells).ravel()[rising]  # in sectors times cells
 
     def of_ring(self, centre: float, half: float) -> tuple[Array, Array]:
         """Fractions (sectors, cells) and how much of each sector the plane holds, (sectors,)."""
-        ring = np.abs(self.radius - centre) < half
+        inner = np.searchsorted(self.radius, centre - half, "right")
+        ring = slice(inner, np.searchsorted(self.radius, centre + half, "left"))
         size = self.shape[0] * self.shape[1]
-        index = self.sector[ring] * size + self.place[ring]
-        found = np.bincount(index, minlength=self.count * size).reshape(self.count, size)
+        found = np.bincount(self.place[ring], minlength=self.count * size).reshape(self.count, size)
         out = found / rings.SUPERSAMPLING**2
         whole = self.width / 2 * ((centre + half) ** 2 - max(centre - half, 0.0) ** 2)
         return out, out.sum(axis=1) * self.cell / whole

@@ -602,12 +602,15 @@ def spread_waves(first: Array, weights: Array, power: Array, out: Array) -> None
     """
     lines, ny, nx = out.shape
     near = weights.shape[2]
+    columns = np.empty(near, np.int64)
     for p in range(power.size):
-        for a in range(near):
-            i = first[0, p] + a
-            if 0 <= i < lines:
-                for b in range(near):
+        for c in range(near):
+            columns[c] = (first[2, p] + c) % nx
+        for b in range(near):
+            j = (first[1, p] + b) % ny
+            for a in range(near):
+                i = first[0, p] + a
+                if 0 <= i < lines:
                     part = power[p] * weights[0, p, a] * weights[1, p, b]
-                    row = out[i, (first[1, p] + b) % ny]
                     for c in range(near):
-                        row[(first[2, p] + c) % nx] += part * weights[2, p, c]
+                        out[i, j, columns[c]] += part * weights[2, p, c]

@@ -86,13 +86,18 @@ def _on_ridge(energy: Array, noise: Array, cells: Cells, depth: float, fit: Arra
     return out
 
 
-def _seen(place: Array, power: Array, shape: tuple[int, ...]) -> Array:
-    # spectrum of single waves at places in cells (3, waves), through the windows
+def _parts(place: Array) -> tuple[Array, Array]:
+    # where single waves at places in cells (3, waves) begin to be seen through the windows, and their parts
+    # (3, waves, near) from there on
     near = np.arange(-_REACH, _REACH + 1)
     first = np.rint(place).astype(np.int64)
-    weights = hann_power(first[..., None] + near - place[..., None])
+    return first - _REACH, hann_power(first[..., None] + near - place[..., None])
+
+
+def _seen(parts: tuple[Array, Array], power: Array, shape: tuple[int, ...]) -> Array:
+    # spectrum of single waves through the windows
     out = np.zeros(shape)
-    kernels.spread_waves(first - _REACH, weights, power, out)
+    kernels.spread_waves(*parts, power, out)
     return out
 
 
@@ -123,9 +128,9 @@ def as_seen(energy: Array, noise: Array, cells: Cells, depth: float, fit: Array)
     """
     wanted = _on_ridge(energy, noise, cells, depth, fit)
     steps = cells.steps
-    parts = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
+    within = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
     rows, columns = np.meshgrid(np.arange(cells.ky.size), np.arange(cells.kx.size), indexing="ij")
-    places = np.array([(rows + a, columns + b) for a in parts for b in parts]).reshape(_PARTS**2, 2, -1)
+    places = np.array([(rows + a, columns + b) for a in within for b in within]).reshape(_PARTS**2, 2, -1)
     row, column = np.moveaxis(places, 1, 0).reshape(2, -1)
     line = (
         cells.frequency(cells.ky[0] + row * steps[1], cells.kx[0] + column * steps[2], depth, fit)
@@ -138,11 +143,11 @@ def as_seen(energy: Array, noise: Array, cells: Cells, depth: float, fit: Array)
     cell = np.tile(np.arange(wanted.size), _PARTS**2)[kept]
     logs = np.log(np.maximum(wanted, floor))
     power = np.exp(ndimage.map_coordinates(logs, place[1:], order=1, mode="nearest"))
-    shape = (cells.omega.size, *wanted.shape)
-    out = _seen(place, power, shape)
+    shape, parts = (cells.omega.size, *wanted.shape), _parts(place)
+    out = _seen(parts, power, shape)
     for _ in range(_ROUNDS):
         found = _on_ridge(out.reshape(shape[0], -1), np.zeros(shape[0]), cells, depth, fit)
         ratio = np.clip(wanted / np.maximum(found, floor * 1e-3), 1 / _MOST, _MOST)
         power = power * ratio.ravel()[cell]
-        out = _seen(place, power, shape)
+        out = _seen(parts, power, shape)
     return out.reshape(shape[0], -1)
