@@ -1,6 +1,6 @@
 """Analysis on workers beside one process: `python -m benchmarks.analysis CUBE [WORKERS]`.
 
-CUBE is made as by `benchmarks.waves` where it is not there: 8448 x 150 x 200, four chains. Every
+CUBE is made as by `benchmarks.waves` where it is not there: 12,000 x 150 x 200, ten minutes. Every
 analysis is a process of its own with one thread, from the start of the interpreter to the store of waves.
 """
 
@@ -16,7 +16,7 @@ import xarray as xr
 
 from benchmarks.waves import write_cube
 
-_STEPS = 8448
+_STEPS = 12000
 _PROGRAM = """
 import sys
 import wavefield as wf

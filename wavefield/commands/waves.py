@@ -74,9 +74,8 @@ def analyze(
 
 
 def _analyze(store: Path, output: Path | None, workflow: Path | None, asked: dict[str, Any]) -> int:
-    from wavefield.cubes import analyze_on_workers, open_cube, predicted_gain
+    from wavefield.cubes import open_cube, predicted_gain
     from wavefield.store.ledger import unfinished_note
-    from wavefield.waves import analyze as analyze_cube
 
     note = unfinished_note(store)
     if note:
@@ -87,8 +86,12 @@ def _analyze(store: Path, output: Path | None, workflow: Path | None, asked: dic
     with Progress(f"Analysing {store}") as progress:
         asked = asked | {"probes": known, "gain": undone, "progress": progress}
         if workflow:
+            from wavefield.cubes import analyze_on_workers
+
             analyze_on_workers(store, output, workflow, **asked)
         else:
+            from wavefield.waves import analyze as analyze_cube
+
             analyze_cube(store, output, **asked)
     click.echo(f"Wrote {output}.")
     return 3 if note else 0

@@ -13,11 +13,12 @@ from wavefield.cubes.cluster import MapUnordered, open_cluster
 from wavefield.cubes.guards import Stopped, jobs_folder, log_file, stop_signals
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, RunStopped
-from wavefield.waves.analyze import analyze
 from wavefield.whole_files import write_error
 
 if TYPE_CHECKING:
     import xarray as xr
+
+_FORKED = "wavefield.cubes.forked_waves"
 
 
 def analyze_on_workers(
@@ -73,7 +74,9 @@ def analyze_on_workers(
         raise write_error(target, error) from None
     with place as folder, log_file(target), stop_signals(workflow.time_limit_seconds):
         try:
-            with open_cluster(workflow, jobs_folder(target), ahead=True, lasting=True) as map_unordered:
+            with open_cluster(workflow, jobs_folder(target), True, True, _FORKED) as map_unordered:
+                from wavefield.waves.analyze import analyze  # takes as long as the workers' start: beside it
+
                 return analyze(source, target, each=_InOrder(map_unordered, Path(folder)), **asked)
         except KeyboardInterrupt as stop:
             why = f" by {stop}" if isinstance(stop, Stopped) else ""

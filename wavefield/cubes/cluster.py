@@ -35,7 +35,11 @@ def count_workers(workflow: Workflow) -> int:
 
 @contextmanager
 def open_cluster(
-    workflow: Workflow, logs: Path | None = None, ahead: bool = False, lasting: bool = False
+    workflow: Workflow,
+    logs: Path | None = None,
+    ahead: bool = False,
+    lasting: bool = False,
+    forked: str = "wavefield.cubes.forked",
 ) -> Iterator[MapUnordered]:
     """Give a function that maps work over items on workers that come and go with it.
 
@@ -49,6 +53,8 @@ def open_cluster(
         Start processes of this machine at once, while the caller prepares their work.
     lasting : bool
         Keep the workers for more work until the caller leaves; else they do work once, and end with it.
+    forked : str
+        Module that imports what processes of this machine need.
 
     Yields
     ------
@@ -61,7 +67,7 @@ def open_cluster(
     if workflow.cluster == "none" or (workflow.cluster == "local" and count == 1 and not watched):
         yield _map_here
     elif workflow.cluster == "local" and not watched:
-        with Pool(count, workflow.memory_bytes, lasting) as pool:
+        with Pool(count, workflow.memory_bytes, lasting, forked) as pool:
             if ahead:
                 pool.start()
             yield pool.map_unordered

@@ -49,10 +49,18 @@ class Pool:
         Bytes that each may take; one that takes more is replaced.
     lasting : bool
         Keep the processes for more work, until `stop`.
+    forked : str
+        Module that imports what all of them need, once, where processes can be forked.
     """
 
-    def __init__(self, count: int, memory: int | None = None, lasting: bool = False) -> None:
-        self._count, self._memory, self._lasting = count, memory, lasting
+    def __init__(
+        self,
+        count: int,
+        memory: int | None = None,
+        lasting: bool = False,
+        forked: str = "wavefield.cubes.forked",
+    ) -> None:
+        self._count, self._memory, self._lasting, self._forked = count, memory, lasting, forked
         self._workers: list[_Worker] = []
         self._starter: ThreadPoolExecutor | None = None
         self._started: Future[None] | None = None
@@ -70,7 +78,7 @@ class Pool:
         """Start the processes, without waiting for them."""
         if self._started is None:
             if self._context.get_start_method() == "forkserver":
-                self._context.set_forkserver_preload(["wavefield.cubes.forked"])
+                self._context.set_forkserver_preload([self._forked])
             self._starter = ThreadPoolExecutor(1)
             self._started = self._starter.submit(self._start_all)
 
