@@ -1,6 +1,7 @@
 # The public names and where they live: read by type checkers, and by __init__.py, which imports on first use.
 from wavefield.calibration.afloat import level_experiment as level
 from wavefield.calibration.images import calibrate_experiment as calibrate
+from wavefield.calibration.sheet import find_sheet
 from wavefield.calibration.target import Target
 from wavefield.cubes.analysis import analyze_on_workers
 from wavefield.cubes.catalog import run_catalog
@@ -66,6 +67,7 @@ __all__ = [
     "directional_spectrum",
     "energy_budget",
     "export",
+    "find_sheet",
     "fit_dispersion",
     "free_and_bound",
     "free_and_bound_fields",

@@ -14,7 +14,8 @@ def test_presets_load_and_say_what_to_expect(name):
     assert scene.name == name
     expected = summary(scene)
     assert expected["coverage"] > 0.97
-    assert 1.0 < max(max(c["mm_per_px"]) for c in expected["cameras"].values()) < 5
+    largest = max(max(c["mm_per_px"]) for c in expected["cameras"].values())
+    assert 0.2 < largest < 0.3 if scene.surface.kind == "sheet" else 1.0 < largest < 5
     if scene.surface.kind == "beads":
         assert 15 <= expected["beads_per_block"] <= 20
 
@@ -76,6 +77,10 @@ def test_rig_file_is_found_beside_the_scene(tmp_path):
         ({"grid": {"x": [1, -1], "y": [0, 1], "step": 0.1}}, "grid"),
         ({"surface": {"density": 0}}, "surface.density"),
         ({"surface": {"kind": "oil"}}, "oil"),
+        ({"surface": {"kind": "sheet"}, "sea": {"kind": "still", "current": [0.1, 0]}}, "a flow of its own"),
+        ({"surface": {"kind": "sheet"}, "faults": {"cam1": {"delay": 0.001}}}, "a delay is not simulated"),
+        ({"surface": {"kind": "sheet", "thickness": 0}}, "surface.thickness"),
+        ({"rig": {"angle": 90}}, ": rig.angle "),
         ({"calibration": {"target": {"kind": "strings", "mesh": "wide"}}}, "calibration.target.mesh"),
         ({"rig": {"scale": 9}}, ": rig.scale "),
         ({"rig": {"file": 3}}, ": rig.file "),

@@ -299,7 +299,9 @@ def _check(problem: _Problem) -> tuple[RigCheck, dict[str | None, tuple[Array, f
     told = [name for name in problem.names if motion[name] < FAR * mended[name]]
     best = min(told or problem.names, key=lambda name: chi2[name])
     gain = chi2[None] - chi2[best]
-    if not told and gain >= ALIKE:
+    # what no knock explains, and is less than a match's own error, is nothing
+    meet = before < 1.1 * expected or (not told and before < problem.std)
+    if not told and gain >= ALIKE and not meet:
         angle = problem.angle(found[best][0], best)
         text = (
             f"sight lines miss by {before:.2f} px; turning {best} by {angle:.2f} degrees would mend "
@@ -307,7 +309,7 @@ def _check(problem: _Problem) -> tuple[RigCheck, dict[str | None, tuple[Array, f
             "knock and is not mended: calibrate again, or look for what the lens model lost on its way"
         )
         return RigCheck(before, expected, None, (), 0.0, text, refused=True), found
-    if gain < ALIKE or misfit_as_it_is < 1.1 * expected:
+    if gain < ALIKE or meet:
         text = f"no camera has moved: sight lines meet within {misfit_as_it_is:.2f} px"
         if misfit_as_it_is > UNLIKE:
             text = f"sight lines miss by {misfit_as_it_is:.2f} px, and no camera has moved: {_OTHERWISE}"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from wavefield.commands.level import level
+from wavefield.commands.level import level, sheet
 from wavefield.commands.progress import Progress
 
 _STORE = click.Path(exists=True, file_okay=False, path_type=Path)
@@ -98,6 +98,7 @@ Examples:
   wavefield rig rig.yaml                             # show it; `convert` may be left out
   wavefield rig cal.xml -o rig.yaml                  # from VIC-3D or OpenCV
   wavefield rig level sea/experiment.yaml -o rig.yaml
+  wavefield rig sheet piv/experiment.yaml -o rig.yaml
 """,
 )
 def rig() -> None:
@@ -105,6 +106,7 @@ def rig() -> None:
 
 
 rig.add_command(level)
+rig.add_command(sheet)
 
 
 @rig.command(

@@ -1,4 +1,4 @@
-"""`wavefield rig level`: cameras placed and levelled by the moving water that they see."""
+"""`wavefield rig level` and `sheet`: z = 0 brought to moving water, or to a light sheet, by its images."""
 
 from pathlib import Path
 
@@ -42,3 +42,35 @@ def level(experiment: Path, rig: Path | None, output: Path, distance: float | No
     click.echo(found.sentence)
     found.rig.save(output)
     click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield rig sheet piv/experiment.yaml -o sheet.yaml                  # of the rig that it names
+  wavefield rig sheet piv/experiment.yaml --rig target.yaml -o sheet.yaml
+"""
+)
+@click.argument("experiment", type=_FILE)
+@click.option("--rig", type=click.Path(exists=True, path_type=Path), help="In place of the experiment's.")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="Rig to write."
+)
+@click.option(
+    "--frames", default=50, show_default=True, type=click.IntRange(min=1), help="How many instants to use."
+)
+def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
+    """Bring z = 0 to a light sheet, and mend a camera that has moved, from the particles themselves.
+
+    The cameras' images of one instant, dewarped to z = 0, are correlated; where they disagree, the sheet lies
+    beside the target's plane or a camera has moved. Says how thick the sheet is, too.
+    """
+    from wavefield.calibration.sheet import find_sheet
+
+    with Progress("Correlating the cameras", "passes") as progress:
+        found = find_sheet(experiment, rig, frames, progress)
+    click.echo(found.sentence)
+    found.rig.save(output)
+    click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
+    if found.thickness > 0:
+        click.echo(f"Then: settings: {{preset: sheet, sheet_thickness: {found.thickness:.2g}}}")

@@ -99,6 +99,8 @@ def remark_on_rest(experiment: Experiment, rig: Rig) -> Remark:
     Remark
     """
     found = rig.provenance.get("levelled")
+    if experiment.settings.get("sheet_thickness") is not None:
+        return _remark_on_sheet(experiment, rig)
     if isinstance(found, dict) and {"height_m", "rms_m", "points"} <= set(found):
         height, rms = 1e3 * float(found["height_m"]), 1e3 * float(found["rms_m"])
         return Remark(
@@ -127,4 +129,26 @@ def remark_on_rest(experiment: Experiment, rig: Rig) -> Remark:
         "about .4 mm where they are 3 to 5 mm large",
         "z = 0 on the water at rest",
         "photograph some twenty frames of still, seeded water; name them as `rest:` in the experiment file",
+    )
+
+
+def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
+    found = rig.provenance.get("light_sheet")
+    if isinstance(found, dict) and "height_m" in found:
+        height = float(found["height_m"])
+        return Remark(
+            "rig",
+            "light sheet",
+            "note",
+            f"z = 0 is the middle of the light sheet, which stood {1e3 * height:+.2f} mm beside the target's "
+            "plane",
+            values={"height_m": height},
+        )
+    return Remark(
+        "rig",
+        "light sheet",
+        "remark",
+        "z = 0 is the target's plane: where the light sheet lies has not been looked for",
+        "the cameras' displacements at one place of the sheet",
+        f"run `wavefield rig sheet {experiment.path.name} -o sheet.yaml`, and use that rig",
     )

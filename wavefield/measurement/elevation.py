@@ -302,8 +302,10 @@ def surface(prepared: Mapping[str, matching.Prepared], plan: Plan) -> Surface | 
     -------
     Surface or None
         Finite everywhere, also where no camera looks: the caller knows what lies outside. None if fewer than
-        two cameras have a frame, or too little of it can be matched.
+        two cameras have a frame, or too little of it can be matched. A light sheet is where it is.
     """
+    if plan.settings.sheet_thickness is not None:
+        return _sheet(plan.settings.sheet_thickness, plan.grid.shape)
     found = look_at_pairs(prepared, plan)
     if found is None:
         return None
@@ -316,6 +318,13 @@ def surface(prepared: Mapping[str, matching.Prepared], plan: Plan) -> Surface | 
     std = np.sqrt(variance).ravel()[block]
     apart = pairs_apart(matches, plan.pixel).ravel()[block]
     return Surface(z, blocks.eps_y.ravel()[block], std, _quality(blocks, block), apart)
+
+
+def _sheet(thickness: float, shape: tuple[int, int]) -> Surface:
+    """A light sheet on z = 0: its particles stand about it as far as its light does (1/e2 is two std)."""
+    z = np.zeros(shape, np.float32)
+    unknown, std = np.full_like(z, np.nan), np.full_like(z, 0.25 * thickness)
+    return Surface(z, unknown, std, np.full(shape, Quality.MEASURED, np.uint8), np.zeros(shape, bool))
 
 
 def look_at_pairs(

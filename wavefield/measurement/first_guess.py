@@ -16,7 +16,7 @@ from wavefield.measurement.settings import Settings
 TILE = 64  # px: side of the pieces that are looked for
 REACH = 256  # px: how far
 ACROSS = 6  # pieces along each side of an image
-SURE = 0.4  # correlation of a piece that is found
+SURE = 0.25  # correlation of a piece that is found
 ALONE = 0.85  # second-best correlation over the best, above which there is no telling
 NEAR = 8.0  # px: pieces that moved alike differ by less than this and a quarter of their motion
 _NEAR = 4  # px: how far a piece is looked for around where images of half the size have it
@@ -107,8 +107,9 @@ def shifts(
     Notes
     -----
     Normalised correlation of the pieces within the reach around their place. A piece counts if its best
-    correlation exceeds .4 and all others further than 3 px from it are less than .85 of that. Large pieces
-    are looked for in images of half the size, and then within a few pixels of where they were found.
+    correlation exceeds .25 (no more is left of particles that leave a light sheet) and all others further
+    than 3 px from it are less than .85 of that. Large pieces are looked for in images of half the size, and
+    then within a few pixels of where they were found.
     """
     a, b = (np.asarray(image, np.float32) for image in (a, b))  # of any depth
     height, width = a.shape

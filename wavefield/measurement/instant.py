@@ -23,7 +23,7 @@ class Images:
     Parameters
     ----------
     flat, raw : mapping of str to Prepared
-        Rectified images, for the surface; raw ones, for matching in time.
+        Rectified images, for the surface (none of a light sheet); raw ones, for matching in time.
     missing : frozenset of str
         Cameras without a usable frame.
     covered : mapping of str to Covered
@@ -113,7 +113,8 @@ def images_of(
             good[name] = ready(image, plan.binning[name], beads[name], masks.get(name))
     flat_of = {n: one.flat for n, one in covered.items()}
     raw_of = {n: one.raw for n, one in covered.items()}
-    flat = {n: stereo.prepare(good[n], n, plan, flat_of.get(n)) for n in plan.surface_cameras if n in good}
+    matched = plan.surface_cameras if plan.settings.sheet_thickness is None else ()
+    flat = {n: stereo.prepare(good[n], n, plan, flat_of.get(n)) for n in matched if n in good}
     sharp = {n: sharpened(good[n], IN_TIME) for n in plan.velocity_cameras if n in good}
     raw = {n: matching.prepare(image, plan.settings.piv, raw_of.get(n)) for n, image in sharp.items()}
     return Images(flat, raw, frozenset(n for n in plan.cameras if n not in good), covered)

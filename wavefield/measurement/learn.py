@@ -32,6 +32,7 @@ SAMPLES = 4  # steps of a record that are looked at
 _ROUNDS = 2  # of spectrum and field in turn
 _FREEDOM = 0.6  # fraction of the scores' noise that windows leave in them, about
 _NOISE = 0.1, 10.0  # factors on the noise that are believed
+_FLAT = Prior((0.0, np.pi), (1e-12, 1e-12), 1.0)  # of a light sheet: no waves
 _STILL = 1e-3  # of the pixel: the least motion from frame to frame that water is thought to have
 
 
@@ -132,6 +133,8 @@ def _beads(
 
 
 def _learn_elevation(views: Sequence[Images], plan: Plan) -> Prior | None:
+    if plan.settings.sheet_thickness is not None:
+        return _FLAT
     samples = []
     for view in views:
         found = elevation.look_at_pairs(view.flat, plan)

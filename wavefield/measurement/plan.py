@@ -109,7 +109,7 @@ class Plan:
         self.covered_before: dict[str, Any] = {}  # masks of cameras, as `covered_in` made them ready
         middle = 0.5 * (grid.x[0] + grid.x[1]), 0.5 * (grid.y[0] + grid.y[1])
         distance = float(np.linalg.norm(rig[self.reference].centre - [*middle, 0.0]))
-        reach = 0.02 * distance
+        reach = settings.sheet_thickness or 0.02 * distance
         self.z_range = settings.z_range or (-reach, reach)
         self.pixel = settings.pixel or self._fitting_pixel(*middle)
 

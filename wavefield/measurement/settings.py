@@ -67,6 +67,9 @@ class Settings:
     z_range : (float, float) or None
         Lowest and highest elevation to search, metres. None: 2 % of the reference camera's distance up and
         down (9 cm at 4.4 m).
+    sheet_thickness : float or None
+        Thickness of a light sheet on z = 0, metres: particles in it are measured, and no surface; z is 0,
+        known to a quarter of the thickness, and no cameras are matched with each other. None: a surface.
     pixel : float or None
         Pixel of the rectified images, metres. None: the finest side of a pixel of the camera that resolves
         least, or down to half of it where blocks of five would be wider than 0.8 grid steps.
@@ -99,6 +102,7 @@ class Settings:
     pairs: tuple[tuple[str, str], ...] = ()
     velocity_cameras: tuple[str, ...] = ()
     z_range: tuple[float, float] | None = None
+    sheet_thickness: float | None = None
     pixel: float | None = None
     smoothing: float = 0.0
     eps_limit: float = 3.0
@@ -128,9 +132,20 @@ class Settings:
             object.__setattr__(self, "z_range", (low, high))
         if self.pixel is not None and not self.pixel > 0:
             raise ExperimentError(f"pixel: give a length above 0 m, not {self.pixel}")
+        self._check_sheet()
         for name in ("smoothing", "eps_limit", "eps_floor", "min_valid"):
             if not getattr(self, name) >= 0:
                 raise ExperimentError(f"{name} must be 0 or more, not {getattr(self, name)}")
+
+    def _check_sheet(self) -> None:
+        if self.sheet_thickness is not None:
+            if not self.sheet_thickness > 0:
+                raise ExperimentError(f"sheet_thickness: give a length above 0 m, not {self.sheet_thickness}")
+            if self.vibration != "leave":
+                raise ExperimentError(
+                    "vibration: correct wants cameras that are matched with each other: those of a light "
+                    "sheet are not; take one of the two out"
+                )
 
     def adjusted(self, preset: str) -> Settings:
         """The same, fit for other images.

@@ -163,6 +163,22 @@ class PaperRig(Part):
         return rigs.paper_rig(self.scale, self.crop)
 
 
+class SheetRig(Part):
+    """Cameras around a light sheet: two that look from both sides, and a vertical one between."""
+
+    cameras: Literal[2, 3] = 2
+    angle: Annotated[float, Field(ge=5, le=70)] = Field(
+        default=35.0, description="of the outer cameras from the vertical, degrees"
+    )
+    distance: Positive = Field(default=1.0, description="from the middle of the sheet, m")
+    pixel: Positive = Field(default=2e-4, description="of the vertical view, m")
+    size: tuple[int, int] = Field(default=(800, 600), description="width and height of the images, px")
+
+    def build(self) -> Rig:
+        """Make the rig."""
+        return rigs.sheet_rig(self.cameras, self.angle, self.distance, self.pixel, self.size)
+
+
 class RigFile(Part):
     """Any cameras, from a rig file."""
 
@@ -203,6 +219,29 @@ class Texture(Part):
     carried: bool = Field(
         default=False, description="moves with the water; else it stays and only its height changes"
     )
+
+
+class Sheet(Part):
+    """Particles in a light sheet and a flow through it, instead of a water surface; the sea must be still."""
+
+    kind: Literal["sheet"] = "sheet"
+    thickness: Positive = Field(default=1e-3, description="where its light is above 1/e2, m")
+    height: float = Field(default=0.0, description="of its middle above the target's plane, m")
+    tilt: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="of the sheet against the target's plane along x and y, degrees"
+    )
+    density: Positive = Field(default=6e5, description="particles in the sheet per m2")
+    diameter: NotNegative = Field(default=1e-4, description="m")
+    brightness: Positive = Field(
+        default=110.0, description="mean height of a spot in the middle, grey levels of 255"
+    )
+    spread: Positive = Field(default=0.35, description="relative spread of brightness over particles")
+    spread_between: NotNegative = Field(
+        default=0.15, description="relative spread between cameras for one particle"
+    )
+    speed: NotNegative = Field(default=0.015, description="rms of u and of v, m/s")
+    speed_across: NotNegative = Field(default=0.004, description="rms of w, m/s")
+    shortest: Positive = Field(default=0.03, description="shortest wavelength of the flow, m")
 
 
 class Light(Part):

@@ -69,6 +69,62 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0) -> Rig:
     return Rig(cameras, {"source": f"exact cameras of the paper, scale {scale:g}, crop {crop:g}"})
 
 
+def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: tuple[int, int]) -> Rig:
+    """Exact cameras around a light sheet, with tilted sensors (Scheimpflug) where they look from the side.
+
+    Parameters
+    ----------
+    cameras : int
+        2, or 3 with a vertical one between.
+    angle : float
+        Of the outer cameras from the vertical, degrees.
+    distance : float
+        From the middle of the sheet, metres.
+    pixel : float
+        Of the vertical view, metres.
+    size : tuple of int
+        Width and height of the images, px.
+
+    Returns
+    -------
+    Rig
+        Cameras ``cam1`` (from -x), ``cam2`` (from +x), ``cam3`` (vertical).
+
+    Examples
+    --------
+    >>> list(sheet_rig(2, 35.0, 1.0, 2e-4, (800, 600)))
+    ['cam1', 'cam2']
+    """
+    made = {}
+    for name, side, roll, k1 in (("cam1", -1, 0.4, -0.04), ("cam2", 1, -0.5, -0.03), ("cam3", 0, 0.3, 0.03)):
+        turn, lean = np.radians(roll), np.radians(angle * side)
+        tilt = side * 0.02
+        rotation = _looking(lean, turn)
+        focal = distance / pixel
+        made[name] = Camera(
+            fx=focal,
+            fy=focal,
+            cx=(size[0] - 1) / 2.0,
+            cy=(size[1] - 1) / 2.0,
+            rotation=rotation,
+            translation=np.array([0.0, 0.0, distance]),
+            size=size,
+            k1=k1,
+            tau_y=float(tilt),
+        )
+    chosen = dict(list(made.items())[:cameras])
+    return Rig(chosen, {"source": f"exact cameras around a light sheet, {angle:g} degrees"})
+
+
+def _looking(lean: float, turn: float) -> np.ndarray:
+    """Rotation of a camera that looks down at the origin, from +x by ``lean``, rolled by ``turn``, rad."""
+    axis = -np.array([np.sin(lean), 0.0, np.cos(lean)])
+    down = np.array([0.0, -1.0, 0.0])
+    right = np.cross(down, axis)
+    c, s = np.cos(turn), np.sin(turn)
+    return np.array([c * right + s * down, c * down - s * right, axis])
+
+
 def bounds(
     rig: Rig, lowest: float, highest: float, margin: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:

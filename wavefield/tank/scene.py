@@ -23,6 +23,8 @@ from wavefield.tank.parts import (
     Probes,
     RandomSea,
     RigFile,
+    Sheet,
+    SheetRig,
     SingleWave,
     StillSea,
     Texture,
@@ -31,8 +33,12 @@ from wavefield.tank.sea import Sea
 
 
 def _kind_of_rig(value: Any) -> str:
-    named = "file" in value if isinstance(value, Mapping) else isinstance(value, RigFile)
-    return "rig-file" if named else "paper-rig"
+    if isinstance(value, Mapping):
+        around = any(name in value for name in SheetRig.model_fields)
+        return "rig-file" if "file" in value else "sheet-rig" if around else "paper-rig"
+    if isinstance(value, RigFile):
+        return "rig-file"
+    return "sheet-rig" if isinstance(value, SheetRig) else "paper-rig"
 
 
 def _kind_of_surface(value: Any) -> str:
@@ -58,7 +64,9 @@ class Scene(Part):
     frame_rate: Positive = Field(default=20.0, description="Hz")
     start: float = Field(default=0.0, description="time of the sea at the first frame, s")
     rig: Annotated[
-        Annotated[PaperRig, Tag("paper-rig")] | Annotated[RigFile, Tag("rig-file")],
+        Annotated[PaperRig, Tag("paper-rig")]
+        | Annotated[SheetRig, Tag("sheet-rig")]
+        | Annotated[RigFile, Tag("rig-file")],
         Discriminator(_kind_of_rig),
     ] = PaperRig()
     grid: Grid = Field(
@@ -66,7 +74,8 @@ class Scene(Part):
     )
     sea: Annotated[StillSea | SingleWave | RandomSea, Field(discriminator="kind")]
     surface: Annotated[
-        Annotated[Beads, Tag("beads")] | Annotated[Texture, Tag("texture")], Discriminator(_kind_of_surface)
+        Annotated[Beads, Tag("beads")] | Annotated[Texture, Tag("texture")] | Annotated[Sheet, Tag("sheet")],
+        Discriminator(_kind_of_surface),
     ] = Beads()
     light: Light = Light()
     faults: dict[str, Fault] = Field(default_factory=dict, description="camera: what goes wrong with it")
@@ -76,7 +85,17 @@ class Scene(Part):
     @model_validator(mode="after")
     def _fill_grid(self) -> "Scene":
         if self.grid is None:
-            self.__dict__["grid"] = common_field(self.rig.build().cameras.values())
+            height = 0.0 if isinstance(self.surface, Sheet) else 0.05
+            self.__dict__["grid"] = common_field(self.rig.build().cameras.values(), height=height)
+        return self
+
+    @model_validator(mode="after")
+    def _sheet_in_still_water(self) -> "Scene":
+        if isinstance(self.surface, Sheet):
+            if not isinstance(self.sea, StillSea) or any(self.sea.current):
+                raise ValueError("sea: a light sheet has a flow of its own: take `sea: {kind: still}`")
+            if any(fault.delay for fault in self.faults.values()):
+                raise ValueError("faults: a delay is not simulated for a light sheet")
         return self
 
     @model_validator(mode="after")

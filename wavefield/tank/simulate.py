@@ -17,7 +17,7 @@ from wavefield.errors import ExperimentError
 from wavefield.images import write_image
 from wavefield.tank import beads as floating
 from wavefield.tank import probes
-from wavefield.tank.parts import Beads
+from wavefield.tank.parts import Texture
 from wavefield.tank.scene import Scene
 from wavefield.tank.tank import Tank
 from wavefield.tank.truth import Truth
@@ -89,7 +89,7 @@ def simulate(
         for pose in tank.target_poses:
             for camera in names:
                 queue.give(_draw_target, tank, directory, camera, pose)
-        with_beads = isinstance(scene.surface, Beads)
+        with_beads = not isinstance(scene.surface, Texture)
         for frame in range(scene.frames):
             beads = tank.population.frame(frame) if with_beads else None
             for camera in names:

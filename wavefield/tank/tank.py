@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from wavefield.rig import Camera, Rig
 from wavefield.tank import beads as floating
-from wavefield.tank import parts, rigs, sensor, targets, texture
+from wavefield.tank import parts, rigs, sensor, sheet, targets, texture
 from wavefield.tank.basin import Basin
 from wavefield.tank.scene import Scene
 from wavefield.tank.sea import Sea
@@ -46,7 +46,8 @@ class Tank:
         self.rig: Rig = scene.build_rig()
         self.sea: Sea = scene.build_sea()
         reach = max(self.sea.reach, 0.01)
-        self.x, self.y = rigs.bounds(self.rig, -reach, reach, margin=0.05)
+        margin = 0.01 if isinstance(scene.surface, parts.Sheet) else 0.05
+        self.x, self.y = rigs.bounds(self.rig, -reach, reach, margin)
         # what moves between two frames must stay inside the basin
         air = 0.15 + 2.0 * max(np.hypot(*self.sea.current) / scene.frame_rate, 0.0)
         self.basin = Basin(self.sea, (self.x[0] - air, self.x[1] + air), (self.y[0] - air, self.y[1] + air))
@@ -58,9 +59,13 @@ class Tank:
         return self.scene.start + frame / self.scene.frame_rate
 
     @cached_property
-    def population(self) -> floating.Population:
-        """The beads."""
+    def population(self) -> floating.Population | sheet.Particles:
+        """The beads, or the particles of a light sheet."""
         settings = self.scene.surface
+        if isinstance(settings, parts.Sheet):
+            return sheet.Particles(
+                settings, self.x, self.y, len(self.rig), self.scene.frame_rate, self.scene.seed
+            )
         if not isinstance(settings, parts.Beads):
             raise ValueError("this scene has a painted surface, no beads")
         rng = np.random.default_rng([self.scene.seed, 6])
@@ -116,6 +121,11 @@ class Tank:
         -------
         Truth
         """
+        if isinstance(self.scene.surface, parts.Sheet):
+            particles = self.population
+            assert isinstance(particles, sheet.Particles)
+            nodes = np.meshgrid(self.scene.grid.x_nodes, self.scene.grid.y_nodes)
+            return particles.truth(nodes[0], nodes[1], self.time(step + 0.5))
         return truth(self.basin, self.scene.grid, self.time(step + 0.5), 1.0 / self.scene.frame_rate)
 
     def spot_width(self, camera: Camera) -> float:
@@ -131,7 +141,7 @@ class Tank:
         float
             px: the blur and the bead's own size (variance of a disc: a quarter of its radius squared).
         """
-        size = self.scene.surface.diameter if isinstance(self.scene.surface, parts.Beads) else 0.0
+        size = 0.0 if isinstance(self.scene.surface, parts.Texture) else self.scene.surface.diameter
         pixel = float(np.sqrt(np.prod(rigs.pixel_footprint(camera))))
         return float(np.hypot(self.scene.light.blur, size / 4 / pixel))
 
@@ -153,7 +163,7 @@ class Tank:
         for name in self.rig if cameras is None else cameras:
             fault = self.scene.faults.get(name, _SOUND)
             taken, source = max(frame - fault.late, 0), fault.shows or name
-            if isinstance(self.scene.surface, parts.Beads):
+            if not isinstance(self.scene.surface, parts.Texture):
                 image = self._beads(self.population.frame(taken), taken, source, fault)
             else:
                 image = self._painted(taken, source, fault)
@@ -185,7 +195,7 @@ class Tank:
 
     def _beads(self, beads: floating.Beads, frame: int, name: str, fault: parts.Fault) -> NDArray[Any]:
         settings, camera = self.scene.surface, _shifted(self.rig[name], fault.shift)
-        assert isinstance(settings, parts.Beads)
+        assert not isinstance(settings, parts.Texture)
         if any(fault.turned) and frame >= fault.since:
             camera = _turned(camera, fault.turned)
         if fault.delay:

@@ -1,0 +1,156 @@
+"""A light sheet: where it lies and how thick it is from its particles, and three components in it."""
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from wavefield.calibration.sheet import sheet_of
+from wavefield.commands.cli import cli
+from wavefield.errors import CalibrationError, ExperimentError
+from wavefield.measurement import Plan, Settings, measure
+from wavefield.rig import Rig
+from wavefield.series import Experiment
+from wavefield.tank import Scene, Tank, simulate
+from wavefield.variables import Quality
+
+PIXEL = 2e-4
+FRAMES = 6
+BESIDE = {"kind": "sheet", "height": 0.002, "tilt": [0.8, -0.5]}
+SMALL = {"size": [480, 360]}
+GRID = {"x": (-0.04, 0.04), "y": (-0.03, 0.03), "step": 0.002}
+
+
+def scene(**changes):
+    return Scene.load("sheet").with_(**({"frames": FRAMES, "seed": 3, "rig": SMALL, "grid": GRID} | changes))
+
+
+@pytest.fixture(scope="module")
+def beside():
+    """A tank whose sheet lies beside the target's plane, its images, and what was found of it."""
+    tank = Tank(scene(surface=BESIDE))
+    images = [tank.render(k) for k in range(FRAMES)]
+    return tank, images, sheet_of(lambda name, k: images[k][name], range(FRAMES), tank.rig)
+
+
+def velocities(tank, images, rig):
+    settings = Settings.from_dict({"preset": "sheet", "sheet_thickness": 1e-3})
+    frames = {name: [image[name] for image in images] for name in rig}
+    cube = measure(frames, Plan(rig, tank.scene.grid, settings), tank.scene.frame_rate)
+    measured = (cube["quality"] & Quality.MEASURED) != 0
+    truth = [tank.truth(step) for step in range(1, FRAMES - 2)]
+    scale = 1.0 / tank.scene.frame_rate / PIXEL
+    errors = {n: (cube[n] - [getattr(t, n) for t in truth])[measured] * scale for n in ("u", "v", "w")}
+    return cube, measured, errors, scale
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def test_plane_and_thickness_of_a_sheet_are_found_from_its_particles(beside):
+    _, _, found = beside
+    assert found.height == pytest.approx(0.002, abs=2e-5)
+    assert np.degrees(np.arctan(found.slope)) == pytest.approx((0.8, -0.5), abs=0.05)
+    assert found.thickness == pytest.approx(1e-3, rel=0.3)
+    assert found.before > 10
+    assert found.after < 0.3
+    assert "no camera has moved" in found.sentence
+
+
+def test_three_components_are_measured_in_the_sheet_that_was_found(beside):
+    tank, images, found = beside
+    cube, measured, errors, scale = velocities(tank, images, found.rig)
+    assert measured.mean() > 0.98
+    assert rms(errors["u"]) < 0.1
+    assert rms(errors["v"]) < 0.1
+    assert rms(errors["w"]) < 0.2
+    for name, error in errors.items():
+        std = cube[f"{name}_std"][measured] * scale
+        assert 0.6 < np.mean(np.abs(error) < std) < 0.9
+        assert np.mean(np.abs(error) < 2 * std) > 0.88
+    assert not cube["z"].any()
+    np.testing.assert_allclose(cube["z_std"], 2.5e-4)
+    assert np.isnan(cube["eps_y"]).all()
+
+
+def test_with_the_rig_of_the_target_the_cameras_contradict_each_other_and_that_is_said(beside):
+    tank, images, _ = beside
+    cube, measured, *_ = velocities(tank, images, tank.rig)
+    assert measured.mean() < 0.5
+    assert ((cube["quality"] & Quality.REJECTED_EPS) != 0)[~measured].mean() > 0.9
+
+
+def test_a_knocked_camera_is_named_and_mended():
+    tank = Tank(
+        scene(
+            surface=BESIDE,
+            rig=SMALL | {"cameras": 3},
+            faults={"cam1": {"turned": [0.05, 0.03, 0.0]}},
+        )
+    )
+    images = [tank.render(k) for k in range(3)]
+    found = sheet_of(lambda name, k: images[k][name], range(3), tank.rig)
+    assert found.check.moved == "cam1"
+    assert "cam1 had moved" in found.sentence
+    assert "is mended" in found.sentence
+    x, y = np.meshgrid(tank.scene.grid.x_nodes, tank.scene.grid.y_nodes)
+    exact = sheet_points(tank, x, y)
+    for name in ("cam2", "cam3"):  # which were not knocked
+        here, there = (
+            np.stack(p) for p in (found.rig[name].project(x, y, 0.0), tank.rig[name].project(*exact))
+        )
+        assert rms(here - there) < 0.3
+
+
+def sheet_points(tank, x, y):
+    from wavefield.tank.sheet import plane
+
+    axes, origin = plane(tank.scene.surface)
+    return np.einsum("ij,jyx->iyx", axes, np.stack([x, y, 0 * x])) + origin[:, None, None]
+
+
+def test_images_that_show_nothing_in_common_are_told():
+    tank = Tank(scene())
+    images = [tank.render(k) for k in range(4)]
+    mixed = {"cam1": lambda k: images[k]["cam1"], "cam2": lambda k: images[k]["cam1"][::-1, ::-1]}
+    with pytest.raises(CalibrationError, match="windows of 4 instants show the same particles"):
+        sheet_of(lambda name, k: mixed[name](k), range(4), tank.rig)
+
+
+def test_command_finds_the_sheet_of_an_experiment(tmp_path):
+    folder = tmp_path / "sheet"
+    simulate(scene(surface=BESIDE, frames=3, calibration={"tilted": 0}), folder)
+    command = [
+        "-q",
+        "rig",
+        "sheet",
+        str(folder / "experiment.yaml"),
+        "--rig",
+        str(folder / "truth" / "rig.yaml"),
+    ]
+    result = CliRunner().invoke(cli, [*command, "-o", str(folder / "sheet.yaml")], catch_exceptions=False)
+    assert result.exit_code == 0
+    assert "light sheet: +2.0" in result.output
+    assert "preset: sheet, sheet_thickness: 0.00" in result.output
+    rig = Rig.load(folder / "sheet.yaml")
+    assert rig.provenance["light_sheet"]["height_m"] == pytest.approx(0.002, abs=3e-5)
+
+    from wavefield.cubes.at_rest import remark_on_rest
+
+    text = (folder / "experiment.yaml").read_text() + "settings: {preset: sheet, sheet_thickness: 0.001}\n"
+    (folder / "experiment.yaml").write_text(text)
+    experiment = Experiment.load(folder / "experiment.yaml")
+    assert "the middle of the light sheet" in str(remark_on_rest(experiment, rig))
+    assert "wavefield rig sheet" in str(remark_on_rest(experiment, Rig(rig.cameras)))
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"sheet_thickness": 0.0}, "sheet_thickness"),
+        ({"sheet_thickness": 1e-3, "vibration": "correct"}, "take one of the two out"),
+    ],
+)
+def test_settings_that_do_not_fit_a_sheet_are_refused(settings, words):
+    with pytest.raises(ExperimentError, match=words):
+        Settings.from_dict(settings)
