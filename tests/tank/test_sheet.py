@@ -24,8 +24,8 @@ def test_the_flow_has_its_strength_and_no_divergence(tank):
     flow, settings = tank.population.flow, tank.scene.surface
     x, y = np.meshgrid(np.linspace(*tank.x, 200), np.linspace(*tank.y, 160))
     u, v, w = flow(x, y)
-    assert np.sqrt(0.5 * np.mean(u**2 + v**2)) == pytest.approx(settings.speed, rel=0.1)
-    assert np.std(w) == pytest.approx(settings.speed_across, rel=0.35)
+    assert np.sqrt(0.5 * np.mean(u**2 + v**2)) == pytest.approx(settings.speed, rel=0.02)
+    assert np.std(w) == pytest.approx(settings.speed_across, rel=0.05)
     e = 1e-5
     divergence = flow(x + e, y)[0] - flow(x - e, y)[0] + flow(x, y + e)[1] - flow(x, y - e)[1]
     assert np.abs(divergence / (2 * e)).max() < 1e-4 * settings.speed / 0.005

@@ -240,7 +240,7 @@ class Sheet(Part):
         default=0.15, description="relative spread between cameras for one particle"
     )
     speed: NotNegative = Field(default=0.015, description="rms of u and of v, m/s")
-    speed_across: NotNegative = Field(default=0.004, description="rms of w, m/s")
+    speed_across: NotNegative = Field(default=0.003, description="rms of w, m/s")
     shortest: Positive = Field(default=0.03, description="shortest wavelength of the flow, m")
 
 

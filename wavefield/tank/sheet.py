@@ -14,6 +14,7 @@ from wavefield.tank.truth import Truth
 Array = NDArray[np.float64]
 
 _WAVES = 48  # of the flow
+_SAMPLES = 128  # along each side of a period: where its strength is looked at
 _SLAB = 2.0  # thicknesses: height of the layer that holds the particles; light is 3e-4 at its faces
 _LONGEST_TURN = 0.2  # rad: that a wave of the flow may turn in a sub-step
 
@@ -44,13 +45,12 @@ class Flow:
         unit = 2 * np.pi / np.array(period)
         vector = unit * np.round(np.stack([k * np.cos(angle), k * np.sin(angle)], axis=1) / unit)
         vector[np.all(vector == 0, axis=1)] = unit
-        phase = np.exp(1j * rng.uniform(0.0, 2 * np.pi, (2, _WAVES)))
-        # half of 2 |a|^2 / 4 is what a wave gives to each component in the sheet
-        return cls(
-            vector,
-            phase[0] * settings.speed * 2.0 / np.sqrt(_WAVES),
-            phase[1] * settings.speed_across * np.sqrt(2.0 / _WAVES),
-        )
+        along, across = np.exp(1j * rng.uniform(0.0, 2 * np.pi, (2, _WAVES)))
+        # as strong as wanted in every flow, however waves of one place meet
+        x, y = np.meshgrid(*(np.linspace(0.0, side, _SAMPLES, endpoint=False) for side in period))
+        u, v, w = cls(vector, along, across)(x, y)
+        along *= settings.speed / np.sqrt(0.5 * np.mean(u**2 + v**2))
+        return cls(vector, along, across * (settings.speed_across / np.sqrt(np.mean(w**2))))
 
     def __call__(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
         """Velocity at points of any shape, m/s."""
