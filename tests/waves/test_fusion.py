@@ -235,3 +235,49 @@ def test_a_correction_is_masked_where_it_would_blow_up_noise():
     assert not bool(out.valid[-1])
     np.testing.assert_allclose(out.E[0], omega[0] ** -4.0, rtol=1e-6)
     assert np.isnan(out.E[-1])
+
+
+@pytest.fixture(scope="module", params=[(0.1, 0.0), (0.2, -0.1)])
+def flowing(request):
+    """The sea on a current, with the paper's noise."""
+    sea = PeriodicSea(n=128, current=request.param)
+    return sea, sea.cube(600, 50, 64, noise_z=SIGMA_Z, noise_dz=SIGMA_DZ), request.param
+
+
+def test_elevation_from_w_is_right_on_a_current(flowing):
+    _, cube, current = flowing
+    record = wv.whole_record(cube)
+    out = wv.fusion(cube, segment=256, record=record)
+    assert out.attrs["current"] == pytest.approx(current, abs=0.002)
+    true = wv.frequency_spectrum(wv.komega(cube.exact, segment=256, record=record)).E
+    still = wv.fusion(cube, segment=256, record=record, current=(0.0, 0.0))
+    for lowest in (1, 2, 3, 4):
+        band = (out.frequency >= lowest) & (out.frequency < lowest + 1)
+        for method in ("cross", "fusion"):
+            ratio = float((out[f"Ez_{method}"] / true)[band].mean())
+            assert ratio == pytest.approx(1, abs=0.02), (method, lowest)
+    assert float((still.Ez_fusion / true)[band].mean()) < 0.85  # of still water: what it was
+    ratio = float((out.Ez_w / true)[(out.frequency > 2) & (out.frequency < 4)].mean())
+    assert ratio == pytest.approx(1, abs=0.03)
+    assert float(out.sigma_dz) == pytest.approx(SIGMA_DZ, rel=0.03)
+
+
+def test_the_combined_time_series_is_better_than_stereo_on_a_current(flowing):
+    sea, cube, _ = flowing
+    record = wv.whole_record(cube)
+    out = wv.fusion(cube, segment=256, record=record)
+    middle = sea.z(0.025, 600, 0.05, 50, 64)
+    inner = slice(100, -100), slice(8, -8), slice(8, -8)
+    error, stereo = (float(np.std(z.values[inner] - middle[inner])) for z in (wv.fuse(cube, out), cube.z))
+    assert error < 0.7 * stereo
+    still = wv.fusion(cube, segment=256, record=record, current=(0.0, 0.0))
+    assert float(np.std(wv.fuse(cube, still).values[inner] - middle[inner])) > stereo
+
+
+def test_an_analysis_takes_the_current_into_account(flowing):
+    _, cube, current = flowing
+    cube = cube.drop_vars("exact").isel(time=slice(0, 300)).assign(u=cube.w, v=cube.w)
+    tree = wv.analyze(cube, segment=128)
+    assert tree["fusion"].attrs["current"] == pytest.approx(current, abs=0.003)
+    alone = wv.fusion(cube, segment=128)
+    np.testing.assert_allclose(tree["spectra"].Ez_fusion, alone.Ez_fusion, rtol=1e-5)

@@ -153,8 +153,8 @@ class PeriodicSea:
         ky = 2 * np.pi * np.fft.fftfreq(n, dx)[:, None]
         k = np.hypot(kx, ky)
         free = relation(k, depth)
-        self.n, self.dx, self.depth = n, dx, depth
-        self.omega = free + current[0] * kx + current[1] * ky
+        self.n, self.dx, self.depth, self.flows = n, dx, depth, any(current)
+        self.free, self.omega = free, free + current[0] * kx + current[1] * ky
         f = free / (2 * np.pi)
         group = (relation(k + 1e-3, depth) - free) / 1e-3
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -168,11 +168,11 @@ class PeriodicSea:
         self.a = a * sigma / np.sqrt((np.abs(a) ** 2).sum() / 2)
         self.box = np.sinc(kx * box / (2 * np.pi)) * np.sinc(ky * box / (2 * np.pi)) if box else 1.0
 
-    def z(self, first, steps, dt, ny, nx):
-        """Elevation from time ``first`` on, (steps, ny, nx)."""
+    def z(self, first, steps, dt, ny, nx, gain=1.0):
+        """Elevation from time ``first`` on, (steps, ny, nx), each wave times ``gain``."""
         from scipy.fft import ifft
 
-        lines = self.a * self.box * np.exp(-1j * self.omega * first)
+        lines = self.a * self.box * gain * np.exp(-1j * self.omega * first)
         turn = np.exp(-1j * self.omega * dt)
         out = np.empty((steps, ny, nx))
         for frame in out:
@@ -191,7 +191,10 @@ class PeriodicSea:
 
         exact = self.z(-dt, steps + 3, dt, ny, nx)
         noisy = exact + np.array([noise(noise_z) for _ in range(steps + 3)])
-        w = np.diff(exact, axis=0)[1:-1] / dt + np.array([noise(noise_dz) / dt for _ in range(steps)])
+        w = np.diff(exact, axis=0)[1:-1] / dt
+        if self.flows:  # particles rise as the water that carries them sees the waves
+            w = self.z(dt / 2, steps, dt, ny, nx, -2j * np.sin(self.free * dt / 2) / dt)
+        w = w + np.array([noise(noise_dz) / dt for _ in range(steps)])
         z = (9 * (noisy[1:-2] + noisy[2:-1]) - noisy[:-3] - noisy[3:]) / 16
         t, y, x = axes(steps, ny, nx, dt, self.dx)
         fields = {"z": z, "z_t": np.diff(noisy, axis=0)[1:-1] / dt, "w": w, "exact": exact[1:-2]}

@@ -24,13 +24,14 @@ import wavefield
 from wavefield.errors import CubeError, StoreError
 from wavefield.store.waves import write_waves
 from wavefield.variables import FIELD_TEXTS, FIELD_UNITS, TABLE, annotate, density_units, validate
-from wavefield.water import water_of, wavenumber
+from wavefield.water import water_of
 from wavefield.waves import coherence, crosses, fusion, kinematics, segments, spectra, statistics, transfer
 from wavefield.waves.bound import free_and_bound
 from wavefield.waves.direction import direction_group
 from wavefield.waves.directional import from_density
 from wavefield.waves.enough import leave_out_unknown
 from wavefield.waves.higher_order import higher_order
+from wavefield.waves.on_current import Moving
 from wavefield.waves.onepass import FIELDS, MAPS, NAMES, PAIRS, Progress, Sums, one_pass
 from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Each, Record, find_record
@@ -42,7 +43,6 @@ from wavefield.waves.window_gain import read_gain
 
 MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz; 2.8 is the paper's
 _FEW = 7  # segments: with fewer, single cells say little
-_TOLD, _FELT = 3.0, 0.03  # Hz at which a current is told, from this part of the frequency on
 
 
 @dataclass(frozen=True)
@@ -236,8 +236,11 @@ def _groups(
     job: _Job, welch: Welch, sums: Sums, scale: dict[str, tuple[float, float]], notes: list[str]
 ) -> tuple[dict[str, xr.Dataset], list[_Subject]]:
     ring = crosses.label(sums.rings, NAMES, PAIRS, welch)
-    fused = fusion.from_spectra(ring, (job.depth, job.gamma), job.gain)
     density = {name: _density(sums.rings.pop(f"map {name}"), name, welch) for name in MAPS}
+    dispersion, note = dispersion_group(density["w"], welch.table.k, job.depth, job.gamma)
+    notes.extend([note] if note else [])
+    moving = _moving(dispersion, density["w"], sums.rings.pop("map z*w"), welch)
+    fused = fusion.from_spectra(ring, (job.depth, job.gamma), job.gain, moving)
     chosen = _map_lines(welch.omega, job.maps)
     by_method = [
         f"{name}_{method}" for method in fusion.METHODS for name in ("Ez", "dof", "low", "high", "valid")
@@ -257,9 +260,7 @@ def _groups(
             " spectra: look at them before you trust what lies decades below the peak."
         )
     water = job.depth, job.gamma, welch.dof
-    dispersion, note = dispersion_group(density["w"], welch.table.k, job.depth, job.gamma)
-    notes.extend([note] if note else [])
-    subjects = _currents(job, density, dispersion, moments, welch, notes)
+    subjects = _currents(job, density, dispersion, moments, welch)
     seconds = sum(b - a for a, b in welch.record.runs) * welch.record.dt
     peaks = statistics.spectral_peak(moments, fused, job.depth, job.gamma)
     peaks, dispersion, unknown = leave_out_unknown(peaks, dispersion, seconds, welch.count)
@@ -280,13 +281,11 @@ def _currents(
     dispersion: xr.Dataset,
     moments: xr.Dataset,
     welch: Welch,
-    notes: list[str],
 ) -> list[_Subject]:
     # what rests on a fitted current; what takes longest comes first
     if "current_x" not in dispersion:
         return []
     current = float(dispersion["current_x"]), float(dispersion["current_y"])
-    notes.extend(_current_note(current, job))
     drift = moments["mean"] / welch.record.dt
     surface = float(drift.sel(quantity="dx")), float(drift.sel(quantity="dy"))
     of_z, of_w = densities["z"], densities["w"]
@@ -312,18 +311,13 @@ def _currents(
     ]
 
 
-def _current_note(current: tuple[float, float], job: _Job) -> list[str]:
-    # w is -i (omega - k . U) z: what takes it for the z_t of still water is wrong by that
-    k = wavenumber(2 * np.pi * _TOLD, job.depth, job.gamma)
-    part = float(k * np.hypot(*current) / (2 * np.pi * _TOLD))
-    if part < _FELT:
-        return []
-    return [
-        f"The water moves at {np.hypot(*current):.2g} m/s: w and z_t of waves along it differ by"
-        f" {100 * part:.0f} % at {_TOLD:g} Hz, and more at higher frequencies. Spectra of the elevation from"
-        " w, and by the combination, hold twice that as an error; those from stereo, and group `directional`,"
-        " do not."
-    ]
+def _moving(dispersion: xr.Dataset, w: xr.DataArray, power: np.ndarray, welch: Welch) -> Moving | None:
+    # what takes w to the elevation on the fitted current; None on still water and where there is no ridge
+    if "current_x" not in dispersion:
+        return None
+    current = float(dispersion["current_x"]), float(dispersion["current_y"])
+    zw = xr.DataArray(spectra.density(power, welch), w.coords, w.dims)
+    return Moving(current, w, zw)
 
 
 def _map_lines(omega: np.ndarray, wanted: Sequence[float]) -> list[int]:

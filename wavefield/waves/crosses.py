@@ -121,7 +121,8 @@ def combine(
     pairs : sequence of (str, str)
         Cross products wanted.
     maps : sequence of str
-        Names whose power is wanted for each cell.
+        Names whose power is wanted for each cell, and pairs "a*b" whose quadrature at mid-time is,
+        Re(i exp(i omega dt / 2) conj(a) b), a being half a step early and k pointing where waves go.
     welch : Welch
         Rings of the k plane and time between frames.
 
@@ -169,6 +170,7 @@ def add_segment(
     signed = 2 * np.pi * np.fft.fftfreq(2 * half, dt)
     forward = transfer.to_frame_time(signed, dt, welch.frames).astype(first[names[0]].dtype)
     frames = _FrameTimes(first, second, dt) if "z" in names and welch.frames == 2 else None
+    turns = [turn.astype(first[names[0]].real.dtype) for turn in _quadrature(signed * dt / 2)]
     for slab in segments.slabs(cells):
         start = table.start[slab.start : slab.stop + 1]
         lines = {}
@@ -184,8 +186,18 @@ def add_segment(
                 kernels.add_powers(lines[name], sums[f"map {name}"][slab])
         for a, b in pairs:
             kernels.ring_crosses(lines[a], lines[b], start, table.ring, table.weight, sums[f"{a}*{b}"])
+            if f"{a}*{b}" in maps:
+                to = sums[f"map {a}*{b}"][slab]
+                kernels.add_products(lines[a], lines[b], turns[0], turns[1], to)
     for name in names:
         scatter.take_in(sums, name, mine[name])
+
+
+def _quadrature(b: Array) -> tuple[Array, Array]:
+    # factors of the real and the imaginary part of a product, in numpy's signs; `b` is omega dt / 2, signed
+    imaginary = np.where(b < 0, -1.0, 1.0) * np.cos(b)
+    imaginary[[0, b.size // 2]] = 0.0
+    return -np.sin(np.abs(b)), imaginary
 
 
 class _FrameTimes:
@@ -310,21 +322,32 @@ def cross_spectra(
     return spectra.finish(lazy, cube[sources(names)[0]])
 
 
-def lazy_cross_spectra(
-    cube: xr.Dataset, names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
-) -> xr.Dataset:
-    """As `cross_spectra`, lazy whatever the cube is, which came through `door`."""
+def lazy_sums(
+    cube: xr.Dataset,
+    names: Sequence[str],
+    pairs: Sequence[tuple[str, str]],
+    maps: Sequence[str],
+    welch: Welch,
+) -> Any:
+    """As `combine` gives it, over all segments of a cube that came through `door`; delayed."""
     fields = sources(names)
-    record, table = welch.record, welch.table
 
     def make(blocks: list[Array], first: int) -> dict[str, Array]:
         return transforms(take(fields, blocks), names, welch)
 
-    runs = segments.half_segments([cube[field] for field in fields], record, welch.half, make)
+    runs = segments.half_segments([cube[field] for field in fields], welch.record, welch.half, make)
     task = dask.delayed(combine, pure=False)
-    parts = [task(a, b, names, pairs, (), welch) for run in runs for a, b in pairwise(run)]
-    summed = segments.in_order(parts)
-    shape = (table.k.size, welch.omega.size)
+    return segments.in_order(
+        [task(a, b, names, pairs, maps, welch) for run in runs for a, b in pairwise(run)]
+    )
+
+
+def lazy_cross_spectra(
+    cube: xr.Dataset, names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
+) -> xr.Dataset:
+    """As `cross_spectra`, lazy whatever the cube is, which came through `door`."""
+    summed = lazy_sums(cube, names, pairs, (), welch)
+    shape = (welch.table.k.size, welch.omega.size)
     wanted = (*names, *(f"{a}*{b}" for a, b in pairs))
     sums = {name: da.from_delayed(summed[name], (2, *shape), float) for name in wanted}
     for name in names:

@@ -11,9 +11,11 @@ from scipy import fft
 
 from wavefield.errors import CubeError
 from wavefield.variables import CUBE_DIMS, TABLE
+from wavefield.water import water_of
 from wavefield.waves import kernels
 from wavefield.waves.crosses import door
 from wavefield.waves.fusion import NAMES
+from wavefield.waves.on_current import Distances, integrate
 from wavefield.waves.record import Record, fill, find_record, piece
 from wavefield.waves.transfer import path_factor, to_frame_time
 from wavefield.waves.welch import frames_of
@@ -28,11 +30,14 @@ def _filter(
     first: int,
     missing: Array,
     segment: int,
-    dt: float,
+    distances: Distances,
     frames: int,
     weight: Array,
     gain: Array,
+    current: tuple[float, float],
+    water: tuple[float, float],
 ) -> Array:
+    dt = distances[0]
     z, z_t, w = (fill(np.asarray(part), missing) for part in pieces)
     # beyond the ends of a run the waves run backwards in time: z even, its rates odd
     inside = np.clip(steps, first, first + z.shape[0] - 1)
@@ -48,10 +53,10 @@ def _filter(
     b = omega * dt / 2
     with np.errstate(divide="ignore", invalid="ignore"):
         # numpy's signs: exp(+i omega t)
-        integrate = -1j * dt / (2 * np.sin(b) * path_factor(omega, dt, frames))
-    integrate[0] = 0
+        still = -1j * dt / (2 * np.sin(b) * path_factor(omega, dt, frames))
+    still[0] = 0
     advance = np.exp(1j * b) * weight * gain
-    integrate = integrate * (1 - weight) * gain
+    by_w = (1 - weight) * gain
     out = np.zeros((half, *shape), z.dtype)
     for start, kept in ((0, slice(half, None)), (half, slice(0, half))):
         part = slice(start, start + segment)
@@ -66,7 +71,13 @@ def _filter(
             lines = fft.rfft(z_flat * window, axis=0)
             lines += fft.rfft(z_t_flat * window, axis=0) * to_frame_time(omega, dt, frames)[:, None]
         lines *= advance[:, None]
-        lines += fft.rfft(w[part].reshape(segment, -1) * window, axis=0) * integrate[:, None]
+        risen = fft.rfft(w[part].reshape(segment, -1) * window, axis=0)
+        if any(current):
+            planes = risen.reshape(-1, *shape)
+            risen = integrate(planes, omega, distances, current, water, frames).reshape(risen.shape)
+            lines += risen * by_w[:, None]
+        else:
+            lines += risen * (still * by_w)[:, None]
         out += fft.irfft(lines, segment, axis=0)[kept].reshape(half, *shape).astype(z.dtype)
     return out
 
@@ -85,7 +96,7 @@ def fuse(
     cube : Dataset
         z, z_t, w over (time, y, x), m and m/s.
     fusion : Dataset
-        As `fusion` gives it: its ``weight_z`` and segment are used.
+        As `fusion` gives it: its ``weight_z``, segment and current are used.
     gain : DataArray, (omega,), optional
         A gain besides, such as ``fusion.wiener``, which gives the least error but too little variance.
     record : Record, optional
@@ -103,7 +114,8 @@ def fuse(
 
     Notes
     -----
-    Overlapping Hann-windowed segments, filtered without phase and added up.
+    Overlapping Hann-windowed segments, filtered without phase and added up. On a current w is integrated at
+    omega - k . U, the field mirrored beyond its edges: within some centimetres of them it is worse.
     """
     names = ["z", "z_t", "w"]
     cube = door(cube, NAMES)
@@ -122,6 +134,9 @@ def fuse(
     bridged = np.asarray(record.bridged, int)
     ny, nx = record.shape
     dtype = cube["z"].dtype
+    distances = record.dt, record.dy, record.dx
+    ux, uy = fusion.attrs.get("current", (0.0, 0.0))
+    moving = (float(ux), float(uy)), water_of(fusion.attrs)
     rows, steps_used = [], []
     for run in record.runs:
         if run[1] - run[0] < segment:
@@ -134,7 +149,9 @@ def fuse(
             area = slice(*record.y), slice(*record.x)
             pieces = [piece(cube[name], slice(lo, hi), *area) for name in names]
             missing = np.isin(np.arange(lo, hi), bridged)
-            block = task(pieces, wanted, lo, missing, segment, record.dt, frames_of(cube), weight, more)
+            block = task(
+                pieces, wanted, lo, missing, segment, distances, frames_of(cube), weight, more, *moving
+            )
             count = min(half, run[1] - a)
             rows.append(da.from_delayed(block, (half, ny, nx), dtype)[:count])
             steps_used.append(np.arange(a, a + count))

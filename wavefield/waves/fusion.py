@@ -7,17 +7,21 @@ omega dt / 2, is the elevation at mid-time with noise n_w. No rest record is nee
 from dataclasses import dataclass
 from typing import Any
 
+import dask
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.water import dispersion, water_of, wavenumber
-from wavefield.waves.crosses import cross_spectra
+from wavefield.waves.crosses import door, label, lazy_sums
+from wavefield.waves.on_current import Moving, longest, shortest
 from wavefield.waves.record import Record
-from wavefield.waves.spectra import frequency_spectrum, with_interval
+from wavefield.waves.ridge import fit_dispersion
+from wavefield.waves.spectra import density, frequency_spectrum, plane_density, with_interval
 from wavefield.waves.transfer import LEAST_SIGNAL, elevation_from_w, path_factor
-from wavefield.waves.welch import inner, k_coords, omega_coords
+from wavefield.waves.welch import Welch, inner, k_coords, omega_coords
 from wavefield.waves.window_gain import read_gain, ring_gain
 
 Array = NDArray[Any]
@@ -25,6 +29,7 @@ Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
 
 NAMES = ("z", "w")
 PAIRS = (("z", "w"),)
+PLANES = ("z*w",)
 METHODS = ("stereo", "w", "cross", "fusion")
 _LONGER = 0.5  # of the ridge's k: what is longer is no free wave of that frequency
 _OFF = 0.3  # of the ridge's omega: further off there is no free wave
@@ -56,9 +61,10 @@ def _smooth(values: Array, width: int = 7) -> Array:
     return np.convolve(padded, np.full(width, 1 / width), "valid")
 
 
-def _on_ridge(trusted: Array, omega: Array, k: Array, water: Water) -> Array:
+def _on_ridge(trusted: Array, spectra: "_Elevations", water: Water) -> Array:
     # whether the waves' own cells are trusted: three rings about the ridge, seven lines
-    place = np.rint(np.interp(wavenumber(omega, *water), k, np.arange(k.size))).astype(int)
+    k = spectra.k
+    place = np.rint(np.interp(_wavenumber(spectra, water), k, np.arange(k.size))).astype(int)
     near = np.clip(place[:, None] + np.arange(-1, 2), 0, k.size - 1)
     return _smooth(np.take_along_axis(trusted, near, axis=1).mean(axis=1)) > _TRUSTED
 
@@ -90,7 +96,7 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
 
 @dataclass(frozen=True)
 class _Elevations:
-    """Spectra (omega, k) of the elevation: stereo, integrated w and both together."""
+    """Spectra (omega, k) of the elevation: stereo, integrated w, both together."""
 
     omega: Array
     k: Array
@@ -98,10 +104,8 @@ class _Elevations:
     zz: Array
     ww: Array
     zw: Array
-
-    @property
-    def b(self) -> Array:
-        return self.omega * self.dt / 2
+    shape: Array  # 4 sin^2: noise of a displacement over that of the elevation from it
+    speed: float = 0.0  # of the current, m/s
 
     @property
     def step(self) -> float:
@@ -111,9 +115,12 @@ class _Elevations:
         return np.asarray(array.sum(axis=1) * self.step)
 
 
-def _elevations(ring: xr.Dataset) -> _Elevations:
+def _elevations(ring: xr.Dataset, water: Water, moving: Moving | None) -> _Elevations:
     dt, omega = float(ring.attrs["dt"]), ring["omega"].values
     frames = int(ring.attrs.get("frames", 2))
+    given = omega, ring["k"].values, dt, ring["E_z"].values
+    if moving is not None:
+        return _Elevations(*given, *moving.elevations(water, dt, frames), float(np.hypot(*moving.current)))
     b = omega * dt / 2
     with np.errstate(divide="ignore", invalid="ignore"):
         # z is half a step early: exp(i b) brings it to mid-time
@@ -122,9 +129,19 @@ def _elevations(ring: xr.Dataset) -> _Elevations:
         factor_w = elevation_from_w(omega, dt, frames)
     to_elevation[0], factor_w[0] = 0, 0
     cross = (ring["S_z_w"].values * to_elevation[:, None]).real
-    return _Elevations(
-        omega, ring["k"].values, dt, ring["E_z"].values, ring["E_w"].values * factor_w[:, None], cross
-    )
+    shape = np.broadcast_to(4 * np.sin(b[:, None]) ** 2, cross.shape)
+    return _Elevations(*given, ring["E_w"].values * factor_w[:, None], cross, shape)
+
+
+def _wavenumber(spectra: _Elevations, water: Water) -> Array:
+    # of the waves at each frequency; on a current, that of their energy
+    omega = spectra.omega
+    if spectra.speed == 0:
+        return np.asarray(wavenumber(omega, *water))
+    energy = np.maximum(spectra.zw, 0.0)
+    middle = (energy * spectra.k).sum(axis=1) / np.maximum(energy.sum(axis=1), _tiny(spectra))
+    reach = longest(omega, water, spectra.speed), shortest(omega, water, spectra.speed)
+    return np.asarray(np.clip(_smooth(middle), *reach))
 
 
 @dataclass(frozen=True)
@@ -146,15 +163,14 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
         use = omega > 0
     # windows that leave too little to correct still leave some: noise is what is off the ridge there
     free = dispersion(k, *water)
-    off = np.abs(omega[:, None] - free) > np.maximum(_OFF * free, 4 * omega[1])
+    off = np.abs(omega[:, None] - free) > np.maximum(_OFF * free, 4 * omega[1]) + k * spectra.speed
     use = use[:, None] & (off | gains.sees_both)
-    shape = 4 * np.sin(spectra.b) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
         eta = gains.elevation(spectra.zw)
         noise_z, noise_w = spectra.zz - gains.z * eta, spectra.ww - gains.w * eta
         white_z = _white(noise_z, use)
-        white_dz = _white(noise_w * shape[:, None], use)
-        fit_w = np.where(omega[:, None] > 0, white_dz / shape[:, None], np.inf)
+        white_dz = _white(noise_w * spectra.shape, use)
+        fit_w = np.where(omega[:, None] > 0, white_dz / spectra.shape, np.inf)
     fit_z = np.broadcast_to(white_z, spectra.zz.shape)
     tiny = _tiny(spectra)
     return _Noise(noise_z, noise_w, np.maximum(fit_z, tiny), np.maximum(fit_w, tiny), white_z, white_dz)
@@ -202,7 +218,9 @@ def _by_method(
     return tuple(np.where(t, e, 0.0) for t, e in zip(trusted, energies)), trusted
 
 
-def from_spectra(ring: xr.Dataset, water: Water, gain: xr.Dataset | None = None) -> xr.Dataset:
+def from_spectra(
+    ring: xr.Dataset, water: Water, gain: xr.Dataset | None = None, moving: Moving | None = None
+) -> xr.Dataset:
     """Fusion from the power and cross spectra of z and w.
 
     Parameters
@@ -213,6 +231,8 @@ def from_spectra(ring: xr.Dataset, water: Water, gain: xr.Dataset | None = None)
         Its depth, m, and surface tension over density, m3 s-2: they say where the ridge is.
     gain : Dataset, optional
         Gain of the matching windows, to be undone (`window_gain`).
+    moving : Moving, optional
+        The current and the spectra over the plane; still water if not given.
 
     Returns
     -------
@@ -220,7 +240,7 @@ def from_spectra(ring: xr.Dataset, water: Water, gain: xr.Dataset | None = None)
         As `fusion` gives it.
     """
     ring = ring.compute()
-    spectra = _elevations(ring)
+    spectra = _elevations(ring, water, moving)
     omega = spectra.omega
     gains = _gains(gain, spectra.k)
     noise = _noise(spectra, water, gains)
@@ -233,14 +253,13 @@ def from_spectra(ring: xr.Dataset, water: Water, gain: xr.Dataset | None = None)
     tiny = _tiny(spectra)
     positive = np.maximum(_smooth(energies["fusion"]), tiny)
 
-    single = ring.rename(E_z="E", dof_z="dof")[["E", "dof"]]
-    dof = frequency_spectrum(single)["dof"].values
+    dof = _freedom(ring)
     if trusted_k is None:
-        valid = _standing_out(energies, dof, fit_z, fit_w, left, positive)
+        valid = _standing_out(energies, dof["cross"], fit_z, fit_w, left, positive)
     else:
-        on_ridge = (_on_ridge(trusted, omega, spectra.k, water) for trusted in trusted_k)
+        on_ridge = (_on_ridge(trusted, spectra, water) for trusted in trusted_k)
         valid = {method: inner(omega.size) & there for method, there in zip(METHODS, on_ridge)}
-    waves = _at_waves(energies_k[-1], omega, spectra.k, water)
+    waves = _at_waves(energies_k[-1], spectra, water)
     valid = {method: there & waves for method, there in valid.items()}
     reach = [_reach(omega, valid[method], positive) for method in METHODS]
     kept = _kept_freedom(energies, left, tiny)
@@ -248,7 +267,7 @@ def from_spectra(ring: xr.Dataset, water: Water, gain: xr.Dataset | None = None)
     out = xr.Dataset(coords=omega_coords(omega) | {"source": list(METHODS)})
     for method in METHODS:
         energy = xr.DataArray(energies[method], {"omega": omega}, ("omega",))
-        parts = with_interval(energy, xr.DataArray(dof * kept[method], dims="omega"))
+        parts = with_interval(energy, xr.DataArray(dof[method] * kept[method], dims="omega"))
         parts["valid"] = ("omega", valid[method])
         names = {n: f"{n}_{method}" for n in ("dof", "low", "high", "valid")}
         parts = annotate(parts.drop_vars("omega").rename({"E": f"Ez_{method}"} | names), "spectra")
@@ -265,13 +284,26 @@ def from_spectra(ring: xr.Dataset, water: Water, gain: xr.Dataset | None = None)
     out["noise_coherence"] = ((), _noise_coherence(ring, spectra, water))
     out["range_frequency"] = ("source", [r[0] for r in reach])
     out["range_decades"] = ("source", [r[1] for r in reach])
-    return annotate(out.assign_attrs(ring.attrs), "fusion")
+    still: dict[str, Any] = {"current": [0.0, 0.0] if moving is None else list(moving.current)}
+    depth, gamma = water
+    still |= {"water_depth": depth if np.isfinite(depth) else "deep", "surface_tension_over_density": gamma}
+    return annotate(out.assign_attrs(ring.attrs | still), "fusion")
 
 
-def _at_waves(energy: Array, omega: Array, k: Array, water: Water) -> Array:
+def _freedom(ring: xr.Dataset) -> dict[str, Array]:
+    # of E(omega) by each method, before noise takes its part: from the scatter between the segments
+    dof = {}
+    for name in NAMES:
+        single = ring.rename({f"E_{name}": "E", f"dof_{name}": "dof", f"dof_omega_{name}": "dof_omega"})
+        dof[name] = frequency_spectrum(single[["E", "dof", "dof_omega"]])["dof"].values
+    both = np.sqrt(dof["z"] * dof["w"])
+    return {"stereo": dof["z"], "w": dof["w"], "cross": both, "fusion": both}
+
+
+def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
     # whether a line holds energy where waves of its frequency are, not where the peak is: what a window
-    # lets through of a peak decades above keeps the peak's wavenumber; a current shortens waves by less
-    shorter = k > _LONGER * wavenumber(omega, *water)[:, None]
+    # lets through of a peak decades above keeps the peak's wavenumber
+    shorter = spectra.k > _LONGER * longest(spectra.omega, water, spectra.speed)[:, None]
     there = np.maximum(energy, 0.0)
     total = _smooth(there.sum(axis=1))
     return np.asarray(_smooth((there * shorter).sum(axis=1)) > 0.5 * total)
@@ -312,7 +344,11 @@ def _noise_coherence(ring: xr.Dataset, spectra: _Elevations, water: Water) -> fl
     # noise
     free = dispersion(spectra.k, *water)
     omega = spectra.omega[:, None]
-    off = (free > 1.6 * omega + 12) & ring["valid"].values & (omega > 2 * np.pi * 0.5)
+    off = (
+        (free - spectra.k * spectra.speed > 1.6 * omega + 12)
+        & ring["valid"].values
+        & (omega > 2 * np.pi * 0.5)
+    )
     if off.sum() < 10:
         return float("nan")
     z, w, both = ((array * off).sum(axis=1) for array in (spectra.zz, spectra.ww, spectra.zw))
@@ -326,6 +362,7 @@ def fusion(
     *,
     gain: Any = None,
     depth: float | None = None,
+    current: tuple[float, float] | None = None,
     segment: int | None = None,
     record: Record | None = None,
 ) -> xr.Dataset:
@@ -340,6 +377,9 @@ def fusion(
         off, where half of the amplitude is left and the signal is 3 times the noise.
     depth : float, optional
         Depth of the water, m; the attribute ``water_depth`` of the cube, or deep, if not given.
+    current : tuple of float, optional
+        Velocity of the water along x and y, m/s; fitted to the ridge of w if not given, and none where no
+        ridge stands out.
     segment : int, optional
         Steps of a Welch segment; chosen from the record if not given.
     record : Record, optional
@@ -363,8 +403,51 @@ def fusion(
     N_z = S_zz - Re S_zw, N_w = S_ww - Re S_zw; weights inverse to the noise in every cell (k, omega), the
     noise fitted ring by ring as white in z and in the displacement. With gains H, S_zw / (H_z H_w) stands for
     the elevation and N / H^2 for the noise, so that the weight passes at short waves to what resolves them.
-    It rests on independent noises: ``noise_coherence`` measures how far they are.
+    It rests on independent noises: ``noise_coherence`` measures how far they are. On a current U, w is
+    integrated at omega - k . U in every cell.
     """
     water = water_of(cube.attrs, depth)
     gain = None if gain is None else read_gain(gain)
-    return from_spectra(cross_spectra(cube, NAMES, PAIRS, segment=segment, record=record), water, gain)
+    cube = door(cube, NAMES)
+    welch = Welch.of(cube, segment, record)
+    (sums,) = dask.compute(lazy_sums(cube, NAMES, PAIRS, ("w", *PLANES), welch))
+    moving = moving_of(sums, welch, water, current)
+    return from_spectra(label(sums, NAMES, PAIRS, welch), water, gain, moving)
+
+
+def moving_of(
+    sums: dict[str, Array],
+    welch: Welch,
+    water: Water,
+    current: tuple[float, float] | None = None,
+) -> Moving | None:
+    """What `from_spectra` wants to know of a current.
+
+    Parameters
+    ----------
+    sums : dict of str to ndarray
+        With "map w" and "map z*w" (`crosses.combine`).
+    welch : Welch
+        How they were taken.
+    water : tuple of float
+        Its depth, m, and surface tension over density, m3 s-2.
+    current : tuple of float, optional
+        m/s; fitted to the ridge of w if not given.
+
+    Returns
+    -------
+    Moving or None
+        None where the water stands still.
+    """
+    planes = [
+        plane_density(xr.Variable(("omega", "ky", "kx"), density(sums[f"map {name}"], welch)), "", "1", welch)
+        for name in ("w", *PLANES)
+    ]
+    w, zw = (plane["E"] for plane in planes)
+    if current is None:
+        try:
+            fit = fit_dispersion(w, water[0], gamma=water[1])
+        except CubeError:
+            return None
+        current = float(fit["current_x"]), float(fit["current_y"])
+    return Moving(current, w, zw) if any(current) else None

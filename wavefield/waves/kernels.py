@@ -217,6 +217,28 @@ def add_powers(f: Array, out: Array) -> None:
             to[j] += line[j].real ** 2 + line[j].imag ** 2
 
 
+@_rounded
+def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) -> None:
+    """Add a part of conj(f) g.
+
+    Parameters
+    ----------
+    f, g : ndarray, complex, (cells, n)
+        Transforms.
+    real, imaginary : ndarray, (n,)
+        Factors of the product's real and imaginary part.
+    out : ndarray, float, (cells, n)
+        Sums to add to.
+    """
+    for c in range(f.shape[0]):
+        a = f[c]
+        b = g[c]
+        to = out[c]
+        for j in range(a.size):
+            to[j] += real[j] * (a[j].real * b[j].real + a[j].imag * b[j].imag)
+            to[j] += imaginary[j] * (a[j].real * b[j].imag - a[j].imag * b[j].real)
+
+
 @_fast
 def _along(z: Array, factor: float, out: Array) -> None:
     # derivative of a line by central differences of sixth order, of lower order at the ends

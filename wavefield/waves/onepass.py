@@ -21,6 +21,7 @@ FIELDS = ("z", "z_t", "u", "v", "w")
 NAMES = ("z", "z_t", "u", "v", "w", "nl")
 PAIRS = (*coherence.PAIRS, *fusion.PAIRS)
 MAPS = ("z", "w")
+PLANES = (*MAPS, *fusion.PLANES)
 _KINEMATIC_STEPS = 200  # steps at which the kinematic balance is drawn up
 _POINT_DISTANCE = 0.08  # m between the points of the higher-order spectra
 
@@ -74,8 +75,8 @@ class _Step:
         half = crosses.transforms(fields, NAMES, self.welch, state.get("old"))
         if "half" in state:
             if state["sums"] is None:
-                state["sums"] = crosses.empty_sums(half["z"], NAMES, PAIRS, MAPS, self.welch.table)
-            crosses.add_segment(state["sums"], state["half"], half, NAMES, PAIRS, MAPS, self.welch)
+                state["sums"] = crosses.empty_sums(half["z"], NAMES, PAIRS, PLANES, self.welch.table)
+            crosses.add_segment(state["sums"], state["half"], half, NAMES, PAIRS, PLANES, self.welch)
         return state | {"half": half, "old": state.get("half")}
 
     def _survey(self, fields: dict[str, Array]) -> dict[str, Array]:

@@ -1,0 +1,203 @@
+"""The elevation from w where water moves: w is the rise of particles, which a current carries along.
+
+A wave seen at omega passes the water at omega - k . U, and that is the rate at which w has to be integrated:
+cell by cell, since it differs between directions.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import fft
+
+from wavefield.water import dispersion
+from wavefield.waves import rings
+from wavefield.waves.transfer import path_factor
+
+Array = NDArray[Any]
+Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
+Distances = tuple[float, float, float]  # between frames, s; nodes along y and x, m
+
+_MARGIN = 16  # nodes beyond the edge
+_SLOWEST, _FASTEST = 0.5, 1.5  # of a free wave's frequency: what lies further off is no wave
+
+
+def intrinsic(omega: Any, drift: Array, sigma: Array, dt: float) -> Array:
+    """Frequency at which water meets waves, kept off zero and within reach of free waves.
+
+    Parameters
+    ----------
+    omega : float or ndarray
+        Frequency at which they are seen, rad/s, 0 or more.
+    drift : ndarray
+        k . U, rad/s.
+    sigma : ndarray
+        Frequency of free waves of that k on still water, rad/s.
+    dt : float
+        Time between frames, s.
+
+    Returns
+    -------
+    ndarray
+        omega - k . U, rad/s; omega itself without a current. Negative for waves that the current sweeps back.
+
+    Examples
+    --------
+    >>> intrinsic(10.0, np.array([0.0, 2.0, 10.0, -20.0]), np.full(4, 8.0), 0.05)
+    array([10.,  8.,  4., 12.])
+    """
+    still = np.asarray(omega - drift)
+    least = np.minimum(omega, _SLOWEST * sigma)
+    most = np.maximum(omega, np.minimum(_FASTEST * sigma, np.pi / dt))
+    return np.asarray(np.where(still < 0, -1.0, 1.0) * np.clip(np.abs(still), least, most))
+
+
+@dataclass(frozen=True)
+class Moving:
+    """Spectra over the plane of wave vectors, and the current they were measured on.
+
+    Parameters
+    ----------
+    current : tuple of float
+        Velocity of the water along x and y, m/s.
+    w : DataArray, (omega, ky, kx)
+        Spectrum of w.
+    zw : DataArray, (omega, ky, kx)
+        Re(i exp(i omega dt / 2) S), S the cross spectrum of z at frame times with w.
+    """
+
+    current: tuple[float, float]
+    w: xr.DataArray
+    zw: xr.DataArray
+
+    @cached_property
+    def _plane(self) -> tuple[Array, Array]:
+        ky, kx = np.meshgrid(self.w["ky"].values, self.w["kx"].values, indexing="ij")
+        return kx, ky
+
+    def elevations(self, water: Water, dt: float, frames: int) -> tuple[Array, Array, Array]:
+        """Spectra of the elevation from w, and what they make of noise.
+
+        Parameters
+        ----------
+        water : tuple of float
+            Depth, m, and surface tension over density, m3 s-2.
+        dt : float
+            Time between frames, s.
+        frames : int
+            Frames that w comes from (`transfer.path_factor`).
+
+        Returns
+        -------
+        w, cross, shape : ndarray, (omega, k)
+            Integrals over angle of the spectra; and the factor from the elevation's noise to that of a
+            displacement, 4 sin^2((omega - k . U) dt / 2), as a ring's cells have it together.
+        """
+        kx, ky = self._plane
+        sigma = dispersion(np.hypot(kx, ky), *water)
+        drift = kx * self.current[0] + ky * self.current[1]
+        ny, nx = kx.shape
+        cell_y, cell_x = (float(self.w[name][1] - self.w[name][0]) for name in ("ky", "kx"))
+        table = rings.rings(ny, nx, 2 * np.pi / (ny * cell_y), 2 * np.pi / (nx * cell_x))
+        shares = table.shares.T.tocsr()
+        area = np.asarray(shares.sum(axis=1)).ravel()
+        out = np.zeros((3, self.w.sizes["omega"], table.k.size))
+        for i, omega in enumerate(self.w["omega"].values):
+            if i == 0:
+                continue
+            still = intrinsic(omega, drift, sigma, dt)
+            half = np.sin(still * dt / 2)
+            lift = dt / (2 * half * path_factor(still, dt, frames))
+            planes = np.stack([self.w.values[i] * lift**2, self.zw.values[i] * lift, 1 / (4 * half**2)])
+            flat = np.fft.ifftshift(planes, axes=(1, 2)).reshape(3, -1)
+            out[:, i] = (shares @ flat.T).T
+        energy, cross = out[:2] * (cell_y * cell_x / table.dk)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shape = np.where(out[2] > 0, area / out[2], 0.0)
+        return energy, cross, shape
+
+
+def longest(omega: Array, water: Water, speed: float) -> Array:
+    """Wavenumber of the waves that run with a current, the longest of their frequency.
+
+    Parameters
+    ----------
+    omega : ndarray
+        rad/s.
+    water : tuple of float
+        Depth, m, and surface tension over density, m3 s-2.
+    speed : float
+        Of the current, m/s.
+
+    Returns
+    -------
+    ndarray
+        rad/m.
+    """
+    k = np.geomspace(1e-3, 4e3, 6000)
+    return np.asarray(np.interp(omega, dispersion(k, *water) + k * speed, k))
+
+
+def shortest(omega: Array, water: Water, speed: float) -> Array:
+    """As `longest`, of waves against the current; where it holds them up, of the last that do not stop."""
+    k = np.geomspace(1e-3, 4e3, 6000)
+    seen = dispersion(k, *water) - k * speed
+    held_up = np.flatnonzero(np.diff(seen) <= 0)
+    stop = max(int(held_up[0]), 2) if held_up.size else k.size
+    return np.asarray(np.interp(omega, seen[:stop], k[:stop]))
+
+
+def integrate(
+    lines: Array, omega: Array, distances: Distances, current: Any, water: Water, frames: int
+) -> Array:
+    """Elevation from the transform of w in time, on a current.
+
+    Parameters
+    ----------
+    lines : ndarray, complex, (omega, ny, nx)
+        Transform of w in time, numpy's signs exp(+i omega t).
+    omega : ndarray, (omega,)
+        rad/s.
+    distances : tuple of float
+        Between frames, s, and between nodes along y and x, m.
+    current : tuple of float
+        Velocity of the water along x and y, m/s.
+    water : tuple of float
+        Depth, m, and surface tension over density, m3 s-2.
+    frames : int
+        Frames that w comes from (`transfer.path_factor`).
+
+    Returns
+    -------
+    ndarray, complex, (omega, ny, nx)
+        Of the elevation at mid-time; 0 at omega = 0.
+
+    Notes
+    -----
+    Beyond the edges the field is mirrored and fades. Waves there are carried the wrong way: near the edge, as
+    far as water goes while the filter remembers it, the result is worse.
+    """
+    dt, dy, dx = distances
+    margin = min(_MARGIN, *(n - 1 for n in lines.shape[1:]))
+    wide = [n + 2 * margin for n in lines.shape[1:]]
+    fade = np.outer(*(_fade(n, margin) for n in wide))
+    ky, kx = (2 * np.pi * np.fft.fftfreq(n, step) for n, step in zip(wide, (dy, dx)))
+    sigma = dispersion(np.hypot(ky[:, None], kx), *water)
+    # numpy's k points where waves come from
+    drift = -(kx * current[0] + ky[:, None] * current[1])
+    inside = slice(margin, -margin)
+    out = np.zeros_like(lines)
+    for i in range(1, omega.size):
+        still = intrinsic(omega[i], drift, sigma, dt)
+        rise = 2j * np.sin(still * dt / 2) * path_factor(still, dt, frames) / dt
+        plane = fft.fft2(np.pad(lines[i], margin, mode="reflect") * fade)
+        out[i] = fft.ifft2(plane / rise)[inside, inside]
+    return out
+
+
+def _fade(n: int, margin: int) -> Array:
+    rise = np.sin(np.pi / 2 * (np.arange(margin) + 0.5) / margin) ** 2
+    return np.concatenate([rise, np.ones(n - 2 * margin), rise[::-1]])
