@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.scenes import FIRST, SEEDS, Case, calibrated, draw, reconstruct, scene
+from benchmarks.scenes import MIDDLE, SEEDS, Case, calibrated, draw, reconstruct, scene
 from benchmarks.scores import Score
 from wavefield.measurement import Settings
 from wavefield.rig import Rig
@@ -65,11 +65,11 @@ def missing(options: argparse.Namespace) -> None:
         for seed in options.seeds:
             case = draw(scene("random", seed), calibrated(False))
             frames = dict(case.frames)
-            frames[lost] = [None if k == FIRST else image for k, image in enumerate(frames[lost])]
+            frames[lost] = [None if k == MIDDLE else image for k, image in enumerate(frames[lost])]
             cube = reconstruct(replace(case, frames=frames), Settings())
-            marked &= bool((cube["quality"][FIRST - 1] & Quality.FEWER_CAMERAS).all())
-            only = {name: field[FIRST - 1 : FIRST] for name, field in cube.items()}
-            score.add(replace(case, truth=case.truth[FIRST - 1 : FIRST]), only)
+            marked &= bool((cube["quality"][MIDDLE - 2] & Quality.FEWER_CAMERAS).all())
+            only = {name: field[MIDDLE - 2 : MIDDLE - 1] for name, field in cube.items()}
+            score.add(replace(case, truth=case.truth[MIDDLE - 2 : MIDDLE - 1]), only)
         print(f"{lost} missing in one frame; the step is marked: {marked}")
         print("".join(f"    {line}\n" for line in score.lines()), end="", flush=True)
 

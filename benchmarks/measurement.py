@@ -5,10 +5,10 @@
 Rows: random, light, steep, low_light, gaps, rest, texture, noisy (simulated; three seeds by default), tank,
 glare, tank_small (path-traced images, where there are any: see `benchmarks.path_traced`).
 
-1 px = 1.8 mm; nodes 4 cm inside the edge of the common view that are called measured; steps with a frame
-before and after; u dt, v dt, w dt against the water's own, instantaneous velocity. The rig is calibrated from
-simulated images of the target (``--exact``: the exact cameras). By default the middle half of every sensor at
-full resolution; ``--full``: the paper's whole field.
+1 px = 1.8 mm; nodes 4 cm inside the edge of the common view that are called measured; steps with two
+frames on either side; u dt, v dt, w dt against the water's own, instantaneous velocity. The rig is calibrated
+from simulated images of the target (``--exact``: the exact cameras). By default the middle half of every
+sensor at full resolution; ``--full``: the paper's whole field.
 """
 
 import argparse

@@ -77,7 +77,10 @@ def rig() -> Rig:
 
 
 def load(name: str) -> Case:
-    """A record; two frames stand alone, of more every step but the first and the last is judged."""
+    """A record; two frames stand alone, of more every step but the first and the last is judged.
+
+    It ends there: its outer steps have but one frame on one side.
+    """
     data = folder()
     assert data is not None
     frames: dict[str, list[np.ndarray | None]] = {}
@@ -86,6 +89,7 @@ def load(name: str) -> Case:
         frames[camera] = [cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in paths]
         if len(paths) == 2:
             frames[camera] = [None, *frames[camera], None]
+        frames[camera] = [None, *frames[camera], None]
     with np.load(data / name / "truth.npz") as file:
         x, y = (np.searchsorted(file[a], n - 1e-9) for a, n in (("x", GRID.x_nodes), ("y", GRID.y_nodes)))
         exact = {key: file[key][:, y[:, None], x] for key in ("z", "u", "v", "w")}

@@ -28,7 +28,7 @@ cv2.setNumThreads(1)
 
 PIXEL = 1.8e-3
 MARGIN = 0.04  # nodes nearer to the edge of the common view are not judged, metres
-FRAMES, FIRST = 6, 2  # frames drawn of each scene: three steps with a frame before and after; the middle one
+FRAMES, MIDDLE = 8, 3  # frames drawn of each scene: three steps with two on either side; the middle one
 SEEDS = (71, 72, 73)
 HALF = {"rig": {"scale": 1.0, "crop": 0.5}, "grid": {"x": (-0.45, 0.45), "y": (-0.35, 0.35), "step": 0.01}}
 FULL = {"rig": {"scale": 1.0, "crop": 1.0}, "grid": {"x": (-1.0, 1.0), "y": (-0.75, 0.75), "step": 0.01}}
@@ -52,7 +52,7 @@ SCENES: dict[str, tuple[str, dict[str, Any]]] = {
 
 @dataclass(frozen=True)
 class Case:
-    """Frames of a record with the exact answer: ``truth`` per step, from the second frame on."""
+    """Frames of a record with the exact answer: ``truth`` per step, from the third frame on."""
 
     rig: Rig
     grid: Grid
@@ -69,7 +69,7 @@ def scene(name: str, seed: int, full: bool = False, **changes: Any) -> Scene:
 
 
 def draw(described: Scene, rig: Rig) -> Case:
-    """The frames of a scene and the truth of all its steps but the first and the last."""
+    """The frames of a scene and the truth of its steps with two frames on either side."""
     tank = Tank(described)
     images = [tank.render(k) for k in range(described.frames)]
     frames = {name: [image[name] for image in images] for name in rig}
@@ -77,9 +77,9 @@ def draw(described: Scene, rig: Rig) -> Case:
 
 
 def truths(tank: Tank) -> list[Fields]:
-    """z, z_t (m, m/s), u, v, w (m/s), each (ny, nx), of the steps that have a frame before and after."""
+    """z, z_t (m, m/s), u, v, w (m/s), each (ny, nx), of the steps with two frames on either side."""
     found = []
-    for step in range(1, tank.scene.frames - 2):
+    for step in range(2, tank.scene.frames - 3):
         exact = vars(tank.truth(step))
         moved = {"w_chord": exact["dz"] * tank.scene.frame_rate}
         found.append({k: exact[k] for k in ("z", "z_t", "u", "v", "w", "z_start", "z_end")} | moved)
@@ -123,7 +123,7 @@ def _calibrate(full: bool) -> Rig:
 
 
 def reconstruct(case: Case, settings: Settings) -> dict[str, NDArray[Any]]:
-    """The cube of a case, every step that has a frame before and after; fields (steps, ny, nx)."""
+    """The cube of a case, every step with two frames, or None, on either side; fields (steps, ny, nx)."""
     return measure(case.frames, Plan(case.rig, case.grid, settings), case.frame_rate)
 
 

@@ -90,7 +90,7 @@ def differences(folder: Path, loads: Sequence[int] = range(1, 6)) -> tuple[Plan,
 
     found = []
     for n in loads:
-        frames = {name: [None, images[name][0], images[name][n], None] for name in names}
+        frames = {name: [None, None, images[name][0], images[name][n], None, None] for name in names}
         out = {name: field[0] for name, field in measure(frames, plan, 1.0).items()}
         measured = ((out["quality"] & Quality.MEASURED) > 0).astype(float)
         ok = good & (tables[n]["MATCH"] >= 0) & (read(measured, x, y) > 0.99)

@@ -27,7 +27,7 @@ STEPS = 3  # steps whose time is the difference between a long block and a short
 def block(case: Case, steps: int) -> Case:
     """The case with its frames repeated back and forth to so many steps."""
     order = [0, 1, 2, 3, 2, 1] * (steps // 6 + 2)
-    frames = {name: [images[k] for k in order[: steps + 3]] for name, images in case.frames.items()}
+    frames = {name: [images[k] for k in order[: steps + 5]] for name, images in case.frames.items()}
     return Case(case.rig, case.grid, case.frame_rate, frames, ())
 
 

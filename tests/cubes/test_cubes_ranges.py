@@ -61,7 +61,7 @@ def marks(demo, level=0.0, shift=0, status=FrameStatus.FAILED, z=0.0):
     tank, images = demo
     lower = {n: replace(c, translation=c.T - c.R @ [0.0, 0.0, level]) for n, c in tank.rig.cameras.items()}
     plan = Plan(Rig(lower), tank.scene.grid, Settings())
-    frames = {n: Frames([None, i, np.roll(i, shift, 1), None]) for n, i in images.items()}
+    frames = {n: Frames([None, None, i, np.roll(i, shift, 1), None, None]) for n, i in images.items()}
     fields = {"z": np.full((1, 4, 5), z), "quality": np.zeros((1, 4, 5), np.uint8)}
     state = np.array([status], np.uint8)
     _find_ranges(frames, fields, state, Block(7, 8, {}, 6), plan)

@@ -27,11 +27,11 @@ def series(tmp_path):
     return Experiment.load(tmp_path / "experiment.yaml").open_frames()
 
 
-def test_a_step_reads_a_frame_of_each_camera_and_a_block_three_more(series, tmp_path):
+def test_a_step_reads_a_frame_of_each_camera_and_a_block_five_more(series, tmp_path):
     image = (tmp_path / "a" / "000.tif").stat().st_size
     found = look_at_reading(series, block=30, step_seconds=0.5, workers=4)
-    assert found.step_bytes == pytest.approx(2 * image * 1.1)
-    assert found.worker_rate == pytest.approx(2 * 2 * image * 1.1)
+    assert found.step_bytes == pytest.approx(2 * image * (1 + 5 / 30))
+    assert found.worker_rate == pytest.approx(2 * 2 * image * (1 + 5 / 30))
     assert found.disk_rate is None or found.disk_rate > 0
     for camera in ("a", "b"):
         for number in range(FRAMES):

@@ -271,15 +271,15 @@ def shrink(path):
 )
 def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference, spoil, fault):
     spoil(own_tank.parent / "cam2" / "img_00009.tif")
-    own_tank.write_text(own_tank.read_text() + "frames: {first: 5, last: 14}\n")
+    own_tank.write_text(own_tank.read_text() + "frames: {first: 3, last: 15}\n")
     state = run(own_tank, workflow=blocks_of(4))
     cube = open_cube(state.store).load()
-    good = open_cube(reference).isel(time=slice(5, 14)).load()
-    touched = [3, 4]  # the two steps of frame 9
+    good = open_cube(reference).isel(time=slice(3, 15)).load()
+    touched = [5, 6]  # the two steps of frame 9
     assert list(np.flatnonzero(cube.frame_status != FrameStatus.DONE)) == touched
     assert (cube.quality[touched].values & Quality.FEWER_CAMERAS).all()
-    # steps 2 and 5 have it as a neighbour; the first and the last have none
-    for steps in (slice(1, 2), slice(6, 8)):
+    # steps 3, 4, 7 and 8 have it beside them; the outermost have not two frames on either side
+    for steps in (slice(2, 3), slice(9, 10)):
         assert far_apart(cube, good, steps) == []
     assert [(b.camera, b.fault, b.numbers) for b in state.bad_frames] == [("cam2", fault, (9,))]
     assert "cam2: " in str(state)

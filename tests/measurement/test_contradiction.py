@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from measurement_cases import RATE
+from measurement_cases import RATE, around
 
 from wavefield.measurement import measure
 from wavefield.measurement.instant import look
@@ -22,7 +22,7 @@ def lying(series, kind):
         frames["cam1"] = [frames["cam1"][0], *frames["cam1"][:-1]]
     else:
         frames["cam1"] = [np.roll(image, 2, axis=1) for image in frames["cam1"]]
-    return {name: images[1:5] for name, images in frames.items()}
+    return around(frames, 1)
 
 
 @pytest.mark.parametrize("kind", ["mirrored", "swapped", "late", "shifted"])
@@ -40,7 +40,7 @@ def test_what_a_lying_camera_spoils_is_not_called_measured(series, plan, kind):
 
 
 def test_cameras_that_tell_the_truth_are_not_accused(series, plan):
-    out = measure({name: images[1:5] for name, images in series.frames.items()}, plan, RATE)
+    out = measure(series.block(1), plan, RATE)
     assert not (out["quality"][0] & Quality.FEWER_CAMERAS).any()
     assert ((out["quality"][0] & Quality.MEASURED) > 0)[series.inside].mean() > 0.99
 
@@ -56,7 +56,7 @@ def test_water_that_stands_where_none_was_searched_is_not_called_measured(series
         return replace(found, surface=replace(found.surface, z=z))
 
     monkeypatch.setattr(sys.modules["wavefield.measurement.measure"], "look", look_up)
-    out = measure({name: images[1:5] for name, images in series.frames.items()}, plan, RATE)
+    out = measure(series.block(1), plan, RATE)
     measured = (out["quality"][0] & Quality.MEASURED) > 0
     assert series.inside[10, 12]
     assert not measured[10, 12]

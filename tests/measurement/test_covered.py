@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from measurement_cases import RATE
+from measurement_cases import RATE, around
 
 from wavefield.measurement import Plan, Record, learn, measure
 from wavefield.series.camera_mask import CameraMask
@@ -35,7 +35,7 @@ def drawn(series):
 
 @pytest.fixture(scope="module")
 def free(series, plan):
-    return measure({name: images[:4] for name, images in series.frames.items()}, plan, RATE)
+    return measure(series.block(), plan, RATE)
 
 
 def far(series, quality, metres):
@@ -46,13 +46,13 @@ def far(series, quality, metres):
 def test_a_masked_cylinder_changes_little_beyond_a_window(series, plan, drawn, free):
     outlines = footprints({"water": [CYLINDER]})
     with_mask = Plan(series.rig, series.grid, covered=outlines).knowing(plan.record)
-    found = measure(drawn[0], with_mask, RATE, drawn[1])
+    found = measure(around(drawn[0]), with_mask, RATE, around(drawn[1]))
     window = max(with_mask.settings.piv.window, with_mask.settings.stereo.window) * with_mask.pixel
     away = far(series, found["quality"][0], window)
     assert away.sum() > 100
     change = {n: np.abs(found[n][0] - free[n][0])[away] / free[f"{n}_std"][0][away] for n in FIELDS}
     assert {n: c for n, c in ((n, float(np.sqrt(np.mean(c**2)))) for n, c in change.items()) if c > 0.1} == {}
-    without = measure(drawn[0], plan, RATE)
+    without = measure(around(drawn[0]), plan, RATE)
     unmasked = {n: np.abs(without[n][0] - free[n][0])[away] / free[f"{n}_std"][0][away] for n in FIELDS}
     worse = {n: float(np.sqrt(np.mean(unmasked[n] ** 2) / np.mean(change[n] ** 2))) for n in FIELDS}
     assert min(worse.values()) > 1.3
@@ -60,7 +60,7 @@ def test_a_masked_cylinder_changes_little_beyond_a_window(series, plan, drawn, f
 
 def test_masked_nodes_hold_nothing_and_say_so(series, plan, drawn):
     with_mask = Plan(series.rig, series.grid, covered=footprints({"water": [CYLINDER]})).knowing(plan.record)
-    found = measure(drawn[0], with_mask, RATE, drawn[1])
+    found = measure(around(drawn[0]), with_mask, RATE, around(drawn[1]))
     masked = (found["quality"][0] & MASKED) != 0
     x, y = np.meshgrid(series.grid.x_nodes, series.grid.y_nodes)
     assert masked[np.hypot(x, y) < 0.03].all()
@@ -74,26 +74,27 @@ def test_masked_nodes_hold_nothing_and_say_so(series, plan, drawn):
 def test_a_mask_in_one_camera_leaves_its_nodes_to_the_others(series, plan, drawn, free):
     masks = {"cam1": drawn[1]["cam1"]}
     frames = {n: [*images[:4]] for n, images in series.frames.items()} | {"cam1": drawn[0]["cam1"]}
-    found = measure(frames, plan, RATE, masks)
+    found = measure(around(frames), plan, RATE, around(masks))
     assert not (found["quality"] & MASKED).any()
     x, y = np.meshgrid(series.grid.x_nodes, series.grid.y_nodes)
     here = np.hypot(x, y) < 0.03
     for name in FIELDS:
         apart = (found[name][0] - free[name][0])[here] / found[f"{name}_std"][0][here]
         assert np.sqrt(np.mean(apart**2)) < 2.0, name
-    blind = measure(frames, plan, RATE, masks | {"cam2": drawn[1]["cam2"]})
+    blind = measure(around(frames), plan, RATE, around(masks | {"cam2": drawn[1]["cam2"]}))
     assert ((blind["quality"][0] & MASKED) != 0)[here].all()
 
 
 def test_what_a_mask_covers_changes_no_bit(series, plan, drawn):
     frames, masks = drawn
-    one = measure(frames, plan, RATE, masks)
+    one = measure(around(frames), plan, RATE, around(masks))
     noise = np.random.default_rng(0)
     other = {
         n: [np.where(m, noise.integers(0, 255, i.shape).astype(i.dtype), i) for i, m in zip(f, masks[n])]
         for n, f in frames.items()
     }
-    again = measure(other, plan, RATE, {n: [m.copy() for m in ms] for n, ms in masks.items()})
+    copies = {n: [m.copy() for m in ms] for n, ms in masks.items()}
+    again = measure(around(other), plan, RATE, around(copies))
     for name, field in one.items():
         np.testing.assert_array_equal(field, again[name], err_msg=name)
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from measurement_cases import PIXEL, RATE
+from measurement_cases import PIXEL, RATE, around
 
 from wavefield.grid import Grid
 from wavefield.measurement import Plan, Record, Settings, measure
@@ -18,7 +18,7 @@ def rms(values):
 
 @pytest.fixture(scope="module")
 def cube(series, plan):
-    return measure(series.frames, plan, RATE)
+    return measure(series.block(steps=3), plan, RATE)
 
 
 def same(a, b):
@@ -55,22 +55,21 @@ def test_uncertainties_tell_the_truth(series, cube):
 
 def test_sight_lines_that_miss_each_other_make_z_less_certain(series, plan, cube):
     bent = series.rig.cameras | {"cam1": replace(series.rig["cam1"], cy=series.rig["cam1"].cy + 0.1)}
-    frames = {name: images[1:5] for name, images in series.frames.items()}
-    out = measure(frames, Plan(Rig(bent), series.grid, record=plan.record), RATE)
+    out = measure(series.block(1), Plan(Rig(bent), series.grid, record=plan.record), RATE)
     more = out["z_std"][0] ** 2 - cube["z_std"][1] ** 2
     assert 0.02 * PIXEL < np.sqrt(np.median(more[series.inside])) < 0.15 * PIXEL
 
 
 def test_where_the_water_moves_further_than_is_searched_the_run_goes_on_and_says_so(series):
     piv = replace(Settings().piv, search_x=(40.0, 48.0), search_y=(40.0, 48.0))
-    out = measure(series.frames, Plan(series.rig, series.grid, Settings(piv=piv)), RATE)
+    out = measure(series.block(steps=3), Plan(series.rig, series.grid, Settings(piv=piv)), RATE)
     assert not ((out["quality"] & Quality.MEASURED) > 0).any()
 
 
 def test_a_record_survives_as_plain_data_and_learning_from_the_frames_at_hand_serves(series, plan, cube):
     again = Record.from_dict(json.loads(json.dumps(plan.record.to_dict())))
     assert again == plan.record
-    alone = measure(series.frames, Plan(series.rig, series.grid), RATE)
+    alone = measure(series.block(steps=3), Plan(series.rig, series.grid), RATE)
     assert rms((alone["u"] - cube["u"])[:, series.inside]) < 0.01 * PIXEL * RATE
 
 
@@ -83,9 +82,7 @@ def test_water_rises_as_its_velocity_says(series, cube):
 
 def test_a_step_is_the_same_to_the_bit_in_any_block(series, plan, cube):
     for first in range(3):
-        alone = measure(
-            {name: images[first : first + 4] for name, images in series.frames.items()}, plan, RATE
-        )
+        alone = measure(series.block(first), plan, RATE)
         same(alone, {name: field[first : first + 1] for name, field in cube.items()})
 
 
@@ -93,7 +90,7 @@ def test_the_number_of_threads_changes_no_bit(series, plan, cube):
     before = cv2.getNumThreads()
     cv2.setNumThreads(4)
     try:
-        again = measure({name: images[:4] for name, images in series.frames.items()}, plan, RATE)
+        again = measure(series.block(), plan, RATE)
     finally:
         cv2.setNumThreads(before)
     same(again, {name: field[:1] for name, field in cube.items()})
@@ -145,14 +142,14 @@ def test_a_bad_frame_is_as_good_as_none(series, plan, bad):
     frames["cam2"][1] = bad(frames["cam2"][1])
     absent = {name: list(images[:4]) for name, images in series.frames.items()}
     absent["cam2"][1] = None
-    same(measure(frames, plan, RATE), measure(absent, plan, RATE))
+    same(measure(around(frames), plan, RATE), measure(around(absent), plan, RATE))
 
 
 def test_gain_and_offset_of_a_camera_change_nothing(series, plan):
     frames = {name: list(images[:4]) for name, images in series.frames.items()}
-    usual = measure(frames, plan, RATE)
+    usual = measure(around(frames), plan, RATE)
     frames["cam1"] = [100 + 40 * image.astype(np.uint16) for image in frames["cam1"]]
-    same(measure(frames, plan, RATE), usual)
+    same(measure(around(frames), plan, RATE), usual)
 
 
 def test_a_frame_of_noise_does_not_mislead(series, plan):
@@ -161,7 +158,7 @@ def test_a_frame_of_noise_does_not_mislead(series, plan):
     for camera in series.rig:
         noise = {**frames, camera: list(frames[camera])}
         noise[camera][1] = rng.integers(8, 16, frames[camera][1].shape, dtype=np.uint8)
-        out = measure(noise, plan, RATE)
+        out = measure(around(noise), plan, RATE)
         measured = series.inside & ((out["quality"][0] & Quality.MEASURED) > 0)
         error = np.abs(out["z"][0] - series.truth[0]["z"])
         assert (error[measured] < np.maximum(3 * out["z_std"][0][measured], 0.3 * PIXEL)).mean() > 0.98, (
@@ -183,7 +180,8 @@ def test_two_cameras_are_enough(series):
     from wavefield.rig import Rig
 
     pair = Rig({name: series.rig[name] for name in ("cam1", "cam3")})
-    out = measure({name: series.frames[name][:4] for name in pair}, Plan(pair, series.grid), RATE)
+    frames = around({name: series.frames[name] for name in pair})
+    out = measure(frames, Plan(pair, series.grid), RATE)
     assert rms((out["z"][0] - series.truth[0]["z"])[series.inside]) / PIXEL < 0.15
     assert rms((out["w"][0] - series.truth[0]["w"])[series.inside]) / PIXEL / RATE < 0.15
 
@@ -193,10 +191,10 @@ def test_sixteen_bit_images_measure_the_same_water(series, plan, cube):
         name: [image.astype(np.uint16) * 257 for image in images[:4]]
         for name, images in series.frames.items()
     }
-    out = measure(wide, plan, RATE)
+    out = measure(around(wide), plan, RATE)
     assert np.nanmax(np.abs(out["z"] - cube["z"][:1])) < 0.01 * PIXEL
     floats = {name: [image.astype(np.float32) for image in images] for name, images in wide.items()}
-    out = measure(floats, plan, RATE)
+    out = measure(around(floats), plan, RATE)
     assert np.nanmax(np.abs(out["z"] - cube["z"][:1])) < 0.01 * PIXEL
 
 
@@ -206,13 +204,13 @@ def test_gains_and_flicker_change_little(series, plan, cube):
         name: [np.round(image * g).astype(np.uint8) for image, g in zip(series.frames[name], gain[name])]
         for name in series.rig
     }
-    out = measure(dim, plan, RATE)
+    out = measure(around(dim), plan, RATE)
     assert rms((out["z"] - cube["z"][:1])[0, series.inside]) / PIXEL < 0.02
 
 
 def test_nodes_outside_the_common_view_are_nan_and_marked(series):
     wide = Grid(x=(-0.5, 0.5), y=(-0.14, 0.14), step=0.02)
-    out = measure({name: images[:4] for name, images in series.frames.items()}, Plan(series.rig, wide), RATE)
+    out = measure(series.block(), Plan(series.rig, wide), RATE)
     x, y = np.meshgrid(wide.x_nodes, wide.y_nodes)
     seen = np.all([camera.sees(x, y, 0.0) for camera in series.rig.cameras.values()], axis=0)
     outside = (out["quality"][0] & Quality.OUTSIDE) > 0
@@ -229,15 +227,13 @@ def test_frames_must_be_as_many_for_every_camera(series, plan):
     frames["cam1"] = frames["cam1"][:-1]
     with pytest.raises(ValueError, match="same number of frames"):
         measure(frames, plan, RATE)
-    with pytest.raises(ValueError, match="at least 4"):
-        measure({name: images[:3] for name, images in series.frames.items()}, plan, RATE)
+    with pytest.raises(ValueError, match="at least 6"):
+        measure({name: images[:5] for name, images in series.frames.items()}, plan, RATE)
 
 
 def test_a_coarse_grid_reads_the_same_surface(series, plan, cube):
     coarse = Grid(x=(-0.18, 0.18), y=(-0.14, 0.14), step=0.02)
-    out = measure(
-        {n: images[:4] for n, images in series.frames.items()}, Plan(series.rig, coarse, Settings()), RATE
-    )
+    out = measure(series.block(), Plan(series.rig, coarse, Settings()), RATE)
     np.testing.assert_allclose(
         out["z"][0], cube["z"][0][::2, ::2], atol=3e-5
     )  # each has learned from its own frames

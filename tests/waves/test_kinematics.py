@@ -194,3 +194,19 @@ def test_averaged_elevation_loses_cos_squared_and_integrated_w_gives_it_back():
             float(np.average(r, weights=e)) for r, e in zip(np.split(ratio, 4), np.split(E_z[band], 4))
         ]
         np.testing.assert_allclose(quarters, 1, atol=0.005)
+
+
+def test_elevation_from_six_frames_goes_to_frame_time():
+    from wavefield.waves.transfer import to_frame_time
+
+    dt, omega = 0.05, 2 * np.pi * 4.0
+    z = np.exp(1j * omega * dt * np.arange(-2, 4))  # numpy's signs; frame 0 is the step's first
+    rise = np.diff(z)
+    z_t = (26 * rise[2] - rise[1] - rise[3]) / 24 / dt
+    for middle, frames in (
+        ((9 * (z[2] + z[3]) - z[1] - z[4]) / 16, 4),
+        ((150 * (z[2] + z[3]) - 25 * (z[1] + z[4]) + 3 * (z[0] + z[5])) / 256, 6),
+    ):
+        assert middle + to_frame_time(omega, dt, 4, frames) * z_t == pytest.approx(z[2], abs=1e-12)
+    kept = (150 * (z[2] + z[3]) - 25 * (z[1] + z[4]) + 3 * (z[0] + z[5])) / 256
+    assert wv.gain_six_frames(omega, dt) == pytest.approx(abs(kept) ** 2)

@@ -1,6 +1,6 @@
 """Measuring one block of steps: frames in, arrays and faults out.
 
-A block of n steps reads n + 3 frames: both frames of each step, and a neighbour on either side for z at
+A block of n steps reads n + 5 frames: both frames of each step, and two neighbours on either side for z at
 mid-time. Blocks do not depend on each other, so they can be measured in any order, anywhere, any time again.
 """
 
@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from wavefield.series import Frame
-from wavefield.variables import FrameFault, FrameStatus
+from wavefield.variables import AROUND, FrameFault, FrameStatus
 
 
 class Source(Protocol):
@@ -41,7 +41,7 @@ class Block:
     start, stop : int
         Range of steps.
     sources : mapping of str to Source
-        Frames start - 1 to stop + 1 of every camera, as far as there are any.
+        Frames start - 2 to stop + 2 of every camera, as far as there are any.
     first : int
         Index of the frame that is index 0 of the sources.
     """
@@ -97,12 +97,14 @@ def make_block(sources: Mapping[str, Source], start: int, stop: int) -> Block:
     -------
     Block
     """
-    first = max(start - 1, 0)
-    return Block(start, stop, {name: s.window(first, stop + 2) for name, s in sources.items()}, first)
+    first = max(start - AROUND, 0)
+    return Block(
+        start, stop, {name: s.window(first, stop + 1 + AROUND) for name, s in sources.items()}, first
+    )
 
 
 class BlockFrames(Sequence[np.ndarray | None]):
-    """The n + 3 frames of one camera, read when asked for; only the last few are kept in memory.
+    """The n + 5 frames of one camera, read when asked for; only the last few are kept in memory.
 
     Parameters
     ----------
@@ -112,7 +114,7 @@ class BlockFrames(Sequence[np.ndarray | None]):
         Which they are.
     """
 
-    _KEEP = 4  # as many as a step at mid-time looks at
+    _KEEP = 2 * AROUND + 2  # as many as a step at mid-time looks at
 
     def __init__(self, source: Source, block: Block) -> None:
         self._source, self._block = source, block
@@ -121,7 +123,7 @@ class BlockFrames(Sequence[np.ndarray | None]):
         self.messages: dict[int, str] = {}
 
     def __len__(self) -> int:
-        return self._block.steps + 3
+        return self._block.steps + 2 * AROUND + 1
 
     def __getitem__(self, position: Any) -> Any:
         if isinstance(position, slice):
@@ -136,7 +138,7 @@ class BlockFrames(Sequence[np.ndarray | None]):
         return self._kept[position]
 
     def _read(self, position: int) -> np.ndarray | None:
-        index = self._block.start - 1 + position
+        index = self._block.start - AROUND + position
         inside = index - self._block.first
         if not 0 <= inside < len(self._source):
             return None  # before the first or after the last frame: not a fault
@@ -148,7 +150,7 @@ class BlockFrames(Sequence[np.ndarray | None]):
 
 
 class BlockMasks(Sequence[np.ndarray | None]):
-    """What is masked in the n + 3 frames of one camera.
+    """What is masked in the n + 5 frames of one camera.
 
     Parameters
     ----------
@@ -162,10 +164,10 @@ class BlockMasks(Sequence[np.ndarray | None]):
         self._source, self._block = source, block
 
     def __len__(self) -> int:
-        return self._block.steps + 3
+        return self._block.steps + 2 * AROUND + 1
 
     def __getitem__(self, position: Any) -> Any:
-        inside = self._block.start - 1 + position - self._block.first
+        inside = self._block.start - AROUND + position - self._block.first
         return self._source.covered(inside) if 0 <= inside < len(self._source) else None
 
 
@@ -202,7 +204,7 @@ def measure_block(block: Block, plan: Any, frame_rate: float) -> Measured:
     _find_ranges(frames, fields, status, block, plan)
     faults = {name: dict(lazy.faults) for name, lazy in frames.items()}
     messages = [lazy.messages[i] for lazy in frames.values() for i in sorted(lazy.messages)]
-    shifts = {block.start - 1 + k: found for k, found in steadier.shifts.items()} if steadier else {}
+    shifts = {block.start - AROUND + k: found for k, found in steadier.shifts.items()} if steadier else {}
     return Measured(fields, status, faults, messages, shifts)
 
 
@@ -211,8 +213,8 @@ def _find_dim_frames(frames: Mapping[str, BlockFrames], status: np.ndarray, bloc
     from wavefield.measurement.frame import usable
 
     suspicious = np.flatnonzero(status != FrameStatus.DONE)
-    for position in sorted({int(step) + k for step in suspicious for k in (1, 2)}):
-        index = block.start - 1 + position
+    for position in sorted({int(step) + k for step in suspicious for k in (AROUND, AROUND + 1)}):
+        index = block.start - AROUND + position
         for name, lazy in frames.items():
             if index not in lazy.faults:
                 image = lazy[position]
@@ -242,12 +244,12 @@ def _find_ranges(
         if status[step] != FrameStatus.FAILED and at_border(fields["z"][step], plan.z_range):
             mark(plan.reference, step, "the water reaches the border of the elevations searched")
         if status[step] == FrameStatus.FAILED and rose_beyond(
-            {name: lazy[step + 1] for name, lazy in frames.items()}, plan
+            {name: lazy[step + AROUND] for name, lazy in frames.items()}, plan
         ):
             mark(plan.reference, step, "the water stands beyond the elevations searched")
         if few_measured(quality) or status[step] == FrameStatus.FAILED:
             for name in plan.velocity_cameras:
                 if name in frames and moved_beyond(
-                    frames[name][step + 1], frames[name][step + 2], name, plan
+                    frames[name][step + AROUND], frames[name][step + AROUND + 1], name, plan
                 ):
                     mark(name, step, "the water moves further than is searched")

@@ -87,7 +87,7 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
     pair = {name: one.window(start, start + 2) for name, one in prepared.series.items()}
     prepared = prepared.knowing(learn_from([pair], prepared.plan))  # as a run learns; and compiles
     longer, one = _time_block(prepared, start, stop)
-    step = longer / 4  # of a record of one step, which takes nearly as much as its four frames
+    step = longer / 6  # of a record of one step, which takes nearly as much as its six frames
     if stop > start + 1:
         single, _ = _time_block(prepared, start, start + 1)
         step = max(longer - single, 0.1 * longer) / (stop - start - 1)
@@ -97,7 +97,7 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
             "look at its images, the rig and the grid"
         )
     workers = count_workers(prepared.workflow)
-    frames_measured = prepared.steps * (1 + 3 / prepared.block)
+    frames_measured = prepared.steps * (1 + 5 / prepared.block)
     cost = Cost(
         step_seconds=step,
         workers=workers,

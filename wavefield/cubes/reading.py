@@ -88,7 +88,7 @@ def look_at_reading(
     sizes = [_frame_bytes(one) for one in series.values()]
     if not all(sizes) or step_seconds <= 0:
         return None
-    step_bytes = sum(sizes) * (1 + 3 / block)
+    step_bytes = sum(sizes) * (1 + 5 / block)
     return Reading(step_bytes, step_bytes / step_seconds, workers, _try_disk(list(_files(series))))
 
 

@@ -37,7 +37,7 @@ from wavefield.store.recipe import check_recipe
 from wavefield.store.relabel import relabel
 from wavefield.store.verify import suspicious
 from wavefield.store.write import discard_blocks, reset_blocks
-from wavefield.variables import FrameFault, FrameStatus
+from wavefield.variables import AROUND, FrameFault, FrameStatus
 from wavefield.whole_files import remove_leftovers
 from wavefield.words import spell_time
 
@@ -264,7 +264,7 @@ def unfinished(path: Path, layout: Layout, series: Mapping[str, FrameSeries]) ->
     for start, stop in layout.blocks():
         if (ledger[start:stop] == FrameStatus.NOT_STARTED).any():
             todo.append((start, stop))
-        elif mended[max(start - 1, 0) : stop + 2].any():
+        elif mended[max(start - AROUND, 0) : stop + 1 + AROUND].any():
             again.append(start)
             todo.append((start, stop))
     if again:

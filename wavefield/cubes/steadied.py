@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError
 from wavefield.robust import PER_MEDIAN
+from wavefield.variables import AROUND
 
 Array = NDArray[np.float64]
 Image = NDArray[Any]
 
 _APART = 5  # blocks: nearer ones share their window
 _FEWEST = 40  # of them, to correct a frame
-_KEPT = 4  # frames
+_KEPT = 2 * AROUND + 2  # frames
 _ALONG = 0.9  # cosine: cameras in one line share the direction across their sight lines
 
 

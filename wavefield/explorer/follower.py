@@ -202,9 +202,11 @@ class Follower:
         if self._plan is None:
             return {}, None
         plan = self._plan
-        frames = {name: [None, *found.images.get(name, (None, None)), None] for name in plan.cameras}
+        frames = {
+            name: [None, None, *found.images.get(name, (None, None)), None, None] for name in plan.cameras
+        }
         try:
-            masks = {name: [pixels] * 4 for name, pixels in self._masks.items()}
+            masks = {name: [pixels] * 6 for name, pixels in self._masks.items()}
             block = measure(frames, plan, self.experiment.frame_rate, masks)
         except (WavefieldError, ValueError) as error:
             self._trouble = str(error)

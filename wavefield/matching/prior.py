@@ -79,6 +79,22 @@ class Prior:
         ratio = footprint(k, np.zeros(1)) ** 2 * self.information * self.spectrum(k)
         return ratio / (ratio + 1.0)
 
+    def noise_kept(self, k: NDArray[Any]) -> NDArray[np.float64]:
+        """Noise in the power of the most probable field's cosines.
+
+        Parameters
+        ----------
+        k : ndarray
+            Rad per block.
+
+        Returns
+        -------
+        ndarray of float64
+            G^2 / (F^2 A), in the field's unit squared; 0 beyond the shortest wave of the lattice.
+        """
+        told = footprint(k, np.zeros(1)) ** 2 * self.information
+        return np.where(k < np.pi, self.gain(k) ** 2 / np.maximum(told, 1e-30), 0.0)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe.
 

@@ -23,7 +23,7 @@ Mask = NDArray[np.bool_]
 LOOKS = 2  # at the images: where matching led, and where the first solution leads
 _SMOOTH = 6  # half waves along the lattice: sight lines that miss each other so smoothly are ill calibrated
 _CAREFUL = 1.5  # weights think the noise so much larger than across the sight lines: spectra hold some of it
-_LONGER = 1.22  # noise of z over that across the sight lines: cameras see a bead's light at different places
+_LONGER = 1.05  # noise of z over that across the sight lines: cameras see a bead's light at different places
 _BAD = np.uint8(Reason.EDGE | Reason.MASKED | Reason.NEIGHBOURS)
 
 

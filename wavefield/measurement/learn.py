@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.special import gammaincinv
 from wavefield import matching
 from wavefield.images import made_even
 from wavefield.matching import Modes, Prior
+from wavefield.matching.kernels import BLOCK
 from wavefield.matching.one_thread import one_thread
 from wavefield.measurement import elevation, flow
 from wavefield.measurement.covered import Masks
@@ -22,6 +24,7 @@ from wavefield.measurement.instant import Images, images_of
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.record import Record
 from wavefield.measurement.surface import PairMatch
+from wavefield.measurement.unresolved import unresolved
 from wavefield.measurement.velocity import velocity
 from wavefield.variables import Quality
 
@@ -103,7 +106,10 @@ def learn(
     priors = {name: known.get(name, some).prior for name in plan.velocity_cameras}
     record = Record(tuple(beads.items()), height, tuple(priors.items()), (1.0, 1.0, 1.0))
     plan = plan.knowing(record)
-    heights = [_at_mid_time(step, plan) for step in views]
+    pairs = [_elevations(step, plan) for step in views]
+    heights = [None if pair is None else np.float32(0.5) * (pair[0] + pair[1]) for pair in pairs]
+    known_pairs = [pair for pair in pairs if pair is not None]
+    record = replace(record, unresolved=unresolved(known_pairs, partial(_noise_of_waves, height, plan)))
     for number in range(2):
         if number:
             plan = plan.knowing(record)
@@ -232,10 +238,17 @@ class _Samples:
         return matching.better_prior(prior, modes.k, modes.foot, waves, information)
 
 
-def _at_mid_time(step: tuple[Images, Images], plan: Plan) -> Float | None:
-    """Elevation at the nodes half-way between two frames, metres."""
+def _noise_of_waves(prior: Prior, plan: Plan, k: Float) -> Float:
+    """Noise in the power of every wave on the grid, by its wavenumber, rad per node."""
+    blocks = BLOCK * plan.pixel / plan.grid.step  # from node to node of the lattice
+    out: Float = prior.noise_kept(k * blocks) * blocks**2 / np.prod(plan.grid.shape)
+    return out
+
+
+def _elevations(step: tuple[Images, Images], plan: Plan) -> tuple[Float, Float] | None:
+    """Elevation at the nodes at two frames, metres."""
     one, other = (elevation.surface(view.flat, plan) for view in step)
-    return None if one is None or other is None else np.float32(0.5) * (one.z + other.z)
+    return None if one is None or other is None else (one.z, other.z)
 
 
 def _misfit(

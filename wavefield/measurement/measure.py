@@ -14,16 +14,11 @@ from wavefield.measurement.elevation import Surface
 from wavefield.measurement.flow import Flows, flows
 from wavefield.measurement.instant import Instant, look
 from wavefield.measurement.learn import learn, sample_steps
-from wavefield.measurement.midtime import (
-    at_mid_time,
-    left_out_of_displacement,
-    left_out_of_z,
-    squared_phase,
-    typical,
-)
+from wavefield.measurement.midtime import at_mid_time, frames_used
 from wavefield.measurement.plan import Plan
+from wavefield.measurement.unresolved import Unresolved, typical
 from wavefield.measurement.velocity import velocity
-from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, Quality
+from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality
 
 Frames = Mapping[str, Sequence[NDArray[Any] | None]]
 
@@ -36,15 +31,15 @@ def measure(
 
     Parameters
     ----------
-    frames : mapping of str to sequence of n + 3 (ndarray or None)
-        Per camera, consecutive frames: the one before the first step, the n + 1 frames of the n steps, the
-        one after the last. None where a frame is absent, as at the ends of a record.
+    frames : mapping of str to sequence of n + 5 (ndarray or None)
+        Per camera, consecutive frames: two before the first step, the n + 1 frames of the n steps, two after
+        the last. None where a frame is absent, as at the ends of a record.
     plan : Plan
         Rig, grid, settings and what is known of the record (`learn`); without that it is learned from these
         frames, and another block of the record would be weighed a little differently.
     frame_rate : float
         Frames per second, Hz.
-    masks : mapping of str to sequence of n + 3 (ndarray of bool or None), optional
+    masks : mapping of str to sequence of n + 5 (ndarray of bool or None), optional
         Per camera, for every frame, True where its pixels do not count.
 
     Returns
@@ -55,21 +50,23 @@ def measure(
     Raises
     ------
     ValueError
-        If the cameras have unequal numbers of frames, or fewer than four.
+        If the cameras have unequal numbers of frames, or fewer than six.
 
     Notes
     -----
     With the record known, every step comes out the same, to the bit, whatever block it is in. A step reads
-    four frames: its velocity along the path through four places (`read_path`), z and z_t at mid-time from
-    four surfaces (`at_mid_time`). Where a neighbour is missing, ``quality`` says so.
+    six frames: its velocity along the path through four places (`read_path`), z at mid-time from six surfaces
+    and z_t from four (`at_mid_time`). Where a neighbour is missing, ``quality`` says so.
     """
     lengths = {len(frames[n]) for n in plan.cameras if n in frames}
-    if len(lengths) != 1 or min(lengths) < 4:
-        raise ValueError(f"every camera needs the same number of frames, at least 4; got {sorted(lengths)}")
-    steps = lengths.pop() - 3
+    if len(lengths) != 1 or min(lengths) < 2 * AROUND + 2:
+        raise ValueError(
+            f"every camera needs the same number of frames, at least {2 * AROUND + 2}; got {sorted(lengths)}"
+        )
+    steps = lengths.pop() - 2 * AROUND - 1
     out = _empty(steps, plan)
     if plan.record is None:
-        samples = sample_steps(steps + 2)
+        samples = [1 + k for k in sample_steps(steps + 2)]
         pairs = [_pair(frames, k) for k in samples]
         record = learn(pairs, plan, [_pair(masks, k) for k in samples] if masks else None)
         if record is None:
@@ -77,14 +74,15 @@ def measure(
         plan = plan.knowing(record)
     window: list[Instant] = []
     moves: list[Flows] = []
-    for number in range(steps + 3):
+    for number in range(steps + 2 * AROUND + 1):
         covered = {name: masks[name][number] for name in masks} if masks else None
         window.append(look({name: frames[name][number] for name in frames}, plan, covered))
-        if len(window) > 1:
+        if AROUND <= number <= steps + AROUND + 1:
             moves.append(flows(window[-2].images, window[-1].images, plan))
-        if len(window) == 4:
-            row = {name: field[number - 3 : number - 2] for name, field in out.items()}
-            _step(window, moves, plan, frame_rate, row)
+        if len(window) == 2 * AROUND + 2:
+            step = number - 2 * AROUND - 1
+            row = {name: field[step : step + 1] for name, field in out.items()}
+            _step(window, moves[:3], plan, frame_rate, row)
             window.pop(0)
             moves.pop(0)
     return out
@@ -111,12 +109,12 @@ def _step(
     out: dict[str, NDArray[Any]],
 ) -> None:
     """Fill one step, the only row of ``out``; what cannot be measured stays NaN."""
-    before, first, second, after = window
+    _, before, first, second, after, _ = window
     missing = first.missing | second.missing
     out["quality"][:] = Quality.FEWER_CAMERAS if missing else 0
     if first.surface is None or second.surface is None:
         return
-    surfaces = [instant.surface for instant in (before, first, second, after)]
+    surfaces = [instant.surface for instant in window]
     z, z_std, rise = at_mid_time(surfaces)
     if before.surface is None or after.surface is None:
         out["quality"][:] |= np.uint8(Quality.TWO_FRAME_MEAN)
@@ -125,7 +123,7 @@ def _step(
         return
     if moved.left_out:
         surfaces = [instant.without(moved.left_out, plan) for instant in window]
-        if surfaces[1] is None or surfaces[2] is None:
+        if surfaces[2] is None or surfaces[3] is None:
             return
         out["quality"][:] |= np.uint8(Quality.FEWER_CAMERAS)
         missing |= {moved.left_out}
@@ -140,11 +138,11 @@ def _step(
             inside &= plan.sights[name].sees(*plan.sights[name].position(z))
     masked = inside & masked_nodes((first.covered, second.covered), missing, z, plan)
     inside &= ~masked
-    first_surface, second_surface = surfaces[1], surfaces[2]
+    first_surface, second_surface = surfaces[2], surfaces[3]
     assert first_surface is not None
     assert second_surface is not None
     quality = first_surface.quality | second_surface.quality | moved.quality
-    beyond = _beyond(surfaces, plan)
+    beyond = _beyond(surfaces[1:5], plan)
     quality[beyond] |= np.uint8(Quality.REJECTED_NEIGHBOURS | Quality.FILLED)
     apart = np.uint8(Quality.REJECTED_EPS | Quality.FILLED)
     quality = np.where(first_surface.apart | second_surface.apart, quality | apart, quality)
@@ -153,8 +151,10 @@ def _step(
     nothing = np.where(masked, np.uint16(Quality.MASKED), np.uint16(Quality.OUTSIDE))
     out["quality"][:] |= np.where(inside, quality, nothing)
     known = inside & ~filled  # what is made up in holes says nothing of the rest
-    squared = squared_phase(surfaces, moved.d[2], known)
-    left_out = left_out_of_displacement(squared, (moved.quality & Quality.TWO_FRAME_MEAN) != 0)
+    assert plan.record is not None
+    unresolved = plan.record.unresolved
+    chord = (moved.quality & Quality.TWO_FRAME_MEAN) != 0
+    left_out = np.where(chord, unresolved.d[2], unresolved.d[4])
     d_std = [np.hypot(std, left_out * typical(d, known)) for d, std in zip(moved.d, moved.d_std)]
     fields = {
         "z": z,
@@ -164,7 +164,7 @@ def _step(
         "w": moved.d[2] * frame_rate,
         "eps_y": np.float32(0.5) * (first_surface.eps_y + second_surface.eps_y),
         "eps_piv": moved.eps_piv,
-        "z_std": np.hypot(z_std, left_out_of_z(surfaces, z, squared, known)),
+        "z_std": np.hypot(z_std, _left_out_of_z(surfaces, rise, known, unresolved)),
         "u_std": d_std[0] * frame_rate,
         "v_std": d_std[1] * frame_rate,
         "w_std": d_std[2] * frame_rate,
@@ -176,8 +176,20 @@ def _step(
     out["frame_status"][:] = FrameStatus.DONE_WITH_FAULTS if missing else FrameStatus.DONE
 
 
+def _left_out_of_z(
+    surfaces: Sequence[Surface | None], rise: NDArray[Any], known: NDArray[np.bool_], unresolved: Unresolved
+) -> Any:
+    """Standard uncertainty of z for what its frames cannot follow, metres: a number, or (ny, nx)."""
+    count = frames_used(surfaces)
+    out = np.float32(unresolved.z[count])
+    if count != 3 or not known.any():
+        return out
+    # a parabola errs with the third derivative: where water rises fast
+    return out * typical(rise, known) / max(float(np.sqrt(np.mean(np.square(rise[known])))), 1e-12)
+
+
 def _beyond(surfaces: Sequence[Surface | None], plan: Plan) -> NDArray[np.bool_]:
-    """Nodes at which one of the surfaces that make z at mid-time stands where none was searched, (ny, nx)."""
+    """Nodes at which a surface with much to say of z at mid-time stands where none was searched, (ny, nx)."""
     lowest, highest = plan.z_range
     found = [(one.z < lowest) | (one.z > highest) for one in surfaces if one is not None]
     return np.asarray(np.logical_or.reduce(found))

@@ -1,4 +1,4 @@
-"""Elevation and rate of rise half-way between two frames, from the four frames around."""
+"""Elevation and rate of rise half-way between two frames, from the six frames around."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from wavefield.measurement.elevation import Surface
 
 Float = NDArray[Any]
-Mask = NDArray[np.bool_]
 Surfaces = Sequence[Surface | None]
 
 F = np.float32
@@ -22,8 +21,8 @@ def at_mid_time(surfaces: Surfaces) -> tuple[Float, Float, Float]:
 
     Parameters
     ----------
-    surfaces : sequence of four Surface or None
-        Of the frame before, of the two frames of the step, which must be there, and of the frame after.
+    surfaces : sequence of six Surface or None
+        Of two frames before, of the two frames of the step, which must be there, and of two after.
 
     Returns
     -------
@@ -32,20 +31,36 @@ def at_mid_time(surfaces: Surfaces) -> tuple[Float, Float, Float]:
 
     Notes
     -----
-    z = (9 (z_0 + z_1) - z_-1 - z_2) / 16 and z_t dt = (27 (z_1 - z_0) - z_2 + z_-1) / 24, which is
-    (26 r - r_before - r_after) / 24 for the rises r from frame to frame: the same mean as of displacements,
-    so that z_t changes with w. Where a neighbour is missing a parabola serves, (3 z_0 + 6 z_1 - z_2) / 8 and
-    z_1 - z_0; where both are, the mean.
+    z = (150 (z_0 + z_1) - 25 (z_-1 + z_2) + 3 (z_-2 + z_3)) / 256, a polynomial of fifth degree through six
+    frames; without one of the outermost (9 (z_0 + z_1) - z_-1 - z_2) / 16, a cubic through four. Where a
+    neighbour is missing a parabola serves, (3 z_0 + 6 z_1 - z_2) / 8; where both are, the mean.
+
+    z_t dt = (27 (z_1 - z_0) - z_2 + z_-1) / 24, which is (26 r - r_before - r_after) / 24 for the rises r
+    from frame to frame: the same mean as of displacements, so that z_t changes with w; z_1 - z_0 where a
+    neighbour is missing.
 
     The same beads in the same places err the same way in all frames, so their errors do not average out.
+
+    Examples
+    --------
+    >>> def flat(z):
+    ...     field = np.full((1, 1), z, np.float32)
+    ...     return Surface(field, field, field, np.ones((1, 1), np.uint8), np.zeros((1, 1), bool))
+    >>> fifth = [flat(t**5 + t**4) for t in (-2.5, -1.5, -0.5, 0.5, 1.5, 2.5)]
+    >>> float(at_mid_time(fifth)[0][0, 0])
+    0.0
     """
-    before, first, second, after = surfaces
+    far_before, before, first, second, after, far_after = surfaces
     assert first is not None
     assert second is not None
     std = F(0.5) * (first.std + second.std)
     rise = second.z - first.z
     if before is not None and after is not None:
-        z = (F(9) * (first.z + second.z) - before.z - after.z) / F(16)
+        pair, next_to = first.z + second.z, before.z + after.z
+        if far_before is not None and far_after is not None:
+            z = (F(150) * pair - F(25) * next_to + F(3) * (far_before.z + far_after.z)) / F(256)
+        else:
+            z = (F(9) * pair - next_to) / F(16)
         return z, std, (F(27) * rise - (after.z - before.z)) / F(24)
     if after is not None:
         return (F(3) * first.z + F(6) * second.z - after.z) / F(8), std, rise
@@ -54,103 +69,19 @@ def at_mid_time(surfaces: Surfaces) -> tuple[Float, Float, Float]:
     return F(0.5) * (first.z + second.z), std, rise
 
 
-def squared_phase(surfaces: Surfaces, dz: Float, inside: Mask) -> float:
-    """Mean (omega dt)^2 of the waves in view, from the highest differences in time that there are.
+def frames_used(surfaces: Surfaces) -> int:
+    """Number of frames that z at mid-time comes from: 6, 4, 3 or 2.
 
     Parameters
     ----------
-    surfaces : sequence of four Surface or None
+    surfaces : sequence of six Surface or None
         As for `at_mid_time`.
-    dz : ndarray, (ny, nx)
-        Displacement of the water upwards in the step, metres.
-    inside : ndarray of bool, (ny, nx)
-        Nodes that count.
 
     Returns
     -------
-    float
-        From two frames it can only be guessed, from how far the water rises in a step and how high it stands.
+    int
     """
-    before, first, second, after = surfaces
-    assert first is not None
-    assert second is not None
-    if not inside.any():
-        return 0.0
-    rise = (second.z - first.z)[inside]
-    if before is not None and after is not None:
-        third = (after.z - before.z)[inside] - F(3) * rise
-        return float(np.sqrt(np.mean(third**2) / max(np.mean(rise**2), 1e-30)))
-    z = 0.5 * (first.z + second.z)[inside]
-    if before is not None or after is not None:
-        three = [one.z[inside] for one in surfaces if one is not None]
-        bend = three[0] - 2 * three[1] + three[2]
-        return float(np.sqrt(np.mean(bend**2) / max(np.var(z), 1e-30)))
-    return float(np.nanmean(dz[inside] ** 2) / max(np.mean(z**2), 1e-30))
-
-
-def left_out_of_z(surfaces: Surfaces, z: Float, squared: float, inside: Mask) -> Float:
-    """What the finite time step leaves out of z at mid-time.
-
-    Parameters
-    ----------
-    surfaces : sequence of four Surface or None
-        As for `at_mid_time`.
-    z : ndarray, (ny, nx)
-        Elevation at mid-time, metres.
-    squared : float
-        `squared_phase`.
-    inside : ndarray of bool, (ny, nx)
-        Nodes that count.
-
-    Returns
-    -------
-    ndarray, (ny, nx)
-        Metres. Of a wave of phase p = omega dt per step two frames leave out p^2/8, a parabola p^3/16, four
-        frames 3/16 p^2 of what they add to the mean of two.
-    """
-    before, first, second, after = surfaces
-    assert first is not None
-    assert second is not None
-    if before is not None and after is not None:
-        correction = z - F(0.5) * (first.z + second.z)
-        return np.asarray(0.1875 * squared * typical(correction, inside))
-    if before is not None or after is not None:
-        return np.asarray(0.0625 * squared**1.5 * typical(z, inside))
-    return np.asarray(0.125 * squared * typical(z, inside))
-
-
-def left_out_of_displacement(squared: float, chord: Mask) -> Float:
-    """Fraction of a displacement that the finite time step leaves out.
-
-    Parameters
-    ----------
-    squared : float
-        `squared_phase`.
-    chord : ndarray of bool, (ny, nx)
-        Where a path has fewer than four places.
-
-    Returns
-    -------
-    ndarray, (ny, nx)
-        3/640 p^4 from four frames; p^2/24 from two, and a third as much again because the chord lies beside
-        the path.
-    """
-    return np.where(chord, squared / 18.0, squared**2 * (3.0 / 640.0))
-
-
-def typical(field: Float, inside: Mask) -> Float:
-    """Half what is here, half what is elsewhere: errors do not vanish where a field passes through zero.
-
-    Parameters
-    ----------
-    field : ndarray, (ny, nx)
-        Any field.
-    inside : ndarray of bool, (ny, nx)
-        Nodes that count.
-
-    Returns
-    -------
-    ndarray, (ny, nx)
-    """
-    elsewhere = np.nanmean(np.square(field[inside])) if inside.any() else 0.0
-    return np.sqrt(0.5 * (np.square(field) + elsewhere))
+    there = [one is not None for one in surfaces]
+    if there[1] and there[4]:
+        return 6 if there[0] and there[5] else 4
+    return 3 if there[1] or there[4] else 2

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from wavefield.matching import Prior
+from wavefield.measurement.unresolved import NOTHING, Unresolved
 
 
 @dataclass(frozen=True)
@@ -23,12 +24,15 @@ class Record:
         Of each velocity camera's displacement from frame to frame, px of the binned image.
     moved : (float, float, float)
         Standard deviation of dx, dy, dz of the water from frame to frame, metres.
+    unresolved : Unresolved
+        What frames so far apart leave out.
     """
 
     beads: tuple[tuple[str, float], ...]
     elevation: Prior
     displacement: tuple[tuple[str, Prior], ...]
     moved: tuple[float, float, float]
+    unresolved: Unresolved = NOTHING
 
     def width(self, camera: str) -> float:
         """Width of a camera's beads, raw px."""
@@ -46,6 +50,7 @@ class Record:
             "elevation": self.elevation.to_dict(),
             "displacement": {name: prior.to_dict() for name, prior in self.displacement},
             "moved": list(self.moved),
+            "unresolved": self.unresolved.to_dict(),
         }
 
     @classmethod
@@ -67,4 +72,5 @@ class Record:
             Prior.from_dict(data["elevation"]),
             tuple((str(name), Prior.from_dict(p)) for name, p in data["displacement"].items()),
             (x, y, z),
+            Unresolved.from_dict(data["unresolved"]) if "unresolved" in data else NOTHING,
         )

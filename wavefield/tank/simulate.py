@@ -152,8 +152,8 @@ def _write_truth(
             "x": grid.x_nodes,
         }
         dataset = annotate(xr.Dataset(fields, coords))
-        for name in ("z_t", "u", "v", "w"):
-            dataset[name].attrs.pop("frames", None)  # z_t is one difference here, velocities are exact
+        for name in ("z", "z_t", "u", "v", "w"):
+            dataset[name].attrs.pop("frames", None)  # z_t is one difference here, the others are exact
         if first == 0:
             dataset.attrs = {
                 "title": f"exact fields of the simulated experiment {tank.scene.name}",

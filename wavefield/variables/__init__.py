@@ -1,7 +1,7 @@
 """Every variable of every dataset: one table that gives attributes, checks and documentation."""
 
 from wavefield.variables.codes import FrameFault, FrameStatus, Quality
-from wavefield.variables.cube import CUBE_FIELDS
+from wavefield.variables.cube import AROUND, CUBE_FIELDS
 from wavefield.variables.spectra import (
     FIELD_TEXTS,
     FIELD_UNITS,
@@ -18,6 +18,7 @@ from wavefield.variables.waves import GROUPS
 import wavefield.variables.estimators  # noqa: F401  its rows join the table
 
 __all__ = [
+    "AROUND",
     "CUBE_DIMS",
     "CUBE_FIELDS",
     "FIELD_TEXTS",

@@ -12,7 +12,7 @@ class Quality(IntFlag):
     REJECTED_CORRELATION = 8
     REJECTED_EPS = 16
     REJECTED_NEIGHBOURS = 32
-    TWO_FRAME_MEAN = 64  # z at mid-time from two frames instead of four
+    TWO_FRAME_MEAN = 64  # z at mid-time, or a path, from fewer than four frames
     FEWER_CAMERAS = 128  # a camera's frame is missing: the others did the work
     MASKED = 256  # covered: not water, or hidden from the cameras by what is not
 

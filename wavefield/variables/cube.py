@@ -7,6 +7,8 @@ from typing import Any
 from wavefield.variables.codes import FrameFault, FrameStatus, Quality
 from wavefield.variables.table import CUBE_DIMS, TABLE, Variable, register
 
+AROUND = 2  # frames before and after those of a step that have a say in it
+
 
 def _cube(name: str, units: str, long_name: str, **more: Any) -> Variable:
     return Variable(name, CUBE_DIMS, units, long_name, **more)
@@ -29,8 +31,8 @@ register(
         "m",
         "surface elevation",
         standard_name="water_surface_height_above_reference_datum",
-        meaning="at mid-time, from the four frames around it",
-        extra={"ancillary_variables": "z_std quality"},
+        meaning="at mid-time, from the six frames around it",
+        extra={"ancillary_variables": "z_std quality", "frames": 2 * AROUND + 2},
     ),
     _cube(
         "z_t",

@@ -126,7 +126,7 @@ for _m, _text in METHODS.items():
     _flag = _TRUST if _m == "probes" else "right within a factor 2"
     rows("spectra", ("omega",), (f"valid_{_m}", "1", _flag), dtype="bool", family="valid_*")
 rows("spectra", ("probe", "omega"), ("Ez_probe", ELEVATION_UNITS, "elevation spectrum of each probe"))
-for _g in ("two_frames", "four_frames", "displacement"):
+for _g in ("two_frames", "four_frames", "six_frames", "displacement"):
     rows("spectra", ("omega",), (f"gain_{_g}", "1", f"power gain: {_g.replace('_', ' ')}"), family="gain_*")
 for _f in ("z", "w"):
     rows(

@@ -39,6 +39,7 @@ from wavefield.waves.transfer import (
     gain_box,
     gain_displacement,
     gain_four_frames,
+    gain_six_frames,
     gain_two_frames,
     undo,
 )
@@ -76,6 +77,7 @@ __all__ = [
     "gain_box",
     "gain_displacement",
     "gain_four_frames",
+    "gain_six_frames",
     "gain_two_frames",
     "group_velocity",
     "higher_order",

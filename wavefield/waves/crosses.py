@@ -168,7 +168,7 @@ def add_segment(
     transform = segments.TimeTransform(half, first[names[0]].dtype, len(names) + 1)
     mine = {name: np.zeros_like(sums[name]) for name in names}  # of this segment alone
     signed = 2 * np.pi * np.fft.fftfreq(2 * half, dt)
-    forward = transfer.to_frame_time(signed, dt, welch.frames).astype(first[names[0]].dtype)
+    forward = transfer.to_frame_time(signed, dt, welch.frames, welch.z_frames).astype(first[names[0]].dtype)
     frames = _FrameTimes(first, second, dt) if "z" in names and welch.frames == 2 else None
     turns = [turn.astype(first[names[0]].real.dtype) for turn in _quadrature(signed * dt / 2)]
     for slab in segments.slabs(cells):

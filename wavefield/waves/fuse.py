@@ -18,7 +18,7 @@ from wavefield.waves.fusion import NAMES
 from wavefield.waves.on_current import Distances, integrate
 from wavefield.waves.record import Record, fill, find_record, piece
 from wavefield.waves.transfer import path_factor, to_frame_time
-from wavefield.waves.welch import frames_of
+from wavefield.waves.welch import frames_of, frames_of_z
 from wavefield.waves.windows import hann
 
 Array = NDArray[Any]
@@ -31,7 +31,7 @@ def _filter(
     missing: Array,
     segment: int,
     distances: Distances,
-    frames: int,
+    frames: tuple[int, int],
     weight: Array,
     gain: Array,
     current: tuple[float, float],
@@ -53,7 +53,7 @@ def _filter(
     b = omega * dt / 2
     with np.errstate(divide="ignore", invalid="ignore"):
         # numpy's signs: exp(+i omega t)
-        still = -1j * dt / (2 * np.sin(b) * path_factor(omega, dt, frames))
+        still = -1j * dt / (2 * np.sin(b) * path_factor(omega, dt, frames[0]))
     still[0] = 0
     advance = np.exp(1j * b) * weight * gain
     by_w = (1 - weight) * gain
@@ -63,18 +63,18 @@ def _filter(
         z_flat, z_t_flat = (array[part].reshape(segment, -1) for array in (z, z_t))
         starts = np.empty_like(z_flat)
         halves = [array[some] for array in (z_flat, z_t_flat) for some in (slice(half), slice(half, None))]
-        if frames == 2:
+        if frames[0] == 2:
             given = *halves, z.dtype.type(dt), 0, starts[:half], starts[half:]
             kernels.frames(*given)
             lines = fft.rfft(starts * window, axis=0)
         else:
             lines = fft.rfft(z_flat * window, axis=0)
-            lines += fft.rfft(z_t_flat * window, axis=0) * to_frame_time(omega, dt, frames)[:, None]
+            lines += fft.rfft(z_t_flat * window, axis=0) * to_frame_time(omega, dt, *frames)[:, None]
         lines *= advance[:, None]
         risen = fft.rfft(w[part].reshape(segment, -1) * window, axis=0)
         if any(current):
             planes = risen.reshape(-1, *shape)
-            risen = integrate(planes, omega, distances, current, water, frames).reshape(risen.shape)
+            risen = integrate(planes, omega, distances, current, water, frames[0]).reshape(risen.shape)
             lines += risen * by_w[:, None]
         else:
             lines += risen * (still * by_w)[:, None]
@@ -149,9 +149,8 @@ def fuse(
             area = slice(*record.y), slice(*record.x)
             pieces = [piece(cube[name], slice(lo, hi), *area) for name in names]
             missing = np.isin(np.arange(lo, hi), bridged)
-            block = task(
-                pieces, wanted, lo, missing, segment, distances, frames_of(cube), weight, more, *moving
-            )
+            frames = frames_of(cube), frames_of_z(cube)
+            block = task(pieces, wanted, lo, missing, segment, distances, frames, weight, more, *moving)
             count = min(half, run[1] - a)
             rows.append(da.from_delayed(block, (half, ny, nx), dtype)[:count])
             steps_used.append(np.arange(a, a + count))

@@ -56,6 +56,30 @@ def gain_four_frames(omega: Any, dt: float) -> Any:
     return ((9 * np.cos(b) - np.cos(3 * b)) / 8) ** 2
 
 
+def gain_six_frames(omega: Any, dt: float) -> Any:
+    """Gain of the polynomial through six frames at its middle, ((150 cos b - 25 cos 3b + 3 cos 5b) / 128)^2.
+
+    Parameters
+    ----------
+    omega : array_like
+        Angular frequency, rad/s.
+    dt : float
+        Time between frames, s.
+
+    Returns
+    -------
+    array_like
+        Gain of power, 0 to 1.
+
+    Examples
+    --------
+    >>> round(float(gain_six_frames(2 * np.pi * 5, 0.05)), 2)
+    0.9
+    """
+    b = omega * dt / 2
+    return ((150 * np.cos(b) - 25 * np.cos(3 * b) + 3 * np.cos(5 * b)) / 128) ** 2
+
+
 def path_factor(omega: Any, dt: float, frames: int) -> Any:
     """Amplitude of a velocity along four frames over that of one displacement, (26 - 2 cos omega dt) / 24.
 
@@ -76,7 +100,7 @@ def path_factor(omega: Any, dt: float, frames: int) -> Any:
     return np.ones_like(omega) if frames == 2 else (26 - 2 * np.cos(omega * dt)) / 24
 
 
-def to_frame_time(omega: Any, dt: float, frames: int) -> Any:
+def to_frame_time(omega: Any, dt: float, frames: int, z_frames: int = 4) -> Any:
     """Factor T so that z + T z_t is the elevation at a step's first frame, in numpy's signs exp(+i omega t).
 
     Parameters
@@ -87,6 +111,8 @@ def to_frame_time(omega: Any, dt: float, frames: int) -> Any:
         Time between frames, s.
     frames : int
         Frames that z_t comes from (`path_factor`).
+    z_frames : int
+        Frames that z comes from, 4 or 6.
 
     Returns
     -------
@@ -95,9 +121,13 @@ def to_frame_time(omega: Any, dt: float, frames: int) -> Any:
 
     Notes
     -----
-    The mean of the two frames is z + (dt / 16) (d(k+1) - d(k-1)) with d the differences over dt.
+    With d the differences over dt, the mean of the two frames is z + (dt / 16) (d(k+1) - d(k-1)) for four
+    frames, z + (dt / 256) [22 (d(k+1) - d(k-1)) - 3 (d(k+2) - d(k-2))] for six.
     """
-    mean = dt / 8 * 1j * np.sin(omega * dt)
+    if z_frames == 6:
+        mean = dt / 128 * 1j * (22 * np.sin(omega * dt) - 3 * np.sin(2 * omega * dt))
+    else:
+        mean = dt / 8 * 1j * np.sin(omega * dt)
     return (mean - dt / 2) / path_factor(omega, dt, frames)
 
 
@@ -198,6 +228,7 @@ def undo(energy: xr.DataArray, gain: xr.DataArray, noise: xr.DataArray | float =
 
 
 def gains(omega: Any, dt: float, frames: int) -> dict[str, tuple[str, Any]]:
-    """The gains in time as variables ``gain_two_frames``, ``gain_four_frames``, ``gain_displacement``."""
-    out = {gain.__name__: ("omega", gain(omega, dt)) for gain in (gain_two_frames, gain_four_frames)}
+    """The gains in time as variables: ``gain_`` of two, four and six frames, ``gain_displacement``."""
+    means = gain_two_frames, gain_four_frames, gain_six_frames
+    out = {gain.__name__: ("omega", gain(omega, dt)) for gain in means}
     return out | {"gain_displacement": ("omega", gain_displacement(omega, dt, frames))}

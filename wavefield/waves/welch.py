@@ -46,12 +46,15 @@ class Welch:
         Width of the rings, rad/m; by default 2 pi over the shorter side of the rectangle.
     frames : int
         Frames that velocities and z_t come from (`transfer.path_factor`).
+    z_frames : int
+        Frames that z comes from (`transfer.to_frame_time`).
     """
 
     record: Record
     segment: int
     dk: float | None = None
     frames: int = 2
+    z_frames: int = 4
 
     @classmethod
     def of(
@@ -80,7 +83,8 @@ class Welch:
             If the record is shorter than a segment, its axes are uneven or no full rectangle is left.
         """
         record = find_record(fields) if record is None else record
-        return cls(record, segments.segment_length(record, segment), dk, frames_of(fields))
+        length = segments.segment_length(record, segment)
+        return cls(record, length, dk, frames_of(fields), frames_of_z(fields))
 
     @cached_property
     def count(self) -> int:
@@ -244,6 +248,23 @@ def frames_of(fields: Any) -> int:
         else [fields]
     )
     return 4 if any(int(array.attrs.get("frames", 2)) == 4 for array in arrays) else 2
+
+
+def frames_of_z(fields: Any) -> int:
+    """Frames that the elevations of a cube come from: 6, or 4 where it does not say.
+
+    Parameters
+    ----------
+    fields : Dataset or DataArray
+        Whose ``z`` carries the attribute ``frames``.
+
+    Returns
+    -------
+    int
+    """
+    if not hasattr(fields, "data_vars"):
+        return int(fields.attrs.get("frames", 4)) if fields.name == "z" else 4
+    return int(fields["z"].attrs.get("frames", 4)) if "z" in fields else 4
 
 
 def inner(lines: int) -> NDArray[np.bool_]:

@@ -1,0 +1,97 @@
+"""z at mid-time from the frames around, and what frames so far apart leave out."""
+
+import numpy as np
+import pytest
+
+from wavefield.measurement.elevation import Surface
+from wavefield.measurement.midtime import at_mid_time, frames_used
+from wavefield.measurement.unresolved import kept_of_displacement, kept_of_z, unresolved
+
+TIMES = (-2.5, -1.5, -0.5, 0.5, 1.5, 2.5)
+
+
+def surfaces(field, lost=()):
+    out = []
+    for n, t in enumerate(TIMES):
+        z = np.full((1, 1), field(t), np.float32)
+        one = Surface(z, z, z, np.ones((1, 1), np.uint8), np.zeros((1, 1), bool))
+        out.append(None if n in lost else one)
+    return out
+
+
+def z_of(field, lost=()):
+    return float(at_mid_time(surfaces(field, lost))[0][0, 0])
+
+
+def test_six_frames_take_a_polynomial_of_fifth_degree_to_mid_time():
+    assert z_of(lambda t: 1 + t + t**4 - t**5) == pytest.approx(1.0, abs=1e-5)
+    # without an outer frame a cubic, without a neighbour a parabola, without both a line
+    for lost in ((0,), (5,)):
+        assert frames_used(surfaces(np.sin, lost)) == 4
+        assert z_of(lambda t: 1 + t**2 + t**3, lost) == pytest.approx(1.0, abs=1e-5)
+        assert abs(z_of(lambda t: t**4, lost)) > 0.1
+    for lost in ((1,), (4,), (0, 1), (0, 4)):
+        assert frames_used(surfaces(np.sin, lost)) == 3
+        assert z_of(lambda t: 1 + t + t**2, lost) == pytest.approx(1.0, abs=1e-5)
+    assert frames_used(surfaces(np.sin, (1, 4))) == 2
+    assert z_of(lambda t: 1 + t, (1, 4)) == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize(("frames", "lost"), [(6, ()), (4, (0,)), (2, (1, 4))])
+def test_a_wave_keeps_what_theory_says(frames, lost):
+    assert frames_used(surfaces(np.cos, lost)) == frames
+    for phase in (0.3, 1.0, 2.0):
+        kept = z_of(lambda t, p=phase: np.cos(p * t), lost)
+        assert kept == pytest.approx(float(kept_of_z(np.array([phase]), frames)[0]), abs=1e-6)
+
+
+def sea(rate, t, waves):
+    x, y = np.meshgrid(np.arange(100) * 0.01, np.arange(80) * 0.01)
+    z, w = np.zeros((2, *x.shape))
+    for length, height, angle, shift in waves:
+        k = 2 * np.pi / length
+        omega = np.sqrt(9.81 * k) / rate  # per frame
+        phase = k * (np.cos(angle) * x + np.sin(angle) * y) - omega * t + shift
+        z += height * np.cos(phase)
+        w += height * omega * np.sin(phase)
+    return z, w
+
+
+@pytest.mark.parametrize("rate", [10.0, 20.0])
+def test_what_frames_cannot_follow_is_foreseen(rate):
+    """Short waves are small, but they turn most in a step: the rms of all tells nothing of what is lost."""
+    rng = np.random.default_rng(3)
+    waves = [(length, 0.02 * length, *rng.uniform(0, 6, 2)) for length in (0.7, 0.4, 0.2, 0.13, 0.1)]
+    found = unresolved([(sea(rate, t, waves)[0], sea(rate, t + 1, waves)[0]) for t in (0.0, 7.0, 15.0)])
+    lost = {n: [] for n in (2, 4, 6)}
+    moved, missed = [], []
+    for t in np.arange(8) * 2.3:
+        z = [sea(rate, t + s, waves)[0] for s in TIMES]
+        exact, w = sea(rate, t, waves)
+        means = {
+            2: (z[2] + z[3]) / 2,
+            4: (9 * (z[2] + z[3]) - z[1] - z[4]) / 16,
+            6: (150 * (z[2] + z[3]) - 25 * (z[1] + z[4]) + 3 * (z[0] + z[5])) / 256,
+        }
+        for n, mean in means.items():
+            lost[n].append(np.mean((mean - exact) ** 2))
+        rises = np.diff(z, axis=0)
+        moved.append(np.mean(w**2))
+        missed.append(np.mean(((26 * rises[2] - rises[1] - rises[3]) / 24 - w) ** 2))
+    for n, squares in lost.items():
+        assert found.z[n] == pytest.approx(np.sqrt(np.mean(squares)), rel=0.25), n
+    assert found.d[4] == pytest.approx(np.sqrt(np.mean(missed) / np.mean(moved)), rel=0.25)
+    assert found.d[2] > found.d[4]
+
+
+def test_a_displacement_keeps_what_theory_says():
+    p = np.array([0.5, 1.0])
+    np.testing.assert_allclose(kept_of_displacement(p, 2), 2 * np.sin(p / 2) / p)
+    np.testing.assert_allclose(1 - kept_of_displacement(p[:1], 4), 3 / 640 * p[:1] ** 4, rtol=0.1)
+
+
+def test_water_at_rest_leaves_nothing_out():
+    still = np.zeros((40, 50))
+    found = unresolved([(still, still)])
+    assert set(found.z.values()) == {0.0}
+    assert set(found.d.values()) == {0.0}
