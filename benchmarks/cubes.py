@@ -54,10 +54,10 @@ plan = Plan(rig, note.choose_grid(rig), Settings())
 series = note.open_frames()
 class Frames:
     def __init__(self, one): self.one = one
-    def __len__(self): return len(self.one) + 2
+    def __len__(self): return len(self.one) + 4
     def __getitem__(self, i):
-        inside = 0 < i <= len(self.one)
-        return cv2.imread(self.one.entries[i - 1].path, cv2.IMREAD_UNCHANGED) if inside else None
+        inside = 1 < i < len(self.one) + 2
+        return cv2.imread(self.one.entries[i - 2].path, cv2.IMREAD_UNCHANGED) if inside else None
 measure({name: Frames(one) for name, one in series.items()}, plan, note.frame_rate)
 """
 

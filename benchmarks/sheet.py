@@ -36,7 +36,7 @@ def errors(tank: Tank, images: Sequence[dict[str, NDArray[Any]]], rig: Rig) -> s
     """Fraction measured, rms errors of u, v, w and how often they lie within their uncertainty."""
     settings = Settings.from_dict({"preset": "sheet", "sheet_thickness": 1e-3})
     rate = tank.scene.frame_rate
-    frames = {name: [image[name] for image in images] for name in rig}
+    frames = {name: [None, *(image[name] for image in images), None] for name in rig}
     cube = measure(frames, Plan(rig, tank.scene.grid, settings), rate)
     measured = (cube["quality"] & Quality.MEASURED) != 0
     if not measured.any():

@@ -34,7 +34,7 @@ def beside():
 
 def velocities(tank, images, rig):
     settings = Settings.from_dict({"preset": "sheet", "sheet_thickness": 1e-3})
-    frames = {name: [image[name] for image in images] for name in rig}
+    frames = {name: [None, *(image[name] for image in images), None] for name in rig}
     cube = measure(frames, Plan(rig, tank.scene.grid, settings), tank.scene.frame_rate)
     measured = (cube["quality"] & Quality.MEASURED) != 0
     truth = [tank.truth(step) for step in range(1, FRAMES - 2)]

@@ -79,7 +79,7 @@ def kept_of_z(phase: Float, frames: int) -> Float:
     Examples
     --------
     >>> kept_of_z(np.array([1.0]), 6).round(4).tolist(), kept_of_z(np.array([1.0]), 4).round(4).tolist()
-    ([0.9964], [0.9784])
+    ([0.9958], [0.9784])
     """
     weights = {2: (1.0,), 4: (9 / 8, -1 / 8), 6: (150 / 128, -25 / 128, 3 / 128)}[frames]
     return np.asarray(sum(w * np.cos((n + 0.5) * phase) for n, w in enumerate(weights)))
