@@ -10,6 +10,7 @@ import tifffile
 from wavefield.errors import FrameError
 from wavefield.images import read_image
 from wavefield.series.formats import open_recording
+from wavefield.series.formats.recording import packed
 from wavefield.series.listing import number_frames
 from wavefield.series.readers import close_files, read_entry
 
@@ -119,6 +120,13 @@ def test_images_come_back_to_the_bit_in_any_order(recording):
     with pytest.raises(FrameError, match="there is no image 5"):
         opened.read(5)
     opened.close()
+
+
+@pytest.mark.parametrize("bits", [10, 12])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (3, 7), (17, 61), (40, 64)])
+def test_packed_pixels_of_any_number_are_taken_apart(bits, shape):
+    image = np.random.default_rng(bits).integers(0, 1 << bits, shape)
+    np.testing.assert_array_equal(packed(shape, bits)(pack(image, bits)), image)
 
 
 def test_an_experiment_names_the_file_as_it_is(recording, tmp_path):

@@ -1,18 +1,22 @@
 """One image after another in a file: where they start, how their pixels are packed."""
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 import numpy as np
-from numba import int64, types, uint8, uint16, void
+from numba import int64, types, uint8, uint16, uint32, uint64, void
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
 from wavefield.errors import FrameError
 
 Pixels = NDArray[Any]
+
+_BYTES = types.Array(uint8, 1, "C", readonly=True)
+_TOGETHER = 4  # pixels of 10 or 12 bits that begin and end with a byte
 
 
 class Recording(Protocol):
@@ -171,28 +175,56 @@ def packed(shape: tuple[int, int], bits: int) -> Callable[[bytes], Pixels]:
 
     def decode(data: bytes) -> Pixels:
         out = np.empty(shape, np.uint16)
-        _unpack(np.frombuffer(data, np.uint8), bits, out.reshape(-1))
+        raw, flat = np.frombuffer(data, np.uint8), out.reshape(-1)
+        whole = flat.size // _TOGETHER * _TOGETHER
+        if sys.byteorder != "little":
+            whole = 0
+        elif bits == 12:
+            _unpack_pairs(raw, flat[:whole].view(np.uint32))
+        else:
+            _unpack_fours(raw, flat[:whole].view(np.uint64))
+        _unpack_rest(raw, bits, whole, flat)
         return out
 
     return decode
 
 
-@compiled([void(types.Array(uint8, 1, "C", readonly=True), int64, uint16[::1])], error_model="numpy")
-def _unpack(raw: Pixels, bits: int, out: Pixels) -> None:
-    """Pixels of 10 or 12 bits, the highest bit first, four or two at a time, the last ones bit by bit."""
-    group, width = (4, 5) if bits == 10 else (2, 3)
-    whole = len(out) // group
-    for k in range(whole):
-        i, o = width * k, group * k
-        if bits == 12:
-            a, b, c = np.uint16(raw[i]), np.uint16(raw[i + 1]), np.uint16(raw[i + 2])
-            out[o], out[o + 1] = (a << 4) | (b >> 4), ((b & 15) << 8) | c
-        else:
-            a, b, c = np.uint16(raw[i]), np.uint16(raw[i + 1]), np.uint16(raw[i + 2])
-            d, e = np.uint16(raw[i + 3]), np.uint16(raw[i + 4])
-            out[o], out[o + 1] = (a << 2) | (b >> 6), ((b & 63) << 4) | (c >> 4)
-            out[o + 2], out[o + 3] = ((c & 15) << 6) | (d >> 2), ((d & 3) << 8) | e
-    for o in range(group * whole, len(out)):
+@compiled([void(_BYTES, uint32[::1])], error_model="numpy")
+def _unpack_pairs(raw: Pixels, out: Pixels) -> None:
+    """Pixels of 12 bits, two from three bytes: in words of one width it becomes vector code."""
+    for k in range(np.uintp(len(out))):
+        i = np.uintp(3) * np.uintp(k)
+        a, b, c = np.uint32(raw[i]), np.uint32(raw[i + np.uintp(1)]), np.uint32(raw[i + np.uintp(2)])
+        first = (a << np.uint32(4)) | (b >> np.uint32(4))
+        out[k] = first | ((b & np.uint32(15)) << np.uint32(24)) | (c << np.uint32(16))
+
+
+@compiled([void(_BYTES, uint64[::1])], error_model="numpy")
+def _unpack_fours(raw: Pixels, out: Pixels) -> None:
+    """Pixels of 10 bits, four from five bytes: gathered into words, then taken apart in vector code."""
+    gathered, ten = np.empty(256, np.uint64), np.uint64(1023)
+    one = np.uintp(1)
+    for start in range(np.uintp(0), np.uintp(len(out)), np.uintp(256)):
+        count = min(np.uintp(len(out)) - start, np.uintp(256))
+        for k in range(count):
+            i = np.uintp(5) * (start + k)
+            word = np.uint64(raw[i])
+            for _ in range(4):
+                i += one
+                word = (word << np.uint64(8)) | np.uint64(raw[i])
+            gathered[k] = word
+        for k in range(count):
+            word = gathered[k]
+            first = (word >> np.uint64(30)) | (((word >> np.uint64(20)) & ten) << np.uint64(16))
+            out[start + k] = (
+                first | (((word >> np.uint64(10)) & ten) << np.uint64(32)) | ((word & ten) << np.uint64(48))
+            )
+
+
+@compiled([void(_BYTES, int64, int64, uint16[::1])], error_model="numpy")
+def _unpack_rest(raw: Pixels, bits: int, first: int, out: Pixels) -> None:
+    """Pixels from ``first`` on, bit by bit."""
+    for o in range(first, len(out)):
         value = 0
         for bit in range(o * bits, (o + 1) * bits):
             value = 2 * value + ((raw[bit >> 3] >> (7 - (bit & 7))) & 1)
