@@ -1,14 +1,21 @@
-"""Target images as they are taken: what is found in the newest of each camera."""
+"""Target images as they are taken: what is found in them, how well they fix the rig, what to take next."""
 
 import threading
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.calibration.points import TargetPoints
 from wavefield.errors import CalibrationError, FrameError, WavefieldError
 from wavefield.series import Experiment
+from wavefield.series.parts import CalibrationSection
 
 _PAUSE = 1.0  # s
+_VIEWS = 3  # of each camera, before anything is solved for
+_MODEL = "paper"  # of the cameras: the choice among all takes too long between two pictures
 
 
 class TargetWatch:
@@ -23,13 +30,17 @@ class TargetWatch:
     ----------
     found : dict of camera to (image, points)
         The newest target image, and the nodes found in it, (n, 2), px.
+    rig_words : str
+        How well the poses so far fix the rig, and what to photograph next; empty before it can be said.
     """
 
     def __init__(self, experiment: Experiment) -> None:
         self._experiment = experiment
-        self._looked: dict[str, tuple[str, float]] = {}
+        self._looked: dict[tuple[str, str], tuple[str, float]] = {}
         self._words: dict[str, str] = {}
+        self._views: dict[str, dict[str, TargetPoints]] = {}  # points by camera and pose
         self.found: dict[str, tuple[NDArray[Any], NDArray[Any]]] = {}
+        self.rig_words = ""
         self._thread = threading.Thread(target=self._work, daemon=True, name="targets")
 
     def start(self) -> None:
@@ -40,7 +51,8 @@ class TargetWatch:
     @property
     def words(self) -> str:
         """What was found, a sentence per camera."""
-        return "<br>".join(f"Target, {name}: {words}" for name, words in sorted(self._words.items()))
+        lines = [f"Target, {name}: {words}" for name, words in sorted(self._words.items())]
+        return "<br>".join([*lines, self.rig_words] if self.rig_words else lines)
 
     def _work(self) -> None:
         pause = threading.Event()
@@ -58,17 +70,21 @@ class TargetWatch:
             self._words = {"all cameras": str(error).replace("<", "&lt;")}
             return
         self._words.pop("all cameras", None)
+        new = False
         for camera, poses in views.items():
-            images = [path for path in poses.values() if path.suffix.lower() not in (".csv", ".txt")]
-            if not images:
-                continue
-            newest = max(images, key=lambda path: path.stat().st_mtime)
-            mark = str(newest), newest.stat().st_mtime
-            if self._looked.get(camera) != mark:
-                self._looked[camera] = mark
-                self._find(camera, newest, len(poses))
+            images = [
+                (pose, path) for pose, path in poses.items() if path.suffix.lower() not in (".csv", ".txt")
+            ]
+            images.sort(key=lambda one: one[1].stat().st_mtime)
+            for pose, path in images:
+                mark = str(path), path.stat().st_mtime
+                if self._looked.get((camera, pose)) != mark:
+                    self._looked[camera, pose] = mark
+                    new |= self._find(camera, pose, path, len(poses))
+        if new:
+            self._judge()
 
-    def _find(self, camera: str, path: Any, poses: int) -> None:
+    def _find(self, camera: str, pose: str, path: Path, poses: int) -> bool:
         from wavefield.calibration import Target, find_target
         from wavefield.images import read_image
 
@@ -76,9 +92,61 @@ class TargetWatch:
         try:
             image = read_image(path)
             points = find_target(image, Target.from_dict(self._experiment.calibration.target))
-            nodes = points.pixel
-            words = f"{len(nodes)} nodes found in {path.name}; {poses} poses so far"
-            self.found[camera] = image, nodes
         except (CalibrationError, FrameError) as error:
-            words = str(error).replace("<", "&lt;")
-        self._words[camera] = words
+            self._words[camera] = str(error).replace("<", "&lt;")
+            return False
+        self._words[camera] = f"{len(points.pixel)} nodes found in {path.name}; {poses} poses so far"
+        self.found[camera] = image, points.pixel
+        self._views.setdefault(camera, {})[pose] = points
+        return True
+
+    def _judge(self) -> None:
+        section = self._experiment.calibration
+        assert section is not None
+        if min((len(self._views.get(name, ())) for name in self._experiment.cameras), default=0) < _VIEWS:
+            self.rig_words = f"Rig: {_VIEWS} views of each camera are needed to solve for it."
+        else:
+            self.rig_words = so_far(self._views, section).replace("<", "&lt;")
+
+
+def so_far(views: Mapping[str, Mapping[str, TargetPoints]], section: CalibrationSection) -> str:
+    """Say how well views of a target fix the rig, and what to photograph next.
+
+    Parameters
+    ----------
+    views : mapping of camera to mapping of pose to TargetPoints
+        What was found in each image.
+    section : CalibrationSection
+        The experiment's block: the target, and which pose is flat.
+
+    Returns
+    -------
+    str
+        One or two sentences.
+    """
+    from wavefield.calibration import Target, calibrate
+    from wavefield.calibration.images import placed_at
+    from wavefield.calibration.next_view import next_view
+
+    placed = {
+        camera: {
+            pose: placed_at(points, section.heights[pose]) if pose in section.heights else points
+            for pose, points in poses.items()
+        }
+        for camera, poses in views.items()
+    }
+    found = calibrate(
+        placed,
+        Target.from_dict(section.target),
+        flat="flat" if section.flat else "",
+        model=section.model or _MODEL,
+        target_std=section.target_std,
+    )
+    if found.derived is None:
+        return f"Rig: {'; '.join(found.problems)}"
+    pixels = ", ".join(f"{name} to {std:.2g} px" for name, std in found.derived.reprojection.items())
+    z = "" if np.isnan(found.derived.z_std) else f", z to {1e3 * found.derived.z_std:.2g} mm"
+    then = next_view(found)
+    helps = then is not None and then.helps
+    more = f"Next: {then.words}" if then and helps else "Another view would hardly tell more: calibrate"
+    return f"Rig, as the views so far fix it: {pixels}{z}. {more}."
