@@ -90,4 +90,6 @@ def test_following_says_what_the_views_so_far_are_worth():
     assert re.search(
         r"Next: raise its [+-][xy] side by 25 degrees and hold it .*: z known to 0\.\d+ mm", words
     )
-    assert so_far({name: {} for name in EXACT}, section).startswith("Rig: no target was found in any view of cam1")
+    assert so_far({name: {} for name in EXACT}, section).startswith(
+        "Rig: no target was found in any view of cam1"
+    )
