@@ -6,7 +6,7 @@ import numpy as np
 
 from wavefield.errors import FrameError
 from wavefield.matching.assess import assess
-from wavefield.matching.displacement import Displacement
+from wavefield.matching.displacement import Displacement, Reason
 from wavefield.matching.kernels import (
     BLOCK,
     F,
@@ -35,6 +35,13 @@ from wavefield.matching.settings import Settings
 
 _RIDGE = 0.01  # of the mean trace of the windowed Hessians: keeps steps small where there is little to see
 _LONGEST_STEP = 1.5  # px
+_ENOUGH = 0.5  # of the blocks: less, and larger windows are tried
+_MUCH_MORE = 2.0  # times as many blocks: what larger windows must tell
+_WIDE = {
+    "window": 64.0,
+    "search_window": 40.0,
+    "min_correlation": 0.15,
+}  # 3 std of unlike images' correlation
 
 Initial = Displacement | tuple[np.ndarray | float, np.ndarray | float] | None
 
@@ -53,7 +60,8 @@ def match(
     a, b : (h, w) array, or Prepared
         The two images; prepare an image that is used in several matches once.
     settings : Settings, optional
-        Default `Settings.piv()`.
+        Default `Settings.piv()`; where that says nothing of most blocks, as of few and weak particles,
+        windows of 64 px that content themselves with a correlation of .15, if they say much more.
     mask : (h, w) bool, optional
         True where pixels of both images may be used; for images that are not prepared.
     initial : Displacement, or (u, v), optional
@@ -87,7 +95,8 @@ def match(
     >>> round(float(np.median(d.u[d.valid])), 2), round(float(np.median(d.v[d.valid])), 2)
     (3.0, 2.0)
     """
-    settings = Settings.piv() if settings is None else settings
+    if settings is None:
+        return _by_themselves(a, b, mask, initial)
     a, b = prepared_pair(a, b, settings, mask)
     top = min(len(a.levels), settings.levels) - 1
     u, v = _start(a.levels[top], b.levels[top], top, a.levels[0].blocks, settings, initial)
@@ -100,6 +109,26 @@ def match(
             return _finest(_View(here, there, settings.smoother_sigma, settings), u, v, count)
         u, v = _plain_steps(_View(here, there, settings.coarse_smoother_sigma, settings), u, v, count)
     raise AssertionError("a prepared image has at least one level")
+
+
+def _by_themselves(
+    a: np.ndarray | Prepared, b: np.ndarray | Prepared, mask: np.ndarray | None, initial: Initial
+) -> Displacement:
+    """Match with settings that the images choose."""
+    usual = Settings.piv()
+    a, b = prepared_pair(a, b, usual, mask)
+    found = match(a, b, usual, initial=initial)
+    first = _told(found)
+    if first >= _ENOUGH:
+        return found
+    wide = match(a, b, Settings.piv(**_WIDE), initial=initial)
+    return wide if _told(wide) > _MUCH_MORE * first else found
+
+
+def _told(found: Displacement) -> float:
+    """Fraction of the blocks that are not masked of which a match tells something."""
+    looked_at = (found.reason & Reason.MASKED) == 0
+    return float(found.valid[looked_at].mean()) if looked_at.any() else 1.0
 
 
 def prepared_pair(
