@@ -108,7 +108,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--draws", type=int, default=16)
+    parser.add_argument("--draws", type=int, default=8)
     parser.add_argument("--steps", type=int, default=1280)
     parser.add_argument("--segments", type=int, nargs="+", default=[64, 256])
     parser.add_argument("--spreads", type=float, nargs="+", default=[0, 10, 30])

@@ -25,7 +25,17 @@ from wavefield.errors import CubeError, StoreError
 from wavefield.store.waves import write_waves
 from wavefield.variables import FIELD_TEXTS, FIELD_UNITS, TABLE, annotate, density_units, validate
 from wavefield.water import water_of
-from wavefield.waves import coherence, crosses, fusion, kinematics, segments, spectra, statistics, transfer
+from wavefield.waves import (
+    coherence,
+    crosses,
+    fusion,
+    kinematics,
+    scatter,
+    segments,
+    spectra,
+    statistics,
+    transfer,
+)
 from wavefield.waves.bound import free_and_bound
 from wavefield.waves.direction import direction_group
 from wavefield.waves.directional import from_density
@@ -259,8 +269,9 @@ def _groups(
             f"Values beyond six standard deviations: {words}. A single wild value lifts the floor of its"
             " spectra: look at them before you trust what lies decades below the peak."
         )
-    water = job.depth, job.gamma, welch.dof
-    subjects = _currents(job, density, dispersion, moments, welch)
+    alone_dof = scatter.cell_freedom(sums.rings, "w", welch)
+    water = job.depth, job.gamma, alone_dof
+    subjects = _currents(job, density, dispersion, moments, welch, alone_dof)
     seconds = sum(b - a for a, b in welch.record.runs) * welch.record.dt
     peaks = statistics.spectral_peak(moments, fused, job.depth, job.gamma)
     peaks, dispersion, unknown = leave_out_unknown(peaks, dispersion, seconds, welch.count)
@@ -281,6 +292,7 @@ def _currents(
     dispersion: xr.Dataset,
     moments: xr.Dataset,
     welch: Welch,
+    dof: float,
 ) -> list[_Subject]:
     # what rests on a fitted current; what takes longest comes first
     if "current_x" not in dispersion:
@@ -297,10 +309,10 @@ def _currents(
             partial(resonances, job.cube["w"], job.depth, **vectors),
             "No coherence of wave vectors",
         ),
-        _Subject("bound", partial(free_and_bound, of_z, job.depth, dof=welch.dof, **moving)),
+        _Subject("bound", partial(free_and_bound, of_z, job.depth, dof=dof, **moving)),
         _Subject(
             "directional",
-            partial(from_density, of_w, job.depth, job.gamma, current, welch.dof, welch.frames),
+            partial(from_density, of_w, job.depth, job.gamma, current, dof, welch.frames),
             "No directional spectrum",
         ),
         _Subject(

@@ -3,6 +3,7 @@
 Names: ``z`` is the elevation at frame times, half a step before the rest; ``nl`` is u . grad z.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
@@ -109,6 +110,7 @@ def combine(
     pairs: Sequence[tuple[str, str]],
     maps: Sequence[str],
     welch: Welch,
+    begin: int = 0,
 ) -> dict[str, Array]:
     """Transform a segment in time and sum powers and cross products over rings.
 
@@ -125,15 +127,17 @@ def combine(
         Re(i exp(i omega dt / 2) conj(a) b), a being half a step early and k pointing where waves go.
     welch : Welch
         Rings of the k plane and time between frames.
+    begin : int
+        First step of the segment.
 
     Returns
     -------
     dict of str to ndarray
         "name" (2, rings, n // 2 + 1), power and its square, "a*b" the same shape, real and
-        imaginary part, "map name" (cells, n).
+        imaginary part, "map name" (cells, n), and what `scatter.take_in` keeps.
     """
     sums = empty_sums(first[names[0]], names, pairs, maps, welch.table)
-    add_segment(sums, first, second, names, pairs, maps, welch)
+    add_segment(sums, first, second, names, pairs, maps, welch, begin)
     return sums
 
 
@@ -148,8 +152,6 @@ def empty_sums(
     cells, steps = half.shape
     shape = (table.k.size, steps + 1)
     sums = {name: np.zeros((2, *shape)) for name in (*names, *(f"{a}*{b}" for a, b in pairs))}
-    for name in names:
-        sums |= scatter.no_squares(name, shape)
     return sums | {f"map {name}": np.zeros((cells, 2 * steps), half.real.dtype) for name in maps}
 
 
@@ -161,6 +163,7 @@ def add_segment(
     pairs: Sequence[tuple[str, str]],
     maps: Sequence[str],
     welch: Welch,
+    begin: int,
 ) -> None:
     """As `combine`, added to ``sums``."""
     table, dt = welch.table, welch.record.dt
@@ -190,7 +193,7 @@ def add_segment(
                 to = sums[f"map {a}*{b}"][slab]
                 kernels.add_products(lines[a], lines[b], turns[0], turns[1], to)
     for name in names:
-        scatter.take_in(sums, name, mine[name])
+        scatter.take_in(sums, name, mine[name], begin)
 
 
 def _quadrature(b: Array) -> tuple[Array, Array]:
@@ -219,7 +222,11 @@ class _FrameTimes:
 
 
 def label(
-    sums: Mapping[str, Any], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
+    sums: Mapping[str, Any],
+    names: Sequence[str],
+    pairs: Sequence[tuple[str, str]],
+    welch: Welch,
+    freedom: Mapping[str, Any] | None = None,
 ) -> xr.Dataset:
     """Turn ring sums into a labelled dataset.
 
@@ -231,6 +238,8 @@ def label(
         As given to `combine`.
     welch : Welch
         How they were taken.
+    freedom : mapping, optional
+        `scatter.freedom` of each name; found from the sums if not given.
 
     Returns
     -------
@@ -242,9 +251,10 @@ def label(
     out: dict[str, Any] = {}
     for name in names:
         out[f"E_{name}"] = (dims, sums[name][0].T * factor)
-        out[f"dof_{name}"] = (dims, scatter.freedom(sums, name, welch, gaussian=name != "nl").T)
+        found = scatter.freedom(sums, name, welch, name != "nl") if freedom is None else freedom[name]
+        out[f"dof_{name}"] = (dims, found["both"].T)
         for axis in ("omega", "k"):
-            out[f"dof_{axis}_{name}"] = (axis, scatter.freedom_over(sums, name, axis, welch))
+            out[f"dof_{axis}_{name}"] = (axis, found[axis])
     for a, b in pairs:
         real, imaginary = sums[f"{a}*{b}"]
         out[f"S_{a}_{b}"] = (dims, (real + 1j * imaginary).T * factor)
@@ -338,7 +348,11 @@ def lazy_sums(
     runs = segments.half_segments([cube[field] for field in fields], welch.record, welch.half, make)
     task = dask.delayed(combine, pure=False)
     return segments.in_order(
-        [task(a, b, names, pairs, maps, welch) for run in runs for a, b in pairwise(run)]
+        [
+            task(a, b, names, pairs, maps, welch, begin)
+            for run, (start, _) in zip(runs, welch.record.runs)
+            for begin, (a, b) in zip(itertools.count(start, welch.half), pairwise(run))
+        ]
     )
 
 
@@ -350,9 +364,12 @@ def lazy_cross_spectra(
     shape = (welch.table.k.size, welch.omega.size)
     wanted = (*names, *(f"{a}*{b}" for a, b in pairs))
     sums = {name: da.from_delayed(summed[name], (2, *shape), float) for name in wanted}
+    shapes = {"both": shape, "omega": shape[1:], "k": shape[:1]}
+    freedom = {}
     for name in names:
-        sums |= scatter.lazy_squares(summed, name, shape)
-    return label(sums, names, pairs, welch)
+        found = dask.delayed(scatter.freedom, pure=False)(summed, name, welch, name != "nl")
+        freedom[name] = {of: da.from_delayed(found[of], size, float) for of, size in shapes.items()}
+    return label(sums, names, pairs, welch, freedom)
 
 
 def by_field(ring: xr.Dataset, names: Sequence[str]) -> xr.Dataset:

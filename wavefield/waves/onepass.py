@@ -76,7 +76,9 @@ class _Step:
         if "half" in state:
             if state["sums"] is None:
                 state["sums"] = crosses.empty_sums(half["z"], NAMES, PAIRS, PLANES, self.welch.table)
-            crosses.add_segment(state["sums"], state["half"], half, NAMES, PAIRS, PLANES, self.welch)
+            crosses.add_segment(
+                state["sums"], state["half"], half, NAMES, PAIRS, PLANES, self.welch, a - self.welch.half
+            )
         return state | {"half": half, "old": state.get("half")}
 
     def _survey(self, fields: dict[str, Array]) -> dict[str, Array]:

@@ -1,46 +1,45 @@
-"""The scatter of ring sums between segments: degrees of freedom that ask nothing of the waves."""
+"""The scatter of ring sums between segments: degrees of freedom that ask nothing of the waves.
+
+Waves that stay in a cell longer than a segment lasts make segments alike, and a ridge thinner than a cell
+makes cells alike: both show in how the power of a ring varies from segment to segment, and how long it keeps
+its value.
+"""
 
 from collections.abc import Mapping
 from typing import Any
 
-import dask
-import dask.array as da
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from wavefield.waves.welch import LEAST_COUNT, Welch
 
 Array = NDArray[Any]
 
-
-def no_squares(name: str, shape: tuple[int, int]) -> dict[str, Array]:
-    """Zeros for `take_in`, for rings and lines."""
-    rings_, lines = shape
-    return {
-        f"{name} cells": np.zeros(shape),
-        f"{name} k": np.zeros(rings_),
-        f"{name} omega": np.zeros(lines),
-    }
+_NEAR, _WIDE = (5, 11), (21, 81)  # rings and lines over which scatter and likeness are averaged
+_ALONG, _FAR = 11, 41  # lines, or rings, where the other axis is summed up
+_FURTHEST = 2  # segments apart that may be alike
+_ENOUGH = 12  # segments: fewer do not tell how alike they are, nor the scatter of few waves
+_DOUBT = 0.5  # over the root of their number: by so much likeness is overestimated at random
+_MOST = 4.0  # times as many degrees of freedom as cells and energy let expect, or as few
 
 
-def lazy_squares(summed: Any, name: str, shape: tuple[int, int]) -> dict[str, Any]:
-    """The sums of squares of a delayed dictionary, as lazy arrays."""
-    return {
-        key: da.from_delayed(summed[key], zeros.shape, float)
-        for key, zeros in no_squares(name, shape).items()
-    }
-
-
-def take_in(sums: dict[str, Array], name: str, mine: Array) -> None:
-    """Add one segment's ring sums, (2, rings, lines), and the squares that tell its scatter, to ``sums``."""
+def take_in(sums: dict[str, Array], name: str, mine: Array, first: int) -> None:
+    """Add a segment's sums, (2, rings, lines), to ``sums``, and keep its power; ``first`` is its step."""
     sums[name] += mine
-    sums[f"{name} cells"] += mine[0] ** 2
-    sums[f"{name} k"] += mine[0].sum(axis=1) ** 2
-    sums[f"{name} omega"] += mine[0].sum(axis=0) ** 2
+    sums[f"{name} from {first:012d}"] = mine[0].astype(np.float32)
 
 
-def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool) -> Any:
-    """Degrees of freedom of E(k, omega), (rings, lines).
+def keep_lines(power: Array, first: int) -> dict[str, Array]:
+    """What `cell_freedom` wants to know of a segment that begins at ``first``, from its power (cells, n)."""
+    whole = power.sum(axis=0, dtype=float)
+    half = whole.size // 2
+    folded = np.concatenate([whole[:1], whole[1:half] + whole[:half:-1], whole[half : half + 1]])
+    return {f"f from {first:012d}": folded[None]}
+
+
+def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = True) -> dict[str, Array]:
+    """Degrees of freedom of E(k, omega), of E(omega) and of E(k).
 
     Parameters
     ----------
@@ -51,27 +50,95 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool) ->
     welch : Welch
         How they were taken.
     gaussian : bool
-        Whether its lines are Gaussian: then from the spread of the energy over cells, else from the scatter
-        between segments.
+        Whether its lines are Gaussian.
 
     Returns
     -------
-    array, (rings, lines)
+    dict of str to ndarray
+        "both" (rings, lines), "omega" (lines,), "k" (rings,); the last two NaN with fewer than four segments.
+
+    Notes
+    -----
+    Twice the squared mean over the variance of the mean of K segments: c_0 / K times how alike they are, 1 +
+    2 sum (1 - L/K) c_L / c_0, c_L their covariance L apart, L to 2, each over what taking off the mean leaves
+    of it. Of E(k, omega) the variance is told in parts of what the energy's spread over cells lets expect
+    (`Welch.freedom`), which follows the ridge, and averaged over 5 rings and 11 lines; likeness, which is
+    less well known and changes less, over 21 and 81. Of E(omega) over 11 and 41 lines; of E(k), in parts of
+    what the rings' cells let expect, over as many rings. Fewer than twelve segments are taken to be as alike
+    as those of white noise, and E(k, omega) of Gaussian lines to be what is expected.
     """
-    power = sums[name]
-    if gaussian or welch.count < LEAST_COUNT:
-        return _as_one(welch.freedom, power.shape[1:], power)
-    return _as_one(welch.scatter, power.shape[1:], power[0], sums[f"{name} cells"]).clip(2, None)
+    theory = welch.freedom(sums[name])
+    if welch.count < LEAST_COUNT:
+        rings, lines = theory.shape
+        return {"both": theory, "omega": np.full(lines, np.nan), "k": np.full(rings, np.nan)}
+    starts, powers = _series(sums, name)
+    parts = np.ones_like(theory)
+    if welch.count >= _ENOUGH or not gaussian:
+        parts = _scatter(powers, starts, welch, theory / 2, (_NEAR, _WIDE)).clip(1 / _MOST, _MOST)
+    lines = np.ones(powers.shape[2])
+    on_omega = _scatter(powers.sum(axis=1), starts, welch, lines, (_ALONG, _FAR))
+    on_k = _scatter(powers.sum(axis=2), starts, welch, welch.table.cells, (_ALONG, _FAR)) / welch.table.cells
+    return {
+        "both": (theory / parts).clip(1, None),
+        "omega": (2 / on_omega.clip(1e-9)).clip(1, None),
+        "k": (2 / on_k.clip(1e-9)).clip(1, None),
+    }
 
 
-def freedom_over(sums: Mapping[str, Any], name: str, axis: str, welch: Welch) -> Any:
-    """Degrees of freedom of E(omega) or E(k), from the scatter between segments; NaN with fewer than four."""
-    total = sums[name][0].sum(axis=0 if axis == "omega" else 1)
-    return _as_one(welch.scatter, total.shape, total, sums[f"{name} {axis}"])
+def cell_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> float:
+    """Degrees of freedom of a single cell of the strongest lines: twice the segments that are not alike."""
+    if welch.count < _ENOUGH:
+        return welch.dof
+    starts, powers = _series(sums, name)
+    lines = powers.sum(axis=1)
+    mean = lines.mean(axis=0)
+    strong = mean > 1e-2 * mean.max()
+    alone, whole = (part[strong].sum() for part in _variances(lines, starts, welch))
+    return float(np.clip(2 * welch.count * alone / whole, 2.0, welch.dof)) if whole > 0 else welch.dof
 
 
-def _as_one(function: Any, shape: tuple[int, ...], *arrays: Any) -> Any:
-    # small arrays: as one piece where they are lazy
-    if isinstance(arrays[0], np.ndarray):
-        return function(*arrays)
-    return da.from_delayed(dask.delayed(function, pure=False)(*arrays), shape, float)
+def _series(sums: Mapping[str, Any], name: str) -> tuple[Array, Array]:
+    # first steps of the segments, and their powers (segments, rings, lines)
+    start = f"{name} from "
+    names = sorted(key for key in sums if key.startswith(start))
+    steps = np.array([int(key.removeprefix(start)) for key in names])
+    return steps, np.array([sums[key] for key in names], float)
+
+
+def _scatter(
+    powers: Array, starts: Array, welch: Welch, scale: Array, sizes: tuple[tuple[int, int] | int, ...]
+) -> Array:
+    # relative variance of the mean of the segments, times a scale, averaged
+    alone, whole = (part * scale for part in _variances(powers, starts, welch))
+    near, wide = sizes
+    least = 1 + (1 - 1 / welch.count) / 18  # of white noise
+    if welch.count < _ENOUGH:
+        return np.asarray(_smooth(alone, near) * least)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        likeness = np.nan_to_num(_smooth(whole, wide) / _smooth(alone, wide), nan=least)
+    return np.asarray(_smooth(alone, near) * np.maximum(likeness - _DOUBT / np.sqrt(welch.count), least))
+
+
+def _variances(powers: Array, starts: Array, welch: Welch) -> tuple[Array, Array]:
+    # of the mean of the segments over its square, as if none were alike, and as they are
+    count = welch.count
+    mean = powers.mean(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.where(mean > 0, powers / mean - 1, 0.0)
+    place = (starts - starts[0]) // welch.half
+    alone = (off**2).mean(axis=0)
+    whole, terms = alone, 1.0
+    for apart in range(1, min(max(1, count // 4), _FURTHEST) + 1):
+        pairs = np.flatnonzero(place[apart:] - place[:-apart] == apart)
+        if pairs.size:
+            part = 2 * (1 - apart / count)
+            whole = whole + part * (off[pairs + apart] * off[pairs]).mean(axis=0)
+            terms += part
+    return alone / (count - 1), whole / (count - terms)
+
+
+def _smooth(values: Array, size: int | tuple[int, int]) -> Array:
+    known = values != 0
+    weight = ndimage.uniform_filter(known.astype(float), size, mode="nearest")
+    mean = ndimage.uniform_filter(np.where(known, values, 0.0), size, mode="nearest")
+    return np.where(weight > 1e-9, mean / np.maximum(weight, 1e-9), 1.0)

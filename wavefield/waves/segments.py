@@ -236,8 +236,8 @@ def in_order(parts: Sequence[Any]) -> Any:
 
 
 def add(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
-    """Sum two dictionaries of arrays, name by name."""
-    return {name: a[name] + b[name] for name in a}
+    """Sum two dictionaries of arrays, name by name; what only one of them has is kept."""
+    return {**a, **b} | {name: a[name] + b[name] for name in a if name in b}
 
 
 def spatial_window(ny: int, nx: int) -> np.ndarray:

@@ -44,13 +44,13 @@ def _transform(blocks: list[Array], first: int) -> dict[str, Array]:
     return {"f": segments.transform_space(blocks.pop())}
 
 
-def _powers(a: dict[str, Array], b: dict[str, Array]) -> dict[str, Array]:
+def _powers(a: dict[str, Array], b: dict[str, Array], begin: int) -> dict[str, Array]:
     cells, half = a["f"].shape
     power = np.zeros((cells, 2 * half), a["f"].real.dtype)
     transform = segments.TimeTransform(half, a["f"].dtype)
     for slab in segments.slabs(cells):
         kernels.add_powers(transform(a["f"][slab], b["f"][slab]), power[slab])
-    return {"power": power}
+    return {"power": power} | scatter.keep_lines(power, begin)
 
 
 def unfold(power: Array, ny: int, nx: int) -> Array:
@@ -85,8 +85,10 @@ def unfold(power: Array, ny: int, nx: int) -> Array:
     return np.fft.fftshift(out, axes=(1, 2))
 
 
-def _map(total: dict[str, Array], welch: Welch) -> Array:
-    return density(total["power"], welch)
+def _map(total: dict[str, Array], welch: Welch) -> dict[str, Any]:
+    dof = scatter.cell_freedom(total, "f", welch)
+    found = {"E": density(total["power"], welch), "dof": np.array(dof)}
+    return found | dict(zip(("low", "high"), interval(dof)))
 
 
 def density(power: Array, welch: Welch) -> Array:
@@ -141,12 +143,21 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     welch = Welch.of(field, segment, record)
     runs = segments.half_segments([field], welch.record, welch.half, _transform)
     task = dask.delayed(_powers, pure=False)
-    summed = segments.in_order([task(a, b) for run in runs for a, b in itertools.pairwise(run)])
+    summed = segments.in_order(
+        [
+            task(a, b, begin)
+            for run, (start, _) in zip(runs, welch.record.runs)
+            for begin, (a, b) in zip(itertools.count(start, welch.half), itertools.pairwise(run))
+        ]
+    )
     lazy = dask.delayed(_map, pure=False)(summed, welch)
     dtype = np.float32 if field.dtype == np.float32 else np.float64
     shape = (welch.omega.size, *welch.record.shape)
-    values = xr.Variable(("omega", "ky", "kx"), da.from_delayed(lazy, shape, dtype))
-    return finish(plane_density(values, _name(field), field.attrs.get("units", "1"), welch), field)
+    values = xr.Variable(("omega", "ky", "kx"), da.from_delayed(lazy["E"], shape, dtype))
+    out = plane_density(values, _name(field), field.attrs.get("units", "1"), welch)
+    for name in ("dof", "low", "high"):
+        out[name] = xr.DataArray(da.from_delayed(lazy[name], (), np.float64), attrs=out[name].attrs)
+    return finish(out, field)
 
 
 def plane_density(values: Any, name: str, units: str, welch: Welch) -> xr.Dataset:
@@ -202,6 +213,7 @@ def _ring_powers(
     ring: Array,
     weight: Array,
     spread: Array,
+    begin: int,
 ) -> dict[str, Array]:
     cells, half = a["f"].shape
     shape = int(ring.max()) + 1, half + 1
@@ -210,16 +222,16 @@ def _ring_powers(
     for slab in segments.slabs(cells):
         lines = transform(a["f"][slab], b["f"][slab])
         kernels.ring_powers(lines, start[slab.start : slab.stop + 1], ring, weight, spread, mine)
-    out = {"f": np.zeros_like(mine)} | scatter.no_squares("f", shape)
-    scatter.take_in(out, "f", mine)
+    out = {"f": np.zeros_like(mine)}
+    scatter.take_in(out, "f", mine, begin)
     return out
 
 
-def _estimates(summed: dict[str, Array], welch: Welch) -> Array:
-    """E(k, omega), its freedom and interval, (4, omega, k): one task, not a graph of small ones."""
-    sums = summed["f"]
-    dof = np.maximum(welch.freedom(sums), 1.0)
-    return np.stack([sums[0] * welch.ring_density, dof, *interval(dof)]).transpose(0, 2, 1)
+def _estimates(summed: dict[str, Array], welch: Welch) -> dict[str, Array]:
+    """E(k, omega), its freedom and interval, (4, omega, k), and freedom of E(omega) and E(k): one task."""
+    dof = scatter.freedom(summed, "f", welch)
+    parts = np.stack([summed["f"][0] * welch.ring_density, dof["both"], *interval(dof["both"])])
+    return {"parts": parts.transpose(0, 2, 1), "omega": dof["omega"], "k": dof["k"]}
 
 
 def komega(
@@ -274,14 +286,19 @@ def komega(
     runs = segments.half_segments([field], welch.record, welch.half, _transform)
     task = dask.delayed(_ring_powers, pure=False)
     weights = table.start, table.ring, table.weight, table.spread
-    summed = segments.in_order([task(a, b, *weights) for run in runs for a, b in itertools.pairwise(run)])
+    summed = segments.in_order(
+        [
+            task(a, b, *weights, begin)
+            for run, (start, _) in zip(runs, welch.record.runs)
+            for begin, (a, b) in zip(itertools.count(start, welch.half), itertools.pairwise(run))
+        ]
+    )
     found = dask.delayed(_estimates, pure=False)(summed, welch)
-    parts = da.from_delayed(found, (4, welch.omega.size, table.k.size), np.float64)
+    parts = da.from_delayed(found["parts"], (4, welch.omega.size, table.k.size), np.float64)
     names = ("E", "dof", "low", "high")
     out = annotate(xr.Dataset({name: (("omega", "k"), part) for name, part in zip(names, parts)}))
     for axis, size in (("omega", welch.omega.size), ("k", table.k.size)):
-        dof = dask.delayed(scatter.freedom_over, pure=False)(summed, "f", axis, welch)
-        out[f"dof_{axis}"] = (axis, da.from_delayed(dof, (size,), np.float64))
+        out[f"dof_{axis}"] = (axis, da.from_delayed(found[axis], (size,), np.float64))
     out = out.assign(welch.ring_variables).assign_coords(omega_coords(welch.omega) | k_coords(table.k))
     out["valid"] = (("omega", "k"), welch.valid)
     out = annotate(out.assign_attrs(welch.attrs), "komega")

@@ -48,7 +48,9 @@ def _project(cos: Array, sin: Array) -> Callable[[list[Array], int], dict[str, A
     return make
 
 
-def _powers(a: dict[str, Array], b: dict[str, Array], welch: Welch, turned: Array) -> dict[str, Array]:
+def _powers(
+    a: dict[str, Array], b: dict[str, Array], welch: Welch, turned: Array, begin: int
+) -> dict[str, Array]:
     cells, half = a["along"].shape
     table = welch.table
     shape = int(table.ring.max()) + 1, half + 1
@@ -65,8 +67,8 @@ def _powers(a: dict[str, Array], b: dict[str, Array], welch: Welch, turned: Arra
                 kernels.ring_powers(lines, start, *weights, mine["leak"])
     out: dict[str, Array] = {}
     for name in _NAMES:
-        out |= {name: np.zeros_like(mine[name])} | scatter.no_squares(name, shape)
-        scatter.take_in(out, name, mine[name])
+        out[name] = np.zeros_like(mine[name])
+        scatter.take_in(out, name, mine[name], begin)
     inside = welch.valid.T
     rest = float((mine["across"][0] - mine["leak"][0])[inside].sum())
     whole = float((mine["across"][0] + mine["along"][0])[inside].sum())
@@ -129,7 +131,11 @@ def waves_and_vortices(
     cos, sin, turned = _headings(welch)
     runs = segments.half_segments([fields["u"], fields["v"]], welch.record, welch.half, _project(cos, sin))
     task = dask.delayed(_powers, pure=False)
-    parts = [task(a, b, welch, turned) for run in runs for a, b in itertools.pairwise(run)]
+    parts = [
+        task(a, b, welch, turned, begin)
+        for run, (start, _) in zip(runs, welch.record.runs)
+        for begin, (a, b) in zip(itertools.count(start, welch.half), itertools.pairwise(run))
+    ]
     sums = segments.in_order(parts).compute()
     return _label(sums, welch)
 
@@ -137,7 +143,7 @@ def waves_and_vortices(
 def _label(sums: dict[str, Array], welch: Welch) -> xr.Dataset:
     dims = ("omega", "k")
     E = {name: sums[name][0].T * welch.ring_density for name in _NAMES}
-    dof = scatter.freedom(sums, "across", welch, gaussian=False).T
+    dof = scatter.freedom(sums, "across", welch, gaussian=False)["both"].T
     interval = with_interval(xr.DataArray(E["across"], dims=dims), xr.DataArray(dof, dims=dims))
     rest, whole, rest2, whole2, both = sums["whole"] / welch.count
     fraction = rest / whole

@@ -18,7 +18,6 @@ Coordinates = dict[str, tuple[str, Array]]
 
 LEAST_COUNT = 4  # segments
 _NEAR = 3  # lines over which the spread over cells is averaged
-_ALONG = 11  # lines over which the scatter is averaged
 LOWEST = 2  # cells: a Hann window mixes what is nearer to zero with the mean
 
 
@@ -176,35 +175,6 @@ class Welch:
         cells = np.divide(weight, spread, out=np.zeros_like(power), where=spread > 0) - 1 / self.count
         cells = np.where(filled, cells, self.table.cells[:, None])  # where there is no energy at all
         return np.asarray(self.dof * cells.clip(1))
-
-    def scatter(self, total: Array, squares: Array) -> Array:
-        """Degrees of freedom of a sum of powers from its scatter between segments.
-
-        Parameters
-        ----------
-        total, squares : ndarray, (..., lines)
-            Sum over the segments of what each gives, and of its square.
-
-        Returns
-        -------
-        ndarray, (..., lines)
-            Twice the squared mean over the variance of the mean; the relative variance is averaged over
-            eleven along the last axis: lines, of E(k) rings. NaN with fewer than four segments, which tell
-            no scatter.
-
-        Notes
-        -----
-        Unlike `freedom` it asks neither for Gaussian lines nor for cells that share no wave.
-        """
-        count = self.count
-        if count < LEAST_COUNT:
-            return np.full(np.shape(total), np.nan)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            relative = (squares / count) / (total / count) ** 2 - 1
-        relative = np.nan_to_num(relative, nan=0.0, posinf=0.0).clip(0) * count / (count - 1)
-        relative = ndimage.uniform_filter1d(relative, min(_ALONG, total.shape[-1]), axis=-1, mode="nearest")
-        overlap = 1 + (1 - 1 / count) / 18
-        return np.asarray(2 * count / overlap / relative.clip(1e-9))
 
     @property
     def ring_variables(self) -> Mapping[str, tuple[str, Array]]:
