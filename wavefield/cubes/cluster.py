@@ -10,6 +10,8 @@ from wavefield.cubes.pool import Pool
 from wavefield.cubes.worker_settings import one_thread
 from wavefield.cubes.workflow import Workflow
 
+_MOST_THREADS = 4  # of a run's own process
+
 Work = Callable[[Any], Any]
 MapUnordered = Callable[[Work, Sequence[Any]], Generator[tuple[Any, Any], None, None]]
 
@@ -29,8 +31,29 @@ def count_workers(workflow: Workflow) -> int:
     if workflow.cluster == "none":
         return 1
     if workflow.workers == "auto":
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return _cores()
     return workflow.workers if isinstance(workflow.workers, int) else workflow.workers.maximum
+
+
+def threads_here(workflow: Workflow) -> int:
+    """Threads that a run takes in its own process while its workers have nothing to do yet or any more.
+
+    Parameters
+    ----------
+    workflow : Workflow
+        The workflow.
+
+    Returns
+    -------
+    int
+        No more than it has workers, and few: each holds the images of an instant.
+    """
+    return min(count_workers(workflow), _cores(), _MOST_THREADS)
+
+
+def _cores() -> int:
+    """Of this machine, as far as this process may use them."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager

@@ -1,6 +1,5 @@
 """The verdict on an experiment before its run, and on a cube after it."""
 
-import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import numpy as np
 
 from wavefield.cubes import steadiness, synchrony
 from wavefield.cubes.at_rest import remark_on_rest
-from wavefield.cubes.cluster import count_workers
+from wavefield.cubes.cluster import threads_here
 from wavefield.cubes.prepare import Prepared, expected_coverage
 from wavefield.cubes.probe_remarks import remark_on_probes
 from wavefield.cubes.suspects import Examination, examine
@@ -22,7 +21,6 @@ from wavefield.words import spell_ranges
 
 _INSTANTS = 4  # of a record, looked at before a run and after it
 _SYNCHRONY = 24  # of a record, by which delays of cameras are measured after its run
-_THREADS = 4  # that look at instants: each holds an instant's images
 _FIRST_LOOK = 4  # the same before it
 _STEPS = 12  # of a cube, looked at after its run
 _EPS = (0.15, 0.5)  # px: eps' that is remarked upon, that nothing can be believed of
@@ -68,9 +66,10 @@ def synchrony_of(prepared: Prepared, instants: int = _SYNCHRONY) -> tuple[dict[s
     even = ((k + 0.5) * count / instants for k in range(instants))
     frames = sorted({min(max(int(k), 2), count - 3) for k in even}) if count >= 5 else []
     rate = prepared.experiment.frame_rate
-    threads = min(count_workers(prepared.workflow), os.cpu_count() or 1, _THREADS)
     with one_thread():  # each of them
-        return synchrony.delays(prepared.plan, _witness(prepared), frames, rate, threads)
+        return synchrony.delays(
+            prepared.plan, _witness(prepared), frames, rate, threads_here(prepared.workflow)
+        )
 
 
 def clocks(prepared: Prepared) -> tuple[str, list[Remark]]:

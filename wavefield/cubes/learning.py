@@ -4,11 +4,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from wavefield.cubes.block import Source
+from wavefield.cubes.worker_settings import one_thread
 
 _TRIES = 3  # sets of samples, where frames are missing or bad
 
 
-def learn_record(sources: Mapping[str, Source], steps: int, plan: Any) -> dict[str, Any]:
+def learn_record(sources: Mapping[str, Source], steps: int, plan: Any, threads: int = 1) -> dict[str, Any]:
     """Learn from sample frames of a record.
 
     Parameters
@@ -19,6 +20,8 @@ def learn_record(sources: Mapping[str, Source], steps: int, plan: Any) -> dict[s
         Its steps.
     plan : wavefield.measurement.Plan
         Rig, grid and settings.
+    threads : int, default 1
+        Sample steps that are worked on side by side.
 
     Returns
     -------
@@ -26,7 +29,7 @@ def learn_record(sources: Mapping[str, Source], steps: int, plan: Any) -> dict[s
         As a recipe has it (`wavefield.measurement.Record`); empty if no sample can be measured.
     """
     for number in range(_TRIES):
-        if found := learn_from(samples(sources, steps, number), plan):
+        if found := learn_from(samples(sources, steps, number), plan, threads):
             return found
     return {}
 
@@ -52,7 +55,7 @@ def samples(sources: Mapping[str, Source], steps: int, number: int = 0) -> list[
     return [{n: s.window(k, k + 2) for n, s in sources.items()} for k in sample_steps(steps, number)]
 
 
-def learn_from(pairs: Sequence[Mapping[str, Source]], plan: Any) -> dict[str, Any]:
+def learn_from(pairs: Sequence[Mapping[str, Source]], plan: Any, threads: int = 1) -> dict[str, Any]:
     """Learn from some steps.
 
     Parameters
@@ -61,6 +64,8 @@ def learn_from(pairs: Sequence[Mapping[str, Source]], plan: Any) -> dict[str, An
         Two frames each.
     plan : wavefield.measurement.Plan
         Rig, grid and settings.
+    threads : int, default 1
+        Steps that are worked on side by side.
 
     Returns
     -------
@@ -78,5 +83,6 @@ def learn_from(pairs: Sequence[Mapping[str, Source]], plan: Any) -> dict[str, An
         return {name: source.covered(k) for name, source in pair.items()}
 
     steps = [(frames(pair, 0), frames(pair, 1)) for pair in pairs]
-    record = learn(steps, plan, [(masks(pair, 0), masks(pair, 1)) for pair in pairs])
+    with one_thread():  # each of them
+        record = learn(steps, plan, [(masks(pair, 0), masks(pair, 1)) for pair in pairs], threads)
     return {} if record is None else record.to_dict()

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from wavefield.cubes.block import Block, make_block
-from wavefield.cubes.cluster import open_cluster
+from wavefield.cubes.cluster import open_cluster, threads_here
 from wavefield.cubes.fingerprint import check_images, fingerprints
 from wavefield.cubes.guards import Stopped, jobs_folder, log_file, log_path, stop_signals
 from wavefield.cubes.interrupts import undisturbed
@@ -207,7 +207,8 @@ def _open_or_create(prepared: Prepared, path: Path) -> tuple[Prepared, Layout]:
             log.info("labelled anew, nothing is measured again: %s", change)
         return prepared, read_layout(open_group(path))
     log.info("learning beads, spectra and noise from sample frames")
-    prepared = prepared.knowing(learn_record(prepared.series, prepared.steps, prepared.plan))
+    threads = threads_here(prepared.workflow)
+    prepared = prepared.knowing(learn_record(prepared.series, prepared.steps, prepared.plan, threads))
     grid = prepared.grid
     first = next(iter(prepared.series.values())).first
     layout = Layout(prepared.steps, prepared.block, tuple(prepared.series), first)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -25,7 +26,7 @@ from wavefield.measurement.plan import Plan
 from wavefield.measurement.record import Record
 from wavefield.measurement.surface import PairMatch
 from wavefield.measurement.unresolved import unresolved
-from wavefield.measurement.velocity import velocity
+from wavefield.measurement.velocity import Motion, velocity
 from wavefield.variables import Quality
 
 Frames = Mapping[str, NDArray[Any] | None]
@@ -68,6 +69,7 @@ def learn(
     steps: Sequence[tuple[Frames, Frames]],
     plan: Plan,
     masks: Sequence[tuple[Masks, Masks]] | None = None,
+    threads: int = 1,
 ) -> Record | None:
     """Learn a record's beads, spectra and noise from sample frames.
 
@@ -79,6 +81,8 @@ def learn(
         Rig, grid and settings.
     masks : sequence of (mapping, mapping), optional
         True where pixels of these frames do not count, per camera; None where all do.
+    threads : int, default 1
+        Steps that are worked on side by side; the result does not depend on it.
 
     Returns
     -------
@@ -91,29 +95,40 @@ def learn(
     each other (`better_prior`). The noise of the displacements is what makes the cameras' misfit what it
     should be: the median of chi^2.
     """
-    covered = masks or [({}, {})] * len(steps)
-    beads = _beads(steps, covered, plan)
-    views = [
-        (images_of(one, plan, beads, m), images_of(other, plan, beads, n))
-        for (one, other), (m, n) in zip(steps, covered, strict=True)
-    ]
-    height = _learn_elevation([first for first, _ in views], plan)
-    moves = {name: _learn_displacement(name, views, plan) for name in plan.velocity_cameras}
+    with ThreadPoolExecutor(threads) as pool:
+        return _learned(steps, plan, masks or [({}, {})] * len(steps), pool)
+
+
+def _learned(
+    steps: Sequence[tuple[Frames, Frames]],
+    plan: Plan,
+    covered: Sequence[tuple[Masks, Masks]],
+    pool: ThreadPoolExecutor,
+) -> Record | None:
+    beads = _beads(steps, covered, plan, pool)
+
+    def view(step: tuple[Frames, Frames], masked: tuple[Masks, Masks]) -> tuple[Images, Images]:
+        (one, other), (m, n) = step, masked
+        return images_of(one, plan, beads, m), images_of(other, plan, beads, n)
+
+    views = list(pool.map(view, steps, covered))
+    height = _learn_elevation([first for first, _ in views], plan, pool)
+    moves = {name: _learn_displacement(name, views, plan, pool) for name in plan.velocity_cameras}
     known = {name: samples for name, samples in moves.items() if samples is not None}
     if height is None or len(known) < 2:
         return None
     some = next(iter(known.values()))
     priors = {name: known.get(name, some).prior for name in plan.velocity_cameras}
     record = Record(tuple(beads.items()), height, tuple(priors.items()), (1.0, 1.0, 1.0))
-    plan = plan.knowing(record)
-    pairs = [_elevations(step, plan) for step in views]
+    known_plan = plan = plan.knowing(record)
+    pairs = list(pool.map(lambda step: _elevations(step, known_plan), views))
     heights = [None if pair is None else np.float32(0.5) * (pair[0] + pair[1]) for pair in pairs]
     known_pairs = [pair for pair in pairs if pair is not None]
     record = replace(record, unresolved=unresolved(known_pairs, partial(_noise_of_waves, height, plan)))
     for number in range(2):
         if number:
             plan = plan.knowing(record)
-        noise, moved = _misfit(views, heights, plan)
+        noise, moved = _misfit(views, heights, plan, pool)
         priors = {}
         for name, prior in record.displacement:
             prior = replace(prior, noise=float(np.clip(prior.noise * noise, *_NOISE)))
@@ -123,48 +138,58 @@ def learn(
 
 
 def _beads(
-    steps: Sequence[tuple[Frames, Frames]], masks: Sequence[tuple[Masks, Masks]], plan: Plan
+    steps: Sequence[tuple[Frames, Frames]],
+    masks: Sequence[tuple[Masks, Masks]],
+    plan: Plan,
+    pool: ThreadPoolExecutor,
 ) -> dict[str, float]:
     """Median width of every camera's beads, raw px."""
     out = {}
     for name in plan.cameras:
         images = [(first.get(name), mask.get(name)) for (first, _), (mask, _) in zip(steps, masks)]
-        widths = [
-            bead_width(image if mask is None else made_even(image, mask))
+        even = [
+            image if mask is None else made_even(image, mask)
             for image, mask in images
             if image is not None and usable(image, plan.rig[name].size)
         ]
+        widths = list(pool.map(bead_width, even))
         out[name] = float(np.median(widths)) if widths else 0.0
     return out
 
 
-def _learn_elevation(views: Sequence[Images], plan: Plan) -> Prior | None:
+def _learn_elevation(views: Sequence[Images], plan: Plan, pool: ThreadPoolExecutor) -> Prior | None:
     if plan.settings.sheet_thickness is not None:
         return _FLAT
-    samples = []
-    for view in views:
+
+    def look(view: Images) -> _Height | None:
         found = elevation.look_at_pairs(view.flat, plan)
-        if found is not None:
-            samples.append(_Height(*found, view.flat, plan.pixel))
+        return None if found is None else _Height(*found, view.flat, plan.pixel)
+
+    samples = [sample for sample in pool.map(look, views) if sample is not None]
     if not samples:
         return None
-    prior = _Samples.of(samples, plan.settings.stereo).prior
+    prior = _Samples.of(samples, plan.settings.stereo, pool).prior
     modes = Modes(prior, plan.lattice.shape)
-    told = [
-        elevation.most_probable(*sample.parts, modes, plan.pixel).information.mean() for sample in samples
-    ]
-    return replace(prior, information=float(np.mean(told)))
+
+    def told(sample: _Height) -> float:
+        estimate = elevation.most_probable(*sample.parts, modes, plan.pixel)
+        return float(estimate.information.mean())
+
+    return replace(prior, information=float(np.mean(list(pool.map(told, samples)))))
 
 
-def _learn_displacement(name: str, views: Sequence[tuple[Images, Images]], plan: Plan) -> _Samples | None:
-    samples: list[_Sample] = []
-    for first, second in views:
-        if name in first.raw and name in second.raw:
-            one, other = first.raw[name], second.raw[name]
-            samples.append(_Shift(matching.match(one, other, plan.settings.piv), one, other))
-    if not samples or not any(sample.information > 0 for sample in samples):
+def _learn_displacement(
+    name: str, views: Sequence[tuple[Images, Images]], plan: Plan, pool: ThreadPoolExecutor
+) -> _Samples | None:
+    def look(view: tuple[Images, Images]) -> _Shift:
+        one, other = (images.raw[name] for images in view)
+        return _Shift(matching.match(one, other, plan.settings.piv), one, other)
+
+    there = [view for view in views if all(name in images.raw for images in view)]
+    samples = list(pool.map(look, there))
+    if not any(sample.information > 0 for sample in samples):
         return None
-    return _Samples.of(samples, plan.settings.piv)
+    return _Samples.of(samples, plan.settings.piv, pool)
 
 
 class _Sample:
@@ -216,15 +241,18 @@ class _Samples:
 
     samples: Sequence[_Sample]
     prior: Prior
+    pool: ThreadPoolExecutor
 
     @classmethod
-    def of(cls, samples: Sequence[_Sample], settings: matching.Settings) -> _Samples:
+    def of(
+        cls, samples: Sequence[_Sample], settings: matching.Settings, pool: ThreadPoolExecutor
+    ) -> _Samples:
         shape = samples[0].field.shape[-2:]
         kx, ky = (np.pi * np.arange(n) / n for n in shape[::-1])
         window = matching.transfer_function(settings, kx, ky[:, None]).clip(0, 1)
         fields = [s.field - matching.edge_slopes(s.field) for s in samples]
         typical = float(np.mean([s.information for s in samples]))
-        out = cls(samples, matching.first_prior(fields, window, typical))
+        out = cls(samples, matching.first_prior(fields, window, typical), pool)
         for _ in range(_ROUNDS):
             out.prior = out.better(out.prior)
         return out
@@ -232,7 +260,7 @@ class _Samples:
     def better(self, prior: Prior) -> Prior:
         """The prior that follows from the fields that this one gives."""
         modes = Modes(prior, self.samples[0].field.shape[-2:])
-        found = [sample.estimate(modes) for sample in self.samples]
+        found = list(self.pool.map(lambda sample: sample.estimate(modes), self.samples))
         information = float(np.mean([f.information.mean() for f in found]))
         waves = [f.waves - f.mean for f in found]
         return matching.better_prior(prior, modes.k, modes.foot, waves, information)
@@ -252,17 +280,25 @@ def _elevations(step: tuple[Images, Images], plan: Plan) -> tuple[Float, Float] 
 
 
 def _misfit(
-    views: Sequence[tuple[Images, Images]], heights: Sequence[Float | None], plan: Plan
+    views: Sequence[tuple[Images, Images]],
+    heights: Sequence[Float | None],
+    plan: Plan,
+    pool: ThreadPoolExecutor,
 ) -> tuple[float, tuple[float, float, float]]:
     """Noise over what is thought, from the cameras' misfit, and the water's motion per step, metres."""
-    misfits, moved = [], []
-    for (first, second), z in zip(views, heights, strict=True):
+
+    def move(view: tuple[Images, Images], z: Float | None) -> tuple[flow.Flows, Motion] | None:
         if z is None:
-            continue
-        flows = flow.flows(first.raw, second.raw, plan)
+            return None
+        flows = flow.flows(view[0].raw, view[1].raw, plan)
         motion = velocity((None, flows, None), z, plan)
-        if motion is None:
+        return None if motion is None else (flows, motion)
+
+    misfits, moved = [], []
+    for found in pool.map(move, views, heights):
+        if found is None:
             continue
+        flows, motion = found
         freedom = 2 * (len(flows) - (motion.left_out is not None)) - 3
         good = np.isfinite(motion.misfit) & ((motion.quality & Quality.FILLED) == 0)
         if good.any():
