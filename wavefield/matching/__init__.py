@@ -2,7 +2,7 @@
 
 from wavefield.matching.correlate import correlate
 from wavefield.matching.displacement import Displacement, Reason
-from wavefield.matching.gauss_newton import look_again, match
+from wavefield.matching.gauss_newton import look_again, match, scores_at
 from wavefield.matching.posterior import Modes, edge_slopes, noise_of_scores
 from wavefield.matching.prepared import Prepared, prepare
 from wavefield.matching.prior import Prior, better_prior, first_prior
@@ -29,6 +29,7 @@ __all__ = [
     "noise_of_scores",
     "prepare",
     "restoring",
+    "scores_at",
     "std_from_influence",
     "transfer_function",
     "transfer_kernel",

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield import matching
-from wavefield.matching import Modes, Reason
+from wavefield.matching import Modes
 from wavefield.measurement.contradiction import pairs_apart
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.regrid import coefficients, push_pull, read_surface
@@ -24,7 +24,6 @@ LOOKS = 2  # at the images: where matching led, and where the first solution lea
 _SMOOTH = 6  # half waves along the lattice: sight lines that miss each other so smoothly are ill calibrated
 _CAREFUL = 1.5  # weights think the noise so much larger than across the sight lines: spectra hold some of it
 _LONGER = 1.05  # noise of z over that across the sight lines: cameras see a bead's light at different places
-_BAD = np.uint8(Reason.EDGE | Reason.MASKED | Reason.NEIGHBOURS)
 
 
 @dataclass(frozen=True)
@@ -257,8 +256,7 @@ class _Look:
         m, rise = self.match, z - self.own
         a, b = (prepared[name] for name in m.pair)
         u, v = m.found.u - self.D[0] * rise, m.found.v - self.D[1] * rise
-        self.here, self.found = z, matching.look_again(a, b, u, v, m.settings)
-        self.counts = m.valid & ((self.found.reason & _BAD) == 0)
+        self.here, self.found = z, matching.scores_at(self.found, a, b, u, v)
         self._weigh()
 
     def score(self, z: Float) -> Float:
