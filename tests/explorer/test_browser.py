@@ -300,9 +300,9 @@ def test_a_cameras_frame_shows_the_nodes_where_it_sees_them(page, fields, tank_r
     page.click("camera_view", float(ends[0][0][j, i]), float(ends[0][1][j, i]))
     page.wait(f"Math.abs({model('map_node')}.data.x[0] - {X[i]}) < 1e-6")
     page.wait(f"Math.abs({model('camera_node')}.data.X[0] - {ends[0][0][j, i]}) < 2")
-    page.set("camera_frame", "value", "'second'")
+    page.set("camera_frame", "value", "'second frame'")
     page.wait(f"{model('camera_view')}.title.text.endsWith('frame {STEP + 1}')")
-    page.set("camera_frame", "value", "'first'")
+    page.set("camera_frame", "value", "'first frame'")
     page.set("camera_over", "value", "'nodes'")
     page.set("step", "value", "100")  # whose frame is not there
     page.wait(f"{model('camera_words')}.text.includes('is missing')")

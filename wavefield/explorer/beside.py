@@ -10,6 +10,7 @@ import xarray as xr
 
 from wavefield.errors import WavefieldError
 from wavefield.explorer.record import Record
+from wavefield.explorer.target_images import TargetImages
 from wavefield.rig import Camera, Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.masks import covered_series
@@ -35,6 +36,8 @@ class Beside:
         Where that is, or would be.
     probes : Dataset, optional
         Wave probes.
+    targets : TargetImages, optional
+        The target images.
     notes : dict of str to str
         What is missing, and why: keys "cameras", "waves", "probes".
     """
@@ -45,11 +48,12 @@ class Beside:
     waves: xr.DataTree | None = None
     waves_path: Path = Path()
     probes: xr.Dataset | None = None
+    targets: TargetImages | None = None
     notes: dict[str, str] = field(default_factory=dict)
 
     def take(self, experiment: Experiment) -> None:
         """Find the images of an experiment, and what is masked in them; a note says what is not there."""
-        self.experiment = experiment
+        self.experiment, self.targets = experiment, TargetImages(experiment)
         try:
             frames = experiment.open_frames()
             self.frames = frames

@@ -21,6 +21,8 @@ from wavefield.rig import Camera
 
 _MOST_PIXELS = 1100  # along the longer side: more is not seen
 _NODES = 34  # drawn along the longer side of the grid
+FRAMES = ("first frame", "second frame")  # of a step
+_TARGET = "target: "  # before the name of a pose
 _LONGER = 5.0  # displacements are drawn so many times as long
 
 
@@ -117,7 +119,7 @@ class CameraPanel:
         self.camera = Select(
             title="Camera", value=cameras[0] if cameras else "", options=cameras, name="camera"
         )
-        self.frame = Select(title="Frame", value="first", options=["first", "second"], name="camera_frame")
+        self.frame = Select(title="Image", value=FRAMES[0], options=self._images(), name="camera_frame")
         self.drawn = Select(
             title="Over it", value="nodes", options=["nodes", "displacements", "nothing"], name="camera_over"
         )
@@ -131,6 +133,7 @@ class CameraPanel:
         self.moves = ColumnDataSource({"X0": [], "Y0": [], "X1": [], "Y1": []}, name="camera_moves")
         self.grid = ColumnDataSource({"xs": [], "ys": []}, name="camera_grid")
         self.node = ColumnDataSource({"X": [], "Y": []}, name="camera_node")
+        self.target = ColumnDataSource({"X": [], "Y": []}, name="camera_target")
         self.mask = ColumnDataSource({"x": [], "y": []}, name="camera_mask")
         self.masks = ColumnDataSource({"xs": [], "ys": []}, name="camera_masks")
         self._seen: dict[str, NDArray[Any]] = {}
@@ -165,6 +168,9 @@ class CameraPanel:
             fill_color={"field": "kind", "transform": kinds}, line_color="white", line_width=0.4,
         )  # fmt: skip
         made.segment("X0", "Y0", "X1", "Y1", source=self.moves, color="#F0E442", line_width=1.6)
+        made.scatter(
+            "X", "Y", source=self.target, marker="cross", size=9, line_color="#56B4E9", line_width=1.8
+        )
         made.scatter("X", "Y", source=self.node, size=15, fill_color=None, line_color="white", line_width=5)
         made.scatter(
             "X", "Y", source=self.node, size=15, fill_color=None, line_color=VERMILION, line_width=2.4
@@ -186,28 +192,54 @@ class CameraPanel:
         name = self.camera.value
         if not name:
             return
-        second = self.frame.value == "second"
+        self.frame.options = self._images()
+        if self.frame.value not in self.frame.options:
+            self.frame.value = FRAMES[0]
+        if self.frame.value.startswith(_TARGET):
+            self._show_target(name, self.frame.value.removeprefix(_TARGET))
+            return
+        self.target.data = {"X": [], "Y": []}
+        second = self.frame.value == FRAMES[1]
         frame = self._beside.frames[name].read(place.step + int(second))
         number = self._beside.frames[name].first + place.step + int(second)
         self.figure.title.text = f"{name}, frame {number}"
-        height, width = self._beside.frames[name].shape
+        self._show_image(frame.image, self._beside.frames[name].shape, frame.message)
+        self._show_masks(place.step + int(second))
+        self._show_nodes(place, second)
+
+    def _images(self) -> list[str]:
+        targets = self._beside.targets
+        poses = targets.poses(self.camera.value) if targets is not None else []
+        return [*FRAMES, *(f"{_TARGET}{pose}" for pose in poses)]
+
+    def _show_image(self, image: NDArray[Any] | None, shape: tuple[int, ...], message: str) -> None:
+        height, width = shape
         if self.figure.x_range.end != width:
             self.figure.x_range.update(start=0, end=width, reset_start=0, reset_end=width)
             self.figure.y_range.update(start=height, end=0, reset_start=height, reset_end=0)
-        if frame.image is None:
-            self.words.text = f"{frame.message}; the other frames can be looked at."
+        if image is None:
+            self.words.text = f"{message}; the other images can be looked at."
             self.image.data = {key: [] for key in self.image.data}
-        else:
-            small, factor = shrink(frame.image)
-            h, w = small.shape
-            self.words.text = (
-                f"Every pixel here is {factor} x {factor} of the camera's." if factor > 1 else ""
-            )
-            # bokeh draws row 0 at y, and the axis runs downwards: a positive dh is right as it is
-            data = {"image": [small], "x": [-0.5], "y": [-0.5], "dw": [w * factor], "dh": [h * factor]}
-            self.image.data = data
-        self._show_masks(place.step + int(second))
-        self._show_nodes(place, second)
+            return
+        small, factor = shrink(image)
+        h, w = small.shape
+        self.words.text = f"Every pixel here is {factor} x {factor} of the camera's." if factor > 1 else ""
+        # bokeh draws row 0 at y, and the axis runs downwards: a positive dh is right as it is
+        self.image.data = {"image": [small], "x": [-0.5], "y": [-0.5], "dw": [w * factor], "dh": [h * factor]}
+
+    def _show_target(self, name: str, pose: str) -> None:
+        """The target in a pose, with the nodes that are found."""
+        assert self._beside.targets is not None
+        found = self._beside.targets.found(name, pose)
+        self.figure.title.text = f"{name}, target: {pose}"
+        shape = self._beside.frames[name].shape if found.image is None else found.image.shape
+        self._show_image(found.image, shape, found.words)
+        if found.image is not None:
+            self.words.text = f"{found.words}. {self.words.text}"
+        self.target.data = {"X": found.pixel[:, 0], "Y": found.pixel[:, 1]}
+        for source in (self.nodes, self.moves, self.grid, self.node, self.masks):
+            source.data = {key: [] for key in source.data}
+        self._seen = {}
 
     def _show_masks(self, frame: int) -> None:
         series = self._beside.frames[self.camera.value]
