@@ -41,7 +41,7 @@ water: {{depth: 0.7}}
 
 
 def far_apart(a, b, steps=slice(None)) -> list[str]:
-    """Fields in which two cubes differ by more than .6 of their uncertainty (rms), or by twice it at any node.
+    """Fields in which two cubes differ by over .6 of their uncertainty (rms), or twice it at any node.
 
     Cubes of different frames are weighed by spectra and noise of different samples.
     """

@@ -8,6 +8,7 @@ from wavefield.matching import (
     Modes,
     Prior,
     Spread,
+    around_holes,
     better_prior,
     edge_slopes,
     first_prior,
@@ -158,3 +159,35 @@ def test_noise_that_is_thought_too_small_is_not_taken_for_waves():
             found.append(modes.waves(said) * gain / modes.foot)
         prior = better_prior(prior, modes.k, modes.foot, found, prior.information)
     assert prior.gain(np.array([2.2]))[0] < 0.1
+
+
+def test_noise_is_thought_larger_around_a_hole_only():
+    information = np.ones((60, 80), np.float32)
+    information[:3] = 0  # the lattice's edge is no hole
+    assert (around_holes(information, 3.0) == 1).all()
+    information[25:37, 30:42] = 0
+    factor = around_holes(information, 3.0)
+    assert factor[31, 28] > 2.5
+    assert factor[31, 8] == pytest.approx(1.0, abs=1e-3)
+    assert (np.diff(factor[31, 8:28]) >= -1e-6).all()
+
+
+def test_a_field_goes_on_into_a_hole_better_where_neighbours_that_err_alike_are_trusted_less():
+    """Errors that the blocks of a rim share grow where the field is continued."""
+    rng = np.random.default_rng(11)
+    shape = (60, 80)
+    prior = prior_of(steep_law, information=400.0)
+    modes = Modes(prior, shape)
+    error = {1.0: [], 3.0: []}
+    for field in sea(shape, steep_law, rng, 12):
+        a = np.full(shape, 400.0, np.float32)
+        a[22:38, 32:48] = 0
+        shared = sea(shape, lambda k: np.exp(-0.5 * (2.5 * k) ** 2), rng)[0]
+        said = modes.seen(modes.waves(field[None].astype(np.float32)))[0] + 0.1 * shared / shared.std()
+        for factor, found in error.items():
+            told = (a / around_holes(a, factor))[None]
+            start = np.zeros((1, *modes.shape), np.float32)
+            right = told * said[None].astype(np.float32)
+            waves = modes.solve(told, right, start, 1e-4, start, modes.factor(told[0]))
+            found.append(np.mean((modes.field(waves)[0] - field)[22:38, 32:48] ** 2))
+    assert np.mean(error[3.0]) < 0.95 * np.mean(error[1.0])

@@ -237,3 +237,21 @@ def test_a_coarse_grid_reads_the_same_surface(series, plan, cube):
     np.testing.assert_allclose(
         out["z"][0], cube["z"][0][::2, ::2], atol=3e-5
     )  # each has learned from its own frames
+
+
+def test_z_is_as_certain_as_sight_lines_meet(series, plan, cube):
+    """The noise of z comes from across the sight lines, where no wave hides in it."""
+    frames, more = series.block(1), {}
+    for along, across in ((0.3, 0.0), (0.0, 0.3)):
+        rng = np.random.default_rng(5)
+        shaken = []
+        for image in frames["cam1"]:
+            shift = cv2.GaussianBlur(rng.standard_normal(image.shape).astype(np.float32), (0, 0), 12.0)
+            y, x = (
+                np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32)
+                + shift / shift.std() * (np.float32([across, along])[:, None, None])
+            )
+            shaken.append(cv2.remap(image, x, y, cv2.INTER_CUBIC))
+        out = measure(frames | {"cam1": shaken}, plan, RATE)
+        more[along > 0] = np.median((out["z_std"][0] / cube["z_std"][1])[series.inside])
+    assert more[False] > 1.2 * more[True]

@@ -35,6 +35,7 @@ _STEPS = 200  # at most; some ten are usual
 _BARE = 0.15  # of the typical information, over 7 x 7 blocks: less is a hole
 _CLOSE = 0.03, 0.007  # tolerances of the solver at the first and the second look
 _LOOSE = 0.1, 0.025  # the same without holes: only what lies far from any block converges late
+_RIM, _SOFT = 6, 2.0  # blocks: how far the surroundings of a hole reach, and how softly they end
 _EDGE = 6.0  # blocks: reach of a slope at the edge, and width over which it is taken
 _ALONG = 3.0  # blocks along the edge over which it is smoothed
 
@@ -97,6 +98,37 @@ def bare(information: Float, usual: float) -> Mask:
     ndarray of bool, (ny, nx)
     """
     return np.asarray(cv2.blur(np.asarray(information, np.float32), (7, 7)) <= _BARE * usual)
+
+
+def around_holes(information: Float, factor: float) -> Float:
+    """Factor on the noise of the scores that is larger around holes.
+
+    Parameters
+    ----------
+    information : ndarray of float32, (ny, nx)
+        A of the blocks.
+    factor : float
+        At the rim of a hole; it falls to 1 within some eight blocks.
+
+    Returns
+    -------
+    ndarray of float32, (ny, nx)
+        1 where there is no hole near; the lattice's edge is none.
+
+    Notes
+    -----
+    Errors of blocks that show the same beads go together, but A thinks each block to err on its own. Inside a
+    sea of blocks that matters little; a field that goes on into a hole goes on with such errors, and they
+    grow with the distance.
+    """
+    hole = bare(information, float(information.mean())).view(np.uint8)
+    hole[:_RIM] = hole[-_RIM:] = 0
+    hole[:, :_RIM] = hole[:, -_RIM:] = 0
+    if not hole.any():
+        return np.ones_like(information)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _RIM + 3, 2 * _RIM + 3))
+    rim = cv2.GaussianBlur(cv2.dilate(hole, disc).astype(np.float32), (0, 0), _SOFT)
+    return np.asarray(F(1) + F(factor - 1) * rim)
 
 
 def _clusters(field: Float) -> Float:

@@ -23,6 +23,7 @@ Mask = NDArray[np.bool_]
 LOOKS = 2  # at the images: where matching led, and where the first solution leads
 _SMOOTH = 6  # half waves along the lattice: sight lines that miss each other so smoothly are ill calibrated
 _CAREFUL = 1.5  # weights think the noise so much larger than across the sight lines: spectra hold some of it
+_AT_RIMS = 3.0  # times more noise is thought around a hole
 _LONGER = 1.05  # noise of z over that across the sight lines: cameras see a bead's light at different places
 
 
@@ -198,7 +199,8 @@ def _noise_across(looks: Sequence[_Look], smooth: Float) -> Float:
     parts = [one.across(smooth) for one in looks]
     score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     out: Float = np.float32(_CAREFUL) * _noise(score, hessian, 1.0)
-    return out
+    information = np.sum([one.hessian for one in looks], axis=0) / out
+    return out * matching.around_holes(information, _AT_RIMS)
 
 
 def _smooth(matches: Sequence[PairMatch], modes: Modes) -> Float:
