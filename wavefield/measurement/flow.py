@@ -19,8 +19,6 @@ from wavefield.measurement.surface import why_rejected
 
 Float = NDArray[Any]
 
-_AT_RIMS = 2.0  # times more noise is thought around a hole
-
 
 @dataclass(frozen=True)
 class Flow:
@@ -105,7 +103,6 @@ def most_probable(
         trace = found.hessian[0] + found.hessian[2]
         nu = matching.noise_of_scores(found.score, trace, counts, freedom)
         counts /= nu * np.float32(modes.prior.noise)
-        counts /= matching.around_holes(trace * counts, _AT_RIMS)
         a = found.hessian * counts
         right = found.score * counts
         right[0] += a[0] * u[0] + a[1] * u[1]
