@@ -66,6 +66,16 @@ def test_where_the_water_moves_further_than_is_searched_the_run_goes_on_and_says
     assert not ((out["quality"] & Quality.MEASURED) > 0).any()
 
 
+def test_water_above_the_elevations_searched_is_marked_as_that(series):
+    searched = Plan(series.rig, series.grid, Settings(z_range=(-0.05, 0.004)))
+    quality = measure(series.block(steps=1), searched, RATE)["quality"][0]
+    z = series.truth[0]["z"]
+    marked = (quality & Quality.REJECTED_RANGE) > 0
+    assert marked[series.inside & (z > 0.007)].mean() > 0.9
+    assert marked[series.inside & (z < 0.0)].mean() < 0.05
+    assert not (quality[marked] & Quality.MEASURED).any()
+
+
 def test_a_record_survives_as_plain_data_and_learning_from_the_frames_at_hand_serves(series, plan, cube):
     again = Record.from_dict(json.loads(json.dumps(plan.record.to_dict())))
     assert again == plan.record

@@ -17,8 +17,10 @@ _WHY = {
     "focus or a higher frame rate would help; `wavefield check --pairs` tells cameras from frames",
     Quality.REJECTED_EPS: "sight lines miss one another: does the rig belong to these images? "
     "`wavefield refine` mends one that was knocked",
-    Quality.REJECTED_NEIGHBOURS: "values far from their neighbours: is the range of elevations wide enough "
-    "(`settings: {z_range: ...}`), are the frames of one moment the cameras' own?",
+    Quality.REJECTED_NEIGHBOURS: "values far from their neighbours: are the frames of one moment the "
+    "cameras' own?",
+    Quality.REJECTED_RANGE: "they lie beyond what is searched: is the range of elevations wide enough "
+    "(`settings: {z_range: ...}`), and that of the displacements (`piv: {search_x: ..., search_y: ...}`)?",
 }
 
 

@@ -23,6 +23,7 @@ _BALANCE = ("z", "z_t", "u", "v", "w")
 KINDS: tuple[tuple[str, str, str], ...] = (
     ("OUTSIDE", "outside the view", "#d9d9d9"),
     ("MASKED", "masked", "#000000"),
+    ("REJECTED_RANGE", "rejected: beyond the range", "#009E73"),
     ("REJECTED_CORRELATION", "rejected: correlation", "#D55E00"),
     ("REJECTED_EPS", "rejected: mismatch", "#E69F00"),
     ("REJECTED_NEIGHBOURS", "rejected: neighbours", "#CC79A7"),

@@ -22,6 +22,7 @@ _REASONS = {
     "rejected by correlation": Quality.REJECTED_CORRELATION,
     "rejected by eps": Quality.REJECTED_EPS,
     "rejected by neighbours": Quality.REJECTED_NEIGHBOURS,
+    "beyond the range searched": Quality.REJECTED_RANGE,
 }
 
 

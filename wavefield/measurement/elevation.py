@@ -35,7 +35,7 @@ class Surface:
     ----------
     z, eps_y, std : ndarray of float32, (ny, nx)
         Elevation, mismatch across the sight line, standard uncertainty of z, metres.
-    quality : ndarray of uint8, (ny, nx)
+    quality : ndarray of uint16, (ny, nx)
         Bits of `Quality`: measured or filled, and why it was rejected.
     apart : ndarray of bool, (ny, nx)
         Where pairs of cameras see different surfaces.
@@ -44,7 +44,7 @@ class Surface:
     z: Float
     eps_y: Float
     std: Float
-    quality: NDArray[np.uint8]
+    quality: NDArray[np.uint16]
     apart: Mask
 
 
@@ -58,14 +58,14 @@ class Blocks:
         Elevation and mismatch, metres; NaN where no pair counts.
     valid : ndarray of bool, (ny, nx)
         Where at least one pair counts.
-    rejected : ndarray of uint8, (ny, nx)
+    rejected : ndarray of uint16, (ny, nx)
         Why none does: bits of `Quality`.
     """
 
     z: Float
     eps_y: Float
     valid: Mask
-    rejected: NDArray[np.uint8]
+    rejected: NDArray[np.uint16]
 
     @property
     def whole(self) -> Float:
@@ -92,7 +92,7 @@ def combine(matches: Sequence[PairMatch]) -> Blocks:
     """
     shape = matches[0].eps_y.shape
     along, across, square, length = np.zeros((4, *shape), np.float32)
-    rejected = np.zeros(shape, np.uint8)
+    rejected = np.zeros(shape, np.uint16)
     for m in matches:
         Dx, Dy = m.parallax * m.valid
         along += Dx * m.difference[0] + Dy * m.difference[1]
@@ -324,7 +324,7 @@ def _sheet(thickness: float, shape: tuple[int, int]) -> Surface:
     """A light sheet on z = 0: its particles stand about it as far as its light does (1/e2 is two std)."""
     z = np.zeros(shape, np.float32)
     unknown, std = np.full_like(z, np.nan), np.full_like(z, 0.25 * thickness)
-    return Surface(z, unknown, std, np.full(shape, Quality.MEASURED, np.uint8), np.zeros(shape, bool))
+    return Surface(z, unknown, std, np.full(shape, Quality.MEASURED, np.uint16), np.zeros(shape, bool))
 
 
 def look_at_pairs(
@@ -390,7 +390,7 @@ def _read(spline: Float, matches: Sequence[PairMatch], plan: Plan) -> tuple[Floa
     return values[0], block
 
 
-def _quality(blocks: Blocks, block: NDArray[np.int64]) -> NDArray[np.uint8]:
+def _quality(blocks: Blocks, block: NDArray[np.int64]) -> NDArray[np.uint16]:
     measured = blocks.valid.ravel()[block]
-    out = np.where(measured, np.uint8(Quality.MEASURED), np.uint8(Quality.FILLED))
+    out = np.where(measured, np.uint16(Quality.MEASURED), np.uint16(Quality.FILLED))
     return out | blocks.rejected.ravel()[block]

@@ -30,14 +30,14 @@ class Flow:
         Spline coefficients of the displacement on the lattice of blocks, px of the binned image.
     noise, missing : ndarray of float32, (ny, nx)
         Variance of either component by noise, and by what the prior takes away or makes up, px^2.
-    rejected : ndarray of uint8, (ny, nx)
+    rejected : ndarray of uint16, (ny, nx)
         Bits of `Quality`; 0 where measured.
     """
 
     spline: Float
     noise: Float
     missing: Float
-    rejected: NDArray[np.uint8]
+    rejected: NDArray[np.uint16]
 
     @cached_property
     def valid(self) -> NDArray[np.bool_]:

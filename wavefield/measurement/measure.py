@@ -117,7 +117,7 @@ def _step(
     surfaces = [instant.surface for instant in window]
     z, z_std, rise = at_mid_time(surfaces)
     if before.surface is None or after.surface is None:
-        out["quality"][:] |= np.uint8(Quality.TWO_FRAME_MEAN)
+        out["quality"][:] |= np.uint16(Quality.TWO_FRAME_MEAN)
     moved = velocity(moves, z, plan)
     if moved is None:
         return
@@ -125,7 +125,7 @@ def _step(
         surfaces = [instant.without(moved.left_out, plan) for instant in window]
         if surfaces[2] is None or surfaces[3] is None:
             return
-        out["quality"][:] |= np.uint8(Quality.FEWER_CAMERAS)
+        out["quality"][:] |= np.uint16(Quality.FEWER_CAMERAS)
         missing |= {moved.left_out}
         z, z_std, rise = at_mid_time(surfaces)
         others = [{n: f for n, f in flow.items() if n != moved.left_out} for flow in moves]
@@ -143,11 +143,11 @@ def _step(
     assert second_surface is not None
     quality = first_surface.quality | second_surface.quality | moved.quality
     beyond = _beyond(surfaces[1:5], plan)
-    quality[beyond] |= np.uint8(Quality.REJECTED_NEIGHBOURS | Quality.FILLED)
-    apart = np.uint8(Quality.REJECTED_EPS | Quality.FILLED)
+    quality[beyond] |= np.uint16(Quality.REJECTED_RANGE | Quality.FILLED)
+    apart = np.uint16(Quality.REJECTED_EPS | Quality.FILLED)
     quality = np.where(first_surface.apart | second_surface.apart, quality | apart, quality)
     filled = (quality & Quality.FILLED) != 0
-    quality = np.where(filled, quality & ~np.uint8(Quality.MEASURED), quality)
+    quality = np.where(filled, quality & ~np.uint16(Quality.MEASURED), quality)
     nothing = np.where(masked, np.uint16(Quality.MASKED), np.uint16(Quality.OUTSIDE))
     out["quality"][:] |= np.where(inside, quality, nothing)
     known = inside & ~filled  # what is made up in holes says nothing of the rest

@@ -34,7 +34,7 @@ class PairMatch:
         dD = D_b - D_a, each at its own apparent position.
     eps_y : ndarray, (ny, nx)
         Mismatch across the sight line, metres.
-    rejected : ndarray of uint8, (ny, nx)
+    rejected : ndarray of uint16, (ny, nx)
         Bits of `Quality` that say why a block does not count; 0 where it does.
     matched : ndarray of bool, (ny, nx)
         Blocks that both cameras see and that matching itself trusts.
@@ -48,7 +48,7 @@ class PairMatch:
     difference: Float
     parallax: Float
     eps_y: Float
-    rejected: NDArray[np.uint8]
+    rejected: NDArray[np.uint16]
     matched: Mask
     settings: matching.Settings
     found: matching.Displacement
@@ -117,12 +117,12 @@ def match_pair(a: matching.Prepared, b: matching.Prepared, pair: tuple[str, str]
     eps_y = (parallax[1] * d[0] - parallax[0] * d[1]) / length
     z = -(parallax[0] * d[0] + parallax[1] * d[1]) / length**2
     rejected = why_rejected(found.reason)
-    rejected[(z < plan.z_range[0]) | (z > plan.z_range[1])] |= np.uint8(Quality.REJECTED_NEIGHBOURS)
+    rejected[(z < plan.z_range[0]) | (z > plan.z_range[1])] |= np.uint16(Quality.REJECTED_RANGE)
     matched = rejected == 0
     if matched.any():
         spread = robust_std(eps_y[matched])
         limit = max(plan.settings.eps_limit * spread, plan.settings.eps_floor * plan.pixel)
-        rejected[np.abs(eps_y) > limit] |= np.uint8(Quality.REJECTED_EPS)
+        rejected[np.abs(eps_y) > limit] |= np.uint16(Quality.REJECTED_EPS)
     return PairMatch(pair, d, parallax, eps_y, rejected, matched, settings, found)
 
 
@@ -158,16 +158,16 @@ def _sight(centre: NDArray[Any], x: Float, y: Float) -> tuple[Float, Float]:
     return (x - np.float32(centre[0])) / depth, (y - np.float32(centre[1])) / depth
 
 
-def why_rejected(reason: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def why_rejected(reason: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """Matching's reasons (`Reason`) in the words of the cube (`Quality`)."""
     return _WHY[reason]
 
 
-def _words() -> NDArray[np.uint8]:
+def _words() -> NDArray[np.uint16]:
     reason = np.arange(256)
-    neighbours = int(Reason.NEIGHBOURS | Reason.RANGE)
-    out = np.where(reason & ~neighbours, int(Quality.REJECTED_CORRELATION), 0)
-    return (out | np.where(reason & neighbours, int(Quality.REJECTED_NEIGHBOURS), 0)).astype(np.uint8)
+    out = np.where(reason & ~int(Reason.NEIGHBOURS | Reason.RANGE), int(Quality.REJECTED_CORRELATION), 0)
+    out |= np.where(reason & int(Reason.NEIGHBOURS), int(Quality.REJECTED_NEIGHBOURS), 0)
+    return (out | np.where(reason & int(Reason.RANGE), int(Quality.REJECTED_RANGE), 0)).astype(np.uint16)
 
 
 _WHY = _words()

@@ -31,7 +31,7 @@ class Motion:
         Misfit of the cameras' displacements, px.
     misfit : ndarray, (ny, nx)
         Squared misfit over what noise lets expect, per degree of freedom; NaN where fewer than two see it.
-    quality : ndarray of uint8, (ny, nx)
+    quality : ndarray of uint16, (ny, nx)
         Bits of `Quality`: why a camera's displacement was rejected; `FILLED` where not enough of them were
         measured or they contradict each other; `TWO_FRAME_MEAN` where a path has fewer than four places.
     left_out : str or None
@@ -42,7 +42,7 @@ class Motion:
     d_std: NDArray[Any]
     eps_piv: NDArray[Any]
     misfit: NDArray[Any]
-    quality: NDArray[np.uint8]
+    quality: NDArray[np.uint16]
     left_out: str | None = None
 
 
@@ -58,7 +58,7 @@ class Seen:
         Displacement per step at mid-time, px; NaN where the camera does not see the node.
     noise, missing : ndarray, (N, ny, nx)
         Variance by noise, and by what the prior takes away or makes up, px^2.
-    rejected : ndarray of uint8, (N, ny, nx)
+    rejected : ndarray of uint16, (N, ny, nx)
         Why not measured: bits of `Quality`; `OUTSIDE` where not seen.
     chord : ndarray of bool, (ny, nx)
         Where a camera's path has fewer than four places.
@@ -68,7 +68,7 @@ class Seen:
     moved: Float
     noise: Float
     missing: Float
-    rejected: NDArray[np.uint8]
+    rejected: NDArray[np.uint16]
     chord: NDArray[np.bool_]
 
 
@@ -114,7 +114,7 @@ def velocity(steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Moti
         motion = replace(_solved(_others(seen, liar), plan), left_out=names[liar])
     # where most contradict each other and no one camera explains it, some nodes agree by chance
     limit = NODE if liar is not None or typical <= MISFIT else 0.0
-    against = np.where(motion.misfit > limit, np.uint8(Quality.REJECTED_EPS | Quality.FILLED), np.uint8(0))
+    against = np.where(motion.misfit > limit, np.uint16(Quality.REJECTED_EPS | Quality.FILLED), np.uint16(0))
     return replace(motion, quality=motion.quality | against)
 
 
@@ -131,7 +131,7 @@ def _look(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], 
     jacobian = np.empty((2 * count, 3, *shape), np.float64)
     moved = np.empty((2 * count, *shape), np.float64)
     noise, missing = np.empty((2, count, *shape), np.float64)
-    rejected = np.empty((count, *shape), np.uint8)
+    rejected = np.empty((count, *shape), np.uint16)
     chord = np.zeros(shape, bool)
     for n, name in enumerate(names):
         sight = plan.sights[name]
@@ -145,7 +145,7 @@ def _look(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], 
         moved[rows], block, noise[n], missing[n] = _along_path(path, sight, X, Y)
         here = path[1]
         assert here is not None
-        rejected[n] = np.where(inside, here.rejected.ravel()[block[1]], np.uint8(Quality.OUTSIDE))
+        rejected[n] = np.where(inside, here.rejected.ravel()[block[1]], np.uint16(Quality.OUTSIDE))
         chord |= inside & ((block[0] < 0) | (block[2] < 0))
     return Seen(jacobian, moved, noise, missing, rejected, chord)
 
@@ -185,9 +185,9 @@ def _solved(seen: Seen, plan: Plan) -> Motion:
     variance = np.moveaxis(np.square(d_std), -1, 0) * by_noise
     variance += missing * np.square(record.moved)[:, None, None]
     enough = trusted.sum(axis=0) >= 2
-    why = np.bitwise_or.reduce(seen.rejected & ~np.uint8(Quality.OUTSIDE), axis=0)
-    quality = np.where(enough, np.uint8(0), why | np.uint8(Quality.FILLED))
-    quality |= np.where(seen.chord, np.uint8(Quality.TWO_FRAME_MEAN), np.uint8(0))
+    why = np.bitwise_or.reduce(seen.rejected & ~np.uint16(Quality.OUTSIDE), axis=0)
+    quality = np.where(enough, np.uint16(0), why | np.uint16(Quality.FILLED))
+    quality |= np.where(seen.chord, np.uint16(Quality.TWO_FRAME_MEAN), np.uint16(0))
     return Motion(np.moveaxis(d, -1, 0), np.sqrt(variance), eps, misfit(seen, d), quality)
 
 

@@ -15,6 +15,7 @@ class Quality(IntFlag):
     TWO_FRAME_MEAN = 64  # z at mid-time, or a path, from fewer than four frames
     FEWER_CAMERAS = 128  # a camera's frame is missing: the others did the work
     MASKED = 256  # covered: not water, or hidden from the cameras by what is not
+    REJECTED_RANGE = 512  # beyond the elevations or the displacements that were searched
 
 
 class FrameStatus(IntEnum):
