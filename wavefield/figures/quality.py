@@ -39,11 +39,11 @@ def quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
     Returns
     -------
     Dataset
-        One variable in [0, 1] for each of measured, filled and the three rejections; nodes outside the
+        One variable in [0, 1] for each of measured, filled and the rejections; nodes outside the
         field seen, and masked ones, count as zero.
     """
     bits = {name: int(flag) for name, flag in _REASONS.items()}
-    return xr.Dataset({name: ((quality & bit) != 0).mean(dims) for name, bit in bits.items()})
+    return xr.Dataset({name: ((quality & np.uint16(bit)) != 0).mean(dims) for name, bit in bits.items()})
 
 
 def coverage_map(cube: xr.Dataset) -> Figure:
