@@ -73,7 +73,7 @@ def current_by_depth(
     Waves of wavenumber k feel 2 k int U(z) exp(2 k z) dz (Stewart and Joy 1974). A polynomial sum p_n z^n
     through these values at z = -1 / 2k comes from the current sum (p_n / n!) z^n (Smeltzer et al. 2019). The
     degree is that of the least Akaike criterion for small samples. Uncertainties join the scatter of the
-    ridge within each band and the misfit of the polynomial.
+    ridge within each band, the misfit of the polynomial and what one degree more would change.
 
     Examples
     --------
@@ -102,21 +102,27 @@ def current_by_depth(
         places = np.append(places, 0.0)
         shift = np.vstack([shift, surface])
         std = np.vstack([std, [surface_std, surface_std]])
-    degree, coefficients, covariances = _polynomial(places, shift, std, settings.degree)
+    fits, degree = _polynomials(places, shift, std, settings.degree)
     z = np.linspace(places.min(), places.max(), 41)
-    powers = z[:, None] ** np.arange(degree + 1) / _factorials(degree)
+    coefficients, covariances = fits[degree]
+    powers = _powers(z, degree)
+    further = _powers(z, degree + 1) @ fits[degree + 1][0]
     out: dict[str, Any] = {"effective_depth": ("k_band", 1 / (2 * k))}
     for i, name in enumerate("xy"):
         out[f"doppler_{name}"] = ("k_band", shift[: k.size, i])
         out[f"doppler_{name}_std"] = ("k_band", std[: k.size, i])
-        out[f"current_{name}"] = ("z", powers @ coefficients[:, i])
+        current = powers @ coefficients[:, i]
+        out[f"current_{name}"] = ("z", current)
         spread = np.sqrt(np.einsum("zi,ij,zj->z", powers, covariances[i], powers))
-        out[f"current_{name}_std"] = ("z", spread)
+        # what one degree more would change: no current is a polynomial
+        out[f"current_{name}_std"] = ("z", np.hypot(spread, further[:, i] - current))
     return annotate(xr.Dataset(out, {"k_band": k, "z": z}, {"degree": degree}), "shear")
 
 
-def _factorials(degree: int) -> Array:
-    return np.cumprod(np.maximum(np.arange(degree + 1), 1)).astype(float)
+def _powers(z: Array, degree: int) -> Array:
+    # z^n / n!, (z, n)
+    factorials = np.cumprod(np.maximum(np.arange(degree + 1), 1)).astype(float)
+    return np.asarray(z[:, None] ** np.arange(degree + 1) / factorials)
 
 
 def _doppler(ridge: xr.Dataset, gamma: float, bands: int) -> tuple[Array, Array, Array]:
@@ -155,11 +161,15 @@ def _doppler(ridge: xr.Dataset, gamma: float, bands: int) -> tuple[Array, Array,
     return rows[:, 0], rows[:, 1:3], np.maximum(rows[:, 3:5], 1e-5)
 
 
-def _polynomial(places: Array, values: Array, std: Array, highest: int) -> tuple[int, Array, list[Array]]:
-    # degree, coefficients (degree + 1, 2) and their covariances, by Akaike's criterion for small samples
-    best: tuple[float, int, Array, list[Array]] | None = None
+def _polynomials(
+    places: Array, values: Array, std: Array, highest: int
+) -> tuple[list[tuple[Array, list[Array]]], int]:
+    # coefficients (degree + 1, 2) and their covariances of all degrees, and which is best by Akaike's
+    # criterion for small samples; one more than may be best
+    fits: list[tuple[Array, list[Array]]] = []
+    criteria: list[float] = []
     n = values.size
-    for degree in range(min(highest, places.size - 2) + 1):
+    for degree in range(min(highest + 1, places.size - 1) + 1):
         basis = places[:, None] ** np.arange(degree + 1)
         columns, covariances, misfit = [], [], 0.0
         for i in (0, 1):
@@ -172,10 +182,8 @@ def _polynomial(places: Array, values: Array, std: Array, highest: int) -> tuple
             free = max(places.size - degree - 1, 1)
             covariances.append(np.linalg.inv(normal) * max(float(left @ left) / free, 1.0))
         parameters = 2 * (degree + 1)
-        if n - parameters - 1 <= 0:
-            break
-        criterion = misfit + 2 * parameters + 2 * parameters * (parameters + 1) / (n - parameters - 1)
-        if best is None or criterion < best[0]:
-            best = criterion, degree, np.stack(columns, axis=1), covariances
-    assert best is not None  # degree 0 always fits
-    return best[1:]
+        fits.append((np.stack(columns, axis=1), covariances))
+        spare = n - parameters - 1
+        more = 2 * parameters * (parameters + 1) / spare if spare > 0 else np.inf
+        criteria.append(misfit + 2 * parameters + more)
+    return fits, int(np.argmin(criteria[:-1]))
