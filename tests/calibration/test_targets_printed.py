@@ -134,6 +134,14 @@ def test_a_real_chessboard_is_found_by_both_cameras_with_the_same_numbers(shared
     assert max(left.std.max(), right.std.max()) < 0.25
 
 
+@pytest.mark.real_data
+def test_every_sharp_real_chessboard_is_found(shared):
+    pictures = sorted((shared / "data" / "stereo_chessboard").glob("*.jpg"))
+    found = [find_target(read_image(path), Target("chessboard", 0.03, (9, 6))) for path in pictures]
+    assert len(found) == 26
+    assert {len(points) for points in found} == {54}
+
+
 @pytest.mark.parametrize(
     ("block", "says"),
     [
