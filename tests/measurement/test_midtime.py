@@ -5,7 +5,7 @@ import pytest
 
 from wavefield.measurement.elevation import Surface
 from wavefield.measurement.midtime import at_mid_time, frames_used
-from wavefield.measurement.unresolved import kept_of_displacement, kept_of_z, unresolved
+from wavefield.measurement.unresolved import Unresolved, kept_of_displacement, kept_of_z, unresolved
 
 TIMES = (-2.5, -1.5, -0.5, 0.5, 1.5, 2.5)
 
@@ -79,9 +79,9 @@ def test_what_frames_cannot_follow_is_foreseen(rate):
         moved.append(np.mean(w**2))
         missed.append(np.mean(((26 * rises[2] - rises[1] - rises[3]) / 24 - w) ** 2))
     for n, squares in lost.items():
-        assert found.z[n] == pytest.approx(np.sqrt(np.mean(squares)), rel=0.25), n
-    assert found.d[4] == pytest.approx(np.sqrt(np.mean(missed) / np.mean(moved)), rel=0.25)
-    assert found.d[2] > found.d[4]
+        assert found.of_z(n) == pytest.approx(np.sqrt(np.mean(squares)), rel=0.25), n
+    assert found.of_displacement(4) == pytest.approx(np.sqrt(np.mean(missed) / np.mean(moved)), rel=0.25)
+    assert found.of_displacement(2) > found.of_displacement(4)
 
 
 def test_a_displacement_keeps_what_theory_says():
@@ -93,5 +93,7 @@ def test_a_displacement_keeps_what_theory_says():
 def test_water_at_rest_leaves_nothing_out():
     still = np.zeros((40, 50))
     found = unresolved([(still, still)])
-    assert set(found.z.values()) == {0.0}
-    assert set(found.d.values()) == {0.0}
+    assert set(dict(found.z).values()) == {0.0}
+    assert set(dict(found.d).values()) == {0.0}
+    assert Unresolved.from_dict(found.to_dict()) == found
+    assert hash(found) == hash(Unresolved.from_dict(found.to_dict())), "plans are looked up by it"

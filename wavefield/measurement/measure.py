@@ -154,7 +154,7 @@ def _step(
     assert plan.record is not None
     unresolved = plan.record.unresolved
     chord = (moved.quality & Quality.TWO_FRAME_MEAN) != 0
-    left_out = np.where(chord, unresolved.d[2], unresolved.d[4])
+    left_out = np.where(chord, unresolved.of_displacement(2), unresolved.of_displacement(4))
     d_std = [np.hypot(std, left_out * typical(d, known)) for d, std in zip(moved.d, moved.d_std)]
     fields = {
         "z": z,
@@ -181,7 +181,7 @@ def _left_out_of_z(
 ) -> Any:
     """Standard uncertainty of z for what its frames cannot follow, metres: a number, or (ny, nx)."""
     count = frames_used(surfaces)
-    out = np.float32(unresolved.z[count])
+    out = np.float32(unresolved.of_z(count))
     if count != 3 or not known.any():
         return out
     # a parabola errs with the third derivative: where water rises fast

@@ -25,14 +25,22 @@ class Unresolved:
 
     Parameters
     ----------
-    z : mapping of int to float
+    z : tuple of (int, float)
         Of z at mid-time from 2, 3, 4 and 6 frames, metres.
-    d : mapping of int to float
+    d : tuple of (int, float)
         Of the water's displacement per step from 2 and 4 frames, over its own standard deviation.
     """
 
-    z: Mapping[int, float]
-    d: Mapping[int, float]
+    z: tuple[tuple[int, float], ...]  # pairs, for a plan is looked up by what it was learned from
+    d: tuple[tuple[int, float], ...]
+
+    def of_z(self, frames: int) -> float:
+        """Of z at mid-time from so many frames, metres."""
+        return dict(self.z)[frames]
+
+    def of_displacement(self, frames: int) -> float:
+        """Of the displacement per step from so many frames, over its own standard deviation."""
+        return dict(self.d)[frames]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe.
@@ -41,7 +49,7 @@ class Unresolved:
         -------
         dict
         """
-        return {key: {str(n): value for n, value in part.items()} for key, part in vars(self).items()}
+        return {key: {str(n): value for n, value in part} for key, part in vars(self).items()}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Unresolved:
@@ -56,10 +64,11 @@ class Unresolved:
         -------
         Unresolved
         """
-        return cls(**{key: {int(n): float(value) for n, value in part.items()} for key, part in data.items()})
+        parts = (tuple((int(n), float(value)) for n, value in data[key].items()) for key in ("z", "d"))
+        return cls(*parts)
 
 
-NOTHING = Unresolved(dict.fromkeys((2, 3, 4, 6), 0.0), dict.fromkeys((2, 4), 0.0))
+NOTHING = Unresolved(tuple((n, 0.0) for n in (2, 3, 4, 6)), tuple((n, 0.0) for n in (2, 4)))
 
 
 def kept_of_z(phase: Float, frames: int) -> Float:
@@ -151,7 +160,7 @@ def unresolved(
     for n, factor in ((2, _BESIDE), (4, 1.0)):
         lost = factor * (1.0 - kept_of_displacement(phase, n))
         d[n] = float(np.sqrt(np.sum(moved * lost**2) / max(np.sum(moved), 1e-30)))
-    return Unresolved(z, d)
+    return Unresolved(tuple(sorted(z.items())), tuple(d.items()))
 
 
 def _drawn(own: Float, waves: Float, k: Float) -> Float:
