@@ -16,7 +16,8 @@ from wavefield.measurement.settings import Settings
 TILE = 64  # px: side of the pieces that are looked for
 REACH = 256  # px: how far
 ACROSS = 6  # pieces along each side of an image
-SURE = 0.25  # correlation of a piece that is found
+SURE = 0.25  # correlation of a piece that is found: no more is left of particles that leave a light sheet
+_SURE_SMALL = 0.4  # of a smaller piece, as small images have them: chance reaches further there
 ALONE = 0.85  # second-best correlation over the best, above which there is no telling
 NEAR = 8.0  # px: pieces that moved alike differ by less than this and a quarter of their motion
 _NEAR = 4  # px: how far a piece is looked for around where images of half the size have it
@@ -107,8 +108,8 @@ def shifts(
     Notes
     -----
     Normalised correlation of the pieces within the reach around their place. A piece counts if its best
-    correlation exceeds .25 (no more is left of particles that leave a light sheet) and all others further
-    than 3 px from it are less than .85 of that. Large pieces are looked for in images of half the size, and
+    correlation exceeds .25 (.4 where images are too small for pieces of 64 px) and all others further than
+    3 px from it are less than .85 of that. Large pieces are looked for in images of half the size, and
     then within a few pixels of where they were found.
     """
     a, b = (np.asarray(image, np.float32) for image in (a, b))  # of any depth
@@ -128,7 +129,7 @@ def shifts(
                 continue
             middle = x + 0.5 * (tile - 1), y + 0.5 * (tile - 1)
             if tile < TILE:
-                found = _found(a, b, (x, y), tile, reach)
+                found = _found(a, b, (x, y), tile, reach, _SURE_SMALL)
             else:
                 found = _found(small_a, small_b, (x // 2, y // 2), tile // 2, (reach[0] // 2, reach[1] // 2))
                 found = _near(a, b, (x, y), tile, found)
@@ -166,7 +167,7 @@ def _scores(piece: Float, around: Float) -> Float:
 
 
 def _found(
-    a: Float, b: Float, at: tuple[int, int], tile: int, reach: tuple[int, int]
+    a: Float, b: Float, at: tuple[int, int], tile: int, reach: tuple[int, int], sure: float = SURE
 ) -> tuple[float, float, float]:
     """Displacement of one piece and its correlation; NaN where it is not found for sure."""
     x0, y0 = max(0, at[0] - reach[0]), max(0, at[1] - reach[1])
@@ -175,7 +176,7 @@ def _found(
     _, best, _, (column, row) = cv2.minMaxLoc(score)
     rest = score.copy()
     rest[max(0, row - 3) : row + 4, max(0, column - 3) : column + 4] = -1.0
-    if not best > SURE or rest.max() > ALONE * best:
+    if not best > sure or rest.max() > ALONE * best:
         return np.nan, np.nan, float(best)
     return float(x0 + column - at[0]), float(y0 + row - at[1]), float(best)
 
