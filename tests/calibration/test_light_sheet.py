@@ -109,6 +109,14 @@ def sheet_points(tank, x, y):
     return np.einsum("ij,jyx->iyx", axes, np.stack([x, y, 0 * x])) + origin[:, None, None]
 
 
+def test_pairs_of_cameras_are_not_compared_in_a_sheet(beside):
+    from wavefield.measurement.diagnostics import diagnose_around
+
+    tank, images, found = beside
+    plan = Plan(found.rig, tank.scene.grid, Settings(sheet_thickness=1e-3))
+    assert diagnose_around(lambda name, k: images[k][name], 2, plan, 1, PIXEL) is None
+
+
 def test_images_that_show_nothing_in_common_are_told():
     tank = Tank(scene())
     images = [tank.render(k) for k in range(4)]

@@ -198,12 +198,14 @@ def diagnose(frames: Frames, plan: Plan, pixel: float | None = None) -> Diagnosi
     Raises
     ------
     ValueError
-        If a camera's frame is missing or cannot be used, or nothing can be matched.
+        If a camera's frame is missing or cannot be used, nothing can be matched, or it is a light sheet.
 
     Notes
     -----
     Recombined: (x_1 - x_2) = (x_1 - x_3) - (x_2 - x_3), with the middle camera 3 as reference.
     """
+    if plan.settings.sheet_thickness is not None:
+        raise ValueError("cameras of a light sheet are not matched with each other: no pairs to compare")
     plan, first, second = _learned(frames, plan)
     surfaces = [surface(view.flat, plan) for view in (first, second)]
     if surfaces[0] is None or surfaces[1] is None:
