@@ -18,7 +18,8 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
-from wavefield.matching.cosines import Cosines, cosines, weigh
+from wavefield.matching.cosines import Cosines, weigh
+from wavefield.matching.edges import REACH, Edge
 from wavefield.matching.prior import Prior, wavenumbers
 from wavefield.matching.transfer import footprint
 
@@ -36,8 +37,6 @@ _BARE = 0.15  # of the typical information, over 7 x 7 blocks: less is a hole
 _CLOSE = 0.03, 0.007  # tolerances of the solver at the first and the second look
 _LOOSE = 0.1, 0.025  # the same without holes: only what lies far from any block converges late
 _RIM, _SOFT = 6, 2.0  # blocks: how far the surroundings of a hole reach, and how softly they end
-_EDGE = 6.0  # blocks: reach of a slope at the edge, and width over which it is taken
-_ALONG = 3.0  # blocks along the edge over which it is smoothed
 
 njit = compiled(error_model="numpy")
 # sums may be taken in any order, and are always taken in the same
@@ -164,7 +163,7 @@ class Modes:
     def __init__(self, prior: Prior, shape: tuple[int, int], wanted: Mask | None = None) -> None:
         self.prior, self.lattice = prior, shape
         self._wanted = np.ones(shape, np.bool_) if wanted is None else wanted.copy()
-        edge = int(_EDGE)  # so near to it little is known anyway: that is no hole
+        edge = int(REACH)  # so near to it little is known anyway: that is no hole
         inside = np.zeros(shape, np.bool_)
         inside[edge:-edge, edge:-edge] = True
         self._wanted &= inside
@@ -186,7 +185,7 @@ class Modes:
         self._cosines = Cosines(shape, self.shape)
         self._foot, self._inverse = (self._cosines.split(f[None]) for f in (self.foot, self.inverse))
         self.freedom = _freedom(ratio / (ratio + 1.0))
-        self._edge = _Edge(shape)
+        self._edge = Edge(shape)
         self._strongest(ratio[band])
 
     def _strongest(self, ratio: Float) -> None:
@@ -420,52 +419,3 @@ def _box(n: int) -> NDArray[np.float64]:
     m = np.arange(1, _CLUSTER // 2 + 1)[:, None]
     out: NDArray[np.float64] = 1.0 + 2.0 * np.cos(m * np.pi * np.arange(n) / n).sum(axis=0)
     return out
-
-
-class _Edge:
-    """A smooth field with the slopes that a field has at the edges of its lattice."""
-
-    def __init__(self, shape: tuple[int, int]) -> None:
-        near = int(_EDGE)
-        t = np.arange(near, dtype=np.float32) - F((near - 1) / 2)
-        self.slope = t / (t * t).sum()
-        self.near = near
-        self.grow_y, self.grow_x = (
-            (_EDGE * np.exp((np.arange(n) + 0.5 - n) / _EDGE)).astype(np.float32) for n in shape
-        )
-        self.smooth_y, self.smooth_x = (_smoother(n) for n in shape)
-
-    def __call__(self, field: Float) -> Float:
-        near, (ny, nx) = self.near, field.shape[-2:]
-        low = field[..., :near] @ self.slope @ self.smooth_y
-        high = field[..., nx - near :] @ self.slope @ self.smooth_y
-        out: Float = high[..., None] * self.grow_x - low[..., None] * self.grow_x[::-1]
-        first, last = field[:, :near] - out[:, :near], field[:, ny - near :] - out[:, ny - near :]
-        low = np.einsum("cyx,y->cx", first, self.slope) @ self.smooth_x
-        high = np.einsum("cyx,y->cx", last, self.slope) @ self.smooth_x
-        out += high[:, None] * self.grow_y[:, None]
-        out -= low[:, None] * self.grow_y[::-1, None]
-        return out
-
-
-def _smoother(n: int) -> Float:
-    modes = cosines(n, n)
-    gain = np.exp(-0.5 * np.square(_ALONG * np.pi * np.arange(n) / n))
-    out: Float = ((modes.T * gain) @ modes).astype(np.float32)
-    return out
-
-
-def edge_slopes(field: Float) -> Float:
-    """A smooth field (c, ny, nx) with the edge slopes of a given one.
-
-    Parameters
-    ----------
-    field : ndarray, (c, ny, nx)
-        Without holes.
-
-    Returns
-    -------
-    ndarray of float32, (c, ny, nx)
-    """
-    field = np.asarray(field, np.float32)
-    return _Edge((field.shape[1], field.shape[2]))(field)

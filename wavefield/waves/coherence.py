@@ -7,8 +7,9 @@ import xarray as xr
 
 from wavefield.variables import annotate
 from wavefield.waves.crosses import door, lazy_cross_spectra
+from wavefield.waves.freedom import samples_in_time
 from wavefield.waves.record import Record
-from wavefield.waves.spectra import finish, samples_in_time
+from wavefield.waves.spectra import finish
 from wavefield.waves.welch import Welch
 from wavefield.waves.windows import effective_duration
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
-from wavefield.waves import kernels, scatter, segments, spectra, transfer
+from wavefield.waves import freedom, kernels, scatter, segments, spectra, transfer
 from wavefield.waves.record import Record
 from wavefield.waves.rings import Rings
 from wavefield.waves.welch import Welch, k_coords, omega_coords
@@ -393,11 +393,11 @@ def by_field(ring: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
         energy, dof = ring[f"E_{name}"], ring[f"dof_{name}"]
         whole = {"E": energy, "dof": dof, "dof_omega": ring[f"dof_omega_{name}"]}
         cells = dof / ring.attrs["degrees_of_freedom"]
-        theory = 2 * spectra.samples_in_time(energy, duration, cells).clip(min=1)
+        theory = 2 * freedom.samples_in_time(energy, duration, cells).clip(min=1)
         dof_k = ring[f"dof_k_{name}"].fillna(theory)
         parts = {
-            f"komega_{name}": spectra.with_interval(energy, dof),
-            f"k_{name}": spectra.with_interval(energy.sum("omega") * step, dof_k),
+            f"komega_{name}": freedom.with_interval(energy, dof),
+            f"k_{name}": freedom.with_interval(energy.sum("omega") * step, dof_k),
             name: spectra.frequency_spectrum(xr.Dataset(whole, attrs=ring.attrs)),
         }
         for of, part in parts.items():

@@ -12,14 +12,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.water import dispersion, water_of, wavenumber
 from wavefield.waves.crosses import door, label, lazy_sums
-from wavefield.waves.on_current import Moving, longest, shortest
+from wavefield.waves.freedom import with_interval
+from wavefield.waves.on_current import Moving, longest, moving_of, shortest
 from wavefield.waves.record import Record
-from wavefield.waves.ridge import fit_dispersion
-from wavefield.waves.spectra import density, frequency_spectrum, plane_density, with_interval
+from wavefield.waves.spectra import frequency_spectrum
 from wavefield.waves.transfer import LEAST_SIGNAL, elevation_from_w, path_factor
 from wavefield.waves.welch import Welch, inner, k_coords, omega_coords
 from wavefield.waves.window_gain import read_gain, ring_gain
@@ -413,41 +412,3 @@ def fusion(
     (sums,) = dask.compute(lazy_sums(cube, NAMES, PAIRS, ("w", *PLANES), welch))
     moving = moving_of(sums, welch, water, current)
     return from_spectra(label(sums, NAMES, PAIRS, welch), water, gain, moving)
-
-
-def moving_of(
-    sums: dict[str, Array],
-    welch: Welch,
-    water: Water,
-    current: tuple[float, float] | None = None,
-) -> Moving | None:
-    """What `from_spectra` wants to know of a current.
-
-    Parameters
-    ----------
-    sums : dict of str to ndarray
-        With "map w" and "map z*w" (`crosses.combine`).
-    welch : Welch
-        How they were taken.
-    water : tuple of float
-        Its depth, m, and surface tension over density, m3 s-2.
-    current : tuple of float, optional
-        m/s; fitted to the ridge of w if not given.
-
-    Returns
-    -------
-    Moving or None
-        None where the water stands still.
-    """
-    planes = [
-        plane_density(xr.Variable(("omega", "ky", "kx"), density(sums[f"map {name}"], welch)), "", "1", welch)
-        for name in ("w", *PLANES)
-    ]
-    w, zw = (plane["E"] for plane in planes)
-    if current is None:
-        try:
-            fit = fit_dispersion(w, water[0], gamma=water[1])
-        except CubeError:
-            return None
-        current = float(fit["current_x"]), float(fit["current_y"])
-    return Moving(current, w, zw) if any(current) else None

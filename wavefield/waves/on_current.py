@@ -13,14 +13,19 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import fft
 
+from wavefield.errors import CubeError
 from wavefield.water import dispersion
 from wavefield.waves import rings
+from wavefield.waves.ridge import fit_dispersion
+from wavefield.waves.spectra import density, plane_density
 from wavefield.waves.transfer import path_factor
+from wavefield.waves.welch import Welch
 
 Array = NDArray[Any]
 Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
 Distances = tuple[float, float, float]  # between frames, s; nodes along y and x, m
 
+_CROSS = "z*w"  # the plane of their cross spectrum
 _MARGIN = 16  # nodes beyond the edge
 _SLOWEST, _FASTEST = 0.5, 1.5  # of a free wave's frequency: what lies further off is no wave
 
@@ -201,3 +206,41 @@ def integrate(
 def _fade(n: int, margin: int) -> Array:
     rise = np.sin(np.pi / 2 * (np.arange(margin) + 0.5) / margin) ** 2
     return np.concatenate([rise, np.ones(n - 2 * margin), rise[::-1]])
+
+
+def moving_of(
+    sums: dict[str, Array],
+    welch: Welch,
+    water: Water,
+    current: tuple[float, float] | None = None,
+) -> Moving | None:
+    """What `from_spectra` wants to know of a current.
+
+    Parameters
+    ----------
+    sums : dict of str to ndarray
+        With "map w" and "map z*w" (`crosses.combine`).
+    welch : Welch
+        How they were taken.
+    water : tuple of float
+        Its depth, m, and surface tension over density, m3 s-2.
+    current : tuple of float, optional
+        m/s; fitted to the ridge of w if not given.
+
+    Returns
+    -------
+    Moving or None
+        None where the water stands still.
+    """
+    planes = [
+        plane_density(xr.Variable(("omega", "ky", "kx"), density(sums[f"map {name}"], welch)), "", "1", welch)
+        for name in ("w", _CROSS)
+    ]
+    w, zw = (plane["E"] for plane in planes)
+    if current is None:
+        try:
+            fit = fit_dispersion(w, water[0], gamma=water[1])
+        except CubeError:
+            return None
+        current = float(fit["current_x"]), float(fit["current_y"])
+    return Moving(current, w, zw) if any(current) else None

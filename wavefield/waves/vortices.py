@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from wavefield.variables import annotate, validate
 from wavefield.waves import kernels, scatter, segments
+from wavefield.waves.freedom import with_interval
 from wavefield.waves.record import Record
-from wavefield.waves.spectra import with_interval
 from wavefield.waves.welch import Welch, k_coords, omega_coords
 
 Array = NDArray[Any]
