@@ -11,7 +11,7 @@ rings) with ``cycles`` (m-1) beside it, ``kx`` and ``ky`` (rad m-1). Intervals a
 in [low E, high E] with 95 % confidence. ``valid`` masks say where a spectrum can be trusted.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -201,12 +201,9 @@ def _analyze(job: _Job, record: Record, alike: bool) -> xr.DataTree:
     if probes is not None:
         groups["spectra"] = groups["spectra"].assign(probes.data_vars)
     groups["kinematics"] = kinematics.balance_group(sums.balance, time)
-    if welch.count >= 4:
-        alone = partial(higher_order, sums.points, record.dt, welch.segment)
-        subjects.append(_Subject("higher_order", alone))
-    else:
+    if welch.count < 4:
         notes.append("Bicoherence and tricoherence were left out: they need four segments at least.")
-    for subject, found in zip(subjects, (job.each or map)(_computed, subjects)):
+    for subject, found in zip(subjects, _side_by_side(job, subjects)):
         if isinstance(found, CubeError):
             notes.append(f"{subject.without}: {found}.")
         else:
@@ -217,14 +214,18 @@ def _analyze(job: _Job, record: Record, alike: bool) -> xr.DataTree:
 
 @dataclass(frozen=True)
 class _Subject:
-    """A group that no other needs: computed in any process."""
+    """A group that rests on no other of its batch: computed in any process."""
 
     name: str
-    compute: Callable[[], xr.Dataset]
+    compute: Callable[[], Any]
     without: str | None = None  # what is said where the record does not allow it; None if it always does
 
 
-def _computed(subject: _Subject) -> xr.Dataset | CubeError:
+def _side_by_side(job: _Job, subjects: Sequence[_Subject]) -> Iterable[Any]:
+    return (job.each or map)(_computed, subjects)
+
+
+def _computed(subject: _Subject) -> Any:
     with np.errstate(all="ignore"):
         try:
             return subject.compute()
@@ -247,7 +248,15 @@ def _groups(
 ) -> tuple[dict[str, xr.Dataset], list[_Subject]]:
     ring = crosses.label(sums.rings, NAMES, PAIRS, welch)
     density = {name: _density(sums.rings.pop(f"map {name}"), name, welch) for name in MAPS}
-    dispersion, note = dispersion_group(density["w"], welch.table.k, job.depth, job.gamma)
+    # what rests on the sums alone; what takes longest comes first
+    batch = [
+        _Subject("dispersion", partial(dispersion_group, density["w"], welch.table.k, job.depth, job.gamma)),
+        _Subject("spectra", partial(crosses.by_field, ring, NAMES)),
+    ]
+    if welch.count >= 4:
+        alone = partial(higher_order, sums.points, welch.record.dt, welch.segment)
+        batch.append(_Subject("higher_order", alone))
+    (dispersion, note), by_field, *higher = _side_by_side(job, batch)
     notes.extend([note] if note else [])
     moving = _moving(dispersion, density["w"], sums.rings.pop("map z*w"), welch)
     fused = fusion.from_spectra(ring, (job.depth, job.gamma), job.gain, moving)
@@ -256,7 +265,7 @@ def _groups(
         f"{name}_{method}" for method in fusion.METHODS for name in ("Ez", "dof", "low", "high", "valid")
     ]
     maps = {f"E_kxky_{name}": _map(density[name], chosen, name) for name in MAPS}
-    spectra_group = crosses.by_field(ring, NAMES).assign(fused[by_method].data_vars)
+    spectra_group = by_field.assign(fused[by_method].data_vars)
     spectra_group = spectra_group.assign(transfer.gains(welch.omega, welch.record.dt, welch.frames)).assign(
         maps
     )
@@ -276,14 +285,14 @@ def _groups(
     peaks = statistics.spectral_peak(moments, fused, job.depth, job.gamma)
     peaks, dispersion, unknown = leave_out_unknown(peaks, dispersion, seconds, welch.count)
     notes.extend(unknown)
-    alone = partial(direction_group, density["w"], chosen, dispersion, *water)
+    by_direction = partial(direction_group, density["w"], chosen, dispersion, *water)
     return {
         "spectra": annotate(spectra_group, "spectra"),
         "coherence": coherence.from_spectra(ring),
         "statistics": peaks,
         "dispersion": dispersion,
         "fusion": fused.drop_vars(by_method),
-    }, [*subjects, _Subject("direction", alone)]
+    } | {"higher_order": group for group in higher}, [*subjects, _Subject("direction", by_direction)]
 
 
 def _currents(

@@ -4,6 +4,7 @@ Kernels take lines X (cells, segments, lines): amplitudes of exp(i (k . x - omeg
 """
 
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -119,7 +120,8 @@ def _amplitudes(field: xr.DataArray, record: Record, lattice: _Lattice) -> list[
         parts = []
         for a in range(run[0], run[1], _PIECE):
             block = read(a, min(a + _PIECE, run[1]), run)[0] * window.astype(np.float32)
-            picked = fft.rfft2(block, axes=(1, 2))[:, row, column]
+            along_x = fft.rfft(block, axis=2)[:, :, : column.max() + 1]  # columns beyond hold nothing wanted
+            picked = fft.fft(along_x, axis=1)[:, row, column]
             parts.append(np.where(mirror, picked.conj(), picked).T.astype(np.complex64))
         out.append(np.concatenate(parts, axis=1))
     return out
@@ -158,24 +160,31 @@ def segment_lines(runs: list[Array], segment: int) -> Array:
     return np.asarray(np.divide(x, size, out=np.zeros_like(x), where=size > 0), np.complex64)
 
 
-def shuffle(lines: Array, rng: np.random.Generator) -> Array:
-    """Surrogate of lines: phases of each line's spectrum over the record drawn anew.
+def surrogates(lines: Array, count: int, rng: np.random.Generator) -> Iterator[Array]:
+    """Surrogates of lines: phases of each line's spectrum over the record drawn anew.
 
     Parameters
     ----------
-    lines : ndarray, complex, (cells, segments, lines)
+    lines : ndarray, complex64, (cells, segments, lines)
         As `segment_lines` gives them.
+    count : int
+        How many surrogates.
     rng : numpy.random.Generator
         Source of the phases.
 
-    Returns
-    -------
-    ndarray
+    Yields
+    ------
+    ndarray, complex64, (cells, segments, lines)
         The same power and memory of each line, no relation between lines.
     """
     spectra = fft.fft(lines, axis=1)
-    turn = np.exp(2j * np.pi * rng.random(spectra.shape, dtype=np.float32)).astype(lines.dtype)
-    return np.asarray(fft.ifft(spectra * turn, axis=1))
+    turn = np.empty_like(spectra)
+    for _ in range(count):
+        angle = rng.random(spectra.shape, dtype=np.float32) * np.float32(2 * np.pi)
+        np.cos(angle, out=turn.real)
+        np.sin(angle, out=turn.imag)
+        turn *= spectra
+        yield np.asarray(fft.ifft(turn, axis=1))
 
 
 def memory_of(lines: Array) -> Array:
@@ -372,15 +381,19 @@ def resonances(
         )
     x = segment_lines(_amplitudes(field, record, lattice), s.segment)
     memory = memory_of(x)
-    rng = np.random.default_rng(0)
-    copies = [shuffle(x, rng) for _ in range(s.surrogates)]
+    kinds = {
+        "quartet": _quartets(lattice, x.shape[2], s.mismatch),
+        "triad": _triads(lattice, x.shape[2]),
+    }
+    nulls: dict[str, list[_Found]] = {kind: [] for kind in kinds}
+    for copy in surrogates(x, s.surrogates, np.random.default_rng(0)):
+        for kind, tests in kinds.items():
+            nulls[kind].append(_coherences(copy, memory, tests))
     width = 2 * np.pi / (s.segment * record.dt)
     coords = {"mismatch": np.arange(-s.mismatch, s.mismatch + 1) * width}
     out: dict[str, Any] = {"modes": ((), lattice.free.size), "samples": ((), x.shape[1])}
-    quartets, triads = _quartets(lattice, x.shape[2], s.mismatch), _triads(lattice, x.shape[2])
-    for kind, tests in (("quartet", quartets), ("triad", triads)):
-        found = _coherences(x, memory, tests)
-        null = [_coherences(c, memory, tests) for c in copies]
+    for kind, tests in kinds.items():
+        found, null = _coherences(x, memory, tests), nulls[kind]
         near = np.abs(tests.mismatch) <= 1 if kind == "quartet" else np.ones(len(tests.who), bool)
         if kind == "quartet":
             out |= _curve(tests, found, null, s.mismatch)
