@@ -256,7 +256,8 @@ def _groups(
     if welch.count >= 4:
         alone = partial(higher_order, sums.points, welch.record.dt, welch.segment)
         batch.append(_Subject("higher_order", alone))
-    (dispersion, note), by_field, *higher = _side_by_side(job, batch)
+    early = {subject.name: found for subject, found in zip(batch, _side_by_side(job, batch))}
+    dispersion, note = early.pop("dispersion")
     notes.extend([note] if note else [])
     moving = _moving(dispersion, density["w"], sums.rings.pop("map z*w"), welch)
     fused = fusion.from_spectra(ring, (job.depth, job.gamma), job.gain, moving)
@@ -265,7 +266,7 @@ def _groups(
         f"{name}_{method}" for method in fusion.METHODS for name in ("Ez", "dof", "low", "high", "valid")
     ]
     maps = {f"E_kxky_{name}": _map(density[name], chosen, name) for name in MAPS}
-    spectra_group = by_field.assign(fused[by_method].data_vars)
+    spectra_group = early.pop("spectra").assign(fused[by_method].data_vars)
     spectra_group = spectra_group.assign(transfer.gains(welch.omega, welch.record.dt, welch.frames)).assign(
         maps
     )
@@ -292,7 +293,7 @@ def _groups(
         "statistics": peaks,
         "dispersion": dispersion,
         "fusion": fused.drop_vars(by_method),
-    } | {"higher_order": group for group in higher}, [*subjects, _Subject("direction", by_direction)]
+    } | early, [*subjects, _Subject("direction", by_direction)]
 
 
 def _currents(
