@@ -9,11 +9,9 @@ The random sea, half size (see `benchmarks.scenes`), calibrated cameras; four ca
 
 import argparse
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +19,6 @@ import numpy as np
 from benchmarks.scenes import MIDDLE, SEEDS, Case, calibrated, draw, reconstruct, scene
 from benchmarks.scores import Score
 from wavefield.measurement import Settings
-from wavefield.rig import Rig
 from wavefield.tank import paper_rig
 from wavefield.variables import Quality
 
@@ -74,31 +71,14 @@ def missing(options: argparse.Namespace) -> None:
         print("".join(f"    {line}\n" for line in score.lines()), end="", flush=True)
 
 
-def with_fourth(rig: Rig) -> Rig:
-    """The paper's cameras and a fourth like camera 1, turned a quarter round the vertical."""
-    first = rig["cam1"]
-    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    rotation = np.asarray(first.rotation) @ quarter.T
-    return Rig(dict(rig.cameras) | {"cam4": replace(first, rotation=rotation)})
-
-
 def number(options: argparse.Namespace) -> None:
     """Two, three and four exact cameras."""
-    three = paper_rig(crop=0.5)
-    rigs = {
-        "two cameras (1, 2)": Rig({name: three[name] for name in ("cam1", "cam2")}),
-        "three cameras": three,
-        "four cameras": with_fourth(three),
-    }
-    for kind, rig in rigs.items():
-        score = Score()
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "rig.yaml"
-            rig.save(path)
-            for seed in options.seeds:
-                case = draw(scene("random", seed).with_(rig={"file": str(path)}), rig)
-                score.add(case, reconstruct(case, Settings()))
-        print(kind)
+    for count in (2, 3, 4):
+        score, rig = Score(), paper_rig(crop=0.5, cameras=count)
+        for seed in options.seeds:
+            case = draw(scene("random", seed, rig={"cameras": count}), rig)
+            score.add(case, reconstruct(case, Settings()))
+        print(f"{count} cameras")
         print("".join(f"    {line}\n" for line in score.lines()), end="", flush=True)
 
 

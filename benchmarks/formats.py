@@ -3,24 +3,29 @@
 Run: python -m benchmarks.formats [--frames N] [--folder FOLDER]
 
 Recordings are sparse files of full-size frames (2432 x 1728), so they need little room; frames that are read
-hold noise. CPU time, the least of some tries; files that were just written come from memory, not from a disk:
-what a disk adds is the same for a file and for its bytes.
+hold noise. CPU time, the median of some tries, a frame and its bytes (read into an array) in turn; files
+just written come from memory, not from a disk, which would add the same to a file and to its bytes.
+Where pixels are packed or compressed, the last column is what reading the bytes and taking them apart by
+themselves cost: the library's decoder on bytes in memory, or the loop that unpacks.
 """
 
 import argparse
 import struct
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from io import BytesIO
 from itertools import cycle
 from pathlib import Path
 
 import cv2
 import h5py
+import numcodecs
 import numpy as np
 import tifffile
 import zarr
 
+from wavefield.series.formats.recording import packed
 from wavefield.series.listing import number_frames
 from wavefield.series.readers import close_files, read_entry
 
@@ -36,6 +41,17 @@ def least(work: Callable[[], object], tries: int = 7) -> float:
         work()
         best = min(best, time.process_time() - since)
     return best
+
+
+def in_turn(works: Sequence[Callable[[], object]], tries: int = 31) -> list[float]:
+    """Median CPU time of each, s."""
+    times: list[list[float]] = [[] for _ in works]
+    for _ in range(tries):
+        for work, spent in zip(works, times, strict=True):
+            since = time.process_time()
+            work()
+            spent.append(time.process_time() - since)
+    return [float(np.median(spent)) for spent in times]
 
 
 def raw(path: Path, head: bytes, each: int, count: int, skip: int = 0) -> int:
@@ -82,20 +98,27 @@ def cine(folder: Path, count: int) -> tuple[str, int]:
     return "a.cine", written
 
 
-def hdf5(folder: Path, count: int) -> tuple[str, int]:
-    with h5py.File(folder / "a.h5", "w") as file:
-        shape = count, ROWS, COLUMNS
-        file.create_dataset("images", shape, "u2", chunks=(1, ROWS, COLUMNS))[count // 2] = NOISE
-    return "a.h5", NOISE.nbytes
+def hdf5(**options: str) -> Callable[[Path, int], tuple[str, int]]:
+    def write(folder: Path, count: int) -> tuple[str, int]:
+        shape, chunks = (count, ROWS, COLUMNS), (1, ROWS, COLUMNS)
+        with h5py.File(folder / "a.h5", "w") as file:
+            data = file.create_dataset("images", shape, "u2", chunks=chunks, **options)
+            data[count // 2] = NOISE
+            return "a.h5", data.id.get_chunk_info(0).size
+
+    return write
 
 
-def zarr_array(folder: Path, count: int) -> tuple[str, int]:
-    shape, chunks = (count, ROWS, COLUMNS), (1, ROWS, COLUMNS)
-    array = zarr.create_array(
-        str(folder / "a.zarr"), shape=shape, chunks=chunks, dtype="u2", compressors=None
-    )
-    array[count // 2] = NOISE
-    return "a.zarr", NOISE.nbytes
+def zarr_array(**options: None) -> Callable[[Path, int], tuple[str, int]]:
+    def write(folder: Path, count: int) -> tuple[str, int]:
+        shape, chunks = (count, ROWS, COLUMNS), (1, ROWS, COLUMNS)
+        array = zarr.create_array(str(folder / "a.zarr"), shape=shape, chunks=chunks, dtype="u2", **options)
+        array[count // 2] = NOISE
+        return "a.zarr", (
+            folder / "a.zarr" / array.metadata.encode_chunk_key((count // 2, 0, 0))
+        ).stat().st_size
+
+    return write
 
 
 def files(ending: str, image: np.ndarray, *options: int) -> Callable[[Path, int], tuple[str, int]]:
@@ -141,9 +164,44 @@ FORMATS: dict[str, Callable[[Path, int], tuple[str, int]]] = {
     "Photron mraw, 12 bits packed": photron(12),
     "Photron mraw, 10 bits packed": photron(10),
     "StreamPix seq, 16 bits": seq,
-    "HDF5": hdf5,
-    "Zarr": zarr_array,
+    "HDF5": hdf5(),
+    "HDF5, gzip": hdf5(compression="gzip"),
+    "Zarr": zarr_array(compressors=None),
+    "Zarr, zstd": zarr_array(),
     "AVI, motion JPEG (200 frames)": video,
+}
+
+
+def of_memory(image: np.ndarray, *options: int, ending: str = ".tif") -> Callable[[], object]:
+    data = cv2.imencode(ending, image, list(options))[1]
+    return lambda: cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+
+
+def of_bits(bits: int) -> Callable[[], object]:
+    stream, take = BytesIO(NOISE.tobytes()[: ROWS * COLUMNS * bits // 8]), packed((ROWS, COLUMNS), bits)
+
+    def work() -> None:
+        stream.seek(0)
+        take(stream)
+
+    return work
+
+
+def of_codec(codec: object) -> Callable[[], object]:
+    data = codec.encode(NOISE.tobytes())  # type: ignore[attr-defined]
+    return lambda: codec.decode(data)  # type: ignore[attr-defined]
+
+
+DECODERS: dict[str, Callable[[], Callable[[], object]]] = {
+    "TIFF, LZW, a file each": lambda: of_memory(NOISE, cv2.IMWRITE_TIFF_COMPRESSION, 5),
+    "PNG, 8 bits, a file each": lambda: of_memory((NOISE >> 4).astype("u1"), ending=".png"),
+    "Photron mraw, 12 bits packed": lambda: of_bits(12),
+    "Photron mraw, 10 bits packed": lambda: of_bits(10),
+    "HDF5, gzip": lambda: of_codec(numcodecs.Zlib(4)),
+    "Zarr, zstd": lambda: of_codec(numcodecs.Zstd(0)),
+    "AVI, motion JPEG (200 frames)": lambda: of_memory(
+        cv2.cvtColor((NOISE >> 4).astype("u1"), cv2.COLOR_GRAY2BGR), ending=".jpg"
+    ),
 }
 
 
@@ -152,7 +210,10 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=12000)
     parser.add_argument("--folder", type=Path, help="where to write, and take away again (some 100 MB)")
     options = parser.parse_args()
-    print(f"{'':32s} {'open, s':>8s} {'a frame, ms':>12s} {'its bytes, ms':>14s} {'ratio':>6s}")
+    print(
+        f"{'':32s} {'open, s':>8s} {'a frame, ms':>12s} {'its bytes, ms':>14s} {'ratio':>6s} "
+        f"{'decoded, ms':>12s} {'ratio':>6s}"
+    )
     for name, write in FORMATS.items():
         with tempfile.TemporaryDirectory(dir=options.folder) as place:
             folder = Path(place)
@@ -164,10 +225,17 @@ def main() -> None:
                 entries = cycle([numbered[k] for k in sorted(numbered)])
             plain = folder / "plain"
             plain.write_bytes(NOISE.tobytes()[:each].ljust(each, b"\1"))
-            frame = least(lambda e=entries: read_entry(next(e)))  # type: ignore[misc]
-            bare = least(lambda p=plain: p.read_bytes())  # type: ignore[misc]
+            works: list[Callable[[], object]] = [
+                lambda e=entries: read_entry(next(e)),  # type: ignore[misc]
+                lambda p=plain: np.fromfile(p, np.uint8),  # type: ignore[misc]
+            ]
+            frame, bare, *decoded = in_turn([*works, DECODERS[name]()] if name in DECODERS else works)
             close_files()
-            print(f"{name:32s} {opening:8.3f} {1e3 * frame:12.2f} {1e3 * bare:14.2f} {frame / bare:6.1f}")
+            line = f"{name:32s} {opening:8.3f} {1e3 * frame:12.2f} {1e3 * bare:14.2f} {frame / bare:6.1f}"
+            if decoded:
+                whole = bare + decoded[0]
+                line += f" {1e3 * whole:12.2f} {frame / whole:6.1f}"
+            print(line, flush=True)
 
 
 if __name__ == "__main__":

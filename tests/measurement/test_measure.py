@@ -7,7 +7,7 @@ import pytest
 from measurement_cases import PIXEL, RATE, around
 
 from wavefield.grid import Grid
-from wavefield.measurement import Plan, Record, Settings, measure
+from wavefield.measurement import Plan, Record, Settings, learn, measure
 from wavefield.rig import Rig
 from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, Quality
 
@@ -187,13 +187,26 @@ def test_with_one_camera_left_the_step_fails_and_the_others_do_not(series, plan,
 
 
 def test_two_cameras_are_enough(series):
-    from wavefield.rig import Rig
-
     pair = Rig({name: series.rig[name] for name in ("cam1", "cam3")})
     frames = around({name: series.frames[name] for name in pair})
     out = measure(frames, Plan(pair, series.grid), RATE)
     assert rms((out["z"][0] - series.truth[0]["z"])[series.inside]) / PIXEL < 0.15
     assert rms((out["w"][0] - series.truth[0]["w"])[series.inside]) / PIXEL / RATE < 0.15
+
+
+def test_two_cameras_far_apart_are_half_as_uncertain_again_as_three_at_most(series, cube):
+    pair = Rig({name: series.rig[name] for name in ("cam1", "cam2")})
+    frames = {name: images for name, images in series.block(steps=3).items() if name in pair}
+    steps = [tuple({n: series.frames[n][k + i] for n in pair} for i in (0, 1)) for k in range(4)]
+    plain = Plan(pair, series.grid)
+    two = measure(frames, plain.knowing(learn(steps, plain)), RATE)
+    for name in ("z", "u", "v", "w"):
+        errors = [
+            np.stack([(out[name][k] - series.truth[k][name])[series.inside] for k in range(3)])
+            for out in (two, cube)
+        ]
+        assert rms(errors[0]) < 1.5 * rms(errors[1])
+    assert np.mean((two["quality"] & Quality.MEASURED) != 0) > 0.97
 
 
 def test_sixteen_bit_images_measure_the_same_water(series, plan, cube):

@@ -1,16 +1,18 @@
 """Cameras' own files, written here byte by byte from the formats' public descriptions."""
 
 import struct
+from io import BytesIO
 
 import h5py
 import numpy as np
 import pytest
 import tifffile
+import zarr
 
 from wavefield.errors import FrameError
 from wavefield.images import read_image
 from wavefield.series.formats import open_recording
-from wavefield.series.formats.recording import packed
+from wavefield.series.formats.recording import packed, plain
 from wavefield.series.listing import number_frames
 from wavefield.series.readers import close_files, read_entry
 
@@ -123,10 +125,56 @@ def test_images_come_back_to_the_bit_in_any_order(recording):
 
 
 @pytest.mark.parametrize("bits", [10, 12])
-@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (3, 7), (17, 61), (40, 64)])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (3, 7), (17, 61), (40, 64), (300, 1001)])
 def test_packed_pixels_of_any_number_are_taken_apart(bits, shape):
     image = np.random.default_rng(bits).integers(0, 1 << bits, shape)
-    np.testing.assert_array_equal(packed(shape, bits)(pack(image, bits)), image)
+    np.testing.assert_array_equal(packed(shape, bits)(BytesIO(pack(image, bits))), image)
+
+
+def test_a_large_image_whose_lowest_row_comes_first_is_turned():
+    image = np.random.default_rng(3).integers(0, 1 << 16, (300, 1001)).astype("<u2")
+    np.testing.assert_array_equal(
+        plain(image.shape, "<u2", upside_down=True)(BytesIO(image[::-1].tobytes())), image
+    )
+    with pytest.raises(EOFError):
+        plain(image.shape, "<u2", upside_down=True)(BytesIO(image[1:].tobytes()))
+
+
+@pytest.mark.parametrize(
+    "stored", [{"chunks": (1, ROWS, COLUMNS)}, {}, {"compression": "gzip"}, {"chunks": (2, 3, 8)}]
+)
+@pytest.mark.parametrize("kind", ["<u2", ">u2", "u1"])
+def test_images_of_hdf5_however_they_are_stored(tmp_path, stored, kind):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        data = file.create_dataset("images", (COUNT, ROWS, COLUMNS), kind, fillvalue=7, **stored)
+        data[:3] = images(8)[:3]
+    opened = open_recording(tmp_path / "a.h5")
+    np.testing.assert_array_equal(opened.read(2), images(8)[2])
+    assert opened.read(2).dtype == np.dtype(kind).newbyteorder("=")
+    assert (opened.read(4) == 7).all()  # never written
+    opened.close()
+
+
+@pytest.mark.parametrize("stored", [{}, {"compressors": None}, {"compressors": None, "chunks": (2, 3, 8)}])
+@pytest.mark.parametrize("kind", ["<u2", ">u2", "u1"])
+@pytest.mark.parametrize("version", [2, 3])
+def test_images_of_zarr_however_they_are_stored(tmp_path, stored, kind, version):
+    array = zarr.create_array(
+        str(tmp_path / "a.zarr"),
+        **{
+            "shape": (COUNT, ROWS, COLUMNS),
+            "dtype": kind,
+            "chunks": (1, ROWS, COLUMNS),
+            "fill_value": 7,
+            **stored,
+        },
+        zarr_format=version,
+    )
+    array[:3] = images(8)[:3]
+    entries = number_frames("{camera}.zarr", tmp_path, "a")
+    np.testing.assert_array_equal(read_entry(entries[2]), images(8)[2])
+    assert (read_entry(entries[4]) == 7).all()  # never written
+    close_files()
 
 
 def test_an_experiment_names_the_file_as_it_is(recording, tmp_path):

@@ -52,6 +52,14 @@ def test_scene_survives_being_written_and_read(tmp_path):
         assert Scene.load(tmp_path / "scene.yaml") == scene
 
 
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_the_paper_s_tank_is_seen_by_two_to_four_cameras(count):
+    scene = Scene.load("demo").with_(rig={"cameras": count})
+    assert list(scene.build_rig()) == ["cam1", "cam2", "cam3", "cam4"][:count]
+    with pytest.raises(ExperimentError, match=f"names 'cam{count + 1}', which is no camera"):
+        scene.with_(faults={f"cam{count + 1}": {"late": 1}})
+
+
 def test_rig_file_is_found_beside_the_scene(tmp_path):
     demo = Scene.load("demo")
     demo.build_rig().save(tmp_path / "mine.yaml")

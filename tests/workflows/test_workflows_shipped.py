@@ -1,6 +1,7 @@
 """The workflow files and catalogs that are shipped: they load, and they do what they say."""
 
 import re
+import shutil
 import socket
 import subprocess
 import sys
@@ -11,16 +12,18 @@ from pathlib import Path
 import intake
 import numpy as np
 import pytest
+import xarray as xr
 import yaml
 from cube_cases import different
 
+import wavefield as wf
 from wavefield.cubes import Workflow, open_cube, run, run_catalog
 from wavefield.cubes.catalog import find_experiment
 from wavefield.cubes.cluster import open_cluster
 from wavefield.cubes.dask_settings import dask_settings, temporary_credentials
 from wavefield.cubes.slurm import count_jobs, slurm_cluster
 from wavefield.errors import ExperimentError
-from wavefield.reports import gather
+from wavefield.reports import errors_against, gather
 from wavefield.variables import FrameStatus
 
 ROOT = Path(__file__).parents[2]
@@ -137,3 +140,19 @@ def test_real_images_run_from_the_catalog_with_their_place_as_a_parameter(shared
     assert float(abs(cube.eps_piv).median()) < 0.1
     # its report finds the images where the parameter said
     assert set(gather(state.store).frames) == {"left", "right"}
+
+
+def test_two_cameras_run_from_the_catalog_that_is_shipped(tmp_path):
+    scene = wf.Scene.load("two_cameras").with_(frames=6, rig={"crop": 0.2}, calibration={"tilted": 0})
+    folder = wf.simulate(scene, tmp_path / "tank").parent
+    shutil.copy(folder / "truth" / "rig.yaml", folder)  # in place of a calibration
+    (state,) = run_catalog(
+        ROOT / "catalogs" / "two_cameras.yaml",
+        out=tmp_path / "cube.zarr",
+        workflow=Workflow(cluster="none"),
+        parameters={"location": str(folder)},
+    )
+    cube = open_cube(state.store)
+    truth = xr.open_zarr(folder / "truth" / "truth.zarr", consolidated=False)
+    errors = errors_against(cube, truth).isel(x=slice(30, -30), y=slice(22, -22))
+    assert float(np.sqrt((errors.z**2).mean())) < 0.1 * cube.attrs["pixel_size"]

@@ -9,7 +9,6 @@ import xarray as xr
 
 from wavefield.errors import WavefieldError
 
-SCENE = "demo"
 MARGIN = 0.04  # m; errors are counted this far inside the edge of what was measured
 
 # what the paper reports on its own tests, mm and px of 1.8 mm
@@ -21,7 +20,9 @@ PAPER = {
 }
 
 
-def run_demo(directory: Path, command: Callable[[list[str]], int], *, quiet: bool = False) -> None:
+def run_demo(
+    directory: Path, command: Callable[[list[str]], int], scene: str = "demo", *, quiet: bool = False
+) -> None:
     """Simulate, calibrate, check, run, analyse, report, compare.
 
     Parameters
@@ -30,6 +31,8 @@ def run_demo(directory: Path, command: Callable[[list[str]], int], *, quiet: boo
         Folder for everything; it must be empty or not yet there.
     command : callable
         Given the words of a command line, runs it and returns its exit status.
+    scene : str
+        A scene file, or the name of one that comes with the program.
     quiet : bool, default False
         Show results only.
 
@@ -40,7 +43,7 @@ def run_demo(directory: Path, command: Callable[[list[str]], int], *, quiet: boo
     """
     experiment, cube = directory / "experiment.yaml", directory / "cube.zarr"
     for words in (
-        ["simulate", SCENE, directory],
+        ["simulate", scene, directory],
         ["calibrate", experiment],
         ["check", experiment],
         ["run", experiment],

@@ -8,10 +8,15 @@ from wavefield.commands.progress import Progress
 
 
 @click.command(
-    epilog="\b\nExample:\n  wavefield demo            # into ./wavefield-demo\n  wavefield demo /tmp/tank"
+    epilog="""\b
+Example:
+  wavefield demo                                # into ./wavefield-demo
+  wavefield demo --scene two_cameras /tmp/two   # of two cameras
+"""
 )
 @click.argument("directory", default="wavefield-demo", type=click.Path(file_okay=False, path_type=Path))
-def demo(directory: Path) -> None:
+@click.option("--scene", default="demo", show_default=True, help="What to simulate, as for `simulate`.")
+def demo(directory: Path, scene: str) -> None:
     """Simulate a small tank, measure it, and compare with the truth.
 
     Writes a simulated three-camera experiment of 40 steps to DIRECTORY, calibrates the cameras from its
@@ -21,7 +26,7 @@ def demo(directory: Path) -> None:
     from wavefield.commands.demo import run_demo
 
     meta = click.get_current_context().meta
-    run_demo(directory, meta["wavefield.command"], quiet=meta["wavefield.quiet"])
+    run_demo(directory, meta["wavefield.command"], scene, quiet=meta["wavefield.quiet"])
 
 
 @click.command(

@@ -6,7 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 from threading import Lock
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -16,6 +16,9 @@ from wavefield.errors import FrameError
 from wavefield.images import grey, read_image
 from wavefield.series.formats import file_of, open_recording
 from wavefield.series.remote import is_remote, read_remote
+
+if TYPE_CHECKING:
+    from wavefield.series.formats.zarr_array import ZarrImages
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # what is wrong with a video is said here
 VIDEO_ENDINGS = (".avi", ".mp4", ".mov", ".mkv")
@@ -64,11 +67,8 @@ def read_entry(entry: Entry) -> np.ndarray:
             return out
         if entry.kind == "recording":
             return np.asarray(_open(entry.path, open_recording).read(entry.image))
-        array = _open(entry.path, _open_array)
-        try:
-            return np.asarray(array[entry.image])
-        except Exception as error:
-            raise FrameError(f"{entry} cannot be read: {error}") from None
+        images: ZarrImages = _open(entry.path, _open_array)
+        return images.read(entry.image)
 
 
 def count_images(name: str | Path) -> tuple[Kind, int]:
@@ -94,7 +94,7 @@ def count_images(name: str | Path) -> tuple[Kind, int]:
     """
     if is_remote(str(name)):
         if str(name).rstrip("/").lower().endswith(".zarr"):
-            return "zarr", _open_array(str(name)).shape[0]
+            return "zarr", _open_array(str(name)).count
         return "remote", 1
     path = Path(name)
     file = file_of(path)
@@ -105,7 +105,7 @@ def count_images(name: str | Path) -> tuple[Kind, int]:
     if path.suffix.lower() in VIDEO_ENDINGS:
         return "video", _Video(str(path)).count
     if path.suffix.lower() == ".zarr" or path.is_dir():
-        return "zarr", _open_array(str(path)).shape[0]
+        return "zarr", _open_array(str(path)).count
     if path.suffix.lower() in (".tif", ".tiff"):
         try:
             with tifffile.TiffFile(path) as tiff:
@@ -176,22 +176,10 @@ def _read_page(entry: Entry) -> np.ndarray:
     return read_image(entry.path, entry.image)
 
 
-def _open_array(path: str) -> Any:
-    import zarr
+def _open_array(path: str) -> "ZarrImages":
+    from wavefield.series.formats.zarr_array import ZarrImages
 
-    try:
-        found = zarr.open(path, mode="r")
-    except Exception as error:
-        raise FrameError(f"{path} is not a Zarr array: {error}") from None
-    if isinstance(found, zarr.Group):  # as xarray writes it
-        if "image" not in found:
-            raise FrameError(f"{path} holds no array 'image'; name the array itself, as in {path}/NAME")
-        found = found["image"]
-    if isinstance(found, zarr.Group):
-        raise FrameError(f"{path} holds a group where an array should be; name the array itself")
-    if len(found.shape) != 3:
-        raise FrameError(f"{path} has {len(found.shape)} dimensions, images need three: time, row, column")
-    return found
+    return ZarrImages(path)
 
 
 class _Video:

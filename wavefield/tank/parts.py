@@ -153,14 +153,15 @@ class RandomSea(_Water):
 
 
 class PaperRig(Part):
-    """The paper's three cameras."""
+    """The paper's three cameras; its two oblique ones alone, or a fourth that looks across them."""
 
+    cameras: Literal[2, 3, 4] = 3
     scale: Annotated[float, Field(gt=0, le=2)] = Field(default=1.0, description="image size over full size")
     crop: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="share of the sensor read out")
 
     def build(self) -> Rig:
         """Make the rig."""
-        return rigs.paper_rig(self.scale, self.crop)
+        return rigs.paper_rig(self.scale, self.crop, self.cameras)
 
 
 class SheetRig(Part):

@@ -1,5 +1,7 @@
 """The paper's rig: three cameras in line along x, 45 degrees apart, the middle one vertical."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from wavefield.rig import Camera, Rig
@@ -14,7 +16,7 @@ _PAPER = {
 _FOCAL_LENGTH = 35e-3
 
 
-def paper_rig(scale: float = 1.0, crop: float = 1.0) -> Rig:
+def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
     """Exact cameras as in the paper: 35 mm lenses, cameras 1 and 2 of 1024 x 1024, camera 3 of 2432 x 1728.
 
     Cameras 1 and 2 look from -x and +x at 45 degrees from 4.5 m through slightly tilted (Scheimpflug)
@@ -26,18 +28,20 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0) -> Rig:
         Size of the images over the full size; 0.5 halves the resolution.
     crop : float, default 1
         Share of the sensor that is read out, along each axis; 0.4 shows 0.9 x 0.7 m at the full resolution.
+    cameras : {2, 3, 4}, default 3
+        2: the oblique ones, from -x and +x, alone; 4: one more like camera 1, from -y.
 
     Returns
     -------
     Rig
-        Cameras ``cam1``, ``cam2``, ``cam3``.
+        Cameras ``cam1``, ``cam2``, ``cam3``, ``cam4``, as many as there are.
 
     Examples
     --------
     >>> paper_rig(0.5)["cam3"].size
     (1216, 864)
     """
-    cameras = {}
+    made = {}
     for name, (side, distance, aim, roll, pitch, size, k1, tilt) in _PAPER.items():
         # the off-centre aim balances the near and the far side: an effect of second order in the field
         target = np.array(aim) * [crop * crop, 1.0, 1.0]
@@ -65,8 +69,11 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0) -> Rig:
             k1=k1,
             tau_y=tilt,
         )
-        cameras[name] = camera if scale == 1.0 else camera.scaled(scale)
-    return Rig(cameras, {"source": f"exact cameras of the paper, scale {scale:g}, crop {crop:g}"})
+        made[name] = camera if scale == 1.0 else camera.scaled(scale)
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    made["cam4"] = replace(made["cam1"], rotation=np.asarray(made["cam1"].rotation) @ quarter.T)
+    chosen = dict(list(made.items())[:cameras])
+    return Rig(chosen, {"source": f"exact cameras of the paper, scale {scale:g}, crop {crop:g}"})
 
 
 def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: tuple[int, int]) -> Rig:

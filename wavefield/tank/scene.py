@@ -34,7 +34,7 @@ from wavefield.tank.sea import Sea
 
 def _kind_of_rig(value: Any) -> str:
     if isinstance(value, Mapping):
-        around = any(name in value for name in SheetRig.model_fields)
+        around = any(name in value for name in set(SheetRig.model_fields) - set(PaperRig.model_fields))
         return "rig-file" if "file" in value else "sheet-rig" if around else "paper-rig"
     if isinstance(value, RigFile):
         return "rig-file"
@@ -106,8 +106,10 @@ class Scene(Part):
             ("faults", set(self.faults)),
             ("shows", shown),
         ):
-            unknown = named - {"cam1", "cam2", "cam3"}
-            if unknown and isinstance(self.rig, PaperRig):
+            if not isinstance(self.rig, PaperRig):
+                continue
+            unknown = named - {f"cam{n + 1}" for n in range(self.rig.cameras)}
+            if unknown:
                 raise ValueError(f"{setting} names {sorted(unknown)[0]!r}, which is no camera of the rig")
         return self
 

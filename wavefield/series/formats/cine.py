@@ -62,10 +62,10 @@ def open_cine(path: Path) -> Recording:
             raise FrameError(f"{path} ends before its list of images: it is truncated")
     shape = checked_shape(path, width, abs(height))
     if code in _PACKED:
-        decode, each = packed(shape, _PACKED[code]), packed_bytes(shape, _PACKED[code])
+        take, each = packed(shape, _PACKED[code]), packed_bytes(shape, _PACKED[code])
     elif code == 0 and depth in (8, 16):
         # as in Windows' bitmaps the lowest row comes first, unless the height is negative
-        decode = plain(shape, "u1" if depth == 8 else "<u2", upside_down=height > 0)
+        take = plain(shape, "u1" if depth == 8 else "<u2", upside_down=height > 0)
         each = shape[0] * shape[1] * depth // 8
     else:
         raise FrameError(f"{path} holds images of {depth} bits of kind {code}: export them as grey TIFF")
@@ -74,6 +74,4 @@ def open_cine(path: Path) -> Recording:
         return int(offsets[index])
 
     there = fitting(path, len(offsets), start, each + 8)
-    return RawRecording(
-        path, there, shape, start, each, decode, float(rate) if rate else None, first, prefixed=True
-    )
+    return RawRecording(path, there, shape, start, take, float(rate) if rate else None, first, prefixed=True)

@@ -21,19 +21,37 @@ class _Dataset:
         rate = data.attrs.get("frame_rate", file.attrs.get("frame_rate"))
         self.rate = None if rate is None else float(np.ravel(rate)[0])
         self.first = 0
+        self._plain = _is_plain(data)
 
     def read(self, index: int) -> Pixels:
         """Read one image."""
         if not 0 <= index < self.count:
             raise FrameError(f"{self.path} has {self.count} images: there is no image {index}")
         try:
-            return np.asarray(self._data[index])
+            out = np.empty(self.shape, self._data.dtype)
+            if not (self._plain and self._as_it_lies(index, out)):
+                self._data.read_direct(out, np.s_[index])
+            return out.astype(out.dtype.newbyteorder("="), copy=False)
         except (OSError, RuntimeError) as error:
             raise FrameError(f"{self.path}, image {index} cannot be read: {error}") from None
+
+    def _as_it_lies(self, index: int, out: Pixels) -> bool:
+        """Read the chunk that is the image; False where none was written, or filters were left out."""
+        try:
+            skipped, _ = self._data.id.read_direct_chunk((index, 0, 0), out=out.reshape(-1).view(np.uint8))
+        except (OSError, RuntimeError, ValueError):
+            return False
+        return skipped == 0
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def _is_plain(data: h5py.Dataset) -> bool:
+    """Whether an image is a chunk as it is, so that it need not go through HDF5's own buffers."""
+    filters = data.id.get_create_plist().get_nfilters()
+    return data.chunks == (1, *data.shape[1:]) and filters == 0
 
 
 def open_hdf5(path: Path) -> Recording:

@@ -65,9 +65,9 @@ def open_photron(path: Path) -> Recording:
         raise FrameError(f"{note} states sizes that are not whole numbers: it is damaged") from None
     shape = checked_shape(note, width, height)
     if bits in (8, 16):
-        decode, each = plain(shape, "u1" if bits == 8 else "<u2"), shape[0] * shape[1] * bits // 8
+        take, each = plain(shape, "u1" if bits == 8 else "<u2"), shape[0] * shape[1] * bits // 8
     elif bits in (10, 12):
-        decode, each = packed(shape, bits), packed_bytes(shape, bits)
+        take, each = packed(shape, bits), packed_bytes(shape, bits)
     else:
         raise FrameError(f"{note}: images of {bits} bits a pixel are not read; save them in grey")
 
@@ -76,7 +76,7 @@ def open_photron(path: Path) -> Recording:
 
     there = fitting(pixels, count, start, each)
     rate, first = _number(said.get("Record Rate(fps)")), _number(said.get("Start Frame"))
-    return RawRecording(pixels, there, shape, start, each, decode, rate, int(first or 0))
+    return RawRecording(pixels, there, shape, start, take, rate, int(first or 0))
 
 
 def _number(text: str | None) -> float | None:

@@ -3,20 +3,22 @@
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from io import BytesIO, FileIO
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, Protocol
 
 import numpy as np
-from numba import int64, types, uint8, uint16, uint32, uint64, void
+from numba import int64, uint8, uint16, uint32, uint64, void
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
 from wavefield.errors import FrameError
 
 Pixels = NDArray[Any]
+Stream = FileIO | BytesIO
 
-_BYTES = types.Array(uint8, 1, "C", readonly=True)
 _TOGETHER = 4  # pixels of 10 or 12 bits that begin and end with a byte
+_PIECE = 1 << 18  # bytes of an image that are taken apart at a time
 
 
 class Recording(Protocol):
@@ -60,10 +62,8 @@ class RawRecording:
         Rows and columns.
     start : callable
         From the number of an image, from 0, to the byte where its pixels start.
-    bytes_each : int
-        Of the pixels of an image.
-    decode : callable
-        From those bytes to the image, (row, column).
+    take : callable
+        Reads an image, (row, column), from a file that stands at its pixels; `EOFError` where it ends before.
     rate : float, optional
         Images per second, where the file says.
     first : int
@@ -76,12 +76,11 @@ class RawRecording:
     count: int
     shape: tuple[int, int]
     start: Callable[[int], int]
-    bytes_each: int
-    decode: Callable[[bytes], Pixels]
+    take: Callable[[Stream], Pixels]
     rate: float | None = None
     first: int = 0
     prefixed: bool = False
-    _stream: BinaryIO | None = field(default=None, repr=False)
+    _stream: FileIO | None = field(default=None, repr=False)
 
     def read(self, index: int) -> Pixels:
         """Read one image, without its neighbours.
@@ -103,22 +102,21 @@ class RawRecording:
         if not 0 <= index < self.count:
             raise FrameError(f"{self.path} has {self.count} images: there is no image {index}")
         try:
-            data = self._bytes(index)
+            return self.take(self._at(index))
         except (OSError, OverflowError) as error:  # a damaged header leads anywhere
             raise FrameError(f"{self.path}, image {index} cannot be read: {error}") from None
-        if len(data) < self.bytes_each:
-            raise FrameError(f"{self.path} ends within image {index}: is it truncated?")
-        return self.decode(data)
+        except EOFError:
+            raise FrameError(f"{self.path} ends within image {index}: is it truncated?") from None
 
-    def _bytes(self, index: int) -> bytes:
+    def _at(self, index: int) -> FileIO:
         if self._stream is None:
-            self._stream = self.path.open("rb")
+            self._stream = FileIO(str(self.path))
         place = self.start(index)
         if self.prefixed:
             self._stream.seek(place)
             place += int.from_bytes(self._stream.read(4), "little")
         self._stream.seek(place)
-        return self._stream.read(self.bytes_each)
+        return self._stream
 
     def close(self) -> None:
         """Close the file; a further `read` opens it again."""
@@ -127,8 +125,8 @@ class RawRecording:
             self._stream = None
 
 
-def plain(shape: tuple[int, int], dtype: str, *, upside_down: bool = False) -> Callable[[bytes], Pixels]:
-    """Decoder of whole bytes.
+def plain(shape: tuple[int, int], dtype: str, *, upside_down: bool = False) -> Callable[[Stream], Pixels]:
+    """Reader of whole bytes: straight into the image.
 
     Parameters
     ----------
@@ -144,16 +142,34 @@ def plain(shape: tuple[int, int], dtype: str, *, upside_down: bool = False) -> C
     callable
     """
 
-    def decode(data: bytes) -> Pixels:
-        image = np.frombuffer(data, dtype).reshape(shape)
-        image = image[::-1] if upside_down else image
-        return np.ascontiguousarray(image.astype(image.dtype.newbyteorder("="), copy=False))
+    def take(stream: Stream) -> Pixels:
+        out = np.empty(shape, dtype)
+        if upside_down:
+            piece = np.empty((max(1, _PIECE // out[0].nbytes), shape[1]), dtype)
+            for last in range(shape[0], 0, -len(piece)):
+                part = piece[: min(len(piece), last)]
+                _fill(part, stream)
+                out[last - len(part) : last] = part[::-1]
+        else:
+            _fill(out, stream)
+        return out.astype(out.dtype.newbyteorder("="), copy=False)
 
-    return decode
+    return take
 
 
-def packed(shape: tuple[int, int], bits: int) -> Callable[[bytes], Pixels]:
-    """Decoder of pixels of 10 or 12 bits one after another, the highest bit first.
+def _fill(out: Pixels, stream: Stream) -> None:
+    rest = memoryview(out.reshape(-1).view(np.uint8))
+    while rest:
+        count = stream.readinto(rest)
+        if not count:
+            raise EOFError
+        rest = rest[count:]
+
+
+def packed(shape: tuple[int, int], bits: int) -> Callable[[Stream], Pixels]:
+    """Reader of pixels of 10 or 12 bits one after another, the highest bit first.
+
+    They are taken apart piece by piece, while each is still in the processor's cache.
 
     Parameters
     ----------
@@ -169,27 +185,34 @@ def packed(shape: tuple[int, int], bits: int) -> Callable[[bytes], Pixels]:
 
     Examples
     --------
-    >>> packed((1, 2), 12)(bytes([0x12, 0x34, 0x56])).tolist()
+    >>> from io import BytesIO
+    >>> packed((1, 2), 12)(BytesIO(bytes([0x12, 0x34, 0x56]))).tolist()
     [[291, 1110]]
     """
 
-    def decode(data: bytes) -> Pixels:
+    def take(stream: Stream) -> Pixels:
         out = np.empty(shape, np.uint16)
-        raw, flat = np.frombuffer(data, np.uint8), out.reshape(-1)
-        whole = flat.size // _TOGETHER * _TOGETHER
-        if sys.byteorder != "little":
-            whole = 0
-        elif bits == 12:
-            _unpack_pairs(raw, flat[:whole].view(np.uint32))
-        else:
-            _unpack_fours(raw, flat[:whole].view(np.uint64))
-        _unpack_rest(raw, bits, whole, flat)
+        flat, piece = out.reshape(-1), np.empty(_PIECE * bits // 16, np.uint8)
+        for first in range(0, flat.size, _PIECE // 2):
+            part = flat[first : first + _PIECE // 2]
+            raw = piece[: packed_bytes((1, part.size), bits)]
+            _fill(raw, stream)
+            _unpack(raw, bits, part)
         return out
 
-    return decode
+    return take
 
 
-@compiled([void(_BYTES, uint32[::1])], error_model="numpy")
+def _unpack(raw: Pixels, bits: int, flat: Pixels) -> None:
+    whole = flat.size // _TOGETHER * _TOGETHER if sys.byteorder == "little" else 0
+    if bits == 12:
+        _unpack_pairs(raw, flat[:whole].view(np.uint32))
+    else:
+        _unpack_fours(raw, flat[:whole].view(np.uint64))
+    _unpack_rest(raw, bits, whole, flat)
+
+
+@compiled([void(uint8[::1], uint32[::1])], error_model="numpy")
 def _unpack_pairs(raw: Pixels, out: Pixels) -> None:
     """Pixels of 12 bits, two from three bytes: in words of one width it becomes vector code."""
     for k in range(np.uintp(len(out))):
@@ -199,7 +222,7 @@ def _unpack_pairs(raw: Pixels, out: Pixels) -> None:
         out[k] = first | ((b & np.uint32(15)) << np.uint32(24)) | (c << np.uint32(16))
 
 
-@compiled([void(_BYTES, uint64[::1])], error_model="numpy")
+@compiled([void(uint8[::1], uint64[::1])], error_model="numpy")
 def _unpack_fours(raw: Pixels, out: Pixels) -> None:
     """Pixels of 10 bits, four from five bytes: gathered into words, then taken apart in vector code."""
     gathered, ten = np.empty(256, np.uint64), np.uint64(1023)
@@ -221,7 +244,7 @@ def _unpack_fours(raw: Pixels, out: Pixels) -> None:
             )
 
 
-@compiled([void(_BYTES, int64, int64, uint16[::1])], error_model="numpy")
+@compiled([void(uint8[::1], int64, int64, uint16[::1])], error_model="numpy")
 def _unpack_rest(raw: Pixels, bits: int, first: int, out: Pixels) -> None:
     """Pixels from ``first`` on, bit by bit."""
     for o in range(first, len(out)):

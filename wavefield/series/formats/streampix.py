@@ -48,5 +48,5 @@ def open_streampix(path: Path) -> Recording:
         return begin + index * int(stride)
 
     there = fitting(path, count, start, each)
-    decode = plain(shape, "u1" if depth == 8 else "<u2")
-    return RawRecording(path, there, shape, start, each, decode, rate if 0 < rate < 1e7 else None)
+    take = plain(shape, "u1" if depth == 8 else "<u2")
+    return RawRecording(path, there, shape, start, take, rate if 0 < rate < 1e7 else None)
