@@ -115,6 +115,17 @@ def test_chessboard_has_its_corners_and_colours():
     assert np.all(np.diff(map_coordinates(image, [Y, X], order=1) > 50))
 
 
+@pytest.mark.parametrize("shape", [(6, 5), (5, 6)])
+def test_the_corners_of_a_chessboard_are_found_where_they_were_drawn(shape):
+    from wavefield.calibration import Target, find_target
+
+    camera, pose = RIG["cam3"], POSES["tilt_0"]
+    image = targets.draw(camera, Chessboard(kind="chessboard", mesh=0.06, shape=shape), pose, BLUR)
+    points = find_target(np.clip(image, 0, 255).astype(np.uint8), Target("chessboard", 0.06, shape))
+    node = np.pad((points.node - (np.array(shape) - 1) / 2) * 0.06, ((0, 0), (0, 1)))
+    assert np.abs(points.pixel - np.stack(pixels_of(camera, pose, node), -1)).max() < 0.1
+
+
 def test_poses_are_tilted_towards_all_sides_and_reproducible():
     six = targets.poses(6, 20.0, (-1, 1), (-0.75, 0.75), 4)
     normals = np.array([pose.rotation[:, 2] for pose in six])

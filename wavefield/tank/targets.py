@@ -290,7 +290,7 @@ def _chessboard(s: Array, t: Array, nx: int, ny: int, blur: float) -> NDArray[np
                 for b in range(3):
                     p, q, weight = _POINTS[a], _POINTS[b], _WEIGHTS[a] * _WEIGHTS[b]
                     u, v = s0 + p * sx + q * sy, t0 + p * tx + q * ty
-                    # +-1 on alternate squares; the sign turns at each inner corner line
+                    # +1 on dark squares, -1 on light ones; the sign turns at each inner corner line
                     signs = 1.0
                     for w, g, last in ((u, gs, nx - 1), (v, gt, ny - 1)):
                         line = min(max(round(w), 0), last)
@@ -301,6 +301,6 @@ def _chessboard(s: Array, t: Array, nx: int, ny: int, blur: float) -> NDArray[np
                     board *= _step((v + 1) / gt, blur) * _step((ny - v) / gt, blur)
                     plate = _step((u + 1.5) / gs, blur) * _step((nx + 0.5 - u) / gs, blur)
                     plate *= _step((v + 1.5) / gt, blur) * _step((ny + 0.5 - v) / gt, blur)
-                    total += weight * plate * (1.0 - board * (0.5 - 0.5 * signs) * 0.95)
+                    total += weight * plate * (1.0 - board * (0.5 + 0.5 * signs) * 0.95)
             out[i, j] = total
     return out

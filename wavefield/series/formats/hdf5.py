@@ -41,7 +41,7 @@ class _Dataset:
             skipped, _ = self._data.id.read_direct_chunk((index, 0, 0), out=out.reshape(-1).view(np.uint8))
         except (OSError, RuntimeError, ValueError):
             return False
-        return skipped == 0
+        return bool(skipped == 0)
 
     def close(self) -> None:
         """Close the file."""
@@ -51,7 +51,7 @@ class _Dataset:
 def _is_plain(data: h5py.Dataset) -> bool:
     """Whether an image is a chunk as it is, so that it need not go through HDF5's own buffers."""
     filters = data.id.get_create_plist().get_nfilters()
-    return data.chunks == (1, *data.shape[1:]) and filters == 0
+    return bool(data.chunks == (1, *data.shape[1:]) and filters == 0)
 
 
 def open_hdf5(path: Path) -> Recording:

@@ -158,7 +158,7 @@ def plain(shape: tuple[int, int], dtype: str, *, upside_down: bool = False) -> C
 
 
 def _fill(out: Pixels, stream: Stream) -> None:
-    rest = memoryview(out.reshape(-1).view(np.uint8))
+    rest = memoryview(out.reshape(-1).view(np.uint8))  # type: ignore[arg-type]  # which is a buffer
     while rest:
         count = stream.readinto(rest)
         if not count:
