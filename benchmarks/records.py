@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from benchmarks.scenes import SEEDS, Case, calibrated, draw, inside, reconstruct, scene
 from benchmarks.scores import Score
-from wavefield.measurement import Settings
+from wavefield.measurement import Plan, Settings, learn, measure, sample_steps
+from wavefield.measurement.gain import gains as theory
 
 SLOPE = 0.03
 WAVES = {0.20: 30.0, 0.12: 100.0, 0.08: 250.0}  # length, m: where it goes, degrees
@@ -30,6 +31,25 @@ def added() -> list[dict[str, float]]:
         {"wavelength": length, "amplitude": SLOPE * length / (2 * np.pi), "direction": direction}
         for length, direction in WAVES.items()
     ]
+
+
+def wave_vectors() -> tuple[NDArray[Any], NDArray[Any]]:
+    """kx and ky of the added waves, rad/m."""
+    k = 2 * np.pi / np.array(list(WAVES))
+    angle = np.radians(list(WAVES.values()))
+    return k * np.cos(angle), k * np.sin(angle)
+
+
+def known(case: Case) -> tuple[Plan, dict[str, NDArray[Any]]]:
+    """The plan with what is learned of a case's frames, and the cube that it gives."""
+    plan = Plan(case.rig, case.grid, Settings())
+    steps = sample_steps(len(next(iter(case.frames.values()))) - 1)
+    pairs = [tuple({n: f[k + i] for n, f in case.frames.items()} for i in (0, 1)) for k in steps]
+    record = learn(pairs, plan)
+    if record is None:
+        raise SystemExit("nothing of these frames can be measured")
+    plan = plan.knowing(record)
+    return plan, measure(case.frames, plan, case.frame_rate)
 
 
 def amplitudes(field: NDArray[Any], case: Case, window: NDArray[Any]) -> NDArray[np.complex128]:
@@ -63,16 +83,22 @@ def waves(options: argparse.Namespace) -> None:
     """What is left of short waves."""
     for name, asked in ASKED_GAIN.items():
         sums: dict[str, list[Any]] = {"z": [0.0, 0.0], "w": [0.0, 0.0]}
+        undone: dict[str, list[Any]] = {"z": [], "w": []}
         for seed in options.seeds:
             case = draw(scene(name, seed, sea={"added": added()}), calibrated(False))
-            for key, parts in gains(case, reconstruct(case, Settings())).items():
+            plan, cube = known(case)
+            predicted = theory(plan, *wave_vectors())
+            for key, parts in gains(case, cube).items():
                 sums[key] = [total + part for total, part in zip(sums[key], parts, strict=True)]
+                undone[key].append(parts[0].real / parts[1] / predicted[key])
         lengths = ", ".join(f"{100 * length:.0f}" for length in WAVES)
         print(f"{name} with waves of {lengths} cm: gain left (asked {asked})")
         for key, (cross, power) in sums.items():
             gain = cross / power
             print(f"    {key}: {' '.join(f'{g.real:.3f}' for g in gain)}", end="")
-            print(f"  (out of phase {' '.join(f'{g.imag:+.3f}' for g in gain)})", flush=True)
+            print(f"  (out of phase {' '.join(f'{g.imag:+.3f}' for g in gain)})", end="")
+            after = np.mean(undone[key], axis=0)
+            print(f"; undone by theory {' '.join(f'{g:.3f}' for g in after)}", flush=True)
 
 
 def compare(kinds: dict[str, dict[str, Any]], options: argparse.Namespace) -> None:

@@ -356,7 +356,7 @@ def experiment(
     exact = exact.assign_coords(time=cube.time).assign_attrs(cube.attrs)
     exact = exact.where(np.isfinite(cube.z))
     record = wv.find_record(cube)
-    out = wv.analyze(cube, segment=segment)
+    out = wv.analyze(cube, segment=segment, gain=False)
     segment = int(out.attrs["segment"])
     depth = float(cube.attrs.get("water_depth") or np.inf)
     title(

@@ -50,6 +50,9 @@ def cube() -> str:
         "checksum",
         "stored_bytes",
         "camera_shift",
+        "gain/direction",
+        "k",
+        *(f"gain/gain_{name}" for name in "zuvw"),
     )
     rows = []
     for v in (TABLE[name] for name in names):

@@ -14,6 +14,8 @@ from wavefield.errors import ExperimentError, RigError
 from wavefield.series import Experiment
 from wavefield.variables import CUBE_FIELDS, FrameStatus, Quality, validate
 
+GAINS = tuple(f"gain_{name}" for name in "zuvw")
+
 
 @pytest.fixture(scope="module")
 def note(tank):
@@ -45,7 +47,7 @@ def test_nothing_is_computed_before_it_is_asked_for(tank, rig, grid):
         cube = wf.reconstruct(frames, rig, grid)
         repr(cube)
         cube.w.isel(time=3).mean("x")
-    assert set(cube.data_vars) == {*CUBE_FIELDS, "frame_status"}
+    assert set(cube.data_vars) == {*CUBE_FIELDS, "frame_status", *GAINS}
     validate(cube, *CUBE_FIELDS, "frame_status", "time", "x", "y")
     with pytest.raises(AssertionError, match="something was computed"), dask.config.set(scheduler=no_compute):
         cube.z.compute()
@@ -72,6 +74,8 @@ def test_values_are_those_of_the_run_whatever_the_block(frames, rig, grid, refer
     cube = reconstruct(frames, rig, grid, steps_per_task=steps_per_task)
     part = cube.isel(time=slice(0, 8)).compute(scheduler="sync")
     assert different(part, wf.open_cube(reference), slice(0, 8)) == []
+    for name in GAINS:
+        xr.testing.assert_identical(part[name], wf.open_cube(reference)[name].compute())
     np.testing.assert_allclose(cube.time, (np.arange(16) + 0.5) / 20.0)
     assert cube.attrs == {
         "frame_rate": 20.0,

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import wavefield as wf
 import wavefield.waves as wv
 from wavefield.cubes import predicted_gain
 from wavefield.errors import CubeError
@@ -56,6 +57,15 @@ def test_what_is_carried_grows_shorter_with_less_noise_and_more_beads():
     assert now["z"] / quieter["z"] == pytest.approx(4**0.2, rel=0.1)
     for name in "zuvw":
         assert quieter[name] < denser[name] < now[name]
+
+
+def test_a_cube_holds_its_gain(reference):
+    cube = wf.open_cube(reference)
+    stored, predicted = wv.read_gain(cube), predicted_gain(cube)
+    for name in ("gain_z", "gain_u", "gain_v", "gain_w"):
+        np.testing.assert_allclose(stored[name], predicted[name], rtol=1e-6)
+        assert stored[name].attrs == predicted[name].attrs
+    assert float(stored.gain_z.isel(k=0).min()) > 0.9
 
 
 def test_a_cube_that_does_not_say_how_it_was_made_is_refused():

@@ -42,7 +42,7 @@ def store(sea, probes, tmp_path_factory):
 
 def test_the_store_holds_the_variables_of_the_table(store):
     # with a gain only: see test_fusion
-    left_out = {"Ez_komega"}
+    left_out = {"Ez_komega"} | {f"valid_k_{name}" for name in ("z", "z_t", "u", "v", "w")}
     if "No surface tension was fitted" in store.attrs["notes"]:  # a small field does not tell it to 5 %
         left_out |= {"gamma", "gamma_std", "omega_fit"}
     for group in GROUPS:

@@ -171,6 +171,32 @@ def test_an_analysis_undoes_the_windows(tmp_path):
         wv.analyze(cube, gain=tmp_path / "none.zarr", segment=64)
 
 
+def test_spectra_undo_the_gain_that_is_stored_with_the_cube():
+    k, half = np.linspace(0, 220, 111), 60.0
+    both = {f"gain_{name}": (("direction", "k"), np.tile(1 / (1 + (k / half) ** 5), (8, 1))) for name in "zw"}
+    stored = xr.Dataset(both, {"k": k})
+    cube = linear_cube(random_waves(n=60), 200, 24, 28, dx=0.02, noise_z=1e-4, noise_dz=1e-4)
+    plain, mended = wv.analyze(cube, segment=64), wv.analyze(cube.merge(stored), segment=64)
+    left = wv.analyze(cube.merge(stored), gain=False, segment=64)
+    assert plain.attrs["windows_undone"] == left.attrs["windows_undone"] == "no"
+    assert "record" in mended.attrs["windows_undone"]
+    one, other = (tree["spectra"].to_dataset() for tree in (plain, mended))
+    xr.testing.assert_equal(one, left["spectra"].to_dataset())
+    k = one.k.values
+    for name in ("z", "z_t", "w"):
+        valid = other[f"valid_k_{name}"].values
+        assert k[valid].max() < half < k[~valid].min()
+        for spectrum in (f"E_komega_{name}", f"E_k_{name}"):
+            ratio = (other[spectrum] / one[spectrum]).transpose("k", ...).values
+            expected = np.where(valid, (1 + (k / half) ** 5) ** 2, 1).reshape(-1, *[1] * (ratio.ndim - 1))
+            np.testing.assert_allclose(ratio, np.broadcast_to(expected, ratio.shape), rtol=0.02)
+    xr.testing.assert_equal(one.E_k_u, other.E_k_u)
+    np.testing.assert_allclose(other["Ez_fusion"], wv.fusion(cube, gain=stored, segment=64).Ez_fusion)
+    # water at rest: nothing that could be undone
+    still = stored.assign(gain_w=0.1 * stored.gain_w)
+    assert wv.analyze(cube.merge(still), segment=64).attrs["windows_undone"] == "no"
+
+
 def test_integrated_w_is_the_elevation_before_noise():
     quiet = PeriodicSea(n=128).cube(700, 40, 50)
     out = wv.fusion(quiet, segment=256)

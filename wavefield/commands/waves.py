@@ -30,9 +30,9 @@ _SOURCE = click.Path(exists=True, path_type=Path)
 )
 @click.option(
     "--gain",
-    metavar="GAIN|theory",
-    help="Undo what the matching windows take from short waves: a gain measured on a simulated experiment, or"
-    " `theory` for the one that follows from cameras and settings.",
+    metavar="GAIN|theory|none",
+    help="What of short waves the measurement keeps, to be undone: by default as stored with the cube. A gain"
+    " measured on a simulated experiment, `theory` for what follows from the cube's recipe, or `none`.",
 )
 @click.option(
     "--workflow",
@@ -82,7 +82,9 @@ def _analyze(store: Path, output: Path | None, workflow: Path | None, asked: dic
         click.echo(f"note: {note}", err=True)
     output = output or beside(store, "waves", ".zarr")
     known = asked["probes"] or _probes_of(store)
-    undone = predicted_gain(open_cube(store)) if asked["gain"] == "theory" else asked["gain"]
+    undone: Any = False if asked["gain"] == "none" else asked["gain"]
+    if undone == "theory":
+        undone = predicted_gain(open_cube(store))
     with Progress(f"Analysing {store}") as progress:
         asked = asked | {"probes": known, "gain": undone, "progress": progress}
         if workflow:

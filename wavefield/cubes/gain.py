@@ -2,15 +2,14 @@
 
 import json
 
-import numpy as np
 import xarray as xr
 
 from wavefield.errors import CubeError
 from wavefield.grid import Grid
 from wavefield.measurement import Plan, Record, Settings
-from wavefield.measurement.gain import gains
+from wavefield.measurement.gain import tabulated
 from wavefield.rig import Camera, Rig
-from wavefield.waves.window_gain import DIRECTIONS, label
+from wavefield.waves.window_gain import label
 
 
 def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
@@ -58,7 +57,5 @@ def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
         raise CubeError(
             f"the cube does not say how it was made ({error}): measure the gain of its windows, window_gain"
         ) from None
-    k = np.linspace(0, np.sqrt(2) * np.pi / grid.step, 200)
-    angle = np.arange(DIRECTIONS)[:, None] * np.pi / DIRECTIONS
-    by_field = gains(Plan(rig, grid, settings, record), k * np.cos(angle), k * np.sin(angle))
-    return label(by_field, k, "linear theory")
+    table = tabulated(Plan(rig, grid, settings, record))
+    return label({name: table[f"gain_{name}"] for name in "zuvw"}, table["k"], "linear theory")

@@ -194,15 +194,31 @@ def reconstruct(
         name: (TABLE[name].dims, _assemble(name, tasks, token, edges, grid.shape))
         for name in (*CUBE_FIELDS, "frame_status")
     }
+    gain, axes = _gain(known, plan)
     mid = 0.5 * (times[:-1] + times[1:])
-    out = xr.Dataset(variables, coords={"time": mid, "y": grid.y_nodes, "x": grid.x_nodes})
+    coords = {"time": mid, "y": grid.y_nodes, "x": grid.x_nodes} | axes
+    out = xr.Dataset(variables | gain, coords=coords)
     used = replace(rig, cameras={name: rig[name] for name in plan.cameras})
     out.attrs = {"frame_rate": frame_rate, "pixel_size": pixel_size(used, grid)} | {
         name: attributes[name]
         for name in ("experiment", "water_depth", "surface_tension_over_density")
         if name in attributes
     }
-    return annotate(out)
+    return annotate(out, "gain")
+
+
+def _gain(known: Delayed, plan: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What the measurement keeps of waves, once its record is known, and its axes."""
+    from wavefield.measurement.gain import tabulated
+
+    table = tabulated(plan)
+    found = dask.delayed(tabulated, pure=False)(known)
+    dims = TABLE["gain/gain_z"].dims
+    shape = tuple(table[name].size for name in dims)
+    gain = {
+        name: (dims, da.from_delayed(found[name], shape, np.float32)) for name in table if name not in dims
+    }
+    return gain, {name: table[name] for name in dims}
 
 
 def _known(pairs: Sequence[Mapping[str, Any]], plan: Any, record: Mapping[str, Any] | None) -> Any:

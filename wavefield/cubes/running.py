@@ -218,7 +218,10 @@ def _open_or_create(prepared: Prepared, path: Path) -> tuple[Prepared, Layout]:
         **_labels(prepared.experiment),
     }
     remove_leftovers(path)
-    create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes)
+    from wavefield.measurement.gain import tabulated
+
+    gain = tabulated(prepared.plan)
+    create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes, gain)
     create_preview(path, open_group(path))
     return prepared, layout
 

@@ -15,6 +15,35 @@ from wavefield.measurement.record import Record
 
 Float = NDArray[np.floating[Any]]
 
+DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
+_NUMBERS = 200  # of wavenumber, up to the corner of what the grid resolves
+
+
+def tabulated(plan: Plan) -> dict[str, NDArray[Any]]:
+    """Gains of a plan as they are stored with a cube.
+
+    Parameters
+    ----------
+    plan : Plan
+        Of a measurement; gains are NaN where it does not know its record, and of z for a light sheet.
+
+    Returns
+    -------
+    dict of str to ndarray
+        ``direction`` (8,), rad, over half a turn; ``k`` (200,), rad/m; ``gain_z``, ``gain_u``, ``gain_v``,
+        ``gain_w`` (8, 200), of amplitude (`gains`).
+    """
+    k = np.linspace(0, np.sqrt(2) * np.pi / plan.grid.step, _NUMBERS)
+    direction = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    unknown = np.full((DIRECTIONS, _NUMBERS), np.nan)
+    found = dict.fromkeys("zuvw", unknown)
+    if plan.record is not None:
+        found = gains(plan, k * np.cos(direction[:, None]), k * np.sin(direction[:, None]))
+        if plan.settings.sheet_thickness is not None:
+            found["z"] = unknown
+    table = {f"gain_{name}": values.astype(np.float32) for name, values in found.items()}
+    return {"direction": direction, "k": k} | table
+
 
 def gains(plan: Plan, kx: Float, ky: Float) -> dict[str, Float]:
     """Amplitude gains of what a plan measures.

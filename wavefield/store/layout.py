@@ -12,7 +12,7 @@ from zarr.codecs import BloscCodec
 
 from wavefield.errors import StoreError
 from wavefield.store.recipe import Recipe
-from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, Variable, register
+from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, Variable, find, register
 from wavefield.whole_files import whole
 
 WATCHED = (*CUBE_FIELDS, "frame_fault")  # variables whose blocks have a checksum
@@ -102,6 +102,7 @@ def create_store(
     y: np.ndarray,
     layout: Layout,
     attributes: Mapping[str, Any],
+    gain: Mapping[str, np.ndarray] | None = None,
 ) -> None:
     """Make an empty store: metadata, coordinates, attributes. It appears whole or not at all.
 
@@ -117,6 +118,8 @@ def create_store(
         Sizes.
     attributes : mapping
         Further attributes.
+    gain : mapping of str to ndarray, optional
+        What the measurement keeps of waves, with its coordinates: rows of the table's group "gain".
 
     Raises
     ------
@@ -127,6 +130,8 @@ def create_store(
         raise StoreError(f"{path} is there already")
     with whole(path) as draft:
         _fill_in(draft, recipe, x, y, layout, attributes)
+        _put(draft, gain or {})
+        gather_metadata(draft)
 
 
 def _fill_in(
@@ -215,7 +220,23 @@ def _fill_in(
             dimension_names=row.dims,
             attributes=row.attrs,
         )
-    gather_metadata(path)
+
+
+def _put(path: Path, gain: Mapping[str, np.ndarray]) -> None:
+    group = zarr.open_group(path, mode="r+")
+    for name, values in gain.items():
+        row = find(name, "gain")
+        assert row is not None
+        array = group.create_array(
+            name,
+            shape=values.shape,
+            chunks=values.shape,
+            dtype=values.dtype,
+            fill_value=np.nan,
+            dimension_names=row.dims,
+            attributes=row.attrs,
+        )
+        array[:] = values
 
 
 def gather_metadata(path: Path) -> None:

@@ -118,6 +118,10 @@ for _f, _unit in FIELD_UNITS.items():
         )
         for _q, _qt in (("dof", "degrees of freedom"), ("low", LOW), ("high", HIGH)):
             rows("spectra", _dims, (f"{_q}_{_name}_{_f}", "1", _qt), family=f"{_q}_{_name}_*")
+    if _f != "nl":
+        _half = "where the measurement keeps half of a wave or more"
+        _more = "undone there in `E_komega_*`, `E_k_*` and `E_*`; with a gain alone"
+        rows("spectra", ("k",), (f"valid_k_{_f}", "1", _half, _more), dtype="bool", family="valid_k_*")
 rows("spectra", ("omega", "k"), ("valid_komega", "1", _TRUST), dtype="bool")
 for _m, _text in METHODS.items():
     rows("spectra", ("omega",), (f"Ez_{_m}", ELEVATION_UNITS, _text), family="Ez_*")

@@ -49,7 +49,7 @@ from wavefield.waves.resonances import resonances
 from wavefield.waves.ridge import dispersion_group
 from wavefield.waves.shear import current_by_depth
 from wavefield.waves.welch import Welch, frames_of, frames_of_z, omega_coords
-from wavefield.waves.window_gain import read_gain
+from wavefield.waves.window_gain import gain_of
 
 MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz; 2.8 is the paper's
 _FEW = 7  # segments: with fewer, single cells say little
@@ -111,10 +111,10 @@ def analyze(
         Depth of the water, m; the attribute ``water_depth`` of the cube, or deep, if not given.
     pixel_size : float, optional
         Size of a pixel on the water, m; the attribute ``pixel_size`` of the cube if not given.
-    gain : path or Dataset, optional
-        What the matching windows leave of waves, to be undone in the spectra of the elevation: measured on a
-        simulated experiment (`window_gain`), or predicted from the cube's recipe
-        (`wavefield.cubes.predicted_gain`).
+    gain : path, Dataset or False, optional
+        What the measurement keeps of waves, to be undone in the spectra where it is half or more; shorter
+        waves are not valid. That stored with the cube if not given; one measured on a simulated experiment
+        (`window_gain`); False leaves the spectra as they were measured.
     maps : sequence of float
         Frequencies of the maps E(ky, kx), Hz.
     progress : callable, optional
@@ -172,7 +172,7 @@ def analyze(
             segment,
             *water_of(whole.attrs, depth),
             pixel_size or whole.attrs.get("pixel_size"),
-            None if gain is None else read_gain(gain),
+            gain_of(whole, gain),
             probes if probes is None or isinstance(probes, xr.Dataset) else read_probes(probes),
             maps,
             progress,
@@ -251,7 +251,7 @@ def _groups(
     # what rests on the sums alone; what takes longest comes first
     batch = [
         _Subject("dispersion", partial(dispersion_group, density["w"], welch.table.k, job.depth, job.gamma)),
-        _Subject("spectra", partial(crosses.by_field, ring, NAMES)),
+        _Subject("spectra", partial(crosses.by_field, ring, NAMES, job.gain)),
     ]
     if welch.count >= 4:
         alone = partial(higher_order, sums.points, welch.record.dt, welch.segment)

@@ -20,10 +20,12 @@ from wavefield.waves import freedom, kernels, scatter, segments, spectra, transf
 from wavefield.waves.record import Record
 from wavefield.waves.rings import Rings
 from wavefield.waves.welch import Welch, k_coords, omega_coords
+from wavefield.waves.window_gain import kept
 from wavefield.waves.windows import effective_duration
 
 Array = NDArray[Any]
 
+_MEASURED = {"z_t": "z"}  # rises from frame to frame keep what elevations keep
 # fields of the cube that each spectral name is made of
 SOURCES = {
     "z": ("z", "z_t"),
@@ -372,7 +374,7 @@ def lazy_cross_spectra(
     return label(sums, names, pairs, welch, freedom)
 
 
-def by_field(ring: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
+def by_field(ring: xr.Dataset, names: Sequence[str], gain: xr.Dataset | None = None) -> xr.Dataset:
     """E(k, omega), E(k) and E(omega) of each field with their intervals, as the wave store names them.
 
     Parameters
@@ -381,6 +383,9 @@ def by_field(ring: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
         As `cross_spectra` gives it.
     names : sequence of str
         Spectral names.
+    gain : Dataset, optional
+        What the measurement keeps of waves, to be undone (`window_gain`); ``valid_k_<name>`` (k) is false
+        where that is less than half.
 
     Returns
     -------
@@ -391,6 +396,10 @@ def by_field(ring: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
     out = xr.Dataset(attrs=ring.attrs)
     for name in names:
         energy, dof = ring[f"E_{name}"], ring[f"dof_{name}"]
+        if gain is not None and name != "nl":
+            factor, there = kept(gain, _MEASURED.get(name, name), ring["k"].values)
+            energy = energy * xr.DataArray(factor, dims="k")
+            out[f"valid_k_{name}"] = ("k", there)
         whole = {"E": energy, "dof": dof, "dof_omega": ring[f"dof_omega_{name}"]}
         cells = dof / ring.attrs["degrees_of_freedom"]
         theory = 2 * freedom.samples_in_time(energy, duration, cells).clip(min=1)

@@ -21,7 +21,7 @@ from wavefield.waves.record import Record
 from wavefield.waves.spectra import frequency_spectrum
 from wavefield.waves.transfer import LEAST_SIGNAL, elevation_from_w, path_factor
 from wavefield.waves.welch import Welch, inner, k_coords, omega_coords
-from wavefield.waves.window_gain import read_gain, ring_gain
+from wavefield.waves.window_gain import LEAST, read_gain, ring_gain
 
 Array = NDArray[Any]
 Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
@@ -33,7 +33,6 @@ METHODS = ("stereo", "w", "cross", "fusion")
 _LONGER = 0.5  # of the ridge's k: what is longer is no free wave of that frequency
 _OFF = 0.3  # of the ridge's omega: further off there is no free wave
 _TRUSTED = 0.7  # fraction of the ridge's cells
-_KEPT = 0.25  # of a wave's power, half its amplitude: less cannot be undone
 _LOWEST = 1.2  # Hz: below it the integrated w holds little but drift
 
 
@@ -90,7 +89,7 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
     if gain is None:
         return _Gains(np.ones_like(k), np.ones_like(k), np.ones_like(k))
     z, w, both = (ring_gain(gain, *names, k) for names in (("z", "z"), ("w", "w"), ("z", "w")))
-    return _Gains(np.where(z > _KEPT, z, 0.0), np.where(w > _KEPT, w, 0.0), both)
+    return _Gains(np.where(z > LEAST, z, 0.0), np.where(w > LEAST, w, 0.0), both)
 
 
 @dataclass(frozen=True)

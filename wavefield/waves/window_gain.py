@@ -26,6 +26,7 @@ Array = NDArray[Any]
 DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
 _NEAR = 0.12  # of omega: half the width of the band around the ridge
 _LINES = 3  # but so many lines of the spectrum at least
+LEAST = 0.25  # of a wave's power, half its amplitude: less is not undone
 _LEAST_COHERENCE = 0.3  # squared, with the truth: below it the gain is not known
 # measured, true, and what turns the true one into the measured one's unit
 _TRUTH = {"z": ("z_t", "z_t"), "u": ("u", "dx"), "v": ("v", "dy"), "w": ("w", "dz")}
@@ -187,6 +188,64 @@ def read_gain(source: Any) -> xr.Dataset:
                 f"the gain has no {name!r} over direction and k: make one with wavefield.waves.window_gain"
             )
     return gain
+
+
+def gain_of(cube: xr.Dataset, asked: Any = None) -> xr.Dataset | None:
+    """The gain by which spectra of a cube are to be mended.
+
+    Parameters
+    ----------
+    cube : Dataset
+        A cube.
+    asked : path, Dataset or False, optional
+        As for `wavefield.waves.analyze`.
+
+    Returns
+    -------
+    Dataset or None
+        What was asked for, or what is stored with the cube; None where neither is, and where that keeps not
+        even half of the longest waves: water at rest has none, and its spectra are those of the noise.
+
+    Raises
+    ------
+    StoreError
+        If what was asked for cannot be read.
+    """
+    if asked is False:
+        return None
+    if asked is not None:
+        return read_gain(asked)
+    names = [f"gain_{name}" for name in "zuvw" if f"gain_{name}" in cube]
+    if not {"gain_z", "gain_w"} <= set(names):
+        return None
+    own = cube[names].compute()
+    if not all(float(own[name].isel(k=0).mean()) > np.sqrt(LEAST) for name in names):  # NaN of a light sheet
+        return None
+    return own.assign_attrs(origin="linear theory, from what the run learned of its record")
+
+
+def kept(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Factor that undoes a gain in the power of a field, and where that can be done.
+
+    Parameters
+    ----------
+    gain : Dataset
+        As `window_gain` gives it.
+    name : str
+        z, u, v or w; one that it has not got is left as it is.
+    k : ndarray
+        Wavenumbers of rings, rad/m.
+
+    Returns
+    -------
+    factor, valid : ndarray
+        One over the power gain where half of the amplitude or more is kept, else 1; and whether it is.
+    """
+    if f"gain_{name}" not in gain:
+        return np.ones_like(k), np.ones(k.shape, bool)
+    power = ring_gain(gain, name, name, k)
+    valid = power > LEAST
+    return np.where(valid, 1.0 / np.where(valid, power, 1.0), 1.0), valid
 
 
 def ring_gain(gain: xr.Dataset, one: str, other: str, k: Any) -> Array:
