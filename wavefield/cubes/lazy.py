@@ -216,7 +216,7 @@ def _gain(known: Delayed, plan: Any) -> tuple[dict[str, Any], dict[str, np.ndarr
     dims = TABLE["gain/gain_z"].dims
     shape = tuple(table[name].size for name in dims)
     gain = {
-        name: (dims, da.from_delayed(found[name], shape, np.float32)) for name in table if name not in dims
+        name: (dims, da.from_delayed(found[name], shape, np.float64)) for name in table if name not in dims
     }
     return gain, {name: table[name] for name in dims}
 

@@ -19,7 +19,7 @@ DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
 _NUMBERS = 200  # of wavenumber, up to the corner of what the grid resolves
 
 
-def tabulated(plan: Plan) -> dict[str, NDArray[Any]]:
+def tabulated(plan: Plan) -> dict[str, Float]:
     """Gains of a plan as they are stored with a cube.
 
     Parameters
@@ -41,8 +41,7 @@ def tabulated(plan: Plan) -> dict[str, NDArray[Any]]:
         found = gains(plan, k * np.cos(direction[:, None]), k * np.sin(direction[:, None]))
         if plan.settings.sheet_thickness is not None:
             found["z"] = unknown
-    table = {f"gain_{name}": values.astype(np.float32) for name, values in found.items()}
-    return {"direction": direction, "k": k} | table
+    return {"direction": direction, "k": k} | {f"gain_{name}": values for name, values in found.items()}
 
 
 def gains(plan: Plan, kx: Float, ky: Float) -> dict[str, Float]:
