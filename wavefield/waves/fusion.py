@@ -38,8 +38,10 @@ _LOWEST = 1.2  # Hz: below it the integrated w holds little but drift
 
 def _white(noise: Array, use: Array) -> Array:
     # level of each ring: the median passes over the ridge, where gains err, and over the nonlinear term in w
-    level = np.nanmedian(np.where(use, noise, np.nan), axis=0)
-    out: Array = np.nan_to_num(level).clip(min=0.0)
+    noise = np.where(use, noise, np.nan)
+    told = np.isfinite(noise).any(axis=0)  # a short record has rings without a line off the ridge
+    out: Array = np.zeros(noise.shape[1])
+    out[told] = np.nanmedian(noise[:, told], axis=0).clip(min=0.0)
     return out
 
 
