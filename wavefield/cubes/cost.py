@@ -4,20 +4,20 @@ import shutil
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numcodecs
 import numpy as np
 
-from wavefield.cubes.block import Measured, make_block, measure_block
+from wavefield.cubes.block import Measured, Source, make_block, measure_block
 from wavefield.cubes.cluster import count_workers
 from wavefield.cubes.learning import learn_from
 from wavefield.cubes.prepare import Prepared
 from wavefield.cubes.reading import Reading, look_at_reading
 from wavefield.errors import ExperimentError
-from wavefield.series import FrameSeries
+from wavefield.series import Frame, FrameSeries
 from wavefield.store.layout import COMPRESSION
-from wavefield.variables import FrameStatus, Quality
+from wavefield.variables import AROUND, FrameStatus, Quality
 from wavefield.words import spell_time
 
 
@@ -86,11 +86,7 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
     stop = min(start + 3, prepared.steps)
     pair = {name: one.window(start, start + 2) for name, one in prepared.series.items()}
     prepared = prepared.knowing(learn_from([pair], prepared.plan))  # as a run learns; and compiles
-    longer, one = _time_block(prepared, start, stop)
-    step = longer / 6  # of a record of one step, which takes nearly as much as its six frames
-    if stop > start + 1:
-        single, _ = _time_block(prepared, start, start + 1)
-        step = max(longer - single, 0.1 * longer) / (stop - start - 1)
+    one, step = _measured(prepared, start, stop)
     if (one.frame_status == FrameStatus.FAILED).all():
         raise ExperimentError(
             f"the step of frame {next(iter(prepared.series.values())).first + start} could not be measured; "
@@ -110,12 +106,39 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
     return cost, fraction_measured(one.fields["quality"])
 
 
-def _time_block(prepared: Prepared, start: int, stop: int) -> tuple[float, Measured]:
+class _Clocked:
+    """Frames of one camera that note when each is asked for."""
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.asked: list[float] = []
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def read(self, index: int) -> Frame:
+        self.asked.append(time.perf_counter())
+        return self.source.read(index)
+
+    def covered(self, index: int) -> np.ndarray | None:
+        return self.source.covered(index)
+
+    def window(self, start: int, stop: int) -> Source:
+        return self.source.window(start, stop)
+
+
+def _measured(prepared: Prepared, start: int, stop: int) -> tuple[Measured, float]:
+    """Measure a block; also the seconds that a step takes once its neighbours are there."""
+    block = make_block(prepared.series, start, stop)
+    clocked = {name: _Clocked(source) for name, source in block.sources.items()}
     since = time.perf_counter()
-    measured = measure_block(
-        make_block(prepared.series, start, stop), prepared.plan, prepared.experiment.frame_rate
-    )
-    return time.perf_counter() - since, measured
+    measured = measure_block(replace(block, sources=clocked), prepared.plan, prepared.experiment.frame_rate)
+    whole = time.perf_counter() - since
+    frames = block.steps + 2 * AROUND + 1
+    gaps = np.diff(next(iter(clocked.values())).asked[:frames])
+    # each frame is asked for when all is done with those before: the first have no step to give yet
+    whole_steps = gaps[2 * AROUND + 1 :]
+    return measured, float(whole_steps.mean()) if whole_steps.size else whole / frames
 
 
 def _stored_bytes(fields: Mapping[str, np.ndarray]) -> int:

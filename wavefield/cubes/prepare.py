@@ -174,9 +174,17 @@ class _Look:
         count = min(len(series[name]) for name in plan.cameras) - 1
         self.steps = sorted({int((i + 0.5) * count / _LOOKS) for i in range(_LOOKS)})
         self._widths: dict[str, float] = {}  # of the beads, measured in the first image of a camera
+        self._twice: dict[tuple[str, int], Any] = {}  # images that motion and elevation are both seen in
 
     def read(self, name: str, frame: int) -> Any:
         """Image of a camera; None where there is none that can be used."""
+        if frame not in self.steps:
+            return self._read(name, frame)
+        if (name, frame) not in self._twice:
+            self._twice[name, frame] = self._read(name, frame)
+        return self._twice[name, frame]
+
+    def _read(self, name: str, frame: int) -> Any:
         from wavefield.measurement.floor import bead_width
         from wavefield.measurement.frame import ready, usable
 

@@ -18,12 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.cubes.witness import ALIKE, SIDE, Array, Pair, Witness, compare
+from wavefield.cubes.witness import ALIKE, REACH, SIDE, Array, Comparison, Pair, Witness, compare
 from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark
 
 _FEWEST = 12  # patches of an instant
 _CELLS = 4  # matched ones of a patch
+_BESIDE = 16  # px: how far a patch is looked for around where its motion in another frame takes it
 _SLOPE = {3: {1: 1 / 2}, 5: {1: 2 / 3, 2: -1 / 12}}  # by how many frames: of x(k) - x(-k), px per frame
 _SURE = 4.0  # standard deviations
 _SHORTEST = 2e-5  # s: less is noted nowhere
@@ -122,7 +123,7 @@ def sample(plan: Any, witness: Witness, pair: Pair, frame: int, flat: Mapping[st
 
     if not all(name in flat for name in pair):
         return None
-    moved = _moved(witness, pair[1], frame)
+    moved = _moved(witness, pair[1], frame, _furthest(plan, pair[1]))
     if moved is None:
         return None
     match = surface.match_pair(flat[pair[0]], flat[pair[1]], pair, plan)
@@ -141,10 +142,36 @@ def sample(plan: Any, witness: Witness, pair: Pair, frame: int, flat: Mapping[st
     return Sample(miss / plan.pixel, (q * dx - p * dy) / plan.pixel, low, speed)
 
 
-def _moved(witness: Witness, name: str, frame: int) -> Array | None:
+def _furthest(plan: Any, name: str) -> int:
+    """How far a camera's beads go from frame to frame, raw px: as far as the measurement searches."""
+    ranges = (plan.settings.piv.search_x, plan.settings.piv.search_y)
+    ends = [abs(end) for one in ranges if one is not None for end in one]
+    return min(int(np.ceil(max(ends, default=REACH) * plan.binning[name])), REACH)
+
+
+def _moved(witness: Witness, name: str, frame: int, furthest: int) -> Array | None:
     """How far what one camera shows in each patch moves in a frame, px, (n, 2): by four frames or two."""
-    now = witness.patches(name, frame)
-    found = {k: compare(now, witness.patches(name, frame + k)) for k in (-2, -1, 1, 2)}
+    still = np.zeros((len(witness.x), 2), np.int64)
+    now = witness.around(name, frame, still, 0)
+
+    def find(k: int, near: Array, reach: int) -> Comparison | None:
+        known = np.isfinite(near).all(axis=1)
+        limit = REACH - reach
+        at = np.clip(np.rint(np.where(known[:, None], near, 0)), -limit, limit).astype(np.int64)
+        found = compare(now, witness.around(name, frame + k, at, reach), at)
+        return None if found is None else Comparison(found.moved, np.where(known, found.likeness, 0.0))
+
+    after = find(1, still.astype(float), furthest)
+    if after is None:
+        return None
+    first = np.where(after.likeness[:, None] > ALIKE, after.moved, np.nan)
+    before = find(-1, -first, _BESIDE)
+    if before is None:
+        return None
+    last = np.where(before.likeness[:, None] > ALIKE, before.moved, np.nan)
+    found: dict[int, Comparison | None] = {1: after, -1: before}
+    # and two frames away about where a parabola goes
+    found |= {k: find(k, k * (first - last) / 2 + 2 * (first + last), _BESIDE) for k in (-2, 2)}
     for slope in (_SLOPE[5], _SLOPE[3]):
         around = [(weight, found[k], found[-k]) for k, weight in slope.items()]
         sides = [(weight, a, b) for weight, a, b in around if a is not None and b is not None]
@@ -160,13 +187,18 @@ def _moved(witness: Witness, name: str, frame: int) -> Array | None:
 
 def _over_patches(witness: Witness, at: Sequence[Array], values: Sequence[Array]) -> Array:
     """Means over the middle of each patch, (n, values); NaN where little is known."""
-    half = SIDE / 2 * witness.pixel
-    out = np.full((len(witness.x), len(values)), np.nan)
-    for k, (x, y) in enumerate(zip(witness.x, witness.y)):
-        inside = (np.abs(at[0] - x) < half) & (np.abs(at[1] - y) < half)
-        if inside.sum() >= _CELLS:
-            out[k] = [v[inside].mean() for v in values]
-    return out
+    pitch = SIDE * witness.pixel  # patches lie side by side
+    column, row = (
+        np.floor((v - places.min()) / pitch + 0.5).astype(np.int64)
+        for v, places in zip(at, (witness.x, witness.y))
+    )
+    own_column, own_row = (np.rint((v - v.min()) / pitch).astype(np.int64) for v in (witness.x, witness.y))
+    nx, ny = int(own_column.max()) + 1, int(own_row.max()) + 1
+    inside = (column >= 0) & (column < nx) & (row >= 0) & (row < ny)
+    which, own = (row * nx + column)[inside], own_row * nx + own_column
+    count = np.bincount(which, minlength=nx * ny)[own]
+    means = [np.bincount(which, v[inside], nx * ny)[own] / np.maximum(count, 1) for v in values]
+    return np.where(count[:, None] >= _CELLS, np.stack(means, axis=-1), np.nan)
 
 
 def _scaled(v: Array) -> Array:

@@ -138,6 +138,38 @@ class Witness:
                 self._patches[key] = np.asarray(laid, np.float32).reshape(-1, side, side)
         return self._patches[key]
 
+    def around(
+        self, name: str, frame: int, near: NDArray[np.int64], reach: int
+    ) -> NDArray[np.float32] | None:
+        """What is around places near those of the patches, read anew.
+
+        Parameters
+        ----------
+        name : str
+            The camera.
+        frame : int
+            The frame.
+        near : ndarray of int, (n, 2)
+            By how much each place lies beside that of the patch along x and y, px, at most REACH - reach.
+        reach : int
+            Px around it.
+
+        Returns
+        -------
+        ndarray, (n, SIDE + 2 reach, SIDE + 2 reach), or None
+            Grey levels; NaN outside the image.
+        """
+        image = self.read(name, frame)
+        if image is None:
+            return None
+        side, whole = SIDE + 2 * reach, SIDE + 2 * REACH
+        column, row = (part.reshape(-1, whole, whole) for part in self._map(name))
+        cuts = [np.s_[k, y : y + side, x : x + side] for k, (x, y) in enumerate(near + REACH - reach)]
+        at = (np.concatenate([part[cut] for cut in cuts]) for part in (column, row))
+        flat = np.ascontiguousarray(image, np.float32)
+        laid = cv2.remap(flat, *at, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, np.nan)
+        return np.asarray(laid, np.float32).reshape(-1, side, side)
+
     def contrast(self, name: str, frame: int) -> Array | None:
         """Standard deviation of each patch, grey levels."""
         patches = self.patches(name, frame)
@@ -164,23 +196,30 @@ def middle(patches: NDArray[np.float32]) -> NDArray[np.float32]:
 
     Parameters
     ----------
-    patches : ndarray, (n, SIDE + 2 REACH, SIDE + 2 REACH)
-        As from `Witness.patches`.
+    patches : ndarray, (n, SIDE + 2 reach, SIDE + 2 reach)
+        As from `Witness.patches` or `Witness.around`.
 
     Returns
     -------
     ndarray, (n, SIDE, SIDE)
     """
-    return patches[:, REACH : REACH + SIDE, REACH : REACH + SIDE]
+    reach = (patches.shape[1] - SIDE) // 2
+    return patches[:, reach : reach + SIDE, reach : reach + SIDE]
 
 
-def compare(first: NDArray[np.float32] | None, second: NDArray[np.float32] | None) -> Comparison | None:
+def compare(
+    first: NDArray[np.float32] | None,
+    second: NDArray[np.float32] | None,
+    near: NDArray[np.int64] | None = None,
+) -> Comparison | None:
     """Look for the middle of each patch in another.
 
     Parameters
     ----------
-    first, second : ndarray, (n, SIDE + 2 REACH, SIDE + 2 REACH), or None
-        As from `Witness.patches`.
+    first, second : ndarray, (n, SIDE + 2 reach, SIDE + 2 reach), or None
+        As from `Witness.patches` or `Witness.around`, each of its own reach.
+    near : ndarray of int, (n, 2), optional
+        By how much the second lie beside the first, px; not at all if left out.
 
     Returns
     -------
@@ -191,19 +230,23 @@ def compare(first: NDArray[np.float32] | None, second: NDArray[np.float32] | Non
         return None
     moved = np.full((len(first), 2), np.nan)
     likeness = np.zeros(len(first))
-    for k, (template, field_) in enumerate(zip(middle(first), second)):
-        if not np.isfinite(template).all() or float(template.std()) < 1e-3:
-            continue
-        gaps = ~np.isfinite(field_)
-        around = np.where(gaps, template.mean(), field_).astype(np.float32)
-        score = cv2.matchTemplate(around, np.ascontiguousarray(template), cv2.TM_CCOEFF_NORMED)
-        row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+    reach = (second.shape[1] - SIDE) // 2
+    templates = np.ascontiguousarray(middle(first))
+    usual = templates.mean(axis=(1, 2))
+    sound = templates.std(axis=(1, 2)) >= 1e-3  # not where something is NaN
+    for k in np.flatnonzero(sound).tolist():
+        around = np.ascontiguousarray(second[k])
+        gaps = np.isnan(around)
+        if gaps.any():
+            around = np.where(gaps, usual[k], around)
+        score = cv2.matchTemplate(around, templates[k], cv2.TM_CCOEFF_NORMED)
+        _, _, _, (column, row) = cv2.minMaxLoc(score)
         likeness[k] = score[row, column]
         if 0 < row < score.shape[0] - 1 and 0 < column < score.shape[1] - 1:
             dx = _vertex(*score[row, column - 1 : column + 2])
             dy = _vertex(*score[row - 1 : row + 2, column])
-            moved[k] = column + dx - REACH, row + dy - REACH
-    return Comparison(moved, likeness)
+            moved[k] = column + dx - reach, row + dy - reach
+    return Comparison(moved if near is None else moved + near, likeness)
 
 
 def _vertex(before: float, at: float, after: float) -> float:

@@ -307,9 +307,27 @@ def surface(prepared: Mapping[str, matching.Prepared], plan: Plan) -> Surface | 
     if plan.settings.sheet_thickness is not None:
         return _sheet(plan.settings.sheet_thickness, plan.grid.shape)
     found = look_at_pairs(prepared, plan)
-    if found is None:
-        return None
-    blocks, matches = found
+    return None if found is None else surface_of(*found, prepared, plan)
+
+
+def surface_of(
+    blocks: Blocks, matches: Sequence[PairMatch], prepared: Mapping[str, matching.Prepared], plan: Plan
+) -> Surface:
+    """Elevation at the nodes from matched pairs.
+
+    Parameters
+    ----------
+    blocks, matches
+        As given by `look_at_pairs`.
+    prepared : mapping of str to Prepared
+        The rectified images behind them.
+    plan : Plan
+        Everything computed beforehand, its record learned.
+
+    Returns
+    -------
+    Surface
+    """
     estimate = most_probable(blocks, matches, prepared, plan.modes, plan.pixel)
     spline = plan.modes.field(estimate.waves * plan.spline)
     noise, missing = plan.spread(estimate.information)

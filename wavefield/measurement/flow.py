@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.matching import Modes
 from wavefield.measurement.elevation import LOOKS
-from wavefield.measurement.plan import Plan, Sight
+from wavefield.measurement.plan import Plan
 from wavefield.measurement.regrid import push_pull
 from wavefield.measurement.surface import why_rejected
 
@@ -130,11 +130,34 @@ def flows(
     -------
     dict of str to Flow
     """
-    return {n: _flow(first[n], second[n], plan, plan.sights[n]) for n in first if n in second}
+    return {
+        n: flow_near(matching.match(first[n], second[n], plan.settings.piv), first[n], second[n], plan, n)
+        for n in first
+        if n in second
+    }
 
 
-def _flow(one: matching.Prepared, other: matching.Prepared, plan: Plan, sight: Sight) -> Flow:
-    near = matching.match(one, other, plan.settings.piv)
+def flow_near(
+    near: matching.Displacement, one: matching.Prepared, other: matching.Prepared, plan: Plan, name: str
+) -> Flow:
+    """Displacement of one camera from what matching found.
+
+    Parameters
+    ----------
+    near : Displacement
+        The match.
+    one, other : Prepared
+        Its images.
+    plan : Plan
+        Everything computed beforehand, its record learned.
+    name : str
+        The camera.
+
+    Returns
+    -------
+    Flow
+    """
+    sight = plan.sights[name]
     found = most_probable(near, one, other, sight.modes)
     noise, missing = sight.spread(found.information)
     spline = sight.modes.field(found.waves * sight.spline)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from wavefield.measurement.covered import Covered, Masks, covered_in
 from wavefield.measurement.elevation import Surface, surface
 from wavefield.measurement.frame import IN_TIME, ready, sharpened, usable
 from wavefield.measurement.plan import Plan
+
+Frames = Mapping[str, NDArray[Any] | None]
 
 
 @dataclass(frozen=True)
@@ -48,16 +50,19 @@ class Instant:
         Raw images ready for matching in time.
     missing : frozenset of str
         Cameras without a usable frame.
-    flat : mapping of str to Prepared
-        Rectified images, should a camera have to be left out.
+    frames : mapping of str to ndarray or None
+        The frames themselves, should a camera have to be left out.
+    masks : mapping of str to ndarray of bool or None
+        What is masked in them.
     covered : mapping of str to Covered
-        What is masked.
+        The same, ready for matching.
     """
 
     surface: Surface | None
     images: Mapping[str, matching.Prepared]
     missing: frozenset[str]
-    flat: Mapping[str, matching.Prepared]
+    frames: Frames
+    masks: Masks
     covered: Mapping[str, Covered] = field(default_factory=dict)
     _others: dict[str, Surface | None] = field(default_factory=dict)
 
@@ -76,13 +81,39 @@ class Instant:
         Surface or None
         """
         if camera not in self._others:
-            rest = {name: image for name, image in self.flat.items() if name != camera}
-            self._others[camera] = surface(rest, plan)
+            assert plan.record is not None
+            rest = {name: image for name, image in self.frames.items() if name != camera}
+            good = _evened(rest, plan, dict(plan.record.beads), self.masks)
+            self._others[camera] = surface(_rectified(good, plan, self.covered), plan)
         return self._others[camera]
+
+    def followed(self) -> Instant:
+        """The same without the images, once they are matched in time: they hold most of the memory."""
+        return replace(self, images={})
+
+
+def _evened(frames: Frames, plan: Plan, beads: Mapping[str, float], masks: Masks) -> dict[str, NDArray[Any]]:
+    """Usable frames as they are matched, binned."""
+    good: dict[str, NDArray[Any]] = {}
+    for name in plan.cameras:
+        image = frames.get(name)
+        if image is not None and usable(image, plan.rig[name].size):
+            good[name] = ready(image, plan.binning[name], beads[name], masks.get(name))
+    return good
+
+
+def _rectified(
+    good: Mapping[str, NDArray[Any]], plan: Plan, covered: Mapping[str, Covered]
+) -> dict[str, matching.Prepared]:
+    """Images ready for matching between cameras; none of a light sheet."""
+    if plan.settings.sheet_thickness is not None:
+        return {}
+    mask = {n: one.flat for n, one in covered.items()}
+    return {n: stereo.prepare(good[n], n, plan, mask.get(n)) for n in plan.surface_cameras if n in good}
 
 
 def images_of(
-    frames: Mapping[str, NDArray[Any] | None],
+    frames: Frames,
     plan: Plan,
     beads: Mapping[str, float],
     masks: Masks | None = None,
@@ -104,23 +135,17 @@ def images_of(
     -------
     Images
     """
-    good: dict[str, NDArray[Any]] = {}
     masks = masks or {}
     covered = covered_in(masks, plan)
-    for name in plan.cameras:
-        image = frames.get(name)
-        if image is not None and usable(image, plan.rig[name].size):
-            good[name] = ready(image, plan.binning[name], beads[name], masks.get(name))
-    flat_of = {n: one.flat for n, one in covered.items()}
+    good = _evened(frames, plan, beads, masks)
+    flat = _rectified(good, plan, covered)
     raw_of = {n: one.raw for n, one in covered.items()}
-    matched = plan.surface_cameras if plan.settings.sheet_thickness is None else ()
-    flat = {n: stereo.prepare(good[n], n, plan, flat_of.get(n)) for n in matched if n in good}
     sharp = {n: sharpened(good[n], IN_TIME) for n in plan.velocity_cameras if n in good}
     raw = {n: matching.prepare(image, plan.settings.piv, raw_of.get(n)) for n, image in sharp.items()}
     return Images(flat, raw, frozenset(n for n in plan.cameras if n not in good), covered)
 
 
-def look(frames: Mapping[str, NDArray[Any] | None], plan: Plan, masks: Masks | None = None) -> Instant:
+def look(frames: Frames, plan: Plan, masks: Masks | None = None) -> Instant:
     """Everything that the frames of one instant give on their own.
 
     Parameters
@@ -138,4 +163,5 @@ def look(frames: Mapping[str, NDArray[Any] | None], plan: Plan, masks: Masks | N
     """
     assert plan.record is not None
     images = images_of(frames, plan, dict(plan.record.beads), masks)
-    return Instant(surface(images.flat, plan), images.raw, images.missing, images.flat, images.covered)
+    found = surface(images.flat, plan)
+    return Instant(found, images.raw, images.missing, frames, masks or {}, images.covered)

@@ -111,9 +111,15 @@ def _learned(
         (one, other), (m, n) = step, masked
         return images_of(one, plan, beads, m), images_of(other, plan, beads, n)
 
+    def match(view: tuple[Images, Images]) -> _Near:
+        one, other = (images.raw for images in view)
+        found = {n: matching.match(one[n], other[n], plan.settings.piv) for n in one if n in other}
+        return _Near(elevation.look_at_pairs(view[0].flat, plan), found)
+
     views = list(pool.map(view, steps, covered))
-    height = _learn_elevation([first for first, _ in views], plan, pool)
-    moves = {name: _learn_displacement(name, views, plan, pool) for name in plan.velocity_cameras}
+    near = list(pool.map(match, views))
+    height = _learn_elevation(views, near, plan, pool)
+    moves = {name: _learn_displacement(name, views, near, plan, pool) for name in plan.velocity_cameras}
     known = {name: samples for name, samples in moves.items() if samples is not None}
     if height is None or len(known) < 2:
         return None
@@ -121,20 +127,28 @@ def _learned(
     priors = {name: known.get(name, some).prior for name in plan.velocity_cameras}
     record = Record(tuple(beads.items()), height, tuple(priors.items()), (1.0, 1.0, 1.0))
     known_plan = plan = plan.knowing(record)
-    pairs = list(pool.map(lambda step: _elevations(step, known_plan), views))
+    pairs = list(pool.map(lambda step, found: _elevations(step, found, known_plan), views, near))
     heights = [None if pair is None else np.float32(0.5) * (pair[0] + pair[1]) for pair in pairs]
     known_pairs = [pair for pair in pairs if pair is not None]
     record = replace(record, unresolved=unresolved(known_pairs, partial(_noise_of_waves, height, plan)))
     for number in range(2):
         if number:
             plan = plan.knowing(record)
-        noise, moved = _misfit(views, heights, plan, pool)
+        noise, moved = _misfit(views, near, heights, plan, pool)
         priors = {}
         for name, prior in record.displacement:
             prior = replace(prior, noise=float(np.clip(prior.noise * noise, *_NOISE)))
             priors[name] = known[name].better(prior) if name in known else prior
         record = replace(record, displacement=tuple(priors.items()), moved=moved)
     return record
+
+
+@dataclass(frozen=True)
+class _Near:
+    """What matching finds of a step, whatever the prior: pairs at its first frame, displacements."""
+
+    pairs: tuple[elevation.Blocks, list[PairMatch]] | None
+    displacements: Mapping[str, matching.Displacement]
 
 
 def _beads(
@@ -157,15 +171,16 @@ def _beads(
     return out
 
 
-def _learn_elevation(views: Sequence[Images], plan: Plan, pool: ThreadPoolExecutor) -> Prior | None:
+def _learn_elevation(
+    views: Sequence[tuple[Images, Images]], near: Sequence[_Near], plan: Plan, pool: ThreadPoolExecutor
+) -> Prior | None:
     if plan.settings.sheet_thickness is not None:
         return _FLAT
 
-    def look(view: Images) -> _Height | None:
-        found = elevation.look_at_pairs(view.flat, plan)
-        return None if found is None else _Height(*found, view.flat, plan.pixel)
+    def look(view: tuple[Images, Images], found: _Near) -> _Height | None:
+        return None if found.pairs is None else _Height(*found.pairs, view[0].flat, plan.pixel)
 
-    samples = [sample for sample in pool.map(look, views) if sample is not None]
+    samples = [sample for sample in pool.map(look, views, near) if sample is not None]
     if not samples:
         return None
     prior = _Samples.of(samples, plan.settings.stereo, pool).prior
@@ -179,13 +194,17 @@ def _learn_elevation(views: Sequence[Images], plan: Plan, pool: ThreadPoolExecut
 
 
 def _learn_displacement(
-    name: str, views: Sequence[tuple[Images, Images]], plan: Plan, pool: ThreadPoolExecutor
+    name: str,
+    views: Sequence[tuple[Images, Images]],
+    near: Sequence[_Near],
+    plan: Plan,
+    pool: ThreadPoolExecutor,
 ) -> _Samples | None:
-    def look(view: tuple[Images, Images]) -> _Shift:
-        one, other = (images.raw[name] for images in view)
-        return _Shift(matching.match(one, other, plan.settings.piv), one, other)
+    def look(step: tuple[tuple[Images, Images], _Near]) -> _Shift:
+        (one, other), found = step
+        return _Shift(found.displacements[name], one.raw[name], other.raw[name])
 
-    there = [view for view in views if all(name in images.raw for images in view)]
+    there = [step for step in zip(views, near) if name in step[1].displacements]
     samples = list(pool.map(look, there))
     if not any(sample.information > 0 for sample in samples):
         return None
@@ -273,29 +292,36 @@ def _noise_of_waves(prior: Prior, plan: Plan, k: Float) -> Float:
     return out
 
 
-def _elevations(step: tuple[Images, Images], plan: Plan) -> tuple[Float, Float] | None:
+def _elevations(step: tuple[Images, Images], near: _Near, plan: Plan) -> tuple[Float, Float] | None:
     """Elevation at the nodes at two frames, metres."""
-    one, other = (elevation.surface(view.flat, plan) for view in step)
+    flat, later = (view.flat for view in step)
+    if near.pairs is None:
+        one = elevation.surface(flat, plan)
+    else:
+        one = elevation.surface_of(*near.pairs, flat, plan)
+    other = elevation.surface(later, plan)
     return None if one is None or other is None else (one.z, other.z)
 
 
 def _misfit(
     views: Sequence[tuple[Images, Images]],
+    near: Sequence[_Near],
     heights: Sequence[Float | None],
     plan: Plan,
     pool: ThreadPoolExecutor,
 ) -> tuple[float, tuple[float, float, float]]:
     """Noise over what is thought, from the cameras' misfit, and the water's motion per step, metres."""
 
-    def move(view: tuple[Images, Images], z: Float | None) -> tuple[flow.Flows, Motion] | None:
+    def move(view: tuple[Images, Images], found: _Near, z: Float | None) -> tuple[flow.Flows, Motion] | None:
         if z is None:
             return None
-        flows = flow.flows(view[0].raw, view[1].raw, plan)
+        one, other = (images.raw for images in view)
+        flows = {n: flow.flow_near(d, one[n], other[n], plan, n) for n, d in found.displacements.items()}
         motion = velocity((None, flows, None), z, plan)
         return None if motion is None else (flows, motion)
 
     misfits, moved = [], []
-    for found in pool.map(move, views, heights):
+    for found in pool.map(move, views, near, heights):
         if found is None:
             continue
         flows, motion = found

@@ -77,8 +77,11 @@ def measure(
     for number in range(steps + 2 * AROUND + 1):
         covered = {name: masks[name][number] for name in masks} if masks else None
         window.append(look({name: frames[name][number] for name in frames}, plan, covered))
+        if not number:
+            window[0] = window[0].followed()  # a neighbour of neighbours: its z alone is wanted
         if AROUND <= number <= steps + AROUND + 1:
             moves.append(flows(window[-2].images, window[-1].images, plan))
+            window[-2] = window[-2].followed()
         if len(window) == 2 * AROUND + 2:
             step = number - 2 * AROUND - 1
             row = {name: field[step : step + 1] for name, field in out.items()}

@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
-from wavefield.matching import Modes, Prior, Spread
+from wavefield.matching import Modes, Spread
 from wavefield.matching.kernels import BLOCK
-from wavefield.matching.one_thread import one_thread
 from wavefield.matching.prepared import Mask
 from wavefield.measurement.record import Record
 from wavefield.measurement.rectify import binned, sight_map
-from wavefield.measurement.regrid import Lattice, thin_plate
+from wavefield.measurement.regrid import Lattice
 from wavefield.measurement.settings import Settings
+from wavefield.measurement.sight import Sight
+from wavefield.measurement.sought import Sought
 from wavefield.rig import Camera, Rig
 from wavefield.rig.pairs import pairs_of
 from wavefield.rig.resolution import pixel_at, pixel_sides
@@ -67,9 +68,10 @@ class Plan:
         Blur of the rectified images along x and y that makes beads alike, px.
     binning : dict of str to int
         Squares of so many pixels are averaged before anything else: cameras must see beads alike.
-    modes, spread : Modes, Spread
-        Cosines of the elevation and its variance; only with a record. Those of displacements belong to the
-        `Sight` of each camera.
+    record : Record or None
+        What is known of the record.
+    sought : Sought
+        The elevation; only with a record. Displacements belong to the `Sight` of each camera.
 
     Raises
     ------
@@ -91,7 +93,8 @@ class Plan:
         record: Record | None = None,
         covered: Outlines = (),
     ) -> None:
-        self.rig, self.grid, self.record, self.covered = rig, grid, record, covered
+        self.rig, self.grid, self.covered = rig, grid, covered
+        self.record: Record | None = None
         self.settings = settings = settings or Settings()
         if len(rig) < 2:
             raise RigError("a rig needs at least two cameras to measure a surface")
@@ -118,7 +121,9 @@ class Plan:
         self.binned = {name: binned(rig[name], self.binning[name]) for name in self.cameras}
         self.blur = self._blur(*middle)
         self._lay_out()
-        self.sights = {name: Sight(camera, self) for name, camera in self.binned.items()}
+        self.sights = {
+            name: Sight(camera, self.x, self.y, self.z_range) for name, camera in self.binned.items()
+        }
         if record is not None:
             self._use(record)
 
@@ -147,21 +152,33 @@ class Plan:
             return self
         out = object.__new__(Plan)  # `copy` would give the cached plan that all share
         out.__dict__.update(self.__dict__)
-        out.record = record
         out.sights = {name: copy(sight) for name, sight in self.sights.items()}
         out._use(record)
         return out
 
-    @one_thread()
     def _use(self, record: Record) -> None:
-        """Lay out the cosines of the fields whose spectra the record has."""
-        shape = self.lattice.shape
-        self.modes = Modes(record.elevation, shape, self._in_view())
-        self.spread = Spread(record.elevation, shape)
-        my, mx = self.modes.shape
-        self.spline = thin_plate(shape, self.settings.smoothing)[:my, :mx]
+        """Seek the fields whose spectra the record has; what is laid out for the same spectrum stays."""
+        shape, before = self.lattice.shape, self.record
+        if before is None or before.elevation != record.elevation:
+            self.sought = Sought(record.elevation, shape, self.settings.smoothing, self._in_view())
         for name, prior in record.displacement:
             self.sights[name].use(prior)
+        self.record = record
+
+    @property
+    def modes(self) -> Modes:
+        """Cosines of the elevation."""
+        return self.sought.modes
+
+    @property
+    def spread(self) -> Spread:
+        """Variance of the elevation."""
+        return self.sought.spread
+
+    @property
+    def spline(self) -> NDArray[Any]:
+        """From cosines of the elevation to those of its spline."""
+        return self.sought.spline
 
     def _in_view(self) -> NDArray[np.bool_]:
         """(ny, nx): blocks well inside what the reference and a partner see of the water at rest."""
@@ -300,96 +317,6 @@ class Plan:
             return planned
         rest = tuple(n for n in self.surface_cameras if n in present)
         return pairs_of(self.rig, rest) if len(rest) >= 2 else ()
-
-
-class Sight:
-    """Where one camera sees the nodes at any height, as polynomials in z.
-
-    Parameters
-    ----------
-    camera : Camera
-        The camera, binned.
-    plan : Plan
-        For its nodes and its range of z.
-    """
-
-    def __init__(self, camera: Camera, plan: Plan) -> None:
-        self.camera = camera
-        w, h = camera.size
-        ny, nx = h // BLOCK, w // BLOCK
-        self.lattice = Lattice(0.5 * (BLOCK - 1), 0.5 * (BLOCK - 1), float(BLOCK), (ny, nx))
-        # projection is a ratio of linear functions of z with |z| well below the distance: order 4 is exact
-        # to better than a thousandth of a pixel
-        low, high = plan.z_range
-        self.z_middle, self.z_half = 0.5 * (low + high), 0.5 * (high - low)
-        knots = np.cos(np.pi * (np.arange(5) + 0.5) / 5)
-        inverse = np.linalg.inv(np.vander(knots, increasing=True))
-        values = []
-        for t in knots:
-            z = self.z_middle + self.z_half * t
-            X, Y = camera.project(plan.x, plan.y, z)
-            J = camera.jacobian(plan.x, plan.y, z)
-            values.append(np.concatenate([[X, Y], np.moveaxis(J.reshape(*X.shape, 6), -1, 0)]))
-        # (8, 5, ny, nx): X, Y, then the Jacobian row by row
-        self.polynomial = np.einsum("pk,kfyx->fpyx", inverse, np.array(values)).astype(np.float32)
-
-    def use(self, prior: Prior) -> None:
-        """Lay out the cosines of this camera's displacements.
-
-        Parameters
-        ----------
-        prior : Prior
-            Their spectrum, px of the binned image.
-        """
-        shape = self.lattice.shape
-        self.modes, self.spread = Modes(prior, shape), Spread(prior, shape)
-        my, mx = self.modes.shape
-        self.spline = thin_plate(shape, 0.0)[:my, :mx]
-
-    def at(self, z: NDArray[Any]) -> NDArray[np.float32]:
-        """Image position and Jacobian of the nodes at given heights.
-
-        Parameters
-        ----------
-        z : ndarray of float32, (ny, nx)
-            Elevation of each node, metres.
-
-        Returns
-        -------
-        ndarray of float32, (8, ny, nx)
-            X, Y (px of the binned image), then dX/dx, dX/dy, dX/dz, dY/dx, dY/dy, dY/dz (px per metre).
-        """
-        return self._evaluate(z, 8)
-
-    def position(self, z: NDArray[Any]) -> NDArray[np.float32]:
-        """Image position of the nodes at given heights.
-
-        Parameters
-        ----------
-        z : ndarray of float32, (ny, nx)
-            Elevation of each node, metres.
-
-        Returns
-        -------
-        ndarray of float32, (2, ny, nx)
-            X, Y, px of the binned image.
-        """
-        return self._evaluate(z, 2)
-
-    def _evaluate(self, z: NDArray[Any], count: int) -> NDArray[np.float32]:
-        t = (np.asarray(z, np.float32) - np.float32(self.z_middle)) / np.float32(self.z_half)
-        out = self.polynomial[:count, 4].copy()
-        for order in (3, 2, 1, 0):
-            out *= t
-            out += self.polynomial[:count, order]
-        result: NDArray[np.float32] = out
-        return result
-
-    def sees(self, X: NDArray[Any], Y: NDArray[Any]) -> NDArray[np.bool_]:
-        """Whether positions lie inside the binned image."""
-        w, h = self.camera.size
-        with np.errstate(invalid="ignore"):
-            return (X >= 0) & (X <= w - 1) & (Y >= 0) & (Y <= h - 1)
 
 
 def _inside(x: NDArray[Any], y: NDArray[Any], outlines: Outlines) -> NDArray[np.bool_]:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from wavefield.measurement.contradiction import MISFIT, NODE, median_misfit, who_lies
 from wavefield.measurement.flow import Flow, Flows
 from wavefield.measurement.paths import read_path
-from wavefield.measurement.plan import Plan, Sight
+from wavefield.measurement.plan import Plan
+from wavefield.measurement.sight import Sight
 from wavefield.rig.stereo import solve_displacement
 from wavefield.variables import Quality
 
