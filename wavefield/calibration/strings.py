@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Node = NDArray[np.int64]
 
 SCALES = (1.5, 2.5, 4.0)  # px; a string may be under 2 px wide in one camera and 4 px in another
+_NEAR = 5e-3  # px: how closely crossings are fitted that are fitted once more
 FEWEST = 12  # crossings below which a picture is of no use
 
 
@@ -284,7 +285,8 @@ def _fitted(
     near = smooth.misfit < tolerance
     node, pixel = node[near], pixel[near]
     slopes = smooth.slopes(node)
-    fit = fit_crossings(image, start_parameters(pixel, slopes, 0.6 * scale, blur), slopes, blur)
+    start = start_parameters(pixel, slopes, 0.6 * scale, blur)
+    fit = fit_crossings(image, start, slopes, blur, close=_NEAR)
     good = _sound(fit, pixel, slopes)
     if good.sum() < FEWEST:
         raise CalibrationError(_NONE)
@@ -300,7 +302,8 @@ def _fitted(
         if not len(missing):
             break
         slopes = smooth.slopes(missing)
-        extra = fit_crossings(image, start_parameters(expected, slopes, sigma, blur), slopes, blur)
+        start = start_parameters(expected, slopes, sigma, blur)
+        extra = fit_crossings(image, start, slopes, blur, close=_NEAR)
         sound = _sound(extra, expected, slopes)
         parameters, node = (
             np.concatenate([parameters, extra.parameters[sound]]),

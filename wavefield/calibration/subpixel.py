@@ -16,6 +16,7 @@ Pair = tuple[float, float]
 CX, CY, ANGLE1, ANGLE2, WIDTH1, WIDTH2, FLUX1, FLUX2, GROUND, SLOPE_X, SLOPE_Y, OVERLAP = range(12)
 COUNT = 12
 LINEAR = 6  # the parameters from FLUX1 on enter linearly
+CLOSE = 2e-4  # px
 
 
 @dataclass(frozen=True)
@@ -318,7 +319,14 @@ def _look(
 
 @compiled()
 def _fit_one(
-    pixels: Array, blur: float, variance: Pair, p: Array, covariance: Array, arms: Array, noise: Array
+    pixels: Array,
+    blur: float,
+    variance: Pair,
+    p: Array,
+    covariance: Array,
+    arms: Array,
+    noise: Array,
+    close: float,
 ) -> float:
     """Fit one crossing, p in place; returns the misfit over the noise, or -1 if nothing can be fitted."""
     n = pixels.shape[1]
@@ -341,7 +349,7 @@ def _fit_one(
         moved = _advance(p, b[:free], blur)
         if iteration >= 2:
             spread = 6.0 * max(PER_MEDIAN * np.median(misses[1]), 1e-3)
-        if iteration > 4 and moved < 2e-4:
+        if iteration > 3 and moved < close:
             break
     if not _centre_variance(a, chi, covariance):
         return -1.0
@@ -362,11 +370,12 @@ def _fit_all(
     arms: Array,
     noise: Array,
     misfit: Array,
+    close: float,
 ) -> None:
     for k in range(len(parameters)):
         p = parameters[k]
         pixels = _pixels_near(image, p, arm1[k], arm2[k], band[k])
-        misfit[k] = _fit_one(pixels, blur, variance, p, covariance[k], arms[k], noise[k])
+        misfit[k] = _fit_one(pixels, blur, variance, p, covariance[k], arms[k], noise[k], close)
 
 
 def start_parameters(pixel: Array, slopes: Array, sigma: float, blur: float) -> Array:
@@ -402,6 +411,7 @@ def fit_crossings(
     blur: float,
     noise: tuple[float, float] = (1.0, 0.0),
     longest: float = 18.0,
+    close: float = CLOSE,
 ) -> Crossings:
     """Fit two crossing strings to the pixels around each expected crossing.
 
@@ -419,6 +429,8 @@ def fit_crossings(
         Variance of a pixel: at zero grey, and its increase per grey (photon noise).
     longest : float
         Arms extend .45 mesh, but no further than this, px.
+    close : float
+        A fit ends with the first step that moves the centre by less, px.
 
     Returns
     -------
@@ -451,6 +463,7 @@ def fit_crossings(
         arms,
         quiet,
         misfit,
+        float(close),
     )
     good = (misfit >= 0) & np.isfinite(parameters).all(1) & (covariance > 0).all(1)
     # the biweight makes Gaussian residuals smaller by a factor 1.08 than it makes the estimate sharper

@@ -170,7 +170,9 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     the water at rest (`rest:`), it mends the rig and brings z = 0 to the water. When the rig cannot be
     trusted the exit status is 1 and the report says what to photograph again.
     """
-    from wavefield.calibration.images import calibrate_experiment
+    from concurrent.futures import ProcessPoolExecutor
+
+    from wavefield.calibration.images import calibrate_experiment, leave_with_parent, start_workers_from
     from wavefield.reports.calibration import write_calibration
     from wavefield.reports.targets import draw_found
     from wavefield.series import Experiment
@@ -180,8 +182,11 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
         result = calibrate_experiment(loaded, progress)
     calibration = result.calibration
     output = output or loaded.resolve(loaded.rig if isinstance(loaded.rig, str) else "rig.yaml")
-    page = write_calibration(calibration, output.with_name(f"{output.stem}_report"))
-    draw_found(result, page.parent / "target.png")
+    report = output.with_name(f"{output.stem}_report")
+    with ProcessPoolExecutor(1, start_workers_from(), leave_with_parent) as pool:
+        drawn = pool.submit(draw_found, result, report / "target.png")  # as long as all other pictures
+        page = write_calibration(calibration, report)
+        drawn.result()
     for note in (*result.notes, *calibration.notes):
         click.echo(f"note: {note}")
     if not calibration.usable:

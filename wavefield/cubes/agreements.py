@@ -1,6 +1,7 @@
 """How well cameras agree, pair by pair and instant by instant, and what each shows by itself."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import cv2
@@ -26,14 +27,19 @@ _SCATTER = 0.4  # px of eps_y: more is not the same water
 class Table:
     """Agreements of all pairs at all instants."""
 
-    def __init__(self, witness: Witness, names: list[str], frames: tuple[int, ...]) -> None:
+    def __init__(self, witness: Witness, names: list[str], frames: tuple[int, ...], threads: int = 1) -> None:
         self.witness, self.names, self.frames = witness, names, frames
         self.pairs = pairs_of_all(names)
-        self.grounds = {k: grounds(witness, k, names) for k in frames}
-        self.found: dict[Pair, list[Agreement]] = {
-            pair: [self.compare(pair, k, pair[0], pair[1]) for k in frames] for pair in self.pairs
-        }
-        self.blur = {name: [blur(witness.read(name, k)) for k in frames] for name in names}
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(lambda name: witness.patches(name, frames[0]), names))  # lays out its lens
+            self.grounds = dict(zip(frames, pool.map(lambda k: grounds(witness, k, names), frames)))
+            agreements = list(pool.map(self._agreements, frames))
+            blurs = list(pool.map(lambda k: [blur(witness.read(name, k)) for name in names], frames))
+        self.found: dict[Pair, list[Agreement]] = dict(zip(self.pairs, map(list, zip(*agreements))))
+        self.blur: dict[str, list[float]] = dict(zip(names, map(list, zip(*blurs))))
+
+    def _agreements(self, frame: int) -> list[Agreement]:
+        return [self.compare(pair, frame, pair[0], pair[1]) for pair in self.pairs]
 
     def compare(
         self, pair: Pair, frame: int, first: str, second: str, *, change: str = "", later: int = 0

@@ -42,7 +42,8 @@ def look_at_cameras(prepared: Prepared) -> Examination:
     """
     count = prepared.steps + 1
     frames = sorted({int((k + 0.5) * count / _INSTANTS) for k in range(_INSTANTS)})
-    return examine(_witness(prepared), count, frames)
+    with one_thread():  # each of them
+        return examine(_witness(prepared), count, frames, threads_here(prepared.workflow))
 
 
 def synchrony_of(prepared: Prepared, instants: int = _SYNCHRONY) -> tuple[dict[str, Delay], float]:

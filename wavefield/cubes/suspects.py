@@ -50,7 +50,7 @@ class Examination:
     frames: tuple[int, ...]
 
 
-def examine(witness: Witness, count: int, frames: Sequence[int]) -> Examination:
+def examine(witness: Witness, count: int, frames: Sequence[int], threads: int = 1) -> Examination:
     """Compare cameras at some instants, and name what is wrong with them.
 
     Parameters
@@ -61,6 +61,8 @@ def examine(witness: Witness, count: int, frames: Sequence[int]) -> Examination:
         Frames of the record.
     frames : sequence of int
         Instants to look at; those without an image of every camera are passed over.
+    threads : int, default 1
+        Instants that are looked at side by side.
 
     Returns
     -------
@@ -70,7 +72,7 @@ def examine(witness: Witness, count: int, frames: Sequence[int]) -> Examination:
     whole = tuple(k for k in frames if all(witness.read(name, k) is not None for name in names))
     if len(witness.x) < _FEWEST or not whole or len(names) < 2:
         return Examination((), {}, {}, whole)
-    table = Table(witness, names, whole)
+    table = Table(witness, names, whole, threads)
     remarks = [*_covered(table), *_blurred(table)]
     lying, explained = _lying(table, count)
     seen = {remark.subject: remark for remark in remarks}

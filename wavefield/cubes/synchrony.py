@@ -155,7 +155,7 @@ def _moved(witness: Witness, name: str, frame: int, furthest: int) -> Array | No
     now = witness.around(name, frame, still, 0)
 
     def find(k: int, near: Array, reach: int) -> Comparison | None:
-        known = np.isfinite(near).all(axis=1)
+        known: NDArray[np.bool_] = np.isfinite(near[:, 0])
         limit = REACH - reach
         at = np.clip(np.rint(np.where(known[:, None], near, 0)), -limit, limit).astype(np.int64)
         found = compare(now, witness.around(name, frame + k, at, reach), at)

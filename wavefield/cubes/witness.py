@@ -165,9 +165,9 @@ class Witness:
         side, whole = SIDE + 2 * reach, SIDE + 2 * REACH
         column, row = (part.reshape(-1, whole, whole) for part in self._map(name))
         cuts = [np.s_[k, y : y + side, x : x + side] for k, (x, y) in enumerate(near + REACH - reach)]
-        at = (np.concatenate([part[cut] for cut in cuts]) for part in (column, row))
+        column, row = (np.concatenate([part[cut] for cut in cuts]) for part in (column, row))
         flat = np.ascontiguousarray(image, np.float32)
-        laid = cv2.remap(flat, *at, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, np.nan)
+        laid = cv2.remap(flat, column, row, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, np.nan)
         return np.asarray(laid, np.float32).reshape(-1, side, side)
 
     def contrast(self, name: str, frame: int) -> Array | None:
