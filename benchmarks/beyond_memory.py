@@ -58,11 +58,14 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("cube", type=Path)
     parser.add_argument("--memory", type=float, default=0.5, help="GB of each worker")
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--steps", type=int, default=12_000, help="of the cube that are looked at")
     options = parser.parse_args(words)
     if not options.cube.exists():
-        write_cube(options.cube, 12_000)
-    w = xr.open_zarr(options.cube, consolidated=False).w
+        write_cube(options.cube, options.steps)
+    whole = xr.open_zarr(options.cube, consolidated=False).w
+    w = whole[: options.steps]
     stored = sum(file.stat().st_size for file in (options.cube / "w").rglob("*") if file.is_file())
+    stored = stored * w.nbytes / whole.nbytes
     lazy = wv.komega(w, segment=_SEGMENT).E
     moving = [key for key in map(str, dict(lazy.__dask_graph__())) if "rechunk" in key]
     limit = f"{options.memory}GB"

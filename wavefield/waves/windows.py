@@ -1,7 +1,7 @@
 """Windows, degrees of freedom and confidence intervals of Welch's method."""
 
 import numpy as np
-from scipy import fft, stats
+from scipy import fft, special  # scipy.stats takes half a second to import
 
 DEFAULT_SEGMENT = 512  # steps: 25.6 s at 20 Hz
 
@@ -105,5 +105,6 @@ def interval(dof: np.ndarray | float, confidence: float = 0.95) -> tuple[np.ndar
     """
     dof = np.asarray(dof, float)
     some, place = np.unique(dof, return_inverse=True)  # rings of all frequencies have the same
-    low, high = (some / stats.chi2.ppf(at, some) for at in (0.5 + confidence / 2, 0.5 - confidence / 2))
+    ends = 0.5 + confidence / 2, 0.5 - confidence / 2
+    low, high = (some / (2 * special.gammaincinv(some / 2, at)) for at in ends)  # quantiles of chi squared
     return low[place].reshape(dof.shape), high[place].reshape(dof.shape)
