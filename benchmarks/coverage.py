@@ -27,7 +27,7 @@ Array = NDArray[Any]
 
 
 def sea(s: float, steps: int, seed: int) -> xr.Dataset:
-    """z, z_t, u, v, w of a Gaussian sea, (time, y, x); its standard deviation is 8 mm."""
+    """z, z_t, u, v, w of a Gaussian sea, (time, y, x); standard deviation 8 mm in the mean of draws."""
     rng = np.random.default_rng(seed)
     line = 2 * np.pi * np.fft.fftfreq(NODES, STEP)
     kx, ky = line[None, :], line[:, None]
@@ -40,7 +40,8 @@ def sea(s: float, steps: int, seed: int) -> xr.Dataset:
     lines = size * (
         rng.standard_normal(size.shape, dtype="f4") + 1j * rng.standard_normal(size.shape, dtype="f4")
     )
-    lines = (0.008 * lines / np.sqrt((np.abs(lines) ** 2).sum() / 2)).astype("c8") * lines.size
+    # the variance of the law, not of the draw: that would take from rings the scatter they have in common
+    lines = (0.008 * lines / np.sqrt((size**2).sum())).astype("c8") * lines.size
     slip = free / k / np.tanh(k * DEPTH)
     gains = {"z": 1.0, "z_t": 1j * omega, "u": kx * slip, "v": ky * slip, "w": 1j * omega}
     axes = {"time": np.arange(steps) * DT, "y": np.arange(NY) * STEP, "x": np.arange(NX) * STEP}

@@ -153,7 +153,7 @@ class PeriodicSea:
         ky = 2 * np.pi * np.fft.fftfreq(n, dx)[:, None]
         k = np.hypot(kx, ky)
         free = relation(k, depth)
-        self.n, self.dx, self.depth, self.flows = n, dx, depth, any(current)
+        self.n, self.dx, self.depth, self.current, self.flows = n, dx, depth, current, any(current)
         self.free, self.omega = free, free + current[0] * kx + current[1] * ky
         f = free / (2 * np.pi)
         group = (relation(k + 1e-3, depth) - free) / 1e-3

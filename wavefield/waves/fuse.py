@@ -15,7 +15,7 @@ from wavefield.water import water_of
 from wavefield.waves import kernels
 from wavefield.waves.crosses import door
 from wavefield.waves.fusion import NAMES
-from wavefield.waves.on_current import Distances, integrate
+from wavefield.waves.on_current import Distances, blend
 from wavefield.waves.record import Record, fill, find_record, piece
 from wavefield.waves.transfer import path_factor, to_frame_time
 from wavefield.waves.welch import frames_of, frames_of_z
@@ -36,6 +36,7 @@ def _filter(
     gain: Array,
     current: tuple[float, float],
     water: tuple[float, float],
+    noise: float,
 ) -> Array:
     dt = distances[0]
     z, z_t, w = (fill(np.asarray(part), missing) for part in pieces)
@@ -55,8 +56,7 @@ def _filter(
         # numpy's signs: exp(+i omega t)
         still = -1j * dt / (2 * np.sin(b) * path_factor(omega, dt, frames[0]))
     still[0] = 0
-    advance = np.exp(1j * b) * weight * gain
-    by_w = (1 - weight) * gain
+    advance = np.exp(1j * b)
     out = np.zeros((half, *shape), z.dtype)
     for start, kept in ((0, slice(half, None)), (half, slice(0, half))):
         part = slice(start, start + segment)
@@ -73,11 +73,11 @@ def _filter(
         lines *= advance[:, None]
         risen = fft.rfft(w[part].reshape(segment, -1) * window, axis=0)
         if any(current):
-            planes = risen.reshape(-1, *shape)
-            risen = integrate(planes, omega, distances, current, water, frames[0]).reshape(risen.shape)
-            lines += risen * by_w[:, None]
+            planes = [array.reshape(-1, *shape) for array in (lines, risen)]
+            lines = blend(*planes, omega, distances, current, water, noise, frames[0]).reshape(lines.shape)
         else:
-            lines += risen * (still * by_w)[:, None]
+            lines = lines * weight[:, None] + risen * (still * (1 - weight))[:, None]
+        lines *= gain[:, None]
         out += fft.irfft(lines, segment, axis=0)[kept].reshape(half, *shape).astype(z.dtype)
     return out
 
@@ -96,7 +96,8 @@ def fuse(
     cube : Dataset
         z, z_t, w over (time, y, x), m and m/s.
     fusion : Dataset
-        As `fusion` gives it: its ``weight_z``, segment and current are used.
+        As `fusion` gives it: its ``weight_z``, segment and current are used; on a current its ``sigma_z`` and
+        ``sigma_dz`` in place of the weight.
     gain : DataArray, (omega,), optional
         A gain besides, such as ``fusion.wiener``, which gives the least error but too little variance.
     record : Record, optional
@@ -115,7 +116,8 @@ def fuse(
     Notes
     -----
     Overlapping Hann-windowed segments, filtered without phase and added up. On a current w is integrated at
-    omega - k . U, the field mirrored beyond its edges: within some centimetres of them it is worse.
+    omega - k . U and weighted cell by cell, waves that pass faster than frames follow included; within what
+    water goes in .4 s from the edges the result passes to stereo alone.
     """
     names = ["z", "z_t", "w"]
     cube = door(cube, NAMES)
@@ -136,7 +138,8 @@ def fuse(
     dtype = cube["z"].dtype
     distances = record.dt, record.dy, record.dx
     ux, uy = fusion.attrs.get("current", (0.0, 0.0))
-    moving = (float(ux), float(uy)), water_of(fusion.attrs)
+    noise = float((fusion["sigma_z"] / fusion["sigma_dz"]) ** 2) if float(fusion["sigma_dz"]) > 0 else np.inf
+    moving = (float(ux), float(uy)), water_of(fusion.attrs), noise
     rows, steps_used = [], []
     for run in record.runs:
         if run[1] - run[0] < segment:

@@ -16,6 +16,7 @@ from wavefield.variables import annotate
 from wavefield.water import dispersion, water_of, wavenumber
 from wavefield.waves.crosses import door, label, lazy_sums
 from wavefield.waves.freedom import with_interval
+from wavefield.waves.leakage import leakage
 from wavefield.waves.on_current import Moving, longest, moving_of, shortest
 from wavefield.waves.record import Record
 from wavefield.waves.spectra import frequency_spectrum
@@ -33,6 +34,7 @@ METHODS = ("stereo", "w", "cross", "fusion")
 _LONGER = 0.5  # of the ridge's k: what is longer is no free wave of that frequency
 _OFF = 0.3  # of the ridge's omega: further off there is no free wave
 _TRUSTED = 0.7  # fraction of the ridge's cells
+_OWN = 0.5  # of a line of w: more from afar is leakage
 _LOWEST = 1.2  # Hz: below it the integrated w holds little but drift
 
 
@@ -105,6 +107,7 @@ class _Elevations:
     ww: Array
     zw: Array
     shape: Array  # 4 sin^2: noise of a displacement over that of the elevation from it
+    own: Array  # (omega,), fraction of w that leaks in from no other frequency
     speed: float = 0.0  # of the current, m/s
 
     @property
@@ -119,18 +122,23 @@ def _elevations(ring: xr.Dataset, water: Water, moving: Moving | None) -> _Eleva
     dt, omega = float(ring.attrs["dt"]), ring["omega"].values
     frames = int(ring.attrs.get("frames", 2))
     given = omega, ring["k"].values, dt, ring["E_z"].values
+    leaked = leakage(ring["E_w"].values.sum(axis=1), dt, frames)
     if moving is not None:
-        return _Elevations(*given, *moving.elevations(water, dt, frames), float(np.hypot(*moving.current)))
-    b = omega * dt / 2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # z is half a step early: exp(i b) brings it to mid-time
-        path = path_factor(omega, dt, frames)
-        to_elevation = np.exp(1j * b) * 1j * dt / (2 * np.sin(b) * path)
-        factor_w = elevation_from_w(omega, dt, frames)
-    to_elevation[0], factor_w[0] = 0, 0
-    cross = (ring["S_z_w"].values * to_elevation[:, None]).real
-    shape = np.broadcast_to(4 * np.sin(b[:, None]) ** 2, cross.shape)
-    return _Elevations(*given, ring["E_w"].values * factor_w[:, None], cross, shape)
+        of_w, cross, shape = moving.elevations(water, dt, frames)
+        speed = float(np.hypot(*moving.current))
+    else:
+        b, speed = omega * dt / 2, 0.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # z is half a step early: exp(i b) brings it to mid-time
+            path = path_factor(omega, dt, frames)
+            to_elevation = np.exp(1j * b) * 1j * dt / (2 * np.sin(b) * path)
+            factor_w = elevation_from_w(omega, dt, frames)
+        to_elevation[0], factor_w[0] = 0, 0
+        of_w = ring["E_w"].values * factor_w[:, None]
+        cross = (ring["S_z_w"].values * to_elevation[:, None]).real
+        shape = np.broadcast_to(4 * np.sin(b[:, None]) ** 2, cross.shape)
+    of_w, cross = of_w * leaked.w[:, None], cross * leaked.cross[:, None]
+    return _Elevations(*given, of_w, cross, shape, leaked.own, speed)
 
 
 def _wavenumber(spectra: _Elevations, water: Water) -> Array:
@@ -260,7 +268,8 @@ def from_spectra(
         on_ridge = (_on_ridge(trusted, spectra, water) for trusted in trusted_k)
         valid = {method: inner(omega.size) & there for method, there in zip(METHODS, on_ridge)}
     waves = _at_waves(energies_k[-1], spectra, water)
-    valid = {method: there & waves for method, there in valid.items()}
+    own = {"stereo": np.ones_like(waves), "fusion": (weight > 0.5) | (spectra.own > _OWN)}
+    valid = {m: there & waves & own.get(m, spectra.own > _OWN) for m, there in valid.items()}
     reach = [_reach(omega, valid[method], positive) for method in METHODS]
     kept = _kept_freedom(energies, left, tiny)
 

@@ -27,6 +27,8 @@ Distances = tuple[float, float, float]  # between frames, s; nodes along y and x
 
 _CROSS = "z*w"  # the plane of their cross spectrum
 _MARGIN = 16  # nodes beyond the edge
+_MEMORY = 0.4  # s, of the integration of w
+_FOLLOWED = 0.9  # of a record's highest frequency: faster waves may show at another one
 _SLOWEST, _FASTEST = 0.5, 1.5  # of a free wave's frequency: what lies further off is no wave
 
 
@@ -155,15 +157,24 @@ def shortest(omega: Array, water: Water, speed: float) -> Array:
     return np.asarray(np.interp(omega, seen[:stop], k[:stop]))
 
 
-def integrate(
-    lines: Array, omega: Array, distances: Distances, current: Any, water: Water, frames: int
+def blend(
+    z: Array,
+    w: Array,
+    omega: Array,
+    distances: Distances,
+    current: Any,
+    water: Water,
+    noise: float,
+    frames: int,
 ) -> Array:
-    """Elevation from the transform of w in time, on a current.
+    """Best elevation from the transforms of z and w in time, on a current.
 
     Parameters
     ----------
-    lines : ndarray, complex, (omega, ny, nx)
-        Transform of w in time, numpy's signs exp(+i omega t).
+    z : ndarray, complex, (omega, ny, nx)
+        Transform in time of the elevation at mid-time, numpy's signs exp(+i omega t).
+    w : ndarray, complex, (omega, ny, nx)
+        Of w.
     omega : ndarray, (omega,)
         rad/s.
     distances : tuple of float
@@ -172,35 +183,60 @@ def integrate(
         Velocity of the water along x and y, m/s.
     water : tuple of float
         Depth, m, and surface tension over density, m3 s-2.
+    noise : float
+        Noise of z over that of the displacement w dt, as variances.
     frames : int
         Frames that w comes from (`transfer.path_factor`).
 
     Returns
     -------
     ndarray, complex, (omega, ny, nx)
-        Of the elevation at mid-time; 0 at omega = 0.
+        Of the elevation at mid-time; z where omega is 0.
 
     Notes
     -----
-    Beyond the edges the field is mirrored and fades. Waves there are carried the wrong way: near the edge, as
-    far as water goes while the filter remembers it, the result is worse.
+    In every cell (k, omega) the two are weighted inversely to the noise that they have there: the integrated
+    w has that of the displacement over 4 sin^2((omega - k . U) dt / 2). Waves that pass faster than frames
+    follow show folded back: of omega + 2 pi n / dt the one nearest to their free frequency is taken. Beyond
+    the edges the fields are mirrored and fade; within what water goes in .4 s the result passes to z alone.
     """
     dt, dy, dx = distances
-    margin = min(_MARGIN, *(n - 1 for n in lines.shape[1:]))
-    wide = [n + 2 * margin for n in lines.shape[1:]]
+    margin = min(_MARGIN, *(n - 1 for n in w.shape[1:]))
+    wide = [n + 2 * margin for n in w.shape[1:]]
     fade = np.outer(*(_fade(n, margin) for n in wide))
     ky, kx = (2 * np.pi * np.fft.fftfreq(n, step) for n, step in zip(wide, (dy, dx)))
     sigma = dispersion(np.hypot(ky[:, None], kx), *water)
     # numpy's k points where waves come from
     drift = -(kx * current[0] + ky[:, None] * current[1])
+    folded = sigma + np.abs(drift) > _FOLLOWED * np.pi / dt
     inside = slice(margin, -margin)
-    out = np.zeros_like(lines)
+    # what a current carries in from outside is not known: the edges are left to stereo
+    carried = (_MEMORY * np.hypot(*current) / step for step in (dy, dx))
+    known = np.outer(*(_known(n, nodes) for n, nodes in zip(w.shape[1:], carried)))
+    out = z.copy()
     for i in range(1, omega.size):
-        still = intrinsic(omega[i], drift, sigma, dt)
-        rise = 2j * np.sin(still * dt / 2) * path_factor(still, dt, frames) / dt
-        plane = fft.fft2(np.pad(lines[i], margin, mode="reflect") * fade)
-        out[i] = fft.ifft2(plane / rise)[inside, inside]
+        turns = np.where(folded, _turns(omega[i], drift, sigma, dt), 0)
+        still = intrinsic(omega[i], drift - 2 * np.pi * turns / dt, sigma, dt)
+        half = 2j * np.sin(still * dt / 2)
+        weight = 1 / (1 + 1 / (noise * np.abs(half) ** 2))
+        lift = dt / (half * path_factor(still, dt, frames))
+        planes = fft.fft2(np.pad([z[i], w[i]], ((0, 0), *[(margin, margin)] * 2), mode="reflect") * fade)
+        right = np.where(turns % 2 == 0, 1.0, -1.0)  # half a step of another turn has the other sign
+        found = weight * planes[1] * lift + (1 - weight) * right * planes[0]
+        out[i] += known * fft.ifft2(found - planes[0])[inside, inside]
     return out
+
+
+def _turns(omega: float, drift: Array, sigma: Array, dt: float) -> Array:
+    # by how many sampling rates waves seen at omega are quicker
+    turns = np.array([0, -1, 1])
+    off = np.abs(np.abs(omega + 2 * np.pi * turns[:, None, None] / dt - drift) - sigma)
+    return turns[off.argmin(axis=0)]
+
+
+def _known(n: int, edge: float) -> Array:
+    distance = np.minimum(np.arange(n), np.arange(n)[::-1]) + 0.5
+    return np.asarray(np.sin(np.pi / 2 * np.minimum(1.0, distance / max(edge, 0.5))) ** 2)
 
 
 def _fade(n: int, margin: int) -> Array:

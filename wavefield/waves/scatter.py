@@ -19,7 +19,8 @@ Array = NDArray[Any]
 _NEAR, _WIDE = (5, 11), (21, 81)  # rings and lines over which scatter and likeness are averaged
 _ALONG, _FAR = 11, 41  # lines, or rings, where the other axis is summed up
 _FURTHEST = 2  # segments apart that may be alike
-_ENOUGH = 12  # segments: fewer do not tell how alike they are, nor the scatter of few waves
+_TELLING = 8  # segments: fewer do not tell the scatter of Gaussian lines
+_ENOUGH = 12  # segments: fewer do not tell how alike they are
 _DOUBT = 0.5  # over the root of their number: by so much likeness is overestimated at random
 _MOST = 4.0  # times as many degrees of freedom as cells and energy let expect, or as few
 
@@ -64,8 +65,9 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
     of it. Of E(k, omega) the variance is told in parts of what the energy's spread over cells lets expect
     (`Welch.freedom`), which follows the ridge, and averaged over 5 rings and 11 lines; likeness, which is
     less well known and changes less, over 21 and 81. Of E(omega) over 11 and 41 lines; of E(k), in parts of
-    what the rings' cells let expect, over as many rings. Fewer than twelve segments are taken to be as alike
-    as those of white noise, and E(k, omega) of Gaussian lines to be what is expected.
+    what the rings' cells let expect, over as many rings. What is known from the scatter alone is
+    made (K - 1) / (K - 3) larger, Student's variance. Fewer than twelve segments are taken to be as alike
+    as those of white noise, and fewer than eight leave E(k, omega) of Gaussian lines at what is expected.
     """
     theory = welch.freedom(sums[name])
     if welch.count < LEAST_COUNT:
@@ -73,8 +75,10 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
         return {"both": theory, "omega": np.full(lines, np.nan), "k": np.full(rings, np.nan)}
     starts, powers = _series(sums, name)
     parts = np.ones_like(theory)
-    if welch.count >= _ENOUGH or not gaussian:
+    if welch.count >= _TELLING or not gaussian:
         parts = _scatter(powers, starts, welch, theory / 2, (_NEAR, _WIDE)).clip(1 / _MOST, _MOST)
+    if not gaussian:  # their scatter is all that is known, and K segments tell it as Student's law has it
+        parts *= (welch.count - 1) / (welch.count - 3)
     lines = np.ones(powers.shape[2])
     on_omega = _scatter(powers.sum(axis=1), starts, welch, lines, (_ALONG, _FAR))
     on_k = _scatter(powers.sum(axis=2), starts, welch, welch.table.cells, (_ALONG, _FAR)) / welch.table.cells
