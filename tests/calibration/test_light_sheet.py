@@ -1,5 +1,7 @@
 """A light sheet: where it lies and how thick it is from its particles, and three components in it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -100,6 +102,33 @@ def test_a_knocked_camera_is_named_and_mended():
             np.stack(p) for p in (found.rig[name].project(x, y, 0.0), tank.rig[name].project(*exact))
         )
         assert rms(here - there) < 0.3
+
+
+def test_of_two_cameras_a_knock_is_mended_and_how_far_places_may_lie_elsewhere_is_said():
+    from wavefield.cubes.at_rest import remark_on_rest
+
+    tank = Tank(scene(surface=BESIDE, faults={"cam1": {"turned": [0.05, 0.03, 0.0]}}))
+    images = [tank.render(k) for k in range(FRAMES)]
+    found = sheet_of(lambda name, k: images[k][name], range(3), tank.rig)
+    assert found.check.suspects == ("cam1", "cam2")
+    assert found.after < 0.3
+    x, y = np.meshgrid(tank.scene.grid.x_nodes, tank.scene.grid.y_nodes)
+    exact = sheet_points(tank, x, y)
+    seen = np.stack(tank.rig["cam2"].unproject(*found.rig["cam2"].project(x, y, 0.0), exact[2]))
+    beside = np.mean(seen - exact[:2], axis=(1, 2))  # cam2 was not knocked
+    assert 1e-4 < np.hypot(*beside) < found.elsewhere < 2e-3
+    assert f"may lie some {1e3 * found.elsewhere:.1f} mm elsewhere" in found.sentence
+    said = remark_on_rest(SimpleNamespace(settings={"sheet_thickness": 1e-3}), found.rig)
+    assert said.weight == "remark"
+    assert f"some {1e3 * found.elsewhere:.1f} mm elsewhere" in str(said)
+    # the velocities are true, at the places where the cameras really look
+    cube, measured, *_ = velocities(tank, images, found.rig)
+    assert measured.mean() > 0.98
+    for step in range(1, FRAMES - 2):
+        flow = tank.population.truth(x + beside[0], y + beside[1], tank.time(step + 0.5))
+        for name in ("u", "v", "w"):
+            error = np.abs(cube[name] - getattr(flow, name))[step - 1][measured[step - 1]]
+            assert 0.5 < np.mean(error < cube[f"{name}_std"][step - 1][measured[step - 1]]) < 0.9
 
 
 def sheet_points(tank, x, y):

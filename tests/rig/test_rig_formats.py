@@ -357,3 +357,12 @@ def test_opencv_matrices_under_any_name(tmp_path, names):
 def test_an_image_smaller_than_uvmats_marked_points_is_refused(shared):
     with pytest.raises(RigError, match="point marked at"):
         load_rig(uvmat(shared), sizes={"PCO_top": (1280, 1080)})
+
+
+def test_a_calibration_of_davis_is_told_what_to_take_instead(tmp_path):
+    (tmp_path / "Calibration.xml").write_text(
+        '<Calibration><CoordinateSystem><CoordinateMapper CameraIdentifier="1"><PinholeParameters/>'
+        "</CoordinateMapper></CoordinateSystem></Calibration>"
+    )
+    with pytest.raises(RigError, match="calibrate again from its target images"):
+        load_rig(tmp_path / "Calibration.xml")

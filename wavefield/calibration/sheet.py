@@ -49,6 +49,9 @@ class LightSheet:
         Whether a camera had moved.
     windows, instants : int
         What it rests on.
+    elsewhere : float
+        By how much all places in the sheet may lie elsewhere together, because two cameras do not tell which
+        of them had moved, nor by how much along their parallax, metres; 0 where none has, or three tell.
     """
 
     rig: Rig
@@ -60,6 +63,7 @@ class LightSheet:
     check: RigCheck
     windows: int
     instants: int
+    elsewhere: float = 0.0
 
     @property
     def sentence(self) -> str:
@@ -76,10 +80,13 @@ class LightSheet:
         check, who = self.check, " or ".join(self.check.suspects)
         if not who:
             return check.sentence
-        shared = "" if check.moved else ": two cameras do not tell which, so the turn is shared between them"
+        text = f"(turned by about {check.angle:.3f} degrees, sight lines missed by {check.misfit:.2f} px)"
+        if check.moved:
+            return f"{who} had moved since the calibration {text} and is mended"
         return (
-            f"{who} had moved since the calibration (turned by about {check.angle:.3f} degrees, sight lines "
-            f"missed by {check.misfit:.2f} px) and is mended{shared}"
+            f"{who} had moved since the calibration {text} and is mended; two cameras tell neither which nor "
+            "by how much along their parallax: velocities hold, but all places together may lie some "
+            f"{1e3 * self.elsewhere:.1f} mm elsewhere"
         )
 
 
@@ -159,7 +166,7 @@ def sheet_of(
     camera that moved, the plane through where they meet becomes z = 0, and all is done again until the
     disparity is gone.
     """
-    axes, origin = np.eye(3), np.zeros(3)
+    axes, origin, elsewhere = np.eye(3), np.zeros(3), 0.0
     check: RigCheck | None = None
     before = last = float("nan")
     for number, side in enumerate(_SIDES):
@@ -180,15 +187,18 @@ def sheet_of(
         last = rms
         rig, found, plane = refine_and_level(rig, matches, _STD)
         origin, axes = origin + axes @ np.array([0.0, 0.0, plane.height]), axes @ plane.axes
+        if check is None and not found.moved and found.suspects:
+            # what is seen across the parallax may be as much along it, where it passes for the sheet's height
+            elsewhere = found.misfit * seen.pixel
         check = check or found
     assert check is not None
     normal = axes[:, 2]
     slope = float(-normal[0] / normal[2]), float(-normal[1] / normal[2])
     height = float(origin @ normal / normal[2])
-    note = {"height_m": height, "slope": list(slope), "instants": used}
+    note = {"height_m": height, "slope": list(slope), "instants": used, "elsewhere_m": elsewhere}
     kept = {name: said for name, said in rig.provenance.items() if name != "levelled"}  # that is of water
     rig = Rig(rig.cameras, {**kept, "light_sheet": note})
-    return LightSheet(rig, height, slope, seen.thickness(), before, rms, check, good, used)
+    return LightSheet(rig, height, slope, seen.thickness(), before, rms, check, good, used, elsewhere)
 
 
 def _few(good: int, count: int, used: int) -> str:

@@ -135,7 +135,18 @@ def remark_on_rest(experiment: Experiment, rig: Rig) -> Remark:
 def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
     found = rig.provenance.get("light_sheet")
     if isinstance(found, dict) and "height_m" in found:
-        height = float(found["height_m"])
+        height, elsewhere = float(found["height_m"]), float(found.get("elsewhere_m", 0.0))
+        if elsewhere > 0:
+            return Remark(
+                "rig",
+                "light sheet",
+                "remark",
+                "a camera had moved since the calibration, and two tell neither which nor by how much along "
+                f"their parallax: all places in the sheet may lie some {1e3 * elsewhere:.1f} mm elsewhere",
+                "cameras that stood still since the calibration",
+                "calibrate again, or look with a third camera",
+                values={"height_m": height, "elsewhere_m": elsewhere},
+            )
         return Remark(
             "rig",
             "light sheet",

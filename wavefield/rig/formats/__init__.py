@@ -118,4 +118,9 @@ def _load_xml(path: Path, stated: Stated) -> Rig:
         return load_opencv(path, stated)
     if root.find("calibration") is not None:
         return load_vic(root, path, stated)
+    if root.find(".//CoordinateMapper") is not None:
+        raise RigError(
+            "it is DaVis', which does not say in public what its angles and polynomials mean: calibrate "
+            "again from its target images, which are read as they are (.im7), or from tables of its marks"
+        )
     raise RigError(f"its outermost element is <{root.tag}>: neither UVMAT's, VIC-3D's nor OpenCV's")
