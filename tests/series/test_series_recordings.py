@@ -9,8 +9,10 @@ import pytest
 import tifffile
 import zarr
 
-from wavefield.errors import FrameError
+from wavefield.cubes.rate_remark import remark_on_rate
+from wavefield.errors import ExperimentError, FrameError
 from wavefield.images import read_image
+from wavefield.series import Experiment
 from wavefield.series.formats import open_recording
 from wavefield.series.formats.recording import packed, plain
 from wavefield.series.listing import number_frames
@@ -182,6 +184,30 @@ def test_an_experiment_names_the_file_as_it_is(recording, tmp_path):
     entries = number_frames("{camera}" + path.suffix, tmp_path, path.stem)
     assert sorted(entries) == list(range(COUNT))
     np.testing.assert_array_equal(read_entry(entries[2]), images(bits)[2])
+
+
+def note(folder, text, more=""):
+    (folder / "experiment.yaml").write_text(f"name: lab\ncameras: {{{text}}}\n{more}")
+    return folder / "experiment.yaml"
+
+
+def test_the_frame_rate_is_the_recording_s_where_the_note_has_none(recording, tmp_path):
+    path, _ = recording
+    text = f'a: "{{camera}}{path.suffix}"'
+    assert Experiment.load(note(tmp_path, text)).frame_rate == 2000.0
+    experiment = Experiment.load(note(tmp_path, text, "frame_rate: 20.0\n"))
+    assert experiment.frame_rate == 20.0
+    assert "its recording states 2000 Hz, experiment.yaml 20 Hz" in str(next(remark_on_rate(experiment)))
+
+
+def test_cameras_recorded_at_different_rates_are_told(tmp_path):
+    write_seq(tmp_path / "a.seq", 8)
+    write_photron(tmp_path / "b.mraw", 8)
+    (tmp_path / "b.cihx").write_bytes((tmp_path / "b.cihx").read_bytes().replace(b"2000", b"1000"))
+    with pytest.raises(ExperimentError, match="a was recorded at 2000 Hz and b at 1000: state frame_rate"):
+        Experiment.load(note(tmp_path, "a: a.seq, b: b.mraw"))
+    with pytest.raises(ExperimentError, match="frame_rate is missing"):
+        Experiment.load(note(tmp_path, "a: nowhere.seq, b: img_*.tif"))
 
 
 def test_damaged_files_are_told_in_one_sentence(recording):

@@ -13,6 +13,7 @@ from wavefield.cubes.at_rest import remark_on_rest
 from wavefield.cubes.cost import Cost, measure_cost
 from wavefield.cubes.judgement import clocks, look_at_cameras
 from wavefield.cubes.prepare import expected_coverage, load_files, prepare
+from wavefield.cubes.rate_remark import remark_on_rate
 from wavefield.cubes.worker_settings import one_thread
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, RigError
@@ -271,7 +272,12 @@ def check(
     said, late = "", list[Remark]()
     if prepared and seen and not any(one.weight == "grave" for one in seen.remarks):
         said, late = clocks(prepared)
-    remarks = [*(seen.remarks if seen else ()), *late, *_ends(experiment, series)]
+    remarks = [
+        *(seen.remarks if seen else ()),
+        *late,
+        *_ends(experiment, series),
+        *remark_on_rate(experiment),
+    ]
     if prepared:
         remarks.append(remark_on_rest(prepared.experiment, prepared.rig))
     return Check(

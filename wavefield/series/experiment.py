@@ -27,6 +27,7 @@ from wavefield.series.parts import (
     VelocitySection,
     WaterSection,
 )
+from wavefield.series.rates import one_rate, recorded_rates
 
 
 class Experiment(Section):
@@ -51,7 +52,7 @@ class Experiment(Section):
 
     name: str = Field(examples=["coriolis-07"], pattern=r"^[^/\\]+$")
     description: str = ""
-    frame_rate: float = Field(gt=0, examples=["20.0"], description="Hz")
+    frame_rate: float = Field(gt=0, examples=["20.0"], description="Hz; by default what recordings state")
     folder: str | None = Field(default=None, description="folder of the images, if not that of this file")
     cameras: dict[str, CameraSection] = Field(min_length=1, examples=['{cam1: {images: "cam1/*.tif"}}'])
     frames: FramesSection = FramesSection()
@@ -144,6 +145,9 @@ class Experiment(Section):
             return cls.load(target, folder)
         if folder:
             data["folder"] = str(Path(str(folder).removeprefix("file://")).absolute())
+        if "frame_rate" not in data and isinstance(data.get("cameras"), Mapping):
+            rate = one_rate(recorded_rates(data["cameras"], path.parent / (data.get("folder") or "")), path)
+            data |= {} if rate is None else {"frame_rate": rate}
         out = load(cls, path, data)
         out._path = path
         return out

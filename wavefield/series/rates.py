@@ -1,0 +1,94 @@
+"""The frame rate that recordings themselves state."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from wavefield.errors import ExperimentError, FrameError
+from wavefield.series.formats import file_of, open_recording
+
+_ALIKE = 1e-3  # of a rate: cameras round theirs
+
+
+def recorded_rates(cameras: Mapping[str, Any], folder: Path) -> dict[str, float]:
+    """Frame rates that recordings state, by camera.
+
+    Parameters
+    ----------
+    cameras : mapping of str to str or mapping
+        As in an experiment file: the images of each camera, or a block with ``images``.
+    folder : path
+        Relative names start here.
+
+    Returns
+    -------
+    dict of str to float
+        Hz; nothing for a camera whose images do not say, or cannot be read. A video states how fast it is to
+        be played, which is none.
+    """
+    rates = {}
+    for name, camera in cameras.items():
+        images = camera.get("images") if isinstance(camera, Mapping) else camera
+        path = folder / images.replace("{camera}", str(name)) if isinstance(images, str) else None
+        if path is None or file_of(path) is None:
+            continue
+        try:
+            recording = open_recording(path)
+        except FrameError:  # told where its images are looked for
+            continue
+        if recording.rate:
+            rates[str(name)] = recording.rate
+        recording.close()
+    return rates
+
+
+def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
+    """The rate that all recordings state.
+
+    Parameters
+    ----------
+    rates : mapping of str to float
+        As from `recorded_rates`.
+    path : path
+        The experiment file, for the message.
+
+    Returns
+    -------
+    float or None
+        Hz; None if none is stated.
+
+    Raises
+    ------
+    ExperimentError
+        If cameras state different ones.
+    """
+    if not rates:
+        return None
+    first = next(iter(rates))
+    for name, rate in rates.items():
+        if not is_alike(rate, rates[first]):
+            raise ExperimentError(
+                f"{path}: {first} was recorded at {rates[first]:g} Hz and {name} at {rate:g}: state "
+                "frame_rate, and `times` for cameras that ran at another"
+            )
+    return rates[first]
+
+
+def is_alike(one: float, other: float) -> bool:
+    """Whether two rates are the same but for rounding.
+
+    Parameters
+    ----------
+    one, other : float
+        Hz.
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> is_alike(500.0, 500.2), is_alike(500.0, 250.0)
+    (True, False)
+    """
+    return abs(one - other) <= _ALIKE * abs(other)
