@@ -1,13 +1,17 @@
 """Images in HDF5 (and netCDF 4): a dataset of three dimensions, time, row, column."""
 
-from pathlib import Path
-from typing import Any
+from __future__ import annotations
 
-import h5py
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 
 from wavefield.errors import FrameError
 from wavefield.series.formats.recording import Pixels, Recording
+
+if TYPE_CHECKING:
+    import h5py  # 12 MB in every worker, for the few who have such images
 
 _ENDINGS = (".h5", ".hdf5", ".nc")
 
@@ -76,6 +80,8 @@ def open_hdf5(path: Path) -> Recording:
         if path.suffix.lower() in _ENDINGS
         else next(p for p in path.parents if p.suffix.lower() in _ENDINGS)
     )
+    import h5py
+
     inside = path.relative_to(name).as_posix()
     try:
         file = h5py.File(name, "r")
@@ -89,6 +95,8 @@ def open_hdf5(path: Path) -> Recording:
 
 
 def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
+    import h5py
+
     series: list[str] = []
 
     def visit(name: str, item: Any) -> None:
