@@ -42,6 +42,12 @@ def shown(name):
     return f"{model('map')}.title.text.startsWith('{name}:')"
 
 
+def arrived(page, what, where, near=0.02):
+    """Wait until all that belongs to a picked node, line or rectangle is there: the link is written last."""
+    link = f"(new URL(location).searchParams.get('{what}') ?? '').split(',').map(Number)"
+    page.wait(f"{list(where)}.every((v, k) => Math.abs(v - ({link})[k]) < {near})")
+
+
 def choose(page, select, value):
     """Choose an option as people do."""
     options = page.page.locator(f"select[name={select}] option").all_inner_texts()
@@ -174,7 +180,7 @@ def test_a_click_shows_everything_at_the_node(page, fields):
     j, i = 10, 13
     page.click("map", X[i] + 0.01, Y[j] - 0.01)
     page.wait(f"{model('node_words')}.text.includes('x 0.175 m, y 0.125 m')")
-    page.wait(f"{model('node_z_line')}.data.t.length == 160")
+    arrived(page, "node", (X[i] + 0.01, Y[j] - 0.01))
     for name, factor in (("z", 100), ("u", 100), ("v", 100), ("w", 100)):
         np.testing.assert_allclose(
             page.column(f"node_{name}_line", "value"), factor * fields[name][:, j, i], atol=6e-3
@@ -200,8 +206,7 @@ def test_a_click_shows_everything_at_the_node(page, fields):
 def test_a_line_shows_the_transect_and_how_it_goes_by(page, fields):
     page.page.keyboard.press("l")
     page.drag("map", (-0.3, -0.2), (0.25, 0.2))
-    page.wait(f"{model('line_image')}.data.image.length == 1")
-    page.page.wait_for_timeout(200)
+    arrived(page, "line", (-0.3, -0.2, 0.25, 0.2))
     ends = page.column("map_line", "x"), page.column("map_line", "y")
     start, end = [(float(ends[0][k]), float(ends[1][k])) for k in (0, 1)]
     assert start == pytest.approx((-0.3, -0.2), abs=0.01)
@@ -217,7 +222,7 @@ def test_a_line_shows_the_transect_and_how_it_goes_by(page, fields):
 def test_a_rectangle_shows_its_means_histogram_and_spectrum(page, fields):
     page.page.keyboard.press("r")
     page.drag("map", (-0.21, -0.16), (0.13, 0.21))
-    page.wait(f"{model('area_mean')}.data.t.length == 160")
+    arrived(page, "area", (-0.21, -0.16, 0.13, 0.21))
     rows, columns = (Y > -0.16) & (Y < 0.21), (X > -0.21) & (X < 0.13)
     part = 100 * fields["w"][:, rows][:, :, columns].astype(float)
     np.testing.assert_allclose(page.column("area_mean", "mean"), part.mean(axis=(1, 2)), atol=0.01)
@@ -243,11 +248,12 @@ def test_the_surface_is_projected_and_turned(page, fields):
         / z[5, 7]
     )
 
-    def corner():
-        quads = page.page.evaluate(
-            f"['xs', 'ys'].map((n) => {model('surface_quads')}.data[n].map((a) => a[0]))"
+    def drawn():  # in one call: nothing can come between the corners and the view they are drawn for
+        corners, view = page.page.evaluate(
+            f"[['xs', 'ys'].map((n) => {model('surface_quads')}.data[n].map((a) => a[0])), "
+            f"{model('surface_view')}.data]"
         )
-        return np.array(quads)
+        return np.array(corners), (view["turn"][0], view["tilt"][0])
 
     def expected(turn, tilt):
         gx, gy = np.meshgrid(x - x.mean(), y - y.mean())
@@ -260,13 +266,12 @@ def test_the_surface_is_projected_and_turned(page, fields):
         order_a, order_b = np.lexsort(np.round(a, 5)), np.lexsort(np.round(b, 5))
         np.testing.assert_allclose(a[:, order_a], b[:, order_b], atol=2e-5)
 
-    view = page.get("surface_view", "data")
-    same(corner(), expected(view["turn"][0], view["tilt"][0]))
+    corners, view = drawn()
+    same(corners, expected(*view))
     page.drag("surface", (0.0, 0.0), (0.2, 0.1))
-    page.wait(f"{model('surface_view')}.data.turn[0] > {view['turn'][0]} + 0.1")
-    page.page.wait_for_timeout(200)
-    turned = page.get("surface_view", "data")
-    same(corner(), expected(turned["turn"][0], turned["tilt"][0]))
+    page.wait(f"{model('surface_view')}.data.turn[0] > {view[0]} + 0.1")
+    corners, turned = drawn()
+    same(corners, expected(*turned))
 
 
 def test_a_cameras_frame_shows_the_nodes_where_it_sees_them(page, fields, tank_rig, whole):
@@ -335,6 +340,7 @@ def test_waves_have_a_ruler_for_the_dispersion_relation(page, whole):
         float(stored[2]),
     )
     page.wait(f"{model('wave_map')}.title.text.includes('at {stored[2]:.3g} Hz')")
+    page.wait(f"{model('wave_directions')}.title.text.includes('{stored[2]:.3g} Hz')")
     plane = waves["spectra"][f"E_kxky_{name}"].isel(omega_map=2).transpose("ky", "kx").values
     np.testing.assert_allclose(page.image("wave_plane"), log_density(plane), atol=1e-5)
     np.testing.assert_allclose(
@@ -438,7 +444,7 @@ def test_a_cube_that_is_being_written_is_followed(chrome, tmp_path):
     window = Browser(chrome.new_page())
     window.open(served.url + "?step=50&node=0.1,0.1")
     window.wait(f"{model('map')}.title.text.includes('not measured yet')")
-    assert window.page.get_by_text("measured so far: 40 (33 %)").is_visible()
+    window.page.get_by_text("measured so far: 40 (33 %)").wait_for()
     written = write_cube_block(path, 40)
     window.page.get_by_text("measured so far: 80 (66 %)").wait_for(timeout=20_000)
     window.wait(
