@@ -9,6 +9,7 @@ from wavefield.calibration import Target, calibrate
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.rest import sight_points
 from wavefield.errors import CalibrationError
+from wavefield.figures.style import panels
 from wavefield.reports.calibration import write_calibration
 from wavefield.rig import Camera, Rig
 from wavefield.rig.level import level
@@ -303,8 +304,12 @@ def test_a_plain_lens_gets_a_plain_model():
 
 def test_report_holds_pictures_and_numbers(good, tmp_path):
     found = calibrate(good, MESH, model=FAST)
-    page = write_calibration(found, tmp_path / "report")
+    target = panels(1)[0]
+    page = write_calibration(found, tmp_path / "report", target)
     text = page.read_text()
+    assert text.index("target.png") < text.index("rig.png")
+    assert (tmp_path / "report" / "target.png").read_bytes()[:4] == b"\x89PNG"
+    assert "Verdict: the rig can be used" in text
     for name in ("rig", "coverage", "flat_target", "residuals_cam1", "residuals_cam2", "residuals_cam3"):
         assert (tmp_path / "report" / f"{name}.png").stat().st_size > 5000
         assert f"{name}.png" in text

@@ -7,8 +7,9 @@ import pytest
 import xarray as xr
 
 from wavefield.explorer import selections
-from wavefield.explorer.fields import KINDS, arrows, quality_kind, relief
+from wavefield.explorer.fields import arrows, relief
 from wavefield.explorer.surface_panel import project
+from wavefield.figures.quality import KINDS, quality_kind
 from wavefield.figures.style import limit
 
 STEP = 2
@@ -108,15 +109,11 @@ def test_any_variable_is_shown_in_its_unit(page, fields, name, factor):
     np.testing.assert_allclose(page.image("map_image"), factor * fields[name][STEP], rtol=1e-5)
 
 
-def test_derived_variables_are_those_of_the_analysis(page, fields):
+def test_derived_variables_are_those_of_the_analysis(page, whole):
+    from wavefield.cubes import open_cube
     from wavefield.waves.kinematics import kinematics
 
-    around = slice(STEP - 1, STEP + 2)
-    cube = xr.Dataset(
-        {n: (("time", "y", "x"), fields[n][around]) for n in ("z", "z_t", "u", "v", "w")},
-        coords={"time": (np.arange(1, 4) + 0.5) / 20, "y": Y, "x": X},
-    )
-    expected = kinematics(cube)
+    expected = kinematics(open_cube(whole[0]).isel(time=slice(STEP - 1, STEP + 2)).load())
     for name, factor in (("vorticity", 1), ("divergence", 1), ("residual", 100)):
         choose(page, "show", name)
         page.wait(shown(name))

@@ -263,3 +263,52 @@ def test_what_is_masked_is_masked_while_following(small_tank, tmp_path):
     masked = (follower.seen.fields["quality"] & int(Quality.MASKED)) != 0
     assert 0 < masked.sum() < masked.size / 2
     np.testing.assert_array_equal(np.isnan(follower.seen.fields["w"]), masked)
+
+
+def test_a_mask_that_moves_with_the_frames_is_followed(small_tank, tmp_path):
+    rig, frames = small_tank
+    path = record(tmp_path / "live", rig)
+    boat = {name: f'{{frames: "boat/{name}_{{frame:05d}}.png"}}' for name in CAMERAS}
+    path.write_text(
+        path.read_text() + "mask: {" + ", ".join(f"{name}: {shape}" for name, shape in boat.items()) + "}\n"
+    )
+    follower = Follower(Experiment.load(path))
+    x, y = np.meshgrid(np.linspace(-0.03, 0.03, 40), np.linspace(-0.03, 0.03, 40))
+    for number in range(4):
+        for name in CAMERAS:
+            hidden = np.zeros(frames[0][name].shape, np.uint8)
+            X, Y = rig[name].project(x + 0.02 * (number - 2), y, 0.0)
+            hidden[np.rint(Y).astype(int), np.rint(X).astype(int)] = 255
+            if number < 3:
+                write_image(
+                    path.parent / "boat" / f"{name}_{number:05d}.png", cv2.dilate(hidden, np.ones((5, 5)))
+                )
+    masked = []
+    for number in range(4):
+        write(path.parent, number, frames[number])
+        if follower.look():
+            quality = follower.seen.fields["quality"]
+            masked.append((quality & int(Quality.MASKED)) != 0)
+            words = follower.seen.trouble
+            assert ("for frame 3 yet" in words) == (number == 3), words
+    x_nodes = follower.nodes[0]
+    middle = [float(x_nodes[np.nonzero(m)[1]].mean()) for m in masked[:2]]
+    assert 0.005 < middle[1] - middle[0] < 0.035
+
+
+def test_what_a_record_is_like_is_learned_anew_while_it_is_followed(small_tank, tmp_path):
+    rig, frames = small_tank
+    path = record(tmp_path / "live", rig)
+    follower = Follower(Experiment.load(path))
+    for number in range(2):
+        write(path.parent, number, frames[number])
+    follower.look()
+    learner = follower._plan
+    first = learner.plan
+    assert first.record is not None
+    learner._next = 0.0  # its time has come
+    write(path.parent, 2, frames[2])
+    follower.look()
+    learner.wait()
+    assert learner.plan is not first
+    assert learner.plan.record != first.record

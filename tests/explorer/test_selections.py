@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from wavefield.explorer import selections
-from wavefield.explorer.fields import KINDS, arrows, colour_limits, derive, quality_kind
+from wavefield.explorer.fields import arrows, colour_limits, derive
 from wavefield.explorer.parts import envelope, image_data
 from wavefield.explorer.place import Place
 from wavefield.explorer.surface_panel import project
+from wavefield.figures.quality import KINDS, quality_kind
 
 DT = 0.05
 

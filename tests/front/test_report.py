@@ -108,13 +108,84 @@ def test_packed_fields_come_back_to_a_percent_of_the_scale(cube):
     packed = pack(cube)
     description = json.loads(packed["field-description"])
     codes = np.frombuffer(base64.b64decode(packed["field-w"]), np.uint8).astype(float)
-    half = description["half"]["w"]
-    back = np.where(codes > 0, (codes - 128) / 127 * half, np.nan)
+    row = next(row for row in description["fields"] if row["name"] == "w")
+    half = row["high"]
+    assert (row["low"], row["unit"]) == (-half, "cm/s")
+    back = np.where(codes > 0, row["low"] + (codes - 1) / 254 * (half - row["low"]), np.nan)
     exact = 100 * cube.w.values.ravel()[: back.size]
     inside = np.abs(exact) < half
     np.testing.assert_array_equal(np.isnan(back), np.isnan(exact))
     assert np.nanmax(np.abs(back - exact)[inside]) < 0.01 * half
     assert len(description["time"]) == cube.sizes["time"]
+
+
+def test_every_variable_is_in_the_player_derived_ones_too(cube, page_text):
+    from wavefield.figures.quality import KINDS, quality_kind
+    from wavefield.waves import kinematics
+
+    packed = pack(cube)
+    rows = {row["name"]: row for row in json.loads(packed["field-description"])["fields"]}
+    wanted = [n for n in cube.data_vars if cube[n].dims == ("time", "y", "x")]
+    assert {*wanted, "vorticity", "divergence", "residual"} <= set(rows)
+    options = {a["value"] for a in Page(page_text).all("option")}
+    assert options == set(rows)
+    vorticity = kinematics(cube).vorticity.values
+    codes = np.frombuffer(base64.b64decode(packed["field-vorticity"]), np.uint8).reshape(vorticity.shape)
+    half = rows["vorticity"]["high"]
+    back = np.where(codes > 0, (codes.astype(float) - 128) / 127 * half, np.nan)
+    inside = np.abs(vorticity) < half
+    assert np.nanmax(np.abs(back - vorticity)[inside]) < 0.01 * half
+    kinds = np.frombuffer(base64.b64decode(packed["field-quality"]), np.uint8).reshape(cube.quality.shape)
+    expected = quality_kind(cube.quality.values)
+    np.testing.assert_array_equal(kinds, np.where(expected < len(KINDS), expected + 1, 0))
+    for name in ("z_std", "eps_piv"):
+        assert rows[name]["low"] == 0.0
+
+
+def test_the_verdict_with_description_and_dates_stands_first(cube, tmp_path):
+    from wavefield.reports.write import head_of
+    from wavefield.series import Experiment
+    from wavefield.store.verdict import Remark, Verdict
+
+    experiment = Experiment.model_construct(description="Waves of a paddle, 12 cm of water", mask={})
+    sources = Sources(cube, experiment=experiment, dates={"measured": "2026-03-01 10:12 UTC"})
+    verdict = Verdict.of([Remark("cam1", "focus", "grave", "its images are blurred")])
+    found = head_of(sources, verdict).html()
+    words = [
+        found.index(w) for w in ("Verdict: not to be trusted: cam1 focus", "Waves of a paddle", "Measured 20")
+    ]
+    assert words == sorted(words)
+    assert 'class="verdict bad"' in found
+    assert "this page made 20" in found
+    assert f"{cube.sizes['time']} steps at 20 Hz" in found
+
+
+def test_no_folder_of_this_machine_is_told(cube, tmp_path):
+    attrs = {"experiment_file": "/home/somebody/tank/experiment.yaml"}
+    recipe = json.dumps({"images": {"cam1": "/home/somebody/tank/cam1/*.tif"}, "settings": {}})
+    sources = Sources(cube.assign_attrs(attrs | {"recipe": recipe}))
+    text = write_report(sources, tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "/home/" not in text
+    assert "experiment.yaml" in text
+
+
+def test_cameras_are_shown_over_time(cube, tmp_path):
+    from wavefield.store.verdict import Verdict
+
+    numbers = {"blur": [0.6, 1.8], "brightness": [20.0, 21.0], "coverage": [1.0, 0.9]}
+    verdict = Verdict.of(
+        [],
+        {"cam1": numbers, "cam2": numbers},
+        {"cam1-cam2": {"agreement": [0.9, 0.8], "eps_y": [0.1, 0.3]}},
+        [0, 40],
+    )
+    text = write_report(Sources(cube), tmp_path / "report.html", verdict=verdict).read_text(encoding="utf-8")
+    assert '<section id="cameras-over-time">' in text
+    assert "cam1: details of 1.20 px, brightness 20.5, at least 90 % in view" in text
+    without = write_report(Sources(cube), tmp_path / "none.html", verdict=Verdict()).read_text(
+        encoding="utf-8"
+    )
+    assert "cameras-over-time" not in without
 
 
 def test_a_long_cube_is_thinned_to_fit(cube):

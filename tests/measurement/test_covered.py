@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from measurement_cases import RATE, around
 
-from wavefield.measurement import Plan, Record, learn, measure
+from wavefield.measurement import Plan, Record, diagnose, learn, measure
 from wavefield.series.camera_mask import CameraMask
 from wavefield.series.masks import MaskSection, _seen, footprints
 from wavefield.variables import Quality
@@ -97,6 +97,22 @@ def test_what_a_mask_covers_changes_no_bit(series, plan, drawn):
     again = measure(around(other), plan, RATE, around(copies))
     for name, field in one.items():
         np.testing.assert_array_equal(field, again[name], err_msg=name)
+
+
+def test_pairs_are_compared_without_what_is_covered(series, drawn):
+    frames, masks = drawn
+    noise = np.random.default_rng(0)
+    other = {
+        n: [np.where(m, noise.integers(0, 255, i.shape).astype(i.dtype), i) for i, m in zip(f, masks[n])]
+        for n, f in frames.items()
+    }
+    plan = Plan(series.rig, series.grid, covered=footprints({"water": [CYLINDER]}))
+    hidden = {n: m[:2] for n, m in masks.items()}
+    one, again = (
+        diagnose({n: f[1:3] for n, f in some.items()}, plan, masks=hidden) for some in (frames, other)
+    )
+    for pair, eps in one.eps_y.items():
+        np.testing.assert_array_equal(eps, again.eps_y[pair])
 
 
 def test_a_record_is_learned_without_what_is_covered(series, drawn):

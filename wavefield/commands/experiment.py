@@ -182,11 +182,10 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
         result = calibrate_experiment(loaded, progress)
     calibration = result.calibration
     output = output or loaded.resolve(loaded.rig if isinstance(loaded.rig, str) else "rig.yaml")
-    report = output.with_name(f"{output.stem}_report")
+    folder = output.with_name(f"{output.stem}_report")
     with ProcessPoolExecutor(1, start_workers_from(), leave_with_parent) as pool:
-        drawn = pool.submit(draw_found, result, report / "target.png")  # as long as all other pictures
-        page = write_calibration(calibration, report)
-        drawn.result()
+        drawn = pool.submit(draw_found, result)  # takes as long as all other pictures
+        page = write_calibration(calibration, folder, drawn.result)
     for note in (*result.notes, *calibration.notes):
         click.echo(f"note: {note}")
     if not calibration.usable:

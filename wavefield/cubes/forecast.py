@@ -292,7 +292,7 @@ def check(
         measured=measured,
         cost=cost,
         problems=tuple(problems),
-        verdict=Verdict.of(remarks, seen.cameras, seen.pairs) if seen else None,
+        verdict=Verdict.of(remarks, seen.cameras, seen.pairs, seen.frames) if seen else None,
         motion=prepared.motion.sentence if prepared and prepared.motion else "",
         heights=prepared.heights.sentence if prepared and prepared.heights else "",
         clocks=said,

@@ -123,7 +123,7 @@ def judge(prepared: Prepared, status: Status, seen: Examination | None = None) -
         *_steps(status),
         *_fields(status.store, expected_coverage(prepared.rig, prepared.grid)),
     ]
-    return Verdict.of(remarks, seen.cameras, seen.pairs)
+    return Verdict.of(remarks, seen.cameras, seen.pairs, seen.frames)
 
 
 def _clocks_and_mounts(prepared: Prepared, status: Status) -> Iterator[Remark]:

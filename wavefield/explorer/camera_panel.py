@@ -11,12 +11,12 @@ from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Range1d, Sele
 from numpy.typing import NDArray
 
 from wavefield.explorer.beside import Beside
-from wavefield.explorer.fields import KINDS, quality_kind
 from wavefield.explorer.mask_panel import outlines_of
 from wavefield.explorer.parts import INK, VERMILION, draw_masks, make_figure
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import Record
 from wavefield.explorer.selections import nearest
+from wavefield.figures.quality import KINDS, quality_kind
 from wavefield.rig import Camera
 
 _MOST_PIXELS = 1100  # along the longer side: more is not seen

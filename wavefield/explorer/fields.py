@@ -9,7 +9,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.figures.style import POSITIVE, SIGNED, limit
-from wavefield.variables import Quality
 from wavefield.waves.kinematics import kinematics
 
 DERIVED = {
@@ -18,44 +17,6 @@ DERIVED = {
     "residual": ("kinematic residual z_t - w + u . grad z", "m s-1"),
 }
 _BALANCE = ("z", "z_t", "u", "v", "w")
-
-# one word for each node, the first that fits: bit of `quality`, in words, colour (of Okabe and Ito's)
-KINDS: tuple[tuple[str, str, str], ...] = (
-    ("OUTSIDE", "outside the view", "#d9d9d9"),
-    ("MASKED", "masked", "#000000"),
-    ("REJECTED_RANGE", "rejected: beyond the range", "#009E73"),
-    ("REJECTED_CORRELATION", "rejected: correlation", "#D55E00"),
-    ("REJECTED_EPS", "rejected: mismatch", "#E69F00"),
-    ("REJECTED_NEIGHBOURS", "rejected: neighbours", "#CC79A7"),
-    ("FILLED", "filled", "#56B4E9"),
-    ("FEWER_CAMERAS", "measured, a camera missing", "#F0E442"),
-    ("MEASURED", "measured", "#0072B2"),
-)
-
-
-def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
-    """One kind for each node: the gravest thing that its bits say.
-
-    Parameters
-    ----------
-    quality : ndarray of int, (...)
-        Bits of the cube's ``quality``.
-
-    Returns
-    -------
-    ndarray of uint8, (...)
-        Index into `KINDS`; as many as there are kinds where nothing is known yet.
-
-    Examples
-    --------
-    >>> kinds = quality_kind(np.array([1, 2 | 8, 4, 0]))
-    >>> [KINDS[k][1] if k < len(KINDS) else "nothing" for k in kinds]
-    ['measured', 'rejected: correlation', 'outside the view', 'nothing']
-    """
-    out = np.full(np.shape(quality), len(KINDS), np.uint8)
-    for index in range(len(KINDS) - 1, -1, -1):
-        out[(np.asarray(quality) & np.uint16(Quality[KINDS[index][0]])) != 0] = index
-    return out
 
 
 def derive(steps: xr.Dataset, name: str, step: int) -> NDArray[Any]:

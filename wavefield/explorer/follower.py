@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +25,14 @@ from wavefield.explorer.lights import (
     step_lights,
     tilt_light,
 )
+from wavefield.explorer.live_masks import LiveMasks
 from wavefield.explorer.watch import FrameSet, Watch
 from wavefield.rig import Rig
-from wavefield.series import Experiment, FrameSeries
-from wavefield.series.masks import covered_series, footprints
+from wavefield.series import Experiment
+from wavefield.series.masks import footprints
+
+if TYPE_CHECKING:
+    from wavefield.explorer.learner import Learner
 
 log = logging.getLogger("wavefield.follow")
 _AVERAGED = 200  # steps over which the tilt is averaged
@@ -83,7 +87,7 @@ class Follower:
     rig: Any = None
     seen: Seen | None = None
     count: int = 0
-    _plan: Any = None
+    _plan: "Learner | None" = None
     _trouble: str = ""
     _sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
 
@@ -94,7 +98,7 @@ class Follower:
         self._stop = threading.Event()
         self._first: int | None = None
         self._measured = 0
-        self._masks: dict[str, NDArray[np.bool_]] = {}
+        self._masks: LiveMasks | None = None
         self._thread = threading.Thread(target=self._work, daemon=True, name="follow")
 
     @property
@@ -102,7 +106,7 @@ class Follower:
         """Nodes along x and y, metres; empty without a rig."""
         if self._plan is None:
             return np.empty(0), np.empty(0)
-        grid = self._plan.grid
+        grid = self._plan.plan.grid
         return grid.x_nodes, grid.y_nodes
 
     def start(self) -> None:
@@ -114,6 +118,8 @@ class Follower:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(20)
+        if self._plan is not None:
+            self._plan.wait()
 
     def _work(self) -> None:
         while not self._stop.is_set():
@@ -195,22 +201,27 @@ class Follower:
     def _measure(self, found: FrameSet) -> tuple[dict[str, NDArray[Any]], Quantities | None]:
         """Measure a step, as far as there is a rig; the plan is made with the first frames."""
         from wavefield.measurement import measure
+        from wavefield.variables import AROUND
 
         sizes = {name: (both[0].shape[1], both[0].shape[0]) for name, both in found.images.items()}
         if self._plan is None or (self._trouble and sizes != self._sizes):
             self._plan_for(sizes)
         if self._plan is None:
             return {}, None
-        plan = self._plan
-        frames = {
-            name: [None, None, *found.images.get(name, (None, None)), None, None] for name in plan.cameras
-        }
+        cameras, beside = self._plan.plan.cameras, [None] * AROUND
+        pairs = {name: found.images.get(name, (None, None)) for name in cameras}
+        first, second = self._masks.of(found.number) if self._masks else ({}, {})
         try:
-            masks = {name: [pixels] * 6 for name, pixels in self._masks.items()}
+            self._plan.take(({n: p[0] for n, p in pairs.items()}, {n: p[1] for n, p in pairs.items()}),
+                            (first, second))  # fmt: skip
+            plan = self._plan.plan
+            frames = {name: [*beside, *both, *beside] for name, both in pairs.items()}
+            masks = {n: [first[n]] * (AROUND + 1) + [second[n]] * (AROUND + 1) for n in first}
             block = measure(frames, plan, self.experiment.frame_rate, masks)
         except (WavefieldError, ValueError) as error:
             self._trouble = str(error)
             return {}, None
+        self._trouble = self._masks.absent if self._masks else ""
         fields = {name: values[0] for name, values in block.items() if np.ndim(values) == 3}
         return fields, quantities(fields, plan.x, plan.y, plan.z_range)
 
@@ -219,9 +230,9 @@ class Follower:
         from wavefield.measurement import surface
         from wavefield.measurement.frame import ready, usable
 
-        plan = self._plan
-        if plan is None:
+        if self._plan is None:
             return {}
+        plan = self._plan.plan
         good = {
             name: surface.prepare(ready(both[1], plan.binning[name]), name, plan)
             for name, both in found.images.items()
@@ -237,17 +248,10 @@ class Follower:
                 out[f"{a}-{b}"] = Agreement(rms, float(match.valid.sum() / max(seen.sum(), 1)))
         return out
 
-    def _still_masks(self, rig: Rig, reach: float) -> dict[str, NDArray[np.bool_]]:
-        """What is masked in every frame; images that move with the frames are not waited for."""
-        still = {name: [s for s in shapes if not s.frames] for name, shapes in self.experiment.mask.items()}
-        blank = {name: FrameSeries(name, 0, [], rig[name].size[::-1], "uint8") for name in rig}
-        folder = self.experiment.path.parent
-        series = covered_series(still, blank, rig, folder, reach)
-        return {name: one.mask.covered(0) for name, one in series.items() if one.mask is not None}
-
     def _plan_for(self, sizes: dict[str, tuple[int, int]]) -> None:
         from wavefield.cubes.prepare import make_settings
         from wavefield.cubes.workflow import Workflow
+        from wavefield.explorer.learner import Learner
         from wavefield.measurement import Plan
 
         self._sizes = sizes
@@ -264,8 +268,9 @@ class Follower:
                     return
             settings = make_settings(self.experiment, Workflow())
             covered = footprints(self.experiment.mask)
-            self._plan = Plan(used, self.experiment.choose_grid(used), settings, covered=covered)
-            self._masks = self._still_masks(used, -self._plan.z_range[0])
+            plan = Plan(used, self.experiment.choose_grid(used), settings, covered=covered)
+            self._masks = LiveMasks(self.experiment, used, -plan.z_range[0])
+            self._plan = Learner(plan)
             self._trouble = ""
         except WavefieldError as error:
             self._trouble = f"nothing is measured: {error}"

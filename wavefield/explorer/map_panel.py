@@ -20,15 +20,7 @@ from bokeh.models import (
     ZoomOutTool,
 )
 
-from wavefield.explorer.fields import (
-    KINDS,
-    arrows,
-    colour_limits,
-    colour_map,
-    palette,
-    quality_kind,
-    shown_as,
-)
+from wavefield.explorer.fields import arrows, colour_limits, colour_map, palette, shown_as
 from wavefield.explorer.parts import (
     GREY,
     INK,
@@ -42,6 +34,7 @@ from wavefield.explorer.parts import (
 )
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import Record
+from wavefield.figures.quality import KINDS, quality_kind
 from wavefield.figures.style import limit
 
 Point = tuple[float, float]

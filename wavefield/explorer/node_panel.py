@@ -8,11 +8,12 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Select, Span
 from numpy.typing import NDArray
 
-from wavefield.explorer.fields import KINDS, quality_kind, readings, shown_as
+from wavefield.explorer.fields import readings, shown_as
 from wavefield.explorer.parts import BLUE, INK, VERMILION, envelope, make_figure, number
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import Record
 from wavefield.explorer.selections import nearest, spectrum
+from wavefield.figures.quality import KINDS, quality_kind
 
 _MAIN = ("z", "u", "v", "w")
 _NEAR = 0.25  # m: a probe farther away sees other waves

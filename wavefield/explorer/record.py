@@ -133,7 +133,7 @@ class Record:
         around = [k for k in (step - 1, step, step + 1) if 0 <= k < self.layout.steps]
         steps = xr.Dataset(
             {
-                n: (CUBE_DIMS, np.array([self.field(n, k) for k in around]))
+                n: (CUBE_DIMS, np.array([self.field(n, k) for k in around]), self._attrs[n])
                 for n in ("z", "z_t", "u", "v", "w")
             },
             coords={"time": self.time[around], "y": self.y, "x": self.x},

@@ -13,10 +13,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 
 from wavefield.errors import StoreError
-from wavefield.explorer.fields import KINDS, arrows, colour_limits, colour_map, quality_kind, shown_as
+from wavefield.explorer.fields import arrows, colour_limits, colour_map, shown_as
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import Record
 from wavefield.explorer.selections import interpolate, line_points, nearest, span
+from wavefield.figures.quality import KINDS, quality_kind
 from wavefield.figures.style import draw_map, limit, map_panels
 from wavefield.variables import CUBE_DIMS, annotate
 

@@ -34,7 +34,7 @@ def bound_spectra(bound: xr.Dataset) -> Figure:
     fraction, std = 100 * float(bound.bound_fraction), 100 * float(bound.bound_fraction_std)
     ax.set(
         xlabel="ω / 2π (Hz)",
-        ylabel="E^z(ω) (m² s rad⁻¹)",
+        ylabel="E$^z$(ω) (m² s rad⁻¹)",
         ylim=(1e-7 * top, 3 * top),
         title=f"bound: {fraction:.2g} ± {std:.1g} % of the variance",
     )

@@ -1,8 +1,11 @@
 """Where and when the measurement is good: coverage, faults, misfits, uncertainties."""
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from wavefield.figures.style import (
     LINES,
@@ -24,6 +27,45 @@ _REASONS = {
     "rejected by neighbours": Quality.REJECTED_NEIGHBOURS,
     "beyond the range searched": Quality.REJECTED_RANGE,
 }
+
+
+# one word for each node, the first that fits: bit of `quality`, in words, colour (of Okabe and Ito's)
+KINDS: tuple[tuple[str, str, str], ...] = (
+    ("OUTSIDE", "outside the view", "#d9d9d9"),
+    ("MASKED", "masked", "#000000"),
+    ("REJECTED_RANGE", "rejected: beyond the range", "#009E73"),
+    ("REJECTED_CORRELATION", "rejected: correlation", "#D55E00"),
+    ("REJECTED_EPS", "rejected: mismatch", "#E69F00"),
+    ("REJECTED_NEIGHBOURS", "rejected: neighbours", "#CC79A7"),
+    ("FILLED", "filled", "#56B4E9"),
+    ("FEWER_CAMERAS", "measured, a camera missing", "#F0E442"),
+    ("MEASURED", "measured", "#0072B2"),
+)
+
+
+def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
+    """One kind for each node: the gravest thing that its bits say.
+
+    Parameters
+    ----------
+    quality : ndarray of int, (...)
+        Bits of the cube's ``quality``.
+
+    Returns
+    -------
+    ndarray of uint8, (...)
+        Index into `KINDS`; as many as there are kinds where nothing is known yet.
+
+    Examples
+    --------
+    >>> kinds = quality_kind(np.array([1, 2 | 8, 4, 0]))
+    >>> [KINDS[k][1] if k < len(KINDS) else "nothing" for k in kinds]
+    ['measured', 'rejected: correlation', 'outside the view', 'nothing']
+    """
+    out = np.full(np.shape(quality), len(KINDS), np.uint8)
+    for index in range(len(KINDS) - 1, -1, -1):
+        out[(np.asarray(quality) & np.uint16(Quality[KINDS[index][0]])) != 0] = index
+    return out
 
 
 def quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
@@ -61,7 +103,9 @@ def coverage_map(cube: xr.Dataset) -> Figure:
     shares = quality_shares(cube.quality, ("time",)).compute()
     figure, axes = map_panels(cube.quality, 2)
     for ax, name in zip(axes[0], ("measured", "filled from neighbours"), strict=True):
-        draw_map(ax, shares[name], "share of time (%)", factor=100, cmap=POSITIVE, scale=(0, 100), title=name)
+        draw_map(
+            ax, shares[name], "fraction of time (%)", factor=100, cmap=POSITIVE, scale=(0, 100), title=name
+        )
     return figure
 
 
@@ -86,7 +130,7 @@ def fault_history(cube: xr.Dataset) -> Figure:
     for style, name in zip(LINES, shares.data_vars, strict=False):
         with np.errstate(divide="ignore", invalid="ignore"):
             top.plot(cube.time, 100 * shares[name] / seen.where(seen > 0), label=name, **style)
-    top.set(ylabel="share of nodes (%)", ylim=(-3, 103))
+    top.set(ylabel="fraction of nodes (%)", ylim=(-3, 103))
     plain_axes(top, loc="center left", bbox_to_anchor=(1.0, 0.5))
     bottom.plot(cube.time, cube.frame_status, drawstyle="steps-mid", **LINES[1])
     names = [status.name.lower().replace("_", " ") for status in FrameStatus]

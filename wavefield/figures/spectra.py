@@ -12,7 +12,6 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from wavefield.figures.style import LINES, POSITIVE, colour_bar, edges, panels, plain_axes
 from wavefield.water import GRAVITY
 
-_UNITS = {"z": "m² (rad/m)⁻¹ (rad/s)⁻¹", "w": "m² s⁻² (rad/m)⁻¹ (rad/s)⁻¹"}
 _METHODS = {
     "Ez_probes": "wave probes",
     "Ez_stereo": "stereo z",
@@ -20,6 +19,11 @@ _METHODS = {
     "Ez_cross": "cross-spectrum of z and w",
     "Ez_fusion": "fusion of z and w",
 }
+
+
+def _units(name: str) -> str:
+    """Of E(k, omega): of the variable squared, per wavenumber and frequency."""
+    return f"{'m²' if name == 'z' else 'm² s⁻²'} (rad/m)⁻¹ (rad/s)⁻¹"
 
 
 def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: str = "w") -> Figure:
@@ -57,7 +61,7 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
         rasterized=True,
     )
     ax.set_facecolor("#440154")  # the lowest colour: below the scale is not missing
-    colour_bar(ax, mesh, f"E^{name}(k, ω) ({_UNITS.get(name, 'SI')})")
+    colour_bar(ax, mesh, f"E$^{name}$(k, ω) ({_units(name)})")
     if dispersion is not None and "omega_theory" in dispersion:
         k = dispersion.k.values / (2 * np.pi)
         curve = dispersion.omega_theory.values / (2 * np.pi)
@@ -112,7 +116,7 @@ def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, na
             rasterized=True,
         )
         ax.set_facecolor("#440154")
-        colour_bar(ax, mesh, f"E^{name}(k, ω) (SI)")
+        colour_bar(ax, mesh, f"E$^{name}$(k, ω) ({_units(name).replace('m)⁻¹', 'm)⁻²')})")
         radius = _radius(dispersion, omegas[i])
         if radius:
             turn = np.linspace(0, 2 * np.pi, 181)
@@ -169,7 +173,7 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
             peak = max(peak, float(np.nanmax(np.where(valid, drawn, 0.0))))
         if method == "stereo":
             _draw_interval(ax, spectra, method, hertz, drawn)
-    ax.set(xlabel="ω / 2π (Hz)", ylabel="E^z(ω) (m² s rad⁻¹)")
+    ax.set(xlabel="ω / 2π (Hz)", ylabel="E$^z$(ω) (m² s rad⁻¹)")
     if peak > 0:
         ax.set_ylim(peak * 1e-9, peak * 5)
     positive = hertz[hertz > 0]

@@ -234,7 +234,7 @@ def moment_title(snapshot: xr.Dataset) -> str:
     str
         Such as "t = 1.25 s"; empty without a time.
     """
-    return f"t = {float(snapshot.time):.3g} s" if "time" in snapshot.coords else ""
+    return f"t = {round(float(snapshot.time), 3):g} s" if "time" in snapshot.coords else ""
 
 
 def plain_axes(axes: Axes, **legend: Any) -> None:

@@ -179,7 +179,9 @@ def rms_within(values: NDArray[Any]) -> tuple[float, float]:
 
 
 @one_thread()
-def diagnose(frames: Frames, plan: Plan, pixel: float | None = None) -> Diagnosis:
+def diagnose(
+    frames: Frames, plan: Plan, pixel: float | None = None, masks: Frames | None = None
+) -> Diagnosis:
     """Compare what pairs of cameras say about the same surface, and cameras about the same motion.
 
     Parameters
@@ -190,6 +192,8 @@ def diagnose(frames: Frames, plan: Plan, pixel: float | None = None) -> Diagnosi
         Rig, grid and settings.
     pixel : float, optional
         Length that counts as one pixel, metres; that of the rectified images if left out.
+    masks : mapping of str to sequence of 2 ndarray of bool, optional
+        True where pixels of a camera's frames do not count.
 
     Returns
     -------
@@ -206,7 +210,7 @@ def diagnose(frames: Frames, plan: Plan, pixel: float | None = None) -> Diagnosi
     """
     if plan.settings.sheet_thickness is not None:
         raise ValueError("cameras of a light sheet are not matched with each other: no pairs to compare")
-    plan, first, second = _learned(frames, plan)
+    plan, first, second = _learned(frames, plan, masks or {})
     surfaces = [surface(view.flat, plan) for view in (first, second)]
     if surfaces[0] is None or surfaces[1] is None:
         raise ValueError("the frames cannot be matched: nothing to compare with")
@@ -225,17 +229,19 @@ def diagnose(frames: Frames, plan: Plan, pixel: float | None = None) -> Diagnosi
     return Diagnosis(pixel or plan.pixel, z, eps_y, z_std, recombined, moved, eps_piv, carried)
 
 
-def _learned(frames: Frames, plan: Plan) -> tuple[Plan, Images, Images]:
+def _learned(frames: Frames, plan: Plan, masks: Frames) -> tuple[Plan, Images, Images]:
     """The images of both frames, with what is learned of them where the plan does not know the record."""
     instants = [{n: frames[n][k] for n in frames} for k in (0, 1)]
+    covered = [{n: masks[n][k] for n in masks} for k in (0, 1)]
     if plan.record is None:
         every = Plan(plan.rig, plan.grid, replace(plan.settings, velocity_cameras=plan.cameras))
-        record = learn([(instants[0], instants[1])], every)
+        record = learn([(instants[0], instants[1])], every, [(covered[0], covered[1])])
         if record is None:
             raise ValueError("the frames cannot be matched: nothing to compare with")
         plan = every.knowing(record)
     assert plan.record is not None
-    first, second = (images_of(frame, plan, dict(plan.record.beads)) for frame in instants)
+    beads = dict(plan.record.beads)
+    first, second = (images_of(frame, plan, beads, hidden) for frame, hidden in zip(instants, covered))
     for view in (first, second):
         if view.missing:
             raise ValueError(f"camera {sorted(view.missing)[0]} has no usable frame: nothing to compare with")
@@ -266,7 +272,12 @@ def _moved(
 
 
 def diagnose_around(
-    read: Callable[[str, int], NDArray[Any] | None], steps: int, plan: Plan, middle: int, pixel: float
+    read: Callable[[str, int], NDArray[Any] | None],
+    steps: int,
+    plan: Plan,
+    middle: int,
+    pixel: float,
+    covered: Callable[[str, int], NDArray[Any] | None] | None = None,
 ) -> Diagnosis | None:
     """Compare the pairs of cameras on a few steps of a record.
 
@@ -282,6 +293,8 @@ def diagnose_around(
         Step around which to measure.
     pixel : float
         Length that counts as one pixel, metres.
+    covered : callable, optional
+        From camera and frame to what is covered in it (row, column), or None where nothing is.
 
     Returns
     -------
@@ -291,8 +304,9 @@ def diagnose_around(
     found: list[Diagnosis] = []
     for step in sorted(range(steps), key=lambda step: abs(step - middle))[:_TRIED]:
         frames = {name: [read(name, step + k) for k in (0, 1)] for name in plan.cameras}
+        masks = {n: [covered(n, step + k) for k in (0, 1)] for n in plan.cameras} if covered else None
         try:
-            found.append(diagnose(frames, plan, pixel))
+            found.append(diagnose(frames, plan, pixel, masks))
         except ValueError:  # a frame is missing or bad
             continue
         if len(found) == _STEPS:

@@ -1,16 +1,20 @@
 """Errors: internal, between cameras, against probes and the truth; and the calibration."""
 
+import numpy as np
 import xarray as xr
 import yaml
+from numpy.typing import NDArray
 
 from wavefield import figures
+from wavefield.errors import ExperimentError
 from wavefield.measurement import Plan, Settings
 from wavefield.measurement.diagnostics import diagnose_around
-from wavefield.reports.page import Picture, Section, Table
+from wavefield.reports.page import Picture, Section, Table, Text
 from wavefield.reports.pair_pictures import pair_differences, pair_misfits
 from wavefield.reports.sources import Sources
 from wavefield.reports.words import number, rms_of
 from wavefield.rig.resolution import pixel_size
+from wavefield.series.masks import covered_series, footprints
 
 
 def accuracy(sources: Sources) -> Section:
@@ -31,12 +35,12 @@ def accuracy(sources: Sources) -> Section:
         [
             Picture(
                 figures.misfit_distributions(part),
-                "Distributions of the stereo mismatch across the sight line and of the misfit of the "
-                "cameras' "
-                "displacements: the measurement's own account of its errors.",
+                "Distributions of the mismatch of the cameras' sight lines (eps_y) and of the misfit of "
+                "their displacements (eps'), of what the run has kept: the measurement's own account of its "
+                "errors.",
                 f"Densities. Rms of eps_y {1e3 * rms_of(part.eps_y):.3g} mm, of eps' "
                 f"{rms_of(part.eps_piv):.3g} px "
-                "(paper: 0.4 to 0.8 mm, 0.34 to 0.37 px).",
+                "(published of such a rig: 0.4 to 0.8 mm, 0.34 to 0.37 px).",
             ),
             Picture(
                 figures.misfit_maps(part),
@@ -113,27 +117,42 @@ def accuracy(sources: Sources) -> Section:
     return section
 
 
-def _pairs(sources: Sources) -> list[Picture | Table]:
+def _pairs(sources: Sources) -> list[Picture | Table | Text]:
     """Every pair of cameras on its own, if the images are still there."""
     if not sources.frames or sources.rig is None:
         return []
     settings = Settings.from_dict(sources.recipe.get("settings", {}))
-    plan = Plan(sources.rig, sources.grid, settings)
+    masks = sources.experiment.mask if sources.experiment else {}
+    plan = Plan(sources.rig, sources.grid, settings, covered=footprints(masks))
     pixel = pixel_size(sources.rig, sources.grid)
     series = sources.frames
+    if sources.experiment:
+        folder = sources.experiment.path.parent
+        known = {name: series[name] for name in plan.cameras}
+        try:
+            series = covered_series(masks, known, sources.rig, folder, -plan.z_range[0])
+        except ExperimentError as error:
+            return [Text(f"Pairs of cameras were not compared: {error}.")]
     steps = min(len(series[name]) for name in plan.cameras) - 1
     middle = sources.cube.sizes["time"] // 2
-    found = diagnose_around(lambda name, frame: series[name].read(frame).image, steps, plan, middle, pixel)
+
+    def covered(name: str, frame: int) -> NDArray[np.bool_] | None:
+        mask = series[name].mask
+        return None if mask is None else mask.covered(frame)
+
+    found = diagnose_around(
+        lambda name, frame: series[name].read(frame).image, steps, plan, middle, pixel, covered
+    )
     if found is None:
         return []
     steps = len(next(iter(found.z.values())))
     rows = found.table()
     words = ", ".join(f"{row['name']} {row['px']:.2g} px" for row in rows)
-    out: list[Picture | Table] = [
+    out: list[Picture | Table | Text] = [
         Picture(
             pair_misfits(found),
-            f"The same for each pair of cameras on its own, over {steps} steps measured again, with the "
-            "matches that the run rejects for their eps_y.",
+            f"The same for each pair of cameras on its own, over {steps} steps measured again, before "
+            "anything is rejected: wider than what a cube keeps of all pairs together.",
             f"Densities of eps_y and of eps' for each pair. Rms: {words}.",
         )
     ]
@@ -142,13 +161,14 @@ def _pairs(sources: Sources) -> list[Picture | Table]:
             Picture(
                 pair_differences(found),
                 "Differences between what the pairs measure, each on its own (divided by √2 they are errors "
-                "of one pair; paper: 0.3 px), and of z recombined from two pairs from z of the direct one.",
+                "of one pair; 0.3 px has been published), and of z recombined from two pairs from z of the "
+                "direct one.",
                 "Densities of differences of z, dx, dy, dz; their rms is in the table.",
             )
         )
     table = [
         (
-            row["name"],
+            _readable(row["name"]),
             "" if row["cm"] is None else f"{row['cm']:.2g}",
             f"{row['px']:.2g}",
             "" if row["share"] is None else f"{100 * row['share']:.1f} %",
@@ -156,10 +176,21 @@ def _pairs(sources: Sources) -> list[Picture | Table]:
         for row in rows
     ]
     caption = (
-        f"Cameras against one another: rms of what is within three times the rms, and the share that is "
-        f"beyond; 1 px is {1e3 * pixel:.2g} mm"
+        f"Pairs of cameras alone, before anything is rejected: rms of what is within three times the rms, "
+        f"and the fraction beyond; 1 px is {1e3 * pixel:.2g} mm"
     )
     return [*out, Table(caption, ("error", "cm", "px", "beyond"), table)]
+
+
+def _readable(name: str) -> str:
+    """A number's name in words, where it stands alone in a table."""
+    for short, words in (
+        ("eps_y ", "sight lines miss (eps_y), "),
+        ("eps' ", "displacements disagree (eps'), "),
+        ("sigma_z ", "\u03c3 of z that follows, "),
+    ):
+        name = name.replace(short, words)
+    return name.replace(" / sqrt 2", " / \u221a2").replace(" - ", " \u2212 ")
 
 
 def errors_against(cube: xr.Dataset, truth: xr.Dataset) -> xr.Dataset:

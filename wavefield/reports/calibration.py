@@ -16,7 +16,7 @@ from wavefield.reports.calibration_page import Drawn, calibration_page
 from wavefield.whole_files import whole, write_text
 
 
-def write_calibration(calibration: Calibration, directory: str | Path) -> Path:
+def write_calibration(calibration: Calibration, directory: str | Path, target: Figure | None = None) -> Path:
     """Write the report of a calibration.
 
     Parameters
@@ -25,6 +25,8 @@ def write_calibration(calibration: Calibration, directory: str | Path) -> Path:
         What to report; also one without a rig, to say what to photograph again.
     directory : path
         Made if it is not there. Each file is written whole or not at all.
+    target : Figure, optional
+        What was found in one image of each camera (`wavefield.reports.targets.found_target`).
 
     Returns
     -------
@@ -39,9 +41,13 @@ def write_calibration(calibration: Calibration, directory: str | Path) -> Path:
         "left_out_points": dict(calibration.left_out),
     }
     drawn: list[Drawn] = []
+    if target is not None:
+        drawn.append(
+            Drawn("target.png", "The target as it was found in an image of each camera", _png(target))
+        )
     if None not in (calibration.observations, calibration.fit, calibration.derived):
         surface = _add_numbers(content, calibration)
-        drawn = [
+        drawn += [
             Drawn(f"{stem}.png", title, _png(figure))
             for stem, title, figure in _figures(calibration, surface)
         ]

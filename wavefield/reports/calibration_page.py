@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from wavefield.reports.page import Listing, Picture, Section, Table, Text, render
+from wavefield.reports.page import Head, Listing, Picture, Section, Table, Text, render
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,14 @@ def calibration_page(content: dict[str, Any], drawn: Sequence[Drawn]) -> str:
     if drawn:
         shown = [Picture(one.png, f"{one.title} ({one.file})", one.title) for one in drawn]
         sections.append(Section("Pictures", list(shown)))
-    line = "The rig can be used." if content["usable"] else "The rig cannot be used."
-    return render("Calibration of the rig", line, [(section, section.html()) for section in sections], {})
+    usable = content["usable"]
+    weight = "grave" if not usable else "remark" if content["notes"] else "note"
+    head = Head(
+        "Calibration of the rig",
+        verdict="the rig can be used" if usable else "the rig cannot be used",
+        weight=weight,
+    )
+    return render(head, [(section, section.html()) for section in sections], {})
 
 
 def _sections(content: dict[str, Any]) -> Iterator[Section]:

@@ -13,7 +13,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from wavefield.errors import StoreError
 from wavefield.figures.style import LINES, panels
-from wavefield.reports.page import Markup, Picture, Section, render
+from wavefield.reports.page import Head, Markup, Picture, Section, render
 from wavefield.reports.words import number
 from wavefield.store.beside import beside
 from wavefield.store.ledger import status
@@ -109,7 +109,7 @@ def compare(title: str, entries: Sequence[Entry], output: str | Path) -> Path:
         part = Section("Spectra", [picture])
         sections.append((part, part.html()))
     begun = sum(e.there for e in entries)
-    write_text(output, render(title, f"{begun} of {len(entries)} runs measured", sections, {}))
+    write_text(output, render(Head(title, (f"{begun} of {len(entries)} runs measured",)), sections, {}))
     return output
 
 

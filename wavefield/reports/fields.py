@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 
 from wavefield import figures
+from wavefield.figures.style import moment_title
 from wavefield.reports.page import Listing, Markup, Picture, Section, Table
-from wavefield.reports.player import MARKUP
+from wavefield.reports.player import markup
 from wavefield.reports.sources import Sources
 from wavefield.reports.words import number
 from wavefield.variables import FrameStatus
@@ -27,14 +28,14 @@ def surface(sources: Sources) -> Section:
     snap = sources.snapshot()
     z, w = 100 * snap.z, 100 * snap.w
     numbers = (
-        f"At t = {float(snap.time):.3g} s z runs from {float(z.min()):.2g} to {float(z.max()):.2g} cm and "
+        f"At {moment_title(snap)} z runs from {float(z.min()):.2g} to {float(z.max()):.2g} cm and "
         f"w from "
         f"{float(w.min()):.2g} to {float(w.max()):.2g} cm/s."
     )
     return Section(
         "Surface and velocity",
         [
-            Markup(MARKUP),
+            Markup(markup(sources.cube)),
             Picture(
                 figures.surface_3d(snap),
                 "The surface at one moment; heights are exaggerated, colour is the vertical velocity.",
@@ -116,14 +117,14 @@ def coverage(sources: Sources) -> Section:
         [
             Picture(
                 figures.coverage_map(cube),
-                "Share of time in which each node was measured, and in which it was filled from its "
+                "Fraction of time in which each node was measured, and in which it was filled from its "
                 "neighbours.",
                 "Two maps in percent.",
             ),
             Picture(
                 figures.fault_history(cube),
-                "Course of the measured, filled and rejected shares of the nodes in view, and the ledger "
-                "of the run.",
+                "Course of the measured, filled and rejected fractions of the nodes in view, and how each "
+                "step ended.",
                 f"Curves in percent against time; {faulty.size} of {status.size} steps are not simply done.",
             ),
         ],

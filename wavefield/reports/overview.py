@@ -8,7 +8,7 @@ import numpy as np
 from wavefield import figures
 from wavefield.reports.page import Listing, Picture, Section, Table, Text
 from wavefield.reports.sources import Sources
-from wavefield.reports.words import number, rms_of
+from wavefield.reports.words import number, rms_of, without_folders
 from wavefield.rig.pairs import pairs_of
 from wavefield.variables import FrameStatus, Quality
 
@@ -37,7 +37,7 @@ def summary(sources: Sources) -> Section:
     rows = [
         ("steps", f"{cube.sizes['time']} at {rate:g} Hz, {cube.sizes['time'] / rate:.4g} s"),
         (
-            "ledger",
+            "how steps ended",
             ", ".join(
                 f"{int((status == s).sum())} {s.name.lower().replace('_', ' ')}"
                 for s in FrameStatus
@@ -47,9 +47,15 @@ def summary(sources: Sources) -> Section:
         ("grid", f"{nx} x {ny} nodes, {grid.step * 100:g} cm apart"),
         ("measured nodes in view", f"{100 * float(measured):.2f} %"),
         ("rms of z about its mean", number(100 * float(part.z.std()), "cm")),
-        ("rms of u, v, w", ", ".join(number(100 * rms_of(part[n])) for n in "uvw") + " cm s⁻¹"),
-        ("rms of eps_y", number(1e3 * rms_of(part.eps_y), "mm") + " (paper: 0.4–0.8 mm)"),
-        ("rms of eps'", number(rms_of(part.eps_piv), "px") + " (paper: 0.34–0.37 px)"),
+        ("rms of u, v, w", ", ".join(number(100 * rms_of(part[n])) for n in "uvw") + " cm/s"),
+        (
+            "mismatch of sight lines (eps_y), rms",
+            number(1e3 * rms_of(part.eps_y), "mm") + "; 0.4 to 0.8 mm has been published of such a rig",
+        ),
+        (
+            "misfit of the displacements (eps'), rms",
+            number(rms_of(part.eps_piv), "px") + "; 0.34 to 0.37 px has been published of such a rig",
+        ),
     ]
     statistics = sources.group("statistics")
     if statistics is not None:
@@ -162,11 +168,20 @@ def recipe(sources: Sources) -> Section:
     -------
     Section
     """
-    attrs = {k: v for k, v in sources.cube.attrs.items() if k != "recipe"}
-    rows = [(name, str(value)) for name, value in attrs.items() if len(str(value)) < 300]
-    section = Section("Recipe", [Table("Attributes of the store", ("attribute", "value"), rows)])
+    folder = str(sources.experiment.path.absolute().parent) if sources.experiment else ""
+    attrs = {k: v for k, v in sources.cube.attrs.items() if k not in ("recipe", "fingerprints")}
+    rows = [
+        (name.replace("_", " "), _plain(without_folders(value, folder)))
+        for name, value in attrs.items()
+        if len(str(value)) < 300
+    ]
+    section = Section("Recipe", [Table("What the cube says of itself", ("", ""), rows)])
     if sources.recipe:
-        section.items.append(
-            Listing("The recipe: settings, rig, experiment, versions", json.dumps(sources.recipe, indent=1))
-        )
+        words = json.dumps(without_folders(sources.recipe, folder), indent=1)
+        section.items.append(Listing("The recipe: settings, rig, experiment, versions", words))
     return section
+
+
+def _plain(value: Any) -> str:
+    """A list as people write it."""
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)

@@ -166,15 +166,50 @@ class Section:
         )
 
 
-def render(
-    title: str, subtitle: str, sections: Sequence[tuple[Section, str]], player: Mapping[str, str]
-) -> str:
+@dataclass(frozen=True)
+class Head:
+    """What a page says first.
+
+    Parameters
+    ----------
+    title : str
+        Of the page.
+    lines : sequence of str
+        What it is about, a paragraph each; empty ones are left out.
+    verdict : str
+        Whether it can be trusted, in one line; none if empty.
+    weight : {"note", "remark", "grave"}
+        Of the verdict: its colour and its sign.
+    """
+
+    title: str
+    lines: Sequence[str] = ()
+    verdict: str = ""
+    weight: str = "note"
+
+    def html(self) -> str:
+        """Give the head as HTML."""
+        sign, state = _VERDICTS[self.weight]
+        verdict = (
+            f'<p class="verdict {state}"><span aria-hidden="true">{sign}</span> '
+            f"<strong>Verdict: {html.escape(self.verdict)}</strong></p>"
+            if self.verdict
+            else ""
+        )
+        lines = "".join(f"<p>{html.escape(line)}</p>" for line in self.lines if line)
+        return f"<h1>{html.escape(self.title)}</h1>{verdict}{lines}"
+
+
+_VERDICTS = {"note": ("\u2714", "good"), "remark": ("!", "doubtful"), "grave": ("\u2716", "bad")}
+
+
+def render(head: Head, sections: Sequence[tuple[Section, str]], player: Mapping[str, str]) -> str:
     """Put the page together.
 
     Parameters
     ----------
-    title, subtitle : str
-        At its head.
+    head : Head
+        What it says first.
     sections : sequence of (Section, str)
         Its parts, each with its HTML.
     player : mapping of str to str
@@ -187,8 +222,8 @@ def render(
     """
     assets = files("wavefield.reports").joinpath("assets")
     return Template(assets.joinpath("page.html").read_text(encoding="utf-8")).substitute(
-        title=html.escape(title),
-        subtitle=html.escape(subtitle),
+        title=html.escape(head.title),
+        head=head.html(),
         style=assets.joinpath("page.css").read_text(encoding="utf-8"),
         script=assets.joinpath("player.js").read_text(encoding="utf-8") if player else "",
         data="".join(

@@ -10,7 +10,7 @@ from wavefield import figures
 from wavefield.errors import StoreError, WavefieldError
 from wavefield.measurement import Plan, Settings
 from wavefield.measurement.diagnostics import Diagnosis, diagnose, joined, pooled
-from wavefield.reports.page import Picture, Section, Table, Text, render
+from wavefield.reports.page import Head, Picture, Section, Table, Text, render
 from wavefield.reports.pair_pictures import pair_differences, pair_misfits
 from wavefield.reports.sources import Sources, gather
 from wavefield.reports.words import number, rms_of
@@ -89,7 +89,7 @@ def paper(
     name = str(sources.cube.attrs.get("experiment", "")) or "unnamed experiment"
     subtitle = f"The figures of Aubourg et al. for {sources.cube.sizes['time']} steps"
     parts = [(section, section.html()) for section in sections if section.items]
-    write_text(output, render(f"{name}: the paper's figures", subtitle, parts, {}))
+    write_text(output, render(Head(f"{name}: the paper's figures", (subtitle,)), parts, {}))
     if progress:
         progress(total, total)
     return output

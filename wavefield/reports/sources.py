@@ -1,8 +1,9 @@
 """What a report is made from: the cube, and whatever else lies beside it."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,8 @@ class Sources:
         Frames that were missing or bad, in words.
     notes : list of str
         What is missing, and why.
+    dates : dict of str to str
+        When images were written and steps were measured, by what was done, as far as files tell.
     """
 
     cube: xr.Dataset
@@ -50,6 +53,7 @@ class Sources:
     truth: xr.Dataset | None = None
     bad_frames: tuple[str, ...] = ()
     notes: list[str] = field(default_factory=list)
+    dates: dict[str, str] = field(default_factory=dict)
 
     @property
     def recipe(self) -> dict[str, Any]:
@@ -175,6 +179,7 @@ def gather(
             )
     else:
         out.notes.append(f"spectra and coherence (run `wavefield analyze {store}` first)")
+    out.dates = span_of("measured", Path(store).glob("frame_status/c/*"))
     rig = out.recipe.get("rig")
     if isinstance(rig, Mapping):
         out.rig = Rig({name: Camera.from_dict(camera) for name, camera in rig.items()})
@@ -188,10 +193,37 @@ def gather(
         out.frames = out.experiment.open_frames()
     except WavefieldError as error:
         out.notes.append(f"pictures of the cameras' frames, and each pair of cameras on its own ({error})")
+    entries = (entry for one in out.frames.values() for entry in (one.entries[0], one.entries[-1]) if entry)
+    out.dates = span_of("images written", (Path(entry.path) for entry in entries)) | out.dates
     exact = Path(truth) if truth else out.experiment.path.parent / "truth" / "truth.zarr"
     if exact.is_dir():
         out.truth = xr.open_zarr(exact, consolidated=False)
     return out
+
+
+def span_of(what: str, files: Iterable[Path]) -> dict[str, str]:
+    """From when to when files were written, to the minute.
+
+    Parameters
+    ----------
+    what : str
+        What was done with them.
+    files : iterable of Path
+        The files; those that are not there are passed over.
+
+    Returns
+    -------
+    dict of str to str
+        ``{what: "2026-03-01 10:12 to 10:40 UTC"}``; empty without a file.
+    """
+    times = sorted(file.stat().st_mtime for file in files if file.exists())
+    if not times:
+        return {}
+    first, last = (datetime.fromtimestamp(t).astimezone() for t in (times[0], times[-1]))
+    words = f"{first:%Y-%m-%d %H:%M}"
+    if f"{last:%Y-%m-%d %H:%M}" != words:
+        words += f" to {last:%H:%M}" if last.date() == first.date() else f" to {last:%Y-%m-%d %H:%M}"
+    return {what: f"{words} {last:%Z}".strip()}
 
 
 def grid_of(cube: xr.Dataset) -> Grid:

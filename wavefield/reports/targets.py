@@ -1,7 +1,6 @@
 """The calibration target as it was found in the images."""
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,7 +11,6 @@ from wavefield.calibration.images import TABLES, TargetRig
 from wavefield.figures.style import LINES, panels
 from wavefield.images import read_image
 from wavefield.rig import Rig
-from wavefield.whole_files import whole
 
 
 def target_points(
@@ -66,15 +64,18 @@ def target_points(
     return figure
 
 
-def draw_found(result: TargetRig, path: Path) -> None:
+def found_target(result: TargetRig) -> Figure | None:
     """Draw what was found in one image of each camera: the flat pose where there is one.
 
     Parameters
     ----------
     result : TargetRig
         As from `calibrate_experiment`.
-    path : Path
-        PNG file to write; nothing is written if no target was found, or if the points came as tables.
+
+    Returns
+    -------
+    Figure or None
+        None if no target was found, or if the points came as tables.
     """
     poses = {
         camera: "flat" if "flat" in found else max(found, key=lambda pose: len(found[pose]))
@@ -82,12 +83,10 @@ def draw_found(result: TargetRig, path: Path) -> None:
         if found and all(path.suffix.lower() not in TABLES for path in result.images[camera].values())
     }
     if not poses:
-        return
-    figure = target_points(
+        return None
+    return target_points(
         {camera: read_image(result.images[camera][pose]) for camera, pose in poses.items()},
         {camera: result.views[camera][pose] for camera, pose in poses.items()},
         result.calibration.rig if len(result.calibration.rig) and set(poses.values()) == {"flat"} else None,
         result.mesh,
     )
-    with whole(path) as draft:
-        figure.savefig(draft, format="png", dpi=110)

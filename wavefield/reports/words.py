@@ -1,5 +1,9 @@
 """Numbers as the pages write them."""
 
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import xarray as xr
 
@@ -16,3 +20,34 @@ def number(value: float, unit: str = "", digits: int = 3) -> str:
     if not np.isfinite(value):
         return "–"
     return f"{value:.{digits}g}{' ' + unit if unit else ''}"
+
+
+def without_folders(value: Any, folder: str = "") -> Any:
+    """Names of files without the folders of the machine they lie on: a page is for others to read.
+
+    Parameters
+    ----------
+    value : str, number, list, or mapping
+        As in a recipe.
+    folder : str
+        From which names are told; of what lies elsewhere only the last part is left.
+
+    Returns
+    -------
+    the same
+
+    Examples
+    --------
+    >>> without_folders({"rig": "/data/tank/rig.yaml", "images": ["/data/tank/cam1/a.tif"]}, "/data/tank")
+    {'rig': 'rig.yaml', 'images': ['cam1/a.tif']}
+    >>> without_folders("/home/me/white.png"), without_folders("m/s")
+    ('white.png', 'm/s')
+    """
+    if isinstance(value, Mapping):
+        return {key: without_folders(one, folder) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_folders(one, folder) for one in value]
+    if not isinstance(value, str) or not Path(value).is_absolute():
+        return value
+    path = Path(value)
+    return path.relative_to(folder).as_posix() if folder and path.is_relative_to(folder) else path.name

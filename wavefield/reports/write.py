@@ -1,15 +1,21 @@
 """From stores to the report's file."""
 
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 
-from wavefield.reports.page import Section, Table, render
+import numpy as np
+
+from wavefield.reports.camera_pictures import camera_history
+from wavefield.reports.fields import coverage
+from wavefield.reports.page import Head, Picture, Section, Table, render
 from wavefield.reports.player import pack
 from wavefield.reports.sections import SECTIONS
 from wavefield.reports.sources import Sources, gather
 from wavefield.store.beside import beside
 from wavefield.store.verdict import Verdict, read_verdict
 from wavefield.whole_files import check_writable, write_text
+from wavefield.words import spell_time
 
 
 def report(
@@ -75,6 +81,80 @@ def remarks_section(verdict: Verdict) -> Section:
     return Section("Remarks", [Table(f"The cube is {verdict.line}", head, rows)])
 
 
+def cameras_section(sources: Sources, verdict: Verdict) -> Section:
+    """What each camera showed over the record, as the run looked at it.
+
+    Parameters
+    ----------
+    sources : Sources
+        The cube.
+    verdict : Verdict
+        With the numbers of its cameras.
+
+    Returns
+    -------
+    Section
+        Empty where the run has left no numbers.
+    """
+    section = Section("Cameras over time")
+    if not verdict.cameras or not verdict.frames:
+        return section
+    cube = sources.cube
+    first = float(cube.time[0]) - 0.5 / float(cube.attrs["frame_rate"])
+    time = [first + k / float(cube.attrs["frame_rate"]) for k in verdict.frames]
+    each = "; ".join(
+        f"{name}: details of {np.nanmedian(c['blur']):.2f} px, brightness "
+        f"{np.nanmedian(c['brightness']):.3g}, at least {100 * np.nanmin(c['coverage']):.0f} % in view"
+        for name, c in verdict.cameras.items()
+    )
+    caption = (
+        f"Every camera at {len(time)} instants of the record: details that grow wider have lost their "
+        "focus, brightness that drops its light; what is missing from 100 % of the view is covered. Below, "
+        "each pair of cameras alone, before anything is rejected: where sight lines miss each other more and "
+        "more, a camera has been moved."
+    )
+    section.items.append(
+        Picture(camera_history(time, verdict.cameras, verdict.pairs), caption, f"Curves. {each}.")
+    )
+    return section
+
+
+def head_of(sources: Sources, verdict: Verdict | None) -> Head:
+    """What the report says first: verdict, description, dates.
+
+    Parameters
+    ----------
+    sources : Sources
+        The cube and what lies beside it.
+    verdict : Verdict, optional
+        On the cube.
+
+    Returns
+    -------
+    Head
+    """
+    cube = sources.cube
+    name = str(cube.attrs.get("experiment", "")) or "unnamed experiment"
+    rate = float(cube.attrs["frame_rate"])
+    lasted = cube.sizes["time"] / rate
+    size = (
+        f"{cube.sizes['time']} steps at {rate:g} Hz "
+        f"({spell_time(lasted) if lasted > 120 else f'{lasted:.4g} s'}) of the "
+        f"surface and its velocity, on {cube.sizes['x']} x {cube.sizes['y']} nodes "
+        f"{100 * sources.grid.step:g} cm apart"
+    )
+    dates = [f"{what} {when}" for what, when in sources.dates.items()]
+    made = f"this page made {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}".strip()
+    when = "; ".join([*dates, made])
+    described = sources.experiment.description if sources.experiment else ""
+    return Head(
+        f"{name}: water surface and velocity",
+        (described, f"{size}.", f"{when[0].upper()}{when[1:]}."),
+        verdict.line if verdict else "",
+        verdict.weight if verdict else "note",
+    )
+
+
 def write_report(
     sources: Sources,
     output: str | Path,
@@ -109,13 +189,12 @@ def write_report(
         section = build(sources)
         if section.items:
             sections.append((section, section.html()))  # drawing is most of the work
-    cube = sources.cube
-    name = str(cube.attrs.get("experiment", "")) or "unnamed experiment"
-    subtitle = f"{cube.sizes['time']} steps of z, u, v, w on {cube.sizes['x']} x {cube.sizes['y']} nodes"
-    if verdict:
-        subtitle = f"Verdict: {verdict.line}. {subtitle}"
+        if build is coverage and verdict:
+            part = cameras_section(sources, verdict)
+            if part.items:
+                sections.append((part, part.html()))
     output = Path(output)
-    write_text(output, render(f"{name}: water surface and velocity", subtitle, sections, pack(cube)))
+    write_text(output, render(head_of(sources, verdict), sections, pack(sources.cube)))
     if progress:
         progress(len(SECTIONS), len(SECTIONS))
     return output

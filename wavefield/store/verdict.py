@@ -61,6 +61,8 @@ class Verdict:
         The gravest first.
     cameras, pairs : mapping of str to mapping of str to list of float
         Numbers of every camera and pair over time.
+    frames : tuple of int
+        The instants of these numbers: frames of the record, from 0.
 
     Examples
     --------
@@ -73,10 +75,15 @@ class Verdict:
     remarks: tuple[Remark, ...] = ()
     cameras: Numbers = field(default_factory=dict)
     pairs: Numbers = field(default_factory=dict)
+    frames: tuple[int, ...] = ()
 
     @classmethod
     def of(
-        cls, remarks: Iterable[Remark], cameras: Numbers | None = None, pairs: Numbers | None = None
+        cls,
+        remarks: Iterable[Remark],
+        cameras: Numbers | None = None,
+        pairs: Numbers | None = None,
+        frames: Iterable[int] = (),
     ) -> "Verdict":
         """Put remarks in order.
 
@@ -86,13 +93,15 @@ class Verdict:
             In any order.
         cameras, pairs : mapping, optional
             Numbers behind them.
+        frames : iterable of int, optional
+            Their instants.
 
         Returns
         -------
         Verdict
         """
         ordered = tuple(sorted(remarks, key=lambda remark: -_RANK[remark.weight]))
-        return cls(ordered, dict(cameras or {}), dict(pairs or {}))
+        return cls(ordered, dict(cameras or {}), dict(pairs or {}), tuple(int(k) for k in frames))
 
     @property
     def weight(self) -> Weight:
@@ -121,7 +130,7 @@ class Verdict:
         Returns
         -------
         dict
-            ``verdict``, ``line``, ``remarks``, ``cameras``, ``pairs``.
+            ``verdict``, ``line``, ``remarks``, ``cameras``, ``pairs``, ``frames``.
         """
         return {
             "verdict": WORDS[self.weight],
@@ -129,6 +138,7 @@ class Verdict:
             "remarks": [asdict(remark) for remark in self.remarks],
             "cameras": self.cameras,
             "pairs": self.pairs,
+            "frames": list(self.frames),
         }
 
     def save(self, store: Path) -> None:
@@ -163,6 +173,6 @@ def read_verdict(store: str | Path) -> Verdict | None:
     try:
         data = json.loads(beside(Path(store), "verdict", ".json").read_text(encoding="utf-8"))
         remarks = [Remark(**remark) for remark in data["remarks"]]
-        return Verdict.of(remarks, data["cameras"], data["pairs"])
+        return Verdict.of(remarks, data["cameras"], data["pairs"], data.get("frames", ()))
     except (OSError, ValueError, KeyError, TypeError):
         return None

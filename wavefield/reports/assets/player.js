@@ -3,13 +3,17 @@
   const text = (id) => document.getElementById(id).textContent;
   const bytes = (id) => Uint8Array.from(atob(text(id)), (c) => c.charCodeAt(0));
   const d = JSON.parse(text("field-description"));
-  const field = { z: bytes("field-z"), w: bytes("field-w") };
+  const field = {}, about = {};
+  for (const f of d.fields) { about[f.name] = f; field[f.name] = bytes("field-" + f.name); }
+  const kinds = [[217, 217, 217], ...d.kinds.map(([, c]) => [1, 3, 5].map((i) => parseInt(c.slice(i, i + 2), 16)))];
+  const paint = (f, code) => (f.colours == "kinds" ? kinds[code] : d.colours[f.colours][code]);
   const arrowU = bytes("field-u-arrows"), arrowV = bytes("field-v-arrows");
   const nodes = d.nx * d.ny, arrowCount = d.arrows.x.length * d.arrows.y.length;
   const map = document.getElementById("map"), relief = document.getElementById("relief");
   const slider = document.getElementById("moment"), clock = document.getElementById("clock");
   const play = document.getElementById("play"), shown = document.getElementById("shown");
-  const unit = { z: "z (cm)", w: "w (cm/s)" };
+  const key = document.getElementById("kinds");
+  key.innerHTML = d.kinds.map(([words, c]) => `<span><i style="background:${c}"></i>${words}</span>`).join(" ");
   const font = (size) => size + "px system-ui, sans-serif";
   slider.max = d.time.length - 1;
 
@@ -23,19 +27,21 @@
   }
   const label = (v) => Number(v.toPrecision(6)).toString().replace("-", "\u2212");
 
-  function bar(c, x, y, w, h, half, name) {
+  function bar(c, x, y, w, h, f) {
+    if (f.colours == "kinds") return;
+    const name = f.unit ? `${f.name} (${f.unit})` : f.name;
     for (let i = 0; i < h; i++) {
-      const [r, g, b] = d.colours[Math.round(255 * (1 - i / (h - 1)))];
+      const [r, g, b] = d.colours[f.colours][Math.round(255 * (1 - i / (h - 1)))];
       c.fillStyle = `rgb(${r},${g},${b})`;
       c.fillRect(x, y + i, w, 1.5);
     }
     c.strokeStyle = "#333"; c.lineWidth = 1; c.strokeRect(x, y, w, h);
     c.fillStyle = "#1b1f24"; c.font = font(20); c.textAlign = "left"; c.textBaseline = "middle";
-    for (const v of ticks(-half, half, 6)) {
-      const yy = y + h * (0.5 - v / (2 * half));
+    for (const v of ticks(f.low, f.high, 6)) {
+      const yy = y + h * (f.high - v) / (f.high - f.low);
       c.fillRect(x + w, yy, 5, 1.5); c.fillText(label(v), x + w + 9, yy);
     }
-    c.textAlign = "center"; c.fillText(name, x + w / 2 + 8, y - 18);
+    c.textAlign = "right"; c.fillText(name, Math.min(x + w + 60, c.canvas.width - 4), y - 18);
   }
 
   const small = document.createElement("canvas");
@@ -43,10 +49,10 @@
   function drawMap(step) {
     const c = map.getContext("2d"), W = map.width, H = map.height, name = shown.value;
     c.fillStyle = "#fff"; c.fillRect(0, 0, W, H);
-    const s = small.getContext("2d"), image = s.createImageData(d.nx, d.ny), data = field[name];
+    const s = small.getContext("2d"), image = s.createImageData(d.nx, d.ny), data = field[name], f = about[name];
     for (let j = 0; j < d.ny; j++) for (let i = 0; i < d.nx; i++) {
       const code = data[step * nodes + j * d.nx + i], at = 4 * ((d.ny - 1 - j) * d.nx + i);
-      const rgb = code ? d.colours[code] : [217, 217, 217];
+      const rgb = code ? paint(f, code) : [217, 217, 217];
       image.data[at] = rgb[0]; image.data[at + 1] = rgb[1]; image.data[at + 2] = rgb[2]; image.data[at + 3] = 255;
     }
     s.putImageData(image, 0, 0);
@@ -54,7 +60,7 @@
     const wide = d.x[1] - d.x[0], high = d.y[1] - d.y[0];
     const scale = Math.min((W - left - right) / wide, (H - top - bottom) / high);
     const w = wide * scale, h = high * scale, y0 = top + (H - top - bottom - h) / 2;
-    c.imageSmoothingEnabled = true; c.drawImage(small, left, y0, w, h);
+    c.imageSmoothingEnabled = f.colours != "kinds"; c.drawImage(small, left, y0, w, h);
     c.strokeStyle = "#333"; c.lineWidth = 1.5; c.strokeRect(left, y0, w, h);
     const px = (x) => left + (x - d.x[0]) * scale, py = (y) => y0 + h - (y - d.y[0]) * scale;
     c.fillStyle = "#1b1f24"; c.font = font(20);
@@ -64,7 +70,7 @@
     c.textAlign = "right"; c.textBaseline = "middle";
     for (const v of ticks(d.y[0], d.y[1], 5)) { c.fillRect(left - 6, py(v) - .75, 6, 1.5); c.fillText(label(v), left - 10, py(v)); }
     c.save(); c.translate(18, y0 + h / 2); c.rotate(-Math.PI / 2); c.textAlign = "center"; c.fillText("y (m)", 0, 0); c.restore();
-    bar(c, left + w + 22, y0, 20, h, d.half[name], unit[name]);
+    bar(c, left + w + 22, y0, 20, h, f);
     const a = d.arrows, grow = a.length * scale / a.fastest, top1 = a.fastest * 1.3;
     const arrow = (x, y, u, v) => {
       const dx = u * grow, dy = -v * grow, n = Math.hypot(dx, dy);
@@ -83,22 +89,23 @@
       if (arrowU[at] && arrowV[at]) arrow(px(a.x[i]), py(a.y[j]), (arrowU[at] - 128) / 127 * top1, (arrowV[at] - 128) / 127 * top1);
     }
     c.restore();
-    const key = Number(a.fastest.toPrecision(1));
-    arrow(left + 4, y0 - 22, key, 0);
+    const speed = Number(a.fastest.toPrecision(1));
+    arrow(left + 4, y0 - 22, speed, 0);
     c.textAlign = "left"; c.fillStyle = "#1b1f24";
-    c.fillText(round(key) + " cm/s", left + 14 + key * grow, y0 - 22);
+    c.fillText(round(speed) + " cm/s", left + 14 + speed * grow, y0 - 22);
   }
 
   let turn = -0.7, tilt = 0.62;
   const stride = Math.max(1, Math.ceil(Math.max(d.nx, d.ny) / 90));
   function drawRelief(step) {
-    const c = relief.getContext("2d"), W = relief.width, H = relief.height;
+    const c = relief.getContext("2d"), W = relief.width, H = relief.height, f = about[shown.value], colour = field[shown.value];
+    const half = about.z.high;
     c.fillStyle = "#fff"; c.fillRect(0, 0, W, H);
     const cols = [], rows = [];
     for (let i = 0; i < d.nx; i += stride) cols.push(i);
     for (let j = 0; j < d.ny; j += stride) rows.push(j);
     const wide = d.x[1] - d.x[0], high = d.y[1] - d.y[0], size = Math.hypot(wide, high);
-    const scale = 0.86 * (W - 90) / size, lift = 0.10 * size / d.half.z;  // heights: the scale's end is a tenth of the diagonal
+    const scale = 0.86 * (W - 90) / size, lift = 0.10 * size / half;  // heights: the scale's end is a tenth of the diagonal
     const ct = Math.cos(turn), st = Math.sin(turn), ci = Math.cos(tilt), si = Math.sin(tilt);
     const project = (x, y, z) => {
       const a = ct * x - st * y, b = st * x + ct * y;
@@ -109,7 +116,7 @@
       const code = field.z[at(i, j)];
       if (!code) return null;
       const x = wide * (i / (d.nx - 1) - 0.5), y = high * (j / (d.ny - 1) - 0.5);
-      return project(x, y, lift * d.half.z * (code - 128) / 127);
+      return project(x, y, lift * half * (code - 128) / 127);
     };
     const edge = [[-.5, -.5], [.5, -.5], [.5, .5], [-.5, .5]].map(([x, y]) => project(x * wide, y * high, 0));
     c.strokeStyle = "#8b949e"; c.lineWidth = 1.2; c.setLineDash([5, 4]);
@@ -119,13 +126,13 @@
     for (let j = 0; j + 1 < rows.length; j++) for (let i = 0; i + 1 < cols.length; i++) {
       const p = grid[j][i], q = grid[j][i + 1], r = grid[j + 1][i + 1], s = grid[j + 1][i];
       if (!p || !q || !r || !s) continue;
-      const code = field.w[at(cols[i], rows[j])] || 128;
+      const code = colour[at(cols[i], rows[j])];
       const slope = (field.z[at(cols[i + 1], rows[j])] - field.z[at(cols[i], rows[j])]) - (field.z[at(cols[i], rows[j + 1])] - field.z[at(cols[i], rows[j])]);
       quads.push([p[2] + r[2], p, q, r, s, code, 0.88 + 0.12 * Math.max(-1, Math.min(1, slope / (10 * stride)))]);
     }
     quads.sort((a, b) => b[0] - a[0]);
     for (const [, p, q, r, s, code, light] of quads) {
-      const [R, G, B] = d.colours[code];
+      const [R, G, B] = code ? paint(f, code) : [217, 217, 217];
       c.fillStyle = c.strokeStyle = `rgb(${R * light | 0},${G * light | 0},${B * light | 0})`;
       c.lineWidth = 0.8; c.beginPath();
       c.moveTo(p[0], p[1]); c.lineTo(q[0], q[1]); c.lineTo(r[0], r[1]); c.lineTo(s[0], s[1]); c.closePath(); c.fill(); c.stroke();
@@ -134,7 +141,7 @@
     const mark = (x, y, words) => { const p = project(x, y, 0); c.fillText(words, p[0], p[1]); };
     mark(0, -0.60 * high, `x, ${label(Number(wide.toPrecision(3)))} m`);
     mark(0.60 * wide, 0, `y, ${label(Number(high.toPrecision(3)))} m`);
-    bar(c, W - 92, H / 2 - 150, 20, 300, d.half.w, unit.w);
+    bar(c, W - 92, H / 2 - 150, 20, 300, f);
     c.textAlign = "left"; c.textBaseline = "top";
     c.fillText(`height exaggerated ${round(100 * lift)} times`, 14, 12);
   }
@@ -142,6 +149,7 @@
   let step = 0, timer = null;
   function draw() {
     drawMap(step); drawRelief(step);
+    key.hidden = about[shown.value].colours != "kinds";
     const words = `t = ${d.time[step].toFixed(3)} s`;
     clock.textContent = words; slider.setAttribute("aria-valuetext", words);
   }

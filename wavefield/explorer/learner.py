@@ -1,0 +1,78 @@
+"""Learning beads, spectra and noise anew while frames come, beside the measurement, not before it."""
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.typing import NDArray
+
+from wavefield.errors import WavefieldError
+from wavefield.measurement import Plan, learn
+
+log = logging.getLogger("wavefield.follow")
+_SETS = 2  # of the newest, that are learned from
+_LEAST = 5.0  # s from one learning to the next
+_IDLE = 3.0  # times as long as it took, so that the measurement has the machine to itself
+
+Frames = Mapping[str, NDArray[Any] | None]
+
+
+class Learner:
+    """A plan that knows the record as it is now.
+
+    Parameters
+    ----------
+    plan : Plan
+        Rig, grid and settings.
+
+    Attributes
+    ----------
+    plan : Plan
+        With what was learned last; as it was given until something could be learned.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = self._bare = plan
+        self._sets: deque[tuple[tuple[Frames, Frames], tuple[Any, Any]]] = deque(maxlen=_SETS)
+        self._next = 0.0
+        self._thread: threading.Thread | None = None
+
+    def take(self, step: tuple[Frames, Frames], masks: tuple[Any, Any]) -> None:
+        """Take in both frames of a step: the first at once, later ones in a thread of its own.
+
+        Parameters
+        ----------
+        step : (mapping, mapping)
+            First and second frame per camera.
+        masks : (mapping, mapping)
+            What is covered in them.
+        """
+        self._sets.append((step, masks))
+        if self.plan.record is None:
+            self._learn()
+        elif time.monotonic() >= self._next and not self._busy:
+            self._thread = threading.Thread(target=self._learn, daemon=True, name="learn")
+            self._thread.start()
+
+    @property
+    def _busy(self) -> bool:
+        return self._thread is not None and self._thread.is_alive()
+
+    def _learn(self) -> None:
+        begun = time.monotonic()
+        sets = list(self._sets)
+        try:
+            record = learn([step for step, _ in sets], self._bare, [masks for _, masks in sets])
+            if record is not None:
+                self.plan = self._bare.knowing(record)
+        except (WavefieldError, ValueError) as error:  # what was known stays
+            log.warning("these frames taught nothing: %s", error)
+        self._next = time.monotonic() + max(_LEAST, _IDLE * (time.monotonic() - begun))
+
+    def wait(self) -> None:
+        """Wait until what is being learned is known."""
+        if self._thread is not None:
+            self._thread.join(20)
