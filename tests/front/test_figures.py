@@ -40,7 +40,7 @@ def test_pictures_of_one_step(cube, name, words):
     ("name", "words"),
     [
         ("distributions", ["z (cm)", "dx = u dt", "Gaussian", "probability density (cm⁻¹)"]),
-        ("coverage_map", ["share of time (%)", "filled from neighbours"]),
+        ("coverage_map", ["fraction of time (%)", "filled from neighbours"]),
         ("fault_history", ["time (s)", "rejected by correlation"]),
         ("misfit_maps", ["rms eps_y (mm)", "rms eps' (px)"]),
         ("misfit_distributions", ["eps_y (mm)", "eps' (px)"]),
@@ -200,7 +200,7 @@ def waves(cube):
         ),
         ("wavevector_map", ["spectra", "dispersion"], ["kx / 2π (m⁻¹)", "Hz"]),
         ("wavenumber_spectra", ["spectra"], ["E(k) (m³ s⁻² rad⁻¹)", "u·∇z"]),
-        ("elevation_spectra", ["spectra"], ["E^z(ω) (m² s rad⁻¹)", "stereo z", "integrated w", "fusion"]),
+        ("elevation_spectra", ["spectra"], ["E$^z$(ω) (m² s rad⁻¹)", "stereo z", "integrated w", "fusion"]),
         ("noise_spectra", ["spectra", "fusion"], ["weight in the fusion (%)", "noise of stereo z"]),
         ("dispersion_ridge", ["dispersion"], ["linear theory", "ridge against theory (%)"]),
         ("directions", ["direction"], ["direction of travel (degrees from x)"]),
