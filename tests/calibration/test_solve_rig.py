@@ -1,3 +1,4 @@
+import io
 from dataclasses import replace
 
 import numpy as np
@@ -304,8 +305,9 @@ def test_a_plain_lens_gets_a_plain_model():
 
 def test_report_holds_pictures_and_numbers(good, tmp_path):
     found = calibrate(good, MESH, model=FAST)
-    target = panels(1)[0]
-    page = write_calibration(found, tmp_path / "report", target)
+    drawn = io.BytesIO()
+    panels(1)[0].savefig(drawn, format="png")
+    page = write_calibration(found, tmp_path / "report", drawn.getvalue)
     text = page.read_text()
     assert text.index("target.png") < text.index("rig.png")
     assert (tmp_path / "report" / "target.png").read_bytes()[:4] == b"\x89PNG"

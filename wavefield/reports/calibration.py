@@ -1,7 +1,7 @@
 """The report of a calibration: pictures, numbers as YAML, and a page that shows them."""
 
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,9 @@ from wavefield.reports.calibration_page import Drawn, calibration_page
 from wavefield.whole_files import whole, write_text
 
 
-def write_calibration(calibration: Calibration, directory: str | Path, target: Figure | None = None) -> Path:
+def write_calibration(
+    calibration: Calibration, directory: str | Path, target: Callable[[], bytes | None] | None = None
+) -> Path:
     """Write the report of a calibration.
 
     Parameters
@@ -25,8 +27,9 @@ def write_calibration(calibration: Calibration, directory: str | Path, target: F
         What to report; also one without a rig, to say what to photograph again.
     directory : path
         Made if it is not there. Each file is written whole or not at all.
-    target : Figure, optional
-        What was found in one image of each camera (`wavefield.reports.targets.found_target`).
+    target : callable, optional
+        Gives the picture of what was found in one image of each camera, a PNG file
+        (`wavefield.reports.targets.draw_found`); asked when all others are drawn.
 
     Returns
     -------
@@ -41,16 +44,15 @@ def write_calibration(calibration: Calibration, directory: str | Path, target: F
         "left_out_points": dict(calibration.left_out),
     }
     drawn: list[Drawn] = []
-    if target is not None:
-        drawn.append(
-            Drawn("target.png", "The target as it was found in an image of each camera", _png(target))
-        )
     if None not in (calibration.observations, calibration.fit, calibration.derived):
         surface = _add_numbers(content, calibration)
         drawn += [
             Drawn(f"{stem}.png", title, _png(figure))
             for stem, title, figure in _figures(calibration, surface)
         ]
+    found = target() if target is not None else None
+    if found is not None:
+        drawn.insert(0, Drawn("target.png", "The target as it was found in an image of each camera", found))
     for picture in drawn:
         with whole(directory / picture.file) as draft:
             draft.write_bytes(picture.png)

@@ -1,5 +1,6 @@
 """The calibration target as it was found in the images."""
 
+import io
 from collections.abc import Mapping
 
 import numpy as np
@@ -64,7 +65,7 @@ def target_points(
     return figure
 
 
-def found_target(result: TargetRig) -> Figure | None:
+def draw_found(result: TargetRig) -> bytes | None:
     """Draw what was found in one image of each camera: the flat pose where there is one.
 
     Parameters
@@ -74,8 +75,8 @@ def found_target(result: TargetRig) -> Figure | None:
 
     Returns
     -------
-    Figure or None
-        None if no target was found, or if the points came as tables.
+    bytes or None
+        A PNG file; None if no target was found, or if the points came as tables.
     """
     poses = {
         camera: "flat" if "flat" in found else max(found, key=lambda pose: len(found[pose]))
@@ -84,9 +85,12 @@ def found_target(result: TargetRig) -> Figure | None:
     }
     if not poses:
         return None
-    return target_points(
+    figure = target_points(
         {camera: read_image(result.images[camera][pose]) for camera, pose in poses.items()},
         {camera: result.views[camera][pose] for camera, pose in poses.items()},
         result.calibration.rig if len(result.calibration.rig) and set(poses.values()) == {"flat"} else None,
         result.mesh,
     )
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    return buffer.getvalue()
