@@ -263,6 +263,12 @@ def test_probes_at_their_own_rate_hold_the_variance():
     assert float(inside.Ez_probes.mean()) == pytest.approx(level, rel=0.03)
     held = (inside.Ez_probes * inside.low_probes < level) & (inside.Ez_probes * inside.high_probes > level)
     assert 0.88 < float(held.mean()) <= 1
+    one = wv.probe_spectra(data.isel(probe=[0]), out.omega, (0.0, 200.0))
+    assert float((inside.dof_probes / one.dof_probes).mean()) == pytest.approx(2, rel=0.05)
+    beside = data.assign(elevation=data.elevation + 3 * data.elevation.isel(probe=0))  # .8 coherent
+    both = wv.probe_spectra(beside, out.omega, (0.0, 200.0))
+    gamma2 = 1 / (1 + 1 / 9)
+    assert float((both.dof_probes / one.dof_probes).mean()) == pytest.approx(2 / (1 + gamma2), rel=0.05)
 
 
 @pytest.mark.parametrize("chunks", [None, {}])

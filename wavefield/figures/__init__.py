@@ -29,6 +29,13 @@ from wavefield.figures.spectra import (
     wavevector_map,
 )
 from wavefield.figures.surface import elevation_map, surface_3d, velocity_map
+from wavefield.figures.turbulence import (
+    crest_curves,
+    energy_bars,
+    flatness_curves,
+    path_map,
+    vortex_spectra,
+)
 
 __all__ = [
     "balance_history",
@@ -38,21 +45,25 @@ __all__ = [
     "camera_frames",
     "coherence_curves",
     "coverage_map",
+    "crest_curves",
     "current_profile",
     "directions",
     "dispersion_ridge",
     "distributions",
     "elevation_map",
     "elevation_spectra",
+    "energy_bars",
     "error_distributions",
     "error_maps",
     "fault_history",
+    "flatness_curves",
     "kinematics_maps",
     "komega_map",
     "method_diagram",
     "misfit_distributions",
     "misfit_maps",
     "noise_spectra",
+    "path_map",
     "plane_coherence_maps",
     "quality_shares",
     "resonance_map",
@@ -61,6 +72,7 @@ __all__ = [
     "surface_3d",
     "uncertainty_maps",
     "velocity_map",
+    "vortex_spectra",
     "vorticity_map",
     "wavenumber_spectra",
     "wavevector_map",

@@ -60,6 +60,7 @@ rows(
         "standard deviation",
         "in time: what stands still is taken off, and of skewness and kurtosis",
     ),
+    ("pdf_std", "m", "standard deviation that the densities are scaled by, what stands still included"),
     ("static_std", "m", "standard deviation over the nodes of the mean over time"),
     ("wild", "1", "values beyond six standard deviations"),
     ("std_px", "pixel", "standard deviation", "where the cube says how large a pixel is"),

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, ndimage
 
 from wavefield.errors import CubeError, ExperimentError
 from wavefield.variables import annotate
@@ -183,6 +183,7 @@ def _places(lines: list[str]) -> dict[str, tuple[float, float]]:
     return out
 
 
+_TELLING, _NEAR = 4, 9  # segments that tell how alike probes are; lines over which that is averaged
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6, "s": 1.0, "ms": 0.001}
 _TIMES = ("time", "t", "zeit", "temps", "tiempo")
 
@@ -276,6 +277,11 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
     CubeError
         If the probes were not recording while the cameras were, for one segment at least, or have uneven
         steps.
+
+    Notes
+    -----
+    n probes count as n^2 / sum of gamma_ij^2, their squared coherences: those beside one another see the same
+    waves. With fewer than four segments they count as one.
     """
     target = omega.values
     duration = 2 * np.pi / float(omega[1] - omega[0])
@@ -290,11 +296,12 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
             f"missing, more than {LONGEST_GAP} in a row",
             stacklevel=2,
         )
-    own, density, count = _density(values, rate, duration)
+    own, density, count, likeness = _density(values, rate, duration)
     # the frequencies agree where the rates divide; else straight lines between them
     on_grid = np.array([np.interp(target, own, row, right=np.nan) for row in density])
     on_grid[~usable] = np.nan
-    dof = np.full(target.size, degrees_of_freedom(count) * usable.sum())
+    independent = _independent(likeness[np.ix_(usable, usable)], count)
+    dof = degrees_of_freedom(count) * np.interp(target, own, independent)
     low, high = interval(dof)
     out = xr.Dataset(
         {
@@ -342,19 +349,34 @@ def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tup
     return inside, rate
 
 
-def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array, int]:
-    # frequencies, one-sided density (probe, omega), number of segments
+def _independent(likeness: Array, count: int) -> Array:
+    # how many independent probes they amount to, (omega,), n^2 / sum of their squared coherences
+    n = likeness.shape[0]
+    if count < _TELLING:
+        return np.ones(likeness.shape[-1])
+    alike = ndimage.uniform_filter1d(likeness, min(_NEAR, likeness.shape[-1]), axis=-1, mode="nearest")
+    alike = ((alike - 1 / count) / (1 - 1 / count)).clip(0, 1)  # by chance it is 1 / count
+    alike[np.arange(n), np.arange(n)] = 1
+    return np.asarray(n**2 / alike.sum(axis=(0, 1)))
+
+
+def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array, int, Array]:
+    # frequencies, one-sided density (probe, omega), number of segments, squared coherence of each pair
     n = min(round(duration * rate), values.shape[1])
     n -= n % 2
     half, window = n // 2, hann(n)
     count = segment_count(values.shape[1], n)
     ramp = np.arange(n) - (n - 1) / 2
-    total = np.zeros((values.shape[0], n // 2 + 1))
+    total = np.zeros((values.shape[0], values.shape[0], n // 2 + 1), complex)
     for s in range(count):
         part = values[:, s * half : s * half + n]
         part = part - part.mean(axis=1, keepdims=True)
         part = part - np.outer(part @ ramp / (ramp @ ramp), ramp)
-        total += np.abs(fft.rfft(part * window, axis=1)) ** 2
-    density = total / (count * (window**2).sum() * rate * 2 * np.pi)
+        lines = fft.rfft(part * window, axis=1)
+        total += lines[:, None].conj() * lines
+    power = np.einsum("iiw->iw", total).real
+    with np.errstate(divide="ignore", invalid="ignore"):
+        likeness = np.nan_to_num(np.abs(total) ** 2 / (power[:, None] * power))
+    density = power / (count * (window**2).sum() * rate * 2 * np.pi)
     density[:, 1:-1] *= 2
-    return 2 * np.pi * np.arange(n // 2 + 1) * rate / n, density, count
+    return 2 * np.pi * np.arange(n // 2 + 1) * rate / n, density, count, likeness

@@ -229,6 +229,7 @@ def label(
         "skewness": ("quantity", column("skewness")),
         "kurtosis": ("quantity", column("kurtosis")),
         "count": ("quantity", column("count")),
+        "pdf_std": ("quantity", np.array([raw[name]["std"] for name in names]) * to_length),
         "static_std": ("quantity", column("static_std") * to_length),
         "wild": ("quantity", [rows[n]["count"] - sums[f"counts {QUANTITIES[n]}"].sum() for n in names]),
     }
