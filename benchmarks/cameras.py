@@ -1,6 +1,6 @@
 """Cameras that lie, cameras that are missing, two, three and four cameras.
 
-    python -m benchmarks.cameras [--only lying missing number] [--seeds N ...]
+    python -m benchmarks.cameras [--only lying half missing number] [--seeds N ...]
 
 Lying: mirrored, swapped with another, one frame late, moved by 2 px, out of focus; per cent of all nodes
 that are called measured and wrong by more than five of their standard uncertainties (any of z, u, v, w).
@@ -35,6 +35,8 @@ LYING: dict[str, dict[str, dict[str, Any]]] = {
     "cam3 out of focus by 6 px": {"cam3": {"defocus": 6.0}},
 }
 
+HALVES = ("cam1 mirrored", "cam1 one frame late", "cam3 one frame late", "cam1 moved by 2 px along x")
+
 
 def reasons(case: Case, cubes: Sequence[dict[str, Any]]) -> str:
     """How many nodes bear each bit of ``quality``, per cent."""
@@ -53,6 +55,30 @@ def lying(options: argparse.Namespace) -> None:
             score.add(case, cubes[-1])
         print(f"{kind}\n    measured and wrong by more than 5 std: {score.wrong():.2f} % (asked .5)")
         print("".join(f"    {line}\n" for line in (*score.lines(), reasons(case, cubes))), end="", flush=True)
+
+
+def half_lying(options: argparse.Namespace) -> None:
+    """The same lies in the left half of a camera's image alone: the others do the work there."""
+    for kind in HALVES:
+        score, cubes = Score(), []
+        for seed in options.seeds:
+            case = draw(scene("random", seed), calibrated(False))
+            lies = draw(scene("random", seed, faults=LYING[kind]), calibrated(False))
+            frames = {
+                name: [_left_of(image, other) for image, other in zip(lies.frames[name], images, strict=True)]
+                for name, images in case.frames.items()
+            }
+            cubes.append(reconstruct(replace(case, frames=frames), Settings()))
+            score.add(case, cubes[-1])
+        print(f"left half of {kind}\n    measured and wrong by more than 5 std: {score.wrong():.2f} %")
+        print("".join(f"    {line}\n" for line in (*score.lines(), reasons(case, cubes))), end="", flush=True)
+
+
+def _left_of(image: Any, other: Any) -> Any:
+    """An image with the left half of another one."""
+    out = np.array(other)
+    out[:, : out.shape[1] // 2] = image[:, : out.shape[1] // 2]
+    return out
 
 
 def missing(options: argparse.Namespace) -> None:
@@ -84,6 +110,7 @@ def number(options: argparse.Namespace) -> None:
 
 PARTS: dict[str, Callable[[argparse.Namespace], None]] = {
     "lying": lying,
+    "half": half_lying,
     "missing": missing,
     "number": number,
 }

@@ -19,8 +19,14 @@ QUALITY = {
     Quality.REJECTED_NEIGHBOURS: "far from its neighbours",
     Quality.REJECTED_RANGE: "beyond the elevations or displacements that were searched",
     Quality.TWO_FRAME_MEAN: "z at mid-time, or a camera's path there, from fewer than four frames",
-    Quality.FEWER_CAMERAS: "a camera's frame is missing: the others did the work",
+    Quality.FEWER_CAMERAS: "a camera's frame is missing, or contradicts the others there: they did the work",
     Quality.MASKED: "covered: not water, or hidden from the cameras by what is not",
+    Quality.WITHOUT_1: "of fewer cameras: without the first of the cube's `cameras`",
+    Quality.WITHOUT_2: "without the second",
+    Quality.WITHOUT_3: "without the third",
+    Quality.WITHOUT_4: "without the fourth",
+    Quality.WITHOUT_5: "without the fifth",
+    Quality.WITHOUT_6: "without the sixth, or one behind it",
 }
 STATUS = {
     FrameStatus.NOT_STARTED: "not yet measured",

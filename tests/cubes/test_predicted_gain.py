@@ -11,7 +11,7 @@ from wavefield.errors import CubeError
 from wavefield.grid import Grid
 from wavefield.matching import Prior
 from wavefield.measurement import Plan, Record, Settings
-from wavefield.measurement.gain import shortest_carried
+from wavefield.measurement.gain import in_focus, shortest_carried
 from wavefield.tank import Scene
 
 
@@ -66,6 +66,22 @@ def test_a_cube_holds_its_gain(reference):
         np.testing.assert_allclose(stored[name], predicted[name], rtol=1e-6)
         assert stored[name].attrs == predicted[name].attrs
     assert float(stored.gain_z.isel(k=0).min()) > 0.9
+
+
+def test_beads_out_of_focus_would_carry_shorter_waves_in_focus():
+    k = tuple(np.linspace(0.04, 3.1, 40))
+    steep = Prior(k, tuple(1e-6 * (0.5 / q) ** 5 for q in k), 1e6)
+    scene = Scene.load("demo")
+    names = ("cam1", "cam2", "cam3")
+    widths = (("cam1", 4.0), ("cam2", 1.5), ("cam3", 0.0))
+    record = Record(widths, steep, tuple((name, steep) for name in names), (1.0, 1.0, 1.0))
+    plan = Plan(scene.build_rig(), Grid(scene.grid.x, scene.grid.y, scene.grid.step), record=record)
+    assert in_focus(plan) == {"cam1": 16.0, "cam2": 1.0, "cam3": 1.0}
+    now, sharp = shortest_carried(plan), shortest_carried(plan, in_focus(plan))
+    for name in "zuvw":
+        assert sharp[name] < now[name]
+    sound = shortest_carried(plan, dict.fromkeys(names, 1.0))
+    assert sound == now
 
 
 def test_a_cube_that_does_not_say_how_it_was_made_is_refused():

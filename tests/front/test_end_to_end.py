@@ -144,7 +144,9 @@ def test_check_compares_the_pairs_of_cameras(folder, capsys):
     found = dict(re.findall(r"^    (\S.*?)\s+(?:[\d.]+ cm )?([\d.]+) px$", out, re.M))
     assert {"eps_y cam3-cam1", "sigma_z cam1-cam2", "z cam1-cam2 recombined - direct"} <= set(found)
     assert 0 < float(found["eps' cam1-cam2"]) < 0.2
-    assert re.search(r"half is kept.*\n    z \d+\.\d \(", out)
+    assert re.search(r"standard uncertainty.* z 0\.\d+, dx 0\.\d+, dy 0\.\d+, dz 0\.\d+\n", out)
+    assert re.search(r"half is kept.*in focus\n    z( \d+\.\d;?){4}\n", out)
+    assert re.search(r"most would help: (half the noise|twice the beads|in focus) \(", out)
     report = (folder / "report.html").read_text(encoding="utf-8")
     assert report.count("recombined - direct") > 1  # words for those who do not see, and a row of a table
 

@@ -39,6 +39,33 @@ def test_what_a_lying_camera_spoils_is_not_called_measured(series, plan, kind):
         assert measured[series.inside].mean() > 0.8
 
 
+def test_a_camera_is_left_out_only_where_it_contradicts(series, plan):
+    """Half of its picture stands still while the water moves on: as behind a drop on the window."""
+    frames = {name: list(images) for name, images in series.frames.items()}
+    width = frames["cam1"][0].shape[1] // 2
+    for k, image in enumerate(frames["cam1"][1:], 1):
+        frames["cam1"][k] = np.hstack([frames["cam1"][0][:, :width], image[:, width:]])
+    out = measure(around(frames, 1), plan, RATE)
+    quality, truth = out["quality"][0], series.truth[1]
+    place = plan.rig["cam1"].project(*np.meshgrid(plan.grid.x_nodes, plan.grid.y_nodes), truth["z"])
+    spoiled = series.inside & (place[0] < width - 25)
+    sound = series.inside & (place[0] > width + 60)
+    alone = (quality & Quality.WITHOUT_1) > 0
+    assert alone[spoiled].mean() > 0.9
+    assert not alone[sound].any()
+    assert not (quality & (Quality.WITHOUT_2 | Quality.WITHOUT_3)).any()
+    np.testing.assert_array_equal((quality & Quality.FEWER_CAMERAS) > 0, alone)
+    measured = (quality & Quality.MEASURED) > 0
+    assert measured[spoiled].mean() > 0.8
+    for name in ("z", "u", "v", "w"):
+        error = np.abs(out[name][0] - truth[name])
+        assert (error > 5 * out[f"{name}_std"][0])[series.inside & measured].mean() < 0.01
+    # where it tells the truth the result is that of all cameras
+    same = measure(series.block(1), plan, RATE)
+    for name, close in (("z", 1e-4), ("u", 1e-3), ("w", 1e-3)):
+        np.testing.assert_allclose(out[name][0][sound], same[name][0][sound], atol=close)
+
+
 def test_cameras_that_tell_the_truth_are_not_accused(series, plan):
     out = measure(series.block(1), plan, RATE)
     assert not (out["quality"][0] & Quality.FEWER_CAMERAS).any()

@@ -28,6 +28,19 @@ def test_mismatch_predicts_the_error_of_each_pair(series, diagnosis):
         assert 0.3 < diagnosis.z_std[pair] / np.std(diagnosis.eps_y[pair]) < 3
 
 
+def test_it_says_how_noisy_the_images_are_and_what_would_help(diagnosis):
+    assert set(diagnosis.noise) == {"z", "dx", "dy", "dz"}
+    for name, value in diagnosis.noise.items():
+        assert 0.002 < value / PIXEL < 0.2, name
+    assert set(diagnosis.widths) == {"cam1", "cam2", "cam3"}
+    for lengths in diagnosis.carried.values():
+        assert lengths["half the noise"] < lengths["twice the beads"] < lengths["now"]
+        assert lengths["in focus"] == lengths["now"]  # as they are
+    again = pooled([diagnosis, diagnosis])
+    assert again.noise == diagnosis.noise
+    assert again.widths == diagnosis.widths
+
+
 def test_the_table_gives_centimetres_and_pixels(diagnosis):
     rows = {row["name"]: row for row in diagnosis.table()}
     everybody = "eps' cam1-cam2-cam3"

@@ -15,9 +15,16 @@ from wavefield.commands.progress import Progress
 if TYPE_CHECKING:
     from wavefield.cubes import Check
     from wavefield.cubes.prepare import Prepared
+    from wavefield.measurement.diagnostics import Diagnosis
     from wavefield.series import Experiment
 
 _FILE = click.Path(exists=True, path_type=Path)
+_HOW = {
+    "now": "",
+    "half the noise": "light, exposure, gain of the sensor",
+    "twice the beads": "seeding",
+    "in focus": "focus, aperture",
+}
 _JSON = click.option("--json", "as_json", is_flag=True, help="Say it as JSON, for scripts.")
 
 
@@ -143,10 +150,26 @@ def _pairs_table(prepared: Prepared) -> str:
     for row in rows:
         centimetres = "" if row["cm"] is None else f"{row['cm']:.4f} cm"
         lines.append(f"    {row['name']:<{width}} {centimetres:>10} {row['px']:.3f} px")
-    lines.append("  waves of which half is kept, cm (with half the noise; with twice the beads):")
-    for name, (now, quieter, denser) in found.carried.items():
-        lines.append(f"    {name} {100 * now:.1f} ({100 * quieter:.1f}; {100 * denser:.1f})")
-    return "\n".join(lines)
+    return "\n".join([*lines, *_carried_lines(found, pixel)])
+
+
+def _carried_lines(found: Diagnosis, pixel: float) -> list[str]:
+    """Which waves these images carry, with how much noise, and what would help."""
+    noise = ", ".join(f"{name} {value / pixel:.3f}" for name, value in found.noise.items())
+    lines = [f"  standard uncertainty, two frames, px: {noise}"]
+    ways = list(next(iter(found.carried.values())))
+    lines.append("  waves of which half is kept, cm: " + "; ".join(ways))
+    for name, lengths in found.carried.items():
+        lines.append(f"    {name} " + "; ".join(f"{100 * lengths[way]:.1f}" for way in ways))
+    widths = ", ".join(f"{name} {width:.1f}" for name, width in found.widths.items() if width)
+    if widths:
+        lines.append(f"  width of the beads' images, px (2 in focus): {widths}")
+    helps = {way: sum(one[way] / one["now"] for one in found.carried.values()) for way in ways}
+    best = min(helps, key=lambda way: helps[way])
+    gain = 1 - helps[best] / len(found.carried)
+    if gain > 0.02:
+        lines.append(f"  most would help: {best} ({_HOW[best]}): waves {100 * gain:.0f} % shorter")
+    return lines
 
 
 @click.command(

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from wavefield.cubes.worker_settings import one_thread
 from wavefield.store.ledger import Status
 from wavefield.store.read import open_group
 from wavefield.store.verdict import Remark, Verdict
+from wavefield.variables import Quality
 from wavefield.words import spell_ranges
 
 _INSTANTS = 4  # of a record, looked at before a run and after it
@@ -25,6 +27,7 @@ _SYNCHRONY = 24  # of a record, by which delays of cameras are measured after it
 _FIRST_LOOK = 4  # the same before it
 _STEPS = 12  # of a cube, looked at after its run
 _EPS = (0.15, 0.5)  # px: eps' that is remarked upon, that nothing can be believed of
+_ALONE = (0.01, 0.1)  # of the nodes measured without one camera: that is told, that is remarked upon
 _LEAST_MEASURED = (0.7, 0.2)  # of what all cameras see: less is remarked upon, is worth nothing
 _MANY = 0.01  # of the steps with bad frames: fewer are only noted
 
@@ -184,6 +187,7 @@ def _fields(store: Path, seen: float) -> Iterator[Remark]:
             "are the frames of the same moments, and of the same order, for all cameras?",
             {"eps_piv": misfit},
         )
+    yield from _left_out(group, steps)
     measured = float(found.mean()) / max(seen, 1e-9)
     if seen > 0.05 and measured < _LEAST_MEASURED[0]:
         yield Remark(
@@ -195,6 +199,26 @@ def _fields(store: Path, seen: float) -> Iterator[Remark]:
             "look at seeding and light where `quality` says why nodes were rejected",
             {"fraction": measured},
         )
+
+
+def _left_out(group: Any, steps: Sequence[int]) -> Iterator[Remark]:
+    """Cameras without which much was measured."""
+    quality = np.stack([np.asarray(group["quality"][k]) for k in steps])
+    seen = (quality & np.uint16(Quality.MEASURED | Quality.FILLED)) != 0
+    for number, camera in enumerate(group.attrs["cameras"]):
+        bit = np.uint16(Quality.without(number) & ~Quality.FEWER_CAMERAS)
+        fraction = float(((quality & bit) != 0)[seen].mean()) if seen.any() else 0.0
+        if fraction > _ALONE[0]:
+            yield Remark(
+                "velocity",
+                f"left out {camera}",
+                "remark" if fraction > _ALONE[1] else "note",
+                f"{100 * fraction:.1f} % of the nodes were measured without {camera}: its frame was missing,"
+                " or it contradicted the others there",
+                f"less than {100 * _ALONE[0]:.0f} %",
+                f"look at the images of {camera}: a drop on its window, a reflection, focus, a late frame?",
+                {"fraction": fraction},
+            )
 
 
 def _some(count: int) -> Sequence[int]:

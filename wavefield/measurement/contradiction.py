@@ -20,6 +20,7 @@ NODE = 36.0  # the same of a single node
 APART = 1.5  # px: two pairs' parallax for one surface
 _AROUND = (5, 5)  # blocks
 _FEW = 50  # nodes: less tell nothing
+_MOST = 0.5  # of the nodes around must contradict
 
 
 def who_lies(count: int, typical: float, without: Callable[[int], float]) -> int | None:
@@ -68,6 +69,54 @@ def median_misfit(misfit: Float, known: Mask) -> float:
     """
     good = known & np.isfinite(misfit)
     return float(np.median(misfit[good])) if good.sum() >= _FEW else 0.0
+
+
+def regions(
+    misfit: Float, known: Mask, count: int, without: Callable[[int], Float], reach: int
+) -> dict[int, Mask]:
+    """Where one camera contradicts the others, which agree without it.
+
+    Parameters
+    ----------
+    misfit : ndarray, (ny, nx)
+        chi^2 per degree of freedom of all cameras.
+    known : ndarray of bool, (ny, nx)
+        Nodes that all cameras measured.
+    count : int
+        Cameras.
+    without : callable
+        From a camera's number to the misfit of the others, (ny, nx).
+    reach : int
+        Nodes that displacements of one place are felt: half the side of the squares over which most nodes
+        must contradict, and by which a region is widened.
+
+    Returns
+    -------
+    dict of int to ndarray of bool, (ny, nx)
+        Nodes by the number of the camera to be left out there; empty where all agree.
+    """
+    side = (2 * reach + 1, 2 * reach + 1)
+    bad = (known & (misfit > MISFIT)).astype(np.float32)
+    if count < 3 or bad.sum() < _FEW:
+        return {}
+    most = cv2.blur(bad, side) > np.float32(_MOST) * cv2.blur(known.astype(np.float32), side)
+    number, labels = cv2.connectedComponents((most & known).view(np.uint8))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, side)
+    others: dict[int, Float] = {}
+    out: dict[int, Mask] = {}
+    for label in range(1, number):
+        here = labels == label
+
+        def misfit_without(n: int, here: Mask = here) -> float:
+            if n not in others:
+                others[n] = without(n)
+            return median_misfit(others[n], here)
+
+        liar = who_lies(count, median_misfit(misfit, here), misfit_without)
+        if liar is not None:
+            wide = cv2.dilate(here.view(np.uint8), disc) > 0
+            out[liar] = out.get(liar, np.zeros_like(known)) | wide
+    return out
 
 
 def pairs_apart(matches: Sequence[PairMatch], pixel: float) -> Mask:

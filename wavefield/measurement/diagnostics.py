@@ -14,7 +14,7 @@ from wavefield.matching.one_thread import one_thread
 from wavefield.measurement import surface as stereo
 from wavefield.measurement.elevation import surface, windowed
 from wavefield.measurement.flow import flows
-from wavefield.measurement.gain import shortest_carried
+from wavefield.measurement.gain import in_focus, shortest_carried
 from wavefield.measurement.instant import Images, images_of
 from wavefield.measurement.learn import learn
 from wavefield.measurement.plan import Plan
@@ -50,9 +50,13 @@ class Diagnosis:
     eps_piv : dict of tuple of str to ndarray, (..., ny, nx)
         Misfit of the cameras' displacements, px of the binned images: of each pair alone, and of all the
         cameras that the plan takes for the velocity.
-    carried : dict of str to (float, float, float)
-        Wavelength of which these images keep half in z, u, v, w, metres; with half the noise, with twice the
-        beads (`shortest_carried`).
+    carried : dict of str to dict of str to float
+        Wavelength of which these images keep half in z, u, v, w, metres (`shortest_carried`): ``now``, with
+        ``half the noise``, with ``twice the beads``, with beads ``in focus`` (`in_focus`).
+    noise : dict of str to float
+        Median standard uncertainty of z and of the displacements dx, dy, dz per step, metres.
+    widths : dict of str to float
+        Width of every camera's beads, px; 0 of a texture.
     """
 
     pixel: float
@@ -62,7 +66,9 @@ class Diagnosis:
     recombined: dict[Pair, NDArray[Any]]
     moved: dict[Pair, NDArray[Any]]
     eps_piv: dict[tuple[str, ...], NDArray[Any]]
-    carried: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    carried: dict[str, dict[str, float]] = field(default_factory=dict)
+    noise: dict[str, float] = field(default_factory=dict)
+    widths: dict[str, float] = field(default_factory=dict)
 
     @property
     def difference(self) -> dict[tuple[Pair, Pair], NDArray[Any]]:
@@ -136,6 +142,8 @@ def pooled(found: Sequence[Diagnosis]) -> Diagnosis:
         stacked("moved"),
         stacked("eps_piv"),
         first.carried,
+        {name: float(np.median([one.noise[name] for one in found])) for name in first.noise},
+        first.widths,
     )
 
 
@@ -223,10 +231,24 @@ def diagnose(
     for a, b in (pair for pair in matches if pair not in plan.pairs):
         both = stereo.difference_of(matches[plan.reference, b], matches[plan.reference, a])
         recombined[a, b] = windowed([both], plan) - z[a, b]
-    moved, eps_piv = _moved((first, second), 0.5 * (surfaces[0].z + surfaces[1].z), matches, plan)
-    now, quieter, denser = (shortest_carried(plan, better) for better in (1.0, 4.0, 2.0))
-    carried = {name: (now[name], quieter[name], denser[name]) for name in now}
-    return Diagnosis(pixel or plan.pixel, z, eps_y, z_std, recombined, moved, eps_piv, carried)
+    moved, eps_piv, d_std = _moved((first, second), 0.5 * (surfaces[0].z + surfaces[1].z), matches, plan)
+    better = {"now": 1.0, "half the noise": 4.0, "twice the beads": 2.0, "in focus": in_focus(plan)}
+    lengths_by = {what: shortest_carried(plan, factor) for what, factor in better.items()}
+    carried = {name: {what: by[name] for what, by in lengths_by.items()} for name in "zuvw"}
+    noise = {"z": float(np.median(surfaces[0].std))} | dict(zip(("dx", "dy", "dz"), d_std))
+    assert plan.record is not None
+    return Diagnosis(
+        pixel or plan.pixel,
+        z,
+        eps_y,
+        z_std,
+        recombined,
+        moved,
+        eps_piv,
+        carried,
+        noise,
+        dict(plan.record.beads),
+    )
 
 
 def _learned(frames: Frames, plan: Plan, masks: Frames) -> tuple[Plan, Images, Images]:
@@ -256,11 +278,12 @@ def _matched(view: Images, plan: Plan) -> dict[Pair, stereo.PairMatch]:
 
 def _moved(
     views: tuple[Images, Images], middle: NDArray[Any], pairs: Collection[Any], plan: Plan
-) -> tuple[dict[Pair, NDArray[Any]], dict[tuple[str, ...], NDArray[Any]]]:
-    """Displacement by each pair alone, and the misfit of each pair and of all that the plan takes."""
+) -> tuple[dict[Pair, NDArray[Any]], dict[tuple[str, ...], NDArray[Any]], list[float]]:
+    """Displacement by each pair alone, the misfit of each pair and of all, and the uncertainty by all."""
     moved: dict[Pair, NDArray[Any]] = {}
     eps_piv: dict[tuple[str, ...], NDArray[Any]] = {}
     moves = flows(views[0].raw, views[1].raw, plan)
+    d_std = [float("nan")] * 3
     for cameras in dict.fromkeys((*pairs, plan.velocity_cameras)):
         step = velocity((None, {name: moves[name] for name in cameras}, None), middle, plan)
         assert step is not None  # every camera has both frames
@@ -268,7 +291,9 @@ def _moved(
         eps_piv[cameras] = np.where(measured, step.eps_piv, np.nan)
         if cameras in pairs:
             moved[cameras[0], cameras[1]] = np.where(measured, step.d, np.nan)
-    return moved, eps_piv
+        if cameras == plan.velocity_cameras and measured.any():
+            d_std = [float(np.nanmedian(std[measured])) for std in step.d_std]
+    return moved, eps_piv, d_std
 
 
 def diagnose_around(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +16,7 @@ from wavefield.measurement.record import Record
 
 Float = NDArray[np.floating[Any]]
 
+_SHARP = 2.0  # px: width of a bead's image that is in focus
 DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
 _NUMBERS = 200  # of wavenumber, up to the corner of what the grid resolves
 
@@ -70,15 +72,15 @@ def gains(plan: Plan, kx: Float, ky: Float) -> dict[str, Float]:
     return {"z": gain_of_elevation(plan, kx, ky)} | out
 
 
-def shortest_carried(plan: Plan, better: float = 1.0) -> dict[str, float]:
+def shortest_carried(plan: Plan, better: float | Mapping[str, float] = 1.0) -> dict[str, float]:
     """Wavelengths of which the measurement keeps half, by linear theory.
 
     Parameters
     ----------
     plan : Plan
         Of a measurement, its record learned.
-    better : float, default 1
-        Factor on what every block tells: 2 for twice the beads, 4 for half the noise.
+    better : float or mapping of str to float, default 1
+        Factor on what every block tells: 2 for twice the beads, 4 for half the noise; or for each camera.
 
     Returns
     -------
@@ -86,10 +88,12 @@ def shortest_carried(plan: Plan, better: float = 1.0) -> dict[str, float]:
         Metres, of z, u, v and w, mean over the directions.
     """
     assert plan.record is not None
+    each = better if isinstance(better, Mapping) else dict.fromkeys(plan.cameras, better)
+    both = 1.0 / float(np.mean([1.0 / each[name] for name in plan.surface_cameras]))  # noises add
     record = replace(
         plan.record,
-        elevation=_told(plan.record.elevation, better),
-        displacement=tuple((name, _told(prior, better)) for name, prior in plan.record.displacement),
+        elevation=_told(plan.record.elevation, both),
+        displacement=tuple((name, _told(prior, each[name])) for name, prior in plan.record.displacement),
     )
     k = np.linspace(0.0, np.pi / plan.grid.step, 600)
     angle = np.arange(8)[:, None] * np.pi / 8
@@ -102,6 +106,27 @@ def shortest_carried(plan: Plan, better: float = 1.0) -> dict[str, float]:
         below = np.flatnonzero(gain.mean(axis=0) < 0.5)
         out[name] = float(2 * np.pi / k[max(below[0], 1)]) if below.size else 2.0 * plan.grid.step
     return out
+
+
+def in_focus(plan: Plan) -> dict[str, float]:
+    """What every block of a camera would tell more if its beads' images were two pixels wide.
+
+    Parameters
+    ----------
+    plan : Plan
+        Of a measurement, its record learned.
+
+    Returns
+    -------
+    dict of str to float
+        For `shortest_carried`: 1 for a camera whose beads are as small as that, and for a texture.
+
+    Notes
+    -----
+    The same light in a spot of width s has gradients whose squares sum up to s^-4.
+    """
+    assert plan.record is not None
+    return {name: max(plan.record.width(name) / _SHARP, 1.0) ** 4 for name in plan.cameras}
 
 
 def _told(prior: Prior, factor: float) -> Prior:

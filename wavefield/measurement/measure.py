@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from wavefield.measurement.learn import learn, sample_steps
 from wavefield.measurement.midtime import at_mid_time, frames_used
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.unresolved import Unresolved, typical
-from wavefield.measurement.velocity import velocity
+from wavefield.measurement.velocity import Motion, velocity
 from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality
 
 Frames = Mapping[str, Sequence[NDArray[Any] | None]]
@@ -114,27 +115,20 @@ def _step(
     """Fill one step, the only row of ``out``; what cannot be measured stays NaN."""
     _, before, first, second, after, _ = window
     missing = first.missing | second.missing
-    out["quality"][:] = Quality.FEWER_CAMERAS if missing else 0
+    out["quality"][:] = _without(missing, plan)
     if first.surface is None or second.surface is None:
         return
-    surfaces = [instant.surface for instant in window]
-    z, z_std, rise = at_mid_time(surfaces)
     if before.surface is None or after.surface is None:
         out["quality"][:] |= np.uint16(Quality.TWO_FRAME_MEAN)
-    moved = velocity(moves, z, plan)
-    if moved is None:
+    seen = _look_at(window, moves, plan)
+    if seen is None:
         return
-    if moved.left_out:
-        surfaces = [instant.without(moved.left_out, plan) for instant in window]
-        if surfaces[2] is None or surfaces[3] is None:
-            return
-        out["quality"][:] |= np.uint16(Quality.FEWER_CAMERAS)
-        missing |= {moved.left_out}
-        z, z_std, rise = at_mid_time(surfaces)
-        others = [{n: f for n, f in flow.items() if n != moved.left_out} for flow in moves]
-        moved = velocity(others, z, plan)
-        if moved is None:
-            return
+    surfaces, moved = seen.surfaces, seen.moved
+    z, z_std, rise = seen.z, seen.z_std, seen.rise
+    missing |= seen.left_out
+    out["quality"][:] |= _without(seen.left_out, plan)
+    for name, where in moved.regions.items():
+        out["quality"][0][where] |= _without({name}, plan)
     inside = np.ones(z.shape, bool)
     for name in plan.cameras:
         if name not in missing:
@@ -177,6 +171,62 @@ def _step(
     for name, field in fields.items():
         out[name][0][inside] = field[inside]
     out["frame_status"][:] = FrameStatus.DONE_WITH_FAULTS if missing else FrameStatus.DONE
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What the cameras that do not contradict each other have of a step."""
+
+    surfaces: Sequence[Surface | None]
+    z: NDArray[Any]
+    z_std: NDArray[Any]
+    rise: NDArray[Any]
+    moved: Motion
+    left_out: frozenset[str] = frozenset()
+
+
+def _look_at(window: Sequence[Instant], moves: Sequence[Flows], plan: Plan) -> _Seen | None:
+    """Surfaces and motion of a step; None if nothing can be said of it."""
+    surfaces: list[Surface | None] = [instant.surface for instant in window]
+    at_mid = at_mid_time(surfaces)
+    moved = velocity(moves, at_mid[0], plan)
+    if moved is None or not (moved.left_out or moved.regions):
+        return None if moved is None else _Seen(surfaces, *at_mid, moved)
+    left_out: frozenset[str] = frozenset()
+    if moved.left_out:
+        left_out = frozenset({moved.left_out})
+        surfaces = [instant.without(moved.left_out, plan) for instant in window]
+        if surfaces[2] is None or surfaces[3] is None:
+            return None
+        moves = [{n: f for n, f in flow.items() if n not in left_out} for flow in moves]
+    else:
+        surfaces = [_mended(instant, moved.regions, plan) for instant in window]
+    at_mid = at_mid_time(surfaces)
+    moved = velocity(moves, at_mid[0], plan, moved.regions)
+    return None if moved is None else _Seen(surfaces, *at_mid, moved, left_out)
+
+
+def _without(cameras: Collection[str], plan: Plan) -> np.uint16:
+    """Bits of `Quality` for nodes that the other cameras measured."""
+    bits = Quality(0)
+    for name in cameras:
+        bits |= Quality.without(plan.cameras.index(name))
+    return np.uint16(bits)
+
+
+def _mended(instant: Instant, regions: Mapping[str, NDArray[np.bool_]], plan: Plan) -> Surface | None:
+    """An instant's surface with that of the other cameras where one contradicts them."""
+    surface = instant.surface
+    for name, where in regions.items():
+        if surface is None or name not in instant.flat:
+            continue
+        other = instant.without(name, plan)
+        if other is None:  # nobody else is there: what is made of it is not to be trusted
+            surface = replace(surface, apart=surface.apart | where)
+            continue
+        names = ("z", "eps_y", "std", "quality", "apart")
+        surface = Surface(*(np.where(where, getattr(other, n), getattr(surface, n)) for n in names))
+    return surface
 
 
 def _left_out_of_z(

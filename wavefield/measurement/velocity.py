@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.measurement.contradiction import MISFIT, NODE, median_misfit, who_lies
+from wavefield.measurement.contradiction import MISFIT, NODE, median_misfit, regions, who_lies
 from wavefield.measurement.flow import Flow, Flows
 from wavefield.measurement.paths import read_path
 from wavefield.measurement.plan import Plan
@@ -18,6 +18,9 @@ from wavefield.rig.stereo import solve_displacement
 from wavefield.variables import Quality
 
 Float = NDArray[Any]
+
+_WHOLE = 0.8  # of the nodes: a camera that contradicts at so many is left out of the step
+_REACH = 20  # px: half a window of the coarse levels, by which what a camera shows at one place is felt
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,8 @@ class Motion:
         measured or they contradict each other; `TWO_FRAME_MEAN` where a path has fewer than four places.
     left_out : str or None
         The camera that contradicted the others, which agree without it.
+    regions : mapping of str to ndarray of bool, (ny, nx)
+        Where a camera contradicted the others, which agree there without it.
     """
 
     d: NDArray[Any]
@@ -45,6 +50,7 @@ class Motion:
     misfit: NDArray[Any]
     quality: NDArray[np.uint16]
     left_out: str | None = None
+    regions: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -73,7 +79,12 @@ class Seen:
     chord: NDArray[np.bool_]
 
 
-def velocity(steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Motion | None:
+def velocity(
+    steps: Sequence[Flows | None],
+    z: NDArray[Any],
+    plan: Plan,
+    without: Mapping[str, NDArray[np.bool_]] | None = None,
+) -> Motion | None:
     """Displacement per step of the surface water at the nodes, at mid-time.
 
     Parameters
@@ -84,6 +95,8 @@ def velocity(steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Moti
         Elevation at mid-time, metres.
     plan : Plan
         Everything computed beforehand, its record learned.
+    without : mapping of str to ndarray of bool, (ny, nx), optional
+        Where a camera is to be left out; found from the cameras' misfit if not given.
 
     Returns
     -------
@@ -106,17 +119,34 @@ def velocity(steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Moti
     motion = _solved(seen, plan)
     known = (seen.rejected == 0).all(axis=0)
 
-    def without(n: int) -> float:
-        return median_misfit(_solved(_others(seen, n), plan).misfit, known)
+    def misfit_without(n: int) -> Float:
+        return _solved(_others(seen, n), plan).misfit
 
-    typical = median_misfit(motion.misfit, known)
-    liar = who_lies(len(names), typical, without)
+    liar = None
+    if without is None:
+        reach = max(1, round(_REACH * plan.pixel / plan.grid.step))
+        found = regions(motion.misfit, known, len(names), misfit_without, reach)
+        typical = median_misfit(motion.misfit, known)
+        liar = who_lies(len(names), typical, lambda n: median_misfit(misfit_without(n), known))
+        if liar in found and (found[liar] & known).sum() < _WHOLE * known.sum():
+            liar = None  # not everywhere
+        without = {names[n]: where for n, where in found.items()} if liar is None else {}
     if liar is not None:
         motion = replace(_solved(_others(seen, liar), plan), left_out=names[liar])
+    for name, where in without.items():
+        motion = _patched(motion, _solved(_others(seen, names.index(name)), plan), where)
+    motion = replace(motion, regions=without)
+    typical = median_misfit(motion.misfit, known)
     # where most contradict each other and no one camera explains it, some nodes agree by chance
     limit = NODE if liar is not None or typical <= MISFIT else 0.0
     against = np.where(motion.misfit > limit, np.uint16(Quality.REJECTED_EPS | Quality.FILLED), np.uint16(0))
     return replace(motion, quality=motion.quality | against)
+
+
+def _patched(motion: Motion, other: Motion, where: NDArray[np.bool_]) -> Motion:
+    """One motion with another in a part of the field."""
+    names = ("d", "d_std", "eps_piv", "misfit", "quality")
+    return replace(motion, **{n: np.where(where, getattr(other, n), getattr(motion, n)) for n in names})
 
 
 def _others(seen: Seen, n: int) -> Seen:

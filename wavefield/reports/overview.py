@@ -1,9 +1,11 @@
 """What was measured, by which cameras, with which recipe."""
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from wavefield import figures
 from wavefield.reports.page import Listing, Picture, Section, Table, Text
@@ -46,6 +48,7 @@ def summary(sources: Sources) -> Section:
         ),
         ("grid", f"{nx} x {ny} nodes, {grid.step * 100:g} cm apart"),
         ("measured nodes in view", f"{100 * float(measured):.2f} %"),
+        *_left_out(part.quality, seen, cube.attrs.get("cameras", ())),
         ("rms of z about its mean", number(100 * float(part.z.std()), "cm")),
         ("rms of u, v, w", ", ".join(number(100 * rms_of(part[n])) for n in "uvw") + " cm/s"),
         (
@@ -71,6 +74,17 @@ def summary(sources: Sources) -> Section:
     if sources.notes:
         items.append(Text("Not in this report: " + "; ".join(sources.notes) + "."))
     return Section("Summary", items)
+
+
+def _left_out(quality: xr.DataArray, seen: xr.DataArray, cameras: Sequence[str]) -> list[tuple[str, str]]:
+    """Cameras without which nodes were measured, and how many."""
+    shares = []
+    for place, camera in enumerate(cameras):
+        bit = np.uint16(Quality.without(place) & ~Quality.FEWER_CAMERAS)
+        share = float(((quality & bit) != 0).sum()) / max(int(seen.sum()), 1)
+        if share > 0:
+            shares.append(f"{camera} {100 * share:.2f} %")
+    return [("nodes measured without", ", ".join(shares))] if shares else []
 
 
 def setup(sources: Sources) -> Section:

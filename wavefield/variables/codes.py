@@ -13,9 +13,20 @@ class Quality(IntFlag):
     REJECTED_EPS = 16
     REJECTED_NEIGHBOURS = 32
     TWO_FRAME_MEAN = 64  # z at mid-time, or a path, from fewer than four frames
-    FEWER_CAMERAS = 128  # a camera's frame is missing: the others did the work
+    FEWER_CAMERAS = 128  # a camera's frame is missing, or it contradicts the others: they did the work
     MASKED = 256  # covered: not water, or hidden from the cameras by what is not
     REJECTED_RANGE = 512  # beyond the elevations or the displacements that were searched
+    WITHOUT_1 = 1024  # of fewer cameras: without the first of the cube's `cameras`
+    WITHOUT_2 = 2048
+    WITHOUT_3 = 4096
+    WITHOUT_4 = 8192
+    WITHOUT_5 = 16384
+    WITHOUT_6 = 32768  # or one behind it
+
+    @classmethod
+    def without(cls, number: int) -> "Quality":
+        """Bits of a node that the others measured: without which camera, counted from 0."""
+        return cls.FEWER_CAMERAS | cls(cls.WITHOUT_1.value << min(number, 5))
 
 
 class FrameStatus(IntEnum):
