@@ -5,9 +5,12 @@ import shutil
 
 import numpy as np
 import pytest
+import zarr
 
 from wavefield.commands.cli import main
+from wavefield.cubes.judgement import _left_out
 from wavefield.images import read_image, write_image
+from wavefield.variables import Quality
 
 
 @pytest.fixture
@@ -52,6 +55,18 @@ def test_a_mirrored_camera_is_named_by_every_command_and_stops_check_and_run(lab
     page = lab.with_name("report.html").read_text()
     assert "Verdict: not to be trusted: cam2 mirrored" in page
     assert "mend its images" in page
+
+
+def test_the_verdict_names_a_camera_without_which_much_was_measured():
+    quality = np.full((2, 10, 10), int(Quality.MEASURED), np.uint16)
+    quality[:, :, :3] |= np.uint16(Quality.without(1))
+    quality[0, 0, 9] |= np.uint16(Quality.without(2))  # not worth a word
+    group = zarr.group(attributes={"cameras": ["left", "middle", "right"]})
+    group.create_array("quality", data=quality)
+    (remark,) = _left_out(group, [0, 1])
+    assert (remark.subject, remark.kind) == ("middle", "left out")
+    assert remark.weight == "remark"
+    assert "30.0 % of the nodes were measured without middle" in remark.sentence
 
 
 def test_a_run_in_which_nothing_could_be_measured_failed(lab, capsys):

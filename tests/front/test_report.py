@@ -7,12 +7,15 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from wavefield.grid import Grid
 from wavefield.measurement import Plan
 from wavefield.reports import Sources, write_report
+from wavefield.reports.overview import _left_out
 from wavefield.reports.player import pack
 from wavefield.tank import paper_rig
+from wavefield.variables import Quality
 
 
 class Page(HTMLParser):
@@ -42,6 +45,14 @@ def page_text(cube, tmp_path_factory):
     )
     path = write_report(sources, tmp_path_factory.mktemp("report") / "report.html")
     return path.read_text(encoding="utf-8")
+
+
+def test_the_report_says_without_which_camera_nodes_were_measured():
+    quality = xr.DataArray(np.full((1, 10, 10), int(Quality.MEASURED), np.uint16))
+    quality[0, :2] |= np.uint16(Quality.without(2))
+    found = _left_out(quality, quality != 0, ["left", "middle", "right"])
+    assert found == [("nodes measured without", "right 20.00 %")]
+    assert _left_out(quality[:, 5:], quality[:, 5:] != 0, ["left", "middle", "right"]) == []
 
 
 def test_nothing_comes_from_a_network(page_text):

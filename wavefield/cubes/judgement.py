@@ -210,8 +210,8 @@ def _left_out(group: Any, steps: Sequence[int]) -> Iterator[Remark]:
         fraction = float(((quality & bit) != 0)[seen].mean()) if seen.any() else 0.0
         if fraction > _ALONE[0]:
             yield Remark(
-                "velocity",
-                f"left out {camera}",
+                camera,
+                "left out",
                 "remark" if fraction > _ALONE[1] else "note",
                 f"{100 * fraction:.1f} % of the nodes were measured without {camera}: its frame was missing,"
                 " or it contradicted the others there",
