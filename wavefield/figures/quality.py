@@ -38,7 +38,7 @@ KINDS: tuple[tuple[str, str, str], ...] = (
     ("REJECTED_EPS", "rejected: mismatch", "#E69F00"),
     ("REJECTED_NEIGHBOURS", "rejected: neighbours", "#CC79A7"),
     ("FILLED", "filled", "#56B4E9"),
-    ("FEWER_CAMERAS", "measured, a camera missing", "#F0E442"),
+    ("FEWER_CAMERAS", "measured without a camera", "#F0E442"),
     ("MEASURED", "measured", "#0072B2"),
 )
 
