@@ -73,8 +73,9 @@ def _filter(
         lines *= advance[:, None]
         risen = fft.rfft(w[part].reshape(segment, -1) * window, axis=0)
         if any(current):
-            planes = [array.reshape(-1, *shape) for array in (lines, risen)]
-            lines = blend(*planes, omega, distances, current, water, noise, frames[0]).reshape(lines.shape)
+            first, second = (array.reshape(-1, *shape) for array in (lines, risen))
+            moved = blend(first, second, omega, distances, current, water, noise, frames[0])
+            lines = moved.reshape(lines.shape)
         else:
             lines = lines * weight[:, None] + risen * (still * (1 - weight))[:, None]
         lines *= gain[:, None]

@@ -83,20 +83,27 @@ def leakage(energy: Array, dt: float, frames: int) -> Leakage:
     given = np.maximum(energy, _NOTHING * strongest)
     spectrum = np.interp(fine, lines, given)
     used = seen[LOWEST:]
+    area = used.sum(axis=0)
     for _ in range(_ROUNDS):
-        spectrum = spectrum * (used.T @ (given[LOWEST:] / (used @ spectrum))) / used.sum(axis=0)
+        ratio = given[LOWEST:] / _sum(used, spectrum)
+        spectrum = spectrum * np.einsum("lf,l->f", used, ratio) / area
     factor, own = elevation_from_w(fine, dt, frames), elevation_from_w(lines[LOWEST:-1], dt, frames)
     whole, half_way, all_ = (
-        (seen @ (spectrum * each))[LOWEST:-1] for each in (factor, np.sqrt(factor), np.ones_like(factor))
+        _sum(seen, spectrum * each)[LOWEST:-1] for each in (factor, np.sqrt(factor), np.ones_like(factor))
     )
     w, cross, of_own = ones.copy(), ones.copy(), ones.copy()
     inner = slice(LOWEST, -1)
     w[inner] = whole / all_ / own
     cross[inner] = whole / half_way / np.sqrt(own)
-    of_own[inner] = ((seen * near) @ spectrum)[inner] / all_
+    of_own[inner] = _sum(seen * near, spectrum)[inner] / all_
     peak = LOWEST + int(np.argmax(energy[LOWEST:]))
     of_own[: peak + 1] = np.minimum.accumulate(of_own[peak::-1])[::-1]
     return Leakage(w, cross, of_own)
+
+
+def _sum(seen: Array, spectrum: Array) -> Array:
+    # not a matrix product: that of BLAS may depend on the number of threads in the last bit
+    return np.asarray(np.einsum("lf,f->l", seen, spectrum))
 
 
 def _window(lines: Array, fine: Array) -> tuple[Array, Array]:

@@ -231,7 +231,7 @@ def _turns(omega: float, drift: Array, sigma: Array, dt: float) -> Array:
     # by how many sampling rates waves seen at omega are quicker
     turns = np.array([0, -1, 1])
     off = np.abs(np.abs(omega + 2 * np.pi * turns[:, None, None] / dt - drift) - sigma)
-    return turns[off.argmin(axis=0)]
+    return np.asarray(turns[off.argmin(axis=0)])
 
 
 def _known(n: int, edge: float) -> Array:
