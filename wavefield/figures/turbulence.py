@@ -29,8 +29,8 @@ def crest_curves(crests: xr.Dataset) -> Figure:
         ax.semilogy(level[seen], part[seen], label=f"{name}s", **style)
         low = np.maximum(part - 2 * std, part / 20)
         ax.fill_between(level[seen], low[seen], (part + 2 * std)[seen], color=style["color"], alpha=0.2)
-    for style, name in zip(("--", ":"), ("rayleigh", "tayfun")):
-        ax.semilogy(level, crests[name].values, color="0.35", linestyle=style, label=name.capitalize())
+    for dash, name in zip(("--", ":"), ("rayleigh", "tayfun")):
+        ax.semilogy(level, crests[name].values, color="0.35", linestyle=dash, label=name.capitalize())
     smallest = 0.3 / max(float(crests.waves), 10.0)
     ax.set(xlabel="level (standard deviations)", ylabel="fraction beyond it", ylim=(smallest, 1.5))
     plain_axes(ax)

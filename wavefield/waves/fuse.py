@@ -73,8 +73,8 @@ def _filter(
         lines *= advance[:, None]
         risen = fft.rfft(w[part].reshape(segment, -1) * window, axis=0)
         if any(current):
-            first, second = (array.reshape(-1, *shape) for array in (lines, risen))
-            moved = blend(first, second, omega, distances, current, water, noise, frames[0])
+            by_z, by_w = (array.reshape(-1, *shape) for array in (lines, risen))
+            moved = blend(by_z, by_w, omega, distances, current, water, noise, frames[0])
             lines = moved.reshape(lines.shape)
         else:
             lines = lines * weight[:, None] + risen * (still * (1 - weight))[:, None]
