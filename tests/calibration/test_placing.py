@@ -56,6 +56,20 @@ def test_the_second_camera_is_placed_and_the_sea_levelled(sea):
     assert "instants" in found.sentence
 
 
+def test_the_twin_that_a_nearly_flat_sea_has_is_not_taken_for_the_second_camera():
+    left, right = sea_rig().values()
+    matches = []
+    for k in range(2):
+        images = [
+            photograph(c, texture(200 + k), 1.3 * k, n + 10 * k + 200) for n, c in enumerate((left, right))
+        ]
+        matches.append(match_features(*images))
+    both = tuple(np.concatenate([m[side] for m in matches]) for side in (0, 1))
+    placed = place_second(left, right, both, float(np.linalg.norm(left.centre - right.centre)))
+    assert np.degrees(np.arccos((np.trace(placed.R @ right.R.T) - 1) / 2)) < 0.1
+    assert placed.centre == pytest.approx(right.centre, abs=0.02)
+
+
 def test_the_command_places_and_levels_cameras_whose_lenses_alone_are_known(sea, capsys):
     cameras, _, folder = sea
     lenses = {n: replace(c, rotation=np.eye(3), translation=np.zeros(3)) for n, c in cameras.items()}

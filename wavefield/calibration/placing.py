@@ -26,6 +26,7 @@ FEWEST = 30  # matches by which a camera is placed
 _FEATURES = 6000  # per image
 _RATIO = 0.8  # of the best distance to the second best, below which a match is no accident
 _NEAR = 3.0  # px from the epipolar line: further is a false match
+_AHEAD = 0.9  # of the most points that lie before both cameras: what else might be meant
 _FAR = 3.0  # times the median distance: further out, towards the horizon, depth is only noise
 
 
@@ -129,8 +130,9 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
 
     Notes
     -----
-    The essential matrix by RANSAC (Nister 2004), then the turn and the direction to the second camera by
-    least squares of the distances to epipolar lines, in pixels, wrong matches weighed down.
+    To begin with the essential matrix by RANSAC (Nister 2004), and what the homography of the sea's plane may
+    mean; then the turn and the direction to the second camera by least squares of the distances to epipolar
+    lines, in pixels, wrong matches weighed down. The start that leaves least is taken.
     """
     a, b = matches
     if len(a) < FEWEST:
@@ -140,11 +142,43 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
     E, agree = cv2.findEssentialMat(seen[0], seen[1], np.eye(3), cv2.RANSAC, 0.9999, reach)
     if E is None or E.shape != (3, 3):
         raise RigError(_few(0))
-    _, R, t, _ = cv2.recoverPose(E, seen[0], seen[1], np.eye(3), mask=agree.copy())
     good = agree.ravel() > 0
     if good.sum() < FEWEST:
         raise RigError(_few(int(good.sum())))
-    t = t.ravel()
+    kept = a[good], b[good]
+    fits = [
+        _fitted(one, other, kept, distance, R, t)
+        for R, t in _starts(np.asarray(E, float), seen[0][good], seen[1][good], 10 * reach)
+    ]
+    ahead = [len(points_of(one, camera, kept)) for camera, _ in fits]
+    likely = [fit for fit, count in zip(fits, ahead, strict=True) if count > _AHEAD * max(ahead)]
+    return min(likely, key=lambda fit: fit[1])[0]
+
+
+def _starts(E: Array, one: Array, other: Array, reach: float) -> list[tuple[Array, Array]]:
+    """Turns and directions to begin with: what is nearly flat is seen alike from two places.
+
+    That of the essential matrix alone may be the wrong one of the two; the homography has both.
+    """
+    _, R, t, _ = cv2.recoverPose(E, one, other, np.eye(3))
+    out = [(np.asarray(R, float), np.asarray(t, float).ravel())]
+    H, _ = cv2.findHomography(one, other, cv2.RANSAC, reach)
+    if H is not None:
+        _, turns, ways, _ = cv2.decomposeHomographyMat(H, np.eye(3))
+        for turn, way in zip(turns, ways, strict=True):
+            length = float(np.linalg.norm(way))
+            if length > 0:
+                out += [
+                    (np.asarray(turn, float), np.asarray(way, float).ravel() * s / length)
+                    for s in (1.0, -1.0)
+                ]
+    return out
+
+
+def _fitted(
+    one: Camera, other: Camera, matches: Pixels, distance: float, R: Array, t: Array
+) -> tuple[Camera, float]:
+    """The second camera by least squares from a start, and what is left of the misses."""
     aside = np.linalg.svd(t[None])[2][1:]  # two directions across t
 
     def placed(x: Array) -> Camera:
@@ -154,10 +188,10 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
         return replace(other, rotation=turn @ one.R, translation=turn @ one.T + towards)
 
     def misses(x: Array) -> Array:
-        return epipolar_distance(one, placed(x), *a[good].T, *b[good].T)
+        return epipolar_distance(one, placed(x), *matches[0].T, *matches[1].T)
 
     fit = least_squares(misses, np.zeros(5), loss="soft_l1", f_scale=0.5, x_scale=[1e-3] * 3 + [1e-2] * 2)
-    return placed(np.asarray(fit.x, float))
+    return placed(np.asarray(fit.x, float)), float(fit.cost)
 
 
 def _few(count: int) -> str:
