@@ -148,7 +148,8 @@ def test_check_compares_the_pairs_of_cameras(folder, capsys):
     assert re.search(r"half is kept.*in focus\n    z( \d+\.\d;?){4}\n", out)
     assert re.search(r"most would help: (half the noise|twice the beads|in focus) \(", out)
     report = (folder / "report.html").read_text(encoding="utf-8")
-    assert report.count("recombined - direct") > 1  # words for those who do not see, and a row of a table
+    assert "recombined - direct" in report  # words for those who do not see
+    assert "recombined \u2212 direct" in report  # a row of a table
 
 
 def test_check_of_what_cannot_run_is_status_1(folder, tmp_path, capsys):
