@@ -53,6 +53,24 @@ def timed(action: Callable[[], None], done: Callable[[], None]) -> float:
     return time.perf_counter() - start
 
 
+def derived(window: Browser, paint: Callable[[], None]) -> tuple[Callable[[], None], Callable[[], None]]:
+    """Asking for a series that is worked out, and waiting for it."""
+    named = "Bokeh.documents[0].get_model_by_name"
+
+    def ask() -> None:
+        window.set("node_other", "value", "'vorticity'")
+
+    def there() -> None:
+        window.wait(
+            f"{named}('node_other_figure').left[0].axis_label.startsWith('vorticity') && "
+            f"{named}('node_other_line').data.value.length > 1000 && "
+            f"isFinite({named}('node_other_line').data.value[500])"
+        )
+        paint()
+
+    return ask, there
+
+
 def measure(url: str, window: Browser, steps: int) -> dict[str, float]:
     """The issue's figures, seconds."""
     named = "Bokeh.documents[0].get_model_by_name"
@@ -110,6 +128,7 @@ def measure(url: str, window: Browser, steps: int) -> dict[str, float]:
         clicked.append(timed(click, series))
         window.page.wait_for_timeout(400)
     out["a click's series"] = statistics.median(clicked[1:])
+    out["its vorticity, from the cube itself"] = timed(*derived(window, paint))
     return out
 
 

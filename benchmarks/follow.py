@@ -41,7 +41,7 @@ from wavefield.series import Experiment
 from wavefield.tank import Scene, Tank
 
 RATE = 20.0
-DRAWN = 24  # frames, shown forwards and backwards in turn
+DRAWN = 12  # frames, shown forwards and backwards in turn
 _REAL = 200  # newest numbers that are files of their own; older ones become links, or a disk would be full
 _PAINTED = """() => {
   window._shown = []

@@ -1,6 +1,7 @@
 """Every control of the page driven in a browser; what it draws, against numpy."""
 
 import io
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -173,7 +174,10 @@ def test_the_wheel_zooms_and_reset_goes_back(page):
     page.wait(f"Math.abs({model('map')}.x_range.end - {before[1]}) < 1e-6")
 
 
-def test_a_click_shows_everything_at_the_node(page, fields):
+def test_a_click_shows_everything_at_the_node(page, fields, whole):
+    from wavefield.cubes import open_cube
+    from wavefield.waves.kinematics import kinematics
+
     j, i = 10, 13
     page.click("map", X[i] + 0.01, Y[j] - 0.01)
     page.wait(f"{model('node_words')}.text.includes('x 0.175 m, y 0.125 m')")
@@ -190,11 +194,17 @@ def test_a_click_shows_everything_at_the_node(page, fields):
     expected = selections.spectrum(100 * fields["z"][:, j, i], 0.05)
     np.testing.assert_allclose(page.column("node_spectrum", "f"), expected.frequency, rtol=1e-6)
     np.testing.assert_allclose(page.column("node_spectrum", "e"), expected.density, rtol=0.05)
-    assert page.column("node_probe_spectrum", "f").size
+    probe = page.column("node_probe_spectrum", "f")
+    assert probe[0] == pytest.approx(expected.frequency[0], rel=0.05)  # segments of the same length
     page.set("node_other", "value", "'eps_piv'")
     page.wait(f"{model('node_other_figure')}.left[0].axis_label.startsWith('eps_piv')")
     page.wait(f"Math.abs({model('node_other_line')}.data.value[0] - {fields['eps_piv'][0, j, i]}) < 6e-4")
     np.testing.assert_allclose(page.column("node_other_line", "value"), fields["eps_piv"][:, j, i], atol=6e-4)
+    page.set("node_other", "value", "'vorticity'")
+    page.wait(f"{model('node_other_figure')}.left[0].axis_label.startsWith('vorticity')")
+    page.wait(f"isFinite({model('node_other_line')}.data.value[0])")
+    vorticity = kinematics(open_cube(whole[0]).load()).vorticity.values[:, j, i]
+    np.testing.assert_allclose(page.column("node_other_line", "value"), vorticity, rtol=1e-4, atol=1e-5)
     page.set("node_which", "value", "'w'")
     expected = selections.spectrum(100 * fields["w"][:, j, i], 0.05)
     page.wait(f"Math.abs({model('node_spectrum')}.data.e[3] / {expected.density[3]} - 1) < 0.1")
@@ -392,6 +402,33 @@ def test_what_is_seen_can_be_saved(page, fields, served):
     assert refused.status == 409
     assert "click one on the map" in refused.text()
     assert page.page.request.get(f"{base}passwords.txt").status == 404
+
+
+def test_links_of_the_save_panel_bring_files_and_the_view(page, chrome, fields):
+    page.click("map", X[13], Y[10])
+    arrived(page, "node", (X[13], Y[10]))
+    page.set("picked", "active", "3")
+    page.set("frames", "value", "4")
+    words = f"{model('save_words')}.text"
+    page.wait(f"{words}.includes('node.csv') && {words}.includes('frames=4')")
+    starts = {
+        "map.png": b"\x89PNG", "map.svg": b"<?xml", "play.gif": b"GIF8", "play.mp4": b"ftyp",
+        "step.nc": b"\x89HDF", "node.nc": b"\x89HDF", "node.csv": b"time,",
+    }  # fmt: skip
+    for name, start in starts.items():
+        with page.page.expect_download() as brought:
+            page.page.locator(f"a[href*='{name}']").click()
+        assert brought.value.suggested_filename == name
+        assert start in Path(brought.value.path()).read_bytes()[:12], name
+    href = page.page.locator("a", has_text="link").get_attribute("href")
+    other = type(page)(chrome.new_page(viewport={"width": 1000, "height": 700}))
+    other.open(page.page.url.split("?")[0] + href)
+    other.wait(f"{shown('w')} && {at_step(STEP)}")
+    np.testing.assert_allclose(other.image("map_image"), 100 * fields["w"][STEP], rtol=1e-6)
+    assert other.column("map_node", "x")[0] == pytest.approx(X[13], abs=0.01)
+    other.page.close()
+    page.set("picked", "active", "0")
+    assert other.errors == []
 
 
 def test_it_fits_a_phone(chrome, served):

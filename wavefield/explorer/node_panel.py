@@ -1,6 +1,9 @@
 """A node's time series with its uncertainty and quality, and its spectrum beside a near probe's."""
 
-from typing import Any
+import threading
+import time
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -8,7 +11,9 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Select, Span
 from numpy.typing import NDArray
 
-from wavefield.explorer.fields import readings, shown_as
+from wavefield.errors import StoreError
+from wavefield.explorer.derived import derived_series
+from wavefield.explorer.fields import DERIVED, readings, shown_as
 from wavefield.explorer.parts import BLUE, INK, VERMILION, envelope, make_figure, number
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import Record
@@ -16,7 +21,17 @@ from wavefield.explorer.selections import nearest, spectrum
 from wavefield.figures.quality import KINDS, quality_kind
 
 _MAIN = ("z", "u", "v", "w")
+_TOLD_EVERY = 0.5  # s
 _NEAR = 0.25  # m: a probe farther away sees other waves
+
+
+class Asked(NamedTuple):
+    """A derived series that somebody wants to see."""
+
+    name: str
+    j: int
+    i: int
+    steps: int  # that the cube had then
 
 
 class NodePanel:
@@ -33,7 +48,7 @@ class NodePanel:
     def __init__(self, record: Record, probes: xr.Dataset | None = None) -> None:
         self._record, self._probes = record, probes
         self._main = tuple(name for name in _MAIN if name in record.stored)
-        others = [n for n in record.stored if n not in (*_MAIN, "quality") and not n.endswith("_std")]
+        others = [n for n in record.names if n not in (*_MAIN, "quality") and not n.endswith("_std")]
         self.words = Div(text="Click a node of the map.", name="node_words", sizing_mode="stretch_width")
         self.other = Select(
             title="Below", value=others[0] if others else "", options=others, name="node_other"
@@ -53,7 +68,11 @@ class NodePanel:
         self.density = ColumnDataSource({"f": [], "e": [], "low": [], "high": []}, name="node_spectrum")
         self.probe = ColumnDataSource({"f": [], "e": []}, name="node_probe_spectrum")
         self.spectrum = self._draw_spectrum()
-        self._at: tuple[int, int] | None = None
+        self._at: tuple[int, int] | None = None  # in the preview
+        self._node = 0, 0  # in the cube
+        self._asked: Asked | None = None
+        self._found: tuple[Asked, NDArray[Any]] | None = None
+        self._reading = False
         self.other.on_change("value", lambda attr, old, new: self._show_other())
         self.which.on_change("value", lambda attr, old, new: self._show_spectrum())
         self.figures[0].x_range.on_change("start", self._zoomed)
@@ -134,6 +153,7 @@ class NodePanel:
         if place.node is None:
             return
         self._at = nearest(preview.y, place.node[1]), nearest(preview.x, place.node[0])
+        self._node = nearest(self._record.y, place.node[1]), nearest(self._record.x, place.node[0])
         for name in self._main:
             self._show_series(name)
         self._show_other()
@@ -197,8 +217,47 @@ class NodePanel:
             return
         self.figures[-1].yaxis.axis_label = self._label("other")
         part = self._window()
-        thin_t, thin = envelope(self._record.time[part], self._series(name)[part])
+        series = self._derived(name) if name in DERIVED else self._series(name)
+        thin_t, thin = envelope(self._record.time[part], series[part])
         self.lines["other"].data = {"t": thin_t, "value": thin}
+
+    def _derived(self, name: str) -> NDArray[Any]:
+        """A derived series; empty until it is read, which a thread of its own does."""
+        asked = Asked(name, *self._node, self._record.steps_done)
+        if self._found is not None and self._found[0] == asked:
+            return self._found[1]
+        self._asked = asked
+        document = self.layout.document
+        if not self._reading and document is not None:
+            self._reading = True
+            threading.Thread(target=self._read, args=(document,), daemon=True, name="derived").start()
+        return np.full(self._record.time.size, np.nan, np.float32)
+
+    def _read(self, document: Any) -> None:
+        """Read what was asked for last, and again if that has changed meanwhile."""
+        told = time.monotonic()
+
+        def progress(done: float) -> None:
+            nonlocal told
+            if time.monotonic() - told > _TOLD_EVERY:
+                told = time.monotonic()
+                document.add_next_tick_callback(lambda: self._say(f"reading: {100 * done:.0f} %"))
+
+        while self._asked is not None and (self._found is None or self._found[0] != self._asked):
+            asked = self._asked
+            try:
+                series = derived_series(self._record, asked.name, asked.j, asked.i, progress)
+            except StoreError as error:
+                document.add_next_tick_callback(partial(setattr, self.words, "text", str(error)))
+                series = np.full(self._record.time.size, np.nan, np.float32)
+            shown = shown_as(asked.name, self._record.units(asked.name))
+            self._found = asked, series * np.float32(shown.factor)
+        self._reading = False
+        document.add_next_tick_callback(self._show_other)
+
+    def _say(self, words: str) -> None:
+        if self._reading:
+            self.figures[-1].yaxis.axis_label = words
 
     def _show_quality(self) -> None:
         if "quality" not in self._record.stored or self._at is None:
@@ -244,9 +303,10 @@ class NodePanel:
             e = found.density
             self.density.data = {"f": found.frequency, "e": e, "low": e * found.low, "high": e * found.high}
             self.spectrum.title.text = f"95 %: factor {number(found.low, 2)} to {number(found.high, 2)}"
-        self._show_probe(shown.factor if name == "z" else 0.0)
+        lasting = None if found is None else float(1 / found.frequency[0])  # of a segment, s
+        self._show_probe(shown.factor if name == "z" else 0.0, lasting)
 
-    def _show_probe(self, factor: float) -> None:
+    def _show_probe(self, factor: float, lasting: float | None) -> None:
         self.probe.data = {"f": [], "e": []}
         self.spectrum.legend.visible = False
         found = self.near_probe() if factor else None
@@ -256,7 +316,7 @@ class NodePanel:
         time = self._probes.time.values
         inside = (time >= self._record.time[0]) & (time <= self._record.time[-1])
         values = self._probes.elevation.isel(probe=index).values[inside] * factor
-        density = spectrum(values, float(np.mean(np.diff(time))))
+        density = spectrum(values, float(np.mean(np.diff(time))), lasting)
         if density is not None:
             keep = density.frequency <= self._record.frame_rate / 2
             self.probe.data = {"f": density.frequency[keep], "e": density.density[keep]}

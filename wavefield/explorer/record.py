@@ -14,11 +14,14 @@ from wavefield.errors import StoreError, WavefieldError
 from wavefield.explorer.fields import DERIVED, derive
 from wavefield.explorer.selections import MISSING, decode
 from wavefield.store import preview as previews
+from wavefield.store.layout import WATCHED
 from wavefield.store.read import open_group, read_layout
+from wavefield.store.verify import chunk_path
 from wavefield.variables import CUBE_DIMS, TABLE
 
 _KEPT = 160  # steps of single variables in memory
 _TOGETHER = 8  # steps that are decoded together anyway
+_BALANCE = ("z", "z_t", "u", "v", "w")
 
 
 class Record:
@@ -53,7 +56,7 @@ class Record:
         self.experiment = str(self.group.attrs["experiment"])
         self.stored = tuple(n for n, a in self.group.arrays() if a.metadata.dimension_names == CUBE_DIMS)
         self.stored = tuple(sorted(self.stored, key=_in_order))
-        self.names = (*self.stored, *DERIVED)
+        self.names = (*self.stored, *(DERIVED if set(_BALANCE) <= set(self.stored) else ()))
         self._attrs = {name: dict(self.group[name].attrs) for name in self.stored}
         self._kept: OrderedDict[tuple[str, int], NDArray[Any]] = OrderedDict()
         self._lock = threading.Lock()
@@ -113,12 +116,13 @@ class Record:
         Raises
         ------
         StoreError
-            If its file is damaged.
+            If its file is damaged, or has not come along when the cube was copied.
         """
         if name in DERIVED:
             return self._derived(name, step)
         with self._lock:
             if (name, step) not in self._kept:
+                self._refuse_half(name, step)
                 start = step - step % _TOGETHER
                 stop = min(start + _TOGETHER, self.layout.steps)
                 for k, values in enumerate(previews.read_steps(self.group, name, start, stop)):
@@ -129,13 +133,23 @@ class Record:
                 self._kept.popitem(last=False)
         return out
 
+    def _refuse_half(self, name: str, step: int) -> None:
+        """Say so where the ledger knows of a file that is not there: it would look like nothing measured."""
+        if "stored_bytes" not in self.group or name not in WATCHED:
+            return
+        block = step // self.layout.block
+        size = int(self.group["stored_bytes"][block, WATCHED.index(name)])
+        if size > 0 and not chunk_path(self.path, name, block).exists():
+            first, last = block * self.layout.block, min((block + 1) * self.layout.block, self.layout.steps)
+            raise StoreError(
+                f"{name} of steps {first} to {last - 1} is not in {self.path.name}, though it was written: "
+                "copy the cube again, whole, or see `wavefield verify`"
+            )
+
     def _derived(self, name: str, step: int) -> NDArray[Any]:
         around = [k for k in (step - 1, step, step + 1) if 0 <= k < self.layout.steps]
         steps = xr.Dataset(
-            {
-                n: (CUBE_DIMS, np.array([self.field(n, k) for k in around]), self._attrs[n])
-                for n in ("z", "z_t", "u", "v", "w")
-            },
+            {n: (CUBE_DIMS, np.array([self.field(n, k) for k in around]), self._attrs[n]) for n in _BALANCE},
             coords={"time": self.time[around], "y": self.y, "x": self.x},
         )
         if len(around) < 2:

@@ -110,7 +110,7 @@ def longest_run(values: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(np.interp(steps, longest, np.asarray(values, float)[longest]))
 
 
-def spectrum(values: NDArray[Any], dt: float) -> Spectrum | None:
+def spectrum(values: NDArray[Any], dt: float, lasting: float | None = None) -> Spectrum | None:
     """Welch's spectrum of the longest run of a series, with its interval.
 
     Parameters
@@ -119,6 +119,8 @@ def spectrum(values: NDArray[Any], dt: float) -> Spectrum | None:
         Series; several are averaged, as if they were one long record's worth of one node only.
     dt : float
         Time step, s.
+    lasting : float, optional
+        Of one segment, s: that of another spectrum beside which it is shown.
 
     Returns
     -------
@@ -135,7 +137,8 @@ def spectrum(values: NDArray[Any], dt: float) -> Spectrum | None:
     if not runs:
         return None
     length = min(run.size for run in runs)
-    segment = min(1024, 1 << int(np.log2(max(_SHORTEST, 2 * length / 9))), length)
+    wanted = min(1024, 1 << int(np.log2(max(_SHORTEST, 2 * length / 9))))
+    segment = min(wanted if lasting is None else max(round(lasting / dt), 2), length)
     frequency, density = signal.welch(
         np.array([run[:length] for run in runs]), fs=1.0 / dt, nperseg=segment, detrend="constant"
     )

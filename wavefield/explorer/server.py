@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+import socket
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +11,6 @@ from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
 from bokeh.server.server import BaseServer as Server
 from bokeh.server.tornado import BokehTornado
-from bokeh.server.util import bind_sockets
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 from tornado.web import HTTPError, RequestHandler
@@ -83,7 +83,7 @@ def make_server(
     wanted = range(PORT, PORT + _MORE_PORTS) if port is None else (port,)
     for number in wanted:
         try:
-            sockets, _ = bind_sockets("127.0.0.1", number)
+            listening = _listen(number)
         except OSError as error:
             if error.errno not in (errno.EADDRINUSE, errno.EACCES):
                 raise
@@ -96,13 +96,26 @@ def make_server(
             unused_session_lifetime_milliseconds=60_000,
         )
         http = HTTPServer(application)
-        http.add_sockets(sockets)
+        http.add_sockets([listening])
         return Server(IOLoop.current(), application, http)
     raise WavefieldError(
         f"port {wanted[0]} is taken; choose another with --port"
         if len(wanted) == 1
         else f"the ports {wanted[0]} to {wanted[-1]} are all taken; name a free one with --port"
     )
+
+
+def _listen(port: int) -> socket.socket:
+    made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.setblocking(False)
+        made.bind(("127.0.0.1", port))
+        made.listen(128)
+    except OSError:
+        made.close()
+        raise
+    return made
 
 
 def look_server(looked: Looked, port: int | None = None) -> Server:

@@ -273,7 +273,14 @@ def read_block(group: Any, thin: Thinning, start: int, stop: int) -> NDArray[np.
     return thin_block(fields, thin)
 
 
-def read_steps(group: Any, name: str, start: int, stop: int) -> NDArray[Any]:
+def read_steps(
+    group: Any,
+    name: str,
+    start: int,
+    stop: int,
+    rows: slice = slice(None),
+    columns: slice = slice(None),
+) -> NDArray[Any]:
     """Steps of one variable of a cube, unpacked.
 
     Parameters
@@ -284,6 +291,8 @@ def read_steps(group: Any, name: str, start: int, stop: int) -> NDArray[Any]:
         The variable.
     start, stop : int
         Range of steps.
+    rows, columns : slice
+        Which nodes.
 
     Returns
     -------
@@ -297,7 +306,7 @@ def read_steps(group: Any, name: str, start: int, stop: int) -> NDArray[Any]:
     """
     array = group[name]
     try:
-        values = np.asarray(array[start:stop])
+        values = np.asarray(array[start:stop, rows, columns])
     except Exception as error:
         raise StoreError(
             f"{name} of steps {start} to {stop - 1} of {group.store_path} cannot be read: {error}"

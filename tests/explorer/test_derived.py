@@ -1,0 +1,79 @@
+"""Series that are worked out at a node; cubes of which a part is missing."""
+
+import shutil
+
+import numpy as np
+import pytest
+from explorer_cases import create_cube, make_cube, write_cube_block
+
+from wavefield.cubes import open_cube
+from wavefield.errors import StoreError
+from wavefield.explorer.derived import derived_series
+from wavefield.explorer.fields import DERIVED
+from wavefield.explorer.record import Record
+from wavefield.explorer.server import make_server
+from wavefield.waves import kinematics
+
+
+@pytest.fixture(scope="module")
+def cube(tmp_path_factory):
+    path = tmp_path_factory.mktemp("derived") / "cube.zarr"
+    make_cube(path)
+    return path
+
+
+@pytest.mark.parametrize("node", [(8, 9), (0, 19), (2, 4)])
+def test_a_derived_series_is_that_of_the_analysis(cube, node):
+    expected = kinematics(open_cube(cube).load())
+    told = []
+    for name in DERIVED:
+        series = derived_series(Record(cube), name, *node, told.append)
+        np.testing.assert_allclose(series, expected[name].values[:, *node], rtol=1e-4, atol=1e-6)
+    assert told[-1] == 1.0
+
+
+def test_a_derived_map_is_that_of_the_analysis(cube):
+    expected = kinematics(open_cube(cube).load())
+    record = Record(cube)
+    for name in DERIVED:
+        np.testing.assert_allclose(record.field(name, 41), expected[name].values[41], rtol=1e-4, atol=1e-6)
+
+
+def test_steps_to_come_are_empty(tmp_path):
+    path = tmp_path / "cube.zarr"
+    create_cube(path)
+    write_cube_block(path, 40)
+    series = derived_series(Record(path), "vorticity", 8, 9)
+    assert np.isfinite(series[40:80]).all()
+    assert np.isnan(series[:40]).all()
+    assert np.isnan(series[80:]).all()
+
+
+def test_half_a_cube_is_a_sentence_that_names_what_is_missing(cube, tmp_path):
+    half = tmp_path / "cube.zarr"
+    shutil.copytree(cube, half)
+    shutil.rmtree(half / "u" / "c" / "1")
+    record = Record(half)
+    assert np.isfinite(record.field("u", 3)).any()
+    with pytest.raises(StoreError, match=r"u of steps 40 to 79 is not in cube\.zarr.*copy the cube again"):
+        record.field("u", 50)
+
+
+def test_a_cube_without_a_velocity_shows_what_it_has(cube, tmp_path):
+    part = tmp_path / "cube.zarr"
+    shutil.copytree(cube, part)
+    shutil.rmtree(part / "v")
+    record = Record(part)
+    assert "u" in record.names
+    assert not {"v", "vorticity", "residual"} & set(record.names)
+
+
+def test_a_port_that_is_taken_is_a_sentence():
+    first = make_server(lambda document: None, 0)
+    try:
+        from wavefield.errors import WavefieldError
+
+        with pytest.raises(WavefieldError, match=rf"port {first.port} is taken; choose another with --port"):
+            make_server(lambda document: None, first.port)
+    finally:
+        first.stop()

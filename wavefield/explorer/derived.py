@@ -1,0 +1,71 @@
+"""Series of what is worked out from the stored variables, at one node: from the cube, not its preview."""
+
+from collections.abc import Callable
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from wavefield.explorer.record import Record
+from wavefield.store.preview import read_steps
+from wavefield.variables import CUBE_DIMS
+from wavefield.waves.kinematics import kinematics
+
+_BESIDE = 3  # nodes that differences of sixth order reach to either side
+_BALANCE = ("z", "z_t", "u", "v", "w")
+
+
+def derived_series(
+    record: Record, name: str, j: int, i: int, progress: Callable[[float], None] | None = None
+) -> NDArray[np.float32]:
+    """A derived variable at one node over the whole record.
+
+    Parameters
+    ----------
+    record : Record
+        The cube.
+    name : str
+        One of `wavefield.explorer.fields.DERIVED`.
+    j, i : int
+        Row and column of the node.
+    progress : callable, optional
+        Told the fraction that is done.
+
+    Returns
+    -------
+    ndarray, (time,)
+        In its unit; NaN where nothing is measured.
+
+    Raises
+    ------
+    StoreError
+        If a file of the cube is damaged.
+
+    Notes
+    -----
+    Differences want the neighbours of the node, which a thinned preview has not: the nodes around it are read
+    from every block. What comes out is what `wavefield.waves.kinematics` gives for the cube.
+    """
+    steps = record.layout.steps
+    rows, columns = (slice(max(k - _BESIDE, 0), k + _BESIDE + 1) for k in (j, i))
+    out = np.full(steps, np.nan, np.float32)
+    blocks = record.layout.blocks()
+    for number, (start, stop) in enumerate(blocks):
+        if record.ledger[start:stop].any():
+            first, last = max(start - 1, 0), min(stop + 1, steps)
+            around = xr.Dataset(
+                {
+                    n: (
+                        CUBE_DIMS,
+                        read_steps(record.group, n, first, last, rows, columns),
+                        dict(record.group[n].attrs),
+                    )
+                    for n in _BALANCE
+                },
+                coords={"time": record.time[first:last], "y": record.y[rows], "x": record.x[columns]},
+            )
+            found = kinematics(around)[name].values
+            out[start:stop] = found[start - first : stop - first, j - rows.start, i - columns.start]
+        if progress is not None:
+            progress((number + 1) / len(blocks))
+    return out
