@@ -47,7 +47,7 @@ def shown(name):
 def arrived(page, what, where, near=0.02):
     """Wait until all that belongs to a picked node, line or rectangle is there: the link is written last."""
     link = f"(new URL(location).searchParams.get('{what}') ?? '').split(',').map(Number)"
-    page.wait(f"{list(where)}.every((v, k) => Math.abs(v - ({link})[k]) < {near})")
+    page.wait(f"{[float(v) for v in where]}.every((v, k) => Math.abs(v - ({link})[k]) < {near})")
 
 
 def choose(page, select, value):
@@ -407,7 +407,7 @@ def test_what_is_seen_can_be_saved(page, fields, served):
 def test_links_of_the_save_panel_bring_files_and_the_view(page, chrome, fields):
     page.click("map", X[13], Y[10])
     arrived(page, "node", (X[13], Y[10]))
-    page.set("picked", "active", "3")
+    page.page.locator(".bk-tab").get_by_text("Save", exact=True).click()
     page.set("frames", "value", "4")
     words = f"{model('save_words')}.text"
     page.wait(f"{words}.includes('node.csv') && {words}.includes('frames=4')")
@@ -427,7 +427,7 @@ def test_links_of_the_save_panel_bring_files_and_the_view(page, chrome, fields):
     np.testing.assert_allclose(other.image("map_image"), 100 * fields["w"][STEP], rtol=1e-6)
     assert other.column("map_node", "x")[0] == pytest.approx(X[13], abs=0.01)
     other.page.close()
-    page.set("picked", "active", "0")
+    page.page.locator(".bk-tab").get_by_text("Node", exact=True).click()
     assert other.errors == []
 
 
