@@ -182,6 +182,9 @@ def latency(folder: Path, options: argparse.Namespace) -> None:
         scene = Scene.load("full").with_(seed=301, **{"half": HALF, "full": FULL}[size])
         found = follow(folder / size, scene, options.seconds)
         delays = np.array([d for n, d in sorted(found["delays"].items())])
+        if not delays.size:
+            say(f"last byte to picture, {size} size", "2 s", f"no picture within {options.seconds:g} s")
+            continue
         later = delays[3:] if len(delays) > 6 else delays
         pixels = "{} x {}".format(*scene.build_rig()["cam1"].size)
         reached = (
