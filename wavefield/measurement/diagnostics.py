@@ -232,6 +232,7 @@ def diagnose(
         both = stereo.difference_of(matches[plan.reference, b], matches[plan.reference, a])
         recombined[a, b] = windowed([both], plan) - z[a, b]
     moved, eps_piv, d_std = _moved((first, second), 0.5 * (surfaces[0].z + surfaces[1].z), matches, plan)
+    better: dict[str, float | dict[str, float]]
     better = {"now": 1.0, "half the noise": 4.0, "twice the beads": 2.0, "in focus": in_focus(plan)}
     lengths_by = {what: shortest_carried(plan, factor) for what, factor in better.items()}
     carried = {name: {what: by[name] for what, by in lengths_by.items()} for name in "zuvw"}

@@ -217,8 +217,10 @@ def _without(cameras: Collection[str], plan: Plan) -> np.uint16:
 def _mended(instant: Instant, regions: Mapping[str, NDArray[np.bool_]], plan: Plan) -> Surface | None:
     """An instant's surface with that of the other cameras where one contradicts them."""
     surface = instant.surface
+    if plan.settings.sheet_thickness is not None:
+        return surface
     for name, where in regions.items():
-        if surface is None or name not in instant.flat:
+        if surface is None or name in instant.missing or name not in plan.surface_cameras:
             continue
         other = instant.without(name, plan)
         if other is None:  # nobody else is there: what is made of it is not to be trusted
