@@ -58,12 +58,13 @@ def derived(window: Browser, paint: Callable[[], None]) -> tuple[Callable[[], No
     named = "Bokeh.documents[0].get_model_by_name"
 
     def ask() -> None:
+        window.page.evaluate(f"() => {{ window._o = {named}('node_other_line').data }}")
         window.set("node_other", "value", "'vorticity'")
 
     def there() -> None:
         window.wait(
             f"{named}('node_other_figure').left[0].axis_label.startsWith('vorticity') && "
-            f"{named}('node_other_line').data.value.length > 1000 && "
+            f"{named}('node_other_line').data !== window._o && "
             f"isFinite({named}('node_other_line').data.value[500])"
         )
         paint()
