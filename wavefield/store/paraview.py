@@ -72,7 +72,7 @@ def structured_grid(x: NDArray[Any], y: NDArray[Any], step: xr.Dataset) -> bytes
     fields: dict[str, NDArray[Any]] = {
         str(name): np.asarray(field)
         for name, field in step.data_vars.items()
-        if field.ndim == 2 and name not in _VELOCITY
+        if field.dims == ("y", "x") and name not in _VELOCITY
     }
     if all(name in step for name in _VELOCITY):
         fields["velocity"] = np.stack([np.asarray(step[name], np.float32) for name in _VELOCITY], -1)
