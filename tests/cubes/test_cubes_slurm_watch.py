@@ -109,6 +109,17 @@ def test_jobs_that_worked_or_were_preempted_do_not_end_the_run(slurm, look):
     assert cluster.given_up == ["job-1"]
 
 
+def test_a_job_whose_worker_came_and_went_between_two_looks_is_asked_for_again(slurm, look, tmp_path):
+    for number in (10, 11):
+        log = f"worker - INFO - Registered to: tls://here:1\nworker {number} was killed by signal 15\n"
+        (tmp_path / f"wavefield-{number}.err").write_text(log)
+    cluster = Cluster()
+    once = look(cluster)
+    once()
+    once()
+    assert sorted(cluster.given_up) == ["job-0", "job-1"]
+
+
 def test_a_refusal_ends_the_run_unless_it_passes(slurm, look, caplog):
     with pytest.raises(ExperimentError, match="Slurm refuses the jobs of this run: invalid partition"):
         look(Cluster("sbatch: error: invalid partition specified: gpu"))()

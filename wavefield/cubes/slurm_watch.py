@@ -97,7 +97,8 @@ class Watch:
     def _look_for_ended(self, asked: dict[str, str], states: dict[str, tuple[str, str]]) -> None:
         absent = {number for number in asked if number not in states}
         for number in absent & self._absent:  # twice: Slurm may be late to list it, the worker to be heard
-            if not any(state in _shown(number) for state in _NOT_ITS_FAULT):
+            blameless = any(state in _shown(number) for state in _NOT_ITS_FAULT)
+            if not blameless and not _connected_once(number, self._logs):
                 self._failed.append(number)
             self._forget(asked[number])
         self._absent = absent - self._absent
@@ -148,6 +149,11 @@ def _states() -> dict[str, tuple[str, str]] | None:
         return None
     rows = (line.split("|", 2) for line in done.stdout.splitlines() if line.count("|") >= 2)
     return {number: (state, reason) for number, state, reason in rows if state != "COMPLETING"}
+
+
+def _connected_once(number: str, logs: Path) -> bool:
+    """Whether a worker of a job has met the scheduler, if only between two looks: its log tells."""
+    return any(b"Registered to" in path.read_bytes() for path in logs.glob(f"*-{number}*.err"))
 
 
 def _shown(number: str) -> str:
