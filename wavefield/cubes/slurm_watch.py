@@ -81,7 +81,7 @@ class Watch:
         asked = {job.job_id: name for name, job in silent.items() if job.job_id}
         states = _states() if asked else None
         if states is not None:
-            self._look_for_ended(asked, states)
+            self._look_for_ended(asked, states, bool(connected))
             if not connected:
                 self._look_at_queue([states[number] for number in asked if number in states])
 
@@ -94,7 +94,9 @@ class Watch:
                 self._say(f"{sentence}; asking again")
                 self._forget(name)
 
-    def _look_for_ended(self, asked: dict[str, str], states: dict[str, tuple[str, str]]) -> None:
+    def _look_for_ended(
+        self, asked: dict[str, str], states: dict[str, tuple[str, str]], working: bool
+    ) -> None:
         absent = {number for number in asked if number not in states}
         for number in absent & self._absent:  # twice: Slurm may be late to list it, the worker to be heard
             blameless = any(state in _shown(number) for state in _NOT_ITS_FAULT)
@@ -102,7 +104,9 @@ class Watch:
                 self._failed.append(number)
             self._forget(asked[number])
         self._absent = absent - self._absent
-        if self._failed and len(self._failed) >= min(_MOST_FAILURES, len(self._cluster.worker_spec) or 1):
+        if working:
+            self._failed.clear()  # jobs do start here
+        elif self._failed and len(self._failed) >= min(_MOST_FAILURES, len(self._cluster.worker_spec) or 1):
             raise ExperimentError(why_ended(self._failed[0], self._logs))
 
     def _look_at_queue(self, waiting: list[tuple[str, str]]) -> None:
