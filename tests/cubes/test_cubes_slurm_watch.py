@@ -120,6 +120,17 @@ def test_a_job_whose_worker_came_and_went_between_two_looks_is_asked_for_again(s
     assert sorted(cluster.given_up) == ["job-0", "job-1"]
 
 
+def test_a_run_goes_on_while_others_work_whatever_became_of_a_job(slurm, look):
+    slurm("", "JobId=11 JobState=CANCELLED Reason=None")
+    cluster = Cluster()
+    cluster.worker_spec = {"job-0": None}  # one lost job would be enough to end a run in which none works
+    cluster.scheduler_info["workers"] = {"tcp://one": {"id": "job-0"}}
+    once = look(cluster)
+    for _ in range(3):
+        once()
+    assert cluster.given_up == ["job-1"]
+
+
 def test_a_refusal_ends_the_run_unless_it_passes(slurm, look, caplog):
     with pytest.raises(ExperimentError, match="Slurm refuses the jobs of this run: invalid partition"):
         look(Cluster("sbatch: error: invalid partition specified: gpu"))()

@@ -64,7 +64,8 @@ class Watch:
         Raises
         ------
         ExperimentError
-            If Slurm refuses the jobs, will never start them, or they end before their workers start.
+            If Slurm refuses the jobs, will never start them, or, while none works, they end before their
+            workers start.
         """
         now = time.monotonic()
         if now - self._looked < min(_SELDOM, max(_OFTEN, (now - self._since) / 10)):

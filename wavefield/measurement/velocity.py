@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -119,8 +120,12 @@ def velocity(
     motion = _solved(seen, plan)
     known = (seen.rejected == 0).all(axis=0)
 
+    @cache
+    def by_others(n: int) -> Motion:
+        return _solved(_others(seen, n), plan)
+
     def misfit_without(n: int) -> Float:
-        return _solved(_others(seen, n), plan).misfit
+        return by_others(n).misfit
 
     liar = None
     if without is None:
@@ -132,9 +137,9 @@ def velocity(
             liar = None  # not everywhere
         without = {names[n]: where for n, where in found.items()} if liar is None else {}
     if liar is not None:
-        motion = replace(_solved(_others(seen, liar), plan), left_out=names[liar])
+        motion = replace(by_others(liar), left_out=names[liar])
     for name, where in without.items():
-        motion = _patched(motion, _solved(_others(seen, names.index(name)), plan), where)
+        motion = _patched(motion, by_others(names.index(name)), where)
     motion = replace(motion, regions=without)
     typical = median_misfit(motion.misfit, known)
     # where most contradict each other and no one camera explains it, some nodes agree by chance
