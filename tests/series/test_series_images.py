@@ -6,7 +6,7 @@ import pytest
 import tifffile
 
 from wavefield.errors import FrameError
-from wavefield.images import read_image, write_image
+from wavefield.images import plain_tiff, read_image, write_image
 from wavefield.series.frames import judge_content
 
 
@@ -139,3 +139,33 @@ def test_an_image_with_pixels_that_are_no_numbers_is_not_measured(value):
     frame = judge_content(image, "cam1 frame 7")
     assert frame.image is None
     assert frame.message == "cam1 frame 7 has 1 pixels that are not finite numbers"
+
+
+@pytest.mark.parametrize("how", [{}, {"byteorder": ">"}, {"bigtiff": True}, {"rowsperstrip": 5}])
+def test_the_directory_of_a_series_of_tiffs_is_parsed_once(tmp_path, monkeypatch, how):
+    pictures = np.random.default_rng(3).integers(0, 4096, (5, 18, 22)).astype("u2")
+    for k, picture in enumerate(pictures):
+        tifffile.imwrite(tmp_path / f"{k}.tif", picture, **how)
+    parsed, parse = [], tifffile.TiffFile.__init__
+    monkeypatch.setattr(tifffile.TiffFile, "__init__", lambda *a, **k: (parsed.append(1), parse(*a, **k))[1])
+    plain_tiff._layouts.clear()
+    for k, picture in enumerate(pictures):
+        got = read_image(tmp_path / f"{k}.tif")
+        np.testing.assert_array_equal(got, picture)
+        assert got.dtype == np.uint16
+        assert got.dtype.isnative
+    assert len(parsed) == 1
+
+
+def test_a_tiff_of_another_layout_and_the_same_size_is_not_taken_for_one_of_the_series(tmp_path):
+    tall = np.arange(18 * 22, dtype="u2").reshape(22, 18)
+    tifffile.imwrite(tmp_path / "a.tif", tall.reshape(18, 22))
+    tifffile.imwrite(tmp_path / "b.tif", tall)
+    data = bytearray((tmp_path / "a.tif").read_bytes())
+    assert len(data) == (tmp_path / "b.tif").stat().st_size
+    for name, expected in (("a.tif", tall.reshape(18, 22)), ("b.tif", tall)):
+        np.testing.assert_array_equal(read_image(tmp_path / name), expected)
+    data[:8] = (tmp_path / "b.tif").read_bytes()[:8]
+    (tmp_path / "cut.tif").write_bytes(data[:-100])
+    with pytest.raises(FrameError, match=r"cut\.tif is"):
+        read_image(tmp_path / "cut.tif")

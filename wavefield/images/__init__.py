@@ -13,6 +13,7 @@ import tifffile
 from wavefield.errors import FrameError, StoreError
 from wavefield.images.davis import read_buffer
 from wavefield.images.dng import read_dng
+from wavefield.images.plain_tiff import read_plain_tiff
 from wavefield.whole_files import whole
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # what is wrong with a file is said here
@@ -153,23 +154,10 @@ def _read_file(path: str | Path) -> np.ndarray | None:
             return None
         if ending in (".jpg", ".jpeg"):
             return cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
-        if ending in (".tif", ".tiff") and (image := _as_it_lies(path)) is not None:
+        if ending in (".tif", ".tiff") and (image := read_plain_tiff(path)) is not None:
             return image
         return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     except (cv2.error, OSError):
-        return None
-
-
-def _as_it_lies(path: str | Path) -> np.ndarray | None:
-    """A whole grey TIFF that is not compressed: five times faster than by OpenCV. None for any other."""
-    try:
-        with tifffile.TiffFile(path) as tiff:
-            page = tiff.pages.first
-            plain = page.compression == 1 and page.photometric == 1 and page.samplesperpixel == 1
-            if not plain or page.dtype not in (np.uint8, np.uint16) or page.imagedepth != 1:
-                return None
-            return np.asarray(page.asarray())
-    except Exception:  # whatever is wrong with it, others say it better
         return None
 
 

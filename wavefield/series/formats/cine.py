@@ -6,13 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from wavefield.errors import FrameError
+from wavefield.series.formats.packed import packed, packed_bytes
 from wavefield.series.formats.recording import (
     RawRecording,
     Recording,
     checked_shape,
     fitting,
-    packed,
-    packed_bytes,
     plain,
 )
 

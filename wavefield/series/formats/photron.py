@@ -5,13 +5,12 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from wavefield.errors import FrameError
+from wavefield.series.formats.packed import packed, packed_bytes
 from wavefield.series.formats.recording import (
     RawRecording,
     Recording,
     checked_shape,
     fitting,
-    packed,
-    packed_bytes,
     plain,
 )
 

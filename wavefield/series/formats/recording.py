@@ -1,6 +1,5 @@
-"""One image after another in a file: where they start, how their pixels are packed."""
+"""One image after another in a file: where they start, how whole pixels are read."""
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO, FileIO
@@ -8,17 +7,14 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numba import int64, uint8, uint16, uint32, uint64, void
 from numpy.typing import NDArray
 
-from wavefield.compiled import compiled
 from wavefield.errors import FrameError
 
 Pixels = NDArray[Any]
 Stream = FileIO | BytesIO
 
-_TOGETHER = 4  # pixels of 10 or 12 bits that begin and end with a byte
-_PIECE = 1 << 18  # bytes of an image that are taken apart at a time
+_PIECE = 1 << 18  # bytes of an image upside down that are read at a time
 
 
 class Recording(Protocol):
@@ -148,127 +144,36 @@ def plain(shape: tuple[int, int], dtype: str, *, upside_down: bool = False) -> C
             piece = np.empty((max(1, _PIECE // out[0].nbytes), shape[1]), dtype)
             for last in range(shape[0], 0, -len(piece)):
                 part = piece[: min(len(piece), last)]
-                _fill(part, stream)
+                fill(part, stream)
                 out[last - len(part) : last] = part[::-1]
         else:
-            _fill(out, stream)
+            fill(out, stream)
         return out.astype(out.dtype.newbyteorder("="), copy=False)
 
     return take
 
 
-def _fill(out: Pixels, stream: Stream) -> None:
+def fill(out: Pixels, stream: Stream) -> None:
+    """Read bytes until an array is full.
+
+    Parameters
+    ----------
+    out : ndarray
+        Contiguous; overwritten.
+    stream : file
+        That stands at them.
+
+    Raises
+    ------
+    EOFError
+        Where the file ends before.
+    """
     rest = memoryview(out.reshape(-1).view(np.uint8))  # type: ignore[arg-type]  # which is a buffer
     while rest:
         count = stream.readinto(rest)
         if not count:
             raise EOFError
         rest = rest[count:]
-
-
-def packed(shape: tuple[int, int], bits: int) -> Callable[[Stream], Pixels]:
-    """Reader of pixels of 10 or 12 bits one after another, the highest bit first.
-
-    They are taken apart piece by piece, while each is still in the processor's cache.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns.
-    bits : {10, 12}
-        Of a pixel.
-
-    Returns
-    -------
-    callable
-        To images of uint16.
-
-    Examples
-    --------
-    >>> from io import BytesIO
-    >>> packed((1, 2), 12)(BytesIO(bytes([0x12, 0x34, 0x56]))).tolist()
-    [[291, 1110]]
-    """
-
-    def take(stream: Stream) -> Pixels:
-        out = np.empty(shape, np.uint16)
-        flat, piece = out.reshape(-1), np.empty(_PIECE * bits // 16, np.uint8)
-        for first in range(0, flat.size, _PIECE // 2):
-            part = flat[first : first + _PIECE // 2]
-            raw = piece[: packed_bytes((1, part.size), bits)]
-            _fill(raw, stream)
-            _unpack(raw, bits, part)
-        return out
-
-    return take
-
-
-def _unpack(raw: Pixels, bits: int, flat: Pixels) -> None:
-    whole = flat.size // _TOGETHER * _TOGETHER if sys.byteorder == "little" else 0
-    if bits == 12:
-        _unpack_pairs(raw, flat[:whole].view(np.uint32))
-    else:
-        _unpack_fours(raw, flat[:whole].view(np.uint64))
-    _unpack_rest(raw, bits, whole, flat)
-
-
-@compiled([void(uint8[::1], uint32[::1])], error_model="numpy")
-def _unpack_pairs(raw: Pixels, out: Pixels) -> None:
-    """Pixels of 12 bits, two from three bytes: in words of one width it becomes vector code."""
-    for k in range(np.uintp(len(out))):
-        i = np.uintp(3) * np.uintp(k)
-        a, b, c = np.uint32(raw[i]), np.uint32(raw[i + np.uintp(1)]), np.uint32(raw[i + np.uintp(2)])
-        first = (a << np.uint32(4)) | (b >> np.uint32(4))
-        out[k] = first | ((b & np.uint32(15)) << np.uint32(24)) | (c << np.uint32(16))
-
-
-@compiled([void(uint8[::1], uint64[::1])], error_model="numpy")
-def _unpack_fours(raw: Pixels, out: Pixels) -> None:
-    """Pixels of 10 bits, four from five bytes: gathered into words, then taken apart in vector code."""
-    gathered, ten = np.empty(256, np.uint64), np.uint64(1023)
-    one = np.uintp(1)
-    for start in range(np.uintp(0), np.uintp(len(out)), np.uintp(256)):
-        count = min(np.uintp(len(out)) - start, np.uintp(256))
-        for k in range(count):
-            i = np.uintp(5) * (start + k)
-            word = np.uint64(raw[i])
-            for _ in range(4):
-                i += one
-                word = (word << np.uint64(8)) | np.uint64(raw[i])
-            gathered[k] = word
-        for k in range(count):
-            word = gathered[k]
-            first = (word >> np.uint64(30)) | (((word >> np.uint64(20)) & ten) << np.uint64(16))
-            out[start + k] = (
-                first | (((word >> np.uint64(10)) & ten) << np.uint64(32)) | ((word & ten) << np.uint64(48))
-            )
-
-
-@compiled([void(uint8[::1], int64, int64, uint16[::1])], error_model="numpy")
-def _unpack_rest(raw: Pixels, bits: int, first: int, out: Pixels) -> None:
-    """Pixels from ``first`` on, bit by bit."""
-    for o in range(first, len(out)):
-        value = 0
-        for bit in range(o * bits, (o + 1) * bits):
-            value = 2 * value + ((raw[bit >> 3] >> (7 - (bit & 7))) & 1)
-        out[o] = value
-
-
-def packed_bytes(shape: tuple[int, int], bits: int) -> int:
-    """Bytes of an image of packed pixels.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns.
-    bits : int
-        Of a pixel.
-
-    Returns
-    -------
-    int
-    """
-    return -(-shape[0] * shape[1] * bits // 8)
 
 
 def checked_shape(path: Path, width: int, height: int) -> tuple[int, int]:
