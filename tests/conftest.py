@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
@@ -23,6 +24,25 @@ def shared() -> Path:
     if not (SHARED / "data").is_dir():
         pytest.skip("needs the real images (set WAVEFIELD_SHARED to their folder)")
     return SHARED
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaves pictures blank, for tests of what stands beside them: drawing is most of the time of a page."""
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, file, **how: file.write(b"\x89PNG"))
+
+
+@pytest.fixture
+def unarranged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draws pictures, but leaves their parts where they lie: arranging them takes longer than drawing."""
+    from matplotlib.figure import Figure
+
+    def draw(figure: Figure, *to: object, **how: Any) -> None:
+        figure.set_layout_engine("none")
+        save(figure, *to, **how)
+
+    save = Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", draw)
 
 
 # what takes longest comes first, so that no worker is left alone with it at the end

@@ -241,7 +241,7 @@ def test_comments_at_the_head_of_a_catalog_stay(catalog, own_tank):
     assert catalog.read_text().startswith("# Our tanks.\n\nversion: 2")
 
 
-def test_a_campaign_is_checked_measured_verified_analysed_and_compared(catalog, capsys):
+def test_a_campaign_is_checked_measured_verified_analysed_and_compared(catalog, capsys, undrawn):
     """With every run; what fails with one does not keep the others, and one page compares them."""
     lab, here = str(catalog), ["--workflow", str(catalog.with_name("here.yaml"))]
     catalog.with_name("here.yaml").write_text("cluster: none\n")

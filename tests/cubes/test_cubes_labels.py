@@ -75,7 +75,7 @@ def test_what_reads_the_cube_by_itself_sees_the_new_rate(own_tank, cube, referen
     np.testing.assert_allclose(shown, 2 * wide[0, :: thin.every, :: thin.every], atol=1.01e-4)
 
 
-def test_a_report_does_not_show_waves_of_another_rate(own_tank, cube):
+def test_a_report_does_not_show_waves_of_another_rate(own_tank, cube, undrawn):
     assert main(["-q", "analyze", str(cube), "--segment", "8"]) == 0
     assert gather(cube, cube.with_name("waves.zarr")).waves is not None
     change(own_tank, ("frame_rate: 20.0", "frame_rate: 25.0"))

@@ -95,6 +95,7 @@ def test_run_again_measures_nothing_and_status_agrees(folder, capsys):
     assert (folder / "cube.zarr" / "zarr.json").stat().st_mtime_ns == before
     assert main(["status", str(folder / "cube.zarr")]) == 0
     assert "17 of 17 steps (100 %)" in capsys.readouterr().out
+    assert not (folder / "waves.log").exists()  # one process analysed it
 
 
 def test_check_says_that_the_cameras_agree(folder, capsys):
@@ -252,7 +253,7 @@ def test_margin_leaves_out_the_edge_of_what_was_measured():
     assert kept.sum() == (20 - 4 - 8) * (30 - 6 - 8)
 
 
-def test_report_is_written_without_the_images_too_and_says_so(folder, tmp_path):
+def test_report_is_written_without_the_images_too_and_says_so(folder, tmp_path, undrawn):
     from wavefield.reports import gather, write_report
 
     images = folder / "cam1"
@@ -265,7 +266,7 @@ def test_report_is_written_without_the_images_too_and_says_so(folder, tmp_path):
     assert "Coverage and faults" in page
 
 
-def test_the_papers_figures_are_on_one_page(folder, tmp_path):
+def test_the_papers_figures_are_on_one_page(folder, tmp_path, unarranged):
     # any record will do for one at rest
     page = tmp_path / "paper.html"
     assert (
@@ -295,7 +296,7 @@ def test_the_papers_figures_are_on_one_page(folder, tmp_path):
     assert all(re.match(r"[\d.]+", here) for _, here in rows), rows
 
 
-def test_calibrate_levels_the_rig_on_the_record_at_rest(folder, tmp_path, capsys):
+def test_calibrate_levels_the_rig_on_the_record_at_rest(folder, tmp_path, capsys, undrawn):
     still = Tank(Scene.from_dict(SCENE | {"sea": {"kind": "still"}}))
     for frame in range(2):
         for name, image in still.render(frame).items():
