@@ -15,7 +15,7 @@ from wavefield.measurement.rectify import bin_pixels
 
 _KNEE = 0.5  # of the contrast: darker than this above the background, the logarithm is nearly a line
 _PLACES = 0.01, 0.5, 0.99
-BETWEEN_CAMERAS, IN_TIME = 1.5, 0.3  # `sharpened` for the surface and for displacements
+BETWEEN_CAMERAS, IN_TIME = 1.5, 0.6  # `sharpened` for the surface and for displacements
 _SCALE = 5000.0  # grey levels for a factor e: log(65535) still fits 16 bits
 
 

@@ -217,6 +217,7 @@ class Plan:
             side = np.linalg.inv(self.binned[name].jacobian(x, y, 0.0)[:, :2]) / self.pixel
             # variances in px: the lens, the pixel, the spline by which the image is read
             sensor = (_LENS / self.binning[name]) ** 2 + 1.0 / 12.0 + 6.0 / 12.0
+            sensor += 0.25 * (self.binning[name] > 1)  # half a side: what goes before `bin_pixels`
             spread[name] = sensor * np.sum(side**2, axis=1)
         widest = np.max(list(spread.values()), axis=0)
         blur = {name: np.sqrt(widest - own) for name, own in spread.items()}
