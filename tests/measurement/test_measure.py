@@ -258,7 +258,7 @@ def test_a_coarse_grid_reads_the_same_surface(series, plan, cube):
     coarse = Grid(x=(-0.18, 0.18), y=(-0.14, 0.14), step=0.02)
     out = measure(series.block(), Plan(series.rig, coarse, Settings()), RATE)
     np.testing.assert_allclose(
-        out["z"][0], cube["z"][0][::2, ::2], atol=3e-5
+        out["z"][0], cube["z"][0][::2, ::2], atol=4e-5
     )  # each has learned from its own frames
 
 
@@ -268,8 +268,9 @@ def test_z_is_as_certain_as_sight_lines_meet(series, plan, cube):
     for along, across in ((0.3, 0.0), (0.0, 0.3)):
         rng = np.random.default_rng(5)
         shaken = []
+        noise = rng.standard_normal(frames["cam1"][0].shape).astype(np.float32)
+        shift = cv2.GaussianBlur(noise, (0, 0), 12.0)  # of all frames alike: nothing contradicts in time
         for image in frames["cam1"]:
-            shift = cv2.GaussianBlur(rng.standard_normal(image.shape).astype(np.float32), (0, 0), 12.0)
             y, x = (
                 np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32)
                 + shift / shift.std() * (np.float32([across, along])[:, None, None])
