@@ -3,7 +3,9 @@
     python -m benchmarks.masked [--seeds 311 312 313] [--across 0.2]
 
 The same sea is drawn twice, with the cylinder and without; both are measured, in units of the stated standard
-uncertainty of what is measured without it. Beyond a window nothing should change; within it windows are cut.
+uncertainty of what is measured without it. Farther than a window from what any camera has masked nothing
+should change; nearer, windows are cut. What is learned of a record differs a little, too, where a part of it
+is masked: a third measurement, masked and with the record of the whole sea, tells how much that does.
 """
 
 import argparse
@@ -19,6 +21,8 @@ from numpy.typing import NDArray
 from benchmarks.cubes import say
 from benchmarks.scenes import HALF
 from wavefield.measurement import Plan, learn, measure
+from wavefield.measurement.covered import covered_in
+from wavefield.measurement.record import Record
 from wavefield.series import FrameSeries
 from wavefield.series.masks import MaskSection, covered_series, footprints
 from wavefield.tank import Scene, Tank
@@ -48,13 +52,28 @@ def with_cylinder(images: Images, where: Mapping[str, NDArray[np.bool_]], seed: 
     return out
 
 
-def one_step(images: Images, plan: Plan, masks: Mapping[str, Any] | None, rate: float) -> dict[str, Any]:
-    """A record learned from the images, and a step measured as a run does."""
-    instants = [{name: frames[k] for name, frames in images.items()} for k in (2, 3)]
-    record = learn([(instants[0], instants[1])], plan, [(masks, masks)] if masks else None)
+def learned(images: Images, plan: Plan, masks: Mapping[str, Any] | None) -> Record:
+    """What a run would learn of the frames."""
+    instants = [{name: frames[k] for name, frames in images.items()} for k in range(FRAMES)]
+    pairs = list(zip(instants[::2], instants[1::2], strict=True))
+    record = learn(pairs, plan, [(masks, masks)] * len(pairs) if masks else None)
     assert record is not None
+    return record
+
+
+def one_step(
+    images: Images, plan: Plan, record: Record, masks: Mapping[str, Any] | None, rate: float
+) -> dict[str, Any]:
+    """A step measured as a run does."""
     every = {name: [pixels] * FRAMES for name, pixels in masks.items()} if masks else None
     return measure(images, plan.knowing(record), rate, every)
+
+
+def hidden_from_any(z: NDArray[Any], masks: Mapping[str, Any], plan: Plan) -> NDArray[np.bool_]:
+    """Nodes that one camera at least does not see for its mask."""
+    covered = covered_in(masks, plan)
+    seen = [one.at(*plan.sights[name].position(z)) for name, one in covered.items()]
+    return np.asarray(np.logical_or.reduce(seen))
 
 
 def change(seed: int, across: float) -> dict[str, Any]:
@@ -70,10 +89,13 @@ def change(seed: int, across: float) -> dict[str, Any]:
     plan = Plan(tank.rig, grid, covered=footprints({"water": [masked]}))
     masks = covered(tank, masked, -plan.z_range[0])
     painted = with_cylinder(images, covered(tank, standing, 0.02), seed)
-    free = one_step(images, free_plan, None, rate)
-    beside = one_step(painted, plan, masks, rate)
-    unmasked = one_step(painted, free_plan, None, rate)
+    whole = learned(images, free_plan, None)
+    free = one_step(images, free_plan, whole, None, rate)
+    beside = one_step(painted, plan, learned(painted, plan, masks), masks, rate)
+    given = one_step(painted, plan, whole, masks, rate)
+    unmasked = one_step(painted, free_plan, learned(painted, free_plan, None), None, rate)
     hidden = (beside["quality"][0] & MASKED) != 0
+    hidden |= hidden_from_any(np.nan_to_num(free["z"][0]).astype(np.float32), masks, plan)
     distance = cv2.distanceTransform((~hidden).astype(np.uint8), cv2.DIST_L2, 5) * grid.step
     window = max(plan.settings.piv.window, plan.settings.stereo.window) * plan.pixel
 
@@ -83,10 +105,11 @@ def change(seed: int, across: float) -> dict[str, Any]:
     return {
         "window": window,
         "far": distance > window,
+        "farther": distance > 3 * window,
         "near": (distance > 0) & (distance <= window),
         "hidden": hidden,
-        "filled": (beside["quality"][0] & int(Quality.FILLED)) != 0,
         "masked": apart(beside),
+        "given": apart(given),
         "unmasked": apart(unmasked),
     }
 
@@ -107,12 +130,13 @@ def main(words: Sequence[str]) -> int:
 
     first = found[0]
     print(
-        f"cylinder {options.across:g} m across; windows {1e3 * first['window']:.0f} mm; nodes masked "
+        f"cylinder {options.across:g} m across; windows {1e3 * first['window']:.0f} mm; nodes hidden "
         f"{[int(one['hidden'].sum()) for one in found]}, nearer than a window "
         f"{[int(one['near'].sum()) for one in found]}, farther {[int(one['far'].sum()) for one in found]}"
     )
     for where, words_of, asked in (
         ("far", "more than a window away", "< .1 std"),
+        ("farther", "more than three windows away", "< .1 std"),
         ("near", "nearer than a window", ""),
     ):
         for name in FIELDS:
@@ -120,7 +144,8 @@ def main(words: Sequence[str]) -> int:
             lost = 100 * np.mean(~np.isfinite(values))
             reached = (
                 f"rms {_rms(values):.3f}, below .1 {100 * np.nanmean(values < 0.1):.1f} %, most "
-                f"{np.nanmax(values):.2f}, lost {lost:.1f} %; without a mask rms "
+                f"{np.nanmax(values):.2f}, lost {lost:.1f} %; with the record of the whole sea rms "
+                f"{_rms(gathered('given', where, name)):.3f}; without a mask rms "
                 f"{_rms(gathered('unmasked', where, name)):.2f}"
             )
             say(f"change of {name} {words_of}", asked, reached)

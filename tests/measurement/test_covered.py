@@ -58,6 +58,24 @@ def test_a_masked_cylinder_changes_little_beyond_a_window(series, plan, drawn, f
     assert min(worse.values()) > 1.3
 
 
+def test_what_is_learned_of_the_water_depends_little_on_how_much_of_it_is_masked(series):
+    """Blocks tell as much, and waves are as high, beneath a mask as beside it."""
+    plan = Plan(series.rig, series.grid)
+    steps = [({n: f[0] for n, f in series.frames.items()}, {n: f[1] for n, f in series.frames.items()})]
+    masks = {name: np.zeros(camera.size[::-1], bool) for name, camera in series.rig.cameras.items()}
+    for mask in masks.values():
+        mask[:, : mask.shape[1] // 2] = True
+    whole, beside = learn(steps, plan), learn(steps, plan, [(masks, masks)])
+    pairs = [(whole.elevation, beside.elevation)]
+    pairs += [
+        (one, other) for (_, one), (_, other) in zip(whole.displacement, beside.displacement, strict=True)
+    ]
+    told = [other.information / one.information for one, other in pairs]
+    high = [np.mean(other.power[2:9]) / np.mean(one.power[2:9]) for one, other in pairs]
+    assert 0.75 < np.mean(told) < 1.3, told
+    assert 0.75 < np.mean(high) < 1.3, high
+
+
 def test_masked_nodes_hold_nothing_and_say_so(series, plan, drawn):
     with_mask = Plan(series.rig, series.grid, covered=footprints({"water": [CYLINDER]})).knowing(plan.record)
     found = measure(around(drawn[0]), with_mask, RATE, around(drawn[1]))

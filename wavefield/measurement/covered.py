@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -93,6 +93,55 @@ def _ready(pixels: Pixels, name: str, plan: Plan) -> Covered:
         seen = cv2.remap(good, X, Y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
         flat = Mask.of(plan.seen[name] & (seen > 250), plan.settings.stereo)
     return Covered(Mask.of(good > 250, plan.settings.piv), flat)
+
+
+_LEAST = 0.1  # what is less than this bare tells nothing of the rest
+
+
+def bare_of_camera(covered: Sequence[Covered | None]) -> float:
+    """Fraction of a camera's blocks that are masked in none of some images.
+
+    Parameters
+    ----------
+    covered : sequence of Covered or None
+        Of each image; None where nothing is masked.
+
+    Returns
+    -------
+    float
+        1.0 where nothing is masked; .1 at least.
+    """
+    levels = [one.raw.levels[0] > 0 for one in covered if one is not None]
+    return max(float(np.logical_and.reduce(levels).mean()), _LEAST) if levels else 1.0
+
+
+def bare_of_pairs(covered: Mapping[str, Covered], plan: Plan) -> float:
+    """Fraction of what pairs of cameras both see that is masked in neither, mean over the pairs.
+
+    Parameters
+    ----------
+    covered : mapping of str to Covered
+        What is masked at one instant.
+    plan : Plan
+        Everything computed beforehand.
+
+    Returns
+    -------
+    float
+        1.0 where nothing is masked; .1 at least.
+    """
+
+    def level(name: str, mask: Mask | None) -> Pixels:
+        return (plan.masks[name] if mask is None else mask).levels[0] > 0
+
+    flat = {name: one.flat for name, one in covered.items() if one.flat is not None}
+    if not flat:
+        return 1.0
+    bare, seen = 0.0, 0.0
+    for a, b in plan.pairs:
+        bare += float((level(a, flat.get(a)) & level(b, flat.get(b))).sum())
+        seen += float((level(a, None) & level(b, None)).sum())
+    return max(bare / max(seen, 1.0), _LEAST)
 
 
 def masked_nodes(

@@ -18,7 +18,7 @@ from wavefield.matching import Modes, Prior
 from wavefield.matching.kernels import BLOCK
 from wavefield.matching.one_thread import one_thread
 from wavefield.measurement import elevation, flow
-from wavefield.measurement.covered import Masks
+from wavefield.measurement.covered import Masks, bare_of_camera, bare_of_pairs
 from wavefield.measurement.floor import bead_width
 from wavefield.measurement.frame import usable
 from wavefield.measurement.instant import Images, images_of
@@ -178,7 +178,9 @@ def _learn_elevation(
         return _FLAT
 
     def look(view: tuple[Images, Images], found: _Near) -> _Height | None:
-        return None if found.pairs is None else _Height(*found.pairs, view[0].flat, plan.pixel)
+        if found.pairs is None:
+            return None
+        return _Height(*found.pairs, view[0].flat, plan.pixel, bare_of_pairs(view[0].covered, plan))
 
     samples = [sample for sample in pool.map(look, views, near) if sample is not None]
     if not samples:
@@ -188,7 +190,7 @@ def _learn_elevation(
 
     def told(sample: _Height) -> float:
         estimate = elevation.most_probable(*sample.parts, modes, plan.pixel)
-        return float(estimate.information.mean())
+        return float(estimate.information.mean()) / sample.bare
 
     return replace(prior, information=float(np.mean(list(pool.map(told, samples)))))
 
@@ -202,7 +204,8 @@ def _learn_displacement(
 ) -> _Samples | None:
     def look(step: tuple[tuple[Images, Images], _Near]) -> _Shift:
         (one, other), found = step
-        return _Shift(found.displacements[name], one.raw[name], other.raw[name])
+        bare = bare_of_camera([one.covered.get(name), other.covered.get(name)])
+        return _Shift(found.displacements[name], one.raw[name], other.raw[name], bare)
 
     there = [step for step in zip(views, near) if name in step[1].displacements]
     samples = list(pool.map(look, there))
@@ -212,10 +215,15 @@ def _learn_displacement(
 
 
 class _Sample:
-    """One field: as windows have it, and as a prior makes it."""
+    """One field: as windows have it, and as a prior makes it.
+
+    `information` is the mean of the blocks that are not masked, `bare` their fraction: a mask says nothing of
+    the water, which is as rough and as well seen beneath it as beside it.
+    """
 
     field: Float
     information: float
+    bare: float
 
     def estimate(self, modes: Modes) -> elevation.Estimate | flow.Estimate:
         """The most probable field."""
@@ -229,10 +237,11 @@ class _Height(_Sample):
         matches: Sequence[PairMatch],
         prepared: Mapping[str, matching.Prepared],
         pixel: float,
+        bare: float,
     ) -> None:
-        self.parts, self._pixel = (blocks, matches, prepared), pixel
+        self.parts, self._pixel, self.bare = (blocks, matches, prepared), pixel, bare
         self.field = blocks.whole
-        self.information = elevation.first_information(blocks, matches, pixel, _FREEDOM)
+        self.information = elevation.first_information(blocks, matches, pixel, _FREEDOM) / bare
 
     def estimate(self, modes: Modes) -> elevation.Estimate:
         # noise from the same scores as the field: taken across, what is more along would pass for waves
@@ -241,14 +250,14 @@ class _Height(_Sample):
 
 class _Shift(_Sample):
     def __init__(
-        self, found: matching.Displacement, one: matching.Prepared, other: matching.Prepared
+        self, found: matching.Displacement, one: matching.Prepared, other: matching.Prepared, bare: float
     ) -> None:
-        self._parts = found, one, other
+        self._parts, self.bare = (found, one, other), bare
         self.field = flow.whole(found)
         counts = found.valid.astype(np.float32)
         trace = found.hessian[0] + found.hessian[2]
         nu = matching.noise_of_scores(found.score, trace, counts, _FREEDOM)
-        self.information = 0.5 * float((trace * counts / nu).mean())
+        self.information = 0.5 * float((trace * counts / nu).mean()) / bare
 
     def estimate(self, modes: Modes) -> flow.Estimate:
         return flow.most_probable(*self._parts, modes)
@@ -280,8 +289,8 @@ class _Samples:
         """The prior that follows from the fields that this one gives."""
         modes = Modes(prior, self.samples[0].field.shape[-2:])
         found = list(self.pool.map(lambda sample: sample.estimate(modes), self.samples))
-        information = float(np.mean([f.information.mean() for f in found]))
-        waves = [f.waves - f.mean for f in found]
+        information = float(np.mean([f.information.mean() / s.bare for f, s in zip(found, self.samples)]))
+        waves = [(f.waves - f.mean) / np.sqrt(s.bare) for f, s in zip(found, self.samples)]
         return matching.better_prior(prior, modes.k, modes.foot, waves, information)
 
 
