@@ -22,7 +22,7 @@ _FURTHEST = 2  # segments apart that may be alike
 _TELLING = 8  # segments: fewer do not tell the scatter of Gaussian lines
 _ENOUGH = 12  # segments: fewer do not tell how alike they are
 _DOUBT = 0.5  # over the root of their number: by so much likeness is overestimated at random
-_MOST = 4.0  # times as many degrees of freedom as cells and energy let expect, or as few
+_MOST = 4.0  # times as many degrees of freedom as cells and energy let expect, or, of Gaussian lines, as few
 
 
 def take_in(sums: dict[str, Array], name: str, mine: Array, first: int) -> None:
@@ -75,10 +75,12 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
         return {"both": theory, "omega": np.full(lines, np.nan), "k": np.full(rings, np.nan)}
     starts, powers = _series(sums, name)
     parts = np.ones_like(theory)
-    if welch.count >= _TELLING or not gaussian:
-        parts = _scatter(powers, starts, welch, theory / 2, (_NEAR, _WIDE)).clip(1 / _MOST, _MOST)
     if not gaussian:  # their scatter is all that is known, and K segments tell it as Student's law has it
+        # products of waves make the cells of a ring rise and fall as one: many times what cells let expect
+        parts = _scatter(powers, starts, welch, theory / 2, (_NEAR, _WIDE), doubt=0.0).clip(1 / _MOST, None)
         parts *= (welch.count - 1) / (welch.count - 3)
+    elif welch.count >= _TELLING:
+        parts = _scatter(powers, starts, welch, theory / 2, (_NEAR, _WIDE)).clip(1 / _MOST, _MOST)
     lines = np.ones(powers.shape[2])
     on_omega = _scatter(powers.sum(axis=1), starts, welch, lines, (_ALONG, _FAR))
     on_k = _scatter(powers.sum(axis=2), starts, welch, welch.table.cells, (_ALONG, _FAR)) / welch.table.cells
@@ -110,7 +112,12 @@ def _series(sums: Mapping[str, Any], name: str) -> tuple[Array, Array]:
 
 
 def _scatter(
-    powers: Array, starts: Array, welch: Welch, scale: Array, sizes: tuple[tuple[int, int] | int, ...]
+    powers: Array,
+    starts: Array,
+    welch: Welch,
+    scale: Array,
+    sizes: tuple[tuple[int, int] | int, ...],
+    doubt: float = _DOUBT,
 ) -> Array:
     # relative variance of the mean of the segments, times a scale, averaged
     alone, whole = (part * scale for part in _variances(powers, starts, welch))
@@ -120,7 +127,7 @@ def _scatter(
         return np.asarray(_smooth(alone, near) * least)
     with np.errstate(divide="ignore", invalid="ignore"):
         likeness = np.nan_to_num(_smooth(whole, wide) / _smooth(alone, wide), nan=least)
-    return np.asarray(_smooth(alone, near) * np.maximum(likeness - _DOUBT / np.sqrt(welch.count), least))
+    return np.asarray(_smooth(alone, near) * np.maximum(likeness - doubt / np.sqrt(welch.count), least))
 
 
 def _variances(powers: Array, starts: Array, welch: Welch) -> tuple[Array, Array]:
