@@ -10,7 +10,9 @@ from wavefield.cubes import open_cube
 from wavefield.errors import StoreError
 from wavefield.explorer.derived import derived_series
 from wavefield.explorer.fields import DERIVED
+from wavefield.explorer.place import Place
 from wavefield.explorer.record import Record
+from wavefield.explorer.save import as_csv, node_series, step_fields
 from wavefield.explorer.server import make_server
 from wavefield.waves import kinematics
 
@@ -26,10 +28,27 @@ def cube(tmp_path_factory):
 def test_a_derived_series_is_that_of_the_analysis(cube, node):
     expected = kinematics(open_cube(cube).load())
     told = []
-    for name in DERIVED:
-        series = derived_series(Record(cube), name, *node, told.append)
+    found = derived_series(Record(cube), *node, told.append)
+    assert set(found) == set(DERIVED)
+    for name, series in found.items():
         np.testing.assert_allclose(series, expected[name].values[:, *node], rtol=1e-4, atol=1e-6)
     assert told[-1] == 1.0
+
+
+def test_saved_series_and_steps_hold_what_is_derived(cube):
+    record = Record(cube)
+    record.preview.load()
+    expected = kinematics(open_cube(cube).load())
+    place = Place(node=(float(record.x[9]), float(record.y[8])), step=41)
+    series, step = node_series(record, place), step_fields(record, place)
+    there = {"x": float(series.x), "y": float(series.y)}
+    for name in DERIVED:
+        at_node = expected[name].sel(there, method="nearest").values
+        np.testing.assert_allclose(series[name].values, at_node, rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(step[name].values, expected[name].values[41], rtol=1e-4, atol=1e-6)
+    head = as_csv(series).split(b"\n", 1)[0].decode()
+    assert "vorticity (s-1)" in head
+    assert "residual (m s-1)" in head
 
 
 def test_a_derived_map_is_that_of_the_analysis(cube):
@@ -43,7 +62,7 @@ def test_steps_to_come_are_empty(tmp_path):
     path = tmp_path / "cube.zarr"
     create_cube(path)
     write_cube_block(path, 40)
-    series = derived_series(Record(path), "vorticity", 8, 9)
+    series = derived_series(Record(path), 8, 9)["vorticity"]
     assert np.isfinite(series[40:80]).all()
     assert np.isnan(series[:40]).all()
     assert np.isnan(series[80:]).all()
@@ -66,6 +85,7 @@ def test_a_cube_without_a_velocity_shows_what_it_has(cube, tmp_path):
     record = Record(part)
     assert "u" in record.names
     assert not {"v", "vorticity", "residual"} & set(record.names)
+    assert derived_series(record, 8, 9) == {}
 
 
 def test_a_port_that_is_taken_is_a_sentence():

@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from wavefield.explorer.fields import DERIVED
 from wavefield.explorer.record import Record
 from wavefield.store.preview import read_steps
 from wavefield.variables import CUBE_DIMS
@@ -16,16 +17,14 @@ _BALANCE = ("z", "z_t", "u", "v", "w")
 
 
 def derived_series(
-    record: Record, name: str, j: int, i: int, progress: Callable[[float], None] | None = None
-) -> NDArray[np.float32]:
-    """A derived variable at one node over the whole record.
+    record: Record, j: int, i: int, progress: Callable[[float], None] | None = None
+) -> dict[str, NDArray[np.float32]]:
+    """All derived variables at one node over the whole record.
 
     Parameters
     ----------
     record : Record
         The cube.
-    name : str
-        One of `wavefield.explorer.fields.DERIVED`.
     j, i : int
         Row and column of the node.
     progress : callable, optional
@@ -33,8 +32,9 @@ def derived_series(
 
     Returns
     -------
-    ndarray, (time,)
-        In its unit; NaN where nothing is measured.
+    dict of str to ndarray, (time,)
+        Those of `wavefield.explorer.fields.DERIVED` whose variables the cube has, in their units; NaN where
+        nothing is measured.
 
     Raises
     ------
@@ -44,12 +44,13 @@ def derived_series(
     Notes
     -----
     Differences want the neighbours of the node, which a thinned preview has not: the nodes around it are read
-    from every block. What comes out is what `wavefield.waves.kinematics` gives for the cube.
+    from every block, once for all. What comes out is what `wavefield.waves.kinematics` gives for the cube.
     """
+    names = [name for name in DERIVED if name in record.names]
     steps = record.layout.steps
     rows, columns = (slice(max(k - _BESIDE, 0), k + _BESIDE + 1) for k in (j, i))
-    out = np.full(steps, np.nan, np.float32)
-    blocks = record.layout.blocks()
+    out = {name: np.full(steps, np.nan, np.float32) for name in names}
+    blocks = record.layout.blocks() if names else []
     for number, (start, stop) in enumerate(blocks):
         if record.ledger[start:stop].any():
             first, last = max(start - 1, 0), min(stop + 1, steps)
@@ -64,8 +65,10 @@ def derived_series(
                 },
                 coords={"time": record.time[first:last], "y": record.y[rows], "x": record.x[columns]},
             )
-            found = kinematics(around)[name].values
-            out[start:stop] = found[start - first : stop - first, j - rows.start, i - columns.start]
+            found = kinematics(around)
+            for name, series in out.items():
+                values = found[name].values
+                series[start:stop] = values[start - first : stop - first, j - rows.start, i - columns.start]
         if progress is not None:
             progress((number + 1) / len(blocks))
     return out

@@ -26,9 +26,8 @@ _NEAR = 0.25  # m: a probe farther away sees other waves
 
 
 class Asked(NamedTuple):
-    """A derived series that somebody wants to see."""
+    """A node whose derived series somebody wants to see."""
 
-    name: str
     j: int
     i: int
     steps: int  # that the cube had then
@@ -71,7 +70,7 @@ class NodePanel:
         self._at: tuple[int, int] | None = None  # in the preview
         self._node = 0, 0  # in the cube
         self._asked: Asked | None = None
-        self._found: tuple[Asked, NDArray[Any]] | None = None
+        self._found: tuple[Asked, dict[str, NDArray[Any]]] | None = None
         self._reading = False
         self.other.on_change("value", lambda attr, old, new: self._show_other())
         self.which.on_change("value", lambda attr, old, new: self._show_spectrum())
@@ -223,9 +222,12 @@ class NodePanel:
 
     def _derived(self, name: str) -> NDArray[Any]:
         """A derived series; empty until it is read, which a thread of its own does."""
-        asked = Asked(name, *self._node, self._record.steps_done)
+        asked = Asked(*self._node, self._record.steps_done)
         if self._found is not None and self._found[0] == asked:
-            return self._found[1]
+            series = self._found[1].get(name)
+            if series is not None:
+                return series * np.float32(shown_as(name, self._record.units(name)).factor)
+            return np.full(self._record.time.size, np.nan, np.float32)
         self._asked = asked
         document = self.layout.document
         if not self._reading and document is not None:
@@ -246,12 +248,10 @@ class NodePanel:
         while self._asked is not None and (self._found is None or self._found[0] != self._asked):
             asked = self._asked
             try:
-                series = derived_series(self._record, asked.name, asked.j, asked.i, progress)
+                self._found = asked, derived_series(self._record, asked.j, asked.i, progress)
             except StoreError as error:
                 document.add_next_tick_callback(partial(setattr, self.words, "text", str(error)))
-                series = np.full(self._record.time.size, np.nan, np.float32)
-            shown = shown_as(asked.name, self._record.units(asked.name))
-            self._found = asked, series * np.float32(shown.factor)
+                self._found = asked, {}
         self._reading = False
         document.add_next_tick_callback(self._show_other)
 

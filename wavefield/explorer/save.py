@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 
 from wavefield.errors import StoreError
+from wavefield.explorer.derived import derived_series
 from wavefield.explorer.fields import arrows, colour_limits, colour_map, shown_as
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import Record
@@ -171,7 +172,7 @@ def _gif(pictures: Iterator[NDArray[np.uint8]], rate: float) -> bytes:
 
 
 def node_series(record: Record, place: Place) -> xr.Dataset:
-    """Every variable at the picked node, from the preview.
+    """Every variable at the picked node, from the preview; what is derived from them, from the cube.
 
     Parameters
     ----------
@@ -194,6 +195,8 @@ def node_series(record: Record, place: Place) -> xr.Dataset:
     preview = record.preview
     j, i = nearest(preview.y, place.node[1]), nearest(preview.x, place.node[0])
     variables = {name: ("time", preview.series(name, j, i)) for name in preview.thin.names}
+    row, column = nearest(record.y, preview.y[j]), nearest(record.x, preview.x[i])
+    variables |= {name: ("time", series) for name, series in derived_series(record, row, column).items()}
     out = xr.Dataset(variables, coords={"time": record.time, "x": preview.x[i], "y": preview.y[j]})
     return _labelled(out, record)
 
@@ -229,7 +232,7 @@ def line_table(record: Record, place: Place) -> xr.Dataset:
 
 
 def step_fields(record: Record, place: Place) -> xr.Dataset:
-    """Every stored variable at the shown step.
+    """Every variable at the shown step.
 
     Parameters
     ----------
@@ -242,7 +245,7 @@ def step_fields(record: Record, place: Place) -> xr.Dataset:
     -------
     Dataset, (y, x)
     """
-    variables = {name: (("y", "x"), record.field(name, place.step)) for name in record.stored}
+    variables = {name: (("y", "x"), record.field(name, place.step)) for name in record.names}
     coordinates = {"time": float(record.time[place.step]), "y": record.y, "x": record.x}
     return _labelled(xr.Dataset(variables, coords=coordinates), record)
 
