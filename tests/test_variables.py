@@ -14,11 +14,17 @@ def field(dtype="f4", units="m", dims=("time", "y", "x")):
     return xr.DataArray(np.ones((2, 3, 4), dtype), dims=dims, attrs={"units": units})
 
 
-@pytest.mark.parametrize("units", UNITS)
-def test_units_are_those_of_pint_and_cf_xarray(units):
+@pytest.fixture(scope="module")
+def registries():
+    """Units as cf-xarray and as plain pint read them."""
     pint = pytest.importorskip("pint")
     cf = pytest.importorskip("cf_xarray.units").units
-    for registry in (cf, pint.UnitRegistry(preprocessors=cf.preprocessors)):
+    return cf, pint.UnitRegistry(preprocessors=cf.preprocessors)
+
+
+@pytest.mark.parametrize("units", UNITS)
+def test_units_are_those_of_pint_and_cf_xarray(registries, units):
+    for registry in registries:
         parsed = registry.Unit(units)
         assert factor(units, units) == 1
         if units == "pixel":  # not the pixel of style sheets, which is a length

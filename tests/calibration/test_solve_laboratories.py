@@ -99,7 +99,7 @@ def test_a_good_pair_is_judged_where_its_target_was_and_by_what_its_model_predic
     assert max(elsewhere.reprojection.values()) > 3 * max(found.derived.reprojection.values())
 
 
-def test_a_refused_rig_is_written_on_request_and_says_so(tmp_path, capsys):
+def test_a_refused_rig_is_written_on_request_and_says_so(tmp_path, capsys, undrawn):
     """Points of 3 px: what comes of them is no rig to trust, but one to look at."""
     exact, grid, rng = paper_rig(), nodes()[::8], np.random.default_rng(7)
     for pose, (R, t) in poses(seed=2).items():

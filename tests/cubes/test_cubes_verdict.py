@@ -36,7 +36,7 @@ def change(lab, camera, how):
         write_image(file, how(read_image(file)))
 
 
-def test_a_mirrored_camera_is_named_by_every_command_and_stops_check_and_run(lab, capsys):
+def test_a_mirrored_camera_is_named_by_every_command_and_stops_check_and_run(lab, capsys, undrawn):
     change(lab, "cam2", mirror)
     here, cube = ["--workflow", str(lab.with_name("here.yaml"))], str(lab.with_name("cube.zarr"))
 

@@ -1,7 +1,9 @@
 """From a scene to a report by the commands alone, as a user would, on a small tank."""
 
+import io
 import json
 import re
+from contextlib import redirect_stdout
 
 import numpy as np
 import pytest
@@ -44,13 +46,21 @@ def folder(tmp_path_factory):
     for words in (
         ["simulate", str(here / "scene.yaml"), str(tank)],
         ["calibrate", experiment],
-        ["check", experiment, "--workflow", str(here / "workflow.yaml")],
+        ["check", experiment, "--workflow", str(here / "workflow.yaml"), "--pairs"],
         ["run", experiment, "--workflow", str(here / "workflow.yaml")],
         ["analyze", str(tank / "cube.zarr")],
         ["report", str(tank / "cube.zarr")],
     ):
-        assert main(["-q", *words]) == 0, f"wavefield {' '.join(words)}"
+        with redirect_stdout(io.StringIO()) as said:
+            assert main(["-q", *words]) == 0, f"wavefield {' '.join(words)}"
+        (here / f"{words[0]}.txt").write_text(said.getvalue())
     return tank
+
+
+@pytest.fixture
+def checked(folder):
+    """What `wavefield check --pairs` says."""
+    return (folder.parent / "check.txt").read_text()
 
 
 def test_errors_are_below_the_papers(folder):
@@ -98,12 +108,9 @@ def test_run_again_measures_nothing_and_status_agrees(folder, capsys):
     assert not (folder / "waves.log").exists()  # one process analysed it
 
 
-def test_check_says_that_the_cameras_agree(folder, capsys):
-    workflow = str(folder.parent / "workflow.yaml")
-    assert main(["-q", "check", str(folder / "experiment.yaml"), "--workflow", workflow]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith("verdict: sound\n")
-    assert re.search(r"cameras agree: cam1-cam2 \d+ %, miss 0.0\d px", out)
+def test_check_says_that_the_cameras_agree(checked):
+    assert checked.startswith("verdict: sound\n")
+    assert re.search(r"cameras agree: cam1-cam2 \d+ %, miss 0.0\d px", checked)
 
 
 def _changed(folder, tmp_path, **entries):
@@ -125,10 +132,9 @@ def test_check_says_where_cameras_are_not_of_the_same_moments(folder, tmp_path, 
     assert "add 1 to its `offset`" in found["verdict"]["remarks"][0]["remedy"]
 
 
-def test_probes_that_are_not_there_are_missed(folder, tmp_path, capsys):
+def test_probes_that_are_not_there_are_missed(folder, checked, tmp_path, capsys):
     workflow = str(folder.parent / "workflow.yaml")
-    assert main(["-q", "check", str(folder / "experiment.yaml"), "--workflow", workflow]) == 0
-    assert "probes: probe1, probe2, from 0 to" in capsys.readouterr().out
+    assert "probes: probe1, probe2, from 0 to" in checked
     changed = _changed(folder, tmp_path, probes="nowhere.csv", frames={"first": 0, "last": 9})
     assert main(["-q", "check", changed, "--workflow", workflow]) == 0
     assert re.search(r"probes: .*nowhere.csv", capsys.readouterr().out)
@@ -138,10 +144,8 @@ def test_probes_that_are_not_there_are_missed(folder, tmp_path, capsys):
     assert re.search(r"without the probes .*nowhere.csv", capsys.readouterr().err)
 
 
-def test_check_compares_the_pairs_of_cameras(folder, capsys):
-    workflow = str(folder.parent / "workflow.yaml")
-    assert main(["-q", "check", str(folder / "experiment.yaml"), "--workflow", workflow, "--pairs"]) == 0
-    out = capsys.readouterr().out
+def test_check_compares_the_pairs_of_cameras(folder, checked):
+    out = checked
     found = dict(re.findall(r"^    (\S.*?)\s+(?:[\d.]+ cm )?([\d.]+) px$", out, re.M))
     assert {"eps_y cam3-cam1", "sigma_z cam1-cam2", "z cam1-cam2 recombined - direct"} <= set(found)
     assert 0 < float(found["eps' cam1-cam2"]) < 0.2

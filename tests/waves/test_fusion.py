@@ -27,6 +27,12 @@ def fused(measured, record):
 
 
 @pytest.fixture(scope="module")
+def best(measured, record, fused):
+    """The combined time series."""
+    return wv.fuse(measured, fused, record=record)
+
+
+@pytest.fixture(scope="module")
 def truth(measured, record):
     E = wv.komega(measured.exact, segment=512, record=record)
     return wv.frequency_spectrum(E).E
@@ -225,10 +231,9 @@ def test_integrated_w_is_the_elevation_at_and_below_the_peak_whatever_the_window
     assert not bool(out.valid_w.where(deep, False).any())
 
 
-def test_the_combined_time_series_is_better_than_either(measured, record, fused):
+def test_the_combined_time_series_is_better_than_either(measured, record, fused, best):
     # elevation at mid-time, exact: from the frames by the same sea
     exact = measured.exact
-    best = wv.fuse(measured, fused, record=record)
     wiener = wv.fuse(measured, fused, gain=fused.wiener, record=record)
     # the truth at mid-time: shift frame times by half a step in Fourier space, away from the ends
     lines = np.fft.rfft(exact.values.astype(float), axis=0)
@@ -244,8 +249,7 @@ def test_the_combined_time_series_is_better_than_either(measured, record, fused)
     assert error["wiener"] < error["best"]
 
 
-def test_the_ends_of_the_combined_series_are_as_good(measured, record, fused):
-    best = wv.fuse(measured, fused, record=record)
+def test_the_ends_of_the_combined_series_are_as_good(measured, best):
     exact = measured.exact
     middle = (9 * (exact[1:-2].values + exact[2:-1].values) - exact[:-3].values - exact[3:].values) / 16
     error = best.values[1:-2] - middle
