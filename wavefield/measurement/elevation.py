@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.matching import Modes
-from wavefield.measurement.contradiction import pairs_apart
+from wavefield.measurement.contradiction import pairs_apart, scores_apart
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.regrid import coefficients, push_pull, read_surface
 from wavefield.measurement.surface import PairMatch, match_pair
@@ -122,12 +122,15 @@ class Estimate:
     miss : float
         By how much sight lines miss each other smoothly, rms, as metres of elevation: the calibration's
         fault, which is thought to be as large along them.
+    apart : ndarray of bool, (ny, nx)
+        Where pairs contradict each other (`scores_apart`).
     """
 
     waves: Float
     mean: Float
     information: Float = field(repr=False)
     miss: float
+    apart: Mask = field(repr=False)
 
 
 def most_probable(
@@ -170,14 +173,15 @@ def most_probable(
     mean, waves = modes.mean(z), modes.waves(z)
     looks = [_Look(m, pixel) for m in matches]
     smooth = _smooth(matches, modes)
-    seen = None
+    seen, scores = None, [z[0]]
     information = z[:1]
     for number in range(LOOKS):
         if number:
             z = seen = modes.seen(waves)
             for one in looks:
                 one.again(z[0], prepared)
-        score = np.sum([one.score(z[0]) for one in looks], axis=0)
+        scores = [one.score(z[0]) for one in looks]
+        score = np.sum(scores, axis=0)
         hessian = np.sum([one.hessian for one in looks], axis=0)
         nu = _noise_across(looks, smooth) if across else _noise(score, hessian, modes.freedom)
         information = (hessian / nu)[None]
@@ -187,7 +191,9 @@ def most_probable(
         waves = modes.solve(information, right, waves, tolerances[number], mean, factor, seen)
     counts = information[0] > 0
     miss = float(np.sqrt(np.mean(np.square(smooth[counts])))) if counts.any() else 0.0
-    return Estimate(waves, mean, information[0], miss)
+    lengths = [np.hypot(*one.D) for one in looks]
+    apart = scores_apart(scores, [one.hessian for one in looks], lengths)
+    return Estimate(waves, mean, information[0], miss, apart)
 
 
 def _noise(score: Float, hessian: Float, freedom: float) -> Float:
@@ -334,7 +340,7 @@ def surface_of(
     z, block = _read(spline, matches, plan)
     variance = np.float32(_LONGER / _CAREFUL) * noise + missing + np.float32(estimate.miss**2)
     std = np.sqrt(variance).ravel()[block]
-    apart = pairs_apart(matches, plan.pixel).ravel()[block]
+    apart = (pairs_apart(matches, plan.pixel) | estimate.apart).ravel()[block]
     return Surface(z, blocks.eps_y.ravel()[block], std, _quality(blocks, block), apart)
 
 
