@@ -5,15 +5,20 @@ import json
 import re
 from html.parser import HTMLParser
 
+import cv2
 import numpy as np
 import pytest
 import xarray as xr
 
+from wavefield.figures import rest_distributions
 from wavefield.grid import Grid
 from wavefield.measurement import Plan
 from wavefield.reports import Sources, write_report
+from wavefield.reports.calibration_page import _with_std
 from wavefield.reports.overview import _left_out
+from wavefield.reports.page import Picture, Table
 from wavefield.reports.player import pack
+from wavefield.reports.words import median_of, number
 from wavefield.tank import paper_rig
 from wavefield.variables import CUBE_FIELDS, Quality
 
@@ -192,7 +197,7 @@ def test_cameras_are_shown_over_time(cube, tmp_path, undrawn):
     )
     text = write_report(Sources(cube), tmp_path / "report.html", verdict=verdict).read_text(encoding="utf-8")
     assert '<section id="cameras-over-time">' in text
-    assert "cam1: details of 1.20 px, brightness 20.5, at least 90 % in view" in text
+    assert "cam1: details of 1.2 px, brightness 20.5, at least 90 % in view" in text
     without = write_report(Sources(cube), tmp_path / "none.html", verdict=Verdict()).read_text(
         encoding="utf-8"
     )
@@ -224,3 +229,39 @@ def test_the_pairs_told_are_those_measured_when_the_origin_lies_aside(cube, tmp_
     diagram = next(p["alt"] for p in pictures if p["alt"].startswith("Diagram."))
     measured = Plan(rig, Grid((-2.2, -1.8), (-0.2, 0.2), 0.01)).pairs
     assert "Stereo pairs " + ", ".join(f"{a} with {b}" for a, b in measured) in diagram
+
+
+def test_on_a_phone_rows_of_sentences_stand_below_each_other_and_wide_pictures_are_not_shrunk():
+    long = "photograph some twenty frames of still, seeded water; name them in the experiment file"
+    assert 'class="table told"' in Table("", ("remark", "what to do"), [("rest", long)]).html()
+    assert '<td data-of="what to do">' in Table("", ("remark", "what to do"), [("rest", long)]).html()
+    assert 'class="table"' in Table("", ("camera", "rms"), [("cam1", "0.1")]).html()
+    wide, small = (
+        cv2.imencode(".png", np.zeros(shape, np.uint8))[1].tobytes() for shape in ((10, 1400), (30, 900))
+    )
+    assert 'class="wide"' in Picture(wide, "", "").html()
+    assert 'class="wide"' not in Picture(small, "", "").html()
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "words"),
+    [
+        (230.0, 0.0, "230 (held)"),
+        (2916.7512, 0.057, "2916.751 ± 0.057"),
+        (-2.66607e-5, 1.2e-5, "-0.000027 ± 0.000012"),
+    ],
+)
+def test_parameters_have_the_digits_that_their_uncertainty_leaves(value, std, words):
+    assert _with_std(value, std) == words
+
+
+def test_a_variable_without_any_value_is_a_dash_and_no_warning():
+    rng = np.random.default_rng(1)
+    for lost in ("z", "u", "zuvw"):
+        fields = {
+            n: (("time", "y", "x"), np.full((6, 8, 9), np.nan) if n in lost else rng.normal(size=(6, 8, 9)))
+            for n in "zuvw"
+        }
+        rest_distributions(xr.Dataset(fields, attrs={"frame_rate": 20.0}))
+    assert number(median_of([np.nan, np.nan]), "px") == "–"
+    assert median_of([1.0, np.nan, 3.0]) == 2.0

@@ -18,6 +18,7 @@ from wavefield.explorer.target_watch import TargetWatch
 from wavefield.explorer.template import dress
 from wavefield.figures.style import limit
 from wavefield.variables import TABLE
+from wavefield.words import spell_time
 
 _OFTEN = 200  # ms between looks for something new
 _SHOWN = ("z", "w", "u", "v", "z_t", "eps_y", "eps_piv", "z_std")
@@ -202,7 +203,8 @@ class FollowPage:
     def _show_set(self, seen: Seen) -> None:
         self.state.text = (
             f"frame {seen.number}; measured {seen.measured}, skipped {seen.skipped}; "
-            f"{seen.delay:.1f} s after its last byte" + (f". {_plain(seen.trouble)}" if seen.trouble else "")
+            f"{_spell_delay(seen.delay)} after its last byte"
+            + (f". {_plain(seen.trouble)}" if seen.trouble else "")
         )
         for name, image in seen.images.items():
             _show_image(self.cameras[name], image)
@@ -293,3 +295,8 @@ def _probes(follower: Follower) -> Any:
         except WavefieldError as error:
             beside.notes["probes"] = str(error)
     return beside.probes
+
+
+def _spell_delay(seconds: float) -> str:
+    """To a tenth of a second while cameras write; of frames that lie there for long, as people say it."""
+    return f"{seconds:.1f} s" if seconds < 60 else spell_time(seconds)

@@ -41,12 +41,12 @@ def rest_distributions(rest: xr.Dataset, level: float = 0.0) -> Figure:
     z = 1e3 * (rest.z.values.astype(float) - level)
     seen = np.isfinite(z).sum(axis=0)  # some nodes never: their mean is none, and no warning
     centred = z - np.nansum(z, axis=0) / np.maximum(seen, 1)
-    span = 5 * float(np.sqrt(np.nanmean(z**2))) or 1.0
+    span = (5 * float(np.sqrt(np.nanmean(z**2))) if seen.any() else 0.0) or 1.0
     draw_density(axes[0, 0], z, "mm", "z − z_rest", LINES[1], span)
     draw_density(axes[0, 0], centred, "mm", "z − ⟨z⟩ − z_rest", LINES[2], span)
     axes[0, 0].set(xlabel="z (mm)", ylabel="probability density (mm⁻¹)")
     moves = {n: 1e3 / rate * rest[n].values.astype(float) for n in ("u", "v", "w")}
-    widest = max(float(np.nanstd(m)) for m in moves.values()) or 1.0
+    widest = max((float(np.nanstd(m)) for m in moves.values() if np.isfinite(m).any()), default=0.0) or 1.0
     for style, (name, values) in zip(LINES[1:], moves.items()):
         label = {"u": "dx", "v": "dy", "w": "dz"}[name]
         draw_density(axes[0, 1], values, "mm", label, style, 5 * widest)

@@ -4,6 +4,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from wavefield.reports.page import Head, Listing, Picture, Section, Table, Text, render
 
 
@@ -150,13 +152,23 @@ def _models(content: dict[str, Any]) -> list[Table]:
     return [Table("Models that were compared", head, rows)] if rows else []
 
 
+def _with_std(value: float, std: float) -> str:
+    """A value to the digits that its uncertainty leaves it; one that was not fitted is held."""
+    if not std > 0:
+        return f"{value:.6g} (held)"
+    digits = max(0, 1 - int(np.floor(np.log10(std))))
+    if digits > 7:
+        return f"{value:.2g} ± {std:.2g}"
+    return f"{value:.{digits}f} ± {std:.{digits}f}"
+
+
 def _lens(content: dict[str, Any]) -> Table:
     cameras = content["parameters"]
     terms = dict.fromkeys(term for values in cameras.values() for term in values)
     rows = [
         (
             term.replace("_", " "),
-            *("{:.6g} ± {:.2g}".format(*v[term]) if term in v else "" for v in cameras.values()),
+            *(_with_std(*v[term]) if term in v else "" for v in cameras.values()),
         )
         for term in terms
         if not term.startswith(("rotation", "translation"))

@@ -170,6 +170,17 @@ def _middle_frames(sources: Sources) -> dict[str, np.ndarray]:
     return out
 
 
+_UNITS = {"frame_rate": "Hz", "measured_frame_rate": "Hz", "pixel_size": "m", "water_depth": "m"}
+
+
+def _with_unit(name: str, words: str) -> str:
+    """An attribute as people write it: numbers that have a unit to four digits and with it."""
+    try:
+        return f"{float(words):.4g} {_UNITS[name]}"
+    except (KeyError, ValueError):
+        return words
+
+
 def recipe(sources: Sources) -> Section:
     """Build the part on how the cube was made.
 
@@ -185,7 +196,7 @@ def recipe(sources: Sources) -> Section:
     folder = str(sources.experiment.path.absolute().parent) if sources.experiment else ""
     attrs = {k: v for k, v in sources.cube.attrs.items() if k not in ("recipe", "fingerprints")}
     rows = [
-        (name.replace("_", " "), _plain(without_folders(value, folder)))
+        (name.replace("_", " "), _with_unit(name, _plain(without_folders(value, folder))))
         for name, value in attrs.items()
         if len(str(value)) < 300
     ]

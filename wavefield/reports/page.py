@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 from wavefield import __version__
 
 _DPI = 140  # drawn at 96 per inch: sharp on dense screens, and small
+_WIDE = 1150  # px: a PNG so wide holds several panels; on a phone it is moved sideways, not made small
+_SENTENCE = 60  # letters: a cell with more is read, not looked up
 
 
 @dataclass(frozen=True)
@@ -43,10 +45,16 @@ class Picture:
             self.figure.savefig(buffer, format="png", dpi=_DPI)
             raw = buffer.getvalue()
             width = f'width="{round(96 * self.figure.get_figwidth())}" '
+        many = ' class="wide"' if _width_of(raw) >= _WIDE else ""
         return (
-            f'<figure><img src="data:image/png;base64,{base64.b64encode(raw).decode()}" {width}'
+            f'<figure{many}><img src="data:image/png;base64,{base64.b64encode(raw).decode()}" {width}'
             f'alt="{html.escape(self.alt)}"><figcaption>{html.escape(self.caption)}</figcaption></figure>'
         )
+
+
+def _width_of(png: bytes) -> int:
+    """Width of a PNG, px."""
+    return int.from_bytes(png[16:20], "big")
 
 
 @dataclass(frozen=True)
@@ -69,15 +77,19 @@ class Table:
 
     def html(self) -> str:
         """Give the table as HTML."""
+        told = " told" if any(len(cell) > _SENTENCE for row in self.rows for cell in row) else ""
         head = "".join(f'<th scope="col">{html.escape(cell)}</th>' for cell in self.head)
         body = "".join(
             f'<tr><th scope="row">{html.escape(row[0])}</th>'
-            + "".join(f"<td>{html.escape(cell)}</td>" for cell in row[1:])
+            + "".join(
+                f'<td data-of="{html.escape(name)}">{html.escape(cell)}</td>'
+                for name, cell in zip(self.head[1:], row[1:], strict=True)
+            )
             + "</tr>"
             for row in self.rows
         )
         return (
-            f'<div class="table"><table><caption>{html.escape(self.caption)}</caption>'
+            f'<div class="table{told}" tabindex="0"><table><caption>{html.escape(self.caption)}</caption>'
             f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
         )
 

@@ -5,7 +5,7 @@ import numpy as np
 from wavefield import figures
 from wavefield.reports.page import Picture, Section, Text
 from wavefield.reports.sources import Sources
-from wavefield.reports.words import rms_of
+from wavefield.reports.words import median_of, number, rms_of
 from wavefield.waves.kinematics import kinematics_at
 
 
@@ -55,13 +55,12 @@ def spectra(sources: Sources) -> Section:
         ),
     ]
     if dispersion is not None and "ridge_k" in dispersion:
-        errors = np.abs(dispersion.ridge_error.values)
+        typical = number(median_of(100 * np.abs(dispersion.ridge_error.values)), "%", 2)
         section.items.append(
             Picture(
                 figures.dispersion_ridge(dispersion),
                 "The ridge measured in the spectrum of w, and how far it is from linear theory.",
-                f"The ridge over theory. Its median deviation by bands is "
-                f"{100 * float(np.nanmedian(errors)):.2g} %.",
+                f"The ridge over theory. Its median deviation by bands is {typical}.",
             )
         )
     direction = sources.group("direction")

@@ -15,6 +15,13 @@ def rms_of(values: xr.DataArray | np.ndarray) -> float:
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
+def median_of(values: Any) -> float:
+    """Median of the finite values; NaN if there are none."""
+    finite = np.asarray(values, float)
+    finite = finite[np.isfinite(finite)]
+    return float(np.median(finite)) if finite.size else float("nan")
+
+
 def number(value: float, unit: str = "", digits: int = 3) -> str:
     """A value with its unit, to so many digits; a dash where there is none."""
     if not np.isfinite(value):

@@ -12,6 +12,7 @@ from wavefield.reports.page import Head, Picture, Section, Table, render
 from wavefield.reports.player import pack
 from wavefield.reports.sections import SECTIONS
 from wavefield.reports.sources import Sources, gather
+from wavefield.reports.words import median_of, number
 from wavefield.store.beside import beside
 from wavefield.store.verdict import Verdict, read_verdict
 from wavefield.whole_files import check_writable, write_text
@@ -103,8 +104,8 @@ def cameras_section(sources: Sources, verdict: Verdict) -> Section:
     first = float(cube.time[0]) - 0.5 / float(cube.attrs["frame_rate"])
     time = [first + k / float(cube.attrs["frame_rate"]) for k in verdict.frames]
     each = "; ".join(
-        f"{name}: details of {np.nanmedian(c['blur']):.2f} px, brightness "
-        f"{np.nanmedian(c['brightness']):.3g}, at least {100 * np.nanmin(c['coverage']):.0f} % in view"
+        f"{name}: details of {number(median_of(c['blur']), 'px', 2)}, brightness "
+        f"{number(median_of(c['brightness']))}, at least {100 * np.nanmin(c['coverage']):.0f} % in view"
         for name, c in verdict.cameras.items()
     )
     caption = (
