@@ -29,9 +29,11 @@ def photograph(camera, grains, phase, seed, noise=1.5):
     """The sea at a moment: each pixel's sight line meets the waves after a few steps."""
     w, h = camera.size
     X, Y = np.meshgrid(np.arange(w, dtype=float), np.arange(h, dtype=float))
+    x0, y0 = camera.unproject(X, Y)
+    dx, dy = np.subtract(camera.unproject(X, Y, 1.0), (x0, y0))  # a sight line is straight
     z = np.zeros((h, w))
     for _ in range(12):
-        x, y = camera.unproject(X, Y, z)
+        x, y = x0 + z * dx, y0 + z * dy
         z = waves(x, y, phase)
     where = [np.clip(v / 0.05 + 350, 1, 698) for v in (y, x)]
     grey = 120 + 35 * ndimage.map_coordinates(grains, where, order=3, prefilter=False)

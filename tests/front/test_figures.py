@@ -221,7 +221,8 @@ def test_pictures_of_crests_increments_vortices_drift_and_energy():
     phase = 40 * axes["x"] - 20 * axes["time"][:, None, None] + 6.28 * rng.random((16, 1))
     at, wave = ("time", "y", "x"), 0.01 * np.cos(phase) + 0.002 * rng.standard_normal((512, 16, 20))
     cube = xr.Dataset(
-        {n: (at, wave, {"units": "m" if n == "z" else "m s-1"}) for n in ("z", "u", "v", "w")}, axes
+        {n: (at, wave.astype("f4"), {"units": "m" if n == "z" else "m s-1"}) for n in ("z", "u", "v", "w")},
+        axes,
     )
     drawn = {
         "Tayfun": figures.crest_curves(wv.crest_statistics(cube)),

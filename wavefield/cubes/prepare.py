@@ -23,7 +23,7 @@ from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_FIELDS, TABLE
 
 _LOOKS = 4  # steps over the record by which the range of displacements is found
-_LONGEST_BLOCK = 100  # steps; a block costs one to two steps more for its three extra frames
+_LONGEST_BLOCK = 100  # steps; a block costs one to two steps more for its five extra frames
 
 
 @dataclass(frozen=True)
@@ -332,7 +332,7 @@ def make_settings(experiment: Experiment, workflow: Workflow) -> Any:
 
 
 def choose_block(steps: int, workers: int, step_bytes: int, memory: int | None) -> int:
-    """Steps per block: long enough that its three extra frames do not matter, short enough for memory.
+    """Steps per block: long enough that its five extra frames do not matter, short enough for memory.
 
     Parameters
     ----------

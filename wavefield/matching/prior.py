@@ -190,6 +190,8 @@ def better_prior(
     G^2 (S + N) of its power: S = sum(|D|^2 - G^2 N) / sum G^2 over the modes of a ring. Where S stands out no
     more from N it goes on as a power law.
     """
+    if information == 0.0:  # nothing was seen: there is nothing to learn
+        return prior
     noise = 1.0 / (np.square(foot, dtype=np.float64) * information)
     spectrum = prior.spectrum(k)
     gain = spectrum / (spectrum + noise)
