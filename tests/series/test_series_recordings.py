@@ -38,13 +38,17 @@ def as_bytes(image, bits):
     return image.astype("u1").tobytes() if bits == 8 else image.astype("<u2").tobytes()
 
 
-def write_cine(path, bits, *, packed=False):
+def write_cine(path, bits, *, packed=False, times=()):
     setup = bytearray(0x400)
+    setup[140:144] = struct.pack("<2sH", b"ST", len(setup))
     setup[0x300:0x304] = struct.pack("<I", 2000)
     code = {10: 256, 12: 1024}[bits] if packed else 0
     depth = 8 if bits == 8 else 16
     frames = [pack(i, bits) if packed else as_bytes(i[::-1], bits) for i in images(bits)]
     at_image, at_setup = 44, 84
+    setup += struct.pack("<IHHQ", 16, 1001, 0, 0)  # another block
+    stamps = b"".join(struct.pack("<II", int(t % 1 * 2**32), int(t)) for t in times)
+    setup += struct.pack("<IHH", 8 + len(stamps), 1002, 0) + stamps
     at_offsets = at_setup + len(setup)
     offsets, at = [], at_offsets + 8 * COUNT
     for frame in frames:
@@ -77,7 +81,7 @@ def write_photron(path, bits, *, xml=True):
         )
 
 
-def write_seq(path, bits):
+def write_seq(path, bits, times=(0.0,) * COUNT):
     each = ROWS * COLUMNS * (1 if bits == 8 else 2)
     head = bytearray(8192)
     struct.pack_into("<I", head, 0, 0xFEED)
@@ -85,7 +89,9 @@ def write_seq(path, bits):
     depth = 8 if bits == 8 else 16
     struct.pack_into("<9I", head, 548, COLUMNS, ROWS, depth, bits, each, 100, COUNT, 0, each + 16)
     struct.pack_into("<d", head, 584, 2000.0)
-    path.write_bytes(bytes(head) + b"".join(as_bytes(i, bits) + bytes(16) for i in images(bits)))
+    stamps = [round(t * 1e6) for t in times]
+    ends = [struct.pack("<IHH8x", t // 10**6, t // 1000 % 1000, t % 1000) for t in stamps]
+    path.write_bytes(bytes(head) + b"".join(as_bytes(i, bits) + e for i, e in zip(images(bits), ends)))
 
 
 def write_hdf5(path, bits):
@@ -291,4 +297,20 @@ def test_big_tiff_of_many_pages(tmp_path):
     entries = number_frames("{camera}.tif", tmp_path, "cam1")
     assert len(entries) == COUNT
     np.testing.assert_array_equal(read_entry(entries[4]), images(12)[4])
+    close_files()
+
+
+@pytest.mark.parametrize(("name", "write"), [("a.cine", write_cine), ("a.seq", write_seq)])
+def test_images_that_a_camera_dropped_leave_gaps_where_its_file_holds_times(tmp_path, name, write):
+    taken = 1.7e9 + np.array([0, 1, 2, 5, 6]) / 2000  # two were dropped
+    write(tmp_path / name, 8, times=taken)
+    np.testing.assert_allclose(open_recording(tmp_path / name).times(), taken, rtol=0, atol=2e-6)
+    text = f"name: a\ncameras:\n  a: {{images: {name}, times: recorded}}\nframe_rate: 2000\n"
+    text += "grid: {x: [0, 1], y: [0, 1], step: 0.1}\n"
+    (tmp_path / "e.yaml").write_text(text)
+    series = Experiment.load(tmp_path / "e.yaml").open_frames()["a"]
+    assert series.missing.tolist() == [3, 4]
+    write(tmp_path / name, 8, times=taken[[0, 2, 1, 3, 4]])
+    with pytest.raises(ExperimentError, match=f"{name} holds no increasing times of its images"):
+        Experiment.load(tmp_path / "e.yaml").open_frames()
     close_files()

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from wavefield.errors import ExperimentError, RigError
@@ -27,7 +28,7 @@ from wavefield.series.parts import (
     VelocitySection,
     WaterSection,
 )
-from wavefield.series.rates import one_rate, recorded_rates
+from wavefield.series.rates import RECORDED, one_rate, recorded_rates, recorded_times
 
 
 class Experiment(Section):
@@ -224,9 +225,7 @@ class Experiment(Section):
             for name, section in self.cameras.items()
         }
         stamped = {
-            name: (self.resolve(section.times), read_time_stamps(self.resolve(section.times), name))
-            for name, section in self.cameras.items()
-            if section.times
+            name: self._stamps(name, section) for name, section in self.cameras.items() if section.times
         }
         if stamped and len(stamped) < len(numbered):
             without = next(name for name in numbered if name not in stamped)
@@ -249,6 +248,15 @@ class Experiment(Section):
         if last <= first:
             raise ExperimentError(self._no_step(numbered))
         return make_series(numbered, first, last)
+
+    def _stamps(self, name: str, section: CameraSection) -> tuple[Path, NDArray[Any]]:
+        """Where a camera's time stamps stand, and they."""
+        assert section.times is not None
+        if section.times == RECORDED:
+            times = recorded_times(section.images, name, self.image_folder)
+            return self.image_folder / str(section.images).replace("{camera}", name), times
+        path = self.resolve(section.times)
+        return path, read_time_stamps(path, name)
 
     def _no_step(self, numbered: Mapping[str, Mapping[int, Any]]) -> str:
         ranges = {name: (min(numbered[name]), max(numbered[name])) for name in self.measuring_cameras}

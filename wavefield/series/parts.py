@@ -17,7 +17,10 @@ class CameraSection(Section):
         description="pattern with the frame number, glob, list, multi-page TIFF, video, Zarr array",
     )
     offset: int = Field(default=0, description="added to this camera's frame numbers")
-    times: str | None = Field(default=None, description="file of time stamps, one line per image, seconds")
+    times: str | None = Field(
+        default=None,
+        description="file of time stamps, one line per image, seconds; `recorded`: those in a recording",
+    )
 
     @model_validator(mode="before")
     @classmethod

@@ -1,9 +1,12 @@
 """Vision Research's Phantom: `.cine` files, as "The Cine File Format" describes them."""
 
 import struct
+from functools import partial
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
 from wavefield.series.formats.packed import packed, packed_bytes
@@ -18,6 +21,9 @@ from wavefield.series.formats.recording import (
 _HEADER = struct.Struct("<2sHHHiIiIIIIII")  # CINEFILEHEADER
 _BITMAP = struct.Struct("<IiiHHIIiiII")  # BITMAPINFOHEADER
 _RATE = 0x300  # of FrameRate in SETUP
+_MARK, _LENGTH = 140, 142  # of "ST" and of SETUP's own length in it; blocks with a head each follow
+_BLOCK = struct.Struct("<IHH")  # its bytes, what it holds, reserved
+_TIMES = 1002  # TIME64 of every image: fractions of a second, seconds
 _PACKED = {256: 10, 1024: 12}  # biCompression to bits
 
 
@@ -59,6 +65,7 @@ def open_cine(path: Path) -> Recording:
         offsets = np.frombuffer(stream.read(8 * count), "<i8")
         if not len(offsets):
             raise FrameError(f"{path} ends before its list of images: it is truncated")
+        times = _times(stream, at_setup, at_offsets)
     shape = checked_shape(path, width, abs(height))
     if code in _PACKED:
         take, each = packed(shape, _PACKED[code]), packed_bytes(shape, _PACKED[code])
@@ -73,4 +80,23 @@ def open_cine(path: Path) -> Recording:
         return int(offsets[index])
 
     there = fitting(path, len(offsets), start, each + 8)
-    return RawRecording(path, there, shape, start, take, float(rate) if rate else None, first, prefixed=True)
+    stamps = None if len(times) < there else partial(times.__getitem__, slice(there))
+    rate = float(rate) if rate else None
+    return RawRecording(path, there, shape, start, take, rate, first, prefixed=True, times=stamps)
+
+
+def _times(stream: BinaryIO, at_setup: int, at_offsets: int) -> NDArray[np.float64]:
+    """When the images were taken, s; empty where the file does not say."""
+    stream.seek(at_setup + _MARK)
+    mark = stream.read(4)
+    place = at_setup + int.from_bytes(mark[2:], "little")
+    while mark[:2] == b"ST" and place + _BLOCK.size <= at_offsets:
+        stream.seek(place)
+        size, kind, _ = _BLOCK.unpack(stream.read(_BLOCK.size))
+        if kind == _TIMES:
+            pairs = np.frombuffer(stream.read(max(size - _BLOCK.size, 0) // 8 * 8), "<u4").reshape(-1, 2)
+            return pairs[:, 1] + pairs[:, 0] / 2.0**32
+        if size < _BLOCK.size:
+            break
+        place += size
+    return np.empty(0)

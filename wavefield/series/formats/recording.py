@@ -66,6 +66,8 @@ class RawRecording:
         Number that the camera gave the first image.
     prefixed : bool
         Whether each image begins with a note to it, whose length in bytes are its first four.
+    times : callable, optional
+        Gives when each image was taken, s since 1970, (count,); None where the file does not say.
     """
 
     path: Path
@@ -76,6 +78,7 @@ class RawRecording:
     rate: float | None = None
     first: int = 0
     prefixed: bool = False
+    times: Callable[[], NDArray[np.float64]] | None = None
     _stream: FileIO | None = field(default=None, repr=False)
 
     def read(self, index: int) -> Pixels:
