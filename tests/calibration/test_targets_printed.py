@@ -76,7 +76,7 @@ def test_dots_are_found_without_the_bias_of_their_centroids(bright):
 def test_corners_of_a_charuco_board_are_exact_beside_its_markers(roll):
     image, camera = seen((6, 4), 0.05, charuco((7, 5), 0.05, 0.037), tilt=45.0, roll=roll, span=0.65)
     error = errors(find_target(image, Target("charuco", 0.05, (7, 5), marker=0.037)), camera, 0.05)
-    assert np.sqrt((error**2).mean()) < 0.025
+    assert np.sqrt((error**2).mean()) < 0.02
 
 
 def test_a_charuco_board_is_numbered_by_its_markers_and_a_mirrored_one_is_refused():
