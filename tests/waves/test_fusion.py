@@ -233,7 +233,8 @@ def test_integrated_w_is_the_elevation_at_and_below_the_peak_whatever_the_window
 
 def test_the_combined_time_series_is_better_than_either(measured, record, fused, best):
     # elevation at mid-time, exact: from the frames by the same sea
-    exact = measured.exact
+    some = slice(None), slice(None, None, 4), slice(None, None, 4)
+    exact = measured.exact[some]
     wiener = wv.fuse(measured, fused, gain=fused.wiener, record=record)
     # the truth at mid-time: shift frame times by half a step in Fourier space, away from the ends
     lines = np.fft.rfft(exact.values.astype(float), axis=0)
@@ -241,7 +242,7 @@ def test_the_combined_time_series_is_better_than_either(measured, record, fused,
     middle = np.fft.irfft(lines * np.exp(0.5j * omega * 0.05)[:, None, None], exact.sizes["time"], axis=0)
     inner = slice(100, -100)
     error = {
-        name: float(np.std(series.values[inner] - middle[inner]))
+        name: float(np.std(series.values[some][inner] - middle[inner]))
         for name, series in (("stereo", measured.z), ("best", best), ("wiener", wiener))
     }
     assert best.shape == measured.z.shape
