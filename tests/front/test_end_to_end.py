@@ -294,7 +294,7 @@ def test_the_papers_figures_are_on_one_page(folder, tmp_path, unarranged):
         assert words in text
     # each row of the numbers has one
     rows = re.findall(
-        r'<th scope="row">([^<]*)</th><td>[^<]*</td><td>([^<]*)</td>', text.split('id="numbers"')[1]
+        r'<th scope="row">([^<]*)</th><td[^>]*>[^<]*</td><td[^>]*>([^<]*)</td>', text.split('id="numbers"')[1]
     )
     assert len(rows) >= 8
     assert all(re.match(r"[\d.]+", here) for _, here in rows), rows
