@@ -8,6 +8,7 @@ from wavefield.matching import (
     Modes,
     Prior,
     Spread,
+    along_each,
     around_holes,
     better_prior,
     edge_slopes,
@@ -191,3 +192,15 @@ def test_a_field_goes_on_into_a_hole_better_where_neighbours_that_err_alike_are_
             waves = modes.solve(told, right, start, 1e-4, start, modes.factor(told[0]))
             found.append(np.mean((modes.field(waves)[0] - field)[22:38, 32:48] ** 2))
     assert np.mean(error[3.0]) < 0.95 * np.mean(error[1.0])
+
+
+def test_the_component_that_is_told_less_of_is_the_more_uncertain_one():
+    rng = np.random.default_rng(4)
+    counts = np.ones((60, 80), np.float32)
+    hessian = np.zeros((3, 60, 80), np.float32)
+    hessian[0], hessian[2] = 100.0, 200.0
+    score = np.sqrt(hessian[::2]) * rng.standard_normal((2, 60, 80)).astype(np.float32)
+    x, y = along_each(score, hessian, counts)
+    assert x + y == pytest.approx(2.0)
+    assert x / y == pytest.approx(2.0, rel=0.25)
+    assert along_each(score, hessian, 0 * counts) == (1.0, 1.0)

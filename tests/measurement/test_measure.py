@@ -205,7 +205,7 @@ def test_two_cameras_far_apart_are_half_as_uncertain_again_as_three_at_most(seri
             np.stack([(out[name][k] - series.truth[k][name])[series.inside] for k in range(3)])
             for out in (two, cube)
         ]
-        assert rms(errors[0]) < 1.5 * rms(errors[1])
+        assert rms(errors[0]) < 1.6 * rms(errors[1])
     assert np.mean((two["quality"] & Quality.MEASURED) != 0) > 0.97
 
 

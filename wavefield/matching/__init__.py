@@ -4,7 +4,7 @@ from wavefield.matching.correlate import correlate
 from wavefield.matching.displacement import Displacement, Reason
 from wavefield.matching.edges import edge_slopes
 from wavefield.matching.gauss_newton import look_again, match, scores_at
-from wavefield.matching.posterior import Modes, around_holes, noise_of_scores
+from wavefield.matching.posterior import Modes, along_each, around_holes, noise_of_scores
 from wavefield.matching.prepared import Prepared, prepare
 from wavefield.matching.prior import Prior, better_prior, first_prior
 from wavefield.matching.settings import Settings
@@ -20,6 +20,7 @@ __all__ = [
     "Reason",
     "Settings",
     "Spread",
+    "along_each",
     "around_holes",
     "better_prior",
     "correlate",

@@ -82,6 +82,35 @@ def noise_of_scores(score: Float, trace: Float, counts: Float, freedom: float) -
     return np.maximum(out, F(1e-12))
 
 
+def along_each(score: Float, hessian: Float, counts: Float) -> tuple[float, float]:
+    """How much more uncertain one component of a displacement is than the mean of both.
+
+    Parameters
+    ----------
+    score : ndarray of float32, (2, ny, nx)
+        Scores of the blocks.
+    hessian : ndarray of float32, (3, ny, nx)
+        H_xx, H_xy, H_yy.
+    counts : ndarray of float32, (ny, nx)
+        1 for blocks that count, else 0.
+
+    Returns
+    -------
+    float, float
+        Factors on the variance along columns and along rows; their mean is 1.
+
+    Notes
+    -----
+    A component's variance goes as sum s^2 / (sum H)^2, s of clusters of 5 x 5 blocks, over the whole lattice.
+    """
+    square = [float(np.square(_clusters(part * counts)).sum(dtype=np.float64)) for part in score]
+    told = [float((part * counts).sum(dtype=np.float64)) for part in hessian[::2]]
+    if not all(value > 0 for value in (*square, *told)):
+        return 1.0, 1.0
+    x, y = (noise / much**2 for noise, much in zip(square, told, strict=True))
+    return 2 * x / (x + y), 2 * y / (x + y)
+
+
 def bare(information: Float, usual: float) -> Mask:
     """Blocks around which next to nothing is known.
 

@@ -20,9 +20,9 @@ NODE = 36.0  # the same of a single node
 APART = 1.5  # px: two pairs' parallax for one surface
 _AROUND = (5, 5)  # blocks
 _WIDE = (9, 9)  # blocks: over so many the pairs' own noise is below a third of what follows
-_ASK = 0.5  # px: what pairs ask of one surface, in parallax
+_ASK = 0.75  # px: what pairs ask of one surface, in parallax
 _TELLING = 0.3  # of the mean Hessian: less says nothing
-_FELT = np.ones((7, 7), np.uint8)  # blocks: half a window to either side is pulled along
+_FELT = np.ones((5, 5), np.uint8)  # blocks: what windows pull along
 _FEW = 50  # nodes: less tell nothing
 _MOST = 0.5  # of the nodes around must contradict
 
@@ -137,7 +137,7 @@ def pairs_apart(matches: Sequence[PairMatch], pixel: float) -> Mask:
     -------
     ndarray of bool, (ny, nx)
         Where their elevations differ by more than 1.5 px of parallax, on the mean of 5 x 5 blocks, and
-        three blocks around.
+        two blocks around.
     """
     out = np.zeros(matches[0].eps_y.shape, bool)
     for one, other in pairwise(matches):
@@ -162,14 +162,14 @@ def scores_apart(scores: Sequence[Float], hessians: Sequence[Float], lengths: Se
     Returns
     -------
     ndarray of bool, (ny, nx)
-        Where sum s / sum H over 9 x 9 blocks differs by more than half a pixel of parallax, and three blocks
+        Where sum s / sum H over 9 x 9 blocks differs by more than .75 px of parallax, and two blocks
         around.
 
     Notes
     -----
     Whole matches may differ by much more and yet a bead's width hides it; at the surface that both have been
     brought to nothing but noise should be left: .02 to .07 px (standard deviation) on bright and on dark
-    images, .28 px at most.
+    images, .36 px at most.
     """
     wide = [(cv2.blur(s, _WIDE), cv2.blur(h, _WIDE)) for s, h in zip(scores, hessians, strict=True)]
     out = np.zeros(scores[0].shape, bool)
@@ -182,7 +182,7 @@ def scores_apart(scores: Sequence[Float], hessians: Sequence[Float], lengths: Se
 
 
 def widened(where: Mask) -> Mask:
-    """Blocks and those that feel what is there, three to every side."""
+    """Blocks and those that feel what is there, two to every side."""
     return np.asarray(cv2.dilate(where.view(np.uint8), _FELT) > 0)
 
 

@@ -29,7 +29,9 @@ class Flow:
     spline : ndarray of float32, (ny, nx, 2)
         Spline coefficients of the displacement on the lattice of blocks, px of the binned image.
     noise, missing : ndarray of float32, (ny, nx)
-        Variance of either component by noise, and by what the prior takes away or makes up, px^2.
+        Variance of a component by noise, mean of both, and by what the prior takes away or makes up, px^2.
+    along : (float, float)
+        Factors on the noise along columns and along rows.
     rejected : ndarray of uint16, (ny, nx)
         Bits of `Quality`; 0 where measured.
     """
@@ -37,6 +39,7 @@ class Flow:
     spline: Float
     noise: Float
     missing: Float
+    along: tuple[float, float]
     rejected: NDArray[np.uint16]
 
     @cached_property
@@ -60,12 +63,15 @@ class Estimate:
         Mean of the two diagonal parts of every block's A, px^-2.
     reason : ndarray of uint8, (ny, nx)
         Bits of `Reason` at the last look.
+    along : (float, float)
+        Factors on the variance of either component (`along_each`).
     """
 
     waves: Float
     mean: Float
     information: Float = field(repr=False)
     reason: NDArray[np.uint8] = field(repr=False)
+    along: tuple[float, float] = (1.0, 1.0)
 
 
 def whole(found: matching.Displacement) -> Float:
@@ -111,7 +117,8 @@ def most_probable(
         if not number:
             factor, tolerances = modes.factor(information), modes.tolerances(information)
         waves = modes.solve(a, right, waves, tolerances[number], mean, factor, seen)
-    return Estimate(waves, mean, information, found.reason)
+    along = matching.along_each(found.score, found.hessian, found.valid.astype(np.float32))
+    return Estimate(waves, mean, information, found.reason, along)
 
 
 def flows(
@@ -165,5 +172,6 @@ def flow_near(
         np.ascontiguousarray(np.moveaxis(spline, 0, -1), np.float32),
         noise,
         missing,
+        found.along,
         why_rejected(found.reason),
     )

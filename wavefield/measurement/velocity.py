@@ -65,7 +65,9 @@ class Seen:
     moved : ndarray, (2N, ny, nx)
         Displacement per step at mid-time, px; NaN where the camera does not see the node.
     noise, missing : ndarray, (N, ny, nx)
-        Variance by noise, and by what the prior takes away or makes up, px^2.
+        Variance by noise, mean of both components, and by what the prior takes away or makes up, px^2.
+    along : ndarray, (2N,)
+        Factors on the noise of every component.
     rejected : ndarray of uint16, (N, ny, nx)
         Why not measured: bits of `Quality`; `OUTSIDE` where not seen.
     chord : ndarray of bool, (ny, nx)
@@ -76,8 +78,15 @@ class Seen:
     moved: Float
     noise: Float
     missing: Float
+    along: Float
     rejected: NDArray[np.uint16]
     chord: NDArray[np.bool_]
+
+    @property
+    def noise_of_each(self) -> Float:
+        """Variance by noise of every component, (2N, ny, nx)."""
+        out: Float = np.repeat(self.noise, 2, axis=0) * self.along[:, None, None]
+        return out
 
 
 def velocity(
@@ -159,7 +168,8 @@ def _others(seen: Seen, n: int) -> Seen:
     rows = [i for i in range(len(seen.moved)) if i // 2 != n]
     cameras = [i for i in range(len(seen.noise)) if i != n]
     noise, missing, rejected = seen.noise[cameras], seen.missing[cameras], seen.rejected[cameras]
-    return Seen(seen.jacobian[rows], seen.moved[rows], noise, missing, rejected, seen.chord)
+    along = seen.along[rows]
+    return Seen(seen.jacobian[rows], seen.moved[rows], noise, missing, along, rejected, seen.chord)
 
 
 def _look(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Seen:
@@ -168,6 +178,7 @@ def _look(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], 
     moved = np.empty((2 * count, *shape), np.float64)
     noise, missing = np.empty((2, count, *shape), np.float64)
     rejected = np.empty((count, *shape), np.uint16)
+    along = np.ones(2 * count)
     chord = np.zeros(shape, bool)
     for n, name in enumerate(names):
         sight = plan.sights[name]
@@ -181,9 +192,10 @@ def _look(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], 
         moved[rows], block, noise[n], missing[n] = _along_path(path, sight, X, Y)
         here = path[1]
         assert here is not None
+        along[rows] = here.along
         rejected[n] = np.where(inside, here.rejected.ravel()[block[1]], np.uint16(Quality.OUTSIDE))
         chord |= inside & ((block[0] < 0) | (block[2] < 0))
-    return Seen(jacobian, moved, noise, missing, rejected, chord)
+    return Seen(jacobian, moved, noise, missing, along, rejected, chord)
 
 
 def _along_path(
@@ -209,7 +221,7 @@ def _solved(seen: Seen, plan: Plan) -> Motion:
     record = plan.record
     assert record is not None
     total = seen.noise + seen.missing
-    std = np.repeat(np.sqrt(total), 2, axis=0)
+    std = np.sqrt(seen.noise_of_each + np.repeat(seen.missing, 2, axis=0))
     d, eps, d_std = solve_displacement(
         np.moveaxis(seen.jacobian, (0, 1), (-2, -1)), np.moveaxis(seen.moved, 0, -1), np.moveaxis(std, 0, -1)
     )
@@ -250,7 +262,7 @@ def misfit(seen: Seen, d: Float) -> Float:
         chi^2 / (2N - 3); its median should be .79 for three cameras; NaN where fewer than two see a node.
     """
     left = np.einsum("rcyx,yxc->ryx", seen.jacobian, d) - seen.moved
-    square = np.square(left) / np.repeat(seen.noise, 2, axis=0)
+    square = np.square(left) / seen.noise_of_each
     rows = np.isfinite(square).sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(rows > 3, np.nansum(square, axis=0) / (rows - 3), np.nan)
