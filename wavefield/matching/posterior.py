@@ -34,6 +34,7 @@ _FAINT = 2e-2  # signal over noise below which a mode is left out: it would keep
 _EXACT = 300  # modes of the highest signal over noise that the preconditioner solves exactly
 _STEPS = 200  # at most; some ten are usual
 _BARE = 0.15  # of the typical information, over 7 x 7 blocks: less is a hole
+_UNEVEN = 0.25  # between the noise of both components: more is no noise, as of images that do not match
 _CLOSE = 0.03, 0.007  # tolerances of the solver at the first and the second look
 _LOOSE = 0.1, 0.025  # the same without holes: only what lies far from any block converges late
 _RIM, _SOFT = 6, 2.0  # blocks: how far the surroundings of a hole reach, and how softly they end
@@ -97,7 +98,7 @@ def along_each(score: Float, hessian: Float, counts: Float) -> tuple[float, floa
     Returns
     -------
     float, float
-        Factors on the variance along columns and along rows; their mean is 1.
+        Factors on the variance along columns and along rows, .75 to 1.25; their mean is 1.
 
     Notes
     -----
@@ -108,7 +109,8 @@ def along_each(score: Float, hessian: Float, counts: Float) -> tuple[float, floa
     if not all(value > 0 for value in (*square, *told)):
         return 1.0, 1.0
     x, y = (noise / much**2 for noise, much in zip(square, told, strict=True))
-    return 2 * x / (x + y), 2 * y / (x + y)
+    more = min(max((x - y) / (x + y), -_UNEVEN), _UNEVEN)
+    return 1.0 + more, 1.0 - more
 
 
 def bare(information: Float, usual: float) -> Mask:
