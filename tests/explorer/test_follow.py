@@ -240,6 +240,7 @@ def test_the_page_shows_map_lights_and_cameras(followed):
 
     follower, _ = followed
     page, document = FollowPage(follower, TargetWatch(follower.experiment)), Document()
+    assert page.map.sizing_mode == "scale_width"  # else a phone shows a map of 600 px, mostly empty
     page.attach(document)
     expected = 100 * follower.seen.fields["w"]
     np.testing.assert_allclose(page.image.data["image"][0], expected, rtol=1e-6)

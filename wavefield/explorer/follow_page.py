@@ -106,7 +106,7 @@ class FollowPage:
     def _draw_map(self, probes: Any) -> Any:
         made = make_figure(
             "map", tools="pan,wheel_zoom,reset,save", toolbar_location="above", match_aspect=True,
-            aspect_ratio=1.55, x_axis_label="x (m)", y_axis_label="y (m)",
+            aspect_ratio=1.3, sizing_mode="scale_width", x_axis_label="x (m)", y_axis_label="y (m)",
         )  # fmt: skip
         made.grid.grid_line_color = None
         shown = made.image("image", source=self.image, color_mapper=self.mapper)
