@@ -10,7 +10,7 @@ import pytest
 import tifffile
 import zarr
 
-from wavefield.cubes.rate_remark import remark_on_rate
+from wavefield.cubes.recording_remarks import remark_on_recordings
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.images import read_image
 from wavefield.series import Experiment
@@ -82,16 +82,17 @@ def write_photron(path, bits, *, xml=True):
 
 
 def write_seq(path, bits, times=(0.0,) * COUNT):
+    pictures = [images(bits)[k % COUNT] for k in range(len(times))]
     each = ROWS * COLUMNS * (1 if bits == 8 else 2)
     head = bytearray(8192)
     struct.pack_into("<I", head, 0, 0xFEED)
     struct.pack_into("<i", head, 28, 5)
     depth = 8 if bits == 8 else 16
-    struct.pack_into("<9I", head, 548, COLUMNS, ROWS, depth, bits, each, 100, COUNT, 0, each + 16)
+    struct.pack_into("<9I", head, 548, COLUMNS, ROWS, depth, bits, each, 100, len(times), 0, each + 16)
     struct.pack_into("<d", head, 584, 2000.0)
     stamps = [round(t * 1e6) for t in times]
     ends = [struct.pack("<IHH8x", t // 10**6, t // 1000 % 1000, t % 1000) for t in stamps]
-    path.write_bytes(bytes(head) + b"".join(as_bytes(i, bits) + e for i, e in zip(images(bits), ends)))
+    path.write_bytes(bytes(head) + b"".join(as_bytes(i, bits) + e for i, e in zip(pictures, ends)))
 
 
 def write_hdf5(path, bits):
@@ -207,7 +208,9 @@ def test_the_frame_rate_is_the_recording_s_where_the_note_has_none(recording, tm
     assert Experiment.load(note(tmp_path, text)).frame_rate == 2000.0
     experiment = Experiment.load(note(tmp_path, text, "frame_rate: 20.0\n"))
     assert experiment.frame_rate == 20.0
-    assert "its recording states 2000 Hz, experiment.yaml 20 Hz" in str(next(remark_on_rate(experiment)))
+    assert "its recording states 2000 Hz, experiment.yaml 20 Hz" in str(
+        next(remark_on_recordings(experiment, {}))
+    )
 
 
 def test_cameras_recorded_at_different_rates_are_told(tmp_path):
@@ -305,12 +308,58 @@ def test_images_that_a_camera_dropped_leave_gaps_where_its_file_holds_times(tmp_
     taken = 1.7e9 + np.array([0, 1, 2, 5, 6]) / 2000  # two were dropped
     write(tmp_path / name, 8, times=taken)
     np.testing.assert_allclose(open_recording(tmp_path / name).times(), taken, rtol=0, atol=2e-6)
-    text = f"name: a\ncameras:\n  a: {{images: {name}, times: recorded}}\nframe_rate: 2000\n"
-    text += "grid: {x: [0, 1], y: [0, 1], step: 0.1}\n"
-    (tmp_path / "e.yaml").write_text(text)
-    series = Experiment.load(tmp_path / "e.yaml").open_frames()["a"]
-    assert series.missing.tolist() == [3, 4]
+    for times in ("", ", times: recorded"):
+        experiment = Experiment.load(note(tmp_path, f"a: {{images: {name}{times}}}"))
+        series = experiment.open_frames()
+        assert series["a"].missing.tolist() == [3, 4]
+        np.testing.assert_array_equal(series["a"].read(6).image, images(8)[4])
+        told = [str(remark) for remark in remark_on_recordings(experiment, series)]
+        assert len(told) == 1
+        assert told[0].startswith("a: 2 images were dropped, by its clock, the first after frame 2 (0.001 s")
     write(tmp_path / name, 8, times=taken[[0, 2, 1, 3, 4]])
     with pytest.raises(ExperimentError, match=f"{name} holds no increasing times of its images"):
-        Experiment.load(tmp_path / "e.yaml").open_frames()
+        experiment.open_frames()
     close_files()
+
+
+def remarks_on(folder, **cameras):
+    """What is said of recordings by the times in them, and the frames that are missing."""
+    for name, times in cameras.items():
+        write_seq(folder / f"{name}.seq", 8, times)
+    named = ", ".join(f"{name}: {name}.seq" for name in cameras)
+    experiment = Experiment.load(note(folder, named, "frame_rate: 2000\n"))
+    series = experiment.open_frames()
+    told = {(r.subject, r.kind): r for r in remark_on_recordings(experiment, series)}
+    close_files()
+    return told, {name: one.missing.tolist() for name, one in series.items()}
+
+
+def test_a_camera_that_alone_dropped_images_stays_beside_the_others(tmp_path):
+    even = 9.0 + np.arange(80) / 2000
+    told, missing = remarks_on(tmp_path, a=even, b=np.delete(even, [7, 8, 40]) + 0.3)
+    assert missing == {"a": [], "b": [7, 8, 40]}
+    assert list(told) == [("b", "dropped images")]
+    assert told["b", "dropped images"].values == {"dropped": 3, "first": 6}
+
+
+def test_clocks_that_drift_apart_are_told_and_their_jitter_is_not(tmp_path):
+    even, jitter = np.arange(80) / 2000, np.random.default_rng(1).uniform(-1, 1, (2, 80)) / 2000 / 10
+    told, missing = remarks_on(tmp_path, a=9.0 + even + jitter[0], b=9.3 + even + jitter[1])
+    assert (told, missing) == ({}, {"a": [], "b": []})
+    told, missing = remarks_on(
+        tmp_path, a=9.0 + even, b=9.3 + 1.005 * even
+    )  # in the end by .4 of an interval
+    assert list(told) == [("b", "drift")]
+    assert told["b", "drift"].values["intervals"] == pytest.approx(0.375, abs=0.02)
+    assert missing == {"a": [], "b": []}
+
+
+def test_times_of_no_whole_intervals_are_told_and_shift_no_frame(tmp_path):
+    even = 9.0 + np.arange(80) / 2000
+    late = np.where(np.arange(80) == 20, even + 0.6 / 2000, even)  # a stamp that came late
+    bursts = np.where(np.arange(80) < 40, even, even + 3600.0)
+    for times, first in ((late, 19), (bursts, 39)):
+        told, missing = remarks_on(tmp_path, a=times)
+        assert missing == {"a": []}
+        assert list(told) == [("a", "uneven times")]
+        assert told["a", "uneven times"].values["first"] == first

@@ -13,7 +13,7 @@ from wavefield.cubes.at_rest import remark_on_rest
 from wavefield.cubes.cost import Cost, measure_cost
 from wavefield.cubes.judgement import clocks, look_at_cameras
 from wavefield.cubes.prepare import expected_coverage, load_files, prepare
-from wavefield.cubes.rate_remark import remark_on_rate
+from wavefield.cubes.recording_remarks import remark_on_recordings
 from wavefield.cubes.worker_settings import one_thread
 from wavefield.cubes.workflow import Workflow
 from wavefield.errors import ExperimentError, RigError
@@ -276,7 +276,7 @@ def check(
         *(seen.remarks if seen else ()),
         *late,
         *_ends(experiment, series),
-        *remark_on_rate(experiment),
+        *remark_on_recordings(experiment, series),
     ]
     if prepared:
         remarks.append(remark_on_rest(prepared.experiment, prepared.rig))

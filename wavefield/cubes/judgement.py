@@ -11,7 +11,7 @@ from wavefield.cubes.at_rest import remark_on_rest
 from wavefield.cubes.cluster import threads_here
 from wavefield.cubes.prepare import Prepared, expected_coverage
 from wavefield.cubes.probe_remarks import remark_on_probes
-from wavefield.cubes.rate_remark import remark_on_rate
+from wavefield.cubes.recording_remarks import remark_on_recordings
 from wavefield.cubes.suspects import Examination, examine
 from wavefield.cubes.synchrony import Delay
 from wavefield.cubes.witness import Witness
@@ -121,7 +121,7 @@ def judge(prepared: Prepared, status: Status, seen: Examination | None = None) -
         *seen.remarks,
         *([] if any(one.weight == "grave" for one in seen.remarks) else _clocks_and_mounts(prepared, status)),
         remark_on_rest(prepared.experiment, prepared.rig),
-        *remark_on_rate(prepared.experiment),
+        *remark_on_recordings(prepared.experiment, prepared.series),
         *remark_on_probes(prepared.experiment, status.store),
         *_steps(status),
         *_fields(status.store, expected_coverage(prepared.rig, prepared.grid)),

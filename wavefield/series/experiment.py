@@ -16,8 +16,16 @@ from wavefield.rig.formats import load_rig
 from wavefield.rig.level import with_water_level
 from wavefield.sections import Section, load, read_yaml
 from wavefield.series import masks
+from wavefield.series.clocks import (
+    RECORDED,
+    own_times,
+    place_by_intervals,
+    place_by_time,
+    read_time_stamps,
+    recorded_times,
+)
 from wavefield.series.frames import FrameSeries
-from wavefield.series.listing import make_series, number_frames, place_by_time, read_time_stamps
+from wavefield.series.listing import Numbered, make_series, number_frames
 from wavefield.series.parts import (
     CalibrationSection,
     CameraSection,
@@ -28,7 +36,7 @@ from wavefield.series.parts import (
     VelocitySection,
     WaterSection,
 )
-from wavefield.series.rates import RECORDED, one_rate, recorded_rates, recorded_times
+from wavefield.series.rates import one_rate, recorded_rates
 
 
 class Experiment(Section):
@@ -213,7 +221,8 @@ class Experiment(Section):
         Returns
         -------
         dict of str to FrameSeries
-            All on the same range of frame numbers, gaps kept.
+            All on the same range of frame numbers, gaps kept: of missing files, and of images that a camera
+            dropped, by its `times` or by those in its recording.
 
         Raises
         ------
@@ -224,18 +233,7 @@ class Experiment(Section):
             name: number_frames(section.images, self.image_folder, name)
             for name, section in self.cameras.items()
         }
-        stamped = {
-            name: self._stamps(name, section) for name, section in self.cameras.items() if section.times
-        }
-        if stamped and len(stamped) < len(numbered):
-            without = next(name for name in numbered if name not in stamped)
-            raise ExperimentError(
-                f"{self.path}: {without} has no `times`, but other cameras have; give them all, or none"
-            )
-        if stamped:
-            start = min(times[0] for _, times in stamped.values())
-            for name, (path, times) in stamped.items():
-                numbered[name] = place_by_time(numbered[name], times, start, self.frame_rate, path, name)
+        numbered, clocks = self._by_clocks(numbered)
         for name, section in self.cameras.items():
             if section.offset:
                 numbered[name] = {n + section.offset: entry for n, entry in numbered[name].items()}
@@ -247,7 +245,31 @@ class Experiment(Section):
         last = last if self.frames.last is None else self.frames.last
         if last <= first:
             raise ExperimentError(self._no_step(numbered))
-        return make_series(numbered, first, last)
+        return make_series(numbered, first, last, clocks)
+
+    def _by_clocks(
+        self, numbered: Mapping[str, Numbered]
+    ) -> tuple[dict[str, Numbered], dict[str, NDArray[np.float64]]]:
+        """Frames at their places by the cameras' clocks, and what these say, of cameras that have one."""
+        stamped = {
+            name: self._stamps(name, section) for name, section in self.cameras.items() if section.times
+        }
+        if not stamped:
+            own = {name: own_times(one.images, name, self.image_folder) for name, one in self.cameras.items()}
+            clocks = {name: times for name, times in own.items() if times is not None}
+            placed = {name: place_by_intervals(numbered[name], times) for name, times in clocks.items()}
+            return {**numbered, **placed}, clocks
+        if len(stamped) < len(numbered):
+            without = next(name for name in numbered if name not in stamped)
+            raise ExperimentError(
+                f"{self.path}: {without} has no `times`, but other cameras have; give them all, or none"
+            )
+        start = min(times[0] for _, times in stamped.values())
+        placed = {
+            name: place_by_time(numbered[name], times, start, self.frame_rate, path, name)
+            for name, (path, times) in stamped.items()
+        }
+        return placed, {name: times for name, (_, times) in stamped.items()}
 
     def _stamps(self, name: str, section: CameraSection) -> tuple[Path, NDArray[Any]]:
         """Where a camera's time stamps stand, and they."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
 from wavefield.images import made_even
@@ -52,6 +53,8 @@ class FrameSeries:
     beyond : tuple of int
         Frames that this camera has before and after the record: other cameras, or ``frames`` of the
         experiment file, end it there.
+    times : ndarray, (n,), optional
+        When each frame was taken by the camera's own clock, s; NaN where it is missing.
     """
 
     camera: str
@@ -61,6 +64,7 @@ class FrameSeries:
     dtype: str
     mask: CameraMask | None = None
     beyond: tuple[int, int] = (0, 0)
+    times: NDArray[np.float64] | None = field(default=None, repr=False, compare=False)
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -185,7 +189,9 @@ class FrameSeries:
         """
         start = max(start, 0)
         mask = None if self.mask is None else self.mask.window(start, stop)
-        return replace(self, first=self.first + start, entries=list(self.entries[start:stop]), mask=mask)
+        # a block is told places, not times: those are for looking at the whole
+        entries = list(self.entries[start:stop])
+        return replace(self, first=self.first + start, entries=entries, mask=mask, times=None)
 
 
 def judge_content(image: np.ndarray, place: str) -> Frame:

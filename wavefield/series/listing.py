@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.series.frames import FrameSeries
@@ -196,94 +197,9 @@ def _hint(names: Sequence[str], folder: Path | str, pattern: str) -> str:
     return f"; the folder holds {alike[0]!r} and others" if alike else f"; {folder} is empty"
 
 
-def read_time_stamps(path: Path, camera: str) -> np.ndarray:
-    """Times of a camera's frames, one per image in order.
-
-    Parameters
-    ----------
-    path : path
-        Text file with one time in seconds per line (in the last column, if there are several); a first line
-        with names and lines that start with ``#`` are skipped.
-    camera : str
-        For the message.
-
-    Returns
-    -------
-    ndarray, (n,)
-        Times, seconds.
-
-    Raises
-    ------
-    ExperimentError
-        If a line holds no time, or times do not increase.
-    """
-    try:
-        lines = path.read_text().splitlines()
-    except OSError as error:
-        raise ExperimentError(f"time stamps of {camera}: {path} cannot be read: {error.strerror}") from None
-    times: list[float] = []
-    for number, line in enumerate(lines, 1):
-        words = line.replace(",", " ").replace(";", " ").split()
-        if not words or words[0].startswith("#"):
-            continue
-        try:
-            times.append(float(words[-1]))
-        except ValueError:
-            if times:
-                raise ExperimentError(
-                    f"{path}, line {number}: {words[-1]!r} is not a time in seconds"
-                ) from None
-    out = np.array(times)
-    if out.size == 0 or np.any(np.diff(out) <= 0):
-        raise ExperimentError(f"time stamps of {camera}: {path} must hold increasing times in seconds")
-    return out
-
-
-def place_by_time(
-    numbered: Numbered, times: np.ndarray, start: float, frame_rate: float, path: Path, camera: str
-) -> Numbered:
-    """Renumber frames by their time stamps, so that frames dropped by the camera leave gaps.
-
-    Parameters
-    ----------
-    numbered : dict of int to Entry
-        Frames in order.
-    times : ndarray, (n,)
-        Their times, seconds.
-    start : float
-        Time of frame 0, seconds.
-    frame_rate : float
-        Hz.
-    path : path
-        The file of time stamps, for the message.
-    camera : str
-        For the message.
-
-    Returns
-    -------
-    dict of int to Entry
-
-    Raises
-    ------
-    ExperimentError
-        If the stamps do not fit the images or the frame rate.
-    """
-    if len(times) != len(numbered):
-        raise ExperimentError(
-            f"{path} holds {len(times)} times, but {camera} has {len(numbered)} images; every image needs one"
-        )
-    place = (times - start) * frame_rate
-    numbers = np.rint(place).astype(int)
-    worst = int(np.argmax(np.abs(place - numbers)))
-    if abs(place[worst] - numbers[worst]) > 0.25 or np.any(np.diff(numbers) < 1):
-        raise ExperimentError(
-            f"{path}: the times do not fit a frame rate of {frame_rate} Hz (image {worst} is "
-            f"{abs(place[worst] - numbers[worst]):.2f} of an interval off); correct frame_rate"
-        )
-    return {int(number): numbered[old] for number, old in zip(numbers, sorted(numbered))}
-
-
-def make_series(numbered: Mapping[str, Numbered], first: int, last: int) -> dict[str, FrameSeries]:
+def make_series(
+    numbered: Mapping[str, Numbered], first: int, last: int, clocks: Mapping[str, NDArray[np.float64]]
+) -> dict[str, FrameSeries]:
     """Line up the cameras on a common range of frame numbers; reads one frame of each.
 
     Parameters
@@ -292,6 +208,8 @@ def make_series(numbered: Mapping[str, Numbered], first: int, last: int) -> dict
         Frames of every camera.
     first, last : int
         Range of frame numbers, both included.
+    clocks : mapping of str to ndarray
+        When each frame was taken by the camera's own clock, s, in order; of the cameras that say so.
 
     Returns
     -------
@@ -307,7 +225,9 @@ def make_series(numbered: Mapping[str, Numbered], first: int, last: int) -> dict
         entries = [frames.get(number) for number in range(first, last + 1)]
         shape, dtype = _first_readable(entries, camera)
         beyond = sum(number < first for number in frames), sum(number > last for number in frames)
-        out[camera] = FrameSeries(camera, first, entries, shape, dtype, beyond=beyond)
+        taken = dict(zip(sorted(frames), clocks.get(camera, ())))
+        times = np.array([taken.get(number, np.nan) for number in range(first, last + 1)]) if taken else None
+        out[camera] = FrameSeries(camera, first, entries, shape, dtype, beyond=beyond, times=times)
     return out
 
 

@@ -19,7 +19,8 @@ class CameraSection(Section):
     offset: int = Field(default=0, description="added to this camera's frame numbers")
     times: str | None = Field(
         default=None,
-        description="file of time stamps, one line per image, seconds; `recorded`: those in a recording",
+        description="file of time stamps, one line per image, seconds; `recorded`: those in a recording, "
+        "where all cameras' clocks are one",
     )
 
     @model_validator(mode="before")

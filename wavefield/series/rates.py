@@ -4,13 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.series.formats import file_of, open_recording
 
-RECORDED = "recorded"  # in place of a file of times: those in the recording
 _ALIKE = 1e-3  # of a rate: cameras round theirs
 
 
@@ -44,44 +40,6 @@ def recorded_rates(cameras: Mapping[str, Any], folder: Path) -> dict[str, float]
             rates[str(name)] = recording.rate
         recording.close()
     return rates
-
-
-def recorded_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64]:
-    """When the images of a recording were taken, as it says itself.
-
-    Parameters
-    ----------
-    images : str or list
-        The recording, as an experiment file names it.
-    camera : str
-        The camera.
-    folder : path
-        Relative names start here.
-
-    Returns
-    -------
-    ndarray, (n,)
-        Seconds, increasing.
-
-    Raises
-    ------
-    ExperimentError
-        If it is no recording that holds times, or they do not increase.
-    """
-    path = folder / images.replace("{camera}", camera) if isinstance(images, str) else None
-    if path is None or file_of(path) is None:
-        raise ExperimentError(
-            f"{camera}: `times: {RECORDED}` wants a recording, and {images} is none; name a file of times"
-        )
-    recording = open_recording(path)
-    read = getattr(recording, "times", None)
-    times = np.empty(0) if read is None else read()
-    recording.close()
-    if len(times) == 0 or np.any(np.diff(times) <= 0):
-        raise ExperimentError(
-            f"{path} holds no increasing times of its images: leave `times` out, or name a file of them"
-        )
-    return times
 
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:

@@ -1,0 +1,201 @@
+"""When the images of a camera were taken, by its own clock, and their places in the record by that."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.errors import ExperimentError, FrameError
+from wavefield.series.formats import file_of, open_recording
+from wavefield.series.listing import Numbered
+
+RECORDED = "recorded"  # in place of a file of times: those in the recording
+_OFF = 0.25  # of an interval: an image further from its place has none
+_ROUNDED = 1e-3  # of a rate, by which clocks differ
+_MOST = 10  # places for each image: what has more is several records in one file
+
+
+def own_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64] | None:
+    """When the images of a recording were taken, where it says so.
+
+    Parameters
+    ----------
+    images : str or list
+        As an experiment file names them.
+    camera : str
+        The camera.
+    folder : path
+        Relative names start here.
+
+    Returns
+    -------
+    ndarray, (n,), or None
+        Seconds, as they are; None if it is no recording, or one without times.
+    """
+    path = folder / images.replace("{camera}", camera) if isinstance(images, str) else None
+    if path is None or file_of(path) is None:
+        return None
+    try:
+        recording = open_recording(path)
+    except FrameError:  # told where its images are looked for
+        return None
+    read = getattr(recording, "times", None)
+    times = None if read is None else read()
+    recording.close()
+    return times if times is not None and np.ptp(times) > 0 else None
+
+
+def recorded_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64]:
+    """As `own_times`, where they are asked for.
+
+    Parameters
+    ----------
+    images : str or list
+        The recording, as an experiment file names it.
+    camera : str
+        The camera.
+    folder : path
+        Relative names start here.
+
+    Returns
+    -------
+    ndarray, (n,)
+        Seconds, increasing.
+
+    Raises
+    ------
+    ExperimentError
+        If it is no recording that holds times, or they do not increase.
+    """
+    path = folder / images.replace("{camera}", camera) if isinstance(images, str) else None
+    if path is None or file_of(path) is None:
+        raise ExperimentError(
+            f"{camera}: `times: {RECORDED}` wants a recording, and {images} is none; name a file of times"
+        )
+    times = own_times(images, camera, folder)
+    if times is None or np.any(np.diff(times) <= 0):
+        raise ExperimentError(
+            f"{path} holds no increasing times of its images: leave `times` out, or name a file of them"
+        )
+    return times
+
+
+def read_time_stamps(path: Path, camera: str) -> np.ndarray:
+    """Times of a camera's frames, one per image in order.
+
+    Parameters
+    ----------
+    path : path
+        Text file with one time in seconds per line (in the last column, if there are several); a first line
+        with names and lines that start with ``#`` are skipped.
+    camera : str
+        For the message.
+
+    Returns
+    -------
+    ndarray, (n,)
+        Times, seconds.
+
+    Raises
+    ------
+    ExperimentError
+        If a line holds no time, or times do not increase.
+    """
+    try:
+        lines = path.read_text().splitlines()
+    except OSError as error:
+        raise ExperimentError(f"time stamps of {camera}: {path} cannot be read: {error.strerror}") from None
+    times: list[float] = []
+    for number, line in enumerate(lines, 1):
+        words = line.replace(",", " ").replace(";", " ").split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            times.append(float(words[-1]))
+        except ValueError:
+            if times:
+                raise ExperimentError(
+                    f"{path}, line {number}: {words[-1]!r} is not a time in seconds"
+                ) from None
+    out = np.array(times)
+    if out.size == 0 or np.any(np.diff(out) <= 0):
+        raise ExperimentError(f"time stamps of {camera}: {path} must hold increasing times in seconds")
+    return out
+
+
+def place_by_time(
+    numbered: Numbered, times: np.ndarray, start: float, frame_rate: float, path: Path, camera: str
+) -> Numbered:
+    """Renumber frames by their time stamps, so that frames dropped by the camera leave gaps.
+
+    Parameters
+    ----------
+    numbered : dict of int to Entry
+        Frames in order.
+    times : ndarray, (n,)
+        Their times, seconds.
+    start : float
+        Time of frame 0, seconds.
+    frame_rate : float
+        Hz.
+    path : path
+        The file of time stamps, for the message.
+    camera : str
+        For the message.
+
+    Returns
+    -------
+    dict of int to Entry
+
+    Raises
+    ------
+    ExperimentError
+        If the stamps do not fit the images or the frame rate.
+    """
+    if len(times) != len(numbered):
+        raise ExperimentError(
+            f"{path} holds {len(times)} times, but {camera} has {len(numbered)} images; every image needs one"
+        )
+    place = (times - start) * frame_rate
+    numbers = np.rint(place).astype(int)
+    worst = int(np.argmax(np.abs(place - numbers)))
+    if abs(place[worst] - numbers[worst]) > _OFF or np.any(np.diff(numbers) < 1):
+        raise ExperimentError(
+            f"{path}: the times do not fit a frame rate of {frame_rate} Hz (image {worst} is "
+            f"{abs(place[worst] - numbers[worst]):.2f} of an interval off); correct frame_rate"
+        )
+    return {int(number): numbered[old] for number, old in zip(numbers, sorted(numbered))}
+
+
+def place_by_intervals(numbered: Numbered, times: NDArray[np.float64]) -> Numbered:
+    """Renumber frames so that those the camera dropped leave gaps: by intervals, not by the clock's rate.
+
+    Parameters
+    ----------
+    numbered : dict of int to Entry
+        Frames in order.
+    times : ndarray, (n,)
+        Their times, seconds: most intervals are alike.
+
+    Returns
+    -------
+    dict of int to Entry
+        The first keeps its number; all do where the times are not whole intervals apart.
+
+    Examples
+    --------
+    >>> place_by_intervals({0: "a", 1: "b", 2: "c", 3: "d"}, np.array([7.0, 7.1, 7.2, 7.5]))
+    {0: 'a', 1: 'b', 2: 'c', 5: 'd'}
+    """
+    intervals = np.diff(times)
+    if len(times) != len(numbered) or len(times) < 3 or intervals.min() <= 0:
+        return numbered
+    passed = intervals / np.median(intervals)
+    whole = np.rint(passed)
+    uneven = np.abs(passed - whole) > _OFF + _ROUNDED * whole
+    if uneven.any() or whole.min() < 1 or whole.sum() > _MOST * len(times):
+        return numbered
+    old = sorted(numbered)
+    places = old[0] + np.append(0, np.cumsum(whole)).astype(int)
+    return {int(place): numbered[number] for place, number in zip(places, old)}
