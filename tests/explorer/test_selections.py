@@ -132,9 +132,11 @@ def test_arrows_point_where_the_water_goes_and_are_as_long_as_it_is_fast():
     u, v = np.full((25, 25), 0.3), np.full((25, 25), -0.4)
     u[3, 4] = np.nan
     xs, ys, metres = arrows(u, v, x, y, 0.5)
+    xs, ys = xs.reshape(-1, 7), ys.reshape(-1, 7)
     assert len(xs) == 25 * 25 - 1
-    np.testing.assert_allclose([a[1] - a[0] for a in xs], 0.3 * metres)
-    np.testing.assert_allclose([a[1] - a[0] for a in ys], -0.4 * metres)
+    np.testing.assert_allclose(xs[:, 1] - xs[:, 0], 0.3 * metres)
+    np.testing.assert_allclose(ys[:, 1] - ys[:, 0], -0.4 * metres)
+    assert np.isnan(np.concatenate([xs[:, 6], ys[:, 6]])).all()  # no line from arrow to arrow
     assert metres * 0.5 == pytest.approx(1.2 / 24)
 
 

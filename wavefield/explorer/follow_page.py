@@ -97,7 +97,7 @@ class FollowPage:
         self.mapper = LinearColorMapper(palette=palette(colour_map("w")), nan_color=GREY, low=-1, high=1)
         self.image, self.shafts = (
             image_source("map_image"),
-            ColumnDataSource({"xs": [], "ys": []}, name="map_arrows"),
+            ColumnDataSource({"x": [], "y": []}, name="map_arrows"),
         )
         self.map = self._draw_map(probes)
         self.cameras = {name: self._draw_camera(name) for name in follower.experiment.cameras}
@@ -111,7 +111,7 @@ class FollowPage:
         made.grid.grid_line_color = None
         shown = made.image("image", source=self.image, color_mapper=self.mapper)
         made.x_range.renderers = made.y_range.renderers = [shown]
-        made.multi_line("xs", "ys", source=self.shafts, color=INK, line_width=1.1)
+        made.line("x", "y", source=self.shafts, color=INK, line_width=1.1)
         if probes is not None:
             places = {"x": probes.probe_x.values, "y": probes.probe_y.values}
             source = ColumnDataSource(places | {"name": [str(n) for n in probes.probe.values]})
@@ -223,7 +223,7 @@ class FollowPage:
         u, v = seen.fields["u"], seen.fields["v"]
         speed = limit(np.hypot(u, v), 98) if np.isfinite(u).any() else 0.0
         xs, ys, _ = arrows(u, v, x, y, speed)
-        self.shafts.data = {"xs": xs, "ys": ys}
+        self.shafts.data = {"x": xs, "y": ys}
         self.map.title.text = f"{name}: {TABLE[name].long_name}{shown.suffix}, frame {seen.number}"
 
     def _show_target(self) -> None:

@@ -72,7 +72,7 @@ class MapPanel:
         self._fastest = 0.0
         self.mapper = LinearColorMapper(palette=self._palettes[colour_map("w")], nan_color=GREY)
         self.image = image_source("map_image")
-        self.shafts = ColumnDataSource({"xs": [], "ys": []}, name="map_arrows")
+        self.shafts = ColumnDataSource({"x": [], "y": []}, name="map_arrows")
         self.node = ColumnDataSource({"x": [], "y": []}, name="map_node")
         self.line = ColumnDataSource({"x": [], "y": []}, name="map_line")
         self.area = ColumnDataSource({"left": [], "right": [], "bottom": [], "top": []}, name="map_area")
@@ -109,7 +109,7 @@ class MapPanel:
         made.background_fill_color = "#f6f8fa"
         shown = made.image("image", source=self.image, color_mapper=self.mapper)
         made.x_range.renderers = made.y_range.renderers = [shown]
-        made.multi_line("xs", "ys", source=self.shafts, color=INK, line_width=1.1)
+        made.line("x", "y", source=self.shafts, color=INK, line_width=1.1)
         halo: dict[str, Any] = {"source": self.line, "line_cap": "round"}
         made.line("x", "y", color="white", line_width=5, **halo)
         made.line("x", "y", color=INK, line_width=2.2, **halo)
@@ -230,7 +230,7 @@ class MapPanel:
     def _show_arrows(self, place: Place) -> None:
         record = self._record
         if not place.arrows or not {"u", "v"} <= set(record.stored):
-            self.shafts.data = {"xs": [], "ys": []}
+            self.shafts.data = {"x": [], "y": []}
             self.key.text = ""
             return
         u, v = record.field("u", place.step), record.field("v", place.step)
@@ -238,7 +238,7 @@ class MapPanel:
             speed = np.hypot(u, v)
             self._fastest = limit(speed, 98) if np.isfinite(speed).any() else 0.0
         xs, ys, metres = arrows(u, v, record.x, record.y, self._fastest)
-        self.shafts.data = {"xs": xs, "ys": ys}
+        self.shafts.data = {"x": xs, "y": ys}
         key = float(f"{100 * self._fastest:.1g}")
         self.key.text = f"longest arrows: {number(key)} cm/s" if metres else ""
 

@@ -62,8 +62,7 @@ def draw(
     if place.arrows:
         u, v = record.field("u", place.step), record.field("v", place.step)
         speed = fastest or (limit(np.hypot(u, v), 98) if np.isfinite(u).any() else 0.0)
-        for xs, ys in zip(*arrows(u, v, record.x, record.y, speed)[:2]):
-            ax.plot(xs, ys, color="black", linewidth=0.7)
+        ax.plot(*arrows(u, v, record.x, record.y, speed)[:2], color="black", linewidth=0.7)
     return figure
 
 
