@@ -87,6 +87,8 @@ def test_buttons_step_and_the_slider_too(page, fields):
     page.page.keyboard.press("ArrowRight")
     page.wait(at_step(STEP + 1))
     np.testing.assert_allclose(page.image("map_image"), 100 * fields["w"][STEP + 1], rtol=1e-6)
+    page.page.keyboard.press("l")  # the slider keeps its own keys only
+    page.wait(f"{model('drag')}.value == 'line'")
 
 
 def test_it_plays_and_stops(page, fields):

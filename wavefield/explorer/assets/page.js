@@ -16,9 +16,11 @@ const keys = {
 }
 document.addEventListener("keydown", (event) => {
   const target = event.composedPath()[0]
-  const typing = target.matches && target.matches("input, select, textarea, [role=slider], .noUi-handle")
+  const within = (names) => Boolean(target.matches && target.matches(names))
+  const typing = within("input, select, textarea")
+  const sliding = within("[role=slider], .noUi-handle") && /^(Arrow|Page|Home|End)/.test(event.key)
   if (event.ctrlKey || event.altKey || event.metaKey || !keys[event.key] || !find("step")) return
-  if (typing || (event.key == " " && target.matches && target.matches("button, a"))) return
+  if (typing || sliding || (event.key == " " && within("button, a"))) return
   event.preventDefault()
   keys[event.key]()
 })
