@@ -12,6 +12,7 @@ from scipy.io import netcdf_file
 import wavefield as wf
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError
+from wavefield.store.vtkhdf import write_vtkhdf
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +69,81 @@ def test_paraview_gets_the_surface_of_every_step_at_its_time(reference, cube, tm
     np.testing.assert_allclose(arrays["Points"][:, :2], np.stack([x.ravel(), y.ravel()], -1), rtol=1e-6)
     np.testing.assert_array_equal(arrays["velocity"][:, 2], one.w.values.ravel())
     np.testing.assert_array_equal(arrays["quality"][:, 0], one.quality.values.ravel())
+
+
+@pytest.fixture(scope="module")
+def holed(cube):
+    """Six steps, some with nodes of unknown elevation, one without any known."""
+    out = cube.isel(time=slice(0, 6)).copy(deep=True)
+    out.z[1:3, 4, 5] = np.nan
+    out.z[3] = np.nan
+    out.z[5, 0, 0] = np.nan
+    return out
+
+
+def write_holed(holed, path):
+    write_vtkhdf(holed, (holed.isel(time=slice(k, k + 4)) for k in (0, 4)), path)
+
+
+def cells_and_height(file, step):
+    """Corners of the cells of a step, and its points, as VTKHDF has it."""
+    root, steps = file["VTKHDF"], file["VTKHDF/Steps"]
+    part = steps["PartOffsets"][step]
+    count, first = root["NumberOfCells"][part], steps["ConnectivityIdOffsets"][step, 0]
+    assert (root["Types"][:][steps["CellOffsets"][step, 0] :][:count] == 9).all()
+    offsets = root["Offsets"][:][steps["CellOffsets"][step, 0] + part :][: count + 1]
+    np.testing.assert_array_equal(offsets, 4 * np.arange(count + 1))
+    corners = root["Connectivity"][first : first + 4 * count].reshape(-1, 4)
+    start = steps["PointOffsets"][step]
+    return corners, root["Points"][start : start + root["NumberOfPoints"][part]]
+
+
+def test_vtkhdf_holds_the_surface_of_every_step_and_its_cells_where_they_change(holed, tmp_path):
+    write_holed(holed, tmp_path / "cube.vtkhdf")
+    with h5py.File(tmp_path / "cube.vtkhdf") as file:
+        assert file["VTKHDF/Steps/PartOffsets"][:].tolist() == [0, 1, 1, 2, 3, 4]
+        np.testing.assert_array_equal(file["VTKHDF/Steps/Values"], holed.time)
+        for step in range(6):
+            one = holed.isel(time=step)
+            corners, points = cells_and_height(file, step)
+            known = np.isfinite(one.z.values)
+            whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, 1:] & known[1:, :-1]
+            assert len(corners) == whole.sum()
+            np.testing.assert_allclose(
+                points[corners, 0].mean(axis=1).sum(), whole_middles(one, whole), atol=1e-5
+            )
+            at = file["VTKHDF/Steps/PointDataOffsets/velocity"][step]
+            velocity = file["VTKHDF/PointData/velocity"][at : at + known.size]
+            np.testing.assert_array_equal(velocity[:, 2], one.w.values.ravel())
+
+
+def whole_middles(one, whole):
+    x = (one.x.values[1:] + one.x.values[:-1]) / 2
+    return np.broadcast_to(x, whole.shape)[whole].sum()
+
+
+def test_paraview_s_own_reader_reads_vtkhdf(reference, cube, holed, tmp_path):
+    reading = pytest.importorskip("vtkmodules.vtkIOHDF", reason="needs VTK, whose reader ParaView uses")
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    assert main(["-q", "export", str(reference), str(tmp_path / "cube.vtkhdf"), "--steps", "2:8:3"]) == 0
+    write_holed(holed, tmp_path / "holed.vtkhdf")
+    for name, steps in (("cube", cube.isel(time=slice(2, 8, 3))), ("holed", holed)):
+        reader = reading.vtkHDFReader()
+        reader.SetFileName(str(tmp_path / f"{name}.vtkhdf"))
+        reader.UpdateInformation()
+        for k in range(steps.sizes["time"]):
+            one = steps.isel(time=k)
+            reader.UpdateTimeStep(float(one.time))
+            grid = reader.GetOutputDataObject(0)
+            known = np.isfinite(one.z.values)
+            whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, 1:] & known[1:, :-1]
+            assert grid.GetNumberOfCells() == whole.sum()
+            points = vtk_to_numpy(grid.GetPoints().GetData())
+            np.testing.assert_array_equal(points[known.ravel(), 2], one.z.values[known])
+            for field in ("z", "z_std", "quality"):
+                found = vtk_to_numpy(grid.GetPointData().GetArray(field))
+                np.testing.assert_array_equal(found, one[field].values.ravel())
 
 
 def test_uvmat_gets_a_file_per_step_with_roles(reference, cube, tmp_path):

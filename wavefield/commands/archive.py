@@ -18,6 +18,7 @@ Examples:
   wavefield export cube.zarr cube.nc                    # NetCDF (CF)
   wavefield export cube.zarr cube.mat                   # MATLAB 7.3
   wavefield export cube.zarr cube.pvd --steps 0:500:5   # ParaView: the moving surface, every fifth step
+  wavefield export cube.zarr cube.vtkhdf                # the same in one file
   wavefield export cube.zarr run7.uvmat                 # a folder of files for UVMAT
 """
 )

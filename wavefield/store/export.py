@@ -21,9 +21,10 @@ ENDINGS = {
     **dict.fromkeys(NETCDF, "netcdf"),
     ".mat": "matlab",
     ".pvd": "paraview",
+    ".vtkhdf": "vtkhdf",
     ".uvmat": "uvmat",
 }
-KNOWN = ".nc (NetCDF), .mat (MATLAB), .pvd (ParaView) or .uvmat (a folder for UVMAT)"
+KNOWN = ".nc (NetCDF), .mat (MATLAB), .pvd or .vtkhdf (ParaView) or .uvmat (a folder for UVMAT)"
 _AT_ONCE = 16  # steps in memory
 
 
@@ -36,8 +37,9 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
         Cube written by `run`.
     path : path
         ``.nc``: one NetCDF-4 file that follows the CF conventions; ``.mat``: MATLAB 7.3; ``.pvd``: a list of
-        steps for ParaView, each a ``.vts`` in the folder ``NAME_steps`` beside it; ``.uvmat``: a folder of
-        one NetCDF file per step. It appears when it is whole.
+        steps for ParaView, each a ``.vts`` in the folder ``NAME_steps`` beside it; ``.vtkhdf``: the same in
+        one file, for ParaView 5.12 and later; ``.uvmat``: a folder of one NetCDF file per step. It appears
+        when it is whole.
     steps : slice, optional
         Some of the steps; by default all.
 
@@ -132,6 +134,13 @@ def _paraview(cube: "xr.Dataset", path: Path) -> None:
         write_paraview(_by_steps(cube), draft, path, folder.name)
 
 
+def _vtkhdf(cube: "xr.Dataset", path: Path) -> None:
+    from wavefield.store.vtkhdf import write_vtkhdf
+
+    with whole(path) as draft:
+        write_vtkhdf(cube, _by_steps(cube), draft)
+
+
 def _uvmat(cube: "xr.Dataset", path: Path) -> None:
     from wavefield.store.uvmat import write_uvmat
 
@@ -151,5 +160,6 @@ _WRITERS: dict[str, Callable[[Any, Path], None]] = {
     "netcdf": _netcdf,
     "matlab": _matlab,
     "paraview": _paraview,
+    "vtkhdf": _vtkhdf,
     "uvmat": _uvmat,
 }

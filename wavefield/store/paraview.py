@@ -66,19 +66,8 @@ def structured_grid(x: NDArray[Any], y: NDArray[Any], step: xr.Dataset) -> bytes
     -------
     bytes
     """
-    z = np.asarray(step.z, np.float32)
-    known = np.isfinite(z)
-    points = np.stack([x, y, np.where(known, z, 0)], -1).astype(np.float32)
-    fields: dict[str, NDArray[Any]] = {
-        str(name): np.asarray(field)
-        for name, field in step.data_vars.items()
-        if field.dims == ("y", "x") and name not in _VELOCITY
-    }
-    if all(name in step for name in _VELOCITY):
-        fields["velocity"] = np.stack([np.asarray(step[name], np.float32) for name in _VELOCITY], -1)
-    fields["vtkGhostType"] = np.where(known, np.uint8(0), _HIDDEN)
     arrays, data, at = [], [], 0
-    for name, values in {"Points": points, **fields}.items():
+    for name, values in points_and_fields(x, y, step).items():
         parts = values.shape[2] if values.ndim == 3 else 1
         arrays.append(
             f'<DataArray type="{_TYPES[str(values.dtype)]}" Name="{name}" NumberOfComponents="{parts}" '
@@ -86,7 +75,7 @@ def structured_grid(x: NDArray[Any], y: NDArray[Any], step: xr.Dataset) -> bytes
         )
         data.append(_compressed(values))
         at += len(data[-1])
-    ny, nx = z.shape
+    ny, nx = x.shape
     extent = f"0 {nx - 1} 0 {ny - 1} 0 0"
     text = (
         '<?xml version="1.0"?>\n<VTKFile type="StructuredGrid" version="1.0" byte_order="LittleEndian" '
@@ -97,6 +86,34 @@ def structured_grid(x: NDArray[Any], y: NDArray[Any], step: xr.Dataset) -> bytes
         + '\n</PointData>\n</Piece>\n</StructuredGrid>\n<AppendedData encoding="raw">\n_'
     )
     return text.encode() + b"".join(data) + b"\n</AppendedData>\n</VTKFile>\n"
+
+
+def points_and_fields(x: NDArray[Any], y: NDArray[Any], step: xr.Dataset) -> dict[str, NDArray[Any]]:
+    """What ParaView is given of a step.
+
+    Parameters
+    ----------
+    x, y : ndarray, (ny, nx)
+        Nodes, metres.
+    step : Dataset, (y, x)
+        Its fields; z gives the points their height.
+
+    Returns
+    -------
+    dict of str to ndarray, (ny, nx) or (ny, nx, 3)
+        ``Points`` on the surface, first; the fields, ``velocity`` for u, v, w; ``vtkGhostType``, which hides
+        points without an elevation.
+    """
+    z = np.asarray(step.z, np.float32)
+    known = np.isfinite(z)
+    out: dict[str, NDArray[Any]] = {"Points": np.stack([x, y, np.where(known, z, 0)], -1).astype(np.float32)}
+    for name, field in step.data_vars.items():
+        if field.dims == ("y", "x") and name not in _VELOCITY:
+            out[str(name)] = np.asarray(field)
+    if all(name in step for name in _VELOCITY):
+        out["velocity"] = np.stack([np.asarray(step[name], np.float32) for name in _VELOCITY], -1)
+    out["vtkGhostType"] = np.where(known, np.uint8(0), _HIDDEN)
+    return out
 
 
 def _compressed(values: NDArray[Any]) -> bytes:
