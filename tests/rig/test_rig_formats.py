@@ -1,4 +1,5 @@
 import csv
+import xml.etree.ElementTree as ET
 
 import cv2
 import numpy as np
@@ -6,6 +7,7 @@ import pytest
 import scipy.io
 import yaml
 from rig_cases import TERMS, field, random_camera
+from scipy.spatial.transform import Rotation
 
 from wavefield.errors import RigError
 from wavefield.rig import Camera, Rig
@@ -359,10 +361,96 @@ def test_an_image_smaller_than_uvmats_marked_points_is_refused(shared):
         load_rig(uvmat(shared), sizes={"PCO_top": (1280, 1080)})
 
 
-def test_a_calibration_of_davis_is_told_what_to_take_instead(tmp_path):
-    (tmp_path / "Calibration.xml").write_text(
-        '<Calibration><CoordinateSystem><CoordinateMapper CameraIdentifier="1"><PinholeParameters/>'
-        "</CoordinateMapper></CoordinateSystem></Calibration>"
+# -- DaVis -------------------------------------------------------------------------------------------
+
+PIXEL = 0.00274  # mm
+
+
+def davis_camera(number, camera, fit_error):
+    """A camera as DaVis writes it: lengths in millimetres, angles about x, y, z in turn."""
+    rx, ry, rz = Rotation.from_matrix(camera.R).as_euler("xyz")
+    tx, ty, tz = 1e3 * camera.T
+    return (
+        f'<CoordinateMapper CameraIdentifier="{number}" Type="PinholeOpenCV"><PinholeParameters>'
+        f'<CommonParameters><OriginalImageSize Width="{camera.size[0]}" Height="{camera.size[1]}"/>'
+        f'<FitError RMS="{fit_error!r}"/></CommonParameters><InternalCameraParameters>'
+        f'<FocalLengthPixel x="{camera.fx * PIXEL!r}" y="{camera.fy * PIXEL!r}"/>'
+        f'<PrincipalPoint x="{camera.cx!r}" y="{camera.cy!r}"/><SensorPixelSizeMm Value="{PIXEL}"/>'
+        f'<RadialDistortion radialDistortionCoefficient1="{camera.k1!r}" '
+        f'radialDistortionCoefficient2="{camera.k2!r}"/>'
+        f'<TangentialDistortion tangentialDistortionCoefficient1="{camera.p1!r}" '
+        f'tangentialDistortionCoefficient2="{camera.p2!r}"/></InternalCameraParameters>'
+        f'<ExternalCameraParameters><RotationAngles Rx="{rx}" Ry="{ry}" Rz="{rz}"/>'
+        f'<TranslationMm Tx="{tx}" Ty="{ty}" Tz="{tz}"/></ExternalCameraParameters>'
+        "</PinholeParameters></CoordinateMapper>"
     )
-    with pytest.raises(RigError, match="calibrate again from its target images"):
-        load_rig(tmp_path / "Calibration.xml")
+
+
+def write_davis(folder, rig):
+    """Cameras, and marks that they miss by what DaVis states; one table lies in each camera's folder."""
+    rng, mappers, tables = np.random.default_rng(4), [], []
+    for number, camera in enumerate(rig.cameras.values(), 1):
+        x, y, z = field(number)
+        weight, miss = rng.uniform(0.1, 1, len(x)), rng.normal(0, 0.3, (2, len(x)))
+        columns, rows = np.array(camera.project(x, y, z)) + miss
+        marks = "".join(
+            f'<Mark w="{w!r}"><RawPos x="{c!r}" y="{r!r}"/><WorldPos x="{p!r}" y="{q!r}" z="{h!r}"/></Mark>'
+            for w, c, r, p, q, h in zip(
+                *(v.tolist() for v in (weight, columns, rows, 1e3 * x, 1e3 * y, 1e3 * z))
+            )
+        )
+        tables.append(f'<Camera CameraNumber="{number}"><View>{marks}</View></Camera>')
+        fit_error = float(np.sqrt((weight * (miss**2).sum(axis=0)).sum() / weight.sum()))
+        mappers.append(davis_camera(number, camera, fit_error))
+    system = f"<CoordinateSystem>{''.join(mappers)}</CoordinateSystem>"
+    (folder / "Calibration.xml").write_text(
+        f"<Calibration><CoordinateSystemsForEachView>{system}</CoordinateSystemsForEachView></Calibration>"
+    )
+    for number in range(1, len(mappers) + 1):
+        (folder / f"camera{number}").mkdir()
+        (folder / f"camera{number}" / "MarkPositionTable.xml").write_text(f"<Marks>{''.join(tables)}</Marks>")
+    return folder / "Calibration.xml"
+
+
+def test_a_calibration_of_davis_is_read_and_held_against_its_own_marks(tmp_path):
+    rig = two("k3", "tau_x", "tau_y", "skew")
+    path = write_davis(tmp_path, rig)
+    read = load_rig(path)
+    for name in rig:
+        same(rig[name], read[name], 1e-9)
+    stated = [float(one.get("RMS")) for one in ET.parse(path).iter("FitError")]
+    assert list(read.provenance["imported"]["marks_px"].values()) == pytest.approx(stated, abs=1e-4)
+    path.write_text(path.read_text().replace("Rx=", "Q=").replace("Ry=", "Rx=").replace("Q=", "Ry="))
+    with pytest.raises(
+        RigError, match=r"cam1 misses its own marks \(MarkPositionTable.xml\) by .* states 0\.\d+"
+    ):
+        load_rig(path)
+    for table in tmp_path.glob("*/*.xml"):
+        table.unlink()
+    assert "marks_px" not in load_rig(path).provenance["imported"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('Type="PinholeOpenCV"', 'Type="Polynomial3rdOrder"', "of the kind Polynomial3rdOrder"),
+        (
+            "<CoordinateSystem>",
+            "<CoordinateSystem><CoordinateMapper/></CoordinateSystem><CoordinateSystem>",
+            "2 coord",
+        ),
+        ("<SensorPixelSizeMm", "<Sensor", "<SensorPixelSizeMm Value=...> is missing"),
+    ],
+)
+def test_a_calibration_of_davis_that_is_not_read_says_what_to_do(tmp_path, old, new, says):
+    path = write_davis(tmp_path, two("k3", "tau_x", "tau_y", "skew"))
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(RigError, match=says):
+        load_rig(path)
+
+
+def test_a_correction_field_of_davis_is_not_passed_over(tmp_path):
+    path = write_davis(tmp_path, two("k3", "tau_x", "tau_y", "skew"))
+    (tmp_path / "Correction field").mkdir()
+    with pytest.raises(RigError, match="correction field of DaVis' self-calibration lies beside it"):
+        load_rig(path)

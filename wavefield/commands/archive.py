@@ -127,7 +127,7 @@ Examples:
 @click.option("--size", multiple=True, help="Image size where the file does not say: WxH or camera=WxH.")
 @click.option("--unit", default="m", show_default=True, help="Unit of length of OpenCV's files.")
 def convert(files: tuple[str, ...], output: Path | None, to: str, size: tuple[str, ...], unit: str) -> None:
-    """Show a rig, or convert one from or to UVMAT, VIC-3D and OpenCV.
+    """Show a rig, or convert one from or to UVMAT, VIC-3D and OpenCV (from DaVis, too).
 
     FILES is one file, or camera=file for each camera.
     """

@@ -1,4 +1,4 @@
-"""Calibrations of other programs: UVMAT, VIC-3D, OpenCV, Kalibr, MATLAB (Bouguet's toolbox as well), WASS.
+"""Calibrations of other programs: UVMAT, VIC-3D, DaVis, OpenCV, Kalibr, MATLAB (Bouguet's too), WASS.
 
 All lengths become metres, all pixel coordinates (column, row) with centres at integers.
 """
@@ -12,6 +12,7 @@ import yaml
 
 from wavefield.errors import RigError
 from wavefield.rig.formats.common import LENGTHS, Size, Stated
+from wavefield.rig.formats.davis import load_davis
 from wavefield.rig.formats.kalibr import is_kalibr, load_kalibr
 from wavefield.rig.formats.matlab import load_matlab
 from wavefield.rig.formats.opencv import load_opencv, save_opencv
@@ -119,8 +120,5 @@ def _load_xml(path: Path, stated: Stated) -> Rig:
     if root.find("calibration") is not None:
         return load_vic(root, path, stated)
     if root.find(".//CoordinateMapper") is not None:
-        raise RigError(
-            "it is DaVis', which does not say in public what its angles and polynomials mean: calibrate "
-            "again from its target images, which are read as they are (.im7), or from tables of its marks"
-        )
-    raise RigError(f"its outermost element is <{root.tag}>: neither UVMAT's, VIC-3D's nor OpenCV's")
+        return load_davis(root, path, stated)
+    raise RigError(f"its outermost element is <{root.tag}>: neither UVMAT's, VIC-3D's, DaVis' nor OpenCV's")

@@ -9,6 +9,7 @@ import numpy as np
 from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
 from wavefield.rig.lens import Array
+from wavefield.rig.rotation import rotation_about
 
 Size = tuple[int, int]
 LENGTHS = {
@@ -78,6 +79,13 @@ def rotation_near(matrix: Array) -> Array:
     if not np.abs(nearest - matrix).max() < 1e-3 or np.linalg.det(nearest) < 0:
         raise RigError("its rotation matrix is none")
     return nearest
+
+
+def turned_about_axes(alpha: float, beta: float, gamma: float) -> Array:
+    """R = Rz(gamma) Ry(beta) Rx(alpha), radians: what fits the matches of VIC-3D and the marks of DaVis."""
+    about_x, about_y, about_z = (rotation_about(a * e) for a, e in zip((alpha, beta, gamma), np.eye(3)))
+    turn: Array = about_z @ about_y @ about_x
+    return turn
 
 
 def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[float]:

@@ -7,20 +7,8 @@ import numpy as np
 
 from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
-from wavefield.rig.formats.common import Stated, numbers_of, refuse_terms
-from wavefield.rig.lens import Array
+from wavefield.rig.formats.common import Stated, numbers_of, refuse_terms, turned_about_axes
 from wavefield.rig.rig import Rig
-
-
-def _euler(alpha: float, beta: float, gamma: float) -> Array:
-    """R = Rz(gamma) Ry(beta) Rx(alpha), angles in degrees: the convention that fits VIC-3D's own matches."""
-    angles = np.radians([alpha, beta, gamma])
-    (ca, cb, cg), (sa, sb, sg) = np.cos(angles), np.sin(angles)
-    Rx = np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
-    Ry = np.array([[cb, 0, sb], [0, 1, 0], [-sb, 0, cb]])
-    Rz = np.array([[cg, -sg, 0], [sg, cg, 0], [0, 0, 1]])
-    turn: Array = Rz @ Ry @ Rx
-    return turn
 
 
 def load_vic(root: ET.Element, path: Path, stated: Stated) -> Rig:
@@ -54,7 +42,9 @@ def load_vic(root: ET.Element, path: Path, stated: Stated) -> Rig:
         stored = None if mask is None else (int(mask.attrib["width"]), int(mask.attrib["height"]))
         size = stated.size(name, "this VIC-3D file", stored)
         T = 1e-3 * np.array(pose[3:])
-        cameras[name] = Camera(fx, fy, cx, cy, _euler(*pose[:3]), T, size, skew=skew, **radial)
+        cameras[name] = Camera(
+            fx, fy, cx, cy, turned_about_axes(*np.radians(pose[:3])), T, size, skew=skew, **radial
+        )
     return Rig(cameras, {"imported": {"program": "VIC-3D", "file": path.name, "unit": "mm"}})
 
 
