@@ -58,14 +58,14 @@ def derived(window: Browser, paint: Callable[[], None]) -> tuple[Callable[[], No
     named = "Bokeh.documents[0].get_model_by_name"
 
     def ask() -> None:
-        window.page.evaluate(f"() => {{ window._o = {named}('node_other_line').data }}")
+        window.page.evaluate(f"() => {{ window._o = {named}('node_other_series').data }}")
         window.set("node_other", "value", "'vorticity'")
 
     def there() -> None:
         window.wait(
             f"{named}('node_other_figure').left[0].axis_label.startsWith('vorticity') && "
-            f"{named}('node_other_line').data !== window._o && "
-            f"isFinite({named}('node_other_line').data.value[500])"
+            f"{named}('node_other_series').data !== window._o && "
+            f"isFinite({named}('node_other_series').data.value[500])"
         )
         paint()
 
@@ -117,12 +117,12 @@ def measure(url: str, window: Browser, steps: int) -> dict[str, float]:
         x = 0.05 * (k - 4)
 
         def click(x: float = x) -> None:
-            window.page.evaluate(f"() => {{ window._t = {named}('node_w_line').data }}")
+            window.page.evaluate(f"() => {{ window._t = {named}('node_w_series').data }}")
             window.click("map", x, 0.1)
 
         def series() -> None:
             window.wait(
-                f"{named}('node_w_line').data !== window._t && {named}('node_w_line').data.t.length > 1000"
+                f"{named}('node_w_series').data !== window._t && {named}('node_w_series').data.t.length > 500"
             )
             paint()
 

@@ -185,9 +185,9 @@ def test_a_click_shows_everything_at_the_node(page, fields, whole):
     arrived(page, "node", (X[i] + 0.01, Y[j] - 0.01))
     for name, factor in (("z", 100), ("u", 100), ("v", 100), ("w", 100)):
         np.testing.assert_allclose(
-            page.column(f"node_{name}_line", "value"), factor * fields[name][:, j, i], atol=6e-3
+            page.column(f"node_{name}_series", "value"), factor * fields[name][:, j, i], atol=6e-3
         )
-        low, high = page.column(f"node_{name}_band", "low"), page.column(f"node_{name}_band", "high")
+        low, high = page.column(f"node_{name}_series", "low"), page.column(f"node_{name}_series", "high")
         std = factor * fields[f"{name}_std"][:, j, i]
         np.testing.assert_allclose(0.5 * (high - low), std, rtol=0.02)
     kinds = page.column("node_quality", "kind")
@@ -199,13 +199,15 @@ def test_a_click_shows_everything_at_the_node(page, fields, whole):
     assert probe[0] == pytest.approx(expected.frequency[0], rel=0.05)  # segments of the same length
     page.set("node_other", "value", "'eps_piv'")
     page.wait(f"{model('node_other_figure')}.left[0].axis_label.startsWith('eps_piv')")
-    page.wait(f"Math.abs({model('node_other_line')}.data.value[0] - {fields['eps_piv'][0, j, i]}) < 6e-4")
-    np.testing.assert_allclose(page.column("node_other_line", "value"), fields["eps_piv"][:, j, i], atol=6e-4)
+    page.wait(f"Math.abs({model('node_other_series')}.data.value[0] - {fields['eps_piv'][0, j, i]}) < 6e-4")
+    np.testing.assert_allclose(
+        page.column("node_other_series", "value"), fields["eps_piv"][:, j, i], atol=6e-4
+    )
     page.set("node_other", "value", "'vorticity'")
     page.wait(f"{model('node_other_figure')}.left[0].axis_label.startsWith('vorticity')")
-    page.wait(f"isFinite({model('node_other_line')}.data.value[0])")
+    page.wait(f"isFinite({model('node_other_series')}.data.value[0])")
     vorticity = kinematics(open_cube(whole[0]).load()).vorticity.values[:, j, i]
-    np.testing.assert_allclose(page.column("node_other_line", "value"), vorticity, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(page.column("node_other_series", "value"), vorticity, rtol=1e-4, atol=1e-5)
     page.set("node_which", "value", "'w'")
     expected = selections.spectrum(100 * fields["w"][:, j, i], 0.05)
     page.wait(f"Math.abs({model('node_spectrum')}.data.e[3] / {expected.density[3]} - 1) < 0.1")

@@ -92,7 +92,7 @@ def test_an_envelope_keeps_extremes_gaps_and_ends():
     x, y = np.arange(12000.0), rng.normal(size=12000)
     y[5000:6000] = np.nan
     thin_x, thin_y, other = envelope(x, y, 2 * y)
-    assert thin_x.size <= 1500
+    assert thin_x.size <= 1000
     assert np.nanmax(thin_y) == np.nanmax(y)
     assert np.nanmin(thin_y) == np.nanmin(y)
     assert np.isnan(thin_y[(thin_x > 5050) & (thin_x < 5950)]).all()

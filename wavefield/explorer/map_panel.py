@@ -250,11 +250,15 @@ class MapPanel:
         place : Place
             With node, line, rectangle.
         """
-        self.node.data = {"x": [place.node[0]], "y": [place.node[1]]} if place.node else {"x": [], "y": []}
-        line = place.line or ()
-        self.line.data = {"x": list(line[::2]), "y": list(line[1::2])}
-        corners = _corners(place.area)
-        self.area.data = {name: [value] if place.area else [] for name, value in corners.items()}
+        line, corners = place.line or (), _corners(place.area)
+        marks: list[tuple[ColumnDataSource, dict[str, list[float]]]] = [
+            (self.node, {"x": [place.node[0]], "y": [place.node[1]]} if place.node else {"x": [], "y": []}),
+            (self.line, {"x": list(line[::2]), "y": list(line[1::2])}),
+            (self.area, {name: [value] if place.area else [] for name, value in corners.items()}),
+        ]
+        for source, data in marks:
+            if dict(source.data) != data:  # each one that is sent is painted
+                source.data = data
 
     def mark_probes(self, names: Sequence[str], x: Sequence[float], y: Sequence[float]) -> None:
         """Draw where probes stand."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wavefield.errors import StoreError
 from wavefield.explorer.derived import derived_series
 from wavefield.explorer.fields import DERIVED, readings, shown_as
-from wavefield.explorer.parts import BLUE, INK, VERMILION, envelope, make_figure, number
+from wavefield.explorer.parts import BLUE, INK, MOST_POINTS, VERMILION, envelope, make_figure, number
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import Record
 from wavefield.explorer.selections import nearest, spectrum
@@ -53,11 +53,13 @@ class NodePanel:
             title="Below", value=others[0] if others else "", options=others, name="node_other"
         )
         self.which = Select(title="Spectrum of", value="z", options=list(self._main), name="node_which")
-        self.lines = {name: _series_source(f"node_{name}_line") for name in (*self._main, "other")}
-        self.bands = {
-            name: ColumnDataSource({"t": [], "low": [], "high": []}, name=f"node_{name}_band")
+        # one source a figure: what arrives together is painted once, and all of it must fit a browser's
+        # buffer of 128 kB or half of it is painted first
+        self.series = {
+            name: ColumnDataSource({"t": [], "value": [], "low": [], "high": []}, name=f"node_{name}_series")
             for name in self._main
         }
+        self.series["other"] = ColumnDataSource({"t": [], "value": []}, name="node_other_series")
         self.now = Span(dimension="height", location=0, line_color=INK, line_dash="dotted")
         self.figures: list[Any] = []
         for name in (*self._main, "other"):
@@ -90,9 +92,10 @@ class NodePanel:
         share = {"x_range": self.figures[0].x_range} if self.figures else {"x_range": (time[0], time[-1])}
         made = make_figure(f"node_{name}_figure", height=96, y_axis_label=self._label(name), **share)
         made.xaxis.visible = False
-        if name in self.bands:
-            made.varea("t", "low", "high", source=self.bands[name], fill_color=BLUE, fill_alpha=0.22)
-        made.line("t", "value", source=self.lines[name], color=BLUE, line_width=1.1)
+        source = self.series[name]
+        if "low" in source.column_names:
+            made.varea("t", "low", "high", source=source, fill_color=BLUE, fill_alpha=0.22)
+        made.line("t", "value", source=source, color=BLUE, line_width=1.1)
         made.add_layout(self.now)
         return made
 
@@ -201,14 +204,12 @@ class NodePanel:
     def _show_series(self, name: str) -> None:
         part = self._window()
         time, values = self._record.time[part], self._series(name)[part]
-        thin_t, thin = envelope(time, values)
-        self.lines[name].data = {"t": thin_t, "value": thin}
-        std_name = f"{name}_std"
-        if name in self.bands and std_name in self._record.stored:
+        std = np.full_like(values, np.nan)
+        if f"{name}_std" in self._record.stored:
             scale = shown_as(name, self._record.units(name)).factor
-            std = self._record.preview.series(std_name, *self._at)[part] * np.float32(scale)  # type: ignore[misc]
-            band_t, kept, kept_std = envelope(time, values, std)
-            self.bands[name].data = {"t": band_t, "low": kept - kept_std, "high": kept + kept_std}
+            std = self._record.preview.series(f"{name}_std", *self._at)[part] * np.float32(scale)  # type: ignore[misc]
+        t, value, std = envelope(time, values, std)
+        self.series[name].data = {"t": t, "value": value, "low": value - std, "high": value + std}
 
     def _show_other(self) -> None:
         name = self.other.value
@@ -218,7 +219,7 @@ class NodePanel:
         part = self._window()
         series = self._derived(name) if name in DERIVED else self._series(name)
         thin_t, thin = envelope(self._record.time[part], series[part])
-        self.lines["other"].data = {"t": thin_t, "value": thin}
+        self.series["other"].data = {"t": thin_t, "value": thin}
 
     def _derived(self, name: str) -> NDArray[Any]:
         """A derived series; empty until it is read, which a thread of its own does."""
@@ -277,7 +278,7 @@ class NodePanel:
 
     def _zoomed(self, attr: str, old: Any, new: Any) -> None:
         """Fetch finer series for a narrower view, once per burst of wheel turns."""
-        if self._at is not None and self._record.time.size > 1500 and not self._pending:
+        if self._at is not None and self._record.time.size > MOST_POINTS and not self._pending:
             document = self.layout.document
             if document is not None:
                 self._pending = True
@@ -332,10 +333,6 @@ class NodePanel:
         distance = np.hypot(self._probes.probe_x.values - x, self._probes.probe_y.values - y)
         index = int(np.argmin(np.nan_to_num(distance, nan=np.inf)))
         return (index, float(distance[index])) if distance[index] <= _NEAR else None
-
-
-def _series_source(name: str) -> ColumnDataSource:
-    return ColumnDataSource({"t": [], "value": []}, name=name)
 
 
 def _with_std(name: str, values: dict[str, float], units: dict[str, str]) -> str:

@@ -19,7 +19,7 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 INK, GREY, BLUE, VERMILION, GREEN, PINK = "#1b1f24", "#d9d9d9", "#0072B2", "#D55E00", "#009E73", "#CC79A7"
-_MOST_POINTS = 1500  # of one line on a screen
+MOST_POINTS = 1000  # of one line on a screen: two a pixel of half a page
 
 
 def make_figure(name: str, **settings: Any) -> Any:
@@ -185,7 +185,7 @@ def image_source(name: str) -> ColumnDataSource:
     return ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []}, name=name)
 
 
-def envelope(x: NDArray[Any], *series: NDArray[Any], most: int = _MOST_POINTS) -> tuple[NDArray[Any], ...]:
+def envelope(x: NDArray[Any], *series: NDArray[Any], most: int = MOST_POINTS) -> tuple[NDArray[Any], ...]:
     """Thin long series for a screen: of each bin the lowest and the highest value, in their order.
 
     Parameters
@@ -208,7 +208,7 @@ def envelope(x: NDArray[Any], *series: NDArray[Any], most: int = _MOST_POINTS) -
     >>> y = np.zeros(10000)
     >>> y[4321] = 1.0
     >>> thin_x, thin_y = envelope(x, y)
-    >>> len(thin_x) <= 1500, float(thin_x[thin_y.argmax()])
+    >>> len(thin_x) <= 1000, float(thin_x[thin_y.argmax()])
     (True, 4321.0)
     """
     if x.size <= most:
