@@ -45,13 +45,13 @@ class Browser:
     def open(self, url: str, ready: str = "map_image") -> None:
         """Go to an address and wait for the first picture."""
         self.page.goto(url)
-        self.wait(f"{_NAMED}('{ready}') && Object.values({_NAMED}('{ready}').data)[0].length", fresh=True)
+        self.wait(f"Object.values({_NAMED}('{ready}').data)[0].length")
         self.page.locator(".bk-Canvas").first.wait_for()
 
-    def wait(self, condition: str, fresh: bool = False) -> None:
-        """Wait until an expression holds."""
-        guard = "window.Bokeh && Bokeh.documents.length && " if fresh else ""
-        self.page.wait_for_function(f"() => {guard}({condition})", timeout=60_000)
+    def wait(self, condition: str) -> None:
+        """Wait until an expression holds; it may speak of what is not there yet."""
+        code = f"() => {{ try {{ return {condition} }} catch (error) {{ return false }} }}"
+        self.page.wait_for_function(code, timeout=60_000)
 
     def get(self, name: str, what: str):
         """A property of a model, such as "value" or "data.x"."""

@@ -27,7 +27,7 @@ from wavefield.explorer.line_panel import LinePanel
 from wavefield.explorer.map_panel import MapPanel
 from wavefield.explorer.mask_panel import MaskPanel
 from wavefield.explorer.node_panel import NodePanel
-from wavefield.explorer.parts import make_tabs
+from wavefield.explorer.parts import Later, make_tabs
 from wavefield.explorer.place import DRAGS, TABS, Place
 from wavefield.explorer.record import Record
 from wavefield.explorer.save_panel import SavePanel
@@ -105,12 +105,13 @@ class Page:
         self._fitting = False
         self._make_controls()
         self.map = MapPanel(record, self.drag, self.pick)
-        self.surface = SurfacePanel(record)
+        self.surface = Later(lambda: SurfacePanel(record))
         self.cameras = CameraPanel(record, beside, self.pick, self._is_corner)
-        self.waves = WavePanel(beside, float(record.group.attrs.get("water_depth", np.inf)))
+        depth = float(record.group.attrs.get("water_depth", np.inf))
+        self.waves = Later(lambda: WavePanel(beside, depth))
         self.node = NodePanel(record, beside.probes)
-        self.line = LinePanel(record)
-        self.area = AreaPanel(record)
+        self.line = Later(lambda: LinePanel(record))
+        self.area = Later(lambda: AreaPanel(record))
         self.save = SavePanel()
         self.masks = MaskPanel(beside, self._show_masks)
         if beside.probes is not None:
@@ -158,12 +159,12 @@ class Page:
 
     def _make_tabs(self) -> None:
         views = (
-            ("Map", self.map.figure), ("Surface", self.surface.figure), ("Cameras", self.cameras.layout),
-            ("Waves", self.waves.layout),
+            ("Map", self.map.figure), ("Surface", self.surface.body), ("Cameras", self.cameras.layout),
+            ("Waves", self.waves.body),
         )  # fmt: skip
         self.views = make_tabs("views", TABS.index(self.place.tab), views)
         picked = (
-            ("Node", self.node.layout), ("Line", self.line.layout), ("Rectangle", self.area.layout),
+            ("Node", self.node.layout), ("Line", self.line.body), ("Rectangle", self.area.body),
             ("Save", self.save.layout), ("Mask", self.masks.layout),
         )  # fmt: skip
         self.picked = make_tabs("picked", 1 if self.place.line else 2 if self.place.area else 0, picked)
@@ -212,6 +213,8 @@ class Page:
         self._fit_words()
         self._show_masks()
         self.redraw()
+        if self.place.tab == "waves":
+            self.waves().show()
 
     # -- what people do --------------------------------------------------------------------------------
 
@@ -338,13 +341,13 @@ class Page:
 
     def _show_view(self, maps: bool = True) -> None:
         if self.place.tab == "surface":
-            self.surface.show(self.place, self.limits)
+            self.surface().show(self.place, self.limits)
         elif self.place.tab == "cameras":
             self.cameras.show(self.place)
             x, y = self.masks.closed(self.cameras.camera.value)
             self.cameras.mask.data = {"x": x, "y": y}
         elif self.place.tab == "waves" and maps:
-            self.waves.show()
+            self.waves().show()
         self._write_link()
 
     def _show_picked(self, step_only: bool = False) -> None:
@@ -352,9 +355,9 @@ class Page:
         if active == 0:
             (self.node.step if step_only else self.node.show)(self.place)
         elif active == 1:
-            self.line.show(self.place, self.limits)
+            self.line().show(self.place, self.limits)
         elif active == 2:
-            self.area.show(self.place)
+            self.area().show(self.place)
         elif active == 3:
             self.save.show(self.place, self._record)
         self._write_link()
@@ -389,7 +392,7 @@ class Page:
             self._show_picked()
         self._known = known
         if self.place.tab == "waves":
-            self.waves.show()
+            self.waves().show()
         self._fit_words()
 
     def _fit_words(self) -> None:

@@ -1,9 +1,10 @@
 """What all panels share: figures of one look, colour bars, thinning of long series for a screen."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
+from bokeh.layouts import column
 from bokeh.models import (
     BasicTicker,
     ColorBar,
@@ -62,6 +63,39 @@ def make_figure(name: str, **settings: Any) -> Any:
     made.title.text_font_style = "normal"
     made.title.text_color = INK
     return made
+
+
+class Panel(Protocol):
+    """What fills a tab."""
+
+    @property
+    def layout(self) -> Any:
+        """Its figures and widgets."""
+
+
+P = TypeVar("P", bound=Panel)
+
+
+class Later(Generic[P]):
+    """A panel that is made when its tab is first opened: a page is seen before what nobody has asked for.
+
+    Parameters
+    ----------
+    make : callable
+        Gives the panel.
+    """
+
+    def __init__(self, make: Callable[[], P]) -> None:
+        self.body = column(sizing_mode="stretch_width")
+        self._make = make
+        self._made: P | None = None
+
+    def __call__(self) -> P:
+        """The panel, in its place."""
+        if self._made is None:
+            self._made = self._make()
+            self.body.children = [self._made.layout]
+        return self._made
 
 
 def make_tabs(name: str, active: int, panels: Sequence[tuple[str, Any]]) -> Tabs:

@@ -89,7 +89,7 @@ class SurfacePanel:
         self.view.js_on_change("data", turn)
         for event in ("panstart", "pan"):
             made.js_on_event(event, turn)
-        self.figure = made
+        self.figure = self.layout = made
 
     def show(self, place: Place, limits: tuple[float, float]) -> None:
         """Draw a step.
