@@ -2,8 +2,11 @@
 
 import warnings
 from pathlib import Path
+from typing import Any
 
 import xarray as xr
+import zarr
+from zarr.storage import MemoryStore
 
 from wavefield.whole_files import whole
 
@@ -32,4 +35,12 @@ def write_waves(tree: xr.DataTree, path: str | Path) -> None:
     with whole(path) as draft, warnings.catch_warnings():
         # readers warn without consolidated metadata, zarr warns with it
         warnings.filterwarnings("ignore", message="Consolidated metadata")
-        tree.to_zarr(draft, mode="w", consolidated=True)
+        # many small arrays: made in memory, as zarr hands every file to another thread and waits for it
+        files: dict[str, Any] = {}
+        store = MemoryStore(files)
+        tree.to_zarr(store, mode="w", consolidated=False)
+        zarr.consolidate_metadata(store)  # once: xarray does it anew for every group
+        for name, content in files.items():
+            file = draft / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(content.to_bytes())
