@@ -363,3 +363,31 @@ def test_times_of_no_whole_intervals_are_told_and_shift_no_frame(tmp_path):
         assert missing == {"a": []}
         assert list(told) == [("a", "uneven times")]
         assert told["a", "uneven times"].values["first"] == first
+
+
+@pytest.mark.parametrize("attached", [True, False], ids=["coordinate", "beside"])
+def test_hdf5_says_when_images_were_taken(tmp_path, attached):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["run/images"] = images(8)
+        file["run/t" if attached else "run/time"] = np.array([1000, 1050, 1100, 1250, 1300])
+        times = file["run/t" if attached else "run/time"]
+        times.attrs["units"] = "milliseconds since 2026-01-01"
+        if attached:
+            times.make_scale("t")
+            file["run/images"].dims[0].attach_scale(times)
+    recording = open_recording(tmp_path / "a.h5")
+    np.testing.assert_allclose(recording.times(), [1.0, 1.05, 1.1, 1.25, 1.3])
+    assert recording.rate == 20.0
+    recording.close()
+    series = Experiment.load(note(tmp_path, "a: a.h5")).open_frames()
+    assert series["a"].missing.tolist() == [3, 4]
+    close_files()
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        file["run/t" if attached else "run/time"].attrs["units"] = "images"
+    recording = open_recording(tmp_path / "a.h5")
+    assert (len(recording.times()), recording.rate) == (0, None)
+    recording.close()
+    with pytest.raises(ExperimentError, match="holds no increasing times of its images"):
+        Experiment.load(note(tmp_path, "a: {images: a.h5, times: recorded}", "frame_rate: 20")).open_frames()
+    assert not Experiment.load(note(tmp_path, "a: a.h5", "frame_rate: 20")).open_frames()["a"].missing.size
+    close_files()

@@ -43,7 +43,7 @@ def own_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64] | N
     read = getattr(recording, "times", None)
     times = None if read is None else read()
     recording.close()
-    return times if times is not None and np.ptp(times) > 0 else None
+    return times if times is not None and len(times) and np.ptp(times) > 0 else None
 
 
 def recorded_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64]:

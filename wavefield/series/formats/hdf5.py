@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
 from wavefield.series.formats.recording import Pixels, Recording
@@ -14,6 +15,12 @@ if TYPE_CHECKING:
     import h5py  # 12 MB in every worker, for the few who have such images
 
 _ENDINGS = (".h5", ".hdf5", ".nc")
+_SECONDS = {
+    **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
+    **dict.fromkeys(("ms", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "microsecond", "microseconds"), 1e-6),
+    **dict.fromkeys(("ns", "nanosecond", "nanoseconds"), 1e-9),
+}
 
 
 class _Dataset:
@@ -22,8 +29,9 @@ class _Dataset:
     def __init__(self, path: Path, file: h5py.File, data: h5py.Dataset) -> None:
         self.path, self._file, self._data = path, file, data
         self.count, self.shape = int(data.shape[0]), (int(data.shape[1]), int(data.shape[2]))
+        self._times = _times(data)
         rate = data.attrs.get("frame_rate", file.attrs.get("frame_rate"))
-        self.rate = None if rate is None else float(np.ravel(rate)[0])
+        self.rate = _rate(self._times) if rate is None else float(np.ravel(rate)[0])
         self.first = 0
         self._plain = _is_plain(data)
 
@@ -39,6 +47,10 @@ class _Dataset:
         except (OSError, RuntimeError) as error:
             raise FrameError(f"{self.path}, image {index} cannot be read: {error}") from None
 
+    def times(self) -> NDArray[np.float64]:
+        """When the images were taken, s; empty where the file does not say."""
+        return self._times
+
     def _as_it_lies(self, index: int, out: Pixels) -> bool:
         """Read the chunk that is the image; False where none was written, or filters were left out."""
         try:
@@ -50,6 +62,24 @@ class _Dataset:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def _times(data: h5py.Dataset) -> NDArray[np.float64]:
+    """Coordinate of the first dimension, as netCDF has it, or the `time` beside the images, s."""
+    scales = [scale for scale in data.dims[0].values() if scale.ndim == 1]
+    beside = data.parent.get("time")
+    for found in (*scales, beside):
+        units = "" if found is None else str(np.ravel(found.attrs.get("units", ""))[:1].astype(str)[0])
+        unit = _SECONDS.get(units.split(" ")[0])
+        if unit is not None and found.shape == data.shape[:1]:
+            return unit * np.asarray(found, np.float64)
+    return np.empty(0)
+
+
+def _rate(times: NDArray[np.float64]) -> float | None:
+    """Images per second, by most intervals."""
+    usual = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    return float(f"{1 / usual:.6g}") if usual > 0 else None
 
 
 def _is_plain(data: h5py.Dataset) -> bool:
@@ -74,6 +104,11 @@ def open_hdf5(path: Path) -> Recording:
     ------
     FrameError
         If it is damaged, or holds no images or several series of them.
+
+    Notes
+    -----
+    Times are the coordinate of the first dimension, as netCDF has it, or a dataset ``time`` beside the
+    images, with ``units`` ("s", "ms since ..."); the rate is the attribute ``frame_rate``, or theirs.
     """
     name = (
         path
