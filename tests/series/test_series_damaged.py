@@ -155,6 +155,14 @@ def test_buffers_of_davis_and_sets_of_them(tmp_path):
     entries = number_frames("{camera}.set", tmp_path, "cam1")
     assert len(entries) == COUNT
     np.testing.assert_array_equal(read_entry(entries[4]), frames[4])
+    close_files()
+    (tmp_path / "cam1" / "B00002.im7").rename(tmp_path / "B00002.im7")  # those behind it keep their places
+    entries = number_frames("{camera}.set", tmp_path, "cam1")
+    np.testing.assert_array_equal(read_entry(entries[2]), frames[2])
+    with pytest.raises(FrameError, match=r"B00002\.im7: no such image"):
+        read_entry(entries[1])
+    close_files()
+    (tmp_path / "B00002.im7").rename(tmp_path / "cam1" / "B00002.im7")
     singly = number_frames("cam1/B{frame:05d}.im7", tmp_path, "cam1")
     assert sorted(singly) == list(range(1, COUNT + 1))
     np.testing.assert_array_equal(read_entry(singly[3]), frames[2])

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
-from wavefield.series.formats import file_of, open_recording
+from wavefield.series.formats import open_recording
 from wavefield.series.listing import Numbered
+from wavefield.series.rates import recording_of
 
 RECORDED = "recorded"  # in place of a file of times: those in the recording
 _OFF = 0.25  # of an interval: an image further from its place has none
@@ -33,8 +34,8 @@ def own_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64] | N
     ndarray, (n,), or None
         Seconds, as they are; None if it is no recording, or one without times.
     """
-    path = folder / images.replace("{camera}", camera) if isinstance(images, str) else None
-    if path is None or file_of(path) is None:
+    path = recording_of(images, camera, folder)
+    if path is None:
         return None
     try:
         recording = open_recording(path)
@@ -68,8 +69,8 @@ def recorded_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64
     ExperimentError
         If it is no recording that holds times, or they do not increase.
     """
-    path = folder / images.replace("{camera}", camera) if isinstance(images, str) else None
-    if path is None or file_of(path) is None:
+    path = recording_of(images, camera, folder)
+    if path is None:
         raise ExperimentError(
             f"{camera}: `times: {RECORDED}` wants a recording, and {images} is none; name a file of times"
         )

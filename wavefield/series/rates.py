@@ -28,9 +28,10 @@ def recorded_rates(cameras: Mapping[str, Any], folder: Path) -> dict[str, float]
     """
     rates = {}
     for name, camera in cameras.items():
-        images = camera.get("images") if isinstance(camera, Mapping) else camera
-        path = folder / images.replace("{camera}", str(name)) if isinstance(images, str) else None
-        if path is None or file_of(path) is None:
+        path = recording_of(
+            camera.get("images") if isinstance(camera, Mapping) else camera, str(name), folder
+        )
+        if path is None:
             continue
         try:
             recording = open_recording(path)
@@ -40,6 +41,27 @@ def recorded_rates(cameras: Mapping[str, Any], folder: Path) -> dict[str, float]
             rates[str(name)] = recording.rate
         recording.close()
     return rates
+
+
+def recording_of(images: Any, camera: str, folder: Path) -> Path | None:
+    """The recording that holds a camera's images.
+
+    Parameters
+    ----------
+    images : str or list
+        As an experiment file names them.
+    camera : str
+        The camera.
+    folder : path
+        Relative names start here.
+
+    Returns
+    -------
+    Path or None
+        None if they are in no recording.
+    """
+    path = folder / images.replace("{camera}", camera) if isinstance(images, str) else None
+    return None if path is None or file_of(path) is None else path
 
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
