@@ -354,6 +354,17 @@ def test_clocks_that_drift_apart_are_told_and_their_jitter_is_not(tmp_path):
     assert missing == {"a": [], "b": []}
 
 
+def test_recordings_in_a_row_keep_the_time_between_them(tmp_path):
+    write_seq(tmp_path / "a_0.seq", 8, 9.0 + np.arange(5) / 2000)
+    write_seq(tmp_path / "a_1.seq", 8, 9.0 + np.arange(8, 13) / 2000)
+    experiment = Experiment.load(note(tmp_path, "a: [a_0.seq, a_1.seq]"))
+    assert experiment.frame_rate == 2000
+    series = experiment.open_frames()["a"]
+    assert series.missing.tolist() == [5, 6, 7]
+    np.testing.assert_array_equal(series.read(9).image, images(8)[1])
+    close_files()
+
+
 def test_times_of_no_whole_intervals_are_told_and_shift_no_frame(tmp_path):
     even = 9.0 + np.arange(80) / 2000
     late = np.where(np.arange(80) == 20, even + 0.6 / 2000, even)  # a stamp that came late

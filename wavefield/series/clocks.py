@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.series.formats import open_recording
 from wavefield.series.listing import Numbered
-from wavefield.series.rates import recording_of
+from wavefield.series.rates import recordings_of
 
 RECORDED = "recorded"  # in place of a file of times: those in the recording
 _OFF = 0.25  # of an interval: an image further from its place has none
@@ -18,7 +18,7 @@ _MOST = 10  # places for each image: what has more is several records in one fil
 
 
 def own_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64] | None:
-    """When the images of a recording were taken, where it says so.
+    """When the images in recordings were taken, where these say so.
 
     Parameters
     ----------
@@ -32,19 +32,21 @@ def own_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64] | N
     Returns
     -------
     ndarray, (n,), or None
-        Seconds, as they are; None if it is no recording, or one without times.
+        Seconds, as they are, of one recording after the other; None if there is none, or one without times.
     """
-    path = recording_of(images, camera, folder)
-    if path is None:
-        return None
-    try:
-        recording = open_recording(path)
-    except FrameError:  # told where its images are looked for
-        return None
-    read = getattr(recording, "times", None)
-    times = None if read is None else read()
-    recording.close()
-    return times if times is not None and len(times) and np.ptp(times) > 0 else None
+    parts = []
+    for path in recordings_of(images, camera, folder):
+        try:
+            recording = open_recording(path)
+        except FrameError:  # told where its images are looked for
+            return None
+        read = getattr(recording, "times", None)
+        parts.append(np.empty(0) if read is None else read())
+        recording.close()
+        if not len(parts[-1]):
+            return None
+    times = np.concatenate(parts) if parts else np.zeros(1)
+    return times if np.ptp(times) > 0 else None
 
 
 def recorded_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64]:
@@ -69,15 +71,14 @@ def recorded_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64
     ExperimentError
         If it is no recording that holds times, or they do not increase.
     """
-    path = recording_of(images, camera, folder)
-    if path is None:
+    if not recordings_of(images, camera, folder):
         raise ExperimentError(
             f"{camera}: `times: {RECORDED}` wants a recording, and {images} is none; name a file of times"
         )
     times = own_times(images, camera, folder)
     if times is None or np.any(np.diff(times) <= 0):
         raise ExperimentError(
-            f"{path} holds no increasing times of its images: leave `times` out, or name a file of them"
+            f"{images} holds no increasing times of its images: leave `times` out, or name a file of them"
         )
     return times
 

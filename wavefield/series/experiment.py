@@ -256,7 +256,11 @@ class Experiment(Section):
         }
         if not stamped:
             own = {name: own_times(one.images, name, self.image_folder) for name, one in self.cameras.items()}
-            clocks = {name: times for name, times in own.items() if times is not None}
+            clocks = {
+                name: times
+                for name, times in own.items()
+                if times is not None and len(times) == len(numbered[name])
+            }
             placed = {name: place_by_intervals(numbered[name], times) for name, times in clocks.items()}
             return {**numbered, **placed}, clocks
         if len(stamped) < len(numbered):

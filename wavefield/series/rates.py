@@ -28,13 +28,12 @@ def recorded_rates(cameras: Mapping[str, Any], folder: Path) -> dict[str, float]
     """
     rates = {}
     for name, camera in cameras.items():
-        path = recording_of(
-            camera.get("images") if isinstance(camera, Mapping) else camera, str(name), folder
-        )
-        if path is None:
+        named = camera.get("images") if isinstance(camera, Mapping) else camera
+        paths = recordings_of(named, str(name), folder)
+        if not paths:
             continue
         try:
-            recording = open_recording(path)
+            recording = open_recording(paths[0])
         except FrameError:  # told where its images are looked for
             continue
         if recording.rate:
@@ -43,8 +42,8 @@ def recorded_rates(cameras: Mapping[str, Any], folder: Path) -> dict[str, float]
     return rates
 
 
-def recording_of(images: Any, camera: str, folder: Path) -> Path | None:
-    """The recording that holds a camera's images.
+def recordings_of(images: Any, camera: str, folder: Path) -> list[Path]:
+    """The recordings that hold a camera's images, one after the other.
 
     Parameters
     ----------
@@ -57,11 +56,17 @@ def recording_of(images: Any, camera: str, folder: Path) -> Path | None:
 
     Returns
     -------
-    Path or None
-        None if they are in no recording.
+    list of Path
+        Empty if some are in no recording.
     """
-    path = folder / images.replace("{camera}", camera) if isinstance(images, str) else None
-    return None if path is None or file_of(path) is None else path
+    named = [images] if isinstance(images, str) else images or []
+    out = []
+    for one in named:
+        path = folder / one.replace("{camera}", camera) if isinstance(one, str) else None
+        if path is None or file_of(path) is None:
+            return []
+        out.append(path)
+    return out
 
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
