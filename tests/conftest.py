@@ -2,8 +2,10 @@
 
 import gc
 import os
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
@@ -35,41 +37,66 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, file, **how: file.write(b"\x89PNG"))
 
 
-@pytest.fixture
-def unarranged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draws pictures, but leaves their parts where they lie: arranging them takes longer than drawing."""
+@contextmanager
+def _without_pixels() -> Iterator[None]:
     from matplotlib.figure import Figure
 
-    def draw(figure: Figure, *to: object, **how: Any) -> None:
+    def draw(figure: Figure, file: BinaryIO, **how: Any) -> None:
         figure.set_layout_engine("none")
-        save(figure, *to, **how)
+        figure.draw_without_rendering()
+        file.write(b"\x89PNG")
 
-    save = Figure.savefig
-    monkeypatch.setattr(Figure, "savefig", draw)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", draw)
+        yield
+
+
+@pytest.fixture(scope="session")
+def without_pixels() -> Callable[[], AbstractContextManager[None]]:
+    """Within it pictures are drawn but for their pixels, and not arranged: that takes half the time."""
+    return _without_pixels
 
 
 # What takes longest comes first, so that no worker is left alone with it at the end. On a new machine the
-# very first compiles the loops that measure, for a minute and a half: the other looks at waves meanwhile.
+# very first compiles the loops that measure, for a minute and more: the other looks at waves meanwhile.
 LONG = (
     "test_end_to_end",
     "test_analyze",
     "test_fusion",
+    "test_spectra",
+    "test_referee",
+    "test_dispersion",
+    "test_coherence",
+    "test_kinematics",
+    "test_page",
+    "test_preview",
     "test_figures",
     "test_report",
-    "test_spectra",
-    "test_dispersion",
-    "test_referee",
-    "test_cubes_run",
     "test_cubes_cluster",
-    "test_cubes_analysis",
+    "test_cubes_run",
     "test_cubes_front",
-    "test_cubes_verdict",
     "test_kernels",
+    "test_workflows_shipped",
     "test_light_sheet",
-    "test_targets_printed",
     "test_solve_rest",
     "test_solve_rig",
+    "test_cubes_verify",
+    "test_measure",
+    "test_cubes_analysis",
+    "test_cubes_verdict",
+    "test_cubes_labels",
     "test_two_cameras_at_sea",
+    "test_cubes_ports",
+    "test_cubes_lazy",
+    "test_targets_two_level",
+    "test_targets_printed",
+    "test_targets_strings",
+    "test_placing",
+    "test_follow",
+    "test_cubes_knocked",
+    "test_workflows_ssh",
+    "test_cubes_ranges",
+    "test_cubes_suspects",
 )
 
 

@@ -1,10 +1,13 @@
 """A sea of natural texture as two cameras on a platform see it, with its exact elevation."""
 
+from functools import cache
+
 import numpy as np
 from rendering import camera_at
 from scipy import ndimage
 
 
+@cache
 def sea_rig():
     """Two cameras 2 m apart that look down at 55 degrees to the vertical, as from a platform."""
     return {
@@ -13,6 +16,7 @@ def sea_rig():
     }
 
 
+@cache
 def texture(seed=0):
     """Foam-like texture of the water, grains of many sizes, 10 cm the smallest."""
     rng = np.random.default_rng(seed)
@@ -25,13 +29,24 @@ def waves(x, y, phase):
     return 0.08 * np.sin(1.5 * x + 0.7 * y + phase) + 0.05 * np.sin(0.4 * x - 1.9 * y + 2.3 * phase)
 
 
+LINES = {}  # sight lines of cameras, by where they stand
+
+
+def sight_lines(camera):
+    """Where the sight line of each pixel meets the water at rest, and how it moves with height."""
+    w, h = camera.size
+    stands = camera.T.tobytes()
+    if stands not in LINES:
+        X, Y = np.meshgrid(np.arange(w, dtype=float), np.arange(h, dtype=float))
+        x0, y0 = camera.unproject(X, Y)
+        LINES[stands] = x0, y0, *np.subtract(camera.unproject(X, Y, 1.0), (x0, y0))  # it is straight
+    return LINES[stands]
+
+
 def photograph(camera, grains, phase, seed, noise=1.5):
     """The sea at a moment: each pixel's sight line meets the waves after a few steps."""
-    w, h = camera.size
-    X, Y = np.meshgrid(np.arange(w, dtype=float), np.arange(h, dtype=float))
-    x0, y0 = camera.unproject(X, Y)
-    dx, dy = np.subtract(camera.unproject(X, Y, 1.0), (x0, y0))  # a sight line is straight
-    z = np.zeros((h, w))
+    x0, y0, dx, dy = sight_lines(camera)
+    z = np.zeros_like(x0)
     for _ in range(12):
         x, y = x0 + z * dx, y0 + z * dy
         z = waves(x, y, phase)

@@ -152,8 +152,8 @@ def test_ctrl_c_while_the_workers_start_prints_no_traceback(tank, tmp_path, stat
 
 
 @contextmanager
-def scheduler_and_workers(folder):
-    """A scheduler and two workers as separate processes that talk over TCP."""
+def scheduler_and_worker(folder):
+    """A scheduler and a worker as separate processes that talk over TCP."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -172,36 +172,33 @@ def scheduler_and_workers(folder):
         ],
         **options,
     )
-    workers = [
-        subprocess.Popen(
-            [
-                sys.executable,
-                "-m",
-                "distributed.cli.dask_worker",
-                address,
-                "--nthreads",
-                "1",
-                "--no-dashboard",
-                "--no-nanny",
-                "--death-timeout",
-                "60",
-            ],
-            **options,
-        )
-        for _ in range(2)
-    ]
+    worker = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "distributed.cli.dask_worker",
+            address,
+            "--nthreads",
+            "1",
+            "--no-dashboard",
+            "--no-nanny",
+            "--death-timeout",
+            "60",
+        ],
+        **options,
+    )
     try:
-        yield address, scheduler, workers
+        yield address, scheduler
     finally:
-        for process in [*workers, scheduler]:
+        for process in (worker, scheduler):
             process.kill()
             process.wait()
 
 
 def test_a_scheduler_over_tcp_and_its_death(tank, reference, tmp_path):
     out = tmp_path / "cube.zarr"
-    with scheduler_and_workers(tmp_path) as (address, scheduler, _):
-        workflow = write_workflow(tmp_path, cluster="address", address=address, workers=2, steps_per_block=1)
+    with scheduler_and_worker(tmp_path) as (address, scheduler):
+        workflow = write_workflow(tmp_path, cluster="address", address=address, workers=1, steps_per_block=2)
         process = start(tank, out, workflow)
         wait_for(begun(out, 2), process)
         scheduler.kill()
@@ -210,7 +207,7 @@ def test_a_scheduler_over_tcp_and_its_death(tank, reference, tmp_path):
     assert "the scheduler was lost" in text
     assert "run the same command again to go on" in text
     assert not status(out).complete
-    run(tank, out=out, workflow=Workflow(cluster="none", steps_per_block=1))
+    run(tank, out=out, workflow=Workflow(cluster="none", steps_per_block=2))
     assert different(out, reference) == []
 
 
