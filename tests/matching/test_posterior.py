@@ -120,6 +120,19 @@ def test_the_noise_of_scores_is_found_where_it_is():
     assert np.median(found[:, 65:]) == pytest.approx(2.0, rel=0.2)
 
 
+def test_a_corner_that_does_not_match_leaves_the_noise_of_the_rest_alone():
+    rng = np.random.default_rng(5)
+    trace, counts = np.full((80, 100), 200.0, np.float32), np.ones((80, 100), np.float32)
+    hessian = np.stack([0.5 * trace, 0 * trace, 0.5 * trace])
+    score = (rng.standard_normal((2, 80, 100)) * np.sqrt(0.5 * trace)).astype(np.float32)
+    torn = score.copy()
+    torn[0, :6, :6] += 300.0
+    sound, found = (noise_of_scores(s, trace, counts, 1.0, torn=True)[35:, 35:] for s in (score, torn))
+    assert np.abs(found / sound - 1.0).max() < 0.1
+    x, y = along_each(torn, hessian, counts)
+    assert (x, y) == pytest.approx((1.0, 1.0), abs=0.1)
+
+
 def test_field_and_spectrum_follow_from_each_other():
     rng = np.random.default_rng(4)
     shape, noise = (64, 72), 0.1

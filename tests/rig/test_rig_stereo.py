@@ -83,6 +83,17 @@ def test_displacement_is_the_weighted_least_squares(seed, cameras):
         assert d_std[k] == pytest.approx(np.sqrt(np.diag(cov)), rel=1e-6)
 
 
+def test_uncertainty_answers_for_noise_other_than_the_weights():
+    rng = np.random.default_rng(1)
+    J, seen = rng.normal(size=(6, 3)) * 500, rng.normal(size=6)
+    std, noise = rng.uniform(0.5, 2.0, (2, 6))
+    d, _, d_std = solve_displacement(J, seen, std, noise)
+    W = np.diag(1 / std**2)
+    K = np.linalg.solve(J.T @ W @ J, J.T @ W)
+    assert d == pytest.approx(K @ seen)
+    assert d_std == pytest.approx(np.sqrt(np.diag(K @ np.diag(noise**2) @ K.T)))
+
+
 def test_displacement_in_space_is_found_from_the_sensors():
     cameras = [random_camera(s) for s in (1, 2, 3)]
     x, y, z = field(4, 50)

@@ -44,7 +44,7 @@ njit = compiled(error_model="numpy")
 loose = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 
 
-def noise_of_scores(score: Float, trace: Float, counts: Float, freedom: float) -> Float:
+def noise_of_scores(score: Float, trace: Float, counts: Float, freedom: float, torn: bool = False) -> Float:
     """The noise nu that scores have, from how clusters of them scatter.
 
     Parameters
@@ -57,6 +57,8 @@ def noise_of_scores(score: Float, trace: Float, counts: Float, freedom: float) -
         1 for blocks that count, else 0.
     freedom : float
         Fraction of the scores' variance that the fit itself has left in them (`Modes.freedom`).
+    torn : bool, default False
+        Some places may not match at all, as where beads leave the picture between two frames.
 
     Returns
     -------
@@ -66,7 +68,8 @@ def noise_of_scores(score: Float, trace: Float, counts: Float, freedom: float) -
     Notes
     -----
     Clusters are of 5 x 5 blocks, all of which count; their squares and Hessians are smoothed over 6 blocks. A
-    tenth of the mean belongs to every place: few residuals say little.
+    tenth of the usual belongs to every place: few residuals say little. The usual is the mean; the median
+    where some places do not match, which must not make the rest of them noisy.
     """
     full = (_clusters(counts) > _CLUSTER**2 - 0.5).astype(np.float32)
     square = np.zeros_like(trace)
@@ -78,9 +81,13 @@ def noise_of_scores(score: Float, trace: Float, counts: Float, freedom: float) -
     if not full.any():  # single blocks must do
         total = float(np.square(score * counts).sum()) / max(float((trace * counts).sum()), 1e-30)
     few = F(max(0.2 * float(expected.mean()), 1e-20))
-    out = _around(square) + few * F(total)
-    out /= (_around(expected) + few) * F(freedom)
-    return np.maximum(out, F(1e-12))
+    square, expected = _around(square), _around(expected)
+    known = expected > few
+    if torn and known.any():
+        total = float(np.median(square[known] / expected[known]))
+    out = (square + few * F(total)) / ((expected + few) * F(freedom))
+    ny, nx = trace.shape
+    return cv2.resize(np.maximum(out, F(1e-12)), (nx, ny), interpolation=cv2.INTER_LINEAR)
 
 
 def along_each(score: Float, hessian: Float, counts: Float) -> tuple[float, float]:
@@ -102,9 +109,13 @@ def along_each(score: Float, hessian: Float, counts: Float) -> tuple[float, floa
 
     Notes
     -----
-    A component's variance goes as sum s^2 / (sum H)^2, s of clusters of 5 x 5 blocks, over the whole lattice.
+    A component's variance goes as med s^2 / (sum H)^2, s of clusters of 5 x 5 blocks, over the whole lattice:
+    in a sum a corner where images do not match would outweigh all others.
     """
-    square = [float(np.square(_clusters(part * counts)).sum(dtype=np.float64)) for part in score]
+    full = _clusters(counts)[::2, ::2] > _CLUSTER**2 - 0.5  # neighbours tell the same
+    if not full.any():
+        return 1.0, 1.0
+    square = [float(np.median(np.square(_clusters(part * counts)[::2, ::2][full]))) for part in score]
     told = [float((part * counts).sum(dtype=np.float64)) for part in hessian[::2]]
     if not all(value > 0 for value in (*square, *told)):
         return 1.0, 1.0
@@ -169,8 +180,7 @@ def _clusters(field: Float) -> Float:
 def _around(field: Float) -> Float:
     ny, nx = field.shape  # every second block tells as much
     half = cv2.resize(field, ((nx + 1) // 2, (ny + 1) // 2), interpolation=cv2.INTER_AREA)
-    half = cv2.GaussianBlur(half, (0, 0), 0.5 * _AROUND, borderType=cv2.BORDER_REFLECT)
-    return cv2.resize(half, (nx, ny), interpolation=cv2.INTER_LINEAR)
+    return cv2.GaussianBlur(half, (0, 0), 0.5 * _AROUND, borderType=cv2.BORDER_REFLECT)
 
 
 class Modes:

@@ -107,7 +107,7 @@ def most_probable(
             found = matching.look_again(one, other, u[0], u[1], found.settings)
         counts = found.valid.astype(np.float32)
         trace = found.hessian[0] + found.hessian[2]
-        nu = matching.noise_of_scores(found.score, trace, counts, freedom)
+        nu = matching.noise_of_scores(found.score, trace, counts, freedom, torn=True)
         counts /= nu * np.float32(modes.prior.noise)
         a = found.hessian * counts
         right = found.score * counts

@@ -19,6 +19,7 @@ from wavefield.matching.kernels import BLOCK
 from wavefield.matching.one_thread import one_thread
 from wavefield.measurement import elevation, flow
 from wavefield.measurement.covered import Masks, bare_of_camera, bare_of_pairs
+from wavefield.measurement.each_camera import noise_of_each
 from wavefield.measurement.floor import bead_width
 from wavefield.measurement.frame import usable
 from wavefield.measurement.instant import Images, images_of
@@ -26,7 +27,7 @@ from wavefield.measurement.plan import Plan
 from wavefield.measurement.record import Record
 from wavefield.measurement.surface import PairMatch
 from wavefield.measurement.unresolved import unresolved
-from wavefield.measurement.velocity import Motion, velocity
+from wavefield.measurement.velocity import look_at_nodes, velocity
 from wavefield.variables import Quality
 
 Frames = Mapping[str, NDArray[Any] | None]
@@ -134,12 +135,13 @@ def _learned(
     for number in range(2):
         if number:
             plan = plan.knowing(record)
-        noise, moved = _misfit(views, near, heights, plan, pool)
+        noise, own, moved = _misfit(views, near, heights, plan, pool)
         priors = {}
         for name, prior in record.displacement:
             prior = replace(prior, noise=float(np.clip(prior.noise * noise, *_NOISE)))
             priors[name] = known[name].better(prior) if name in known else prior
-        record = replace(record, displacement=tuple(priors.items()), moved=moved)
+        own = {name: record.own_noise(name) * own.get(name, 1.0) for name in priors}
+        record = replace(record, displacement=tuple(priors.items()), moved=moved, noise=tuple(own.items()))
     return record
 
 
@@ -256,7 +258,7 @@ class _Shift(_Sample):
         self.field = flow.whole(found)
         counts = found.valid.astype(np.float32)
         trace = found.hessian[0] + found.hessian[2]
-        nu = matching.noise_of_scores(found.score, trace, counts, _FREEDOM)
+        nu = matching.noise_of_scores(found.score, trace, counts, _FREEDOM, torn=True)
         self.information = 0.5 * float((trace * counts / nu).mean()) / bare
 
     def estimate(self, modes: Modes) -> flow.Estimate:
@@ -312,36 +314,67 @@ def _elevations(step: tuple[Images, Images], near: _Near, plan: Plan) -> tuple[F
     return None if one is None or other is None else (one.z, other.z)
 
 
+@dataclass(frozen=True)
+class _Differences:
+    """What the cameras' differences say in one step.
+
+    `noise` is that of all cameras over what is thought, `own` that of each over that of all, `moved` the
+    water's motion, metres.
+    """
+
+    noise: float
+    own: Mapping[str, float]
+    moved: Sequence[float]
+
+    @classmethod
+    def of(cls, flows: flow.Flows, z: Float, plan: Plan) -> _Differences | None:
+        """From the displacements of one step; None where no node can be told of."""
+        steps = (None, flows, None)
+        motion = velocity(steps, z, plan)
+        if motion is None:
+            return None
+        names = [name for name in flows if name != motion.left_out]
+        good = np.isfinite(motion.misfit) & ((motion.quality & Quality.FILLED) == 0)
+        if not good.any():
+            return None
+        freedom = 2 * len(names) - 3
+        noise = float(np.median(motion.misfit[good])) / (2 * gammaincinv(freedom / 2, 0.5) / freedom)
+        moved = [float(np.std(d[good])) for d in motion.d]
+        seen = look_at_nodes(names, steps, z, plan)
+        good &= np.isfinite(seen.moved).all(axis=0)
+        for where in motion.regions.values():
+            good &= ~where
+        if not good.any():
+            return cls(noise, {}, moved)
+        J = np.moveaxis(seen.jacobian[:, :, good], -1, 0)
+        rows = (f[:, good].T for f in (seen.moved, seen.noise_of_each, 1.0 / seen.variance))
+        return cls(noise, dict(zip(names, noise_of_each(J, *rows) / noise, strict=True)), moved)
+
+
 def _misfit(
     views: Sequence[tuple[Images, Images]],
     near: Sequence[_Near],
     heights: Sequence[Float | None],
     plan: Plan,
     pool: ThreadPoolExecutor,
-) -> tuple[float, tuple[float, float, float]]:
-    """Noise over what is thought, from the cameras' misfit, and the water's motion per step, metres."""
+) -> tuple[float, dict[str, float], tuple[float, float, float]]:
+    """Noise over what is thought: of all cameras, of each beside all; the water's motion, metres."""
 
-    def move(view: tuple[Images, Images], found: _Near, z: Float | None) -> tuple[flow.Flows, Motion] | None:
+    def move(view: tuple[Images, Images], found: _Near, z: Float | None) -> _Differences | None:
         if z is None:
             return None
         one, other = (images.raw for images in view)
         flows = {n: flow.flow_near(d, one[n], other[n], plan, n) for n, d in found.displacements.items()}
-        motion = velocity((None, flows, None), z, plan)
-        return None if motion is None else (flows, motion)
+        return _Differences.of(flows, z, plan)
 
-    misfits, moved = [], []
-    for found in pool.map(move, views, near, heights):
-        if found is None:
-            continue
-        flows, motion = found
-        freedom = 2 * (len(flows) - (motion.left_out is not None)) - 3
-        good = np.isfinite(motion.misfit) & ((motion.quality & Quality.FILLED) == 0)
-        if good.any():
-            misfits.append(
-                float(np.median(motion.misfit[good])) / (2 * gammaincinv(freedom / 2, 0.5) / freedom)
-            )
-            moved.append([float(np.std(d[good])) for d in motion.d])
-    if not misfits:
-        return 1.0, (1.0, 1.0, 1.0)
-    x, y, z = np.maximum(np.sqrt(np.mean(np.square(moved), axis=0)), _STILL * plan.pixel)
-    return float(np.median(misfits)), (float(x), float(y), float(z))
+    found = [one for one in pool.map(move, views, near, heights) if one is not None]
+    if not found:
+        return 1.0, {}, (1.0, 1.0, 1.0)
+    own: dict[str, float] = {}
+    for name in plan.velocity_cameras:
+        told = [one.own[name] for one in found if name in one.own]
+        if told:
+            own[name] = float(np.median(told))
+    moved = np.sqrt(np.mean(np.square([one.moved for one in found]), axis=0))
+    x, y, z = np.maximum(moved, _STILL * plan.pixel)
+    return float(np.median([one.noise for one in found])), own, (float(x), float(y), float(z))

@@ -26,6 +26,8 @@ class Record:
         Standard deviation of dx, dy, dz of the water from frame to frame, metres.
     unresolved : Unresolved
         What frames so far apart leave out.
+    noise : tuple of (str, float)
+        Noise of each camera's displacement over what all cameras' misfit says; 1 where not named.
     """
 
     beads: tuple[tuple[str, float], ...]
@@ -33,10 +35,15 @@ class Record:
     displacement: tuple[tuple[str, Prior], ...]
     moved: tuple[float, float, float]
     unresolved: Unresolved = NOTHING
+    noise: tuple[tuple[str, float], ...] = ()
 
     def width(self, camera: str) -> float:
         """Width of a camera's beads, raw px."""
         return dict(self.beads)[camera]
+
+    def own_noise(self, camera: str) -> float:
+        """Noise of a camera's displacement over what all cameras' misfit says."""
+        return dict(self.noise).get(camera, 1.0)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe.
@@ -51,6 +58,7 @@ class Record:
             "displacement": {name: prior.to_dict() for name, prior in self.displacement},
             "moved": list(self.moved),
             "unresolved": self.unresolved.to_dict(),
+            "noise": dict(self.noise),
         }
 
     @classmethod
@@ -73,4 +81,5 @@ class Record:
             tuple((str(name), Prior.from_dict(p)) for name, p in data["displacement"].items()),
             (x, y, z),
             Unresolved.from_dict(data["unresolved"]) if "unresolved" in data else NOTHING,
+            tuple((str(name), float(factor)) for name, factor in data.get("noise", {}).items()),
         )

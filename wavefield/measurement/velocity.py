@@ -21,6 +21,7 @@ from wavefield.variables import Quality
 Float = NDArray[Any]
 
 _WHOLE = 0.8  # of the nodes: a camera that contradicts at so many is left out of the step
+_SHORT_WAVES = 0.5, 0.5, 1.0  # variance of u, v, w in deep water, where the prior takes from waves
 _REACH = 20  # px: half a window of the coarse levels, by which what a camera shows at one place is felt
 
 
@@ -66,8 +67,8 @@ class Seen:
         Displacement per step at mid-time, px; NaN where the camera does not see the node.
     noise, missing : ndarray, (N, ny, nx)
         Variance by noise, mean of both components, and by what the prior takes away or makes up, px^2.
-    along : ndarray, (2N,)
-        Factors on the noise of every component.
+    along, own : ndarray, (2N,)
+        Factors on the noise of every component: that of a camera's two, that of the camera beside the others.
     rejected : ndarray of uint16, (N, ny, nx)
         Why not measured: bits of `Quality`; `OUTSIDE` where not seen.
     chord : ndarray of bool, (ny, nx)
@@ -79,14 +80,22 @@ class Seen:
     noise: Float
     missing: Float
     along: Float
+    own: Float
     rejected: NDArray[np.uint16]
     chord: NDArray[np.bool_]
 
     @property
     def noise_of_each(self) -> Float:
         """Variance by noise of every component, (2N, ny, nx)."""
-        out: Float = np.repeat(self.noise, 2, axis=0) * self.along[:, None, None]
+        out: Float = np.repeat(self.noise, 2, axis=0) * (self.along * self.own)[:, None, None]
         return out
+
+    @property
+    def variance(self) -> Float:
+        """What every component is weighed by, (2N, ny, nx): its variance but for the camera's own factor."""
+        each: Float = np.repeat(self.noise, 2, axis=0) * self.along[:, None, None]
+        each += np.repeat(self.missing, 2, axis=0)
+        return each
 
 
 def velocity(
@@ -120,12 +129,14 @@ def velocity(
     would ask for the curvature of the projection. eps' = |J d - dX| / sqrt(2N).
 
     Noise of the cameras is independent; what the prior takes from a wave all cameras miss alike, so it does
-    not shrink when they are averaged: it is shared among the components as the water's own motion is.
+    not shrink when they are averaged: it is shared among the components as a short wave of any direction
+    moves the water, half as much along x and along y as up and down (its variance); in a light sheet as the
+    fluid's own motion is.
     """
     names = list(steps[1] or {})
     if len(names) < 2:
         return None
-    seen = _look(names, steps, z, plan)
+    seen = look_at_nodes(names, steps, z, plan)
     motion = _solved(seen, plan)
     known = (seen.rejected == 0).all(axis=0)
 
@@ -168,17 +179,30 @@ def _others(seen: Seen, n: int) -> Seen:
     rows = [i for i in range(len(seen.moved)) if i // 2 != n]
     cameras = [i for i in range(len(seen.noise)) if i != n]
     noise, missing, rejected = seen.noise[cameras], seen.missing[cameras], seen.rejected[cameras]
-    along = seen.along[rows]
-    return Seen(seen.jacobian[rows], seen.moved[rows], noise, missing, along, rejected, seen.chord)
+    along, own = seen.along[rows], seen.own[rows]
+    return Seen(seen.jacobian[rows], seen.moved[rows], noise, missing, along, own, rejected, seen.chord)
 
 
-def _look(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Seen:
+def look_at_nodes(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Seen:
+    """What each camera has at the nodes.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The cameras.
+    steps, z, plan
+        As for `velocity`.
+
+    Returns
+    -------
+    Seen
+    """
     count, shape = len(names), z.shape
     jacobian = np.empty((2 * count, 3, *shape), np.float64)
     moved = np.empty((2 * count, *shape), np.float64)
     noise, missing = np.empty((2, count, *shape), np.float64)
     rejected = np.empty((count, *shape), np.uint16)
-    along = np.ones(2 * count)
+    along, own = np.ones((2, 2 * count))
     chord = np.zeros(shape, bool)
     for n, name in enumerate(names):
         sight = plan.sights[name]
@@ -193,9 +217,10 @@ def _look(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], 
         here = path[1]
         assert here is not None
         along[rows] = here.along
+        own[rows] = 1.0 if plan.record is None else plan.record.own_noise(name)
         rejected[n] = np.where(inside, here.rejected.ravel()[block[1]], np.uint16(Quality.OUTSIDE))
         chord |= inside & ((block[0] < 0) | (block[2] < 0))
-    return Seen(jacobian, moved, noise, missing, along, rejected, chord)
+    return Seen(jacobian, moved, noise, missing, along, own, rejected, chord)
 
 
 def _along_path(
@@ -220,18 +245,17 @@ def _solved(seen: Seen, plan: Plan) -> Motion:
     """Least squares over the cameras."""
     record = plan.record
     assert record is not None
-    total = seen.noise + seen.missing
-    std = np.sqrt(seen.noise_of_each + np.repeat(seen.missing, 2, axis=0))
+    rows = seen.moved, np.sqrt(seen.variance), np.sqrt(seen.noise_of_each)
     d, eps, d_std = solve_displacement(
-        np.moveaxis(seen.jacobian, (0, 1), (-2, -1)), np.moveaxis(seen.moved, 0, -1), np.moveaxis(std, 0, -1)
+        np.moveaxis(seen.jacobian, (0, 1), (-2, -1)), *(np.moveaxis(row, 0, -1) for row in rows)
     )
     trusted = seen.rejected == 0
     weight = np.isfinite(seen.moved[::2]).astype(np.float64)
     weight /= np.maximum(weight.sum(axis=0), 1.0)
-    by_noise = (weight * seen.noise / total).sum(axis=0)
-    missing = (weight * seen.missing / _signal(seen, record.moved)).sum(axis=0)
-    variance = np.moveaxis(np.square(d_std), -1, 0) * by_noise
-    variance += missing * np.square(record.moved)[:, None, None]
+    parts = _SHORT_WAVES if plan.settings.sheet_thickness is None else np.square(record.moved)
+    missing = (weight * seen.missing / _signal(seen, parts)).sum(axis=0)
+    variance = np.moveaxis(np.square(d_std), -1, 0)
+    variance += missing * np.asarray(parts)[:, None, None]
     enough = trusted.sum(axis=0) >= 2
     why = np.bitwise_or.reduce(seen.rejected & ~np.uint16(Quality.OUTSIDE), axis=0)
     quality = np.where(enough, np.uint16(0), why | np.uint16(Quality.FILLED))
@@ -239,9 +263,9 @@ def _solved(seen: Seen, plan: Plan) -> Motion:
     return Motion(np.moveaxis(d, -1, 0), np.sqrt(variance), eps, misfit(seen, d), quality)
 
 
-def _signal(seen: Seen, moved: Sequence[float]) -> Float:
-    """Variance of the displacement in each camera's image, px^2, mean of its two components: (N, ny, nx)."""
-    square = np.einsum("kiyx,i->kyx", np.square(seen.jacobian), np.square(moved))
+def _signal(seen: Seen, parts: Sequence[float] | Float) -> Float:
+    """Variance in each camera's image, px^2, mean of both components, of water that moves so: (N, ny, nx)."""
+    square = np.einsum("kiyx,i->kyx", np.square(seen.jacobian), parts)
     out: Float = 0.5 * (square[::2] + square[1::2])
     return out
 

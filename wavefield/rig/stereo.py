@@ -87,7 +87,9 @@ def jacobians(cameras: Sequence[Camera], x: ArrayLike, y: ArrayLike, z: ArrayLik
     return out
 
 
-def _solve_one(jacobian: Array, seen: Array, weight: Array, out: Array, eps: Array, std: Array) -> None:
+def _solve_one(
+    jacobian: Array, seen: Array, weight: Array, noise: Array, out: Array, eps: Array, std: Array
+) -> None:
     a = b = c = d = e = f = 0.0  # normal matrix [[a, b, c], [b, d, e], [c, e, f]]
     p = q = r = 0.0
     rows = 0
@@ -128,28 +130,36 @@ def _solve_one(jacobian: Array, seen: Array, weight: Array, out: Array, eps: Arr
     y = q1 / d1 - le * z
     x = p / a - lb * y - lc * z
     out[0], out[1], out[2] = x, y, z
-    m = lb * le - lc
-    std[0] = np.sqrt(1.0 / a + lb * lb / d1 + m * m / f1)
-    std[1] = np.sqrt(1.0 / d1 + le * le / f1)
-    std[2] = np.sqrt(1.0 / f1)
-    total = 0.0
+    total = vx = vy = vz = 0.0
     for i in range(seen.size):
         if np.isfinite(seen[i]) and weight[i] > 0.0 and np.isfinite(jacobian[i, 0]):
             miss = seen[i] - (jacobian[i, 0] * x + jacobian[i, 1] * y + jacobian[i, 2] * z)
             total += miss * miss
+            w0, w1, w2 = (weight[i] * jacobian[i, 0], weight[i] * jacobian[i, 1], weight[i] * jacobian[i, 2])
+            w1 -= lb * w0
+            kz = (w2 - lc * w0 - le * w1) / f1
+            ky = w1 / d1 - le * kz
+            kx = w0 / a - lb * ky - lc * kz
+            vx += kx * kx * noise[i]
+            vy += ky * ky * noise[i]
+            vz += kz * kz * noise[i]
     eps[0] = np.sqrt(total / rows)
+    std[0], std[1], std[2] = np.sqrt(vx), np.sqrt(vy), np.sqrt(vz)
 
 
 _solve: Any = guvectorize(
-    [(float64[:, :], float64[:], float64[:], float64[:], float64[:], float64[:])],
-    "(n,m),(n),(n)->(m),(),(m)",
+    [(float64[:, :], float64[:], float64[:], float64[:], float64[:], float64[:], float64[:])],
+    "(n,m),(n),(n),(n)->(m),(),(m)",
     nopython=True,
     cache=True,
 )(_solve_one)
 
 
 def solve_displacement(
-    jacobian: ArrayLike, displacement: ArrayLike, std: ArrayLike | None = None
+    jacobian: ArrayLike,
+    displacement: ArrayLike,
+    std: ArrayLike | None = None,
+    noise: ArrayLike | None = None,
 ) -> tuple[Array, Array, Array]:
     """Displacement in space from the displacements on the sensors of N cameras.
 
@@ -161,6 +171,8 @@ def solve_displacement(
         (dX_1, dY_1, dX_2, dY_2, ...), px; NaN where a camera has none: the others do the work.
     std : array_like, broadcastable to (..., 2N), optional
         Standard uncertainty of each displacement, px; all alike if left out. Infinite leaves one out.
+    noise : array_like, broadcastable to (..., 2N), optional
+        Standard deviation of what d_std is to answer for, px, where that is not ``std``.
 
     Returns
     -------
@@ -169,8 +181,8 @@ def solve_displacement(
     eps_piv : ndarray, (...)
         Misfit |J d - dX| / sqrt(number of rows used), px.
     d_std : ndarray, (..., 3)
-        Standard uncertainty of (dx, dy, dz), metres, for independent errors of the stated ``std``
-        (metres per px, if left out).
+        Standard uncertainty of (dx, dy, dz), metres, for independent errors of the stated ``noise``, or
+        ``std`` (metres per px, if both are left out).
 
     Notes
     -----
@@ -180,7 +192,9 @@ def solve_displacement(
     J, seen = np.asarray(jacobian, float), np.asarray(displacement, float)
     with np.errstate(divide="ignore"):
         weight = np.ones(1) if std is None else 1.0 / np.square(np.asarray(std, float))
-    out: tuple[Array, Array, Array] = _solve(
-        J, seen, np.broadcast_to(weight, np.broadcast_shapes(weight.shape, seen.shape[-1:]))
+        variance = 1.0 / weight if noise is None else np.square(np.asarray(noise, float))
+    weight, variance = (
+        np.broadcast_to(f, np.broadcast_shapes(f.shape, seen.shape[-1:])) for f in (weight, variance)
     )
+    out: tuple[Array, Array, Array] = _solve(J, seen, weight, variance)
     return out

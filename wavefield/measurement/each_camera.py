@@ -1,0 +1,78 @@
+"""How noisy each camera's displacements are, from how the cameras differ."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincinv
+
+Float = NDArray[Any]
+
+_MEDIAN = 2.0 * float(gammaincinv(0.5, 0.5))  # of chi^2 of one degree of freedom
+_TOLD = 0.1  # of the best told: combinations of cameras of which less is told keep what all have
+_FREE = 0.05  # of a row's variance: what less is left over of says nothing of its noise
+_LEAST = 0.2  # of what all have
+
+
+def noise_of_each(jacobian: Float, moved: Float, noise: Float, weight: Float) -> Float:
+    """Factor on the noise of each camera, from what is left of its displacements.
+
+    Parameters
+    ----------
+    jacobian : ndarray, (n, 2N, 3)
+        Of n nodes and N cameras, px per metre.
+    moved : ndarray, (n, 2N)
+        Displacements, px.
+    noise : ndarray, (n, 2N)
+        Their variance by noise as it is thought to be, px^2.
+    weight : ndarray, (n, 2N)
+        With which the displacement of the water is found from them, px^-2.
+
+    Returns
+    -------
+    ndarray, (N,)
+        What the noise of every camera must be multiplied by.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two cameras or no nodes.
+
+    Notes
+    -----
+    What is left is r = M dX with M = 1 - J (J^T W J)^-1 J^T W, of variance sum_j M_ij^2 f_j noise_j in row i:
+    linear equations for the factors f of the cameras (variance components; Helmert 1907), row by row, the
+    median of r^2 in place of its mean. Two cameras leave but one combination over, and then both have the
+    same factor; three leave the rows across the line between them, whose differences tell all three apart.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> J = np.tile([[1.0, 0, 1], [0, 1, 0], [1, 0, -1], [0, 1, 0], [1, 0, 0], [0, 1, 0]], (40000, 1, 1))
+    >>> noise = np.full((40000, 6), 1e-4)
+    >>> moved = rng.normal(0, np.sqrt(noise * [2, 2, 2, 2, 0.5, 0.5]))
+    >>> noise_of_each(J, moved, noise, 1 / noise).round(1).tolist()
+    [2.0, 2.0, 0.5]
+    """
+    count, rows, _ = jacobian.shape
+    if rows < 4 or not count:
+        raise ValueError(f"noise needs two cameras and a node; got {rows // 2} cameras and {count} nodes")
+    back = np.swapaxes(jacobian, 1, 2) * weight[:, None, :]
+    left = np.eye(rows) - jacobian @ np.linalg.solve(back @ jacobian, back)
+    parts = np.square(left) * noise[:, None, :]
+    expected = parts.sum(axis=2)
+    free = np.median(expected / noise, axis=0)
+    told = free > _FREE
+    if not told.any():
+        return np.ones(rows // 2)
+    rest = np.square(np.einsum("nij,nj->ni", left, moved))
+    found = np.median(rest[:, told] / expected[:, told], axis=0) / _MEDIAN
+    of_each = np.median(parts[:, told] / expected[:, told, None], axis=0)
+    of_each = of_each[:, ::2] + of_each[:, 1::2]
+    of_each /= of_each.sum(axis=1, keepdims=True)
+    root = np.sqrt(free[told])
+    common = float(np.sum(free[told] * found) / np.sum(free[told]))
+    more = np.linalg.lstsq(of_each * root[:, None], (found - common) * root, rcond=_TOLD)[0]
+    return np.asarray(np.maximum(common + more, _LEAST * common))
