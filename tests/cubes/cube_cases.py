@@ -1,5 +1,6 @@
 """A tank small enough to be measured in a second, and how to compare cubes."""
 
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import xarray as xr
 
 from wavefield.cubes import Workflow, open_cube
 from wavefield.tank import Scene, Tank
+from wavefield.variables import CUBE_FIELDS
 
 HERE = Workflow(cluster="none")
 FRAMES = 17
@@ -57,29 +59,29 @@ def far_apart(a, b, steps=slice(None)) -> list[str]:
     return out
 
 
+COMPARED = (*CUBE_FIELDS, "frame_status")
+
+
+@lru_cache(maxsize=4)
+def _stored(path: Path, written: int) -> dict[str, np.ndarray]:
+    with open_cube(path) as cube:
+        return {name: np.asarray(cube[name]) for name in COMPARED}
+
+
+def _values(cube: str | Path | xr.Dataset, steps: slice) -> dict[str, np.ndarray]:
+    """Steps of a cube; one in a store is read once, as long as nothing there is written."""
+    if isinstance(cube, xr.Dataset):
+        return {name: np.asarray(cube[name].isel(time=steps)) for name in COMPARED}
+    stored = _stored(Path(cube), max(file.stat().st_mtime_ns for file in Path(cube).rglob("*")))
+    return {name: values[steps] for name, values in stored.items()}
+
+
 def different(a, b, steps=slice(None)) -> list[str]:
     """Names of the variables in which two cubes differ in any bit of any value."""
-    a, b = (open_cube(c) if isinstance(c, str | Path) else c for c in (a, b))
-    out = []
-    for name in (
-        "z",
-        "z_t",
-        "u",
-        "v",
-        "w",
-        "eps_y",
-        "eps_piv",
-        "z_std",
-        "u_std",
-        "v_std",
-        "w_std",
-        "quality",
-        "frame_status",
-    ):
-        one, other = (np.asarray(c[name].isel(time=steps)) for c in (a, b))
-        if one.dtype != other.dtype or one.tobytes() != other.tobytes():
-            out.append(name)
-    return out
+    a, b = _values(a, steps), _values(b, steps)
+    return [
+        name for name in COMPARED if a[name].dtype != b[name].dtype or a[name].tobytes() != b[name].tobytes()
+    ]
 
 
 def steps_measured(cube: xr.Dataset) -> int:
