@@ -90,3 +90,18 @@ def test_water_that_stands_where_none_was_searched_is_not_called_measured(series
     assert measured[10, 13]
     assert out["z_std"][0, 10, 12] > 0.01  # z is off by a sixteenth of half a metre
     assert out["z_std"][0, 10, 13] < 1e-3
+
+
+@pytest.mark.parametrize("axis", [1, 0])
+def test_no_camera_is_accused_where_any_two_of_three_agree(series, plan, axis):
+    """Moved by a pixel along the line on which the cameras stand, from one frame on: not so across it."""
+    frames = {name: list(images) for name, images in series.frames.items()}
+    frames["cam1"] = [np.roll(image, int(k >= 3), axis=axis) for k, image in enumerate(frames["cam1"])]
+    quality = measure(around(frames, 1), plan, RATE)["quality"][0][series.inside]
+    accused = (quality & (Quality.WITHOUT_1 | Quality.WITHOUT_2 | Quality.WITHOUT_3)) > 0
+    if axis == 1:
+        assert not accused.any()
+        assert not (quality & Quality.MEASURED).any()
+    else:
+        assert ((quality & Quality.WITHOUT_1) > 0).all()
+        assert not (quality & (Quality.WITHOUT_2 | Quality.WITHOUT_3)).any()

@@ -42,18 +42,26 @@ def who_lies(count: int, typical: float, without: Callable[[int], float]) -> int
     Returns
     -------
     int or None
-        Its number; None if all agree, if no one camera explains it, or if fewer than three are there.
+        Its number; None if all agree, if no one camera explains it, if another would explain it as well, or
+        if fewer than three are there.
+
+    Notes
+    -----
+    Three cameras have but one displacement over along the line on which they stand: whichever is left out,
+    the other two agree, and who trembles that way cannot be told.
 
     Examples
     --------
     >>> who_lies(3, 500.0, lambda n: 1.0 if n == 1 else 400.0)
     1
+    >>> who_lies(3, 500.0, lambda n: 400.0 if n == 1 else 1.0) is None
+    True
     """
     if count < 3 or not typical > MISFIT:
         return None
     rest = [without(n) for n in range(count)]
-    best = int(np.argmin(rest))
-    return best if rest[best] < MISFIT and rest[best] < 0.1 * typical else None
+    explain = [n for n, left in enumerate(rest) if left < min(MISFIT, 0.1 * typical)]
+    return explain[0] if len(explain) == 1 else None
 
 
 def median_misfit(misfit: Float, known: Mask) -> float:
