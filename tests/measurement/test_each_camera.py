@@ -57,6 +57,7 @@ def test_a_cameras_own_noise_changes_uncertainties_and_no_values():
     noisy = _solved(replace(seen, own=np.array([4.0, 4, 4, 4, 1, 1])), plan)
     alike = _solved(seen, plan)
     np.testing.assert_array_equal(noisy.d, alike.d)
+    np.testing.assert_array_equal(noisy.misfit, alike.misfit)  # nor who contradicts whom
     assert noisy.d_std[2] == pytest.approx(2.0 * alike.d_std[2], rel=1e-3)  # w rests on the oblique ones
     assert (noisy.d_std[0] < 1.8 * alike.d_std[0]).all()
     assert (noisy.d_std > alike.d_std).all()

@@ -286,7 +286,8 @@ def misfit(seen: Seen, d: Float) -> Float:
         chi^2 / (2N - 3); its median should be .79 for three cameras; NaN where fewer than two see a node.
     """
     left = np.einsum("rcyx,yxc->ryx", seen.jacobian, d) - seen.moved
-    square = np.square(left) / seen.noise_of_each
+    # one noise for all cameras: a quiet camera's own would make it contradict errors that are not noise
+    square = np.square(left) / (np.repeat(seen.noise, 2, axis=0) * seen.along[:, None, None])
     rows = np.isfinite(square).sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(rows > 3, np.nansum(square, axis=0) / (rows - 3), np.nan)
