@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from wavefield.measurement.each_camera import noise_of_each
+from wavefield.measurement.each_camera import noise_of_each, own_noise
 from wavefield.measurement.record import Record
 from wavefield.measurement.velocity import Seen, _solved
 
@@ -44,6 +44,11 @@ def seen_by_three(noise, missing):
     none, chord = np.zeros(shape, np.uint16), np.zeros((4, 5), bool)
     along, own = np.ones((2, 6))
     return Seen(J, moved, np.full(shape, noise), np.full(shape, missing), along, own, none, chord)
+
+
+def test_what_cameras_miss_alike_does_not_make_one_certain():
+    found = own_noise([{"cam1": 1.3, "cam2": 0.6}, {"cam1": 1.1, "cam2": 0.7, "cam3": 0.9}])
+    assert found == pytest.approx({"cam1": 1.2, "cam2": 1.0, "cam3": 1.0})
 
 
 def plan_of(moved, sheet=None):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -76,3 +77,25 @@ def noise_of_each(jacobian: Float, moved: Float, noise: Float, weight: Float) ->
     common = float(np.sum(free[told] * found) / np.sum(free[told]))
     more = np.linalg.lstsq(of_each * root[:, None], (found - common) * root, rcond=_TOLD)[0]
     return np.asarray(np.maximum(common + more, _LEAST * common))
+
+
+def own_noise(steps: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Factor on the noise of each camera beside that of all, from several steps.
+
+    Parameters
+    ----------
+    steps : sequence of mapping of str to float
+        Factors by camera.
+
+    Returns
+    -------
+    dict of str to float
+        Their median, never below 1: what all cameras miss alike shows in no difference between them.
+
+    Examples
+    --------
+    >>> own_noise([{"cam1": 1.2, "cam3": 0.7}, {"cam1": 1.4, "cam3": 0.8}, {"cam1": 1.1}])
+    {'cam1': 1.2, 'cam3': 1.0}
+    """
+    names = sorted({name for step in steps for name in step})
+    return {name: max(1.0, float(np.median([s[name] for s in steps if name in s]))) for name in names}

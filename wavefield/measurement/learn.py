@@ -19,7 +19,7 @@ from wavefield.matching.kernels import BLOCK
 from wavefield.matching.one_thread import one_thread
 from wavefield.measurement import elevation, flow
 from wavefield.measurement.covered import Masks, bare_of_camera, bare_of_pairs
-from wavefield.measurement.each_camera import noise_of_each
+from wavefield.measurement.each_camera import noise_of_each, own_noise
 from wavefield.measurement.floor import bead_width
 from wavefield.measurement.frame import usable
 from wavefield.measurement.instant import Images, images_of
@@ -370,11 +370,7 @@ def _misfit(
     found = [one for one in pool.map(move, views, near, heights) if one is not None]
     if not found:
         return 1.0, {}, (1.0, 1.0, 1.0)
-    own: dict[str, float] = {}
-    for name in plan.velocity_cameras:
-        told = [one.own[name] for one in found if name in one.own]
-        if told:
-            own[name] = float(np.median(told))
+    own = own_noise([one.own for one in found])
     moved = np.sqrt(np.mean(np.square([one.moved for one in found]), axis=0))
     x, y, z = np.maximum(moved, _STILL * plan.pixel)
     return float(np.median([one.noise for one in found])), own, (float(x), float(y), float(z))
