@@ -54,7 +54,7 @@ def test_the_elevation_of_a_sea_of_natural_texture(tmp_path):
 
 
 def test_settings_that_measure_more_of_poor_images_are_found_and_said(tmp_path):
-    sea = at_sea(tmp_path / "sea", 30.0)
+    sea = at_sea(tmp_path / "sea", 25.0)
     plain = fraction_measured(measured(sea)["quality"])
     better = fraction_measured(measured(sea, sea.plan.settings.adjusted("sheet"))["quality"])
     assert better > plain + 0.3
