@@ -4,6 +4,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from bokeh.core.validation import check_integrity
 from bokeh.document import Document
 from explorer_cases import create_cube, make_cube, write_cube_block
 
@@ -26,6 +27,11 @@ def cube(tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "cube.zarr"
     make_cube(path)
     return path
+
+
+def test_the_terminal_is_told_of_nothing_amiss_in_a_page(cube):
+    found = check_integrity(list(build(cube)[1].models))
+    assert (found.error, found.warning) == ([], [])
 
 
 def test_every_variable_and_view_can_be_shown(cube):

@@ -13,6 +13,7 @@ from bokeh.models import (
     FixedTicker,
     LinearColorMapper,
     NumeralTickFormatter,
+    Spacer,
     TabPanel,
     Tabs,
 )
@@ -86,7 +87,7 @@ class Later(Generic[P]):
     """
 
     def __init__(self, make: Callable[[], P]) -> None:
-        self.body = column(sizing_mode="stretch_width")
+        self.body = column(Spacer(height=1), sizing_mode="stretch_width")  # of nothing at all Bokeh warns
         self._make = make
         self._made: P | None = None
 
