@@ -1,12 +1,13 @@
 """Cameras that are knocked, shake or are late: dated, measured, named; steady ones raise nothing."""
 
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import zarr
 
-from wavefield.cubes.steadiness import jump, knocks, shaking, size, steadiness
+from wavefield.cubes.steadiness import jump, knocks, shaking, size, steadiness, trembling
 from wavefield.cubes.synchrony import Delay, Sample, delays, regress, remarks
 from wavefield.cubes.witness import Witness
 from wavefield.grid import Grid
@@ -46,6 +47,17 @@ def test_a_shaking_camera_is_measured_tilt_and_roll_alike(cube):
     assert still < 0.05
     assert rms == pytest.approx(np.sqrt(0.2**2 + 0.3**2 / 3), rel=0.4)
     assert 0 < std < rms / 2
+
+
+def test_cameras_that_tremble_along_their_line_are_said():
+    def said(px):
+        return list(trembling(SimpleNamespace(record=SimpleNamespace(trembling=(px, 0.0)))))
+
+    assert said(0.006) == []
+    (one,) = said(0.15)
+    assert (one.kind, one.weight) == ("trembling", "remark")
+    assert "0.150 px" in one.sentence
+    assert list(trembling(SimpleNamespace(record=None))) == []
 
 
 def test_a_steady_record_has_no_knock(reference):

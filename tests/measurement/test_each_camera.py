@@ -43,7 +43,17 @@ def seen_by_three(noise, missing):
     moved = np.random.default_rng(3).normal(size=(6, 4, 5))
     none, chord = np.zeros(shape, np.uint16), np.zeros((4, 5), bool)
     along, own = np.ones((2, 6))
-    return Seen(J, moved, np.full(shape, noise), np.full(shape, missing), along, own, none, chord)
+    return Seen(
+        J,
+        moved,
+        np.full(shape, noise),
+        np.full(shape, missing),
+        along,
+        own,
+        none,
+        chord,
+        np.array([1.0, 0.0]),
+    )
 
 
 def test_what_cameras_miss_alike_does_not_make_one_certain():
@@ -53,7 +63,8 @@ def test_what_cameras_miss_alike_does_not_make_one_certain():
 
 def plan_of(moved, sheet=None):
     return SimpleNamespace(
-        record=SimpleNamespace(moved=moved), settings=SimpleNamespace(sheet_thickness=sheet)
+        record=SimpleNamespace(moved=moved, trembling=(0.0, 0.0)),
+        settings=SimpleNamespace(sheet_thickness=sheet),
     )
 
 

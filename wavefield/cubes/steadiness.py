@@ -28,6 +28,7 @@ _FEWEST = 50  # nodes of a step, to say anything
 _SIDE = 3  # steps on either side of a jump, at least
 _JUMP = 0.05  # px: a smaller one is not told from what shakes
 _MATTERS = 0.1  # px
+_TREMBLES = 0.02  # px: noise makes .006 of it in poor light
 _MOST = 3  # knocks that are looked for
 
 
@@ -293,6 +294,7 @@ def remarks(store: Path, plan: Any, witness: Witness, first_frame: int) -> Itera
     Remark
     """
     yield from _turned_back(store, first_frame)
+    yield from trembling(plan)
     found = steadiness(store)
     if len(found.steps) < 2 * _SIDE:
         return
@@ -323,6 +325,34 @@ def remarks(store: Path, plan: Any, witness: Witness, first_frame: int) -> Itera
             f"{_MATTERS} px at most",
             "stiffen their mounts, or let no carriage, pump or person move while they record",
             {"px": rms, "std": std},
+        )
+
+
+def trembling(plan: Any) -> Iterator[Remark]:
+    """What to say of cameras that move against each other along the line on which they stand.
+
+    Of that eps_y knows nothing; the cameras' displacements do, if there are three.
+
+    Parameters
+    ----------
+    plan : wavefield.measurement.Plan
+        With what was learned of the record.
+
+    Yields
+    ------
+    Remark
+    """
+    along = plan.record.trembling[0] if plan.record else 0.0
+    if along > _TREMBLES:
+        yield Remark(
+            "cameras",
+            "trembling",
+            "remark" if along > _MATTERS else "note",
+            f"their pictures move by {along:.3f} px from frame to frame along the line on which they stand; "
+            "which of them does cannot be told: z, u, v and w are stated less certain by what it may do",
+            f"less than {_TREMBLES} px",
+            "stiffen their mounts, or let no carriage, pump or person move while they record",
+            {"px": along},
         )
 
 

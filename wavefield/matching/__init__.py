@@ -2,7 +2,7 @@
 
 from wavefield.matching.correlate import correlate
 from wavefield.matching.displacement import Displacement, Reason
-from wavefield.matching.edges import edge_slopes
+from wavefield.matching.edges import Slopes, edge_slopes
 from wavefield.matching.gauss_newton import look_again, match, scores_at
 from wavefield.matching.posterior import Modes, along_each, around_holes, noise_of_scores
 from wavefield.matching.prepared import Prepared, prepare
@@ -19,6 +19,7 @@ __all__ = [
     "Prior",
     "Reason",
     "Settings",
+    "Slopes",
     "Spread",
     "along_each",
     "around_holes",

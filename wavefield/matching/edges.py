@@ -9,6 +9,8 @@ from wavefield.matching.cosines import cosines
 
 F = np.float32
 Float = NDArray[Any]
+Profiles = tuple[Float, Float]
+Slopes = tuple[Float, Float, Float, Float]
 
 REACH = 6.0  # blocks: reach of a slope at the edge, and width over which it is taken
 _ALONG = 3.0  # blocks along the edge over which it is smoothed
@@ -21,6 +23,11 @@ class Edge:
     ----------
     shape : (int, int)
         Of the lattice, (ny, nx).
+
+    Attributes
+    ----------
+    profiles : ndarray, (ny,), and ndarray, (nx,)
+        How a slope of one at the last row, or column, dies away from it.
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
@@ -28,23 +35,64 @@ class Edge:
         t = np.arange(near, dtype=np.float32) - F((near - 1) / 2)
         self.slope = t / (t * t).sum()
         self.near = near
-        self.grow_y, self.grow_x = (
+        along_y, along_x = (
             (REACH * np.exp((np.arange(n) + 0.5 - n) / REACH)).astype(np.float32) for n in shape
         )
+        self.profiles: Profiles = along_y, along_x
         self.smooth_y, self.smooth_x = (_smoother(n) for n in shape)
 
-    def __call__(self, field: Float) -> Float:
-        """As `edge_slopes`, of fields (c, ny, nx) of this lattice."""
+    def slopes(self, field: Float) -> Slopes:
+        """Slopes of fields (c, ny, nx) at the first and last column (c, ny), the first and last row (c, nx).
+
+        Those of the rows are what the columns' leave.
+        """
         near, (ny, nx) = self.near, field.shape[-2:]
-        low = field[..., :near] @ self.slope @ self.smooth_y
-        high = field[..., nx - near :] @ self.slope @ self.smooth_y
-        out: Float = high[..., None] * self.grow_x - low[..., None] * self.grow_x[::-1]
+        left = field[..., :near] @ self.slope @ self.smooth_y
+        right = field[..., nx - near :] @ self.slope @ self.smooth_y
+        out = _along_x(left, right, self.profiles[1])
         first, last = field[:, :near] - out[:, :near], field[:, ny - near :] - out[:, ny - near :]
         low = np.einsum("cyx,y->cx", first, self.slope) @ self.smooth_x
         high = np.einsum("cyx,y->cx", last, self.slope) @ self.smooth_x
-        out += high[:, None] * self.grow_y[:, None]
-        out -= low[:, None] * self.grow_y[::-1, None]
+        return left, right, low, high
+
+    def field(self, slopes: Slopes, profiles: Profiles | None = None) -> Float:
+        """The smooth field (c, ny, nx) with these slopes, or that part of it whose profiles are given."""
+        along_y, along_x = profiles or self.profiles
+        left, right, low, high = slopes
+        out = _along_x(left, right, along_x)
+        out += high[:, None] * along_y[:, None]
+        out -= low[:, None] * along_y[::-1, None]
         return out
+
+    def beyond(self, counts: tuple[int, int], gains: Profiles) -> Profiles:
+        """Profiles of what the first so many cosines along y and x leave of the smooth field.
+
+        However smooth inside, with a slope at its edge it has waves of all lengths.
+
+        Parameters
+        ----------
+        counts : (int, int)
+            Modes (my, mx).
+        gains : ndarray, (ny,), and ndarray, (nx,)
+            What every cosine is multiplied by, of all that the lattice has.
+
+        Returns
+        -------
+        ndarray of float32, (ny,), and ndarray of float32, (nx,)
+            For `field`.
+        """
+        out = []
+        for profile, count, gain in zip(self.profiles, counts, gains, strict=True):
+            modes = cosines(profile.size, profile.size)
+            waves = modes @ profile * gain
+            waves[:count] = 0.0
+            out.append((waves @ modes).astype(np.float32))
+        return out[0], out[1]
+
+
+def _along_x(left: Float, right: Float, profile: Float) -> Float:
+    out: Float = right[..., None] * profile - left[..., None] * profile[::-1]
+    return out
 
 
 def _smoother(n: int) -> Float:
@@ -67,4 +115,5 @@ def edge_slopes(field: Float) -> Float:
     ndarray of float32, (c, ny, nx)
     """
     field = np.asarray(field, np.float32)
-    return Edge((field.shape[1], field.shape[2]))(field)
+    edge = Edge((field.shape[1], field.shape[2]))
+    return edge.field(edge.slopes(field))

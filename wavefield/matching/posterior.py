@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
 from wavefield.matching.cosines import Cosines, weigh
-from wavefield.matching.edges import REACH, Edge
+from wavefield.matching.edges import REACH, Edge, Slopes
 from wavefield.matching.prior import Prior, wavenumbers
 from wavefield.matching.transfer import footprint
 
@@ -199,6 +199,8 @@ class Modes:
     ----------
     k, foot, inverse : ndarray, (my, mx)
         Wavenumber, rad per block, footprint and inverse spectrum of every mode.
+    edge : Edge
+        Smooth fields with slopes at the edges of the lattice.
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int], wanted: Mask | None = None) -> None:
@@ -226,7 +228,9 @@ class Modes:
         self._cosines = Cosines(shape, self.shape)
         self._foot, self._inverse = (self._cosines.split(f[None]) for f in (self.foot, self.inverse))
         self.freedom = _freedom(ratio / (ratio + 1.0))
-        self._edge = Edge(shape)
+        self.edge = Edge(shape)
+        none = np.zeros(1)
+        self._beyond = self.edge.beyond(self.shape, (footprint(none, ky[:, 0]), footprint(kx, none)))
         self._strongest(ratio[band])
 
     def _strongest(self, ratio: Float) -> None:
@@ -262,8 +266,8 @@ class Modes:
         """Field as blocks see it, (c, ny, nx): with their footprint over it."""
         return self.field(self.foot * waves)
 
-    def mean(self, field: Float) -> Float:
-        """Coefficients of a smooth field that has the edge slopes of a given one: cosines have none there.
+    def mean(self, field: Float) -> tuple[Float, Float, Slopes]:
+        """A smooth field that has the edge slopes of a given one: cosines have none there.
 
         Parameters
         ----------
@@ -272,9 +276,16 @@ class Modes:
 
         Returns
         -------
-        ndarray of float32, (c, my, mx)
+        waves : ndarray of float32, (c, my, mx)
+            Its coefficients.
+        beyond : ndarray of float32, (c, ny, nx)
+            What these modes leave of it, as blocks see it: without it the field would ring far into the
+            lattice.
+        slopes : Slopes
+            The slopes, for `edge`.
         """
-        return self.waves(self._edge(np.asarray(field, np.float32)))
+        slopes = self.edge.slopes(np.asarray(field, np.float32))
+        return self.waves(self.edge.field(slopes)), self.edge.field(slopes, self._beyond), slopes
 
     def factor(self, information: Float) -> Factor:
         """Preconditioner for some information: the strongest modes as they really couple.

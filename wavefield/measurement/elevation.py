@@ -15,12 +15,14 @@ from wavefield.measurement.contradiction import pairs_apart, scores_apart
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.regrid import coefficients, push_pull, read_surface
 from wavefield.measurement.surface import PairMatch, match_pair
+from wavefield.measurement.trembling import of_elevation
 from wavefield.variables import Quality
 
 Float = NDArray[Any]
 Mask = NDArray[np.bool_]
 
 LOOKS = 2  # at the images: where matching led, and where the first solution leads
+_FEW = 50  # blocks: fewer do not tell how pairs differ
 _SMOOTH = 6  # half waves along the lattice: sight lines that miss each other so smoothly are ill calibrated
 _CAREFUL = 1.5  # weights think the noise so much larger than across the sight lines: spectra hold some of it
 _AT_RIMS = 3.0  # times more noise is thought around a hole
@@ -117,6 +119,8 @@ class Estimate:
     ----------
     waves, mean : ndarray of float32, (1, my, mx)
         Cosine coefficients of the elevation and of its prior mean, metres.
+    slopes : Slopes
+        At the edges of the lattice.
     information : ndarray of float32, (ny, nx)
         A of every block, per square metre.
     miss : float
@@ -128,6 +132,7 @@ class Estimate:
 
     waves: Float
     mean: Float
+    slopes: matching.Slopes = field(repr=False)
     information: Float = field(repr=False)
     miss: float
     apart: Mask = field(repr=False)
@@ -170,14 +175,15 @@ def most_probable(
     smooth there, the calibration's fault, is taken off: no wave hides in it, and no fit has taken from it.
     """
     z = blocks.whole
-    mean, waves = modes.mean(z), modes.waves(z)
+    waves, (mean, beyond, slopes) = modes.waves(z), modes.mean(z)
     looks = [_Look(m, pixel) for m in matches]
     smooth = _smooth(matches, modes)
     seen, scores = None, [z[0]]
     information = z[:1]
     for number in range(LOOKS):
         if number:
-            z = seen = modes.seen(waves)
+            seen = modes.seen(waves)
+            z = seen + beyond
             for one in looks:
                 one.again(z[0], prepared)
         scores = [one.score(z[0]) for one in looks]
@@ -185,7 +191,7 @@ def most_probable(
         hessian = np.sum([one.hessian for one in looks], axis=0)
         nu = _noise_across(looks, smooth) if across else _noise(score, hessian, modes.freedom)
         information = (hessian / nu)[None]
-        right = information * z + (score / nu)[None]
+        right = information * (z - beyond) + (score / nu)[None]
         if not number:
             factor, tolerances = modes.factor(information[0]), modes.tolerances(information[0])
         waves = modes.solve(information, right, waves, tolerances[number], mean, factor, seen)
@@ -193,7 +199,7 @@ def most_probable(
     miss = float(np.sqrt(np.mean(np.square(smooth[counts])))) if counts.any() else 0.0
     lengths = [np.hypot(*one.D) for one in looks]
     apart = scores_apart(scores, [one.hessian for one in looks], lengths)
-    return Estimate(waves, mean, information[0], miss, apart)
+    return Estimate(waves, mean, slopes, information[0], miss, apart)
 
 
 def _noise(score: Float, hessian: Float, freedom: float) -> Float:
@@ -335,13 +341,27 @@ def surface_of(
     Surface
     """
     estimate = most_probable(blocks, matches, prepared, plan.modes, plan.pixel)
-    spline = plan.modes.field(estimate.waves * plan.spline)
+    spline = plan.sought.splined(estimate.waves, estimate.slopes)
     noise, missing = plan.spread(estimate.information)
     z, block = _read(spline, matches, plan)
-    variance = np.float32(_LONGER / _CAREFUL) * noise + missing + np.float32(estimate.miss**2)
+    variance = np.float32(_LONGER / _CAREFUL) * noise + missing
+    variance += np.float32(estimate.miss**2 + _shaken(matches, plan))
     std = np.sqrt(variance).ravel()[block]
     apart = (pairs_apart(matches, plan.pixel) | estimate.apart).ravel()[block]
     return Surface(z, blocks.eps_y.ravel()[block], std, _quality(blocks, block), apart)
+
+
+def _shaken(matches: Sequence[PairMatch], plan: Plan) -> float:
+    """Variance of the elevation from cameras that move (`of_elevation`), square metres."""
+    told = np.logical_and.reduce([m.valid for m in matches])
+    if told.sum() < _FEW:
+        told = np.logical_or.reduce([m.valid for m in matches])
+    middle = np.array([m.parallax[:, told].mean(axis=1) for m in matches])
+    lengths = np.hypot(*middle.T) * np.where(middle @ middle[0] < 0.0, -1.0, 1.0)
+    heights = [np.median(_height(m.parallax, m.difference)[told]) for m in matches]
+    assert plan.record is not None
+    between = plan.record.trembling[0] * plan.pixel  # two frames, each of which has moved
+    return of_elevation(np.array(heights), lengths, 0.5 * between**2)
 
 
 def _sheet(thickness: float, shape: tuple[int, int]) -> Surface:
@@ -401,16 +421,14 @@ def windowed(matches: Sequence[PairMatch], plan: Plan) -> NDArray[Any]:
     blocks = combine(matches)
     if not blocks.valid.any():
         return np.full(plan.grid.shape, np.nan, np.float32)
-    z, block = _read(np.moveaxis(coefficients(np.moveaxis(blocks.whole, 0, -1)), -1, 0), matches, plan)
+    z, block = _read(coefficients(np.moveaxis(blocks.whole, 0, -1)), matches, plan)
     return np.where(blocks.valid.ravel()[block], z, np.float32(np.nan))
 
 
 def _read(spline: Float, matches: Sequence[PairMatch], plan: Plan) -> tuple[Float, NDArray[np.int64]]:
-    """Elevation at the nodes and the block nearest to each, from spline coefficients (1, ny, nx)."""
+    """Elevation at the nodes and the block nearest to each, from spline coefficients (ny, nx, 1)."""
     centre = plan.rig[matches[0].pair[0]].centre
-    values, block = read_surface(
-        np.ascontiguousarray(np.moveaxis(spline, 0, -1), np.float32), plan.lattice, centre, plan.x, plan.y
-    )
+    values, block = read_surface(spline, plan.lattice, centre, plan.x, plan.y)
     return values[0], block
 
 

@@ -59,6 +59,8 @@ class Estimate:
     ----------
     waves, mean : ndarray of float32, (2, my, mx)
         Cosine coefficients of the displacement and of its prior mean, px.
+    slopes : Slopes
+        At the edges of the lattice.
     information : ndarray of float32, (ny, nx)
         Mean of the two diagonal parts of every block's A, px^-2.
     reason : ndarray of uint8, (ny, nx)
@@ -69,6 +71,7 @@ class Estimate:
 
     waves: Float
     mean: Float
+    slopes: matching.Slopes = field(repr=False)
     information: Float = field(repr=False)
     reason: NDArray[np.uint8] = field(repr=False)
     along: tuple[float, float] = (1.0, 1.0)
@@ -98,12 +101,13 @@ def most_probable(
     Estimate
     """
     u = whole(found)
-    mean, waves = modes.mean(u), modes.waves(u)
+    waves, (mean, beyond, slopes) = modes.waves(u), modes.mean(u)
     freedom, seen = modes.freedom, None
     a = found.hessian
     for number in range(LOOKS):
         if number:
-            u = seen = modes.seen(waves)
+            seen = modes.seen(waves)
+            u = seen + beyond
             found = matching.look_again(one, other, u[0], u[1], found.settings)
         counts = found.valid.astype(np.float32)
         trace = found.hessian[0] + found.hessian[2]
@@ -111,14 +115,15 @@ def most_probable(
         counts /= nu * np.float32(modes.prior.noise)
         a = found.hessian * counts
         right = found.score * counts
-        right[0] += a[0] * u[0] + a[1] * u[1]
-        right[1] += a[1] * u[0] + a[2] * u[1]
+        x, y = u - beyond
+        right[0] += a[0] * x + a[1] * y
+        right[1] += a[1] * x + a[2] * y
         information = np.float32(0.5) * (a[0] + a[2])
         if not number:
             factor, tolerances = modes.factor(information), modes.tolerances(information)
         waves = modes.solve(a, right, waves, tolerances[number], mean, factor, seen)
     along = matching.along_each(found.score, found.hessian, found.valid.astype(np.float32))
-    return Estimate(waves, mean, information, found.reason, along)
+    return Estimate(waves, mean, slopes, information, found.reason, along)
 
 
 def flows(
@@ -167,9 +172,8 @@ def flow_near(
     sight = plan.sights[name]
     found = most_probable(near, one, other, sight.modes)
     noise, missing = sight.spread(found.information)
-    spline = sight.modes.field(found.waves * sight.spline)
     return Flow(
-        np.ascontiguousarray(np.moveaxis(spline, 0, -1), np.float32),
+        sight.splined(found.waves, found.slopes),
         noise,
         missing,
         found.along,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -27,7 +27,7 @@ from wavefield.measurement.plan import Plan
 from wavefield.measurement.record import Record
 from wavefield.measurement.surface import PairMatch
 from wavefield.measurement.unresolved import unresolved
-from wavefield.measurement.velocity import look_at_nodes, velocity
+from wavefield.measurement.velocity import look_at_nodes, misfit, velocity
 from wavefield.variables import Quality
 
 Frames = Mapping[str, NDArray[Any] | None]
@@ -135,13 +135,19 @@ def _learned(
     for number in range(2):
         if number:
             plan = plan.knowing(record)
-        noise, own, moved = _misfit(views, near, heights, plan, pool)
+        noise, own, moved, trembling = _misfit(views, near, heights, plan, pool)
         priors = {}
         for name, prior in record.displacement:
             prior = replace(prior, noise=float(np.clip(prior.noise * noise, *_NOISE)))
             priors[name] = known[name].better(prior) if name in known else prior
         own = {name: record.own_noise(name) * own.get(name, 1.0) for name in priors}
-        record = replace(record, displacement=tuple(priors.items()), moved=moved, noise=tuple(own.items()))
+        record = replace(
+            record,
+            displacement=tuple(priors.items()),
+            moved=moved,
+            noise=tuple(own.items()),
+            trembling=trembling,
+        )
     return record
 
 
@@ -319,12 +325,14 @@ class _Differences:
     """What the cameras' differences say in one step.
 
     `noise` is that of all cameras over what is thought, `own` that of each over that of all, `moved` the
-    water's motion, metres.
+    water's motion, metres, `trembling` that of the cameras, px.
+    Where the cameras contradict each other only the last can be told.
     """
 
-    noise: float
-    own: Mapping[str, float]
-    moved: Sequence[float]
+    trembling: tuple[float, float]
+    noise: float | None = None
+    own: Mapping[str, float] = field(default_factory=dict)
+    moved: Sequence[float] = ()
 
     @classmethod
     def of(cls, flows: flow.Flows, z: Float, plan: Plan) -> _Differences | None:
@@ -334,21 +342,25 @@ class _Differences:
         if motion is None:
             return None
         names = [name for name in flows if name != motion.left_out]
+        seen = look_at_nodes(names, steps, z, plan)
+        left, trembling = seen.trembling()
+        seen = seen.steadied(left)
         good = np.isfinite(motion.misfit) & ((motion.quality & Quality.FILLED) == 0)
         if not good.any():
-            return None
+            return cls(trembling)
         freedom = 2 * len(names) - 3
-        noise = float(np.median(motion.misfit[good])) / (2 * gammaincinv(freedom / 2, 0.5) / freedom)
         moved = [float(np.std(d[good])) for d in motion.d]
-        seen = look_at_nodes(names, steps, z, plan)
+        typical = float(np.median(misfit(seen, np.moveaxis(motion.d, 0, -1))[good]))
+        noise = typical / (2 * gammaincinv(freedom / 2, 0.5) / freedom)
         good &= np.isfinite(seen.moved).all(axis=0)
         for where in motion.regions.values():
             good &= ~where
         if not good.any():
-            return cls(noise, {}, moved)
+            return cls(trembling, noise, {}, moved)
         J = np.moveaxis(seen.jacobian[:, :, good], -1, 0)
         rows = (f[:, good].T for f in (seen.moved, seen.noise_of_each, 1.0 / seen.variance))
-        return cls(noise, dict(zip(names, noise_of_each(J, *rows) / noise, strict=True)), moved)
+        own = dict(zip(names, noise_of_each(J, *rows) / noise, strict=True))
+        return cls(trembling, noise, own, moved)
 
 
 def _misfit(
@@ -357,8 +369,8 @@ def _misfit(
     heights: Sequence[Float | None],
     plan: Plan,
     pool: ThreadPoolExecutor,
-) -> tuple[float, dict[str, float], tuple[float, float, float]]:
-    """Noise over what is thought: of all cameras, of each beside all; the water's motion, metres."""
+) -> tuple[float, dict[str, float], tuple[float, float, float], tuple[float, float]]:
+    """Noise over what is thought: of all cameras, of each beside all; motion of water, m, and cameras, px."""
 
     def move(view: tuple[Images, Images], found: _Near, z: Float | None) -> _Differences | None:
         if z is None:
@@ -368,9 +380,13 @@ def _misfit(
         return _Differences.of(flows, z, plan)
 
     found = [one for one in pool.map(move, views, near, heights) if one is not None]
-    if not found:
-        return 1.0, {}, (1.0, 1.0, 1.0)
+    along, across = np.sqrt(np.mean(np.square([one.trembling for one in found] or [(0.0, 0.0)]), axis=0))
+    trembling = float(along), float(across)
+    noises = [one.noise for one in found if one.noise is not None]
+    if not noises:
+        return 1.0, {}, (1.0, 1.0, 1.0), trembling
+    found = [one for one in found if one.noise is not None]
     own = own_noise([one.own for one in found])
     moved = np.sqrt(np.mean(np.square([one.moved for one in found]), axis=0))
     x, y, z = np.maximum(moved, _STILL * plan.pixel)
-    return float(np.median([one.noise for one in found])), own, (float(x), float(y), float(z))
+    return float(np.median(noises)), own, (float(x), float(y), float(z)), trembling

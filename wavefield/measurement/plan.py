@@ -175,11 +175,6 @@ class Plan:
         """Variance of the elevation."""
         return self.sought.spread
 
-    @property
-    def spline(self) -> NDArray[Any]:
-        """From cosines of the elevation to those of its spline."""
-        return self.sought.spline
-
     def _in_view(self) -> NDArray[np.bool_]:
         """(ny, nx): blocks well inside what the reference and a partner see of the water at rest."""
         others = [self.seen_blocks[name] for name in self.surface_cameras[1:]]

@@ -28,6 +28,9 @@ class Record:
         What frames so far apart leave out.
     noise : tuple of (str, float)
         Noise of each camera's displacement over what all cameras' misfit says; 1 where not named.
+    trembling : (float, float)
+        Rms motion of the cameras' pictures from frame to frame, along the line on which they stand and across
+        it, px of the binned image.
     """
 
     beads: tuple[tuple[str, float], ...]
@@ -36,6 +39,7 @@ class Record:
     moved: tuple[float, float, float]
     unresolved: Unresolved = NOTHING
     noise: tuple[tuple[str, float], ...] = ()
+    trembling: tuple[float, float] = (0.0, 0.0)
 
     def width(self, camera: str) -> float:
         """Width of a camera's beads, raw px."""
@@ -59,6 +63,7 @@ class Record:
             "moved": list(self.moved),
             "unresolved": self.unresolved.to_dict(),
             "noise": dict(self.noise),
+            "trembling": list(self.trembling),
         }
 
     @classmethod
@@ -75,6 +80,7 @@ class Record:
         Record
         """
         x, y, z = map(float, data["moved"])
+        along, across = map(float, data.get("trembling", (0.0, 0.0)))
         return cls(
             tuple((str(name), float(width)) for name, width in data["beads"].items()),
             Prior.from_dict(data["elevation"]),
@@ -82,4 +88,5 @@ class Record:
             (x, y, z),
             Unresolved.from_dict(data["unresolved"]) if "unresolved" in data else NOTHING,
             tuple((str(name), float(factor)) for name, factor in data.get("noise", {}).items()),
+            (along, across),
         )

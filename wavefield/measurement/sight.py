@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.matching import Modes, Prior, Spread
+from wavefield.matching import Modes, Prior, Slopes, Spread
 from wavefield.matching.kernels import BLOCK
 from wavefield.measurement.regrid import Lattice
 from wavefield.measurement.sought import Sought
@@ -73,11 +73,10 @@ class Sight:
         assert self.sought is not None
         return self.sought.spread
 
-    @property
-    def spline(self) -> NDArray[Any]:
-        """From cosines of the displacements to those of their spline."""
+    def splined(self, waves: NDArray[Any], slopes: Slopes) -> NDArray[Any]:
+        """Spline coefficients of displacements, as `Sought.splined`."""
         assert self.sought is not None
-        return self.sought.spline
+        return self.sought.splined(waves, slopes)
 
     def at(self, z: NDArray[Any]) -> NDArray[np.float32]:
         """Image position and Jacobian of the nodes at given heights.

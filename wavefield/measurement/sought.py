@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.matching import Modes, Prior, Spread
+from wavefield.matching import Modes, Prior, Slopes, Spread
 from wavefield.matching.one_thread import one_thread
 from wavefield.measurement.regrid import thin_plate
 
@@ -54,3 +54,25 @@ class Sought:
         """From the field's cosines to those of its spline, (my, mx)."""
         my, mx = self.modes.shape
         return thin_plate(self._shape, self._smoothing)[:my, :mx]
+
+    @cached_property
+    def _beyond(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        gain = thin_plate(self._shape, self._smoothing)
+        return self.modes.edge.beyond(self.modes.shape, (gain[:, 0], gain[0]))
+
+    def splined(self, waves: NDArray[Any], slopes: Slopes) -> NDArray[Any]:
+        """Spline coefficients of the field.
+
+        Parameters
+        ----------
+        waves : ndarray of float32, (c, my, mx)
+            Cosine coefficients.
+        slopes : Slopes
+            Slopes at the edges of the lattice, whose short waves the cosines leave out.
+
+        Returns
+        -------
+        ndarray of float32, (ny, nx, c)
+        """
+        out = self.modes.field(waves * self.spline) + self.modes.edge.field(slopes, self._beyond)
+        return np.ascontiguousarray(np.moveaxis(out, 0, -1), np.float32)

@@ -15,6 +15,7 @@ from wavefield.measurement.flow import Flow, Flows
 from wavefield.measurement.paths import read_path
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.sight import Sight
+from wavefield.measurement.trembling import left_over, line_of, of_the_water
 from wavefield.rig.stereo import solve_displacement
 from wavefield.variables import Quality
 
@@ -73,6 +74,8 @@ class Seen:
         Why not measured: bits of `Quality`; `OUTSIDE` where not seen.
     chord : ndarray of bool, (ny, nx)
         Where a camera's path has fewer than four places.
+    line : ndarray, (2,)
+        Direction along which the cameras stand.
     """
 
     jacobian: Float
@@ -83,6 +86,20 @@ class Seen:
     own: Float
     rejected: NDArray[np.uint16]
     chord: NDArray[np.bool_]
+    line: Float
+
+    @property
+    def told(self) -> NDArray[np.bool_]:
+        """Nodes that all cameras measured, (ny, nx)."""
+        return np.asarray((self.rejected == 0).all(axis=0) & np.isfinite(self.moved).all(axis=0))
+
+    def trembling(self) -> tuple[Float, tuple[float, float]]:
+        """What the cameras leave on the mean over the field, px, and how far they move (`left_over`)."""
+        return left_over(self.jacobian, self.moved, 1.0 / self.variance, self.told, self.line)
+
+    def steadied(self, left: Float) -> Seen:
+        """The same with what is left on the mean over the field taken off."""
+        return replace(self, moved=self.moved - left[:, None, None])
 
     @property
     def noise_of_each(self) -> Float:
@@ -131,7 +148,7 @@ def velocity(
     Noise of the cameras is independent; what the prior takes from a wave all cameras miss alike, so it does
     not shrink when they are averaged: it is shared among the components as a short wave of any direction
     moves the water, half as much along x and along y as up and down (its variance); in a light sheet as the
-    fluid's own motion is.
+    fluid's own motion is. Motion of the cameras themselves all nodes share (`trembling`).
     """
     names = list(steps[1] or {})
     if len(names) < 2:
@@ -180,7 +197,8 @@ def _others(seen: Seen, n: int) -> Seen:
     cameras = [i for i in range(len(seen.noise)) if i != n]
     noise, missing, rejected = seen.noise[cameras], seen.missing[cameras], seen.rejected[cameras]
     along, own = seen.along[rows], seen.own[rows]
-    return Seen(seen.jacobian[rows], seen.moved[rows], noise, missing, along, own, rejected, seen.chord)
+    jacobian, moved = seen.jacobian[rows], seen.moved[rows]
+    return Seen(jacobian, moved, noise, missing, along, own, rejected, seen.chord, seen.line)
 
 
 def look_at_nodes(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Seen:
@@ -220,7 +238,8 @@ def look_at_nodes(names: Sequence[str], steps: Sequence[Flows | None], z: NDArra
         own[rows] = 1.0 if plan.record is None else plan.record.own_noise(name)
         rejected[n] = np.where(inside, here.rejected.ravel()[block[1]], np.uint16(Quality.OUTSIDE))
         chord |= inside & ((block[0] < 0) | (block[2] < 0))
-    return Seen(jacobian, moved, noise, missing, along, own, rejected, chord)
+    line = line_of([plan.rig[name].centre for name in names])
+    return Seen(jacobian, moved, noise, missing, along, own, rejected, chord, line)
 
 
 def _along_path(
@@ -256,6 +275,9 @@ def _solved(seen: Seen, plan: Plan) -> Motion:
     missing = (weight * seen.missing / _signal(seen, parts)).sum(axis=0)
     variance = np.moveaxis(np.square(d_std), -1, 0)
     variance += missing * np.asarray(parts)[:, None, None]
+    size = np.maximum(seen.trembling()[1], record.trembling)
+    shaken = of_the_water(seen.jacobian, 1.0 / seen.variance, seen.told, seen.line, (size[0], size[1]))
+    variance += shaken[:, None, None]
     enough = trusted.sum(axis=0) >= 2
     why = np.bitwise_or.reduce(seen.rejected & ~np.uint16(Quality.OUTSIDE), axis=0)
     quality = np.where(enough, np.uint16(0), why | np.uint16(Quality.FILLED))

@@ -1,0 +1,80 @@
+"""Cameras that move against each other: it shows on the mean over the field and makes the water uncertain."""
+
+import cv2
+import numpy as np
+import pytest
+from measurement_cases import RATE
+
+from wavefield.measurement import measure
+from wavefield.measurement.trembling import left_over, line_of, of_elevation, of_the_water
+from wavefield.variables import Quality
+
+LINE = np.array([1.0, 0.0])
+
+
+def rows(*slopes):
+    """Jacobians of cameras along x that see a rise of 1 as a move by so much: (2N, 3, 12, 15)."""
+    one = np.concatenate([[[1.0, 0.0, slope], [0.0, 1.0, 0.0]] for slope in slopes])
+    return np.tile(one[..., None, None], (1, 1, 12, 15))
+
+
+def test_how_far_cameras_move_is_told_by_what_they_leave():
+    rng = np.random.default_rng(1)
+    J = rows(0.6, -0.6, 0.0)
+    good, weight = np.ones((12, 15), bool), np.ones((6, 12, 15))
+    water = np.einsum("rcyx,cyx->ryx", J, rng.normal(0, 1, (3, 12, 15)))
+    found, off = [], []
+    back = np.linalg.pinv(J[..., 0, 0])
+    for _ in range(400):
+        moves = rng.normal(0, [0.3, 0.1] * 3)
+        _, size = left_over(J, water + moves[:, None, None], weight, good, LINE)
+        found.append(size)
+        off.append(back @ moves)
+    assert np.sqrt(np.mean(np.square(found), axis=0)) == pytest.approx([0.3, 0.1], rel=0.1)
+    said = of_the_water(J, weight, good, LINE, (0.3, 0.1))
+    assert np.mean(np.square(off), axis=0) == pytest.approx(said, rel=0.15)
+
+
+def test_two_cameras_are_thought_to_move_along_their_line_as_across_it():
+    moved = np.zeros((4, 12, 15))
+    moved[0], moved[1] = 5.0, 0.2  # the first passes for a rise
+    _, (along, across) = left_over(rows(0.6, -0.6), moved, np.ones_like(moved), np.ones((12, 15), bool), LINE)
+    assert across == pytest.approx(0.2 / np.sqrt(2))
+    assert along == across
+
+
+def test_the_line_of_cameras_is_that_along_which_they_stand():
+    centres = [np.array([2.0, 1.0, 4.0]), np.array([0.0, 0.1, 4.0]), np.array([-2.0, -1.0, 4.0])]
+    assert line_of(centres) == pytest.approx([0.894, 0.447], abs=0.01)
+
+
+def test_elevation_is_as_uncertain_as_moving_pictures_make_it():
+    rng = np.random.default_rng(2)
+    lengths = np.array([1.1, -0.9])
+    moves = rng.normal(0, 1, (4000, 3))
+    z = (moves[:, 1:] - moves[:, :1]) / lengths
+    off = z @ (lengths**2 / np.sum(lengths**2))
+    said = np.mean([of_elevation(one, lengths) for one in z])
+    assert said == pytest.approx(np.mean(off**2), rel=0.06)
+    assert of_elevation(z[0, :1], lengths[:1]) == 0.0
+    assert of_elevation(z[0, :1], lengths[:1], 0.5) > 0.5
+
+
+def test_a_camera_that_trembles_along_the_line_is_not_believed_to_a_hundredth_of_a_pixel(series, plan):
+    frames = {name: list(images) for name, images in series.block(1).items()}
+    moved = np.array([[1.0, 0.0, 0.05], [0.0, 1.0, 0.0]])
+    for k in (2, 4):
+        image = frames["cam1"][k]
+        frames["cam1"][k] = cv2.warpAffine(image, moved, image.shape[::-1], flags=cv2.INTER_LANCZOS4)
+    steady, out = (measure(f, plan, RATE) for f in (series.block(1), frames))
+    measured = series.inside & ((out["quality"][0] & Quality.MEASURED) > 0)
+    assert measured.sum() > 0.95 * series.inside.sum()
+    truth = series.truth[1]
+    wrong, misled = np.zeros((2, *measured.shape), bool)
+    for name in ("z", "u", "v", "w"):
+        error = np.abs(out[name][0] - truth[name])
+        wrong |= error > 5 * out[f"{name}_std"][0]
+        misled |= error > 5 * steady[f"{name}_std"][0]
+    assert misled[measured].mean() > 0.5  # as it would be without knowing of it
+    assert wrong[measured].mean() < 0.01
+    assert np.median(out["v_std"][0][measured]) < 1.5 * np.median(steady["v_std"][0][measured])
