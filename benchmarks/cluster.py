@@ -1,8 +1,9 @@
-"""Slurm jobs beside processes of this machine: `python -m benchmarks.cluster FOLDER [WORKERS [STEPS]]`.
+"""Slurm jobs beside processes of this machine: `benchmarks.cluster FOLDER [WORKERS [STEPS [CROP]]]`.
 
-Needs a Slurm, for example `workflows/one_node_slurm.sh start 4`: jobs of one worker each. FOLDER holds a
-small tank that is made where it is not there; its frames go to and fro. Each run is the command, from its
-start to its end: the jobs' waiting in the queue and their imports count.
+Needs a Slurm, for example `workflows/one_node_slurm.sh start 4`: jobs of one worker each. FOLDER holds
+images of a tank, made where they are not there: of full size, or CROP of it; some frames go to and fro. Each
+run is the command, from its start to its end: the jobs' waiting in the queue and their imports count, which
+on one machine take turns (on a cluster they do not), some 2 s of a core for each job.
 """
 
 import os
@@ -22,9 +23,9 @@ from wavefield.tank import Scene, Tank
 _RENDERED = 13
 
 
-def write_experiment(folder: Path, steps: int) -> Path:
+def write_experiment(folder: Path, steps: int, crop: float) -> Path:
     """Images of a few frames, under as many names as steps need."""
-    tank = Tank(Scene.load("demo").with_(rig={"crop": 0.3}, sea={"shortest": 0.15}))
+    tank = Tank(Scene.load("full").with_(rig={"crop": crop}))
     folder.mkdir(parents=True, exist_ok=True)
     tank.rig.save(folder / "rig.yaml")
     for number in range(_RENDERED):
@@ -37,7 +38,7 @@ def write_experiment(folder: Path, steps: int) -> Path:
             os.link(folder / camera / f"img_{like:05d}.tif", folder / camera / f"img_{number:05d}.tif")
     path = folder / "experiment.yaml"
     cameras = {name: {"images": f"{name}/img_{{frame:05d}}.tif"} for name in tank.rig}
-    grid = {"x": [-0.1, 0.1], "y": [-0.12, 0.12], "step": 0.01}
+    grid = {"x": [-crop, crop], "y": [-0.75 * crop, 0.75 * crop], "step": 0.01}
     data = {"name": "to and fro", "frame_rate": tank.scene.frame_rate, "cameras": cameras, "rig": "rig.yaml"}
     path.write_text(yaml.safe_dump(data | {"grid": grid, "water": {"depth": 0.7}}))
     return path
@@ -54,9 +55,10 @@ def main() -> None:
     """Print both times, their ratio, and whether the cubes are the same."""
     folder = Path(sys.argv[1])
     workers, steps = (int(sys.argv[i]) if len(sys.argv) > i else n for i, n in ((2, 4), (3, 200)))
+    crop = float(sys.argv[4]) if len(sys.argv) > 4 else 1.0
     experiment = folder / "experiment.yaml"
     if not experiment.exists():
-        write_experiment(folder, steps)
+        write_experiment(folder, steps, crop)
     both: dict[str, dict[str, Any]] = {
         "local": {"cluster": "local"},
         "slurm": {

@@ -247,8 +247,15 @@ def test_the_job_that_slurm_is_asked_for(tmp_path):
         'export NUMBA_CACHE_DIR="${NUMBA_CACHE_DIR:-${TMPDIR:-/tmp}/wavefield-$(id -u)}"',
     ):
         assert line in script
-    for option in ("--nworkers 8", "--nthreads 1", "--memory-limit 1.86GiB"):
+    for option in ("--nworkers 8", "--nanny", "--nthreads 1", "--memory-limit 1.86GiB"):
         assert option in script
+
+
+@pytest.mark.parametrize("given", [{}, {"cores": 1}, {"cores": 8, "processes": 1}])
+def test_the_only_worker_of_a_slurm_job_is_started_without_another_process_beside_it(given, tmp_path):
+    workflow = Workflow(cluster="slurm", slurm=given, dashboard=None)
+    with slurm_cluster(workflow, tmp_path, dask_settings(workflow)) as jobs:
+        assert "--no-nanny" in jobs.job_script()
 
 
 def test_a_slurm_cluster_starts_from_a_helper_thread_and_leaves_ctrl_c_alone():

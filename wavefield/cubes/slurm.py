@@ -113,6 +113,8 @@ def _keywords(workflow: Workflow, logs: Path, settings: dict[str, Any]) -> dict[
     keywords: dict[str, Any] = {
         "cores": 1,
         "processes": given.get("cores", 1),
+        # Slurm looks after the only worker of a job; a nanny would import everything once more
+        "nanny": int(given.get("processes", given.get("cores", 1))) > 1,
         "job_name": "wavefield",
         "memory": workflow.memory or "2 GB",
         "log_directory": str(logs),
