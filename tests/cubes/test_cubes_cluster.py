@@ -15,6 +15,7 @@ import numpy as np
 import psutil
 import pytest
 from cube_cases import different
+from distributed import Client
 
 from wavefield.cubes import Workflow, dask_cluster, run, status
 from wavefield.cubes.cluster import open_cluster
@@ -182,13 +183,15 @@ def scheduler_and_worker(folder):
             "1",
             "--no-dashboard",
             "--no-nanny",
+            "--preload",
+            "wavefield.cubes.dask_preload",
             "--death-timeout",
             "60",
         ],
         **options,
     )
     try:
-        yield address, scheduler
+        yield address, scheduler, worker
     finally:
         for process in (worker, scheduler):
             process.kill()
@@ -197,7 +200,7 @@ def scheduler_and_worker(folder):
 
 def test_a_scheduler_over_tcp_and_its_death(tank, reference, tmp_path):
     out = tmp_path / "cube.zarr"
-    with scheduler_and_worker(tmp_path) as (address, scheduler):
+    with scheduler_and_worker(tmp_path) as (address, scheduler, _):
         workflow = write_workflow(tmp_path, cluster="address", address=address, workers=1, steps_per_block=2)
         process = start(tank, out, workflow)
         wait_for(begun(out, 2), process)
@@ -216,6 +219,19 @@ def test_no_scheduler_at_the_address(tank, tmp_path, monkeypatch):
     workflow = Workflow(cluster="address", address="tcp://127.0.0.1:9")
     with pytest.raises(ExperimentError, match=r"no scheduler answers at tcp://127.0.0.1:9"):
         run(tank, out=tmp_path / "cube.zarr", workflow=workflow)
+
+
+def test_a_job_that_is_cancelled_ends_at_once_whatever_it_is_at(tmp_path):
+    """Its block would be written after the run has said that it ended."""
+    with (
+        scheduler_and_worker(tmp_path) as (address, _, worker),
+        Client(address, timeout=PATIENCE, set_as_default=False) as client,
+    ):
+        future = client.submit(time.sleep, 60)
+        wait_for(lambda: any(client.processing().values()))
+        worker.terminate()
+        assert worker.wait(timeout=30) == -signal.SIGTERM
+        client.cancel([future], force=True)
 
 
 def test_the_job_that_slurm_is_asked_for(tmp_path):

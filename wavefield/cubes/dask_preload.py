@@ -1,5 +1,6 @@
 """What Dask's workers that we start load before anything else: what they need, and their settings."""
 
+import signal
 from typing import Any
 
 import wavefield.cubes.work
@@ -13,6 +14,8 @@ def dask_setup(worker: Any) -> None:
     Parameters
     ----------
     worker : distributed.Worker
-        Not used.
+        The worker.
     """
     settle_worker()
+    if worker.nanny is None:  # Dask would finish the block, and write it after the run has said that it ended
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
