@@ -5,7 +5,7 @@ from bokeh.layouts import column
 from bokeh.models import ColumnDataSource, Div
 
 from wavefield.explorer.fields import shown_as
-from wavefield.explorer.parts import BLUE, envelope, make_figure, number
+from wavefield.explorer.parts import BLUE, band, envelope, make_figure, number
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import Record
 from wavefield.explorer.selections import area, span
@@ -37,9 +37,9 @@ class AreaPanel:
                 x_axis_label="frequency (Hz)", tools="pan,wheel_zoom,reset",
             ),
         ]  # fmt: skip
-        band, bars, lines = self.figures
-        band.varea("t", "low", "high", source=self.mean, fill_color=BLUE, fill_alpha=0.22)
-        band.line("t", "mean", source=self.mean, color=BLUE, line_width=1.2)
+        means, bars, lines = self.figures
+        means.varea("t", "low", "high", source=self.mean, fill_color=BLUE, fill_alpha=0.22)
+        means.line("t", "mean", source=self.mean, color=BLUE, line_width=1.2)
         bars.quad("left", "right", "density", 0, source=self.bins, fill_color=BLUE, line_color="white")
         lines.varea("f", "low", "high", source=self.density, fill_color=BLUE, fill_alpha=0.22)
         lines.line("f", "e", source=self.density, color=BLUE, line_width=1.6)
@@ -67,10 +67,11 @@ class AreaPanel:
             preview.stored(name)[rows, columns], preview.scale(name) * shown.factor, 1.0 / record.frame_rate
         )
         t, mean, std = envelope(record.time, found.mean, found.std)
-        self.mean.data = {"t": t, "mean": mean, "low": mean - std, "high": mean + std}
+        low, high = band(mean, std, thinned=t.size < record.time.size)
+        self.mean.data = {"t": t, "mean": mean, "low": low, "high": high}
         self.bins.data = {"left": found.edges[:-1], "right": found.edges[1:], "density": found.density}
-        band, bars, lines = self.figures
-        band.yaxis.axis_label = f"mean of {name}{shown.suffix}"
+        means, bars, lines = self.figures
+        means.yaxis.axis_label = f"mean of {name}{shown.suffix}"
         bars.xaxis.axis_label = f"{name}{shown.suffix}"
         bars.yaxis.axis_label = "probability density"
         lines.yaxis.axis_label = f"E ({shown.unit})\u00b2/Hz"

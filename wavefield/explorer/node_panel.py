@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wavefield.errors import StoreError
 from wavefield.explorer.derived import derived_series
 from wavefield.explorer.fields import DERIVED, readings, shown_as
-from wavefield.explorer.parts import BLUE, INK, MOST_POINTS, VERMILION, envelope, make_figure, number
+from wavefield.explorer.parts import BLUE, INK, MOST_POINTS, VERMILION, band, envelope, make_figure, number
 from wavefield.explorer.place import Place
 from wavefield.explorer.record import Record
 from wavefield.explorer.selections import nearest, spectrum
@@ -209,7 +209,8 @@ class NodePanel:
             scale = shown_as(name, self._record.units(name)).factor
             std = self._record.preview.series(f"{name}_std", *self._at)[part] * np.float32(scale)  # type: ignore[misc]
         t, value, std = envelope(time, values, std)
-        self.series[name].data = {"t": t, "value": value, "low": value - std, "high": value + std}
+        low, high = band(value, std, thinned=t.size < time.size)
+        self.series[name].data = {"t": t, "value": value, "low": low, "high": high}
 
     def _show_other(self) -> None:
         name = self.other.value

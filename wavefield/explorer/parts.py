@@ -18,6 +18,7 @@ from bokeh.models import (
     Tabs,
 )
 from bokeh.plotting import figure
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 INK, GREY, BLUE, VERMILION, GREEN, PINK = "#1b1f24", "#d9d9d9", "#0072B2", "#D55E00", "#009E73", "#CC79A7"
@@ -260,6 +261,41 @@ def envelope(x: NDArray[Any], *series: NDArray[Any], most: int = MOST_POINTS) ->
         np.concatenate([start + lowest, start + highest, start[empty], np.arange(whole, x.size)])
     )
     return tuple(part[keep] for part in (x, *series))
+
+
+def band(
+    value: NDArray[Any], std: NDArray[Any], thinned: bool
+) -> tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]]:
+    """Edges of the band of uncertainty around a series.
+
+    Of a thinned series, which leaps between crests and troughs, they enclose neighbours too: a band that
+    leaps with it hides the line, and takes a browser seven times as long to fill.
+
+    Parameters
+    ----------
+    value, std : ndarray, (n,)
+        The series and its standard uncertainty; not finite in gaps.
+    thinned : bool
+        Whether it is the envelope of a longer one.
+
+    Returns
+    -------
+    low, high : ndarray, (n,)
+        NaN in gaps.
+
+    Examples
+    --------
+    >>> low, high = band(np.array([0.0, 4.0, 1.0, 5.0]), np.full(4, 0.5), thinned=True)
+    >>> low.tolist(), high.tolist()
+    ([-0.5, -0.5, 0.5, 0.5], [4.5, 4.5, 5.5, 5.5])
+    """
+    low, high = value - std, value + std
+    if not thinned:
+        return low, high
+    gap = np.isnan(low)
+    low = np.fmin.reduce(sliding_window_view(np.pad(low, 1, "edge"), 3), axis=1)
+    high = np.fmax.reduce(sliding_window_view(np.pad(high, 1, "edge"), 3), axis=1)
+    return np.where(gap, np.nan, low), np.where(gap, np.nan, high)
 
 
 def number(value: float, digits: int = 3) -> str:
