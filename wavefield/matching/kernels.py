@@ -118,8 +118,9 @@ def gradient_moments(image: Array, rows: Array, sums: Array, out: Array) -> None
         (x, y counted from the block's centre).
     """
     _, ny, nx = out.shape
-    s, d = rows[0], rows[1]
-    s0, s1, s2, s3, s4, s5 = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
+    n = nx * BLOCK
+    s, d = rows[0][: n + 4], rows[1][: n + 4]
+    s0, s1, s2, s3, s4, s5 = sums[0][:n], sums[1], sums[2], sums[3], sums[4], sums[5]
     for by in range(ny):
         sums[:6] = F(0)
         for j in range(BLOCK):
@@ -291,9 +292,9 @@ def plain_sums(
     out : (2, ny, nx) float32
         Output.
     """
-    ny = len(u)
-    s, d = rows[0], rows[1]
-    s0, s1 = sums[0], sums[1]
+    ny, n = len(u), u.shape[1] * BLOCK
+    s, d = rows[0][: n + 4], rows[1][: n + 4]
+    s0, s1 = sums[0][:n], sums[1]
     for by in range(ny):
         _warp_strip(second, by, u[by], v[by], position, whole, taps, strip)
         sums[:2] = F(0)
@@ -398,13 +399,14 @@ def robust_sums(
     out : (6, ny, nx) float32
         Output: sums of w gx r, w gy r, w gx gx, w gx gy, w gy gy, r r.
     """
-    ny, n = len(u), sums.shape[1]
+    ny, n = len(u), u.shape[1] * BLOCK
+    s, d = rows[0][: n + 4], rows[1][: n + 4]
     for by in range(ny):
         _warp_strip(second, by, u[by], v[by], position, whole, taps, strip)
         _spread_strip(slopes, c2, by, rows)
         sums[:6] = F(0)
         for j in range(BLOCK):
-            _spline_row(first, by * BLOCK + j, rows[0], rows[1], rows[2][:n], rows[3][:n], rows[4][:n])
+            _spline_row(first, by * BLOCK + j, s, d, rows[2][:n], rows[3][:n], rows[4][:n])
             _robust_row(
                 rows[2],
                 rows[3],
@@ -417,7 +419,7 @@ def robust_sums(
                 F(j) - MID,
                 rows[9],
                 c2b2,
-                sums[0],
+                sums[0][:n],
                 sums[1],
                 sums[2],
                 sums[3],
@@ -523,13 +525,14 @@ def final_sums(
         psi' ga gb, w ((ga + gb) / 2)^2 with psi' = w (1 - 4 t / (1 + t)), t the r^2 / (...) of the weight,
         and ga, gb differences along the row of a and of b read through the displacement.
     """
-    ny, n = len(u), sums.shape[1]
+    ny, n = len(u), u.shape[1] * BLOCK
+    s, d = rows[0][: n + 4], rows[1][: n + 4]
     for by in range(ny):
         _warp_strip(second, by, u[by], v[by], position, whole, taps, strip)
         _spread_strip(slopes, c2, by, rows)
         sums[:] = F(0)
         for j in range(BLOCK):
-            _spline_row(first, by * BLOCK + j, rows[0], rows[1], rows[2][:n], rows[3][:n], rows[4][:n])
+            _spline_row(first, by * BLOCK + j, s, d, rows[2][:n], rows[3][:n], rows[4][:n])
             a, p, q = rows[2], rows[3], rows[4]
             _residual_row(
                 a,
@@ -543,7 +546,7 @@ def final_sums(
                 F(j) - MID,
                 rows[9],
                 c2b2,
-                rows[10],
+                rows[10][:n],
                 rows[11],
                 rows[12],
             )
@@ -554,7 +557,7 @@ def final_sums(
                 rows[10],
                 rows[11],
                 rows[12],
-                sums[0],
+                sums[0][:n],
                 sums[1],
                 sums[2],
                 sums[3],
@@ -649,21 +652,33 @@ def unweighted_sums(
     out : (12, ny, nx) float32
         Output, as of `final_sums`; 2, 3 and 4 are left as they are: `gradient_moments` has them.
     """
-    ny, n = len(u), sums.shape[1]
+    ny, n = len(u), u.shape[1] * BLOCK
+    s, d = rows[0][: n + 4], rows[1][: n + 4]
     a, r = rows[9:14], rows[14:19]  # whole rows: loops over cut ones do not become vector code
     for by in range(ny):
         _warp_strip(second, by, u[by], v[by], position, whole, taps, strip)
         _spread_strip(slopes, u, by, rows)
         sums[:2] = F(0)
         for j in range(BLOCK):
-            s, d, y = rows[0], rows[1], F(j) - MID
+            y = F(j) - MID
             _spline_columns(first, by * BLOCK + j, s, d)
             _unweighted_row(
-                s, d, strip[j], rows[5], rows[6], rows[7], rows[8], y, a[j, 1:], r[j, 1:], sums[0], sums[1]
+                s,
+                d,
+                strip[j],
+                rows[5],
+                rows[6],
+                rows[7],
+                rows[8],
+                y,
+                a[j, 1:],
+                r[j, 1:],
+                sums[0][:n],
+                sums[1],
             )
             for row in (a[j], r[j]):
                 row[0], row[n + 1] = row[2], row[n - 1]  # no slope at the edge
-        _strip_sums(a, r, sums[5], sums[6], sums[7], sums[8], sums[9], sums[10], sums[11])
+        _strip_sums(a, r, sums[5][:n], sums[6], sums[7], sums[8], sums[9], sums[10], sums[11])
         for k in (0, 1, 5, 6, 7, 8, 9, 10, 11):
             _fold(sums[k], out[k, by])
 
@@ -708,13 +723,19 @@ def shift_sums(a: Array, b: Array, margin: int, first: int, dy: int, row: Array,
 
 
 def scratch(nx: int) -> dict[str, Array]:
-    """Work space for `nx` blocks in a row; every kernel writes what it reads."""
-    n = nx * BLOCK
+    """Work space for `nx` blocks in a row; every kernel writes what it reads.
+
+    Rows lie three cache lines beyond a multiple of sixteen apart: those of an image of 1024 px would else
+    begin a page apart, push each other out of the cache and look to the processor as if they overlapped.
+    """
+    width = nx * BLOCK + 8
+    width += (48 - width) % 256
+    lines = np.empty((BLOCK + 19 + 12, width), np.float32)
     return {
         "position": np.empty((2, nx), np.float32),
         "whole": np.empty((2, nx), np.int32),
         "taps": np.empty((2, TAPS, nx), np.float32),
-        "strip": np.empty((BLOCK, n + 8), np.float32),
-        "rows": np.empty((19, n + 4), np.float32),
-        "sums": np.empty((12, n), np.float32),
+        "strip": lines[:BLOCK],
+        "rows": lines[BLOCK:-12],
+        "sums": lines[-12:],
     }
