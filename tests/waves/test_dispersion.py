@@ -157,3 +157,16 @@ def test_a_small_noisy_field_without_a_current_states_none_or_holds_it_within_it
         fit = wv.fit_dispersion(E, 0.7)
         for name in ("current_x", "current_y"):
             assert abs(float(fit[name])) < 3 * float(fit[f"{name}_std"])
+
+
+def test_the_interval_of_directions_holds_them_where_the_ridge_is_thinner_than_a_cell():
+    sea = GaussianSea(n=60, steps=320, dx=0.06, dt=0.1, spread=4, width=0.35)
+    found = []
+    for seed in range(20):
+        S = wv.spectrum(sea.field(seed).isel(y=slice(0, 26), x=slice(0, 32)), segment=64)
+        found.append(wv.directions(S.E, [1.8, 2.3, 2.8], 0.7, dof=float(S["dof"])))
+    D = np.array([one.D.values for one in found])
+    strong = D.mean(axis=0) > 0.05 * D.mean(axis=0).max()
+    relative = (D.var(axis=0, ddof=1) / D.mean(axis=0) ** 2)[strong].mean()
+    dof = 1 / np.mean([1 / one.dof.values[strong] for one in found])
+    assert 0.8 < dof * relative / 2 < 1.25  # 1.43 as the windows' own correlation counts them

@@ -255,6 +255,30 @@ def test_the_combined_time_series_is_better_than_either(part, fused, best):
     assert error["wiener"] < error["best"]
 
 
+def test_the_combined_time_series_of_still_water_takes_of_either_what_its_weight_says(part, fused):
+    still = fused.assign_attrs(current=(0.0, 0.0))
+    few = part.isel(y=slice(0, 8), x=slice(0, 8))
+    record = wv.whole_record(few)
+    combined = wv.fuse(few, still, record=record)
+    exact = few.exact
+    middle = (9 * (exact[1:-2].values + exact[2:-1].values) - exact[:-3].values - exact[3:].values) / 16
+    inner = slice(100, -100)
+    error, stereo = (float(np.std((a.values[1:-2] - middle)[inner])) for a in (combined, few.z))
+    assert error < 0.75 * stereo
+    # by z alone w does not matter, by w alone z does not, and half of each is their mean
+
+    def mixed(weight, *without):
+        cube = few.assign({name: 0 * few[name] for name in without})
+        return wv.fuse(cube, still.assign(weight_z=0 * fused.weight_z + weight), record=record).values
+
+    by_z, by_w = mixed(1.0), mixed(0.0)
+    np.testing.assert_array_equal(mixed(1.0, "w"), by_z)
+    np.testing.assert_array_equal(mixed(0.0, "z", "z_t"), by_w)
+    np.testing.assert_allclose(mixed(0.5), (by_z + by_w) / 2, atol=1e-6)
+    assert np.corrcoef(by_z.ravel(), few.z.values.ravel())[0, 1] > 0.99
+    assert np.corrcoef(by_w.ravel(), few.z.values.ravel())[0, 1] > 0.99
+
+
 def test_the_ends_of_the_combined_series_are_as_good(part, best):
     exact = part.exact
     middle = (9 * (exact[1:-2].values + exact[2:-1].values) - exact[:-3].values - exact[3:].values) / 16

@@ -89,6 +89,9 @@ def test_a_sheared_current_is_found_at_depth():
     assert error < np.sqrt(((plain - true) ** 2).mean()) / 3
     assert float(np.abs(found.current_y).max()) < 0.005
     assert float(found.current_x_std.max()) < 0.01
+    # what the current varies within a band is no scatter
+    felt_std = found.doppler_x_std.values
+    assert felt_std[0] < 1.3 * np.median(felt_std)  # 1.47 if it were
 
 
 def test_a_sheared_current_is_found_in_a_field():
@@ -101,7 +104,7 @@ def test_a_sheared_current_is_found_in_a_field():
     error = float(np.sqrt(((found.current_x - true) ** 2).mean()))
     assert error < 0.003
     plain = np.interp(found.z, -found.effective_depth, found.doppler_x)
-    assert error < float(np.sqrt(((plain - true) ** 2).mean())) / 1.5
+    assert error < float(np.sqrt(((plain - true) ** 2).mean())) / 1.6
     # its uncertainty holds what a polynomial leaves of an exponential
     assert float(np.sqrt((((found.current_x - true) / found.current_x_std) ** 2).mean())) < 2.2
     assert float(np.abs(found.current_y).max()) < 0.003

@@ -17,6 +17,8 @@ Array = NDArray[Any]
 
 _HALF_WIDTH, _LEAST_CELLS = 0.22, 2.2  # of the ring around the ridge: relative, and in cells
 _HANN = np.array([1 / 36, 4 / 9, 1, 4 / 9, 1 / 36])  # squared correlation of neighbouring lines or cells
+_LIKE = 4 / 7  # variance of these five, cells squared
+_WINDOW = 1 / 3  # of the power that a Hann window leaves of one wave
 
 
 def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, float]) -> Array:
@@ -90,25 +92,49 @@ class _Sectors:
         return out, out.sum(axis=1) * self.cell / whole
 
 
-def _variances(shares: Array, energy: Array, dof: float) -> Array:
-    # relative variance of the energy of each sector, (sectors,): neighbouring cells and lines are correlated
+def _covariances(shares: Array, energy: Array, dof: float) -> Array:
+    # of the energies of sectors, (sectors, sectors): neighbouring cells and lines are correlated, and sectors
+    # share cells
     lines, ny, nx = energy.shape
-    across = ndimage.convolve1d(
-        energy, _HANN[2 - min(2, lines - 1) : 3 + min(2, lines - 1)], axis=0, mode="constant"
-    )
-    out = np.full(shares.shape[0], np.nan)
-    for s, row in enumerate(shares):
-        part = row.reshape(ny, nx)
+    reach = min(2, lines - 1)
+    across = ndimage.convolve1d(energy, _HANN[2 - reach : 3 + reach], axis=0, mode="constant")
+    planes = shares.reshape(-1, ny, nx)
+    out = np.zeros((shares.shape[0],) * 2)
+    for s, part in enumerate(planes):
         used = np.flatnonzero(part.any(axis=1)), np.flatnonzero(part.any(axis=0))
         if not used[0].size:
             continue
-        box = slice(used[0][0], used[0][-1] + 1), slice(used[1][0], used[1][-1] + 1)
-        mine, other = part[box] * energy[:, *box], part[box] * across[:, *box]
+        box = tuple(slice(max(int(some[0]) - 2, 0), int(some[-1]) + 3) for some in used)
+        felt = part[box] * across[:, *box]
         for axis in (1, 2):
-            other = ndimage.convolve1d(other, _HANN, axis=axis, mode="constant")
-        total = mine.sum()
-        out[s] = 2 / dof * (mine * other).sum() / total**2 if total > 0 else np.nan
+            felt = ndimage.convolve1d(felt, _HANN, axis=axis, mode="constant")
+        felt = (felt * energy[:, *box]).sum(axis=0)
+        out[s] = 2 / dof * (planes[:, *box] * felt).sum(axis=(1, 2))
     return out
+
+
+def _alike(weight: Array, off: Array) -> float:
+    """How many times fewer independent waves lie across a ridge than the windows' own correlation counts.
+
+    `weight` is the energy of the cells of a ring, (lines, cells), `off` how far they lie from the ridge, in
+    cells. Cells are taken to be correlated as for even energy; where waves are narrower than the window all
+    cells across them hold the same: of Gaussian shapes the number is that of the width without the window's.
+    """
+    whole = weight.sum()
+    if not whole > 0:
+        return 1.0
+    mean = (weight * off).sum(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
+    seen = 2 * float((weight * (off - mean) ** 2).sum() / whole)
+    own = max(seen - 2 * _WINDOW, 0.0)
+    return float(np.sqrt((seen + _LIKE) / (own + _LIKE)))
+
+
+def _freedom(levels: Array, covariances: Array) -> Array:
+    # degrees of freedom of each sector's part of the sum over all, (sectors,)
+    total = max(levels.sum(), 1e-300)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mine = np.diag(covariances) / levels**2 - 2 * covariances.sum(axis=1) / (levels * total)
+    return np.asarray(2 / np.maximum(mine + covariances.sum() / total**2, 1e-12))
 
 
 def directions(
@@ -164,7 +190,8 @@ def directions(
     nodes does not look like a direction. The spread is sqrt(2 (1 - r1)), the resolution taken off: a Hann
     window of length L blurs k by (2 pi / L) / sqrt(3), cells and sectors by their width over sqrt(12). D and
     the harmonics keep that blur. The degrees of freedom are those of the energy found in a sector, its cells
-    and lines correlated as Hann windows have it, and of the sum over all that D is a fraction of.
+    and lines correlated as Hann windows have it, fewer the narrower the ridge is beside the window, and of
+    the sum over all sectors, which share cells, that D is a fraction of.
     """
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
@@ -175,6 +202,8 @@ def directions(
     ky, kx = density["ky"].values, density["kx"].values
     cells = float(ky[1] - ky[0]), float(kx[1] - kx[0])
     plane = _Sectors(ky, kx, sectors)
+    radius, angle = np.hypot(ky[:, None], kx).ravel(), np.arctan2(ky[:, None], kx).ravel()
+    across = np.hypot(cells[0] * np.sin(angle), cells[1] * np.cos(angle))  # of a cell, along its wave vector
     centres = wavenumber(2 * np.pi * frequency, depth, gamma)
     levels, degrees = np.empty((frequency.size, sectors)), np.full((frequency.size, sectors), np.nan)
     for i, (f, centre) in enumerate(zip(frequency, centres)):
@@ -183,14 +212,14 @@ def directions(
             chosen = np.array([np.abs(lines - f).argmin()])
         energy = in_still_water(density, chosen, current)
         shares, held = plane.of_ring(float(centre), max(_HALF_WIDTH * centre, _LEAST_CELLS * max(cells)))
-        sums = shares @ energy.mean(axis=0).ravel() * plane.cell
-        levels[i] = np.divide(sums, held, out=np.zeros(sectors), where=held > 0)
+        to_level = np.divide(plane.cell / chosen.size, held, out=np.zeros(sectors), where=held > 0)
+        levels[i] = shares @ energy.sum(axis=0).ravel() * to_level
         if dof is not None:
-            variance = _variances(shares, energy, dof)
-            p = levels[i] / max(levels[i].sum(), 1e-300)
-            # of a fraction of the whole
-            relative = (1 - 2 * p) * variance + np.nansum(p**2 * variance)
-            degrees[i] = 2 / np.maximum(relative, 1e-12)
+            on_line = wavenumber(2 * np.pi * lines[chosen], depth, gamma)
+            off = (radius - on_line[:, None]) / across
+            weight = shares.sum(axis=0) * energy.reshape(chosen.size, -1)
+            covariances = _covariances(shares, energy, dof / _alike(weight, off))
+            degrees[i] = _freedom(levels[i], covariances * np.outer(to_level, to_level))
     return _label(frequency, centres, levels, degrees, cells)
 
 

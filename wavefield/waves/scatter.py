@@ -18,7 +18,9 @@ Array = NDArray[Any]
 
 _NEAR = 2, 5  # rings and lines to both sides over which scatter is averaged
 _WIDE = 21, 81  # rings and lines over which likeness is averaged
-_MANY = 28  # segments: with fewer the scatter is averaged over more cells, so that as many powers tell it
+# segments, of products and of Gaussian waves: with fewer the scatter is averaged over more cells, so that as
+# many powers tell it
+_MANY = 28, 56
 _ALONG, _FAR = 11, 41  # lines, or rings, where the other axis is summed up
 _FURTHEST = 2  # segments apart that may be alike
 _TELLING = 8  # segments: fewer do not tell the scatter of Gaussian lines
@@ -65,25 +67,26 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
     Twice the squared mean over the variance of the mean of K segments: c_0 / K times how alike they are, 1 +
     2 sum (1 - L/K) c_L / c_0, c_L their covariance L apart, L to 2, each over what taking off the mean leaves
     of it. Of E(k, omega) the variance is told in parts of what the energy's spread over cells lets expect
-    (`Welch.freedom`), which follows the ridge, and averaged over 5 rings and 11 lines
-    (over the root of 28 / K times as many where K is less: as many powers tell it then); likeness, which is
-    less well known and changes less, over 21 and 81. Of E(omega) over 11 and 41 lines; of E(k), in parts of
-    what the rings' cells let expect, over as many rings. What is known from the scatter alone is
-    made (K - 1) / (K - 3) larger, Student's variance. Fewer than twelve segments are taken to be as alike
-    as those of white noise, and fewer than eight leave E(k, omega) of Gaussian lines at what is expected.
+    (`Welch.freedom`), which follows the ridge, and averaged over 5 rings and 11 lines (over root (56 / K)
+    times as many where K is less, of products (28 / K): as many powers tell it then); likeness,
+    which is less well known and changes less, over 21 and 81. Of E(omega) over 11 and 41 lines; of E(k), in
+    parts of what the rings' cells let expect, over as many rings. What is known from the scatter alone has
+    its likeness from as near as its variance and is made (n - 1) / (n - 3) larger, Student's variance with
+    the n = K / likeness segments that are not alike. Fewer than twelve segments are taken to be as alike as
+    those of white noise, and fewer than eight leave E(k, omega) of Gaussian lines at what is expected.
     """
     theory = welch.freedom(sums[name])
     if welch.count < LEAST_COUNT:
         rings, lines = theory.shape
         return {"both": theory, "omega": np.full(lines, np.nan), "k": np.full(rings, np.nan)}
     starts, powers = _series(sums, name)
-    parts, sizes = np.ones_like(theory), (_near(welch.count), _WIDE)
-    if not gaussian:  # their scatter is all that is known, and K segments tell it as Student's law has it
+    parts, near = np.ones_like(theory), _near(welch.count, _MANY[gaussian])
+    if not gaussian:  # their scatter is all that is known
         # products of waves make the cells of a ring rise and fall as one: many times what cells let expect
-        parts = _scatter(powers, starts, welch, theory / 2, sizes, doubt=0.0).clip(1 / _MOST, None)
-        parts *= (welch.count - 1) / (welch.count - 3)
+        parts = _scatter(powers, starts, welch, theory / 2, (near, near), only=True)
+        parts = parts.clip(1 / _MOST, None)
     elif welch.count >= _TELLING:
-        parts = _scatter(powers, starts, welch, theory / 2, sizes).clip(1 / _MOST, _MOST)
+        parts = _scatter(powers, starts, welch, theory / 2, (near, _WIDE)).clip(1 / _MOST, _MOST)
     lines = np.ones(powers.shape[2])
     on_omega = _scatter(powers.sum(axis=1), starts, welch, lines, (_ALONG, _FAR))
     on_k = _scatter(powers.sum(axis=2), starts, welch, welch.table.cells, (_ALONG, _FAR)) / welch.table.cells
@@ -120,21 +123,28 @@ def _scatter(
     welch: Welch,
     scale: Array,
     sizes: tuple[tuple[int, int] | int, ...],
-    doubt: float = _DOUBT,
+    only: bool = False,
 ) -> Array:
-    # relative variance of the mean of the segments, times a scale, averaged
+    # relative variance of the mean of the segments, times a scale, averaged; as Student has it where nothing
+    # else is known
     alone, whole = (part * scale for part in _variances(powers, starts, welch))
     near, wide = sizes
     least = 1 + (1 - 1 / welch.count) / 18  # of white noise
-    if welch.count < _ENOUGH:
-        return np.asarray(_smooth(alone, near) * least)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        likeness = np.nan_to_num(_smooth(whole, wide) / _smooth(alone, wide), nan=least)
-    return np.asarray(_smooth(alone, near) * np.maximum(likeness - doubt / np.sqrt(welch.count), least))
+    likeness = np.full(alone.shape, least)
+    if welch.count >= _ENOUGH:
+        doubt = 0.0 if only else _DOUBT / np.sqrt(welch.count)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = np.nan_to_num(_smooth(whole, wide) / _smooth(alone, wide), nan=least)
+        likeness = np.maximum(found - doubt, least)
+    out = _smooth(alone, near) * likeness
+    if only:
+        unlike = np.maximum(welch.count / likeness, LEAST_COUNT)
+        out *= (unlike - 1) / (unlike - 3)
+    return np.asarray(out)
 
 
-def _near(count: int) -> tuple[int, int]:
-    more = max(1.0, np.sqrt(_MANY / count))
+def _near(count: int, many: int) -> tuple[int, int]:
+    more = max(1.0, np.sqrt(many / count))
     rings, lines = (2 * round(more * half) + 1 for half in _NEAR)
     return rings, lines
 

@@ -15,6 +15,7 @@ from wavefield.water import GAMMA, dispersion
 Array = NDArray[Any]
 
 _LEAST = 12  # points of the ridge in a band
+_ROUNDS = 2  # the first does not know yet how the current varies within a band
 
 
 @dataclass(frozen=True)
@@ -72,8 +73,9 @@ def current_by_depth(
     -----
     Waves of wavenumber k feel 2 k int U(z) exp(2 k z) dz (Stewart and Joy 1974). A polynomial sum p_n z^n
     through these values at z = -1 / 2k comes from the current sum (p_n / n!) z^n (Smeltzer et al. 2019). The
-    degree is that of the least Akaike criterion for small samples. Uncertainties join the scatter of the
-    ridge within each band, the misfit of the polynomial and what one degree more would change.
+    degree is that of the least Akaike criterion. Within a band points are taken to its centre along the
+    polynomial of a first round. Uncertainties join the scatter of the ridge within each band, the misfit of
+    the polynomial and what one degree more would change.
 
     Examples
     --------
@@ -92,17 +94,21 @@ def current_by_depth(
     """
     settings = settings or ShearSettings()
     gamma = GAMMA if gamma is None else gamma
-    k, shift, std = _doppler(ridge, gamma, settings.bands)
-    if k.size < 3:
-        raise CubeError(
-            "the ridge holds too few points for a current by depth: choose a wider band or a longer record"
-        )
-    places = -1 / (2 * k)
-    if surface is not None:
-        places = np.append(places, 0.0)
-        shift = np.vstack([shift, surface])
-        std = np.vstack([std, [surface_std, surface_std]])
-    fits, degree = _polynomials(places, shift, std, settings.degree)
+    felt = np.zeros((1, 2))
+    for _ in range(_ROUNDS):
+        k, shift, std = _doppler(ridge, gamma, settings.bands, felt)
+        if k.size < 3:
+            raise CubeError(
+                "the ridge holds too few points for a current by depth: choose a wider band or a longer"
+                " record"
+            )
+        places = -1 / (2 * k)
+        if surface is not None:
+            places = np.append(places, 0.0)
+            shift = np.vstack([shift, surface])
+            std = np.vstack([std, [surface_std, surface_std]])
+        fits, degree = _polynomials(places, shift, std, settings.degree)
+        felt = fits[degree][0]
     z = np.linspace(places.min(), places.max(), 41)
     coefficients, covariances = fits[degree]
     powers = _powers(z, degree)
@@ -125,8 +131,10 @@ def _powers(z: Array, degree: int) -> Array:
     return np.asarray(z[:, None] ** np.arange(degree + 1) / factorials)
 
 
-def _doppler(ridge: xr.Dataset, gamma: float, bands: int) -> tuple[Array, Array, Array]:
-    # wavenumbers (bands,), Doppler velocity and its standard uncertainty (bands, 2)
+def _doppler(ridge: xr.Dataset, gamma: float, bands: int, felt: Array) -> tuple[Array, Array, Array]:
+    # wavenumbers (bands,), Doppler velocity and its standard uncertainty (bands, 2); `felt` are coefficients
+    # (degree + 1, 2) of what waves feel over -1 / 2k: within a band it takes each point to the band's centre,
+    # or its variation would count as scatter
     k, angle, omega, weight = (
         ridge[f"ridge_{name}"].values.astype(float) for name in ("k", "angle", "omega", "weight")
     )
@@ -148,14 +156,16 @@ def _doppler(ridge: xr.Dataset, gamma: float, bands: int) -> tuple[Array, Array,
         normal = heading.T @ (w[:, None] * heading)
         if np.linalg.cond(normal) > 1e4:
             continue
-        velocity = np.linalg.solve(normal, heading.T @ (w * apparent[inside]))
-        left = apparent[inside] - heading @ velocity
+        centre = np.average(k[inside], weights=w)
+        powers = [(-1 / (2 * at)) ** np.arange(len(felt)) for at in (k[inside][:, None], centre)]
+        along = apparent[inside] - (heading * ((powers[0] - powers[1]) @ felt)).sum(axis=1)
+        velocity = np.linalg.solve(normal, heading.T @ (w * along))
+        left = along - heading @ velocity
         inverse = np.linalg.inv(normal)
         # from the scatter of the points; a line shares its error with the next: half of them count
         pulls = heading * (w * left)[:, None]
         meat = pulls.T @ pulls
         covariance = 2 * inverse @ meat @ inverse
-        centre = np.average(k[inside], weights=w)
         found.append((centre, *velocity, *np.sqrt(np.diag(covariance))))
     rows = np.array(found).reshape(-1, 5)
     return rows[:, 0], rows[:, 1:3], np.maximum(rows[:, 3:5], 1e-5)
@@ -165,10 +175,9 @@ def _polynomials(
     places: Array, values: Array, std: Array, highest: int
 ) -> tuple[list[tuple[Array, list[Array]]], int]:
     # coefficients (degree + 1, 2) and their covariances of all degrees, and which is best by Akaike's
-    # criterion for small samples; one more than may be best
+    # criterion for known errors; one more than may be best
     fits: list[tuple[Array, list[Array]]] = []
     criteria: list[float] = []
-    n = values.size
     for degree in range(min(highest + 1, places.size - 1) + 1):
         basis = places[:, None] ** np.arange(degree + 1)
         columns, covariances, misfit = [], [], 0.0
@@ -181,9 +190,6 @@ def _polynomials(
             columns.append(solved)
             free = max(places.size - degree - 1, 1)
             covariances.append(np.linalg.inv(normal) * max(float(left @ left) / free, 1.0))
-        parameters = 2 * (degree + 1)
         fits.append((np.stack(columns, axis=1), covariances))
-        spare = n - parameters - 1
-        more = 2 * parameters * (parameters + 1) / spare if spare > 0 else np.inf
-        criteria.append(misfit + 2 * parameters + more)
+        criteria.append(misfit + 2 * 2 * (degree + 1))
     return fits, int(np.argmin(criteria[:-1]))
