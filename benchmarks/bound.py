@@ -1,12 +1,14 @@
-"""Bound waves as the images tell them: `python -m benchmarks.bound FOLDER [--frames 391] [--seed 401]`.
+"""Bound waves and B at crests as the images tell them: `python -m benchmarks.bound [FOLDER] [--seed 401]`.
 
 A steep sea with the waves that pairs of its waves force is simulated, calibrated and measured below FOLDER
-(what is there already is used). The part of its energy that is bound is found from the measured elevation,
-from the exact one, and from the exact one without its bound waves, and printed beside the exact part.
+(what is there already is used; a folder that goes if none is given). The part of its energy that is bound is
+found from the measured elevation, from the exact one, and from the exact one without its bound waves, and
+printed beside the exact part. Then B = u / c at crests, beside that of the exact fields.
 """
 
 import argparse
 import dataclasses
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ import xarray as xr
 
 import wavefield as wf
 import wavefield.waves as wv
+from benchmarks import crests
 from wavefield.tank import Scene, Sea, simulate
 
 
@@ -42,28 +45,36 @@ def bound(z: xr.DataArray, segment: int, depth: float) -> xr.Dataset:
     return wv.free_and_bound(found["E"], depth, dof=float(found["dof"]))
 
 
-def main() -> None:
-    """Print a row for each length of the segments."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--frames", type=int, default=391)
-    parser.add_argument("--seed", type=int, default=401)
-    parser.add_argument("--segments", type=int, nargs="+", default=[128, 192, 256])
-    given = parser.parse_args()
-    scene = Scene.load("steep").with_(frames=given.frames, seed=given.seed, sea={"shortest": 0.15})
-    cube = measured(given.folder, scene)
+def tables(folder: Path, scene: Scene, segments: list[int]) -> None:
+    """Print a row for each length of the segments, and B at crests."""
+    cube = measured(folder, scene)
     sea = scene.sea.build(scene.seed)
     whole, free = elevation(sea, cube), elevation(dataclasses.replace(sea, bound=0), cube)
     print("| segment | exact | from exact fields | from images | from free waves alone |\n|" + "---|" * 5)
-    for segment in given.segments:
+    for segment in segments:
         energy = [float(wv.spectrum(z, segment=segment)["E"][2:].sum()) for z in (whole - free, whole)]
         cells = [f"{energy[0] / energy[1]:.5f}"]
         for z in (whole, cube["z"], free):
             part = bound(z, segment, sea.depth)
             cells.append(f"{float(part['bound_fraction']):.5f} +- {float(part['bound_fraction_std']):.5f}")
         print(f"| {segment} | {' | '.join(cells)} |", flush=True)
+    truth = xr.open_zarr(folder / "tank" / "truth" / "truth.zarr", chunks=None, consolidated=False)
+    crests.print_table(cube, truth)
+
+
+def main() -> None:
+    """Simulate, measure, print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--frames", type=int, default=391)
+    parser.add_argument("--seed", type=int, default=401)
+    parser.add_argument("--segments", type=int, nargs="+", default=[128, 192, 256])
+    given = parser.parse_args()
+    scene = Scene.load("steep").with_(frames=given.frames, seed=given.seed, sea={"shortest": 0.15})
+    with tempfile.TemporaryDirectory() as other:
+        tables(given.folder or Path(other), scene, given.segments)
 
 
 if __name__ == "__main__":
