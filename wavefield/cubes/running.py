@@ -19,7 +19,6 @@ from wavefield.cubes.cluster import open_cluster, threads_here
 from wavefield.cubes.fingerprint import check_images, fingerprints
 from wavefield.cubes.guards import Stopped, jobs_folder, log_file, log_path, stop_signals
 from wavefield.cubes.interrupts import undisturbed
-from wavefield.cubes.judgement import judge
 from wavefield.cubes.learning import learn_record
 from wavefield.cubes.lock import Lock
 from wavefield.cubes.prepare import Prepared, load_files, prepare
@@ -166,6 +165,8 @@ def process(
             raise RunStopped(
                 f"stopped{_why(stop)}{_how_far(path)}; nothing is lost, and the same command goes on"
             ) from None
+    with undisturbed():  # what only the end needs comes when the rest is done
+        from wavefield.cubes.judgement import judge
     found = status(path)
     judge(prepared, found).save(path)
     return status(path)
