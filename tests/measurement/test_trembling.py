@@ -1,12 +1,21 @@
 """Cameras that move against each other: it shows on the mean over the field and makes the water uncertain."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from measurement_cases import RATE
 
-from wavefield.measurement import measure
-from wavefield.measurement.trembling import left_over, line_of, of_elevation, of_the_water
+from wavefield.measurement import Plan, measure
+from wavefield.measurement.trembling import (
+    left_over,
+    line_of,
+    motion_for,
+    of_elevation,
+    of_the_water,
+    unsteady,
+)
 from wavefield.variables import Quality
 
 LINE = np.array([1.0, 0.0])
@@ -58,6 +67,36 @@ def test_elevation_is_as_uncertain_as_moving_pictures_make_it():
     assert said == pytest.approx(np.mean(off**2), rel=0.06)
     assert of_elevation(z[0, :1], lengths[:1]) == 0.0
     assert of_elevation(z[0, :1], lengths[:1], 0.5) > 0.5
+
+
+def test_a_level_that_no_water_has_is_unsteady_and_a_tank_that_sloshes_is_not():
+    rng = np.random.default_rng(4)
+    t = np.arange(6)
+    jumps = [unsteady(rng.normal(0, 0.1, 6) + np.sin(0.2 * t + p), 0.5) for p in np.linspace(0, 6, 900)]
+    assert np.sqrt(np.mean(np.square(jumps))) == pytest.approx(0.1, rel=0.1)
+    for turn in (0.1, 0.5, 1.0):
+        assert max(unsteady(np.sin(turn * t + p), 1.2 * turn) for p in np.linspace(0, 6, 50)) < 0.03
+    lengths = np.array([1.1, -0.9])
+    assert of_elevation(np.zeros(2), lengths, motion_for(0.3, lengths) ** 2) == pytest.approx(0.09)
+
+
+def test_two_cameras_of_which_one_trembles_along_their_line_are_not_believed_either(series, plan):
+    rng = np.random.default_rng(6)
+    rig = type(series.rig)({name: series.rig[name] for name in ("cam1", "cam2")})
+    steady = {name: series.block(1)[name] for name in rig}
+    frames = {name: list(images) for name, images in steady.items()}
+    for k, image in enumerate(frames["cam1"]):
+        moved = np.array([[1.0, 0.0, rng.normal(0, 0.2)], [0.0, 1.0, 0.0]])
+        frames["cam1"][k] = cv2.warpAffine(image, moved, image.shape[::-1], flags=cv2.INTER_LANCZOS4)
+    known = tuple(prior for prior in plan.record.displacement if prior[0] in frames)
+    two = Plan(rig, series.grid).knowing(replace(plan.record, displacement=known))
+    still, out = (measure(f, two, RATE) for f in (steady, frames))
+    measured = series.inside & ((out["quality"][0] & Quality.MEASURED) > 0)
+    assert measured.sum() > 0.5 * series.inside.sum()
+    for name in ("z", "w"):
+        error = np.abs(out[name][0] - series.truth[1][name])[measured]
+        assert (error > 5 * still[f"{name}_std"][0][measured]).mean() > 0.5
+        assert (error > 5 * out[f"{name}_std"][0][measured]).mean() < 0.01
 
 
 def test_a_camera_that_trembles_along_the_line_is_not_believed_to_a_hundredth_of_a_pixel(series, plan):

@@ -356,12 +356,10 @@ def _shaken(matches: Sequence[PairMatch], plan: Plan) -> float:
     told = np.logical_and.reduce([m.valid for m in matches])
     if told.sum() < _FEW:
         told = np.logical_or.reduce([m.valid for m in matches])
-    middle = np.array([m.parallax[:, told].mean(axis=1) for m in matches])
-    lengths = np.hypot(*middle.T) * np.where(middle @ middle[0] < 0.0, -1.0, 1.0)
     heights = [np.median(_height(m.parallax, m.difference)[told]) for m in matches]
     assert plan.record is not None
     between = plan.record.trembling[0] * plan.pixel  # two frames, each of which has moved
-    return of_elevation(np.array(heights), lengths, 0.5 * between**2)
+    return of_elevation(np.array(heights), plan.parallaxes([m.pair for m in matches]), 0.5 * between**2)
 
 
 def _sheet(thickness: float, shape: tuple[int, int]) -> Surface:

@@ -17,11 +17,16 @@ from wavefield.measurement.instant import Instant, look
 from wavefield.measurement.learn import learn, sample_steps
 from wavefield.measurement.midtime import at_mid_time, frames_used
 from wavefield.measurement.plan import Plan
+from wavefield.measurement.trembling import motion_for, unsteady
 from wavefield.measurement.unresolved import Unresolved, typical
 from wavefield.measurement.velocity import Motion, velocity
 from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality
+from wavefield.water import GRAVITY
 
 Frames = Mapping[str, Sequence[NDArray[Any] | None]]
+
+_FEW = 50  # nodes: fewer do not tell the level of the water
+_SIX = 0.84  # root of the sum of squares of the weights of six frames in z at mid-time
 
 
 @one_thread()
@@ -120,7 +125,7 @@ def _step(
         return
     if before.surface is None or after.surface is None:
         out["quality"][:] |= np.uint16(Quality.TWO_FRAME_MEAN)
-    seen = _look_at(window, moves, plan)
+    seen = _look_at(window, moves, plan, frame_rate)
     if seen is None:
         return
     surfaces, moved = seen.surfaces, seen.moved
@@ -185,11 +190,13 @@ class _Seen:
     left_out: frozenset[str] = frozenset()
 
 
-def _look_at(window: Sequence[Instant], moves: Sequence[Flows], plan: Plan) -> _Seen | None:
+def _look_at(
+    window: Sequence[Instant], moves: Sequence[Flows], plan: Plan, frame_rate: float
+) -> _Seen | None:
     """Surfaces and motion of a step; None if nothing can be said of it."""
     surfaces: list[Surface | None] = [instant.surface for instant in window]
-    at_mid = at_mid_time(surfaces)
-    moved = velocity(moves, at_mid[0], plan)
+    at_mid, trembles = _at_mid_time(surfaces, plan, frame_rate)
+    moved = velocity(moves, at_mid[0], plan, None, trembles)
     if moved is None or not (moved.left_out or moved.regions):
         return None if moved is None else _Seen(surfaces, *at_mid, moved)
     left_out: frozenset[str] = frozenset()
@@ -201,9 +208,26 @@ def _look_at(window: Sequence[Instant], moves: Sequence[Flows], plan: Plan) -> _
         moves = [{n: f for n, f in flow.items() if n not in left_out} for flow in moves]
     else:
         surfaces = [_mended(instant, moved.regions, plan) for instant in window]
-    at_mid = at_mid_time(surfaces)
-    moved = velocity(moves, at_mid[0], plan, moved.regions)
+    at_mid, trembles = _at_mid_time(surfaces, plan, frame_rate)
+    moved = velocity(moves, at_mid[0], plan, moved.regions, trembles)
     return None if moved is None else _Seen(surfaces, *at_mid, moved, left_out)
+
+
+def _at_mid_time(
+    surfaces: Sequence[Surface | None], plan: Plan, frame_rate: float
+) -> tuple[tuple[Any, Any, Any], float]:
+    """z, its uncertainty and rise; the motion of the pictures between frames for which it is unsteady, px."""
+    z, std, rise = at_mid_time(surfaces)
+    known = [one for one in surfaces if one is not None]
+    told = np.logical_and.reduce([(one.quality & Quality.MEASURED) > 0 for one in known])
+    if len(known) < len(surfaces) or told.sum() < _FEW or plan.settings.sheet_thickness is not None:
+        return (z, std, rise), 0.0
+    # waves of half the field's width and more move its mean
+    shortest = 0.5 * max(min(np.ptp(plan.x), np.ptp(plan.y)), plan.grid.step)
+    turn = float(np.sqrt(2.0 * np.pi * GRAVITY / shortest)) / frame_rate
+    level = unsteady([float(one.z[told].mean(dtype=np.float64)) for one in known], turn)
+    motion = np.sqrt(2.0) * motion_for(level, plan.parallaxes(plan.pairs)) / plan.pixel
+    return (z, np.hypot(std, np.float32(_SIX * level)), rise), float(motion)
 
 
 def _without(cameras: Collection[str], plan: Plan) -> np.uint16:

@@ -295,6 +295,24 @@ class Plan:
             settings = replace(settings, search_x=ranges[0], search_y=ranges[1])
         return settings
 
+    def parallaxes(self, pairs: Sequence[tuple[str, str]]) -> NDArray[Any]:
+        """Length of the parallax of pairs with one reference in the middle of the grid.
+
+        Parameters
+        ----------
+        pairs : sequence of (str, str)
+            The reference first.
+
+        Returns
+        -------
+        ndarray, (P,)
+            Metres per metre of elevation; negative on the other side of the reference than the first.
+        """
+        x, y = 0.5 * (self.grid.x[0] + self.grid.x[1]), 0.5 * (self.grid.y[0] + self.grid.y[1])
+        lean = {n: np.array(self.rig[n].sight_line(x, y), float) for pair in pairs for n in pair}
+        parallax = np.array([lean[b] - lean[a] for a, b in pairs])
+        return np.hypot(*parallax.T) * np.where(parallax @ parallax[0] < 0.0, -1.0, 1.0)
+
     def pairs_for(self, present: Sequence[str]) -> tuple[tuple[str, str], ...]:
         """Pairs that can work when only some cameras have a frame.
 

@@ -3,7 +3,8 @@
 A camera that shakes moves its whole picture: an error that all nodes share, of which noise that is measured
 from place to place knows nothing. Part of it shows, in what is left of the cameras' displacements on the mean
 over the field: across the line on which they stand for each of them, along it for three or more in one
-combination. Nothing says whose it is; so all are thought to move alike, as far as explains what shows.
+combination; another one lifts all of the water in one frame and lets it down in the next. Nothing says whose
+it is; so all are thought to move alike, as far as explains what shows.
 """
 
 from __future__ import annotations
@@ -153,12 +154,73 @@ def of_elevation(heights: Float, lengths: Float, least: float = 0.0) -> float:
     >>> of_elevation(np.array([6.0, 0.0]), np.array([1.0, -1.0]))
     3.0
     """
-    L = np.asarray(lengths, float)
-    h = np.square(L) / np.sum(np.square(L))
-    of = np.column_stack([-1.0 / L, np.diag(1.0 / L)])  # pairs by cameras, the reference first
-    rest = np.eye(len(L)) - h
+    of, all_pairs = _of_pairs(lengths)
+    rest = np.eye(len(of)) - all_pairs
     shows = float(np.sum(np.square(rest @ heights)) / max(np.sum(np.square(rest @ of)), 1e-30))
-    return max(shows, least) * float(np.sum(np.square(h @ of)))
+    return max(shows, least) * float(np.sum(np.square(all_pairs @ of)))
+
+
+def _of_pairs(lengths: Float) -> tuple[Float, Float]:
+    """What motion of the pictures along the line makes of each pair's elevation, (P, P + 1), the reference
+    first, and the weights of the pairs."""
+    L = np.asarray(lengths, float)
+    return np.column_stack([-1.0 / L, np.diag(1.0 / L)]), np.square(L) / np.sum(np.square(L))
+
+
+def motion_for(level: float, lengths: Float) -> float:
+    """Motion of every camera's picture on the water along the line that moves the level of z by so much.
+
+    Parameters
+    ----------
+    level : float
+        Standard deviation of the elevation of all nodes alike, metres.
+    lengths : ndarray, (P,)
+        As for `of_elevation`.
+
+    Returns
+    -------
+    float
+        Standard deviation, metres.
+
+    Examples
+    --------
+    >>> round(motion_for(1.0, np.array([1.0, -1.0])), 3)
+    1.414
+    """
+    of, all_pairs = _of_pairs(lengths)
+    return level / float(np.sqrt(np.sum(np.square(all_pairs @ of))))
+
+
+def unsteady(levels: Sequence[float], turn: float) -> float:
+    """How far the mean level of the water moves as no water does, from frame to frame.
+
+    Parameters
+    ----------
+    levels : sequence of float
+        Mean elevation over the same nodes in six consecutive frames, metres.
+    turn : float
+        Phase by which the shortest waves turn from frame to frame that such a mean still follows, rad.
+
+    Returns
+    -------
+    float
+        Standard deviation of each, metres, that explains their fifth difference; 0 where waves do.
+
+    Notes
+    -----
+    Of levels that err by s each, the fifth difference errs by sqrt(252) s; of a wave whose phase turns by p
+    from frame to frame it keeps (2 sin(p/2))^5, a hundredth at p = .4: so much of the levels' own amplitude
+    is taken off.
+
+    Examples
+    --------
+    >>> unsteady([0, 1, 4, 9, 16, 25], 0.5)
+    0.0
+    >>> round(unsteady([0, 0, 1, 0, 0, 0], 0.5), 2)
+    0.63
+    """
+    waves = 2.0 * float(np.var(levels)) * (2.0 * np.sin(0.5 * min(turn, np.pi))) ** 10
+    return float(np.sqrt(max(float(np.diff(levels, 5)[0]) ** 2 - waves, 0.0) / 252.0))
 
 
 def _directions(J: Float, line: Float) -> tuple[Float, Float]:

@@ -120,6 +120,7 @@ def velocity(
     z: NDArray[Any],
     plan: Plan,
     without: Mapping[str, NDArray[np.bool_]] | None = None,
+    unsteady: float = 0.0,
 ) -> Motion | None:
     """Displacement per step of the surface water at the nodes, at mid-time.
 
@@ -133,6 +134,9 @@ def velocity(
         Everything computed beforehand, its record learned.
     without : mapping of str to ndarray of bool, (ny, nx), optional
         Where a camera is to be left out; found from the cameras' misfit if not given.
+    unsteady : float, default 0
+        Motion of the pictures from frame to frame along the line on which the cameras stand, px, that the
+        surfaces tell of; what the displacements themselves tell is known.
 
     Returns
     -------
@@ -154,12 +158,12 @@ def velocity(
     if len(names) < 2:
         return None
     seen = look_at_nodes(names, steps, z, plan)
-    motion = _solved(seen, plan)
+    motion = _solved(seen, plan, unsteady)
     known = (seen.rejected == 0).all(axis=0)
 
     @cache
     def by_others(n: int) -> Motion:
-        return _solved(_others(seen, n), plan)
+        return _solved(_others(seen, n), plan, unsteady)
 
     def misfit_without(n: int) -> Float:
         return by_others(n).misfit
@@ -260,7 +264,7 @@ def _along_path(
     return d, block, np.where(both, noise / 24.0**2, own), np.take(here.missing, block[1])
 
 
-def _solved(seen: Seen, plan: Plan) -> Motion:
+def _solved(seen: Seen, plan: Plan, unsteady: float) -> Motion:
     """Least squares over the cameras."""
     record = plan.record
     assert record is not None
@@ -275,8 +279,9 @@ def _solved(seen: Seen, plan: Plan) -> Motion:
     missing = (weight * seen.missing / _signal(seen, parts)).sum(axis=0)
     variance = np.moveaxis(np.square(d_std), -1, 0)
     variance += missing * np.asarray(parts)[:, None, None]
-    size = np.maximum(seen.trembling()[1], record.trembling)
-    shaken = of_the_water(seen.jacobian, 1.0 / seen.variance, seen.told, seen.line, (size[0], size[1]))
+    along, across = np.maximum(seen.trembling()[1], record.trembling)
+    size = max(along, unsteady), across
+    shaken = of_the_water(seen.jacobian, 1.0 / seen.variance, seen.told, seen.line, size)
     variance += shaken[:, None, None]
     enough = trusted.sum(axis=0) >= 2
     why = np.bitwise_or.reduce(seen.rejected & ~np.uint16(Quality.OUTSIDE), axis=0)
