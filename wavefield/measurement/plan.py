@@ -311,7 +311,8 @@ class Plan:
         x, y = 0.5 * (self.grid.x[0] + self.grid.x[1]), 0.5 * (self.grid.y[0] + self.grid.y[1])
         lean = {n: np.array(self.rig[n].sight_line(x, y), float) for pair in pairs for n in pair}
         parallax = np.array([lean[b] - lean[a] for a, b in pairs])
-        return np.hypot(*parallax.T) * np.where(parallax @ parallax[0] < 0.0, -1.0, 1.0)
+        out: NDArray[Any] = np.hypot(*parallax.T) * np.where(parallax @ parallax[0] < 0.0, -1.0, 1.0)
+        return out
 
     def pairs_for(self, present: Sequence[str]) -> tuple[tuple[str, str], ...]:
         """Pairs that can work when only some cameras have a frame.

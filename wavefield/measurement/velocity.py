@@ -264,7 +264,7 @@ def _along_path(
     return d, block, np.where(both, noise / 24.0**2, own), np.take(here.missing, block[1])
 
 
-def _solved(seen: Seen, plan: Plan, unsteady: float) -> Motion:
+def _solved(seen: Seen, plan: Plan, unsteady: float = 0.0) -> Motion:
     """Least squares over the cameras."""
     record = plan.record
     assert record is not None
