@@ -70,6 +70,9 @@ class Learner:
                 self.plan = self._bare.knowing(record)
         except (WavefieldError, ValueError) as error:  # what was known stays
             log.warning("these frames taught nothing: %s", error)
+        except RuntimeError:  # pools take nothing more while the program ends
+            if threading.main_thread().is_alive():
+                raise
         self._next = time.monotonic() + max(_LEAST, _IDLE * (time.monotonic() - begun))
 
     def wait(self) -> None:

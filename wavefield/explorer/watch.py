@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from wavefield.errors import FrameError, WavefieldError
 from wavefield.series import Experiment
-from wavefield.series.listing import number_frames
+from wavefield.series.listing import newest_frames
 from wavefield.series.readers import Entry, read_entry
 
 _BACK = 3  # frames to go back where the newest cannot be read yet
+_KEPT = 1000  # frames that are known: no camera that still sends is as many behind the others
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Watch:
         """List the folders."""
         for name, section in self.experiment.cameras.items():
             try:
-                found = number_frames(section.images, self.experiment.image_folder, name)
+                found = newest_frames(section.images, self.experiment.image_folder, name, _KEPT)
             except WavefieldError as error:
                 self.trouble[name] = str(error)
                 continue

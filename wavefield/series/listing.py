@@ -8,6 +8,7 @@ import fnmatch
 import os
 import re
 from collections.abc import Mapping, Sequence
+from heapq import nlargest
 from pathlib import Path
 
 import numpy as np
@@ -52,10 +53,49 @@ def number_frames(images: str | Sequence[str | None], folder: Path, camera: str)
     if is_remote(name):
         return _from_store(name, camera)
     path = folder / name
-    if _FRAME.search(str(path)) or any(c in str(path.name) for c in "*?["):
-        return _from_names(path, camera)
+    if _has_pattern(path):
+        prefix = str(path.parent) + os.sep
+        names = _names(path, camera)
+        return {number: Entry("file", prefix + name) for number, name in sorted(names.items())}
     kind, count = _counted(path, camera)
     return {i: Entry(kind, str(path), i) for i in range(count)}
+
+
+def newest_frames(images: str | Sequence[str | None], folder: Path, camera: str, count: int) -> Numbered:
+    """Give the newest images of a camera their frame numbers, however many there are.
+
+    Parameters
+    ----------
+    images, folder, camera
+        As of `number_frames`.
+    count : int
+        How many frames, those with the highest numbers.
+
+    Returns
+    -------
+    dict of int to Entry
+        Frame number to where it is, the newest first.
+
+    Raises
+    ------
+    ExperimentError
+        As `number_frames`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     for number in range(8, 12):
+    ...         Path(folder, f"img_{number}.tif").touch()
+    ...     list(newest_frames("img_{frame}.tif", Path(folder), "cam1", 2))
+    [11, 10]
+    """
+    path = folder / images.replace("{camera}", camera) if isinstance(images, str) else folder
+    if not isinstance(images, str) or is_remote(images) or not _has_pattern(path):
+        found = number_frames(images, folder, camera)
+        return {number: found[number] for number in nlargest(count, found)}
+    names = _names(path, camera)
+    return {number: Entry("file", str(path.parent / names[number])) for number in nlargest(count, names)}
 
 
 def _from_store(address: str, camera: str) -> Numbered:
@@ -131,15 +171,18 @@ def list_folder(folder: Path, camera: str) -> list[str]:
         ) from None
 
 
-def _from_names(path: Path, camera: str) -> Numbered:
+def _has_pattern(path: Path) -> bool:
+    return bool(_FRAME.search(str(path))) or any(c in path.name for c in "*?[")
+
+
+def _names(path: Path, camera: str) -> dict[int, str]:
+    """Names of the files in a folder that fit a pattern, by frame number."""
     folder, pattern = path.parent, path.name
     if _FRAME.search(str(folder)) or any(c in str(folder) for c in "*?["):
         raise ExperimentError(
             f"images of {camera}: {path} has a pattern in its folder; only the file may vary"
         )
-    numbered = _numbered(list_folder(folder, camera), pattern, folder, camera)
-    prefix = str(folder) + os.sep
-    return {number: Entry("file", prefix + name) for number, name in sorted(numbered.items())}
+    return _numbered(list_folder(folder, camera), pattern, folder, camera)
 
 
 def _numbered(names: Sequence[str], pattern: str, folder: Path | str, camera: str) -> dict[int, str]:
