@@ -182,6 +182,16 @@ def test_noise_that_is_thought_too_small_is_not_taken_for_waves():
     assert prior.gain(np.array([2.2]))[0] < 0.1
 
 
+def test_a_hole_is_solved_more_closely_but_not_some_blocks_of_which_little_is_known():
+    modes = Modes(prior_of(steep_law), (40, 60))
+    information = np.ones((40, 60), np.float32)
+    evenly = modes.tolerances(information)
+    information[18:26, 30:38] = 0.0  # bare with all their surroundings: 3 x 3 blocks
+    assert modes.tolerances(information) == evenly
+    information[14:26, 30:42] = 0.0
+    assert all(close < loose for close, loose in zip(modes.tolerances(information), evenly))
+
+
 def test_noise_is_thought_larger_around_a_hole_only():
     information = np.ones((60, 80), np.float32)
     information[:3] = 0  # the lattice's edge is no hole

@@ -34,6 +34,7 @@ _FAINT = 2e-2  # signal over noise below which a mode is left out: it would keep
 _EXACT = 300  # modes of the highest signal over noise that the preconditioner solves exactly
 _STEPS = 200  # at most; some ten are usual
 _BARE = 0.15  # of the typical information, over 7 x 7 blocks: less is a hole
+_HOLE = np.ones((5, 5), np.uint8)  # blocks, bare all of them: smaller holes are as soon solved as the rest
 _UNEVEN = 0.25  # between the noise of both components: more is no noise, as of images that do not match
 _CLOSE = 0.03, 0.007  # tolerances of the solver at the first and the second look
 _LOOSE = 0.1, 0.025  # the same without holes: only what lies far from any block converges late
@@ -324,7 +325,7 @@ class Modes:
             For `solve`: closer where there are holes, in which the field follows last.
         """
         hole = bare(information, self.prior.information) & self._wanted
-        return _CLOSE if hole.any() else _LOOSE
+        return _CLOSE if cv2.erode(hole.view(np.uint8), _HOLE).any() else _LOOSE
 
     def solve(
         self,
