@@ -142,10 +142,11 @@ class Cells:
         h, w = self.image.shape
         self.side = _side(h, w, self.width)
         self.sums = np.empty((2, h // self.side, w // self.side), F)
-        rows = np.empty((3, w), F)
+        rows = np.empty((3, w + (48 - w) % 256), F)  # never a page apart, as in `kernels.scratch`
         _cell_sums(self.image, self.good, self.side, rows, self.sums)
-        self.largest = float(rows[2].max())
-        self.brightest = np.flatnonzero(rows[2] == self.largest)
+        top = rows[2, :w]
+        self.largest = float(top.max())
+        self.brightest = np.flatnonzero(top == self.largest)
         self.finite = bool(np.isfinite(self.sums[0].sum()))
 
     def local(self, number: int) -> np.ndarray:
