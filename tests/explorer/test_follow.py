@@ -2,15 +2,19 @@
 
 import os
 import shutil
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
 import pytest
 import xarray as xr
 
+from wavefield.explorer import learner as learning
 from wavefield.explorer.features import bead_size, features
 from wavefield.explorer.follower import Follower
+from wavefield.explorer.learner import Learner
 from wavefield.explorer.lights import verdict
 from wavefield.explorer.watch import Watch
 from wavefield.images import write_image
@@ -313,3 +317,18 @@ def test_what_a_record_is_like_is_learned_anew_while_it_is_followed(small_tank, 
     learner.wait()
     assert learner.plan is not first
     assert learner.plan.record != first.record
+
+
+def test_a_program_that_ends_while_it_learns_says_nothing_of_it(monkeypatch):
+    """Pools end before threads do; any other failure of theirs is one."""
+
+    def learn(*_):
+        with ThreadPoolExecutor(1) as pool:
+            pool.shutdown()
+            pool.submit(int)
+
+    monkeypatch.setattr(learning, "learn", learn)
+    Learner(None)._learn()
+    monkeypatch.setattr(learning, "learn", lambda *_: threading.Lock().release())
+    with pytest.raises(RuntimeError, match="release unlocked lock"):
+        Learner(None)._learn()

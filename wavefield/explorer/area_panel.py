@@ -78,9 +78,9 @@ class AreaPanel:
         self.density.data = {"f": [], "e": [], "low": [], "high": []}
         if found.spectrum is not None:
             e = found.spectrum.density
-            low, high = found.spectrum.low, found.spectrum.high
-            self.density.data = {"f": found.spectrum.frequency, "e": e, "low": e * low, "high": e * high}
-            lines.title.text = f"95 % as of one node: factor {number(low, 2)} to {number(high, 2)}"
+            least, most = found.spectrum.low, found.spectrum.high
+            self.density.data = {"f": found.spectrum.frequency, "e": e, "low": e * least, "high": e * most}
+            lines.title.text = f"95 % as of one node: factor {number(least, 2)} to {number(most, 2)}"
         else:
             lines.title.text = "too short a record without gaps for a spectrum"
         finite = np.isfinite(found.mean)

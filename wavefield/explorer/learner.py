@@ -70,8 +70,8 @@ class Learner:
                 self.plan = self._bare.knowing(record)
         except (WavefieldError, ValueError) as error:  # what was known stays
             log.warning("these frames taught nothing: %s", error)
-        except RuntimeError:  # pools take nothing more while the program ends
-            if threading.main_thread().is_alive():
+        except RuntimeError as error:
+            if not str(error).startswith("cannot schedule"):  # the program ends, and its pools before it
                 raise
         self._next = time.monotonic() + max(_LEAST, _IDLE * (time.monotonic() - begun))
 
