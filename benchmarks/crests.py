@@ -15,7 +15,7 @@ def inside(cube: xr.Dataset) -> xr.Dataset:
     """The middle of a record on the largest rectangle that is measured throughout, without its edge."""
     first = max((cube.sizes["time"] - STEPS) // 2, 0)
     some = cube[FIELDS].isel(time=slice(first, first + STEPS)).load()
-    (a, b), (c, d) = largest_rectangle(np.isfinite(some["z"]).all("time").values)
+    (a, b), (c, d) = largest_rectangle(some["z"].notnull().all("time").values)
     part = some.isel(y=slice(a + EDGE, b - EDGE), x=slice(c + EDGE, d - EDGE))
     return part.assign_attrs(cube.attrs)
 

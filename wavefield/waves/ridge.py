@@ -11,9 +11,10 @@ from scipy.optimize import least_squares
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
-from wavefield.water import GAMMA, dispersion, group_velocity
+from wavefield.water import GAMMA, dispersion, group_velocity, wavenumber
 from wavefield.waves import kernels
 from wavefield.waves.current_scan import LONGEST, Plane, plane_of, scan_current
+from wavefield.waves.ridge_contrast import contrast, fraction
 from wavefield.waves.ridge_windows import Cells, as_seen
 from wavefield.waves.welch import k_coords
 
@@ -21,9 +22,13 @@ Array = NDArray[Any]
 
 _ASTRAY = 0.1  # of k: a ridge lies within 3 %, what is taken for one by mistake within 8 to 70 %
 _LEAST = 1e-3  # of the strongest sector on a line: what is weaker has leaked
+_LEAST_POINTS = 6
 _HELD_UP = 0.3  # of the free group velocity: waves that a current slows more smear over all k
 _ROBUST = 0.05  # of a misfit over sqrt(k): larger ones count less
 _LEANING = 0.3  # cells of the k plane: what the windows move further is theirs
+_WHOLE = 0.8  # of the grid's shortest waves' k: shorter ones are seen in part
+_FILM = 0.3  # of the surface tension: so far water may differ from what is given
+_UNKNOWN = 0.02  # m/s: a current that is known no better is not stated
 _TENSION = 0.02  # of the surface tension: what noisy seas leave wrong in it
 _CONTRAST = 1.5  # energy on the ridge over what its cells hold at other frequencies: noise has .9 to 1.2
 _MENDS = 2  # rounds in which the windows' doing is taken off
@@ -36,8 +41,8 @@ class FitSettings:
     Parameters
     ----------
     lowest, highest : float
-        Band of frequencies used, Hz; waves longer than two fifths of the shorter side of the rectangle are
-        left out besides.
+        Band of frequencies used, Hz, and further up those waves that pass faster on a current; waves longer
+        than two fifths of the shorter side of the rectangle are left out besides.
     sectors : int
         Sectors of angle.
     half_width : float
@@ -90,6 +95,9 @@ def _centroids(
     parts = []
     table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
     free = dispersion(table, depth, fit[2])
+    whole = _WHOLE * min(plane.kx.max(), plane.ky.max())
+    highest = 2 * np.pi * settings.highest
+    limit = np.where(omega <= highest, whole, min(whole, wavenumber(highest, depth, fit[2])))
     for number, sector in enumerate(sectors):
         centres = _branch(omega, table, free, fit[0] * np.cos(sector.theta) + fit[1] * np.sin(sector.theta))
         reach = np.maximum(settings.half_width * centres, settings.least_width * plane.cell)
@@ -99,7 +107,7 @@ def _centroids(
         sums = np.empty((4, omega.size))  # weight, of k, of the heading
         kernels.windowed_sums(energy, noise, sector.cells, sector.k, sector.heading, first, last, sums)
         count = last - first
-        held = (count >= 5) & (sums[0] > 0) & np.isfinite(centres)
+        held = (count >= 5) & (sums[0] > 0) & (centres < limit)
         weight = sums[0, held]
         k = sums[1, held] / weight
         k -= plane.spread / (2 * k)
@@ -153,9 +161,9 @@ def _solve(points: Array, depth: float, start: Array) -> Array:
     return np.array([result.x[0], result.x[1], max(result.x[2], 0.0) * 1e-5])
 
 
-def _spreads(points: Array, depth: float, fit: Array) -> Array:
-    # from the scatter of the points about the fit, those of half a hertz and an octant of directions taken
-    # together: they share waves, and whatever else is wrong with them (sandwich of clusters)
+def _covariance(points: Array, depth: float, fit: Array) -> Array:
+    # of the fit, from the scatter of the points about it, those of half a hertz and an octant of directions
+    # taken together: they share waves, and whatever else is wrong with them (sandwich of clusters)
     misfit, scaled = _misfit(points, depth), fit * [1, 1, 1e5]
     steps = np.diag([1e-4, 1e-4, 1e-2])
     slopes = np.stack([(misfit(scaled + d) - misfit(scaled - d)) / (2 * d.sum()) for d in steps], axis=1)
@@ -166,12 +174,20 @@ def _spreads(points: Array, depth: float, fit: Array) -> Array:
     count = int(cluster.max()) + 1
     normal = (slopes * robust[:, None]).T @ slopes
     if count <= 3 or np.linalg.cond(normal) > 1e12:
-        return np.full(3, np.nan)
+        return np.full((3, 3), np.nan)
     pulls = np.zeros((count, 3))
     np.add.at(pulls, cluster, slopes * (robust * left)[:, None])
     inverse = np.linalg.inv(normal)
     covariance = inverse @ (pulls.T @ pulls) @ inverse * count / (count - 3)
-    return np.asarray(np.sqrt(np.diag(covariance)) * [1, 1, 1e-5])
+    return np.asarray(covariance * np.outer([1, 1, 1e-5], [1, 1, 1e-5]))
+
+
+def _of_water(fit: Array, covariance: Array, gamma: float) -> tuple[Array, Array]:
+    # knowing that water has nearly this surface tension: on a fast current waves are too long to tell it
+    if not np.isfinite(covariance).all():
+        return fit, covariance
+    pull = covariance[:, 2] / (covariance[2, 2] + (_FILM * gamma) ** 2)
+    return fit + pull * (gamma - fit[2]), covariance - np.outer(pull, covariance[2])
 
 
 def fit_dispersion(
@@ -206,7 +222,8 @@ def fit_dispersion(
     ------
     CubeError
         If no energy stands out in the band, or it lies on the ridge of no current, or the ridge hardly stands
-        out of what the same wave vectors hold at other frequencies: noise has a best current, too.
+        out of what the same wave vectors hold at other frequencies: noise has a best current, too; or if the
+        current is not told to 2 cm/s.
 
     Notes
     -----
@@ -219,7 +236,7 @@ def fit_dispersion(
     omega at fixed k would be biased by up to 8 %. The uncertainty follows from the scatter of the points
     about the fit, those of half a hertz and an octant of directions taken together, larger the less the ridge
     stands out, joined with half of what the fit changes by when twice the noise is taken off, and 2 % of the
-    surface tension.
+    surface tension, which is taken to be within 30 % of what is given where the waves tell less.
 
     Examples
     --------
@@ -245,64 +262,81 @@ def fit_dispersion(
     density = density.compute()
     omega = density["omega"].values
     nyquist_k = min(abs(float(density[name].min())) for name in ("ky", "kx"))
-    top = min(2 * np.pi * settings.highest, 0.92 * dispersion(0.9 * nyquist_k, depth), 0.97 * omega[-1])
+    highest = 2 * np.pi * settings.highest
+    top = min(highest, 0.92 * dispersion(0.9 * nyquist_k, depth), 0.97 * omega[-1])
     plane = plane_of(density)
     bottom = max(2 * np.pi * settings.lowest, dispersion(LONGEST * plane.cell, depth))
-    band = (omega >= bottom) & (omega <= top)
     energy = density.values.reshape(omega.size, -1)
     outer = plane.k > 0.8 * nyquist_k
     noise = np.median(energy[:, outer], axis=1) if outer.any() else np.zeros(omega.size)
+    band = (omega >= bottom) & (omega <= top)
+    start = scan_current(energy[band], omega[band], noise[band], plane, depth, gamma)
+    # the same waves pass faster with the current
+    top = max(top, min(highest + np.hypot(*start) * wavenumber(highest, depth, gamma), 0.97 * omega[-1]))
+    band = (omega >= bottom) & (omega <= top)
     used, floor = energy[band], noise[band]
     sectors = _sectors(plane, settings.sectors)
-    fit = np.array([*scan_current(used, omega[band], floor, plane, depth, gamma), gamma])
+    fit = np.array([*start, gamma])
     points = np.empty((0, 6))
     for _ in range(settings.rounds):
         points = _centroids(used, omega[band], floor, plane, sectors, depth, fit, settings)
-        if len(points) < 6:
-            raise CubeError(
-                f"no ridge stands out between {bottom / (2 * np.pi):.2g} and {top / (2 * np.pi):.2g} Hz:"
-                " choose a longer segment or another band"
-            )
+        points = _enough(points, bottom, top)
         fit = _solve(points, depth, fit)
     lean = np.zeros((2, 0))
     for _ in range(_MENDS):
         lean = _windows_lean(density, noise, band, sectors, plane, depth, fit, settings)
         points = _centroids(used, omega[band], floor, plane, sectors, depth, fit, settings)
-        points = _straightened(points, lean)
+        points = _enough(_straightened(points, lean), bottom, top)
         fit = _solve(points, depth, fit)
 
+    band_words = f"the waves between {bottom / (2 * np.pi):.2g} and {top / (2 * np.pi):.2g} Hz"
     astray = _astray(points, depth, fit, plane.cell)
     if astray > _ASTRAY:
         raise CubeError(
-            f"the waves between {bottom / (2 * np.pi):.2g} and {top / (2 * np.pi):.2g} Hz lie"
-            f" {100 * astray:.0f} % of their wavenumber beside the dispersion relation, whatever the current"
-            f" (the best is {fit[0]:.2f}, {fit[1]:.2f} m/s): check depth, frame rate and grid step, or choose"
-            " another band"
+            f"{band_words} lie {100 * astray:.0f} % of their wavenumber beside the dispersion relation,"
+            f" whatever the current (the best is {fit[0]:.2f}, {fit[1]:.2f} m/s): check depth, frame rate and"
+            " grid step, or choose another band"
         )
-    contrast = _contrast(energy, omega, (omega > bottom / 2) & (omega < 1.5 * top), plane, depth, fit)
-    if contrast < _CONTRAST:
+    stands_out = contrast(energy, omega, (omega > bottom / 2) & (omega < 1.5 * top), plane, depth, fit)
+    if stands_out < _CONTRAST:
         raise CubeError(
             f"no ridge stands out between {bottom / (2 * np.pi):.2g} and {top / (2 * np.pi):.2g} Hz: the best"
-            f" one holds {contrast:.2f} times what the same wave vectors hold at other frequencies, where"
+            f" one holds {stands_out:.2f} times what the same wave vectors hold at other frequencies, where"
             " noise has 1"
         )
     quieter = _centroids(used, omega[band], 2 * floor, plane, sectors, depth, fit, settings)
     doubt = 0.5 * np.abs(_solve(_straightened(quieter, lean), depth, fit) - fit)
     # of what the points say 1 / contrast is noise
-    chance = _spreads(points, depth, fit) / (1 - 1 / contrast)
+    covariance = _covariance(points, depth, fit) / (1 - 1 / stands_out) ** 2
+    fit, covariance = _of_water(fit, covariance, gamma)
+    chance = np.sqrt(np.diag(covariance))
     spreads = np.hypot(chance, np.hypot(doubt, [0.0, 0.0, _TENSION * gamma]))
+    if (known := np.hypot(*spreads[:2])) > _UNKNOWN:
+        raise CubeError(
+            f"{band_words} tell the current to {known:.2f} m/s only, as where it holds them up: choose a"
+            " longer record or another band"
+        )
     out: dict[str, Any] = {}
     for i, name in enumerate(("current_x", "current_y", "gamma")):
         out[name], out[f"{name}_std"] = ((), fit[i]), ((), spreads[i])
     for i, name in enumerate(("ridge_omega", "ridge_k", "ridge_angle", "ridge_weight")):
         out[name] = ("point", points[:, i])
     out |= _against_theory(points, depth, fit, gamma)
-    out["ridge_fraction"] = ((), _fraction(energy, omega, plane, depth, fit))
+    out["ridge_fraction"] = ((), fraction(energy, omega, plane, depth, fit))
     out["depth"] = ((), depth)
     attrs = {"lowest": float(bottom / (2 * np.pi)), "highest": float(top / (2 * np.pi))}
     out_set = annotate(xr.Dataset(out, attrs=attrs).set_coords("band_frequency"), "dispersion")
     out_set["ridge_weight"].attrs["units"] = density.attrs.get("units", "1")
     return out_set
+
+
+def _enough(points: Array, bottom: float, top: float) -> Array:
+    if len(points) < _LEAST_POINTS:
+        raise CubeError(
+            f"no ridge stands out between {bottom / (2 * np.pi):.2g} and {top / (2 * np.pi):.2g} Hz:"
+            " choose a longer segment or another band"
+        )
+    return points
 
 
 def _windows_lean(
@@ -371,37 +405,6 @@ def _against_theory(points: Array, depth: float, fit: Array, gamma: float) -> di
 def _line_means(omega: Array, weight: Array) -> tuple[Array, Array]:
     lines = np.unique(omega)
     return lines, np.array([weight[omega == line].mean() for line in lines])
-
-
-def _near_ridge(omega: Array, plane: Plane, depth: float, fit: Array) -> Array:
-    # within two cells in k and two lines in omega of the fitted relation, (lines, cells)
-    free = dispersion(plane.k, depth, fit[2]) + fit[0] * plane.kx + fit[1] * plane.ky
-    slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), depth, fit[2]))
-    slope += np.hypot(fit[0], fit[1])
-    reach = 2 * plane.cell * slope + 2 * (omega[1] - omega[0])
-    return np.asarray(np.abs(omega[:, None] - free) < reach)
-
-
-def _contrast(energy: Array, omega: Array, lines: Array, plane: Plane, depth: float, fit: Array) -> float:
-    # energy on the ridge over what the same cells of the k plane would hold there if every line held as much
-    # as those off the ridge do: 1 for whatever knows nothing of the dispersion relation, and where lines are
-    # too few to tell
-    near = _near_ridge(omega, plane, depth, fit)[lines]
-    near[:, plane.k < LONGEST * plane.cell] = False
-    energy = energy[lines]
-    on, count = (energy * near).sum(axis=0, dtype=float), near.sum(axis=0)
-    there = (count > 0) & (count < near.shape[0])
-    rest = (energy.sum(axis=0, dtype=float) - on)[there] / (near.shape[0] - count[there])
-    expected = float((rest * count[there]).sum())
-    if expected > 0:
-        return float(on[there].sum()) / expected
-    return np.inf if there.any() else 1.0
-
-
-def _fraction(energy: Array, omega: Array, plane: Plane, depth: float, fit: Array) -> float:
-    near = _near_ridge(omega, plane, depth, fit)
-    total = float(energy.sum(dtype=float))
-    return float((energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
 
 
 def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float) -> tuple[xr.Dataset, str]:
