@@ -1,9 +1,11 @@
 """Cameras that lie, cameras that are missing, two, three and four cameras.
 
-    python -m benchmarks.cameras [--only lying half missing number] [--seeds N ...]
+    python -m benchmarks.cameras [--only lying half shaking missing number] [--seeds N ...]
 
 Lying: mirrored, swapped with another, one frame late, moved by 2 px, out of focus; per cent of all nodes
 that are called measured and wrong by more than five of their standard uncertainties (any of z, u, v, w).
+Shaking: the same of cameras whose pictures move from frame to frame, at random, along the line on which they
+stand.
 The random sea, half size (see `benchmarks.scenes`), calibrated cameras; four cameras: exact ones.
 """
 
@@ -14,11 +16,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 
 from benchmarks.scenes import MIDDLE, SEEDS, Case, calibrated, draw, reconstruct, scene
 from benchmarks.scores import Score
 from wavefield.measurement import Settings
+from wavefield.rig import Rig
 from wavefield.tank import paper_rig
 from wavefield.variables import Quality
 
@@ -36,6 +40,15 @@ LYING: dict[str, dict[str, dict[str, Any]]] = {
 }
 
 HALVES = ("cam1 mirrored", "cam1 one frame late", "cam3 one frame late", "cam1 moved by 2 px along x")
+
+THREE, TWO = ("cam1", "cam2", "cam3"), ("cam1", "cam2")
+SHAKEN = (
+    (THREE, ("cam1",), 0.1),
+    (THREE, ("cam1",), 0.3),
+    (THREE, ("cam3",), 0.1),
+    (THREE, THREE, 0.1),
+    (TWO, ("cam1",), 0.1),
+)
 
 
 def reasons(case: Case, cubes: Sequence[dict[str, Any]]) -> str:
@@ -81,6 +94,30 @@ def _left_of(image: Any, other: Any) -> Any:
     return out
 
 
+def shaking(options: argparse.Namespace) -> None:
+    """Cameras that shake along the line on which they stand."""
+    for seen, shaken, px in SHAKEN:
+        score = Score()
+        for seed in options.seeds:
+            case = draw(scene("random", seed), calibrated(False))
+            rng = np.random.default_rng(seed)
+            frames = {name: case.frames[name] for name in seen}
+            for name in shaken:
+                frames[name] = [_moved(image, rng.normal(0.0, px)) for image in case.frames[name]]
+            case = replace(case, frames=frames, rig=Rig({name: case.rig[name] for name in seen}))
+            score.add(case, reconstruct(case, Settings()))
+        print(f"{', '.join(shaken)} of {len(seen)} shaking by {px} px rms")
+        print(f"    measured and wrong by more than 5 std: {score.wrong():.2f} % (asked .5)")
+        print("".join(f"    {line}\n" for line in score.lines()), end="", flush=True)
+
+
+def _moved(image: Any, px: float) -> Any:
+    """An image moved along its rows, by Lanczos' interpolation."""
+    map_ = np.array([[1.0, 0.0, px], [0.0, 1.0, 0.0]])
+    size = image.shape[::-1]
+    return cv2.warpAffine(image, map_, size, flags=cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
+
+
 def missing(options: argparse.Namespace) -> None:
     """A camera without one of the two frames of a step."""
     for lost in ("cam1", "cam2", "cam3"):
@@ -111,6 +148,7 @@ def number(options: argparse.Namespace) -> None:
 PARTS: dict[str, Callable[[argparse.Namespace], None]] = {
     "lying": lying,
     "half": half_lying,
+    "shaking": shaking,
     "missing": missing,
     "number": number,
 }
