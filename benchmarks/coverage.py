@@ -3,8 +3,8 @@
 Gaussian seas of free waves with linear kinematics, cos^(2s) (theta / 2) wide, seen through a part of their
 periodic basin. The truth of each estimate is the mean of the other draws' estimates, whose own error is taken
 into the count by as much narrower a deviation. Printed are the fractions of cells, weighted alike, whose
-interval holds it: E(k, omega) of w and of u . grad z, and D(theta); and how often two seas that know nothing
-of each other exceed the 5 % level of coherence.
+interval holds it: E(k, omega) of w and of u . grad z, D(theta), E(omega) and E(k) of w; and how often two
+seas that know nothing of each other exceed the 5 % level of coherence.
 """
 
 import argparse
@@ -22,6 +22,7 @@ from wavefield.waves.windows import interval
 
 NODES, STEP, NY, NX, DT, DEPTH = 72, 0.04, 38, 50, 0.05, 0.7
 LOWEST, HIGHEST, WIDTH = 1.4, 3.4, 0.4  # Hz, Hz, rad/s: waves are drawn anew before they come round again
+_ROWS = ("w", "nl", "D", "omega", "k")
 
 Array = NDArray[Any]
 
@@ -64,7 +65,7 @@ def held(values: Array, low: Array, high: Array, there: Array) -> float:
 
 def row(s: float, steps: int, segment: int, draws: int, seed: int) -> None:
     """Print a line of the table."""
-    found: dict[str, list[Array]] = {name: [] for name in ("w", "nl", "D", "dof_w", "dof_nl", "dof_D")}
+    found: dict[str, list[Array]] = {f"{part}{name}": [] for name in _ROWS for part in ("", "dof_")}
     levels = []
     before: xr.Dataset | None = None
     for draw in range(draws):
@@ -73,6 +74,9 @@ def row(s: float, steps: int, segment: int, draws: int, seed: int) -> None:
         for name in ("w", "nl"):
             found[name].append(ring[f"E_{name}"].values)
             found[f"dof_{name}"].append(ring[f"dof_{name}"].values)
+        for name, over in (("omega", "k"), ("k", "omega")):
+            found[name].append(ring["E_w"].sum(over).values)
+            found[f"dof_{name}"].append(ring[f"dof_{name}_w"].values)
         S = spectrum(cube["w"], segment=segment)
         D = directions(S["E"], [1.8, 2.2, 2.6, 3.0], DEPTH, dof=float(S["dof"]))
         found["D"].append(D["D"].values)
@@ -90,10 +94,12 @@ def row(s: float, steps: int, segment: int, draws: int, seed: int) -> None:
             before = cube
     arrays = {name: np.array(values) for name, values in found.items()}
     fractions = []
-    for name in ("w", "nl", "D"):
+    for name in _ROWS:
         mean = arrays[name].mean(axis=0)
         if name == "D":
             there = mean > 0.02 * mean.max(axis=-1, keepdims=True)
+        elif name in ("omega", "k"):
+            there = mean > 1e-3 * mean.max()
         else:
             there = ring["valid"].values & (mean > 1e-3 * mean.max())
         low, high = interval(arrays[f"dof_{name}"])
@@ -115,7 +121,8 @@ def main() -> None:
     parser.add_argument("--spreads", type=float, nargs="+", default=[0, 10, 30])
     parser.add_argument("--seed", type=int, default=4000)
     given = parser.parse_args()
-    print("| s | segment | E of w | E of u.grad z | D(theta) | null of coherence |\n|" + "---|" * 6)
+    print("| s | segment | E(k, omega) of w | of u.grad z | D(theta) | E(omega) | E(k) | null of coherence |")
+    print("|" + "---|" * 8)
     for s in given.spreads:
         for segment in given.segments:
             row(s, given.steps, segment, given.draws, given.seed)
