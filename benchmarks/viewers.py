@@ -5,7 +5,7 @@
 The same run, with one worker, alone and with two pages of `wavefield look` open on its cube, in turn. The
 pages go to the newest step every second and click a node every three. Wall time, and CPU time of the run
 itself. Other people's browsers draw on their machines: here they run as well, on what the run and the page's
-server leave to them (nice 19; `--browsers-too` lets them compete).
+server leave to them (policy IDLE; `--browsers-too` lets them compete).
 """
 
 import argparse
@@ -14,13 +14,13 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "explorer"))
 
-import psutil
 from browser import FLAGS, Browser, chromium
 
 from benchmarks.cubes import say, write_tank
@@ -34,13 +34,40 @@ _NEWEST = f"""() => {{
 }}"""
 
 
-def run(experiment: Path, out: Path) -> tuple[subprocess.Popen[bytes], float, float]:
-    """A run through the command line, when it began, and the CPU time of what had ended before."""
+class Run:
+    """A run through the command line; a thread of its own notes when it ends, whatever pages do."""
+
+    def __init__(self, experiment: Path, out: Path) -> None:
+        self._before = _spent()
+        self._begun = time.perf_counter()
+        self._process = _start(experiment, out)
+        self._wall = 0.0
+        self._waiting = threading.Thread(target=self._wait)
+        self._waiting.start()
+
+    def _wait(self) -> None:
+        self._process.wait()
+        self._wall = time.perf_counter() - self._begun
+
+    @property
+    def at_work(self) -> bool:
+        """Whether it has not ended."""
+        return self._waiting.is_alive()
+
+    def times(self) -> tuple[float, float]:
+        """Wall and CPU time, s, once it has ended."""
+        self._waiting.join()
+        if self._process.returncode not in (0, 3):
+            raise RuntimeError(f"the run ended with {self._process.returncode}")
+        return self._wall, _spent() - self._before
+
+
+def _start(experiment: Path, out: Path) -> subprocess.Popen[bytes]:
     workflow = out.with_suffix(".yaml")
     workflow.write_text("cluster: none\nsteps_per_block: 12\n")
     words = ["run", str(experiment), "-o", str(out), "--workflow", str(workflow)]
     command = [sys.executable, "-m", "wavefield.commands.cli", "-q", *words]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL), time.perf_counter(), _spent()
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL)
 
 
 def _spent() -> float:
@@ -48,26 +75,22 @@ def _spent() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def ended(process: subprocess.Popen[bytes], begun: float, spent: float) -> tuple[float, float]:
-    """Wall and CPU time of a run, s."""
-    if process.wait() not in (0, 3):
-        raise RuntimeError(f"the run ended with {process.returncode}")
-    return time.perf_counter() - begun, _spent() - spent
+def _last(folder: Path) -> str:
+    """A Chromium that leaves the processor to the others, with all of its threads.
 
-
-def step_back() -> None:
-    """Leave the processor to the others: every process of the browsers, and those that they will start."""
-    for process in psutil.Process().children(recursive=True):
-        words = " ".join(process.cmdline())
-        if "chrom" in words or "playwright" in words:
-            process.nice(19)
+    By policy: niceness it sets itself, back up where it may.
+    """
+    script = folder / "chromium"
+    script.write_text(f'#!/bin/sh\nexec chrt --idle 0 {chromium()} "$@"\n')
+    script.chmod(0o755)
+    return str(script)
 
 
 def watched(experiment: Path, out: Path, compete: bool) -> tuple[float, float, int, list[str]]:
     """A run that two people look at; also how often a page has shown something new."""
     from playwright.sync_api import sync_playwright
 
-    process, begun, spent = run(experiment, out)
+    job = Run(experiment, out)
     while not (out / "zarr.json").exists():
         time.sleep(0.05)
     command = [sys.executable, "-m", "wavefield.commands.cli", "look", str(out), "--port", "0", "--no-open"]
@@ -76,14 +99,13 @@ def watched(experiment: Path, out: Path, compete: bool) -> tuple[float, float, i
     url = next(line for line in server.stdout if "http://" in line).split()[1]
     shown: set[tuple[int, str]] = set()
     with sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=chromium(), args=FLAGS.split())
-        if not compete:
-            step_back()
+        program = chromium() if compete else _last(out.parent)
+        browser = started.chromium.launch(executable_path=program, args=FLAGS.split())
         people = [Browser(browser.new_page(viewport={"width": 1400, "height": 900})) for _ in range(2)]
         for person in people:
             person.open(url)
         turn = 0
-        while process.poll() is None:
+        while job.at_work:
             for number, person in enumerate(people):
                 person.page.evaluate(_NEWEST)
                 if turn % 3 == number:
@@ -91,7 +113,7 @@ def watched(experiment: Path, out: Path, compete: bool) -> tuple[float, float, i
                 shown.add((number, person.get("map", "title.text")))
             people[0].page.wait_for_timeout(1000)
             turn += 1
-        wall, cpu = ended(process, begun, spent)
+        wall, cpu = job.times()
         errors = [error for person in people for error in person.errors]
         browser.close()
     server.terminate()
@@ -111,7 +133,7 @@ def main(words: Sequence[str]) -> int:
         experiment = write_tank(folder / "tank", scene, options.steps)
         alone, looked_at, errors, views = [], [], [], 0
         for number in range(options.repeats):
-            alone.append(ended(*run(experiment, folder / f"alone{number}.zarr")))
+            alone.append(Run(experiment, folder / f"alone{number}.zarr").times())
             wall, cpu, seen, wrong = watched(
                 experiment, folder / f"watched{number}.zarr", options.browsers_too
             )
