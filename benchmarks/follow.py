@@ -176,22 +176,27 @@ def follow(folder: Path, scene: Scene, seconds: float) -> dict[str, Any]:
     }
 
 
+def say_delays(found: dict[str, Any], what: str, seconds: float) -> None:
+    """How long after the last byte of a set its picture is there; the first three, while it learns, apart."""
+    delays = np.array([d for n, d in sorted(found["delays"].items())])
+    if not delays.size:
+        say(f"last byte to picture, {what}", "2 s", f"no picture within {seconds:g} s")
+        return
+    later = delays[3:] if len(delays) > 6 else delays
+    reached = (
+        f"median {np.median(later):.2f}, 95 % {np.percentile(later, 95):.2f}, most {later.max():.2f} s "
+        f"({len(delays)} pictures; the first {found['first']:.1f} s after the cameras began)"
+    )
+    say(f"last byte to picture, {what}", "2 s", reached)
+
+
 def latency(folder: Path, options: argparse.Namespace) -> None:
     """From the last byte to the picture."""
     for size in options.size:
         scene = Scene.load("full").with_(seed=301, **{"half": HALF, "full": FULL}[size])
         found = follow(folder / size, scene, options.seconds)
-        delays = np.array([d for n, d in sorted(found["delays"].items())])
-        if not delays.size:
-            say(f"last byte to picture, {size} size", "2 s", f"no picture within {options.seconds:g} s")
-            continue
-        later = delays[3:] if len(delays) > 6 else delays
         pixels = "{} x {}".format(*scene.build_rig()["cam1"].size)
-        reached = (
-            f"median {np.median(later):.2f}, 95 % {np.percentile(later, 95):.2f}, most {later.max():.2f} s "
-            f"({len(delays)} pictures; the first {found['first']:.1f} s after the cameras began)"
-        )
-        say(f"last byte to picture, 3 x {pixels} px, {found['rate']:.1f} frames/s", "2 s", reached)
+        say_delays(found, f"3 x {pixels} px, {found['rate']:.1f} frames/s", options.seconds)
         say("    what the page says of it", "what it skips", found["state"])
         say("    console errors", "0", str(len(found["errors"])))
 
@@ -209,6 +214,7 @@ def memory(folder: Path, options: argparse.Namespace) -> None:
             f"{megabytes[settled][0]:.0f} MB, at the end {megabytes[-1]:.0f} MB"
         )
         say(f"memory of `follow`, {size} size", "no growth", reached)
+        say_delays(found, f"{size} size", options.seconds)
         say("    what the page says at the end", "", found["state"])
 
 

@@ -57,8 +57,8 @@ def resonance_map(resonances: xr.Dataset) -> Figure:
     Notes
     -----
     Left: k1 and k2 as points, k3 and k4 as circles, joined by the parallelogram that they span; the ten least
-    probable ones. Right: squared coherence of all quartets less that of surrogates against the frequency by
-    which the fourth wave lies off the dispersion relation.
+    probable ones, each in a colour of its own. Right: squared coherence of all quartets less that of
+    surrogates against the frequency by which the fourth wave lies off the dispersion relation.
     """
     figure, axes = panels(2, height=4.4)
     left, right = axes[0]
@@ -68,6 +68,9 @@ def resonance_map(resonances: xr.Dataset) -> Figure:
         left.plot(kx[i, [0, 2, 1, 3, 0]], ky[i, [0, 2, 1, 3, 0]], color=style["color"], linewidth=0.8)
         left.plot(kx[i, :2], ky[i, :2], "o", color=style["color"])
         left.plot(kx[i, 2:], ky[i, 2:], "o", color=style["color"], markerfacecolor="white")
+    if chosen.size:
+        left.plot([], [], "o", color="0.3", label="k₁, k₂")
+        left.plot([], [], "o", color="0.3", markerfacecolor="white", label="k₃, k₄")
     half = 1.1 * max(float(np.abs(kx).max(initial=0)), float(np.abs(ky).max(initial=0)), 1.0)
     tests = int(resonances.quartet_tests)
     left.set(
@@ -78,7 +81,7 @@ def resonance_map(resonances: xr.Dataset) -> Figure:
         aspect="equal",
         title=f"{int(resonances.quartet_significant.sum())} significant of {tests} quartets",
     )
-    plain_axes(left)
+    plain_axes(left, loc="upper right")
     hertz = resonances.mismatch.values / (2 * np.pi)
     excess, std = resonances.coherence_excess.values, resonances.coherence_excess_std.values
     right.errorbar(hertz, 1e3 * excess, 2e3 * std, fmt="o-", color="#0072B2", capsize=3)

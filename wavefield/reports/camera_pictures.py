@@ -19,7 +19,7 @@ def _draw(axes: Axes, time: Sequence[float], curves: Mapping[str, Sequence[float
         axes.plot(time, values, marker=_MARKERS[k % len(_MARKERS)], markersize=4, label=name, **style)
     most = max((float(np.nanmax(v)) for v in curves.values() if np.isfinite(v).any()), default=1.0)
     axes.set(xlabel="time (s)", ylabel=label, ylim=(0.0, 1.12 * most or 1.0))
-    plain_axes(axes, loc="lower right", ncols=1, fontsize=8.5)
+    plain_axes(axes, loc="best", fontsize=8.5)
 
 
 def camera_history(time: Sequence[float], cameras: Numbers, pairs: Numbers) -> Figure:

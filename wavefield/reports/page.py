@@ -3,6 +3,7 @@
 import base64
 import html
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -15,6 +16,26 @@ from wavefield import __version__
 _DPI = 140  # drawn at 96 per inch: sharp on dense screens, and small
 _WIDE = 1150  # px: a PNG so wide holds several panels; on a phone it is moved sideways, not made small
 _SENTENCE = 60  # letters: a cell with more is read, not looked up
+
+
+def marked_up(words: str) -> str:
+    """Plain words as HTML; what stands between backticks is to be typed.
+
+    Parameters
+    ----------
+    words : str
+        Such as "name them as `rest:`".
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> marked_up("name <them> as `rest:`")
+    'name &lt;them&gt; as <code>rest:</code>'
+    """
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(words))
 
 
 @dataclass(frozen=True)
@@ -82,7 +103,7 @@ class Table:
         body = "".join(
             f'<tr><th scope="row">{html.escape(row[0])}</th>'
             + "".join(
-                f'<td data-of="{html.escape(name)}">{html.escape(cell)}</td>'
+                f'<td data-of="{html.escape(name)}">{marked_up(cell)}</td>'
                 for name, cell in zip(self.head[1:], row[1:], strict=True)
             )
             + "</tr>"
@@ -108,7 +129,7 @@ class Text:
 
     def html(self) -> str:
         """Give the paragraph as HTML."""
-        return f"<p>{html.escape(self.words)}</p>"
+        return f"<p>{marked_up(self.words)}</p>"
 
 
 @dataclass(frozen=True)
