@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from wavefield.compiled import compiled
 from wavefield.robust import robust_std
 
 Array = NDArray[np.float64]
@@ -68,11 +69,10 @@ def crossings(image: NDArray[np.float32], scale: float) -> Candidates:
     xx = cv2.sepFilter2D(image, cv2.CV_32F, g2, g0)
     yy = cv2.sepFilter2D(image, cv2.CV_32F, g0, g2)
     xy = cv2.sepFilter2D(image, cv2.CV_32F, g1, g1)
-    mean = 0.5 * (xx + yy)
-    weaker = -(mean + np.sqrt((0.5 * (xx - yy)) ** 2 + xy**2))
+    weaker = _weaker(*(np.asarray(part, np.float32) for part in (xx, yy, xy)))
     peak = (weaker == cv2.dilate(weaker, np.ones((5, 5), np.uint8))) & (weaker > 0)
     peak[:2], peak[-2:], peak[:, :2], peak[:, -2:] = False, False, False, False
-    y, x = np.nonzero(peak)
+    y, x = np.divmod(np.flatnonzero(peak), peak.shape[1])
     strength = weaker[y, x].astype(float)
     if not len(strength):
         return Candidates(np.empty((0, 2)), strength, scale)
@@ -87,6 +87,18 @@ def crossings(image: NDArray[np.float32], scale: float) -> Candidates:
         -1,
     )
     return Candidates(pixel, strength, scale)
+
+
+@compiled()
+def _weaker(xx: NDArray[np.float32], yy: NDArray[np.float32], xy: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The weaker of the two principal curvatures, positive on bright crossings and blobs."""
+    half = np.float32(0.5)
+    out = np.empty_like(xx)
+    for i in range(xx.shape[0]):
+        for k in range(xx.shape[1]):
+            mean, apart = half * (xx[i, k] + yy[i, k]), half * (xx[i, k] - yy[i, k])
+            out[i, k] = -(mean + np.sqrt(apart * apart + xy[i, k] * xy[i, k]))
+    return out
 
 
 def _vertex(before: Array, at: Array, after: Array) -> Array:
@@ -163,8 +175,9 @@ class Lattice:
         known = np.isfinite(window[..., 0])
         weight = known / (1.0 + di * di + dj * dj)
         prior = np.array([0.0, 1e-4, 1e-4, 0.3, 0.3, 0.3])
-        normal = np.einsum("mp,pa,pb->mab", weight, basis, basis) + np.diag(prior)
-        right = np.einsum("mp,pa,mpc->mac", weight, basis, np.where(known[..., None], window, 0.0))
+        weighted = weight[..., None] * basis
+        normal = weighted.transpose(0, 2, 1) @ basis + np.diag(prior)
+        right = weighted.transpose(0, 2, 1) @ np.where(known[..., None], window, 0.0)
         right[:, 1:3] += prior[1:3, None] * self.slopes
         fit = np.linalg.solve(normal, right)
         return fit[:, 0], fit[:, 1:3]

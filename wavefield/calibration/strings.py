@@ -235,7 +235,7 @@ def _rings(image: NDArray[np.float32], pixel: Array, slopes: Array) -> tuple[Arr
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
     angle = angle[np.abs(np.sin(2 * angle)) > 0.5]
     offset = _RADII[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
-    value = _sample(image, pixel[:, None, None] + np.einsum("rak,nkc->nrac", offset, slopes)).astype(float)
+    value = _sample(image, pixel[:, None, None] + offset @ slopes[:, None]).astype(float)
     value -= np.median(value[:, -10:], axis=(1, 2), keepdims=True)
     usual = np.median(value, axis=0)
     return value - usual, usual

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.calibration.profile import PLACES, at, profile_of
 from wavefield.compiled import compiled
 from wavefield.robust import PER_MEDIAN
 
@@ -54,59 +55,6 @@ class Crossings:
     misfit: Array
     parameters: Array
     noise: Array
-
-
-@compiled(inline="always")
-def _profile(d: float, u: float, s: float) -> tuple[float, float, float]:
-    """Profile of a string averaged over a pixel, and its derivatives with respect to d and u.
-
-    Three points of Gauss-Legendre stand for the pixel's extent along one axis. A pixel near one string is
-    mostly far from the other, where six standard deviations from the box there is nothing.
-    """
-    if abs(d) > math.sqrt(max(u, 0.0)) + 6.2 * s + 0.4:
-        return 0.0, 0.0, 0.0
-    f0, g0, u0 = _line(d, u, s)
-    f1, g1, u1 = _line(d + 0.3872983346207417, u, s)
-    f2, g2, u2 = _line(d - 0.3872983346207417, u, s)
-    return (
-        (8.0 * f0 + 5.0 * (f1 + f2)) / 18.0,
-        (8.0 * g0 + 5.0 * (g1 + g2)) / 18.0,
-        (8.0 * u0 + 5.0 * (u1 + u2)) / 18.0,
-    )
-
-
-@compiled(inline="always")
-def _above(x: float, density: float) -> float:
-    """How much of a normal distribution lies above x, to 1e-7, from its density at x.
-
-    Abramowitz and Stegun 26.2.17: a third of the time of an error function, since the density is known.
-    """
-    t = 1.0 / (1.0 + 0.2316419 * abs(x))
-    out = (
-        density
-        * t
-        * (0.319381530 + t * (-0.356563782 + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429))))
-    )
-    return 1.0 - out if x < 0.0 else out
-
-
-@compiled(inline="always")
-def _line(d: float, u: float, s: float) -> tuple[float, float, float]:
-    """Profile of a string of unit flux, and its derivatives with respect to d and u.
-
-    A box of half width sqrt(u) convolved with a Gaussian of standard deviation s; for small or negative u
-    a Gaussian of the same variance s^2 + u / 3, which joins smoothly.
-    """
-    if u > 0.1 * s * s:
-        h = math.sqrt(u)
-        p, m = (d + h) / s, (d - h) / s
-        gp = math.exp(-0.5 * p * p) * 0.3989422804014327
-        gm = math.exp(-0.5 * m * m) * 0.3989422804014327
-        f = (_above(m, gm) - _above(p, gp)) / (2.0 * h)
-        return f, (gp - gm) / (2.0 * h * s), ((gp + gm) / (2.0 * h * s) - f / h) / (2.0 * h)
-    v = s * s + u / 3.0
-    f = math.exp(-0.5 * d * d / v) * 0.3989422804014327 / math.sqrt(v)
-    return f, -d * f / v, f * (d * d / v - 1.0) / (6.0 * v)
 
 
 @compiled()
@@ -163,8 +111,8 @@ def _pixels_near(image: Array, start: Array, arm1: Array, arm2: Array, band: flo
     return out[:, :n].copy()
 
 
-@compiled()
-def _equations(
+@compiled(error_model="numpy")
+def _rows(
     pixels: Array,
     p: Array,
     blur: float,
@@ -172,23 +120,22 @@ def _equations(
     spread: float,
     free: int,
     misses: Array,
-    a: Array,
-    b: Array,
-) -> Pair:
-    """Normal equations of the first `free` parameters, linear ones first; returns misfit and count.
+    rows: Array,
+) -> float:
+    """Weighted equations of all pixels for the first `free` parameters, linear ones first; returns the count.
 
-    misses (2, n) receives the residual of every pixel and its size in standard deviations.
+    misses (2, n) receives the residual of every pixel and its size in standard deviations; rows (13, n) the
+    derivatives with respect to the parameters and, last, the residuals.
     """
-    a[:] = 0.0
-    b[:] = 0.0
-    j = np.zeros(COUNT)
+    profile1, profile2 = np.empty((PLACES, 3)), np.empty((PLACES, 3))
+    inverse1, inverse2 = profile_of(p[WIDTH1], blur, profile1), profile_of(p[WIDTH2], blur, profile2)
     c1, s1, c2, s2 = math.cos(p[ANGLE1]), math.sin(p[ANGLE1]), math.cos(p[ANGLE2]), math.sin(p[ANGLE2])
-    total, count = 0.0, 0.0
+    count = 0.0
     for k in range(pixels.shape[1]):
         dx, dy = pixels[0, k] - p[CX], pixels[1, k] - p[CY]
         d1, d2 = -s1 * dx + c1 * dy, -s2 * dx + c2 * dy
-        f1, g1, u1 = _profile(d1, p[WIDTH1], blur)
-        f2, g2, u2 = _profile(d2, p[WIDTH2], blur)
+        f1, g1, u1 = at(profile1, inverse1, d1)
+        f2, g2, u2 = at(profile2, inverse2, d2)
         model = (
             p[GROUND]
             + p[SLOPE_X] * dx
@@ -197,31 +144,43 @@ def _equations(
             + p[FLUX2] * f2
             + p[OVERLAP] * f1 * f2
         )
-        m1 = p[FLUX1] + p[OVERLAP] * f2  # d model / d f1
-        m2 = p[FLUX2] + p[OVERLAP] * f1
         r = pixels[2, k] - model
-        w = 1.0 / (variance[0] + variance[1] * max(model, 0.0))
-        misses[0, k], misses[1, k] = r, abs(r) * math.sqrt(w)
-        t = misses[1, k] / spread  # biweight: what lies beyond six deviations has no say
-        if t >= 1.0:
-            continue
-        w *= (1.0 - t * t) ** 2
-        total += w * r * r
-        count += 1.0
-        j[0], j[1], j[2], j[3], j[4], j[5] = f1, f2, 1.0, dx, dy, f1 * f2
+        w = 1.0 / math.sqrt(variance[0] + variance[1] * max(model, 0.0))
+        misses[0, k], misses[1, k] = r, abs(r) * w
+        t = min(misses[1, k] / spread, 1.0)  # biweight: what lies beyond six deviations has no say
+        count += t < 1.0
+        w *= 1.0 - t * t
+        rows[0, k], rows[1, k], rows[2, k] = w * f1, w * f2, w
+        rows[3, k], rows[4, k], rows[5, k] = w * dx, w * dy, w * f1 * f2
+        rows[COUNT, k] = w * r
         if free == COUNT:
-            j[6] = m1 * g1 * s1 + m2 * g2 * s2 - p[SLOPE_X]
-            j[7] = -m1 * g1 * c1 - m2 * g2 * c2 - p[SLOPE_Y]
-            j[8] = -m1 * g1 * (c1 * dx + s1 * dy)
-            j[9] = -m2 * g2 * (c2 * dx + s2 * dy)
-            j[10] = m1 * u1
-            j[11] = m2 * u2
-        for i in range(free):
-            wj = w * j[i]
-            b[i] += wj * r
-            for m in range(COUNT):  # beyond the diagonal as well: a loop that becomes vector code
-                a[i, m] += wj * j[m]
-    return total, count
+            m1 = w * (p[FLUX1] + p[OVERLAP] * f2)  # d model / d f1
+            m2 = w * (p[FLUX2] + p[OVERLAP] * f1)
+            rows[6, k] = m1 * g1 * s1 + m2 * g2 * s2 - w * p[SLOPE_X]
+            rows[7, k] = -m1 * g1 * c1 - m2 * g2 * c2 - w * p[SLOPE_Y]
+            rows[8, k] = -m1 * g1 * (c1 * dx + s1 * dy)
+            rows[9, k] = -m2 * g2 * (c2 * dx + s2 * dy)
+            rows[10, k] = m1 * u1
+            rows[11, k] = m2 * u2
+    return count
+
+
+@compiled(fastmath={"contract", "reassoc"})
+def _product(one: Array, other: Array) -> float:
+    total = 0.0
+    for k in range(len(one)):
+        total += one[k] * other[k]
+    return total
+
+
+@compiled()
+def _equations(rows: Array, free: int, a: Array, b: Array) -> float:
+    """Normal equations of the first `free` parameters (lower triangle); returns the misfit."""
+    for i in range(free):
+        b[i] = _product(rows[i], rows[COUNT])
+        for m in range(i + 1):
+            a[i, m] = _product(rows[i], rows[m])
+    return _product(rows[COUNT], rows[COUNT])
 
 
 @compiled()
@@ -283,6 +242,8 @@ def _look(
     """Is each arm there, and how noisy are ground and strings."""
     c1, s1, c2, s2 = math.cos(angles[0]), math.sin(angles[0]), math.cos(angles[1]), math.sin(angles[1])
     v1, v2 = math.sqrt(blur * blur + p[WIDTH1] / 3.0), math.sqrt(blur * blur + p[WIDTH2] / 3.0)
+    profile1, profile2 = np.empty((PLACES, 3)), np.empty((PLACES, 3))
+    inverse1, inverse2 = profile_of(p[WIDTH1], blur, profile1), profile_of(p[WIDTH2], blur, profile2)
     found = np.zeros(4)
     noise[:] = 0.0
     n_ground, n_string = 0, 0
@@ -290,8 +251,8 @@ def _look(
     for k in range(pixels.shape[1]):
         dx, dy, value, residual = pixels[0, k] - p[CX], pixels[1, k] - p[CY], pixels[2, k], misses[0, k]
         d1, d2 = -s1 * dx + c1 * dy, -s2 * dx + c2 * dy
-        f1, _, _ = _profile(d1, p[WIDTH1], blur)
-        f2, _, _ = _profile(d2, p[WIDTH2], blur)
+        f1, _, _ = at(profile1, inverse1, d1)
+        f2, _, _ = at(profile2, inverse2, d2)
         above = value - p[GROUND] - p[SLOPE_X] * dx - p[SLOPE_Y] * dy
         if abs(d1) < v1 and abs(d2) > 2.5 * v2:
             arm = 0 if c1 * dx + s1 * dy > 0 else 1
@@ -332,16 +293,17 @@ def _fit_one(
     n = pixels.shape[1]
     if n < 45:
         return -1.0
-    misses = np.empty((2, n))
+    misses, rows = np.empty((2, n)), np.empty((COUNT + 1, n))
     a, damped, b = np.zeros((COUNT, COUNT)), np.zeros((COUNT, COUNT)), np.zeros(COUNT)
     spread, chi = 1e30, 0.0
     angles = (p[ANGLE1], p[ANGLE2])
     for iteration in range(16):
         free = LINEAR if iteration == 0 else COUNT
         angles = (p[ANGLE1], p[ANGLE2])
-        total, count = _equations(pixels, p, blur, variance, spread, free, misses, a, b)
+        count = _rows(pixels, p, blur, variance, spread, free, misses, rows)
         if count < 30:
             return -1.0
+        total = _equations(rows, free, a, b)
         chi = math.sqrt(total / max(count - COUNT, 1.0))
         _damped(a, 1e-9 if iteration == 0 else 1e-3 * 0.2**iteration + 1e-9, 1e-12, free, damped)
         if not _cholesky_solve(damped, b, free):
