@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from benchmarks.cubes import say
 from benchmarks.scenes import HALF
-from wavefield.measurement import Plan, learn, measure
+from wavefield.measurement import Plan, learn, measure, sample_steps
 from wavefield.measurement.covered import covered_in
+from wavefield.measurement.learn import SAMPLES
 from wavefield.measurement.record import Record
 from wavefield.series import FrameSeries
 from wavefield.series.masks import MaskSection, covered_series, footprints
@@ -30,6 +31,7 @@ from wavefield.variables import Quality
 
 FIELDS = ("z", "u", "v", "w")
 FRAMES = 6  # of one step
+LAST = 80  # of the record, whose samples are learned from as by a run
 MASKED = int(Quality.MASKED)
 
 Images = dict[str, list[NDArray[Any]]]
@@ -53,8 +55,8 @@ def with_cylinder(images: Images, where: Mapping[str, NDArray[np.bool_]], seed: 
 
 
 def learned(images: Images, plan: Plan, masks: Mapping[str, Any] | None) -> Record:
-    """What a run would learn of the frames."""
-    instants = [{name: frames[k] for name, frames in images.items()} for k in range(FRAMES)]
+    """What a run would learn of the record."""
+    instants = [{name: frames[k] for name, frames in images.items()} for k in range(2 * SAMPLES)]
     pairs = list(zip(instants[::2], instants[1::2], strict=True))
     record = learn(pairs, plan, [(masks, masks)] * len(pairs) if masks else None)
     assert record is not None
@@ -78,9 +80,11 @@ def hidden_from_any(z: NDArray[Any], masks: Mapping[str, Any], plan: Plan) -> ND
 
 def change(seed: int, across: float) -> dict[str, Any]:
     """Changes at every node in standard uncertainties, and how far it is from what is masked."""
-    tank = Tank(Scene.load("full").with_(seed=seed, frames=FRAMES, **HALF))
+    tank = Tank(Scene.load("full").with_(seed=seed, frames=LAST, **HALF))
     drawn = [tank.render(k) for k in range(FRAMES)]
     images = {name: [one[name] for one in drawn] for name in tank.rig}
+    known = [tank.render(k) for first in sample_steps(LAST - 1) for k in (first, first + 1)]
+    record = {name: [one[name] for one in known] for name in tank.rig}
     grid, rate = tank.scene.grid, tank.scene.frame_rate
     size = {"x": 0.0, "y": 0.0, "radius": across / 2}
     standing = MaskSection(cylinder=size | {"top": 0.05, "bottom": -0.02})  # type: ignore[arg-type]
@@ -88,12 +92,13 @@ def change(seed: int, across: float) -> dict[str, Any]:
     free_plan = Plan(tank.rig, grid)
     plan = Plan(tank.rig, grid, covered=footprints({"water": [masked]}))
     masks = covered(tank, masked, -plan.z_range[0])
-    painted = with_cylinder(images, covered(tank, standing, 0.02), seed)
-    whole = learned(images, free_plan, None)
+    hides = covered(tank, standing, 0.02)
+    painted, painted_record = with_cylinder(images, hides, seed), with_cylinder(record, hides, seed)
+    whole = learned(record, free_plan, None)
     free = one_step(images, free_plan, whole, None, rate)
-    beside = one_step(painted, plan, learned(painted, plan, masks), masks, rate)
+    beside = one_step(painted, plan, learned(painted_record, plan, masks), masks, rate)
     given = one_step(painted, plan, whole, masks, rate)
-    unmasked = one_step(painted, free_plan, learned(painted, free_plan, None), None, rate)
+    unmasked = one_step(painted, free_plan, learned(painted_record, free_plan, None), None, rate)
     hidden = (beside["quality"][0] & MASKED) != 0
     hidden |= hidden_from_any(np.nan_to_num(free["z"][0]).astype(np.float32), masks, plan)
     distance = cv2.distanceTransform((~hidden).astype(np.uint8), cv2.DIST_L2, 5) * grid.step
