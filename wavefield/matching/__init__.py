@@ -9,7 +9,7 @@ from wavefield.matching.prepared import Prepared, prepare
 from wavefield.matching.prior import Prior, better_prior, first_prior
 from wavefield.matching.settings import Settings
 from wavefield.matching.spread import Spread
-from wavefield.matching.transfer import footprint, restoring, transfer_function, transfer_kernel
+from wavefield.matching.transfer import footprint, raised, restoring, transfer_function, transfer_kernel
 from wavefield.matching.uncertainty import std_from_influence
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "match",
     "noise_of_scores",
     "prepare",
+    "raised",
     "restoring",
     "scores_at",
     "std_from_influence",

@@ -12,6 +12,7 @@ from wavefield.matching.settings import Settings
 
 _N = 128  # blocks: period of the Fourier transforms below
 _FOOTPRINT = 8.0  # px^2: variance of the area that a block's value stands for, beads' own images included
+_TAKEN = 4.0  # px^2: variance of the area over which blocks and beads' images average displacements
 _NOISE = 0.4  # how much of a wave that is half lost is given up for being noise
 
 
@@ -93,6 +94,28 @@ def footprint(kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
         Amplitude gain.
     """
     out: np.ndarray = np.exp(-0.5 * _FOOTPRINT * (np.square(kx) + np.square(ky)) / BLOCK**2)
+    return out
+
+
+def raised(k: np.ndarray) -> np.ndarray:
+    """By how much displacements are raised because a block is thought to stand for more than it averages.
+
+    Parameters
+    ----------
+    k : ndarray
+        Wavenumber, rad per block.
+
+    Returns
+    -------
+    ndarray
+        Factor on the amplitude of a wave that stands out from noise, 1 or more.
+
+    Examples
+    --------
+    >>> raised(np.array([0.0, 0.8])).round(3).tolist()
+    [1.0, 1.053]
+    """
+    out: np.ndarray = np.exp(0.5 * (_FOOTPRINT - _TAKEN) * np.square(k) / BLOCK**2)
     return out
 
 

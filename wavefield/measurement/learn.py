@@ -131,7 +131,15 @@ def _learned(
     pairs = list(pool.map(lambda step, found: _elevations(step, found, known_plan), views, near))
     heights = [None if pair is None else np.float32(0.5) * (pair[0] + pair[1]) for pair in pairs]
     known_pairs = [pair for pair in pairs if pair is not None]
-    record = replace(record, unresolved=unresolved(known_pairs, partial(_noise_of_waves, height, plan)))
+    record = replace(
+        record,
+        unresolved=unresolved(
+            known_pairs,
+            plan.grid.step,
+            partial(_noise_of_waves, height, plan),
+            partial(_matched, record, plan),
+        ),
+    )
     for number in range(2):
         if number:
             plan = plan.knowing(record)
@@ -307,6 +315,13 @@ def _noise_of_waves(prior: Prior, plan: Plan, k: Float) -> Float:
     blocks = BLOCK * plan.pixel / plan.grid.step  # from node to node of the lattice
     out: Float = prior.noise_kept(k * blocks) * blocks**2 / np.prod(plan.grid.shape)
     return out
+
+
+def _matched(record: Record, plan: Plan, k: Float) -> tuple[Float, Float]:
+    """What priors leave of waves' displacements, and by how much these are raised; k in rad per node."""
+    blocks = k * BLOCK * plan.pixel / plan.grid.step
+    gain = np.mean([prior.gain(blocks) for _, prior in record.displacement], axis=0)
+    return gain, matching.raised(blocks)
 
 
 def _elevations(step: tuple[Images, Images], near: _Near, plan: Plan) -> tuple[Float, Float] | None:

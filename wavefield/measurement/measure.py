@@ -156,8 +156,8 @@ def _step(
     assert plan.record is not None
     unresolved = plan.record.unresolved
     chord = (moved.quality & Quality.TWO_FRAME_MEAN) != 0
-    left_out = np.where(chord, unresolved.of_displacement(2), unresolved.of_displacement(4))
-    d_std = [np.hypot(std, left_out * typical(d, known)) for d, std in zip(moved.d, moved.d_std)]
+    left_out = [unresolved.of_displacement(frames, moved.d, known) for frames in (2, 4)]
+    d_std = np.hypot(moved.d_std, np.where(chord, *left_out))
     fields = {
         "z": z,
         "z_t": rise * np.float32(frame_rate),

@@ -10,10 +10,19 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from wavefield.water import dispersion
+
 Float = NDArray[Any]
+Parts = tuple[float, float, float, float]
 
 _HEARD = 6.0  # times its noise: what the power of a ring must be to tell of its waves
-_LEAKED = 1e-3  # of the strongest ring: less may have come through the window
+_LEAKED = 0.5  # of a ring, by Hann window, so many rings further to the power of -6
+_MAIN = 3  # rings: nearer than that a window mixes them
+_TURNS = 16  # directions of waves to the water's own
+_PATHS = {  # frames: when a path is seen, steps from mid-time, and what its places weigh in the displacement
+    2: (np.array([-0.5, 0.5]), np.array([-1.0, 1.0])),
+    4: (np.array([-1.5, -0.5, 0.5, 1.5]), np.array([1.0, -27.0, 27.0, -1.0]) / 24.0),
+}
 _PER_WAVE = 4.5  # lines of a windowed transform that tell the same
 _FEW = 20.0  # waves: a ring of so many is believed by half
 _BESIDE = 1.1  # a chord lies beside the path as well: the more, the steeper the waves
@@ -27,20 +36,52 @@ class Unresolved:
     ----------
     z : tuple of (int, float)
         Of z at mid-time from 2, 3, 4 and 6 frames, metres.
-    d : tuple of (int, float)
-        Of the water's displacement per step from 2 and 4 frames, over its own standard deviation.
+    d : tuple of (int, (float, float, float, float))
+        Of the water's displacement per step from 2 and 4 frames, over the rms of its rise: along either axis,
+        where the water stands still and by how much more where it moves as far as it does on the average
+        (squares add), then the same of its rise.
     """
 
     z: tuple[tuple[int, float], ...]  # pairs, for a plan is looked up by what it was learned from
-    d: tuple[tuple[int, float], ...]
+    d: tuple[tuple[int, Parts], ...]
 
     def of_z(self, frames: int) -> float:
         """Of z at mid-time from so many frames, metres."""
         return dict(self.z)[frames]
 
-    def of_displacement(self, frames: int) -> float:
-        """Of the displacement per step from so many frames, over its own standard deviation."""
-        return dict(self.d)[frames]
+    def of_displacement(self, frames: int, d: Float, known: NDArray[np.bool_]) -> Float:
+        """Of the displacement per step from so many frames.
+
+        Parameters
+        ----------
+        frames : int
+            2 for a chord, 4 for a path through four places.
+        d : ndarray, (3, ny, nx)
+            The displacement, metres.
+        known : ndarray of bool, (ny, nx)
+            Nodes that tell how far the water moves.
+
+        Returns
+        -------
+        ndarray, (3, ny, nx)
+            Metres.
+
+        Notes
+        -----
+        Half of what is left out along the axes is shared as the motion itself is, half evenly: short waves
+        come from more sides than long ones.
+        """
+        still, moving, still_up, moving_up = np.square(dict(self.d)[frames])
+        if not known.any():
+            return np.zeros_like(d)
+        x, y = (float(np.var(part[known])) for part in d[:2])
+        share = 0.5 + 0.5 * np.array([x, y]) * 2.0 / max(x + y, 1e-30)
+        speed = np.square(d[0]) + np.square(d[1])
+        speed /= max(float(np.mean(speed[known])), 1e-30)
+        up = still_up + moving_up * speed
+        along = still + moving * speed
+        rise = np.float32(np.sqrt(np.mean(np.square(d[2][known]))))
+        return np.asarray(rise * np.sqrt(np.stack([share[0] * along, share[1] * along, up])))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe.
@@ -49,7 +90,8 @@ class Unresolved:
         -------
         dict
         """
-        return {key: {str(n): value for n, value in part} for key, part in vars(self).items()}
+        z, d = {str(n): value for n, value in self.z}, {str(n): list(parts) for n, parts in self.d}
+        return {"z": z, "d": d}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Unresolved:
@@ -64,11 +106,19 @@ class Unresolved:
         -------
         Unresolved
         """
-        parts = (tuple((int(n), float(value)) for n, value in data[key].items()) for key in ("z", "d"))
-        return cls(*parts)
+        z = tuple((int(n), float(value)) for n, value in data["z"].items())
+        return cls(z, tuple((int(n), _parts(value)) for n, value in data["d"].items()))
 
 
-NOTHING = Unresolved(tuple((n, 0.0) for n in (2, 3, 4, 6)), tuple((n, 0.0) for n in (2, 4)))
+def _parts(value: Any) -> Parts:
+    """Four parts; of a recipe that holds one number for them, as it was meant."""
+    if isinstance(value, float | int):
+        return value / np.sqrt(2.0), 0.0, float(value), 0.0
+    across, more, up, more_up = map(float, value)
+    return across, more, up, more_up
+
+
+NOTHING = Unresolved(tuple((n, 0.0) for n in (2, 3, 4, 6)), tuple((n, (0.0, 0.0, 0.0, 0.0)) for n in (2, 4)))
 
 
 def kept_of_z(phase: Float, frames: int) -> Float:
@@ -113,7 +163,10 @@ def kept_of_displacement(phase: Float, frames: int) -> Float:
 
 
 def unresolved(
-    pairs: Sequence[tuple[Float, Float]], noise: Callable[[Float], Float] | None = None
+    pairs: Sequence[tuple[Float, Float]],
+    step: float,
+    noise: Callable[[Float], Float] | None = None,
+    matched: Callable[[Float], tuple[Float, Float]] | None = None,
 ) -> Unresolved:
     """What the finite time step leaves out, from elevations at two consecutive frames.
 
@@ -121,9 +174,14 @@ def unresolved(
     ----------
     pairs : sequence of (ndarray, ndarray), each (ny, nx)
         Elevation at a frame and at the next, of sample steps, metres.
+    step : float
+        From node to node, metres.
     noise : callable, optional
         From wavenumbers, rad per node, to the noise in the power of every wave of the discrete Fourier
         transform, metres squared; none if left out. It turns at any speed, and must not pass for waves.
+    matched : callable, optional
+        From wavenumbers, rad per node, to what the prior leaves of a wave's displacement, and to the factor
+        by which it is raised beside that, before paths take from it; 1 and 1 if left out.
 
     Returns
     -------
@@ -132,11 +190,20 @@ def unresolved(
     Notes
     -----
     In every ring of wavenumber the power of the difference over that of the sum is tan^2(p/2), with p = omega
-    dt the phase by which its waves turn in a step; the power of the waves is the sum of both, over four. A
-    ring of few waves says little of its own: its phase is drawn to c sqrt(k), with c the mean of all rings,
-    weighed by their waves. What is left out follows from p by linear theory (`kept_of_z`,
-    `kept_of_displacement`); three frames leave out p^3/16. A window in space keeps the long waves out of the
-    rings of the short ones.
+    dt the phase by which its waves turn in a step; the power P of the waves is the sum of both, over four. A
+    ring of few waves says little of its own: its phase is drawn to c times that of the dispersion relation,
+    with c the mean of all rings, weighed by their waves. A window in space keeps the long waves out of the
+    rings of the short ones, but for what falls off with the sixth power of the distance: rings that this may
+    fill are drawn altogether. Of z sum P (1 - K)^2 is left out (`kept_of_z`); three frames leave out p^3/16.
+
+    A path sees a wave turn by q = p - k d cos(theta) in a step, with d how far the water moves in it, theta
+    the direction of the wave beside that of the water; along the path its rise is q of the amplitude, its
+    motion along the wave p of it. Of its displacement B G is left by matching, B G K(q) by the path as well
+    (`kept_of_displacement`); what the prior takes, (1 - G)^2, is stated apart. So half of sum P p^2 L of the
+    motion along either axis is left out, L = (1 - B G K(q))^2 - (1 - G)^2, averaged over theta. Of the rise
+    sum P q^2 L is, but for how much the path bends: its places are Gaussian, given d, and the expectation of
+    the squared error follows from their covariances. Both grow nearly with d^2. d is that of deep water: as
+    far as it rises.
     """
     if not pairs:
         return NOTHING
@@ -149,25 +216,72 @@ def unresolved(
     count = np.bincount(ring)
     own = 2.0 * np.arctan2(np.sqrt(minus), np.sqrt(plus))
     power = 0.25 * (plus + minus)
-    heard = (power > 0.25 * _HEARD * drowned) & (power > _LEAKED * power.max()) & (own > 0)
+    heard = (power > 0.25 * _HEARD * drowned) & (power > _HEARD * _leaked(power)) & (own > 0)
     heard[0] = False
     waves = np.where(heard, count * len(pairs) / _PER_WAVE, 0.0)
-    phase = _drawn(own, waves, np.bincount(ring, k) / count)
+    k = np.bincount(ring, k) / count / step
+    phase = _drawn(own, waves, dispersion(k))
     z = {n: float(np.sqrt(np.sum(power * (1.0 - kept_of_z(phase, n)) ** 2))) for n in (2, 4, 6)}
     z[3] = float(np.sqrt(np.sum(power * np.minimum(phase**3 / 16.0, 1.0) ** 2)))
-    moved = power * phase**2
-    d = {}
+    left = (np.ones_like(k), np.ones_like(k)) if matched is None else matched(k * step)
+    rise = float(np.mean([np.mean(np.square(b - a)) for a, b in pairs]))
+    d = []
     for n, factor in ((2, _BESIDE), (4, 1.0)):
-        lost = factor * (1.0 - kept_of_displacement(phase, n))
-        d[n] = float(np.sqrt(np.sum(moved * lost**2) / max(np.sum(moved), 1e-30)))
-    return Unresolved(tuple(sorted(z.items())), tuple(d.items()))
+        still, moving = (_of_paths(power, phase, k, far, left, n) for far in (0.0, np.sqrt(rise)))
+        faster = np.maximum(moving - still, 0.0)
+        across, up = factor * np.sqrt(np.stack([still, faster], axis=1) / max(rise, 1e-30))
+        d.append((n, (float(across[0]), float(across[1]), float(up[0]), float(up[1]))))
+    return Unresolved(tuple(sorted(z.items())), tuple(d))
 
 
-def _drawn(own: Float, waves: Float, k: Float) -> Float:
-    """Phases of rings as they and all others together have them."""
+def _of_paths(
+    power: Float, phase: Float, k: Float, far: float, left: tuple[Float, Float], frames: int
+) -> Float:
+    """Variance that paths leave out along either axis and of the rise, (2,), where water moves so far."""
+    theta = np.pi * (np.arange(_TURNS) + 0.5) / _TURNS
+    moved = far * k * np.cos(theta)[:, None]
+    gain, raised = left
+    q = phase - moved
+    lost = np.square(1.0 - raised * gain * kept_of_displacement(q, frames)) - np.square(1.0 - gain)
+    along = 0.5 * np.sum(power * phase**2 * np.maximum(lost, 0.0))
+    risen = _of_rises(power, phase, k, moved, raised * gain, frames) - np.square((1.0 - gain) * q)
+    return np.array([along, np.sum(power * np.maximum(risen, 0.0))]) / _TURNS
+
+
+def _of_rises(power: Float, phase: Float, k: Float, moved: Float, left: Float, frames: int) -> Float:
+    """Squared error of the rise along a path, over the power of each wave, (turns, rings).
+
+    Where the path leads is a Gaussian process: known is how far it goes in a step at mid-time, what is left
+    of it turns the wave as well.
+    """
+    t, weights = _PATHS[frames]
+    apart, each = np.subtract.outer(t, t)[..., None], np.multiply.outer(t, phase)
+    still = 1.0 - np.cos(each)
+    # covariances of the places, from mid-time on, and with the motion there; along one axis
+    places = 0.5 * ((np.cos(apart * phase) - 1.0 + still[:, None] + still[None]) @ power)
+    with_motion, motion = 0.5 * (phase * np.sin(each)) @ power, 0.5 * np.sum(power * phase**2)
+    rho = with_motion / max(motion, 1e-30)
+    rest = places - np.outer(with_motion, rho)
+    own = np.diag(rest)
+    between = own[:, None] + own - 2.0 * rest
+    seen = left * weights[:, None] * np.exp(1j * (each - moved[:, None] * rho[:, None]))
+    exact = phase - moved
+    mean = np.sum(seen * np.exp(-0.5 * np.multiply.outer(own, k**2)), axis=1)
+    pairs = np.real(seen[:, :, None] * seen[:, None].conj()) * np.exp(-0.5 * np.multiply.outer(between, k**2))
+    return np.asarray(np.square(exact) - 2.0 * exact * np.imag(mean) + pairs.sum(axis=(1, 2)))
+
+
+def _leaked(power: Float) -> Float:
+    """Power that the window brings into every ring from those that are not beside it."""
+    apart = np.abs(np.subtract.outer(np.arange(power.size), np.arange(power.size)))
+    reach = np.where(apart >= _MAIN, _LEAKED / np.maximum(apart, 1.0) ** 6, 0.0)
+    return np.asarray(reach @ power)
+
+
+def _drawn(own: Float, waves: Float, shape: Float) -> Float:
+    """Phases of rings as they and all others together have them, in proportion to a shape."""
     if not waves.any():
         return np.zeros_like(own)
-    shape = np.sqrt(k)
     heard = waves > 0
     ratio = np.zeros_like(own)
     ratio[heard] = np.log(own[heard] / shape[heard])
