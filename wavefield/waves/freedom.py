@@ -1,11 +1,57 @@
 """Degrees of freedom of spectra, and the intervals that follow from them."""
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from wavefield.variables import annotate
 from wavefield.waves import rings
 from wavefield.waves.windows import interval
+
+Array = NDArray[Any]
+
+_NEIGHBOURS = 1.0, 4 / 9, 1 / 36  # squared correlation of lines of a Hann window 0, 1, 2 apart
+HANN_LINES = 2 * sum(_NEIGHBOURS) - 1  # lines that count as one
+
+
+def hann_correlation(lines: int) -> Array:
+    """Squared correlation of the lines of a Hann window, (lines, lines), for energy spread evenly."""
+    apart = np.abs(np.subtract.outer(np.arange(lines), np.arange(lines)))
+    return np.select([apart == n for n in range(len(_NEIGHBOURS))], _NEIGHBOURS, 0.0)
+
+
+def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
+    """Degrees of freedom of sums of powers, as their spread lets expect.
+
+    Parameters
+    ----------
+    power : ndarray, (parts, n)
+        What is summed over the first axis.
+    dof : ndarray, (parts, n)
+        Degrees of freedom of each.
+    overlap : ndarray, (parts, parts)
+        Squared correlation between them, times any factor of each part.
+
+    Returns
+    -------
+    ndarray, (n,)
+        (sum P)^2 / sum_ij rho_ij^2 P_i P_j / sqrt(nu_i nu_j); the mean of ``dof`` where there is no power.
+
+    Examples
+    --------
+    Four parts of ten degrees of freedom each, as strong as each other and independent; then the first alone.
+
+    >>> power = np.array([[1.0, 1.0], [1.0, 0.0], [1.0, 0.0], [1.0, 0.0]])
+    >>> sum_freedom(power, np.full((4, 2), 10.0), np.eye(4))
+    array([40., 10.])
+    """
+    size = np.sqrt(np.maximum(np.diag(overlap), 1e-300))
+    share = power / np.sqrt(dof)
+    variance = np.einsum("in,in->n", share, (overlap / np.outer(size, size)) @ share)
+    out = np.divide(power.sum(axis=0) ** 2, variance, out=dof.mean(axis=0), where=variance > 0)
+    return np.asarray(out)
 
 
 def independent_cells(energy: xr.DataArray, cells: xr.DataArray, table: rings.Rings) -> xr.DataArray:

@@ -12,20 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from wavefield.waves.freedom import HANN_LINES, hann_correlation, sum_freedom
 from wavefield.waves.welch import LEAST_COUNT, Welch
 
 Array = NDArray[Any]
 
 _NEAR = 2, 5  # rings and lines to both sides over which scatter is averaged
-_WIDE = 21, 81  # rings and lines over which likeness is averaged
+_WIDE = 21, 11  # rings and lines over which likeness is averaged: it changes from line to line
 # segments, of products and of Gaussian waves: with fewer the scatter is averaged over more cells, so that as
 # many powers tell it
 _MANY = 28, 56
-_ALONG, _FAR = 11, 41  # lines, or rings, where the other axis is summed up
+_ALONG = 11  # lines, or rings, where the other axis is summed up
 _FURTHEST = 2  # segments apart that may be alike
 _TELLING = 8  # segments: fewer do not tell the scatter of Gaussian lines
 _ENOUGH = 12  # segments: fewer do not tell how alike they are
-_DOUBT = 0.5  # over the root of their number: by so much likeness is overestimated at random
 _MOST = 4.0  # times as many degrees of freedom as cells and energy let expect, or, of Gaussian lines, as few
 
 
@@ -66,13 +66,15 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
     -----
     Twice the squared mean over the variance of the mean of K segments: c_0 / K times how alike they are, 1 +
     2 sum (1 - L/K) c_L / c_0, c_L their covariance L apart, L to 2, each over what taking off the mean leaves
-    of it. Of E(k, omega) the variance is told in parts of what the energy's spread over cells lets expect
-    (`Welch.freedom`), which follows the ridge, and averaged over 5 rings and 11 lines (over root (56 / K)
-    times as many where K is less, of products (28 / K): as many powers tell it then); likeness,
-    which is less well known and changes less, over 21 and 81. Of E(omega) over 11 and 41 lines; of E(k), in
-    parts of what the rings' cells let expect, over as many rings. What is known from the scatter alone has
-    its likeness from as near as its variance and is made (n - 1) / (n - 3) larger, Student's variance with
-    the n = K / likeness segments that are not alike. Fewer than twelve segments are taken to be as alike as
+    of it. The variance is told in parts of what the energy's spread over cells lets expect, which follows the
+    ridge: of E(k, omega) `Welch.freedom`, of E(omega) and E(k) `sum_freedom` of that. Of E(k, omega) it is
+    averaged over 5 rings and 11 lines (over root (56 / K) times as many where K is less, of products
+    (28 / K): as many powers tell it then); likeness over 21 and 11: it is large at the ends of a sea, where
+    lines see few frequencies. Of E(omega) and E(k) both are averaged over 11 lines or rings. What is known
+    from the scatter alone has its likeness from as near as its variance and is made (n - 1) / (n - 3) larger,
+    Student's variance with the n = K / likeness segments that are not alike; of E(omega) and E(k) n is that
+    times the independent lines among the 11, over 1 + 6 / nu: powers of nu degrees of freedom tell their
+    variance less well than Gaussian values. Fewer than twelve segments are taken to be as alike as
     those of white noise, and fewer than eight leave E(k, omega) of Gaussian lines at what is expected.
     """
     theory = welch.freedom(sums[name])
@@ -83,17 +85,18 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
     parts, near = np.ones_like(theory), _near(welch.count, _MANY[gaussian])
     if not gaussian:  # their scatter is all that is known
         # products of waves make the cells of a ring rise and fall as one: many times what cells let expect
-        parts = _scatter(powers, starts, welch, theory / 2, (near, near), only=True)
-        parts = parts.clip(1 / _MOST, None)
+        parts, likeness = _scatter(powers, starts, welch, theory / 2, (near, near))
+        parts = (parts * _student(welch.count / likeness)).clip(1 / _MOST, None)
     elif welch.count >= _TELLING:
-        parts = _scatter(powers, starts, welch, theory / 2, (near, _WIDE)).clip(1 / _MOST, _MOST)
-    lines = np.ones(powers.shape[2])
-    on_omega = _scatter(powers.sum(axis=1), starts, welch, lines, (_ALONG, _FAR))
-    on_k = _scatter(powers.sum(axis=2), starts, welch, welch.table.cells, (_ALONG, _FAR)) / welch.table.cells
+        parts = _scatter(powers, starts, welch, theory / 2, (near, _WIDE))[0].clip(1 / _MOST, _MOST)
+    power = sums[name][0]
+    lines = hann_correlation(power.shape[1])
+    on_omega = sum_freedom(power, theory, welch.table.overlap)
+    on_k = sum_freedom(power.T, theory.T, lines)
     return {
         "both": (theory / parts).clip(1, None),
-        "omega": (2 / on_omega.clip(1e-9)).clip(1, None),
-        "k": (2 / on_k.clip(1e-9)).clip(1, None),
+        "omega": _of_sum(powers.sum(axis=1), starts, welch, on_omega),
+        "k": _of_sum(powers.sum(axis=2), starts, welch, on_k),
     }
 
 
@@ -123,24 +126,33 @@ def _scatter(
     welch: Welch,
     scale: Array,
     sizes: tuple[tuple[int, int] | int, ...],
-    only: bool = False,
-) -> Array:
-    # relative variance of the mean of the segments, times a scale, averaged; as Student has it where nothing
-    # else is known
+) -> tuple[Array, Array]:
+    # relative variance of the mean of the segments, times a scale, averaged; and how alike they are
     alone, whole = (part * scale for part in _variances(powers, starts, welch))
     near, wide = sizes
     least = 1 + (1 - 1 / welch.count) / 18  # of white noise
     likeness = np.full(alone.shape, least)
     if welch.count >= _ENOUGH:
-        doubt = 0.0 if only else _DOUBT / np.sqrt(welch.count)
         with np.errstate(divide="ignore", invalid="ignore"):
             found = np.nan_to_num(_smooth(whole, wide) / _smooth(alone, wide), nan=least)
-        likeness = np.maximum(found - doubt, least)
-    out = _smooth(alone, near) * likeness
-    if only:
-        unlike = np.maximum(welch.count / likeness, LEAST_COUNT)
-        out *= (unlike - 1) / (unlike - 3)
-    return np.asarray(out)
+        likeness = np.maximum(found, least)
+    return np.asarray(_smooth(alone, near) * likeness), likeness
+
+
+def _student(number: Array) -> Array:
+    # Student's variance: how much wider than a normal deviation one is whose variance so many values told
+    number = np.maximum(number, LEAST_COUNT)
+    return np.asarray((number - 1) / (number - 3))
+
+
+def _of_sum(powers: Array, starts: Array, welch: Welch, theory: Array) -> Array:
+    # degrees of freedom of sums (segments, n), from those that their cells let expect
+    parts, likeness = _scatter(powers, starts, welch, theory / 2, (_ALONG, _ALONG))
+    parts = parts.clip(1e-9 * theory, None)
+    single = theory * likeness / (welch.count * parts)  # of one segment's sum
+    lines = max(min(_ALONG, theory.size) / HANN_LINES, 1.0)
+    parts *= _student(welch.count / likeness * lines / (1 + 6 / single))
+    return np.asarray((theory / parts).clip(1, None))
 
 
 def _near(count: int, many: int) -> tuple[int, int]:
