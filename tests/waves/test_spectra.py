@@ -9,6 +9,9 @@ from waves_cases import GaussianSea, Waves, axes, random_waves, seen
 import wavefield.waves as wv
 from wavefield.errors import CubeError
 from wavefield.waves import rings, windows
+from wavefield.waves.likeness import expected_likeness
+from wavefield.waves.ridge_windows import hann_power
+from wavefield.waves.windows import interval
 
 
 def field(values, dt=0.05, dx=0.03, units="m"):
@@ -124,6 +127,30 @@ def test_the_interval_holds_the_truth_for_seas_with_and_without_a_direction(spre
     low, high = (np.array([E[name].values[energetic] for E in estimates]) for name in ("low", "high"))
     assert ratios.mean() == pytest.approx(1, abs=0.03)
     assert 0.9 < np.mean((ratios * low < 1) & (ratios * high > 1)) < 0.97
+
+
+@pytest.mark.parametrize("spread", [0, 10])
+def test_the_intervals_of_sums_over_k_and_over_omega_hold_their_truth(spread):
+    sea = GaussianSea(spread=spread, heading=0.3)
+    estimates = [E for seed in range(2) for E in views(sea.draw(seed))]
+    truth = xr.DataArray(sea.expected(estimates[0]), estimates[0].E.coords, ("omega", "k"))
+    for axis, over in (("omega", "k"), ("k", "omega")):
+        whole = truth.sum(over)
+        energetic = (whole > 0.1 * whole.max()).values
+        ratios = np.array([(E.E.sum(over) / whole).values[energetic] for E in estimates])
+        low, high = interval(np.array([E[f"dof_{axis}"].values[energetic] for E in estimates]))
+        assert ratios.mean() == pytest.approx(1, abs=0.05)
+        assert 0.88 < np.mean((ratios * low < 1) & (ratios * high > 1)) < 0.99
+
+
+def test_segments_of_waves_of_one_frequency_are_alike():
+    white = np.ones((1, 33))
+    assert expected_likeness(white, 39)[0, 16] == pytest.approx(1 + (1 - 1 / 39) / 18, abs=2e-3)
+    steep = hann_power(np.arange(33.0) - 10.3)[None]
+    likeness = expected_likeness(steep, 39)[0]
+    assert likeness[8] > 1.5
+    assert (likeness > 1).all()
+    assert (likeness < 5).all()
 
 
 def test_turning_the_sea_changes_the_spectrum_within_its_interval():

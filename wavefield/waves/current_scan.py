@@ -63,9 +63,9 @@ def scan_current(
 
     Notes
     -----
-    Each cell asks for a current (omega - sigma(k)) / k along its direction. All votes are counted, each
-    line's energy as one and short waves, which know it better, more; those of a current U lie on
-    U cos(theta - phi).
+    Each cell asks for a current (omega - sigma(k)) / k along its direction, or, if its waves run against one
+    that carries them back, for (omega + sigma(k)) / k. All votes are counted, each line's energy as one and
+    short waves, which know it better, more; those of a current U lie on U cos(theta - phi).
     """
     kept = (plane.k > LONGEST * plane.cell) & (plane.k < 0.9 * plane.k[plane.ky == 0].max())
     k, angle = plane.k[kept], plane.angle[kept]
@@ -76,11 +76,12 @@ def scan_current(
     for o, line, floor in zip(omega, energy, noise):
         weight = np.maximum(line[kept] - 3 * floor, 0.0)
         total = weight.sum()
-        wanted = np.rint(((o - sigma) / k + _FASTEST) / _SCAN_STEP).astype(int)
-        inside = (wanted >= 0) & (wanted < slots) & (weight > 0)
-        if total > 0:
-            place = sector[inside] * slots + wanted[inside]
-            votes += np.bincount(place, weight[inside] * k[inside] / total, votes.size)
+        for free in (sigma, -sigma):
+            wanted = np.rint(((o - free) / k + _FASTEST) / _SCAN_STEP).astype(int)
+            inside = (wanted >= 0) & (wanted < slots) & (weight > 0)
+            if total > 0:
+                place = sector[inside] * slots + wanted[inside]
+                votes += np.bincount(place, weight[inside] * k[inside] / total, votes.size)
     votes = ndimage.gaussian_filter1d(votes.reshape(_SCAN_SECTORS, slots), 1.0, axis=1)
     speeds = np.arange(-(slots // 2), slots // 2 + 1) * _SCAN_STEP
     ux, uy = np.meshgrid(speeds, speeds, indexing="ij")

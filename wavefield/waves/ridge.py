@@ -14,7 +14,8 @@ from wavefield.variables import annotate
 from wavefield.water import GAMMA, dispersion, group_velocity, wavenumber
 from wavefield.waves import kernels
 from wavefield.waves.current_scan import LONGEST, Plane, plane_of, scan_current
-from wavefield.waves.ridge_contrast import contrast, fraction
+from wavefield.waves.ridge_contrast import contrast, explained, fraction
+from wavefield.waves.ridge_error import against_theory
 from wavefield.waves.ridge_windows import Cells, as_seen
 from wavefield.waves.welch import k_coords
 
@@ -23,7 +24,9 @@ Array = NDArray[Any]
 _ASTRAY = 0.1  # of k: a ridge lies within 3 %, what is taken for one by mistake within 8 to 70 %
 _LEAST = 1e-3  # of the strongest sector on a line: what is weaker has leaked
 _LEAST_POINTS = 6
-_HELD_UP = 0.3  # of the free group velocity: waves that a current slows more smear over all k
+_HELD_UP = 0.5  # of the free group velocity: waves that a current slows more smear over all k
+_FAST = 0.7  # of the free group velocity: what the fit changes by without slower waves is doubt
+_EXPLAINED = 0.5  # of the energy above the noise: a relation that holds less is not that of the waves
 _ROBUST = 0.05  # of a misfit over sqrt(k): larger ones count less
 _LEANING = 0.3  # cells of the k plane: what the windows move further is theirs
 _WHOLE = 0.8  # of the grid's shortest waves' k: shorter ones are seen in part
@@ -31,7 +34,8 @@ _FILM = 0.3  # of the surface tension: so far water may differ from what is give
 _UNKNOWN = 0.02  # m/s: a current that is known no better is not stated
 _TENSION = 0.02  # of the surface tension: what noisy seas leave wrong in it
 _CONTRAST = 1.5  # energy on the ridge over what its cells hold at other frequencies: noise has .9 to 1.2
-_MENDS = 2  # rounds in which the windows' doing is taken off
+_MENDS = 8  # rounds at most in which the windows' doing is taken off, two at least
+_SETTLED, _UNSETTLED = 3e-4, 2e-3  # m/s: they end where the current changes by less; are refused by more
 
 
 @dataclass(frozen=True)
@@ -222,8 +226,8 @@ def fit_dispersion(
     ------
     CubeError
         If no energy stands out in the band, or it lies on the ridge of no current, or the ridge hardly stands
-        out of what the same wave vectors hold at other frequencies: noise has a best current, too; or if the
-        current is not told to 2 cm/s.
+        out of what the same wave vectors hold at other frequencies: noise has a best current, too; or if less
+        than half of the energy lies on it, the fit does not settle, or the current is not told to 2 cm/s.
 
     Notes
     -----
@@ -232,11 +236,13 @@ def fit_dispersion(
     weighted by amplitude; the window re-centred on the fit. What the windows do to a centroid (leakage along
     a falling spectrum and from strong directions into weak ones, the curvature of the ridge) is taken off:
     free waves of the measured energy on the fitted relation are seen through the same windows and followed
-    likewise (`ridge_windows.as_seen`), and what lies beside the relation there is subtracted. Centroids in
-    omega at fixed k would be biased by up to 8 %. The uncertainty follows from the scatter of the points
-    about the fit, those of half a hertz and an octant of directions taken together, larger the less the ridge
-    stands out, joined with half of what the fit changes by when twice the noise is taken off, and 2 % of the
-    surface tension, which is taken to be within 30 % of what is given where the waves tell less.
+    likewise (`ridge_windows.as_seen`), and what lies beside the relation there is subtracted, in rounds until
+    the current settles. Centroids in omega at fixed k would be biased by up to 8 %. The uncertainty follows
+    from the scatter of the points about the fit, those of half a hertz and an octant of directions taken
+    together, larger the less the ridge stands out, joined with half of what the fit changes by when twice the
+    noise is taken off, with what it changes by without the waves that the current slows most and in the last
+    round, and 2 % of the surface tension, which is taken to be within 30 % of what is given where the waves
+    tell less.
 
     Examples
     --------
@@ -282,12 +288,16 @@ def fit_dispersion(
         points = _centroids(used, omega[band], floor, plane, sectors, depth, fit, settings)
         points = _enough(points, bottom, top)
         fit = _solve(points, depth, fit)
-    lean = np.zeros((2, 0))
-    for _ in range(_MENDS):
+    lean, change = np.zeros((2, 0)), np.inf
+    for mend in range(_MENDS):
+        before = fit
         lean = _windows_lean(density, noise, band, sectors, plane, depth, fit, settings)
         points = _centroids(used, omega[band], floor, plane, sectors, depth, fit, settings)
         points = _enough(_straightened(points, lean), bottom, top)
         fit = _solve(points, depth, fit)
+        change = float(np.hypot(*(fit - before)[:2]))
+        if mend > 0 and change < _SETTLED:
+            break
 
     band_words = f"the waves between {bottom / (2 * np.pi):.2g} and {top / (2 * np.pi):.2g} Hz"
     astray = _astray(points, depth, fit, plane.cell)
@@ -304,30 +314,54 @@ def fit_dispersion(
             f" one holds {stands_out:.2f} times what the same wave vectors hold at other frequencies, where"
             " noise has 1"
         )
+    if change > _UNSETTLED:
+        raise CubeError(
+            f"{band_words} settle on no current (the last is {fit[0]:.2f}, {fit[1]:.2f} m/s), as where it"
+            " holds them up: choose a longer record or another band"
+        )
+    held = explained(energy, omega, noise, (omega > bottom / 2) & (omega < 1.5 * top), plane, depth, fit)
+    if held < _EXPLAINED:
+        raise CubeError(
+            f"{band_words} hold {100 * held:.0f} % of their energy on the dispersion relation, whatever the"
+            f" current (the best is {fit[0]:.2f}, {fit[1]:.2f} m/s), as where it holds them up: check depth,"
+            " frame rate and grid step, or choose another band"
+        )
     quieter = _centroids(used, omega[band], 2 * floor, plane, sectors, depth, fit, settings)
     doubt = 0.5 * np.abs(_solve(_straightened(quieter, lean), depth, fit) - fit)
+    doubt = np.hypot(doubt, np.hypot(_solve(_fast(points, depth, fit), depth, fit) - fit, fit - before))
     # of what the points say 1 / contrast is noise
     covariance = _covariance(points, depth, fit) / (1 - 1 / stands_out) ** 2
     fit, covariance = _of_water(fit, covariance, gamma)
     chance = np.sqrt(np.diag(covariance))
     spreads = np.hypot(chance, np.hypot(doubt, [0.0, 0.0, _TENSION * gamma]))
-    if (known := np.hypot(*spreads[:2])) > _UNKNOWN:
+    known = np.hypot(*spreads[:2])
+    if not known <= _UNKNOWN:
+        how_well = f"tell the current to {known:.2f} m/s only"
+        if not np.isfinite(known):
+            how_well = "are too few to tell the current"
         raise CubeError(
-            f"{band_words} tell the current to {known:.2f} m/s only, as where it holds them up: choose a"
-            " longer record or another band"
+            f"{band_words} {how_well}, as where it holds them up: choose a longer record or another band"
         )
     out: dict[str, Any] = {}
     for i, name in enumerate(("current_x", "current_y", "gamma")):
         out[name], out[f"{name}_std"] = ((), fit[i]), ((), spreads[i])
     for i, name in enumerate(("ridge_omega", "ridge_k", "ridge_angle", "ridge_weight")):
         out[name] = ("point", points[:, i])
-    out |= _against_theory(points, depth, fit, gamma)
+    out |= against_theory(points, depth, fit, gamma)
     out["ridge_fraction"] = ((), fraction(energy, omega, plane, depth, fit))
     out["depth"] = ((), depth)
     attrs = {"lowest": float(bottom / (2 * np.pi)), "highest": float(top / (2 * np.pi))}
     out_set = annotate(xr.Dataset(out, attrs=attrs).set_coords("band_frequency"), "dispersion")
     out_set["ridge_weight"].attrs["units"] = density.attrs.get("units", "1")
     return out_set
+
+
+def _fast(points: Array, depth: float, fit: Array) -> Array:
+    # points of waves that the current slows little; all where few are left
+    speed = group_velocity(points[:, 1], depth, fit[2])
+    along = fit[0] * np.cos(points[:, 2]) + fit[1] * np.sin(points[:, 2])
+    fast = speed + along > _FAST * speed
+    return points[fast] if fast.sum() >= _LEAST_POINTS else points
 
 
 def _enough(points: Array, bottom: float, top: float) -> Array:
@@ -378,33 +412,6 @@ def _astray(points: Array, depth: float, fit: Array, cell: float) -> float:
     model = dispersion(k, depth, fit[2]) + k * (fit[0] * np.cos(angle) + fit[1] * np.sin(angle))
     apart = (points[:, 0] - model) / group_velocity(k, depth, fit[2]) / np.maximum(k, cell / _ASTRAY)
     return float(np.sqrt(np.average(apart**2, weights=points[:, 3] / _strongest(points))))
-
-
-def _against_theory(points: Array, depth: float, fit: Array, gamma: float) -> dict[str, Any]:
-    # by bands of half a hertz: energy-weighted mean of k over the theory's k for that omega and direction
-    omega, k, angle, weight = points.T[:4]
-    along = fit[0] * np.cos(angle) + fit[1] * np.sin(angle)
-    theory = k.copy()
-    for _ in range(20):
-        beside = dispersion(theory, depth, gamma) + theory * along - omega
-        speed = group_velocity(theory, depth, gamma)
-        slope = np.maximum(speed + along, _HELD_UP / 2 * speed)
-        theory = np.clip(theory - beside / slope, 0.5 * theory, 2 * theory)
-    frequency = omega / (2 * np.pi)
-    band = np.floor(frequency / 0.5)
-    centres, errors = [], []
-    for b in np.unique(band):
-        inside = band == b
-        # each line on its own scale: energy falls by decades within a band
-        scale = weight[inside] / np.interp(omega[inside], *_line_means(omega[inside], weight[inside]))
-        centres.append((b + 0.5) * 0.5)
-        errors.append(float(np.average(k[inside] / theory[inside] - 1, weights=scale)))
-    return {"ridge_error": ("band", np.array(errors)), "band_frequency": ("band", np.array(centres))}
-
-
-def _line_means(omega: Array, weight: Array) -> tuple[Array, Array]:
-    lines = np.unique(omega)
-    return lines, np.array([weight[omega == line].mean() for line in lines])
 
 
 def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float) -> tuple[xr.Dataset, str]:

@@ -16,7 +16,7 @@ def _near_ridge(omega: Array, plane: Plane, depth: float, fit: Array) -> Array:
     free = dispersion(plane.k, depth, fit[2]) + fit[0] * plane.kx + fit[1] * plane.ky
     slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), depth, fit[2]))
     slope += np.hypot(fit[0], fit[1])
-    reach = 2 * plane.cell * slope + 2 * (omega[1] - omega[0])
+    reach = 2 * plane.cell * slope + 2 * abs(omega[1] - omega[0])
     return np.asarray(np.abs(omega[:, None] - free) < reach)
 
 
@@ -79,3 +79,39 @@ def fraction(energy: Array, omega: Array, plane: Plane, depth: float, fit: Array
     near = _near_ridge(omega, plane, depth, fit)
     total = float(energy.sum(dtype=float))
     return float((energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
+
+
+def explained(
+    energy: Array, omega: Array, noise: Array, lines: Array, plane: Plane, depth: float, fit: Array
+) -> float:
+    """Fraction of the energy above the noise that lies within the ridge, whichever way waves are seen to go.
+
+    Parameters
+    ----------
+    energy : ndarray, (lines, cells)
+        Spectrum.
+    omega, noise : ndarray, (lines,)
+        rad/s, and the level of the noise.
+    lines : ndarray of bool, (lines,)
+        Which lines count.
+    plane : Plane
+        Cells.
+    depth : float
+        Of the water, m.
+    fit : ndarray, (3,)
+        Current along x and y, m/s, and surface tension over density, m3/s2.
+
+    Returns
+    -------
+    float
+        1 where there is no energy.
+
+    Notes
+    -----
+    Waves that a current carries back are seen with the opposite wave vector: omega = k.U - sigma(k).
+    """
+    counted = plane.k > LONGEST * plane.cell
+    above = np.maximum(energy[lines] - 3 * noise[lines, None], 0.0)[:, counted]
+    near = _near_ridge(omega, plane, depth, fit) | _near_ridge(-omega, plane, depth, fit * [-1, -1, 1])
+    total = float(above.sum(dtype=float))
+    return float((above * near[lines][:, counted]).sum(dtype=float)) / total if total > 0 else 1.0

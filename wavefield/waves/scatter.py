@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from wavefield.waves.freedom import HANN_LINES, hann_correlation, sum_freedom
+from wavefield.waves.likeness import expected_likeness
 from wavefield.waves.welch import LEAST_COUNT, Welch
 
 Array = NDArray[Any]
@@ -75,7 +76,8 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
     Student's variance with the n = K / likeness segments that are not alike; of E(omega) and E(k) n is that
     times the independent lines among the 11, over 1 + 6 / nu: powers of nu degrees of freedom tell their
     variance less well than Gaussian values. Fewer than twelve segments are taken to be as alike as
-    those of white noise, and fewer than eight leave E(k, omega) of Gaussian lines at what is expected.
+    those of white noise, those of E(omega) and E(k), however many, at least as `expected_likeness` has it for
+    the spectra of the rings; fewer than eight leave E(k, omega) of Gaussian lines at what is expected.
     """
     theory = welch.freedom(sums[name])
     if welch.count < LEAST_COUNT:
@@ -90,13 +92,15 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
     elif welch.count >= _TELLING:
         parts = _scatter(powers, starts, welch, theory / 2, (near, _WIDE))[0].clip(1 / _MOST, _MOST)
     power = sums[name][0]
-    lines = hann_correlation(power.shape[1])
     on_omega = sum_freedom(power, theory, welch.table.overlap)
-    on_k = sum_freedom(power.T, theory.T, lines)
+    on_k = sum_freedom(power.T, theory.T, hann_correlation(power.shape[1]))
+    # of the cells of a ring, in proportion to what they bring to the variance of a sum
+    alike, variance = expected_likeness(power, welch.count, _FURTHEST), power**2 / theory
+    least = [(alike * variance).sum(axis=i) / np.maximum(variance.sum(axis=i), 1e-300) for i in (0, 1)]
     return {
         "both": (theory / parts).clip(1, None),
-        "omega": _of_sum(powers.sum(axis=1), starts, welch, on_omega),
-        "k": _of_sum(powers.sum(axis=2), starts, welch, on_k),
+        "omega": _of_sum(powers.sum(axis=1), starts, welch, on_omega, least[0]),
+        "k": _of_sum(powers.sum(axis=2), starts, welch, on_k, least[1]),
     }
 
 
@@ -126,16 +130,17 @@ def _scatter(
     welch: Welch,
     scale: Array,
     sizes: tuple[tuple[int, int] | int, ...],
+    least: Array | float = 1.0,
 ) -> tuple[Array, Array]:
     # relative variance of the mean of the segments, times a scale, averaged; and how alike they are
     alone, whole = (part * scale for part in _variances(powers, starts, welch))
     near, wide = sizes
-    least = 1 + (1 - 1 / welch.count) / 18  # of white noise
-    likeness = np.full(alone.shape, least)
+    white = 1 + (1 - 1 / welch.count) / 18
+    likeness = np.maximum(np.full(alone.shape, white), least)
     if welch.count >= _ENOUGH:
         with np.errstate(divide="ignore", invalid="ignore"):
-            found = np.nan_to_num(_smooth(whole, wide) / _smooth(alone, wide), nan=least)
-        likeness = np.maximum(found, least)
+            found = np.nan_to_num(_smooth(whole, wide) / _smooth(alone, wide), nan=white)
+        likeness = np.maximum(found, likeness)
     return np.asarray(_smooth(alone, near) * likeness), likeness
 
 
@@ -145,9 +150,9 @@ def _student(number: Array) -> Array:
     return np.asarray((number - 1) / (number - 3))
 
 
-def _of_sum(powers: Array, starts: Array, welch: Welch, theory: Array) -> Array:
+def _of_sum(powers: Array, starts: Array, welch: Welch, theory: Array, least: Array) -> Array:
     # degrees of freedom of sums (segments, n), from those that their cells let expect
-    parts, likeness = _scatter(powers, starts, welch, theory / 2, (_ALONG, _ALONG))
+    parts, likeness = _scatter(powers, starts, welch, theory / 2, (_ALONG, _ALONG), least)
     parts = parts.clip(1e-9 * theory, None)
     single = theory * likeness / (welch.count * parts)  # of one segment's sum
     lines = max(min(_ALONG, theory.size) / HANN_LINES, 1.0)
