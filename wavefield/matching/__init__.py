@@ -4,7 +4,8 @@ from wavefield.matching.correlate import correlate
 from wavefield.matching.displacement import Displacement, Reason
 from wavefield.matching.edges import Slopes, edge_slopes
 from wavefield.matching.gauss_newton import look_again, match, scores_at
-from wavefield.matching.posterior import Modes, along_each, around_holes, noise_of_scores
+from wavefield.matching.noise import along_each, around_holes, noise_of_scores
+from wavefield.matching.posterior import Modes
 from wavefield.matching.prepared import Prepared, prepare
 from wavefield.matching.prior import Prior, better_prior, first_prior
 from wavefield.matching.settings import Settings

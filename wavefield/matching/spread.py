@@ -13,7 +13,7 @@ from scipy.ndimage import map_coordinates, spline_filter1d
 
 from wavefield.compiled import compiled
 from wavefield.matching.cosines import cosines
-from wavefield.matching.posterior import bare
+from wavefield.matching.noise import bare
 from wavefield.matching.prior import Prior, wavenumbers
 from wavefield.matching.transfer import footprint
 

@@ -9,10 +9,9 @@ import numpy as np
 
 from wavefield.matching.kernels import BLOCK
 from wavefield.matching.lattice import BORDER, filtered
+from wavefield.matching.noise import CLUSTER
 from wavefield.matching.settings import Settings
 from wavefield.matching.transfer import transfer_kernel
-
-_CLUSTER = 5  # blocks: neighbours closer than this share pixels, gradients and noise
 
 
 @lru_cache(maxsize=32)
@@ -89,7 +88,7 @@ def std_from_influence(
     """
     gain = round(float(gain), 2)
     kernel = transfer_kernel(settings, gain, restored).astype(float)
-    side = min(_CLUSTER, (int(settings.window / BLOCK) - 1) // 2 * 2 + 1)
+    side = min(CLUSTER, (int(settings.window / BLOCK) - 1) // 2 * 2 + 1)
     r = len(kernel) // 2
     near = slice(r - side // 2, r + side // 2 + 1)
     freedom = max(1 - 2 * kernel[near, near].sum() + side**2 * (kernel**2).sum(), 0.25)
