@@ -26,6 +26,7 @@ from wavefield.matching.lattice import (
     smoothed,
     step,
     subtract_slopes,
+    subtract_strain,
     to_coarser,
     to_finer,
     trusted,
@@ -277,6 +278,11 @@ def _plain_scores(view: _View, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return sums
 
 
+def _without_strain(view: _View, u: np.ndarray, v: np.ndarray, score: np.ndarray) -> None:
+    """Take strain that images do not have off the scores (2, ny, nx) of the blocks that count, in place."""
+    subtract_strain(score, view.a.strain, slopes(u, v), view.count)
+
+
 def _finest(view: _View, u: np.ndarray, v: np.ndarray, count: int) -> Displacement:
     """Steps of the finest level; the last one also measures correlation and uncertainty."""
     a, b, settings = view.a, view.b, view.settings
@@ -332,6 +338,14 @@ def look_again(a: Prepared, b: Prepared, u: np.ndarray, v: np.ndarray, settings:
     FrameError, ValueError
         As for `match`.
 
+    Notes
+    -----
+    b read through a displacement with slopes e_jk = dd_j/dx_k is strained. The images of beads, which only
+    moved, were not: the residual holds e_jk (delta_jk a + s^2 a_jk), s^2 the variance of a bead's image. Nor
+    is what blurs a texture, s^2 alone. That is even around every bead, so that a bead by itself gets no score
+    of it; those that a block's edge cuts do. c e_jj a + s^2 e_jk a_jk is taken off the scores, here and in
+    `scores_at`, with c from 0 to 1 and s^2 such that least of them is left.
+
     Examples
     --------
     >>> import numpy as np, cv2
@@ -349,6 +363,7 @@ def look_again(a: Prepared, b: Prepared, u: np.ndarray, v: np.ndarray, settings:
     view.look(u, v)
     sums = last_sums(view.a, view.b, u, v, view.work)
     sums *= view.count
+    _without_strain(view, u, v, sums[:2])
     still = np.zeros(u.shape, np.float32)
     none = np.zeros(u.shape, bool)
     windowed = np.empty_like(sums)
@@ -397,4 +412,6 @@ def scores_at(found: Displacement, a: Prepared, b: Prepared, u: np.ndarray, v: n
     view = _View(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
     u, v = initial_fields((u, v), view.a.blocks)
     view.look(u, v)
-    return replace(found, u=u, v=v, score=_plain_scores(view, u, v), hessian=found.hessian * view.count)
+    score = _plain_scores(view, u, v)
+    _without_strain(view, u, v, score)
+    return replace(found, u=u, v=v, score=score, hessian=found.hessian * view.count)

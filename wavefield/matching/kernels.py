@@ -146,6 +146,79 @@ def gradient_moments(image: Array, rows: Array, sums: Array, out: Array) -> None
                 to[b] = total
 
 
+@njit
+def _spline_bends(image: Array, y: int, s: Array, d: Array, e: Array) -> None:
+    """As `_spline_columns`, and the second derivative along y into e (w + 4)."""
+    a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
+    d1, d2 = F(10 / 24), F(1 / 24)
+    r0, r1, r2 = image[y + PAD - 2][PAD - 2 :], image[y + PAD - 1][PAD - 2 :], image[y + PAD][PAD - 2 :]
+    r3, r4 = image[y + PAD + 1][PAD - 2 :], image[y + PAD + 2][PAD - 2 :]
+    for x in range(len(s)):
+        near, far = r1[x] + r3[x], r0[x] + r4[x]
+        s[x] = a0 * r2[x] + a1 * near + a2 * far
+        d[x] = d1 * (r3[x] - r1[x]) + d2 * (r4[x] - r0[x])
+        e[x] = F(2 / 6) * near + F(1 / 6) * far - r2[x]
+
+
+@njit
+def _bend(s: Array, x: int) -> np.float32:
+    """The second derivative of the spline along the row."""
+    out: np.float32 = F(2 / 6) * (s[x + 1] + s[x + 3]) + F(1 / 6) * (s[x] + s[x + 4]) - s[x + 2]
+    return out
+
+
+@njit
+def _strain_row(
+    s: Array,
+    d: Array,
+    e: Array,
+    s0: Array,
+    s1: Array,
+    s2: Array,
+    s3: Array,
+    s4: Array,
+    s5: Array,
+    s6: Array,
+    s7: Array,
+) -> None:
+    for x in range(len(s0)):
+        p, q, a = _slope(s, x), _value(d, x), _value(s, x)
+        xx, xy, yy = _bend(s, x), _slope(d, x), _value(e, x)
+        s0[x] += p * a
+        s1[x] += q * a
+        s2[x] += p * xx
+        s3[x] += p * xy
+        s4[x] += p * yy
+        s5[x] += q * xx
+        s6[x] += q * xy
+        s7[x] += q * yy
+
+
+@njit
+def strain_moments(image: Array, rows: Array, sums: Array, out: Array) -> None:
+    """Sums per block of products of a's gradients with a and with its second derivatives.
+
+    Parameters
+    ----------
+    image : (h + 2 PAD, w + 2 PAD) float32
+        a with its border.
+    rows, sums : arrays of `scratch`
+        Work space.
+    out : (8, ny, nx) float32
+        Output: sums of gx a, gy a, then of gx a_xx, gx a_xy, gx a_yy, then of the last three with gy.
+    """
+    _, ny, nx = out.shape
+    n = nx * BLOCK
+    s, d, e = rows[0][: n + 4], rows[1][: n + 4], rows[2][: n + 4]
+    for by in range(ny):
+        sums[:8] = F(0)
+        for j in range(BLOCK):
+            _spline_bends(image, by * BLOCK + j, s, d, e)
+            _strain_row(s, d, e, sums[0][:n], sums[1], sums[2], sums[3], sums[4], sums[5], sums[6], sums[7])
+        for k in range(8):
+            _fold(sums[k], out[k, by])
+
+
 def _block_reader(
     context: Any,
     image: Any,

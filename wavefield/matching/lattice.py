@@ -137,6 +137,51 @@ def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) ->
 
 
 @njit
+def subtract_strain(
+    sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
+) -> tuple[float, float]:
+    """Take off what reading b through a displacement with slopes adds where images are not strained.
+
+    sums (2, ny, nx), those of blocks that count (1 in count, else 0), are changed in place; moments
+    (8, ny, nx) are those of `strain_moments`. Returns the factors c and s^2 of `look_again` that leave least
+    of the sums, as they were taken off.
+    """
+    _, ny, nx = sums.shape
+    aa = ab = bb = ra = rb = 0.0
+    c = s2 = 0.0
+    row = np.empty((4, nx), np.float32)
+    ax, ay, bx, by = row[0], row[1], row[2], row[3]
+    for taken in range(2):
+        for j in range(ny):
+            sx, sy, weight = sums[0, j], sums[1, j], count[j]
+            ux, uy, vx, vy = slope[0, j], slope[1, j], slope[2, j], slope[3, j]
+            x, y, xxx, xxy, xyy = moments[0, j], moments[1, j], moments[2, j], moments[3, j], moments[4, j]
+            yxx, yxy, yyy = moments[5, j], moments[6, j], moments[7, j]
+            for i in range(nx):
+                wider, shear = weight[i] * (ux[i] + vy[i]), uy[i] + vx[i]
+                ax[i] = wider * x[i]
+                ay[i] = wider * y[i]
+                bx[i] = weight[i] * (xxx[i] * ux[i] + xxy[i] * shear + xyy[i] * vy[i])
+                by[i] = weight[i] * (yxx[i] * ux[i] + yxy[i] * shear + yyy[i] * vy[i])
+            if taken:
+                for i in range(nx):
+                    sx[i] -= F(c) * ax[i] + F(s2) * bx[i]
+                    sy[i] -= F(c) * ay[i] + F(s2) * by[i]
+            else:
+                for i in range(nx):
+                    aa += ax[i] * ax[i] + ay[i] * ay[i]
+                    ab += ax[i] * bx[i] + ay[i] * by[i]
+                    bb += bx[i] * bx[i] + by[i] * by[i]
+                    ra += sx[i] * ax[i] + sy[i] * ay[i]
+                    rb += sx[i] * bx[i] + sy[i] * by[i]
+        if not taken:
+            whole = max(aa * bb - ab * ab, 1e-6 * aa * bb + 1e-30)
+            c = min(max((ra * bb - rb * ab) / whole, 0.0), 1.0)
+            s2 = max((rb - c * ab) / max(bb, 1e-30), 0.0)
+    return c, s2
+
+
+@njit
 def step(
     h: np.ndarray,
     s: np.ndarray,

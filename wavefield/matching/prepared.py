@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from wavefield.errors import FrameError
-from wavefield.matching.kernels import BLOCK, PAD, gradient_moments, scratch
+from wavefield.matching.kernels import BLOCK, PAD, gradient_moments, scratch, strain_moments
 from wavefield.matching.normalize import Cells, share_of
 from wavefield.matching.settings import Settings
 
@@ -55,6 +55,14 @@ class Level:
         out = np.empty((9, *self.blocks), np.float32)
         work = scratch(self.blocks[1])
         gradient_moments(self.padded, work["rows"], work["sums"], out)
+        return out
+
+    @cached_property
+    def strain(self) -> np.ndarray:
+        """(8, ny, nx) float32: the sums of `strain_moments`, kept like `moments`."""
+        out = np.empty((8, *self.blocks), np.float32)
+        work = scratch(self.blocks[1])
+        strain_moments(self.padded, work["rows"], work["sums"], out)
         return out
 
 

@@ -1,0 +1,93 @@
+"""Beads move with the displacement but are not strained by it."""
+
+import cv2
+import numpy as np
+import pytest
+from matching_cases import interior, particle_pair, truth, uniform
+
+from wavefield.matching import Settings, kernels, lattice, look_again, match, prepare, scores_at
+
+F = np.float32
+SHAPE = (300, 340)
+SETTINGS = Settings.piv()
+
+
+def strained(x, y):
+    """Stretched, turned and sheared by 6 %."""
+    k = 2 * np.pi / 300
+    return 3 * np.sin(k * (x + 0.5 * y)), 3 * np.sin(k * (y - 0.7 * x))
+
+
+def again(d, a, b, u, v):
+    return look_again(a, b, u, v, SETTINGS)
+
+
+def with_and_without(look, pair, move, monkeypatch):
+    """Scores at the exact displacement over the mean Hessian, px; the same with strain left in; c and s^2."""
+    a, b = (prepare(image, SETTINGS) for image in pair)
+    d = match(a, b, SETTINGS)
+    exact = [f.astype(F) for f in truth(d, move)]
+    inside = interior(d, SHAPE) & d.valid
+    taken = []
+
+    def keep(*all_of_it):
+        taken.append(lattice.subtract_strain(*all_of_it))
+
+    scores = []
+    for instead in (keep, lambda *nothing: None):
+        monkeypatch.setattr("wavefield.matching.gauss_newton.subtract_strain", instead)
+        seen = look(d, a, b, *exact)
+        scores.append(seen.score[:, inside] / seen.hessian[[0, 2]][:, inside].mean(1)[:, None])
+    return *scores, taken[0]
+
+
+@pytest.mark.parametrize("look", [again, scores_at])
+@pytest.mark.parametrize("sigma", [0.6, 0.9])
+def test_scores_of_beads_scatter_less_in_a_strained_flow(look, sigma, monkeypatch):
+    pair = particle_pair(strained, SHAPE, sigma=sigma)
+    less, more, (c, _) = with_and_without(look, pair, strained, monkeypatch)
+    assert (less.std(axis=1) < 0.65 * more.std(axis=1)).all()
+    assert c > 0.4
+
+
+def test_what_blurs_a_texture_is_not_strained_but_the_texture_is(monkeypatch):
+    rng = np.random.default_rng(3)
+    (h, w), room = SHAPE, 20
+    texture = cv2.GaussianBlur(rng.normal(128, 60, (h + 2 * room, w + 2 * room)).astype(F), (0, 0), 1.0)
+    y, x = np.mgrid[:h, :w].astype(F)
+    u, v = strained(x, y)
+    b = texture[room:-room, room:-room]
+    a = cv2.remap(texture, (x + u + room).astype(F), (y + v + room).astype(F), cv2.INTER_LANCZOS4)
+    less, more, (c, spread) = with_and_without(again, (a, b), strained, monkeypatch)
+    assert (less.std(axis=1) < 0.9 * more.std(axis=1)).all()
+    assert c < 0.1
+    assert spread == pytest.approx(0.5, abs=0.1)  # that of the B-spline
+
+
+def test_scores_of_a_displacement_without_slopes_stay(monkeypatch):
+    move = uniform(1.3, -0.4)
+    less, more, _ = with_and_without(again, particle_pair(move, SHAPE), move, monkeypatch)
+    np.testing.assert_array_equal(less, more)
+
+
+def test_strain_moments_are_what_they_say():
+    rng = np.random.default_rng(2)
+    ny, nx = 7, 11
+    image = rng.normal(0, 1, (5 * ny + 3 + 16, 5 * nx + 1 + 16)).astype(F)
+    work = kernels.scratch(nx)
+    work["rows"][:] = work["sums"][:] = np.nan  # nothing is read before it is written
+    out = np.full((8, ny, nx), np.nan, F)
+    kernels.strain_moments(image, work["rows"], work["sums"], out)
+
+    def at(along_x, along_y):
+        inner = image.astype(float)
+        for taps, axis in ((along_x, 1), (along_y, 0)):
+            inner = sum(t * np.roll(inner, 2 - k, axis) for k, t in enumerate(taps))
+        return inner[8:-8, 8:-8][: 5 * ny, : 5 * nx]
+
+    value, slope = np.array([1, 26, 66, 26, 1]) / 120, np.array([-1, -10, 0, 10, 1]) / 24
+    bend = np.array([1, 2, -6, 2, 1]) / 6
+    a, gradient = at(value, value), (at(slope, value), at(value, slope))
+    bends = at(bend, value), at(slope, slope), at(value, bend)
+    expected = [g * a for g in gradient] + [g * second for g in gradient for second in bends]
+    np.testing.assert_allclose(out, np.reshape(expected, (8, ny, 5, nx, 5)).sum((2, 4)), atol=2e-5)
