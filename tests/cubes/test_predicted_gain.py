@@ -28,7 +28,7 @@ def cube_of(scene, record):
 def test_the_gain_is_what_the_posterior_keeps_of_a_wave():
     k = tuple(np.linspace(0.04, 3.1, 40))
     # signal and noise are alike at half a radian per block
-    flat = Prior(k, tuple(1e-6 * (0.5 / q) ** 5 for q in k), 1e6)
+    flat = Prior.isotropic(k, [1e-6 * (0.5 / q) ** 5 for q in k], 1e6)
     scene = Scene.load("demo")
     record = Record((), flat, tuple((name, flat) for name in ("cam1", "cam2", "cam3")), (1.0, 1.0, 1.0))
     cube = cube_of(scene, record)
@@ -47,7 +47,7 @@ def test_the_gain_is_what_the_posterior_keeps_of_a_wave():
 
 def test_what_is_carried_grows_shorter_with_less_noise_and_more_beads():
     k = tuple(np.linspace(0.04, 3.1, 40))
-    steep = Prior(k, tuple(1e-6 * (0.5 / q) ** 5 for q in k), 1e6)
+    steep = Prior.isotropic(k, [1e-6 * (0.5 / q) ** 5 for q in k], 1e6)
     scene = Scene.load("demo")
     record = Record((), steep, tuple((name, steep) for name in ("cam1", "cam2", "cam3")), (1.0, 1.0, 1.0))
     plan = Plan(scene.build_rig(), Grid(scene.grid.x, scene.grid.y, scene.grid.step), record=record)
@@ -70,7 +70,7 @@ def test_a_cube_holds_its_gain(reference):
 
 def test_beads_out_of_focus_would_carry_shorter_waves_in_focus():
     k = tuple(np.linspace(0.04, 3.1, 40))
-    steep = Prior(k, tuple(1e-6 * (0.5 / q) ** 5 for q in k), 1e6)
+    steep = Prior.isotropic(k, [1e-6 * (0.5 / q) ** 5 for q in k], 1e6)
     scene = Scene.load("demo")
     names = ("cam1", "cam2", "cam3")
     widths = (("cam1", 4.0), ("cam2", 1.5), ("cam3", 0.0))

@@ -46,8 +46,8 @@ def seen_by_three(noise, missing):
     return Seen(
         J,
         moved,
-        np.full(shape, noise),
-        np.full(shape, missing),
+        np.full(moved.shape, noise),
+        np.full(moved.shape, missing),
         along,
         own,
         none,

@@ -5,7 +5,8 @@ that scores really have, A = H / nu, F the footprint of a block and S the field'
 
     (F A F + 1/S) f = F (A u + s / nu).
 
-F and S are diagonal in cosines, A is diagonal in blocks; a hole has A = 0.
+F and S are diagonal in cosines, A is diagonal in blocks; a hole has A = 0. Each of two components has an S of
+its own.
 """
 
 from __future__ import annotations
@@ -55,8 +56,12 @@ class Modes:
 
     Attributes
     ----------
-    k, foot, inverse : ndarray, (my, mx)
-        Wavenumber, rad per block, footprint and inverse spectrum of every mode.
+    kx, ky : ndarray, (mx,) and (my, 1)
+        Wavenumbers along columns and rows, rad per block.
+    foot : ndarray, (my, mx)
+        Footprint of every mode.
+    inverse : ndarray, (1 or c, my, mx)
+        Inverse spectrum of every mode, of all components alike or of each.
     edge : Edge
         Smooth fields with slopes at the edges of the lattice.
     """
@@ -69,30 +74,29 @@ class Modes:
         inside[edge:-edge, edge:-edge] = True
         self._wanted &= inside
         kx, ky = wavenumbers(shape)
-        k, foot = np.hypot(kx, ky), footprint(kx, ky)
-        spectrum = prior.spectrum(k)
+        foot, spectrum = footprint(kx, ky), prior.spectrum(kx, ky)
         ratio = foot**2 * prior.information * spectrum
-        rows, columns = np.nonzero(ratio > _FAINT)
+        rows, columns = np.nonzero((ratio > _FAINT).any(axis=0))
         # whole vectors, and as many even as odd ones
         my, mx = (
             min(n // 2 * 2, (int(i.max(initial=3)) + 8) // 8 * 8)
             for n, i in zip(shape, (rows, columns), strict=True)
         )
-        band = np.s_[:my, :mx]
+        band = np.s_[..., :my, :mx]
         self.shape = my, mx
-        self.k = k[band]
+        self.kx, self.ky = kx[:mx], ky[:my]
         self.foot = np.ascontiguousarray(foot[band], np.float32)
         self.inverse = np.ascontiguousarray(1.0 / spectrum[band], np.float32)
         self._cosines = Cosines(shape, self.shape)
-        self._foot, self._inverse = (self._cosines.split(f[None]) for f in (self.foot, self.inverse))
-        self.freedom = _freedom(ratio / (ratio + 1.0))
+        self._foot, self._inverse = (self._cosines.split(f) for f in (self.foot[None], self.inverse))
+        self.freedom = float(np.mean([_freedom(one / (one + 1.0)) for one in ratio]))
         self.edge = Edge(shape)
         none = np.zeros(1)
         self._beyond = self.edge.beyond(self.shape, (footprint(none, ky[:, 0]), footprint(kx, none)))
-        self._strongest(ratio[band])
+        self._strongest(ratio[band].mean(axis=0), 1.0 / spectrum[band].mean(axis=0))
 
-    def _strongest(self, ratio: Float) -> None:
-        """What the exact block of the preconditioner needs."""
+    def _strongest(self, ratio: Float, inverse: Float) -> None:
+        """What the exact block of the preconditioner needs: one for all components."""
         count = min(_EXACT, ratio.size)
         order = np.sort(np.argsort(-ratio.ravel(), kind="stable")[:count])
         self._index = order
@@ -106,7 +110,7 @@ class Modes:
         for n, i in zip(self.lattice, (self._iy, self._ix), strict=True):
             norm *= np.where(i == 0, np.sqrt(1.0 / n), np.sqrt(2.0 / n))
         self._norm = norm.astype(np.float32)
-        self._own = self.inverse.ravel()[order]
+        self._own = inverse.ravel()[order].astype(np.float32)
         self._square = np.square(self.foot.ravel()[order])
         half = self.shape[1] // 2  # where they stand among coefficients by kind
         line = (self._iy % 2 * (self.shape[0] // 2) + self._iy // 2) * 2 + self._ix % 2
@@ -222,7 +226,7 @@ class Modes:
         seen = self.seen(start) if seen is None else seen
         rest = self.foot * self.waves(right - _through(a, seen)) + self.inverse * (mean - start)
         waves, rest = self._cosines.split(start), self._cosines.split(rest)
-        foot, inverse = (np.repeat(f, c, axis=3) for f in (self._foot, self._inverse))
+        foot, inverse = (np.repeat(f, c // f.shape[3], axis=3) for f in (self._foot, self._inverse))
         typical = np.array([a[0].mean(), a[-1].mean()], np.float32)[:c, None]
         diagonal = 1 / (foot**2 * typical + inverse)
         a = self._cosines.mirrored(a)

@@ -5,19 +5,24 @@ Measured once per run from sample frames, and kept with the results, so that eve
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
+from scipy.ndimage import convolve1d
 
 from wavefield.matching.transfer import footprint
 
 Float = NDArray[np.floating[Any]]
 
 _BINS = 40  # of wavenumber, from 0 to pi per block
+_SECTORS = 6  # of direction, from along columns to along rows
+_OWN = 2.0  # modes: a sector of a ring in which so many were looked at is believed by half beside its ring
+_ALIKE = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0  # rings in which waves are thought to have like directions
+_LEAST = 0.01  # of a ring: no sector of it is thought to be less
 _SEEN = 0.15  # squared gain of the windows below which their field says nothing of a wave
 _STANDS_OUT = 3.0  # times the plateau of noise: what a windowed field shows there is signal
 _HEARD = 0.3  # of the noise: what the posterior tells apart of a spectrum
@@ -25,75 +30,134 @@ _NOTHING = 0.01  # of the noise: no spectrum is thought to be less before it dro
 _SLOPES = -9.0, -3.0  # of the power law by which a spectrum goes on
 _FEW = 6  # bins from which its slope is taken
 
+_TURN = (np.arange(_SECTORS) + 0.5) * np.pi / (2 * _SECTORS)  # middle of every sector, rad
+
+Power = tuple[tuple[tuple[float, ...], ...], ...]
+
 
 @dataclass(frozen=True)
 class Prior:
-    """Isotropic spectrum of a field, and how much its blocks tell of it.
+    """Spectrum of a field in both wavenumbers, and how much its blocks tell of it.
 
     Parameters
     ----------
     k : tuple of float
         Wavenumbers, rad per block.
-    power : tuple of float
-        Mean square of the field's cosine coefficients (orthonormal) there, in the field's unit squared.
+    power : tuple of tuple of tuple of float
+        Mean square of the field's cosine coefficients (orthonormal), in the field's unit squared: for every
+        component (or one for all), for directions evenly from along columns to along rows (a quarter turn; or
+        one for all), at the wavenumbers.
     information : float
         Typical information of a block: inverse variance of its own say, per unit squared.
     noise : float
         Noise of the scores over what their clusters in one field tell, from the misfit of several fields.
+
+    Notes
+    -----
+    Waves have directions, a short wave moves the water along itself, and an oblique camera sees it shortened:
+    each component of an image displacement has a spectrum of its own in both wavenumbers. Of the four
+    quarters of directions cosines know one.
     """
 
     k: tuple[float, ...]
-    power: tuple[float, ...]
+    power: Power
     information: float
     noise: float = 1.0
 
-    def spectrum(self, k: NDArray[Any]) -> NDArray[np.float64]:
+    @classmethod
+    def isotropic(cls, k: Sequence[float], power: Sequence[float], information: float) -> Prior:
+        """Prior of a field that is alike in all directions and components.
+
+        Parameters
+        ----------
+        k, power : sequence of float
+            Wavenumbers, rad per block, and spectrum there, in the field's unit squared.
+        information : float
+            Typical information of a block, per unit squared.
+
+        Returns
+        -------
+        Prior
+
+        Examples
+        --------
+        >>> prior = Prior.isotropic((0.1, 1.0), (4.0, 4.0), 1.0)
+        >>> prior.spectrum(np.array([0.3, 0.4]), np.array([[0.5]])).tolist()
+        [[[4.0, 4.0]]]
+        """
+        return cls(tuple(map(float, k)), ((tuple(map(float, power)),),), float(information))
+
+    def spectrum(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """Spectrum at any wavenumbers.
 
         Parameters
         ----------
-        k : ndarray
-            Rad per block.
+        kx, ky : ndarray, shapes that broadcast to S
+            Along columns and along rows, rad per block.
 
         Returns
         -------
-        ndarray of float64
-            In the field's unit squared.
+        ndarray of float64, (c,) + S
+            Of every component, or one for all, in the field's unit squared.
         """
-        out: NDArray[np.float64] = np.exp(np.interp(k, self.k, np.log(self.power)))
-        return out
+        table = np.log(np.array(self.power))
+        turns = table.shape[1]
+        at = np.interp(np.hypot(kx, ky), self.k, np.arange(len(self.k)))
+        turn = np.arctan2(np.abs(ky), np.abs(kx)) * (turns / (0.5 * np.pi)) - 0.5
+        turn = np.clip(np.broadcast_to(turn, at.shape), 0, turns - 1)
+        i, j = (np.minimum(np.floor(v).astype(int), n - 2) for v, n in ((at, len(self.k)), (turn, turns)))
+        j, s, t = np.maximum(j, 0), turn - np.maximum(j, 0), at - i
+        after = np.minimum(j + 1, turns - 1)
+        out = (1 - s) * ((1 - t) * table[:, j, i] + t * table[:, j, i + 1])
+        out += s * ((1 - t) * table[:, after, i] + t * table[:, after, i + 1])
+        return np.asarray(np.exp(out))
 
-    def gain(self, k: NDArray[Any]) -> NDArray[np.float64]:
+    def gain(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """How much of a wave the most probable field keeps.
 
         Parameters
         ----------
-        k : ndarray
-            Rad per block.
+        kx, ky : ndarray, shapes that broadcast to S
+            Along columns and along rows, rad per block.
 
         Returns
         -------
-        ndarray of float64
+        ndarray of float64, (c,) + S
             F^2 A S / (F^2 A S + 1), with F the footprint of a block and A the typical information.
         """
-        ratio = footprint(k, np.zeros(1)) ** 2 * self.information * self.spectrum(k)
-        return ratio / (ratio + 1.0)
+        ratio = footprint(kx, ky) ** 2 * self.information * self.spectrum(kx, ky)
+        return np.asarray(ratio / (ratio + 1.0))
 
-    def noise_kept(self, k: NDArray[Any]) -> NDArray[np.float64]:
-        """Noise in the power of the most probable field's cosines.
+    def mean_gain(self, k: Float) -> NDArray[np.float64]:
+        """How much of its waves the most probable field keeps, mean over directions and components.
 
         Parameters
         ----------
-        k : ndarray
+        k : ndarray, shape S
             Rad per block.
 
         Returns
         -------
-        ndarray of float64
+        ndarray of float64, S
+        """
+        return np.asarray(self.gain(*_all_around(k)).mean(axis=(0, 1)))
+
+    def noise_kept(self, k: Float) -> NDArray[np.float64]:
+        """Noise in the power of the most probable field's cosines, mean over directions and components.
+
+        Parameters
+        ----------
+        k : ndarray, shape S
+            Rad per block.
+
+        Returns
+        -------
+        ndarray of float64, S
             G^2 / (F^2 A), in the field's unit squared; 0 beyond the shortest wave of the lattice.
         """
         told = footprint(k, np.zeros(1)) ** 2 * self.information
-        return np.where(k < np.pi, self.gain(k) ** 2 / np.maximum(told, 1e-30), 0.0)
+        kept = np.square(self.gain(*_all_around(k))).mean(axis=(0, 1))
+        return np.where(k < np.pi, kept / np.maximum(told, 1e-30), 0.0)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe.
@@ -102,7 +166,8 @@ class Prior:
         -------
         dict
         """
-        return {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(self).items()}
+        power = [[list(ring) for ring in turns] for turns in self.power]
+        return {"k": list(self.k), "power": power, "information": self.information, "noise": self.noise}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Prior:
@@ -111,18 +176,23 @@ class Prior:
         Parameters
         ----------
         data : mapping
-            As given by `to_dict`.
+            As given by `to_dict`; a plain list for ``power`` is alike in all directions and components.
 
         Returns
         -------
         Prior
         """
-        return cls(
-            tuple(map(float, data["k"])),
-            tuple(map(float, data["power"])),
-            float(data["information"]),
-            float(data["noise"]),
-        )
+        power = data["power"]
+        if not isinstance(power[0], list | tuple):
+            power = [[power]]
+        table = tuple(tuple(tuple(map(float, ring)) for ring in turns) for turns in power)
+        return cls(tuple(map(float, data["k"])), table, float(data["information"]), float(data["noise"]))
+
+
+def _all_around(k: Float) -> tuple[Float, Float]:
+    """Wavenumbers (directions,) + S of waves in all directions."""
+    turn = _TURN.reshape(-1, *(1,) * np.ndim(k))
+    return k * np.cos(turn), k * np.sin(turn)
 
 
 def wavenumbers(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -152,20 +222,19 @@ def first_prior(fields: Sequence[Float], window: Float, information: float) -> P
     The spectrum over the windows' gain, less the plateau where waves drown in noise; it goes on as a power
     law from where it no longer stands three times above.
     """
-    shape = window.shape
-    kx, ky = wavenumbers(shape)
+    kx, ky = wavenumbers(window.shape)
     power = np.mean([np.square(_waves(f)).mean(axis=0) for f in fields], axis=0)
-    bins = _Bins(np.hypot(kx, ky))
+    bins = _Bins(kx, ky)
     seen, gain = bins.mean(window**2), bins.mean(footprint(kx, ky) ** 2)
     raw = bins.mean(power) / np.maximum(seen, 1e-9)
     plateau = float(raw[seen > _SEEN].min())
     signal = np.maximum(raw - plateau, 0.0) / gain
     last = bins.until((seen > _SEEN) & (raw > _STANDS_OUT * plateau))
-    return Prior(bins.k, _continued(bins.middle, signal, last, plateau), information)
+    return Prior.isotropic(bins.k, _continued(bins.middle, signal, last, plateau), information)
 
 
 def better_prior(
-    prior: Prior, k: NDArray[Any], foot: NDArray[Any], waves: Sequence[Float], information: float
+    prior: Prior, kx: Float, ky: Float, foot: Float, waves: Sequence[Float], information: float
 ) -> Prior:
     """Prior from the most probable fields that a prior gave.
 
@@ -173,8 +242,10 @@ def better_prior(
     ----------
     prior : Prior
         The one used.
-    k, foot : ndarray, (my, mx)
-        Wavenumber of every mode, rad per block, and the gain of a block's footprint there.
+    kx, ky : ndarray, (mx,) and (my, 1)
+        Wavenumbers of the modes along columns and rows, rad per block.
+    foot : ndarray, (my, mx)
+        Gain of a block's footprint.
     waves : sequence of ndarray, (c, my, mx)
         Cosine coefficients of the most probable fields of sample frames, less those of their prior mean.
     information : float
@@ -187,45 +258,86 @@ def better_prior(
     Notes
     -----
     Of a mode with spectrum S and noise N = 1 / (F^2 A), the most probable field keeps G = S / (S + N), and so
-    G^2 (S + N) of its power: S = sum(|D|^2 - G^2 N) / sum G^2 over the modes of a ring. Where S stands out no
-    more from N it goes on as a power law.
+    G^2 (S + N) of its power: S = sum(|D|^2 - G^2 N) / sum G^2 over the modes of a ring, and over those of
+    every sector of it. Where a ring stands out no more from N it goes on as a power law, its sectors as they
+    were. Neighbouring rings are thought to have like directions, and sectors of few modes are drawn to
+    their ring.
     """
     if information == 0.0:  # nothing was seen: there is nothing to learn
         return prior
     noise = 1.0 / (np.square(foot, dtype=np.float64) * information)
-    spectrum = prior.spectrum(k)
-    gain = spectrum / (spectrum + noise)
-    power = np.mean([np.square(f, dtype=np.float64).mean(axis=0) for f in waves], axis=0)
-    bins = _Bins(k)
-    weight = np.maximum(bins.mean(gain**2), 1e-30)
-    drowned = bins.mean(gain**2 * noise) / weight
-    whole = bins.mean(power) / weight
-    drowned *= max(_plateau(whole / np.maximum(drowned, 1e-30), bins.count), 1.0)
+    power = np.mean([np.square(f, dtype=np.float64) for f in waves], axis=0)
+    spectrum = np.broadcast_to(prior.spectrum(kx, ky), power.shape)
+    kept = np.square(spectrum / (spectrum + noise))
+    bins = _Bins(kx, ky)
+
+    def parts(mean: Callable[[Float], Float]) -> tuple[Float, Float]:
+        weight = np.maximum(mean(kept), 1e-30)
+        return mean(power) / weight, mean(kept * noise) / weight
+
+    (whole, drowned), (apart, drowned_apart) = parts(bins.rings), parts(bins.sectors)
+    there = bins.count > 0
+    plateau = max(_plateau((whole / np.maximum(drowned, 1e-30)).mean(axis=0)[there]), 1.0)
+    drowned, drowned_apart = plateau * drowned, plateau * drowned_apart
     signal = whole - drowned
-    last = bins.until((bins.count > 0) & (signal > _HEARD * drowned))
+    lasts = [bins.until(good) for good in there & (signal > _HEARD * drowned)]
     least = float(noise.min())
-    return Prior(bins.k, _continued(bins.middle, signal, last, least), information, prior.noise)
+    rings = np.array([_continued(bins.middle, one, last, least) for one, last in zip(signal, lasts)])
+    weight = bins.looked_at * len(waves) * np.square(rings / (rings + drowned))[:, None]
+    shapes = _shapes((apart - drowned_apart) / rings[:, None], weight, lasts)
+    table = tuple(
+        tuple(tuple(float(f"{v:.4g}") for v in ring) for ring in turns) for turns in shapes * rings[:, None]
+    )
+    return Prior(bins.k, table, information, prior.noise)
 
 
-def _plateau(ratio: NDArray[np.float64], count: NDArray[Any]) -> float:
+def _shapes(parts: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
+    """Sectors over their rings, (c, sectors, rings), as neighbouring rings have it, and drawn to 1.
+
+    Beyond the last ring of each component that is heard they stay as they are.
+    """
+    for one, last in zip(weight, lasts):
+        one[:, last:] = 0.0
+    told = convolve1d(weight, _ALIKE, axis=-1, mode="constant")
+    mean = convolve1d(parts * weight, _ALIKE, axis=-1, mode="constant") / np.maximum(told, 1e-30)
+    out: NDArray[np.float64] = np.maximum((told * mean + _OWN) / (told + _OWN), _LEAST)
+    for one, last in zip(out, lasts):
+        one[:, last:] = one[:, last - 1 : last]
+    return out
+
+
+def _plateau(ratio: NDArray[np.float64]) -> float:
     """What power over noise falls to where there are no more waves: its least, of the mean of three rings."""
-    some = ratio[count > 0]
-    return float(np.convolve(some, np.ones(3) / 3, mode="valid").min()) if some.size > 3 else 1.0
+    return float(np.convolve(ratio, np.ones(3) / 3, mode="valid").min()) if ratio.size > 3 else 1.0
 
 
 class _Bins:
-    """Rings of wavenumber."""
+    """Rings of wavenumber, and their sectors."""
 
-    def __init__(self, k: NDArray[Any]) -> None:
+    def __init__(self, kx: Float, ky: Float) -> None:
         edges = np.linspace(0, np.pi, _BINS + 1)
         self.middle = 0.5 * (edges[1:] + edges[:-1])
         self.k = tuple(map(float, self.middle))
-        self._which = np.clip(np.digitize(k.ravel(), edges) - 1, 0, _BINS - 1)
+        self._which = np.clip(np.digitize(np.hypot(kx, ky).ravel(), edges) - 1, 0, _BINS - 1)
+        turn = np.arctan2(ky, kx).ravel() * (_SECTORS / (0.5 * np.pi))
+        self._sector = np.minimum(turn.astype(int), _SECTORS - 1) * _BINS + self._which
         self.count = np.bincount(self._which, minlength=_BINS)
+        self.looked_at = np.bincount(self._sector, minlength=_SECTORS * _BINS).reshape(_SECTORS, _BINS)
 
     def mean(self, field: NDArray[Any]) -> NDArray[np.float64]:
+        """Of a field over rings, (rings,)."""
         total = np.bincount(self._which, field.ravel(), minlength=_BINS)
-        return total / np.maximum(self.count, 1)
+        return np.asarray(total / np.maximum(self.count, 1))
+
+    def rings(self, fields: Float) -> NDArray[np.float64]:
+        """Mean of fields (c, my, mx) over rings, (c, rings)."""
+        return np.array([self.mean(field) for field in fields])
+
+    def sectors(self, fields: Float) -> NDArray[np.float64]:
+        """Mean of fields (c, my, mx) over the sectors of rings, (c, sectors, rings)."""
+        size = self.looked_at.size
+        total = np.array([np.bincount(self._sector, field.ravel(), minlength=size) for field in fields])
+        return np.asarray(total.reshape(-1, _SECTORS, _BINS) / np.maximum(self.looked_at, 1))
 
     @staticmethod
     def until(good: NDArray[np.bool_]) -> int:

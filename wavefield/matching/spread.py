@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -47,16 +48,19 @@ class Spread:
 
     def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
         kx, ky = wavenumbers(shape)
-        square, inverse = footprint(kx, ky) ** 2, 1.0 / prior.spectrum(np.hypot(kx, ky))
+        square, inverse = footprint(kx, ky) ** 2, 1.0 / prior.spectrum(kx, ky)
         self.shape = shape
         self.usual = prior.information
         levels = _LEVELS * prior.information
         certain = [square * a + inverse for a in levels]
-        noise = [np.mean(square * a / c**2) for a, c in zip(levels, certain)]
-        missing = [np.mean(inverse / c**2) for c in certain]
+        noise = [np.mean(square * a / c**2, axis=(1, 2)) for a, c in zip(levels, certain)]
+        missing = [np.mean(inverse / c**2, axis=(1, 2)) for c in certain]
         self._log = np.log(levels).astype(np.float32)
-        self._variance = np.log(np.array([noise, missing])).astype(np.float32)
-        kernels = np.array([_around(square * a / c) for a, c in zip(levels, certain)])
+        # (2 c, levels): noise of every component, then what is missing of it
+        self._variance = np.log(np.concatenate([np.transpose(noise), np.transpose(missing)])).astype(
+            np.float32
+        )
+        kernels = np.array([_around((square * a / c).mean(axis=0)) for a, c in zip(levels, certain)])
         rows, columns = np.nonzero((kernels > _SMALL).any(axis=0))
         my, mx = rows.max() + 1, columns.max() + 1
         self._kernels = np.ascontiguousarray(kernels[:, :my, :mx], np.float32)
@@ -66,8 +70,8 @@ class Spread:
         self._spectrum = 1.0 / inverse
 
     @cached_property
-    def _holes(self) -> Float:
-        return hole_variance(self._spectrum, 1.0 / self.usual)
+    def _holes(self) -> list[Float]:
+        return [hole_variance(one, 1.0 / self.usual) for one in self._spectrum]
 
     def __call__(self, information: Float) -> tuple[Float, Float]:
         """Variance of every block.
@@ -79,18 +83,19 @@ class Spread:
 
         Returns
         -------
-        noise, missing : ndarray of float32, (ny, nx)
-            Variance by noise, and by what the prior takes away or makes up, in the field's unit squared.
+        noise, missing : ndarray of float32, (1 or c, ny, nx)
+            Variance by noise, and by what the prior takes away or makes up, in the field's unit squared; of
+            all components alike or of each.
         """
         waves = self._to[0] @ (information @ self._to[1])
         x = self._back[0] @ ((self._kernels * waves) @ self._back[1])
-        both = np.empty((2, *x.shape[1:]), np.float32)
+        both = np.empty((len(self._variance), *x.shape[1:]), np.float32)
         _at_level(x, self._log, self._variance, both)
-        noise, missing = (self._whole(f) for f in both)
+        noise, missing = np.array([self._whole(f) for f in both]).reshape(2, -1, *self.shape)
         hole = bare(information, self.usual)
         if hole.any():
             hole = cv2.dilate(hole.view(np.uint8), np.ones((7, 7), np.uint8)) > 0
-            missing = missing + _in_holes(~hole, self._holes)
+            missing += _in_holes(~hole, self._holes)
         return noise, missing
 
     def _whole(self, half: Float) -> Float:
@@ -104,9 +109,9 @@ class Spread:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
-    """Both variances where the information around, x per level, equals that of the level it is taken at.
+    """Variances where the information around, x per level, equals that of the level it is taken at.
 
-    log (levels,) and variance (2, levels) are logarithms, the richest level first.
+    log (levels,) and variance (n, levels) are logarithms, the richest level first.
     """
     for j in range(x.shape[1]):
         for i in range(x.shape[2]):
@@ -117,7 +122,7 @@ def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
                 here = np.log(max(x[n, j, i], F(1e-30))) - log[n]
                 t = min(max(here / max(here - before, F(1e-6)), F(0)), F(1))
                 before = here
-            for k in range(2):
+            for k in range(len(variance)):
                 low, high = variance[k, n], variance[k, max(n - 1, 0)]
                 out[k, j, i] = np.exp(low + t * (high - low))
 
@@ -179,10 +184,10 @@ def hole_variance(spectrum: Float, noise: float) -> Float:
     return out
 
 
-def _in_holes(known: Float, table: Float) -> Float:
-    """Variance inside holes from how wide they are and how far the rim is, (ny, nx)."""
+def _in_holes(known: Float, tables: Sequence[Float]) -> Float:
+    """Variance inside holes from how wide they are and how far the rim is, (tables, ny, nx)."""
     depth = cv2.distanceTransform((~known).astype(np.uint8), cv2.DIST_L2, 5)
-    out = np.zeros(known.shape, np.float32)
+    out = np.zeros((len(tables), *known.shape), np.float32)
     at = depth > 0
     radius = depth.copy()
     for _ in range(3):
@@ -190,5 +195,6 @@ def _in_holes(known: Float, table: Float) -> Float:
     wide = np.maximum(radius[at], 1.0)
     i = np.interp(wide, _RADII, np.arange(len(_RADII)))
     j = np.interp(depth[at] / wide, _DEPTHS, np.arange(len(_DEPTHS)))
-    out[at] = np.exp(map_coordinates(np.log(table + 1e-30), [i, j], order=1, mode="nearest"))
+    for one, table in zip(out, tables):
+        one[at] = np.exp(map_coordinates(np.log(table + 1e-30), [i, j], order=1, mode="nearest"))
     return out

@@ -342,7 +342,7 @@ def surface_of(
     """
     estimate = most_probable(blocks, matches, prepared, plan.modes, plan.pixel)
     spline = plan.sought.splined(estimate.waves, estimate.slopes)
-    noise, missing = plan.spread(estimate.information)
+    (noise,), (missing,) = plan.spread(estimate.information)
     z, block = _read(spline, matches, plan)
     variance = np.float32(_LONGER / _CAREFUL) * noise + missing
     variance += np.float32(estimate.miss**2 + _shaken(matches, plan))

@@ -28,8 +28,8 @@ class Flow:
     ----------
     spline : ndarray of float32, (ny, nx, 2)
         Spline coefficients of the displacement on the lattice of blocks, px of the binned image.
-    noise, missing : ndarray of float32, (ny, nx)
-        Variance of a component by noise, mean of both, and by what the prior takes away or makes up, px^2.
+    noise, missing : ndarray of float32, (1 or 2, ny, nx)
+        Variance by noise, and by what the prior takes away or makes up, px^2; of each component or of both.
     along : (float, float)
         Factors on the noise along columns and along rows.
     rejected : ndarray of uint16, (ny, nx)

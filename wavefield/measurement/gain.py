@@ -153,7 +153,7 @@ def gain_of_elevation(plan: Plan, kx: Float, ky: Float, record: Record | None = 
     record = record or plan.record
     assert record is not None
     step = BLOCK * plan.pixel
-    gain: Float = _between_blocks(record.elevation, kx * step, ky * step)
+    gain: Float = _between_blocks(record.elevation, kx * step, ky * step)[0]
     gain /= 1.0 + plan.settings.smoothing * (np.square(kx * step) + np.square(ky * step)) ** 2
     return gain
 
@@ -187,13 +187,17 @@ def gain_of_velocity(plan: Plan, kx: Float, ky: Float, record: Record | None = N
     for i, (prior, jacobian) in enumerate(zip(priors.values(), jacobians)):
         q = np.stack([kx, ky], axis=-1) @ (BLOCK * np.linalg.inv(jacobian[:, :2]))
         gain = _between_blocks(prior, q[..., 0], q[..., 1])
-        out += gain[..., None, None] * (inverse[:, 2 * i : 2 * i + 2] @ jacobian)
+        both = np.moveaxis(np.broadcast_to(gain, (2, *out.shape[:-2])), 0, -1)
+        out += inverse[:, 2 * i : 2 * i + 2] @ (both[..., None] * jacobian)
     return out
 
 
 def _between_blocks(prior: Prior, qx: Float, qy: Float) -> Float:
-    """Gain of the most probable field read between the blocks from a cubic spline, rad per block."""
-    gain = prior.gain(np.hypot(qx, qy))
+    """Gain of the most probable field, (1 or c,) + S, read between the blocks from a cubic spline.
+
+    Wavenumbers in rad per block.
+    """
+    gain = prior.gain(qx, qy)
     for q in (qx, qy):
         spline = np.sinc(q / (2 * np.pi)) ** 4 * 3.0 / (2.0 + np.cos(q))
         gain = np.where(np.abs(q) < np.pi, gain * spline, 0.0)

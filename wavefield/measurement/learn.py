@@ -37,7 +37,7 @@ SAMPLES = 4  # steps of a record that are looked at
 _ROUNDS = 2  # of spectrum and field in turn
 _FREEDOM = 0.6  # fraction of the scores' noise that windows leave in them, about
 _NOISE = 0.1, 10.0  # factors on the noise that are believed
-_FLAT = Prior((0.0, np.pi), (1e-12, 1e-12), 1.0)  # of a light sheet: no waves
+_FLAT = Prior.isotropic((0.0, np.pi), (1e-12, 1e-12), 1.0)  # of a light sheet: no waves
 _STILL = 1e-3  # of the pixel: the least motion from frame to frame that water is thought to have
 
 
@@ -307,7 +307,7 @@ class _Samples:
         found = list(self.pool.map(lambda sample: sample.estimate(modes), self.samples))
         information = float(np.mean([f.information.mean() / s.bare for f, s in zip(found, self.samples)]))
         waves = [(f.waves - f.mean) / np.sqrt(s.bare) for f, s in zip(found, self.samples)]
-        return matching.better_prior(prior, modes.k, modes.foot, waves, information)
+        return matching.better_prior(prior, modes.kx, modes.ky, modes.foot, waves, information)
 
 
 def _noise_of_waves(prior: Prior, plan: Plan, k: Float) -> Float:
@@ -320,7 +320,7 @@ def _noise_of_waves(prior: Prior, plan: Plan, k: Float) -> Float:
 def _matched(record: Record, plan: Plan, k: Float) -> tuple[Float, Float]:
     """What priors leave of waves' displacements, and by how much these are raised; k in rad per node."""
     blocks = k * BLOCK * plan.pixel / plan.grid.step
-    gain = np.mean([prior.gain(blocks) for _, prior in record.displacement], axis=0)
+    gain = np.mean([prior.mean_gain(blocks) for _, prior in record.displacement], axis=0)
     return gain, matching.raised(blocks)
 
 

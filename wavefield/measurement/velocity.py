@@ -66,8 +66,8 @@ class Seen:
         Px per metre.
     moved : ndarray, (2N, ny, nx)
         Displacement per step at mid-time, px; NaN where the camera does not see the node.
-    noise, missing : ndarray, (N, ny, nx)
-        Variance by noise, mean of both components, and by what the prior takes away or makes up, px^2.
+    noise, missing : ndarray, (2N, ny, nx)
+        Variance by noise, and by what the prior takes away or makes up, px^2.
     along, own : ndarray, (2N,)
         Factors on the noise of every component: that of a camera's two, that of the camera beside the others.
     rejected : ndarray of uint16, (N, ny, nx)
@@ -104,15 +104,14 @@ class Seen:
     @property
     def noise_of_each(self) -> Float:
         """Variance by noise of every component, (2N, ny, nx)."""
-        out: Float = np.repeat(self.noise, 2, axis=0) * (self.along * self.own)[:, None, None]
+        out: Float = self.noise * (self.along * self.own)[:, None, None]
         return out
 
     @property
     def variance(self) -> Float:
         """What every component is weighed by, (2N, ny, nx): its variance but for the camera's own factor."""
-        each: Float = np.repeat(self.noise, 2, axis=0) * self.along[:, None, None]
-        each += np.repeat(self.missing, 2, axis=0)
-        return each
+        out: Float = self.noise * self.along[:, None, None] + self.missing
+        return out
 
 
 def velocity(
@@ -198,8 +197,8 @@ def _patched(motion: Motion, other: Motion, where: NDArray[np.bool_]) -> Motion:
 def _others(seen: Seen, n: int) -> Seen:
     """The same without one camera."""
     rows = [i for i in range(len(seen.moved)) if i // 2 != n]
-    cameras = [i for i in range(len(seen.noise)) if i != n]
-    noise, missing, rejected = seen.noise[cameras], seen.missing[cameras], seen.rejected[cameras]
+    cameras = [i for i in range(len(seen.rejected)) if i != n]
+    noise, missing, rejected = seen.noise[rows], seen.missing[rows], seen.rejected[cameras]
     along, own = seen.along[rows], seen.own[rows]
     jacobian, moved = seen.jacobian[rows], seen.moved[rows]
     return Seen(jacobian, moved, noise, missing, along, own, rejected, seen.chord, seen.line)
@@ -222,7 +221,7 @@ def look_at_nodes(names: Sequence[str], steps: Sequence[Flows | None], z: NDArra
     count, shape = len(names), z.shape
     jacobian = np.empty((2 * count, 3, *shape), np.float64)
     moved = np.empty((2 * count, *shape), np.float64)
-    noise, missing = np.empty((2, count, *shape), np.float64)
+    noise, missing = np.empty((2, 2 * count, *shape), np.float64)
     rejected = np.empty((count, *shape), np.uint16)
     along, own = np.ones((2, 2 * count))
     chord = np.zeros(shape, bool)
@@ -235,7 +234,7 @@ def look_at_nodes(names: Sequence[str], steps: Sequence[Flows | None], z: NDArra
         path = [None if f is None else f.get(name) for f in steps]
         rows = slice(2 * n, 2 * n + 2)
         jacobian[rows] = at[2:].reshape(2, 3, *shape)
-        moved[rows], block, noise[n], missing[n] = _along_path(path, sight, X, Y)
+        moved[rows], block, noise[rows], missing[rows] = _along_path(path, sight, X, Y)
         here = path[1]
         assert here is not None
         along[rows] = here.along
@@ -255,13 +254,18 @@ def _along_path(
     splines = [None if f is None else f.spline for f in path]
     valid = [None if f is None else f.valid for f in path]
     d, block = read_path(splines, valid, sight.lattice, X, Y)
-    own = np.take(here.noise, block[1])
+    own = _at_blocks(here.noise, block[1])
     noise = 26.0**2 * own
     for flow, at in ((path[0], block[0]), (path[2], block[2])):
         if flow is not None:
-            noise += np.where(at >= 0, np.take(flow.noise, np.maximum(at, 0)), np.float32(0))
+            noise += np.where(at >= 0, _at_blocks(flow.noise, np.maximum(at, 0)), np.float32(0))
     both = (block[0] >= 0) & (block[2] >= 0)
-    return d, block, np.where(both, noise / 24.0**2, own), np.take(here.missing, block[1])
+    return d, block, np.where(both, noise / 24.0**2, own), _at_blocks(here.missing, block[1])
+
+
+def _at_blocks(field: Float, block: NDArray[np.int64]) -> Float:
+    """A field (c, ny, nx) at flat indices of blocks, (c,) + their shape."""
+    return np.asarray(np.take(field.reshape(len(field), -1), block, axis=1))
 
 
 def _solved(seen: Seen, plan: Plan, unsteady: float = 0.0) -> Motion:
@@ -276,7 +280,8 @@ def _solved(seen: Seen, plan: Plan, unsteady: float = 0.0) -> Motion:
     weight = np.isfinite(seen.moved[::2]).astype(np.float64)
     weight /= np.maximum(weight.sum(axis=0), 1.0)
     parts = _SHORT_WAVES if plan.settings.sheet_thickness is None else np.square(record.moved)
-    missing = (weight * seen.missing / _signal(seen, parts)).sum(axis=0)
+    taken = 0.5 * (seen.missing[::2] + seen.missing[1::2])
+    missing = (weight * taken / _signal(seen, parts)).sum(axis=0)
     variance = np.moveaxis(np.square(d_std), -1, 0)
     variance += missing * np.asarray(parts)[:, None, None]
     along, across = np.maximum(seen.trembling()[1], record.trembling)
@@ -314,7 +319,7 @@ def misfit(seen: Seen, d: Float) -> Float:
     """
     left = np.einsum("rcyx,yxc->ryx", seen.jacobian, d) - seen.moved
     # one noise for all cameras: a quiet camera's own would make it contradict errors that are not noise
-    square = np.square(left) / (np.repeat(seen.noise, 2, axis=0) * seen.along[:, None, None])
+    square = np.square(left) / (seen.noise * seen.along[:, None, None])
     rows = np.isfinite(square).sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(rows > 3, np.nansum(square, axis=0) / (rows - 3), np.nan)
