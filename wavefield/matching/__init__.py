@@ -7,7 +7,7 @@ from wavefield.matching.gauss_newton import look_again, match, scores_at
 from wavefield.matching.noise import along_each, around_holes, noise_of_scores
 from wavefield.matching.posterior import Modes
 from wavefield.matching.prepared import Prepared, prepare
-from wavefield.matching.prior import Prior, better_prior, first_prior
+from wavefield.matching.prior import Prior, believed, better_prior, first_prior
 from wavefield.matching.settings import Settings
 from wavefield.matching.spread import Spread
 from wavefield.matching.transfer import footprint, raised, restoring, transfer_function, transfer_kernel
@@ -24,6 +24,7 @@ __all__ = [
     "Spread",
     "along_each",
     "around_holes",
+    "believed",
     "better_prior",
     "correlate",
     "edge_slopes",

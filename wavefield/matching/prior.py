@@ -27,6 +27,8 @@ _SEEN = 0.15  # squared gain of the windows below which their field says nothing
 _STANDS_OUT = 3.0  # times the plateau of noise: what a windowed field shows there is signal
 _HEARD = 0.3  # of the noise: what the posterior tells apart of a spectrum
 _NOTHING = 0.01  # of the noise: no spectrum is thought to be less before it drowns
+_SURE = 0.9  # noise is known to a tenth
+_ENOUGH = 0.5  # of the waves that a spectrum would bring: who finds so much believes in all
 _SLOPES = -9.0, -3.0  # of the power law by which a spectrum goes on
 _FEW = 6  # bins from which its slope is taken
 
@@ -51,6 +53,9 @@ class Prior:
         Typical information of a block: inverse variance of its own say, per unit squared.
     noise : float
         Noise of the scores over what their clusters in one field tell, from the misfit of several fields.
+    waves : float
+        Fraction of the spectrum that is waves: noise of long wavelength that hides among them, as on water at
+        rest, is not missing from a field.
 
     Notes
     -----
@@ -63,6 +68,7 @@ class Prior:
     power: Power
     information: float
     noise: float = 1.0
+    waves: float = 1.0
 
     @classmethod
     def isotropic(cls, k: Sequence[float], power: Sequence[float], information: float) -> Prior:
@@ -142,6 +148,26 @@ class Prior:
         """
         return np.asarray(self.gain(*_all_around(k)).mean(axis=(0, 1)))
 
+    def variances(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Variance of the most probable field, where all blocks tell the typical, by waves and by noise.
+
+        Parameters
+        ----------
+        shape : tuple of int
+            Lattice (ny, nx).
+
+        Returns
+        -------
+        ndarray of float64, (c,), ndarray of float64, (c,)
+            Mean of G^2 S, if all of the spectrum is waves, and of G^2 / (F^2 A), in the field's unit squared;
+            the mean over the field not counted.
+        """
+        kx, ky = wavenumbers(shape)
+        kept = np.square(self.gain(kx, ky))
+        kept[:, 0, 0] = 0.0
+        noise = kept / (footprint(kx, ky) ** 2 * self.information)
+        return (kept * self.spectrum(kx, ky)).mean(axis=(1, 2)), noise.mean(axis=(1, 2))
+
     def noise_kept(self, k: Float) -> NDArray[np.float64]:
         """Noise in the power of the most probable field's cosines, mean over directions and components.
 
@@ -167,7 +193,8 @@ class Prior:
         dict
         """
         power = [[list(ring) for ring in turns] for turns in self.power]
-        return {"k": list(self.k), "power": power, "information": self.information, "noise": self.noise}
+        numbers = {"information": self.information, "noise": self.noise, "waves": self.waves}
+        return {"k": list(self.k), "power": power} | numbers
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Prior:
@@ -186,7 +213,8 @@ class Prior:
         if not isinstance(power[0], list | tuple):
             power = [[power]]
         table = tuple(tuple(tuple(map(float, ring)) for ring in turns) for turns in power)
-        return cls(tuple(map(float, data["k"])), table, float(data["information"]), float(data["noise"]))
+        told, noise, waves = (float(data.get(name, 1.0)) for name in ("information", "noise", "waves"))
+        return cls(tuple(map(float, data["k"])), table, told, noise, waves)
 
 
 def _all_around(k: Float) -> tuple[Float, Float]:
@@ -277,8 +305,9 @@ def better_prior(
 
     (whole, drowned), (apart, drowned_apart) = parts(bins.rings), parts(bins.sectors)
     there = bins.count > 0
-    plateau = max(_plateau((whole / np.maximum(drowned, 1e-30)).mean(axis=0)[there]), 1.0)
-    drowned, drowned_apart = plateau * drowned, plateau * drowned_apart
+    ratio = (whole / np.maximum(drowned, 1e-30))[:, there]
+    plateau = np.array([[max(_plateau(one), 1.0)] for one in ratio])
+    drowned, drowned_apart = plateau * drowned, plateau[..., None] * drowned_apart
     signal = whole - drowned
     lasts = [bins.until(good) for good in there & (signal > _HEARD * drowned)]
     least = float(noise.min())
@@ -288,7 +317,7 @@ def better_prior(
     table = tuple(
         tuple(tuple(float(f"{v:.4g}") for v in ring) for ring in turns) for turns in shapes * rings[:, None]
     )
-    return Prior(bins.k, table, information, prior.noise)
+    return Prior(bins.k, table, information, prior.noise, prior.waves)
 
 
 def _shapes(parts: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
@@ -304,6 +333,33 @@ def _shapes(parts: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray
     for one, last in zip(out, lasts):
         one[:, last:] = one[:, last - 1 : last]
     return out
+
+
+def believed(variance: float, noise: float, waves: float) -> float:
+    """Fraction of a spectrum that is waves, from what fields vary by.
+
+    Parameters
+    ----------
+    variance : float
+        Of a field.
+    noise : float
+        What of it noise brings.
+    waves : float
+        What of it a spectrum would bring.
+
+    Returns
+    -------
+    float
+        1 where fields vary by half of what the spectrum would bring, and more; less, in proportion, where
+        they do not.
+
+    Examples
+    --------
+    >>> believed(4.0, 1.0, 3.0), round(believed(1.0, 1.0, 3.0), 3)
+    (1.0, 0.067)
+    """
+    found = (variance - _SURE * noise) / max(waves, 1e-30)
+    return float(np.clip(found / _ENOUGH, 0.0, 1.0))
 
 
 def _plateau(ratio: NDArray[np.float64]) -> float:

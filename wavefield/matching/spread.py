@@ -25,6 +25,7 @@ _LEVELS = 3.0 * 4.0 ** np.arange(0.0, -7.0, -1.0)  # of information over the typ
 _SMALL = 1e-3  # of a kernel's transform is left out
 _RADII = (1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0)  # of holes, blocks
 _DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the way from a hole's rim to its middle
+_HARDLY = 1e-3  # of a spectrum: there may always be so many waves
 _RIM = 5  # blocks around a hole that are thought known
 
 
@@ -51,10 +52,11 @@ class Spread:
         square, inverse = footprint(kx, ky) ** 2, 1.0 / prior.spectrum(kx, ky)
         self.shape = shape
         self.usual = prior.information
+        self._waves = max(prior.waves, _HARDLY)
         levels = _LEVELS * prior.information
         certain = [square * a + inverse for a in levels]
         noise = [np.mean(square * a / c**2, axis=(1, 2)) for a, c in zip(levels, certain)]
-        missing = [np.mean(inverse / c**2, axis=(1, 2)) for c in certain]
+        missing = [self._waves * np.mean(inverse / c**2, axis=(1, 2)) for c in certain]
         self._log = np.log(levels).astype(np.float32)
         # (2 c, levels): noise of every component, then what is missing of it
         self._variance = np.log(np.concatenate([np.transpose(noise), np.transpose(missing)])).astype(
@@ -71,7 +73,7 @@ class Spread:
 
     @cached_property
     def _holes(self) -> list[Float]:
-        return [hole_variance(one, 1.0 / self.usual) for one in self._spectrum]
+        return [self._waves * hole_variance(one, 1.0 / self.usual) for one in self._spectrum]
 
     def __call__(self, information: Float) -> tuple[Float, Float]:
         """Variance of every block.

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincinv
 
 from wavefield import matching
 from wavefield.images import made_even
@@ -19,7 +18,7 @@ from wavefield.matching.kernels import BLOCK
 from wavefield.matching.one_thread import one_thread
 from wavefield.measurement import elevation, flow
 from wavefield.measurement.covered import Masks, bare_of_camera, bare_of_pairs
-from wavefield.measurement.each_camera import noise_of_each, own_noise
+from wavefield.measurement.differences import Differences, differences, typical
 from wavefield.measurement.floor import bead_width
 from wavefield.measurement.frame import usable
 from wavefield.measurement.instant import Images, images_of
@@ -27,8 +26,6 @@ from wavefield.measurement.plan import Plan
 from wavefield.measurement.record import Record
 from wavefield.measurement.surface import PairMatch
 from wavefield.measurement.unresolved import unresolved
-from wavefield.measurement.velocity import look_at_nodes, misfit, velocity
-from wavefield.variables import Quality
 
 Frames = Mapping[str, NDArray[Any] | None]
 Float = NDArray[Any]
@@ -37,8 +34,8 @@ SAMPLES = 4  # steps of a record that are looked at
 _ROUNDS = 2  # of spectrum and field in turn
 _FREEDOM = 0.6  # fraction of the scores' noise that windows leave in them, about
 _NOISE = 0.1, 10.0  # factors on the noise that are believed
+_HALF = 0.6745  # standard deviations of a Gaussian within which half of it lies: edges do not count so
 _FLAT = Prior.isotropic((0.0, np.pi), (1e-12, 1e-12), 1.0)  # of a light sheet: no waves
-_STILL = 1e-3  # of the pixel: the least motion from frame to frame that water is thought to have
 
 
 def sample_steps(count: int, number: int = 0) -> list[int]:
@@ -143,18 +140,19 @@ def _learned(
     for number in range(2):
         if number:
             plan = plan.knowing(record)
-        noise, own, moved, trembling = _misfit(views, near, heights, plan, pool)
+        found = _differences(views, near, heights, plan, pool)
         priors = {}
         for name, prior in record.displacement:
-            prior = replace(prior, noise=float(np.clip(prior.noise * noise, *_NOISE)))
+            factor = float(np.clip(prior.noise * found.noise, *_NOISE))
+            prior = replace(prior, noise=factor, waves=found.waves)
             priors[name] = known[name].better(prior) if name in known else prior
-        own = {name: record.own_noise(name) * own.get(name, 1.0) for name in priors}
+        own = {name: record.own_noise(name) * found.own.get(name, 1.0) for name in priors}
         record = replace(
             record,
             displacement=tuple(priors.items()),
-            moved=moved,
+            moved=found.moved,
             noise=tuple(own.items()),
-            trembling=trembling,
+            trembling=found.trembling,
         )
     return record
 
@@ -204,11 +202,17 @@ def _learn_elevation(
     prior = _Samples.of(samples, plan.settings.stereo, pool).prior
     modes = Modes(prior, plan.lattice.shape)
 
-    def told(sample: _Height) -> float:
+    def told(sample: _Height) -> tuple[float, float, float]:
+        """Information of a block, variance of z, and of what is smooth across sight lines."""
         estimate = elevation.most_probable(*sample.parts, modes, plan.pixel)
-        return float(estimate.information.mean()) / sample.bare
+        z = modes.field(estimate.waves - estimate.mean)[0][estimate.information > 0]
+        apart = float(np.median(np.abs(z - np.median(z)))) / _HALF if z.size else 0.0
+        return float(estimate.information.mean()) / sample.bare, apart**2, estimate.miss**2
 
-    return replace(prior, information=float(np.mean(list(pool.map(told, samples)))))
+    information, variance, miss = np.mean(list(pool.map(told, samples)), axis=0)
+    prior = replace(prior, information=float(information))
+    waves, noise = (float(part[0]) for part in prior.variances(modes.lattice))
+    return replace(prior, waves=matching.believed(variance, noise + miss, waves))
 
 
 def _learn_displacement(
@@ -335,73 +339,20 @@ def _elevations(step: tuple[Images, Images], near: _Near, plan: Plan) -> tuple[F
     return None if one is None or other is None else (one.z, other.z)
 
 
-@dataclass(frozen=True)
-class _Differences:
-    """What the cameras' differences say in one step.
-
-    `noise` is that of all cameras over what is thought, `own` that of each over that of all, `moved` the
-    water's motion, metres, `trembling` that of the cameras, px.
-    Where the cameras contradict each other only the last can be told.
-    """
-
-    trembling: tuple[float, float]
-    noise: float | None = None
-    own: Mapping[str, float] = field(default_factory=dict)
-    moved: Sequence[float] = ()
-
-    @classmethod
-    def of(cls, flows: flow.Flows, z: Float, plan: Plan) -> _Differences | None:
-        """From the displacements of one step; None where no node can be told of."""
-        steps = (None, flows, None)
-        motion = velocity(steps, z, plan)
-        if motion is None:
-            return None
-        names = [name for name in flows if name != motion.left_out]
-        seen = look_at_nodes(names, steps, z, plan)
-        left, trembling = seen.trembling()
-        seen = seen.steadied(left)
-        good = np.isfinite(motion.misfit) & ((motion.quality & Quality.FILLED) == 0)
-        if not good.any():
-            return cls(trembling)
-        freedom = 2 * len(names) - 3
-        moved = [float(np.std(d[good])) for d in motion.d]
-        typical = float(np.median(misfit(seen, np.moveaxis(motion.d, 0, -1))[good]))
-        noise = typical / (2 * gammaincinv(freedom / 2, 0.5) / freedom)
-        good &= np.isfinite(seen.moved).all(axis=0)
-        for where in motion.regions.values():
-            good &= ~where
-        if not good.any():
-            return cls(trembling, noise, {}, moved)
-        J = np.moveaxis(seen.jacobian[:, :, good], -1, 0)
-        rows = (f[:, good].T for f in (seen.moved, seen.noise_of_each, 1.0 / seen.variance))
-        own = dict(zip(names, noise_of_each(J, *rows) / noise, strict=True))
-        return cls(trembling, noise, own, moved)
-
-
-def _misfit(
+def _differences(
     views: Sequence[tuple[Images, Images]],
     near: Sequence[_Near],
     heights: Sequence[Float | None],
     plan: Plan,
     pool: ThreadPoolExecutor,
-) -> tuple[float, dict[str, float], tuple[float, float, float], tuple[float, float]]:
-    """Noise over what is thought: of all cameras, of each beside all; motion of water, m, and cameras, px."""
+) -> Differences:
+    """What the cameras' differences say, of all samples."""
 
-    def move(view: tuple[Images, Images], found: _Near, z: Float | None) -> _Differences | None:
+    def move(view: tuple[Images, Images], found: _Near, z: Float | None) -> Differences | None:
         if z is None:
             return None
         one, other = (images.raw for images in view)
         flows = {n: flow.flow_near(d, one[n], other[n], plan, n) for n, d in found.displacements.items()}
-        return _Differences.of(flows, z, plan)
+        return differences(flows, z, plan)
 
-    found = [one for one in pool.map(move, views, near, heights) if one is not None]
-    along, across = np.sqrt(np.mean(np.square([one.trembling for one in found] or [(0.0, 0.0)]), axis=0))
-    trembling = float(along), float(across)
-    noises = [one.noise for one in found if one.noise is not None]
-    if not noises:
-        return 1.0, {}, (1.0, 1.0, 1.0), trembling
-    found = [one for one in found if one.noise is not None]
-    own = own_noise([one.own for one in found])
-    moved = np.sqrt(np.mean(np.square([one.moved for one in found]), axis=0))
-    x, y, z = np.maximum(moved, _STILL * plan.pixel)
-    return float(np.median(noises)), own, (float(x), float(y), float(z)), trembling
+    return typical([one for one in pool.map(move, views, near, heights) if one is not None], plan.pixel)

@@ -110,7 +110,8 @@ class Seen:
     @property
     def variance(self) -> Float:
         """What every component is weighed by, (2N, ny, nx): its variance but for the camera's own factor."""
-        out: Float = self.noise * self.along[:, None, None] + self.missing
+        both = 0.5 * (self.noise[::2] + self.noise[1::2] + self.missing[::2] + self.missing[1::2])
+        out: Float = np.repeat(both, 2, axis=0)
         return out
 
 
@@ -279,9 +280,9 @@ def _solved(seen: Seen, plan: Plan, unsteady: float = 0.0) -> Motion:
     trusted = seen.rejected == 0
     weight = np.isfinite(seen.moved[::2]).astype(np.float64)
     weight /= np.maximum(weight.sum(axis=0), 1.0)
-    parts = _SHORT_WAVES if plan.settings.sheet_thickness is None else np.square(record.moved)
+    parts = shares(plan)
     taken = 0.5 * (seen.missing[::2] + seen.missing[1::2])
-    missing = (weight * taken / _signal(seen, parts)).sum(axis=0)
+    missing = (weight * taken / signal(seen, parts)).sum(axis=0)
     variance = np.moveaxis(np.square(d_std), -1, 0)
     variance += missing * np.asarray(parts)[:, None, None]
     along, across = np.maximum(seen.trembling()[1], record.trembling)
@@ -295,8 +296,38 @@ def _solved(seen: Seen, plan: Plan, unsteady: float = 0.0) -> Motion:
     return Motion(np.moveaxis(d, -1, 0), np.sqrt(variance), eps, misfit(seen, d), quality)
 
 
-def _signal(seen: Seen, parts: Sequence[float] | Float) -> Float:
-    """Variance in each camera's image, px^2, mean of both components, of water that moves so: (N, ny, nx)."""
+def shares(plan: Plan) -> Sequence[float] | Float:
+    """Variance of u, v and w where the prior takes from waves, in proportion: of water, or in a light sheet.
+
+    Parameters
+    ----------
+    plan : Plan
+        Its record learned.
+
+    Returns
+    -------
+    sequence of float
+        Three of them.
+    """
+    assert plan.record is not None
+    return _SHORT_WAVES if plan.settings.sheet_thickness is None else np.square(plan.record.moved)
+
+
+def signal(seen: Seen, parts: Sequence[float] | Float) -> Float:
+    """Variance in each camera's image, mean of both components, of water that moves so.
+
+    Parameters
+    ----------
+    seen : Seen
+        Of N cameras.
+    parts : sequence of float
+        Variance of dx, dy, dz.
+
+    Returns
+    -------
+    ndarray, (N, ny, nx)
+        Px^2 for metres squared.
+    """
     square = np.einsum("kiyx,i->kyx", np.square(seen.jacobian), parts)
     out: Float = 0.5 * (square[::2] + square[1::2])
     return out

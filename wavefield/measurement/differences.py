@@ -1,0 +1,139 @@
+"""What the differences between the cameras of a sample step say of noise, waves and their own motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincinv
+
+from wavefield import matching
+from wavefield.measurement.each_camera import noise_of_each, own_noise
+from wavefield.measurement.flow import Flows
+from wavefield.measurement.plan import Plan
+from wavefield.measurement.velocity import Seen, look_at_nodes, misfit, shares, signal, velocity
+from wavefield.rig.stereo import solve_displacement
+from wavefield.variables import Quality
+
+Float = NDArray[Any]
+
+_STILL = 1e-3  # of the pixel: the least motion from frame to frame that water is thought to have
+
+
+@dataclass(frozen=True)
+class Differences:
+    """What the cameras' differences say.
+
+    Parameters
+    ----------
+    trembling : (float, float)
+        Motion of the cameras' pictures from frame to frame, along their line and across it, px.
+    told : bool
+        Whether anything else can be told: not where the cameras contradict each other.
+    noise : float
+        Noise of all cameras over what is thought.
+    own : mapping of str to float
+        Noise of each camera over that of all.
+    moved : (float, float, float)
+        Standard deviation of the water's motion from frame to frame, metres.
+    waves : float
+        Fraction of the displacements' spectra that is waves: what the cameras have in common (`Prior.waves`).
+    """
+
+    trembling: tuple[float, float]
+    told: bool = False
+    noise: float = 1.0
+    own: Mapping[str, float] = field(default_factory=dict)
+    moved: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    waves: float = 1.0
+
+
+def differences(flows: Flows, z: Float, plan: Plan) -> Differences | None:
+    """What the cameras' differences say of one step.
+
+    Parameters
+    ----------
+    flows : mapping of str to Flow
+        Each camera's displacement.
+    z : ndarray, (ny, nx)
+        Elevation, metres.
+    plan : Plan
+        Everything computed beforehand, its record learned.
+
+    Returns
+    -------
+    Differences or None
+        None where no node can be told of.
+    """
+    steps = (None, flows, None)
+    motion = velocity(steps, z, plan)
+    if motion is None:
+        return None
+    names = [name for name in flows if name != motion.left_out]
+    seen = look_at_nodes(names, steps, z, plan)
+    left, trembling = seen.trembling()
+    seen = seen.steadied(left)
+    good = np.isfinite(motion.misfit) & ((motion.quality & Quality.FILLED) == 0)
+    if not good.any():
+        return Differences(trembling)
+    freedom = 2 * len(names) - 3
+    x, y, up = (float(np.std(d[good])) for d in motion.d)
+    typical_misfit = float(np.median(misfit(seen, np.moveaxis(motion.d, 0, -1))[good]))
+    noise = typical_misfit / (2 * gammaincinv(freedom / 2, 0.5) / freedom)
+    good &= np.isfinite(seen.moved).all(axis=0)
+    for where in motion.regions.values():
+        good &= ~where
+    found = Differences(trembling, True, noise, {}, (x, y, up))
+    if not good.any():
+        return found
+    J = np.moveaxis(seen.jacobian[:, :, good], -1, 0)
+    rows = (f[:, good].T for f in (seen.moved, seen.noise_of_each, 1.0 / seen.variance))
+    own = dict(zip(names, noise_of_each(J, *rows) / noise, strict=True))
+    return replace(found, own=own, waves=_in_common(seen, names, good, noise, plan))
+
+
+def _in_common(seen: Seen, names: Sequence[str], good: NDArray[np.bool_], noise: float, plan: Plan) -> float:
+    """Fraction of the displacements' spectra that is waves: noise of the cameras is smaller in their mean."""
+    J = np.moveaxis(seen.jacobian[:, :, good], -1, 0)
+    rows = (np.sqrt(f[:, good].T) for f in (seen.variance, noise * seen.noise_of_each))
+    d, _, d_std = solve_displacement(J, seen.moved[:, good].T, *rows)
+    parts = np.asarray(shares(plan))
+    each = signal(seen, parts)[:, good].mean(axis=1)
+    brought = [
+        plan.sights[name].modes.prior.variances(plan.sights[name].modes.lattice)[0].mean() / one
+        for name, one in zip(names, each, strict=True)
+    ]
+    waves = float(np.mean(brought) * parts.sum())
+    return matching.believed(
+        float(np.var(d, axis=0).sum()), float(np.square(d_std).mean(axis=0).sum()), waves
+    )
+
+
+def typical(steps: Sequence[Differences], pixel: float) -> Differences:
+    """What the differences of several steps say together.
+
+    Parameters
+    ----------
+    steps : sequence of Differences
+        Of sample steps.
+    pixel : float
+        Of the rectified images, metres.
+
+    Returns
+    -------
+    Differences
+        Of motions the rms, of noise and waves the median.
+    """
+    along, across = np.sqrt(np.mean(np.square([one.trembling for one in steps] or [(0.0, 0.0)]), axis=0))
+    trembling = float(along), float(across)
+    steps = [one for one in steps if one.told]
+    if not steps:
+        return Differences(trembling)
+    moved = np.sqrt(np.mean(np.square([one.moved for one in steps]), axis=0))
+    x, y, z = np.maximum(moved, _STILL * pixel)
+    noise, waves = (float(np.median(part)) for part in zip(*((one.noise, one.waves) for one in steps)))
+    own = own_noise([one.own for one in steps])
+    return Differences(trembling, True, noise, own, (float(x), float(y), float(z)), waves)
