@@ -311,7 +311,10 @@ def better_prior(
     signal = whole - drowned
     lasts = [bins.until(good) for good in there & (signal > _HEARD * drowned)]
     least = float(noise.min())
-    rings = np.array([_continued(bins.middle, one, last, least) for one, last in zip(signal, lasts)])
+    most = np.where(there, _HEARD * drowned, np.inf)
+    rings = np.array(
+        [_continued(bins.middle, one, last, least, top) for one, last, top in zip(signal, lasts, most)]
+    )
     weight = bins.looked_at * len(waves) * np.square(rings / (rings + drowned))[:, None]
     shapes = _shapes((apart - drowned_apart) / rings[:, None], weight, lasts)
     table = tuple(
@@ -402,11 +405,12 @@ class _Bins:
 
 
 def _continued(
-    k: NDArray[np.float64], power: NDArray[np.float64], last: int, noise: float
+    k: NDArray[np.float64], power: NDArray[np.float64], last: int, noise: float, most: Float | float = np.inf
 ) -> tuple[float, ...]:
     """The spectrum with what lies beyond the first ``last`` rings replaced by a power law.
 
-    Where it is far below the noise, as of water at rest, nothing can be said of it but that.
+    Where it is far below the noise, as of water at rest, nothing can be said of it but that; nor is it there
+    more than what would be heard.
     """
     out = np.maximum(power, _NOTHING * noise)
     first = max(last - _FEW, 1)
@@ -415,6 +419,7 @@ def _continued(
         slope = float(np.polyfit(np.log(k[first:last]), np.log(out[first:last]), 1)[0])
     slope = float(np.clip(slope, *_SLOPES))
     out[last:] = out[last - 1] * (k[last:] / k[last - 1]) ** slope
+    out[last:] = np.minimum.accumulate(np.minimum(out, most)[last:])
     return tuple(map(float, out))
 
 
