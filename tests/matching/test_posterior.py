@@ -1,5 +1,7 @@
 """The most probable field: against a dense solve, with a gap, with a slope at the edge; noise, spectrum."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.fft
@@ -10,6 +12,7 @@ from wavefield.matching import (
     Spread,
     along_each,
     around_holes,
+    believed,
     better_prior,
     edge_slopes,
     first_prior,
@@ -293,3 +296,20 @@ def test_the_component_that_is_told_less_of_is_the_more_uncertain_one():
     assert x + y == pytest.approx(2.0)
     assert x == pytest.approx(1.2, abs=0.06)
     assert along_each(score, hessian, 0 * counts) == (1.0, 1.0)
+
+
+def test_what_fields_have_not_in_common_is_no_wave():
+    spectrum, noise = 3.0, 1.0
+    assert believed(noise + spectrum, noise, spectrum) == 1.0  # as much as the spectrum would bring
+    assert believed(1.05 * noise, noise, spectrum) < 0.15  # noise alone
+    assert believed(0.5 * noise, noise, spectrum) == 0.0
+    assert believed(5.0 * noise, noise, 1e3) == 1.0  # few waves, far above the noise
+
+
+def test_what_is_missing_counts_as_far_as_the_spectrum_is_waves():
+    prior = prior_of(steep_law, information=100.0)
+    a = np.full((40, 50), 100.0, np.float32)
+    noise, missing = Spread(prior, a.shape)(a)
+    same, less = Spread(replace(prior, waves=0.1), a.shape)(a)
+    np.testing.assert_array_equal(same, noise)
+    np.testing.assert_allclose(less, 0.1 * missing, rtol=1e-5)

@@ -29,6 +29,7 @@ _HEARD = 0.3  # of the noise: what the posterior tells apart of a spectrum
 _NOTHING = 0.01  # of the noise: no spectrum is thought to be less before it drowns
 _SURE = 0.9  # noise is known to a tenth
 _ENOUGH = 0.5  # of the waves that a spectrum would bring: who finds so much believes in all
+_ABOVE = 3.0  # times the noise: what stands so far above it is waves
 _SLOPES = -9.0, -3.0  # of the power law by which a spectrum goes on
 _FEW = 6  # bins from which its slope is taken
 
@@ -353,16 +354,17 @@ def believed(variance: float, noise: float, waves: float) -> float:
     Returns
     -------
     float
-        1 where fields vary by half of what the spectrum would bring, and more; less, in proportion, where
-        they do not.
+        1 where fields vary by half of what the spectrum would bring, or by four times what noise does; less,
+        in proportion, where they do not.
 
     Examples
     --------
     >>> believed(4.0, 1.0, 3.0), round(believed(1.0, 1.0, 3.0), 3)
     (1.0, 0.067)
     """
-    found = (variance - _SURE * noise) / max(waves, 1e-30)
-    return float(np.clip(found / _ENOUGH, 0.0, 1.0))
+    found = variance - _SURE * noise
+    enough = min(_ENOUGH * waves, _ABOVE * noise)
+    return float(np.clip(found / max(enough, 1e-30), 0.0, 1.0))
 
 
 def _plateau(ratio: NDArray[np.float64]) -> float:
