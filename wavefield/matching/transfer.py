@@ -11,7 +11,7 @@ from wavefield.matching.lattice import gaussian, window_sigma
 from wavefield.matching.settings import Settings
 
 _N = 128  # blocks: period of the Fourier transforms below
-_FOOTPRINT = 8.0  # px^2: variance of the area that a block's value stands for, beads' own images included
+_FOOTPRINT = 7.0  # px^2: variance of the area that a block's value stands for, beads' own images included
 _TAKEN = 4.0  # px^2: variance of the area over which blocks and beads' images average displacements
 _NOISE = 0.4  # how much of a wave that is half lost is given up for being noise
 
@@ -113,7 +113,7 @@ def raised(k: np.ndarray) -> np.ndarray:
     Examples
     --------
     >>> raised(np.array([0.0, 0.8])).round(3).tolist()
-    [1.0, 1.053]
+    [1.0, 1.039]
     """
     out: np.ndarray = np.exp(0.5 * (_FOOTPRINT - _TAKEN) * np.square(k) / BLOCK**2)
     return out
