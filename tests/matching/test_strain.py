@@ -1,5 +1,9 @@
 """Beads move with the displacement but are not strained by it."""
 
+import os
+import subprocess
+import sys
+
 import cv2
 import numpy as np
 import pytest
@@ -91,3 +95,26 @@ def test_strain_moments_are_what_they_say():
     bends = at(bend, value), at(slope, slope), at(value, bend)
     expected = [g * a for g in gradient] + [g * second for g in gradient for second in bends]
     np.testing.assert_allclose(out, np.reshape(expected, (8, ny, 5, nx, 5)).sum((2, 4)), atol=2e-5)
+
+
+SUMS = """
+import hashlib
+import numpy as np
+from wavefield.matching.kernels import gradient_moments, scratch, strain_moments
+image = np.random.default_rng(1).standard_normal((116, 136)).astype(np.float32)
+work = scratch(24)
+first, second = np.empty((9, 20, 24), np.float32), np.empty((8, 20, 24), np.float32)
+gradient_moments(image, work["rows"], work["sums"], first)
+strain_moments(image, work["rows"], work["sums"], second)
+print(hashlib.sha256(first.tobytes() + second.tobytes()).hexdigest())
+"""
+
+
+def test_a_process_that_compiles_adds_in_the_order_of_those_that_read_what_it_kept(tmp_path):
+    place = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    found = [
+        subprocess.run([sys.executable, "-c", SUMS], env=place, capture_output=True, text=True, check=True)
+        for _ in range(2)
+    ]
+    assert any(tmp_path.rglob("*.nbc")), "nothing was kept"
+    assert found[0].stdout == found[1].stdout != ""

@@ -30,6 +30,9 @@ MID = F(2.0)  # (BLOCK - 1) / 2
 PAD = 8  # replicated border of b, px
 
 njit = compiled(fastmath=True, error_model="numpy")
+# a long function that is called is compiled alone and with its caller; the process that compiles runs one,
+# those that read what it kept the other, which may add in another order: not the same to the bit
+inlined = compiled(fastmath=True, error_model="numpy", forceinline=True)
 
 
 @njit
@@ -146,7 +149,7 @@ def gradient_moments(image: Array, rows: Array, sums: Array, out: Array) -> None
                 to[b] = total
 
 
-@njit
+@inlined
 def _spline_bends(image: Array, y: int, s: Array, d: Array, e: Array) -> None:
     """As `_spline_columns`, and the second derivative along y into e (w + 4)."""
     a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
@@ -160,14 +163,14 @@ def _spline_bends(image: Array, y: int, s: Array, d: Array, e: Array) -> None:
         e[x] = F(2 / 6) * near + F(1 / 6) * far - r2[x]
 
 
-@njit
+@inlined
 def _bend(s: Array, x: int) -> np.float32:
     """The second derivative of the spline along the row."""
     out: np.float32 = F(2 / 6) * (s[x + 1] + s[x + 3]) + F(1 / 6) * (s[x] + s[x + 4]) - s[x + 2]
     return out
 
 
-@njit
+@inlined
 def _strain_row(
     s: Array,
     d: Array,
