@@ -92,12 +92,13 @@ def differences(flows: Flows, z: Float, plan: Plan) -> Differences | None:
     J = np.moveaxis(seen.jacobian[:, :, good], -1, 0)
     rows = (f[:, good].T for f in (seen.moved, seen.noise_of_each, 1.0 / seen.variance))
     own = dict(zip(names, noise_of_each(J, *rows) / noise, strict=True))
-    return replace(found, own=own, waves=_in_common(seen, names, good, noise, plan))
+    return replace(found, own=own, waves=_in_common(J, seen, names, good, noise, plan))
 
 
-def _in_common(seen: Seen, names: Sequence[str], good: NDArray[np.bool_], noise: float, plan: Plan) -> float:
+def _in_common(
+    J: Float, seen: Seen, names: Sequence[str], good: NDArray[np.bool_], noise: float, plan: Plan
+) -> float:
     """Fraction of the displacements' spectra that is waves: noise of the cameras is smaller in their mean."""
-    J = np.moveaxis(seen.jacobian[:, :, good], -1, 0)
     rows = (np.sqrt(f[:, good].T) for f in (seen.variance, noise * seen.noise_of_each))
     d, _, d_std = solve_displacement(J, seen.moved[:, good].T, *rows)
     parts = np.asarray(shares(plan))

@@ -109,7 +109,10 @@ class Seen:
 
     @property
     def variance(self) -> Float:
-        """What every component is weighed by, (2N, ny, nx): its variance but for the camera's own factor."""
+        """What every component is weighed by, (2N, ny, nx): the mean of the variances of its camera's two.
+
+        Without their own factors and the camera's: those are for what is stated.
+        """
         both = 0.5 * (self.noise[::2] + self.noise[1::2] + self.missing[::2] + self.missing[1::2])
         out: Float = np.repeat(both, 2, axis=0)
         return out
