@@ -50,6 +50,7 @@ def cube() -> str:
         "y",
         "x",
         *CUBE_FIELDS,
+        "path_frames",
         "frame_status",
         "frame",
         "frame_fault",

@@ -74,6 +74,11 @@ def test_values_are_those_of_the_run_whatever_the_block(frames, rig, grid, refer
     cube = reconstruct(frames, rig, grid, steps_per_task=steps_per_task)
     part = cube.isel(time=slice(0, 8)).compute(scheduler="sync")
     assert different(part, wf.open_cube(reference), slice(0, 8)) == []
+    assert (
+        int(part.path_frames)
+        == int(wf.open_cube(reference).path_frames)
+        == record_of(reference)["path_frames"]
+    )
     for name in GAINS:
         xr.testing.assert_identical(part[name], wf.open_cube(reference)[name].compute())
     np.testing.assert_allclose(cube.time, (np.arange(16) + 0.5) / 20.0)

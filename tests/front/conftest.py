@@ -56,7 +56,7 @@ def make_cube(
     cube = xr.Dataset(
         {name: (CUBE_DIMS, field) for name, field in fields.items()}
         | {"quality": (CUBE_DIMS, quality), "frame_status": ("time", status)},
-        {"time": time, "y": y, "x": x},
+        {"time": time, "y": y, "x": x, "path_frames": np.uint8(6)},
         {"frame_rate": rate, "water_depth": 0.7, "experiment": "linear sea", "wavefield_version": "test"},
     )
     return annotate(cube)

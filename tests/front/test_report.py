@@ -105,6 +105,7 @@ def test_numbers_of_the_summary_are_those_of_the_cube(page_text, cube):
     assert f"{100 * float(cube.z.std()):.3g} cm" in page_text
     assert "1 done with faults" in page_text
     assert "step 7, t = 0.375 s: done with faults" in page_text
+    assert "along paths of 6 frames" in page_text
 
 
 def test_what_is_missing_is_said(cube, tmp_path, undrawn):

@@ -41,7 +41,7 @@ def seen_by_three(noise, missing):
     J = np.tile(OBLIQUE[:, :, None, None], (1, 1, 4, 5))
     shape = (3, 4, 5)
     moved = np.random.default_rng(3).normal(size=(6, 4, 5))
-    none, chord = np.zeros(shape, np.uint16), np.zeros((4, 5), bool)
+    none, frames = np.zeros(shape, np.uint16), np.full((4, 5), 4, np.uint8)
     along, own = np.ones((2, 6))
     return Seen(
         J,
@@ -51,7 +51,7 @@ def seen_by_three(noise, missing):
         along,
         own,
         none,
-        chord,
+        frames,
         np.array([1.0, 0.0]),
     )
 

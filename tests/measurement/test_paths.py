@@ -1,9 +1,9 @@
-"""Velocity along paths: a cubic in time through four places."""
+"""Velocity along paths: a cubic in time by four or six places."""
 
 import numpy as np
 import pytest
 
-from wavefield.measurement.paths import read_path
+from wavefield.measurement.paths import noise_weights, read_path
 from wavefield.measurement.regrid import Lattice, coefficients
 
 LATTICE = Lattice(2.0, 2.0, 5.0, (60, 60))
@@ -17,10 +17,9 @@ def turned(angle):
     return coefficients(np.stack([c * x - s * y, s * x + c * y], axis=-1).astype(np.float32))
 
 
-def error(angle, before=True, after=True):
+def error(angle, *there):
     spline, all_of_it = turned(angle), np.ones(LATTICE.shape, bool)
     X, Y = np.meshgrid(np.linspace(110.0, 190.0, 7), np.linspace(110.0, 190.0, 7))
-    there = (before, True, after)
     d, _ = read_path(
         [spline if q else None for q in there], [all_of_it if q else None for q in there], LATTICE, X, Y
     )
@@ -30,15 +29,20 @@ def error(angle, before=True, after=True):
 
 def test_a_turning_body_keeps_third_order_in_time():
     # chords are p^2/24 short and lie beside the path by p^2/8; four places leave terms in p^4
-    assert error(0.2, before=False, after=False) == pytest.approx(0.2**2 / 12, rel=0.05)
-    assert error(0.2) < 0.2**4
-    assert error(0.1) < 0.1 * error(0.2)
+    assert error(0.2, False, True, False) == pytest.approx(0.2**2 / 12, rel=0.05)
+    for places in (4, 6):
+        there = [True] * (places - 1)
+        assert error(0.2, *there) < 0.2**4
+        assert error(0.1, *there) < 0.1 * error(0.2, *there)
 
 
 @pytest.mark.parametrize("there", [(False, True), (True, False)])
 def test_at_an_end_a_parabola_finds_the_place_and_leaves_the_chord(there):
     # p^2/24 of the velocity is missing, and the particle is p^3/16 of its way beside
-    assert error(0.2, *there) == pytest.approx(0.2**2 / 24 + 0.2**3 / 16, rel=0.2)
+    before, after = there
+    assert error(0.2, before, True, after) == pytest.approx(0.2**2 / 24 + 0.2**3 / 16, rel=0.2)
+    # what lies beyond the end is not asked either
+    assert error(0.2, True, before, True, after, True) == error(0.2, before, True, after)
 
 
 def test_what_was_not_measured_is_not_asked():
@@ -49,5 +53,27 @@ def test_what_was_not_measured_is_not_asked():
     found, block = read_path((wrong, spline, spline), (nowhere, everywhere, everywhere), LATTICE, X, X)
     parabola, _ = read_path((None, spline, spline), (None, everywhere, everywhere), LATTICE, X, X)
     np.testing.assert_array_equal(found, parabola)
-    assert block[0, 0] == -1
+    assert (block[:2, 0] == -1).all()
+    assert block[4, 0] == -1
     assert np.isnan(found[:, 1]).all()
+    five = (wrong, spline, spline, spline, wrong)
+    for one in (0, 4):
+        measured = [nowhere if n == one else everywhere for n in range(5)]
+        found, block = read_path(five, measured, LATTICE, X, X)
+        four, _ = read_path(five[1:4], measured[1:4], LATTICE, X, X)
+        np.testing.assert_array_equal(found, four)
+        assert (block[[0, 4], 0] == -1).all()
+
+
+@pytest.mark.parametrize("places", [2, 4, 6])
+def test_noise_passes_a_path_as_its_weights_say(places):
+    # a fifth of the variance comes from frames, which two displacements share with opposite signs, twice that
+    rng = np.random.default_rng(places)
+    own = rng.normal(size=(5, 400_000)) * np.sqrt(0.6)
+    d = own + np.diff(rng.normal(size=(6, own.shape[1])) * np.sqrt(0.2), axis=0)
+    weights = np.zeros(5)
+    half = {2: (1,), 4: (26 / 24, -1 / 24), 6: (34 / 48, 10 / 48, -3 / 48)}[places]
+    for n, weight in enumerate(half):
+        weights[[2 - n, 2 + n]] = weight
+    here, *beside = noise_weights(places)
+    assert here + 2 * sum(beside) == pytest.approx(np.var(weights @ d), rel=0.01)

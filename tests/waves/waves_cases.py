@@ -100,7 +100,7 @@ def axes(steps, ny, nx, dt=0.05, dx=0.01):
 def linear_cube(
     waves, steps, ny, nx, dt=0.05, dx=0.01, noise_z=0.0, noise_dz=0.0, seed=9, dtype="f4", frames=2
 ):
-    """A cube as measured from frames: four-frame z, z_t and w from differences, linear kinematics, u and v
+    """A cube as measured from frames: four-frame z, z_t and w from ``frames``, linear kinematics, u and v
     at mid-time. Noise is independent between frames (z) and steps (dz), correlated over 4 cm in space."""
     from scipy.ndimage import uniform_filter
 
@@ -115,22 +115,24 @@ def linear_cube(
         raw = uniform_filter(raw, (0, box, box))[:, box:-box, box:-box] * box
         return rms * raw
 
-    exact = waves.on_grid(np.arange(-1, steps + 2) * dt, y, x, "z")["z"]
+    exact = waves.on_grid(np.arange(-2, steps + 3) * dt, y, x, "z")["z"]
     uv = waves.on_grid(t, y, x, "u", "v")
-    noisy = exact + noise(noise_z, steps + 3)
-    z = (9 * (noisy[1:-2] + noisy[2:-1]) - noisy[:-3] - noisy[3:]) / 16
+    noisy = exact.copy()
+    noisy[1:-1] += noise(noise_z, steps + 3)
+    z = (9 * (noisy[2:-3] + noisy[3:-2]) - noisy[1:-4] - noisy[4:-1]) / 16
     rise, sink = np.diff(noisy, axis=0) / dt, np.diff(exact, axis=0) / dt
-    sink[1:-1] += noise(noise_dz, steps) / dt
-    if frames == 4:
-        rise, sink = ((26 * d[1:-1] - d[:-2] - d[2:]) / 24 for d in (rise, sink))
-    else:
-        rise, sink = rise[1:-1], sink[1:-1]
+    sink[2:-2] += noise(noise_dz, steps) / dt
+    weights = {
+        2: (0, 0, 1, 0, 0),
+        4: (0, -1 / 24, 26 / 24, -1 / 24, 0),
+        6: np.array((-3, 10, 34, 10, -3)) / 48,
+    }
+    rise, sink = (
+        sum(weight * d[n : n + steps] for n, weight in enumerate(weights[frames])) for d in (rise, sink)
+    )
     fields = {"z": z, "z_t": rise, "u": uv["u"], "v": uv["v"], "w": sink}
     out = cube(fields, t, y, x, dtype, water_depth=waves.depth, frame_rate=1 / dt)
-    if frames == 4:
-        for name in ("z_t", "u", "v", "w"):
-            out[name].attrs["frames"] = 4
-    return out
+    return out if frames == 2 else out.assign_coords(path_frames=np.uint8(frames))
 
 
 def cube(fields, t, y, x, dtype="f4", **attrs):

@@ -195,8 +195,9 @@ def reconstruct(
         for name in (*CUBE_FIELDS, "frame_status")
     }
     gain, axes = _gain(known, plan)
+    path_frames = da.from_delayed(dask.delayed(_path_frames, pure=False)(known), (), np.uint8)
     mid = 0.5 * (times[:-1] + times[1:])
-    coords = {"time": mid, "y": grid.y_nodes, "x": grid.x_nodes} | axes
+    coords = {"time": mid, "y": grid.y_nodes, "x": grid.x_nodes, "path_frames": path_frames} | axes
     out = xr.Dataset(variables | gain, coords=coords)
     used = replace(rig, cameras={name: rig[name] for name in plan.cameras})
     out.attrs = {"frame_rate": frame_rate, "pixel_size": pixel_size(used, grid)} | {
@@ -227,6 +228,10 @@ def _known(pairs: Sequence[Mapping[str, Any]], plan: Any, record: Mapping[str, A
 
     learned = learn_from(pairs, plan) if record is None else record
     return plan.knowing(Record.from_dict(learned)) if learned else plan
+
+
+def _path_frames(plan: Any) -> np.ndarray:
+    return np.asarray(plan.record.path_frames if plan.record else 4, np.uint8)
 
 
 def _measure(block: Block, plan: Any, frame_rate: float) -> dict[str, np.ndarray]:

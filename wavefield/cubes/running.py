@@ -210,6 +210,8 @@ def _open_or_create(prepared: Prepared, path: Path) -> tuple[Prepared, Layout]:
     log.info("learning beads, spectra and noise from sample frames")
     threads = threads_here(prepared.workflow)
     prepared = prepared.knowing(learn_record(prepared.series, prepared.steps, prepared.plan, threads))
+    if prepared.recipe.record:
+        log.info("velocities along paths of %d frames", prepared.recipe.record["path_frames"])
     grid = prepared.grid
     first = next(iter(prepared.series.values())).first
     layout = Layout(prepared.steps, prepared.block, tuple(prepared.series), first)

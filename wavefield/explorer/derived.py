@@ -63,7 +63,8 @@ def derived_series(
                     )
                     for n in _BALANCE
                 },
-                coords={"time": record.time[first:last], "y": record.y[rows], "x": record.x[columns]},
+                coords={"time": record.time[first:last], "y": record.y[rows], "x": record.x[columns]}
+                | record.paths,
             )
             found = kinematics(around)
             for name, series in out.items():

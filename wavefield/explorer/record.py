@@ -38,6 +38,8 @@ class Record:
         Coordinates, s and m.
     names : tuple of str
         Variables that maps can show, derived ones last.
+    paths : dict
+        Frames that velocities come from, the cube's coordinate; empty where it does not say.
     preview : Preview
         The thinned cube in memory.
 
@@ -57,6 +59,8 @@ class Record:
         self.stored = tuple(n for n, a in self.group.arrays() if a.metadata.dimension_names == CUBE_DIMS)
         self.stored = tuple(sorted(self.stored, key=_in_order))
         self.names = (*self.stored, *(DERIVED if set(_BALANCE) <= set(self.stored) else ()))
+        there = "path_frames" in self.group
+        self.paths = {"path_frames": np.uint8(self.group["path_frames"][()])} if there else {}
         self._attrs = {name: dict(self.group[name].attrs) for name in self.stored}
         self._kept: OrderedDict[tuple[str, int], NDArray[Any]] = OrderedDict()
         self._lock = threading.Lock()
@@ -150,7 +154,7 @@ class Record:
         around = [k for k in (step - 1, step, step + 1) if 0 <= k < self.layout.steps]
         steps = xr.Dataset(
             {n: (CUBE_DIMS, np.array([self.field(n, k) for k in around]), self._attrs[n]) for n in _BALANCE},
-            coords={"time": self.time[around], "y": self.y, "x": self.x},
+            coords={"time": self.time[around], "y": self.y, "x": self.x} | self.paths,
         )
         if len(around) < 2:
             return np.full((self.y.size, self.x.size), np.nan, np.float32)

@@ -284,7 +284,7 @@ def area_fields(record: Record, place: Place) -> xr.Dataset:
 
 
 def _labelled(dataset: xr.Dataset, record: Record) -> xr.Dataset:
-    out: xr.Dataset = annotate(dataset)
+    out: xr.Dataset = annotate(dataset.assign_coords(record.paths))
     for variable in out.variables.values():
         variable.attrs.pop("ancillary_variables", None)
     out.attrs = {"experiment": record.experiment, "cube": record.path.name, "frame_rate": record.frame_rate}
@@ -301,7 +301,7 @@ def as_netcdf(dataset: xr.Dataset) -> bytes:
 
 def as_csv(dataset: xr.Dataset) -> bytes:
     """A dataset of one dimension as a table, its units in the first line."""
-    frame = dataset.to_dataframe()
+    frame = dataset.drop_vars("path_frames", errors="ignore").to_dataframe()
     units = {str(name): dataset[name].attrs.get("units", "") for name in frame.columns}
     frame.columns = [
         f"{name} ({units[name]})" if units[name] not in ("", "1") else name for name in frame.columns

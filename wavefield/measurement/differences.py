@@ -41,6 +41,8 @@ class Differences:
         Standard deviation of the water's motion from frame to frame, metres.
     waves : float
         Fraction of the displacements' spectra that is waves: what the cameras have in common (`Prior.waves`).
+    scatter : float
+        Variance by noise of dx, dy and dz of the water together, m^2.
     """
 
     trembling: tuple[float, float]
@@ -49,6 +51,7 @@ class Differences:
     own: Mapping[str, float] = field(default_factory=dict)
     moved: tuple[float, float, float] = (1.0, 1.0, 1.0)
     waves: float = 1.0
+    scatter: float = 0.0
 
 
 def differences(flows: Flows, z: Float, plan: Plan) -> Differences | None:
@@ -92,13 +95,17 @@ def differences(flows: Flows, z: Float, plan: Plan) -> Differences | None:
     J = np.moveaxis(seen.jacobian[:, :, good], -1, 0)
     rows = (f[:, good].T for f in (seen.moved, seen.noise_of_each, 1.0 / seen.variance))
     own = dict(zip(names, noise_of_each(J, *rows) / noise, strict=True))
-    return replace(found, own=own, waves=_in_common(J, seen, names, good, noise, plan))
+    waves, scatter = _in_common(J, seen, names, good, noise, plan)
+    return replace(found, own=own, waves=waves, scatter=scatter)
 
 
 def _in_common(
     J: Float, seen: Seen, names: Sequence[str], good: NDArray[np.bool_], noise: float, plan: Plan
-) -> float:
-    """Fraction of the displacements' spectra that is waves: noise of the cameras is smaller in their mean."""
+) -> tuple[float, float]:
+    """Fraction of the displacements' spectra that is waves: noise of the cameras is smaller in their mean.
+
+    And that noise: variance of dx, dy and dz together.
+    """
     rows = (np.sqrt(f[:, good].T) for f in (seen.variance, noise * seen.noise_of_each))
     d, _, d_std = solve_displacement(J, seen.moved[:, good].T, *rows)
     parts = np.asarray(shares(plan))
@@ -108,9 +115,8 @@ def _in_common(
         for name, one in zip(names, each, strict=True)
     ]
     waves = float(np.mean(brought) * parts.sum())
-    return matching.believed(
-        float(np.var(d, axis=0).sum()), float(np.square(d_std).mean(axis=0).sum()), waves
-    )
+    scatter = float(np.square(d_std).mean(axis=0).sum())
+    return matching.believed(float(np.var(d, axis=0).sum()), scatter, waves), scatter
 
 
 def typical(steps: Sequence[Differences], pixel: float) -> Differences:
@@ -135,6 +141,8 @@ def typical(steps: Sequence[Differences], pixel: float) -> Differences:
         return Differences(trembling)
     moved = np.sqrt(np.mean(np.square([one.moved for one in steps]), axis=0))
     x, y, z = np.maximum(moved, _STILL * pixel)
-    noise, waves = (float(np.median(part)) for part in zip(*((one.noise, one.waves) for one in steps)))
+    noise, waves, scatter = (
+        float(np.median(part)) for part in zip(*((one.noise, one.waves, one.scatter) for one in steps))
+    )
     own = own_noise([one.own for one in steps])
-    return Differences(trembling, True, noise, own, (float(x), float(y), float(z)), waves)
+    return Differences(trembling, True, noise, own, (float(x), float(y), float(z)), waves, scatter)

@@ -61,8 +61,9 @@ def measure(
     Notes
     -----
     With the record known, every step comes out the same, to the bit, whatever block it is in. A step reads
-    six frames: its velocity along the path through four places (`read_path`), z at mid-time from six surfaces
-    and z_t from four (`at_mid_time`). Where a neighbour is missing, ``quality`` says so.
+    six frames: z at mid-time is from six surfaces, z_t (`at_mid_time`) and the velocity along the path
+    (`read_path`) from as many as the record says, four or six. Where a neighbour is missing, ``quality`` says
+    so.
     """
     lengths = {len(frames[n]) for n in plan.cameras if n in frames}
     if len(lengths) != 1 or min(lengths) < 2 * AROUND + 2:
@@ -78,20 +79,21 @@ def measure(
         if record is None:
             return out
         plan = plan.knowing(record)
+    assert plan.record is not None
+    beside = plan.record.path_frames // 2 - 1  # steps either way whose displacements are wanted
     window: list[Instant] = []
     moves: list[Flows] = []
     for number in range(steps + 2 * AROUND + 1):
         covered = {name: masks[name][number] for name in masks} if masks else None
         window.append(look({name: frames[name][number] for name in frames}, plan, covered))
-        if not number:
-            window[0] = window[0].followed()  # a neighbour of neighbours: its z alone is wanted
-        if AROUND <= number <= steps + AROUND + 1:
+        if AROUND - beside < number <= steps + AROUND + beside:
             moves.append(flows(window[-2].images, window[-1].images, plan))
+        if number:  # not wanted any more, or a neighbour of neighbours whose z alone is
             window[-2] = window[-2].followed()
         if len(window) == 2 * AROUND + 2:
             step = number - 2 * AROUND - 1
             row = {name: field[step : step + 1] for name, field in out.items()}
-            _step(window, moves[:3], plan, frame_rate, row)
+            _step(window, moves[: 2 * beside + 1], plan, frame_rate, row)
             window.pop(0)
             moves.pop(0)
     return out
@@ -155,9 +157,11 @@ def _step(
     known = inside & ~filled  # what is made up in holes says nothing of the rest
     assert plan.record is not None
     unresolved = plan.record.unresolved
-    chord = (moved.quality & Quality.TWO_FRAME_MEAN) != 0
-    left_out = [unresolved.of_displacement(frames, moved.d, known) for frames in (2, 4)]
-    d_std = np.hypot(moved.d_std, np.where(chord, *left_out))
+    left_out = np.zeros_like(moved.d)
+    for places in np.unique(moved.frames[inside]):
+        parts = unresolved.of_displacement(int(places), moved.d, known)
+        left_out = np.where(moved.frames == places, parts, left_out)
+    d_std = np.hypot(moved.d_std, left_out)
     fields = {
         "z": z,
         "z_t": rise * np.float32(frame_rate),
@@ -193,10 +197,16 @@ class _Seen:
 def _look_at(
     window: Sequence[Instant], moves: Sequence[Flows], plan: Plan, frame_rate: float
 ) -> _Seen | None:
-    """Surfaces and motion of a step; None if nothing can be said of it."""
+    """Surfaces and motion of a step; None if nothing can be said of it.
+
+    A knock between two frames spoils one displacement, and in part every path that it belongs to: where
+    cameras contradict each other along paths of six frames, those of four are looked at.
+    """
     surfaces: list[Surface | None] = [instant.surface for instant in window]
-    at_mid, trembles = _at_mid_time(surfaces, plan, frame_rate)
+    at_mid, trembles = _at_mid_time(surfaces, len(moves) + 1, plan, frame_rate)
     moved = velocity(moves, at_mid[0], plan, None, trembles)
+    if moved is not None and moved.contradicted and len(moves) > 3:
+        return _look_at(window, moves[1:-1], plan, frame_rate)
     if moved is None or not (moved.left_out or moved.regions):
         return None if moved is None else _Seen(surfaces, *at_mid, moved)
     left_out: frozenset[str] = frozenset()
@@ -208,16 +218,16 @@ def _look_at(
         moves = [{n: f for n, f in flow.items() if n not in left_out} for flow in moves]
     else:
         surfaces = [_mended(instant, moved.regions, plan) for instant in window]
-    at_mid, trembles = _at_mid_time(surfaces, plan, frame_rate)
+    at_mid, trembles = _at_mid_time(surfaces, len(moves) + 1, plan, frame_rate)
     moved = velocity(moves, at_mid[0], plan, moved.regions, trembles)
     return None if moved is None else _Seen(surfaces, *at_mid, moved, left_out)
 
 
 def _at_mid_time(
-    surfaces: Sequence[Surface | None], plan: Plan, frame_rate: float
+    surfaces: Sequence[Surface | None], path_frames: int, plan: Plan, frame_rate: float
 ) -> tuple[tuple[Any, Any, Any], float]:
     """z, its uncertainty and rise; the motion of the pictures between frames for which it is unsteady, px."""
-    z, std, rise = at_mid_time(surfaces)
+    z, std, rise = at_mid_time(surfaces, path_frames)
     known = [one for one in surfaces if one is not None]
     told = np.logical_and.reduce([(one.quality & Quality.MEASURED) > 0 for one in known])
     if len(known) < len(surfaces) or told.sum() < _FEW or plan.settings.sheet_thickness is not None:

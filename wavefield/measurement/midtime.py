@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.measurement.elevation import Surface
+from wavefield.variables import PATH_WEIGHTS
 
 Float = NDArray[Any]
 Surfaces = Sequence[Surface | None]
@@ -16,13 +18,15 @@ Surfaces = Sequence[Surface | None]
 F = np.float32
 
 
-def at_mid_time(surfaces: Surfaces) -> tuple[Float, Float, Float]:
+def at_mid_time(surfaces: Surfaces, path_frames: int = 4) -> tuple[Float, Float, Float]:
     """Elevation, its standard uncertainty and its rise per step.
 
     Parameters
     ----------
     surfaces : sequence of six Surface or None
         Of two frames before, of the two frames of the step, which must be there, and of two after.
+    path_frames : int, default 4
+        Frames that the rise comes from, 4 or 6, as velocities do.
 
     Returns
     -------
@@ -35,9 +39,9 @@ def at_mid_time(surfaces: Surfaces) -> tuple[Float, Float, Float]:
     frames; without one of the outermost (9 (z_0 + z_1) - z_-1 - z_2) / 16, a cubic through four. Where a
     neighbour is missing a parabola serves, (3 z_0 + 6 z_1 - z_2) / 8; where both are, the mean.
 
-    z_t dt = (27 (z_1 - z_0) - z_2 + z_-1) / 24, which is (26 r - r_before - r_after) / 24 for the rises r
-    from frame to frame: the same mean as of displacements, so that z_t changes with w; z_1 - z_0 where a
-    neighbour is missing.
+    z_t dt is the mean of the rises from frame to frame by the weights that displacements have along a path
+    (`wavefield.variables.PATH_WEIGHTS`), so that z_t changes with w: (26 r - r_before - r_after) / 24 from
+    four frames, z_1 - z_0 where a neighbour is missing.
 
     The same beads in the same places err the same way in all frames, so their errors do not average out.
 
@@ -54,19 +58,31 @@ def at_mid_time(surfaces: Surfaces) -> tuple[Float, Float, Float]:
     assert first is not None
     assert second is not None
     std = F(0.5) * (first.std + second.std)
-    rise = second.z - first.z
+    rise = _mean_rise(surfaces, path_frames)
     if before is not None and after is not None:
         pair, next_to = first.z + second.z, before.z + after.z
         if far_before is not None and far_after is not None:
             z = (F(150) * pair - F(25) * next_to + F(3) * (far_before.z + far_after.z)) / F(256)
         else:
             z = (F(9) * pair - next_to) / F(16)
-        return z, std, (F(27) * rise - (after.z - before.z)) / F(24)
+        return z, std, rise
     if after is not None:
         return (F(3) * first.z + F(6) * second.z - after.z) / F(8), std, rise
     if before is not None:
         return (F(3) * second.z + F(6) * first.z - before.z) / F(8), std, rise
     return F(0.5) * (first.z + second.z), std, rise
+
+
+def _mean_rise(surfaces: Surfaces, path_frames: int) -> Float:
+    """From so many frames, or from as many as are there on both sides."""
+    weights = PATH_WEIGHTS[min(path_frames, frames_used(surfaces) // 2 * 2)]
+    rise: Float = np.zeros((), F)
+    for n, (own, beside) in enumerate(pairwise((*weights, 0.0))):
+        earlier, later = surfaces[2 - n], surfaces[3 + n]
+        assert earlier is not None
+        assert later is not None
+        rise = rise + F(own - beside) * (later.z - earlier.z)
+    return rise
 
 
 def frames_used(surfaces: Surfaces) -> int:

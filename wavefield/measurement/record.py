@@ -31,6 +31,8 @@ class Record:
     trembling : (float, float)
         Rms motion of the cameras' pictures from frame to frame, along the line on which they stand and across
         it, px of the binned image.
+    path_frames : int
+        Frames that velocities and the rate of rise come from: 6 where less is wrong so, else 4.
     """
 
     beads: tuple[tuple[str, float], ...]
@@ -40,6 +42,7 @@ class Record:
     unresolved: Unresolved = NOTHING
     noise: tuple[tuple[str, float], ...] = ()
     trembling: tuple[float, float] = (0.0, 0.0)
+    path_frames: int = 4
 
     def width(self, camera: str) -> float:
         """Width of a camera's beads, raw px."""
@@ -64,6 +67,7 @@ class Record:
             "unresolved": self.unresolved.to_dict(),
             "noise": dict(self.noise),
             "trembling": list(self.trembling),
+            "path_frames": self.path_frames,
         }
 
     @classmethod
@@ -89,4 +93,5 @@ class Record:
             Unresolved.from_dict(data["unresolved"]) if "unresolved" in data else NOTHING,
             tuple((str(name), float(factor)) for name, factor in data.get("noise", {}).items()),
             (along, across),
+            int(data.get("path_frames", 4)),
         )

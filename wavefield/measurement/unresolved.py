@@ -10,6 +10,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from wavefield.variables import PATH_WEIGHTS
 from wavefield.water import dispersion
 
 Float = NDArray[Any]
@@ -19,12 +20,10 @@ _HEARD = 6.0  # times its noise: what the power of a ring must be to tell of its
 _LEAKED = 0.5  # of a ring, by Hann window, so many rings further to the power of -6
 _MAIN = 3  # rings: nearer than that a window mixes them
 _TURNS = 16  # directions of waves to the water's own
-_PATHS = {  # frames: when a path is seen, steps from mid-time, and what its places weigh in the displacement
-    2: (np.array([-0.5, 0.5]), np.array([-1.0, 1.0])),
-    4: (np.array([-1.5, -0.5, 0.5, 1.5]), np.array([1.0, -27.0, 27.0, -1.0]) / 24.0),
-}
+_SMALLEST = 6  # nodes along either side, to tell waves
 _PER_WAVE = 4.5  # lines of a windowed transform that tell the same
 _FEW = 20.0  # waves: a ring of so many is believed by half
+_ENOUGH = 100.0  # waves: so many tell to a tenth how fast they turn, and to half of it what six frames lose
 _BESIDE = 1.1  # a chord lies beside the path as well: the more, the steeper the waves
 
 
@@ -37,9 +36,9 @@ class Unresolved:
     z : tuple of (int, float)
         Of z at mid-time from 2, 3, 4 and 6 frames, metres.
     d : tuple of (int, (float, float, float, float))
-        Of the water's displacement per step from 2 and 4 frames, over the rms of its rise: along either axis,
-        where the water stands still and by how much more where it moves as far as it does on the average
-        (squares add), then the same of its rise.
+        Of the water's displacement per step from 2, 4 and, where enough waves tell it, 6 frames, over the rms
+        of its rise: along either axis, where the water stands still and by how much more where it moves as
+        far as it does on the average (squares add), then the same of its rise.
     """
 
     z: tuple[tuple[int, float], ...]  # pairs, for a plan is looked up by what it was learned from
@@ -55,7 +54,7 @@ class Unresolved:
         Parameters
         ----------
         frames : int
-            2 for a chord, 4 for a path through four places.
+            2 for a chord, 4 or 6 for a path through so many places.
         d : ndarray, (3, ny, nx)
             The displacement, metres.
         known : ndarray of bool, (ny, nx)
@@ -82,6 +81,11 @@ class Unresolved:
         along = still + moving * speed
         rise = np.float32(np.sqrt(np.mean(np.square(d[2][known]))))
         return np.asarray(rise * np.sqrt(np.stack([share[0] * along, share[1] * along, up])))
+
+    def total(self, frames: int) -> float:
+        """Variance of the displacement per step from so many frames, over that of the rise."""
+        still, moving, still_up, moving_up = np.square(dict(self.d)[frames])
+        return float(2.0 * (still + moving) + still_up + moving_up)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe.
@@ -152,13 +156,14 @@ def kept_of_displacement(phase: Float, frames: int) -> Float:
     phase : ndarray
         omega dt, rad.
     frames : int
-        2 for a chord, 4 for a path through four places.
+        2 for a chord, 4 or 6 for a path through so many places.
 
     Returns
     -------
     ndarray
     """
-    path = 1.0 if frames == 2 else (26.0 - 2.0 * np.cos(phase)) / 24.0
+    here, *beside = PATH_WEIGHTS[frames]
+    path = here + 2.0 * sum(w * np.cos(n * phase) for n, w in enumerate(beside, 1))
     return np.asarray(np.sinc(phase / (2.0 * np.pi)) * path)
 
 
@@ -194,7 +199,9 @@ def unresolved(
     ring of few waves says little of its own: its phase is drawn to c times that of the dispersion relation,
     with c the mean of all rings, weighed by their waves. A window in space keeps the long waves out of the
     rings of the short ones, but for what falls off with the sixth power of the distance: rings that this may
-    fill are drawn altogether. Of z sum P (1 - K)^2 is left out (`kept_of_z`); three frames leave out p^3/16.
+    fill are drawn altogether. All this of the curvature of z: waves as long as the field and longer would
+    fill the first rings with their own slow turning. What z has there beyond its curvature is theirs, a ring
+    of its own. Of z sum P (1 - K)^2 is left out (`kept_of_z`); three frames leave out p^3/16.
 
     A path sees a wave turn by q = p - k d cos(theta) in a step, with d how far the water moves in it, theta
     the direction of the wave beside that of the water; along the path its rise is q of the amplitude, its
@@ -205,28 +212,45 @@ def unresolved(
     the squared error follows from their covariances. Both grow nearly with d^2. d is that of deep water: as
     far as it rises.
     """
-    if not pairs:
+    if not pairs or min(pairs[0][0].shape) < _SMALLEST:
         return NOTHING
-    ring, k = _rings(pairs[0][0].shape)
-    drowned = np.zeros(int(ring.max()) + 1) if noise is None else 2.0 * np.bincount(ring, noise(k))
-    plus, minus = (
-        np.maximum(np.mean([np.bincount(ring, _power(a + sign * b)) for a, b in pairs], axis=0) - drowned, 0)
-        for sign in (1.0, -1.0)
-    )
+    shape = pairs[0][0].shape
+    inner = shape[0] - 2, shape[1] - 2
+    ring, k, square = _rings(inner)
     count = np.bincount(ring)
-    own = 2.0 * np.arctan2(np.sqrt(minus), np.sqrt(plus))
-    power = 0.25 * (plus + minus)
-    heard = (power > 0.25 * _HEARD * drowned) & (power > _HEARD * _leaked(power)) & (own > 0)
+    drowned = np.zeros(count.size)
+    if noise is not None:  # in the power of every wave of a smaller field there is more of it
+        drowned = 2.0 * np.bincount(ring, noise(k)) * np.prod(shape) / np.prod(inner)
+
+    def in_rings(look: Callable[[Float], Float], sign: float, weight: Float) -> Float:
+        powers = [np.bincount(ring, weight * _power(look(a + sign * b))) for a, b in pairs]
+        return np.asarray(np.maximum(np.mean(powers, axis=0) - drowned, 0.0))
+
+    flat = np.ones_like(k)
+    curved = [in_rings(_curvature, sign, 1.0 / square) for sign in (1.0, -1.0)]
+    whole = [in_rings(_inner, sign, flat) for sign in (1.0, -1.0)]
+    plus, minus = np.minimum(curved, whole)
+    own = _turned(*curved)
+    power, curvature = (
+        0.25 * (plus + minus),
+        0.25 * np.sum(curved, axis=0) * np.bincount(ring, square) / count,
+    )
+    heard = (power > 0.25 * _HEARD * drowned) & (curvature > _HEARD * _leaked(curvature)) & (own > 0)
     heard[0] = False
+    peak = 1 + int(np.argmax(power[1:]))  # what is heard again beyond a ring that is not is noise
+    heard[peak:] = np.logical_and.accumulate(heard[peak:])
     waves = np.where(heard, count * len(pairs) / _PER_WAVE, 0.0)
     k = np.bincount(ring, k) / count / step
     phase = _drawn(own, waves, dispersion(k))
+    longer = np.sum(whole, axis=1) - [plus[1:].sum(), minus[1:].sum()]
+    power[0], phase[0] = 0.25 * longer.sum(), _turned(*longer)
     z = {n: float(np.sqrt(np.sum(power * (1.0 - kept_of_z(phase, n)) ** 2))) for n in (2, 4, 6)}
     z[3] = float(np.sqrt(np.sum(power * np.minimum(phase**3 / 16.0, 1.0) ** 2)))
     left = (np.ones_like(k), np.ones_like(k)) if matched is None else matched(k * step)
     rise = float(np.mean([np.mean(np.square(b - a)) for a, b in pairs]))
     d = []
-    for n, factor in ((2, _BESIDE), (4, 1.0)):
+    factors = {2: _BESIDE, 4: 1.0} | ({6: 1.0} if waves.sum() > _ENOUGH else {})
+    for n, factor in factors.items():
         still, moving = (_of_paths(power, phase, k, far, left, n) for far in (0.0, np.sqrt(rise)))
         faster = np.maximum(moving - still, 0.0)
         across, up = factor * np.sqrt(np.stack([still, faster], axis=1) / max(rise, 1e-30))
@@ -254,7 +278,7 @@ def _of_rises(power: Float, phase: Float, k: Float, moved: Float, left: Float, f
     Where the path leads is a Gaussian process: known is how far it goes in a step at mid-time, what is left
     of it turns the wave as well.
     """
-    t, weights = _PATHS[frames]
+    t, weights = _places(frames)
     apart, each = np.subtract.outer(t, t)[..., None], np.multiply.outer(t, phase)
     still = 1.0 - np.cos(each)
     # covariances of the places, from mid-time on, and with the motion there; along one axis
@@ -269,6 +293,13 @@ def _of_rises(power: Float, phase: Float, k: Float, moved: Float, left: Float, f
     mean = np.sum(seen * np.exp(-0.5 * np.multiply.outer(own, k**2)), axis=1)
     pairs = np.real(seen[:, :, None] * seen[:, None].conj()) * np.exp(-0.5 * np.multiply.outer(between, k**2))
     return np.asarray(np.square(exact) - 2.0 * exact * np.imag(mean) + pairs.sum(axis=(1, 2)))
+
+
+def _places(frames: int) -> tuple[Float, Float]:
+    """When a path is seen, steps from mid-time, and what its places weigh in the displacement there."""
+    t = np.arange(frames) - 0.5 * (frames - 1)
+    later = -np.diff(PATH_WEIGHTS[frames], append=0.0)
+    return t, np.concatenate([-later[::-1], later])
 
 
 def _leaked(power: Float) -> Float:
@@ -290,11 +321,31 @@ def _drawn(own: Float, waves: Float, shape: Float) -> Float:
     return np.asarray(np.minimum(shape * np.exp(share * ratio + (1.0 - share) * mean), np.pi))
 
 
-def _rings(shape: tuple[int, ...]) -> tuple[NDArray[np.int64], Float]:
-    """Ring of every wave of the discrete Fourier transform, and its wavenumber, rad per node."""
+def _rings(shape: tuple[int, ...]) -> tuple[NDArray[np.int64], Float, Float]:
+    """Ring of every wave of the discrete Fourier transform, its wavenumber, rad per node.
+
+    And the square of its curvature (`_curvature`) over its height; 1 where it has none.
+    """
     ky, kx = (scipy.fft.fftfreq(n) for n in shape)
     k = np.hypot(kx, ky[:, None]).ravel()
-    return np.rint(k * max(shape)).astype(int), 2.0 * np.pi * k
+    bent = (4.0 - 2.0 * np.cos(2.0 * np.pi * kx) - 2.0 * np.cos(2.0 * np.pi * ky[:, None])).ravel()
+    return np.rint(k * max(shape)).astype(int), 2.0 * np.pi * k, np.where(bent > 0, bent, 1.0) ** 2
+
+
+def _curvature(field: Float) -> Float:
+    """Four times a field less its four neighbours, without the outermost nodes."""
+    return np.asarray(
+        4.0 * _inner(field) - field[2:, 1:-1] - field[:-2, 1:-1] - field[1:-1, 2:] - field[1:-1, :-2]
+    )
+
+
+def _inner(field: Float) -> Float:
+    return field[1:-1, 1:-1]
+
+
+def _turned(plus: Float, minus: Float) -> Float:
+    """Phase by which waves turn in a step, from the power of the sum and of the difference of two."""
+    return np.asarray(2.0 * np.arctan2(np.sqrt(minus), np.sqrt(plus)))
 
 
 def _power(field: Float) -> Float:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wavefield.measurement.contradiction import MISFIT, NODE, median_misfit, regions, who_lies
 from wavefield.measurement.flow import Flow, Flows
-from wavefield.measurement.paths import read_path
+from wavefield.measurement.paths import five, noise_weights, read_path
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.sight import Sight
 from wavefield.measurement.trembling import left_over, line_of, of_the_water
@@ -23,6 +23,7 @@ Float = NDArray[Any]
 
 _WHOLE = 0.8  # of the nodes: a camera that contradicts at so many is left out of the step
 _SHORT_WAVES = 0.5, 0.5, 1.0  # variance of u, v, w in deep water, where the prior takes from waves
+_SINGLE = 0.01  # of the nodes
 _REACH = 20  # px: half a window of the coarse levels, by which what a camera shows at one place is felt
 
 
@@ -41,6 +42,8 @@ class Motion:
     quality : ndarray of uint16, (ny, nx)
         Bits of `Quality`: why a camera's displacement was rejected; `FILLED` where not enough of them were
         measured or they contradict each other; `TWO_FRAME_MEAN` where a path has fewer than four places.
+    frames : ndarray of uint8, (ny, nx)
+        Places that paths have: 2, 4 or 6, the fewest of all cameras'.
     left_out : str or None
         The camera that contradicted the others, which agree without it.
     regions : mapping of str to ndarray of bool, (ny, nx)
@@ -52,8 +55,15 @@ class Motion:
     eps_piv: NDArray[Any]
     misfit: NDArray[Any]
     quality: NDArray[np.uint16]
+    frames: NDArray[np.uint8]
     left_out: str | None = None
     regions: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether cameras contradict each other at more than single nodes."""
+        against = self.misfit[np.isfinite(self.misfit)] > MISFIT
+        return bool(self.left_out or self.regions or against.sum() > _SINGLE * against.size)
 
 
 @dataclass(frozen=True)
@@ -72,8 +82,8 @@ class Seen:
         Factors on the noise of every component: that of a camera's two, that of the camera beside the others.
     rejected : ndarray of uint16, (N, ny, nx)
         Why not measured: bits of `Quality`; `OUTSIDE` where not seen.
-    chord : ndarray of bool, (ny, nx)
-        Where a camera's path has fewer than four places.
+    frames : ndarray of uint8, (ny, nx)
+        Places that paths have: 2, 4 or 6, the fewest of all cameras'.
     line : ndarray, (2,)
         Direction along which the cameras stand.
     """
@@ -85,7 +95,7 @@ class Seen:
     along: Float
     own: Float
     rejected: NDArray[np.uint16]
-    chord: NDArray[np.bool_]
+    frames: NDArray[np.uint8]
     line: Float
 
     @property
@@ -129,8 +139,8 @@ def velocity(
 
     Parameters
     ----------
-    steps : sequence of three mapping of str to Flow, or None
-        `flows` of the step before, of this step and of the step after.
+    steps : sequence of 1, 3 or 5 mapping of str to Flow, or None
+        `flows` of the steps before, of this step and of the steps after.
     z : ndarray, (ny, nx)
         Elevation at mid-time, metres.
     plan : Plan
@@ -157,7 +167,7 @@ def velocity(
     moves the water, half as much along x and along y as up and down (its variance); in a light sheet as the
     fluid's own motion is. Motion of the cameras themselves all nodes share (`trembling`).
     """
-    names = list(steps[1] or {})
+    names = list(steps[len(steps) // 2] or {})
     if len(names) < 2:
         return None
     seen = look_at_nodes(names, steps, z, plan)
@@ -194,7 +204,7 @@ def velocity(
 
 def _patched(motion: Motion, other: Motion, where: NDArray[np.bool_]) -> Motion:
     """One motion with another in a part of the field."""
-    names = ("d", "d_std", "eps_piv", "misfit", "quality")
+    names = ("d", "d_std", "eps_piv", "misfit", "quality", "frames")
     return replace(motion, **{n: np.where(where, getattr(other, n), getattr(motion, n)) for n in names})
 
 
@@ -205,7 +215,7 @@ def _others(seen: Seen, n: int) -> Seen:
     noise, missing, rejected = seen.noise[rows], seen.missing[rows], seen.rejected[cameras]
     along, own = seen.along[rows], seen.own[rows]
     jacobian, moved = seen.jacobian[rows], seen.moved[rows]
-    return Seen(jacobian, moved, noise, missing, along, own, rejected, seen.chord, seen.line)
+    return Seen(jacobian, moved, noise, missing, along, own, rejected, seen.frames, seen.line)
 
 
 def look_at_nodes(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Seen:
@@ -228,7 +238,7 @@ def look_at_nodes(names: Sequence[str], steps: Sequence[Flows | None], z: NDArra
     noise, missing = np.empty((2, 2 * count, *shape), np.float64)
     rejected = np.empty((count, *shape), np.uint16)
     along, own = np.ones((2, 2 * count))
-    chord = np.zeros(shape, bool)
+    frames = np.full(shape, 6, np.uint8)
     for n, name in enumerate(names):
         sight = plan.sights[name]
         at = sight.at(z)
@@ -239,32 +249,42 @@ def look_at_nodes(names: Sequence[str], steps: Sequence[Flows | None], z: NDArra
         rows = slice(2 * n, 2 * n + 2)
         jacobian[rows] = at[2:].reshape(2, 3, *shape)
         moved[rows], block, noise[rows], missing[rows] = _along_path(path, sight, X, Y)
-        here = path[1]
+        here = path[len(path) // 2]
         assert here is not None
         along[rows] = here.along
         own[rows] = 1.0 if plan.record is None else plan.record.own_noise(name)
-        rejected[n] = np.where(inside, here.rejected.ravel()[block[1]], np.uint16(Quality.OUTSIDE))
-        chord |= inside & ((block[0] < 0) | (block[2] < 0))
+        rejected[n] = np.where(inside, here.rejected.ravel()[block[2]], np.uint16(Quality.OUTSIDE))
+        frames = np.where(inside, np.minimum(frames, _frames_of(block)), frames)
     line = line_of([plan.rig[name].centre for name in names])
-    return Seen(jacobian, moved, noise, missing, along, own, rejected, chord, line)
+    return Seen(jacobian, moved, noise, missing, along, own, rejected, frames, line)
 
 
 def _along_path(
     path: Sequence[Flow | None], sight: Sight, X: NDArray[Any], Y: NDArray[Any]
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
     """Displacement per step of one camera at given pixels, blocks read, noise, what is missing."""
-    here = path[1]
+    here = path[len(path) // 2]
     assert here is not None
     splines = [None if f is None else f.spline for f in path]
     valid = [None if f is None else f.valid for f in path]
     d, block = read_path(splines, valid, sight.lattice, X, Y)
-    own = _at_blocks(here.noise, block[1])
-    noise = 26.0**2 * own
-    for flow, at in ((path[0], block[0]), (path[2], block[2])):
-        if flow is not None:
-            noise += np.where(at >= 0, _at_blocks(flow.noise, np.maximum(at, 0)), np.float32(0))
-    both = (block[0] >= 0) & (block[2] >= 0)
-    return d, block, np.where(both, noise / 24.0**2, own), _at_blocks(here.missing, block[1])
+    each = {
+        at: _at_blocks(flow.noise, np.maximum(block[at], 0)) for at, flow in zip(range(5), five(path)) if flow
+    }
+    frames, noise = _frames_of(block), each[2]
+    for places in (4, 6):
+        if not (frames == places).any():
+            continue
+        own, *beside = noise_weights(places)
+        both = sum(np.float32(w) * (each[2 - n] + each[2 + n]) for n, w in enumerate(beside, 1))
+        noise = np.where(frames == places, np.float32(own) * each[2] + both, noise)
+    return d, block, noise, _at_blocks(here.missing, block[2])
+
+
+def _frames_of(block: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Places that paths have, from the blocks read for them: 2, 4 or 6."""
+    near, far = (block[[2 - n, 2 + n]] >= 0 for n in (1, 2))
+    return np.asarray(2 + 2 * near.all(axis=0) + 2 * far.all(axis=0), np.uint8)
 
 
 def _at_blocks(field: Float, block: NDArray[np.int64]) -> Float:
@@ -295,8 +315,8 @@ def _solved(seen: Seen, plan: Plan, unsteady: float = 0.0) -> Motion:
     enough = trusted.sum(axis=0) >= 2
     why = np.bitwise_or.reduce(seen.rejected & ~np.uint16(Quality.OUTSIDE), axis=0)
     quality = np.where(enough, np.uint16(0), why | np.uint16(Quality.FILLED))
-    quality |= np.where(seen.chord, np.uint16(Quality.TWO_FRAME_MEAN), np.uint16(0))
-    return Motion(np.moveaxis(d, -1, 0), np.sqrt(variance), eps, misfit(seen, d), quality)
+    quality |= np.where(seen.frames < 4, np.uint16(Quality.TWO_FRAME_MEAN), np.uint16(0))
+    return Motion(np.moveaxis(d, -1, 0), np.sqrt(variance), eps, misfit(seen, d), quality, seen.frames)
 
 
 def shares(plan: Plan) -> Sequence[float] | Float:

@@ -47,6 +47,11 @@ def summary(sources: Sources) -> Section:
             ),
         ),
         ("grid", f"{nx} x {ny} nodes, {grid.step * 100:g} cm apart"),
+        *(
+            [("velocities", f"along paths of {int(cube.path_frames)} frames")]
+            if "path_frames" in cube.coords
+            else []
+        ),
         ("measured nodes in view", f"{100 * float(measured):.2f} %"),
         *_left_out(part.quality, seen, cube.attrs.get("cameras", ())),
         ("rms of z about its mean", number(100 * float(part.z.std()), "cm")),

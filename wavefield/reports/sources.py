@@ -161,7 +161,8 @@ def gather(
     from wavefield.cubes import open_cube, status
 
     cube = open_cube(store)[[*CUBE_FIELDS, "frame_status"]]
-    cube = cube.drop_vars([name for name in cube.coords if name not in cube.dims])
+    kept = {*cube.dims, "path_frames"}
+    cube = cube.drop_vars([name for name in cube.coords if name not in kept])
     out = Sources(cube, bad_frames=tuple(str(bad) for bad in status(store).bad_frames))
     if not len(cube.time) or not (cube.frame_status.values > 0).any():
         raise StoreError(f"{store} has no measured step yet; run `wavefield run` first")

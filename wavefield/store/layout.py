@@ -153,6 +153,7 @@ def _fill_in(
             "recipe": recipe.to_json(),
             "recipe_hash": recipe.hash,
             "wavefield_version": recipe.software.get("wavefield", ""),
+            "coordinates": "path_frames",
             **attributes,
         },
     )
@@ -162,6 +163,7 @@ def _fill_in(
         ("y", y),
         ("x", x),
         ("frame", frames),
+        ("path_frames", np.uint8(recipe.record.get("path_frames", 4))),
     ):
         row = TABLE[name]
         array = group.create_array(
@@ -172,7 +174,7 @@ def _fill_in(
             dimension_names=row.dims,
             attributes=row.attrs,
         )
-        array[:] = values
+        array[...] = values
     chunk = max(k for k in range(1, _CHUNK_STEPS + 1) if block % k == 0)
     for name in CUBE_FIELDS:
         row = TABLE[name]

@@ -1,7 +1,7 @@
 """Every variable of every dataset: one table that gives attributes, checks and documentation."""
 
 from wavefield.variables.codes import FrameFault, FrameStatus, Quality
-from wavefield.variables.cube import AROUND, CUBE_FIELDS
+from wavefield.variables.cube import AROUND, CUBE_FIELDS, PATH_WEIGHTS
 from wavefield.variables.spectra import (
     FIELD_TEXTS,
     FIELD_UNITS,
@@ -27,6 +27,7 @@ __all__ = [
     "K_UNITS",
     "METHODS",
     "OMEGA_UNITS",
+    "PATH_WEIGHTS",
     "TABLE",
     "FrameFault",
     "FrameStatus",

@@ -100,7 +100,7 @@ def kinematics(cube: xr.Dataset) -> xr.Dataset:
     Notes
     -----
     Central differences of sixth order, of lower order in the three rows at each edge. With velocities along
-    paths of four frames the slope in the nonlinear term is that of z at mid-time; with displacements over one
+    paths the slope in the nonlinear term is that of z at mid-time; with displacements over one
     step it is that of the mean of the step's two frames, which z and z_t give exactly: with
     displacements over dt this leaves a third of the error that the slope at mid-time leaves (3 % of the
     nonlinear term for waves of 1 to 5 Hz at 20 Hz). Vorticity and divergence are those of the surface water's
@@ -128,7 +128,7 @@ def kinematics(cube: xr.Dataset) -> xr.Dataset:
 
     fields = [cube[name].transpose("time", "y", "x") for name in _NAMES]
     z, z_t = fields[0], fields[1]
-    mean = z if frames_of(cube) == 4 else _mean_of_frames(z, z_t, dt)
+    mean = z if frames_of(cube) > 2 else _mean_of_frames(z, z_t, dt)
     fields.append(mean.astype(z.dtype))
     results = xr.apply_ufunc(
         compute,
@@ -183,7 +183,7 @@ def frame_elevations(z: Any, z_before: Any, z_after: Any, z_t: Any, dt: float) -
     Parameters
     ----------
     z : array_like
-        Elevation at mid-time from four frames, m.
+        Elevation at mid-time, m.
     z_before, z_after : array_like
         Rate of rise of the step before and of the step after, m/s.
     z_t : array_like
@@ -275,9 +275,9 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
     """
     cube = _door(cube)
     dt, dy, dx = check_axes(cube)
-    if frames_of(cube) == 4:
+    if frames_of(cube) > 2:
         raise CubeError(
-            "the cube's velocities follow paths of four frames and hold no displacements: look at the"
+            "the cube's velocities follow paths and hold no displacements: look at the"
             " residual of wavefield.waves.kinematics, which is as exact"
         )
     z_t = cube["z_t"]

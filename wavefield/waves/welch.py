@@ -201,23 +201,26 @@ class Welch:
 
 
 def frames_of(fields: Any) -> int:
-    """Frames that the velocities of a cube come from: 4 along paths, else 2.
+    """Frames that the velocities of a cube come from: 6 or 4 along paths, else 2.
 
     Parameters
     ----------
     fields : Dataset or DataArray
-        Whose ``z_t``, ``w``, ``u``, ``v`` carry the attribute ``frames``.
+        With the coordinate ``path_frames``, or, as cubes of before have it, with an attribute ``frames`` of
+        ``z_t``, ``w``, ``u``, ``v``.
 
     Returns
     -------
     int
     """
+    if "path_frames" in fields.coords:
+        return int(fields["path_frames"])
     arrays = (
         [fields[n] for n in ("z_t", "w", "u", "v") if n in fields]
         if hasattr(fields, "data_vars")
         else [fields]
     )
-    return 4 if any(int(array.attrs.get("frames", 2)) == 4 for array in arrays) else 2
+    return max((int(array.attrs.get("frames", 2)) for array in arrays), default=2)
 
 
 def frames_of_z(fields: Any) -> int:

@@ -43,7 +43,7 @@ def _sums(first: dict[str, Any], second: dict[str, Any], near: Array, path: Arra
         mine, true = (
             segments.transform_time(first[name][slab], second[name][slab]) for name in ("measured", "true")
         )
-        mine /= path  # what paths of four frames change in time is no window's doing
+        mine /= path  # what paths change in time is no window's doing
         band = near[slab]
         cross = (true.conj() * mine * band).sum(axis=1)
         out["true"][slab] = (np.abs(true) ** 2 * band).sum(axis=1)

@@ -1,0 +1,93 @@
+"""Paths of six frames, where the frame rate is high beside the waves."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from wavefield.grid import Grid
+from wavefield.measurement import Plan, Record, learn, measure
+from wavefield.tank import Scene, Tank
+from wavefield.variables import Quality
+
+RATE = 40.0
+STEPS = 3
+NAMES = ("u", "v", "w", "z_t")
+
+
+def taken(rate, frames):
+    grid = {"x": (-0.18, 0.18), "y": (-0.14, 0.14), "step": 0.01}
+    tank = Tank(Scene.load("demo").with_(rig={"crop": 0.22}, grid=grid, frames=frames, frame_rate=rate))
+    images = [tank.render(k) for k in range(frames)]
+    plan = Plan(tank.rig, Grid(**grid))
+    record = learn([(images[k], images[k + 1]) for k in range(4)], plan)
+    assert record is not None
+    return tank, {name: [image[name] for image in images] for name in tank.rig}, plan.knowing(record)
+
+
+@pytest.fixture(scope="module")
+def fast():
+    return taken(RATE, STEPS + 5)
+
+
+@pytest.fixture(scope="module")
+def cube(fast):
+    _, frames, plan = fast
+    return measure(frames, plan, RATE)
+
+
+def errors(cube, tank):
+    inside = np.s_[4:-4, 4:-4]
+    off = {name: [] for name in NAMES[:3]}
+    for step in range(STEPS):
+        truth = vars(tank.truth(step + 2))
+        for name, values in off.items():
+            values.append((cube[name][step] - truth[name])[inside])
+    return {name: float(np.sqrt(np.mean(np.square(values)))) for name, values in off.items()}
+
+
+def test_six_frames_are_taken_where_waves_turn_slowly_only(fast, cube):
+    tank, frames, plan = fast
+    assert plan.record.path_frames == 6
+    assert Record.from_dict(plan.record.to_dict()) == plan.record
+    four = measure(frames, plan.knowing(replace(plan.record, path_frames=4)), RATE)
+    six, other = errors(cube, tank), errors(four, tank)
+    for name in six:
+        assert six[name] < 0.85 * other[name], name
+        assert np.median(cube[f"{name}_std"]) < 0.9 * np.median(four[f"{name}_std"]), name
+    np.testing.assert_array_equal(cube["z"], four["z"])
+    assert taken(20.0, 5)[2].record.path_frames == 4
+
+
+def test_paths_of_six_frames_are_the_same_whatever_the_block(fast, cube):
+    _, frames, plan = fast
+    for step in range(STEPS):
+        alone = measure({name: images[step : step + 6] for name, images in frames.items()}, plan, RATE)
+        for name, field in alone.items():
+            np.testing.assert_array_equal(field[0], cube[name][step], err_msg=name)
+
+
+def test_beside_a_lost_frame_paths_have_four(fast, cube):
+    _, frames, plan = fast
+    lost = {name: [None, *images[1:]] for name, images in frames.items()}
+    out = measure(lost, plan, RATE)
+    four = measure(lost, plan.knowing(replace(plan.record, path_frames=4)), RATE)
+    for name in (*NAMES, "w_std"):
+        np.testing.assert_array_equal(out[name][0], four[name][0])
+        np.testing.assert_array_equal(out[name][1:], cube[name][1:])
+    assert not (out["quality"][0] & Quality.TWO_FRAME_MEAN).any()
+
+
+def test_a_knock_is_not_spread_along_paths(fast):
+    """One camera's picture jumps between the last two frames of a step's six: four do not know of it."""
+    _, frames, plan = fast
+    moved = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.4]])
+    knocked = {name: list(images) for name, images in frames.items()}
+    image = knocked["cam1"][5]
+    knocked["cam1"][5] = cv2.warpAffine(image, moved, image.shape[::-1], flags=cv2.INTER_LANCZOS4)
+    six = {name: images[:6] for name, images in knocked.items()}
+    out = measure(six, plan, RATE)
+    four = measure(six, plan.knowing(replace(plan.record, path_frames=4)), RATE)
+    for name in (*NAMES, "z", "quality"):
+        np.testing.assert_array_equal(out[name], four[name])
