@@ -1,5 +1,6 @@
 """Path-traced images of a seeded tank with exact truth: rows ``tank``, ``glare``, ``tank_small``.
 
+The target lay on the water: by how much the beads at rest stand above it is stated as `bead_height`.
 They are not part of the project: ``shared/data/path_traced`` beside it, or in $WAVEFIELD_SHARED. The rig is
 calibrated from ``tank/calib`` and refined on ``rest`` by the commands that a user would give.
 """
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -102,8 +104,11 @@ def judge(name: str, settings: Settings) -> list[str]:
     """Measure a record and say what came out."""
     case = load(name)
     began = time.process_time()
-    score = Score()
-    score.add(case, reconstruct(case, settings))
-    lines = score.lines()
+    score, without = Score(), Score()
+    height = round(float(case.rig.provenance["levelled"]["height_m"]), 5)
+    score.add(case, reconstruct(case, replace(settings, bead_height=height)))
+    without.add(case, reconstruct(case, settings))
+    lines = [f"bead_height {1e3 * height:.2f} mm, as the water at rest says", *score.lines()]
+    lines += [f"without it {line}" for line in without.lines()[:2]]
     apart = np.sqrt(score.rms("z") ** 2 - score.bias("z") ** 2)
     return [*lines, f"z without its bias {apart:.4f}; CPU {time.process_time() - began:.0f} s"]

@@ -46,6 +46,21 @@ def test_the_record_at_rest_levels_the_rig(lab, capsys):
     assert "z = 0 is the water at rest" in str(said)
 
 
+def test_how_far_beads_show_above_the_water_is_said_where_they_may(lab, tmp_path):
+    rig, experiment = Rig.load(lab.with_name("rig.yaml")), Experiment.load(lab)
+
+    def said(height, one=experiment):
+        found = {"height_m": height, "rms_m": 1e-4, "points": 100}
+        return str(remark_on_rest(one, replace(rig, provenance=rig.provenance | {"levelled": found})))
+
+    assert "`settings: {bead_height: 0.00042}`" in said(4.15e-4)
+    for height in (-3e-3, 3e-5, 1e-2):  # where the target lay, not beads
+        assert "bead_height" not in said(height)
+    stated = tmp_path / "experiment.yaml"
+    stated.write_text(lab.read_text() + "settings: {bead_height: 0.0004}\n")
+    assert "bead_height" not in said(4.15e-4, Experiment.load(stated))
+
+
 def test_what_is_not_levelled_is_asked_for(lab, tmp_path):
     rig, experiment = Rig.load(lab.with_name("rig.yaml")), Experiment.load(lab)
     named = remark_on_rest(experiment, rig)

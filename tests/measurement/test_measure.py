@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from measurement_cases import PIXEL, RATE, around
 
+from wavefield.errors import ExperimentError
 from wavefield.grid import Grid
 from wavefield.measurement import Plan, Record, Settings, learn, measure
 from wavefield.rig import Rig
@@ -280,3 +281,20 @@ def test_z_is_as_certain_as_sight_lines_meet(series, plan, cube):
         out = measure(frames | {"cam1": shaken}, plan, RATE)
         more[along > 0] = np.median((out["z_std"][0] / cube["z_std"][1])[series.inside])
     assert more[False] > 1.2 * more[True]
+
+
+def test_the_swinging_of_beads_that_stand_above_the_water_is_taken_off(series, plan, cube):
+    height = 4e-4
+    standing = Plan(series.rig, series.grid, Settings(bead_height=height), plan.record)
+    out = measure(series.block(steps=3), standing, RATE)
+    inside = np.s_[:, 4:-4, 4:-4]
+    for name, axis in (("u", 2), ("v", 1)):
+        tilt = np.gradient(cube["z_t"], series.grid.step, axis=axis)
+        more = out[name] - cube[name]
+        np.testing.assert_allclose(more[inside], height * tilt[inside], atol=1e-7)
+        assert rms(more[inside]) > 1e-4
+        assert (out[f"{name}_std"][inside] >= cube[f"{name}_std"][inside]).all()
+    for name in ("z", "w", "z_t"):
+        np.testing.assert_array_equal(out[name], cube[name])
+    with pytest.raises(ExperimentError, match="do not float"):
+        Settings(bead_height=height, sheet_thickness=1e-3)

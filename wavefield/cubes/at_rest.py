@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from wavefield.calibration.rest import RigCheck
 
 FRAMES = 10  # of the record at rest that are matched
+_BEADS = 1e-4, 2e-3  # metres: what may be seen of beads above the water
 
 
 def level_at_rest(
@@ -103,12 +104,17 @@ def remark_on_rest(experiment: Experiment, rig: Rig) -> Remark:
         return _remark_on_sheet(experiment, rig)
     if isinstance(found, dict) and {"height_m", "rms_m", "points"} <= set(found):
         height, rms = 1e3 * float(found["height_m"]), 1e3 * float(found["rms_m"])
+        stated = float(experiment.settings.get("bead_height", 0.0)) > 0
         return Remark(
             "rig",
             "levelled",
             "note",
             f"z = 0 is the water at rest: {found['points']} points of it stood {height:+.2f} mm beside the "
             f"target's plane, {rms:.2f} mm rms about their own",
+            remedy=""
+            if stated or not _BEADS[0] < height / 1e3 < _BEADS[1]
+            else "if that plane was the water's level beads show so far above it: "
+            f"`settings: {{bead_height: {height / 1e3:.2g}}}` takes their swinging off u and v",
             values={"height_m": height / 1e3, "rms_m": rms / 1e3},
         )
     if experiment.rest:

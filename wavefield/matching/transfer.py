@@ -11,7 +11,7 @@ from wavefield.matching.lattice import gaussian, window_sigma
 from wavefield.matching.settings import Settings
 
 _N = 128  # blocks: period of the Fourier transforms below
-_FOOTPRINT = 7.0  # px^2: variance of the area that a block's value stands for, beads' own images included
+_FOOTPRINT = 6.0  # px^2: variance of the area that a block's value stands for, beads' own images included
 _TAKEN = 4.0  # px^2: variance of the area over which blocks and beads' images average displacements
 _NOISE = 0.4  # how much of a wave that is half lost is given up for being noise
 

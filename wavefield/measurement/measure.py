@@ -17,6 +17,7 @@ from wavefield.measurement.instant import Instant, look
 from wavefield.measurement.learn import learn, sample_steps
 from wavefield.measurement.midtime import at_mid_time, frames_used
 from wavefield.measurement.plan import Plan
+from wavefield.measurement.standing import swing
 from wavefield.measurement.trembling import motion_for, unsteady
 from wavefield.measurement.unresolved import Unresolved, typical
 from wavefield.measurement.velocity import Motion, velocity
@@ -161,13 +162,16 @@ def _step(
     for places in np.unique(moved.frames[inside]):
         parts = unresolved.of_displacement(int(places), moved.d, known)
         left_out = np.where(moved.frames == places, parts, left_out)
-    d_std = np.hypot(moved.d_std, left_out)
+    d, d_std = moved.d.copy(), np.hypot(moved.d_std, left_out)
+    beyond_water, its_std = swing(rise, plan.grid.step, plan.settings.bead_height)
+    d[:2] -= beyond_water
+    d_std[:2] = np.hypot(d_std[:2], its_std)
     fields = {
         "z": z,
         "z_t": rise * np.float32(frame_rate),
-        "u": moved.d[0] * frame_rate,
-        "v": moved.d[1] * frame_rate,
-        "w": moved.d[2] * frame_rate,
+        "u": d[0] * frame_rate,
+        "v": d[1] * frame_rate,
+        "w": d[2] * frame_rate,
         "eps_y": np.float32(0.5) * (first_surface.eps_y + second_surface.eps_y),
         "eps_piv": moved.eps_piv,
         "z_std": np.hypot(z_std, _left_out_of_z(surfaces, rise, known, unresolved)),

@@ -70,6 +70,9 @@ class Settings:
     sheet_thickness : float or None
         Thickness of a light sheet on z = 0, metres: particles in it are measured, and no surface; z is 0,
         known to a quarter of the thickness, and no cameras are matched with each other. None: a surface.
+    bead_height : float
+        How far what is seen of a floating bead stands above the water, metres, as a record at rest says where
+        z = 0 of the calibration is the water's level: its swinging is taken off u and v. z is not changed.
     pixel : float or None
         Pixel of the rectified images, metres. None: the finest side of a pixel of the camera that resolves
         least, or down to half of it where blocks of five would be wider than 0.8 grid steps.
@@ -103,6 +106,7 @@ class Settings:
     velocity_cameras: tuple[str, ...] = ()
     z_range: tuple[float, float] | None = None
     sheet_thickness: float | None = None
+    bead_height: float = 0.0
     pixel: float | None = None
     smoothing: float = 0.0
     eps_limit: float = 3.0
@@ -133,7 +137,7 @@ class Settings:
         if self.pixel is not None and not self.pixel > 0:
             raise ExperimentError(f"pixel: give a length above 0 m, not {self.pixel}")
         self._check_sheet()
-        for name in ("smoothing", "eps_limit", "eps_floor", "min_valid"):
+        for name in ("smoothing", "eps_limit", "eps_floor", "min_valid", "bead_height"):
             if not getattr(self, name) >= 0:
                 raise ExperimentError(f"{name} must be 0 or more, not {getattr(self, name)}")
 
@@ -141,6 +145,8 @@ class Settings:
         if self.sheet_thickness is not None:
             if not self.sheet_thickness > 0:
                 raise ExperimentError(f"sheet_thickness: give a length above 0 m, not {self.sheet_thickness}")
+            if self.bead_height:
+                raise ExperimentError("bead_height: particles in a light sheet do not float; leave it out")
             if self.vibration != "leave":
                 raise ExperimentError(
                     "vibration: correct wants cameras that are matched with each other: those of a light "

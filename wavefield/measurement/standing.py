@@ -1,0 +1,48 @@
+"""Beads stand above the water: what is seen of them swings as the surface tilts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[Any]
+
+_UNKNOWN = 0.2  # of a height: what is seen of a bead changes with light and view
+
+
+def swing(rise: Float, step: float, height: float) -> tuple[Float, Float]:
+    """What beads move beyond the water that carries them.
+
+    Parameters
+    ----------
+    rise : ndarray, (ny, nx)
+        Rise of the surface per step, metres.
+    step : float
+        Distance of nodes, metres.
+    height : float
+        Of what is seen of a bead above the water, metres.
+
+    Returns
+    -------
+    moved, std : ndarray, (2, ny, nx)
+        Motion per step along x and y beyond the water's, and its standard uncertainty, metres; 0 where the
+        rise of a neighbour is not known.
+
+    Notes
+    -----
+    What stands h above the water along its normal lies h grad z beside it, so that it moves by
+    -h d(grad z)/dt more: of a wave (1 - h k) of the horizontal motion is seen.
+
+    Examples
+    --------
+    A surface that tilts by .1 about the y axis in a step:
+
+    >>> rise = 0.1 * np.tile(np.arange(4) * 0.01, (3, 1))
+    >>> swing(rise, 0.01, 4e-4)[0][:, 1, 1].round(7).tolist()
+    [-4e-05, 0.0]
+    """
+    along_y, along_x = np.gradient(rise, step)
+    moved = np.nan_to_num(-height * np.stack([along_x, along_y]))
+    return moved, _UNKNOWN * np.abs(moved)
