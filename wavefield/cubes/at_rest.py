@@ -132,9 +132,10 @@ def remark_on_rest(experiment: Experiment, rig: Rig) -> Remark:
         "no rest",
         "note",
         "no record of the water at rest: z = 0 is the target's plane, and beads show above the water, by "
-        "about .4 mm where they are 3 to 5 mm large",
+        "about .4 mm where they are 3 to 5 mm large, and swing with it (u and v of 12 cm waves 2 % too low)",
         "z = 0 on the water at rest",
-        "photograph some twenty frames of still, seeded water; name them as `rest:` in the experiment file",
+        "photograph some twenty frames of still, seeded water; name them as `rest:` in the experiment file: "
+        "they give z = 0, and `bead_height` where the target lay on the water",
     )
 
 

@@ -113,7 +113,7 @@ def raised(k: np.ndarray) -> np.ndarray:
     Examples
     --------
     >>> raised(np.array([0.0, 0.8])).round(3).tolist()
-    [1.0, 1.039]
+    [1.0, 1.026]
     """
     out: np.ndarray = np.exp(0.5 * (_FOOTPRINT - _TAKEN) * np.square(k) / BLOCK**2)
     return out

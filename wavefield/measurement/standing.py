@@ -40,8 +40,9 @@ def swing(rise: Float, step: float, height: float) -> tuple[Float, Float]:
     A surface that tilts by .1 about the y axis in a step:
 
     >>> rise = 0.1 * np.tile(np.arange(4) * 0.01, (3, 1))
-    >>> swing(rise, 0.01, 4e-4)[0][:, 1, 1].round(7).tolist()
-    [-4e-05, 0.0]
+    >>> along_x, along_y = swing(rise, 0.01, 4e-4)[0][:, 1, 1]
+    >>> f"{1e6 * along_x:.0f} um along x, {abs(along_y):.0f} along y"
+    '-40 um along x, 0 along y'
     """
     along_y, along_x = np.gradient(rise, step)
     moved = np.nan_to_num(-height * np.stack([along_x, along_y]))
