@@ -47,6 +47,7 @@ def test_nothing_is_computed_before_it_is_asked_for(tank, rig, grid):
         cube = wf.reconstruct(frames, rig, grid)
         repr(cube)
         cube.w.isel(time=3).mean("x")
+        repr(wf.kinematics(cube))
     assert set(cube.data_vars) == {*CUBE_FIELDS, "frame_status", *GAINS}
     validate(cube, *CUBE_FIELDS, "frame_status", "time", "x", "y")
     with pytest.raises(AssertionError, match="something was computed"), dask.config.set(scheduler=no_compute):

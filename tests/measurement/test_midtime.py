@@ -100,6 +100,23 @@ def test_what_frames_cannot_follow_is_foreseen(rate):
         assert of_still_water == pytest.approx(np.sqrt(np.mean(squares) / np.mean(moved)), rel=0.25), n
 
 
+@pytest.mark.parametrize("seed", [2, 3])
+def test_waves_longer_than_the_field_do_not_pass_for_slow_short_ones(seed):
+    rng = np.random.default_rng(seed)
+    lengths = (1.6, 1.3, 1.1, 0.9, 0.25, 0.2, 0.17, 0.14)
+    waves = [(length, 0.02 * length, *rng.uniform(0, 6, 2)) for length in lengths]
+    part, times = np.s_[:29, :37], np.arange(12) * 2.3
+    found = unresolved([[sea(20.0, t + s, waves)[0][part] for s in (0, 1)] for t in times], 0.01)
+    moved, missed = [], []
+    for t in times:
+        rises = np.diff([sea(20.0, t + s, waves)[0][part] for s in TIMES[1:5]], axis=0)
+        w = sea(20.0, t, waves)[1][part]
+        moved.append(np.mean(w**2))
+        missed.append(np.mean(((26 * rises[1] - rises[0] - rises[2]) / 24 - w) ** 2))
+    stated = np.sqrt(2) * dict(found.d)[4][0]
+    assert 0.65 < stated / np.sqrt(np.mean(missed) / np.mean(moved)) < 1.3
+
+
 def carried(rate, t, span, waves):
     """Displacement over ``span`` frames of the water that is at the nodes at t, (3, n), metres."""
     x, y = (nodes.ravel() for nodes in np.meshgrid(np.arange(0, 1, 0.04), np.arange(0, 0.8, 0.04)))

@@ -32,7 +32,7 @@ def swing(rise: Float, step: float, height: float) -> tuple[Float, Float]:
 
     Notes
     -----
-    What stands h above the water along its normal lies h grad z beside it, so that it moves by
+    What stands h above the water along its normal lies -h grad z beside it, so that it moves by
     -h d(grad z)/dt more: of a wave (1 - h k) of the horizontal motion is seen.
 
     Examples

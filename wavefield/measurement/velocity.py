@@ -23,7 +23,7 @@ Float = NDArray[Any]
 
 _WHOLE = 0.8  # of the nodes: a camera that contradicts at so many is left out of the step
 _SHORT_WAVES = 0.5, 0.5, 1.0  # variance of u, v, w in deep water, where the prior takes from waves
-_SINGLE = 0.01  # of the nodes
+_SINGLE = 0.01  # of the nodes: so few may contradict each other by themselves
 _REACH = 20  # px: half a window of the coarse levels, by which what a camera shows at one place is felt
 
 

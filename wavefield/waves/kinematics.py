@@ -11,7 +11,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.waves import kernels
 from wavefield.waves.record import check_axes
-from wavefield.waves.welch import frames_of
+from wavefield.waves.welch import along_paths
 
 Array = NDArray[Any]
 
@@ -128,7 +128,7 @@ def kinematics(cube: xr.Dataset) -> xr.Dataset:
 
     fields = [cube[name].transpose("time", "y", "x") for name in _NAMES]
     z, z_t = fields[0], fields[1]
-    mean = z if frames_of(cube) > 2 else _mean_of_frames(z, z_t, dt)
+    mean = z if along_paths(cube) else _mean_of_frames(z, z_t, dt)
     fields.append(mean.astype(z.dtype))
     results = xr.apply_ufunc(
         compute,
@@ -275,7 +275,7 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
     """
     cube = _door(cube)
     dt, dy, dx = check_axes(cube)
-    if frames_of(cube) > 2:
+    if along_paths(cube):
         raise CubeError(
             "the cube's velocities follow paths and hold no displacements: look at the"
             " residual of wavefield.waves.kinematics, which is as exact"

@@ -223,6 +223,21 @@ def frames_of(fields: Any) -> int:
     return max((int(array.attrs.get("frames", 2)) for array in arrays), default=2)
 
 
+def along_paths(fields: Any) -> bool:
+    """Whether the velocities of a cube follow paths; of a lazy one nothing is computed.
+
+    Parameters
+    ----------
+    fields : Dataset or DataArray
+        As for `frames_of`.
+
+    Returns
+    -------
+    bool
+    """
+    return "path_frames" in fields.coords or frames_of(fields) > 2
+
+
 def frames_of_z(fields: Any) -> int:
     """Frames that the elevations of a cube come from: 6, or 4 where it does not say.
 
