@@ -78,9 +78,10 @@ def test_water_that_stands_where_none_was_searched_is_not_called_measured(series
     def look_up(frames, plan, masks=None):
         found = look(frames, plan, masks)
         first = frames["cam1"] is series.frames["cam1"][1]
-        z = found.surface.z.copy()
-        z[10, 12] += 0.5 if first else 0.0
-        return replace(found, surface=replace(found.surface, z=z))
+        more = np.zeros_like(found.surface.z)
+        more[10, 12] = 0.5 if first else 0.0
+        z, read = found.surface.z + more, found.surface.read
+        return replace(found, surface=replace(found.surface, z=z, read=lambda x, y: read(x, y) + more))
 
     monkeypatch.setattr(sys.modules["wavefield.measurement.measure"], "look", look_up)
     out = measure(series.block(1), plan, RATE)

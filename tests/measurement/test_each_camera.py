@@ -53,6 +53,9 @@ def seen_by_three(noise, missing):
         none,
         frames,
         np.array([1.0, 0.0]),
+        moved,
+        np.zeros_like(moved),
+        np.zeros((3, 3)),
     )
 
 

@@ -9,6 +9,7 @@ from measurement_cases import PIXEL, RATE, around
 from wavefield.errors import ExperimentError
 from wavefield.grid import Grid
 from wavefield.measurement import Plan, Record, Settings, learn, measure
+from wavefield.measurement.midtime import slope
 from wavefield.rig import Rig
 from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, Quality
 
@@ -114,7 +115,8 @@ def test_without_a_neighbour_a_parabola_serves_and_is_marked(series, plan, cube)
     assert (out["quality"][0] & Quality.TWO_FRAME_MEAN).all()
     assert not (out["quality"][1:] & Quality.TWO_FRAME_MEAN).any()
     assert out["frame_status"][0] == FrameStatus.DONE
-    np.testing.assert_array_equal(out["z_t"][1:], cube["z_t"][1:])
+    # z of four frames instead of six tilts the surface a little otherwise
+    np.testing.assert_allclose(out["z_t"][1:], cube["z_t"][1:], atol=1e-4)
     # a parabola is off by z_ttt dt^3 / 16, which its uncertainty must know
     error = np.abs(out["z"][0] - series.truth[0]["z"])[series.inside & seen]
     assert 0.2 * PIXEL > rms(error) > rms((cube["z"][0] - series.truth[0]["z"])[series.inside])
@@ -288,13 +290,16 @@ def test_the_swinging_of_beads_that_stand_above_the_water_is_taken_off(series, p
     standing = Plan(series.rig, series.grid, Settings(bead_height=height), plan.record)
     out = measure(series.block(steps=3), standing, RATE)
     inside = np.s_[:, 4:-4, 4:-4]
+    # of the surface at the water, not at the node
+    slopes = (slope(cube["z"], series.grid.step, axis) for axis in (2, 1))
+    rise = cube["z_t"] + sum(cube[name] * part for name, part in zip("uv", slopes))
     for name, axis in (("u", 2), ("v", 1)):
-        tilt = np.gradient(cube["z_t"], series.grid.step, axis=axis)
+        tilt = np.gradient(rise, series.grid.step, axis=axis)
         more = out[name] - cube[name]
         np.testing.assert_allclose(more[inside], height * tilt[inside], atol=1e-7)
         assert rms(more[inside]) > 1e-4
         assert (out[f"{name}_std"][inside] >= cube[f"{name}_std"][inside]).all()
-    for name in ("z", "w", "z_t"):
+    for name in ("z", "w"):
         np.testing.assert_array_equal(out[name], cube[name])
     with pytest.raises(ExperimentError, match="do not float"):
         Settings(bead_height=height, sheet_thickness=1e-3)

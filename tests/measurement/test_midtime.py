@@ -4,58 +4,119 @@ import numpy as np
 import pytest
 
 from wavefield.measurement.elevation import Surface
-from wavefield.measurement.midtime import at_mid_time, frames_used
+from wavefield.measurement.midtime import at_mid_time, frames_used, slope
 from wavefield.measurement.unresolved import NOTHING, Unresolved, kept_of_displacement, kept_of_z, unresolved
+from wavefield.measurement.velocity import Motion
+from wavefield.tank import Scene
+from wavefield.tank.basin import Basin
+from wavefield.tank.beads import carry
+from wavefield.waves.kinematics import slopes
 
 TIMES = (-2.5, -1.5, -0.5, 0.5, 1.5, 2.5)
 
 
 def surfaces(field, lost=()):
+    """Surfaces z = field(x, t) at the node x = 0 and wherever they are read."""
     out = []
     for n, t in enumerate(TIMES):
-        z = np.full((1, 1), field(t), np.float32)
-        one = Surface(z, z, z, np.ones((1, 1), np.uint8), np.zeros((1, 1), bool))
-        out.append(None if n in lost else one)
+        z, places = np.full((1, 1), field(0.0, t), np.float32), np.zeros((1, 1), bool)
+        read = lambda x, y, t=t: np.asarray(field(x, t), np.float32) + np.zeros_like(x)  # noqa: E731
+        out.append(None if n in lost else Surface(z, z, z, places.astype(np.uint16), places, read))
     return out
 
 
-def z_of(field, lost=()):
-    return float(at_mid_time(surfaces(field, lost))[0][0, 0])
+def moving(chord=(0.0, 0.0, 0.0), bend=(0.0, 0.0, 0.0), d=(0.0, 0.0, 0.0)):
+    """Water that moves so."""
+    chord, bend, d = (np.array(part, float)[:, None, None] for part in (chord, bend, d))
+    one = np.zeros((1, 1), np.uint8)
+    return Motion(d, d, d[0], d[0], one.astype(np.uint16), one, chord, bend)
+
+
+AT = np.zeros((1, 1))
+
+
+def z_of(field, lost=(), speed=0.0):
+    at = at_mid_time(surfaces(lambda x, t: field(t - x), lost), moving((speed, 0, 0)), AT, AT)
+    return float(at.z[0, 0])
 
 
 def test_six_frames_take_a_polynomial_of_fifth_degree_to_mid_time():
     assert z_of(lambda t: 1 + t + t**4 - t**5) == pytest.approx(1.0, abs=1e-5)
     # without an outer frame a cubic, without a neighbour a parabola, without both a line
     for lost in ((0,), (5,)):
-        assert frames_used(surfaces(np.sin, lost)) == 4
+        assert frames_used(surfaces(lambda x, t: t, lost)) == 4
         assert z_of(lambda t: 1 + t**2 + t**3, lost) == pytest.approx(1.0, abs=1e-5)
         assert abs(z_of(lambda t: t**4, lost)) > 0.1
     for lost in ((1,), (4,), (0, 1), (0, 4)):
-        assert frames_used(surfaces(np.sin, lost)) == 3
+        assert frames_used(surfaces(lambda x, t: t, lost)) == 3
         assert z_of(lambda t: 1 + t + t**2, lost) == pytest.approx(1.0, abs=1e-5)
-    assert frames_used(surfaces(np.sin, (1, 4))) == 2
+    assert frames_used(surfaces(lambda x, t: t, (1, 4))) == 2
     assert z_of(lambda t: 1 + t, (1, 4)) == pytest.approx(1.0, abs=1e-5)
 
 
 @pytest.mark.parametrize(("frames", "lost"), [(6, ()), (4, (0,)), (2, (1, 4))])
-def test_a_wave_keeps_what_theory_says(frames, lost):
-    assert frames_used(surfaces(np.cos, lost)) == frames
+@pytest.mark.parametrize("speed", [0.0, 0.7, -2.0])
+def test_a_wave_keeps_what_theory_says_of_how_it_turns_beside_the_mean_flow(frames, lost, speed):
     for phase in (0.3, 1.0, 2.0):
-        kept = z_of(lambda t, p=phase: np.cos(p * t), lost)
-        assert kept == pytest.approx(float(kept_of_z(np.array([phase]), frames)[0]), abs=1e-6)
+        kept = z_of(lambda t, p=phase: np.cos(p * t), lost, speed)  # it passes the node with its crest
+        turns = phase * (1 - speed)
+        assert kept == pytest.approx(float(kept_of_z(np.array([turns]), frames)[0]), abs=1e-6)
 
 
-@pytest.mark.parametrize(("frames", "lost"), [(6, ()), (4, (5,)), (2, (1,))])
-def test_a_rise_is_that_of_displacements_along_paths(frames, lost):
-    for phase in (0.3, 1.0, 2.0):
-        rise = at_mid_time(surfaces(lambda t, p=phase: np.sin(p * t), lost), 6)[2]
-        kept = float(kept_of_displacement(np.array([phase]), frames)[0])
-        assert float(rise[0, 0]) == pytest.approx(phase * kept, abs=1e-6)
-    rises = [float(at_mid_time(surfaces(lambda t: t**3 + t, lost), n)[2][0, 0]) for n in (4, 6)]
-    if frames == 2:
-        assert rises[1] > 1.1
-    else:  # exact for a cubic
-        assert rises == pytest.approx([1.0, 1.0], abs=1e-5)
+def test_the_rise_is_that_of_the_surface_along_the_path_of_the_water():
+    def surface(x, t):
+        return 0.3 * t**3 + 0.2 * x * t + 0.1 * x
+
+    for chord, bend in ((0.0, 0.0), (1.5, 0.0), (1.5, 0.2)):
+        moved = moving((chord, 0, 0.4), (bend, 0, 0), (0, 0, 0.5))
+        rise = float(at_mid_time(surfaces(surface), moved, AT, AT).rise[0, 0])
+        exact = surface(0.5 * chord + bend, 0.5) - surface(-0.5 * chord + bend, -0.5)
+        # and what the velocity at mid-time rises beyond the displacement over the step
+        assert rise == pytest.approx(exact + 0.1, abs=1e-6)
+
+
+def test_slopes_are_those_of_the_kinematics():
+    z = np.random.default_rng(0).normal(size=(12, 9)).astype(np.float32)
+    for axis, exact in enumerate(slopes(z[None], 0.01, 0.01)):
+        np.testing.assert_allclose(slope(z, 0.01, axis), exact[0], rtol=1e-4, atol=1e-2)
+
+
+CURRENTS = [(0.0, 0.0), (0.4, -0.2), (0.66, 0.45)]
+
+
+@pytest.mark.parametrize("current", CURRENTS)
+@pytest.mark.parametrize(("rate", "longest"), [(20.0, 0.08), (40.0, 0.06), (100.0, 0.05)])
+@pytest.mark.parametrize("order", [1, 2])
+def test_surface_and_kinematics_are_exact_to_the_interpolation_on_any_current(current, rate, longest, order):
+    """Surfaces and paths without noise: z, z_t and the residual are those of the sea."""
+    sea = {"kind": "random", "rms": 0.006, "shortest": longest, "period": 2.0, "order": order}
+    sea |= {"current": current, "spectrum": {"kind": "jonswap", "peak": 1.5}}
+    sea = Scene.load("demo").with_(sea=sea, seed=int(rate)).build_sea()
+    dt, now, step = 1.0 / rate, 0.3, 0.01
+    x, y = np.meshgrid(np.arange(14) * step, np.arange(12) * step)
+    basin = Basin(sea, (-0.4, 0.6), (-0.4, 0.6))
+
+    def height(x, y, t):
+        return basin.snapshot(now + t * dt)(x, y)[0]
+
+    places = [np.stack(carry(basin, x, y, now, now + t * dt)) for t in (-1.5, -0.5, 0.5, 1.5)]
+    path = [np.stack([*p, height(*p, t)]) for p, t in zip(places, (-1.5, -0.5, 0.5, 1.5))]
+    before, chord, after = np.diff(path, axis=0)
+    bend = 0.5 * (path[1] + path[2]) - np.stack([x, y, height(x, y, 0.0)])
+    exact = sea.on_grid(x[0], y[:, 0], now, ("z", "z_t", "u", "v", "w"))
+    d = np.stack([exact[name] for name in "uvw"]) * dt
+    none = np.zeros(x.shape, np.uint16)
+    moved = Motion(d, d, d[0], d[0], none, none.astype(np.uint8), chord, bend)
+    frames = [Surface(x, x, x, none, none > 0, lambda x, y, t=t: height(x, y, t)) for t in TIMES]
+    at = at_mid_time(frames, moved, x, y)
+    inside = np.s_[3:-3, 3:-3]
+    rms = lambda field: np.sqrt(np.mean(np.square(field[inside])))  # noqa: E731
+    assert rms(at.z - exact["z"]) < 2e-5, "m"
+    nonlinear = sum(exact[name] * slope(at.z, step, axis) for name, axis in (("u", 1), ("v", 0)))
+    z_t = at.rise / dt - nonlinear
+    assert rms(z_t - exact["z_t"]) < 0.02 * rms(exact["z_t"])
+    residual = z_t - exact["w"] + nonlinear
+    assert rms(residual) < 1e-3 * rms(exact["w"])
 
 
 def sea(rate, t, waves):

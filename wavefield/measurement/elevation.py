@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -41,6 +41,8 @@ class Surface:
         Bits of `Quality`: measured or filled, and why it was rejected.
     apart : ndarray of bool, (ny, nx)
         Where pairs of cameras see different surfaces.
+    read : callable
+        From places x, y (ny, nx), metres, one near each node, to the elevation there.
     """
 
     z: Float
@@ -48,6 +50,7 @@ class Surface:
     std: Float
     quality: NDArray[np.uint16]
     apart: Mask
+    read: Callable[[Float, Float], Float] = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -343,12 +346,18 @@ def surface_of(
     estimate = most_probable(blocks, matches, prepared, plan.modes, plan.pixel)
     spline = plan.sought.splined(estimate.waves, estimate.slopes)
     (noise,), (missing,) = plan.spread(estimate.information)
+    centre = plan.rig[matches[0].pair[0]].centre
+
+    def read(x: Float, y: Float) -> Float:
+        out: Float = read_surface(spline, plan.lattice, centre, x, y)[0][0]
+        return out
+
     z, block = _read(spline, matches, plan)
     variance = np.float32(_LONGER / _CAREFUL) * noise + missing
     variance += np.float32(estimate.miss**2 + _shaken(matches, plan))
     std = np.sqrt(variance).ravel()[block]
     apart = (pairs_apart(matches, plan.pixel) | estimate.apart).ravel()[block]
-    return Surface(z, blocks.eps_y.ravel()[block], std, _quality(blocks, block), apart)
+    return Surface(z, blocks.eps_y.ravel()[block], std, _quality(blocks, block), apart, read)
 
 
 def _shaken(matches: Sequence[PairMatch], plan: Plan) -> float:
@@ -366,7 +375,8 @@ def _sheet(thickness: float, shape: tuple[int, int]) -> Surface:
     """A light sheet on z = 0: its particles stand about it as far as its light does (1/e2 is two std)."""
     z = np.zeros(shape, np.float32)
     unknown, std = np.full_like(z, np.nan), np.full_like(z, 0.25 * thickness)
-    return Surface(z, unknown, std, np.full(shape, Quality.MEASURED, np.uint16), np.zeros(shape, bool))
+    quality, apart = np.full(shape, Quality.MEASURED, np.uint16), np.zeros(shape, bool)
+    return Surface(z, unknown, std, quality, apart, lambda x, y: z)
 
 
 def look_at_pairs(

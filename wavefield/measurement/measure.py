@@ -15,12 +15,12 @@ from wavefield.measurement.elevation import Surface
 from wavefield.measurement.flow import Flows, flows
 from wavefield.measurement.instant import Instant, look
 from wavefield.measurement.learn import learn, sample_steps
-from wavefield.measurement.midtime import at_mid_time, frames_used
+from wavefield.measurement.midtime import MidTime, at_mid_time, frames_used, slope
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.standing import swing
 from wavefield.measurement.trembling import motion_for, unsteady
 from wavefield.measurement.unresolved import Unresolved, typical
-from wavefield.measurement.velocity import Motion, velocity
+from wavefield.measurement.velocity import Motion, motion_at, velocity
 from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality
 from wavefield.water import GRAVITY
 
@@ -62,9 +62,11 @@ def measure(
     Notes
     -----
     With the record known, every step comes out the same, to the bit, whatever block it is in. A step reads
-    six frames: z at mid-time is from six surfaces, z_t (`at_mid_time`) and the velocity along the path
-    (`read_path`) from as many as the record says, four or six. Where a neighbour is missing, ``quality`` says
-    so.
+    six frames: z at mid-time is from six surfaces, where the mean flow takes the nodes (`at_mid_time`),
+    velocities are from as many as the record says, four or six (`read_path`). Where a neighbour is missing,
+    ``quality`` says so. z_t is what remains of the surface's rise along the path
+    without u . grad z, so that the residual z_t - w + u . grad z is what surfaces and displacements disagree
+    by, whatever the current.
     """
     lengths = {len(frames[n]) for n in plan.cameras if n in frames}
     if len(lengths) != 1 or min(lengths) < 2 * AROUND + 2:
@@ -132,7 +134,7 @@ def _step(
     if seen is None:
         return
     surfaces, moved = seen.surfaces, seen.moved
-    z, z_std, rise = seen.z, seen.z_std, seen.rise
+    z, z_std, rise = seen.at.z, seen.at.std, seen.at.rise
     missing |= seen.left_out
     out["quality"][:] |= _without(seen.left_out, plan)
     for name, where in moved.regions.items():
@@ -140,7 +142,7 @@ def _step(
     inside = np.ones(z.shape, bool)
     for name in plan.cameras:
         if name not in missing:
-            inside &= plan.sights[name].sees(*plan.sights[name].position(z))
+            inside &= plan.sights[name].sees(*plan.sights[name].position(seen.height))
     masked = inside & masked_nodes((first.covered, second.covered), missing, z, plan)
     inside &= ~masked
     first_surface, second_surface = surfaces[2], surfaces[3]
@@ -166,9 +168,10 @@ def _step(
     beyond_water, its_std = swing(rise, plan.grid.step, plan.settings.bead_height)
     d[:2] -= beyond_water
     d_std[:2] = np.hypot(d_std[:2], its_std)
+    z_y, z_x = (slope(z, plan.grid.step, axis) for axis in (0, 1))
     fields = {
         "z": z,
-        "z_t": rise * np.float32(frame_rate),
+        "z_t": (rise - d[0] * z_x - d[1] * z_y) * frame_rate,
         "u": d[0] * frame_rate,
         "v": d[1] * frame_rate,
         "w": d[2] * frame_rate,
@@ -191,10 +194,9 @@ class _Seen:
     """What the cameras that do not contradict each other have of a step."""
 
     surfaces: Sequence[Surface | None]
-    z: NDArray[Any]
-    z_std: NDArray[Any]
-    rise: NDArray[Any]
+    height: NDArray[Any]  # at which the cameras' displacements are read
     moved: Motion
+    at: MidTime
     left_out: frozenset[str] = frozenset()
 
 
@@ -207,12 +209,14 @@ def _look_at(
     cameras contradict each other along paths of six frames, those of four are looked at.
     """
     surfaces: list[Surface | None] = [instant.surface for instant in window]
-    at_mid, trembles = _at_mid_time(surfaces, len(moves) + 1, plan, frame_rate)
-    moved = velocity(moves, at_mid[0], plan, None, trembles)
-    if moved is not None and moved.contradicted and len(moves) > 3:
+    seen = _follow(surfaces, moves, plan, frame_rate)
+    if seen is None:
+        return None
+    moved = seen.moved
+    if moved.contradicted and len(moves) > 3:
         return _look_at(window, moves[1:-1], plan, frame_rate)
-    if moved is None or not (moved.left_out or moved.regions):
-        return None if moved is None else _Seen(surfaces, *at_mid, moved)
+    if not (moved.left_out or moved.regions):
+        return seen
     left_out: frozenset[str] = frozenset()
     if moved.left_out:
         left_out = frozenset({moved.left_out})
@@ -222,26 +226,47 @@ def _look_at(
         moves = [{n: f for n, f in flow.items() if n not in left_out} for flow in moves]
     else:
         surfaces = [_mended(instant, moved.regions, plan) for instant in window]
-    at_mid, trembles = _at_mid_time(surfaces, len(moves) + 1, plan, frame_rate)
-    moved = velocity(moves, at_mid[0], plan, moved.regions, trembles)
-    return None if moved is None else _Seen(surfaces, *at_mid, moved, left_out)
+    seen = _follow(surfaces, moves, plan, frame_rate, moved.regions)
+    return None if seen is None else replace(seen, left_out=left_out)
 
 
-def _at_mid_time(
-    surfaces: Sequence[Surface | None], path_frames: int, plan: Plan, frame_rate: float
-) -> tuple[tuple[Any, Any, Any], float]:
-    """z, its uncertainty and rise; the motion of the pictures between frames for which it is unsteady, px."""
-    z, std, rise = at_mid_time(surfaces, path_frames)
+def _follow(
+    surfaces: Sequence[Surface | None],
+    moves: Sequence[Flows],
+    plan: Plan,
+    frame_rate: float,
+    without: Mapping[str, NDArray[np.bool_]] | None = None,
+) -> _Seen | None:
+    """Water and surface at mid-time: where the water is seen depends on its height, and that on its path."""
+    first, second = surfaces[AROUND : AROUND + 2]
+    assert first is not None
+    assert second is not None
+    level, trembles = _unsteady(surfaces, plan, frame_rate)
+    moved = motion_at(moves, np.float32(0.5) * (first.z + second.z), plan)
+    if moved is None:
+        return None
+    height = at_mid_time(surfaces, moved, plan.x, plan.y).z
+    moved = velocity(moves, height, plan, without, trembles)
+    if moved is None:
+        return None
+    at = at_mid_time(surfaces, moved, plan.x, plan.y)
+    if plan.settings.sheet_thickness is not None:  # it does not rise
+        at = replace(at, rise=np.zeros_like(at.rise))
+    return _Seen(surfaces, height, moved, replace(at, std=np.hypot(at.std, np.float32(_SIX * level))))
+
+
+def _unsteady(surfaces: Sequence[Surface | None], plan: Plan, frame_rate: float) -> tuple[float, float]:
+    """How far the level of z moves as no water does, metres; motion of the pictures that explains it, px."""
     known = [one for one in surfaces if one is not None]
     told = np.logical_and.reduce([(one.quality & Quality.MEASURED) > 0 for one in known])
     if len(known) < len(surfaces) or told.sum() < _FEW or plan.settings.sheet_thickness is not None:
-        return (z, std, rise), 0.0
+        return 0.0, 0.0
     # waves of half the field's width and more move its mean
     shortest = 0.5 * max(min(np.ptp(plan.x), np.ptp(plan.y)), plan.grid.step)
     turn = float(np.sqrt(2.0 * np.pi * GRAVITY / shortest)) / frame_rate
     level = unsteady([float(one.z[told].mean(dtype=np.float64)) for one in known], turn)
     motion = np.sqrt(2.0) * motion_for(level, plan.parallaxes(plan.pairs)) / plan.pixel
-    return (z, np.hypot(std, np.float32(_SIX * level)), rise), float(motion)
+    return level, float(motion)
 
 
 def _without(cameras: Collection[str], plan: Plan) -> np.uint16:
@@ -264,9 +289,15 @@ def _mended(instant: Instant, regions: Mapping[str, NDArray[np.bool_]], plan: Pl
         if other is None:  # nobody else is there: what is made of it is not to be trusted
             surface = replace(surface, apart=surface.apart | where)
             continue
-        names = ("z", "eps_y", "std", "quality", "apart")
-        surface = Surface(*(np.where(where, getattr(other, n), getattr(surface, n)) for n in names))
+        surface = _joined(surface, other, where)
     return surface
+
+
+def _joined(surface: Surface, other: Surface, where: NDArray[np.bool_]) -> Surface:
+    """One surface with another in a part of the field."""
+    names = ("z", "eps_y", "std", "quality", "apart")
+    parts = {n: np.where(where, getattr(other, n), getattr(surface, n)) for n in names}
+    return Surface(**parts, read=lambda x, y: np.where(where, other.read(x, y), surface.read(x, y)))
 
 
 def _left_out_of_z(

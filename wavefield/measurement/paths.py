@@ -129,7 +129,7 @@ def _read_path(
     across, half, bend = F(1) / step, F(0.5), F(1 / 16)
     for k in range(x.size):
         if not (np.isfinite(x[k]) and np.isfinite(y[k])):
-            out[0, k] = out[1, k] = np.nan
+            out[:, k] = np.nan
             block[:, k] = -1
             block[2, k] = 0
             continue
@@ -167,6 +167,8 @@ def _read_path(
         us, vs = _at(c, nx, ny, sx + g[0] * kx + g[1] * ky, sy + g[2] * kx + g[3] * ky)
         out[0, k] = us - (ua - F(2) * u + ub) / F(24)
         out[1, k] = vs - (va - F(2) * v + vb) / F(24)
+        out[2, k], out[3, k] = us, vs
+        out[4, k], out[5, k] = bend * (ua - ub), bend * (va - vb)
         block[0, k] = block[4, k] = -1
         block[1, k] = nb if before else -1
         block[2, k] = n
@@ -227,7 +229,7 @@ def read_path(
     X: NDArray[Any],
     Y: NDArray[Any],
 ) -> tuple[Float, NDArray[np.int64]]:
-    """Displacement per step, at mid-time, of what is then at given pixels.
+    """Displacement per step, at mid-time, of what is then at given pixels, and its path around.
 
     Parameters
     ----------
@@ -243,8 +245,9 @@ def read_path(
 
     Returns
     -------
-    d : ndarray of float32, (2,) + S
-        dX/dt dt at mid-time, px.
+    d : ndarray of float32, (6,) + S
+        dX/dt dt at mid-time; the displacement of the step; the bend of the path: the mean of the places in
+        the step's two frames, less the place at mid-time. Px, two components each.
     block : ndarray of int, (5,) + S
         Flat index of the block read in each of five steps; -1 where nothing was, but for this step.
 
@@ -261,7 +264,7 @@ def read_path(
         dX/dt dt = (34 d01 + 10 (d-10 + d12) - 3 (d-2-1 + d23))/48:
 
     as exact for a cubic path, with .4 of the variance by noise (`noise_weights`), and less left of fast
-    waves (`wavefield.variables.PATH_WEIGHTS`).
+    waves (`wavefield.variables.PATH_WEIGHTS`). The bend is (d12 - d-10)/16.
 
     Examples
     --------
@@ -270,11 +273,11 @@ def read_path(
     >>> at = np.array([20.0])
     >>> d, block = read_path((None, same, None), (None, None, None), lattice, at, at)
     >>> d[:, 0].tolist()
-    [1.5, 1.5]
+    [1.5, 1.5, 1.5, 1.5, 0.0, 0.0]
     """
     nodes = np.shape(X)
     xs, ys = (np.ascontiguousarray(v, dtype=np.float32).ravel() for v in (X, Y))
-    out, block = np.empty((2, xs.size), np.float32), np.empty((5, xs.size), np.int64)
+    out, block = np.empty((6, xs.size), np.float32), np.empty((5, xs.size), np.int64)
     none, nothing = np.zeros(0, np.float32), np.zeros(0, np.bool_)
     bb, b, c, a, aa = (
         none if f is None else np.ascontiguousarray(f, np.float32).ravel() for f in five(splines)
@@ -286,4 +289,4 @@ def read_path(
     x0, y0, step = F(lattice.x0), F(lattice.y0), F(lattice.step)
     measured = has_bb, has_b, has_a, has_aa
     _read_path(bb, b, c, a, aa, *measured, nx, ny, xs, ys, x0, y0, step, out, block)
-    return out.reshape(2, *nodes), block.reshape(5, *nodes)
+    return out.reshape(6, *nodes), block.reshape(5, *nodes)

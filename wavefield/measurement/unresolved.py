@@ -131,7 +131,7 @@ def kept_of_z(phase: Float, frames: int) -> Float:
     Parameters
     ----------
     phase : ndarray
-        omega dt, rad.
+        By which the wave turns in a step, rad: beside the mean flow.
     frames : int
         2, 4 or 6 of them.
 

@@ -44,6 +44,8 @@ class Motion:
         measured or they contradict each other; `TWO_FRAME_MEAN` where a path has fewer than four places.
     frames : ndarray of uint8, (ny, nx)
         Places that paths have: 2, 4 or 6, the fewest of all cameras'.
+    chord, bend : ndarray, (3, ny, nx)
+        Displacement over the step; mean of the places in its two frames less that at mid-time; metres.
     left_out : str or None
         The camera that contradicted the others, which agree without it.
     regions : mapping of str to ndarray of bool, (ny, nx)
@@ -56,6 +58,8 @@ class Motion:
     misfit: NDArray[Any]
     quality: NDArray[np.uint16]
     frames: NDArray[np.uint8]
+    chord: NDArray[Any]
+    bend: NDArray[Any]
     left_out: str | None = None
     regions: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
@@ -86,6 +90,10 @@ class Seen:
         Places that paths have: 2, 4 or 6, the fewest of all cameras'.
     line : ndarray, (2,)
         Direction along which the cameras stand.
+    chord, bend : ndarray, (2N, ny, nx)
+        Displacement over the step, and the mean of the places in its two frames less that at mid-time, px.
+    axes : ndarray, (N, 3)
+        Direction in which each camera is directed over its distance from the middle of the field, 1/m.
     """
 
     jacobian: Float
@@ -97,6 +105,9 @@ class Seen:
     rejected: NDArray[np.uint16]
     frames: NDArray[np.uint8]
     line: Float
+    chord: Float
+    bend: Float
+    axes: Float
 
     @property
     def told(self) -> NDArray[np.bool_]:
@@ -167,7 +178,7 @@ def velocity(
     moves the water, half as much along x and along y as up and down (its variance); in a light sheet as the
     fluid's own motion is. Motion of the cameras themselves all nodes share (`trembling`).
     """
-    names = list(steps[len(steps) // 2] or {})
+    names = _cameras(steps)
     if len(names) < 2:
         return None
     seen = look_at_nodes(names, steps, z, plan)
@@ -202,9 +213,19 @@ def velocity(
     return replace(motion, quality=motion.quality | against)
 
 
+def motion_at(steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Motion | None:
+    """As `velocity`, by all cameras, whether they contradict each other or not."""
+    names = _cameras(steps)
+    return None if len(names) < 2 else _solved(look_at_nodes(names, steps, z, plan), plan)
+
+
+def _cameras(steps: Sequence[Flows | None]) -> list[str]:
+    return list(steps[len(steps) // 2] or {})
+
+
 def _patched(motion: Motion, other: Motion, where: NDArray[np.bool_]) -> Motion:
     """One motion with another in a part of the field."""
-    names = ("d", "d_std", "eps_piv", "misfit", "quality", "frames")
+    names = ("d", "d_std", "eps_piv", "misfit", "quality", "frames", "chord", "bend")
     return replace(motion, **{n: np.where(where, getattr(other, n), getattr(motion, n)) for n in names})
 
 
@@ -212,10 +233,9 @@ def _others(seen: Seen, n: int) -> Seen:
     """The same without one camera."""
     rows = [i for i in range(len(seen.moved)) if i // 2 != n]
     cameras = [i for i in range(len(seen.rejected)) if i != n]
-    noise, missing, rejected = seen.noise[rows], seen.missing[rows], seen.rejected[cameras]
-    along, own = seen.along[rows], seen.own[rows]
-    jacobian, moved = seen.jacobian[rows], seen.moved[rows]
-    return Seen(jacobian, moved, noise, missing, along, own, rejected, seen.frames, seen.line)
+    of_rows = ("jacobian", "moved", "noise", "missing", "along", "own", "chord", "bend")
+    parts = {name: getattr(seen, name)[rows] for name in of_rows}
+    return replace(seen, **parts, rejected=seen.rejected[cameras], axes=seen.axes[cameras])
 
 
 def look_at_nodes(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Seen:
@@ -234,11 +254,13 @@ def look_at_nodes(names: Sequence[str], steps: Sequence[Flows | None], z: NDArra
     """
     count, shape = len(names), z.shape
     jacobian = np.empty((2 * count, 3, *shape), np.float64)
-    moved = np.empty((2 * count, *shape), np.float64)
+    moved, chord, bend = np.empty((3, 2 * count, *shape), np.float64)
     noise, missing = np.empty((2, 2 * count, *shape), np.float64)
     rejected = np.empty((count, *shape), np.uint16)
     along, own = np.ones((2, 2 * count))
     frames = np.full(shape, 6, np.uint8)
+    axes = np.empty((count, 3))
+    middle = np.array([np.mean(plan.x), np.mean(plan.y), 0.0])
     for n, name in enumerate(names):
         sight = plan.sights[name]
         at = sight.at(z)
@@ -248,7 +270,9 @@ def look_at_nodes(names: Sequence[str], steps: Sequence[Flows | None], z: NDArra
         path = [None if f is None else f.get(name) for f in steps]
         rows = slice(2 * n, 2 * n + 2)
         jacobian[rows] = at[2:].reshape(2, 3, *shape)
-        moved[rows], block, noise[rows], missing[rows] = _along_path(path, sight, X, Y)
+        found, block, noise[rows], missing[rows] = _along_path(path, sight, X, Y)
+        moved[rows], chord[rows], bend[rows] = found[:2], found[2:4], found[4:]
+        axes[n] = sight.camera.R[2] / (sight.camera.R[2] @ middle + sight.camera.T[2])
         here = path[len(path) // 2]
         assert here is not None
         along[rows] = here.along
@@ -256,13 +280,13 @@ def look_at_nodes(names: Sequence[str], steps: Sequence[Flows | None], z: NDArra
         rejected[n] = np.where(inside, here.rejected.ravel()[block[2]], np.uint16(Quality.OUTSIDE))
         frames = np.where(inside, np.minimum(frames, _frames_of(block)), frames)
     line = line_of([plan.rig[name].centre for name in names])
-    return Seen(jacobian, moved, noise, missing, along, own, rejected, frames, line)
+    return Seen(jacobian, moved, noise, missing, along, own, rejected, frames, line, chord, bend, axes)
 
 
 def _along_path(
     path: Sequence[Flow | None], sight: Sight, X: NDArray[Any], Y: NDArray[Any]
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
-    """Displacement per step of one camera at given pixels, blocks read, noise, what is missing."""
+    """Path of one camera at given pixels (`read_path`), blocks read, noise, what is missing."""
     here = path[len(path) // 2]
     assert here is not None
     splines = [None if f is None else f.spline for f in path]
@@ -296,10 +320,17 @@ def _solved(seen: Seen, plan: Plan, unsteady: float = 0.0) -> Motion:
     """Least squares over the cameras."""
     record = plan.record
     assert record is not None
-    rows = seen.moved, np.sqrt(seen.variance), np.sqrt(seen.noise_of_each)
-    d, eps, d_std = solve_displacement(
-        np.moveaxis(seen.jacobian, (0, 1), (-2, -1)), *(np.moveaxis(row, 0, -1) for row in rows)
-    )
+    rows = np.sqrt(seen.variance), np.sqrt(seen.noise_of_each)
+    J, std, noise = np.moveaxis(seen.jacobian, (0, 1), (-2, -1)), *(np.moveaxis(row, 0, -1) for row in rows)
+
+    def solve(moved: Float) -> tuple[Float, Float, Float]:
+        return solve_displacement(J, np.moveaxis(moved, 0, -1), std, noise)
+
+    d, eps, d_std = solve(seen.moved)
+    chord = np.moveaxis(solve(seen.chord)[0], -1, 0)
+    # what moves away from a camera at an even speed slows down in its image
+    slowed = 0.25 * np.repeat(np.einsum("nc,cyx->nyx", seen.axes, chord), 2, axis=0) * seen.chord
+    bend = np.moveaxis(solve(seen.bend + slowed)[0], -1, 0)
     trusted = seen.rejected == 0
     weight = np.isfinite(seen.moved[::2]).astype(np.float64)
     weight /= np.maximum(weight.sum(axis=0), 1.0)
@@ -316,7 +347,8 @@ def _solved(seen: Seen, plan: Plan, unsteady: float = 0.0) -> Motion:
     why = np.bitwise_or.reduce(seen.rejected & ~np.uint16(Quality.OUTSIDE), axis=0)
     quality = np.where(enough, np.uint16(0), why | np.uint16(Quality.FILLED))
     quality |= np.where(seen.frames < 4, np.uint16(Quality.TWO_FRAME_MEAN), np.uint16(0))
-    return Motion(np.moveaxis(d, -1, 0), np.sqrt(variance), eps, misfit(seen, d), quality, seen.frames)
+    found = np.moveaxis(d, -1, 0), np.sqrt(variance), eps, misfit(seen, d), quality, seen.frames
+    return Motion(*found, chord, bend)
 
 
 def shares(plan: Plan) -> Sequence[float] | Float:

@@ -47,14 +47,14 @@ register(
         "m",
         "surface elevation",
         standard_name="water_surface_height_above_reference_datum",
-        meaning="at mid-time, from the six frames around it",
-        extra={"ancillary_variables": "z_std quality", "frames": 2 * AROUND + 2},
+        meaning="at mid-time, from the six frames around it, where the mean flow takes the node",
+        extra={"ancillary_variables": "z_std quality", "frames": 2 * AROUND + 2, "moving": 1},
     ),
     _cube(
         "z_t",
         "m s-1",
         "rate of rise of the surface",
-        meaning="at a fixed node: from its rises from frame to frame, as velocities from displacements",
+        meaning="at a fixed node: rise of the surface along the water's path, less u . grad z",
     ),
     _cube(
         "u",
