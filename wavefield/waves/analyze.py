@@ -48,7 +48,7 @@ from wavefield.waves.record import Each, Record, find_record
 from wavefield.waves.resonances import resonances
 from wavefield.waves.ridge import dispersion_group
 from wavefield.waves.shear import current_by_depth
-from wavefield.waves.welch import Welch, frames_of, frames_of_z, omega_coords
+from wavefield.waves.welch import Welch, frames_of, frames_of_z, moves_with_flow, omega_coords
 from wavefield.waves.window_gain import gain_of
 
 MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz; 2.8 is the paper's
@@ -191,7 +191,8 @@ def analyze(
 
 def _analyze(job: _Job, record: Record, alike: bool) -> xr.DataTree:
     segment = segments.segment_length(record, job.segment)
-    welch = Welch(record, segment, frames=frames_of(job.cube), z_frames=frames_of_z(job.cube))
+    frames = frames_of(job.cube), frames_of_z(job.cube), moves_with_flow(job.cube)
+    welch = Welch(record, segment, None, *frames)
     time = job.cube["time"].values.astype(float)
     probes = _probes(job, welch, time)
     scale = statistics.pilot(job.cube, record, list(statistics.QUANTITIES.values()))

@@ -18,7 +18,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.waves import freedom, kernels, scatter, segments, spectra, transfer
 from wavefield.waves.record import Record
-from wavefield.waves.rings import Rings
+from wavefield.waves.rings import Rings, half_plane
 from wavefield.waves.welch import Welch, k_coords, omega_coords
 from wavefield.waves.window_gain import kept
 from wavefield.waves.windows import effective_duration
@@ -174,6 +174,7 @@ def add_segment(
     mine = {name: np.zeros_like(sums[name]) for name in names}  # of this segment alone
     signed = 2 * np.pi * np.fft.fftfreq(2 * half, dt)
     forward = transfer.to_frame_time(signed, dt, welch.frames, welch.z_frames).astype(first[names[0]].dtype)
+    k = half_plane(*welch.record.shape, welch.record.dy, welch.record.dx)
     frames = _FrameTimes(first, second, dt) if "z" in names and welch.frames == 2 else None
     turns = [turn.astype(first[names[0]].real.dtype) for turn in _quadrature(signed * dt / 2)]
     for slab in segments.slabs(cells):
@@ -184,7 +185,9 @@ def add_segment(
             if name == "z" and frames is not None:
                 one, two = frames(slab)
             lines[name] = transform(one, two, i)
-            if name == "z" and frames is None:
+            if name == "z" and welch.moving:
+                lines[name] *= transfer.from_moving_frame(k[slab, None], signed, dt)
+            elif name == "z" and frames is None:
                 lines[name] += forward * transform(first["z_t"][slab], second["z_t"][slab], len(names))
             kernels.ring_powers(lines[name], start, table.ring, table.weight, table.spread, mine[name])
             if name in maps:

@@ -18,7 +18,7 @@ from wavefield.waves.fusion import NAMES
 from wavefield.waves.on_current import Distances, blend
 from wavefield.waves.record import Record, fill, find_record, piece
 from wavefield.waves.transfer import path_factor, to_frame_time
-from wavefield.waves.welch import frames_of, frames_of_z
+from wavefield.waves.welch import frames_of, frames_of_z, moves_with_flow
 from wavefield.waves.windows import hann
 
 Array = NDArray[Any]
@@ -32,6 +32,7 @@ def _filter(
     segment: int,
     distances: Distances,
     frames: tuple[int, int],
+    with_flow: bool,
     weight: Array,
     gain: Array,
     current: tuple[float, float],
@@ -69,7 +70,10 @@ def _filter(
             lines = fft.rfft(starts * window, axis=0)
         else:
             lines = fft.rfft(z_flat * window, axis=0)
-            lines += fft.rfft(z_t_flat * window, axis=0) * to_frame_time(omega, dt, *frames)[:, None]
+            if with_flow and any(current):
+                lines *= advance.conj()[:, None]
+            else:
+                lines += fft.rfft(z_t_flat * window, axis=0) * to_frame_time(omega, dt, *frames)[:, None]
         lines *= advance[:, None]
         risen = fft.rfft(w[part].reshape(segment, -1) * window, axis=0)
         if any(current):
@@ -154,7 +158,8 @@ def fuse(
             pieces = [piece(cube[name], slice(lo, hi), *area) for name in names]
             missing = np.isin(np.arange(lo, hi), bridged)
             frames = frames_of(cube), frames_of_z(cube)
-            block = task(pieces, wanted, lo, missing, segment, distances, frames, weight, more, *moving)
+            given = segment, distances, frames, moves_with_flow(cube), weight, more
+            block = task(pieces, wanted, lo, missing, *given, *moving)
             count = min(half, run[1] - a)
             rows.append(da.from_delayed(block, (half, ny, nx), dtype)[:count])
             steps_used.append(np.arange(a, a + count))

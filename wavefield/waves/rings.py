@@ -51,6 +51,12 @@ def wavenumbers(n: int, step: float) -> np.ndarray:
     return 2 * np.pi * np.fft.fftfreq(n, step)
 
 
+def half_plane(ny: int, nx: int, dy: float, dx: float) -> np.ndarray:
+    """Wavenumbers |k| of the cells of the half plane kx >= 0, (ny * (nx // 2 + 1),), rad/m."""
+    k: np.ndarray = np.hypot(wavenumbers(ny, dy)[:, None], wavenumbers(nx, dx)[: nx // 2 + 1])
+    return k.ravel()
+
+
 def mirror_weights(nx: int) -> np.ndarray:
     """How often each column kx >= 0 of a real field's transform counts in the full plane, (nx // 2 + 1,)."""
     weights = np.full(nx // 2 + 1, 2.0)

@@ -47,6 +47,8 @@ class Welch:
         Frames that velocities and z_t come from (`transfer.path_factor`).
     z_frames : int
         Frames that z comes from (`transfer.to_frame_time`).
+    moving : bool
+        Whether z is interpolated in time in a frame that moves with the mean flow.
     """
 
     record: Record
@@ -54,6 +56,7 @@ class Welch:
     dk: float | None = None
     frames: int = 2
     z_frames: int = 4
+    moving: bool = False
 
     @classmethod
     def of(
@@ -83,7 +86,7 @@ class Welch:
         """
         record = find_record(fields) if record is None else record
         length = segments.segment_length(record, segment)
-        return cls(record, length, dk, frames_of(fields), frames_of_z(fields))
+        return cls(record, length, dk, frames_of(fields), frames_of_z(fields), moves_with_flow(fields))
 
     @cached_property
     def count(self) -> int:
@@ -253,6 +256,21 @@ def frames_of_z(fields: Any) -> int:
     if not hasattr(fields, "data_vars"):
         return int(fields.attrs.get("frames", 4)) if fields.name == "z" else 4
     return int(fields["z"].attrs.get("frames", 4)) if "z" in fields else 4
+
+
+def moves_with_flow(fields: Any) -> bool:
+    """Whether the elevations of a cube are interpolated in time in a frame that moves with the mean flow.
+
+    Parameters
+    ----------
+    fields : Dataset or DataArray
+        Whose ``z`` carries the attribute ``moving``; older cubes, interpolated at the nodes, do not.
+
+    Returns
+    -------
+    bool
+    """
+    return hasattr(fields, "data_vars") and "z" in fields and bool(fields["z"].attrs.get("moving", 0))
 
 
 def inner(lines: int) -> NDArray[np.bool_]:
