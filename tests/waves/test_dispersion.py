@@ -67,7 +67,7 @@ def test_waves_too_long_for_the_rectangle_are_left_out(quiet):
     assert float(fit.ridge_k.min()) > 2.2 * 2 * np.pi / (35 * 0.02)
     band = fit.ridge_error.where(fit.band_frequency < 5, drop=True)
     assert float(np.abs(band).max()) < 0.025  # two lines near the longest waves; .003 elsewhere
-    assert float(np.abs(band[1:]).max()) < 0.004
+    assert float(np.abs(band[1:]).max()) < 0.005
 
 
 def test_most_of_the_energy_is_on_the_ridge(fit):
@@ -210,10 +210,10 @@ def test_the_relation_of_the_true_current_holds_the_energy_that_another_does_not
     omega, plane = E.omega.values, plane_of(E)
     energy, lines = E.values.reshape(omega.size, -1), (omega > 2) & (omega < 40)
     held = [
-        explained(energy, omega, 0 * omega, lines, plane, 0.06, np.array([*(sign * current), GAMMA]))
+        explained(energy, omega, 0 * energy, lines, plane, 0.06, np.array([*(sign * current), GAMMA]))
         for sign in (1, -1)
     ]
     assert held[0] > 0.95
     assert held[1] < 0.75
-    start = scan_current(energy, omega, 0 * omega, plane, 0.06, GAMMA)
+    start = scan_current(energy, omega, 0 * energy, plane, 0.06, GAMMA)
     assert np.hypot(*(start - current)) < 0.05

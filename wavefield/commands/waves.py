@@ -35,6 +35,14 @@ _SOURCE = click.Path(exists=True, path_type=Path)
     " measured on a simulated experiment, `theory` for what follows from the cube's recipe, or `none`.",
 )
 @click.option(
+    "--fit",
+    multiple=True,
+    metavar="NAME=VALUE",
+    callback=campaign.named,
+    help="How the current is fitted: lowest=1.5, highest=4 (Hz; by default from the spectrum), or"
+    " current_x=0.1, current_y=0 (m/s), used where the fit is refused. May be repeated.",
+)
+@click.option(
     "--workflow",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Where to compute: a file as in workflows/; by default the cores of this machine.",
@@ -49,6 +57,7 @@ def analyze(
     segment: int | None,
     probes: Path | None,
     gain: str | None,
+    fit: dict[str, str],
     workflow: Path | None,
 ) -> None:
     """Compute the waves of a cube: spectra, coherence, statistics.
@@ -56,7 +65,7 @@ def analyze(
     Also dispersion, fusion of z and w, directions, bicoherence. Writes one Zarr store;
     `xarray.open_datatree` reads it. Of a catalog, the waves of every run.
     """
-    asked: dict[str, Any] = {"segment": segment, "probes": probes, "gain": gain}
+    asked: dict[str, Any] = {"segment": segment, "probes": probes, "gain": gain, "fit": fit or None}
 
     def work(cube: Path) -> int:
         return _analyze(cube, output, workflow, asked)

@@ -104,6 +104,13 @@ rows(
 )
 rows(
     "dispersion",
+    ("line",),
+    ("line_signal_to_noise", "1", "energy of the ridge over that of the noise in its window"),
+    ("line_weight", "1", "share of what determines the current"),
+    ("line_misfit", "1", "mean misfit of the ridge over its standard deviation"),
+)
+rows(
+    "dispersion",
     (),
     ("current_x", "m s-1", "current along x"),
     ("current_x_std", "m s-1", "standard uncertainty of the current along x"),

@@ -11,8 +11,8 @@ rings) with ``cycles`` (m-1) beside it, ``kx`` and ``ky`` (rad m-1). Intervals a
 in [low E, high E] with 95 % confidence. ``valid`` masks say where a spectrum can be trusted.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from wavefield.waves import (
     transfer,
 )
 from wavefield.waves.bound import free_and_bound
+from wavefield.waves.current_used import FITTED, GIVEN, NO_CURRENT, CurrentUsed, current_used
 from wavefield.waves.direction import direction_group
 from wavefield.waves.directional import from_density
 from wavefield.waves.enough import leave_out_unknown
@@ -46,7 +47,7 @@ from wavefield.waves.onepass import FIELDS, MAPS, NAMES, PAIRS, Progress, Sums, 
 from wavefield.waves.probes import probe_spectra, read_probes
 from wavefield.waves.record import Each, Record, find_record
 from wavefield.waves.resonances import resonances
-from wavefield.waves.ridge import dispersion_group
+from wavefield.waves.ridge import FitSettings, dispersion_group, fit_settings
 from wavefield.waves.shear import current_by_depth
 from wavefield.waves.welch import Welch, frames_of, frames_of_z, moves_with_flow, omega_coords
 from wavefield.waves.window_gain import gain_of
@@ -67,6 +68,8 @@ class _Job:
     pixel_size: float | None
     gain: xr.Dataset | None
     probes: xr.Dataset | None
+    fit: FitSettings
+    current: tuple[float, float] | None  # where the fit is refused
     maps: Sequence[float]
     progress: Progress | None
     each: Each | None
@@ -91,6 +94,7 @@ def analyze(
     depth: float | None = None,
     pixel_size: float | None = None,
     gain: Any = None,
+    fit: FitSettings | Mapping[str, Any] | None = None,
     maps: Sequence[float] = MAP_FREQUENCIES,
     progress: Progress | None = None,
     each: Each | None = None,
@@ -115,6 +119,9 @@ def analyze(
         What the measurement keeps of waves, to be undone in the spectra where it is half or more; shorter
         waves are not valid. That stored with the cube if not given; one measured on a simulated experiment
         (`window_gain`); False leaves the spectra as they were measured.
+    fit : FitSettings or mapping, optional
+        How the current is fitted, such as ``{"lowest": 1.5, "highest": 4.0}``, Hz; by default the band
+        follows from the spectrum. ``current_x`` and ``current_y``, m/s, are used where the fit is refused.
     maps : sequence of float
         Frequencies of the maps E(ky, kx), Hz.
     progress : callable, optional
@@ -174,6 +181,7 @@ def analyze(
             pixel_size or whole.attrs.get("pixel_size"),
             gain_of(whole, gain),
             probes if probes is None or isinstance(probes, xr.Dataset) else read_probes(probes),
+            *fit_settings(fit),
             maps,
             progress,
             each,
@@ -220,6 +228,7 @@ class _Subject:
     name: str
     compute: Callable[[], Any]
     without: str | None = None  # what is said where the record does not allow it; None if it always does
+    recorded: Mapping[str, Any] = field(default_factory=dict)  # attributes added to the group
 
 
 def _side_by_side(job: _Job, subjects: Sequence[_Subject]) -> Iterable[Any]:
@@ -229,7 +238,8 @@ def _side_by_side(job: _Job, subjects: Sequence[_Subject]) -> Iterable[Any]:
 def _computed(subject: _Subject) -> Any:
     with np.errstate(all="ignore"):
         try:
-            return subject.compute()
+            found = subject.compute()
+            return found.assign_attrs(subject.recorded) if subject.recorded else found
         except CubeError as error:
             if subject.without is None:
                 raise
@@ -250,8 +260,9 @@ def _groups(
     ring = crosses.label(sums.rings, NAMES, PAIRS, welch)
     density = {name: _density(sums.rings.pop(f"map {name}"), name, welch) for name in MAPS}
     # what rests on the sums alone; what takes longest comes first
+    following = partial(dispersion_group, density["w"], welch.table.k, job.depth, job.gamma, job.fit)
     batch = [
-        _Subject("dispersion", partial(dispersion_group, density["w"], welch.table.k, job.depth, job.gamma)),
+        _Subject("dispersion", following),
         _Subject("spectra", partial(crosses.by_field, ring, NAMES, job.gain)),
     ]
     if welch.count >= 4:
@@ -260,8 +271,11 @@ def _groups(
     early = {subject.name: found for subject, found in zip(batch, _side_by_side(job, batch))}
     dispersion, note = early.pop("dispersion")
     notes.extend([note] if note else [])
-    moving = _moving(dispersion, density["w"], sums.rings.pop("map z*w"), welch)
-    fused = fusion.from_spectra(ring, (job.depth, job.gamma), job.gain, moving)
+    used = current_used(dispersion, job.current)
+    moving = _moving(used, density["w"], sums.rings.pop("map z*w"), welch)
+    fused = fusion.from_spectra(ring, (job.depth, job.gamma), job.gain, moving).assign_attrs(used.attrs)
+    for method in fusion.METHODS:
+        fused[f"Ez_{method}"].attrs |= used.attrs
     chosen = _map_lines(welch.omega, job.maps)
     by_method = [
         f"{name}_{method}" for method in fusion.METHODS for name in ("Ez", "dof", "low", "high", "valid")
@@ -282,65 +296,70 @@ def _groups(
         )
     alone_dof = scatter.cell_freedom(sums.rings, "w", welch)
     water = job.depth, job.gamma, alone_dof
-    subjects = _currents(job, density, dispersion, moments, welch, alone_dof)
+    subjects = _currents(job, density, dispersion, used, moments, welch, alone_dof)
     seconds = sum(b - a for a, b in welch.record.runs) * welch.record.dt
     peaks = statistics.spectral_peak(moments, fused, job.depth, job.gamma)
     peaks, dispersion, unknown = leave_out_unknown(peaks, dispersion, seconds, welch.count)
     notes.extend(unknown)
-    by_direction = partial(direction_group, density["w"], chosen, dispersion, *water)
+    by_direction = partial(direction_group, density["w"], chosen, used.velocity, *water)
     return {
         "spectra": annotate(spectra_group, "spectra"),
         "coherence": coherence.from_spectra(ring),
         "statistics": peaks,
         "dispersion": dispersion,
         "fusion": fused.drop_vars(by_method),
-    } | early, [*subjects, _Subject("direction", by_direction)]
+    } | early, [*subjects, _Subject("direction", by_direction, recorded=used.attrs)]
 
 
 def _currents(
     job: _Job,
     densities: dict[str, xr.DataArray],
     dispersion: xr.Dataset,
+    used: CurrentUsed,
     moments: xr.Dataset,
     welch: Welch,
     dof: float,
 ) -> list[_Subject]:
-    # what rests on a fitted current; what takes longest comes first
-    if "current_x" not in dispersion:
+    # what rests on a fitted or a given current; what takes longest comes first
+    if used.source == NO_CURRENT:
         return []
-    current = float(dispersion["current_x"]), float(dispersion["current_y"])
     drift = moments["mean"] / welch.record.dt
     surface = float(drift.sel(quantity="dx")), float(drift.sel(quantity="dy"))
     of_z, of_w = densities["z"], densities["w"]
-    moving: dict[str, Any] = {"gamma": job.gamma, "current": current}
+    moving: dict[str, Any] = {"gamma": job.gamma, "current": used.velocity}
     vectors = moving | {"density": of_w, "record": welch.record}
-    return [
+    subjects = [
         _Subject(
             "resonances",
             partial(resonances, job.cube["w"], job.depth, **vectors),
             "No coherence of wave vectors",
+            used.attrs,
         ),
-        _Subject("bound", partial(free_and_bound, of_z, job.depth, dof=dof, **moving)),
+        _Subject(
+            "bound",
+            partial(free_and_bound, of_z, job.depth, dof=dof, **moving),
+            "No bound waves" if used.source == GIVEN else None,
+            used.attrs,
+        ),
         _Subject(
             "directional",
-            partial(from_density, of_w, job.depth, job.gamma, current, dof, welch.frames),
+            partial(from_density, of_w, job.depth, job.gamma, used.velocity, dof, welch.frames),
             "No directional spectrum",
-        ),
-        _Subject(
-            "shear",
-            partial(current_by_depth, dispersion, surface=surface, gamma=job.gamma),
-            "No current by depth",
+            used.attrs,
         ),
     ]
+    by_depth = partial(current_by_depth, dispersion, surface=surface, gamma=job.gamma)
+    if used.source == FITTED:
+        subjects.append(_Subject("shear", by_depth, "No current by depth", used.attrs))
+    return subjects
 
 
-def _moving(dispersion: xr.Dataset, w: xr.DataArray, power: np.ndarray, welch: Welch) -> Moving | None:
-    # what takes w to the elevation on the fitted current; None on still water and where there is no ridge
-    if "current_x" not in dispersion:
+def _moving(used: CurrentUsed, w: xr.DataArray, power: np.ndarray, welch: Welch) -> Moving | None:
+    # what takes w to the elevation on the current; None on still water and where none is known
+    if used.source == NO_CURRENT:
         return None
-    current = float(dispersion["current_x"]), float(dispersion["current_y"])
     zw = xr.DataArray(spectra.density(power, welch), w.coords, w.dims)
-    return Moving(current, w, zw)
+    return Moving(used.velocity, w, zw)
 
 
 def _map_lines(omega: np.ndarray, wanted: Sequence[float]) -> list[int]:

@@ -49,8 +49,10 @@ def scan_current(
     ----------
     energy : ndarray, (lines, cells)
         Spectrum.
-    omega, noise : ndarray, (lines,)
-        Angular frequency, rad/s, and the level of the noise.
+    omega : ndarray, (lines,)
+        Angular frequency, rad/s.
+    noise : ndarray, (lines, cells)
+        Level of the noise.
     plane : Plane
         Cells.
     depth, gamma : float
@@ -64,8 +66,9 @@ def scan_current(
     Notes
     -----
     Each cell asks for a current (omega - sigma(k)) / k along its direction, or, if its waves run against one
-    that carries them back, for (omega + sigma(k)) / k. All votes are counted, each line's energy as one and
-    short waves, which know it better, more; those of a current U lie on U cos(theta - phi).
+    that carries them back, for (omega + sigma(k)) / k. All votes are counted, each line's energy as its
+    part above the noise and short waves, which know it better, more; those of a current U lie on
+    U cos(theta - phi).
     """
     kept = (plane.k > LONGEST * plane.cell) & (plane.k < 0.9 * plane.k[plane.ky == 0].max())
     k, angle = plane.k[kept], plane.angle[kept]
@@ -74,8 +77,8 @@ def scan_current(
     votes = np.zeros(_SCAN_SECTORS * slots)
     sigma = dispersion(k, depth, gamma)
     for o, line, floor in zip(omega, energy, noise):
-        weight = np.maximum(line[kept] - 3 * floor, 0.0)
-        total = weight.sum()
+        weight = np.maximum(line[kept] - 3 * floor[kept], 0.0)
+        total = weight.sum() + floor[kept].sum()
         for free in (sigma, -sigma):
             wanted = np.rint(((o - free) / k + _FASTEST) / _SCAN_STEP).astype(int)
             inside = (wanted >= 0) & (wanted < slots) & (weight > 0)

@@ -259,7 +259,7 @@ def _label(
 def direction_group(
     density: xr.DataArray,
     chosen: list[int],
-    dispersion_fit: xr.Dataset,
+    current: tuple[float, float],
     depth: float,
     gamma: float,
     dof: float,
@@ -272,8 +272,8 @@ def direction_group(
         Spectrum of w.
     chosen : list of int
         Lines of the maps.
-    dispersion_fit : Dataset
-        As `ridge.dispersion_group` gives it: its current is used where there is one.
+    current : tuple of float
+        Velocity of the water along x and y, m/s.
     depth, gamma : float
         Depth, m, and surface tension over density, m3/s2, of the water.
     dof : float
@@ -285,9 +285,6 @@ def direction_group(
         ``D`` and its interval (omega_map, theta), ``direction``, ``spread`` (omega_map), ``isotropy``
         (omega).
     """
-    current = (0.0, 0.0)
-    if "current_x" in dispersion_fit:
-        current = float(dispersion_fit["current_x"]), float(dispersion_fit["current_y"])
     lines = density["omega"].values / (2 * np.pi)
     out = directions(density, lines[chosen], depth, current=current, dof=dof, gamma=gamma)
     out = out[["D", "dof", "low", "high", "direction", "spread"]]

@@ -576,35 +576,39 @@ def sample(field: Array, row: Array, column: Array, out: Array, points: int) -> 
 def windowed_sums(
     energy: Array, noise: Array, cells: Array, k: Array, heading: Array, first: Array, last: Array, out: Array
 ) -> None:
-    """Sum the energy above the noise over a window of cells of each line, and with it wavenumber and heading.
+    """Sum the energy less the noise over a window of cells of each line, and with it wavenumber and heading.
 
     Parameters
     ----------
     energy : ndarray, (lines, all cells)
         Spectrum.
-    noise : ndarray, (lines,)
-        Level taken off; what is below counts as zero.
+    noise : ndarray, (lines, all cells)
+        Level that is subtracted; differences below zero count, so that noise cancels on average.
     cells : ndarray, int, (cells,)
-        Cells that are looked at.
+        Cells of the sector.
     k : ndarray, (cells,)
         Their wavenumber.
     heading : ndarray, (2, cells)
         Cosine and sine of their direction.
     first, last : ndarray, int, (lines,)
         First of the cells in the window and one past the last.
-    out : ndarray, float64, (4, lines)
-        Receives the sums: energy, energy times k, cosine and sine.
+    out : ndarray, float64, (8, lines)
+        Receives the sums: energy, energy times k, cosine and sine, each less the noise; then energy squared,
+        the same times k and k squared, and the noise.
     """
     for i in range(first.size):
-        line = energy[i]
-        total, along, cosine, sine = 0.0, 0.0, 0.0, 0.0
+        out[:, i] = 0.0
         for c in range(first[i], last[i]):
-            part = max(np.float64(line[cells[c]]) - np.float64(noise[i]), 0.0)
-            total += part
-            along += part * k[c]
-            cosine += part * heading[0, c]
-            sine += part * heading[1, c]
-        out[0, i], out[1, i], out[2, i], out[3, i] = total, along, cosine, sine
+            whole, level = np.float64(energy[i, cells[c]]), np.float64(noise[i, cells[c]])
+            part = whole - level
+            out[0, i] += part
+            out[1, i] += part * k[c]
+            out[2, i] += part * heading[0, c]
+            out[3, i] += part * heading[1, c]
+            out[4, i] += whole * whole
+            out[5, i] += whole * whole * k[c]
+            out[6, i] += whole * whole * k[c] * k[c]
+            out[7, i] += level
 
 
 @_loose

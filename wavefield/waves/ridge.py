@@ -1,12 +1,13 @@
 """The measured ridge of the dispersion relation: current and surface tension fitted to it."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.optimize import least_squares
 
 from wavefield.errors import CubeError
@@ -16,26 +17,40 @@ from wavefield.waves import kernels
 from wavefield.waves.current_scan import LONGEST, Plane, plane_of, scan_current
 from wavefield.waves.ridge_contrast import contrast, explained, fraction
 from wavefield.waves.ridge_error import against_theory
+from wavefield.waves.ridge_noise import noise_level
 from wavefield.waves.ridge_windows import Cells, as_seen
 from wavefield.waves.welch import k_coords
 
 Array = NDArray[Any]
+Vector = tuple[float, float]
+CURRENT_NAMES = ("current_x", "current_y")
 
 _ASTRAY = 0.1  # of k: a ridge lies within 3 %, what is taken for one by mistake within 8 to 70 %
-_LEAST = 1e-3  # of the strongest sector on a line: what is weaker has leaked
+_LEAST = 3e-3  # of the strongest sector on a line: what is weaker has leaked
 _LEAST_POINTS = 6
 _HELD_UP = 0.5  # of the free group velocity: waves that a current slows more smear over all k
 _FAST = 0.7  # of the free group velocity: what the fit changes by without slower waves is doubt
 _EXPLAINED = 0.5  # of the energy above the noise: a relation that holds less is not that of the waves
-_ROBUST = 0.05  # of a misfit over sqrt(k): larger ones count less
+OUTLYING_DEVIATIONS = 3.0  # standard deviations of the points: larger misfits count less
+MIN_SIGNAL_TO_NOISE = 1.0  # of a point: weaker ones are left out
+CELL_VARIANCE = 0.3  # relative variance of a cell's energy, with its neighbours' share
+DOUBTED_NOISE = 1.2  # times the level: by so much it may be wrong, locally
+NOISE_LEVEL_ERROR = 0.03  # relative: what is left of the noise pulls a centroid to the middle of its window
+CENTROID_ERROR = 0.03  # of a cell of the k plane, of the strongest sector; leakage adds to weaker ones
+LEAKAGE_ERROR = 0.3  # of the displacement of a centroid by the windows: what is left when it is undone
+FREQUENCY_BLOCKS = 5  # that are left out in turn
+MAX_CHANGE = 0.015  # m/s: a current that changes by more without one of these blocks depends on the band
+MAX_CONDITION = 1e4  # of the normal equations of a current: those of waves of one direction exceed it
+MIN_SLOPE = 0.15  # of the group velocity: waves that a current slows more count as these
 _LEANING = 0.3  # cells of the k plane: what the windows move further is theirs
 _WHOLE = 0.8  # of the grid's shortest waves' k: shorter ones are seen in part
 _FILM = 0.3  # of the surface tension: so far water may differ from what is given
-_UNKNOWN = 0.02  # m/s: a current that is known no better is not stated
+_UNKNOWN = 0.012  # m/s: a current that is known no better is not stated
 _TENSION = 0.02  # of the surface tension: what noisy seas leave wrong in it
 _CONTRAST = 1.5  # energy on the ridge over what its cells hold at other frequencies: noise has .9 to 1.2
-_MENDS = 8  # rounds at most in which the windows' doing is taken off, two at least
-_SETTLED, _UNSETTLED = 3e-4, 2e-3  # m/s: they end where the current changes by less; are refused by more
+_MENDS = 12  # rounds at most in which the windows' doing is taken off, two at least
+DAMPED_FROM = 3  # round
+_SETTLED, _UNSETTLED = 3e-4, 5e-3  # m/s: they end where the current changes by less; are refused by more
 
 
 @dataclass(frozen=True)
@@ -44,8 +59,9 @@ class FitSettings:
 
     Parameters
     ----------
-    lowest, highest : float
-        Band of frequencies used, Hz, and further up those waves that pass faster on a current; waves longer
+    lowest, highest : float, optional
+        Band of frequencies used, Hz, and further up those waves that pass faster on a current. If not given,
+        all that the spectrum resolves, each line weighted by how far its waves exceed the noise. Waves longer
         than two fifths of the shorter side of the rectangle are left out besides.
     sectors : int
         Sectors of angle.
@@ -57,9 +73,9 @@ class FitSettings:
         How often the window is re-centred on the fit.
     """
 
-    lowest: float = 1.5
-    highest: float = 5.0
-    sectors: int = 16
+    lowest: float | None = None
+    highest: float | None = None
+    sectors: int = 24
     half_width: float = 0.22
     least_width: float = 2.2
     rounds: int = 4
@@ -95,32 +111,42 @@ def _centroids(
     fit: Array,
     settings: FitSettings,
 ) -> Array:
-    # rows: omega, k, angle, weight, number of cells, key of line and sector
+    # rows: omega, k, angle, energy, number of cells, key of line and sector, standard deviation of k, energy
+    # over that of the noise
     parts = []
     table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
     free = dispersion(table, depth, fit[2])
     whole = _WHOLE * min(plane.kx.max(), plane.ky.max())
-    highest = 2 * np.pi * settings.highest
-    limit = np.where(omega <= highest, whole, min(whole, wavenumber(highest, depth, fit[2])))
+    highest = 2 * np.pi * (settings.highest or np.inf)
+    limit = np.full(omega.size, whole)
+    if np.isfinite(highest):
+        limit[omega > highest] = min(whole, wavenumber(highest, depth, fit[2]))
     for number, sector in enumerate(sectors):
         centres = _branch(omega, table, free, fit[0] * np.cos(sector.theta) + fit[1] * np.sin(sector.theta))
         reach = np.maximum(settings.half_width * centres, settings.least_width * plane.cell)
         reach = np.nan_to_num(reach)
         first = np.searchsorted(sector.k, np.nan_to_num(centres) - reach, "right")
         last = np.searchsorted(sector.k, np.nan_to_num(centres) + reach, "left")
-        sums = np.empty((4, omega.size))  # weight, of k, of the heading
+        sums = np.empty((8, omega.size))
         kernels.windowed_sums(energy, noise, sector.cells, sector.k, sector.heading, first, last, sums)
         count = last - first
-        held = (count >= 5) & (sums[0] > 0) & (centres < limit)
-        weight = sums[0, held]
+        held = (count >= 5) & (sums[0] > MIN_SIGNAL_TO_NOISE * sums[7]) & (sums[0] > 0) & (centres < limit)
+        weight, level = sums[0, held], sums[7, held]
         k = sums[1, held] / weight
+        second = sums[6, held] - 2 * k * sums[5, held] + k**2 * sums[4, held]
+        pull = NOISE_LEVEL_ERROR * level * reach[held]
+        std = np.sqrt(CELL_VARIANCE * np.maximum(second, 0) + pull**2) / weight
         k -= plane.spread / (2 * k)
         key = np.flatnonzero(held) * len(sectors) + number
         angle = np.arctan2(sums[3, held], sums[2, held])
-        rows = np.stack([omega[held], k, angle, weight, count[held], key], 1)
-        parts.append(rows[k > 0])  # waves about as long as the rectangle: the window's spread exceeds them
+        ratio = weight / np.maximum(level, 1e-9 * weight)
+        rows = np.stack([omega[held], k, angle, weight, count[held], key, std, ratio], 1)
+        # waves about as long as the rectangle: the window's spread exceeds them
+        parts.append(rows[(k > 0) & (np.abs(k - centres[held]) < reach[held])])
     points = np.concatenate(parts)
-    return points[points[:, 3] > _LEAST * _strongest(points)]
+    top = _strongest(points)
+    points[:, 6] = np.hypot(points[:, 6], CENTROID_ERROR * plane.cell * np.sqrt(top / points[:, 3]))
+    return points[points[:, 3] > _LEAST * top]
 
 
 def _branch(omega: Array, table: Array, free: Array, along: float) -> Array:
@@ -136,43 +162,94 @@ def _branch(omega: Array, table: Array, free: Array, along: float) -> Array:
 
 
 def _strongest(points: Array) -> Array:
-    # energy of the strongest sector on each point's line
+    # energy of the strongest sector on each point's line and its neighbours
     _, number = np.unique(points[:, 0], return_inverse=True)
     top = np.zeros(number.max(initial=-1) + 1)
     np.maximum.at(top, number, points[:, 3])
-    return np.asarray(top[number])
+    return np.asarray(ndimage.maximum_filter1d(top, 3)[number]) if top.size else top
 
 
-def _misfit(points: Array, depth: float) -> Callable[[Array], Array]:
-    # of current and surface tension in 1e-5 m3/s2, (points,)
+def _misfit(points: Array, depth: float, around: Array) -> Callable[[Array], Array]:
+    # of current and surface tension in 1e-5 m3/s2, in standard deviations of the points, (points,);
+    # `around` is a fit that gives the slope of the ridge
     omega, k, angle = points[:, 0], points[:, 1], points[:, 2]
     kx, ky = k * np.cos(angle), k * np.sin(angle)
-    # every line alike, on a line by amplitude: weak sectors say less of the waves there
-    weight = (points[:, 3] / _strongest(points)) ** 0.25 / np.sqrt(k)
+    speed = group_velocity(k, depth, around[2])
+    slope = speed + (around[0] * kx + around[1] * ky) / k
+    std = points[:, 6] * np.maximum(slope, MIN_SLOPE * speed)
 
     def misfit(p: Array) -> Array:
         model = dispersion(k, depth, max(p[2], 0.0) * 1e-5) + p[0] * kx + p[1] * ky
-        return np.asarray(weight * (model - omega))
+        return np.asarray((model - omega) / std)
 
     return misfit
 
 
+def _outlying(misfit: Array) -> float:
+    # misfits beyond this count less
+    return OUTLYING_DEVIATIONS * max(float(np.median(np.abs(misfit))) / 0.6745, 1e-9)
+
+
 def _solve(points: Array, depth: float, start: Array) -> Array:
     scaled = np.array([start[0], start[1], start[2] * 1e5])
+    misfit = _misfit(points, depth, start)
     result = least_squares(
-        _misfit(points, depth), scaled, loss="soft_l1", f_scale=_ROBUST, x_scale=[0.01, 0.01, 1.0]
+        misfit, scaled, loss="soft_l1", f_scale=_outlying(misfit(scaled)), x_scale=[0.01, 0.01, 1.0]
     )
     return np.array([result.x[0], result.x[1], max(result.x[2], 0.0) * 1e-5])
+
+
+def _current_of(points: Array, depth: float, fit: Array) -> Array:
+    # current of some of the points with the surface tension of the fit, (2,); NaN if they do not determine it
+    misfit = _misfit(points, depth, fit)
+    f_scale = _outlying(misfit(fit * [1, 1, 1e5]))
+    result = least_squares(
+        lambda u: misfit(np.array([u[0], u[1], fit[2] * 1e5])), fit[:2], loss="soft_l1", f_scale=f_scale
+    )
+    normal = result.jac.T @ result.jac
+    return np.asarray(result.x) if np.linalg.cond(normal) < MAX_CONDITION else np.full(2, np.nan)
+
+
+def _without_blocks(points: Array, depth: float, fit: Array) -> tuple[Array, Array]:
+    # changes of the current, (blocks, 2), without one of some blocks of lines that determine it equally well,
+    # and the first and last frequency of each block, (blocks, 2), Hz
+    order = np.argsort(points[:, 0], kind="stable")
+    speed = group_velocity(points[order, 1], depth, fit[2])
+    share = np.cumsum((points[order, 1] / (points[order, 6] * speed)) ** 2)
+    block = np.minimum((share / share[-1] * FREQUENCY_BLOCKS).astype(int), FREQUENCY_BLOCKS - 1)
+    whole = _current_of(points, depth, fit)
+    changes, bands = [], []
+    for b in np.unique(block):
+        out, left = order[block == b], order[block != b]
+        enough = len(left) >= _LEAST_POINTS
+        changes.append(_current_of(points[left], depth, fit) - whole if enough else np.full(2, np.nan))
+        bands.append(points[out[[0, -1]], 0] / (2 * np.pi))
+    return np.array(changes), np.array(bands)
+
+
+def _jackknife(points: Array, depth: float, fit: Array) -> Array:
+    # standard uncertainty of the current from fits without one block of lines each, (2,)
+    changes, blocks = _without_blocks(points, depth, fit)
+    size = np.hypot(*changes.T)
+    worst = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
+    if not size[worst] <= MAX_CHANGE:
+        how_far = f"changes by {size[worst]:.3f} m/s" if np.isfinite(size[worst]) else "is not determined"
+        raise CubeError(
+            f"the current depends on the band: without the waves between {blocks[worst][0]:.2g} and"
+            f" {blocks[worst][1]:.2g} Hz it {how_far} (the fit is {fit[0]:.2f}, {fit[1]:.2f} m/s); choose a"
+            " band with `fit: {lowest, highest}` or a longer record"
+        )
+    return np.asarray(np.sqrt((changes**2).mean(axis=0) * (len(changes) - 1)))
 
 
 def _covariance(points: Array, depth: float, fit: Array) -> Array:
     # of the fit, from the scatter of the points about it, those of half a hertz and an octant of directions
     # taken together: they share waves, and whatever else is wrong with them (sandwich of clusters)
-    misfit, scaled = _misfit(points, depth), fit * [1, 1, 1e5]
+    misfit, scaled = _misfit(points, depth, fit), fit * [1, 1, 1e5]
     steps = np.diag([1e-4, 1e-4, 1e-2])
     slopes = np.stack([(misfit(scaled + d) - misfit(scaled - d)) / (2 * d.sum()) for d in steps], axis=1)
     left = misfit(scaled)
-    robust = 1 / np.sqrt(1 + (left / _ROBUST) ** 2)
+    robust = 1 / np.sqrt(1 + (left / _outlying(left)) ** 2)
     octant = np.round(points[:, 2] / (np.pi / 4)) % 8
     _, cluster = np.unique(np.floor(points[:, 0] / np.pi) * 8 + octant, return_inverse=True)
     count = int(cluster.max()) + 1
@@ -220,29 +297,38 @@ def fit_dispersion(
         ``ridge_k``, ``ridge_omega``, ``ridge_angle``, ``ridge_weight`` (point); ``current_x``, ``current_y``
         (m/s), ``gamma`` (m3/s2) and their ``_std``; ``ridge_fraction``, the fraction of the variance
         within the ridge; ``ridge_error`` (band): the ridge's k against the theory with the fitted current and
-        the water's gamma, relative; ``depth``.
+        the water's gamma, relative; ``depth``. Of each line: ``line_frequency``, Hz,
+        ``line_signal_to_noise``, ``line_weight``, its share of what determines the current, and
+        ``line_misfit``, the mean misfit of its points over its standard deviation.
 
     Raises
     ------
     CubeError
         If no energy stands out in the band, or it lies on the ridge of no current, or the ridge hardly stands
         out of what the same wave vectors hold at other frequencies: noise has a best current, too; or if less
-        than half of the energy lies on it, the fit does not settle, or the current is not told to 2 cm/s.
+        than half of the energy lies on it, the fit does not converge or depends on the band, or the standard
+        uncertainty of the current exceeds 12 mm/s.
 
     Notes
     -----
     The fit starts from the current that gathers most energy on the ridge (`scan_current`). k-centroids at
-    fixed omega in sectors of angle, sectors below a thousandth of the strongest left out, a line's points
-    weighted by amplitude; the window re-centred on the fit. What the windows do to a centroid (leakage along
-    a falling spectrum and from strong directions into weak ones, the curvature of the ridge) is taken off:
-    free waves of the measured energy on the fitted relation are seen through the same windows and followed
-    likewise (`ridge_windows.as_seen`), and what lies beside the relation there is subtracted, in rounds until
-    the current settles. Centroids in omega at fixed k would be biased by up to 8 %. The uncertainty follows
-    from the scatter of the points about the fit, those of half a hertz and an octant of directions taken
-    together, larger the less the ridge stands out, joined with half of what the fit changes by when twice the
-    noise is taken off, with what it changes by without the waves that the current slows most and in the last
-    round, and 2 % of the surface tension, which is taken to be within 30 % of what is given where the waves
-    tell less.
+    fixed omega in sectors of angle, the window re-centred on the fit. The noise (`noise_level`) is
+    subtracted without clipping, so that it does not pull centroids to the middle of the window; a
+    centroid's weight is the inverse of its variance, which follows from the energies of the cells in its
+    window, the signal-to- noise ratio, leakage from stronger sectors and 0.3 of what the windows move it.
+    Points without a signal as large as the noise or below 0.3 % of the strongest sector are left out. What
+    the windows do to a centroid (leakage along a falling spectrum and from strong directions into weak
+    ones, the curvature of the ridge) is subtracted: free waves of the measured energy on the fitted
+    relation pass through the same windows and are followed likewise (`ridge_windows.as_seen`), in rounds
+    until the current settles. Centroids in omega at fixed k would be biased by up to 8 %.
+
+    The uncertainty is the larger of two: from the scatter of the points about the fit, those of half a
+    hertz and an octant of directions taken together, increased where the ridge stands out little; and from
+    a jackknife over five blocks of lines of equal information. It is joined with half of what the fit
+    changes by when a fifth more noise is subtracted, with what it changes by without the waves that the
+    current slows most and in the last round, and 2 % of the surface tension, which is taken to be within 30
+    % of what is given where the waves determine it less well. A fit that changes by more than 15 mm/s
+    without one of the blocks is refused.
 
     Examples
     --------
@@ -268,22 +354,21 @@ def fit_dispersion(
     density = density.compute()
     omega = density["omega"].values
     nyquist_k = min(abs(float(density[name].min())) for name in ("ky", "kx"))
-    highest = 2 * np.pi * settings.highest
+    highest = 2 * np.pi * (settings.highest or np.inf)
     top = min(highest, 0.92 * dispersion(0.9 * nyquist_k, depth), 0.97 * omega[-1])
     plane = plane_of(density)
-    bottom = max(2 * np.pi * settings.lowest, dispersion(LONGEST * plane.cell, depth))
+    bottom = max(2 * np.pi * (settings.lowest or 0.0), dispersion(LONGEST * plane.cell, depth))
     energy = density.values.reshape(omega.size, -1)
-    outer = plane.k > 0.8 * nyquist_k
-    noise = np.median(energy[:, outer], axis=1) if outer.any() else np.zeros(omega.size)
+    noise = noise_level(energy, plane, nyquist_k)
     band = (omega >= bottom) & (omega <= top)
     start = scan_current(energy[band], omega[band], noise[band], plane, depth, gamma)
     # the same waves pass faster with the current
-    top = max(top, min(highest + np.hypot(*start) * wavenumber(highest, depth, gamma), 0.97 * omega[-1]))
+    top = max(top, min(top + np.hypot(*start) * wavenumber(top, depth, gamma), 0.97 * omega[-1]))
     band = (omega >= bottom) & (omega <= top)
     used, floor = energy[band], noise[band]
     sectors = _sectors(plane, settings.sectors)
     fit = np.array([*start, gamma])
-    points = np.empty((0, 6))
+    points = np.empty((0, 8))
     for _ in range(settings.rounds):
         points = _centroids(used, omega[band], floor, plane, sectors, depth, fit, settings)
         points = _enough(points, bottom, top)
@@ -295,6 +380,8 @@ def fit_dispersion(
         points = _centroids(used, omega[band], floor, plane, sectors, depth, fit, settings)
         points = _enough(_straightened(points, lean), bottom, top)
         fit = _solve(points, depth, fit)
+        if mend >= DAMPED_FROM:  # rounds that overshoot in turn settle half-way
+            fit = (fit + before) / 2
         change = float(np.hypot(*(fit - before)[:2]))
         if mend > 0 and change < _SETTLED:
             break
@@ -316,8 +403,8 @@ def fit_dispersion(
         )
     if change > _UNSETTLED:
         raise CubeError(
-            f"{band_words} settle on no current (the last is {fit[0]:.2f}, {fit[1]:.2f} m/s), as where it"
-            " holds them up: choose a longer record or another band"
+            f"the current fit did not converge ({bottom / (2 * np.pi):.1f}-{top / (2 * np.pi):.1f} Hz; last"
+            f" estimate {fit[0]:.2f}, {fit[1]:.2f} m/s); choose a band with `fit: {{lowest, highest}}`"
         )
     held = explained(energy, omega, noise, (omega > bottom / 2) & (omega < 1.5 * top), plane, depth, fit)
     if held < _EXPLAINED:
@@ -326,34 +413,104 @@ def fit_dispersion(
             f" current (the best is {fit[0]:.2f}, {fit[1]:.2f} m/s), as where it holds them up: check depth,"
             " frame rate and grid step, or choose another band"
         )
-    quieter = _centroids(used, omega[band], 2 * floor, plane, sectors, depth, fit, settings)
+    quieter = _centroids(used, omega[band], DOUBTED_NOISE * floor, plane, sectors, depth, fit, settings)
     doubt = 0.5 * np.abs(_solve(_straightened(quieter, lean), depth, fit) - fit)
     doubt = np.hypot(doubt, np.hypot(_solve(_fast(points, depth, fit), depth, fit) - fit, fit - before))
     # of what the points say 1 / contrast is noise
     covariance = _covariance(points, depth, fit) / (1 - 1 / stands_out) ** 2
     fit, covariance = _of_water(fit, covariance, gamma)
     chance = np.sqrt(np.diag(covariance))
+    chance[:2] = np.maximum(chance[:2], _jackknife(points, depth, fit))
     spreads = np.hypot(chance, np.hypot(doubt, [0.0, 0.0, _TENSION * gamma]))
-    known = np.hypot(*spreads[:2])
-    if not known <= _UNKNOWN:
-        how_well = f"tell the current to {known:.2f} m/s only"
-        if not np.isfinite(known):
-            how_well = "are too few to tell the current"
-        raise CubeError(
-            f"{band_words} {how_well}, as where it holds them up: choose a longer record or another band"
-        )
+    _refuse_uncertain(float(np.hypot(*spreads[:2])), band_words)
     out: dict[str, Any] = {}
     for i, name in enumerate(("current_x", "current_y", "gamma")):
         out[name], out[f"{name}_std"] = ((), fit[i]), ((), spreads[i])
     for i, name in enumerate(("ridge_omega", "ridge_k", "ridge_angle", "ridge_weight")):
         out[name] = ("point", points[:, i])
     out |= against_theory(points, depth, fit, gamma)
+    out |= _line_quality(points, depth, fit)
     out["ridge_fraction"] = ((), fraction(energy, omega, plane, depth, fit))
     out["depth"] = ((), depth)
     attrs = {"lowest": float(bottom / (2 * np.pi)), "highest": float(top / (2 * np.pi))}
-    out_set = annotate(xr.Dataset(out, attrs=attrs).set_coords("band_frequency"), "dispersion")
+    out_set = annotate(
+        xr.Dataset(out, attrs=attrs).set_coords(["band_frequency", "line_frequency"]), "dispersion"
+    )
     out_set["ridge_weight"].attrs["units"] = density.attrs.get("units", "1")
     return out_set
+
+
+def _refuse_uncertain(std: float, band_words: str) -> None:
+    if std <= _UNKNOWN:
+        return
+    how_well = f"tell the current to {std:.2f} m/s only"
+    if not np.isfinite(std):
+        how_well = "are too few to tell the current"
+    raise CubeError(
+        f"{band_words} {how_well}, as where it holds them up: choose a longer record or another band"
+    )
+
+
+def _line_quality(points: Array, depth: float, fit: Array) -> dict[str, Any]:
+    # of each line: signal over noise, share of what is known of the current, and mean misfit in its own
+    # standard deviations
+    omega, k, std = points[:, 0], points[:, 1], points[:, 6]
+    lines, number = np.unique(omega, return_inverse=True)
+    misfit = _misfit(points, depth, fit)(fit * [1, 1, 1e5])
+    level = np.bincount(number, points[:, 3] / points[:, 7])
+    share = np.bincount(number, (k / (std * group_velocity(k, depth, fit[2]))) ** 2)
+    quality = {
+        "frequency": lines / (2 * np.pi),
+        "signal_to_noise": np.bincount(number, points[:, 3]) / level,
+        "weight": share / share.sum(),
+        "misfit": np.bincount(number, misfit) / np.sqrt(np.bincount(number)),
+    }
+    return {f"line_{name}": ("line", values) for name, values in quality.items()}
+
+
+def fit_settings(fit: "FitSettings | Mapping[str, Any] | None") -> tuple[FitSettings, Vector | None]:
+    """Settings of the fit, and the current to use where it is refused, from what a user gives.
+
+    Parameters
+    ----------
+    fit : FitSettings or mapping, optional
+        Fields of `FitSettings`; ``current_x`` and ``current_y``, m/s, for where the fit is refused.
+
+    Returns
+    -------
+    settings : FitSettings
+    current : tuple of float or None
+
+    Raises
+    ------
+    CubeError
+        If a name or a value is not one of a setting.
+
+    Examples
+    --------
+    >>> fit_settings({"lowest": "1", "current_x": 0.1})[1]
+    (0.1, 0.0)
+    """
+    if fit is None or isinstance(fit, FitSettings):
+        return fit or FitSettings(), None
+    kinds = {field.name: field.type for field in fields(FitSettings)} | dict.fromkeys(CURRENT_NAMES, "float")
+    values: dict[str, Any] = {}
+    for name, value in fit.items():
+        if name not in kinds:
+            raise CubeError(f"`fit` has no setting {name!r}; it has {', '.join(kinds)}")
+        try:
+            values[name] = int(value) if kinds[name] == "int" else float(value)
+        except (TypeError, ValueError):
+            raise CubeError(f"`fit` needs a number for {name}, not {value!r}") from None
+        if not np.isfinite(values[name]) or (name not in CURRENT_NAMES and values[name] <= 0):
+            raise CubeError(f"`fit` needs a positive number for {name}, not {value!r}")
+    if values.get("lowest", 0.0) >= values.get("highest", np.inf):
+        raise CubeError(
+            f"`fit` needs lowest below highest, not {values['lowest']:g} and {values['highest']:g}"
+        )
+    given = [values.pop(name, None) for name in CURRENT_NAMES]
+    current = None if given == [None, None] else (given[0] or 0.0, given[1] or 0.0)
+    return FitSettings(**values), current
 
 
 def _fast(points: Array, depth: float, fit: Array) -> Array:
@@ -388,7 +545,7 @@ def _windows_lean(
     cells = Cells(*(density[name].values for name in ("omega", "ky", "kx")))
     values = density.values.reshape(cells.omega.size, -1)
     seen = as_seen(values, noise, cells, depth, fit)[band]
-    quiet = np.zeros(int(band.sum()))
+    quiet = np.zeros_like(seen)
     points = _centroids(seen, cells.omega[band], quiet, plane, sectors, depth, fit, settings)
     k, along = points[:, 1], fit[0] * np.cos(points[:, 2]) + fit[1] * np.sin(points[:, 2])
     beside = points[:, 0] - dispersion(k, depth, fit[2]) - k * along
@@ -402,6 +559,7 @@ def _straightened(points: Array, lean: Array) -> Array:
     _, mine, theirs = np.intersect1d(points[:, 5], lean[0], assume_unique=True, return_indices=True)
     out = points[mine]
     out[:, 1] -= lean[1, theirs]
+    out[:, 6] = np.hypot(out[:, 6], LEAKAGE_ERROR * lean[1, theirs])
     return out[out[:, 1] > 0]
 
 
@@ -411,10 +569,12 @@ def _astray(points: Array, depth: float, fit: Array, cell: float) -> float:
     k, angle = points[:, 1], points[:, 2]
     model = dispersion(k, depth, fit[2]) + k * (fit[0] * np.cos(angle) + fit[1] * np.sin(angle))
     apart = (points[:, 0] - model) / group_velocity(k, depth, fit[2]) / np.maximum(k, cell / _ASTRAY)
-    return float(np.sqrt(np.average(apart**2, weights=points[:, 3] / _strongest(points))))
+    return float(np.sqrt(np.average(apart**2, weights=1 / points[:, 6] ** 2)))
 
 
-def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float) -> tuple[xr.Dataset, str]:
+def dispersion_group(
+    density: xr.DataArray, k: Array, depth: float, gamma: float, settings: FitSettings | None = None
+) -> tuple[xr.Dataset, str]:
     """The theory and the fitted ridge.
 
     Parameters
@@ -425,6 +585,8 @@ def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float
         Wavenumbers of the theory, rad/m.
     depth, gamma : float
         Depth, m, and surface tension over density, m3/s2, of the water.
+    settings : FitSettings, optional
+        Band, sectors and window.
 
     Returns
     -------
@@ -435,9 +597,10 @@ def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float
     """
     theory = xr.Dataset({"omega_theory": ("k", dispersion(k, depth, gamma))}, k_coords(k))
     try:
-        out = fit_dispersion(density, depth, gamma=gamma)
+        out = fit_dispersion(density, depth, gamma=gamma, settings=settings)
     except CubeError as error:
-        return annotate(theory, "dispersion"), f"No ridge was fitted: {error}."
+        theory = annotate(theory, "dispersion").assign_attrs(refused=str(error))
+        return theory, f"No ridge was fitted: {error}."
     fitted = ("k", dispersion(k, depth, float(out["gamma"])))
     out = out.assign(theory.data_vars).assign_coords(theory.coords).assign(omega_fit=fitted)
     return annotate(out, "dispersion"), ""

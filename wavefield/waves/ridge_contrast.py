@@ -90,8 +90,10 @@ def explained(
     ----------
     energy : ndarray, (lines, cells)
         Spectrum.
-    omega, noise : ndarray, (lines,)
-        rad/s, and the level of the noise.
+    omega : ndarray, (lines,)
+        rad/s.
+    noise : ndarray, (lines, cells)
+        Level of the noise.
     lines : ndarray of bool, (lines,)
         Which lines count.
     plane : Plane
@@ -111,7 +113,7 @@ def explained(
     Waves that a current carries back are seen with the opposite wave vector: omega = k.U - sigma(k).
     """
     counted = plane.k > LONGEST * plane.cell
-    above = np.maximum(energy[lines] - 3 * noise[lines, None], 0.0)[:, counted]
+    above = np.maximum(energy[lines] - 3 * noise[lines], 0.0)[:, counted]
     near = _near_ridge(omega, plane, depth, fit) | _near_ridge(-omega, plane, depth, fit * [-1, -1, 1])
     total = float(above.sum(dtype=float))
     return float((above * near[lines][:, counted]).sum(dtype=float)) / total if total > 0 else 1.0

@@ -83,7 +83,7 @@ def _on_ridge(energy: Array, noise: Array, cells: Cells, depth: float, fit: Arra
     out = np.zeros(seen.shape)
     for omega, line, floor in zip(cells.omega, energy, noise):
         near = np.abs(omega - seen) < reach
-        out += np.where(near, np.maximum(line.reshape(seen.shape) - floor, 0.0), 0.0)
+        out += np.where(near, np.maximum((line - floor).reshape(seen.shape), 0.0), 0.0)
     return out
 
 
@@ -109,7 +109,7 @@ def as_seen(energy: Array, noise: Array, cells: Cells, depth: float, fit: Array)
     ----------
     energy : ndarray, (lines, ny * nx)
         Measured spectrum.
-    noise : ndarray, (lines,)
+    noise : ndarray, (lines, ny * nx)
         Its floor.
     cells : Cells
         Of the spectrum.
@@ -148,7 +148,7 @@ def as_seen(energy: Array, noise: Array, cells: Cells, depth: float, fit: Array)
     shape, parts = (cells.omega.size, *wanted.shape), _parts(place)
     out = _seen(parts, power, shape)
     for _ in range(_ROUNDS):
-        found = _on_ridge(out.reshape(shape[0], -1), np.zeros(shape[0]), cells, depth, fit)
+        found = _on_ridge(out.reshape(shape[0], -1), np.zeros((shape[0], 1)), cells, depth, fit)
         ratio = np.clip(wanted / np.maximum(found, floor * 1e-3), 1 / _MOST, _MOST)
         power = power * ratio.ravel()[cell] ** _HASTE
         out = _seen(parts, power, shape)

@@ -1,0 +1,183 @@
+"""Random linear seas of a generator that shares no code with the package, for judging its estimators.
+
+A sea is a sum of a few hundred free waves at random wave vectors, with random amplitudes, on a uniform
+current, in water of any depth, with surface tension. Frequencies in the settings are those in still water.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+GRAVITY, TENSION = 9.81, 7.28e-5  # m/s2, m3/s2
+
+
+def still_frequency(k, depth):
+    """Angular frequency of free waves in still water, rad/s."""
+    return np.sqrt((GRAVITY * k + TENSION * k**3) * np.tanh(k * depth))
+
+
+@dataclass(frozen=True)
+class Sea:
+    """Settings of a random sea.
+
+    Parameters
+    ----------
+    current : tuple of float
+        Velocity of the water along x and y, m/s.
+    depth : float
+        m; may be infinite.
+    lowest, highest : float
+        Ends of the spectrum, Hz.
+    slope : float
+        The spectrum of elevation falls as f^-slope.
+    roll_off : float
+        Above this frequency, Hz, it falls as a Gaussian of standard deviation 0.35 Hz besides.
+    directions : tuple of (heading, s, weight)
+        Parts of the sea, each cos(theta / 2)^2s wide; s = 0 is isotropic.
+    height : float
+        Standard deviation of elevation, m.
+    noise : float
+        Standard deviation of the noise of a displacement between frames and of elevation, m.
+    noise_nodes : int
+        Nodes along each axis over which noise is the same on average.
+    shape : tuple of int
+        Steps and nodes along y and x.
+    dt, dx : float
+        s, m.
+    waves : int
+        Number of waves.
+    seed : int
+    """
+
+    current: tuple = (0.0, 0.0)
+    depth: float = np.inf
+    lowest: float = 1.2
+    highest: float = 6.0
+    slope: float = 5.0
+    roll_off: float = np.inf
+    directions: tuple = ((0.0, 0.0, 1.0),)
+    height: float = 0.008
+    noise: float = 0.0
+    noise_nodes: int = 2
+    shape: tuple = (640, 60, 80)
+    dt: float = 0.05
+    dx: float = 0.02
+    waves: int = 500
+    seed: int = 0
+
+    def components(self):
+        """Wave vectors kx, ky and complex amplitudes of elevation, each (waves,)."""
+        rng = np.random.default_rng(self.seed)
+        # evenly over frequency, so that the weak end has as many waves as the peak
+        f = self.lowest + (self.highest - self.lowest) * (np.arange(self.waves) + rng.random(self.waves)) / (
+            self.waves
+        )
+        table = np.linspace(0.05, 700, 70000)
+        k = np.interp(2 * np.pi * f, still_frequency(table, self.depth), table)
+        weights = np.array([part[2] for part in self.directions])
+        chosen = rng.choice(len(weights), self.waves, p=weights / weights.sum())
+        angle = np.empty(self.waves)
+        for i, part in enumerate(chosen):
+            heading, s, _ = self.directions[part]
+            while True:
+                turn = rng.uniform(-np.pi, np.pi)
+                if rng.random() <= np.cos(turn / 2) ** (2 * s):
+                    break
+            angle[i] = heading + turn
+        density = f**-self.slope * np.exp(-0.5 * (np.maximum(f - self.roll_off, 0) / 0.35) ** 2)
+        size = np.sqrt(density) * (rng.standard_normal(self.waves) + 1j * rng.standard_normal(self.waves))
+        size *= self.height / np.sqrt((np.abs(size) ** 2).sum() / 2)
+        return k * np.cos(angle), k * np.sin(angle), size
+
+    def cube(self, names=("z", "w"), displacements=True):
+        """Fields at the nodes, (time, y, x), m and m/s.
+
+        Velocities are displacements of the water between frames over dt at mid-time if ``displacements``,
+        otherwise those of the moment. ``z_t`` is the change at a fixed place; ``z`` is at mid-time.
+        """
+        kx, ky, a = self.components()
+        k = np.hypot(kx, ky)
+        sigma = still_frequency(k, self.depth)
+        omega = sigma + kx * self.current[0] + ky * self.current[1]
+        mean = {"u": self.current[0], "v": self.current[1]}
+
+        def over_a_step(frequency):
+            return np.sinc(frequency * self.dt / (2 * np.pi)) if displacements else 1.0
+
+        along = sigma / (k * np.tanh(k * self.depth)) * over_a_step(sigma)
+        gains = {
+            "z": np.ones(k.size),
+            "z_t": -1j * omega * over_a_step(omega),
+            "w": -1j * sigma * over_a_step(sigma),
+            "u": kx * along,
+            "v": ky * along,
+        }
+        t, y, x = (np.arange(n) * step for n, step in zip(self.shape, (self.dt, self.dx, self.dx)))
+        ex = np.exp(1j * np.outer(kx, x)).astype("c8")
+        ey = np.exp(1j * np.outer(y, ky)).astype("c8")
+        turned = (a * np.exp(-1j * np.outer(t, omega))).astype("c8")
+        rng = np.random.default_rng([self.seed, 1])
+        out = {}
+        for name in names:
+            rows = (turned * gains[name].astype("c8"))[:, None, :] * ey
+            field = (rows.reshape(-1, k.size) @ ex).real.reshape(self.shape) + np.float32(mean.get(name, 0))
+            level = self.noise if name == "z" else self.noise / self.dt
+            out[name] = (
+                ("time", "y", "x"),
+                field + level * self._noise(rng),
+                {"units": "m" if name == "z" else "m s-1"},
+            )
+        return xr.Dataset(out, {"time": t, "y": y, "x": x})
+
+    def _noise(self, rng):
+        if not self.noise:
+            return np.float32(0)
+        n = self.noise_nodes
+        steps, ny, nx = self.shape
+        raw = rng.standard_normal((steps, ny + n - 1, nx + n - 1), dtype="f4")
+        return sum(raw[:, i : i + ny, j : j + nx] for i in range(n) for j in range(n)) / np.float32(n)
+
+
+def family(name, seed):
+    """A sea drawn at random from a family: its settings."""
+    rng = np.random.default_rng([seed, FAMILIES.index(name)])
+    speed, towards, heading = rng.uniform(0, 0.4), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi)
+    s = rng.choice([0.0, 2.0, 5.0, 10.0, 20.0, 50.0])
+    settings = {
+        "current": (speed * np.cos(towards), speed * np.sin(towards)),
+        "depth": rng.choice([0.1, 0.7, np.inf]),
+        "directions": ((heading, s, 1.0),),
+        "height": rng.uniform(0.005, 0.012),
+        "shape": (int(20 * rng.uniform(16, 60)), int(rng.integers(60, 76)), int(rng.integers(80, 101))),
+        "noise_nodes": int(rng.integers(1, 4)),
+        "lowest": rng.uniform(1.0, 1.4),
+        "seed": seed,
+    }
+    if name == "noisy tail":
+        settings |= {"noise": rng.uniform(2e-4, 5e-4)}
+    elif name == "roll-off":
+        settings |= {"roll_off": rng.uniform(2.5, 3.2), "noise": rng.uniform(0, 3e-4)}
+    elif name == "narrow band":
+        settings |= {
+            "highest": rng.uniform(2.5, 4.0),
+            "slope": rng.uniform(2, 6),
+            "noise": rng.uniform(0, 3e-4),
+        }
+    elif name == "bimodal":
+        other = heading + rng.uniform(1.0, np.pi)
+        settings |= {
+            "directions": ((heading, max(s, 5.0), 0.6), (other, rng.choice([5.0, 20.0]), 0.4)),
+            "noise": rng.uniform(0, 5e-4),
+            "highest": rng.uniform(3.0, 6.0),
+        }
+    elif name == "shallow":
+        settings |= {
+            "depth": rng.uniform(0.08, 0.12),
+            "noise": rng.uniform(0, 4e-4),
+            "highest": rng.uniform(2.5, 6.0),
+        }
+    return Sea(**settings)
+
+
+FAMILIES = ("broad and clean", "noisy tail", "roll-off", "narrow band", "bimodal", "shallow")

@@ -1,0 +1,54 @@
+"""Which current an estimate used, and where it came from."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import xarray as xr
+
+FITTED, GIVEN, NO_CURRENT = "fit", "given", "none"
+
+
+@dataclass(frozen=True)
+class CurrentUsed:
+    """A current and its origin.
+
+    Parameters
+    ----------
+    velocity : tuple of float
+        Along x and y, m/s.
+    std : tuple of float
+        Standard uncertainty, m/s; NaN if it is not known.
+    source : str
+        ``fit``, ``given``, or ``none`` where still water is assumed.
+    reason : str
+        Why the fit was refused; empty where it was not.
+    """
+
+    velocity: tuple[float, float]
+    std: tuple[float, float]
+    source: str
+    reason: str = ""
+
+    @property
+    def attrs(self) -> dict[str, Any]:
+        """Attributes of a product that used it."""
+        out = {"current": list(self.velocity), "current_std": list(self.std), "current_source": self.source}
+        return out | ({"current_fit_refused": self.reason} if self.reason else {})
+
+
+def current_used(dispersion: xr.Dataset, given: tuple[float, float] | None) -> CurrentUsed:
+    """The fitted current where there is one, else that given, else none.
+
+    Parameters
+    ----------
+    dispersion : Dataset
+        As `ridge.dispersion_group` gives it.
+    given : tuple of float, optional
+        Current for where the fit is refused, m/s.
+    """
+    if "current_x" in dispersion:
+        velocity, std = ([float(dispersion[f"current_{a}{end}"]) for a in "xy"] for end in ("", "_std"))
+        return CurrentUsed((velocity[0], velocity[1]), (std[0], std[1]), FITTED)
+    reason = str(dispersion.attrs.get("refused", ""))
+    unknown = (float("nan"), float("nan"))
+    return CurrentUsed(given or (0.0, 0.0), unknown, GIVEN if given else NO_CURRENT, reason)
