@@ -112,9 +112,10 @@ def ledger(steps: int) -> None:
     import zarr
 
     from wavefield.cubes import open_cube, status
+    from wavefield.store.checked import chunk_path, stored_bytes
     from wavefield.store.layout import WATCHED, Layout, create_store
     from wavefield.store.recipe import Recipe
-    from wavefield.store.verify import chunk_path, stored_bytes, suspicious
+    from wavefield.store.verify import suspicious
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "cube.zarr"

@@ -4,14 +4,16 @@ import functools
 import hashlib
 import pickle
 import shutil
+import warnings
 
 import pytest
-from cube_cases import HERE, KNOCKED, write_tank
+from cube_cases import FOURS, HERE, KNOCKED, write_tank
 
 import wavefield.measurement
 from wavefield.cubes import run
 from wavefield.images import write_image
 from wavefield.tank import Scene, Tank
+from wavefield.waves import analyze
 
 LEARNED = {}  # what was learned from the same frames, by its inputs
 
@@ -70,3 +72,15 @@ def knocked(tmp_path_factory):
     path = folder / "experiment.yaml"
     path.write_text(f"name: lab\nframe_rate: 20\nrig: rig.yaml\ncameras:\n{cameras}{grid}")
     return path
+
+
+@pytest.fixture(scope="session")
+def measured(tmp_path_factory):
+    """A folder with a tiny experiment, its cube of three blocks, preview, verdict and waves."""
+    folder = tmp_path_factory.mktemp("measured")
+    experiment = write_tank(folder, 10)
+    run(experiment, workflow=FOURS)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        analyze(folder / "cube.zarr", folder / "waves.zarr", segment=8)
+    return folder

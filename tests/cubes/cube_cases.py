@@ -11,6 +11,7 @@ from wavefield.tank import Scene, Tank
 from wavefield.variables import CUBE_FIELDS
 
 HERE = Workflow(cluster="none")
+FOURS = Workflow(cluster="none", steps_per_block=4)
 FRAMES = 17
 KNOCKED = 6  # first frame of the wider tank after its cam1 was knocked
 

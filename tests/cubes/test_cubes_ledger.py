@@ -6,10 +6,10 @@ import zarr
 
 from wavefield.errors import StoreError
 from wavefield.store.blocks import read_blocks
-from wavefield.store.layout import Layout, create_store
+from wavefield.store.checked import checksum, chunk_path, stored_bytes
+from wavefield.store.layout import WATCHED, Layout, create_store
 from wavefield.store.ledger import status
 from wavefield.store.recipe import Recipe
-from wavefield.store.verify import chunk_path
 
 LAYOUT = Layout(47, 10, ("a", "b"), 0)
 
@@ -23,6 +23,9 @@ def store(tmp_path):
     for part in (slice(0, 20), slice(30, 47)):
         group["frame_status"][part] = rng.integers(1, 4, 47, dtype=np.uint8)[part]
     group["frame_fault"][:, 30:48] = rng.integers(0, 4, (2, 18), dtype=np.uint8)
+    for block in (0, 1, 3, 4):
+        group["checksum"][block] = [checksum(path, name, block) for name in WATCHED]
+        group["stored_bytes"][block] = [stored_bytes(path, name, block) for name in WATCHED]
     return path
 
 
@@ -44,5 +47,8 @@ def test_of_earlier_stores_too(tmp_path):
 def test_a_file_that_is_too_short_is_damage(store):
     path = chunk_path(store, "frame_status", 1)
     path.write_bytes(path.read_bytes()[:5])
-    with pytest.raises(StoreError, match=r"the ledger of .* is damaged"):
+    group = zarr.open_group(store, mode="r")
+    with pytest.raises(ValueError, match="reshape"):
+        read_blocks(store, group, "frame_status", LAYOUT)
+    with pytest.raises(StoreError, match=r"steps 10 to 19 .*`wavefield run EXPERIMENT`"):
         status(store)

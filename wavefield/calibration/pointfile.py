@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from wavefield.calibration.points import TargetPoints
 from wavefield.errors import CalibrationError
-from wavefield.whole_files import write_text
+from wavefield.whole_files import ANY_FILE, write_text
 
 COLUMNS = ("i", "j", "X", "Y")
 
@@ -122,4 +122,4 @@ def write_points(path: str | Path, points: TargetPoints) -> None:
     for k, ((i, j), (x, y), std) in enumerate(zip(points.node, points.pixel, points.std, strict=True)):
         z = "" if heights is None else f",{float(heights[k])!r}"
         lines.append(f"{i},{j},{float(x)!r},{float(y)!r},{float(std)!r}{z}")
-    write_text(path, "\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n", ANY_FILE)

@@ -132,6 +132,7 @@ def convert(files: tuple[str, ...], output: Path | None, to: str, size: tuple[st
     FILES is one file, or camera=file for each camera.
     """
     from wavefield.rig import formats
+    from wavefield.whole_files import NEW_FILE, check_replaceable, refuse_input
 
     named = dict(entry.split("=", 1) for entry in files if "=" in entry)
     if len(files) > 1 and len(named) < len(files):
@@ -146,13 +147,17 @@ def convert(files: tuple[str, ...], output: Path | None, to: str, size: tuple[st
                 f"fx {camera.fx:.1f} px, k1 {camera.k1:g}"
             )
         return
+    refuse_input(output, *(named.values() or files))
     if to == "uvmat":
+        for name in loaded.cameras:
+            check_replaceable(output / f"{name}.xml", NEW_FILE)
         output.mkdir(parents=True, exist_ok=True)
         for name, camera in loaded.cameras.items():
             formats.save_uvmat(camera, output / f"{name}.xml")
     elif to == "wavefield":
         loaded.save(output)
     else:
+        check_replaceable(output, NEW_FILE)
         (formats.save_vic if to == "vic3d" else formats.save_opencv)(loaded, output)
     click.echo(f"Wrote {output} with {', '.join(loaded)}.")
 

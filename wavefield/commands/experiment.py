@@ -199,13 +199,16 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     from wavefield.reports.calibration import write_calibration
     from wavefield.reports.targets import draw_found
     from wavefield.series import Experiment
+    from wavefield.whole_files import PAGE, RIG, check_writable
 
     loaded = Experiment.load(experiment)
+    output = output or loaded.resolve(loaded.rig if isinstance(loaded.rig, str) else "rig.yaml")
+    folder = output.with_name(f"{output.stem}_report")
+    check_writable(output, RIG)
+    check_writable(folder / "index.html", PAGE)
     with Progress("Finding the target", "images") as progress:
         result = calibrate_experiment(loaded, progress)
     calibration = result.calibration
-    output = output or loaded.resolve(loaded.rig if isinstance(loaded.rig, str) else "rig.yaml")
-    folder = output.with_name(f"{output.stem}_report")
     with ProcessPoolExecutor(1, start_workers_from(), leave_with_parent) as pool:
         drawn = pool.submit(draw_found, result)  # takes as long as all other pictures
         page = write_calibration(calibration, folder, drawn.result)
@@ -256,8 +259,11 @@ def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> Non
     """
     from wavefield.cubes.at_rest import level_at_rest, plane_sentence
     from wavefield.series import Experiment
+    from wavefield.whole_files import RIG, check_writable, refuse_input
 
     loaded = Experiment.load(experiment)
+    refuse_input(output, *([rig] if rig else loaded.rig_paths))
+    check_writable(output, RIG)
     with Progress("Matching the cameras", "frames") as progress:
         still = loaded.at_rest() if loaded.rest else loaded
         refined, found, plane = level_at_rest(still, rig, frames, progress)
@@ -397,12 +403,12 @@ def init(folder: Path, output: Path | None) -> None:
     """
     from wavefield.errors import ExperimentError
     from wavefield.series.proposal import propose
-    from wavefield.whole_files import write_text
+    from wavefield.whole_files import NEW_FILE, write_text
 
     output = output or folder / "experiment.yaml"
-    if output.exists():
+    if output.exists() or output.is_symlink():
         raise ExperimentError(f"{output} is there already; name another file with -o")
     text = propose(folder)
-    write_text(output, text)
+    write_text(output, text, NEW_FILE)
     click.echo(text)
     click.echo(f"Wrote {output}. Fill it in, then: wavefield check {output}")

@@ -37,6 +37,7 @@ def level(experiment: Path, rig: Path | None, output: Path, distance: float | No
     """
     from wavefield.calibration.afloat import level_experiment
 
+    _check_output(output, experiment, rig)
     with Progress("Matching the cameras", "instants") as progress:
         found = level_experiment(experiment, rig, distance, frames, progress)
     click.echo(found.sentence)
@@ -67,6 +68,7 @@ def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None
     """
     from wavefield.calibration.sheet import find_sheet
 
+    _check_output(output, experiment, rig)
     with Progress("Correlating the cameras", "passes") as progress:
         found = find_sheet(experiment, rig, frames, progress)
     click.echo(found.sentence)
@@ -74,3 +76,12 @@ def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None
     click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
     if found.thickness > 0:
         click.echo(f"Then: settings: {{preset: sheet, sheet_thickness: {found.thickness:.2g}}}")
+
+
+def _check_output(output: Path, experiment: Path, rig: Path | None) -> None:
+    """Refuse, before the work, to write over anything but another rig of this program."""
+    from wavefield.series import Experiment
+    from wavefield.whole_files import RIG, check_writable, refuse_input
+
+    refuse_input(output, *([rig] if rig else Experiment.load(experiment).rig_paths))
+    check_writable(output, RIG)

@@ -11,6 +11,7 @@ A catalog ``tank.yaml`` has a folder ``tank`` beside it, and in it one folder pe
 so that a changed recipe goes beside the old one. ``run`` and ``recipe`` are parameters of the catalog.
 """
 
+import errno
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -30,7 +31,7 @@ from wavefield.rig import Rig
 from wavefield.sections import read_yaml
 from wavefield.series import Experiment
 from wavefield.store.ledger import Status
-from wavefield.whole_files import write_text
+from wavefield.whole_files import ANY_FILE, NEW_FILE, write_text
 
 _OPTIONS = "intake.readers.user_parameters:OptionsUserParameter"
 _TEXT = "intake.readers.user_parameters:SimpleUserParameter"
@@ -76,7 +77,9 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
     if not place.exists():
         target = os.path.relpath(found.path, place.parent)
         write_text(
-            place, "# stands for the experiment file it names\n" + yaml.safe_dump({"experiment": target})
+            place,
+            "# stands for the experiment file it names\n" + yaml.safe_dump({"experiment": target}),
+            NEW_FILE,
         )
     if run not in options:
         options.append(run)
@@ -419,8 +422,12 @@ def _link_latest(store: Path, prepared: Prepared) -> None:
     try:
         temporary.unlink(missing_ok=True)
         temporary.symlink_to(folder.name, target_is_directory=True)
-        temporary.replace(folder.with_name("latest"))
+        latest = folder.with_name("latest")
+        if latest.exists() and not latest.is_symlink():
+            raise OSError(errno.EEXIST, "there is a file or folder of this name")
+        temporary.replace(latest)
     except OSError as error:
+        temporary.unlink(missing_ok=True)
         raise StoreError(
             f"the link {folder.with_name('latest')} cannot be made ({error.strerror}); open the cube with "
             f"recipe={folder.name!r}"
@@ -435,4 +442,4 @@ def _save(catalog: Path, data: Mapping[str, Any]) -> None:
             if line and not line.startswith("#"):
                 break
             head.append(line + "\n")
-    write_text(catalog, "".join(head) + yaml.safe_dump(dict(data), sort_keys=False, width=110))
+    write_text(catalog, "".join(head) + yaml.safe_dump(dict(data), sort_keys=False, width=110), ANY_FILE)

@@ -1,6 +1,7 @@
 """What guards a run: signals that end it in order, and the log beside its store."""
 
 import logging
+import re
 import signal
 import threading
 from collections.abc import Iterator
@@ -8,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from wavefield.whole_files import write_error
+from wavefield.whole_files import Product, check_replaceable, write_error
 
 log = logging.getLogger("wavefield.run")
 
@@ -58,6 +59,15 @@ def stop_signals(time_limit: float | None = None) -> Iterator[None]:
             signal.signal(getattr(signal, name), handler)
 
 
+def _is_log(path: Path) -> bool:
+    with path.open("rb") as stream:
+        line = stream.readline(200)
+    return not line or re.match(rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} [A-Z]+ ", line) is not None
+
+
+LOG = Product("a log", _is_log)
+
+
 def log_path(store: Path) -> Path:
     """The log of a store's runs.
 
@@ -103,6 +113,7 @@ def log_file(store: Path) -> Iterator[None]:
     """
     try:
         store.parent.mkdir(parents=True, exist_ok=True)
+        check_replaceable(log_path(store), LOG)  # it is added to
         handler = logging.FileHandler(log_path(store), delay=False)
     except OSError as error:
         raise write_error(store, error) from None

@@ -92,6 +92,10 @@ class Lock:
         if self._create(self.path):
             return
         held = _read(self.path)
+        if held is not None and self.path.stat().st_size and "token" not in held:
+            raise StoreError(
+                f"{self.path} is not a lock that wavefield wrote; move it, or choose another name"
+            )
         if held is not None and _is_alive(self.path, held):
             raise StoreError(
                 f"another run is writing {self.store} ({_words(held)}); wait for it, or stop it. If no such "

@@ -28,16 +28,20 @@ from wavefield.errors import RunStopped, StoreError, WavefieldError
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
 from wavefield.series import Experiment, FrameSeries
+from wavefield.store.beside import beside
+from wavefield.store.blocks import ledger_checksum
 from wavefield.store.layout import Layout, create_store
 from wavefield.store.ledger import Status, status
+from wavefield.store.metadata import mark_complete, restore_metadata
 from wavefield.store.preview import create_preview
 from wavefield.store.read import measured_rate, open_group, read_layout
 from wavefield.store.recipe import check_recipe
 from wavefield.store.relabel import relabel
+from wavefield.store.verdict import VERDICT, read_verdict
 from wavefield.store.verify import suspicious
 from wavefield.store.write import discard_blocks, reset_blocks
 from wavefield.variables import AROUND, FrameFault, FrameStatus
-from wavefield.whole_files import remove_leftovers
+from wavefield.whole_files import check_replaceable, check_writable, remove_leftovers
 from wavefield.words import spell_time
 
 log = logging.getLogger("wavefield.run")
@@ -123,7 +127,9 @@ def run(
     with ExitStack() as stack:
         lock = stack.enter_context(Lock.hold(path.absolute()))
         if path.exists():
+            _repair(path)
             open_group(path)  # what is no cube is refused at once
+        check_writable(beside(path, "verdict", ".json"), VERDICT)
         with undisturbed():  # Ctrl-C inside an import may be lost
             map_unordered = stack.enter_context(open_cluster(workflow, jobs_folder(path), not path.exists()))
             prepared = prepare(experiment, rig, workflow)
@@ -169,6 +175,8 @@ def process(
         from wavefield.cubes.judgement import judge
     found = status(path)
     judge(prepared, found).save(path)
+    if found.complete:
+        mark_complete(path, ledger_checksum(path, read_layout(open_group(path))))
     return status(path)
 
 
@@ -177,6 +185,7 @@ def _go_on(
 ) -> None:
     path = lock.store
     prepared, layout = _open_or_create(prepared, path)
+    mark_complete(path, None)
     ranges = unfinished(path, layout, prepared.series)
     todo = [make_block(prepared.series, start, stop) for start, stop in ranges]
     tracker = _Tracker(layout.steps, layout.steps - sum(b.steps for b in todo), progress)
@@ -184,6 +193,18 @@ def _go_on(
     if todo:
         _work_off(prepared, lock, todo, map_unordered, tracker)
     tracker.say("done")
+
+
+def _repair(path: Path) -> None:
+    """Put damaged metadata and coordinates back; damaged blocks are measured again later."""
+    for name in restore_metadata(path):
+        log.warning("%s was damaged: written again", path / name)
+    try:
+        read_verdict(path)
+    except StoreError:
+        verdict = beside(path, "verdict", ".json")
+        check_replaceable(verdict, VERDICT)
+        verdict.unlink()  # another comes at the end of the run
 
 
 def _why(stop: KeyboardInterrupt) -> str:
@@ -199,6 +220,7 @@ def _how_far(path: Path) -> str:
 
 def _open_or_create(prepared: Prepared, path: Path) -> tuple[Prepared, Layout]:
     if path.exists():
+        _repair(path)
         group = open_group(path)
         check_recipe(path, group, prepared.recipe)
         check_images(str(path), json.loads(group.attrs.get("fingerprints", "{}")), prepared.series)

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import xarray as xr
 
-from wavefield.errors import WavefieldError
+from wavefield.errors import StoreError, WavefieldError
 from wavefield.explorer.record import Record
 from wavefield.explorer.target_images import TargetImages
 from wavefield.rig import Camera, Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.masks import covered_series
+from wavefield.store.waves import open_waves as open_wave_store
 
 _REACH = 0.05  # m: how low the water is thought to go where a cylinder stands
 
@@ -150,8 +151,8 @@ def open_waves(beside: Beside) -> bool:
         )
         return False
     try:
-        beside.waves = xr.open_datatree(beside.waves_path, engine="zarr", chunks={})
-    except (OSError, ValueError, KeyError) as error:
-        beside.notes["waves"] = f"{beside.waves_path} cannot be read as a wave store: {error}"
+        beside.waves = open_wave_store(beside.waves_path)
+    except StoreError as error:
+        beside.notes["waves"] = str(error)
         return False
     return True

@@ -14,9 +14,10 @@ from wavefield.errors import StoreError, WavefieldError
 from wavefield.explorer.fields import DERIVED, derive
 from wavefield.explorer.selections import MISSING, decode
 from wavefield.store import preview as previews
+from wavefield.store.blocks import check_blocks
+from wavefield.store.checked import chunk_path
 from wavefield.store.layout import WATCHED
 from wavefield.store.read import open_group, read_layout
-from wavefield.store.verify import chunk_path
 from wavefield.variables import CUBE_DIMS, TABLE
 
 _KEPT = 160  # steps of single variables in memory
@@ -53,6 +54,7 @@ class Record:
         self.path = Path(path).absolute()
         self.group = open_group(self.path)
         self.layout = read_layout(self.group)
+        check_blocks(self.path, self.group, self.layout)
         self.time, self.y, self.x = (np.asarray(self.group[name][:]) for name in CUBE_DIMS)
         self.frame_rate = float(self.group.attrs["frame_rate"])
         self.experiment = str(self.group.attrs["experiment"])
@@ -228,13 +230,12 @@ class Preview:
         on_disk = self._open()
         ready = np.zeros(len(blocks), bool)
         if on_disk is not None:
-            ready = previews.blocks_done(np.asarray(on_disk["done"][:]), layout)
+            ready = previews.blocks_stored(on_disk, layout)
         for count, index in enumerate(todo):
             start, stop = blocks[index]
             try:
-                if ready[index] and on_disk is not None:
-                    thinned = np.asarray(on_disk["fields"][..., start:stop])
-                else:
+                thinned = previews.stored_block(on_disk, start, stop) if ready[index] else None
+                if thinned is None:
                     thinned = previews.read_block(record.group, self.thin, start, stop)
                     self._keep(on_disk, start, thinned)
             except (WavefieldError, OSError, ValueError) as error:

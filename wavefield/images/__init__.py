@@ -14,7 +14,7 @@ from wavefield.errors import FrameError, StoreError
 from wavefield.images.davis import read_buffer
 from wavefield.images.dng import read_dng
 from wavefield.images.plain_tiff import read_plain_tiff
-from wavefield.whole_files import whole
+from wavefield.whole_files import ANY_FILE, whole
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # what is wrong with a file is said here
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -209,7 +209,7 @@ def write_image(path: str | Path, image: np.ndarray) -> None:
     """
     path = Path(path)
     try:
-        with whole(path) as draft:
+        with whole(path, ANY_FILE) as draft:
             if path.suffix.lower() in (".tif", ".tiff"):
                 tifffile.imwrite(draft, image)
             else:

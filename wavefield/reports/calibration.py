@@ -13,7 +13,9 @@ from wavefield.calibration.numbers import FlatSurface, numbers
 from wavefield.calibration.result import Calibration
 from wavefield.reports import calibration_pictures as pictures
 from wavefield.reports.calibration_page import Drawn, calibration_page
-from wavefield.whole_files import whole, write_text
+from wavefield.whole_files import PAGE, PICTURE, Product, marked, whole, write_text
+
+NUMBERS = Product("the numbers of a calibration", marked(b"\nproblems:", start=b"usable: "))
 
 
 def write_calibration(
@@ -54,13 +56,15 @@ def write_calibration(
     if found is not None:
         drawn.insert(0, Drawn("target.png", "The target as it was found in an image of each camera", found))
     for picture in drawn:
-        with whole(directory / picture.file) as draft:
+        with whole(directory / picture.file, PICTURE) as draft:
             draft.write_bytes(picture.png)
     write_text(
-        directory / "numbers.yaml", yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110)
+        directory / "numbers.yaml",
+        yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110),
+        NUMBERS,
     )
     page = directory / "index.html"
-    write_text(page, calibration_page(content, drawn))
+    write_text(page, calibration_page(content, drawn), PAGE)
     return page
 
 
@@ -113,7 +117,7 @@ def _figures(calibration: Calibration, surface: FlatSurface | None) -> Iterator[
 
 def _png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
+    figure.savefig(buffer, format="png", metadata={"Software": "wavefield"})
     return buffer.getvalue()
 
 

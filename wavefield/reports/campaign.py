@@ -11,13 +11,13 @@ import numpy as np
 import xarray as xr
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from wavefield.errors import StoreError
 from wavefield.figures.style import LINES, panels
 from wavefield.reports.page import Head, Markup, Picture, Section, render
 from wavefield.reports.words import number
 from wavefield.store.beside import beside
 from wavefield.store.ledger import status
-from wavefield.whole_files import write_text
+from wavefield.store.waves import open_waves
+from wavefield.whole_files import PAGE, write_text
 
 _MOST_LINES = 12  # spectra in one picture
 _COLUMNS = (
@@ -67,11 +67,8 @@ class Entry:
 def _group(waves: Path, name: str) -> xr.Dataset | None:
     if not waves.is_dir():
         return None
-    try:
-        found: xr.Dataset = xr.open_zarr(waves, group=name, chunks=None, consolidated=False)
-    except (OSError, ValueError, KeyError) as error:
-        raise StoreError(f"{waves} cannot be read as a wave store: {error}") from None
-    return found
+    found = open_waves(waves)
+    return found[name].to_dataset() if name in found.children else None
 
 
 def compare(title: str, entries: Sequence[Entry], output: str | Path) -> Path:
@@ -109,7 +106,7 @@ def compare(title: str, entries: Sequence[Entry], output: str | Path) -> Path:
         part = Section("Spectra", [picture])
         sections.append((part, part.html()))
     begun = sum(e.there for e in entries)
-    write_text(output, render(Head(title, (f"{begun} of {len(entries)} runs measured",)), sections, {}))
+    write_text(output, render(Head(title, (f"{begun} of {len(entries)} runs measured",)), sections, {}), PAGE)
     return output
 
 

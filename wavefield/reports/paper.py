@@ -17,7 +17,7 @@ from wavefield.reports.words import number, rms_of
 from wavefield.rig.resolution import pixel_size
 from wavefield.store.beside import beside
 from wavefield.waves import analyze, kinematics, plane_coherence
-from wavefield.whole_files import check_writable, write_text
+from wavefield.whole_files import PAGE, check_writable, write_text
 
 _PAIR_STEPS = 8  # spread over the record: each is matched again, pair by pair
 _SOURCES = {"stereo": "stereo z", "w": "integrated w", "cross": "cross-spectrum", "fusion": "fusion"}
@@ -67,7 +67,7 @@ def paper(
     """
     store = Path(store)
     output = Path(output) if output is not None else beside(store, "paper", ".html")
-    check_writable(output)
+    check_writable(output, PAGE)
     waves = Path(waves) if waves is not None else beside(store, "waves", ".zarr")
     if not waves.is_dir():
         analyze(store, waves)
@@ -89,7 +89,7 @@ def paper(
     name = str(sources.cube.attrs.get("experiment", "")) or "unnamed experiment"
     subtitle = f"The figures of Aubourg et al. for {sources.cube.sizes['time']} steps"
     parts = [(section, section.html()) for section in sections if section.items]
-    write_text(output, render(Head(f"{name}: the paper's figures", (subtitle,)), parts, {}))
+    write_text(output, render(Head(f"{name}: the paper's figures", (subtitle,)), parts, {}), PAGE)
     if progress:
         progress(total, total)
     return output

@@ -14,6 +14,7 @@ from wavefield.errors import StoreError, WavefieldError
 from wavefield.grid import Grid
 from wavefield.rig import Camera, Rig
 from wavefield.series import Experiment, FrameSeries
+from wavefield.store.waves import open_waves
 from wavefield.variables import CUBE_FIELDS
 
 _MOST_VALUES = 8_000_000  # per variable, for distributions: a few seconds and 64 MB
@@ -167,10 +168,7 @@ def gather(
     if not len(cube.time) or not (cube.frame_status.values > 0).any():
         raise StoreError(f"{store} has no measured step yet; run `wavefield run` first")
     if waves is not None and Path(waves).is_dir():
-        try:
-            out.waves = xr.open_datatree(waves, engine="zarr", chunks={})
-        except (OSError, ValueError, KeyError) as error:
-            raise StoreError(f"{waves} cannot be read as a wave store: {error}") from None
+        out.waves = open_waves(waves)
         rate = float(cube.attrs.get("frame_rate", np.nan))
         if abs(float(out.waves.attrs.get("frame_rate", rate)) / rate - 1) > 1e-3:
             out.waves = None

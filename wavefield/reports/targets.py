@@ -92,5 +92,5 @@ def draw_found(result: TargetRig) -> bytes | None:
         result.mesh,
     )
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
+    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": "wavefield"})
     return buffer.getvalue()

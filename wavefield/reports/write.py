@@ -15,7 +15,7 @@ from wavefield.reports.sources import Sources, gather
 from wavefield.reports.words import median_of, number
 from wavefield.store.beside import beside
 from wavefield.store.verdict import Verdict, read_verdict
-from wavefield.whole_files import check_writable, write_text
+from wavefield.whole_files import PAGE, check_writable, write_text
 from wavefield.words import spell_time
 
 
@@ -58,7 +58,7 @@ def report(
     """
     store = Path(store)
     output = Path(output) if output is not None else beside(store, "report", ".html")
-    check_writable(output)  # at once, not after all is drawn
+    check_writable(output, PAGE)  # at once, not after all is drawn
     sources = gather(store, waves or beside(store, "waves", ".zarr"))
     return write_report(sources, output, progress, read_verdict(store))
 
@@ -195,7 +195,7 @@ def write_report(
             if part.items:
                 sections.append((part, part.html()))
     output = Path(output)
-    write_text(output, render(head_of(sources, verdict), sections, pack(sources.cube)))
+    write_text(output, render(head_of(sources, verdict), sections, pack(sources.cube)), PAGE)
     if progress:
         progress(len(SECTIONS), len(SECTIONS))
     return output

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
-from wavefield.whole_files import write_text
+from wavefield.whole_files import RIG, write_text
 
 UNITS = {"length": "m", "image": "px", "angle": "rad"}
 
@@ -116,7 +116,7 @@ class Rig:
             "provenance": dict(self.provenance),
         }
         text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
-        write_text(path, text)
+        write_text(path, text, RIG)
 
     @classmethod
     def load(cls, path: str | Path) -> "Rig":

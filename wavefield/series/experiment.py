@@ -338,6 +338,12 @@ class Experiment(Section):
         """
         return (series.first + np.arange(len(series))) / self.frame_rate
 
+    @property
+    def rig_paths(self) -> list[Path]:
+        """Files that the rig is read from: ``rig.yaml`` beside the experiment file if it names none."""
+        named = list(self.rig.values()) if isinstance(self.rig, dict) else [self.rig or "rig.yaml"]
+        return [self.resolve(file) for file in named]
+
     def load_rig(
         self, path: str | Path | None = None, series: Mapping[str, FrameSeries] | None = None
     ) -> Rig:

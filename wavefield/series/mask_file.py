@@ -10,7 +10,7 @@ from wavefield.errors import ExperimentError
 from wavefield.sections import make, read_yaml
 from wavefield.series.experiment import Experiment
 from wavefield.series.masks import MaskSection, normalized
-from wavefield.whole_files import whole
+from wavefield.whole_files import ANY_FILE, whole
 
 Point = tuple[float, float]
 
@@ -45,7 +45,7 @@ def add_polygons(experiment: Experiment, polygons: Mapping[str, Sequence[Point]]
     text = path.read_text(encoding="utf-8")
     start, stop = _place(text)
     text = text[:start] + ("" if not start or text[start - 1] == "\n" else "\n") + block + text[stop:]
-    with whole(path) as draft:
+    with whole(path, ANY_FILE) as draft:
         draft.write_text(text, encoding="utf-8")
         _still_an_experiment(draft, path)
 

@@ -1,12 +1,14 @@
 """Arrays of which every block has a small file of its own: the ledger."""
 
+import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wavefield.store.layout import Layout
-from wavefield.store.verify import chunk_path
+from wavefield.store.checked import checksum, chunk_path, damaged_block, kept_row, stored_bytes
+from wavefield.store.layout import WATCHED, Layout
+from wavefield.store.metadata import is_as_completed
 
 
 def read_blocks(path: Path, group: Any, name: str, layout: Layout) -> np.ndarray:
@@ -49,3 +51,60 @@ def read_blocks(path: Path, group: Any, name: str, layout: Layout) -> np.ndarray
         part = out[..., start : start + layout.block]
         part[...] = values[..., : part.shape[-1]]
     return out
+
+
+def check_blocks(path: Path, group: Any, layout: Layout) -> None:
+    """Refuse a cube of which a finished block is not as long as it was written, or whose ledger changed.
+
+    Parameters
+    ----------
+    path : path
+        The store.
+    group : zarr.Group
+        As from `wavefield.store.read.open_group`.
+    layout : Layout
+        Sizes of the store.
+
+    Raises
+    ------
+    StoreError
+        If a block is damaged. Bytes that changed in place are found when they are read.
+    """
+    if "stored_bytes" not in group or group["frame_status"].compressors:
+        return  # begun before there were such records
+    ledger = 0
+    missing = 0
+    for block in reversed(range(len(layout.blocks()))):
+        stored = _content(path, "frame_status", block)
+        ledger = zlib.crc32(stored, ledger)
+        if not any(stored):
+            missing = block
+            continue
+        sizes, checksums = (kept_row(path, name, block) for name in ("stored_bytes", "checksum"))
+        for name, row in (("stored_bytes", sizes), ("checksum", checksums)):
+            if row is None:
+                raise damaged_block(path, name, block, "missing or damaged")
+        for name, size, kept in zip(WATCHED, sizes or (), checksums or ()):
+            found = stored_bytes(path, name, block)
+            if found != size:
+                raise damaged_block(path, name, block, "cut off or another" if found else "missing")
+            small = name in ("frame_status", "frame_fault")
+            if small and checksum(path, name, block) != kept:
+                raise damaged_block(path, name, block, "not as it was written")
+    if not is_as_completed(path, ledger):
+        raise damaged_block(path, "frame_status", missing, "not as it was when the run ended")
+
+
+def ledger_checksum(path: Path, layout: Layout) -> int:
+    """CRC-32 of the ledger's files, the last block's first."""
+    out = 0
+    for block in reversed(range(len(layout.blocks()))):
+        out = zlib.crc32(_content(path, "frame_status", block), out)
+    return out
+
+
+def _content(path: Path, name: str, block: int) -> bytes:
+    try:
+        return chunk_path(path, name, block).read_bytes()
+    except (FileNotFoundError, NotADirectoryError):
+        return b""

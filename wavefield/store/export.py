@@ -11,7 +11,7 @@ from wavefield.errors import StoreError
 from wavefield.store.ledger import unfinished_note
 from wavefield.store.read import cube_recipe, open_cube
 from wavefield.variables import TABLE
-from wavefield.whole_files import whole
+from wavefield.whole_files import Product, check_writable, files_named, marked, whole, write_text
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -26,6 +26,35 @@ ENDINGS = {
 }
 KNOWN = ".nc (NetCDF), .mat (MATLAB), .pvd or .vtkhdf (ParaView) or .uvmat (a folder for UVMAT)"
 _AT_ONCE = 16  # steps in memory
+
+
+def _has_attribute(name: str) -> Callable[[Path], bool]:
+    """Recognize an HDF5 file by an attribute."""
+
+    def recognize(path: Path) -> bool:
+        import h5py
+
+        with h5py.File(path, "r") as file:
+            return name in file.attrs
+
+    return recognize
+
+
+_MARK = b"written by wavefield"
+PRODUCTS = {
+    "netcdf": Product("a NetCDF export of a cube", _has_attribute("recipe_hash")),
+    "matlab": Product("a MATLAB export of a cube", marked(_MARK, start=b"MATLAB 7.3")),
+    "paraview": Product("a ParaView export of a cube", marked(_MARK, start=b"<?xml")),
+    "vtkhdf": Product("a VTKHDF export of a cube", _has_attribute("written_by_wavefield")),
+    "uvmat": Product(
+        "a UVMAT export of a cube",
+        files_named(r".*_\d+\.nc", marked(b"wavefield", start=b"CDF")),
+        folder=True,
+    ),
+}
+_STEPS = Product(
+    "a folder of exported steps", files_named(r"step_\d+\.vts", marked(_MARK, start=b"<?xml")), folder=True
+)
 
 
 def export(store: str | Path, path: str | Path, steps: slice | None = None) -> None:
@@ -84,6 +113,7 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
     kind = ENDINGS.get(path.suffix.lower())
     if kind is None:
         raise StoreError(f"{path} is no format that is written: let its name end in {KNOWN}")
+    check_writable(path, PRODUCTS[kind])
     if note := unfinished_note(store):
         warnings.warn(note, stacklevel=2)
     cube = open_cube(store)
@@ -114,14 +144,14 @@ def _netcdf(cube: "xr.Dataset", path: Path) -> None:
         if variable.ndim == 3:
             chunks = (min(8, variable.shape[0]), *variable.shape[1:])
             variable.encoding |= {"zlib": True, "complevel": 4, "shuffle": True, "chunksizes": chunks}
-    with whole(path) as draft:
+    with whole(path, PRODUCTS["netcdf"]) as draft:
         cube.to_netcdf(draft, engine="h5netcdf", format="NETCDF4")
 
 
 def _matlab(cube: "xr.Dataset", path: Path) -> None:
     from wavefield.store.matlab import write_matlab
 
-    with whole(path) as draft:
+    with whole(path, PRODUCTS["matlab"]) as draft:
         write_matlab(cube, _by_steps(cube), draft)
 
 
@@ -129,15 +159,15 @@ def _paraview(cube: "xr.Dataset", path: Path) -> None:
     from wavefield.store.paraview import write_paraview
 
     folder = path.with_name(f"{path.stem}_steps")
-    _refuse_others(folder, ".vts")
-    with whole(folder) as draft:
-        write_paraview(_by_steps(cube), draft, path, folder.name)
+    with whole(folder, _STEPS) as draft:
+        text = write_paraview(_by_steps(cube), draft, folder.name)
+    write_text(path, text, PRODUCTS["paraview"])
 
 
 def _vtkhdf(cube: "xr.Dataset", path: Path) -> None:
     from wavefield.store.vtkhdf import write_vtkhdf
 
-    with whole(path) as draft:
+    with whole(path, PRODUCTS["vtkhdf"]) as draft:
         write_vtkhdf(cube, _by_steps(cube), draft)
 
 
@@ -145,15 +175,8 @@ def _uvmat(cube: "xr.Dataset", path: Path) -> None:
     from wavefield.store.uvmat import write_uvmat
 
     dt = 1.0 / float(cube_recipe(cube)["frame_rate"])
-    _refuse_others(path, ".nc")
-    with whole(path) as draft:
+    with whole(path, PRODUCTS["uvmat"]) as draft:
         write_uvmat(_by_steps(cube), draft, path.stem, dt)
-
-
-def _refuse_others(folder: Path, ending: str) -> None:
-    """Never replace a folder that holds anything but an earlier export."""
-    if folder.exists() and (not folder.is_dir() or any(entry.suffix != ending for entry in folder.iterdir())):
-        raise StoreError(f"{folder} is there and holds other files; choose another name")
 
 
 _WRITERS: dict[str, Callable[[Any, Path], None]] = {

@@ -10,12 +10,14 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
 
-from wavefield.errors import StoreError
+from wavefield.store.metadata import keep_metadata
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, Variable, find, register
-from wavefield.whole_files import whole
+from wavefield.whole_files import Product, whole
 
-WATCHED = (*CUBE_FIELDS, "frame_fault")  # variables whose blocks have a checksum
+# variables whose blocks have a checksum; those after frame_fault since the ledger has one
+WATCHED = (*CUBE_FIELDS, "frame_fault", "camera_shift", "frame_status")
+CUBE = Product("a cube", lambda path: False, folder=True)  # never replaced
 
 register(
     Variable(
@@ -126,12 +128,11 @@ def create_store(
     StoreError
         If it cannot be written.
     """
-    if path.exists():
-        raise StoreError(f"{path} is there already")
-    with whole(path) as draft:
+    with whole(path, CUBE) as draft:
         _fill_in(draft, recipe, x, y, layout, attributes)
         _put(draft, gain or {})
         gather_metadata(draft)
+        keep_metadata(draft)
 
 
 def _fill_in(

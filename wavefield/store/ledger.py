@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 
 from wavefield.errors import StoreError
-from wavefield.store.blocks import read_blocks
+from wavefield.store.beside import beside
+from wavefield.store.blocks import check_blocks, read_blocks
+from wavefield.store.metadata import is_complete
 from wavefield.store.read import open_group, read_layout
 from wavefield.store.verdict import Verdict, read_verdict
 from wavefield.variables import FrameFault, FrameStatus
@@ -67,6 +69,8 @@ class Status:
         Frames that were bad.
     verdict : Verdict or None
         On the cube, once its run has ended.
+    lacks_verdict : bool
+        Whether its run has ended and yet the file of its verdict is not there.
     """
 
     store: Path
@@ -79,13 +83,14 @@ class Status:
     failed_steps: tuple[int, ...]
     bad_frames: tuple[BadFrames, ...]
     verdict: Verdict | None = None
+    lacks_verdict: bool = False
 
     @property
     def exit_status(self) -> int:
         """Of a command: 1 where nothing could be measured, 3 where a remark matters, else 0."""
         if self.failed and self.failed == self.steps:
             return 1
-        return self.verdict.exit_status if self.verdict else 0
+        return self.verdict.exit_status if self.verdict else 3 if self.lacks_verdict else 0
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, as for ``--json``.
@@ -114,6 +119,9 @@ class Status:
     def __str__(self) -> str:
         tried = self.steps - self.left
         lines = [f"verdict: {self.verdict.line}"] if self.verdict and self.complete else []
+        if self.lacks_verdict:
+            file = beside(self.store, "verdict", ".json")
+            lines.append(f"verdict: none, {file} is missing: copy it as well, or run the same command again")
         lines += [
             f"{self.store}: {self.experiment}, recipe {self.recipe_hash}",
             f"  {tried} of {self.steps} steps ({100 * tried // self.steps} %)"
@@ -171,6 +179,7 @@ def status(store: str | Path) -> Status:
     path = Path(store)
     group = open_group(path)
     layout = read_layout(group)
+    check_blocks(path, group, layout)
     try:
         ledger = read_blocks(path, group, "frame_status", layout)
         faults = read_blocks(path, group, "frame_fault", layout)
@@ -183,6 +192,7 @@ def status(store: str | Path) -> Status:
         for code in np.unique(codes[codes > 0]):
             numbers = layout.first_frame + np.flatnonzero(codes == code)
             bad.append(BadFrames(camera, FrameFault(int(code)), tuple(numbers.tolist())))
+    verdict = read_verdict(path)
     failed = np.flatnonzero(ledger == FrameStatus.FAILED)
     return Status(
         store=path,
@@ -194,7 +204,8 @@ def status(store: str | Path) -> Status:
         failed=failed.size,
         failed_steps=tuple((layout.first_frame + failed).tolist()),
         bad_frames=tuple(bad),
-        verdict=read_verdict(path),
+        verdict=verdict,
+        lacks_verdict=verdict is None and is_complete(path),
     )
 
 

@@ -11,15 +11,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavefield.whole_files import write_text
-
 _TYPES = {"float32": "Float32", "float64": "Float64", "uint8": "UInt8", "uint16": "UInt16"}
 _HIDDEN = np.uint8(2)  # vtkDataSetAttributes::HIDDENPOINT: nodes without an elevation are not drawn
+_HEAD = '<?xml version="1.0"?>\n<!-- written by wavefield -->\n'
 _VELOCITY = ("u", "v", "w")
 
 
-def write_paraview(blocks: Iterator[xr.Dataset], draft: Path, path: Path, folder: str) -> None:
-    """Write every step as a structured grid (.vts), and the series of them (.pvd).
+def write_paraview(blocks: Iterator[xr.Dataset], draft: Path, folder: str) -> str:
+    """Write every step as a structured grid (.vts); returns the text of the series of them (.pvd).
 
     Parameters
     ----------
@@ -27,10 +26,12 @@ def write_paraview(blocks: Iterator[xr.Dataset], draft: Path, path: Path, folder
         The cube, loaded, a few steps at a time.
     draft : path
         Folder to write the steps to.
-    path : path
-        The ``.pvd``, written last.
     folder : str
         Name of the steps' folder when it is finished, beside the ``.pvd``.
+
+    Returns
+    -------
+    str
 
     Notes
     -----
@@ -47,9 +48,9 @@ def write_paraview(blocks: Iterator[xr.Dataset], draft: Path, path: Path, folder
             (draft / name).write_bytes(structured_grid(x, y, one))
             place = quoteattr(f"{folder}/{name}")
             lines.append(f'<DataSet timestep="{float(one.time):.9g}" part="0" file={place}/>')
-    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="1.0" byte_order="LittleEndian">'
+    head = f'{_HEAD}<VTKFile type="Collection" version="1.0" byte_order="LittleEndian">'
     body = "\n".join(lines)
-    write_text(path, f"{head}\n<Collection>\n{body}\n</Collection>\n</VTKFile>\n")
+    return f"{head}\n<Collection>\n{body}\n</Collection>\n</VTKFile>\n"
 
 
 def structured_grid(x: NDArray[Any], y: NDArray[Any], step: xr.Dataset) -> bytes:
@@ -78,7 +79,7 @@ def structured_grid(x: NDArray[Any], y: NDArray[Any], step: xr.Dataset) -> bytes
     ny, nx = x.shape
     extent = f"0 {nx - 1} 0 {ny - 1} 0 0"
     text = (
-        '<?xml version="1.0"?>\n<VTKFile type="StructuredGrid" version="1.0" byte_order="LittleEndian" '
+        f'{_HEAD}<VTKFile type="StructuredGrid" version="1.0" byte_order="LittleEndian" '
         'header_type="UInt64" compressor="vtkZLibDataCompressor">\n'
         f'<StructuredGrid WholeExtent="{extent}">\n<Piece Extent="{extent}">\n'
         f'<Points>\n{arrays[0]}\n</Points>\n<PointData Scalars="z" Vectors="velocity">\n'

@@ -6,6 +6,7 @@ be removed at any time: `read_block` thins the cube itself, and `wavefield look`
 """
 
 import math
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,10 +21,11 @@ from wavefield.errors import StoreError
 from wavefield.store.layout import COMPRESSION, MISSING, PACKING, Layout
 from wavefield.store.read import measured_rate, read_layout
 from wavefield.variables import CUBE_FIELDS, TABLE
-from wavefield.whole_files import whole, write_error
+from wavefield.whole_files import Product, whole, write_error, zarr_store
 
 _NODES = 2000  # of a preview: every fourth of 150 x 200, either way
 _VALUES = 32_000_000  # of one variable: 64 MB; longer records are thinned more
+PREVIEW = Product("a preview", zarr_store("thinned preview of ", "of", "every", "scales"), folder=True)
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ def create_preview(cube: Path, group: Any) -> None:
     """
     path, layout, thin = preview_path(cube), read_layout(group), thinning(group)
     shape = _shape(group, thin)
-    with whole(path) as draft:
+    with whole(path, PREVIEW) as draft:
         preview = zarr.open_group(
             draft,
             mode="w",
@@ -133,6 +135,9 @@ def create_preview(cube: Path, group: Any) -> None:
             dtype="uint8",
             fill_value=0,
             dimension_names=("time",),
+        )
+        preview.create_array(
+            "checksum", shape=(len(layout.blocks()),), chunks=(1,), dtype="uint32", fill_value=0
         )
 
 
@@ -170,7 +175,11 @@ def open_preview(cube: Path, group: Any, mode: Any = "r") -> Any | None:
     try:
         preview = zarr.open_group(path, mode=mode, use_consolidated=False)
         thin = thinning(group)
-        mine = preview.attrs.get("of") == _mark(group) and preview.attrs.get("variables") == list(thin.names)
+        mine = (
+            "checksum" in preview
+            and preview.attrs.get("of") == _mark(group)
+            and preview.attrs.get("variables") == list(thin.names)
+        )
         return preview if mine and preview.attrs.get("every") == thin.every else None
     except Exception:  # damaged: as good as none
         return None
@@ -248,9 +257,28 @@ def store_block(cube: Path, preview: Any, start: int, thinned: NDArray[np.int16]
     stop = start + thinned.shape[-1]
     try:
         preview["fields"][..., start:stop] = thinned
+        preview["checksum"][start // preview["done"].chunks[0]] = zlib.crc32(thinned.tobytes())
         preview["done"][start:stop] = np.uint8(1)
     except OSError as error:
         raise write_error(preview_path(cube), error) from None
+
+
+def stored_block(preview: Any, start: int, stop: int) -> NDArray[np.int16] | None:
+    """A block as the preview holds it, (variable, y, x, n); None where it is not as it was written."""
+    try:
+        thinned = np.ascontiguousarray(preview["fields"][..., start:stop])
+        kept = int(preview["checksum"][start // preview["done"].chunks[0]])
+    except Exception:  # whatever a library makes of damaged bytes: the cube has it all
+        return None
+    return thinned if zlib.crc32(thinned.tobytes()) == kept else None
+
+
+def blocks_stored(preview: Any, layout: Layout) -> NDArray[np.bool_]:
+    """Which blocks the preview's ledger calls done; none where it cannot be read."""
+    try:
+        return blocks_done(np.asarray(preview["done"][:]), layout)
+    except Exception:  # as above
+        return np.zeros(len(layout.blocks()), bool)
 
 
 def read_block(group: Any, thin: Thinning, start: int, stop: int) -> NDArray[np.int16]:
@@ -307,6 +335,8 @@ def read_steps(
     array = group[name]
     try:
         values = np.asarray(array[start:stop, rows, columns])
+    except StoreError:
+        raise
     except Exception as error:
         raise StoreError(
             f"{name} of steps {start} to {stop - 1} of {group.store_path} cannot be read: {error}"

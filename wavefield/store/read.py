@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Any
 import zarr
 
 from wavefield.errors import StoreError
+from wavefield.store.blocks import check_blocks
+from wavefield.store.checked import CheckedStore
 from wavefield.store.layout import PACKING, Layout
+from wavefield.store.metadata import check_metadata
 
 if TYPE_CHECKING:  # not needed by workers, and slow to import
     import xarray as xr
@@ -21,7 +24,8 @@ def open_group(path: Path, mode: Any = "r") -> Any:
     path : path
         The store.
     mode : {"r", "r+"}
-        To read, or to read and write.
+        To read, or to read and write. Reading, metadata and coordinates are compared with their copies
+        at once, blocks with their checksums as they are read.
 
     Returns
     -------
@@ -30,16 +34,24 @@ def open_group(path: Path, mode: Any = "r") -> Any:
     Raises
     ------
     StoreError
-        If it is not there or is not a cube.
+        If it is not there, is not a cube, or is damaged.
     """
     if not path.exists():
         raise StoreError(f"{path}: no such store; make one with `wavefield run`")
+    if mode == "r":
+        check_metadata(path)
     try:
-        group = zarr.open_group(path, mode=mode, use_consolidated=False)
+        store = CheckedStore(path) if mode == "r" else path
+        group = zarr.open_group(store, mode=mode, use_consolidated=False)
         if "recipe" in group.attrs and "frame_status" in group:
+            read_layout(group)
+            json.loads(str(group.attrs["recipe"]))
             return group
     except Exception as error:
-        raise StoreError(f"{path} cannot be opened as a Zarr store: {error}") from None
+        raise StoreError(
+            f"{path} cannot be opened as a cube ({' '.join(str(error).split())[:200]}); if it is one, it is "
+            "damaged beyond repair: remove it and run `wavefield run EXPERIMENT` again"
+        ) from None
     raise StoreError(f"{path} is not a cube of `wavefield run`; choose another name")
 
 
@@ -98,7 +110,8 @@ def open_cube(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
     Raises
     ------
     StoreError
-        If it is not there or is not a cube.
+        If it is not there, is not a cube, or is damaged: a file missing, cut off or exchanged. What is
+        damaged within a file is found when it is read, with the same error.
 
     Examples
     --------
@@ -119,19 +132,34 @@ def open_cube(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
     >>> missing
     True
     """
-    import xarray as xr
-
-    path = Path(str(path).removeprefix("file://"))
-    group = open_group(path)
-    if chunks == "auto":
-        chunks = {"time": read_layout(group).block}
-    cube: xr.Dataset = xr.open_zarr(path, chunks=chunks, consolidated=False).drop_vars(
-        ["checksum", "stored_bytes"], errors="ignore"
-    )
+    cube = open_stored(path, chunks).drop_vars(["checksum", "stored_bytes"], errors="ignore")
     for name in PACKING:
         if cube[name].dtype == "float64":  # as 16-bit values are unpacked
             cube[name] = cube[name].astype("float32")
     return cube
+
+
+def open_stored(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
+    """Open all that a cube's store holds, as it is stored; parameters and errors as of `open_cube`."""
+    import xarray as xr
+
+    path = Path(str(path).removeprefix("file://"))
+    group = open_group(path)
+    layout = read_layout(group)
+    check_blocks(path, group, layout)
+    if chunks == "auto":
+        chunks = {"time": layout.block}
+    try:
+        out: xr.Dataset = xr.open_zarr(CheckedStore(path), chunks=chunks, consolidated=False)
+    except StoreError:
+        raise
+    except Exception as error:  # whatever a library makes of damaged bytes
+        raise StoreError(
+            f"{path} cannot be read as a cube ({' '.join(str(error).split())[:200]}); if no copy of it is "
+            "left, remove it and run `wavefield run EXPERIMENT` again"
+        ) from None
+    out.encoding["source"] = str(path)
+    return out
 
 
 def cube_recipe(dataset: "xr.Dataset") -> dict[str, Any]:

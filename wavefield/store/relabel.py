@@ -16,6 +16,7 @@ import numpy as np
 import zarr
 
 from wavefield.store.layout import PACKING, gather_metadata
+from wavefield.store.metadata import ARCHIVE, keep_metadata
 from wavefield.store.read import measured_rate, open_group
 from wavefield.store.recipe import Recipe, differences
 from wavefield.variables import CUBE_FIELDS, TABLE
@@ -60,7 +61,7 @@ def relabel(path: Path, recipe: Recipe, attributes: Mapping[str, Any]) -> list[s
     changed += [
         f"{name}: {old[name]!r} there, {new[name]!r} here" for name in _OURS if old[name] != new[name]
     ]
-    if not changed and _gathered(path):
+    if not changed and _gathered(path) and (path / ARCHIVE).exists():
         return []
     try:
         _write(open_group(path, "r+"), path, recipe, new)
@@ -105,3 +106,4 @@ def _write(group: Any, path: Path, recipe: Recipe, attributes: Mapping[str, Any]
         }
     )
     gather_metadata(path)
+    keep_metadata(path)

@@ -1,17 +1,20 @@
 """Whether a measurement can be trusted, in one line and in remarks that say what to do."""
 
 import json
+import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from wavefield.errors import StoreError
 from wavefield.store.beside import beside
-from wavefield.whole_files import write_text
+from wavefield.whole_files import Product, marked, write_text
 
 Weight = Literal["note", "remark", "grave"]
 Numbers = Mapping[str, Mapping[str, list[float]]]
 WORDS = {"note": "sound", "remark": "sound with remarks", "grave": "not to be trusted"}
+VERDICT = Product("a verdict", marked(b'"verdict": "', start=b"{"))
 _RANK = {"note": 0, "remark": 1, "grave": 2}
 
 
@@ -154,7 +157,9 @@ class Verdict:
         StoreError
             If it cannot be written.
         """
-        write_text(beside(store, "verdict", ".json"), json.dumps(self.to_dict(), indent=1) + "\n")
+        data = self.to_dict()
+        text = json.dumps(data | {"checksum": _checksum(data)}, indent=1) + "\n"
+        write_text(beside(store, "verdict", ".json"), text, VERDICT)
 
 
 def read_verdict(store: str | Path) -> Verdict | None:
@@ -169,10 +174,27 @@ def read_verdict(store: str | Path) -> Verdict | None:
     -------
     Verdict or None
         None if there is none.
+
+    Raises
+    ------
+    StoreError
+        If it is damaged.
     """
+    path = beside(Path(store), "verdict", ".json")
     try:
-        data = json.loads(beside(Path(store), "verdict", ".json").read_text(encoding="utf-8"))
+        data = json.loads(path.read_text(encoding="utf-8"))
+        if data.pop("checksum", None) not in (None, _checksum(data)):
+            raise ValueError("its checksum is another")
         remarks = [Remark(**remark) for remark in data["remarks"]]
         return Verdict.of(remarks, data["cameras"], data["pairs"], data.get("frames", ()))
-    except (OSError, ValueError, KeyError, TypeError):
+    except (FileNotFoundError, NotADirectoryError):
         return None
+    except Exception as error:  # whatever damaged bytes hold
+        raise StoreError(
+            f"{path} is not a verdict as wavefield wrote it ({error}); remove it, and `wavefield run "
+            "EXPERIMENT` writes it again"
+        ) from None
+
+
+def _checksum(data: Mapping[str, Any]) -> int:
+    return zlib.crc32(json.dumps(data, sort_keys=True).encode())

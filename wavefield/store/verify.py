@@ -1,7 +1,5 @@
 """Whether a store holds what its ledger says: every block there, and as it was written."""
 
-import json
-import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -11,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from wavefield.errors import StoreError
-from wavefield.store.beside import beside
+from wavefield.store.blocks import ledger_checksum
+from wavefield.store.checked import checksum, note_damaged, noted_damaged, stored_bytes
 from wavefield.store.layout import WATCHED
+from wavefield.store.metadata import is_as_completed
 from wavefield.store.read import open_group, read_layout
 from wavefield.variables import FrameStatus
-from wavefield.whole_files import write_text
 from wavefield.words import spell_ranges
 
 
@@ -123,6 +122,7 @@ def verify(
     A store of two steps, of which a file is lost.
 
     >>> import tempfile
+    >>> from wavefield.store.checked import chunk_path
     >>> from wavefield.store.layout import Layout, create_store
     >>> from wavefield.store.recipe import Recipe
     >>> from wavefield.store.write import write_block
@@ -154,10 +154,13 @@ def verify(
             damages += [Damage(name, start, stop, what) for name, what in found.items()]
         if progress:
             progress(k + 1, len(blocks))
+    if not is_as_completed(path, ledger_checksum(path, layout)):
+        lost = [(a, b) for a, b in blocks if not ledger[a:b].any()]
+        damages += [Damage("frame_status", a, b, "missing") for a, b in lost or blocks]
     done = int(np.count_nonzero(ledger != FrameStatus.NOT_STARTED))
     out = Verification(path, layout.steps, done, tuple(damages), read)
     if read:
-        _note(out)
+        note_damaged(path, out.starts)
     return out
 
 
@@ -184,27 +187,10 @@ def suspicious(store: Path) -> list[int]:
     if found.read:  # all of it was
         return found.starts
     group = open_group(store)
-    noted = _noted(store).difference(found.starts)
+    noted = noted_damaged(store).difference(found.starts)
     blocks = enumerate(read_layout(group).blocks())
     still = [start for k, (start, _) in blocks if start in noted and _compared(store, group, k)]
     return sorted([*found.starts, *still])
-
-
-def _note(found: Verification) -> None:
-    """Leave what was found for the next run, where that can be written."""
-    path = beside(found.store, "damaged", ".json")
-    with suppress(StoreError, OSError):
-        if found.sound:
-            path.unlink(missing_ok=True)
-        else:
-            write_text(path, json.dumps(found.starts) + "\n")
-
-
-def _noted(store: Path) -> set[int]:
-    try:
-        return set(json.loads(beside(store, "damaged", ".json").read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
-        return set()
 
 
 def _check_variable(path: Path, group: Any, name: str) -> None:
@@ -238,6 +224,8 @@ def _whole_group(path: Path) -> Any:
     """The store opened, with every variable there."""
     group = open_group(path)
     for name in ("time", "y", "x", "frame", *WATCHED):
+        if name == "camera_shift" and name not in group:  # only with `vibration: correct`
+            continue
         _check_variable(path, group, name)
     return group
 
@@ -295,70 +283,3 @@ def _compare(path: Path, group: Any, name: str, block: int, wanted: dict[str, in
     if found == wanted[name]:
         return ""
     return "missing" if found == 0 else "not as it was written"
-
-
-def checksum(path: Path, name: str, block: int) -> int:
-    """CRC-32 of what is stored of one block of a variable.
-
-    Parameters
-    ----------
-    path : path
-        The store.
-    name : str
-        The variable.
-    block : int
-        Which block.
-
-    Returns
-    -------
-    int
-        0 if nothing is stored.
-    """
-    try:
-        return zlib.crc32(chunk_path(path, name, block).read_bytes()) or 1
-    except FileNotFoundError:
-        return 0
-
-
-def stored_bytes(path: Path, name: str, block: int) -> int:
-    """Size of what is stored of one block of a variable.
-
-    Parameters
-    ----------
-    path : path
-        The store.
-    name : str
-        The variable.
-    block : int
-        Which block.
-
-    Returns
-    -------
-    int
-        0 if nothing is stored.
-    """
-    try:
-        return chunk_path(path, name, block).stat().st_size
-    except FileNotFoundError:
-        return 0
-
-
-def chunk_path(path: Path, name: str, block: int) -> Path:
-    """The file of one block of a variable.
-
-    Parameters
-    ----------
-    path : path
-        The store.
-    name : str
-        The variable.
-    block : int
-        Which block.
-
-    Returns
-    -------
-    Path
-        It need not be there: what is all missing is not stored.
-    """
-    places = {"frame_fault": f"c/0/{block}", "frame_status": f"c/{block}"}
-    return path / name / places.get(name, f"c/{block}/0/0")

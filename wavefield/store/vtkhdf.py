@@ -45,6 +45,7 @@ def write_vtkhdf(cube: xr.Dataset, blocks: Iterator[xr.Dataset], path: Path) -> 
     corners = _corners(*x.shape)
     count = cube.sizes["time"]
     with h5py.File(path, "w") as file:
+        file.attrs["written_by_wavefield"] = 1
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = np.array([2, 0])
         kind = b"UnstructuredGrid"

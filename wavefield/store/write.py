@@ -6,18 +6,19 @@ never leaves half a shard. The ledger ``frame_status(time)`` is written last: a 
 all its data.
 """
 
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from wavefield.store.checked import checksum, chunk_path, stored_bytes
 from wavefield.store.layout import MISSING, PACKING, WATCHED
 from wavefield.store.preview import write_preview
 from wavefield.store.read import open_group, read_layout
-from wavefield.store.verify import checksum, chunk_path, stored_bytes
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus
-from wavefield.whole_files import write_error
+from wavefield.whole_files import make_durable, write_error
 
 
 def write_block(
@@ -81,18 +82,42 @@ def write_block(
         if "camera_shift" in group:
             group["camera_shift"][:, start:last] = _shifts(shifts or {}, layout.cameras, start, last)
         write_preview(path, group, start, fields)
-        _witness(path, group, start // layout.block)
+        block = start // layout.block
+        _to_disk(path, block, WATCHED[:-1])
+        _keep_checksums(path, group, block, _ledger_file(frame_status, layout.block))
+        _to_disk(path, block, ("checksum", "stored_bytes"))
         group["frame_status"][start:stop] = frame_status
+        _to_disk(path, block, ("frame_status",))
     except OSError as error:
         raise write_error(path, error) from None
 
 
-def _witness(path: Path, group: Any, block: int) -> None:
+def _ledger_file(frame_status: np.ndarray, block: int) -> bytes:
+    """The file that the ledger of a block will be."""
+    return bytes(frame_status.astype(np.uint8)) + bytes(block - frame_status.size)
+
+
+def _keep_checksums(path: Path, group: Any, block: int, ledger: bytes) -> None:
     """Keep what a block's files must be later; cubes begun before there were such records have none."""
-    if "checksum" in group:
-        group["checksum"][block] = [checksum(path, name, block) for name in WATCHED]
-    if "stored_bytes" in group:
-        group["stored_bytes"][block] = [stored_bytes(path, name, block) for name in WATCHED]
+    for name, of_file, of_ledger in (
+        ("checksum", checksum, zlib.crc32(ledger) or 1),
+        ("stored_bytes", stored_bytes, len(ledger)),
+    ):
+        if name in group:
+            row = [*(of_file(path, variable, block) for variable in WATCHED[:-1]), of_ledger]
+            group[name][block] = row[: group[name].shape[1]]
+
+
+def _to_disk(path: Path, block: int, names: Sequence[str]) -> None:
+    """Have a block's files, and the folders that name them, written to the disk before going on."""
+    folders: dict[Path, None] = {}
+    for name in names:
+        file = chunk_path(path, name, block)
+        make_durable([file])
+        folders |= dict.fromkeys(
+            parent for parent in file.parents if parent.is_relative_to(path / name / "c")
+        )
+    make_durable(folders)
 
 
 def _shifts(

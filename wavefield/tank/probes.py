@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.tank.sea import Sea
-from wavefield.whole_files import write_text
+from wavefield.whole_files import NEW_FILE, write_text
 
 Array = NDArray[np.float64]
 
@@ -52,4 +52,4 @@ def write(path: Path, times: Array, positions: Mapping[str, tuple[float, float]]
     lines += [
         f"{t:.6f}," + ",".join(f"{value:.6f}" for value in row) for t, row in zip(times, z, strict=True)
     ]
-    write_text(path, "\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n", NEW_FILE)

@@ -22,7 +22,7 @@ from wavefield.tank.scene import Scene
 from wavefield.tank.tank import Tank
 from wavefield.tank.truth import Truth
 from wavefield.variables import CUBE_DIMS, annotate
-from wavefield.whole_files import write_text
+from wavefield.whole_files import NEW_FILE, write_text
 
 Progress = Callable[[int, int], None]
 
@@ -191,10 +191,10 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
         del experiment["probes"]
     note = f"# A simulated experiment (scene {scene.name}). The exact answer is in truth/.\n"
     text = yaml.safe_dump(experiment, sort_keys=False, default_flow_style=None, width=100)
-    write_text(directory / "experiment.yaml", note + text)
-    write_text(directory / "scene.yaml", scene.to_yaml())
+    write_text(directory / "experiment.yaml", note + text, NEW_FILE)
+    write_text(directory / "scene.yaml", scene.to_yaml(), NEW_FILE)
     tank.rig.save(directory / "truth" / "rig.yaml")
-    write_text(directory / "truth" / "target.yaml", _target_truth(tank))
+    write_text(directory / "truth" / "target.yaml", _target_truth(tank), NEW_FILE)
     if scene.probes.positions:
         settings = scene.probes
         times = np.arange(int(scene.frames / scene.frame_rate * settings.rate) + 1) / settings.rate

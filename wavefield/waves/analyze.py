@@ -22,7 +22,7 @@ import xarray as xr
 
 import wavefield
 from wavefield.errors import CubeError, StoreError
-from wavefield.store.waves import write_waves
+from wavefield.store.waves import WAVES, write_waves
 from wavefield.variables import FIELD_TEXTS, FIELD_UNITS, TABLE, annotate, density_units, validate
 from wavefield.water import water_of
 from wavefield.waves import (
@@ -51,6 +51,7 @@ from wavefield.waves.ridge import FitSettings, dispersion_group, fit_settings
 from wavefield.waves.shear import current_by_depth
 from wavefield.waves.welch import Welch, frames_of, frames_of_z, moves_with_flow, omega_coords
 from wavefield.waves.window_gain import gain_of
+from wavefield.whole_files import check_writable, refuse_input
 
 MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz; 2.8 is the paper's
 _FEW = 7  # segments: with fewer, single cells say little
@@ -78,10 +79,14 @@ class _Job:
 def _open(cube: Any) -> xr.Dataset:
     if isinstance(cube, xr.Dataset):
         return cube
+    if (Path(cube) / "checksum").is_dir():  # written by a run
+        from wavefield.store.read import open_stored
+
+        return open_stored(cube, chunks=None)
     try:
         out: xr.Dataset = xr.open_zarr(cube, chunks=None, consolidated=False)
         return out
-    except (OSError, ValueError, KeyError) as error:
+    except Exception as error:  # whatever a library makes of damaged or foreign files
         raise StoreError(f"{cube} cannot be read as a cube: {error}") from None
 
 
@@ -164,6 +169,9 @@ def analyze(
     >>> waves["spectra"].E_komega_w.dims
     ('omega', 'k')
     """
+    if out is not None:
+        refuse_input(Path(out), cube, gain)
+        check_writable(out, WAVES)
     whole = _open(cube)
     for name in FIELDS:
         if name not in whole:

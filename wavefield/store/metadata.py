@@ -1,0 +1,115 @@
+"""A copy of a cube's small files, by which damage of its metadata and coordinates is found and undone.
+
+What a run writes block by block has a checksum for each block. Everything else in a cube (metadata,
+coordinates, the table of the gain) is small, and is kept a second time in ``checksum/metadata.zip``.
+"""
+
+import zipfile
+from pathlib import Path
+
+from wavefield.errors import StoreError
+from wavefield.variables import CUBE_FIELDS
+from wavefield.whole_files import ANY_FILE, file_names, make_durable, whole
+
+ARCHIVE = "checksum/metadata.zip"
+_COMPLETE = "checksum/complete"  # checksum of the ledger of a run that has ended
+
+_BY_BLOCK = (*CUBE_FIELDS, "frame_fault", "camera_shift", "frame_status", "checksum", "stored_bytes")
+
+
+def keep_metadata(path: Path) -> None:
+    """Keep a copy of all small files of a cube, after they were written or changed on purpose."""
+    names = [name for name in file_names(path) if _is_small(name)]
+    make_durable([path / name for name in names])
+    with (
+        whole(path / ARCHIVE, ANY_FILE) as draft,
+        zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive,
+    ):
+        for name in names:
+            archive.writestr(zipfile.ZipInfo(name), (path / name).read_bytes(), zipfile.ZIP_DEFLATED)
+
+
+def _is_small(name: str) -> bool:
+    array, _, rest = name.partition("/")
+    return name not in (ARCHIVE, _COMPLETE) and not (array in _BY_BLOCK and rest.startswith("c/"))
+
+
+def check_metadata(path: Path) -> None:
+    """Compare a cube's small files with their copies.
+
+    Raises
+    ------
+    StoreError
+        If one of them is missing or not as it was written.
+    """
+    for name, content in _kept(path).items():
+        if _read(path / name) != content:
+            what = "not as it was written" if (path / name).exists() else "missing"
+            raise StoreError(
+                f"{path / name} is {what}: without it the cube would be read wrongly; "
+                "`wavefield run EXPERIMENT` puts it back"
+            )
+
+
+def restore_metadata(path: Path) -> list[str]:
+    """Put a cube's small files back as they were written.
+
+    Returns
+    -------
+    list of str
+        Names of the files that were damaged.
+    """
+    try:
+        kept = _kept(path)
+    except (
+        StoreError
+    ):  # the copies are damaged: made anew from the files, which a run compares with its recipe
+        (path / ARCHIVE).unlink(missing_ok=True)
+        return [ARCHIVE]
+    damaged = [name for name, content in kept.items() if _read(path / name) != content]
+    for name in damaged:
+        with whole(path / name, ANY_FILE) as draft:
+            draft.write_bytes(kept[name])
+    return damaged
+
+
+def _kept(path: Path) -> dict[str, bytes]:
+    """Contents of the small files by name; empty in cubes from before there were copies."""
+    if not (path / ARCHIVE).is_file():
+        return {}
+    try:
+        with zipfile.ZipFile(path / ARCHIVE) as archive:
+            return {name: archive.read(name) for name in archive.namelist() if ".." not in name}
+    except Exception as error:  # whatever comes of damaged bytes
+        raise StoreError(
+            f"{path / ARCHIVE} is damaged ({error}): whether the cube's metadata are as they were written "
+            "cannot be checked; `wavefield run EXPERIMENT` writes it again"
+        ) from None
+
+
+def _read(path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return None
+
+
+def mark_complete(path: Path, ledger_checksum: int | None) -> None:
+    """Keep the checksum of the whole ledger when a run has ended; None while one is at work."""
+    mark = path / _COMPLETE
+    if ledger_checksum is None:
+        mark.unlink(missing_ok=True)
+    elif _read(mark) != str(ledger_checksum).encode():
+        with whole(mark, ANY_FILE) as draft:
+            draft.write_text(str(ledger_checksum))
+
+
+def is_complete(path: Path) -> bool:
+    """Whether the run that writes a cube has ended."""
+    return (path / _COMPLETE).exists()
+
+
+def is_as_completed(path: Path, ledger_checksum: int) -> bool:
+    """Whether a ledger is that of the run that has ended, if one has."""
+    kept = _read(path / _COMPLETE)
+    return kept is None or kept == str(ledger_checksum).encode()
