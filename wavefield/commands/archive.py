@@ -132,7 +132,7 @@ def convert(files: tuple[str, ...], output: Path | None, to: str, size: tuple[st
     FILES is one file, or camera=file for each camera.
     """
     from wavefield.rig import formats
-    from wavefield.whole_files import NEW_FILE, check_replaceable, refuse_input
+    from wavefield.whole_files import NEW_FILE, Product, check_replaceable, refuse_input
 
     named = dict(entry.split("=", 1) for entry in files if "=" in entry)
     if len(files) > 1 and len(named) < len(files):
@@ -149,6 +149,7 @@ def convert(files: tuple[str, ...], output: Path | None, to: str, size: tuple[st
         return
     refuse_input(output, *(named.values() or files))
     if to == "uvmat":
+        check_replaceable(output, Product("a folder", lambda path: True, folder=True))
         for name in loaded.cameras:
             check_replaceable(output / f"{name}.xml", NEW_FILE)
         output.mkdir(parents=True, exist_ok=True)

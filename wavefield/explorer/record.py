@@ -264,7 +264,7 @@ class Preview:
         try:
             writable = previews.open_preview(self._record.path, self._record.group, "r+")
             previews.store_block(self._record.path, writable, start, thinned)
-        except (StoreError, TypeError) as error:
+        except Exception as error:  # whatever a library makes of a damaged preview: the cube has it all
             self.trouble = f"no preview is kept: {error}"
 
     def scale(self, name: str) -> float:

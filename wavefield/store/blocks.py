@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from wavefield.store.checked import checksum, chunk_path, damaged_block, kept_row, stored_bytes
+from wavefield.store.checked import checksum, chunk_path, damaged_block, kept_row, read_chunk, stored_bytes
 from wavefield.store.layout import WATCHED, Layout
 from wavefield.store.metadata import is_as_completed
 
@@ -75,7 +75,7 @@ def check_blocks(path: Path, group: Any, layout: Layout) -> None:
     ledger = 0
     missing = 0
     for block in reversed(range(len(layout.blocks()))):
-        stored = _content(path, "frame_status", block)
+        stored = read_chunk(str(path), "frame_status", block)
         ledger = zlib.crc32(stored, ledger)
         if not any(stored):
             missing = block
@@ -99,12 +99,5 @@ def ledger_checksum(path: Path, layout: Layout) -> int:
     """CRC-32 of the ledger's files, the last block's first."""
     out = 0
     for block in reversed(range(len(layout.blocks()))):
-        out = zlib.crc32(_content(path, "frame_status", block), out)
+        out = zlib.crc32(read_chunk(str(path), "frame_status", block), out)
     return out
-
-
-def _content(path: Path, name: str, block: int) -> bytes:
-    try:
-        return chunk_path(path, name, block).read_bytes()
-    except (FileNotFoundError, NotADirectoryError):
-        return b""

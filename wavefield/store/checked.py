@@ -2,13 +2,13 @@
 
 import asyncio
 import json
+import os
 import zlib
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from zarr.storage import LocalStore
 
 from wavefield.errors import StoreError
@@ -79,20 +79,26 @@ def block_of(name: str, place: str) -> int:
 
 def kept_row(path: Path, name: str, block: int) -> list[int] | None:
     """What was kept of a block by "checksum" or "stored_bytes"; None where that cannot be read."""
-    try:
-        content = chunk_path(path, name, block).read_bytes()
-    except OSError:
-        return None
+    content = read_chunk(str(path), name, block)
     size = {"checksum": 4, "stored_bytes": 8}[name]
-    if len(content) % size or len(content) // size not in (len(WATCHED), len(WATCHED) - 2):
+    if len(content) not in (size * len(WATCHED), size * (len(WATCHED) - 2)):
         return None  # of a version that compressed them, or damaged: opening the cube finds that
-    return [int(value) for value in np.frombuffer(content, f"<u{size}")]
+    return [int.from_bytes(content[k : k + size], "little") for k in range(0, len(content), size)]
+
+
+def read_chunk(root: str, name: str, block: int) -> bytes:
+    """All that is stored of one block of a variable; many files: plain words are quicker than paths."""
+    try:
+        with open(f"{root}/{chunk_name(name, block)}", "rb", buffering=0) as stream:
+            return stream.readall()
+    except (FileNotFoundError, NotADirectoryError):
+        return b""
 
 
 def _is_done(path: Path, block: int) -> bool:
     """Whether the ledger calls steps of a block done; until then it may be being written."""
     with suppress(OSError):
-        return any((path / f"frame_status/c/{block}").read_bytes())
+        return any(read_chunk(str(path), "frame_status", block))
     return False
 
 
@@ -145,10 +151,8 @@ def checksum(path: Path, name: str, block: int) -> int:
     int
         0 if nothing is stored.
     """
-    try:
-        return zlib.crc32(chunk_path(path, name, block).read_bytes()) or 1
-    except (FileNotFoundError, NotADirectoryError):
-        return 0
+    content = read_chunk(str(path), name, block)
+    return (zlib.crc32(content) or 1) if content or chunk_path(path, name, block).exists() else 0
 
 
 def stored_bytes(path: Path, name: str, block: int) -> int:
@@ -169,7 +173,7 @@ def stored_bytes(path: Path, name: str, block: int) -> int:
         0 if nothing is stored.
     """
     try:
-        return chunk_path(path, name, block).stat().st_size
+        return os.stat(f"{path}/{chunk_name(name, block)}").st_size
     except (FileNotFoundError, NotADirectoryError):
         return 0
 
@@ -191,11 +195,18 @@ def chunk_path(path: Path, name: str, block: int) -> Path:
     Path
         It need not be there: what is all missing is not stored.
     """
-    places = {
-        "frame_fault": f"c/0/{block}",
-        "frame_status": f"c/{block}",
-        "camera_shift": f"c/0/{block}/0",
-        "checksum": f"c/{block}/0",
-        "stored_bytes": f"c/{block}/0",
-    }
-    return path / name / places.get(name, f"c/{block}/0/0")
+    return path / chunk_name(name, block)
+
+
+_PLACES = {
+    "frame_fault": "c/0/{}",
+    "frame_status": "c/{}",
+    "camera_shift": "c/0/{}/0",
+    "checksum": "c/{}/0",
+    "stored_bytes": "c/{}/0",
+}
+
+
+def chunk_name(name: str, block: int) -> str:
+    """The file of one block of a variable, relative to the store."""
+    return f"{name}/{_PLACES.get(name, 'c/{}/0/0').format(block)}"

@@ -1,6 +1,7 @@
 """Write a simulated experiment as a laboratory would have it, with the exact truth apart."""
 
 import itertools
+import os
 import warnings
 from collections import deque
 from collections.abc import Callable
@@ -71,7 +72,7 @@ def simulate(
     ('experiment.yaml', ['img_00000.tif', 'img_00001.tif'])
     """
     directory = Path(directory)
-    if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
+    if os.path.lexists(directory) and (not directory.is_dir() or any(directory.iterdir())):
         raise ExperimentError(f"{directory} is not empty; give another folder or remove it")
     (directory / "truth").mkdir(parents=True, exist_ok=True)
     tank = Tank(scene)
