@@ -256,7 +256,8 @@ def _sized(path: Path, wanted: np.ndarray, block: int) -> dict[str, str]:
 def _compared(path: Path, group: Any, block: int) -> dict[str, str]:
     """What is wrong with a block's variables by their checksums."""
     wanted = _wanted(group, block)
-    found = {name: _compare(path, group, name, block, wanted) for name in WATCHED}
+    names = [name for name in WATCHED if name in group] if wanted is None else wanted
+    found = {name: _compare(path, group, name, block, wanted) for name in names}
     return {name: what for name, what in found.items() if what}
 
 
