@@ -91,7 +91,8 @@ def by_report(folder):
 def by_look(folder):
     record = Record(folder / "cube.zarr")
     record.preview.load()
-    assert record.preview.complete, record.preview.trouble
+    if not record.preview.complete:
+        raise StoreError(record.preview.trouble)
     fields = [
         record.field(name, step).tobytes() for name in record.stored for step in range(record.layout.steps)
     ]

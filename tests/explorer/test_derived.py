@@ -82,6 +82,7 @@ def test_a_cube_without_a_velocity_shows_what_it_has(cube, tmp_path):
     part = tmp_path / "cube.zarr"
     shutil.copytree(cube, part)
     shutil.rmtree(part / "v")
+    (part / "checksum" / "metadata.zip").unlink()  # as of a cube from before
     record = Record(part)
     assert "u" in record.names
     assert not {"v", "vorticity", "residual"} & set(record.names)

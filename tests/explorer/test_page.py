@@ -73,7 +73,7 @@ def test_a_damaged_step_is_a_sentence_and_the_others_are_shown(cube, tmp_path):
     record = Record(path)
     page, document = Page(Looked(record, find_beside(record)), Place(step=1)), Document()
     page.attach(document)
-    assert "w of steps 0 to 7" in page.state.text
+    assert "w of steps 0 to 39 is lost" in page.state.text
     page.change(step=50)
     page.redraw()
     assert np.isfinite(page.map.image.data["image"][0]).any()

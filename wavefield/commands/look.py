@@ -62,12 +62,18 @@ def look(source: Path, run: str | None, waves: Path | None, port: int | None, op
     Serves an interactive page to this machine only. The cube may still be being written: the page follows.
     Of a catalog name the RUN, unless only one has a cube.
     """
+    from wavefield.errors import StoreError
     from wavefield.explorer.beside import find_beside
     from wavefield.explorer.page import Looked
     from wavefield.explorer.record import Record
     from wavefield.explorer.server import look_server
+    from wavefield.store.blocks import check_blocks
 
     record = Record(_cube_of(source, run))
+    try:
+        check_blocks(record.path, record.group, record.layout)
+    except StoreError as error:  # the page shows the rest
+        click.echo(f"note: {error}", err=True)
     give_way(record.layout.steps - record.steps_done)
     looked = Looked(record, find_beside(record, waves))
     server = look_server(looked, port)

@@ -14,7 +14,7 @@ from wavefield.errors import StoreError, WavefieldError
 from wavefield.explorer.fields import DERIVED, derive
 from wavefield.explorer.selections import MISSING, decode
 from wavefield.store import preview as previews
-from wavefield.store.blocks import check_blocks
+from wavefield.store.blocks import LEDGER, check_blocks
 from wavefield.store.checked import chunk_path
 from wavefield.store.layout import WATCHED
 from wavefield.store.read import open_group, read_layout
@@ -54,7 +54,7 @@ class Record:
         self.path = Path(path).absolute()
         self.group = open_group(self.path)
         self.layout = read_layout(self.group)
-        check_blocks(self.path, self.group, self.layout)
+        check_blocks(self.path, self.group, self.layout, LEDGER)  # of fields each is checked as it is read
         self.time, self.y, self.x = (np.asarray(self.group[name][:]) for name in CUBE_DIMS)
         self.frame_rate = float(self.group.attrs["frame_rate"])
         self.experiment = str(self.group.attrs["experiment"])

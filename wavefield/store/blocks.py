@@ -1,6 +1,7 @@
 """Arrays of which every block has a small file of its own: the ledger."""
 
 import zlib
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,10 @@ def read_blocks(path: Path, group: Any, name: str, layout: Layout) -> np.ndarray
     return out
 
 
-def check_blocks(path: Path, group: Any, layout: Layout) -> None:
+LEDGER = ("frame_status", "frame_fault")
+
+
+def check_blocks(path: Path, group: Any, layout: Layout, names: Collection[str] = WATCHED) -> None:
     """Refuse a cube of which a finished block is not as long as it was written, or whose ledger changed.
 
     Parameters
@@ -64,6 +68,8 @@ def check_blocks(path: Path, group: Any, layout: Layout) -> None:
         As from `wavefield.store.read.open_group`.
     layout : Layout
         Sizes of the store.
+    names : collection of str, optional
+        Variables whose files are looked for; by default all.
 
     Raises
     ------
@@ -85,11 +91,12 @@ def check_blocks(path: Path, group: Any, layout: Layout) -> None:
             if row is None:
                 raise damaged_block(path, name, block, "missing or damaged")
         for name, size, kept in zip(WATCHED, sizes or (), checksums or ()):
+            if name not in names:
+                continue
             found = stored_bytes(path, name, block)
             if found != size:
                 raise damaged_block(path, name, block, "cut off or another" if found else "missing")
-            small = name in ("frame_status", "frame_fault")
-            if small and checksum(path, name, block) != kept:
+            if name in LEDGER and checksum(path, name, block) != kept:
                 raise damaged_block(path, name, block, "not as it was written")
     if not is_as_completed(path, ledger):
         raise damaged_block(path, "frame_status", missing, "not as it was when the run ended")
