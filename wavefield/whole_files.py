@@ -79,7 +79,6 @@ RIG = Product(
     "a rig file",
     lambda path: marked(b"\ncameras:", start=b"units: {")(path) and b"\nprovenance:" in path.read_bytes(),
 )
-PICTURE = Product("a picture", marked(b"Software\0wavefield", start=b"\x89PNG"))
 
 
 def file_names(folder: Path) -> list[str]:
@@ -124,9 +123,10 @@ def check_replaceable(path: Path, product: Product) -> None:
     except Exception:  # whatever a library makes of foreign or damaged bytes
         ours = False
     if not ours:
+        more = ", or holds other files too" if product.folder else ""
         raise StoreError(
-            f"{path} exists and is not {product.name} that wavefield wrote (or it is damaged, or holds other "
-            "files too); it is left as it is: choose another name, or remove it first"
+            f"{path} exists and is not {product.name} that wavefield wrote (or it is damaged{more}); it is "
+            "left as it is: choose another name, or remove it first"
         )
 
 

@@ -196,7 +196,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     from concurrent.futures import ProcessPoolExecutor
 
     from wavefield.calibration.images import calibrate_experiment, leave_with_parent, start_workers_from
-    from wavefield.reports.calibration import write_calibration
+    from wavefield.reports.calibration import NUMBERS, write_calibration
     from wavefield.reports.targets import draw_found
     from wavefield.series import Experiment
     from wavefield.whole_files import PAGE, RIG, check_writable
@@ -206,6 +206,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     folder = output.with_name(f"{output.stem}_report")
     check_writable(output, RIG)
     check_writable(folder / "index.html", PAGE)
+    check_writable(folder / "numbers.yaml", NUMBERS)
     with Progress("Finding the target", "images") as progress:
         result = calibrate_experiment(loaded, progress)
     calibration = result.calibration

@@ -13,9 +13,17 @@ from wavefield.calibration.numbers import FlatSurface, numbers
 from wavefield.calibration.result import Calibration
 from wavefield.reports import calibration_pictures as pictures
 from wavefield.reports.calibration_page import Drawn, calibration_page
-from wavefield.whole_files import PAGE, PICTURE, Product, marked, whole, write_text
+from wavefield.whole_files import PAGE, Product, marked, whole, write_text
 
 NUMBERS = Product("the numbers of a calibration", marked(b"\nproblems:", start=b"usable: "))
+_marked = marked(b"Software\0wavefield", start=b"\x89PNG")
+PICTURE = Product("a picture of a calibration", lambda path: _marked(path) or _marked_before(path))
+
+
+def _marked_before(path: Path) -> bool:
+    """Of versions that did not mark them: drawn with Matplotlib, beside the numbers of a calibration."""
+    drawn = marked(b"Software\0Matplotlib", start=b"\x89PNG")
+    return drawn(path) and NUMBERS.recognize(path.with_name("numbers.yaml"))
 
 
 def write_calibration(
