@@ -6,7 +6,7 @@ Measured once per run from sample frames, and kept with the results, so that eve
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,12 @@ _LEAST = 0.01  # of a ring: no sector of it is thought to be less
 _SEEN = 0.15  # squared gain of the windows below which their field says nothing of a wave
 _STANDS_OUT = 3.0  # times the plateau of noise: what a windowed field shows there is signal
 _HEARD = 0.3  # of the noise: what the posterior tells apart of a spectrum
+SHORTEST_WAVENUMBER = 2.0  # rad per block: shorter waves are not searched for in gaps of a spectrum
+OPEN_SIGNAL_TO_NOISE = 1.0  # while a spectrum is learned, every wave may have so much at least
+FIRST_SIGNAL_TO_NOISE = 6.0  # the same at first, when the noise is thought several times too small
+MIN_STANDARD_DEVIATIONS = 4.0  # by which the power of a ring has to exceed noise to be waves
+MIN_SIGNAL_TO_NOISE = 0.75  # of a ring beyond one without waves: the noise of rings is not exactly known
+LIMIT_STANDARD_DEVIATIONS = 2.0  # above its power: what a ring may have without being significant
 _NOTHING = 0.01  # of the noise: no spectrum is thought to be less before it drowns
 _SURE = 0.9  # noise is known to a tenth
 _ENOUGH = 0.5  # of the waves that a spectrum would bring: who finds so much believes in all
@@ -93,6 +99,29 @@ class Prior:
         [[[4.0, 4.0]]]
         """
         return cls(tuple(map(float, k)), ((tuple(map(float, power)),),), float(information))
+
+    def opened(self, ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
+        """Prior that hides no resolved wave: its signal is nowhere less than a part of the noise.
+
+        Parameters
+        ----------
+        ratio : float, default 1
+            Least signal over noise of a mode.
+
+        Returns
+        -------
+        Prior
+
+        Notes
+        -----
+        A prior that is small where a field has waves suppresses them, and what is learned from such a field
+        is small there again. Spectra are therefore learned from fields that an open prior gave.
+        """
+        k = np.array(self.k)
+        least = ratio / (footprint(k, np.zeros(1)) ** 2 * self.information)
+        table = np.maximum(self.power, np.where(k < SHORTEST_WAVENUMBER, least, 0.0))
+        power = tuple(tuple(tuple(map(float, ring)) for ring in turns) for turns in table)
+        return replace(self, power=power)
 
     def spectrum(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """Spectrum at any wavenumbers.
@@ -307,10 +336,16 @@ def better_prior(
     (whole, drowned), (apart, drowned_apart) = parts(bins.rings), parts(bins.sectors)
     there = bins.count > 0
     ratio = (whole / np.maximum(drowned, 1e-30))[:, there]
-    plateau = np.array([[max(_plateau(one), 1.0)] for one in ratio])
+    plateau = np.array([[_plateau(one)] for one in ratio])
     drowned, drowned_apart = plateau * drowned, plateau[..., None] * drowned_apart
     signal = whole - drowned
-    lasts = [bins.until(good) for good in there & (signal > _HEARD * drowned)]
+    significant = [
+        bins.significant(one / np.maximum(own, 1e-30), len(waves)) for one, own in zip(signal, drowned)
+    ]
+    lasts = [max(int(np.flatnonzero(good).max(initial=-1)) + 1, 3) for good in significant]
+    scatter = np.sqrt(2.0 / np.maximum(bins.count * len(waves), 1))
+    limit = np.maximum(signal, 0.0) + LIMIT_STANDARD_DEVIATIONS * scatter * drowned
+    signal = np.where(significant, signal, limit)
     least = float(noise.min())
     most = np.where(there, _HEARD * drowned, np.inf)
     rings = np.array(
@@ -399,6 +434,21 @@ class _Bins:
         size = self.looked_at.size
         total = np.array([np.bincount(self._sector, field.ravel(), minlength=size) for field in fields])
         return np.asarray(total.reshape(-1, _SECTORS, _BINS) / np.maximum(self.looked_at, 1))
+
+    def significant(self, ratio: Float, samples: int) -> NDArray[np.bool_]:
+        """Rings (rings,) whose signal over noise is no chance.
+
+        Rings up to the first without waves have to stand out from the noise as it is known from theirs; waves
+        beyond such a gap have to do so by more, together with both neighbouring rings.
+        """
+        contiguous = np.arange(_BINS) < self.until((self.count > 0) & (ratio > _HEARD))
+        count = self.count * samples
+        sum_of_three = np.convolve(ratio * count, np.ones(3), mode="same")
+        count_of_three = np.convolve(count, np.ones(3), mode="same")
+        mean = sum_of_three / np.maximum(count_of_three, 1)
+        chance = MIN_STANDARD_DEVIATIONS * np.sqrt(2.0 / np.maximum(count_of_three, 1))
+        apart = (mean > np.maximum(chance, MIN_SIGNAL_TO_NOISE)) & (ratio > _HEARD) & (self.count > 0)
+        return np.asarray(contiguous | (apart & (self.middle < SHORTEST_WAVENUMBER)))
 
     @staticmethod
     def until(good: NDArray[np.bool_]) -> int:

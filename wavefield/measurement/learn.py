@@ -16,6 +16,7 @@ from wavefield.images import made_even
 from wavefield.matching import Modes, Prior
 from wavefield.matching.kernels import BLOCK
 from wavefield.matching.one_thread import one_thread
+from wavefield.matching.prior import FIRST_SIGNAL_TO_NOISE, OPEN_SIGNAL_TO_NOISE
 from wavefield.measurement import elevation, flow
 from wavefield.measurement.covered import Masks, bare_of_camera, bare_of_pairs
 from wavefield.measurement.differences import Differences, differences, typical
@@ -317,12 +318,13 @@ class _Samples:
         fields = [s.field - matching.edge_slopes(s.field) for s in samples]
         typical = float(np.mean([s.information for s in samples]))
         out = cls(samples, matching.first_prior(fields, window, typical), pool)
-        for _ in range(_ROUNDS):
-            out.prior = out.better(out.prior)
+        for number in range(_ROUNDS):
+            out.prior = out.better(out.prior, OPEN_SIGNAL_TO_NOISE if number else FIRST_SIGNAL_TO_NOISE)
         return out
 
-    def better(self, prior: Prior) -> Prior:
-        """The prior that follows from the fields that this one gives."""
+    def better(self, prior: Prior, open_ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
+        """The prior that follows from the fields that this one gives where it suppresses no wave."""
+        prior = prior.opened(open_ratio)
         modes = Modes(prior, self.samples[0].field.shape[-2:])
         found = list(self.pool.map(lambda sample: sample.estimate(modes), self.samples))
         information = float(np.mean([f.information.mean() / s.bare for f, s in zip(found, self.samples)]))

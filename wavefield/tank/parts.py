@@ -122,6 +122,7 @@ class RandomSea(_Water):
         default=0.0, description="exponent s of cos^2s of half the angle; 0 is isotropic"
     )
     shortest: Positive = Field(default=0.05, description="shortest free wave, m")
+    longest: Positive = Field(default=np.inf, description="longest free wave, m")
     period: Positive = Field(
         default=6.0, description="the sea repeats itself in x and y after this distance, m"
     )
@@ -134,6 +135,8 @@ class RandomSea(_Water):
     def _check(self) -> "RandomSea":
         if self.shortest * 4 > self.period:
             raise ValueError("period must be at least four times the shortest wave")
+        if self.longest <= self.shortest:
+            raise ValueError("longest must be larger than shortest")
         return self
 
     def build(self, seed: int) -> Sea:
@@ -144,6 +147,7 @@ class RandomSea(_Water):
             direction=np.radians(self.direction),
             spread=self.spread,
             shortest=self.shortest,
+            longest=self.longest,
             period=self.period,
             depth=self.depth,
             surface_tension=self.surface_tension,

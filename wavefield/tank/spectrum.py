@@ -78,6 +78,7 @@ def random_waves(
     direction: float,
     spread: float,
     shortest: float,
+    longest: float = np.inf,
     period: float,
     depth: float,
     surface_tension: float,
@@ -93,8 +94,8 @@ def random_waves(
         Standard deviation of the elevation, metres: held exactly as the mean over time.
     direction, spread : float
         Main direction (rad, anticlockwise from +x) and exponent of the spreading.
-    shortest : float
-        Shortest wavelength, metres.
+    shortest, longest : float
+        Shortest and longest wavelength, metres.
     period : float
         The sea repeats itself after this distance along x and y, metres.
     depth : float
@@ -120,7 +121,7 @@ def random_waves(
     m = np.arange(-int(period / shortest), int(period / shortest) + 1)
     kx, ky = (a.ravel() for a in np.meshgrid(m * dk, m * dk))
     k = np.hypot(kx, ky)
-    keep = (k > 0) & (k <= 2 * np.pi / shortest * (1 + 1e-9))
+    keep = (k > 0) & (k <= 2 * np.pi / shortest * (1 + 1e-9)) & (k >= 2 * np.pi / longest * (1 - 1e-9))
     kx, ky, k = kx[keep], ky[keep], k[keep]
     frequency = dispersion(k, depth, surface_tension) / (2 * np.pi)
     nudge = 1e-6 * k
