@@ -177,6 +177,7 @@ def directed(kx, ky):
 
 def learned(said, a, prior, rounds=4):
     for _ in range(rounds):
+        prior = prior.opened()
         modes = Modes(prior, a.shape)
         h = np.stack([a, 0 * a, a])
         waves = [

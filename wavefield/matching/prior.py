@@ -31,6 +31,8 @@ OPEN_SIGNAL_TO_NOISE = 1.0  # while a spectrum is learned, every wave may have s
 FIRST_SIGNAL_TO_NOISE = 6.0  # the same at first, when the noise is thought several times too small
 MIN_STANDARD_DEVIATIONS = 4.0  # by which the power of a ring has to exceed noise to be waves
 MIN_SIGNAL_TO_NOISE = 0.75  # of a ring beyond one without waves: the noise of rings is not exactly known
+FIRST_NOISE_RING = 4  # longer waves across the sight lines are the calibration's fault, no noise
+NOISE_RINGS = 5  # over which the level of noise is averaged
 LIMIT_STANDARD_DEVIATIONS = 2.0  # above its power: what a ring may have without being significant
 _NOTHING = 0.01  # of the noise: no spectrum is thought to be less before it drowns
 _SURE = 0.9  # noise is known to a tenth
@@ -292,7 +294,13 @@ def first_prior(fields: Sequence[Float], window: Float, information: float) -> P
 
 
 def better_prior(
-    prior: Prior, kx: Float, ky: Float, foot: Float, waves: Sequence[Float], information: float
+    prior: Prior,
+    kx: Float,
+    ky: Float,
+    foot: Float,
+    waves: Sequence[Float],
+    information: float,
+    noise_alone: Sequence[tuple[Float, float]] = (),
 ) -> Prior:
     """Prior from the most probable fields that a prior gave.
 
@@ -308,6 +316,9 @@ def better_prior(
         Cosine coefficients of the most probable fields of sample frames, less those of their prior mean.
     information : float
         Mean information of a block in them.
+    noise_alone : sequence of (ndarray, float), optional
+        Coefficients of fields that the same prior gave of noise alone, and their information: they measure how
+        the noise changes from ring to ring. Its level is the least of the power over what is expected of it.
 
     Returns
     -------
@@ -324,20 +335,29 @@ def better_prior(
     if information == 0.0:  # nothing was seen: there is nothing to learn
         return prior
     noise = 1.0 / (np.square(foot, dtype=np.float64) * information)
-    power = np.mean([np.square(f, dtype=np.float64) for f in waves], axis=0)
-    spectrum = np.broadcast_to(prior.spectrum(kx, ky), power.shape)
-    kept = np.square(spectrum / (spectrum + noise))
     bins = _Bins(kx, ky)
 
-    def parts(mean: Callable[[Float], Float]) -> tuple[Float, Float]:
+    def parts(fields: Sequence[Float], noise: Float, mean: Callable[[Float], Float]) -> tuple[Float, Float]:
+        power = np.mean([np.square(f, dtype=np.float64) for f in fields], axis=0)
+        spectrum = np.broadcast_to(prior.spectrum(kx, ky), power.shape)
+        kept = np.square(spectrum / (spectrum + noise))
         weight = np.maximum(mean(kept), 1e-30)
-        return mean(power) / weight, mean(kept * noise) / weight
+        return mean(power) / weight, np.maximum(mean(kept * noise) / weight, 1e-30)
 
-    (whole, drowned), (apart, drowned_apart) = parts(bins.rings), parts(bins.sectors)
+    whole, drowned = parts(waves, noise, bins.rings)
+    apart, drowned_apart = parts(waves, noise, bins.sectors)
     there = bins.count > 0
-    ratio = (whole / np.maximum(drowned, 1e-30))[:, there]
-    plateau = np.array([[_plateau(one)] for one in ratio])
-    drowned, drowned_apart = plateau * drowned, plateau[..., None] * drowned_apart
+    shape = np.ones_like(whole)
+    if noise_alone:
+        alone = [
+            np.divide(*parts([field], 1.0 / (np.square(foot, dtype=np.float64) * own), bins.rings))
+            for field, own in noise_alone
+        ]
+        shape = np.array([bins.level(one) for one in np.mean(alone, axis=0)])
+    resolved = there & (bins.middle < SHORTEST_WAVENUMBER)
+    level = [_plateau(one) for one in (whole / (shape * drowned))[:, resolved]]
+    plateau = shape * np.reshape(level, (-1, 1))
+    drowned, drowned_apart = plateau * drowned, plateau[:, None] * drowned_apart
     signal = whole - drowned
     significant = [
         bins.significant(one / np.maximum(own, 1e-30), len(waves)) for one, own in zip(signal, drowned)
@@ -449,6 +469,16 @@ class _Bins:
         chance = MIN_STANDARD_DEVIATIONS * np.sqrt(2.0 / np.maximum(count_of_three, 1))
         apart = (mean > np.maximum(chance, MIN_SIGNAL_TO_NOISE)) & (ratio > _HEARD) & (self.count > 0)
         return np.asarray(contiguous | (apart & (self.middle < SHORTEST_WAVENUMBER)))
+
+    def level(self, ratio: Float) -> NDArray[np.float64]:
+        """Level of noise (rings,) from that of single rings; long waves are no noise but the calibration's."""
+        count = np.where((np.arange(_BINS) < FIRST_NOISE_RING), 0, self.count)
+        weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
+        total = np.convolve(ratio * count, np.ones(NOISE_RINGS), mode="same")
+        known = np.flatnonzero(weight)
+        if not known.size:
+            return np.ones(_BINS)
+        return np.interp(np.arange(_BINS), known, total[known] / weight[known])
 
     @staticmethod
     def until(good: NDArray[np.bool_]) -> int:

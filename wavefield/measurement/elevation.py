@@ -220,12 +220,16 @@ def _noise_across(looks: Sequence[_Look], smooth: Float) -> Float:
 
 def _smooth(matches: Sequence[PairMatch], modes: Modes) -> Float:
     """What is smooth of the "elevation" across the sight lines, metres, (ny, nx)."""
-    turned = [replace(m, parallax=_quarter(m.parallax)) for m in matches]
-    waves = modes.waves(combine(turned).whole)
+    waves = modes.waves(combine(turned(matches)).whole)
     waves[:, _SMOOTH:] = 0.0
     waves[:, :, _SMOOTH:] = 0.0
     out: Float = modes.field(waves)[0]
     return out
+
+
+def turned(matches: Sequence[PairMatch]) -> list[PairMatch]:
+    """Pairs with parallaxes turned to the left by a quarter: what they show along these is no elevation."""
+    return [replace(m, parallax=_quarter(m.parallax)) for m in matches]
 
 
 def _quarter(vector: Float) -> Float:

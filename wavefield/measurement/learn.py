@@ -266,6 +266,10 @@ class _Sample:
         """The most probable field."""
         raise NotImplementedError
 
+    def noise(self, modes: Modes) -> tuple[Float, float] | None:
+        """Coefficients of a field of noise alone and its information, where the cameras show one."""
+        return None
+
 
 class _Height(_Sample):
     def __init__(
@@ -283,6 +287,15 @@ class _Height(_Sample):
     def estimate(self, modes: Modes) -> elevation.Estimate:
         # noise from the same scores as the field: taken across, what is more along would pass for waves
         return elevation.most_probable(*self.parts, modes, self._pixel, across=False)
+
+    def noise(self, modes: Modes) -> tuple[Float, float] | None:
+        """As if the sight lines were turned by a quarter: no wave moves anything across them."""
+        _, matches, prepared = self.parts
+        turned = elevation.turned(matches)
+        blocks = elevation.combine(turned)
+        found = elevation.most_probable(blocks, turned, prepared, modes, self._pixel, across=False)
+        information = float(found.information.mean()) / self.bare
+        return ((found.waves - found.mean) / np.sqrt(self.bare), information) if information > 0 else None
 
 
 class _Shift(_Sample):
@@ -329,7 +342,8 @@ class _Samples:
         found = list(self.pool.map(lambda sample: sample.estimate(modes), self.samples))
         information = float(np.mean([f.information.mean() / s.bare for f, s in zip(found, self.samples)]))
         waves = [(f.waves - f.mean) / np.sqrt(s.bare) for f, s in zip(found, self.samples)]
-        return matching.better_prior(prior, modes.kx, modes.ky, modes.foot, waves, information)
+        alone = [noise for noise in self.pool.map(lambda sample: sample.noise(modes), self.samples) if noise]
+        return matching.better_prior(prior, modes.kx, modes.ky, modes.foot, waves, information, alone)
 
 
 def _noise_of_waves(prior: Prior, plan: Plan, k: Float) -> Float:
