@@ -176,15 +176,19 @@ def directed(kx, ky):
 
 
 def learned(said, a, prior, rounds=4):
+    """A prior learned from blocks, and the fields that it gives in the end."""
+    h = np.stack([a, 0 * a, a])[: 3 if len(said[0]) == 2 else 1]
+
+    def most_probable(modes):
+        factor = modes.factor(a)
+        return [modes.solve(h, a * f, modes.waves(f), 1e-3, 0 * modes.waves(f), factor) for f in said]
+
     for _ in range(rounds):
         prior = prior.opened()
         modes = Modes(prior, a.shape)
-        h = np.stack([a, 0 * a, a])
-        waves = [
-            modes.solve(h, a * f, modes.waves(f), 1e-3, 0 * modes.waves(f), modes.factor(a)) for f in said
-        ]
-        prior = better_prior(prior, modes.kx, modes.ky, modes.foot, waves, float(a.mean()))
-    return prior, [modes.field(f) for f in waves]
+        prior = better_prior(prior, modes.kx, modes.ky, modes.foot, most_probable(modes), float(a.mean()))
+    modes = Modes(prior, a.shape)
+    return prior, [modes.field(f) for f in most_probable(modes)]
 
 
 def test_waves_have_a_direction_and_components_a_spectrum_of_their_own():

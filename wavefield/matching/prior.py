@@ -30,7 +30,7 @@ SHORTEST_WAVENUMBER = 2.0  # rad per block: shorter waves are not searched for i
 OPEN_SIGNAL_TO_NOISE = 1.0  # while a spectrum is learned, every wave may have so much at least
 FIRST_SIGNAL_TO_NOISE = 6.0  # the same at first, when the noise is thought several times too small
 MIN_STANDARD_DEVIATIONS = 4.0  # by which the power of a ring has to exceed noise to be waves
-MIN_SIGNAL_TO_NOISE = 0.75  # of a ring beyond one without waves: the noise of rings is not exactly known
+MIN_SIGNAL_TO_NOISE = 1.5  # of a ring beyond one without waves: the noise of rings is not exactly known
 FIRST_NOISE_RING = 4  # longer waves across the sight lines are the calibration's fault, no noise
 NOISE_RINGS = 5  # over which the level of noise is averaged
 LIMIT_STANDARD_DEVIATIONS = 2.0  # above its power: what a ring may have without being significant
@@ -355,7 +355,7 @@ def better_prior(
         ]
         shape = np.array([bins.level(one) for one in np.mean(alone, axis=0)])
     resolved = there & (bins.middle < SHORTEST_WAVENUMBER)
-    level = [_plateau(one) for one in (whole / (shape * drowned))[:, resolved]]
+    level = [_plateau(one, bins.count[resolved]) for one in (whole / (shape * drowned))[:, resolved]]
     plateau = shape * np.reshape(level, (-1, 1))
     drowned, drowned_apart = plateau * drowned, plateau[:, None] * drowned_apart
     signal = whole - drowned
@@ -422,9 +422,13 @@ def believed(variance: float, noise: float, waves: float) -> float:
     return float(np.clip(found / max(enough, 1e-30), 0.0, 1.0))
 
 
-def _plateau(ratio: NDArray[np.float64]) -> float:
-    """What power over noise falls to where there are no more waves: its least, of the mean of three rings."""
-    return float(np.convolve(ratio, np.ones(3) / 3, mode="valid").min()) if ratio.size > 3 else 1.0
+def _plateau(ratio: NDArray[np.float64], count: NDArray[np.integer[Any]]) -> float:
+    """What power over noise falls to where there are no waves: its least, of the mean of neighbouring rings."""
+    if ratio.size < NOISE_RINGS:
+        return 1.0
+    over = np.ones(NOISE_RINGS)
+    total, modes = (np.convolve(f, over, mode="valid") for f in (ratio * count, count))
+    return float(np.min(total / modes))
 
 
 class _Bins:
