@@ -22,6 +22,9 @@ Float = NDArray[Any]
 Mask = NDArray[np.bool_]
 
 LOOKS = 2  # at the images: where matching led, and where the first solution leads
+MAX_LOOKS = 6  # where windows have left much of short steep waves and solutions still change
+MAX_CHANGE = 0.15  # px, rms, of the displacement from one solution to the next that is taken for converged
+_SLOW = 0.7  # of the change before: solutions that change by more go to and fro
 _FEW = 50  # blocks: fewer do not tell how pairs differ
 _SMOOTH = 6  # half waves along the lattice: sight lines that miss each other so smoothly are ill calibrated
 _CAREFUL = 1.5  # weights think the noise so much larger than across the sight lines: spectra hold some of it
@@ -141,6 +144,38 @@ class Estimate:
     apart: Mask = field(repr=False)
 
 
+class Progress:
+    """How solutions change from look to look.
+
+    Parameters
+    ----------
+    scale : float, default 1
+        Displacement, px, per unit of the field.
+    """
+
+    def __init__(self, scale: float = 1.0) -> None:
+        self._scale, self._looks, self._change = scale, 0, np.inf
+
+    @property
+    def converged(self) -> bool:
+        """Whether no further look is needed."""
+        return self._looks >= LOOKS and self._change <= MAX_CHANGE
+
+    def next(self, modes: Modes, waves: Float, found: Float, seen: Float | None) -> tuple[Float, Float]:
+        """Coefficients to go on with and the field that blocks see of them; half way where it goes to and fro."""
+        after = modes.seen(found)
+        self._looks += 1
+        if seen is None:
+            return found, after
+        change = self._scale * float(np.sqrt(np.mean(np.square(after - seen))))
+        to_and_fro = self._looks > LOOKS and change > max(_SLOW * self._change, MAX_CHANGE)
+        self._change = change
+        if to_and_fro:
+            half = np.float32(0.5)
+            return half * (waves + found), half * (seen + after)
+        return found, after
+
+
 def most_probable(
     blocks: Blocks,
     matches: Sequence[PairMatch],
@@ -183,9 +218,9 @@ def most_probable(
     smooth = _smooth(matches, modes)
     seen, scores = None, [z[0]]
     information = z[:1]
-    for number in range(LOOKS):
+    progress = Progress(float(np.sqrt(np.mean([np.square(one.D).sum(axis=0) for one in looks]))))
+    for number in range(MAX_LOOKS):
         if number:
-            seen = modes.seen(waves)
             z = seen + beyond
             for one in looks:
                 one.again(z[0], prepared)
@@ -197,7 +232,10 @@ def most_probable(
         right = information * (z - beyond) + (score / nu)[None]
         if not number:
             factor, tolerances = modes.factor(information[0]), modes.tolerances(information[0])
-        waves = modes.solve(information, right, waves, tolerances[number], mean, factor, seen)
+        found = modes.solve(information, right, waves, tolerances[min(number, 1)], mean, factor, seen)
+        waves, seen = progress.next(modes, waves, found, seen)
+        if progress.converged:
+            break
     counts = information[0] > 0
     miss = float(np.sqrt(np.mean(np.square(smooth[counts])))) if counts.any() else 0.0
     lengths = [np.hypot(*one.D) for one in looks]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.matching import Modes
-from wavefield.measurement.elevation import LOOKS
+from wavefield.measurement.elevation import MAX_LOOKS, Progress
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.regrid import push_pull
 from wavefield.measurement.surface import why_rejected
@@ -104,9 +104,9 @@ def most_probable(
     waves, (mean, beyond, slopes) = modes.waves(u), modes.mean(u)
     freedom, seen = modes.freedom, None
     a = found.hessian
-    for number in range(LOOKS):
+    progress = Progress()
+    for number in range(MAX_LOOKS):
         if number:
-            seen = modes.seen(waves)
             u = seen + beyond
             found = matching.look_again(one, other, u[0], u[1], found.settings)
         counts = found.valid.astype(np.float32)
@@ -121,7 +121,10 @@ def most_probable(
         information = np.float32(0.5) * (a[0] + a[2])
         if not number:
             factor, tolerances = modes.factor(information), modes.tolerances(information)
-        waves = modes.solve(a, right, waves, tolerances[number], mean, factor, seen)
+        solved = modes.solve(a, right, waves, tolerances[min(number, 1)], mean, factor, seen)
+        waves, seen = progress.next(modes, waves, solved, seen)
+        if progress.converged:
+            break
     along = matching.along_each(found.score, found.hessian, found.valid.astype(np.float32))
     return Estimate(waves, mean, slopes, information, found.reason, along)
 
