@@ -2,12 +2,12 @@
 
     python -m benchmarks.short_waves [--only ROW ...] [--seeds N ...] [--crop 0.3]
 
-Random seas whose waves are all 6 to 8 or 4 to 6 cm long, single waves of 5.5 and 8 cm, a wave of 5.5 cm on a
-sea of 2 cm, water at rest, the tank's random sea, and a reference sea (JONSWAP, significant height 5 cm, 0.7 to
-5.5 Hz). Exact cameras, a part of every sensor at full resolution. Per row: errors of z, u, v, w in px of 1.8 mm
-(velocities per frame), their median stated standard uncertainty, the share of nodes within one and two
-standard uncertainties and beyond three, the share of judged nodes where any variable errs by more than five,
-and the share of nodes that are flagged as measured.
+Random seas whose waves are all 6 to 8 or 4 to 6 cm long, single waves of 5.5 and 8 cm, a wave of 5.5 cm on
+a sea of 2 cm, water at rest, the tank's random sea, and a reference sea (JONSWAP, significant height 5 cm,
+peak at 1 Hz, 0.7 to 5.5 Hz). Exact cameras, a part of every sensor at full resolution. Per row: errors of z,
+u, v, w in px of 1.8 mm (velocities per frame), their median stated standard uncertainty, the share of nodes
+within one and two standard uncertainties and beyond three, the share of judged nodes where any variable errs
+by more than five, and the share of nodes that are flagged as measured.
 """
 
 import argparse
@@ -91,8 +91,9 @@ def lines(score: Score) -> list[str]:
 
     stated = [float(np.median(np.concatenate(score.std[name]))) for name in NAMES]
     shares = np.array([score.fractions(name) for name in NAMES]).T
+    errors = columns([score.rms(n) for n in NAMES], "{:.4f}")
     return [
-        f"rms {columns([score.rms(n) for n in NAMES], '{:.4f}')}; stated {columns(stated, '{:.4f}')} (z u v w)",
+        f"rms {errors}; stated {columns(stated, '{:.4f}')} (z u v w)",
         f"within 1 std: {columns(shares[0], '{:.0f}')}; 2: {columns(shares[1], '{:.0f}')}; "
         f"beyond 3: {columns(shares[2], '{:.1f}')}; 5 in any: {score.wrong():.1f}; "
         f"measured: {100 * score.measured / max(score.nodes, 1):.1f} %",

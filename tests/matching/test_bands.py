@@ -1,4 +1,4 @@
-"""Spectra with one or several bands of waves anywhere: what is learned of them, and what is stated of the fields."""
+"""Spectra with bands of waves anywhere: what is learned of them, and what is stated of the fields."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def most_probable(modes, blocks):
 
 
 def learned(blocks, thought=3.0):
-    """The prior learned from blocks, at first from nothing but noise that is thought several times too small."""
+    """The prior learned from blocks; at first the noise is thought several times too small."""
     prior = Prior.isotropic(K, np.full(K.size, 1e-6 * NOISE**2), thought / NOISE**2)
     for ratio in (FIRST_SIGNAL_TO_NOISE, 1.0, 1.0):
         prior = prior.opened(ratio)
@@ -74,6 +74,9 @@ def test_bands_are_found_wherever_they_are(seed):
     ratio = ring / (NOISE**2 / footprint(k, np.zeros(1)) ** 2)
     clear = (ratio > 5.0) & (k > 2 * step)
     assert np.all(np.abs(np.log(found / ring)[clear]) < np.log(4.0)), (found / ring)[clear]
+    # what noise hides in a gap is allowed for
+    gap = (ratio < 0.2) & (k > 2 * step) & (np.arange(k.size) < np.flatnonzero(ratio > 5.0).max(initial=0))
+    assert np.all((found / ring)[gap] > 0.5), (found / ring)[gap]
 
 
 def test_stated_uncertainties_hold_for_bands_anywhere():
@@ -88,7 +91,9 @@ def test_stated_uncertainties_hold_for_bands_anywhere():
         error = np.abs(found - exact)[(slice(None), *INSIDE)] / np.sqrt(noise + missing)[INSIDE]
         within.append(np.mean(error < 1))
         beyond.append(np.mean(error > 4))
-    assert 0.65 < np.mean(within) < 0.75, np.round(within, 2)
+    # more than 0.68: what empty rings may hold undetected is part of the uncertainty
+    assert 0.65 < np.mean(within) < 0.87, np.round(within, 2)
+    assert np.min(within) > 0.6, np.round(within, 2)
     assert np.max(beyond) < 0.01, np.round(beyond, 4)
 
 

@@ -317,8 +317,8 @@ def better_prior(
     information : float
         Mean information of a block in them.
     noise_alone : sequence of (ndarray, float), optional
-        Coefficients of fields that the same prior gave of noise alone, and their information: they measure how
-        the noise changes from ring to ring. Its level is the least of the power over what is expected of it.
+        Coefficients of fields that the same prior gave of noise alone, and their information: they measure
+        how noise changes from ring to ring. Its level is the least of the power over what is expected of it.
 
     Returns
     -------
@@ -328,9 +328,10 @@ def better_prior(
     -----
     Of a mode with spectrum S and noise N = 1 / (F^2 A), the most probable field keeps G = S / (S + N), and so
     G^2 (S + N) of its power: S = sum(|D|^2 - G^2 N) / sum G^2 over the modes of a ring, and over those of
-    every sector of it. Where a ring stands out no more from N it goes on as a power law, its sectors as they
-    were. Neighbouring rings are thought to have like directions, and sectors of few modes are drawn to
-    their ring.
+    every sector of it. A spectrum may have gaps and several peaks: a ring counts where S exceeds the scatter
+    of N. In gaps S is the upper limit of what could be there undetected. Beyond the last ring that counts it
+    goes on as a power law, no higher than that limit, its sectors as they were. Neighbouring rings are
+    thought to have like directions, and sectors of few modes are drawn to their ring.
     """
     if information == 0.0:  # nothing was seen: there is nothing to learn
         return prior
@@ -367,7 +368,7 @@ def better_prior(
     limit = np.maximum(signal, 0.0) + LIMIT_STANDARD_DEVIATIONS * scatter * drowned
     signal = np.where(significant, signal, limit)
     least = float(noise.min())
-    most = np.where(there, _HEARD * drowned, np.inf)
+    most = np.where(there, np.minimum(limit, _HEARD * drowned), np.inf)
     rings = np.array(
         [_continued(bins.middle, one, last, least, top) for one, last, top in zip(signal, lasts, most)]
     )
@@ -423,7 +424,7 @@ def believed(variance: float, noise: float, waves: float) -> float:
 
 
 def _plateau(ratio: NDArray[np.float64], count: NDArray[np.integer[Any]]) -> float:
-    """What power over noise falls to where there are no waves: its least, of the mean of neighbouring rings."""
+    """What power over noise falls to without waves: its least, of the mean of neighbouring rings."""
     if ratio.size < NOISE_RINGS:
         return 1.0
     over = np.ones(NOISE_RINGS)
@@ -475,14 +476,14 @@ class _Bins:
         return np.asarray(contiguous | (apart & (self.middle < SHORTEST_WAVENUMBER)))
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
-        """Level of noise (rings,) from that of single rings; long waves are no noise but the calibration's."""
+        """Level of noise (rings,) from that of single rings; long waves are the calibration's, no noise."""
         count = np.where((np.arange(_BINS) < FIRST_NOISE_RING), 0, self.count)
         weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
         total = np.convolve(ratio * count, np.ones(NOISE_RINGS), mode="same")
         known = np.flatnonzero(weight)
         if not known.size:
             return np.ones(_BINS)
-        return np.interp(np.arange(_BINS), known, total[known] / weight[known])
+        return np.asarray(np.interp(np.arange(_BINS), known, total[known] / weight[known]))
 
     @staticmethod
     def until(good: NDArray[np.bool_]) -> int:

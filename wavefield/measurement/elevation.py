@@ -24,6 +24,8 @@ Mask = NDArray[np.bool_]
 LOOKS = 2  # at the images: where matching led, and where the first solution leads
 MAX_LOOKS = 6  # where windows have left much of short steep waves and solutions still change
 MAX_CHANGE = 0.15  # px, rms, of the displacement from one solution to the next that is taken for converged
+MAX_RELATIVE_CHANGE = 0.05  # of the displacement's own rms: the same where there are short waves alone
+NEGLIGIBLE_CHANGE = 0.05  # px, rms: a smaller one is always taken for converged
 _SLOW = 0.7  # of the change before: solutions that change by more go to and fro
 _FEW = 50  # blocks: fewer do not tell how pairs differ
 _SMOOTH = 6  # half waves along the lattice: sight lines that miss each other so smoothly are ill calibrated
@@ -155,20 +157,23 @@ class Progress:
 
     def __init__(self, scale: float = 1.0) -> None:
         self._scale, self._looks, self._change = scale, 0, np.inf
+        self._allowed = MAX_CHANGE
 
     @property
     def converged(self) -> bool:
         """Whether no further look is needed."""
-        return self._looks >= LOOKS and self._change <= MAX_CHANGE
+        return self._looks >= LOOKS and self._change <= self._allowed
 
     def next(self, modes: Modes, waves: Float, found: Float, seen: Float | None) -> tuple[Float, Float]:
-        """Coefficients to go on with and the field that blocks see of them; half way where it goes to and fro."""
+        """Coefficients to go on with and the field that blocks see: half way where it goes to and fro."""
         after = modes.seen(found)
         self._looks += 1
         if seen is None:
             return found, after
         change = self._scale * float(np.sqrt(np.mean(np.square(after - seen))))
-        to_and_fro = self._looks > LOOKS and change > max(_SLOW * self._change, MAX_CHANGE)
+        relative = MAX_RELATIVE_CHANGE * self._scale * float(after.std())
+        self._allowed = min(MAX_CHANGE, max(NEGLIGIBLE_CHANGE, relative))
+        to_and_fro = self._looks > LOOKS and change > max(_SLOW * self._change, self._allowed)
         self._change = change
         if to_and_fro:
             half = np.float32(0.5)
