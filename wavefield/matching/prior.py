@@ -473,7 +473,7 @@ class _Bins:
         mean = sum_of_three / np.maximum(count_of_three, 1)
         chance = MIN_STANDARD_DEVIATIONS * np.sqrt(2.0 / np.maximum(count_of_three, 1))
         apart = (mean > np.maximum(chance, MIN_SIGNAL_TO_NOISE)) & (ratio > _HEARD) & (self.count > 0)
-        return np.asarray(contiguous | (apart & (self.middle < SHORTEST_WAVENUMBER)))
+        return np.asarray((contiguous & (ratio > _HEARD)) | (apart & (self.middle < SHORTEST_WAVENUMBER)))
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
         """Level of noise (rings,) from that of single rings; long waves are the calibration's, no noise."""
