@@ -473,7 +473,10 @@ class _Bins:
         mean = sum_of_three / np.maximum(count_of_three, 1)
         chance = MIN_STANDARD_DEVIATIONS * np.sqrt(2.0 / np.maximum(count_of_three, 1))
         apart = (mean > np.maximum(chance, MIN_SIGNAL_TO_NOISE)) & (ratio > _HEARD) & (self.count > 0)
-        return np.asarray((contiguous & (ratio > _HEARD)) | (apart & (self.middle < SHORTEST_WAVENUMBER)))
+        apart &= ~contiguous & (self.middle < SHORTEST_WAVENUMBER)
+        if apart.any():  # the first three rings may belong to the gap
+            contiguous &= ratio > _HEARD
+        return np.asarray(contiguous | apart)
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
         """Level of noise (rings,) from that of single rings; long waves are the calibration's, no noise."""
