@@ -82,6 +82,6 @@ def test_kinematics_are_described_without_a_computation(cube):
     assert all(terms[name].chunks for name in terms.data_vars)
 
 
-def test_the_whole_analysis_computes_three_times_holes_widths_of_bins_and_all_the_rest(cube):
-    with assert_maximum_computes(3):
+def test_the_whole_analysis_computes_four_times_holes_current_widths_of_bins_and_all_the_rest(cube):
+    with assert_maximum_computes(4):
         waves.analyze(cube)

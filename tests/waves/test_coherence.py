@@ -11,7 +11,7 @@ import wavefield.waves as wv
 from wavefield.waves.windows import effective_duration, hann
 
 coherence_module = importlib.import_module("wavefield.waves.coherence")
-NAMES, PAIRS = ("z_t", "w", "nl"), (("z_t", "w"), ("z_t", "nl"), ("w", "nl"))
+NAMES, PAIRS = ("rise", "w", "nl"), (("rise", "w"), ("rise", "nl"), ("w", "nl"))
 
 
 def white_cube(seed, steps=512, ny=24, nx=30):
@@ -22,7 +22,7 @@ def white_cube(seed, steps=512, ny=24, nx=30):
 
 
 def test_unrelated_signals_show_the_bias_and_the_false_positives_that_are_predicted():
-    names = ("z_t", "u", "v", "w")
+    names = ("rise", "u", "v", "w")
     pairs = tuple(combinations(names, 2))
     means, hits, hits_k, over_k = [], [], [], []
     for seed in range(12):
@@ -36,7 +36,7 @@ def test_unrelated_signals_show_the_bias_and_the_false_positives_that_are_predic
             means.append((gamma2 * samples).where(use).mean().item())
             hits.append((gamma2 > level).where(use).mean().item())
         # u in the place of the nonlinear term: any two unrelated signals
-        made = ring.rename(E_u="E_nl", dof_u="dof_nl", S_z_t_u="S_z_t_nl").assign(S_w_nl=ring.S_u_w.conj())
+        made = ring.rename(E_u="E_nl", dof_u="dof_nl", S_rise_u="S_rise_nl").assign(S_w_nl=ring.S_u_w.conj())
         C = coherence_module.from_spectra(made)
         for name in ("w", "nl"):
             over_k.append((C[f"gamma2_{name}"] * C[f"samples_{name}"]).where(inside).mean().item())
@@ -128,9 +128,14 @@ def test_the_rate_of_rise_lags_the_elevation_by_a_quarter_turn():
 
 
 def test_a_surface_without_slopes_has_no_coherence_with_its_nonlinear_term():
-    names = ("z_t", "w", "u")
+    names = ("rise", "w", "u")
     ring = wv.cross_spectra(white_cube(0, steps=128), names, tuple(combinations(names, 2)), segment=32)
-    nil = {"E_nl": 0 * ring.E_u, "S_z_t_nl": 0 * ring.S_z_t_u, "S_w_nl": 0 * ring.S_w_u, "dof_nl": ring.dof_u}
+    nil = {
+        "E_nl": 0 * ring.E_u,
+        "S_rise_nl": 0 * ring.S_rise_u,
+        "S_w_nl": 0 * ring.S_w_u,
+        "dof_nl": ring.dof_u,
+    }
     # in pieces, since xarray keeps silent about what it divides at once; any warning is an error here
     C = coherence_module.from_spectra(ring.assign(nil).chunk()).compute()
     assert np.isnan(C["gamma2_nl"]).all()

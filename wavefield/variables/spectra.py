@@ -8,14 +8,15 @@ from wavefield.variables.units import product
 K_UNITS, OMEGA_UNITS = "rad m-1", "rad s-1"
 
 # spectral names: units and words
-FIELD_UNITS = {"z": "m"} | dict.fromkeys(("z_t", "u", "v", "w", "nl"), "m s-1")
+FIELD_UNITS = {"z": "m"} | dict.fromkeys(("z_t", "rise", "u", "v", "w", "nl"), "m s-1")
 FIELD_TEXTS = {
     "z": "surface elevation at frame times",
     "z_t": "rate of rise of the surface",
+    "rise": "rate of rise in the frame that moves with the mean current U, z_t + U . grad z",
     "u": "velocity along x",
     "v": "velocity along y",
     "w": "vertical velocity",
-    "nl": "nonlinear term u . grad z",
+    "nl": "nonlinear term (u - U) . grad z, U the mean current",
 }
 METHODS = {
     "stereo": "elevation spectrum from stereo",
@@ -119,7 +120,7 @@ for _f, _unit in FIELD_UNITS.items():
         )
         for _q, _qt in (("dof", "degrees of freedom"), ("low", LOW), ("high", HIGH)):
             rows("spectra", _dims, (f"{_q}_{_name}_{_f}", "1", _qt), family=f"{_q}_{_name}_*")
-    if _f != "nl":
+    if _f not in ("rise", "nl"):
         _half = "where the measurement keeps half of a wave or more"
         _more = "undone there in `E_komega_*`, `E_k_*` and `E_*`; with a gain alone"
         rows("spectra", ("k",), (f"valid_k_{_f}", "1", _half, _more), dtype="bool", family="valid_k_*")

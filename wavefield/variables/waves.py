@@ -16,7 +16,7 @@ rows(
     ("step",),
     ("w_rms", "m s-1", "vertical velocity, rms", "over the rectangle, at the sampled steps"),
     ("z_t_rms", "m s-1", "rate of rise, rms"),
-    ("nonlinear_rms", "m s-1", "nonlinear term u . grad z, rms"),
+    ("nonlinear_rms", "m s-1", "nonlinear term (u - U) . grad z, rms", "U is the mean current"),
     ("residual_rms", "m s-1", "residual z_t - w + u . grad z, rms"),
     ("finite_residual_rms", "m s-1", "residual for finite displacements, rms"),
     ("vorticity_rms", "s-1", "vorticity, rms"),
@@ -29,13 +29,25 @@ rows(
     ("nonlinear_fraction", "1", "nonlinear term over w, rms"),
     ("residual_fraction", "1", "residual over nonlinear term, rms"),
     ("finite_residual_fraction", "1", "residual for finite displacements over nonlinear term, rms"),
+    ("mean_current_x", "m s-1", "mean of u, which nonlinear quantities are relative to"),
+    ("mean_current_x_std", "m s-1", "standard uncertainty of the mean of u"),
+    ("mean_current_y", "m s-1", "mean of v, which nonlinear quantities are relative to"),
+    ("mean_current_y_std", "m s-1", "standard uncertainty of the mean of v"),
 )
+for _axis in ("k", "omega"):
+    rows(
+        "kinematics",
+        (_axis,),
+        (f"nonlinear_ratio_{_axis}", "1", "amplitude of (u - U) . grad z over that of w"),
+        (f"low_nonlinear_ratio_{_axis}", "1", LOW),
+        (f"high_nonlinear_ratio_{_axis}", "1", HIGH),
+    )
 rows(
     "",
     ("time", "y", "x"),
     ("z_x", "1", "slope along x"),
     ("z_y", "1", "slope along y"),
-    ("nonlinear", "m s-1", "nonlinear term u . grad z"),
+    ("nonlinear", "m s-1", "nonlinear term (u - U) . grad z"),
     ("residual", "m s-1", "kinematic residual z_t - w + u . grad z"),
     ("vorticity", "s-1", "vertical vorticity v_x - u_y of the surface"),
     ("divergence", "s-1", "divergence u_x + v_y of the surface"),

@@ -12,11 +12,12 @@ in [low E, high E] with 95 % confidence. ``valid`` masks say where a spectrum ca
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import dask
 import numpy as np
 import xarray as xr
 
@@ -30,6 +31,7 @@ from wavefield.waves import (
     crosses,
     fusion,
     kinematics,
+    nonlinear_ratio,
     scatter,
     segments,
     spectra,
@@ -42,6 +44,7 @@ from wavefield.waves.direction import direction_group
 from wavefield.waves.directional import from_density
 from wavefield.waves.enough import leave_out_unknown
 from wavefield.waves.higher_order import higher_order
+from wavefield.waves.mean_current import delayed_current
 from wavefield.waves.on_current import Moving
 from wavefield.waves.onepass import FIELDS, MAPS, NAMES, PAIRS, Progress, Sums, one_pass
 from wavefield.waves.probes import probe_spectra, read_probes
@@ -209,6 +212,8 @@ def _analyze(job: _Job, record: Record, alike: bool) -> xr.DataTree:
     segment = segments.segment_length(record, job.segment)
     frames = frames_of(job.cube), frames_of_z(job.cube), moves_with_flow(job.cube)
     welch = Welch(record, segment, None, *frames)
+    mean, mean_std = dask.compute(delayed_current(job.cube, record))[0]
+    welch = replace(welch, current=(float(mean[0]), float(mean[1])))
     time = job.cube["time"].values.astype(float)
     probes = _probes(job, welch, time)
     scale = statistics.pilot(job.cube, record, list(statistics.QUANTITIES.values()))
@@ -217,7 +222,12 @@ def _analyze(job: _Job, record: Record, alike: bool) -> xr.DataTree:
     groups, subjects = _groups(job, welch, sums, scale, notes)
     if probes is not None:
         groups["spectra"] = groups["spectra"].assign(probes.data_vars)
-    groups["kinematics"] = kinematics.balance_group(sums.balance, time)
+    groups["kinematics"] = kinematics.balance_group(sums.balance, time).assign(
+        nonlinear_ratio.mean_current(mean, mean_std).data_vars
+    )
+    groups["kinematics"] = groups["kinematics"].merge(
+        nonlinear_ratio.from_spectra(groups["spectra"]), combine_attrs="override"
+    )
     if welch.count < 4:
         notes.append("Bicoherence and tricoherence were left out: they need four segments at least.")
     for subject, found in zip(subjects, _side_by_side(job, subjects)):

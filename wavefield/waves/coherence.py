@@ -13,8 +13,8 @@ from wavefield.waves.spectra import finish
 from wavefield.waves.welch import Welch
 from wavefield.waves.windows import effective_duration
 
-NAMES = ("z_t", "w", "nl")
-PAIRS = (("z_t", "w"), ("z_t", "nl"), ("w", "nl"))
+NAMES = ("rise", "w", "nl")
+PAIRS = (("rise", "w"), ("rise", "nl"), ("w", "nl"))
 
 
 def significance_level(samples: Any, chance: float = 0.05) -> Any:
@@ -45,9 +45,9 @@ def _terms(ring: xr.Dataset) -> dict[str, tuple[xr.DataArray, xr.DataArray]]:
     # cross spectrum with z_t and power of each term; -u . grad z, so signs turn
     total = ring["E_w"] + ring["E_nl"] - 2 * ring["S_w_nl"].real
     return {
-        "w": (ring["S_z_t_w"], ring["E_w"]),
-        "nl": (-ring["S_z_t_nl"], ring["E_nl"]),
-        "tot": (ring["S_z_t_w"] - ring["S_z_t_nl"], total),
+        "w": (ring["S_rise_w"], ring["E_w"]),
+        "nl": (-ring["S_rise_nl"], ring["E_nl"]),
+        "tot": (ring["S_rise_w"] - ring["S_rise_nl"], total),
     }
 
 
@@ -70,15 +70,15 @@ def from_spectra(ring: xr.Dataset) -> xr.Dataset:
     out: dict[str, Any] = {}
     for ending in ("", "_komega"):
         add = _itself if ending else _over_omega
-        norm = np.sqrt(add(ring["E_z_t"]) * add(total))
+        norm = np.sqrt(add(ring["E_rise"]) * add(total))
         for name, (cross, power) in terms.items():
             out[f"C_{name}{ending}"] = add(cross) / norm
-            both = add(ring["E_z_t"]) * add(power)
+            both = add(ring["E_rise"]) * add(power)
             out[f"gamma2_{name}{ending}"] = np.abs(add(cross)) ** 2 / both.where(both > 0)
             samples = _samples(ring, name)
             if not ending:
                 cells = 2 * samples / ring.attrs["degrees_of_freedom"]
-                samples = samples_in_time((ring["E_z_t"] * power) ** 0.5, duration, cells)
+                samples = samples_in_time((ring["E_rise"] * power) ** 0.5, duration, cells)
             samples = samples.clip(min=1)
             out[f"samples_{name}{ending}"] = samples
             out[f"bias_{name}{ending}"] = 1 / samples
@@ -100,7 +100,7 @@ def _samples(ring: xr.Dataset, name: str) -> xr.DataArray:
     # independent samples of a product of two fields, from the degrees of freedom of both; the sum
     # w - u . grad z has those of w, its largest part
     other = ring["dof_w" if name == "tot" else f"dof_{name}"]
-    return (ring["dof_z_t"] * other) ** 0.5 / 2
+    return (ring["dof_rise"] * other) ** 0.5 / 2
 
 
 def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | None = None) -> xr.Dataset:
@@ -128,6 +128,8 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
 
     Notes
     -----
+    All are in the frame that moves with the mean current U, the mean of u, v over the record: z_t is
+    z_t + U . grad z, and u is u - U, since U . grad z is linear.
     The three C share the norm sqrt(<|z_t|^2> <|w - u . grad z|^2>), cross and auto spectra being averaged
     over angle first, so C_w + C_nl = C_tot exactly and |C_w| may exceed 1. Sums run over omega >= 0, where k
     points where the wave goes; the mean over both signs of omega is the real part. gamma2 is the standard

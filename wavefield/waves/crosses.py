@@ -1,10 +1,13 @@
 """Power and cross spectra of several fields of a cube in one pass, integrated over angle.
 
-Names: ``z`` is the elevation at frame times, half a step before the rest; ``nl`` is u . grad z.
+Names: ``z`` is the elevation at frame times, half a step before the rest; ``nl`` is (u - U) . grad z
+and ``rise`` is z_t + U . grad z, U being the mean current: their sum is z_t + u . grad z.
 """
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -17,6 +20,7 @@ from numpy.typing import NDArray
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.waves import freedom, kernels, scatter, segments, spectra, transfer
+from wavefield.waves.mean_current import delayed_current
 from wavefield.waves.record import Record
 from wavefield.waves.rings import Rings, half_plane
 from wavefield.waves.welch import Welch, k_coords, omega_coords
@@ -34,6 +38,7 @@ SOURCES = {
     "v": ("v",),
     "w": ("w",),
     "nl": ("z", "z_t", "u", "v"),
+    "rise": ("z", "z_t", "u", "v"),
 }
 
 
@@ -43,16 +48,20 @@ def sources(names: Sequence[str]) -> list[str]:
     return [field for field in ("z", "z_t", "u", "v", "w") if field in needed]
 
 
-class _Nonlinear:
-    """u . grad z: computed where it is cut out, never held whole."""
+class _Relative:
+    """(u - U) . grad z, or z_t + U . grad z: computed where it is cut out, never held whole."""
 
-    def __init__(self, fields: Mapping[str, Array], welch: Welch) -> None:
+    def __init__(self, fields: Mapping[str, Array], welch: Welch, name: str) -> None:
+        self.name = name
         record = welch.record
         # velocities along paths are those at mid-time, as z is; a displacement goes with its frames' mean
         lean = record.dt / 16 if welch.frames == 2 else 0.0
         self.fields = [np.ascontiguousarray(fields[name]) for name in ("z", "z_t", "u", "v")]
         self.shape, self.dtype = self.fields[0].shape, self.fields[0].dtype
         real = self.dtype.type
+        for i, mean in enumerate(welch.current, 2):
+            part = self.fields[i]
+            self.fields[i] = part - real(mean) if name == "nl" else np.full_like(part, mean)
         self.distances = real(lean), real(record.dt / 2), record.dy, record.dx
 
     def __getitem__(self, steps: slice) -> Array:
@@ -60,6 +69,8 @@ class _Nonlinear:
         out = np.empty((end - first, *self.shape[1:]), self.dtype)
         given = *self.fields, first, *self.distances, out
         kernels.advection(*given)
+        if self.name == "rise":
+            out += self.fields[1][first:end]
         return out
 
 
@@ -88,9 +99,10 @@ def transforms(
         z is still at mid-time: `combine` takes it to frame times.
     """
     out, old = {}, old or {}
-    if "nl" in names:
-        out["nl"] = segments.transform_space(_Nonlinear(fields, welch), old.get("nl"))
-    wanted = {name for name in names if name != "nl"} | ({"z_t"} if "z" in names else set())
+    relative = [name for name in ("nl", "rise") if name in names]
+    for name in relative:
+        out[name] = segments.transform_space(_Relative(fields, welch, name), old.get(name))
+    wanted = {*names} - {*relative} | ({"z_t"} if "z" in names else set())
     for name in [*fields]:
         block = fields.pop(name)
         if name in wanted:
@@ -309,7 +321,8 @@ def cross_spectra(
     cube : Dataset
         Fields over (time, y, x), m and m/s. Lazy input gives a lazy result.
     names : sequence of str
-        Of z (at frame times), z_t, u, v, w, nl (u . grad z).
+        Of z (at frame times), z_t, u, v, w, nl ((u - U) . grad z) and rise (z_t + U . grad z), with U the
+        mean of u, v over the record.
     pairs : sequence of (str, str)
         Pairs of these whose cross spectrum is wanted.
     segment : int, optional
@@ -337,6 +350,21 @@ def cross_spectra(
     return spectra.finish(lazy, cube[sources(names)[0]])
 
 
+def _transform_blocks(
+    fields: Sequence[str], names: Sequence[str], welch: Welch, blocks: list[Array], first: int
+) -> dict[str, Array]:
+    return transforms(take(fields, blocks), names, welch)
+
+
+def moving_welch(cube: xr.Dataset, welch: Welch) -> Any:
+    """Welch with the mean current of the record, delayed."""
+
+    def with_current(found: tuple[Array, Array]) -> Welch:
+        return replace(welch, current=(float(found[0][0]), float(found[0][1])))
+
+    return dask.delayed(with_current, pure=False)(delayed_current(cube, welch.record))
+
+
 def lazy_sums(
     cube: xr.Dataset,
     names: Sequence[str],
@@ -347,9 +375,11 @@ def lazy_sums(
     """As `combine` gives it, over all segments of a cube that came through `door`; delayed."""
     fields = sources(names)
 
-    def make(blocks: list[Array], first: int) -> dict[str, Array]:
-        return transforms(take(fields, blocks), names, welch)
-
+    make: Any = partial(_transform_blocks, fields, names)
+    if {"nl", "rise"} & {*names}:
+        make = dask.delayed(partial, pure=False)(make, moving_welch(cube, welch))
+    else:
+        make = partial(make, welch)
     runs = segments.half_segments([cube[field] for field in fields], welch.record, welch.half, make)
     task = dask.delayed(combine, pure=False)
     return segments.in_order(
@@ -399,7 +429,7 @@ def by_field(ring: xr.Dataset, names: Sequence[str], gain: xr.Dataset | None = N
     out = xr.Dataset(attrs=ring.attrs)
     for name in names:
         energy, dof = ring[f"E_{name}"], ring[f"dof_{name}"]
-        if gain is not None and name != "nl":
+        if gain is not None and name not in ("rise", "nl"):
             factor, there = kept(gain, _MEASURED.get(name, name), ring["k"].values)
             energy = energy * xr.DataArray(factor, dims="k")
             out[f"valid_k_{name}"] = ("k", there)

@@ -48,7 +48,9 @@ def slopes(z: Array, dy: float, dx: float) -> tuple[Array, Array]:
     return z_y, z_x
 
 
-def terms(fields: Mapping[str, Array], dy: float, dx: float) -> dict[str, Array]:
+def terms(
+    fields: Mapping[str, Array], dy: float, dx: float, current: tuple[float, float] = (0.0, 0.0)
+) -> dict[str, Array]:
     """Slopes, nonlinear term, residual, vorticity and divergence.
 
     Parameters
@@ -57,6 +59,8 @@ def terms(fields: Mapping[str, Array], dy: float, dx: float) -> dict[str, Array]
         z, z_t, u, v, w at mid-time, m and m/s; ``mean``, the mean elevation of the step's two frames, m.
     dy, dx : float
         Distance between nodes, m.
+    current : tuple of float
+        Mean current U along x and y, m/s.
 
     Returns
     -------
@@ -70,27 +74,30 @@ def terms(fields: Mapping[str, Array], dy: float, dx: float) -> dict[str, Array]
     mean_y, mean_x = slopes(mean, dy, dx)
     u_y, u_x = slopes(u, dy, dx)
     v_y, v_x = slopes(v, dy, dx)
-    nonlinear = u * mean_x + v * mean_y
-    out = (z_x, z_y, nonlinear, z_t - w + nonlinear, v_x - u_y, u_x + v_y)
+    # the linear part U . grad z belongs to the rate of rise in the frame that moves with the water
+    nonlinear = (u - z.dtype.type(current[0])) * mean_x + (v - z.dtype.type(current[1])) * mean_y
+    out = (z_x, z_y, nonlinear, z_t - w + u * mean_x + v * mean_y, v_x - u_y, u_x + v_y)
     return {name: array.reshape(shape) for name, array in zip(_OUTPUTS, out)}
 
 
 _OUTPUTS = ("z_x", "z_y", "nonlinear", "residual", "vorticity", "divergence")
 
 
-def kinematics(cube: xr.Dataset) -> xr.Dataset:
+def kinematics(cube: xr.Dataset, current: tuple[float, float] = (0.0, 0.0)) -> xr.Dataset:
     """Slopes, nonlinear term, residual, vorticity and divergence at every node.
 
     Parameters
     ----------
     cube : Dataset
         z, z_t, u, v, w over (time, y, x), m and m/s, at mid-time. Lazy input gives a lazy result.
+    current : tuple of float
+        Mean current U along x and y, m/s, that the nonlinear term is relative to; still water by default.
 
     Returns
     -------
     Dataset
-        ``z_x``, ``z_y``, ``nonlinear`` (u . grad z), ``residual`` (z_t - w + u . grad z), ``vorticity``,
-        ``divergence`` (time, y, x).
+        ``z_x``, ``z_y``, ``nonlinear`` ((u - U) . grad z), ``residual`` (z_t - w + u . grad z),
+        ``vorticity``, ``divergence`` (time, y, x).
 
     Raises
     ------
@@ -124,7 +131,7 @@ def kinematics(cube: xr.Dataset) -> xr.Dataset:
     names = (*_NAMES, "mean")
 
     def compute(*fields: Array) -> tuple[Array, ...]:
-        return tuple(terms(dict(zip(names, fields)), dy, dx).values())
+        return tuple(terms(dict(zip(names, fields)), dy, dx, current).values())
 
     fields = [cube[name].transpose("time", "y", "x") for name in _NAMES]
     z, z_t = fields[0], fields[1]
@@ -301,7 +308,13 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
 
 
 def balance(
-    fields: Mapping[str, Array], i: int, dt: float, dy: float, dx: float, frames: int = 2
+    fields: Mapping[str, Array],
+    i: int,
+    dt: float,
+    dy: float,
+    dx: float,
+    frames: int = 2,
+    current: tuple[float, float] = (0.0, 0.0),
 ) -> dict[str, float]:
     """Root mean squares of the terms of the kinematic condition at one step.
 
@@ -315,6 +328,8 @@ def balance(
         Distances, s and m.
     frames : int
         Frames that the velocities come from: with four there is no ``finite_residual_rms`` (NaN).
+    current : tuple of float
+        Mean current along x and y that the nonlinear term is relative to, m/s.
 
     Returns
     -------
@@ -330,7 +345,7 @@ def balance(
         mean = (ends[0] + ends[1]) / 2
     else:
         finite, mean = np.empty(0), now["z"]
-    parts = terms(now | {"mean": mean}, dy, dx)
+    parts = terms(now | {"mean": mean}, dy, dx, current)
     values = {
         "w_rms": now["w"],
         "z_t_rms": now["z_t"],

@@ -18,7 +18,7 @@ from wavefield.waves.welch import Welch
 Array = NDArray[Any]
 
 FIELDS = ("z", "z_t", "u", "v", "w")
-NAMES = ("z", "z_t", "u", "v", "w", "nl")
+NAMES = ("z", "z_t", "rise", "u", "v", "w", "nl")
 PAIRS = (*coherence.PAIRS, *fusion.PAIRS)
 MAPS = ("z", "w")
 PLANES = (*MAPS, *fusion.PLANES)
@@ -91,7 +91,7 @@ class _Step:
         record, frames = self.welch.record, self.welch.frames
         distances = record.dt, record.dy, record.dx
         return [
-            {"step": float(first + i)} | kinematics.balance(fields, i, *distances, frames)
+            {"step": float(first + i)} | kinematics.balance(fields, i, *distances, frames, self.welch.current)
             for i in range(1, fields["z"].shape[0] - 1)
             if (first + i) % self.every == 0
         ]

@@ -2,13 +2,14 @@
 
 from typing import Any
 
+import dask
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.variables import annotate
 from wavefield.waves.coherence import NAMES
-from wavefield.waves.crosses import door, sources, transforms
+from wavefield.waves.crosses import door, moving_welch, sources, transforms
 from wavefield.waves.record import Record
 from wavefield.waves.segments import Reader
 from wavefield.waves.welch import Welch, k_coords
@@ -48,6 +49,7 @@ def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dat
     """
     cube = door(cube, NAMES)
     welch = Welch.of(cube, None, record)
+    (welch,) = dask.compute(moving_welch(cube, welch))
     record, fields = welch.record, sources(NAMES)
     read = Reader([cube[field] for field in fields], record)
     sums: dict[str, Array] = {}

@@ -49,6 +49,8 @@ class Welch:
         Frames that z comes from (`transfer.to_frame_time`).
     moving : bool
         Whether z is interpolated in time in a frame that moves with the mean flow.
+    current : tuple of float
+        Mean current along x and y that nonlinear quantities are relative to, m/s.
     """
 
     record: Record
@@ -57,6 +59,7 @@ class Welch:
     frames: int = 2
     z_frames: int = 4
     moving: bool = False
+    current: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of(
