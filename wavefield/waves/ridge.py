@@ -1,7 +1,7 @@
 """The measured ridge of the dispersion relation: current and surface tension fitted to it."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,7 @@ CENTROID_ERROR = 0.03  # of a cell of the k plane, of the strongest sector; leak
 LEAKAGE_ERROR = 0.3  # of the displacement of a centroid by the windows: what is left when it is undone
 FREQUENCY_BLOCKS = 5  # that are left out in turn
 MAX_CHANGE = 0.015  # m/s: a current that changes by more without one of these blocks depends on the band
+STRONG_LINE = 20.0  # energy near the dispersion relation over the noise there: the band of a second try
 MAX_CONDITION = 1e4  # of the normal equations of a current: those of waves of one direction exceed it
 MIN_SLOPE = 0.15  # of the group velocity: waves that a current slows more count as these
 _LEANING = 0.3  # cells of the k plane: what the windows move further is theirs
@@ -328,7 +329,8 @@ def fit_dispersion(
     changes by when a fifth more noise is subtracted, with what it changes by without the waves that the
     current slows most and in the last round, and 2 % of the surface tension, which is taken to be within 30
     % of what is given where the waves determine it less well. A fit that changes by more than 15 mm/s
-    without one of the blocks is refused.
+    without one of the blocks is refused. Where the fit to all lines is refused and no ``highest`` is given,
+    it is tried once more with the lines whose waves far exceed the noise.
 
     Examples
     --------
@@ -352,6 +354,36 @@ def fit_dispersion(
     """
     settings = settings or FitSettings()
     density = density.compute()
+    try:
+        return _fit_band(density, depth, gamma, settings)
+    except CubeError as refusal:
+        highest = None if settings.highest else _end_of_strong_lines(density, depth, gamma)
+        if highest is None:
+            raise
+        try:
+            return _fit_band(density, depth, gamma, replace(settings, highest=highest))
+        except CubeError:
+            raise refusal from None
+
+
+def _end_of_strong_lines(density: xr.DataArray, depth: float, gamma: float) -> float | None:
+    """Frequency, Hz, up to which the waves near the dispersion relation far exceed the noise."""
+    omega, plane = density["omega"].values, plane_of(density)
+    nyquist_k = min(abs(float(density[name].min())) for name in ("ky", "kx"))
+    energy = density.values.reshape(omega.size, -1)
+    noise = noise_level(energy, plane, nyquist_k)
+    k = wavenumber(omega, depth, gamma)
+    near = np.abs(plane.k - k[:, None]) < np.maximum(0.1 * k[:, None], 2.0 * plane.cell)
+    ratio = (energy * near).sum(axis=1) / np.maximum((noise * near).sum(axis=1), 1e-300)
+    strongest = int(np.argmax((energy * near).sum(axis=1)))
+    weak = np.flatnonzero(ratio[strongest:] < STRONG_LINE)
+    if not weak.size or weak[0] < 2:
+        return None
+    return float(omega[strongest + weak[0] - 1] / (2 * np.pi))
+
+
+def _fit_band(density: xr.DataArray, depth: float, gamma: float, settings: FitSettings) -> xr.Dataset:
+    """The fit of `fit_dispersion` in the band of the settings; raises CubeError where it is refused."""
     omega = density["omega"].values
     nyquist_k = min(abs(float(density[name].min())) for name in ("ky", "kx"))
     highest = 2 * np.pi * (settings.highest or np.inf)
