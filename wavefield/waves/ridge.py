@@ -372,9 +372,9 @@ def _end_of_strong_lines(density: xr.DataArray, depth: float, gamma: float) -> f
     nyquist_k = min(abs(float(density[name].min())) for name in ("ky", "kx"))
     energy = density.values.reshape(omega.size, -1)
     noise = noise_level(energy, plane, nyquist_k)
-    k = wavenumber(omega, depth, gamma)
+    k = wavenumber(np.maximum(omega, omega[1]), depth, gamma)
     near = np.abs(plane.k - k[:, None]) < np.maximum(0.1 * k[:, None], 2.0 * plane.cell)
-    ratio = (energy * near).sum(axis=1) / np.maximum((noise * near).sum(axis=1), 1e-300)
+    ratio = (energy * near).sum(axis=1) / np.maximum((noise * near).sum(axis=1), np.finfo(float).tiny)
     strongest = int(np.argmax((energy * near).sum(axis=1)))
     weak = np.flatnonzero(ratio[strongest:] < STRONG_LINE)
     if not weak.size or weak[0] < 2:
