@@ -202,7 +202,6 @@ def waves(cube):
         ("wavenumber_spectra", ["spectra"], ["E(k) (m³ s⁻² rad⁻¹)", "u·∇z"]),
         ("elevation_spectra", ["spectra"], ["E$^z$(ω) (m² s rad⁻¹)", "stereo z", "integrated w", "fusion"]),
         ("noise_spectra", ["spectra", "fusion"], ["weight in the fusion (%)", "noise of stereo z"]),
-        ("dispersion_ridge", ["dispersion"], ["linear theory", "ridge against theory (%)"]),
         ("directions", ["direction"], ["direction of travel (degrees from x)"]),
         ("coherence_curves", ["coherence"], ["z_t with w − u·∇z", "chance (5 %)"]),
         ("balance_history", ["kinematics"], ["rms over the grid (cm s⁻¹)"]),
@@ -253,3 +252,26 @@ def test_diagram_names_the_cameras_of_the_run():
     figure = figures.method_diagram([("mid", "left"), ("mid", "right")], ["left", "right"])
     words = [text.get_text() for text in figure.axes[0].texts]
     assert {"mid, t", "left, t + dt", "right, t"} <= set(words)
+
+
+def test_picture_of_the_dispersion_ridge():
+    import xarray as xr
+
+    from wavefield.water import dispersion
+    from wavefield.waves import spectrum
+    from wavefield.waves.ridge import dispersion_group
+
+    rng = np.random.default_rng(0)
+    k, angle = rng.uniform(6, 40, 300), rng.uniform(-np.pi, np.pi, 300)
+    kx, ky = k * np.cos(angle), k * np.sin(angle)
+    t, y, x = np.arange(192) * 0.05, np.arange(32) * 0.05, np.arange(40) * 0.05
+    waves = np.exp(1j * (kx[:, None, None] * x + ky[:, None, None] * y[:, None]))
+    turns = np.exp(2j * np.pi * rng.random(300) - 1j * np.outer(t, dispersion(k)))
+    w = np.tensordot(turns / k, waves, 1).real
+    density = spectrum(xr.DataArray(w, {"time": t, "y": y, "x": x}, ("time", "y", "x"))).E
+    group, note = dispersion_group(density, np.linspace(5, 60, 30), np.inf, 7.2e-5)
+    assert not note
+    figure = figures.dispersion_ridge(group)
+    figure.draw_without_rendering()
+    for word in ("linear theory", "measured ridge", "ridge against theory (%)"):
+        assert word in labels(figure)
