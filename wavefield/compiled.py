@@ -13,16 +13,6 @@ def compiled(*signature: Any, **options: Any) -> Callable[[Loop], Loop]:
     """Compile a function of plain arrays at its first call, keep the result on disk, run it without the lock.
 
     Where the disk has no room, or no folder can be written, it is compiled in every process.
-
-    Parameters
-    ----------
-    *signature, **options
-        As those of `numba.njit`.
-
-    Returns
-    -------
-    callable
-        The decorator: what it decorates keeps its type.
     """
     njit: Any = numba.njit  # its own types take the options one by one
 

@@ -74,15 +74,7 @@ class Grid:
 def largest_rectangle(mask: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
     """Find the largest rectangle without a hole.
 
-    Parameters
-    ----------
-    mask : ndarray of bool, (ny, nx)
-        True where a node can be used.
-
-    Returns
-    -------
-    y, x : tuple of int
-        First node and one past the last along each axis; (0, 0) where nothing is left.
+    With mask (ny, nx).
 
     Examples
     --------

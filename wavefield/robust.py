@@ -9,16 +9,6 @@ PER_MEDIAN = 1.4826  # standard deviation of a normal distribution over its medi
 def robust_std(values: NDArray[np.floating]) -> float:
     """Standard deviation that a few blunders do not move: 1.4826 times the median of absolute values.
 
-    Parameters
-    ----------
-    values : ndarray, any shape
-        With mean zero; finite.
-
-    Returns
-    -------
-    float
-        In the values' unit; zero if there are none.
-
     Examples
     --------
     >>> robust_std(np.array([-1.0, 1.0, 1.0, 1000.0]))

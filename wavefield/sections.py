@@ -37,26 +37,7 @@ class Section(BaseModel):
 
 
 def load(kind: type[T], path: Path, data: Mapping[str, Any] | None = None) -> T:
-    """Read and check a YAML file.
-
-    Parameters
-    ----------
-    kind : type
-        What the file must hold: a `Section` or a dataclass.
-    path : path
-        The file.
-    data : mapping, optional
-        Its content, if it was read (and perhaps changed) already.
-
-    Returns
-    -------
-    instance of kind
-
-    Raises
-    ------
-    ExperimentError
-        If the file is missing, is not YAML, or does not hold what it must; the message names the line.
-    """
+    """Read and check a YAML file."""
     return make(kind, read_yaml(path) if data is None else data, path=path)
 
 
@@ -69,32 +50,7 @@ def make(
     name: str = "",
     error: type[WavefieldError] = ExperimentError,
 ) -> T:
-    """Make a section from plain data.
-
-    Parameters
-    ----------
-    kind : type
-        A `Section` or a dataclass.
-    data : mapping
-        Names and values.
-    path : path, optional
-        The YAML file that they come from.
-    location : sequence of str or int
-        Keys that lead to them in that file.
-    name : str
-        What to call them where there is no file.
-    error : type
-        What is raised.
-
-    Returns
-    -------
-    instance of kind
-
-    Raises
-    ------
-    WavefieldError
-        Of the type `error`, where the data do not fit: file, line, and the nearest valid name.
-    """
+    """Make a section from plain data."""
     try:
         return TypeAdapter(kind).validate_python(dict(data))
     except WavefieldError as found:  # a section's own sentence
@@ -123,22 +79,7 @@ def make(
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Content of a YAML file that holds a mapping.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    ExperimentError
-        If the file is missing, is not YAML, has a key twice, or is not a mapping.
-    """
+    """Content of a YAML file that holds a mapping."""
     node = _compose(path)
     if not isinstance(node, yaml.MappingNode):
         raise ExperimentError(f"{path} is not a list of `key: value` lines; see the example in the README")
@@ -223,20 +164,7 @@ def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
 
 
 def place_of(path: Path, location: Sequence[Key]) -> str:
-    """File and line of a value, for a message.
-
-    Parameters
-    ----------
-    path : path
-        YAML.
-    location : sequence of str or int
-        Keys that lead to it.
-
-    Returns
-    -------
-    str
-        Such as "experiment.yaml, line 3".
-    """
+    """File and line of a value, for a message."""
     line = _line(_compose(path), location)
     return f"{path}, line {line}" if line else str(path)
 

@@ -19,18 +19,6 @@ GAMMA = SURFACE_TENSION / DENSITY  # m3 s-2
 def tension_over_density(surface_tension: float | None = None, density: float | None = None) -> float:
     """Surface tension over density.
 
-    Parameters
-    ----------
-    surface_tension : float, optional
-        N/m; that of clean water if not given.
-    density : float, optional
-        kg/m3; that of fresh water if not given.
-
-    Returns
-    -------
-    float
-        m3 s-2.
-
     Examples
     --------
     >>> round(tension_over_density() * 1e5, 2)
@@ -42,18 +30,6 @@ def tension_over_density(surface_tension: float | None = None, density: float | 
 
 def water_of(attributes: Mapping[str, Any], depth: float | None = None) -> tuple[float, float]:
     """Depth and surface tension over density, as a cube's attributes say.
-
-    Parameters
-    ----------
-    attributes : mapping
-        ``water_depth``, m, deep if it is missing; ``surface_tension_over_density``, m3 s-2, or clean water's.
-    depth : float, optional
-        In place of what the attributes say, m.
-
-    Returns
-    -------
-    depth, gamma : float
-        m; m3 s-2.
 
     Examples
     --------

@@ -20,21 +20,12 @@ CHECKSUMS = "checksums.json"  # in a store: what its files must be
 
 @dataclass(frozen=True)
 class Product:
-    """A kind of file or folder that this program writes.
+    """A kind of file or folder that this program writes."""
 
-    Parameters
-    ----------
-    name : str
-        With its article, such as "a wave store".
-    recognize : callable
-        Whether an existing file or folder is one that this program wrote, by its contents.
-    folder : bool, default False
-        Whether it is a folder.
-    """
-
-    name: str
+    name: str  # With its article, such as "a wave store"
+    # Whether an existing file or folder is one that this program wrote, by its contents
     recognize: Callable[[Path], bool]
-    folder: bool = False
+    folder: bool = False  # Whether it is a folder
 
 
 def marked(*marks: bytes, start: bytes = b"") -> Callable[[Path], bool]:
@@ -91,20 +82,7 @@ def file_names(folder: Path) -> list[str]:
 
 
 def check_replaceable(path: Path, product: Product) -> None:
-    """Refuse to replace what is not a product of the same kind.
-
-    Parameters
-    ----------
-    path : path
-        Where the product is to go.
-    product : Product
-        What it is.
-
-    Raises
-    ------
-    StoreError
-        If anything else is there.
-    """
+    """Refuse to replace what is not a product of the same kind."""
     if path.is_symlink():
         raise StoreError(
             f"{path} is a link, which is not replaced; name what it points to, or remove the link"
@@ -131,20 +109,7 @@ def check_replaceable(path: Path, product: Product) -> None:
 
 
 def refuse_input(path: Path, *inputs: Any) -> None:
-    """Refuse to write over a file that the same command reads.
-
-    Parameters
-    ----------
-    path : path
-        What is to be written.
-    *inputs : path, any
-        What is read; anything that is not the path of something that exists is passed over.
-
-    Raises
-    ------
-    StoreError
-        If it is one of them.
-    """
+    """Refuse to write over a file that the same command reads."""
     for one in inputs:
         if isinstance(one, str | Path) and Path(one).exists() and path.exists() and path.samefile(one):
             raise StoreError(f"{path} is read by this command and not overwritten; name another file with -o")
@@ -154,26 +119,6 @@ def refuse_input(path: Path, *inputs: Any) -> None:
 def whole(path: str | Path, product: Product) -> Iterator[Path]:
     """Write a file or a folder under another name, and let it take its place when it is finished.
 
-    Parameters
-    ----------
-    path : path
-        What is to be there in the end; its folder is made.
-    product : Product
-        What it is: only one of the same kind, written by this program, is replaced.
-
-    Yields
-    ------
-    Path
-        Name beside it to write to. When the block ends well it replaces `path`; otherwise it is removed, and
-        what was there before stays.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written, or if anything else is there.
-
-    Notes
-    -----
     A folder cannot be replaced in one go: the old one stays beside it as ``.NAME.xxxxxxxx.old`` until the new
     one has its name, and gets its name back from the next `whole` if that never happened.
 
@@ -235,41 +180,13 @@ def make_durable(paths: Iterable[Path]) -> None:
 
 
 def write_text(path: str | Path, text: str, product: Product) -> None:
-    """Write a text file (UTF-8), whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-        The file; its folder is made.
-    text : str
-        All of it.
-    product : Product
-        What it is, as for `whole`.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written, or if anything else is there.
-    """
+    """Write a text file (UTF-8), whole or not at all."""
     with whole(path, product) as draft:
         draft.write_text(text, encoding="utf-8")
 
 
 def check_writable(path: str | Path, product: Product) -> None:
-    """Make sure that a file or a folder can be written, before the work that ends in it.
-
-    Parameters
-    ----------
-    path : path
-        The file or folder; the folder that it lies in is made.
-    product : Product
-        What it is, as for `whole`.
-
-    Raises
-    ------
-    StoreError
-        If it cannot, or if anything else is there.
-    """
+    """Make sure that a file or a folder can be written, before the work that ends in it."""
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -283,13 +200,7 @@ def check_writable(path: str | Path, product: Product) -> None:
 
 
 def remove_leftovers(path: Path) -> None:
-    """Remove what killed writers of a file or folder left beside it and in it.
-
-    Parameters
-    ----------
-    path : path
-        As it was given to `whole`.
-    """
+    """Remove what killed writers of a file or folder left beside it and in it."""
     for folder, _, names in os.walk(path):
         for name in names:
             if re.search(r"\.[0-9a-f]{32}\.partial$", name):  # as Zarr names them
@@ -315,19 +226,7 @@ def _remove(path: Path) -> None:
 
 
 def write_error(path: Path, error: OSError) -> StoreError:
-    """Turn a failed write into a sentence.
-
-    Parameters
-    ----------
-    path : path
-        What was to be written.
-    error : OSError
-        What went wrong.
-
-    Returns
-    -------
-    StoreError
-    """
+    """Turn a failed write into a sentence."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return StoreError(
             f"the disk that holds {path} is full; nothing that was written is lost: free some room "

@@ -6,16 +6,6 @@ from collections.abc import Sequence
 def spell_time(seconds: float) -> str:
     """Spell a duration for people.
 
-    Parameters
-    ----------
-    seconds : float
-        Duration, s.
-
-    Returns
-    -------
-    str
-        Such as "0.8 s", "8 s", "3 min 05 s", "2 h 10 min".
-
     Examples
     --------
     >>> spell_time(7.6), spell_time(185), spell_time(7800)
@@ -33,17 +23,6 @@ def spell_time(seconds: float) -> str:
 
 def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
     """Spell numbers as ranges.
-
-    Parameters
-    ----------
-    numbers : sequence of int
-        In order.
-    most : int
-        Ranges to spell out.
-
-    Returns
-    -------
-    str
 
     Examples
     --------

@@ -15,18 +15,7 @@ Node = NDArray[np.int64]
 def find_blobs(image: NDArray[np.float32], least: float = 0.9) -> tuple[Array, Array]:
     """Centres (n, 2) and areas (n,) of bright, closed blobs.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column)
-        Grey image.
-    least : float
-        Area of a blob over that of an ellipse of the same moments: 1 for ellipses, .95 for squares, .83 for
-        triangles.
-
-    Returns
-    -------
-    centre, area : ndarray
-        Px, px^2.
+    With image (row, column); returns centre, area Px, px^2..
     """
     ground = cv2.blur(image, (2 * (max(image.shape) // 16) + 1,) * 2)
     binary = (cv2.GaussianBlur(image, (0, 0), 1.0) > ground + 0.15 * np.std(image)).astype(np.uint8)

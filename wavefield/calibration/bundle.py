@@ -14,33 +14,15 @@ from wavefield.robust import robust_std
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of a joint fit.
+    """Result of a joint fit."""
 
-    Parameters
-    ----------
-    geometry : Geometry
-        Cameras, poses and node offsets.
-    layout : Layout
-        The parameters.
-    covariance : ndarray, (p, p)
-        Of the parameters, scaled by the observed scatter.
-    residual : ndarray, (n, 2)
-        Observed less predicted, px.
-    scale : float
-        Scatter of the residuals over their stated uncertainty.
-    chi2 : float
-        Robust sum of squares of the independent residuals, in units of the stated uncertainty.
-    steps : int
-        Evaluations of the Jacobian.
-    """
-
-    geometry: Geometry
-    layout: Layout
-    covariance: Array
-    residual: Array
-    scale: float
-    chi2: float
-    steps: int
+    geometry: Geometry  # Cameras, poses and node offsets
+    layout: Layout  # The parameters
+    covariance: Array  # (p, p): Of the parameters, scaled by the observed scatter
+    residual: Array  # (n, 2): Observed less predicted, px
+    scale: float  # Scatter of the residuals over their stated uncertainty
+    chi2: float  # Robust sum of squares of the independent residuals, in units of the stated uncertainty
+    steps: int  # Evaluations of the Jacobian
 
 
 def fit(
@@ -55,30 +37,9 @@ def fit(
 ) -> Fit:
     """Fit cameras and poses to all observations.
 
-    Parameters
-    ----------
-    observations : Observations
-        What was seen.
-    start : Geometry
-        Near enough: within a few degrees and per cent.
-    models : sequence of sequence of str
-        Per camera, the `TERMS` that are free.
-    reference, flat
-        As `layout`.
-    target_std : float, default 0
-        Standard deviation of the nodes' offsets per axis, metres; 0 takes the target as perfect.
-    noise_scale : float, optional
-        Scatter over stated uncertainty, where Huber's loss bends at four times it; measured if left out.
-    placed : sequence of int
-        As `layout`.
-
-    Returns
-    -------
-    Fit
-
-    Notes
-    -----
     Levenberg-Marquardt with the analytic Jacobian and Huber's loss at four standard deviations.
+
+    With target_std, metres.
     """
     o = observations
     plan = layout(o, models, reference, flat, placed)

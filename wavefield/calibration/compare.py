@@ -20,38 +20,20 @@ SHIFT = 0.1, 0.4  # of a mesh; a view counted from another node is off by a whol
 
 @dataclass
 class Agreement:
-    """What the comparison found.
+    """What the comparison found."""
 
-    Parameters
-    ----------
-    wrong_views : list of (str, str)
-        (camera, pose) of single views that disagree with all others.
-    wrong_cameras : list of str
-        Cameras that agree with no other.
-    alone : list of str
-        Cameras that share no view with another.
-    angle : dict of (str, str) to float
-        Largest disagreement of each pair of cameras over the views kept, degrees.
-    """
-
+    # (str, str): (camera, pose) of single views that disagree with all others
     wrong_views: list[tuple[str, str]] = field(default_factory=list)
-    wrong_cameras: list[str] = field(default_factory=list)
-    alone: list[str] = field(default_factory=list)
+    wrong_cameras: list[str] = field(default_factory=list)  # Cameras that agree with no other
+    alone: list[str] = field(default_factory=list)  # Cameras that share no view with another
+    # (str, str): Largest disagreement of each pair of cameras over the views kept, degrees
     angle: dict[tuple[str, str], float] = field(default_factory=dict)
 
 
 def passages(a: Alone, b: Alone) -> dict[str, tuple[Array, Array]]:
     """From camera a's frame to camera b's, by each view that both saw.
 
-    Parameters
-    ----------
-    a, b : Alone
-        Two cameras, each calibrated on its own.
-
-    Returns
-    -------
-    dict of str to (ndarray (3, 3), ndarray (3,))
-        Rotation and translation per pose, metres.
+    Returns (3, 3): Rotation and translation per pose, metres.
     """
     out = {}
     for pose in a.poses:
@@ -79,16 +61,7 @@ class _Pair:
 def compare(cameras: Mapping[str, Alone], mesh: float) -> Agreement:
     """Compare the poses of the target that the cameras found each on its own.
 
-    Parameters
-    ----------
-    cameras : mapping of str to Alone
-        The cameras.
-    mesh : float
-        Of the target, metres.
-
-    Returns
-    -------
-    Agreement
+    With mesh, metres.
     """
     names = list(cameras)
     pairs = {(a, b): _pair(cameras[a], cameras[b], mesh) for a, b in combinations(names, 2)}
@@ -163,18 +136,7 @@ def _at_target(a: Alone, b: Alone, pose: str, R: Array, t: Array) -> Array:
 
 
 def mirrored(alone: Alone) -> Alone:
-    """The camera as it would have been found from images flipped left to right.
-
-    Parameters
-    ----------
-    alone : Alone
-        As found.
-
-    Returns
-    -------
-    Alone
-        In a mirror the target's y axis runs the other way, and so does the camera's x axis.
-    """
+    """The camera as it would have been found from images flipped left to right."""
     F, G = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
     poses = {}
     for pose, (R, t) in alone.poses.items():
@@ -185,17 +147,7 @@ def mirrored(alone: Alone) -> Alone:
 def chained(cameras: Mapping[str, Alone], first: str) -> dict[str, tuple[Array, Array]]:
     """Pose of each camera from the frame of the first, by the views they share.
 
-    Parameters
-    ----------
-    cameras : mapping of str to Alone
-        Cameras that agree with each other.
-    first : str
-        Whose frame.
-
-    Returns
-    -------
-    dict of str to (ndarray (3, 3), ndarray (3,))
-        Passage from the first camera's frame, metres.
+    Returns (3, 3): Passage from the first camera's frame, metres.
     """
     out = {first: (np.eye(3), np.zeros(3))}
     while True:

@@ -18,51 +18,23 @@ HEIGHT = 0.05  # of the volume about z = 0 in which errors are stated, metres
 
 @dataclass(frozen=True)
 class Derived:
-    """Predicted errors of the rig.
+    """Predicted errors of the rig."""
 
-    Parameters
-    ----------
-    reprojection : mapping of str to float
-        Standard uncertainty of a pixel of each camera within 5 cm of z = 0, px (rms over the field and axes).
-    z_std : float
-        Standard uncertainty of z within 5 cm of z = 0 (rms over the field), metres; NaN for one camera.
-    z_tilt : float
-        Of which the part that is a tilted plane, and so is mended by levelling, metres.
-    coverage : mapping of str to float
-        Fraction of each image, in cells of an eighth of its side, that held a node in some view.
-    correlation : list of (str, str, float)
-        The strongest correlations between parameters.
-    condition : float
-        Condition number of the scaled normal matrix.
-    where : str
-        The volume, in words.
-    """
-
+    # Standard uncertainty of a pixel of each camera within 5 cm of z = 0, px (rms over the field and axes)
     reprojection: Mapping[str, float]
+    # Standard uncertainty of z within 5 cm of z = 0 (rms over the field), metres; NaN for one camera
     z_std: float
-    z_tilt: float
+    z_tilt: float  # Of which the part that is a tilted plane, and so is mended by levelling, metres
+    # Fraction of each image, in cells of an eighth of its side, that held a node in some view
     coverage: Mapping[str, float]
+    # (str, str, float): The strongest correlations between parameters
     correlation: list[tuple[str, str, float]]
-    condition: float
-    where: str = "near z = 0"
+    condition: float  # Condition number of the scaled normal matrix
+    where: str = "near z = 0"  # The volume, in words
 
 
 def derive(observations: Observations, result: Fit, level: bool = True) -> Derived:
-    """Propagate the covariance of the fit.
-
-    Parameters
-    ----------
-    observations : Observations
-        What was fitted.
-    result : Fit
-        The joint fit.
-    level : bool, default True
-        Whether z = 0 is known; errors are stated where the target was, if not.
-
-    Returns
-    -------
-    Derived
-    """
+    """Propagate the covariance of the fit."""
     o = observations
     points = volume(o, result, level)
     _, J, by_point = at_points(o, result, points)
@@ -101,26 +73,7 @@ def derive(observations: Observations, result: Fit, level: bool = True) -> Deriv
 
 
 def at_points(observations: Observations, result: Fit, points: Array) -> tuple[Array, Array, Array]:
-    """What a fit predicts at points of the physical frame, and how that hangs on its parameters.
-
-    Parameters
-    ----------
-    observations : Observations
-        What was fitted.
-    result : Fit
-        The joint fit.
-    points : ndarray, (n, 3)
-        Metres.
-
-    Returns
-    -------
-    pixel : ndarray, (C, n, 2)
-        Of each camera, px.
-    by_parameter : ndarray, (C, n, 2, p)
-        Derivatives with respect to the parameters of the fit.
-    by_point : ndarray, (C, n, 2, 3)
-        Derivatives with respect to the points, px per metre.
-    """
+    """What a fit predicts at points of the physical frame, and how that hangs on its parameters."""
     o = observations
     # the points as if they were a target in the reference frame: no pose parameter moves it
     C, n = len(o.cameras), len(points)
@@ -155,20 +108,8 @@ def at_points(observations: Observations, result: Fit, points: Array) -> tuple[A
 def volume(o: Observations, result: Fit, level: bool) -> Array:
     """Points where the rig will be used.
 
-    Parameters
-    ----------
-    o : Observations
-        What was fitted.
-    result : Fit
-        The joint fit.
-    level : bool
-        Whether z = 0 is known.
-
-    Returns
-    -------
-    ndarray, (n, 3)
-        Over the field that all cameras see, within `HEIGHT` of z = 0 (over the target's extent if they have
-        none in common); or, without a level, where the target was seen. Metres.
+    Returns (n, 3): Over the field that all cameras see, within `HEIGHT` of z = 0 (over the target's extent if
+    they have none in common).
     """
     if not level:
         seen: Array = result.geometry.world(o)

@@ -24,17 +24,7 @@ _NOISE = 6.0  # standard deviations of the correlation beside the ridge, above w
 def particles(image: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
     """What of an image is particles: even light taken away, none counting for many.
 
-    Parameters
-    ----------
-    image : ndarray of float32, (row, column)
-        Dewarped image.
-    seen : ndarray of bool, (row, column)
-        Where the camera sees something.
-
-    Returns
-    -------
-    ndarray of float32, (row, column)
-        0 where nothing is seen.
+    With image (row, column); seen (row, column); returns (row, column): 0 where nothing is seen.
     """
     weight = cv2.GaussianBlur(seen.astype(np.float32), (0, 0), _FLAT)
     light = cv2.GaussianBlur(np.where(seen, image, np.float32(0)), (0, 0), _FLAT)
@@ -48,19 +38,11 @@ def particles(image: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np
 
 @dataclass
 class Correlation:
-    """Sum over instants of the correlations of windows of two images.
+    """Sum over instants of the correlations of windows of two images."""
 
-    Parameters
-    ----------
-    rows, columns : sequence of int
-        First pixel of the windows, in rows and columns of them.
-    side : int
-        Of the windows, px.
-    """
-
-    rows: Sequence[int]
+    rows: Sequence[int]  # First pixel of the windows, in rows and columns of them
     columns: Sequence[int]
-    side: int
+    side: int  # Of the windows, px
 
     def __post_init__(self) -> None:
         half = self.side // 2 + 1
@@ -101,16 +83,8 @@ def _each(planes: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
 def disparities(planes: NDArray[np.float32]) -> Array:
     """Displacement of the second image against the first in every window.
 
-    Parameters
-    ----------
-    planes : ndarray, (n, m, side, side)
-        As from `Correlation.planes`.
-
-    Returns
-    -------
-    ndarray, (n, m, 2)
-        Along columns and rows, px: the centre of what stands above half of the peak; NaN where no peak
-        stands out.
+    With planes (n, m, side, side); returns (n, m, 2): Along columns and rows, px: the centre of what stands
+    above half of the peak.
     """
     return np.array([_centre(one) for one in _each(planes)]).reshape(*planes.shape[:2], 2)
 
@@ -137,25 +111,11 @@ def _ridge(plane: NDArray[np.float32]) -> NDArray[np.bool_]:
 def ridge_length(planes: NDArray[np.float32], own: NDArray[np.float32], found: Array, along: Array) -> float:
     """How far the particles of a sheet spread along the disparity that their height makes.
 
-    Parameters
-    ----------
-    planes, own : ndarray, (n, m, side, side), (side, side)
-        As from `Correlation`.
-    found : ndarray, (n, m, 2)
-        As from `disparities`.
-    along : ndarray, (n, m, 2)
-        Disparity that a height makes, any unit.
-
-    Returns
-    -------
-    float
-        Standard deviation of the ridge along it, px, without what it has across and what the particles' own
-        images have along and across. NaN where no window shows a ridge.
-
-    Notes
-    -----
     Second moments would hang on where the ridge is cut off; the curvature of the logarithm of what stands
     above half of the peak does not. Wieneke (2005), Exp. Fluids 39, 267.
+
+    With planes, own (n, m, side, side); found (n, m, 2); along (n, m, 2); returns Standard deviation of the
+    ridge along it, px, without what it has across and what the particles' own images have along and across.
     """
     middle = np.full(2, own.shape[0] // 2)
     lengths = []

@@ -30,27 +30,13 @@ TABLES = (".csv", ".txt")  # points found by another program
 
 @dataclass(frozen=True)
 class TargetRig:
-    """What came of calibrating an experiment.
+    """What came of calibrating an experiment."""
 
-    Parameters
-    ----------
-    calibration : Calibration
-        The rig and how far it can be trusted.
-    views : dict of camera to dict of pose to TargetPoints
-        What was found in the images.
-    images : dict of camera to dict of pose to Path
-        The images.
-    notes : tuple of str
-        Images without a target.
-    mesh : float
-        Of the target, m.
-    """
-
-    calibration: Calibration
-    views: dict[str, dict[str, TargetPoints]]
-    images: dict[str, dict[str, Path]]
-    notes: tuple[str, ...]
-    mesh: float
+    calibration: Calibration  # The rig and how far it can be trusted
+    views: dict[str, dict[str, TargetPoints]]  # What was found in the images
+    images: dict[str, dict[str, Path]]  # The images
+    notes: tuple[str, ...]  # Images without a target
+    mesh: float  # Of the target, m
 
 
 def _look(path: Path, target: Target, size: tuple[int, int] | None) -> TargetPoints | str:
@@ -100,16 +86,7 @@ def leave_with_parent() -> None:
 def placed_at(points: TargetPoints, height: float) -> TargetPoints:
     """Points of a target that lies parallel to z = 0 at a known height, its axes along those of the frame.
 
-    Parameters
-    ----------
-    points : TargetPoints
-        As found in an image.
-    height : float
-        Of the target's plane, metres.
-
-    Returns
-    -------
-    TargetPoints
+    With height, metres.
     """
     own = np.zeros(len(points)) if points.z is None else points.z
     return replace(points, z=own + height, placed=True)

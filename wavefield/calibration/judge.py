@@ -26,20 +26,7 @@ def judge(
 ) -> None:
     """Say what stands against a rig.
 
-    Parameters
-    ----------
-    o : Observations
-        What was fitted.
-    result : Fit
-        The joint fit.
-    derived : Derived
-        What it predicts of itself.
-    target_std : float
-        Stated uncertainty of the target's nodes, metres.
-    camera_distance : mapping of str to float
-        Distance of cameras from the origin as measured by hand, metres.
-    findings : Findings
-        Told.
+    With target_std, metres; camera_distance, metres.
     """
     for c, name in enumerate(o.cameras):
         stated = camera_distance.get(name)
@@ -76,17 +63,7 @@ def judge(
 
 
 def provenance(calibration: Calibration) -> dict[str, Any]:
-    """Plain numbers that stay with the rig.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        With a fit.
-
-    Returns
-    -------
-    dict
-    """
+    """Plain numbers that stay with the rig."""
     o, result, derived = calibration.observations, calibration.fit, calibration.derived
     assert o is not None
     assert result is not None

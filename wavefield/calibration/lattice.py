@@ -20,21 +20,11 @@ WINDOW = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3), indexing="ij")
 
 @dataclass(frozen=True)
 class Candidates:
-    """Places that look like a crossing of two bright strings at one scale.
+    """Places that look like a crossing of two bright strings at one scale."""
 
-    Parameters
-    ----------
-    pixel : ndarray, (n, 2)
-        Positions (X, Y), px.
-    strength : ndarray, (n,)
-        Curvature across the weaker of the two strings, grey per px^2.
-    scale : float
-        Standard deviation of the smoothing, px.
-    """
-
-    pixel: Array
-    strength: Array
-    scale: float
+    pixel: Array  # (n, 2): Positions (X, Y), px
+    strength: Array  # (n,): Curvature across the weaker of the two strings, grey per px^2
+    scale: float  # Standard deviation of the smoothing, px
 
     @property
     def strong(self) -> NDArray[np.bool_]:
@@ -48,17 +38,7 @@ def crossings(image: NDArray[np.float32], scale: float) -> Candidates:
     Along a plain bright line one principal curvature vanishes; only where two lines cross (or on a
     blob) are both negative, so that the weaker one singles out crossings.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column)
-        Grey image, strings bright.
-    scale : float
-        Standard deviation of the Gaussian smoothing, px.
-
-    Returns
-    -------
-    Candidates
-        Those above .2 of the median of the 80 strongest, and above most of what noise makes.
+    With image (row, column); scale, px.
     """
     r = int(np.ceil(4 * scale))
     t = np.arange(-r, r + 1)
@@ -117,12 +97,7 @@ def _windows(table: Array, node: NDArray[np.int64]) -> Array:
 class Lattice:
     """Positions of nodes over a square of indices, grown outwards from a seed.
 
-    Parameters
-    ----------
-    start : ndarray, (2,)
-        Pixel position of node (0, 0).
-    e1, e2 : ndarray, (2,)
-        Pixel vectors from it to its neighbours (1, 0) and (0, 1).
+    With start (2,); e1, e2 (2,).
     """
 
     def __init__(self, start: Array, e1: Array, e2: Array) -> None:
@@ -157,17 +132,8 @@ class Lattice:
         A quadratic surface is fitted with weights falling with distance; the seed's vectors serve as a
         weak prior of its slopes, so that the first rings are well posed too.
 
-        Parameters
-        ----------
-        node : ndarray of int, (m, 2)
-            Indices.
-
-        Returns
-        -------
-        pixel : ndarray, (m, 2)
-            Predicted positions, px.
-        slopes : ndarray, (m, 2, 2)
-            Local mesh vectors: [:, 0] along i, [:, 1] along j, px.
+        With node (m, 2); returns pixel (m, 2): Predicted positions, px; slopes (m, 2, 2): Local mesh vectors:
+        [:, 0] along i, [:, 1] along j, px.
         """
         di, dj = WINDOW.astype(float).T
         basis = np.stack([np.ones(25), di, dj, di * dj, di * di, dj * dj], -1)
@@ -185,12 +151,7 @@ class Lattice:
     def grow(self, candidates: Candidates, size: tuple[int, int]) -> None:
         """Fill node after node, ring by ring, with the candidates that lie where the lattice predicts.
 
-        Parameters
-        ----------
-        candidates : Candidates
-            Places to choose from; each is used once.
-        size : tuple of int
-            Image (width, height), px.
+        With size, px.
         """
         tree = cKDTree(candidates.pixel)
         used = np.zeros(len(candidates.pixel) + 1, bool)
@@ -236,14 +197,7 @@ class SmoothMap:
     Radial distortion is a cubic in image coordinates whatever the obliquity of the target, therefore the
     correction is a polynomial of the homography's pixels and not of the indices.
 
-    Parameters
-    ----------
-    node : ndarray, (n, 2)
-        Indices.
-    pixel : ndarray, (n, 2)
-        Their positions, px; a minority may be wrong.
-    tolerance : float
-        Distance from the homography beyond which a node does not vote, px.
+    With node (n, 2); pixel (n, 2), px; tolerance, px.
     """
 
     def __init__(self, node: ArrayLike, pixel: ArrayLike, tolerance: float) -> None:

@@ -18,14 +18,7 @@ class Whitener:
     of their own uncertainty); multiplied by C^(-1/2) they are independent again. That is the same as
     solving for all e with a prior, at the cost of a fit without them.
 
-    Parameters
-    ----------
-    node : ndarray of int, (n,)
-        Node of each observation.
-    by_node : ndarray, (n, 2, 3)
-        B, already divided by the observations' uncertainty.
-    target_std : float
-        Standard deviation of the nodes' offsets per axis, metres.
+    With node (n,); by_node (n, 2, 3); target_std, metres.
     """
 
     def __init__(self, node: NDArray[np.int64], by_node: Array, target_std: float):
@@ -48,14 +41,7 @@ class Whitener:
     def __call__(self, rows: Array) -> Array:
         """Make residuals (2n,) or Jacobian rows (2n, p) independent.
 
-        Parameters
-        ----------
-        rows : ndarray, (2n,) or (2n, p)
-            In units of the observations' own uncertainty.
-
-        Returns
-        -------
-        ndarray of the same shape
+        With rows (2n,).
         """
         independent: Array = rows - self._B @ (self._half @ (self._Bt @ rows))
         return independent
@@ -63,15 +49,7 @@ class Whitener:
     def offsets(self, residual: Array) -> Array:
         """Most probable offsets of the nodes.
 
-        Parameters
-        ----------
-        residual : ndarray, (2n,)
-            Observed less predicted for a perfect target, in units of the uncertainty.
-
-        Returns
-        -------
-        ndarray, (highest node + 1, 3)
-            Metres; zero for nodes that were not seen.
+        With residual (2n,); returns (highest node + 1, 3): Metres.
         """
         offsets: Array = (self._gain @ (self._Bt @ residual)).reshape(-1, 3)
         return offsets
@@ -87,19 +65,7 @@ def _blocks(matrices: Array) -> sparse.csr_array:
 
 
 def huber(r: Array, bend: float) -> float:
-    """Sum of squares, growing linearly beyond the bend.
-
-    Parameters
-    ----------
-    r : ndarray
-        Residuals.
-    bend : float
-        Where the loss turns from square to linear.
-
-    Returns
-    -------
-    float
-    """
+    """Sum of squares, growing linearly beyond the bend."""
     size = np.abs(r)
     return float(np.sum(np.where(size <= bend, size * size, bend * (2.0 * size - bend))))
 
@@ -113,34 +79,12 @@ def minimise(
 ) -> tuple[Array, float, int]:
     """Least squares with Huber's loss, by Levenberg and Marquardt.
 
-    Parameters
-    ----------
-    residual : callable
-        x to residuals (m,).
-    with_jacobian : callable
-        x to residuals and Jacobian (m, p).
-    x : ndarray, (p,)
-        Start.
-    bend : float, optional
-        Of the loss; four times the robust scatter at each step, if left out.
-    tolerance : float
-        Stop when a step promises to lower the sum of squares by less than this share.
-
-    Returns
-    -------
-    x : ndarray, (p,)
-        Minimum.
-    bend : float
-        As used last.
-    steps : int
-        Jacobians computed.
-
-    Notes
-    -----
     Normal equations of scaled parameters, p x p: thousands of observations and some seventy parameters make
     `scipy.optimize.least_squares`, which decomposes the whole Jacobian at each step, thirty times slower for
     the same minimum (a test holds the two against each other). Steps end where the gradient does, so the
     squared condition number costs steps at most, not accuracy.
+
+    With x (p,); returns x (p,): Minimum.
     """
     damping = 1e-4
     diagonal = np.zeros_like(x)

@@ -37,47 +37,21 @@ ALIKE = 1.05  # ratio of expected errors that tells two models apart
 
 @dataclass(frozen=True)
 class Choice:
-    """One row of the comparison.
+    """One row of the comparison."""
 
-    Parameters
-    ----------
-    model : str
-        Name in `MODELS`.
-    parameters : int
-        Free parameters of the joint fit.
-    rms : float
-        Scatter of the residuals in units of the stated uncertainty.
-    bic : float
-        Bayes' information criterion.
-    expected : float
-        Expected error of a pixel where the rig will be used, px; the smallest is chosen, and of those within
-        five per cent of it the one with the fewest parameters.
-    """
-
-    model: str
-    parameters: int
-    rms: float
-    bic: float
+    model: str  # Name in `MODELS`
+    parameters: int  # Free parameters of the joint fit
+    rms: float  # Scatter of the residuals in units of the stated uncertainty
+    bic: float  # Bayes' information criterion
+    # Expected error of a pixel where the rig will be used, px; the smallest is chosen, and of those within
+    # five per cent of it the one with the fewest parameters
     expected: float
 
 
 def terms_of(model: str | Sequence[str]) -> tuple[str, tuple[str, ...]] | None:
     """Name and free terms of a model given by name or as a list of terms.
 
-    Parameters
-    ----------
-    model : str or sequence of str
-        Name in `MODELS`, or terms of `wavefield.calibration.parameters.TERMS`, or ``auto``.
-
-    Returns
-    -------
-    (str, tuple of str) or None
-        None for ``auto``.
-
-    Raises
-    ------
-    CalibrationError
-        If it is none of these.
+    Returns (str, tuple of str): None for ``auto``..
     """
     if isinstance(model, str):
         if model == "auto":
@@ -94,17 +68,7 @@ def terms_of(model: str | Sequence[str]) -> tuple[str, tuple[str, ...]] | None:
 def beyond_doubt(fit: Fit, sizes: Sequence[tuple[int, int]]) -> set[str]:
     """Terms that some camera needs: ten times their uncertainty away from a perfect camera's.
 
-    Parameters
-    ----------
-    fit : Fit
-        Of a model with c and k1.
-    sizes : sequence of (width, height)
-        Image sizes, px.
-
-    Returns
-    -------
-    set of str
-        Of "c" and "k1".
+    With sizes (width, height), px.
     """
     std = np.sqrt(np.diag(fit.covariance))
     sure = set()
@@ -123,26 +87,6 @@ def choose(
 ) -> tuple[str, dict[str, Fit], list[Choice]]:
     """Fit the candidates and choose the one that predicts best where the rig will be used.
 
-    Parameters
-    ----------
-    fit_model : callable
-        From terms to a `Fit`, all with the same bend of the loss.
-    observations : Observations
-        What is fitted.
-    level : bool
-        Whether z = 0 is known.
-
-    Returns
-    -------
-    best : str
-        Name in `MODELS`.
-    fits : dict of str to Fit
-        By name.
-    table : list of Choice
-        In the order tried. Models without a term that is beyond doubt are not tried.
-
-    Notes
-    -----
     Expected error of a pixel within the volume (`derived.volume`): the variance that the fit predicts, and
     the square of the model's own error, which is its difference from the model that Bayes' criterion takes
     (BIC = n ln(chi2 / n) + k ln n), less what the noise of the two differs by (a focused criterion:

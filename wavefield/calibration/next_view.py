@@ -25,24 +25,17 @@ _KNOWN = 0.1  # of what `judge` allows: no one needs more
 
 @dataclass(frozen=True)
 class NextView:
-    """A pose of the target, and what it would bring.
+    """A pose of the target, and what it would bring."""
 
-    Parameters
-    ----------
-    tilt : (float, float)
-        Turn of the target about the x axis, or about the y axis, degrees; positive raises its +y, or its -x,
-        side.
-    place : (float, float)
-        Where to hold it: (0, 0) is the middle of the field that all cameras see, (1, 0) its +x edge.
-    z_std : (float, float)
-        Standard uncertainty of z now, and with this view, metres; NaN for one camera.
-    reprojection : (float, float)
-        The same of a pixel of the camera that is known least, px.
-    """
-
+    # (float, float): Turn of the target about the x axis, or about the y axis, degrees; positive raises its
+    # +y, or its -x, side
     tilt: tuple[float, float]
+    # (float, float): Where to hold it: (0, 0) is the middle of the field that all cameras see, (1, 0) its +x
+    # edge
     place: tuple[float, float]
+    # (float, float): Standard uncertainty of z now, and with this view, metres; NaN for one camera
     z_std: tuple[float, float]
+    # (float, float): The same of a pixel of the camera that is known least, px
     reprojection: tuple[float, float]
 
     @property
@@ -74,18 +67,6 @@ class NextView:
 def next_view(calibration: Calibration) -> NextView | None:
     """Find the view of the target that would reduce the rig's uncertainty most.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        From the views there are so far.
-
-    Returns
-    -------
-    NextView or None
-        None where nothing was solved for, or where no camera would see the target.
-
-    Notes
-    -----
     Twenty poses: a tilt about either axis to either side, in the middle of the field and a third of the way
     to each edge. Each adds its information to that of the fit, its own six parameters taken out (Schur's
     complement), with nodes as uncertain as those seen so far; the one is chosen that leaves the least of the

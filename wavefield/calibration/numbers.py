@@ -17,20 +17,12 @@ from wavefield.robust import robust_std
 
 @dataclass(frozen=True)
 class FlatSurface:
-    """The flat target as the rig measures it.
+    """The flat target as the rig measures it."""
 
-    Parameters
-    ----------
-    x, y, z : ndarray, (n,)
-        Nodes seen by two cameras at least, triangulated from their pixels, metres.
-    plane : Plane
-        Through them.
-    """
-
-    x: Array
+    x: Array  # (n,): Nodes seen by two cameras at least, triangulated from their pixels, metres
     y: Array
     z: Array
-    plane: Plane
+    plane: Plane  # Through them
 
     @property
     def rms(self) -> float:
@@ -44,24 +36,7 @@ class FlatSurface:
 
 
 def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> FlatSurface | None:
-    """Triangulate the nodes of the flat target.
-
-    Parameters
-    ----------
-    observations : Observations
-        What was seen.
-    fit : Fit
-        The joint fit; the nodes' own offsets, if they were solved for, are taken off.
-    rig : Rig
-        The cameras.
-    pose : str
-        The flat one.
-
-    Returns
-    -------
-    FlatSurface or None
-        None if fewer than ten nodes are seen by two cameras.
-    """
+    """Triangulate the nodes of the flat target."""
     o = observations
     N, C = len(o.nodes), len(o.cameras)
     apparent, sight = np.full((C, 2, N), np.nan), np.full((C, 2, N), np.nan)
@@ -80,17 +55,7 @@ def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> F
 def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, str], Array]:
     """How far nodes seen by two cameras are from each other's epipolar lines.
 
-    Parameters
-    ----------
-    observations : Observations
-        What was seen.
-    rig : Rig
-        The cameras.
-
-    Returns
-    -------
-    dict of (camera, camera) to ndarray
-        Signed distances in the second camera's image, px.
+    Returns (camera, camera): Signed distances in the second camera's image, px.
     """
     o = observations
     key = o.pose * len(o.nodes) + o.node
@@ -107,21 +72,7 @@ def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, 
 
 
 def pixel_size(fit: Fit, observations: Observations, camera: int) -> float:
-    """Size of a pixel on the target where a camera saw it, metres (median).
-
-    Parameters
-    ----------
-    fit : Fit
-        The joint fit.
-    observations : Observations
-        What was seen.
-    camera : int
-        Which.
-
-    Returns
-    -------
-    float
-    """
+    """Size of a pixel on the target where a camera saw it, metres (median)."""
     g = fit.geometry
     world = g.world(observations)[observations.camera == camera]
     depth = (world @ g.R[camera].T + g.T[camera])[:, 2]
@@ -131,26 +82,7 @@ def pixel_size(fit: Fit, observations: Observations, camera: int) -> float:
 def numbers(
     observations: Observations, fit: Fit, rig: Rig, reference: str
 ) -> tuple[dict[str, Any], FlatSurface | None]:
-    """All numbers of the report that come from residuals.
-
-    Parameters
-    ----------
-    observations : Observations
-        What the fit used.
-    fit : Fit
-        The joint fit.
-    rig : Rig
-        Its cameras.
-    reference : str
-        The view that defines z = 0.
-
-    Returns
-    -------
-    dict
-        Plain numbers, units in the names.
-    FlatSurface or None
-        The flat target as measured.
-    """
+    """All numbers of the report that come from residuals."""
     o = observations
     cameras = {}
     for c, name in enumerate(o.cameras):

@@ -16,45 +16,21 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Observations:
-    """Nodes of the target seen by the cameras.
+    """Nodes of the target seen by the cameras."""
 
-    Parameters
-    ----------
-    cameras, poses : tuple of str
-        Names; the integer arrays below count into these.
-    sizes : tuple of (width, height)
-        Image size of each camera, px.
-    nodes : ndarray of int, (N, 2)
-        Indices (i, j) of the target's nodes that were seen.
-    mesh : float
-        Distance of neighbouring nodes, metres.
-    camera, pose, node : ndarray of int, (n,)
-        Who saw which node in which pose of the target.
-    pixel : ndarray, (n, 2)
-        Where, px.
-    std : ndarray, (n,)
-        Standard uncertainty per axis, px.
-    origin : (float, float)
-        Where node (0, 0) lies, metres.
-    height : ndarray, (N,), optional
-        Of the nodes above the target's plane, metres; zero if left out.
-    placed : tuple of int
-        Poses whose nodes are in the physical frame already.
-    """
-
-    cameras: tuple[str, ...]
+    cameras: tuple[str, ...]  # Names; the integer arrays below count into these
     poses: tuple[str, ...]
-    sizes: tuple[tuple[int, int], ...]
-    nodes: Index
-    mesh: float
-    camera: Index
+    sizes: tuple[tuple[int, int], ...]  # (width, height): Image size of each camera, px
+    nodes: Index  # (N, 2): Indices (i, j) of the target's nodes that were seen
+    mesh: float  # Distance of neighbouring nodes, metres
+    camera: Index  # (n,): Who saw which node in which pose of the target
     pose: Index
     node: Index
-    pixel: Array
-    std: Array
-    origin: tuple[float, float] = (0.0, 0.0)
-    height: Array | None = None
-    placed: tuple[int, ...] = ()
+    pixel: Array  # (n, 2): Where, px
+    std: Array  # (n,): Standard uncertainty per axis, px
+    origin: tuple[float, float] = (0.0, 0.0)  # (float, float): Where node (0, 0) lies, metres
+    height: Array | None = None  # (N,): Of the nodes above the target's plane, metres; zero if left out
+    placed: tuple[int, ...] = ()  # Poses whose nodes are in the physical frame already
 
     def __len__(self) -> int:
         return len(self.camera)
@@ -68,31 +44,13 @@ class Observations:
     def only(self, keep: NDArray[np.bool_]) -> "Observations":
         """Some of the observations; names and nodes stay.
 
-        Parameters
-        ----------
-        keep : ndarray of bool, (n,)
-            Which to keep.
-
-        Returns
-        -------
-        Observations
+        With keep (n,).
         """
         parts = {key: getattr(self, key)[keep] for key in ("camera", "pose", "node", "pixel", "std")}
         return replace(self, **parts)
 
     def of_camera(self, camera: int) -> "Observations":
-        """What one camera saw, with the poses it saw.
-
-        Parameters
-        ----------
-        camera : int
-            Which.
-
-        Returns
-        -------
-        Observations
-            With one camera.
-        """
+        """What one camera saw, with the poses it saw."""
         part = self.only(self.camera == camera)
         seen = np.unique(part.pose)
         return replace(
@@ -111,18 +69,7 @@ def collect(
 ) -> Observations:
     """Flatten the views of all cameras.
 
-    Parameters
-    ----------
-    views : mapping of camera to mapping of pose to TargetPoints
-        What was found in each image.
-    mesh : float
-        Of the target, metres.
-    origin : (float, float), optional
-        Where node (0, 0) lies, metres.
-
-    Returns
-    -------
-    Observations
+    With mesh, metres; origin (float, float), metres.
     """
     cameras = tuple(views)
     poses: list[str] = []
@@ -162,40 +109,20 @@ def collect(
 
 @dataclass(frozen=True)
 class Geometry:
-    """Cameras and poses of the target.
+    """Cameras and poses of the target."""
 
-    Parameters
-    ----------
-    lens : ndarray, (C, 12)
-        `LENS` of each camera.
-    R, T : ndarray, (C, 3, 3) and (C, 3)
-        World to camera, metres.
-    pose_R, pose_t : ndarray, (P, 3, 3) and (P, 3)
-        Target to world, metres.
-    offset : ndarray, (N, 3)
-        How far each node is from its place on a perfect target, metres, in the target's axes.
-    """
-
-    lens: Array
-    R: Array
+    lens: Array  # (C, 12): `LENS` of each camera
+    R: Array  # (C, 3, 3): World to camera, metres
     T: Array
-    pose_R: Array
+    pose_R: Array  # (P, 3, 3): Target to world, metres
     pose_t: Array
+    # (N, 3): How far each node is from its place on a perfect target, metres, in the target's axes
     offset: Array
 
     def camera(self, c: int, size: tuple[int, int]) -> Camera:
         """One camera as the rig wants it.
 
-        Parameters
-        ----------
-        c : int
-            Which.
-        size : (width, height)
-            Its image, px.
-
-        Returns
-        -------
-        Camera
+        With size (width, height), px.
         """
         terms = dict(zip(LENS, self.lens[c].tolist(), strict=True))
         return Camera(rotation=self.R[c], translation=self.T[c], size=size, **terms)
@@ -203,14 +130,7 @@ class Geometry:
     def world(self, observations: Observations) -> Array:
         """Where the nodes were, (n, 3), metres.
 
-        Parameters
-        ----------
-        observations : Observations
-            Which nodes, in which pose.
-
-        Returns
-        -------
-        ndarray, (n, 3)
+        Returns (n, 3).
         """
         points = (observations.plan + self.offset)[observations.node]
         pose = observations.pose

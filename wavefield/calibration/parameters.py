@@ -33,23 +33,14 @@ def _turn(rotation: Array, vector: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Layout:
-    """Which parameter moves what.
+    """Which parameter moves what."""
 
-    Parameters
-    ----------
-    names : tuple of str
-        One per parameter, for people.
-    lens : tuple of tuple of (int, str)
-        Per camera, (parameter, moved term).
-    camera : tuple of int
-        Per camera, the first of its six parameters of pose (rotation vector, translation).
-    pose : tuple of tuple of (int, int)
-        Per pose of the target, (parameter, which of the six); none for the pose that defines the frame.
-    """
-
-    names: tuple[str, ...]
-    lens: tuple[tuple[tuple[int, str], ...], ...]
+    names: tuple[str, ...]  # One per parameter, for people
+    lens: tuple[tuple[tuple[int, str], ...], ...]  # (int, str): Per camera, (parameter, moved term)
+    # Per camera, the first of its six parameters of pose (rotation vector, translation)
     camera: tuple[int, ...]
+    # (int, int): Per pose of the target, (parameter, which of the six); none for the pose that defines the
+    # frame
     pose: tuple[tuple[tuple[int, int], ...], ...]
 
 
@@ -60,25 +51,7 @@ def layout(
     flat: Sequence[int] = (),
     placed: Sequence[int] = (),
 ) -> Layout:
-    """Lay out the parameters of the joint fit.
-
-    Parameters
-    ----------
-    observations : Observations
-        Cameras and poses.
-    models : sequence of sequence of str
-        Per camera, the `TERMS` that are free.
-    reference : int
-        The pose that defines the frame: not moved.
-    flat : sequence of int
-        Further poses on the plane z = 0, which turn about z and shift along it only.
-    placed : sequence of int
-        Further poses that are known, and so not moved.
-
-    Returns
-    -------
-    Layout
-    """
+    """Lay out the parameters of the joint fit."""
     names: list[str] = []
     lens, camera, pose = [], [], []
     for c, name in enumerate(observations.cameras):
@@ -99,18 +72,7 @@ def layout(
 def moved(start: Geometry, plan: Layout, x: Array) -> Geometry:
     """The geometry at given parameters, counted from a start.
 
-    Parameters
-    ----------
-    start : Geometry
-        Where all parameters are zero.
-    plan : Layout
-        What they mean.
-    x : ndarray, (p,)
-        Parameters.
-
-    Returns
-    -------
-    Geometry
+    With x (p,).
     """
     lens, R, T = start.lens.copy(), start.R.copy(), start.T.copy()
     pose_R, pose_t = start.pose_R.copy(), start.pose_t.copy()
@@ -137,17 +99,7 @@ def moved(start: Geometry, plan: Layout, x: Array) -> Geometry:
 def predict(geometry: Geometry, observations: Observations) -> Array:
     """Pixels predicted by a geometry.
 
-    Parameters
-    ----------
-    geometry : Geometry
-        Cameras, poses and nodes.
-    observations : Observations
-        What is to be predicted.
-
-    Returns
-    -------
-    ndarray, (n, 2)
-        Pixels; NaN behind a camera.
+    Returns (n, 2): Pixels.
     """
     o = observations
     world = geometry.world(o)
@@ -163,21 +115,8 @@ def linearised(
 ) -> tuple[Array, Array, Array]:
     """Pixels predicted at given parameters, with derivatives.
 
-    Parameters
-    ----------
-    start, plan, x
-        As `moved`.
-    observations : Observations
-        What is to be predicted.
-
-    Returns
-    -------
-    pixel : ndarray, (n, 2)
-        Pixels.
-    jacobian : ndarray, (n, 2, p)
-        Derivatives with respect to the parameters.
-    by_node : ndarray, (n, 2, 3)
-        Derivatives with respect to the nodes' offsets, px per metre.
+    Returns pixel (n, 2): Pixels; jacobian (n, 2, p): Derivatives with respect to the parameters; by_node (n,
+    2, 3): Derivatives with respect to the nodes' offsets, px per metre.
     """
     o = observations
     now = moved(start, plan, x)
@@ -227,19 +166,7 @@ def linearised(
 def covariance_to_dict(names: tuple[str, ...], covariance: Array, cameras: tuple[str, ...]) -> dict[str, Any]:
     """The cameras' part of a fit's covariance, as the rig's file keeps it.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Of all parameters of the fit.
-    covariance : ndarray, (p, p)
-        Of the fit.
-    cameras : tuple of str
-        Whose parameters to keep.
-
-    Returns
-    -------
-    dict
-        ``parameters`` and the rows of the ``lower`` triangle.
+    With covariance (p, p).
     """
     pick = [k for k, name in enumerate(names) if name.rsplit(" ", 1)[0] in cameras]
     part = covariance[np.ix_(pick, pick)]

@@ -22,23 +22,7 @@ LARGEST = 1500  # px; larger pictures are first searched at half size
 def find_chessboard(image: NDArray[np.float32], target: Target) -> TargetPoints:
     """Find the inner corners of a chessboard that is wholly in view.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), float32
-        Grey image, 0 to 255.
-    target : Target
-        Its `shape` counts inner corners.
-
-    Returns
-    -------
-    TargetPoints
-        All corners. Of the two (or four) ways to number a board that looks the same when turned, the one
-        whose x axis points most to the right in the image is taken, and a note says so.
-
-    Raises
-    ------
-    CalibrationError
-        If the whole board is not seen.
+    With image (row, column).
     """
     nx, ny = shape_of(target)
     found = _chessboard_corners(image, (nx, ny))
@@ -89,22 +73,7 @@ def _chessboard_corners(image: NDArray[np.float32], shape: tuple[int, int]) -> A
 def find_charuco(image: NDArray[np.float32], target: Target) -> TargetPoints:
     """Find the chessboard corners of a ChArUco board, also when it is partly out of view.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), float32
-        Grey image, 0 to 255.
-    target : Target
-        Its `shape` counts squares; `marker` and `dictionary` as the board was made.
-
-    Returns
-    -------
-    TargetPoints
-        Corners seen; node (0, 0) is the inner corner at the lower left of the printed board.
-
-    Raises
-    ------
-    CalibrationError
-        If fewer than 8 corners are seen, or the picture is mirrored.
+    With image (row, column).
     """
     nx, ny = shape_of(target)
     code = getattr(cv2.aruco, target.dictionary, None)
@@ -146,27 +115,10 @@ def find_charuco(image: NDArray[np.float32], target: Target) -> TargetPoints:
 def find_dots(image: NDArray[np.float32], target: Target) -> TargetPoints:
     """Find the centres of a rectangular grid of round dots, dark on bright or bright on dark.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), float32
-        Grey image, 0 to 255.
-    target : Target
-        Its `shape` counts dots; its `diameter` allows the bias of centroids to be removed.
-
-    Returns
-    -------
-    TargetPoints
-        All dots. The x axis is the one that points most to the right in the image; a note says so.
-
-    Raises
-    ------
-    CalibrationError
-        If the whole grid is not seen.
-
-    Notes
-    -----
     In perspective the centroid of a disc's picture is not the picture of its centre. The difference is
     computed by integrating the fitted map over the disc, and subtracted.
+
+    With image (row, column).
     """
     shape = shape_of(target)
     best: tuple[Node, Array, NDArray[np.float32]] | None = None

@@ -32,29 +32,16 @@ _FAR = 3.0  # times the median distance: further out, towards the horizon, depth
 
 @dataclass(frozen=True)
 class Levelled:
-    """A rig in the frame of the water's mean surface.
+    """A rig in the frame of the water's mean surface."""
 
-    Parameters
-    ----------
-    rig : Rig
-        z = 0 on the mean surface, z up.
-    tilt, tilt_std : float
-        How far z was turned, and its standard uncertainty from the scatter of the instants, degrees; the
-        uncertainty is NaN for one instant.
-    rms : float
-        Of the points about the plane, metres.
-    miss : float
-        Median distance of the matches from their epipolar lines, px.
-    points, instants : int
-        What it rests on.
-    """
-
-    rig: Rig
+    rig: Rig  # z = 0 on the mean surface, z up
+    # How far z was turned, and its standard uncertainty from the scatter of the instants, degrees; the
+    # uncertainty is NaN for one instant
     tilt: float
     tilt_std: float
-    rms: float
-    miss: float
-    points: int
+    rms: float  # Of the points about the plane, metres
+    miss: float  # Median distance of the matches from their epipolar lines, px
+    points: int  # What it rests on
     instants: int
 
     @property
@@ -70,19 +57,9 @@ class Levelled:
 def match_features(one: NDArray[Any], other: NDArray[Any]) -> Pixels:
     """Features of natural texture that two images share.
 
-    Parameters
-    ----------
-    one, other : ndarray, (row, column), any real type
-        Images of two cameras that look from not too different sides.
-
-    Returns
-    -------
-    ndarray, (n, 2), twice
-        Their pixels (X, Y); a few may be wrong.
-
-    Notes
-    -----
     SIFT (Lowe 2004), each the other's best, clearly better than the second best.
+
+    With one, other (row, column); returns (n, 2): Their pixels (X, Y).
     """
     sift: Any = cv2.SIFT.create(nfeatures=_FEATURES)
     found = [sift.detectAndCompute(_bytes(image), None) for image in (one, other)]
@@ -110,29 +87,11 @@ def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
 def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -> Camera:
     """Place a camera of known lens beside another by what both see.
 
-    Parameters
-    ----------
-    one, other : Camera
-        The first stays; of the second only the lens is used.
-    matches : (n, 2) ndarray, twice
-        As from `match_features`, of as many instants as there are.
-    distance : float
-        Between the two cameras, metres: images do not tell it.
-
-    Returns
-    -------
-    Camera
-
-    Raises
-    ------
-    RigError
-        If fewer than 30 matches agree with each other.
-
-    Notes
-    -----
     To begin with the essential matrix by RANSAC (Nister 2004), and what the homography of the sea's plane may
     mean; then the turn and the direction to the second camera by least squares of the distances to epipolar
     lines, in pixels, wrong matches weighed down. The start that leaves least is taken.
+
+    With matches (n, 2).
     """
     a, b = matches
     if len(a) < FEWEST:
@@ -204,17 +163,7 @@ def _few(count: int) -> str:
 def points_of(one: Camera, other: Camera, matches: Pixels) -> Array:
     """Where sight lines meet, in the rig's frame, whatever that is.
 
-    Parameters
-    ----------
-    one, other : Camera
-        Two cameras of a rig.
-    matches : (n, 2) ndarray, twice
-        Pixels of the same points.
-
-    Returns
-    -------
-    ndarray, (m, 3)
-        Metres; without matches off their epipolar lines, behind a camera, or far out.
+    With matches (n, 2); returns (m, 3): Metres.
     """
     a, b = matches
     near = np.abs(epipolar_distance(one, other, *a.T, *b.T)) < _NEAR
@@ -240,22 +189,7 @@ def points_of(one: Camera, other: Camera, matches: Pixels) -> Array:
 def level_on_water(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> Levelled:
     """Bring z = 0 to the mean surface of moving water.
 
-    Parameters
-    ----------
-    rig : Rig
-        In any frame, such as that of its first camera.
-    matches : sequence of mapping of (str, str) to pixels
-        Per instant and pair of cameras, as from `match_features`.
-
-    Returns
-    -------
-    Levelled
-        Waves average out over instants and over the field: tens of instants, some waves apart.
-
-    Raises
-    ------
-    RigError
-        If fewer than 30 points are left.
+    With matches (str, str).
     """
     each = []
     misses = []

@@ -22,23 +22,7 @@ def read_points(path: str | Path, size: tuple[int, int] | None = None, std: floa
     metres, the view's pose is known: so are views of a target that a traverse moves along z. Lines that
     begin with `#` are comments; a line `# size 1024 1024` states width and height of the image.
 
-    Parameters
-    ----------
-    path : path
-        File to read.
-    size : tuple of int, optional
-        Image (width, height), px; needed when the file does not state it.
-    std : float, default 0.1
-        Standard uncertainty of points for which the file states none, px.
-
-    Returns
-    -------
-    TargetPoints
-
-    Raises
-    ------
-    CalibrationError
-        If the file is missing, has no such columns, or holds something else than numbers.
+    With size, px; std, px.
 
     Examples
     --------
@@ -108,15 +92,7 @@ def _table(lines: list[str], path: Path, std: float) -> tuple[NDArray[np.float64
 
 
 def write_points(path: str | Path, points: TargetPoints) -> None:
-    """Write target points as a CSV file that `read_points` reads.
-
-    Parameters
-    ----------
-    path : path
-        File to write; its folder is made.
-    points : TargetPoints
-        What to write.
-    """
+    """Write target points as a CSV file that `read_points` reads."""
     heights = points.z if points.placed and points.z is not None else None
     lines = [f"# size {points.size[0]} {points.size[1]}", "i,j,X,Y,std" + ("" if heights is None else ",z")]
     for k, ((i, j), (x, y), std) in enumerate(zip(points.node, points.pixel, points.std, strict=True)):

@@ -41,51 +41,23 @@ Matches = Mapping[str, ArrayLike]
 
 @dataclass(frozen=True)
 class RigCheck:
-    """Whether the sight lines of matched pixels meet.
+    """Whether the sight lines of matched pixels meet."""
 
-    Parameters
-    ----------
-    misfit : float
-        Robust scatter by which they miss, px.
-    expected : float
-        What it would be if no camera had moved, px: with all cameras free to move.
-    moved : str or None
-        The camera that has moved; None if none has, or if several fit alike (see ``suspects``).
-    suspects : tuple of str
-        Cameras whose motion explains the misfit about equally well.
-    angle : float
-        By how much the moved camera has turned, degrees.
-    sentence : str
-        All this for a person.
-    refused : bool
-        Whether the rig is beyond mending by matches: `refine` leaves it as it is.
-    """
-
-    misfit: float
-    expected: float
+    misfit: float  # Robust scatter by which they miss, px
+    expected: float  # What it would be if no camera had moved, px: with all cameras free to move
+    # The camera that has moved; None if none has, or if several fit alike (see ``suspects``)
     moved: str | None
-    suspects: tuple[str, ...]
-    angle: float
-    sentence: str
-    refused: bool = False
+    suspects: tuple[str, ...]  # Cameras whose motion explains the misfit about equally well
+    angle: float  # By how much the moved camera has turned, degrees
+    sentence: str  # All this for a person
+    refused: bool = False  # Whether the rig is beyond mending by matches: `refine` leaves it as it is
 
 
 def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array]:
     """Points where the sight lines of matched pixels meet.
 
-    Parameters
-    ----------
-    rig : Rig
-        The cameras.
-    matches : mapping of camera to array_like, (n, 2)
-        Pixels (column, row) of the same n pieces of surface; NaN where a camera has none.
-
-    Returns
-    -------
-    x, y, z : ndarray, (n,)
-        Metres.
-    misfit : ndarray, (n, N, 2)
-        Observed less re-projected pixels in the order of the matches' cameras, px.
+    With matches (n, 2); returns x, y, z (n,): Metres; misfit (n, N, 2): Observed less re-projected pixels in
+    the order of the matches' cameras, px.
     """
     names, pixel = _stack(rig, matches)
     apparent = np.stack([np.stack(rig[name].unproject(*pixel[:, k].T)) for k, name in enumerate(names)])
@@ -419,17 +391,7 @@ def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig,
 def misfit(rig: Rig, matches: Matches) -> dict[tuple[str, str], float]:
     """Robust distance of matched pixels from each other's epipolar lines.
 
-    Parameters
-    ----------
-    rig : Rig
-        The cameras.
-    matches : mapping of camera to array_like, (n, 2)
-        Matched pixels.
-
-    Returns
-    -------
-    dict of (camera, camera) to float
-        Per pair of cameras, px in the second one's image.
+    With matches (n, 2); returns (camera, camera): Per pair of cameras, px in the second one's image.
     """
     names, pixel = _stack(rig, matches)
     out = {}

@@ -31,38 +31,19 @@ _LIGHT = 4.0  # standard deviations of a Gaussian sheet that make its thickness 
 
 @dataclass(frozen=True)
 class LightSheet:
-    """A rig in the frame of a light sheet.
+    """A rig in the frame of a light sheet."""
 
-    Parameters
-    ----------
-    rig : Rig
-        z = 0 in the middle of the sheet.
-    height : float
-        Of the sheet above the old z = 0, at the origin, metres.
-    slope : (float, float)
-        Of the sheet in the old frame, along x and y.
-    thickness : float
-        Where its light is above 1/e2, metres; NaN where the ridges do not tell.
-    before, after : float
-        Disparity of the dewarped images, rms, px.
-    check : RigCheck
-        Whether a camera had moved.
-    windows, instants : int
-        What it rests on.
-    elsewhere : float
-        By how much all places in the sheet may lie elsewhere together, because two cameras do not tell which
-        of them had moved, nor by how much along their parallax, metres; 0 where none has, or three tell.
-    """
-
-    rig: Rig
-    height: float
-    slope: tuple[float, float]
-    thickness: float
-    before: float
+    rig: Rig  # z = 0 in the middle of the sheet
+    height: float  # Of the sheet above the old z = 0, at the origin, metres
+    slope: tuple[float, float]  # (float, float): Of the sheet in the old frame, along x and y
+    thickness: float  # Where its light is above 1/e2, metres; NaN where the ridges do not tell
+    before: float  # Disparity of the dewarped images, rms, px
     after: float
-    check: RigCheck
-    windows: int
+    check: RigCheck  # Whether a camera had moved
+    windows: int  # What it rests on
     instants: int
+    # By how much all places in the sheet may lie elsewhere together, because two cameras do not tell which of
+    # them had moved, nor by how much along their parallax, metres; 0 where none has, or three tell
     elsewhere: float = 0.0
 
     @property
@@ -139,28 +120,6 @@ def sheet_of(
 ) -> LightSheet:
     """`find_sheet` of images that a function gives.
 
-    Parameters
-    ----------
-    read : callable
-        From camera and frame to the image (row, column), or None where it is missing.
-    instants : sequence of int
-        Frames to use.
-    rig : Rig
-        The cameras.
-    progress : callable, optional
-        Told (passes over the instants done, most that there are).
-
-    Returns
-    -------
-    LightSheet
-
-    Raises
-    ------
-    CalibrationError
-        As `find_sheet`.
-
-    Notes
-    -----
     Wieneke (2005), Exp. Fluids 39, 267: images are dewarped to z = 0 and correlated, the correlations of all
     instants summed; where their ridge lies, sight lines of the sheet's middle meet. What they miss mends the
     camera that moved, the plane through where they meet becomes z = 0, and all is done again until the

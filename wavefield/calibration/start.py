@@ -16,43 +16,20 @@ FEWEST_NODES = 12  # of the target in a view
 
 @dataclass(frozen=True)
 class Alone:
-    """One camera calibrated on its own.
+    """One camera calibrated on its own."""
 
-    Parameters
-    ----------
-    lens : ndarray, (12,)
-        `LENS`.
-    poses : dict of str to (ndarray (3, 3), ndarray (3,))
-        Target to camera for each pose seen, metres.
-    rms : dict of str to float
-        Robust scatter of each view, px.
-    spread : float
-        Largest angle between two views of the target, degrees.
-    deep : bool
-        Whether nodes in known places tell the focal length, however parallel the views.
-    """
-
-    lens: Array
-    poses: dict[str, tuple[Array, Array]]
-    rms: dict[str, float]
-    spread: float
-    deep: bool = False
+    lens: Array  # (12,): `LENS`
+    poses: dict[str, tuple[Array, Array]]  # (3, 3): Target to camera for each pose seen, metres
+    rms: dict[str, float]  # Robust scatter of each view, px
+    spread: float  # Largest angle between two views of the target, degrees
+    deep: bool = False  # Whether nodes in known places tell the focal length, however parallel the views
 
 
 def homography(plan: Array, pixel: Array) -> Array | None:
     """Homography from the target's plane to the image, blunders and lens notwithstanding.
 
-    Parameters
-    ----------
-    plan : ndarray, (n, 2)
-        On the target, metres.
-    pixel : ndarray, (n, 2)
-        In the image, px.
-
-    Returns
-    -------
-    ndarray, (3, 3), or None
-        None if the nodes lie on a line or agree with no homography.
+    With plan (n, 2), metres; pixel (n, 2), px; returns (3, 3): None if the nodes lie on a line or agree with
+    no homography.
     """
     if len(plan) < 6 or np.linalg.matrix_rank(plan - plan.mean(0), tol=1e-9) < 2:
         return None
@@ -66,21 +43,9 @@ def homography(plan: Array, pixel: Array) -> Array | None:
 def focal_length(homographies: list[Array], centre: Array) -> float | None:
     """Focal length from plane views, square pixels and a known principal point assumed.
 
-    Parameters
-    ----------
-    homographies : list of ndarray, (3, 3)
-        Plane to pixels.
-    centre : ndarray, (2,)
-        Principal point, px.
-
-    Returns
-    -------
-    float or None
-        Pixels; None if the views do not tell it (all parallel to the sensor).
-
-    Notes
-    -----
     Zhang (2000): with w = diag(u, u, 1), u = 1/f^2, h1^T w h2 = 0 and h1^T w h1 = h2^T w h2.
+
+    With homographies (3, 3); centre (2,), px.
     """
     shift = np.eye(3)
     shift[:2, 2] = -centre
@@ -99,17 +64,7 @@ def focal_length(homographies: list[Array], centre: Array) -> float | None:
 def plane_pose(H: Array, lens: Array) -> tuple[Array, Array]:
     """Pose of a plane from its homography.
 
-    Parameters
-    ----------
-    H : ndarray, (3, 3)
-        Plane (metres) to pixels.
-    lens : ndarray, (12,)
-        `LENS`; distortion is ignored.
-
-    Returns
-    -------
-    R, t : ndarray, (3, 3) and (3,)
-        Plane to camera, metres.
+    With H (3, 3); lens (12,); returns R, t (3, 3): Plane to camera, metres.
     """
     K = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
     h = np.linalg.solve(K, H)
@@ -121,22 +76,7 @@ def plane_pose(H: Array, lens: Array) -> tuple[Array, Array]:
 
 
 def calibrate_alone(observations: Observations) -> Alone:
-    """Calibrate one camera by Zhang's method, then by a fit of its own.
-
-    Parameters
-    ----------
-    observations : Observations
-        Of one camera.
-
-    Returns
-    -------
-    Alone
-
-    Raises
-    ------
-    CalibrationError
-        If no view can be used, or the views do not tell the focal length.
-    """
+    """Calibrate one camera by Zhang's method, then by a fit of its own."""
     o = observations
     start, seen, deep = _from_places(o) if o.placed else _from_planes(o)
     used = o.only(np.isin(o.pose, seen))
@@ -254,15 +194,7 @@ def _seen_from(geometry: Geometry, pose: int) -> Geometry:
 def mean_rotation(rotations: Array) -> Array:
     """Mean of rotations that are near each other.
 
-    Parameters
-    ----------
-    rotations : ndarray, (n, 3, 3)
-        Rotations.
-
-    Returns
-    -------
-    ndarray, (3, 3)
-        The rotation nearest to their mean.
+    With rotations (n, 3, 3); returns (3, 3): The rotation nearest to their mean.
     """
     U, _, V = np.linalg.svd(np.mean(rotations, axis=0))
     nearest: Array = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
@@ -272,15 +204,7 @@ def mean_rotation(rotations: Array) -> Array:
 def angle_between(A: Array, B: Array) -> float:
     """Angle of the rotation from one orientation to another.
 
-    Parameters
-    ----------
-    A, B : ndarray, (3, 3)
-        Rotations.
-
-    Returns
-    -------
-    float
-        Degrees.
+    With A, B (3, 3).
     """
     chord = np.linalg.norm(A - B) / np.sqrt(8.0)
     return float(np.degrees(2.0 * np.arcsin(min(chord, 1.0))))

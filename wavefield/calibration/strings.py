@@ -27,27 +27,10 @@ FEWEST = 12  # crossings below which a picture is of no use
 def find_strings(image: NDArray[np.float32], target: Target) -> TargetPoints:
     """Find the crossings of a grid of white strings on a dark ground.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), float32
-        Grey image.
-    target : Target
-        Its `kind` is "strings"; only the order of the marks matters here.
-
-    Returns
-    -------
-    TargetPoints
-        Crossings outside the two marks. Seen from above the indices are right-handed.
-
-    Raises
-    ------
-    CalibrationError
-        If there is no grid, too little of it, or its marks are not in view.
-
-    Notes
-    -----
     Two marks on one axis look the same in a mirrored picture. That the picture is not mirrored is taken
     for granted here; the calibration notices it, because the target's poses then differ between cameras.
+
+    With image (row, column).
     """
     lattice, scale = _best_lattice(image)
     node, pixel = lattice.node, lattice.pixel

@@ -22,38 +22,17 @@ CLOSE = 2e-4  # px
 
 @dataclass(frozen=True)
 class Crossings:
-    """Crossings fitted in one image; arrays over n crossings.
+    """Crossings fitted in one image; arrays over n crossings."""
 
-    Parameters
-    ----------
-    pixel : ndarray, (n, 2)
-        Position (X, Y), px.
-    std : ndarray, (n,)
-        Standard uncertainty per axis, px.
-    angle : ndarray, (n, 2)
-        Directions of the two strings in the image, radians.
-    sigma : ndarray, (n, 2)
-        Standard deviation of the two profiles, px.
-    flux : ndarray, (n, 2)
-        Brightness of the two strings, integrated across them, grey px.
-    arms : ndarray, (n, 4)
-        Brightness of each of the four arms relative to its string's.
-    misfit : ndarray, (n,)
-        Residual relative to the noise; about 1 where the model holds.
-    parameters : ndarray, (n, 12)
-        All parameters, to start a further fit from.
-    noise : ndarray, (n, 4)
-        Mean grey and mean squared residual beside the strings, and the same on the strings.
-    """
-
-    pixel: Array
-    std: Array
-    angle: Array
-    sigma: Array
-    flux: Array
-    arms: Array
-    misfit: Array
-    parameters: Array
+    pixel: Array  # (n, 2): Position (X, Y), px
+    std: Array  # (n,): Standard uncertainty per axis, px
+    angle: Array  # (n, 2): Directions of the two strings in the image, radians
+    sigma: Array  # (n, 2): Standard deviation of the two profiles, px
+    flux: Array  # (n, 2): Brightness of the two strings, integrated across them, grey px
+    arms: Array  # (n, 4): Brightness of each of the four arms relative to its string's
+    misfit: Array  # (n,): Residual relative to the noise; about 1 where the model holds
+    parameters: Array  # (n, 12): All parameters, to start a further fit from
+    # (n, 4): Mean grey and mean squared residual beside the strings, and the same on the strings
     noise: Array
 
 
@@ -343,20 +322,7 @@ def _fit_all(
 def start_parameters(pixel: Array, slopes: Array, sigma: float, blur: float) -> Array:
     """Parameters to begin a fit with: brightness is left to the fit's first, linear step.
 
-    Parameters
-    ----------
-    pixel : ndarray, (n, 2)
-        Expected positions, px.
-    slopes : ndarray, (n, 2, 2)
-        Mesh vectors, px.
-    sigma : float
-        Expected standard deviation of the strings' profile, px.
-    blur : float
-        Standard deviation of the image's blur, px.
-
-    Returns
-    -------
-    ndarray, (n, 12)
+    With pixel (n, 2), px; slopes (n, 2, 2), px; sigma, px; blur, px; returns (n, 12).
     """
     p = np.zeros((len(pixel), COUNT))
     p[:, CX], p[:, CY] = pixel.T
@@ -377,33 +343,11 @@ def fit_crossings(
 ) -> Crossings:
     """Fit two crossing strings to the pixels around each expected crossing.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column)
-        Raw grey image.
-    start : ndarray, (n, 12)
-        Parameters to begin with, from `start_parameters` or a previous fit.
-    slopes : ndarray, (n, 2, 2)
-        Mesh vectors, px.
-    blur : float
-        Standard deviation of the image's blur, px.
-    noise : tuple of float
-        Variance of a pixel: at zero grey, and its increase per grey (photon noise).
-    longest : float
-        Arms extend .45 mesh, but no further than this, px.
-    close : float
-        A fit ends with the first step that moves the centre by less, px.
-
-    Returns
-    -------
-    Crossings
-        What could not be fitted has an infinite `std`.
-
-    Notes
-    -----
     Twelve parameters: centre, two directions, two squared half widths, two fluxes, a plane ground, and
     what is missing in brightness where the strings overlap. A string is a box convolved with a Gaussian.
     Damped Gauss-Newton with biweights at six robust deviations.
+
+    With image (row, column); start (n, 12); slopes (n, 2, 2), px; blur, px; longest, px; close, px.
     """
     n = len(start)
     parameters = np.array(start, float)

@@ -17,24 +17,7 @@ _FEWEST = 8  # tags
 def find_aprilgrid(image: NDArray[np.float32], target: Target) -> TargetPoints:
     """Find the middles of the tags of an AprilGrid, also when it is partly out of view.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), float32
-        Grey image, 0 to 255.
-    target : Target
-        Its `shape` counts tags along x and y, its `mesh` is the distance of their middles; tag 0 lies at the
-        lower left, the numbers run along x.
-
-    Returns
-    -------
-    TargetPoints
-        A node for each tag seen: where its diagonals cross, which is its middle from any side, and does not
-        move when the light makes black narrower or wider.
-
-    Raises
-    ------
-    CalibrationError
-        If fewer than 8 tags are seen.
+    With image (row, column).
     """
     nx, ny = shape_of(target)
     code = getattr(cv2.aruco, target.dictionary, None)

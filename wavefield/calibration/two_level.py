@@ -32,26 +32,9 @@ _PATCH = 25  # samples along each side of a dot's patch
 def find_two_level(image: NDArray[np.float32], target: Target) -> TargetPoints:
     """Find the dots of a two-level target, dark on bright or bright on dark, also partly out of view.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), float32
-        Grey image, 0 to 255.
-    target : Target
-        Its `mesh`, `depth` and `diameter`.
-
-    Returns
-    -------
-    TargetPoints
-        Dots of both levels without the two marks; z is 0 on the level of the marks.
-
-    Raises
-    ------
-    CalibrationError
-        If too few dots of either level, or not both marks, are in view.
-
-    Notes
-    -----
     The parallax between the levels must be less than a mesh, else dots are taken for their neighbours.
+
+    With image (row, column).
     """
     best: tuple[int, NDArray[np.float32], _Level, _Level] | None = None
     for polarity in (image, 255.0 - image):

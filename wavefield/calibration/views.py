@@ -19,19 +19,7 @@ SPREAD = 10.0  # degrees between views of the target, below which the focal leng
 
 
 def sound_views(views: Views, findings: Findings) -> Good:
-    """Views with enough points, of one size per camera.
-
-    Parameters
-    ----------
-    views : mapping of camera to mapping of pose to TargetPoints
-        What was found in each image.
-    findings : Findings
-        Told what is wrong.
-
-    Returns
-    -------
-    dict of camera to dict of pose to TargetPoints
-    """
+    """Views with enough points, of one size per camera."""
     good: Good = {}
     for name, of_camera in views.items():
         common = _common_size(name, of_camera, findings)
@@ -87,23 +75,7 @@ def each_alone(
 ) -> dict[str, Alone]:
     """Each camera calibrated on its own; views that are no plane grid are taken out of `good`.
 
-    Parameters
-    ----------
-    good : dict of camera to dict of pose to TargetPoints
-        As from `sound_views`.
-    mesh : float
-        Of the target, metres.
-    origin : (float, float)
-        Where node (0, 0) lies, metres.
-    flats : sequence of str
-        Poses on the plane z = 0.
-    findings : Findings
-        Told what is wrong.
-
-    Returns
-    -------
-    dict of str to Alone
-        Of the cameras that could be calibrated.
+    With mesh, metres; origin (float, float), metres.
     """
     alone: dict[str, Alone] = {}
     for name in good:
@@ -136,20 +108,7 @@ def each_alone(
 def agreeing(alone: dict[str, Alone], good: Good, mesh: float, findings: Findings) -> dict[str, Alone]:
     """Cameras that saw the target move alike; views that disagree are taken out of `alone` and `good`.
 
-    Parameters
-    ----------
-    alone : dict of str to Alone
-        Each camera.
-    good : dict of camera to dict of pose to TargetPoints
-        Their views.
-    mesh : float
-        Of the target, metres.
-    findings : Findings
-        Told what disagrees.
-
-    Returns
-    -------
-    dict of str to Alone
+    With mesh, metres.
     """
     agreement = compare(alone, mesh)
     _tell_disagreement(agreement, alone, mesh, findings)

@@ -57,19 +57,7 @@ def one_cube(source: Path) -> Path:
 def each(runs: Sequence[tuple[str, Any]], work: Callable[[str, Any], int], quiet: bool = False) -> int:
     """Do something with every run, saying which; what fails with one does not keep the others.
 
-    Parameters
-    ----------
-    runs : sequence of (str, any)
-        Names and what is known of them.
-    work : callable
-        From both to an exit status.
-    quiet : bool
-        Whether not to say which run it is.
-
-    Returns
-    -------
-    int
-        The worst exit status: 1 before 3 before 0.
+    With runs (str, any).
     """
     found = []
     for number, (run, known) in enumerate(runs, 1):

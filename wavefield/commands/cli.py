@@ -86,18 +86,7 @@ def _one_line_warning(message, category, filename, lineno, file=None, line=None)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Words after the program's name; by default those of this process.
-
-    Returns
-    -------
-    int
-        Exit status: 0 done, 1 failed, 2 wrong use, 130 interrupted.
-    """
+    """Run the command line."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     try:

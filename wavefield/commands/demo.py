@@ -23,24 +23,7 @@ PAPER = {
 def run_demo(
     directory: Path, command: Callable[[list[str]], int], scene: str = "demo", *, quiet: bool = False
 ) -> None:
-    """Simulate, calibrate, check, run, analyse, report, compare.
-
-    Parameters
-    ----------
-    directory : path
-        Folder for everything; it must be empty or not yet there.
-    command : callable
-        Given the words of a command line, runs it and returns its exit status.
-    scene : str
-        A scene file, or the name of one that comes with the program.
-    quiet : bool, default False
-        Show results only.
-
-    Raises
-    ------
-    WavefieldError
-        If a command fails.
-    """
+    """Simulate, calibrate, check, run, analyse, report, compare."""
     experiment, cube = directory / "experiment.yaml", directory / "cube.zarr"
     for words in (
         ["simulate", scene, directory],
@@ -62,20 +45,7 @@ def run_demo(
 
 
 def comparison(store: Path, directory: Path) -> str:
-    """Errors of a cube against the truth of its simulated experiment, beside the paper's.
-
-    Parameters
-    ----------
-    store : path
-        The cube.
-    directory : path
-        Folder of the simulated experiment, with ``truth``.
-
-    Returns
-    -------
-    str
-        A table: rms errors in mm and in px.
-    """
+    """Errors of a cube against the truth of its simulated experiment, beside the paper's."""
     from wavefield.cubes import open_cube
     from wavefield.reports import errors_against
     from wavefield.reports.sources import grid_of
@@ -106,17 +76,7 @@ def comparison(store: Path, directory: Path) -> str:
 def inside(errors: xr.Dataset, margin: float) -> xr.Dataset:
     """Leave out what is near the edge of the grid or of the field that was ever measured.
 
-    Parameters
-    ----------
-    errors : Dataset, (time, y, x)
-        With NaN where nothing was measured.
-    margin : float
-        Distance, m.
-
-    Returns
-    -------
-    Dataset
-        The same, smaller; nodes too near the edge of the field are NaN.
+    With errors (time, y, x).
     """
     from scipy.ndimage import binary_erosion
 

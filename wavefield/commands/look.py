@@ -10,17 +10,7 @@ LAST = 19  # niceness of a process that takes what the others leave
 
 
 def announce(url: str, port: int, open_page: bool) -> None:
-    """Say where a page is, and how to see it from another machine.
-
-    Parameters
-    ----------
-    url : str
-        Its address.
-    port : int
-        Where it listens.
-    open_page : bool
-        Whether to open it in a browser here.
-    """
+    """Say where a page is, and how to see it from another machine."""
     click.echo(f"Open {url} in a browser; Ctrl-C stops.")
     if os.environ.get("SSH_CONNECTION"):
         click.echo(f"From your own machine first: ssh -L {port}:localhost:{port} and this machine's name")
@@ -29,13 +19,7 @@ def announce(url: str, port: int, open_page: bool) -> None:
 
 
 def give_way(steps_to_come: int) -> None:
-    """Let a run that may be at work on this machine go first: looking at it should not cost it time.
-
-    Parameters
-    ----------
-    steps_to_come : int
-        How many steps the cube lacks; nothing is changed where it lacks none.
-    """
+    """Let a run that may be at work on this machine go first: looking at it should not cost it time."""
     if steps_to_come and hasattr(os, "nice"):  # Windows has none
         os.nice(LAST - os.nice(0))
 

@@ -16,15 +16,6 @@ class Progress:
 
     Call it with the number of parts done and of all parts. On a terminal it redraws one line; in a log it
     prints a plain line at the start, at each quarter, once a minute, and at the end.
-
-    Parameters
-    ----------
-    stage : str
-        What is being done, in a few words.
-    unit : str, default ""
-        What is counted, in the plural.
-    stream : file, optional
-        Where to write; by default standard error.
     """
 
     def __init__(self, stage: str, unit: str = "", stream: TextIO | None = None) -> None:
@@ -43,13 +34,7 @@ class Progress:
         return self
 
     def __call__(self, done: int, total: int) -> None:
-        """Tell how far the work is.
-
-        Parameters
-        ----------
-        done, total : int
-            Parts finished and all parts.
-        """
+        """Tell how far the work is."""
         now = time.monotonic()
         self.done, self.total = int(done), int(total)
         if self.first is None:  # what a resumed run found done says nothing about its speed

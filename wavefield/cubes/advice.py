@@ -25,20 +25,7 @@ _WHY = {
 
 
 def advise(prepared: Prepared, measured: float) -> str:
-    """Say what would help, after trying it on the step that was tried.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        The run.
-    measured : float
-        Fraction of the nodes in view that it measured.
-
-    Returns
-    -------
-    str
-        A sentence; empty where enough is measured, or no step has its frames.
-    """
+    """Say what would help, after trying it on the step that was tried."""
     if measured >= ENOUGH or not has_step(prepared.series):
         return ""
     settings = prepared.plan.settings

@@ -88,18 +88,7 @@ class Table:
 
 
 def score(found: Sequence[Agreement]) -> float:
-    """How well two cameras agree over some instants: patches found, nothing if they scatter.
-
-    Parameters
-    ----------
-    found : sequence of Agreement
-        One per instant.
-
-    Returns
-    -------
-    float
-        0 to 1.
-    """
+    """How well two cameras agree over some instants: patches found, nothing if they scatter."""
     scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= 4]
     return pooled(found) if scatter and float(np.median(scatter)) < _SCATTER else 0.0
 
@@ -112,15 +101,7 @@ def size(smooth: NDArray[np.float64]) -> float:
 def blur(image: NDArray[Any] | None) -> float:
     """Width of the finest things in an image, px: from how alike neighbouring pixels are.
 
-    Parameters
-    ----------
-    image : ndarray, (rows, columns), or None
-        Grey levels.
-
-    Returns
-    -------
-    float
-        Standard deviation of a Gaussian that would make them so alike; NaN where there is nothing to see.
+    With image (rows, columns).
     """
     if image is None:
         return float("nan")

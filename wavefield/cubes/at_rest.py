@@ -25,34 +25,7 @@ def level_at_rest(
     frames: int = FRAMES,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Rig, RigCheck, Plane]:
-    """Mend and level a rig by a record of still, seeded water.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The record at rest itself (`Experiment.at_rest` gives it where an experiment names one).
-    rig : path or Rig, optional
-        In place of the one that the experiment names.
-    frames : int
-        How many to match, evenly over the record.
-    progress : callable, optional
-        Told (frames done, all frames).
-
-    Returns
-    -------
-    rig : Rig
-        Turned back so that sight lines meet, with z = 0 on what the cameras see of the water: the beads, as
-        high as they float.
-    check : RigCheck
-        What had been wrong.
-    plane : Plane
-        The water's plane before.
-
-    Raises
-    ------
-    ExperimentError, RigError, CalibrationError
-        If images or rig are missing or wrong, or nothing matches.
-    """
+    """Mend and level a rig by a record of still, seeded water."""
     from wavefield.calibration.rest import refine_and_level
     from wavefield.measurement.tie_points import matched_pixels, spread
 
@@ -68,17 +41,7 @@ def level_at_rest(
 
 
 def plane_sentence(plane: Plane) -> str:
-    """Where the water was, for a person.
-
-    Parameters
-    ----------
-    plane : Plane
-        As from `level_at_rest`.
-
-    Returns
-    -------
-    str
-    """
+    """Where the water was, for a person."""
     return (
         f"The water's plane: {1e3 * plane.height:+.3f} mm at the origin, slope {1e3 * plane.slope[0]:+.3f}, "
         f"{1e3 * plane.slope[1]:+.3f} mrad along x, y; rms about it {1e3 * plane.rms:.3f} mm."
@@ -86,19 +49,7 @@ def plane_sentence(plane: Plane) -> str:
 
 
 def remark_on_rest(experiment: Experiment, rig: Rig) -> Remark:
-    """Say whether z = 0 is the water at rest, and how that is known.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-    rig : Rig
-        Its rig, with its provenance.
-
-    Returns
-    -------
-    Remark
-    """
+    """Say whether z = 0 is the water at rest, and how that is known."""
     found = rig.provenance.get("levelled")
     if experiment.settings.get("sheet_thickness") is not None:
         return _remark_on_sheet(experiment, rig)

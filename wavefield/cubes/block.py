@@ -34,22 +34,13 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Block:
-    """Steps start to stop (not included), and the frames around them.
+    """Steps start to stop (not included), and the frames around them."""
 
-    Parameters
-    ----------
-    start, stop : int
-        Range of steps.
-    sources : mapping of str to Source
-        Frames start - 2 to stop + 2 of every camera, as far as there are any.
-    first : int
-        Index of the frame that is index 0 of the sources.
-    """
-
-    start: int
+    start: int  # Range of steps
     stop: int
+    # Frames start - 2 to stop + 2 of every camera, as far as there are any
     sources: Mapping[str, Source] = field(repr=False)
-    first: int
+    first: int  # Index of the frame that is index 0 of the sources
 
     @property
     def steps(self) -> int:
@@ -59,44 +50,19 @@ class Block:
 
 @dataclass(frozen=True)
 class Measured:
-    """Results of a block.
+    """Results of a block."""
 
-    Parameters
-    ----------
-    fields : dict of str to ndarray, (n, ny, nx)
-        The variables of `wavefield.variables.CUBE_FIELDS`.
-    frame_status : ndarray of uint8, (n,)
-        See `wavefield.variables.FrameStatus`.
-    faults : dict of str to dict of int to FrameFault
-        Bad frames of each camera, by index in the whole series.
-    messages : list of str
-        A sentence about each of them.
-    shifts : dict of int to dict of str to ndarray, (3,)
-        By how much each camera was turned back in each frame, by index in the whole series
-        (`wavefield.cubes.steadied`); empty unless the settings ask for it.
-    """
-
-    fields: dict[str, np.ndarray]
-    frame_status: np.ndarray
-    faults: dict[str, dict[int, FrameFault]]
-    messages: list[str]
+    fields: dict[str, np.ndarray]  # (n, ny, nx): The variables of `wavefield.variables.CUBE_FIELDS`
+    frame_status: np.ndarray  # (n,): See `wavefield.variables.FrameStatus`
+    faults: dict[str, dict[int, FrameFault]]  # Bad frames of each camera, by index in the whole series
+    messages: list[str]  # A sentence about each of them
+    # (3,): By how much each camera was turned back in each frame, by index in the whole series
+    # (`wavefield.cubes.steadied`); empty unless the settings ask for it
     shifts: dict[int, dict[str, np.ndarray]] = field(default_factory=dict)
 
 
 def make_block(sources: Mapping[str, Source], start: int, stop: int) -> Block:
-    """Cut out what a block needs.
-
-    Parameters
-    ----------
-    sources : mapping of str to Source
-        The whole series.
-    start, stop : int
-        Range of steps.
-
-    Returns
-    -------
-    Block
-    """
+    """Cut out what a block needs."""
     first = max(start - AROUND, 0)
     return Block(
         start, stop, {name: s.window(first, stop + 1 + AROUND) for name, s in sources.items()}, first
@@ -104,15 +70,7 @@ def make_block(sources: Mapping[str, Source], start: int, stop: int) -> Block:
 
 
 class BlockFrames(Sequence[np.ndarray | None]):
-    """The n + 5 frames of one camera, read when asked for; only the last few are kept in memory.
-
-    Parameters
-    ----------
-    source : Source
-        The frames of the block.
-    block : Block
-        Which they are.
-    """
+    """The n + 5 frames of one camera, read when asked for; only the last few are kept in memory."""
 
     _KEEP = 2 * AROUND + 2  # as many as a step at mid-time looks at
 
@@ -150,15 +108,7 @@ class BlockFrames(Sequence[np.ndarray | None]):
 
 
 class BlockMasks(Sequence[np.ndarray | None]):
-    """What is masked in the n + 5 frames of one camera.
-
-    Parameters
-    ----------
-    source : Source
-        The frames of the block.
-    block : Block
-        Which they are.
-    """
+    """What is masked in the n + 5 frames of one camera."""
 
     def __init__(self, source: Source, block: Block) -> None:
         self._source, self._block = source, block
@@ -172,21 +122,7 @@ class BlockMasks(Sequence[np.ndarray | None]):
 
 
 def measure_block(block: Block, plan: Any, frame_rate: float) -> Measured:
-    """Measure all steps of a block.
-
-    Parameters
-    ----------
-    block : Block
-        Steps and frames.
-    plan : wavefield.measurement.Plan
-        What was computed once for rig and grid.
-    frame_rate : float
-        Hz.
-
-    Returns
-    -------
-    Measured
-    """
+    """Measure all steps of a block."""
     from wavefield.measurement.measure import measure
 
     frames = {name: BlockFrames(source, block) for name, source in block.sources.items()}

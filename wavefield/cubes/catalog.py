@@ -89,18 +89,7 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
 
 
 def new_catalog(stem: str) -> dict[str, Any]:
-    """An intake catalog without runs.
-
-    Parameters
-    ----------
-    stem : str
-        Name of the catalog's file without ending, and of the folder beside it.
-
-    Returns
-    -------
-    dict
-        To be written as YAML.
-    """
+    """An intake catalog without runs."""
     base = "{CATALOG_DIR}/" + stem + "/{run}"
 
     def parameter(
@@ -243,24 +232,7 @@ def run_catalog(
 
 
 def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
-    """Names of a catalog's runs.
-
-    Parameters
-    ----------
-    catalog : path
-        Intake catalog.
-    entries : sequence of str
-        Those that are wanted; all of them if left out.
-
-    Returns
-    -------
-    list of str
-
-    Raises
-    ------
-    ExperimentError
-        If it has no runs, or not one that is wanted.
-    """
+    """Names of a catalog's runs."""
     path = Path(catalog).absolute()
     options = read_yaml(path).get("user_parameters", {}).get("run", {}).get("options", [])
     unknown = [name for name in entries if name not in options]
@@ -275,24 +247,7 @@ def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
 
 
 def cube_of(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
-    """Where the cube of a run lies, or will: that of the recipe run last, unless ``recipe`` is chosen.
-
-    Parameters
-    ----------
-    catalog : path
-        Intake catalog.
-    chosen : mapping
-        Values of its parameters, ``run`` among them.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    ExperimentError
-        If the catalog lacks what is needed.
-    """
+    """Where the cube of a run lies, or will: that of the recipe run last, unless ``recipe`` is chosen."""
     return Path(_local(_open_entry(Path(catalog).absolute(), "cube", chosen).kwargs["data"].url))
 
 
@@ -319,47 +274,13 @@ def _open_entry(catalog: Path, entry: str, chosen: Mapping[str, str]) -> Any:
 
 
 def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> Experiment:
-    """The experiment that a catalog's entry ``frames`` opens.
-
-    Parameters
-    ----------
-    catalog : path
-        Intake catalog.
-    chosen : mapping
-        Values of its parameters.
-
-    Returns
-    -------
-    Experiment
-
-    Raises
-    ------
-    ExperimentError
-        If the catalog or the experiment is wrong.
-    """
+    """The experiment that a catalog's entry ``frames`` opens."""
     reader = _open_entry(Path(catalog).absolute(), "frames", chosen)
     return Experiment.load(_local(reader.kwargs["data"].url), reader.kwargs.get("folder") or None)
 
 
 def find_cube(catalog: str | Path, run: str | None = None) -> Path:
-    """The cube of a run: that of the recipe that was run last.
-
-    Parameters
-    ----------
-    catalog : path
-        Intake catalog.
-    run : str, optional
-        Name of the run; may be left out where only one has a cube.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    ExperimentError
-        If the run is unknown or has no cube yet, or several have one and none is named.
-    """
+    """The cube of a run: that of the recipe that was run last."""
     path = Path(catalog).absolute()
     runs = read_yaml(path).get("user_parameters", {}).get("run", {}).get("options", [])
     if run is not None and run not in runs:
@@ -380,21 +301,7 @@ def find_cube(catalog: str | Path, run: str | None = None) -> Path:
 
 
 def store_of(catalog: Path, chosen: Mapping[str, str], prepared: Prepared) -> Path:
-    """Where a catalog wants the cube of a run, and put its recipe among the catalog's options.
-
-    Parameters
-    ----------
-    catalog : path
-        Intake catalog.
-    chosen : mapping
-        Values of its parameters.
-    prepared : Prepared
-        The run.
-
-    Returns
-    -------
-    Path
-    """
+    """Where a catalog wants the cube of a run, and put its recipe among the catalog's options."""
     data = read_yaml(catalog)
     recipe = data.get("user_parameters", {}).get("recipe")
     if recipe is not None:

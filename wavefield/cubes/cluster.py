@@ -17,17 +17,7 @@ MapUnordered = Callable[[Work, Sequence[Any]], Generator[tuple[Any, Any], None, 
 
 
 def count_workers(workflow: Workflow) -> int:
-    """Number of workers that a workflow asks for, at most.
-
-    Parameters
-    ----------
-    workflow : Workflow
-        The workflow.
-
-    Returns
-    -------
-    int
-    """
+    """Number of workers that a workflow asks for, at most."""
     if workflow.cluster == "none":
         return 1
     if workflow.workers == "auto":
@@ -36,18 +26,7 @@ def count_workers(workflow: Workflow) -> int:
 
 
 def threads_here(workflow: Workflow) -> int:
-    """Threads that a run takes in its own process while its workers have nothing to do yet or any more.
-
-    Parameters
-    ----------
-    workflow : Workflow
-        The workflow.
-
-    Returns
-    -------
-    int
-        No more than it has workers, and few: each holds the images of an instant.
-    """
+    """Threads that a run takes in its own process while its workers have nothing to do yet or any more."""
     return min(count_workers(workflow), _cores(), _MOST_THREADS)
 
 
@@ -64,27 +43,7 @@ def open_cluster(
     lasting: bool = False,
     forked: str = "wavefield.cubes.forked",
 ) -> Iterator[MapUnordered]:
-    """Give a function that maps work over items on workers that come and go with it.
-
-    Parameters
-    ----------
-    workflow : Workflow
-        Where to work.
-    logs : path, optional
-        Folder for what the workers of a cluster say, seen by all its machines; by default here.
-    ahead : bool
-        Start processes of this machine at once, while the caller prepares their work.
-    lasting : bool
-        Keep the workers for more work until the caller leaves; else they do work once, and end with it.
-    forked : str
-        Module that imports what processes of this machine need.
-
-    Yields
-    ------
-    map_unordered : callable
-        ``map_unordered(work, items)`` iterates over (item, result or exception) as they are done. It raises
-        ExperimentError if the cluster cannot be started or the scheduler not be reached.
-    """
+    """Give a function that maps work over items on workers that come and go with it."""
     count = count_workers(workflow)
     watched = bool(workflow.dashboard or workflow.performance_report)
     if workflow.cluster == "none" or (workflow.cluster == "local" and count == 1 and not watched):

@@ -23,33 +23,15 @@ from wavefield.words import spell_time
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run will take, from measured steps.
+    """What a run will take, from measured steps."""
 
-    Parameters
-    ----------
-    step_seconds : float
-        Time per step on one worker, s.
-    workers : int
-        Workers that share the steps.
-    seconds : float
-        Time of the whole run, s.
-    memory : int
-        Memory per worker, bytes.
-    disk : int
-        Size of the store, bytes.
-    free : int
-        Room on the disk of the store, bytes.
-    reading : Reading or None
-        What the workers want to read, and what the images' disk gives.
-    """
-
-    step_seconds: float
-    workers: int
-    seconds: float
-    memory: int
-    disk: int
-    free: int
-    reading: Reading | None = None
+    step_seconds: float  # Time per step on one worker, s
+    workers: int  # Workers that share the steps
+    seconds: float  # Time of the whole run, s
+    memory: int  # Memory per worker, bytes
+    disk: int  # Size of the store, bytes
+    free: int  # Room on the disk of the store, bytes
+    reading: Reading | None = None  # What the workers want to read, and what the images' disk gives
 
     def __str__(self) -> str:
         workers = "1 worker" if self.workers == 1 else f"{self.workers} workers"
@@ -63,25 +45,7 @@ class Cost:
 
 
 def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
-    """Measure a few steps in the middle of the run, and tell from them what the whole will take.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        As from `wavefield.cubes.prepare.prepare`.
-
-    Returns
-    -------
-    cost : Cost
-        Time, memory, disk.
-    measured : float
-        Fraction of the nodes in view that were measured, not filled.
-
-    Raises
-    ------
-    ExperimentError
-        If no step could be measured.
-    """
+    """Measure a few steps in the middle of the run, and tell from them what the whole will take."""
     start = whole_step(prepared.series)
     stop = min(start + 3, prepared.steps)
     pair = {name: one.window(start, start + 2) for name, one in prepared.series.items()}
@@ -162,22 +126,7 @@ def _size(count: float) -> str:
 
 
 def whole_step(series: Mapping[str, FrameSeries]) -> int:
-    """A step near the middle whose frames are there in all cameras.
-
-    Parameters
-    ----------
-    series : mapping of str to FrameSeries
-        Frames of the cameras that measure.
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    ExperimentError
-        If there is none.
-    """
+    """A step near the middle whose frames are there in all cameras."""
     steps = _steps(series)
     if steps.size == 0:
         raise ExperimentError("no two consecutive frames are there in all cameras: nothing can be measured")
@@ -185,17 +134,7 @@ def whole_step(series: Mapping[str, FrameSeries]) -> int:
 
 
 def has_step(series: Mapping[str, FrameSeries]) -> bool:
-    """Whether two consecutive frames are there in all cameras.
-
-    Parameters
-    ----------
-    series : mapping of str to FrameSeries
-        Frames of the cameras that measure.
-
-    Returns
-    -------
-    bool
-    """
+    """Whether two consecutive frames are there in all cameras."""
     return bool(_steps(series).size)
 
 
@@ -205,31 +144,12 @@ def _steps(series: Mapping[str, FrameSeries]) -> np.ndarray:
 
 
 def in_view(quality: np.ndarray) -> np.ndarray:
-    """Nodes that could be measured: seen by the cameras and not masked.
-
-    Parameters
-    ----------
-    quality : ndarray of int
-        Bits of `Quality`.
-
-    Returns
-    -------
-    ndarray of bool
-    """
+    """Nodes that could be measured: seen by the cameras and not masked."""
     return np.asarray((quality & (Quality.OUTSIDE | Quality.MASKED)) == 0)
 
 
 def fraction_measured(quality: np.ndarray) -> float:
     """Fraction of the nodes in view that were measured: filled ones are finite too, but do not count.
-
-    Parameters
-    ----------
-    quality : ndarray of int
-        Bits of `Quality`.
-
-    Returns
-    -------
-    float
 
     Examples
     --------

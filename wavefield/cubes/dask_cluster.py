@@ -42,35 +42,14 @@ _TASKS_LEFT = 16  # for each worker: with fewer to come, tasks become smaller, s
 
 @dataclass(frozen=True)
 class Task:
-    """Work as it is sent to a worker: done only by the client's Python and version.
+    """Work as it is sent to a worker: done only by the client's Python and version."""
 
-    Parameters
-    ----------
-    work : callable
-        The work.
-    python : tuple of int
-        Major and minor version of the client's Python.
-    version : str
-        Of the client's wavefield.
-    """
-
-    work: Callable[[Any], Any]
-    python: tuple[int, ...]
-    version: str
+    work: Callable[[Any], Any]  # The work
+    python: tuple[int, ...]  # Major and minor version of the client's Python
+    version: str  # Of the client's wavefield
 
     def __call__(self, items: Sequence[Any]) -> list[Any]:
-        """Do the work for some items.
-
-        Parameters
-        ----------
-        items : sequence
-            What the work is called with, one after the other.
-
-        Returns
-        -------
-        list
-            Results; an exception in the place of the first that failed ends it: all may fail, and slowly.
-        """
+        """Do the work for some items."""
         here, client = sys.version_info[:2], f"Python {_dotted(self.python)}, wavefield {self.version}"
         if (here, wavefield.__version__) != (self.python, self.version):
             raise ExperimentError(
@@ -95,24 +74,7 @@ def _dotted(version: tuple[int, ...]) -> str:
 def open_dask_cluster(
     workflow: Workflow, count: int, logs: Path, lasting: bool = False
 ) -> Iterator[Callable[[Callable[[Any], Any], Sequence[Any]], Generator[tuple[Any, Any], None, None]]]:
-    """Give a function that maps work over items on a Dask cluster that it starts and ends.
-
-    Parameters
-    ----------
-    workflow : Workflow
-        Where to work.
-    count : int
-        Most workers that it asks for.
-    logs : path
-        Folder for what the workers of a cluster say, and for its credentials: all machines see it.
-    lasting : bool
-        Keep the cluster for more work until the caller leaves; else it ends with its first work.
-
-    Yields
-    ------
-    map_unordered : callable
-        As that of `wavefield.cubes.cluster.open_cluster`.
-    """
+    """Give a function that maps work over items on a Dask cluster that it starts and ends."""
     if workflow.cluster == "slurm" or of_jobqueue(workflow):
         slurm.import_jobqueue()
     started: list[tuple[Any, Look]] = []
@@ -281,17 +243,6 @@ class _Tasks:
     """Items as tasks: several in one while many are left, so that a scheduler of many workers keeps up.
 
     What ended while the last results were fetched is fetched at once, and as much submitted at once.
-
-    Parameters
-    ----------
-    client : distributed.Client
-        Of the scheduler.
-    task : Task
-        What a worker does.
-    items : sequence
-        All of them.
-    workers : int
-        How many there may be.
     """
 
     def __init__(self, client: Any, task: Task, items: Sequence[Any], workers: int) -> None:

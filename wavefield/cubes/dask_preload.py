@@ -9,13 +9,7 @@ from wavefield.cubes.worker_settings import settle_worker
 
 
 def dask_setup(worker: Any) -> None:
-    """Set the process of a worker; Dask calls it in its main thread.
-
-    Parameters
-    ----------
-    worker : distributed.Worker
-        The worker.
-    """
+    """Set the process of a worker; Dask calls it in its main thread."""
     settle_worker()
     if worker.nanny is None:  # Dask would finish the block, and write it after the run has said that it ended
         signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -43,18 +43,7 @@ _PROFILE = {"distributed": {"worker": {"profile": {"enabled": True}}}}  # a repo
 
 
 def dask_settings(workflow: Workflow) -> dict[str, Any]:
-    """Dask's configuration for a run.
-
-    Parameters
-    ----------
-    workflow : Workflow
-        What it says of ``dask`` goes first.
-
-    Returns
-    -------
-    dict
-        Sections of Dask's configuration, as far as they differ from Dask's own.
-    """
+    """Dask's configuration for a run."""
     profile = _PROFILE if workflow.performance_report else {}
     merged: dict[str, Any] = dask.config.merge(_DASK, profile, workflow.dask)
     return merged
@@ -62,16 +51,6 @@ def dask_settings(workflow: Workflow) -> dict[str, Any]:
 
 def dashboard_address(workflow: Workflow) -> str:
     """Where the scheduler answers browsers: on the loopback, unless the workflow names another host.
-
-    Parameters
-    ----------
-    workflow : Workflow
-        The workflow.
-
-    Returns
-    -------
-    str
-        Host and port.
 
     Examples
     --------
@@ -83,32 +62,12 @@ def dashboard_address(workflow: Workflow) -> str:
 
 
 def of_jobqueue(workflow: Workflow) -> bool:
-    """Whether a class of dask-jobqueue deploys the cluster: PBSCluster, LSFCluster and others.
-
-    Parameters
-    ----------
-    workflow : Workflow
-        The workflow.
-
-    Returns
-    -------
-    bool
-    """
+    """Whether a class of dask-jobqueue deploys the cluster: PBSCluster, LSFCluster and others."""
     return (workflow.deploy or "").startswith("dask_jobqueue.")
 
 
 def wants_tls(workflow: Workflow) -> bool:
-    """Whether client, scheduler and workers talk through TLS, with credentials made for this run.
-
-    Parameters
-    ----------
-    workflow : Workflow
-        By default where its ports are open beyond the loopback.
-
-    Returns
-    -------
-    bool
-    """
+    """Whether client, scheduler and workers talk through TLS, with credentials made for this run."""
     if workflow.security == "auto":
         open_ports = workflow.deploy == "distributed.SSHCluster" or of_jobqueue(workflow)
         return workflow.cluster == "slurm" or open_ports
@@ -117,23 +76,7 @@ def wants_tls(workflow: Workflow) -> bool:
 
 @contextmanager
 def temporary_credentials(folder: Path) -> Iterator[dict[str, Any]]:
-    """Make credentials for one run, which nobody but their owner can read.
-
-    Parameters
-    ----------
-    folder : path
-        Where all machines of the cluster find them; made if need be.
-
-    Yields
-    ------
-    dict
-        Sections of Dask's configuration.
-
-    Raises
-    ------
-    ExperimentError
-        If cryptography is not installed or the folder cannot be written.
-    """
+    """Make credentials for one run, which nobody but their owner can read."""
     from distributed import Security
 
     try:
@@ -174,17 +117,7 @@ def _write_secret(path: Path, text: str) -> str:
 
 @contextmanager
 def configured(configuration: dict[str, Any]) -> Iterator[None]:
-    """Use a configuration of Dask for a while; Dask's nannies change the environment, which is put back too.
-
-    Parameters
-    ----------
-    configuration : dict
-        Sections that differ; ``dask.config.set`` would replace whole sections.
-
-    Yields
-    ------
-    None
-    """
+    """Use a configuration of Dask for a while; Dask's nannies change the environment, which is put back too."""
     import distributed  # noqa: F401  its defaults join the configuration on import: before that is put aside
 
     before, environment = dask.config.config.copy(), dict(os.environ)

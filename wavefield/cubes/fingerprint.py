@@ -14,18 +14,7 @@ Fingerprints = dict[str, dict[str, int]]
 
 
 def fingerprints(series: Mapping[str, FrameSeries]) -> Fingerprints:
-    """Checksums of the grey levels of some frames.
-
-    Parameters
-    ----------
-    series : mapping of str to FrameSeries
-        The frames of the cameras that measure.
-
-    Returns
-    -------
-    dict of str to dict of str to int
-        Of every camera, CRC-32 by index of the frame; frames that cannot be read are left out.
-    """
+    """Checksums of the grey levels of some frames."""
     out: Fingerprints = {}
     for name, frames in series.items():
         indices = np.unique(np.linspace(0, len(frames) - 1, _SAMPLES).astype(int))
@@ -41,22 +30,7 @@ def _sum(image: np.ndarray) -> int:
 def check_images(
     store: str, begun: Mapping[str, Mapping[str, int]], series: Mapping[str, FrameSeries]
 ) -> None:
-    """Refuse to go on with other images than a cube was begun with.
-
-    Parameters
-    ----------
-    store : str
-        The cube, for the message.
-    begun : mapping of str to mapping of str to int
-        Its fingerprints.
-    series : mapping of str to FrameSeries
-        The frames of now.
-
-    Raises
-    ------
-    StoreError
-        If a frame shows something else; the message names it.
-    """
+    """Refuse to go on with other images than a cube was begun with."""
     for name, sums in begun.items():
         for index, wanted in sums.items():
             frames = series.get(name)

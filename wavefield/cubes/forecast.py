@@ -31,44 +31,20 @@ _ENDS = 0.02  # of the record: more frames of one camera beyond its ends are rem
 class CameraCheck:
     """Frames of one camera.
 
-    Parameters
-    ----------
-    name : str
-        The camera.
-    frames : int
-        Frames that have a file.
-    size : tuple of int
-        (width, height), px.
-    dtype : str
-        Type of the images.
-    missing : tuple of int
-        Numbers of the frames that have none: those of the run, file numbers plus the camera's `offset`.
-    small : tuple of int
-        Numbers of the frames whose file is empty or truncated.
-    blank : tuple of int
-        Numbers of those without any contrast.
-    other : tuple of int
-        Numbers of those of another size or type than the first.
-    beyond : tuple of int
-        Frames before and after the record, which are not used.
-    offset : int
-        Of the camera: number of a frame less that of its file.
-
-    Notes
-    -----
     Only files less than half as large as most are looked into.
     """
 
-    name: str
-    frames: int
-    size: tuple[int, int]
-    dtype: str
+    name: str  # The camera
+    frames: int  # Frames that have a file
+    size: tuple[int, int]  # (width, height), px
+    dtype: str  # Type of the images
+    # Numbers of the frames that have none: those of the run, file numbers plus the camera's `offset`
     missing: tuple[int, ...]
-    small: tuple[int, ...]
-    blank: tuple[int, ...] = ()
-    other: tuple[int, ...] = ()
-    beyond: tuple[int, int] = (0, 0)
-    offset: int = 0
+    small: tuple[int, ...]  # Numbers of the frames whose file is empty or truncated
+    blank: tuple[int, ...] = ()  # Numbers of those without any contrast
+    other: tuple[int, ...] = ()  # Numbers of those of another size or type than the first
+    beyond: tuple[int, int] = (0, 0)  # Frames before and after the record, which are not used
+    offset: int = 0  # Of the camera: number of a frame less that of its file
 
     def __str__(self) -> str:
         text = f"{self.name}: {self.frames} frames of {self.size[0]} x {self.size[1]} px, {self.dtype}"

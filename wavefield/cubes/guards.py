@@ -20,17 +20,7 @@ class Stopped(KeyboardInterrupt):
 
 @contextmanager
 def stop_signals(time_limit: float | None = None) -> Iterator[None]:
-    """Let SIGTERM, SIGUSR1 (Slurm's warning) and a time limit stop a run as Ctrl-C does.
-
-    Parameters
-    ----------
-    time_limit : float, optional
-        Seconds.
-
-    Yields
-    ------
-    None
-    """
+    """Let SIGTERM, SIGUSR1 (Slurm's warning) and a time limit stop a run as Ctrl-C does."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -69,48 +59,18 @@ LOG = Product("a log", _is_log)
 
 
 def log_path(store: Path) -> Path:
-    """The log of a store's runs.
-
-    Parameters
-    ----------
-    store : path
-        The store.
-
-    Returns
-    -------
-    Path
-    """
+    """The log of a store's runs."""
     return store.with_suffix(".log")
 
 
 def jobs_folder(store: Path) -> Path:
-    """Folder for what the jobs of a store's runs say, where they run on a cluster.
-
-    Parameters
-    ----------
-    store : path
-        The store.
-
-    Returns
-    -------
-    Path
-    """
+    """Folder for what the jobs of a store's runs say, where they run on a cluster."""
     return store.absolute().with_suffix(".jobs")
 
 
 @contextmanager
 def log_file(store: Path) -> Iterator[None]:
-    """Write what a run says to a file beside its store.
-
-    Parameters
-    ----------
-    store : path
-        The store.
-
-    Yields
-    ------
-    None
-    """
+    """Write what a run says to a file beside its store."""
     try:
         store.parent.mkdir(parents=True, exist_ok=True)
         check_replaceable(log_path(store), LOG)  # it is added to

@@ -33,17 +33,7 @@ _MANY = 0.01  # of the steps with bad frames: fewer are only noted
 
 
 def look_at_cameras(prepared: Prepared) -> Examination:
-    """Compare the cameras' images at some instants of the record.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        As from `wavefield.cubes.prepare.prepare`.
-
-    Returns
-    -------
-    Examination
-    """
+    """Compare the cameras' images at some instants of the record."""
     count = prepared.steps + 1
     frames = sorted({int((k + 0.5) * count / _INSTANTS) for k in range(_INSTANTS)})
     with one_thread():  # each of them
@@ -51,22 +41,7 @@ def look_at_cameras(prepared: Prepared) -> Examination:
 
 
 def synchrony_of(prepared: Prepared, instants: int = _SYNCHRONY) -> tuple[dict[str, Delay], float]:
-    """Whether the cameras take their frames at the same moment.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        As from `wavefield.cubes.prepare.prepare`.
-    instants : int
-        How many to look at, evenly over the record; more make it surer.
-
-    Returns
-    -------
-    delays : dict of str to Delay
-        As from `wavefield.cubes.synchrony.delays`.
-    speed : float
-        Of the water in images, rms, px/s.
-    """
+    """Whether the cameras take their frames at the same moment."""
     count = prepared.steps + 1
     even = ((k + 0.5) * count / instants for k in range(instants))
     frames = sorted({min(max(int(k), 2), count - 3) for k in even}) if count >= 5 else []
@@ -78,20 +53,7 @@ def synchrony_of(prepared: Prepared, instants: int = _SYNCHRONY) -> tuple[dict[s
 
 
 def clocks(prepared: Prepared) -> tuple[str, list[Remark]]:
-    """A first look at whether the cameras take their frames at the same moment, at a few instants.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        As from `wavefield.cubes.prepare.prepare`.
-
-    Returns
-    -------
-    sentence : str
-        Delays of the cameras.
-    remarks : list of Remark
-        On those that are sure.
-    """
+    """A first look at whether the cameras take their frames at the same moment, at a few instants."""
     found, speed = synchrony_of(prepared, _FIRST_LOOK)
     return synchrony.sentence(found), list(synchrony.remarks(found, speed))
 
@@ -101,21 +63,7 @@ def _witness(prepared: Prepared) -> Witness:
 
 
 def judge(prepared: Prepared, status: Status, seen: Examination | None = None) -> Verdict:
-    """The verdict on a cube whose run has ended.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        What it was made from.
-    status : Status
-        Its ledger.
-    seen : Examination, optional
-        Of its cameras, if they were looked at already.
-
-    Returns
-    -------
-    Verdict
-    """
+    """The verdict on a cube whose run has ended."""
     seen = look_at_cameras(prepared) if seen is None else seen
     remarks = [
         *seen.remarks,

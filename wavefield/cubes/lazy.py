@@ -30,37 +30,17 @@ STEPS_PER_TASK = 72
 
 @dataclass(frozen=True)
 class ArraySource:
-    """Images of one camera in an xarray variable, lazy or not.
+    """Images of one camera in an xarray variable, lazy or not."""
 
-    Parameters
-    ----------
-    camera : str
-        Its name.
-    variable : xarray.Variable
-        (time, row, column).
-    mask : xarray.Variable, optional
-        (row, column) or (time, row, column): True where pixels do not count.
-    """
-
-    camera: str
-    variable: xr.Variable
-    mask: xr.Variable | None = None
+    camera: str  # Its name
+    variable: xr.Variable  # (time, row, column)
+    mask: xr.Variable | None = None  # (row, column) or (time, row, column): True where pixels do not count
 
     def __len__(self) -> int:
         return int(self.variable.shape[0])
 
     def read(self, index: int) -> Frame:
-        """Read one frame; an image without contrast counts as bad.
-
-        Parameters
-        ----------
-        index : int
-            Index along time.
-
-        Returns
-        -------
-        Frame
-        """
+        """Read one frame; an image without contrast counts as bad."""
         image = np.asarray(self.variable[index].values)
         place = f"{self.camera} frame {index}"
         if image.ndim != 2:
@@ -70,15 +50,7 @@ class ArraySource:
     def covered(self, index: int) -> np.ndarray | None:
         """What is masked in a frame.
 
-        Parameters
-        ----------
-        index : int
-            Index along time.
-
-        Returns
-        -------
-        ndarray of bool, (row, column), or None
-            True where masked; None if nothing is.
+        Returns (row, column): True where masked.
         """
         if self.mask is None:
             return None
@@ -86,17 +58,7 @@ class ArraySource:
         return np.asarray(mask.values, bool)
 
     def window(self, start: int, stop: int) -> "ArraySource":
-        """The part that a block needs.
-
-        Parameters
-        ----------
-        start, stop : int
-            Indices; parts outside are left out.
-
-        Returns
-        -------
-        ArraySource
-        """
+        """The part that a block needs."""
         part = slice(max(start, 0), stop)
         mask = self.mask[part] if self.mask is not None and self.mask.ndim == 3 else self.mask
         return replace(self, variable=self.variable[part], mask=mask)

@@ -10,24 +10,7 @@ _TRIES = 3  # sets of samples, where frames are missing or bad
 
 
 def learn_record(sources: Mapping[str, Source], steps: int, plan: Any, threads: int = 1) -> dict[str, Any]:
-    """Learn from sample frames of a record.
-
-    Parameters
-    ----------
-    sources : mapping of str to Source
-        Its frames.
-    steps : int
-        Its steps.
-    plan : wavefield.measurement.Plan
-        Rig, grid and settings.
-    threads : int, default 1
-        Sample steps that are worked on side by side.
-
-    Returns
-    -------
-    dict
-        As a recipe has it (`wavefield.measurement.Record`); empty if no sample can be measured.
-    """
+    """Learn from sample frames of a record."""
     for number in range(_TRIES):
         if found := learn_from(samples(sources, steps, number), plan, threads):
             return found
@@ -35,43 +18,14 @@ def learn_record(sources: Mapping[str, Source], steps: int, plan: Any, threads: 
 
 
 def samples(sources: Mapping[str, Source], steps: int, number: int = 0) -> list[Mapping[str, Source]]:
-    """Sample steps of a record, two frames each.
-
-    Parameters
-    ----------
-    sources : mapping of str to Source
-        Its frames.
-    steps : int
-        Its steps.
-    number : int
-        Which set of samples.
-
-    Returns
-    -------
-    list of mapping of str to Source
-    """
+    """Sample steps of a record, two frames each."""
     from wavefield.measurement import sample_steps
 
     return [{n: s.window(k, k + 2) for n, s in sources.items()} for k in sample_steps(steps, number)]
 
 
 def learn_from(pairs: Sequence[Mapping[str, Source]], plan: Any, threads: int = 1) -> dict[str, Any]:
-    """Learn from some steps.
-
-    Parameters
-    ----------
-    pairs : sequence of mapping of str to Source
-        Two frames each.
-    plan : wavefield.measurement.Plan
-        Rig, grid and settings.
-    threads : int, default 1
-        Steps that are worked on side by side.
-
-    Returns
-    -------
-    dict
-        As `learn_record`.
-    """
+    """Learn from some steps."""
     from wavefield.cubes.steadied import corrected
     from wavefield.measurement import learn
 

@@ -26,13 +26,7 @@ _DEAD = 90.0  # s without one, seen from another machine
 
 
 class Lock:
-    """The right to write a store; made by `hold`.
-
-    Parameters
-    ----------
-    store : path
-        The store.
-    """
+    """The right to write a store; made by `hold`."""
 
     def __init__(self, store: Path) -> None:
         self.store = store
@@ -44,22 +38,7 @@ class Lock:
     @classmethod
     @contextmanager
     def hold(cls, store: Path) -> Iterator["Lock"]:
-        """Hold the lock of a store, or refuse at once.
-
-        Parameters
-        ----------
-        store : path
-            The store; its folder is made.
-
-        Yields
-        ------
-        Lock
-
-        Raises
-        ------
-        StoreError
-            If another run holds it, or the folder cannot be written.
-        """
+        """Hold the lock of a store, or refuse at once."""
         lock = cls(store)
         try:
             store.parent.mkdir(parents=True, exist_ok=True)
@@ -76,13 +55,7 @@ class Lock:
             lock._remove_own()
 
     def check(self) -> None:
-        """Make sure that the lock is still held.
-
-        Raises
-        ------
-        StoreError
-            If this run was taken for dead (its machine slept, its disk was away) and another goes on.
-        """
+        """Make sure that the lock is still held."""
         if self._lost:
             raise StoreError(
                 f"another run took over {self.store} while this one gave no sign of life; nothing is lost"

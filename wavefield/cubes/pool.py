@@ -39,19 +39,7 @@ class _Worker:
 
 
 class Pool:
-    """Worker processes, started by `start` or by the first work, ended by `stop` or after their work.
-
-    Parameters
-    ----------
-    count : int
-        Number of processes.
-    memory : int, optional
-        Bytes that each may take; one that takes more is replaced.
-    lasting : bool
-        Keep the processes for more work, until `stop`.
-    forked : str
-        Module that imports what all of them need, once, where processes can be forked.
-    """
+    """Worker processes, started by `start` or by the first work, ended by `stop` or after their work."""
 
     def __init__(
         self,
@@ -103,17 +91,7 @@ class Pool:
     ) -> Generator[tuple[Any, Any], None, None]:
         """Do work for every item, as processes get free, and end them unless they are to last.
 
-        Parameters
-        ----------
-        work : callable
-            Can be pickled; sent to each process once.
-        items : sequence
-            What it is called with.
-
-        Yields
-        ------
-        (item, result or exception)
-            As they are done.
+        Returns (item, result or exception): As they are done.
         """
         try:
             with undisturbed():
@@ -252,18 +230,7 @@ def _attempt(work: bytes, item: bytes) -> bytes:
 
 
 def portable(error: Exception) -> Exception:
-    """An exception that can travel to another process: exceptions of libraries may not be made for it.
-
-    Parameters
-    ----------
-    error : Exception
-        Just caught.
-
-    Returns
-    -------
-    Exception
-        The same, with its place as a note, or one of its words.
-    """
+    """An exception that can travel to another process: exceptions of libraries may not be made for it."""
     error.add_note(f"in a worker process:\n{traceback.format_exc()}")
     try:
         pickle.loads(pickle.dumps(error))

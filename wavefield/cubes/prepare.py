@@ -28,52 +28,22 @@ _LONGEST_BLOCK = 100  # steps; a block costs one to two steps more for its five 
 
 @dataclass(frozen=True)
 class Prepared:
-    """Everything that a run needs before it starts.
+    """Everything that a run needs before it starts."""
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-    series : mapping of str to FrameSeries
-        Frames of the cameras that measure.
-    rig : Rig
-        Those cameras.
-    grid : Grid
-        The nodes.
-    plan : wavefield.measurement.Plan
-        The measurement.
-    recipe : Recipe
-        All of it as plain data.
-    workflow : Workflow
-        How to process.
-    motion : FirstGuess, optional
-        How far the water moves from frame to frame; None where the settings state the range to search.
-    heights : FirstHeights, optional
-        How high it stands and rises; None where the settings state ``z_range``.
-    """
-
-    experiment: Experiment
-    series: Mapping[str, FrameSeries]
-    rig: Rig
-    grid: Grid
-    plan: Any
-    recipe: Recipe
-    workflow: Workflow
+    experiment: Experiment  # The experiment
+    series: Mapping[str, FrameSeries]  # Frames of the cameras that measure
+    rig: Rig  # Those cameras
+    grid: Grid  # The nodes
+    plan: Any  # The measurement
+    recipe: Recipe  # All of it as plain data
+    workflow: Workflow  # How to process
+    # How far the water moves from frame to frame; None where the settings state the range to search
     motion: FirstGuess | None = None
+    # How high it stands and rises; None where the settings state ``z_range``
     heights: FirstHeights | None = None
 
     def knowing(self, record: Mapping[str, Any]) -> "Prepared":
-        """The same with what sample frames of the record say.
-
-        Parameters
-        ----------
-        record : mapping
-            As in a recipe; empty if nothing could be learned.
-
-        Returns
-        -------
-        Prepared
-        """
+        """The same with what sample frames of the record say."""
         from wavefield.measurement import Record
 
         plan = self.plan.knowing(Record.from_dict(record)) if record else self.plan
@@ -104,26 +74,7 @@ def prepare(
     rig: str | Path | Rig | None = None,
     workflow: str | Path | Workflow | None = None,
 ) -> Prepared:
-    """Read and check everything that a run needs.
-
-    Parameters
-    ----------
-    experiment : path or Experiment
-        The experiment.
-    rig : path or Rig, optional
-        In place of the one that the experiment names.
-    workflow : path or Workflow, optional
-        How to process.
-
-    Returns
-    -------
-    Prepared
-
-    Raises
-    ------
-    ExperimentError, RigError
-        If something is missing or wrong.
-    """
+    """Read and check everything that a run needs."""
     from wavefield.measurement import Plan
 
     experiment, workflow = load_files(experiment, workflow)
@@ -199,22 +150,7 @@ class _Look:
 def load_files(
     experiment: str | Path | Experiment, workflow: str | Path | Workflow | None
 ) -> tuple[Experiment, Workflow]:
-    """Read the files that describe a run, as far as they are not read yet.
-
-    Parameters
-    ----------
-    experiment : path or Experiment
-        The experiment.
-    workflow : path or Workflow, optional
-        How to process; by default on the processes of this machine.
-
-    Returns
-    -------
-    experiment : Experiment
-        Read and checked.
-    workflow : Workflow
-        Likewise.
-    """
+    """Read the files that describe a run, as far as they are not read yet."""
     if not isinstance(experiment, Experiment):
         experiment = Experiment.load(experiment)
     if not isinstance(workflow, Workflow):
@@ -230,27 +166,7 @@ def make_recipe(
     settings: Any,
     packing: str = "float32",
 ) -> Recipe:
-    """Collect the recipe of a run.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-    series : mapping of str to FrameSeries
-        Its frames.
-    rig : Rig
-        The cameras.
-    grid : Grid
-        The nodes.
-    settings : wavefield.measurement.Settings
-        The choices.
-    packing : {"float32", "int16"}
-        How values are stored.
-
-    Returns
-    -------
-    Recipe
-    """
+    """Collect the recipe of a run."""
     one = next(iter(series.values()))
     return Recipe(
         experiment=experiment.name,
@@ -276,19 +192,7 @@ def _images(experiment: Experiment, name: str) -> Any:
 
 
 def expected_coverage(rig: Rig, grid: Grid) -> float:
-    """Share of the nodes that every camera sees while the water is at rest.
-
-    Parameters
-    ----------
-    rig : Rig
-        The cameras that measure.
-    grid : Grid
-        The nodes.
-
-    Returns
-    -------
-    float
-    """
+    """Share of the nodes that every camera sees while the water is at rest."""
     x, y = np.meshgrid(grid.x_nodes, grid.y_nodes)
     seen = np.ones(x.shape, bool)
     for name in rig:
@@ -297,24 +201,7 @@ def expected_coverage(rig: Rig, grid: Grid) -> float:
 
 
 def make_settings(experiment: Experiment, workflow: Workflow) -> Any:
-    """Measurement settings: defaults, then those of the experiment, then those of the workflow.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-    workflow : Workflow
-        The workflow.
-
-    Returns
-    -------
-    wavefield.measurement.Settings
-
-    Raises
-    ------
-    ExperimentError
-        If a name is unknown or a value does not fit.
-    """
+    """Measurement settings: defaults, then those of the experiment, then those of the workflow."""
     from wavefield.measurement.settings import Settings
 
     for source in (experiment, workflow):  # each by itself: only then is the place of an error known
@@ -333,21 +220,6 @@ def make_settings(experiment: Experiment, workflow: Workflow) -> Any:
 
 def choose_block(steps: int, workers: int, step_bytes: int, memory: int | None) -> int:
     """Steps per block: long enough that its five extra frames do not matter, short enough for memory.
-
-    Parameters
-    ----------
-    steps : int
-        Steps of the whole run.
-    workers : int
-        Workers that share it; each gets the same number of blocks.
-    step_bytes : int
-        Bytes of the results of one step.
-    memory : int or None
-        Bytes that a worker may use.
-
-    Returns
-    -------
-    int
 
     Examples
     --------

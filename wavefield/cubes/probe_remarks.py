@@ -18,20 +18,7 @@ _PIECE = 64  # steps read at once
 
 
 def remark_on_probes(experiment: Experiment, store: Path) -> Iterator[Remark]:
-    """Compare the probes of an experiment with its cube.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Names the probes.
-    store : path
-        The cube.
-
-    Yields
-    ------
-    Remark
-        For every probe with a place in the field that does not fit the elevation there.
-    """
+    """Compare the probes of an experiment with its cube."""
     try:
         probes = experiment.read_probes()
     except ExperimentError as error:

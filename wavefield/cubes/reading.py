@@ -15,23 +15,12 @@ _PIECE = 4_000_000  # bytes of one read
 
 @dataclass(frozen=True)
 class Reading:
-    """What a run reads, beside what its disk gives.
+    """What a run reads, beside what its disk gives."""
 
-    Parameters
-    ----------
-    step_bytes : float
-        Bytes of images that a step takes from the disk.
-    worker_rate : float
-        What one worker wants, bytes/s.
-    workers : int
-        How many there are.
-    disk_rate : float or None
-        What one reader gets from the images' disk, bytes/s; None where too little could be read to tell.
-    """
-
-    step_bytes: float
-    worker_rate: float
-    workers: int
+    step_bytes: float  # Bytes of images that a step takes from the disk
+    worker_rate: float  # What one worker wants, bytes/s
+    workers: int  # How many there are
+    # What one reader gets from the images' disk, bytes/s; None where too little could be read to tell
     disk_rate: float | None = None
 
     @property
@@ -67,24 +56,7 @@ def _rate(value: float) -> str:
 def look_at_reading(
     series: Mapping[str, FrameSeries], block: int, step_seconds: float, workers: int
 ) -> Reading | None:
-    """Tell what a run wants to read, and try its disk.
-
-    Parameters
-    ----------
-    series : mapping of str to FrameSeries
-        The frames.
-    block : int
-        Steps of a block: it reads three frames more than it has steps.
-    step_seconds : float
-        Time of a step on a worker, s.
-    workers : int
-        Number of workers.
-
-    Returns
-    -------
-    Reading or None
-        None where no frame is there.
-    """
+    """Tell what a run wants to read, and try its disk."""
     sizes = [_frame_bytes(one) for one in series.values()]
     if not all(sizes) or step_seconds <= 0:
         return None

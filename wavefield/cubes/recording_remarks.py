@@ -18,20 +18,7 @@ _SURE = 4.0  # standard deviations of a piece's mean
 
 
 def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Say where recordings contradict the experiment file, one another, or an even clock.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-    series : mapping of str to FrameSeries
-        Its frames.
-
-    Yields
-    ------
-    Remark
-        At most one of a kind for a camera; none where images do not say when they were taken.
-    """
+    """Say where recordings contradict the experiment file, one another, or an even clock."""
     yield from _rates(experiment)
     for one in series.values():
         yield from _gaps(one)

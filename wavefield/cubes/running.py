@@ -139,30 +139,7 @@ def run(
 def process(
     prepared: Prepared, lock: Lock, map_unordered: MapFunction, progress: ProgressFunction | None = None
 ) -> Status:
-    """Create the store or go on with it, until every block is done.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        As from `prepare`.
-    lock : Lock
-        Held, of the store.
-    map_unordered : callable
-        As from `wavefield.cubes.cluster.open_cluster`.
-    progress : callable, optional
-        Called with steps done, steps of the whole run, and a sentence.
-
-    Returns
-    -------
-    Status
-
-    Raises
-    ------
-    StoreError
-        If the store was made with another recipe, or cannot be written, or blocks failed.
-    RunStopped
-        If it was interrupted.
-    """
+    """Create the store or go on with it, until every block is done."""
     path = lock.store
     with log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
         try:
@@ -264,19 +241,7 @@ def _labels(experiment: Experiment) -> dict[str, Any]:
 def unfinished(path: Path, layout: Layout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
     """Blocks that are still to be measured: not done yet, or with bad frames that are good by now.
 
-    Parameters
-    ----------
-    path : path
-        The store.
-    layout : Layout
-        Its sizes.
-    series : mapping of str to FrameSeries
-        The frames.
-
-    Returns
-    -------
-    list of (start, stop)
-        Ranges of steps.
+    Returns (start, stop): Ranges of steps.
     """
     damaged = suspicious(path)
     if damaged:

@@ -16,13 +16,7 @@ from wavefield.errors import ExperimentError
 
 
 def import_jobqueue() -> None:
-    """Import dask-jobqueue without giving it Ctrl-C, which it takes over when it is imported.
-
-    Raises
-    ------
-    ExperimentError
-        If it is not installed, or is first needed in another than the main thread, which has no Ctrl-C.
-    """
+    """Import dask-jobqueue without giving it Ctrl-C, which it takes over when it is imported."""
     if "dask_jobqueue" in sys.modules:
         return
     if threading.current_thread() is not threading.main_thread():
@@ -37,27 +31,7 @@ def import_jobqueue() -> None:
 
 
 def slurm_cluster(workflow: Workflow, logs: Path, settings: dict[str, Any]) -> Any:
-    """A `dask_jobqueue.SLURMCluster` that has not asked for jobs yet; its ``job_script()`` can be looked at.
-
-    Parameters
-    ----------
-    workflow : Workflow
-        With ``cluster: slurm``.
-    logs : path
-        Folder for what the jobs say.
-    settings : dict
-        Dask's configuration, for the workers as well.
-
-    Returns
-    -------
-    dask_jobqueue.SLURMCluster
-        Its jobs have an attribute ``refused``: what sbatch said of one that it did not take.
-
-    Raises
-    ------
-    ExperimentError
-        If dask-jobqueue is not installed, or a keyword is unknown to it.
-    """
+    """A `dask_jobqueue.SLURMCluster` that has not asked for jobs yet; its ``job_script()`` can be looked at."""
     import_jobqueue()
     from dask_jobqueue import SLURMCluster
     from dask_jobqueue.core import Job, JobQueueCluster
@@ -133,17 +107,7 @@ def _keywords(workflow: Workflow, logs: Path, settings: dict[str, Any]) -> dict[
 
 
 def environment_lines(settings: dict[str, Any]) -> list[str]:
-    """Lines of a job script that set what its workers need: one thread each, our configuration of Dask.
-
-    Parameters
-    ----------
-    settings : dict
-        Dask's configuration for the run.
-
-    Returns
-    -------
-    list of str
-    """
+    """Lines of a job script that set what its workers need: one thread each, our configuration of Dask."""
     lines = [f"export {name}=1" for name in THREAD_VARIABLES]
     # compiled kernels: not on a home that may be full and is shared by nodes of several kinds
     lines.append('export NUMBA_CACHE_DIR="${NUMBA_CACHE_DIR:-${TMPDIR:-/tmp}/wavefield-$(id -u)}"')
@@ -161,18 +125,7 @@ def _exports(settings: dict[str, Any], prefix: str) -> Iterator[str]:
 
 
 def count_jobs(workflow: Workflow) -> tuple[int, int]:
-    """Number of Slurm jobs that give the workers asked for.
-
-    Parameters
-    ----------
-    workflow : Workflow
-        With ``cluster: slurm``.
-
-    Returns
-    -------
-    fewest, most : int
-        Jobs; the same unless the workflow says from how many to how many workers.
-    """
+    """Number of Slurm jobs that give the workers asked for."""
     processes = int(workflow.slurm.get("processes", workflow.slurm.get("cores", 1)))
     workers = workflow.workers
     if workers == "auto":

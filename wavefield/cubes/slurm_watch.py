@@ -40,15 +40,7 @@ _LINE = 300  # characters of a log that are worth repeating
 
 
 class Watch:
-    """Looks after the jobs of a run: says why they wait, asks again for lost ones, and ends a run in vain.
-
-    Parameters
-    ----------
-    cluster : dask_jobqueue.SLURMCluster
-        As from `wavefield.cubes.slurm.slurm_cluster`.
-    logs : path
-        Folder of the jobs' logs.
-    """
+    """Looks after the jobs of a run: says why they wait, asks again for lost ones, and ends a run in vain."""
 
     def __init__(self, cluster: Any, logs: Path) -> None:
         self._cluster, self._logs = cluster, logs
@@ -59,14 +51,7 @@ class Watch:
         self._failed: list[str] = []
 
     def __call__(self) -> None:
-        """Look, unless that was a moment ago.
-
-        Raises
-        ------
-        ExperimentError
-            If Slurm refuses the jobs, will never start them, or, while none works, they end before their
-            workers start.
-        """
+        """Look, unless that was a moment ago."""
         now = time.monotonic()
         if now - self._looked < min(_SELDOM, max(_OFTEN, (now - self._since) / 10)):
             return
@@ -173,19 +158,7 @@ def _shown(number: str) -> str:
 
 
 def why_ended(number: str, logs: Path) -> str:
-    """A sentence that says why a job ended before its workers started, as far as Slurm and its log tell.
-
-    Parameters
-    ----------
-    number : str
-        Of the job.
-    logs : path
-        Folder of the jobs' logs.
-
-    Returns
-    -------
-    str
-    """
+    """A sentence that says why a job ended before its workers started, as far as Slurm and its log tell."""
     state = _shown(number)
     head = f"Slurm job {number} ended before its workers started{f' ({state})' if state else ''}; "
     for path in [*sorted(logs.glob(f"*-{number}*.err")), *sorted(logs.glob(f"*-{number}*.out"))]:

@@ -27,18 +27,7 @@ _ALONG = 0.9  # cosine: cameras in one line share the direction across their sig
 
 
 def refuse_unless_in_a_row(plan: Any) -> None:
-    """Make sure that the pairs of cameras share the direction across their sight lines.
-
-    Parameters
-    ----------
-    plan : wavefield.measurement.Plan
-        Rig, pairs and grid.
-
-    Raises
-    ------
-    ExperimentError
-        If they do not: what one camera has moved cannot then be told from what another has.
-    """
+    """Make sure that the pairs of cameras share the direction across their sight lines."""
     middle = np.array([float(np.mean(plan.grid.x)), float(np.mean(plan.grid.y))])
     along = {}
     for a, b in plan.pairs:
@@ -58,15 +47,7 @@ def refuse_unless_in_a_row(plan: Any) -> None:
 
 
 class Steadier:
-    """Corrected frames of a block, and by how much each was corrected.
-
-    Parameters
-    ----------
-    frames : mapping of str to sequence of (ndarray or None)
-        Raw frames of every camera, by position in the block.
-    plan : wavefield.measurement.Plan
-        Rig, grid and settings.
-    """
+    """Corrected frames of a block, and by how much each was corrected."""
 
     def __init__(self, frames: Mapping[str, Sequence[Image | None]], plan: Any) -> None:
         self.frames, self.plan = frames, plan
@@ -74,17 +55,7 @@ class Steadier:
         self._kept: dict[int, dict[str, Image | None]] = {}
 
     def __call__(self, position: int) -> dict[str, Image | None]:
-        """Images of all cameras at a position of the block, corrected.
-
-        Parameters
-        ----------
-        position : int
-            From 0.
-
-        Returns
-        -------
-        dict of str to ndarray or None
-        """
+        """Images of all cameras at a position of the block, corrected."""
         if position not in self._kept:
             raw = {name: one[position] for name, one in self.frames.items()}
             self._kept[position], self.shifts[position] = corrected(raw, self.plan)
@@ -98,15 +69,7 @@ class Steadier:
 
 
 class Steadied(Sequence[Image | None]):
-    """Corrected frames of one camera.
-
-    Parameters
-    ----------
-    steadier : Steadier
-        Of all cameras.
-    name : str
-        The camera.
-    """
+    """Corrected frames of one camera."""
 
     def __init__(self, steadier: Steadier, name: str) -> None:
         self._steadier, self._name = steadier, name
@@ -125,19 +88,7 @@ def corrected(
 ) -> tuple[dict[str, Image | None], dict[str, Array]]:
     """Images of one moment turned back, and by how much.
 
-    Parameters
-    ----------
-    images : mapping of str to (ndarray or None)
-        Raw images.
-    plan : wavefield.measurement.Plan
-        Rig, grid and settings.
-
-    Returns
-    -------
-    images : dict of str to ndarray or None
-        As they are where nothing is known.
-    shifts : dict of str to ndarray, (3,)
-        As from `shifts`.
+    Returns shifts (3,): As from `shifts`..
     """
     found = shifts(images, plan)
     out: dict[str, Image | None] = dict(images)
@@ -151,19 +102,8 @@ def corrected(
 def shifts(images: Mapping[str, Image | None], plan: Any) -> dict[str, Array]:
     """By how much each camera's picture has moved across the sight lines, in one frame.
 
-    Parameters
-    ----------
-    images : mapping of str to (ndarray or None)
-        Raw images of one moment.
-    plan : wavefield.measurement.Plan
-        Pairs, lattice, sight lines.
-
-    Returns
-    -------
-    dict of str to ndarray, (3,)
-        px on the water: in the middle of the lattice, and what is added at its right and upper edge. Only
-        differences between cameras are known: the median of all is taken for none. Empty where a camera is
-        missing or too little matches.
+    Returns (3,): px on the water: in the middle of the lattice, and what is added at its right and upper
+    edge.
     """
     from wavefield.measurement import surface
     from wavefield.measurement.frame import ready, usable
@@ -223,20 +163,7 @@ def _across(parallax: Array) -> Array:
 def moved(image: Image, low: Array, name: str, plan: Any) -> NDArray[np.float32]:
     """A raw image moved back by what its camera has moved.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column)
-        Raw image.
-    low : ndarray, (3,)
-        As from `shifts`.
-    name : str
-        Its camera.
-    plan : wavefield.measurement.Plan
-        Rig and lattice.
-
-    Returns
-    -------
-    ndarray of float32, (row, column)
+    With image (row, column); low (3,); returns (row, column).
     """
     centre, other = plan.rig[plan.pairs[0][0]].centre, plan.rig[plan.pairs[0][1]].centre
     x, y = (v[::8, ::8].ravel() for v in np.meshgrid(plan.lattice.x, plan.lattice.y))

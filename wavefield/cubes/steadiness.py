@@ -34,54 +34,23 @@ _MOST = 3  # knocks that are looked for
 
 @dataclass(frozen=True)
 class Steadiness:
-    """Low-order part of eps_y over time.
+    """Low-order part of eps_y over time."""
 
-    Parameters
-    ----------
-    steps : ndarray of int, (n,)
-        Which steps were read.
-    low : ndarray, (n, 3)
-        px: over the middle, at the right and at the upper edge against the middle.
-    std : ndarray, (n, 3)
-        Standard uncertainty, px.
-    """
-
-    steps: NDArray[np.intp]
-    low: Array
-    std: Array
+    steps: NDArray[np.intp]  # (n,): Which steps were read
+    low: Array  # (n, 3): px: over the middle, at the right and at the upper edge against the middle
+    std: Array  # (n, 3): Standard uncertainty, px
 
 
 @dataclass(frozen=True)
 class Knock:
-    """A jump.
+    """A jump."""
 
-    Parameters
-    ----------
-    frame : int
-        First frame (index in the record) after it.
-    size : float
-        Rms over the field of what eps_y is more since, px.
-    """
-
-    frame: int
-    size: float
+    frame: int  # First frame (index in the record) after it
+    size: float  # Rms over the field of what eps_y is more since, px
 
 
 def steadiness(store: Path, steps: Sequence[int] | None = None) -> Steadiness:
-    """Fit the low-order part of eps_y at steps of a cube.
-
-    Parameters
-    ----------
-    store : path
-        The cube.
-    steps : sequence of int, optional
-        Which; some hundreds over the record by default.
-
-    Returns
-    -------
-    Steadiness
-        Only of steps that say enough.
-    """
+    """Fit the low-order part of eps_y at steps of a cube."""
     group = open_group(store)
     count, ny, nx = group["eps_y"].shape
     every = max(1, int(np.sqrt(ny * nx / _NODES)))
@@ -123,15 +92,7 @@ def _fit(design: Array, values: Array) -> tuple[Array, Array] | None:
 def size(low: Array) -> float:
     """Rms over the field of a low-order eps_y.
 
-    Parameters
-    ----------
-    low : ndarray, (3,)
-        As in `Steadiness`.
-
-    Returns
-    -------
-    float
-        px.
+    With low (3,).
 
     Examples
     --------
@@ -144,15 +105,7 @@ def size(low: Array) -> float:
 def jump(low: Array) -> int | None:
     """Where a series jumps, if it does.
 
-    Parameters
-    ----------
-    low : ndarray, (n, 3)
-        Low-order eps_y over time, px.
-
-    Returns
-    -------
-    int or None
-        First index after the jump: it is larger than .05 px, and than twice what the series scatters by.
+    With low (n, 3), px.
 
     Examples
     --------
@@ -177,20 +130,7 @@ def jump(low: Array) -> int | None:
 
 
 def knocks(store: Path, found: Steadiness) -> list[Knock]:
-    """Jumps of a record, each dated to a frame.
-
-    Parameters
-    ----------
-    store : path
-        The cube; steps around a jump are read again, every one.
-    found : Steadiness
-        As from `steadiness`.
-
-    Returns
-    -------
-    list of Knock
-        The first first.
-    """
+    """Jumps of a record, each dated to a frame."""
     pieces = [(0, len(found.steps))]
     cuts: list[int] = []
     while pieces and len(cuts) < _MOST:
@@ -214,20 +154,7 @@ def knocks(store: Path, found: Steadiness) -> list[Knock]:
 
 
 def shaking(found: Steadiness, cuts: Sequence[int]) -> tuple[float, float]:
-    """How far the picture of the cameras shakes from step to step.
-
-    Parameters
-    ----------
-    found : Steadiness
-        As from `steadiness`.
-    cuts : sequence of int
-        Steps at which the record jumps.
-
-    Returns
-    -------
-    rms, std : float
-        px over the field, and its standard uncertainty.
-    """
+    """How far the picture of the cameras shakes from step to step."""
     edges = [0, *np.searchsorted(found.steps, cuts).tolist(), len(found.steps)]
     parts = [found.low[a:b] - found.low[a:b].mean(axis=0) for a, b in pairwise(edges) if b - a > 1]
     if not parts:
@@ -243,23 +170,7 @@ def shaking(found: Steadiness, cuts: Sequence[int]) -> tuple[float, float]:
 def who(plan: Any, witness: Witness, frame: int, count: int) -> tuple[str, float]:
     """The camera that a knock moved: its picture alone has moved since.
 
-    Parameters
-    ----------
-    plan : wavefield.measurement.Plan
-        Matches the cameras.
-    witness : Witness
-        Their images.
-    frame : int
-        First frame after the knock.
-    count : int
-        Frames of the record.
-
-    Returns
-    -------
-    name : str
-        "rig" if that cannot be told.
-    size : float
-        By how much its sight lines miss the others' more, px; 0 if that cannot be told.
+    Returns size By how much its sight lines miss the others' more, px.
     """
     sides = []
     for frames in (range(max(frame - _SIDE, 0), frame), range(frame, min(frame + _SIDE, count))):
@@ -276,23 +187,7 @@ def who(plan: Any, witness: Witness, frame: int, count: int) -> tuple[str, float
 
 
 def remarks(store: Path, plan: Any, witness: Witness, first_frame: int) -> Iterator[Remark]:
-    """What to say of cameras that do not stand still.
-
-    Parameters
-    ----------
-    store : path
-        The cube.
-    plan : wavefield.measurement.Plan
-        Matches its cameras.
-    witness : Witness
-        Their images.
-    first_frame : int
-        Number of frame 0.
-
-    Yields
-    ------
-    Remark
-    """
+    """What to say of cameras that do not stand still."""
     yield from _turned_back(store, first_frame)
     yield from trembling(plan)
     found = steadiness(store)
@@ -332,15 +227,6 @@ def trembling(plan: Any) -> Iterator[Remark]:
     """What to say of cameras that move against each other along the line on which they stand.
 
     Of that eps_y knows nothing; the cameras' displacements do, if there are three.
-
-    Parameters
-    ----------
-    plan : wavefield.measurement.Plan
-        With what was learned of the record.
-
-    Yields
-    ------
-    Remark
     """
     along = plan.record.trembling[0] if plan.record else 0.0
     if along > _TREMBLES:

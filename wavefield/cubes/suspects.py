@@ -30,44 +30,18 @@ _FLIPS = ("mirrored", "upside down", "turned by 180 degrees")
 
 @dataclass(frozen=True)
 class Examination:
-    """What was found.
+    """What was found."""
 
-    Parameters
-    ----------
-    remarks : tuple of Remark
-        What is wrong.
-    cameras : mapping of str to mapping
-        Per camera: ``blur`` (px), ``brightness`` (grey levels), ``coverage`` (fraction); a value per instant.
-    pairs : mapping of str to mapping
-        Per pair: ``agreement`` (fraction of patches), ``eps_y`` (px, smooth part), one value per instant.
-    frames : tuple of int
-        The instants.
-    """
-
-    remarks: tuple[Remark, ...]
+    remarks: tuple[Remark, ...]  # What is wrong
+    # Per camera: ``blur`` (px), ``brightness`` (grey levels), ``coverage`` (fraction); a value per instant
     cameras: Mapping[str, Mapping[str, list[float]]]
+    # Per pair: ``agreement`` (fraction of patches), ``eps_y`` (px, smooth part), one value per instant
     pairs: Mapping[str, Mapping[str, list[float]]]
-    frames: tuple[int, ...]
+    frames: tuple[int, ...]  # The instants
 
 
 def examine(witness: Witness, count: int, frames: Sequence[int], threads: int = 1) -> Examination:
-    """Compare cameras at some instants, and name what is wrong with them.
-
-    Parameters
-    ----------
-    witness : Witness
-        The cameras.
-    count : int
-        Frames of the record.
-    frames : sequence of int
-        Instants to look at; those without an image of every camera are passed over.
-    threads : int, default 1
-        Instants that are looked at side by side.
-
-    Returns
-    -------
-    Examination
-    """
+    """Compare cameras at some instants, and name what is wrong with them."""
     names = list(witness.rig)
     whole = tuple(k for k in frames if all(witness.read(name, k) is not None for name in names))
     if len(witness.x) < _FEWEST or not whole or len(names) < 2:

@@ -33,60 +33,24 @@ _MATTERS = 0.1  # px that a bead moves meanwhile
 
 @dataclass(frozen=True)
 class Delay:
-    """By how much one camera's frames are taken later than the others'.
+    """By how much one camera's frames are taken later than the others'."""
 
-    Parameters
-    ----------
-    seconds : float
-        Negative if earlier.
-    std : float
-        Standard uncertainty, s.
-    """
-
-    seconds: float
-    std: float
+    seconds: float  # Negative if earlier
+    std: float  # Standard uncertainty, s
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What two cameras say of one instant, patch by patch.
+    """What two cameras say of one instant, patch by patch."""
 
-    Parameters
-    ----------
-    miss : ndarray, (m,)
-        Mean eps_y, px on the water.
-    velocity : ndarray, (m,)
-        Of the beads across the sight lines, px per frame.
-    low : ndarray, (m, 3)
-        Constant, and places scaled to -1 to 1 along x and y.
-    speed : float
-        Of the beads in all directions, rms, px per frame.
-    """
-
-    miss: Array
-    velocity: Array
-    low: Array
-    speed: float = 0.0
+    miss: Array  # (m,): Mean eps_y, px on the water
+    velocity: Array  # (m,): Of the beads across the sight lines, px per frame
+    low: Array  # (m, 3): Constant, and places scaled to -1 to 1 along x and y
+    speed: float = 0.0  # Of the beads in all directions, rms, px per frame
 
 
 def prepared(plan: Any, witness: Witness, frame: int, widths: Mapping[str, float]) -> dict[str, Any]:
-    """Images of an instant, ready for matching between cameras; those that cannot be used are left out.
-
-    Parameters
-    ----------
-    plan : wavefield.measurement.Plan
-        Its surface cameras.
-    witness : Witness
-        Their images.
-    frame : int
-        When.
-    widths : mapping of str to float
-        Width of every camera's beads, raw px.
-
-    Returns
-    -------
-    dict of str to wavefield.matching.Prepared
-    """
+    """Images of an instant, ready for matching between cameras; those that cannot be used are left out."""
     from wavefield.measurement import surface
     from wavefield.measurement.frame import ready, usable
 
@@ -101,23 +65,7 @@ def prepared(plan: Any, witness: Witness, frame: int, widths: Mapping[str, float
 def sample(plan: Any, witness: Witness, pair: Pair, frame: int, flat: Mapping[str, Any]) -> Sample | None:
     """Miss and velocity all over what two cameras share at an instant.
 
-    Parameters
-    ----------
-    plan : wavefield.measurement.Plan
-        Matches the cameras.
-    witness : Witness
-        Their images, and how fast the second's beads move.
-    pair : (str, str)
-        One of the plan's.
-    frame : int
-        When; two frames of the second before it and after it are looked at, too.
-    flat : mapping of str to wavefield.matching.Prepared
-        As from `prepared`.
-
-    Returns
-    -------
-    Sample or None
-        None where images are missing or next to nothing is found.
+    With pair (str, str).
     """
     from wavefield.measurement import surface
 
@@ -208,18 +156,6 @@ def _scaled(v: Array) -> Array:
 def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
     """The delay of the second camera behind the first, in frames.
 
-    Parameters
-    ----------
-    samples : sequence of Sample
-        Of one pair of cameras, one for each instant.
-
-    Returns
-    -------
-    delay, std : float
-        Or None if there is too little to say.
-
-    Notes
-    -----
     Robust least squares (Huber at 2.5); every instant has a constant and slopes of its own. The uncertainty
     is that of the quarters of the field at each instant, not of patches: near ones depend on each other.
     """
@@ -274,28 +210,7 @@ def _widths(plan: Any, witness: Witness, frames: Sequence[int]) -> dict[str, flo
 def delays(
     plan: Any, witness: Witness, frames: Sequence[int], rate: float, threads: int = 1
 ) -> tuple[dict[str, Delay], float]:
-    """By how much each camera's frames are taken later than those of most.
-
-    Parameters
-    ----------
-    plan : wavefield.measurement.Plan
-        Matches the cameras.
-    witness : Witness
-        The cameras.
-    frames : sequence of int
-        Instants, none of them among the first or the last two frames.
-    rate : float
-        Frames per second.
-    threads : int, default 1
-        Instants that are looked at side by side.
-
-    Returns
-    -------
-    delays : dict of str to Delay
-        Empty if there is too little to say; with two cameras the second's against the first's.
-    speed : float
-        Of the water in images, rms, px/s.
-    """
+    """By how much each camera's frames are taken later than those of most."""
     names = list(plan.surface_cameras)
     rows, values, spreads = [], [], []
     speeds: list[float] = []
@@ -333,20 +248,7 @@ def delays(
 
 
 def remarks(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
-    """What to say of delays.
-
-    Parameters
-    ----------
-    found : mapping of str to Delay
-        As from `delays`.
-    speed : float
-        Of the water in images, rms, px/s.
-
-    Yields
-    ------
-    Remark
-        For every camera whose frames surely are of other moments.
-    """
+    """What to say of delays."""
     for name, one in found.items():
         if abs(one.seconds) < max(_SURE * one.std, _SHORTEST):
             continue
@@ -365,15 +267,6 @@ def remarks(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
 
 def sentence(found: Mapping[str, Delay]) -> str:
     """Delays of all cameras in a line.
-
-    Parameters
-    ----------
-    found : mapping of str to Delay
-        As from `delays`.
-
-    Returns
-    -------
-    str
 
     Examples
     --------

@@ -36,37 +36,19 @@ _NEAR = 1.5  # px of eps_y beside the smooth part of it
 
 @dataclass(frozen=True)
 class Comparison:
-    """One camera's patches found again in another's images.
+    """One camera's patches found again in another's images."""
 
-    Parameters
-    ----------
-    moved : ndarray, (n, 2)
-        By how much along x and y, px on the water; NaN where not found.
-    likeness : ndarray, (n,)
-        Normalised correlation.
-    """
-
-    moved: Array
-    likeness: Array
+    moved: Array  # (n, 2): By how much along x and y, px on the water; NaN where not found
+    likeness: Array  # (n,): Normalised correlation
 
 
 @dataclass
 class Witness:
-    """Patches of all cameras on the water at rest, taken as they are asked for.
+    """Patches of all cameras on the water at rest, taken as they are asked for."""
 
-    Parameters
-    ----------
-    read : callable
-        From camera and frame to the image, or None.
-    rig : Rig
-        The cameras.
-    grid : Grid
-        Where to look.
-    """
-
-    read: Read
-    rig: Rig
-    grid: Grid
+    read: Read  # From camera and frame to the image, or None
+    rig: Rig  # The cameras
+    grid: Grid  # Where to look
     _maps: dict[str, tuple[NDArray[np.float32], NDArray[np.float32]]] = field(default_factory=dict)
     _patches: dict[tuple[str, int, str, str], NDArray[np.float32] | None] = field(default_factory=dict)
 
@@ -106,21 +88,7 @@ class Witness:
     ) -> NDArray[np.float32] | None:
         """Patches of one image, with what is around them.
 
-        Parameters
-        ----------
-        name : str
-            The camera.
-        frame : int
-            The frame.
-        change : {"", "mirrored", "upside down", "turned by 180 degrees"}
-            Done to the image before.
-        through : str
-            The camera whose place and lens are taken for it, if not its own.
-
-        Returns
-        -------
-        ndarray, (n, SIDE + 2 REACH, SIDE + 2 REACH), or None
-            Grey levels; NaN outside the image.
+        Returns (n, SIDE + 2 REACH, SIDE + 2 REACH): Grey levels.
         """
         key = (name, frame, change, through)
         if key not in self._patches:
@@ -143,21 +111,7 @@ class Witness:
     ) -> NDArray[np.float32] | None:
         """What is around places near those of the patches, read anew.
 
-        Parameters
-        ----------
-        name : str
-            The camera.
-        frame : int
-            The frame.
-        near : ndarray of int, (n, 2)
-            By how much each place lies beside that of the patch along x and y, px, at most REACH - reach.
-        reach : int
-            Px around it.
-
-        Returns
-        -------
-        ndarray, (n, SIDE + 2 reach, SIDE + 2 reach), or None
-            Grey levels; NaN outside the image.
+        With near (n, 2), px; returns (n, SIDE + 2 reach, SIDE + 2 reach): Grey levels.
         """
         image = self.read(name, frame)
         if image is None:
@@ -194,14 +148,7 @@ class Witness:
 def middle(patches: NDArray[np.float32]) -> NDArray[np.float32]:
     """The patches without what is around them.
 
-    Parameters
-    ----------
-    patches : ndarray, (n, SIDE + 2 reach, SIDE + 2 reach)
-        As from `Witness.patches` or `Witness.around`.
-
-    Returns
-    -------
-    ndarray, (n, SIDE, SIDE)
+    With patches (n, SIDE + 2 reach, SIDE + 2 reach); returns (n, SIDE, SIDE).
     """
     reach = (patches.shape[1] - SIDE) // 2
     return patches[:, reach : reach + SIDE, reach : reach + SIDE]
@@ -214,17 +161,7 @@ def compare(
 ) -> Comparison | None:
     """Look for the middle of each patch in another.
 
-    Parameters
-    ----------
-    first, second : ndarray, (n, SIDE + 2 reach, SIDE + 2 reach), or None
-        As from `Witness.patches` or `Witness.around`, each of its own reach.
-    near : ndarray of int, (n, 2), optional
-        By how much the second lie beside the first, px; not at all if left out.
-
-    Returns
-    -------
-    Comparison or None
-        None where an image is missing.
+    With first, second (n, SIDE + 2 reach, SIDE + 2 reach); near (n, 2), px.
     """
     if first is None or second is None:
         return None
@@ -256,26 +193,13 @@ def _vertex(before: float, at: float, after: float) -> float:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How two cameras agree.
+    """How two cameras agree."""
 
-    Parameters
-    ----------
-    fraction : float
-        Patches found again, and across the parallax where a smooth eps_y lets expect them.
-    eps_y : ndarray, (m,)
-        Of those, px on the water.
-    smooth : ndarray, (3,)
-        Its smooth part: px, px per half width along x, along y.
-    places : ndarray of int, (m,)
-        Which patches.
-    height : ndarray, (m,)
-        Of those, m: by what they are displaced along the parallax.
-    """
-
-    fraction: float
-    eps_y: Array
-    smooth: Array
-    places: NDArray[np.intp]
+    fraction: float  # Patches found again, and across the parallax where a smooth eps_y lets expect them
+    eps_y: Array  # (m,): Of those, px on the water
+    smooth: Array  # (3,): Its smooth part: px, px per half width along x, along y
+    places: NDArray[np.intp]  # (m,): Which patches
+    # (m,): Of those, m: by what they are displaced along the parallax
     height: Array = field(default_factory=lambda: np.zeros(0))
 
 
@@ -284,20 +208,7 @@ def agreement(
 ) -> Agreement:
     """How far one camera's patches found in another's could be the same water.
 
-    Parameters
-    ----------
-    witness : Witness
-        The cameras.
-    pair : (str, str)
-        Whose patches, in whose image.
-    found : Comparison
-        As from `compare`.
-    ground : ndarray of bool, (n,), optional
-        Patches that show something in both.
-
-    Returns
-    -------
-    Agreement
+    With pair (str, str); ground (n,).
     """
     n = len(witness.x)
     nothing = Agreement(0.0, np.zeros(0), np.zeros(3), np.zeros(0, np.intp))
@@ -331,48 +242,20 @@ def _scaled(v: Array) -> Array:
 def pairs_of_all(names: Sequence[str]) -> list[Pair]:
     """Every camera with every other.
 
-    Parameters
-    ----------
-    names : sequence of str
-        The cameras.
-
-    Returns
-    -------
-    list of (str, str)
+    Returns (str, str).
     """
     return list(combinations(names, 2))
 
 
 def pooled(agreements: Sequence[Agreement]) -> float:
-    """Mean fraction over instants.
-
-    Parameters
-    ----------
-    agreements : sequence of Agreement
-        One per instant.
-
-    Returns
-    -------
-    float
-    """
+    """Mean fraction over instants."""
     return float(np.mean([a.fraction for a in agreements])) if agreements else 0.0
 
 
 def grounds(witness: Witness, frame: int, names: Sequence[str]) -> Mapping[str, NDArray[np.bool_]]:
     """Where each camera shows something: contrast of a fifth of its median at least.
 
-    Parameters
-    ----------
-    witness : Witness
-        The cameras.
-    frame : int
-        When.
-    names : sequence of str
-        Which cameras.
-
-    Returns
-    -------
-    mapping of str to ndarray of bool, (n,)
+    Returns (n,).
     """
     out = {}
     for name in names:

@@ -13,54 +13,24 @@ from wavefield.variables import FrameStatus
 
 @dataclass(frozen=True)
 class Report:
-    """What a worker says of a block that it has written.
+    """What a worker says of a block that it has written."""
 
-    Parameters
-    ----------
-    start, stop : int
-        Range of steps.
-    failed : int
-        Steps that could not be measured.
-    messages : tuple of str
-        A sentence about each bad frame.
-    """
-
-    start: int
+    start: int  # Range of steps
     stop: int
-    failed: int
-    messages: tuple[str, ...]
+    failed: int  # Steps that could not be measured
+    messages: tuple[str, ...]  # A sentence about each bad frame
 
 
 @dataclass(frozen=True)
 class Work:
-    """Measures one block and writes it: what a worker is sent.
+    """Measures one block and writes it: what a worker is sent."""
 
-    Parameters
-    ----------
-    store : path
-        Where to write.
-    plan : wavefield.measurement.Plan
-        Pickles as rig, grid and settings; computed once per process.
-    frame_rate : float
-        Hz.
-    """
-
-    store: Path
-    plan: Any
-    frame_rate: float
+    store: Path  # Where to write
+    plan: Any  # Pickles as rig, grid and settings; computed once per process
+    frame_rate: float  # Hz
 
     def __call__(self, block: Block) -> Report:
-        """Measure and write.
-
-        Parameters
-        ----------
-        block : Block
-            Steps and frames.
-
-        Returns
-        -------
-        Report
-        """
+        """Measure and write."""
         measured = measure_block(block, self.plan, self.frame_rate)
         write_block(
             self.store,

@@ -43,11 +43,6 @@ def keep_memory(one_arena: bool = False) -> None:
     mapped and cleared again, and that takes longer than measuring. It cannot be undone: for processes of
     our own only, which are the workers and the command line. Dask's nannies ask for the opposite
     (``MALLOC_TRIM_THRESHOLD_``).
-
-    Parameters
-    ----------
-    one_arena : bool
-        Let new threads share the memory of the main thread: those of their own are handed back earlier.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt

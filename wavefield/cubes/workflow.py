@@ -177,21 +177,6 @@ _UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 def parse_duration(text: str) -> float:
     """Seconds of a duration as people and Slurm write it.
 
-    Parameters
-    ----------
-    text : str
-        Such as "3h 50m", "11 hours", "90 s", "04:00:00"; a bare number is seconds.
-
-    Returns
-    -------
-    float
-        Seconds.
-
-    Raises
-    ------
-    ValueError
-        If it is none of these.
-
     Examples
     --------
     >>> parse_duration("3h 50m"), parse_duration("04:00:00"), parse_duration("600")

@@ -12,13 +12,7 @@ from wavefield.explorer.selections import area, span
 
 
 class AreaPanel:
-    """What a rectangle of the map holds, over the whole record.
-
-    Parameters
-    ----------
-    record : Record
-        The cube.
-    """
+    """What a rectangle of the map holds, over the whole record."""
 
     def __init__(self, record: Record) -> None:
         self._record = record
@@ -47,13 +41,7 @@ class AreaPanel:
         self.layout = column(self.words, *self.figures, sizing_mode="stretch_width")
 
     def show(self, place: Place) -> None:
-        """Show the rectangle of a place.
-
-        Parameters
-        ----------
-        place : Place
-            With its rectangle and variable.
-        """
+        """Show the rectangle of a place."""
         record, preview = self._record, self._record.preview
         name = place.show if place.show in preview.thin.names and place.show != "quality" else "w"
         key = (place.area, name, int(preview.known.sum()))

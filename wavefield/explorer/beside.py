@@ -21,35 +21,16 @@ _REACH = 0.05  # m: how low the water is thought to go where a cylinder stands
 
 @dataclass
 class Beside:
-    """Companions of a cube; what is not there is None or empty, with a sentence in `notes`.
+    """Companions of a cube; what is not there is None or empty, with a sentence in `notes`."""
 
-    Parameters
-    ----------
-    rig : Rig, optional
-        Cameras of the run.
-    experiment : Experiment, optional
-        Its file.
-    frames : dict of camera to FrameSeries
-        The images, with what is masked in them.
-    waves : DataTree, optional
-        The wave store.
-    waves_path : Path
-        Where that is, or would be.
-    probes : Dataset, optional
-        Wave probes.
-    targets : TargetImages, optional
-        The target images.
-    notes : dict of str to str
-        What is missing, and why: keys "cameras", "waves", "probes".
-    """
-
-    rig: Rig | None = None
-    experiment: Experiment | None = None
-    frames: dict[str, FrameSeries] = field(default_factory=dict)
-    waves: xr.DataTree | None = None
-    waves_path: Path = Path()
-    probes: xr.Dataset | None = None
-    targets: TargetImages | None = None
+    rig: Rig | None = None  # Cameras of the run
+    experiment: Experiment | None = None  # Its file
+    frames: dict[str, FrameSeries] = field(default_factory=dict)  # The images, with what is masked in them
+    waves: xr.DataTree | None = None  # The wave store
+    waves_path: Path = Path()  # Where that is, or would be
+    probes: xr.Dataset | None = None  # Wave probes
+    targets: TargetImages | None = None  # The target images
+    # What is missing, and why: keys "cameras", "waves", "probes"
     notes: dict[str, str] = field(default_factory=dict)
 
     def take(self, experiment: Experiment) -> None:
@@ -75,15 +56,6 @@ class Beside:
 def waves_beside(cube: Path) -> Path:
     """Where `wavefield analyze` puts the waves of a cube.
 
-    Parameters
-    ----------
-    cube : Path
-        The cube.
-
-    Returns
-    -------
-    Path
-
     Examples
     --------
     >>> waves_beside(Path("cube.zarr")).name, waves_beside(Path("run7.zarr")).name
@@ -94,19 +66,7 @@ def waves_beside(cube: Path) -> Path:
 
 
 def find_beside(record: Record, waves: str | Path | None = None) -> Beside:
-    """Find what lies beside a cube.
-
-    Parameters
-    ----------
-    record : Record
-        The cube.
-    waves : path, optional
-        Its wave store; by default where `wavefield analyze` writes it.
-
-    Returns
-    -------
-    Beside
-    """
+    """Find what lies beside a cube."""
     out = Beside(waves_path=Path(waves) if waves is not None else waves_beside(record.path))
     open_waves(out)
     attributes = record.group.attrs
@@ -132,18 +92,7 @@ def find_beside(record: Record, waves: str | Path | None = None) -> Beside:
 
 
 def open_waves(beside: Beside) -> bool:
-    """Open the wave store, if it is there by now.
-
-    Parameters
-    ----------
-    beside : Beside
-        Gets ``waves`` or a note.
-
-    Returns
-    -------
-    bool
-        Whether it is there.
-    """
+    """Open the wave store, if it is there by now."""
     beside.notes.pop("waves", None)
     if not beside.waves_path.is_dir():
         beside.notes["waves"] = (

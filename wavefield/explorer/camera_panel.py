@@ -29,17 +29,8 @@ _LONGER = 5.0  # displacements are drawn so many times as long
 def shrink(image: NDArray[Any]) -> tuple[NDArray[np.uint8], int]:
     """A frame for the screen: whole squares of pixels averaged, grey levels stretched.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column)
-        As read.
-
-    Returns
-    -------
-    image : ndarray of uint8, (row // factor, column // factor)
-        From its 0.5 % to its 99.5 % brightness.
-    factor : int
-        Side of the squares.
+    With image (row, column); returns image (row // factor, column // factor): From its 0.5 % to its 99.5 %
+    brightness.
     """
     factor = max(1, -(-max(image.shape) // _MOST_PIXELS))
     h, w = (n - n % factor for n in image.shape)
@@ -53,27 +44,7 @@ def shrink(image: NDArray[Any]) -> tuple[NDArray[np.uint8], int]:
 def seen_nodes(
     camera: Camera, x: NDArray[Any], y: NDArray[Any], fields: dict[str, NDArray[Any]], dt: float, second: bool
 ) -> dict[str, NDArray[Any]]:
-    """Where a camera sees the nodes in a frame of a step, and where they come from or go to.
-
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    x, y : ndarray, (ny, nx)
-        Nodes, metres.
-    fields : dict of str to ndarray, (ny, nx)
-        z (m), u, v, w (m s-1) at mid-time, and quality.
-    dt : float
-        From frame to frame, s.
-    second : bool
-        Whether it is the second frame of the step.
-
-    Returns
-    -------
-    dict of str to ndarray, (n,)
-        ``X``, ``Y`` (px) of the water that is at the node at mid-time, ``dX``, ``dY`` its displacement over
-        the step (px), ``kind`` as of `quality_kind`, ``j``, ``i`` its place in the arrays.
-    """
+    """Where a camera sees the nodes in a frame of a step, and where they come from or go to."""
     z = np.where(np.isfinite(fields["z"]), fields["z"], 0.0)
     half = {n: np.where(np.isfinite(fields[n]), 0.5 * dt * fields[n], 0.0) for n in ("u", "v", "w")}
     ends = [camera.project(x + s * half["u"], y + s * half["v"], z + s * half["w"]) for s in (-1.0, 1.0)]
@@ -93,19 +64,7 @@ def seen_nodes(
 
 
 class CameraPanel:
-    """Frames of the cameras.
-
-    Parameters
-    ----------
-    record : Record
-        The cube.
-    beside : Beside
-        With rig and frames.
-    picked : callable
-        Told ("node", (x, y)) when a node is clicked in the image.
-    corner : callable
-        Asked first, with camera, column and row: whether the click is the corner of a mask.
-    """
+    """Frames of the cameras."""
 
     def __init__(
         self,
@@ -182,13 +141,7 @@ class CameraPanel:
         return made
 
     def show(self, place: Place) -> None:
-        """Show a camera's frame of a step.
-
-        Parameters
-        ----------
-        place : Place
-            With its step and node.
-        """
+        """Show a camera's frame of a step."""
         name = self.camera.value
         if not name:
             return

@@ -21,30 +21,11 @@ def derived_series(
 ) -> dict[str, NDArray[np.float32]]:
     """All derived variables at one node over the whole record.
 
-    Parameters
-    ----------
-    record : Record
-        The cube.
-    j, i : int
-        Row and column of the node.
-    progress : callable, optional
-        Told the fraction that is done.
-
-    Returns
-    -------
-    dict of str to ndarray, (time,)
-        Those of `wavefield.explorer.fields.DERIVED` whose variables the cube has, in their units; NaN where
-        nothing is measured.
-
-    Raises
-    ------
-    StoreError
-        If a file of the cube is damaged.
-
-    Notes
-    -----
     Differences want the neighbours of the node, which a thinned preview has not: the nodes around it are read
     from every block, once for all. What comes out is what `wavefield.waves.kinematics` gives for the cube.
+
+    Returns (time,): Those of `wavefield.explorer.fields.DERIVED` whose variables the cube has, in their
+    units.
     """
     names = [name for name in DERIVED if name in record.names]
     steps = record.layout.steps

@@ -16,39 +16,20 @@ _BROAD = 31  # px: what is broader is no bead
 
 @dataclass(frozen=True)
 class Features:
-    """What one frame shows.
+    """What one frame shows."""
 
-    Parameters
-    ----------
-    dark, background, peak : float
-        Grey levels below which 0.1 %, 50 % and 99.9 % of the pixels lie.
-    saturated : float
-        Fraction of pixels as bright as the camera can say.
-    cells : float
-        Fraction of cells of 16 px that hold something bright.
-    size : float
-        Standard deviation of the images of beads, px; NaN where there are none.
-    """
-
-    dark: float
+    dark: float  # Grey levels below which 0.1 %, 50 % and 99.9 % of the pixels lie
     background: float
     peak: float
-    saturated: float
-    cells: float
-    size: float
+    saturated: float  # Fraction of pixels as bright as the camera can say
+    cells: float  # Fraction of cells of 16 px that hold something bright
+    size: float  # Standard deviation of the images of beads, px; NaN where there are none
 
 
 def features(image: NDArray[Any]) -> Features:
     """Look at a frame.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column)
-        As read.
-
-    Returns
-    -------
-    Features
+    With image (row, column).
     """
     sample = image[::3, ::3]
     dark, background, peak = (float(v) for v in np.percentile(sample, [0.1, 50.0, 99.9]))
@@ -67,20 +48,10 @@ def features(image: NDArray[Any]) -> Features:
 def bead_size(image: NDArray[Any]) -> float:
     """Standard deviation of the images of beads, from how quickly an image forgets itself.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column)
-        As read.
-
-    Returns
-    -------
-    float
-        px, mean of both directions; NaN for an image of noise.
-
-    Notes
-    -----
     Gaussian beads of standard deviation s correlate with themselves d pixels on by exp(-d^2 / (4 s^2)), so
     that s^2 = 3 / (4 ln(r(1) / r(2))); the noise of pixels, which is alone at d = 0, drops out.
+
+    With image (row, column).
     """
     part = image[: 1 + min(image.shape[0], 1024), : 1 + min(image.shape[1], 1024)].astype(np.float32)
     part = part - cv2.blur(part, (_BROAD, _BROAD))  # lamps are uneven

@@ -22,66 +22,23 @@ _BALANCE = ("z", "z_t", "u", "v", "w")
 def derive(steps: xr.Dataset, name: str, step: int) -> NDArray[Any]:
     """A derived field at one step.
 
-    Parameters
-    ----------
-    steps : Dataset, (time, y, x)
-        z, z_t, u, v, w of the step and of its neighbours, loaded.
-    name : str
-        One of `DERIVED`.
-    step : int
-        Index of the step in them.
-
-    Returns
-    -------
-    ndarray, (ny, nx)
+    With steps (time, y, x); returns (ny, nx).
     """
     return np.asarray(kinematics(steps[list(_BALANCE)])[name].values[step])
 
 
 def is_signed(name: str) -> bool:
-    """Whether a variable has a sign, so that its colours are balanced about zero.
-
-    Parameters
-    ----------
-    name : str
-        The variable.
-
-    Returns
-    -------
-    bool
-    """
+    """Whether a variable has a sign, so that its colours are balanced about zero."""
     return not name.endswith("_std") and name not in ("eps_piv", "quality")
 
 
 def colour_map(name: str) -> str:
-    """Colour map of a variable, whose order colour-blind readers keep.
-
-    Parameters
-    ----------
-    name : str
-        The variable.
-
-    Returns
-    -------
-    str
-        Of matplotlib.
-    """
+    """Colour map of a variable, whose order colour-blind readers keep."""
     return SIGNED if is_signed(name) else POSITIVE
 
 
 def palette(name: str) -> list[str]:
-    """256 colours of a matplotlib colour map.
-
-    Parameters
-    ----------
-    name : str
-        Of the colour map.
-
-    Returns
-    -------
-    list of str
-        As "#rrggbb".
-    """
+    """256 colours of a matplotlib colour map."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
@@ -89,38 +46,17 @@ def palette(name: str) -> list[str]:
 
 
 def colour_limits(values: NDArray[Any], name: str) -> tuple[float, float]:
-    """Ends of a colour scale that leave out the wildest half percent.
-
-    Parameters
-    ----------
-    values : ndarray
-        What will be drawn, in the shown unit.
-    name : str
-        The variable.
-
-    Returns
-    -------
-    low, high : float
-        Balanced about zero for signed variables, from zero for others; two digits.
-    """
+    """Ends of a colour scale that leave out the wildest half percent."""
     half = float(f"{limit(values):.2g}")
     return (-half, half) if is_signed(name) else (0.0, half)
 
 
 @dataclass(frozen=True)
 class Shown:
-    """How a variable is shown to people.
+    """How a variable is shown to people."""
 
-    Parameters
-    ----------
-    factor : float
-        From the stored unit to the shown one.
-    unit : str
-        The shown unit.
-    """
-
-    factor: float
-    unit: str
+    factor: float  # From the stored unit to the shown one
+    unit: str  # The shown unit
 
     @property
     def suffix(self) -> str:
@@ -141,17 +77,6 @@ _SMALL = Shown(1000.0, "mm")
 def shown_as(name: str, units: str) -> Shown:
     """Unit in which a variable is read with ease.
 
-    Parameters
-    ----------
-    name : str
-        The variable.
-    units : str
-        Its CF unit.
-
-    Returns
-    -------
-    Shown
-
     Examples
     --------
     >>> shown_as("z", "m"), shown_as("z_std", "m").unit
@@ -167,24 +92,8 @@ def arrows(
 ) -> tuple[NDArray[Any], NDArray[Any], float]:
     """Arrows of the horizontal velocity at every so-many-th node.
 
-    Parameters
-    ----------
-    u, v : ndarray, (ny, nx)
-        Velocity; NaN where there is none.
-    x, y : ndarray, (nx,), (ny,)
-        Nodes, metres.
-    fastest : float
-        Speed whose arrow is as long as the arrows are apart, in the unit of u and v.
-    along : int
-        Arrows along the longer side.
-
-    Returns
-    -------
-    xs, ys : ndarray, (7 n,)
-        n arrows in one line, metres: shaft and head in six points, and NaN where the pen is lifted. (A list
-        of lines costs a page half a second a step.)
-    metres : float
-        Length of an arrow of unit speed.
+    With u, v (ny, nx); x, y (nx,), metres; returns xs, ys (7 n,): n arrows in one line, metres: shaft and
+    head in six points, and NaN where the pen is lifted.
     """
     every = max(1, round(max(len(x), len(y)) / along))
     rows, columns = slice(every // 2, None, every), slice(every // 2, None, every)
@@ -206,41 +115,14 @@ def relief(
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """A field thinned for the relief.
 
-    Parameters
-    ----------
-    field : ndarray, (ny, nx)
-        Any field.
-    x, y : ndarray, (nx,), (ny,)
-        Nodes.
-    most : int
-        Nodes along the longer side, at most.
-
-    Returns
-    -------
-    field, x, y : ndarray
-        The same at every so-many-th node.
+    With field (ny, nx); x, y (nx,).
     """
     every = max(1, -(-max(field.shape) // most))
     return field[::every, ::every], x[::every], y[::every]
 
 
 def readings(values: Mapping[str, float], units: Mapping[str, str], names: Sequence[str]) -> str:
-    """Values at a node in words.
-
-    Parameters
-    ----------
-    values : mapping of str to float
-        In stored units; NaN where there are none.
-    units : mapping of str to str
-        CF units.
-    names : sequence of str
-        Which, in order.
-
-    Returns
-    -------
-    str
-        Such as "z 1.23 cm, u -4.1 cm/s".
-    """
+    """Values at a node in words."""
     words = []
     for name in names:
         shown = shown_as(name, units[name])

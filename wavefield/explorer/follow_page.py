@@ -36,18 +36,7 @@ _LEFT = "style='text-align: left; font-weight: 600; padding-right: 10px'"
 
 
 def lights_table(lights: tuple[Light, ...]) -> str:
-    """Lights as a table: a row per thing judged, a column per camera.
-
-    Parameters
-    ----------
-    lights : tuple of Light
-        All of them.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Lights as a table: a row per thing judged, a column per camera."""
     frames = [light for light in lights if light.camera and "-" not in light.camera]
     cameras = list(dict.fromkeys(light.camera for light in frames))
     rows = ["<tr><th></th>" + "".join(f"<th>{camera}</th>" for camera in cameras) + "</tr>"]
@@ -72,17 +61,7 @@ def _cell(light: Light, columns: int) -> str:
 
 
 class FollowPage:
-    """One person's page.
-
-    Parameters
-    ----------
-    follower : Follower
-        The work, shared by all pages.
-    targets : TargetWatch
-        Target images and what is found in them.
-    probes : Dataset, optional
-        Wave probes, to mark where they stand.
-    """
+    """One person's page."""
 
     def __init__(self, follower: Follower, targets: TargetWatch, probes: Any = None) -> None:
         self._follower, self._targets = follower, targets
@@ -136,13 +115,7 @@ class FollowPage:
         return made, source, nodes
 
     def attach(self, document: Any) -> None:
-        """Put the page into a document.
-
-        Parameters
-        ----------
-        document : bokeh.document.Document
-            Of one session.
-        """
+        """Put the page into a document."""
         views = [made for made, _, _ in self.cameras.values()]
         places = (
             (column(self.state, sizing_mode="stretch_width"), "state"),
@@ -266,19 +239,7 @@ def _plain(words: str) -> str:
 
 
 def follow_server(follower: Follower, port: int | None = None) -> Server:
-    """A server of the page of an experiment that is being recorded.
-
-    Parameters
-    ----------
-    follower : Follower
-        The work.
-    port : int, optional
-        As of `wavefield.explorer.server.make_server`.
-
-    Returns
-    -------
-    Server
-    """
+    """A server of the page of an experiment that is being recorded."""
     probes = _probes(follower)
     targets = TargetWatch(follower.experiment)
     targets.start()

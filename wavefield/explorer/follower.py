@@ -41,50 +41,24 @@ _PAUSE = 0.15  # s between looks at the folders
 
 @dataclass(frozen=True)
 class Seen:
-    """What was made of one set of frames.
+    """What was made of one set of frames."""
 
-    Parameters
-    ----------
-    number : int
-        Of its first frame.
-    images : dict of camera to ndarray
-        The second frame.
-    fields : dict of str to ndarray, (ny, nx)
-        The measured step; empty without a rig.
-    lights : tuple of Light
-        The judgement.
-    delay : float
-        From the last byte of the set until it was measured, s.
-    measured, skipped : int
-        Steps so far.
-    trouble : str
-        Why nothing is measured, a sentence.
-    """
-
-    number: int
-    images: dict[str, NDArray[Any]]
-    fields: dict[str, NDArray[Any]]
-    lights: tuple[Light, ...]
-    delay: float
-    measured: int
+    number: int  # Of its first frame
+    images: dict[str, NDArray[Any]]  # The second frame
+    fields: dict[str, NDArray[Any]]  # (ny, nx): The measured step; empty without a rig
+    lights: tuple[Light, ...]  # The judgement
+    delay: float  # From the last byte of the set until it was measured, s
+    measured: int  # Steps so far
     skipped: int
-    trouble: str
+    trouble: str  # Why nothing is measured, a sentence
 
 
 @dataclass
 class Follower:
-    """Follows an experiment in a thread of its own.
+    """Follows an experiment in a thread of its own."""
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-    rig : path or Rig, optional
-        In place of the one that the experiment names.
-    """
-
-    experiment: Experiment
-    rig: Any = None
+    experiment: Experiment  # The experiment
+    rig: Any = None  # In place of the one that the experiment names
     seen: Seen | None = None
     count: int = 0
     _plan: "Learner | None" = None
@@ -135,13 +109,7 @@ class Follower:
                 self._stop.wait(_PAUSE)
 
     def look(self) -> bool:
-        """Look once; measure what is new.
-
-        Returns
-        -------
-        bool
-            Whether there was a new set.
-        """
+        """Look once; measure what is new."""
         self.watch.look()
         found = self.watch.newest_set(after=self.seen.number if self.seen else -1)
         if found is None:

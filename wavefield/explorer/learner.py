@@ -21,18 +21,7 @@ Frames = Mapping[str, NDArray[Any] | None]
 
 
 class Learner:
-    """A plan that knows the record as it is now.
-
-    Parameters
-    ----------
-    plan : Plan
-        Rig, grid and settings.
-
-    Attributes
-    ----------
-    plan : Plan
-        With what was learned last; as it was given until something could be learned.
-    """
+    """A plan that knows the record as it is now."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = self._bare = plan
@@ -43,12 +32,7 @@ class Learner:
     def take(self, step: tuple[Frames, Frames], masks: tuple[Any, Any]) -> None:
         """Take in both frames of a step: the first at once, later ones in a thread of its own.
 
-        Parameters
-        ----------
-        step : (mapping, mapping)
-            First and second frame per camera.
-        masks : (mapping, mapping)
-            What is covered in them.
+        With step (mapping, mapping); masks (mapping, mapping).
         """
         self._sets.append((step, masks))
         if self.plan.record is None:

@@ -30,46 +30,22 @@ _ENOUGH = 20  # steps
 
 @dataclass(frozen=True)
 class Light:
-    """One light.
+    """One light."""
 
-    Parameters
-    ----------
-    name : str
-        What is judged, such as "focus".
-    camera : str
-        Which camera; empty for all together.
-    state : str
-        "good", "doubtful", "bad", or "unknown" where something else must be mended first.
-    words : str
-        What was found.
-    """
-
-    name: str
-    camera: str
-    state: State
-    words: str
+    name: str  # What is judged, such as "focus"
+    camera: str  # Which camera; empty for all together
+    state: State  # "good", "doubtful", "bad", or "unknown" where something else must be mended first
+    words: str  # What was found
 
 
 @dataclass(frozen=True)
 class Quantities:
-    """What one measured step says of the rig and the water.
+    """What one measured step says of the rig and the water."""
 
-    Parameters
-    ----------
-    eps_piv : float
-        Misfit of the cameras' displacements, rms, px.
-    coverage : float
-        Fraction of the nodes with a value.
-    range_used : float
-        Largest elevation as a fraction of what is searched.
-    slope_x, slope_y, height : float
-        Plane through the water: slopes, and elevation at the origin, m.
-    """
-
-    eps_piv: float
-    coverage: float
-    range_used: float
-    slope_x: float
+    eps_piv: float  # Misfit of the cameras' displacements, rms, px
+    coverage: float  # Fraction of the nodes with a value
+    range_used: float  # Largest elevation as a fraction of what is searched
+    slope_x: float  # Plane through the water: slopes, and elevation at the origin, m
     slope_y: float
     height: float
 
@@ -82,18 +58,7 @@ def quantities(
 ) -> Quantities:
     """Sum up a step.
 
-    Parameters
-    ----------
-    fields : mapping of str to ndarray, (ny, nx)
-        z (m), eps_piv (px), quality of one step.
-    x, y : ndarray, (ny, nx)
-        Nodes, m.
-    z_range : (float, float)
-        Elevations searched, m.
-
-    Returns
-    -------
-    Quantities
+    With fields (ny, nx); x, y (ny, nx); z_range (float, float).
     """
     z, quality = fields["z"], fields["quality"].astype(int)
     there = np.isfinite(z)
@@ -123,36 +88,14 @@ def _rms(values: NDArray[Any]) -> float:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How two cameras agree on the same instant, before anything is rejected.
+    """How two cameras agree on the same instant, before anything is rejected."""
 
-    Parameters
-    ----------
-    eps_y : float
-        Mismatch of sight lines, rms, in pixels on the water.
-    agreed : float
-        Fraction of the blocks seen by both that count.
-    """
-
-    eps_y: float
-    agreed: float
+    eps_y: float  # Mismatch of sight lines, rms, in pixels on the water
+    agreed: float  # Fraction of the blocks seen by both that count
 
 
 def pair_light(pair: str, now: Agreement, start: Agreement | None) -> Light:
-    """Whether a camera was knocked: sight lines of a pair miss each other, or nothing is found again.
-
-    Parameters
-    ----------
-    pair : str
-        Both cameras.
-    now : Agreement
-        Of the newest frames.
-    start : Agreement or None
-        At the start; None while that is not known.
-
-    Returns
-    -------
-    Light
-    """
+    """Whether a camera was knocked: sight lines of a pair miss each other, or nothing is found again."""
     state = _worse(_over(now.eps_y, _EPS), _under(now.agreed, (0.5, 0.2)))
     if start is not None:
         state = _worse(state, _over(_fraction(now.eps_y, max(start.eps_y, 0.15)), _RISE))
@@ -163,15 +106,9 @@ def pair_light(pair: str, now: Agreement, start: Agreement | None) -> Light:
 
 @dataclass
 class Start:
-    """How things were when the watch began: the median of the first sets.
+    """How things were when the watch began: the median of the first sets."""
 
-    Parameters
-    ----------
-    sets : int
-        How many sets make the start.
-    """
-
-    sets: int = 4
+    sets: int = 4  # How many sets make the start
     _frames: dict[str, list[Features]] = field(default_factory=dict)
     _steps: list[Quantities] = field(default_factory=list)
     _pairs: dict[str, list[Agreement]] = field(default_factory=dict)
@@ -214,22 +151,7 @@ def _median(kept: Sequence[Any], kind: type) -> Any:
 
 
 def frame_lights(camera: str, now: Features, start: Features | None) -> list[Light]:
-    """Brightness, saturation, seeding and focus of one camera.
-
-    Parameters
-    ----------
-    camera : str
-        Its name.
-    now : Features
-        Of its newest frame.
-    start : Features or None
-        At the start; None while that is not known.
-
-    Returns
-    -------
-    list of Light
-        Where one explains the others, those are unknown.
-    """
+    """Brightness, saturation, seeding and focus of one camera."""
     dark = False
     beads = 1.0
     if start is not None:
@@ -266,21 +188,7 @@ def _brightness(now: Features, beads: float, start: Features | None) -> str:
 
 
 def arrival_lights(last: Mapping[str, float], newest: Mapping[str, int], now: float) -> list[Light]:
-    """Whether every camera still sends frames, and all the same ones.
-
-    Parameters
-    ----------
-    last : mapping of str to float
-        When each camera's newest frame came, s.
-    newest : mapping of str to int
-        Its number.
-    now : float
-        The present, s.
-
-    Returns
-    -------
-    list of Light
-    """
+    """Whether every camera still sends frames, and all the same ones."""
     out = []
     latest = max(last.values(), default=now)
     most = max(newest.values(), default=0)
@@ -296,20 +204,7 @@ def arrival_lights(last: Mapping[str, float], newest: Mapping[str, int], now: fl
 
 
 def step_lights(now: Quantities | None, start: Quantities | None) -> list[Light]:
-    """What a measured step says of the rig and the water.
-
-    Parameters
-    ----------
-    now : Quantities or None
-        Of the newest step.
-    start : Quantities or None
-        At the start; None while that is not known.
-
-    Returns
-    -------
-    list of Light
-        Empty without a step.
-    """
+    """What a measured step says of the rig and the water."""
     if now is None:
         return []
     coverage: State = _under(now.coverage, (0.6, 0.3))
@@ -323,18 +218,7 @@ def step_lights(now: Quantities | None, start: Quantities | None) -> list[Light]
 
 
 def tilt_light(steps: Sequence[Quantities]) -> Light:
-    """Whether z = 0 lies on the water at rest: the plane through it, averaged over waves.
-
-    Parameters
-    ----------
-    steps : sequence of Quantities
-        Of the last steps.
-
-    Returns
-    -------
-    Light
-        Unknown until there are enough.
-    """
+    """Whether z = 0 lies on the water at rest: the plane through it, averaged over waves."""
     planes = np.array([[one.slope_x, one.slope_y, one.height] for one in steps if np.isfinite(one.height)])
     if len(planes) < _ENOUGH:
         return Light("tilt", "", "unknown", f"after {_ENOUGH} steps")
@@ -352,18 +236,7 @@ _ORDER = ("synchronisation", "brightness", "saturation", "seeding", "focus", "ep
 
 
 def verdict(lights: Sequence[Light]) -> Light | None:
-    """The light to look at first.
-
-    Parameters
-    ----------
-    lights : sequence of Light
-        All of them.
-
-    Returns
-    -------
-    Light or None
-        The first bad one, causes before consequences; None if none is bad.
-    """
+    """The light to look at first."""
     bad = [light for light in lights if light.state == "bad"]
     return min(bad, key=lambda light: _ORDER.index(light.name)) if bad else None
 

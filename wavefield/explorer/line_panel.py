@@ -23,13 +23,7 @@ _STEPS = 400  # of the time-distance diagram, about the moment shown
 
 
 class LinePanel:
-    """Transect and time-distance diagram.
-
-    Parameters
-    ----------
-    record : Record
-        The cube.
-    """
+    """Transect and time-distance diagram."""
 
     def __init__(self, record: Record) -> None:
         self._record = record
@@ -65,12 +59,7 @@ class LinePanel:
     def show(self, place: Place, limits: tuple[float, float]) -> None:
         """Show the line of a place.
 
-        Parameters
-        ----------
-        place : Place
-            With its line, variable and step.
-        limits : (float, float)
-            Ends of the colour scale, in the shown unit.
+        With limits (float, float).
         """
         if place.line is None:
             return

@@ -18,27 +18,7 @@ Pixels = Mapping[str, NDArray[np.bool_]]
 
 
 class LiveMasks:
-    """The masks of an experiment while its cameras write.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        With its `mask`.
-    rig : Rig
-        Its cameras.
-    reach : float
-        How far above and below z = 0 the water is looked for, m.
-
-    Attributes
-    ----------
-    absent : str
-        Which frame has no image of its mask yet, a sentence; empty where none is missing.
-
-    Raises
-    ------
-    ExperimentError
-        If a mask is missing or does not fit the images.
-    """
+    """The masks of an experiment while its cameras write."""
 
     def __init__(self, experiment: Experiment, rig: Rig, reach: float) -> None:
         self._folder = experiment.path.parent
@@ -59,16 +39,7 @@ class LiveMasks:
     def of(self, number: int) -> tuple[dict[str, Any], dict[str, Any]]:
         """What is covered in a frame and in the next one.
 
-        Parameters
-        ----------
-        number : int
-            Of the first one.
-
-        Returns
-        -------
-        first, second : dict of str to ndarray of bool, (row, column)
-            Per camera; those of which nothing is covered are absent. Where the image of a moving mask is not
-            there yet, only what stands still is covered, and `absent` says so.
+        Returns first, second (row, column): Per camera.
         """
         self.absent = ""
         return self._at(number), self._at(number + 1)

@@ -52,17 +52,7 @@ else area.data = {left: [Math.min(x0, x1)], right: [Math.max(x0, x1)],
 
 
 class MapPanel:
-    """The map of one variable.
-
-    Parameters
-    ----------
-    record : Record
-        The cube.
-    drag : Select
-        What dragging does.
-    picked : callable
-        Told what was picked: ("node", (x, y)), ("line" or "area", (x0, y0, x1, y1)).
-    """
+    """The map of one variable."""
 
     def __init__(self, record: Record, drag: Any, picked: Callable[[str, tuple[float, ...]], None]) -> None:
         self._record, self._drag, self._picked = record, drag, picked
@@ -171,13 +161,7 @@ class MapPanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Draw a step.
-
-        Parameters
-        ----------
-        place : Place
-            What to show.
-        """
+        """Draw a step."""
         values = self._record.field(place.show, place.step)
         if place.show == "quality":
             self._show_kinds(values)
@@ -203,19 +187,7 @@ class MapPanel:
         self.image.data = image_data(values, self._record.x, self._record.y)
 
     def fitting(self, name: str, values: Any = None) -> tuple[float, float]:
-        """Ends of the colour scale that fit a variable; kept from step to step.
-
-        Parameters
-        ----------
-        name : str
-            The variable.
-        values : ndarray, optional
-            At a step, in the shown unit: what to fit them to where they are not known yet.
-
-        Returns
-        -------
-        low, high : float
-        """
+        """Ends of the colour scale that fit a variable; kept from step to step."""
         if name not in self._fitted and values is not None:
             if not np.isfinite(values).any():
                 return colour_limits(values, name)
@@ -243,13 +215,7 @@ class MapPanel:
         self.key.text = f"longest arrows: {number(key)} cm/s" if metres else ""
 
     def mark(self, place: Place) -> None:
-        """Draw what has been picked.
-
-        Parameters
-        ----------
-        place : Place
-            With node, line, rectangle.
-        """
+        """Draw what has been picked."""
         line, corners = place.line or (), _corners(place.area)
         marks: list[tuple[ColumnDataSource, dict[str, list[float]]]] = [
             (self.node, {"x": [place.node[0]], "y": [place.node[1]]} if place.node else {"x": [], "y": []}),

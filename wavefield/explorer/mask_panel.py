@@ -23,30 +23,14 @@ _HOW = (
 def outlines_of(covered: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
     """Outlines of what is covered in an image.
 
-    Parameters
-    ----------
-    covered : ndarray of bool, (row, column)
-        True where covered.
-
-    Returns
-    -------
-    list of ndarray, (n, 2)
-        Columns and rows, px.
+    With covered (row, column); returns (n, 2): Columns and rows, px.
     """
     found, _ = cv2.findContours(covered.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     return [np.asarray(one[:, 0], np.int32) for one in found if len(one) > 2]
 
 
 class MaskPanel:
-    """Corners that were clicked, by camera or on the water.
-
-    Parameters
-    ----------
-    beside : Beside
-        With the experiment.
-    drawn : callable
-        Told when corners have changed.
-    """
+    """Corners that were clicked, by camera or on the water."""
 
     def __init__(self, beside: Beside, drawn: Callable[[], None]) -> None:
         self._beside, self._drawn = beside, drawn
@@ -65,12 +49,7 @@ class MaskPanel:
     def add(self, where: str, corner: Point) -> None:
         """Add a corner.
 
-        Parameters
-        ----------
-        where : str
-            A camera, or "water".
-        corner : (float, float)
-            Column and row, px; or x and y, m.
+        With corner (float, float), px.
         """
         self.corners.setdefault(where, []).append(corner)
         self._order.append(where)
@@ -117,17 +96,7 @@ class MaskPanel:
         )
 
     def closed(self, where: str) -> tuple[list[float], list[float]]:
-        """Corners as a closed line.
-
-        Parameters
-        ----------
-        where : str
-            A camera, or "water".
-
-        Returns
-        -------
-        x, y : list of float
-        """
+        """Corners as a closed line."""
         corners = self.corners.get(where, [])
         line: list[Any] = [*corners, *corners[:1]]
         return [float(p[0]) for p in line], [float(p[1]) for p in line]

@@ -34,15 +34,7 @@ class Asked(NamedTuple):
 
 
 class NodePanel:
-    """What is known at one node.
-
-    Parameters
-    ----------
-    record : Record
-        The cube.
-    probes : Dataset, optional
-        Wave probes with elevation (probe, time) and their places, as from `wavefield.waves.read_probes`.
-    """
+    """What is known at one node."""
 
     def __init__(self, record: Record, probes: xr.Dataset | None = None) -> None:
         self._record, self._probes = record, probes
@@ -143,13 +135,7 @@ class NodePanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Show the node of a place.
-
-        Parameters
-        ----------
-        place : Place
-            With its node.
-        """
+        """Show the node of a place."""
         preview = self._record.preview
         self.step(place)
         if place.node is None:
@@ -163,13 +149,7 @@ class NodePanel:
         self._show_spectrum()
 
     def step(self, place: Place) -> None:
-        """Show the values at the node at another step.
-
-        Parameters
-        ----------
-        place : Place
-            With its node and step.
-        """
+        """Show the values at the node at another step."""
         record = self._record
         self.now.location = float(record.time[place.step])
         if place.node is None:

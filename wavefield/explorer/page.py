@@ -60,41 +60,20 @@ history.replaceState(null, "", location.pathname + "?" + cb_obj.text)
 
 @dataclass(frozen=True)
 class Looked:
-    """What all sessions of one server share.
+    """What all sessions of one server share."""
 
-    Parameters
-    ----------
-    record : Record
-        The cube.
-    beside : Beside
-        What lies beside it.
-    """
-
-    record: Record
-    beside: Beside
+    record: Record  # The cube
+    beside: Beside  # What lies beside it
 
     def load(self) -> threading.Thread:
-        """Read the preview in the background.
-
-        Returns
-        -------
-        Thread
-        """
+        """Read the preview in the background."""
         thread = threading.Thread(target=self.record.preview.load, daemon=True, name="preview")
         thread.start()
         return thread
 
 
 class Page:
-    """One person's page.
-
-    Parameters
-    ----------
-    looked : Looked
-        The cube and what lies beside it.
-    place : Place
-        What to begin with.
-    """
+    """One person's page."""
 
     def __init__(self, looked: Looked, place: Place) -> None:
         self.looked, self.place = looked, place
@@ -190,13 +169,7 @@ class Page:
         self.link.js_on_change("text", CustomJS(code=_LINK))
 
     def attach(self, document: Any) -> None:
-        """Put the page into a document.
-
-        Parameters
-        ----------
-        document : bokeh.document.Document
-            Of one session.
-        """
+        """Put the page into a document."""
         self._document = document
         self.views.update(name="views")
         for root, name in (
@@ -219,13 +192,7 @@ class Page:
     # -- what people do --------------------------------------------------------------------------------
 
     def change(self, **what: Any) -> None:
-        """Go to another place.
-
-        Parameters
-        ----------
-        **what
-            Parts of the `Place` that change.
-        """
+        """Go to another place."""
         new = replace(self.place, **what)
         if new == self.place:
             return
@@ -237,15 +204,7 @@ class Page:
             self._soon(self.redraw)
 
     def pick(self, kind: str, where: tuple[float, ...]) -> None:
-        """Something was picked on the map or in an image.
-
-        Parameters
-        ----------
-        kind : str
-            "node", "line" or "area".
-        where : tuple of float
-            Metres.
-        """
+        """Something was picked on the map or in an image."""
         if kind == "node" and self._is_corner(WATER, (where[0], where[1])):
             return
         found: dict[str, Any] = {kind: tuple(where)}

@@ -26,19 +26,7 @@ MOST_POINTS = 1000  # of one line on a screen: two a pixel of half a page
 
 
 def make_figure(name: str, **settings: Any) -> Any:
-    """A figure as all are: wide as its place, light grid, tools out of the way.
-
-    Parameters
-    ----------
-    name : str
-        By which tests and scripts find it.
-    **settings
-        Of `bokeh.plotting.figure`.
-
-    Returns
-    -------
-    figure
-    """
+    """A figure as all are: wide as its place, light grid, tools out of the way."""
     usual: dict[str, Any] = {
         "sizing_mode": "stretch_width",
         "toolbar_location": None,
@@ -79,13 +67,7 @@ P = TypeVar("P", bound=Panel)
 
 
 class Later(Generic[P]):
-    """A panel that is made when its tab is first opened: a page is seen before what nobody has asked for.
-
-    Parameters
-    ----------
-    make : callable
-        Gives the panel.
-    """
+    """A panel that is made when its tab is first opened: a page is seen before what nobody has asked for."""
 
     def __init__(self, make: Callable[[], P]) -> None:
         self.body = column(Spacer(height=1), sizing_mode="stretch_width")  # of nothing at all Bokeh warns
@@ -103,18 +85,7 @@ class Later(Generic[P]):
 def make_tabs(name: str, active: int, panels: Sequence[tuple[str, Any]]) -> Tabs:
     """Tabs that are never wider than their place.
 
-    Parameters
-    ----------
-    name : str
-        By which tests and scripts find them.
-    active : int
-        Which one is open.
-    panels : sequence of (str, layout)
-        Titles and contents.
-
-    Returns
-    -------
-    Tabs
+    With panels (str, layout).
     """
     tabs = [TabPanel(child=body, title=title) for title, body in panels]
     narrow = {"grid-template-columns": "minmax(0, 1fr)", "min-width": "0"}
@@ -128,17 +99,7 @@ def make_tabs(name: str, active: int, panels: Sequence[tuple[str, Any]]) -> Tabs
 
 
 def draw_masks(made: Any, drawn: ColumnDataSource, there: ColumnDataSource) -> None:
-    """Draw what is masked, and the corners of what is being drawn.
-
-    Parameters
-    ----------
-    made : figure
-        The map, or a camera's image.
-    drawn : ColumnDataSource
-        ``x``, ``y`` of the corners, the first one again at the end.
-    there : ColumnDataSource
-        ``xs``, ``ys`` of the outlines in the experiment file.
-    """
+    """Draw what is masked, and the corners of what is being drawn."""
     made.patches(
         "xs", "ys", source=there, fill_alpha=0.15, fill_color=INK, hatch_pattern="/", hatch_alpha=0.5,
         hatch_color="white", line_color=INK, line_width=1.5,
@@ -150,19 +111,7 @@ def draw_masks(made: Any, drawn: ColumnDataSource, there: ColumnDataSource) -> N
 
 
 def colour_bar(mapper: LinearColorMapper, title: str = "") -> ColorBar:
-    """A colour bar beside a map.
-
-    Parameters
-    ----------
-    mapper : LinearColorMapper
-        Its colours.
-    title : str
-        What is shown, with its unit.
-
-    Returns
-    -------
-    ColorBar
-    """
+    """A colour bar beside a map."""
     return ColorBar(
         color_mapper=mapper,
         title=title,
@@ -178,15 +127,7 @@ def colour_bar(mapper: LinearColorMapper, title: str = "") -> ColorBar:
 
 
 def fixed_labels(bar: ColorBar, labels: list[str]) -> None:
-    """Name the colours of a bar of kinds.
-
-    Parameters
-    ----------
-    bar : ColorBar
-        Whose mapper runs from -0.5 to n - 0.5.
-    labels : list of str
-        One for each kind.
-    """
+    """Name the colours of a bar of kinds."""
     bar.ticker = FixedTicker(ticks=list(range(len(labels))))
     bar.major_label_overrides = dict(enumerate(labels))
 
@@ -194,17 +135,7 @@ def fixed_labels(bar: ColorBar, labels: list[str]) -> None:
 def image_data(values: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> dict[str, list[Any]]:
     """Columns of an image whose pixels are centred on nodes.
 
-    Parameters
-    ----------
-    values : ndarray, (ny, nx)
-        What is drawn.
-    x, y : ndarray, (nx,), (ny,)
-        Nodes, evenly spaced.
-
-    Returns
-    -------
-    dict
-        For a ColumnDataSource: image, x, y, dw, dh.
+    With values (ny, nx); x, y (nx,).
     """
     dx, dy = (float(v[-1] - v[0]) / max(len(v) - 1, 1) or 1.0 for v in (x, y))
     return {
@@ -224,19 +155,7 @@ def image_source(name: str) -> ColumnDataSource:
 def envelope(x: NDArray[Any], *series: NDArray[Any], most: int = MOST_POINTS) -> tuple[NDArray[Any], ...]:
     """Thin long series for a screen: of each bin the lowest and the highest value, in their order.
 
-    Parameters
-    ----------
-    x : ndarray, (n,)
-        Common abscissa.
-    *series : ndarray, (n,)
-        The first one decides which samples are kept.
-    most : int
-        Samples to keep, at most; nothing is dropped below.
-
-    Returns
-    -------
-    tuple of ndarray, (m,)
-        x and the series at the kept samples.
+    With x (n,); *series (n,); returns (m,): x and the series at the kept samples.
 
     Examples
     --------
@@ -271,17 +190,7 @@ def band(
     Of a thinned series, which leaps between crests and troughs, they enclose neighbours too: a band that
     leaps with it hides the line, and takes a browser seven times as long to fill.
 
-    Parameters
-    ----------
-    value, std : ndarray, (n,)
-        The series and its standard uncertainty; not finite in gaps.
-    thinned : bool
-        Whether it is the envelope of a longer one.
-
-    Returns
-    -------
-    low, high : ndarray, (n,)
-        NaN in gaps.
+    With value, std (n,); returns low, high (n,): NaN in gaps.
 
     Examples
     --------
@@ -299,17 +208,5 @@ def band(
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number for people, with a real minus sign.
-
-    Parameters
-    ----------
-    value : float
-        Any.
-    digits : int
-        Significant ones.
-
-    Returns
-    -------
-    str
-    """
+    """A number for people, with a real minus sign."""
     return f"{value:.{digits}g}".replace("-", "\u2212")

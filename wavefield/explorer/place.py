@@ -13,27 +13,6 @@ DRAGS = ("move", "line", "rectangle", "mask")
 class Place:
     """A view of a cube.
 
-    Parameters
-    ----------
-    show : str
-        Variable of the map.
-    step : int
-        Index of the step.
-    tab : str
-        One of `TABS`.
-    drag : str
-        What dragging does, one of `DRAGS`.
-    limits : (float, float) or None
-        Ends of the colour scale in the shown unit; None for those that fit.
-    arrows : bool
-        Whether velocity arrows are drawn.
-    node : (float, float) or None
-        The clicked node, x and y in metres.
-    line, area : (float, float, float, float) or None
-        Ends of the line, corners of the rectangle: x0, y0, x1, y1 in metres.
-    camera : str
-        Camera whose frame is shown.
-
     Examples
     --------
     >>> Place(show="z", step=12, node=(0.1, -0.2)).query()
@@ -42,24 +21,21 @@ class Place:
     (0.1, -0.2)
     """
 
-    show: str = "w"
-    step: int = 0
-    tab: str = "map"
-    drag: str = "move"
+    show: str = "w"  # Variable of the map
+    step: int = 0  # Index of the step
+    tab: str = "map"  # One of `TABS`
+    drag: str = "move"  # What dragging does, one of `DRAGS`
+    # (float, float): Ends of the colour scale in the shown unit; None for those that fit
     limits: tuple[float, float] | None = None
-    arrows: bool = True
-    node: tuple[float, float] | None = None
+    arrows: bool = True  # Whether velocity arrows are drawn
+    node: tuple[float, float] | None = None  # (float, float): The clicked node, x and y in metres
+    # (float, float, float, float): Ends of the line, corners of the rectangle: x0, y0, x1, y1 in metres
     line: tuple[float, float, float, float] | None = None
     area: tuple[float, float, float, float] | None = None
-    camera: str = ""
+    camera: str = ""  # Camera whose frame is shown
 
     def query(self) -> str:
-        """The part of a link after the question mark; what is as usual is left out.
-
-        Returns
-        -------
-        str
-        """
+        """The part of a link after the question mark; what is as usual is left out."""
         pairs: list[tuple[str, str]] = []
         for name, usual in vars(Place()).items():
             value = getattr(self, name)
@@ -75,23 +51,7 @@ class Place:
     def read(
         cls, query: Mapping[str, Any], names: Sequence[str] = (), steps: int = 0, first: int = 0
     ) -> "Place":
-        """Inverse of `query`; what makes no sense is passed over.
-
-        Parameters
-        ----------
-        query : mapping of str to str
-            Parameters of a link.
-        names : sequence of str
-            Variables that can be shown; any, if empty.
-        steps : int
-            Steps of the cube; any, if 0.
-        first : int
-            Step to begin with where none is named.
-
-        Returns
-        -------
-        Place
-        """
+        """Inverse of `query`; what makes no sense is passed over."""
         out = cls(step=first)
         if names:
             out = replace(out, show="w" if "w" in names else names[0])

@@ -26,29 +26,7 @@ _BALANCE = ("z", "z_t", "u", "v", "w")
 
 
 class Record:
-    """A cube for looking at: any variable at any step at once, everything at a node as soon as it is read.
-
-    Parameters
-    ----------
-    path : path
-        The cube; it may be being written.
-
-    Attributes
-    ----------
-    time, y, x : ndarray
-        Coordinates, s and m.
-    names : tuple of str
-        Variables that maps can show, derived ones last.
-    paths : dict
-        Frames that velocities come from, the cube's coordinate; empty where it does not say.
-    preview : Preview
-        The thinned cube in memory.
-
-    Raises
-    ------
-    StoreError
-        If it is not there or is not a cube.
-    """
+    """A cube for looking at: any variable at any step at once, everything at a node as soon as it is read."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path).absolute()
@@ -79,13 +57,7 @@ class Record:
         return DERIVED[name][0] if name in DERIVED else str(self._attrs[name]["long_name"])
 
     def refresh(self) -> bool:
-        """Look at the ledger again.
-
-        Returns
-        -------
-        bool
-            Whether there are new steps.
-        """
+        """Look at the ledger again."""
         ledger = np.asarray(self.group["frame_status"][:])
         changed = not np.array_equal(ledger, self.ledger)
         if changed:
@@ -107,22 +79,7 @@ class Record:
     def field(self, name: str, step: int) -> NDArray[Any]:
         """A variable at one step, at every node.
 
-        Parameters
-        ----------
-        name : str
-            One of `names`.
-        step : int
-            Index of the step.
-
-        Returns
-        -------
-        ndarray, (ny, nx)
-            In stored units; NaN where nothing was measured.
-
-        Raises
-        ------
-        StoreError
-            If its file is damaged, or has not come along when the cube was copied.
+        Returns (ny, nx): In stored units.
         """
         if name in DERIVED:
             return self._derived(name, step)
@@ -168,24 +125,7 @@ def _in_order(name: str) -> int:
 
 
 class Preview:
-    """The thinned cube in memory; read once, in the background.
-
-    Parameters
-    ----------
-    record : Record
-        The cube.
-
-    Attributes
-    ----------
-    fields : ndarray of int16, (variable, y, x, time)
-        Value = scale * stored; -32768 where there is none, and where nothing is read yet.
-    y, x : ndarray
-        Its nodes, m.
-    known : ndarray of bool, (blocks,)
-        Which blocks are in memory.
-    trouble : str
-        What keeps it from being read or written, a sentence.
-    """
+    """The thinned cube in memory; read once, in the background."""
 
     def __init__(self, record: Record) -> None:
         self._record = record
@@ -209,13 +149,7 @@ class Preview:
         return bool((self.known | ~self.wanted).all())
 
     def load(self, progress: Callable[[int, int], None] | None = None) -> None:
-        """Read what the cube has and memory has not; writes what the preview on disk lacks.
-
-        Parameters
-        ----------
-        progress : callable, optional
-            Told (blocks read, all blocks to read).
-        """
+        """Read what the cube has and memory has not; writes what the preview on disk lacks."""
         with self._lock:
             self._load(progress)
 

@@ -31,20 +31,7 @@ def draw(
 ) -> Any:
     """The map as a figure.
 
-    Parameters
-    ----------
-    record : Record
-        The cube.
-    place : Place
-        What is seen.
-    limits : (float, float), optional
-        Ends of the colour scale in the shown unit; by default those of the place, or that fit.
-    fastest : float
-        Speed of the longest arrows, m/s; by default that of this step.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+    With limits (float, float); fastest, m/s.
     """
     shown = shown_as(place.show, record.units(place.show))
     values = record.field(place.show, place.step)
@@ -67,49 +54,14 @@ def draw(
 
 
 def picture(record: Record, place: Place, kind: str) -> bytes:
-    """The map as a file.
-
-    Parameters
-    ----------
-    record : Record
-        The cube.
-    place : Place
-        What is seen.
-    kind : {"png", "svg"}
-        Format.
-
-    Returns
-    -------
-    bytes
-    """
+    """The map as a file."""
     out = io.BytesIO()
     draw(record, place).savefig(out, format=kind, dpi=160)
     return out.getvalue()
 
 
 def movie(record: Record, place: Place, kind: str, frames: int) -> bytes:
-    """The play from a step on.
-
-    Parameters
-    ----------
-    record : Record
-        The cube.
-    place : Place
-        Where it begins.
-    kind : {"mp4", "gif"}
-        Format; MP4 holds MPEG-4 video, which players play and browsers do not: for those the GIF.
-    frames : int
-        Steps, at most.
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    StoreError
-        If there are fewer than two steps, or the movie cannot be encoded.
-    """
+    """The play from a step on."""
     stop = min(place.step + min(frames, _MOST_FRAMES), record.layout.steps)
     if stop - place.step < 2:
         raise StoreError("a movie needs two steps at least: begin it earlier")
@@ -173,21 +125,7 @@ def _gif(pictures: Iterator[NDArray[np.uint8]], rate: float) -> bytes:
 def node_series(record: Record, place: Place) -> xr.Dataset:
     """Every variable at the picked node, from the preview; what is derived from them, from the cube.
 
-    Parameters
-    ----------
-    record : Record
-        The cube, its preview in memory.
-    place : Place
-        With a node.
-
-    Returns
-    -------
-    Dataset, (time,)
-
-    Raises
-    ------
-    StoreError
-        If no node is picked.
+    Returns (time,).
     """
     if place.node is None:
         raise StoreError("no node is picked: click one on the map")
@@ -203,21 +141,7 @@ def node_series(record: Record, place: Place) -> xr.Dataset:
 def line_table(record: Record, place: Place) -> xr.Dataset:
     """The shown variable along the picked line, now.
 
-    Parameters
-    ----------
-    record : Record
-        The cube.
-    place : Place
-        With a line.
-
-    Returns
-    -------
-    Dataset, (distance,)
-
-    Raises
-    ------
-    StoreError
-        If no line is drawn.
+    Returns (distance,).
     """
     if place.line is None:
         raise StoreError("no line is drawn: choose `line` for dragging")
@@ -233,16 +157,7 @@ def line_table(record: Record, place: Place) -> xr.Dataset:
 def step_fields(record: Record, place: Place) -> xr.Dataset:
     """Every variable at the shown step.
 
-    Parameters
-    ----------
-    record : Record
-        The cube.
-    place : Place
-        With a step.
-
-    Returns
-    -------
-    Dataset, (y, x)
+    Returns (y, x).
     """
     variables = {name: (("y", "x"), record.field(name, place.step)) for name in record.names}
     coordinates = {"time": float(record.time[place.step]), "y": record.y, "x": record.x}
@@ -252,21 +167,7 @@ def step_fields(record: Record, place: Place) -> xr.Dataset:
 def area_fields(record: Record, place: Place) -> xr.Dataset:
     """Every variable in the picked rectangle at all steps, from the preview.
 
-    Parameters
-    ----------
-    record : Record
-        The cube, its preview in memory.
-    place : Place
-        With a rectangle.
-
-    Returns
-    -------
-    Dataset, (time, y, x)
-
-    Raises
-    ------
-    StoreError
-        If no rectangle is drawn.
+    Returns (time, y, x).
     """
     from wavefield.explorer.selections import decode
 

@@ -20,15 +20,7 @@ class SavePanel:
         self.frames.on_change("value", lambda attr, old, new: self._last and self.show(*self._last))
 
     def show(self, place: Place, record: Record) -> None:
-        """Offer what can be saved of a place.
-
-        Parameters
-        ----------
-        place : Place
-            What is seen.
-        record : Record
-            The cube.
-        """
+        """Offer what can be saved of a place."""
         self._last = (place, record)
         query = place.query()
         movie = f"{query}&frames={int(self.frames.value or 100)}"

@@ -19,18 +19,6 @@ _CONFIDENCE = 0.95
 def decode(stored: NDArray[np.int16], scale: float) -> NDArray[np.float32]:
     """Values from 16 bits.
 
-    Parameters
-    ----------
-    stored : ndarray of int16
-        As in the preview.
-    scale : float
-        Of the variable, in its unit.
-
-    Returns
-    -------
-    ndarray of float32
-        NaN where nothing is stored.
-
     Examples
     --------
     >>> decode(np.array([100, -32768], np.int16), 1e-3).tolist()
@@ -44,16 +32,7 @@ def decode(stored: NDArray[np.int16], scale: float) -> NDArray[np.float32]:
 def nearest(positions: NDArray[Any], wanted: float) -> int:
     """Index of the nearest of some positions.
 
-    Parameters
-    ----------
-    positions : ndarray, (n,)
-        Such as the nodes along x, metres.
-    wanted : float
-        A position, the same unit.
-
-    Returns
-    -------
-    int
+    With positions (n,), metres.
 
     Examples
     --------
@@ -65,36 +44,18 @@ def nearest(positions: NDArray[Any], wanted: float) -> int:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """A one-sided spectrum.
+    """A one-sided spectrum."""
 
-    Parameters
-    ----------
-    frequency : ndarray, (n,)
-        Hz; without 0.
-    density : ndarray, (n,)
-        Unit of the values squared, per Hz; its sum times the step is the variance.
-    low, high : float
-        The truth lies in [low, high] times the density with 95 % confidence.
-    """
-
-    frequency: NDArray[Any]
-    density: NDArray[Any]
-    low: float
+    frequency: NDArray[Any]  # (n,): Hz; without 0
+    density: NDArray[Any]  # (n,): Unit of the values squared, per Hz; its sum times the step is the variance
+    low: float  # The truth lies in [low, high] times the density with 95 % confidence
     high: float
 
 
 def longest_run(values: NDArray[Any]) -> NDArray[Any]:
     """Longest stretch without a gap of more than two steps; shorter gaps are bridged by lines.
 
-    Parameters
-    ----------
-    values : ndarray, (n,)
-        A series with NaN where nothing was measured.
-
-    Returns
-    -------
-    ndarray, (m,)
-        Empty if there is no value.
+    With values (n,); returns (m,): Empty if there is no value.
 
     Examples
     --------
@@ -113,24 +74,10 @@ def longest_run(values: NDArray[Any]) -> NDArray[Any]:
 def spectrum(values: NDArray[Any], dt: float, lasting: float | None = None) -> Spectrum | None:
     """Welch's spectrum of the longest run of a series, with its interval.
 
-    Parameters
-    ----------
-    values : ndarray, (n,) or (n, nodes)
-        Series; several are averaged, as if they were one long record's worth of one node only.
-    dt : float
-        Time step, s.
-    lasting : float, optional
-        Of one segment, s: that of another spectrum beside which it is shown.
-
-    Returns
-    -------
-    Spectrum or None
-        None where no run is long enough.
-
-    Notes
-    -----
     Hann windows that overlap by half, eight at least where the record allows it. Neighbouring nodes see the
     same waves, so that the interval counts the segments of one node only.
+
+    With values (n,).
     """
     columns = np.asarray(values, float).reshape(len(values), -1).T
     runs = [run for run in map(longest_run, columns) if run.size >= _SHORTEST]
@@ -151,17 +98,7 @@ def spectrum(values: NDArray[Any], dt: float, lasting: float | None = None) -> S
 def line_points(start: tuple[float, float], end: tuple[float, float], spacing: float) -> tuple[Any, Any, Any]:
     """Points along a line.
 
-    Parameters
-    ----------
-    start, end : (x, y)
-        Its ends, metres.
-    spacing : float
-        About the distance between points, metres.
-
-    Returns
-    -------
-    distance, x, y : ndarray, (n,)
-        Metres; n is 2 at least, 400 at most.
+    With start, end (x, y), metres; spacing, metres; returns distance, x, y (n,): Metres.
     """
     length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
     count = int(np.clip(round(length / spacing) + 1, 2, 400))
@@ -175,19 +112,8 @@ def interpolate(
 ) -> NDArray[Any]:
     """Values between nodes, bilinear.
 
-    Parameters
-    ----------
-    field : ndarray, (ny, nx) or (ny, nx, time)
-        Values at the nodes; NaN where there are none.
-    x, y : ndarray, (nx,), (ny,)
-        The nodes, metres, evenly spaced.
-    at_x, at_y : ndarray, (n,)
-        Where values are wanted, metres.
-
-    Returns
-    -------
-    ndarray, (n,) or (n, time)
-        NaN outside and beside what is missing.
+    With field (ny, nx); x, y (nx,), metres; at_x, at_y (n,), metres; returns (n,): NaN outside and beside
+    what is missing.
     """
     i, fx = _cell(x, at_x)
     j, fy = _cell(y, at_y)
@@ -217,20 +143,7 @@ def time_distance(
 ) -> NDArray[Any]:
     """A variable along a line as it goes by.
 
-    Parameters
-    ----------
-    stored : ndarray of int16, (ny, nx, time)
-        One variable of the preview, as many steps as are wanted.
-    scale : float
-        Of the variable.
-    x, y : ndarray, (nx,), (ny,)
-        Nodes of the preview, metres.
-    at_x, at_y : ndarray, (n,)
-        Points of the line, metres.
-
-    Returns
-    -------
-    ndarray, (time, n)
+    With stored (ny, nx, time); x, y (nx,), metres; at_x, at_y (n,), metres; returns (time, n).
     """
     i = np.unique(np.clip(np.r_[_cell(x, at_x)[0], _cell(x, at_x)[0] + 1], 0, len(x) - 1))
     j = np.unique(np.clip(np.r_[_cell(y, at_y)[0], _cell(y, at_y)[0] + 1], 0, len(y) - 1))
@@ -241,44 +154,21 @@ def time_distance(
 
 @dataclass(frozen=True)
 class Area:
-    """What a rectangle holds.
+    """What a rectangle holds."""
 
-    Parameters
-    ----------
-    mean, std : ndarray, (time,)
-        Over its nodes, at each step; NaN where there is none.
-    edges, density : ndarray, (n + 1,), (n,)
-        Histogram of all its values, a probability density.
-    spectrum : Spectrum or None
-        E(omega), mean over its nodes.
-    nodes : int
-        Nodes of the preview in it.
-    count : int
-        Values in it.
-    """
-
-    mean: NDArray[Any]
+    mean: NDArray[Any]  # (time,): Over its nodes, at each step; NaN where there is none
     std: NDArray[Any]
-    edges: NDArray[Any]
+    edges: NDArray[Any]  # (n + 1,): Histogram of all its values, a probability density
     density: NDArray[Any]
-    spectrum: Spectrum | None
-    nodes: int
-    count: int
+    spectrum: Spectrum | None  # E(omega), mean over its nodes
+    nodes: int  # Nodes of the preview in it
+    count: int  # Values in it
 
 
 def span(nodes: NDArray[Any], first: float, last: float) -> slice:
     """Nodes between two positions; the nearest one if there is none between.
 
-    Parameters
-    ----------
-    nodes : ndarray, (n,)
-        Ascending positions.
-    first, last : float
-        In any order.
-
-    Returns
-    -------
-    slice
+    With nodes (n,).
     """
     low, high = sorted((first, last))
     inside = np.flatnonzero((nodes >= low) & (nodes <= high))
@@ -290,20 +180,7 @@ def span(nodes: NDArray[Any], first: float, last: float) -> slice:
 def area(stored: NDArray[np.int16], scale: float, dt: float, most_spectra: int = 64) -> Area:
     """Means, histogram and spectrum of a variable over a rectangle.
 
-    Parameters
-    ----------
-    stored : ndarray of int16, (ny, nx, time)
-        One variable of the preview, the rectangle's nodes.
-    scale : float
-        Of the variable.
-    dt : float
-        Time step, s.
-    most_spectra : int
-        Nodes whose spectra are averaged, at most, evenly chosen.
-
-    Returns
-    -------
-    Area
+    With stored (ny, nx, time).
     """
     flat = stored.reshape(-1, stored.shape[-1])
     there = flat != MISSING

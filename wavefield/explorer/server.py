@@ -60,26 +60,7 @@ class SaveHandler(RequestHandler):
 def make_server(
     make_page: Callable[[Any], None], port: int | None, routes: list[Any] | None = None
 ) -> Server:
-    """A server on the loopback.
-
-    Parameters
-    ----------
-    make_page : callable
-        Fills the document of a new session.
-    port : int, optional
-        Where it listens; by default 5006, or the next that is free. 0: any that is free.
-    routes : list, optional
-        Further patterns and handlers of tornado.
-
-    Returns
-    -------
-    Server
-
-    Raises
-    ------
-    WavefieldError
-        If the port is taken.
-    """
+    """A server on the loopback."""
     wanted = range(PORT, PORT + _MORE_PORTS) if port is None else (port,)
     for number in wanted:
         try:
@@ -119,19 +100,7 @@ def _listen(port: int) -> socket.socket:
 
 
 def look_server(looked: Looked, port: int | None = None) -> Server:
-    """A server of the page of a cube.
-
-    Parameters
-    ----------
-    looked : Looked
-        The cube and what lies beside it.
-    port : int, optional
-        As of `make_server`.
-
-    Returns
-    -------
-    Server
-    """
+    """A server of the page of a cube."""
 
     def make_page(document: Any) -> None:
         record = looked.record
@@ -146,13 +115,7 @@ def look_server(looked: Looked, port: int | None = None) -> Server:
 
 
 class Served:
-    """A server in a thread of its own, for notebooks: shows itself as a frame of the page.
-
-    Parameters
-    ----------
-    make : callable
-        Gives the server; called in the thread.
-    """
+    """A server in a thread of its own, for notebooks: shows itself as a frame of the page."""
 
     def __init__(self, make: Callable[[], Server]) -> None:
         self._ready = threading.Event()

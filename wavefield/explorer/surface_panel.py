@@ -22,19 +22,7 @@ def project(
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Parallel projection of points onto the screen.
 
-    Parameters
-    ----------
-    x, y, height : ndarray
-        Points, the height exaggerated, metres.
-    turn : float
-        About the vertical, rad.
-    tilt : float
-        Of the line of view above the horizon, rad.
-
-    Returns
-    -------
-    across, up, depth : ndarray
-        Metres on the screen; depth grows away from the eye.
+    With x, y, height, metres; turn, rad; tilt, rad.
     """
     across = np.cos(turn) * x - np.sin(turn) * y
     away = np.sin(turn) * x + np.cos(turn) * y
@@ -42,13 +30,7 @@ def project(
 
 
 class SurfacePanel:
-    """The relief of z, coloured by the shown variable.
-
-    Parameters
-    ----------
-    record : Record
-        The cube.
-    """
+    """The relief of z, coloured by the shown variable."""
 
     def __init__(self, record: Record) -> None:
         self._record = record
@@ -94,12 +76,7 @@ class SurfacePanel:
     def show(self, place: Place, limits: tuple[float, float]) -> None:
         """Draw a step.
 
-        Parameters
-        ----------
-        place : Place
-            What to show.
-        limits : (float, float)
-            Ends of the colour scale, in the shown unit.
+        With limits (float, float).
         """
         record = self._record
         shown = shown_as(place.show, record.units(place.show))

@@ -17,31 +17,15 @@ _KEPT = 6  # images that are held in memory
 
 @dataclass(frozen=True)
 class FoundTarget:
-    """A target image and what is found in it.
+    """A target image and what is found in it."""
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), or None
-        As read; None if it cannot be.
-    pixel : ndarray, (n, 2)
-        Columns and rows of the nodes, px.
-    words : str
-        How many, or why there are none.
-    """
-
-    image: NDArray[Any] | None
-    pixel: NDArray[np.float64]
-    words: str
+    image: NDArray[Any] | None  # (row, column): As read; None if it cannot be
+    pixel: NDArray[np.float64]  # (n, 2): Columns and rows of the nodes, px
+    words: str  # How many, or why there are none
 
 
 class TargetImages:
-    """Looks for the target in images of an experiment when they are asked for.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        With or without a calibration block.
-    """
+    """Looks for the target in images of an experiment when they are asked for."""
 
     def __init__(self, experiment: Experiment) -> None:
         from wavefield.series.targets import find_views

@@ -19,20 +19,7 @@ _MODEL = "paper"  # of the cameras: the choice among all takes too long between 
 
 
 class TargetWatch:
-    """Looks for the target in the newest image of each camera, in a thread of its own.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        With a calibration block; without one there is nothing to do.
-
-    Attributes
-    ----------
-    found : dict of camera to (image, points)
-        The newest target image, and the nodes found in it, (n, 2), px.
-    rig_words : str
-        How well the poses so far fix the rig, and what to photograph next; empty before it can be said.
-    """
+    """Looks for the target in the newest image of each camera, in a thread of its own."""
 
     def __init__(self, experiment: Experiment) -> None:
         self._experiment = experiment
@@ -110,20 +97,7 @@ class TargetWatch:
 
 
 def so_far(views: Mapping[str, Mapping[str, TargetPoints]], section: CalibrationSection) -> str:
-    """Say how well views of a target fix the rig, and what to photograph next.
-
-    Parameters
-    ----------
-    views : mapping of camera to mapping of pose to TargetPoints
-        What was found in each image.
-    section : CalibrationSection
-        The experiment's block: the target, and which pose is flat.
-
-    Returns
-    -------
-    str
-        One or two sentences.
-    """
+    """Say how well views of a target fix the rig, and what to photograph next."""
     from wavefield.calibration import Target, calibrate
     from wavefield.calibration.images import placed_at
     from wavefield.calibration.next_view import next_view

@@ -17,36 +17,12 @@ _KEYS = (
 
 @cache
 def asset(name: str) -> str:
-    """A file of the package's assets.
-
-    Parameters
-    ----------
-    name : str
-        Its name.
-
-    Returns
-    -------
-    str
-    """
+    """A file of the package's assets."""
     return files("wavefield.explorer").joinpath(f"assets/{name}").read_text(encoding="utf-8")
 
 
 def dress(document: Any, heading: str, command: str, places: Sequence[str], keys: bool = True) -> None:
-    """Give a document its frame.
-
-    Parameters
-    ----------
-    document : bokeh.document.Document
-        With roots named as the places, and one named "state".
-    heading : str
-        Of the page.
-    command : str
-        Of the command line, for the words when the connection is lost.
-    places : sequence of str
-        Names of the roots, in order.
-    keys : bool, default True
-        Whether the footer names the keys.
-    """
+    """Give a document its frame."""
     words = "".join(f" <kbd>{key}</kbd> {what}" for key, what in _KEYS) if keys else ""
     document.title = f"{heading} \u2013 wavefield {command}"
     document.template = Environment(autoescape=False).from_string(asset("page.html"))

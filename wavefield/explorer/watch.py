@@ -20,40 +20,16 @@ _KEPT = 1000  # frames that are known: no camera that still sends is as many beh
 
 @dataclass(frozen=True)
 class FrameSet:
-    """The newest frames that every camera has written whole.
+    """The newest frames that every camera has written whole."""
 
-    Parameters
-    ----------
-    number : int
-        Number of the first frame of the step.
-    images : dict of camera to (first, second)
-        Both frames of a step; one camera's are absent where it sends none any more.
-    written : float
-        When the last of them was written, s since the epoch.
-    """
-
-    number: int
+    number: int  # Number of the first frame of the step
+    # (first, second): Both frames of a step; one camera's are absent where it sends none any more
     images: dict[str, tuple[NDArray[Any], NDArray[Any]]]
-    written: float
+    written: float  # When the last of them was written, s since the epoch
 
 
 class Watch:
-    """The frames of an experiment as they come.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment; its folders may still be empty.
-
-    Attributes
-    ----------
-    newest : dict of camera to int
-        Number of the newest frame.
-    last : dict of camera to float
-        When that was written, s since the epoch.
-    trouble : dict of camera to str
-        Why a camera has no frames, a sentence.
-    """
+    """The frames of an experiment as they come."""
 
     def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment
@@ -83,18 +59,7 @@ class Watch:
         return [name for name, when in self.last.items() if latest - when <= within]
 
     def newest_set(self, after: int = -1) -> FrameSet | None:
-        """The newest step of which all cameras that still send have both frames.
-
-        Parameters
-        ----------
-        after : int
-            Only steps with a number above.
-
-        Returns
-        -------
-        FrameSet or None
-            None if there is none.
-        """
+        """The newest step of which all cameras that still send have both frames."""
         sending = self.cameras_sending()
         if not sending:
             return None

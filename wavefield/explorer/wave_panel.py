@@ -29,20 +29,7 @@ _PREFIX, _MAP_PREFIX = "E_komega_", "E_kxky_"
 
 
 def log_density(density: NDArray[Any], decades: float = _DECADES) -> NDArray[np.float32]:
-    """Decimal logarithm of a density relative to its largest value.
-
-    Parameters
-    ----------
-    density : ndarray
-        Not negative.
-    decades : float
-        What lies farther below is shown as the lowest colour.
-
-    Returns
-    -------
-    ndarray of float32
-        0 to -decades; NaN where there is none.
-    """
+    """Decimal logarithm of a density relative to its largest value."""
     top = float(np.nanmax(density)) if np.isfinite(density).any() else 0.0
     if top <= 0:
         return np.full(density.shape, np.nan, np.float32)
@@ -53,33 +40,13 @@ def log_density(density: NDArray[Any], decades: float = _DECADES) -> NDArray[np.
 def ruler(k: NDArray[Any], current: float, depth: float) -> NDArray[Any]:
     """Frequency of waves of given length that run with a current.
 
-    Parameters
-    ----------
-    k : ndarray, (n,)
-        Wavenumber, rad/m.
-    current : float
-        Component along the waves, m/s.
-    depth : float
-        Of the water, m.
-
-    Returns
-    -------
-    ndarray, (n,)
-        Hz, as a camera at rest sees it: (omega(k) + k U) / 2 pi.
+    With k (n,), rad/m; current, m/s; returns (n,): Hz, as a camera at rest sees it: (omega(k) + k U) / 2 pi.
     """
     return np.asarray((water.dispersion(k, depth) + k * current) / (2 * np.pi))
 
 
 class WavePanel:
-    """What `wavefield analyze` found.
-
-    Parameters
-    ----------
-    beside : Beside
-        With the wave store, if there is one.
-    depth : float
-        Of the water, m; infinite if unknown.
-    """
+    """What `wavefield analyze` found."""
 
     def __init__(self, beside: Beside, depth: float) -> None:
         self._beside = beside
@@ -228,13 +195,7 @@ class WavePanel:
         self._show_circle()
 
     def choose(self, frequency: float) -> None:
-        """Show the map and the directions nearest a frequency.
-
-        Parameters
-        ----------
-        frequency : float
-            Hz.
-        """
+        """Show the map and the directions nearest a frequency."""
         if self._spectra is None or "omega_map" not in self._spectra.coords:
             return
         hertz = self._spectra.omega_map.values / (2 * np.pi)

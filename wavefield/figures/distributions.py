@@ -25,26 +25,7 @@ _COMPONENTS = {"u": "dx = u dt", "v": "dy = v dt", "w": "dz = w dt"}
 def draw_density(
     axes: Axes, values: np.ndarray, unit: str, named: str, style: dict[str, Any], span: float
 ) -> float:
-    """Draw the density of values about their mean.
-
-    Parameters
-    ----------
-    axes : Axes
-        The panel.
-    values : ndarray
-        Any shape; those that are not finite are left out.
-    unit, named : str
-        Unit and name, for the legend.
-    style : dict
-        Of the line.
-    span : float
-        Half the width of the axis; 1 if zero.
-
-    Returns
-    -------
-    float
-        Standard deviation.
-    """
+    """Draw the density of values about their mean."""
     finite = values[np.isfinite(values)]
     sigma = float(finite.std()) if finite.size else 0.0
     mean = float(finite.mean()) if finite.size else 0.0

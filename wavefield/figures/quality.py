@@ -46,16 +46,6 @@ KINDS: tuple[tuple[str, str, str], ...] = (
 def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
     """One kind for each node: the gravest thing that its bits say.
 
-    Parameters
-    ----------
-    quality : ndarray of int, (...)
-        Bits of the cube's ``quality``.
-
-    Returns
-    -------
-    ndarray of uint8, (...)
-        Index into `KINDS`; as many as there are kinds where nothing is known yet.
-
     Examples
     --------
     >>> kinds = quality_kind(np.array([1, 2 | 8, 4, 0]))

@@ -49,17 +49,7 @@ class _Shown(Figure):
 def panels(columns: int, rows: int = 1, *, width: float = 5.2, height: float = 4.1) -> tuple[Figure, Any]:
     """Make a figure with panels, without any global state.
 
-    Parameters
-    ----------
-    columns, rows : int
-        Number of panels.
-    width, height : float
-        Of one panel, inches.
-
-    Returns
-    -------
-    figure : Figure
-    axes : ndarray of Axes, (rows, columns)
+    Returns axes (rows, columns).
     """
     with matplotlib.rc_context(_RC):
         figure = _Shown(figsize=(width * columns, height * rows), layout="constrained")
@@ -70,19 +60,7 @@ def panels(columns: int, rows: int = 1, *, width: float = 5.2, height: float = 4
 def map_panels(field: xr.DataArray, columns: int, rows: int = 1, *, width: float = 5.2) -> tuple[Figure, Any]:
     """Make a figure with panels of the shape of a field's rectangle.
 
-    Parameters
-    ----------
-    field : DataArray, (y, x) or more
-        What will be drawn.
-    columns, rows : int
-        Number of panels.
-    width : float
-        Of one panel, inches.
-
-    Returns
-    -------
-    figure : Figure
-    axes : ndarray of Axes, (rows, columns)
+    With field (y, x); returns axes (rows, columns).
     """
     wide, high = (float(np.ptp(field[d].values)) or 1.0 for d in ("x", "y"))
     height = float(np.clip(0.74 * width * high / wide + 0.85, 1.6, 1.5 * width))
@@ -90,18 +68,7 @@ def map_panels(field: xr.DataArray, columns: int, rows: int = 1, *, width: float
 
 
 def panel_3d(*, width: float = 7.2, height: float = 4.8) -> tuple[Figure, Any]:
-    """Make a figure with one three-dimensional panel.
-
-    Parameters
-    ----------
-    width, height : float
-        Inches.
-
-    Returns
-    -------
-    figure : Figure
-    axes : Axes3D
-    """
+    """Make a figure with one three-dimensional panel."""
     with matplotlib.rc_context(_RC):
         figure = _Shown(figsize=(width, height), layout="constrained")
         axes = figure.add_subplot(projection="3d")
@@ -111,14 +78,7 @@ def panel_3d(*, width: float = 7.2, height: float = 4.8) -> tuple[Figure, Any]:
 def edges(centres: np.ndarray) -> np.ndarray:
     """Edges of the cells around equally spaced centres.
 
-    Parameters
-    ----------
-    centres : ndarray, (n,)
-        Positions of the centres.
-
-    Returns
-    -------
-    ndarray, (n + 1,)
+    With centres (n,); returns (n + 1,).
 
     Examples
     --------
@@ -131,20 +91,7 @@ def edges(centres: np.ndarray) -> np.ndarray:
 
 
 def limit(values: Any, percent: float = 99.5) -> float:
-    """Half-width of a balanced colour scale.
-
-    Parameters
-    ----------
-    values : array_like
-        What will be drawn; NaN are left out.
-    percent : float, default 99.5
-        Share of absolute values inside the scale, percent.
-
-    Returns
-    -------
-    float
-        Positive, also for fields of zeros or without any value.
-    """
+    """Half-width of a balanced colour scale."""
     finite = np.abs(np.asarray(values, float))
     finite = finite[np.isfinite(finite)]
     return float(np.percentile(finite, percent)) or 1e-9 if finite.size else 1.0
@@ -162,26 +109,7 @@ def draw_map(
 ) -> Any:
     """Draw a field over the physical plane, with its colour bar.
 
-    Parameters
-    ----------
-    axes : Axes
-        Where to draw.
-    field : DataArray, (y, x)
-        The field; x and y in metres; NaN stay grey.
-    label : str
-        Of the colour bar, with the unit.
-    factor : float, default 1
-        From the field's unit to the label's.
-    cmap : str
-        Colour map.
-    scale : tuple of float, optional
-        Ends of the colour scale, in the label's unit; by default balanced about zero.
-    title : str, optional
-        Above the panel.
-
-    Returns
-    -------
-    QuadMesh
+    With field (y, x).
     """
     values = factor * np.asarray(field.transpose("y", "x").values, float)
     if scale is None:
@@ -204,49 +132,18 @@ def draw_map(
 
 
 def colour_bar(axes: Axes, drawn: Any, label: str, extend: str = "both") -> None:
-    """Put a colour bar beside a panel, as high as the panel.
-
-    Parameters
-    ----------
-    axes : Axes
-        The panel.
-    drawn : ScalarMappable
-        What has colours.
-    label : str
-        With the unit.
-    extend : str, default "both"
-        Which ends have values beyond them.
-    """
+    """Put a colour bar beside a panel, as high as the panel."""
     bar = axes.inset_axes((1.025, 0.0, 0.035, 1.0))
     axes.figure.colorbar(drawn, cax=bar, label=label, extend=extend)
 
 
 def moment_title(snapshot: xr.Dataset) -> str:
-    """Time of a snapshot, for a title.
-
-    Parameters
-    ----------
-    snapshot : Dataset
-        One step of a cube.
-
-    Returns
-    -------
-    str
-        Such as "t = 1.25 s"; empty without a time.
-    """
+    """Time of a snapshot, for a title."""
     return f"t = {round(float(snapshot.time), 3):g} s" if "time" in snapshot.coords else ""
 
 
 def plain_axes(axes: Axes, **legend: Any) -> None:
-    """Give a line plot a light grid, and its legend if it has named lines.
-
-    Parameters
-    ----------
-    axes : Axes
-        The panel.
-    **legend
-        Of `Axes.legend`, such as loc.
-    """
+    """Give a line plot a light grid, and its legend if it has named lines."""
     axes.grid(True, which="major", color="0.88", linewidth=0.7)
     axes.set_axisbelow(True)
     if axes.get_legend_handles_labels()[1]:
@@ -256,17 +153,7 @@ def plain_axes(axes: Axes, **legend: Any) -> None:
 def densities(values: Sequence[float] | np.ndarray, bins: np.ndarray) -> np.ndarray:
     """Probability density of values in bins.
 
-    Parameters
-    ----------
-    values : array_like
-        Samples; NaN are left out.
-    bins : ndarray, (n + 1,)
-        Edges of the bins.
-
-    Returns
-    -------
-    ndarray, (n,)
-        Density, per unit of the values; zeros without a sample.
+    With bins (n + 1,); returns (n,): Density, per unit of the values.
     """
     finite = np.asarray(values, float).ravel()
     finite = finite[np.isfinite(finite)]

@@ -82,14 +82,7 @@ def _mappable(colours: Normalize):  # type: ignore[no-untyped-def]
 def draw_vectors(axes: Axes, snapshot: xr.Dataset, *, across: int = 26) -> None:
     """Draw horizontal velocity as arrows, with a key.
 
-    Parameters
-    ----------
-    axes : Axes
-        A map.
-    snapshot : Dataset, (y, x)
-        One step of a cube with u and v, m s-1.
-    across : int, default 26
-        Arrows along the longer side.
+    With snapshot (y, x), m s-1.
     """
     stride = max(1, round(max(snapshot.sizes["x"], snapshot.sizes["y"]) / across))
     thin = slice(stride // 2, None, stride)

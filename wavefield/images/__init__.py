@@ -25,22 +25,7 @@ _TAIL = 4096  # bytes at the end of a file in which that stands
 def read_image(path: str | Path, page: int = 0) -> np.ndarray:
     """Read one grey image: TIFF, PNG, BMP, JPEG, DNG, LaVision's IM7.
 
-    Parameters
-    ----------
-    path : path
-        Image file.
-    page : int, default 0
-        Which image of a TIFF or IM7 that holds several.
-
-    Returns
-    -------
-    ndarray, (row, column), uint8, uint16 or float32
-        The image as stored (12 bits in 16 stay 12 bits); colour is turned to grey.
-
-    Raises
-    ------
-    FrameError
-        If the file is missing, empty, truncated or not an image, or has no such page.
+    Returns (row, column): The image as stored (12 bits in 16 stay 12 bits).
 
     Examples
     --------
@@ -73,21 +58,7 @@ def _checked(image: np.ndarray, name: str) -> np.ndarray:
 def decode_image(data: bytes, name: str) -> np.ndarray:
     """Read one grey image from the bytes of a file: what `read_image` reads, DNG and IM7 apart.
 
-    Parameters
-    ----------
-    data : bytes
-        The whole file.
-    name : str
-        What to call it in a message.
-
-    Returns
-    -------
-    ndarray, (row, column)
-
-    Raises
-    ------
-    FrameError
-        If it is no image, or truncated.
+    Returns (row, column).
     """
     image = None
     last = _LAST.get(Path(name).suffix.lower(), b"")
@@ -109,15 +80,7 @@ def decode_image(data: bytes, name: str) -> np.ndarray:
 def grey(image: np.ndarray) -> np.ndarray:
     """Turn a colour image, blue first as OpenCV reads it, to grey.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column) or (row, column, channel)
-        Any image.
-
-    Returns
-    -------
-    ndarray, (row, column)
-        The same image, or its luminance.
+    With image (row, column); returns (row, column): The same image, or its luminance.
     """
     if image.ndim == 2:
         return image
@@ -195,17 +158,7 @@ def _read_otherwise(path: Path, page: int) -> np.ndarray:
 def write_image(path: str | Path, image: np.ndarray) -> None:
     """Write one grey image, whole or not at all; the name's ending chooses TIFF (uncompressed) or PNG.
 
-    Parameters
-    ----------
-    path : path
-        File to write; its folder is made.
-    image : ndarray, (row, column), uint8 or uint16
-        The image.
-
-    Raises
-    ------
-    FrameError
-        If the file cannot be written.
+    With image (row, column).
     """
     path = Path(path)
     try:
@@ -225,17 +178,7 @@ def write_image(path: str | Path, image: np.ndarray) -> None:
 def made_even(image: np.ndarray, covered: np.ndarray) -> np.ndarray:
     """An image in which nothing stands out where it is covered.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column)
-        Image.
-    covered : ndarray of bool, (row, column)
-        True where pixels do not count.
-
-    Returns
-    -------
-    ndarray, (row, column)
-        A copy; what is covered is as bright as the median of the rest.
+    With image (row, column); covered (row, column); returns (row, column): A copy.
 
     Examples
     --------

@@ -16,24 +16,7 @@ _MOST = 2000  # times that zlib makes bytes fewer
 def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
     """Read one image of a buffer.
 
-    Parameters
-    ----------
-    path : path
-        ``.im7``.
-    frame : int, optional
-        Which image, from 0: buffers may hold those of both exposures, or of several cameras. Left out: the
-        only one.
-
-    Returns
-    -------
-    ndarray, (row, column)
-        Counts as the camera gave them.
-
-    Raises
-    ------
-    FrameError
-        If the file is missing or damaged, has no such image or several and none is named, or the package
-        ``lvpyio`` is not installed.
+    Returns (row, column): Counts as the camera gave them.
     """
     path = Path(path)
     try:
@@ -56,22 +39,7 @@ def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
 
 
 def count_frames(path: Path) -> int:
-    """Images in a buffer, by its header: LaVision's reader may look for ever at a damaged one.
-
-    Parameters
-    ----------
-    path : Path
-        ``.im7``.
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    FrameError
-        If it is missing, or its header is that of no image.
-    """
+    """Images in a buffer, by its header: LaVision's reader may look for ever at a damaged one."""
     try:
         size = path.stat().st_size
         with path.open("rb") as stream:

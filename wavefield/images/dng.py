@@ -15,25 +15,7 @@ _MOSAIC, _LINEAR = 32803, 34892  # photometric interpretation
 
 
 def read_dng(path: str | Path) -> NDArray[Any]:
-    """Read the sensor's values of a digital negative as a grey image.
-
-    Parameters
-    ----------
-    path : path
-        ``.dng``.
-
-    Returns
-    -------
-    ndarray, (row, column)
-        Of a sensor with a mosaic of colours each pixel becomes the mean of itself and its neighbours (1 2 1
-        each way), in which every colour has the weight that it has on the sensor: no checks are left.
-
-    Raises
-    ------
-    FrameError
-        If the file is missing, damaged, holds no sensor's values, or compresses them as only the package
-        ``imagecodecs`` can read.
-    """
+    """Read the sensor's values of a digital negative as a grey image."""
     try:
         with tifffile.TiffFile(path) as tiff:
             raw = [page for page in _pages(tiff) if page.photometric in (_MOSAIC, _LINEAR)]

@@ -31,15 +31,7 @@ def read_plain_tiff(path: str | Path) -> NDArray[Any] | None:
     The directory of the first file of a series is parsed; of the others only size and directory are compared
     with it.
 
-    Parameters
-    ----------
-    path : path
-        Image file.
-
-    Returns
-    -------
-    ndarray, (row, column), or None
-        None if it is anything else, or damaged: other readers say better what.
+    Returns (row, column): None if it is anything else, or damaged: other readers say better what.
 
     Examples
     --------

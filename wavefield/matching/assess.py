@@ -158,26 +158,7 @@ def assess(
 ) -> Displacement:
     """Make the result of a match from the last displacement and the last sums.
 
-    Parameters
-    ----------
-    a, b : Level
-        Finest levels of the two images.
-    u, v : (ny, nx) float32
-        Displacement, px.
-    sums, windowed : (12, ny, nx) float32
-        Sums of `final_sums` per block, and filtered with the window.
-    share : (ny, nx) float32
-        Share of each block's window that is seen.
-    moved : pair of (ny, nx) float32
-        Change of u, v since the sums were made, px.
-    outlier : (ny, nx) bool
-        Blocks replaced by the median of their neighbours.
-    settings : Settings
-        Those of the match.
-
-    Returns
-    -------
-    Displacement
+    With u, v (ny, nx), px; sums, windowed (12, ny, nx); share (ny, nx); moved (ny, nx), px; outlier (ny, nx).
     """
     measures = np.empty((5, *u.shape), np.float32)
     n = F(BLOCK * BLOCK)

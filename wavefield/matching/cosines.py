@@ -26,14 +26,7 @@ njit = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 def cosines(n: int, count: int) -> NDArray[np.float64]:
     """The first orthonormal cosines on n blocks.
 
-    Parameters
-    ----------
-    n, count : int
-        Blocks and modes.
-
-    Returns
-    -------
-    ndarray, (count, n)
+    Returns (count, n).
     """
     phase = np.pi * np.arange(count)[:, None] * (np.arange(n) + 0.5) / n
     out: NDArray[np.float64] = np.cos(phase) * np.sqrt(2.0 / n)
@@ -43,13 +36,6 @@ def cosines(n: int, count: int) -> NDArray[np.float64]:
 
 class Cosines:
     """Transforms between fields on a lattice and the coefficients of their first cosines.
-
-    Parameters
-    ----------
-    lattice : tuple of int
-        Blocks (ny, nx).
-    shape : tuple of int
-        Modes (my, mx), even numbers.
 
     Examples
     --------
@@ -182,12 +168,7 @@ def _unfold(quarters: Float, out: Float) -> None:
 def weigh(a: Float, quarters: Float) -> None:
     """A times a field, in its quarters and in place.
 
-    Parameters
-    ----------
-    a : ndarray of float32, (2, 2, 1 or 3, hy, hx)
-        A, or A_xx, A_xy, A_yy of two fields, as `Cosines.mirrored` has them.
-    quarters : ndarray of float32, (2, hy, 2, 1 or 2, hx)
-        As given by `Cosines.of_kind`.
+    With a (2, 2, 1 or 3, hy, hx); quarters (2, hy, 2, 1 or 2, hx).
     """
     _, hy, _, c, _ = quarters.shape
     for j in range(hy):

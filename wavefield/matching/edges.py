@@ -19,15 +19,7 @@ _ALONG = 3.0  # blocks along the edge over which it is smoothed
 class Edge:
     """A smooth field with the slopes that a field has at the edges of its lattice.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Of the lattice, (ny, nx).
-
-    Attributes
-    ----------
-    profiles : ndarray, (ny,), and ndarray, (nx,)
-        How a slope of one at the last row, or column, dies away from it.
+    With shape (int, int).
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
@@ -69,17 +61,7 @@ class Edge:
 
         However smooth inside, with a slope at its edge it has waves of all lengths.
 
-        Parameters
-        ----------
-        counts : (int, int)
-            Modes (my, mx).
-        gains : ndarray, (ny,), and ndarray, (nx,)
-            What every cosine is multiplied by, of all that the lattice has.
-
-        Returns
-        -------
-        ndarray of float32, (ny,), and ndarray of float32, (nx,)
-            For `field`.
+        With counts (int, int); gains (ny,); returns (ny,): For `field`..
         """
         out = []
         for profile, count, gain in zip(self.profiles, counts, gains, strict=True):

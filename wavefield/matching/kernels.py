@@ -83,14 +83,7 @@ def _spline_row(image: Array, y: int, s: Array, d: Array, a: Array, gx: Array, g
 def spline_image(image: Array, rows: Array, out: Array) -> None:
     """Smooth an image with the quintic B-spline, and take its derivatives.
 
-    Parameters
-    ----------
-    image : (h + 2 PAD, w + 2 PAD) float32
-        Image with replicated border.
-    rows : (2, w + 4) float32
-        Work space.
-    out : (3, h, w) float32
-        Output: the smoothed image and its derivatives along columns and rows, per px.
+    With image (h + 2 PAD, w + 2 PAD); rows (2, w + 4); out (3, h, w).
     """
     for y in range(out.shape[1]):
         _spline_row(image, y, rows[0], rows[1], out[0, y], out[1, y], out[2, y])
@@ -110,15 +103,7 @@ def _fold(row: Array, out: Array) -> None:
 def gradient_moments(image: Array, rows: Array, sums: Array, out: Array) -> None:
     """Sums per block of products of the gradients of a, alone and times the place in the block.
 
-    Parameters
-    ----------
-    image : (h + 2 PAD, w + 2 PAD) float32
-        a with its border.
-    rows, sums : arrays of `scratch`
-        Work space.
-    out : (9, ny, nx) float32
-        Output: sums of gx gx, gx gy, gy gy, then each of the three times x, then each times y
-        (x, y counted from the block's centre).
+    With image (h + 2 PAD, w + 2 PAD); out (9, ny, nx).
     """
     _, ny, nx = out.shape
     n = nx * BLOCK
@@ -201,14 +186,7 @@ def _strain_row(
 def strain_moments(image: Array, rows: Array, sums: Array, out: Array) -> None:
     """Sums per block of products of a's gradients with a and with its second derivatives.
 
-    Parameters
-    ----------
-    image : (h + 2 PAD, w + 2 PAD) float32
-        a with its border.
-    rows, sums : arrays of `scratch`
-        Work space.
-    out : (8, ny, nx) float32
-        Output: sums of gx a, gy a, then of gx a_xx, gx a_xy, gx a_yy, then of the last three with gy.
+    With image (h + 2 PAD, w + 2 PAD); out (8, ny, nx).
     """
     _, ny, nx = out.shape
     n = nx * BLOCK
@@ -357,16 +335,7 @@ def plain_sums(
 ) -> None:
     """Sums per block of gx r and gy r, with r = a - b(x + d) and d constant over the block.
 
-    Parameters
-    ----------
-    first, second : (h + 2 PAD, w + 2 PAD) float32
-        a and b with their borders.
-    u, v : (ny, nx) float32
-        Displacement, px.
-    position, whole, taps, strip, rows, sums : arrays of `scratch`
-        Work space.
-    out : (2, ny, nx) float32
-        Output.
+    With first, second (h + 2 PAD, w + 2 PAD); u, v (ny, nx), px; out (2, ny, nx).
     """
     ny, n = len(u), u.shape[1] * BLOCK
     s, d = rows[0][: n + 4], rows[1][: n + 4]
@@ -460,20 +429,7 @@ def robust_sums(
 ) -> None:
     """Sums per block with a weight w = (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 per pixel.
 
-    Parameters
-    ----------
-    first, second, u, v
-        As for `plain_sums`.
-    slopes : (4, ny, nx) float32
-        du/dx, du/dy, dv/dx, dv/dy: the displacement inside the block is linear.
-    c2 : (ny, nx) float32
-        1 / (c s)^2, s^2 the residual variance of the block's window; 0 gives weight 1.
-    c2b2 : float32
-        c^2 beta^2 / 4: m in the formula is half the sum of both images.
-    position, whole, taps, strip, rows, sums : arrays of `scratch`
-        Work space.
-    out : (6, ny, nx) float32
-        Output: sums of w gx r, w gy r, w gx gx, w gx gy, w gy gy, r r.
+    With slopes (4, ny, nx); c2 (ny, nx); out (6, ny, nx).
     """
     ny, n = len(u), u.shape[1] * BLOCK
     s, d = rows[0][: n + 4], rows[1][: n + 4]
@@ -592,14 +548,7 @@ def final_sums(
 ) -> None:
     """The sums of `robust_sums` and those that correlation and uncertainty are made of.
 
-    Parameters
-    ----------
-    first, second, u, v, slopes, c2, c2b2, position, whole, taps, strip, rows, sums
-        As for `robust_sums`.
-    out : (12, ny, nx) float32
-        Output: the six sums of `robust_sums`, then those of a, a a, r, a r,
-        psi' ga gb, w ((ga + gb) / 2)^2 with psi' = w (1 - 4 t / (1 + t)), t the r^2 / (...) of the weight,
-        and ga, gb differences along the row of a and of b read through the displacement.
+    With out (12, ny, nx).
     """
     ny, n = len(u), u.shape[1] * BLOCK
     s, d = rows[0][: n + 4], rows[1][: n + 4]
@@ -721,12 +670,7 @@ def unweighted_sums(
 ) -> None:
     """The sums of `final_sums` with every weight 1, but without those of a's gradients alone.
 
-    Parameters
-    ----------
-    first, second, u, v, slopes, position, whole, taps, strip, rows, sums
-        As for `robust_sums`.
-    out : (12, ny, nx) float32
-        Output, as of `final_sums`; 2, 3 and 4 are left as they are: `gradient_moments` has them.
+    With out (12, ny, nx).
     """
     ny, n = len(u), u.shape[1] * BLOCK
     s, d = rows[0][: n + 4], rows[1][: n + 4]
@@ -763,21 +707,8 @@ def unweighted_sums(
 def shift_sums(a: Array, b: Array, margin: int, first: int, dy: int, row: Array, out: Array) -> None:
     """Sums per block of a b, with b shifted by whole pixels: by dy rows and, one after another, more columns.
 
-    Parameters
-    ----------
-    a : (h, w) float32
-        First image.
-    b : (h + 2 margin, w + 2 margin) float32
-        Second image with its border.
-    margin : int
-        Width of that border, px.
-    first, dy : int
-        Shift along columns of the first output, along rows of all, px.
-    row : (nx * BLOCK,) float32
-        Work space.
-    out : (ny, n, nx + 2 border) float32
-        Output, for shifts first, first + 1, ... along columns, each with its first and last block repeated
-        as border: side by side they can then be filtered as one field.
+    With a (h, w); b (h + 2 margin, w + 2 margin); margin, px; first, dy, px; row (nx * BLOCK,); out (ny, n,
+    nx + 2 border).
     """
     ny, n, width = out.shape
     nx = len(row) // BLOCK

@@ -45,20 +45,7 @@ def smoothed(
 ) -> np.ndarray:
     """The flat smoother 1 - (1 - G)^order, G a Gaussian of `sigma` blocks.
 
-    Parameters
-    ----------
-    field : (ny, nx) float32
-        Field to smooth.
-    sigma : float
-        Standard deviation in blocks; 0 gives the field back.
-    order : int
-        Order.
-    trust : pair of (ny, nx) float32, optional
-        As given by `trusted` for this sigma.
-
-    Returns
-    -------
-    (ny, nx) float32
+    With field (ny, nx); trust (ny, nx); returns (ny, nx).
     """
     if sigma == 0:
         return field
@@ -209,10 +196,7 @@ def step(
 def replace_outliers(u: np.ndarray, v: np.ndarray, limit: float) -> np.ndarray:
     """Replace vectors further than `limit` px from the median of their 5 x 5 neighbours by it, in place.
 
-    Returns
-    -------
-    (ny, nx) bool
-        Where.
+    Returns (ny, nx): Where.
     """
     outlier = np.empty(u.shape, np.bool_)
     _replace(u, v, cv2.medianBlur(u, 5), cv2.medianBlur(v, 5), F(limit), outlier)
@@ -320,16 +304,7 @@ def _sample(field: np.ndarray, x: np.ndarray, y: np.ndarray, out: np.ndarray) ->
 def sample(field: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Read a lattice field between its blocks by cubic convolution.
 
-    Parameters
-    ----------
-    field : (ny, nx) float32
-        The field.
-    x, y : (...) float
-        Places in blocks: 0 is the centre of the first block. Outside the lattice its border is read.
-
-    Returns
-    -------
-    (...) float32
+    With field (ny, nx).
     """
     x, y = np.broadcast_arrays(x, y)
     out = np.empty(x.size, np.float32)

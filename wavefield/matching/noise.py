@@ -102,16 +102,7 @@ def along_each(score: Float, hessian: Float, counts: Float) -> tuple[float, floa
 def bare(information: Float, usual: float) -> Mask:
     """Blocks around which next to nothing is known.
 
-    Parameters
-    ----------
-    information : ndarray of float32, (ny, nx)
-        A of the blocks.
-    usual : float
-        Typical information.
-
-    Returns
-    -------
-    ndarray of bool, (ny, nx)
+    With information (ny, nx); returns (ny, nx).
     """
     return np.asarray(cv2.blur(np.asarray(information, np.float32), (7, 7)) <= _BARE * usual)
 

@@ -117,23 +117,7 @@ def _normalize(
 class Cells:
     """Sums over the cells of one image.
 
-    Parameters
-    ----------
-    image : (h, w) uint8, uint16 or float32
-        Image.
-    width : float
-        Standard deviation of the Gaussian surroundings, px.
-    good : (h, w) uint8, optional
-        1 where pixels may be used.
-
-    Attributes
-    ----------
-    largest : float
-        Largest usable value, 0 if none is positive.
-    brightest : (n,) int
-        Columns in which it occurs.
-    finite : bool
-        False if there is a usable pixel that is not finite.
+    With image (h, w); width, px; good (h, w).
     """
 
     def __init__(self, image: np.ndarray, width: float, good: np.ndarray | None = None) -> None:
@@ -160,12 +144,7 @@ class Cells:
     def normalized(self, share: np.ndarray | None, out: np.ndarray) -> None:
         """Write the normalised image; pixels that are not usable become 0.
 
-        Parameters
-        ----------
-        share : (ny, nx) float32, optional
-            Share of usable pixels around each cell, as given by `share_of`.
-        out : (h, w) float32
-            Output.
+        With share (ny, nx); out (h, w).
         """
         mean, square = self.local(0), self.local(1)
         if share is not None:

@@ -17,8 +17,6 @@ _state: dict[str, Any] = {"depth": 0, "limits": None, "pools": None}
 def one_thread() -> Generator[None]:
     """Keep BLAS to one thread while inside; also a decorator.
 
-    Notes
-    -----
     The limit holds for the whole process: it is set by the first that enters and taken back by the last that
     leaves, whichever threads they are.
 

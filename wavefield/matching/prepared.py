@@ -21,17 +21,10 @@ _NO_MASK = np.empty((0, 0), np.uint8)
 
 @dataclass(frozen=True)
 class Level:
-    """One pyramid level of a prepared image.
+    """One pyramid level of a prepared image."""
 
-    Parameters
-    ----------
-    padded : (h + 2 PAD, w + 2 PAD) float32
-        The image with replicated border.
-    good : (h, w) uint8
-        1 where all pixels of a block around the pixel may be used; (0, 0) where nothing is masked.
-    """
-
-    padded: np.ndarray
+    padded: np.ndarray  # (h + 2 PAD, w + 2 PAD): The image with replicated border
+    # (h, w): 1 where all pixels of a block around the pixel may be used; (0, 0) where nothing is masked
     good: np.ndarray
 
     @property
@@ -89,36 +82,17 @@ class Prepared:
 
 @dataclass(frozen=True)
 class Mask:
-    """Which pixels may be used, worked out once for many images.
+    """Which pixels may be used, worked out once for many images."""
 
-    Parameters
-    ----------
-    good : (h, w) uint8
-        1 where a pixel may be used.
-    levels : tuple of (h, w) uint8
-        `Level.good` of each pyramid level, finest first.
-    share : (ny, nx) float32
-        Share of usable pixels around the cells of the normalisation.
-    """
-
-    good: np.ndarray
-    levels: tuple[np.ndarray, ...]
-    share: np.ndarray
+    good: np.ndarray  # (h, w): 1 where a pixel may be used
+    levels: tuple[np.ndarray, ...]  # (h, w): `Level.good` of each pyramid level, finest first
+    share: np.ndarray  # (ny, nx): Share of usable pixels around the cells of the normalisation
 
     @staticmethod
     def of(good: np.ndarray, settings: Settings) -> Mask:
         """Prepare a mask.
 
-        Parameters
-        ----------
-        good : (h, w) bool
-            True where pixels may be used.
-        settings : Settings
-            Uses the number of levels and the normalisation.
-
-        Returns
-        -------
-        Mask
+        With good (h, w).
         """
         here = good = np.array(good, bool, order="C").view(np.uint8)
         levels = [_whole_blocks(good, 0)]

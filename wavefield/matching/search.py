@@ -21,19 +21,7 @@ def search(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement of every block to the best of all whole-pixel shifts, refined by parabolas.
 
-    Parameters
-    ----------
-    a, b : Level
-        The same level of two images.
-    x_range, y_range : (int, int)
-        Smallest and largest shift, px of this level.
-    settings : Settings
-        Its window; images that are not normalised are normalised here.
-
-    Returns
-    -------
-    u, v : (ny, nx) float32
-        Displacement, px of this level.
+    With x_range, y_range (int, int); returns u, v (ny, nx): Displacement, px of this level.
     """
     ny, nx = a.blocks
     w = nx * BLOCK

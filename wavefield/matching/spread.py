@@ -78,16 +78,8 @@ class Spread:
     def __call__(self, information: Float) -> tuple[Float, Float]:
         """Variance of every block.
 
-        Parameters
-        ----------
-        information : ndarray of float32, (ny, nx)
-            A of the blocks.
-
-        Returns
-        -------
-        noise, missing : ndarray of float32, (1 or c, ny, nx)
-            Variance by noise, and by what the prior takes away or makes up, in the field's unit squared; of
-            all components alike or of each.
+        With information (ny, nx); returns noise, missing (1 or c, ny, nx): Variance by noise, and by what the
+        prior takes away or makes up, in the field's unit squared.
         """
         waves = self._to[0] @ (information @ self._to[1])
         x = self._back[0] @ ((self._kernels * waves) @ self._back[1])
@@ -148,17 +140,8 @@ def _around(gain: Float) -> Float:
 def hole_variance(spectrum: Float, noise: float) -> Float:
     """Variance of a field in a round hole whose rim is known.
 
-    Parameters
-    ----------
-    spectrum : ndarray, (ny, nx)
-        Spectrum of the field's cosines.
-    noise : float
-        Variance of what the blocks of the rim say.
-
-    Returns
-    -------
-    ndarray, (radii, depths)
-        For holes of 1 to 16 blocks and from the rim to the middle.
+    With spectrum (ny, nx); returns (radii, depths): For holes of 1 to 16 blocks and from the rim to the
+    middle.
     """
     ny, nx = spectrum.shape
     covariance = _impulse(spectrum)

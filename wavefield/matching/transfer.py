@@ -123,19 +123,7 @@ def raised(k: np.ndarray) -> np.ndarray:
 def transfer_kernel(settings: Settings, gain: float = 1.0, restored: bool = False) -> np.ndarray:
     """Weight of each block's own displacement in the final vector, linear theory.
 
-    Parameters
-    ----------
-    settings : Settings
-        Window, smoother and number of steps.
-    gain : float
-        As for `transfer_function`.
-    restored : bool
-        Of a field that has been through `restoring`.
-
-    Returns
-    -------
-    (2 r + 1, 2 r + 1) float32
-        The kernel, its centre at [r, r]; it sums to nearly 1.
+    Returns (2 r + 1, 2 r + 1): The kernel, its centre at [r, r]; it sums to nearly 1..
     """
     kx = 2 * np.pi * np.fft.fftfreq(_N)
     ky = kx[:, None]

@@ -30,23 +30,6 @@ _MOST = 0.5  # of the nodes around must contradict
 def who_lies(count: int, typical: float, without: Callable[[int], float]) -> int | None:
     """The camera without which the others agree.
 
-    Parameters
-    ----------
-    count : int
-        Cameras.
-    typical : float
-        Median misfit of all, chi^2 per degree of freedom.
-    without : callable
-        From a camera's number to the median misfit of the others.
-
-    Returns
-    -------
-    int or None
-        Its number; None if all agree, if no one camera explains it, if another would explain it as well, or
-        if fewer than three are there.
-
-    Notes
-    -----
     Three cameras have but one displacement over along the line on which they stand: whichever is left out,
     the other two agree, and who trembles that way cannot be told.
 
@@ -67,17 +50,7 @@ def who_lies(count: int, typical: float, without: Callable[[int], float]) -> int
 def median_misfit(misfit: Float, known: Mask) -> float:
     """Median misfit over the nodes that all cameras measured.
 
-    Parameters
-    ----------
-    misfit : ndarray, (ny, nx)
-        chi^2 per degree of freedom.
-    known : ndarray of bool, (ny, nx)
-        Nodes that count.
-
-    Returns
-    -------
-    float
-        0 where too few nodes tell.
+    With misfit (ny, nx); known (ny, nx).
     """
     good = known & np.isfinite(misfit)
     return float(np.median(misfit[good])) if good.sum() >= _FEW else 0.0
@@ -88,24 +61,8 @@ def regions(
 ) -> dict[int, Mask]:
     """Where one camera contradicts the others, which agree without it.
 
-    Parameters
-    ----------
-    misfit : ndarray, (ny, nx)
-        chi^2 per degree of freedom of all cameras.
-    known : ndarray of bool, (ny, nx)
-        Nodes that all cameras measured.
-    count : int
-        Cameras.
-    without : callable
-        From a camera's number to the misfit of the others, (ny, nx).
-    reach : int
-        Nodes that displacements of one place are felt: half the side of the squares over which most nodes
-        must contradict, and by which a region is widened.
-
-    Returns
-    -------
-    dict of int to ndarray of bool, (ny, nx)
-        Nodes by the number of the camera to be left out there; empty where all agree.
+    With misfit (ny, nx); known (ny, nx); returns (ny, nx): Nodes by the number of the camera to be left out
+    there.
     """
     side = (2 * reach + 1, 2 * reach + 1)
     bad = (known & (misfit > MISFIT)).astype(np.float32)
@@ -134,18 +91,8 @@ def regions(
 def pairs_apart(matches: Sequence[PairMatch], pixel: float) -> Mask:
     """Blocks at which pairs of cameras see different surfaces.
 
-    Parameters
-    ----------
-    matches : sequence of PairMatch
-        Pairs of one reference camera.
-    pixel : float
-        Of the rectified images, metres.
-
-    Returns
-    -------
-    ndarray of bool, (ny, nx)
-        Where their elevations differ by more than 1.5 px of parallax, on the mean of 5 x 5 blocks, and
-        two blocks around.
+    With pixel, metres; returns (ny, nx): Where their elevations differ by more than 1.5 px of parallax, on
+    the mean of 5 x 5 blocks, and two blocks around.
     """
     out = np.zeros(matches[0].eps_y.shape, bool)
     for one, other in pairwise(matches):
@@ -160,24 +107,12 @@ def pairs_apart(matches: Sequence[PairMatch], pixel: float) -> Mask:
 def scores_apart(scores: Sequence[Float], hessians: Sequence[Float], lengths: Sequence[Float]) -> Mask:
     """Blocks around which pairs of cameras, asked about one surface, want it moved to different heights.
 
-    Parameters
-    ----------
-    scores, hessians : sequence of ndarray, (ny, nx)
-        Of every pair about the elevation, where the most probable surface is: per metre, per square metre.
-    lengths : sequence of ndarray, (ny, nx)
-        Length of the parallax, px per metre.
-
-    Returns
-    -------
-    ndarray of bool, (ny, nx)
-        Where sum s / sum H over 9 x 9 blocks differs by more than .75 px of parallax, and two blocks
-        around.
-
-    Notes
-    -----
     Whole matches may differ by much more and yet a bead's width hides it; at the surface that both have been
     brought to nothing but noise should be left: .02 to .07 px (standard deviation) on bright and on dark
     images, .36 px at most.
+
+    With scores, hessians (ny, nx); lengths (ny, nx), px per metre; returns (ny, nx): Where sum s / sum H over
+    9 x 9 blocks differs by more than .75 px of parallax, and two blocks around.
     """
     wide = [(cv2.blur(s, _WIDE), cv2.blur(h, _WIDE)) for s, h in zip(scores, hessians, strict=True)]
     out = np.zeros(scores[0].shape, bool)

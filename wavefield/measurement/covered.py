@@ -19,32 +19,13 @@ Masks = Mapping[str, Pixels | None]
 
 @dataclass(frozen=True)
 class Covered:
-    """What is masked in one image of one camera.
+    """What is masked in one image of one camera."""
 
-    Parameters
-    ----------
-    raw : Mask
-        Of the binned image, for matching in time.
-    flat : Mask or None
-        Of the rectified image; None for a camera that does not measure the surface.
-    """
-
-    raw: Mask
-    flat: Mask | None
+    raw: Mask  # Of the binned image, for matching in time
+    flat: Mask | None  # Of the rectified image; None for a camera that does not measure the surface
 
     def at(self, X: NDArray[Any], Y: NDArray[Any]) -> Pixels:
-        """Whether the blocks around positions hold masked pixels.
-
-        Parameters
-        ----------
-        X, Y : ndarray
-            Positions, px of the binned image.
-
-        Returns
-        -------
-        ndarray of bool
-            False outside the image.
-        """
+        """Whether the blocks around positions hold masked pixels."""
         whole = self.raw.levels[0]
         h, w = whole.shape
         with np.errstate(invalid="ignore"):
@@ -57,17 +38,7 @@ class Covered:
 def covered_in(masks: Masks, plan: Plan) -> dict[str, Covered]:
     """Masks of one instant, made ready; one that stays the same is worked out once.
 
-    Parameters
-    ----------
-    masks : mapping of str to ndarray of bool, (row, column), or None
-        True where pixels of a camera's raw image do not count; None where all do.
-    plan : Plan
-        Everything computed beforehand.
-
-    Returns
-    -------
-    dict of str to Covered
-        Of the cameras of which something is masked.
+    With masks (row, column).
     """
     out = {}
     for name in plan.cameras:
@@ -99,37 +70,13 @@ _LEAST = 0.1  # what is less than this bare tells nothing of the rest
 
 
 def bare_of_camera(covered: Sequence[Covered | None]) -> float:
-    """Fraction of a camera's blocks that are masked in none of some images.
-
-    Parameters
-    ----------
-    covered : sequence of Covered or None
-        Of each image; None where nothing is masked.
-
-    Returns
-    -------
-    float
-        1.0 where nothing is masked; .1 at least.
-    """
+    """Fraction of a camera's blocks that are masked in none of some images."""
     levels = [one.raw.levels[0] > 0 for one in covered if one is not None]
     return max(float(np.logical_and.reduce(levels).mean()), _LEAST) if levels else 1.0
 
 
 def bare_of_pairs(covered: Mapping[str, Covered], plan: Plan) -> float:
-    """Fraction of what pairs of cameras both see that is masked in neither, mean over the pairs.
-
-    Parameters
-    ----------
-    covered : mapping of str to Covered
-        What is masked at one instant.
-    plan : Plan
-        Everything computed beforehand.
-
-    Returns
-    -------
-    float
-        1.0 where nothing is masked; .1 at least.
-    """
+    """Fraction of what pairs of cameras both see that is masked in neither, mean over the pairs."""
 
     def level(name: str, mask: Mask | None) -> Pixels:
         return (plan.masks[name] if mask is None else mask).levels[0] > 0
@@ -152,21 +99,8 @@ def masked_nodes(
 ) -> Pixels:
     """Nodes that are masked: by an outline on the water, or for too many cameras.
 
-    Parameters
-    ----------
-    covered : pair of mapping of str to Covered
-        Of a step's two frames.
-    missing : frozenset of str
-        Cameras that are left out.
-    z : ndarray, (ny, nx)
-        Elevation, metres.
-    plan : Plan
-        Everything computed beforehand.
-
-    Returns
-    -------
-    ndarray of bool, (ny, nx)
-        True where no pair of the surface's cameras, or fewer than two of the velocity's, are left.
+    With z (ny, nx), metres; returns (ny, nx): True where no pair of the surface's cameras, or fewer than two
+    of the velocity's, are left.
     """
     hidden = {}
     for name in {*covered[0], *covered[1]}:

@@ -150,15 +150,6 @@ def pooled(found: Sequence[Diagnosis]) -> Diagnosis:
 def joined(cameras: Sequence[str]) -> str:
     """Name of a pair, or of several cameras.
 
-    Parameters
-    ----------
-    cameras : sequence of str
-        Their names.
-
-    Returns
-    -------
-    str
-
     Examples
     --------
     >>> joined(("cam3", "cam1"))
@@ -168,17 +159,7 @@ def joined(cameras: Sequence[str]) -> str:
 
 
 def rms_within(values: NDArray[Any]) -> tuple[float, float]:
-    """Rms without what exceeds three times it, and the share that does.
-
-    Parameters
-    ----------
-    values : ndarray
-        Errors; what is not finite is passed over.
-
-    Returns
-    -------
-    rms, share : float
-    """
+    """Rms without what exceeds three times it, and the share that does."""
     values = values[np.isfinite(values)]
     if values.size == 0:
         return float("nan"), 0.0
@@ -307,25 +288,7 @@ def diagnose_around(
 ) -> Diagnosis | None:
     """Compare the pairs of cameras on a few steps of a record.
 
-    Parameters
-    ----------
-    read : callable
-        From camera and frame to the image (row, column), or None where it is missing or bad.
-    steps : int
-        Steps of the record.
-    plan : Plan
-        Rig, grid and settings.
-    middle : int
-        Step around which to measure.
-    pixel : float
-        Length that counts as one pixel, metres.
-    covered : callable, optional
-        From camera and frame to what is covered in it (row, column), or None where nothing is.
-
-    Returns
-    -------
-    Diagnosis or None
-        Of the three steps nearest to `middle` that can be measured; None if none of the nearest twelve can.
+    With pixel, metres.
     """
     found: list[Diagnosis] = []
     for step in sorted(range(steps), key=lambda step: abs(step - middle))[:_TRIED]:

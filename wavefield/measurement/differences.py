@@ -25,51 +25,24 @@ _STILL = 1e-3  # of the pixel: the least motion from frame to frame that water i
 
 @dataclass(frozen=True)
 class Differences:
-    """What the cameras' differences say.
+    """What the cameras' differences say."""
 
-    Parameters
-    ----------
-    trembling : (float, float)
-        Motion of the cameras' pictures from frame to frame, along their line and across it, px.
-    told : bool
-        Whether anything else can be told: not where the cameras contradict each other.
-    noise : float
-        Noise of all cameras over what is thought.
-    own : mapping of str to float
-        Noise of each camera over that of all.
-    moved : (float, float, float)
-        Standard deviation of the water's motion from frame to frame, metres.
-    waves : float
-        Fraction of the displacements' spectra that is waves: what the cameras have in common (`Prior.waves`).
-    scatter : float
-        Variance by noise of dx, dy and dz of the water together, m^2.
-    """
-
+    # (float, float): Motion of the cameras' pictures from frame to frame, along their line and across it, px
     trembling: tuple[float, float]
-    told: bool = False
-    noise: float = 1.0
-    own: Mapping[str, float] = field(default_factory=dict)
+    told: bool = False  # Whether anything else can be told: not where the cameras contradict each other
+    noise: float = 1.0  # Noise of all cameras over what is thought
+    own: Mapping[str, float] = field(default_factory=dict)  # Noise of each camera over that of all
+    # (float, float, float): Standard deviation of the water's motion from frame to frame, metres
     moved: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    # Fraction of the displacements' spectra that is waves: what the cameras have in common (`Prior.waves`)
     waves: float = 1.0
-    scatter: float = 0.0
+    scatter: float = 0.0  # Variance by noise of dx, dy and dz of the water together, m^2
 
 
 def differences(flows: Flows, z: Float, plan: Plan) -> Differences | None:
     """What the cameras' differences say of one step.
 
-    Parameters
-    ----------
-    flows : mapping of str to Flow
-        Each camera's displacement.
-    z : ndarray, (ny, nx)
-        Elevation, metres.
-    plan : Plan
-        Everything computed beforehand, its record learned.
-
-    Returns
-    -------
-    Differences or None
-        None where no node can be told of.
+    With z (ny, nx), metres.
     """
     steps = (None, flows, None)
     motion = velocity(steps, z, plan)
@@ -122,17 +95,7 @@ def _in_common(
 def typical(steps: Sequence[Differences], pixel: float) -> Differences:
     """What the differences of several steps say together.
 
-    Parameters
-    ----------
-    steps : sequence of Differences
-        Of sample steps.
-    pixel : float
-        Of the rectified images, metres.
-
-    Returns
-    -------
-    Differences
-        Of motions the rms, of noise and waves the median.
+    With pixel, metres.
     """
     along, across = np.sqrt(np.mean(np.square([one.trembling for one in steps] or [(0.0, 0.0)]), axis=0))
     trembling = float(along), float(across)

@@ -20,33 +20,13 @@ _LEAST = 0.2  # of what all have
 def noise_of_each(jacobian: Float, moved: Float, noise: Float, weight: Float) -> Float:
     """Factor on the noise of each camera, from what is left of its displacements.
 
-    Parameters
-    ----------
-    jacobian : ndarray, (n, 2N, 3)
-        Of n nodes and N cameras, px per metre.
-    moved : ndarray, (n, 2N)
-        Displacements, px.
-    noise : ndarray, (n, 2N)
-        Their variance by noise as it is thought to be, px^2.
-    weight : ndarray, (n, 2N)
-        With which the displacement of the water is found from them, px^-2.
-
-    Returns
-    -------
-    ndarray, (N,)
-        What the noise of every camera must be multiplied by.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two cameras or no nodes.
-
-    Notes
-    -----
     What is left is r = M dX with M = 1 - J (J^T W J)^-1 J^T W, of variance sum_j M_ij^2 f_j noise_j in row i:
     linear equations for the factors f of the cameras (variance components; Helmert 1907), row by row, the
     median of r^2 in place of its mean. Two cameras leave but one combination over, and then both have the
     same factor; three leave the rows across the line between them, whose differences tell all three apart.
+
+    With jacobian (n, 2N, 3), px per metre; moved (n, 2N), px; noise (n, 2N), px^2; weight (n, 2N), px^-2;
+    returns (N,): What the noise of every camera must be multiplied by.
 
     Examples
     --------
@@ -81,16 +61,6 @@ def noise_of_each(jacobian: Float, moved: Float, noise: Float, weight: Float) ->
 
 def own_noise(steps: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Factor on the noise of each camera beside that of all, from several steps.
-
-    Parameters
-    ----------
-    steps : sequence of mapping of str to float
-        Factors by camera.
-
-    Returns
-    -------
-    dict of str to float
-        Their median, never below 1: what all cameras miss alike shows in no difference between them.
 
     Examples
     --------

@@ -36,46 +36,25 @@ _LONGER = 1.05  # noise of z over that across the sight lines: cameras see a bea
 
 @dataclass(frozen=True)
 class Surface:
-    """Elevation of one instant at the nodes of the grid.
+    """Elevation of one instant at the nodes of the grid."""
 
-    Parameters
-    ----------
-    z, eps_y, std : ndarray of float32, (ny, nx)
-        Elevation, mismatch across the sight line, standard uncertainty of z, metres.
-    quality : ndarray of uint16, (ny, nx)
-        Bits of `Quality`: measured or filled, and why it was rejected.
-    apart : ndarray of bool, (ny, nx)
-        Where pairs of cameras see different surfaces.
-    read : callable
-        From places x, y (ny, nx), metres, one near each node, to the elevation there.
-    """
-
-    z: Float
+    z: Float  # (ny, nx): Elevation, mismatch across the sight line, standard uncertainty of z, metres
     eps_y: Float
     std: Float
-    quality: NDArray[np.uint16]
-    apart: Mask
+    quality: NDArray[np.uint16]  # (ny, nx): Bits of `Quality`: measured or filled, and why it was rejected
+    apart: Mask  # (ny, nx): Where pairs of cameras see different surfaces
+    # From places x, y (ny, nx), metres, one near each node, to the elevation there
     read: Callable[[Float, Float], Float] = field(repr=False)
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """Elevation on the lattice by plain least squares over all pairs.
+    """Elevation on the lattice by plain least squares over all pairs."""
 
-    Parameters
-    ----------
-    z, eps_y : ndarray of float32, (ny, nx)
-        Elevation and mismatch, metres; NaN where no pair counts.
-    valid : ndarray of bool, (ny, nx)
-        Where at least one pair counts.
-    rejected : ndarray of uint16, (ny, nx)
-        Why none does: bits of `Quality`.
-    """
-
-    z: Float
+    z: Float  # (ny, nx): Elevation and mismatch, metres; NaN where no pair counts
     eps_y: Float
-    valid: Mask
-    rejected: NDArray[np.uint16]
+    valid: Mask  # (ny, nx): Where at least one pair counts
+    rejected: NDArray[np.uint16]  # (ny, nx): Why none does: bits of `Quality`
 
     @property
     def whole(self) -> Float:
@@ -86,17 +65,6 @@ class Blocks:
 def combine(matches: Sequence[PairMatch]) -> Blocks:
     """Least squares over all pairs.
 
-    Parameters
-    ----------
-    matches : sequence of PairMatch
-        Pairs with the same reference camera.
-
-    Returns
-    -------
-    Blocks
-
-    Notes
-    -----
     z = -sum dD . d / sum |dD|^2 over the pairs that count. eps_Y is the like sum across the sight line,
     sum (dD_y d_x - dD_x d_y) / sum |dD|.
     """
@@ -121,38 +89,22 @@ def combine(matches: Sequence[PairMatch]) -> Blocks:
 
 @dataclass
 class Estimate:
-    """The most probable elevation of one instant, and what it rests on.
+    """The most probable elevation of one instant, and what it rests on."""
 
-    Parameters
-    ----------
-    waves, mean : ndarray of float32, (1, my, mx)
-        Cosine coefficients of the elevation and of its prior mean, metres.
-    slopes : Slopes
-        At the edges of the lattice.
-    information : ndarray of float32, (ny, nx)
-        A of every block, per square metre.
-    miss : float
-        By how much sight lines miss each other smoothly, rms, as metres of elevation: the calibration's
-        fault, which is thought to be as large along them.
-    apart : ndarray of bool, (ny, nx)
-        Where pairs contradict each other (`scores_apart`).
-    """
-
-    waves: Float
+    waves: Float  # (1, my, mx): Cosine coefficients of the elevation and of its prior mean, metres
     mean: Float
-    slopes: matching.Slopes = field(repr=False)
-    information: Float = field(repr=False)
+    slopes: matching.Slopes = field(repr=False)  # At the edges of the lattice
+    information: Float = field(repr=False)  # (ny, nx): A of every block, per square metre
+    # By how much sight lines miss each other smoothly, rms, as metres of elevation: the calibration's fault,
+    # which is thought to be as large along them
     miss: float
-    apart: Mask = field(repr=False)
+    apart: Mask = field(repr=False)  # (ny, nx): Where pairs contradict each other (`scores_apart`)
 
 
 class Progress:
     """How solutions change from look to look.
 
-    Parameters
-    ----------
-    scale : float, default 1
-        Displacement, px, per unit of the field.
+    With scale, px.
     """
 
     def __init__(self, scale: float = 1.0) -> None:
@@ -191,31 +143,12 @@ def most_probable(
 ) -> Estimate:
     """Elevation as the blocks of all pairs together have it.
 
-    Parameters
-    ----------
-    blocks : Blocks
-        As given by `combine`.
-    matches : sequence of PairMatch
-        The pairs behind it.
-    prepared : mapping of str to Prepared
-        Their rectified images: they are looked at once more at the first estimate.
-    modes : Modes
-        Cosines of the lattice.
-    pixel : float
-        Of the rectified images, metres.
-    across : bool, default True
-        Whether the noise is taken across the sight lines; else from the scores of the elevation itself.
-
-    Returns
-    -------
-    Estimate
-
-    Notes
-    -----
     A rise of z moves a pair's patches by -dD z: its score is -dD . s, its information dD H dD. Pairs of one
     reference share its noise, which cancels between opposite sides; so scores are summed over the pairs
     before their noise is measured. Across the sight lines nothing but noise is to be found, once what is
     smooth there, the calibration's fault, is taken off: no wave hides in it, and no fit has taken from it.
+
+    With pixel, metres.
     """
     z = blocks.whole
     waves, (mean, beyond, slopes) = modes.waves(z), modes.mean(z)
@@ -281,20 +214,7 @@ def _quarter(vector: Float) -> Float:
 
 
 def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float, freedom: float) -> float:
-    """Mean information of a block about the elevation, before any posterior.
-
-    Parameters
-    ----------
-    blocks, matches, pixel
-        As for `most_probable`.
-    freedom : float
-        Fraction of the scores' noise that windows leave in them.
-
-    Returns
-    -------
-    float
-        Per square metre.
-    """
+    """Mean information of a block about the elevation, before any posterior."""
     looks = [_Look(m, pixel) for m in matches]
     z = blocks.whole[0]
     hessian = np.sum([one.hessian for one in looks], axis=0)
@@ -351,21 +271,7 @@ def _height(parallax: Float, difference: Float) -> Float:
 
 
 def surface(prepared: Mapping[str, matching.Prepared], plan: Plan) -> Surface | None:
-    """Elevation at the nodes from the frames of one instant.
-
-    Parameters
-    ----------
-    prepared : mapping of str to Prepared
-        The cameras that have a usable frame: their rectified images.
-    plan : Plan
-        Everything computed beforehand, its record learned.
-
-    Returns
-    -------
-    Surface or None
-        Finite everywhere, also where no camera looks: the caller knows what lies outside. None if fewer than
-        two cameras have a frame, or too little of it can be matched. A light sheet is where it is.
-    """
+    """Elevation at the nodes from the frames of one instant."""
     if plan.settings.sheet_thickness is not None:
         return _sheet(plan.settings.sheet_thickness, plan.grid.shape)
     found = look_at_pairs(prepared, plan)
@@ -375,21 +281,7 @@ def surface(prepared: Mapping[str, matching.Prepared], plan: Plan) -> Surface | 
 def surface_of(
     blocks: Blocks, matches: Sequence[PairMatch], prepared: Mapping[str, matching.Prepared], plan: Plan
 ) -> Surface:
-    """Elevation at the nodes from matched pairs.
-
-    Parameters
-    ----------
-    blocks, matches
-        As given by `look_at_pairs`.
-    prepared : mapping of str to Prepared
-        The rectified images behind them.
-    plan : Plan
-        Everything computed beforehand, its record learned.
-
-    Returns
-    -------
-    Surface
-    """
+    """Elevation at the nodes from matched pairs."""
     estimate = most_probable(blocks, matches, prepared, plan.modes, plan.pixel)
     spline = plan.sought.splined(estimate.waves, estimate.slopes)
     (noise,), (missing,) = plan.spread(estimate.information)
@@ -431,18 +323,8 @@ def look_at_pairs(
 ) -> tuple[Blocks, list[PairMatch]] | None:
     """Match the pairs of one instant.
 
-    Parameters
-    ----------
-    prepared : mapping of str to Prepared
-        The cameras that have a usable frame: their rectified images.
-    plan : Plan
-        Everything computed beforehand.
-
-    Returns
-    -------
-    (Blocks, list of PairMatch) or None
-        None if fewer than two cameras have a frame, or too little of it can be matched. A pair of which next
-        to nothing fits says nothing, and what fits by chance must not count.
+    Returns (Blocks, list of PairMatch): None if fewer than two cameras have a frame, or too little of it can
+    be matched.
     """
     present = tuple(prepared)
     while pairs := plan.pairs_for(present):
@@ -461,17 +343,7 @@ def look_at_pairs(
 def windowed(matches: Sequence[PairMatch], plan: Plan) -> NDArray[Any]:
     """Elevation at the nodes as windows have it, without the posterior: to compare pairs with each other.
 
-    Parameters
-    ----------
-    matches : sequence of PairMatch
-        Pairs of one reference camera.
-    plan : Plan
-        Lattice and grid.
-
-    Returns
-    -------
-    ndarray of float32, (ny, nx)
-        Metres; NaN where not measured.
+    Returns (ny, nx): Metres.
     """
     blocks = combine(matches)
     if not blocks.valid.any():

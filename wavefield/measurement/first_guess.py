@@ -28,36 +28,19 @@ Float = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class FirstGuess:
-    """Range of the displacements from one frame to the next.
+    """Range of the displacements from one frame to the next."""
 
-    Parameters
-    ----------
-    x, y : (float, float)
-        Smallest and largest displacement that was found, px of the image as it is matched.
-    found, tried : int
-        Pieces of images that were found again, and all that were looked for.
-    steps : int
-        Steps looked at.
-    """
-
+    # (float, float): Smallest and largest displacement that was found, px of the image as it is matched
     x: tuple[float, float]
     y: tuple[float, float]
-    found: int
+    found: int  # Pieces of images that were found again, and all that were looked for
     tried: int
-    steps: int
+    steps: int  # Steps looked at
 
     def search(self, usual: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]] | None:
         """Ranges to search along x and y; None where the usual one holds what was found, or nothing was.
 
-        Parameters
-        ----------
-        usual : (float, float)
-            The range that is searched unless said otherwise, px.
-
-        Returns
-        -------
-        (float, float), (float, float)
-            Along x and along y, px.
+        With usual (float, float), px; returns (float, float): Along x and along y, px.
         """
         if not self.found:
             return None
@@ -90,27 +73,13 @@ def shifts(
 ) -> NDArray[np.float64]:
     """Whole-pixel displacement of pieces of one image to the next.
 
-    Parameters
-    ----------
-    a, b : ndarray of float32, (row, column)
-        Two frames of one camera, any scale.
-    side : int
-        Of the pieces, px.
-    reach : (int, int)
-        How far they are looked for along x and along y, px.
-
-    Returns
-    -------
-    ndarray, (n, 5)
-        Displacement along x and y, px, correlation, and middle (x, y) of every piece that has light and
-        shade; NaN for the displacement of those that are not found for sure.
-
-    Notes
-    -----
     Normalised correlation of the pieces within the reach around their place. A piece counts if its best
     correlation exceeds .25 (.4 where images are too small for pieces of 64 px) and all others further than
     3 px from it are less than .85 of that. Large pieces are looked for in images of half the size, and
     then within a few pixels of where they were found.
+
+    With a, b (row, column); side, px; reach (int, int), px; returns (n, 5): Displacement along x and y, px,
+    correlation, and middle (x, y) of every piece that has light and shade.
     """
     a, b = (np.asarray(image, np.float32) for image in (a, b))  # of any depth
     height, width = a.shape
@@ -184,14 +153,7 @@ def _found(
 def borne_out(moved: NDArray[np.float64]) -> NDArray[np.float64]:
     """Displacements that another piece of the same images shares, nearly.
 
-    Parameters
-    ----------
-    moved : ndarray, (n, 2)
-        Along x and y, px; NaN where not found.
-
-    Returns
-    -------
-    ndarray, (m, 2)
+    With moved (n, 2), px; returns (m, 2).
     """
     moved = moved[np.isfinite(moved[:, 0])]
     apart = np.hypot(*(moved[:, None] - moved).T) - NEAR - 0.25 * np.hypot(*moved.T)
@@ -202,22 +164,7 @@ def borne_out(moved: NDArray[np.float64]) -> NDArray[np.float64]:
 def first_guess(
     read: Callable[[str, int], NDArray[np.float32] | None], cameras: Sequence[str], steps: Sequence[int]
 ) -> FirstGuess:
-    """Look at some steps of a record.
-
-    Parameters
-    ----------
-    read : callable
-        From camera and frame to the image as it is matched (row, column), or None where it is missing.
-    cameras : sequence of str
-        Which.
-    steps : sequence of int
-        First frames of the steps, spread over the record.
-
-    Returns
-    -------
-    FirstGuess
-        Of the pieces that another one nearby in the same step bears out.
-    """
+    """Look at some steps of a record."""
     kept: list[NDArray[np.float64]] = []
     tried = seen = 0
     for step in steps:
@@ -237,20 +184,7 @@ def first_guess(
 
 
 def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
-    """Settings that search as far as the water moves.
-
-    Parameters
-    ----------
-    settings : Settings
-        The choices so far.
-    guess : FirstGuess
-        How far the water moves.
-
-    Returns
-    -------
-    Settings
-        The same where their range holds what was found.
-    """
+    """Settings that search as far as the water moves."""
     piv = settings.piv
     wide = guess.search(searched(settings)[0])
     if wide is None:
@@ -267,17 +201,7 @@ def searched(settings: Settings) -> tuple[tuple[float, float], tuple[float, floa
 def beyond(settings: Settings, moved: NDArray[np.float64]) -> bool:
     """Whether most of what is found for sure has moved further than is searched.
 
-    Parameters
-    ----------
-    settings : Settings
-        Of the run.
-    moved : ndarray, (n, 2)
-        Displacements as from `borne_out`, px.
-
-    Returns
-    -------
-    bool
-        False where fewer than three pieces were found.
+    With moved (n, 2), px.
     """
     if len(moved) < 3:
         return False

@@ -31,22 +31,12 @@ Read = Callable[[str, int], NDArray[Any] | None]
 
 @dataclass(frozen=True)
 class FirstHeights:
-    """Range of the elevations over the record.
+    """Range of the elevations over the record."""
 
-    Parameters
-    ----------
-    z : (float, float)
-        Lowest and highest elevation that was found, metres.
-    found, tried : int
-        Pieces of images that were found in the other camera's, and all that were looked for.
-    searched : (float, float)
-        Range that the run searches, metres.
-    """
-
-    z: tuple[float, float]
-    found: int
+    z: tuple[float, float]  # (float, float): Lowest and highest elevation that was found, metres
+    found: int  # Pieces of images that were found in the other camera's, and all that were looked for
     tried: int
-    searched: tuple[float, float]
+    searched: tuple[float, float]  # (float, float): Range that the run searches, metres
 
     @property
     def sentence(self) -> str:
@@ -71,22 +61,6 @@ class FirstHeights:
 def first_heights(read: Read, plan: Plan, frames: Sequence[int]) -> FirstHeights:
     """Look at some instants of a record.
 
-    Parameters
-    ----------
-    read : callable
-        From camera and frame to the image as it is matched, binned (row, column), or None where missing.
-    plan : Plan
-        Rig and grid.
-    frames : sequence of int
-        Instants, spread over the record.
-
-    Returns
-    -------
-    FirstHeights
-        Of the pieces whose sight lines meet and that another one nearby in height bears out.
-
-    Notes
-    -----
     Pieces of one camera's image rectified to z = 0 are looked for in another's; their parallax is that of
     `match_pair`.
     """
@@ -149,22 +123,7 @@ def _heights(moved: NDArray[np.float64], pair: tuple[str, str], plan: Plan) -> N
 
 
 def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, FirstHeights]:
-    """Settings that search as high and as low as the water goes.
-
-    Parameters
-    ----------
-    settings : Settings
-        The choices so far, without ``z_range``.
-    found : FirstHeights
-        Where the water is.
-
-    Returns
-    -------
-    settings : Settings
-        The same where the usual range holds what was found with room to spare.
-    found : FirstHeights
-        With the range that is searched.
-    """
+    """Settings that search as high and as low as the water goes."""
     low, high = found.searched
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     if not found.found or all(abs(z - middle) < _ROOM * half for z in found.z):

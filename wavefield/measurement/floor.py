@@ -18,22 +18,12 @@ _SIDE = 3.0  # widths: what is larger is not a bead
 def bead_width(image: NDArray[Any]) -> float:
     """Width of the beads' images at half their height, from the image's own correlation.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), any real type
-        Raw image.
-
-    Returns
-    -------
-    float
-        px; between 1.5 and 8, or 0 if the image shows no bright beads on something darker but a texture.
-
-    Notes
-    -----
     Of the image less its surroundings (sigma 4 px). White noise adds to the correlation without shift alone,
     so the width follows from those for shifts of 1 and 2 px: a Gaussian bead of standard deviation s has
     exp(-r^2 / 4 s^2). The surroundings take some of a bead with them: widths of 2 to 7 px come out
     a tenth to a third too small. Beads make the brightness skew, a texture does not.
+
+    With image (row, column).
 
     Examples
     --------
@@ -70,16 +60,7 @@ def _skewness(part: NDArray[Any]) -> float:
 def above_floor(image: NDArray[Any], width: float) -> NDArray[Any]:
     """What is brighter than anything as large as three beads: a white top-hat.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), uint8, uint16 or float32
-        Raw image.
-    width : float
-        `bead_width`, px; 0 takes nothing off.
-
-    Returns
-    -------
-    ndarray, (row, column), of the same type
+    With image (row, column); width, px; returns (row, column).
     """
     if not width:
         return image

@@ -22,25 +22,16 @@ Float = NDArray[Any]
 
 @dataclass(frozen=True)
 class Flow:
-    """One camera's displacement from one frame to the next, ready to be read anywhere.
+    """One camera's displacement from one frame to the next, ready to be read anywhere."""
 
-    Parameters
-    ----------
-    spline : ndarray of float32, (ny, nx, 2)
-        Spline coefficients of the displacement on the lattice of blocks, px of the binned image.
-    noise, missing : ndarray of float32, (1 or 2, ny, nx)
-        Variance by noise, and by what the prior takes away or makes up, px^2; of each component or of both.
-    along : (float, float)
-        Factors on the noise along columns and along rows.
-    rejected : ndarray of uint16, (ny, nx)
-        Bits of `Quality`; 0 where measured.
-    """
-
+    # (ny, nx, 2): Spline coefficients of the displacement on the lattice of blocks, px of the binned image
     spline: Float
+    # (1 or 2, ny, nx): Variance by noise, and by what the prior takes away or makes up, px^2; of each
+    # component or of both
     noise: Float
     missing: Float
-    along: tuple[float, float]
-    rejected: NDArray[np.uint16]
+    along: tuple[float, float]  # (float, float): Factors on the noise along columns and along rows
+    rejected: NDArray[np.uint16]  # (ny, nx): Bits of `Quality`; 0 where measured
 
     @cached_property
     def valid(self) -> NDArray[np.bool_]:
@@ -53,27 +44,15 @@ Flows = Mapping[str, Flow]
 
 @dataclass
 class Estimate:
-    """The most probable displacement between two frames, and what it rests on.
+    """The most probable displacement between two frames, and what it rests on."""
 
-    Parameters
-    ----------
-    waves, mean : ndarray of float32, (2, my, mx)
-        Cosine coefficients of the displacement and of its prior mean, px.
-    slopes : Slopes
-        At the edges of the lattice.
-    information : ndarray of float32, (ny, nx)
-        Mean of the two diagonal parts of every block's A, px^-2.
-    reason : ndarray of uint8, (ny, nx)
-        Bits of `Reason` at the last look.
-    along : (float, float)
-        Factors on the variance of either component (`along_each`).
-    """
-
-    waves: Float
+    waves: Float  # (2, my, mx): Cosine coefficients of the displacement and of its prior mean, px
     mean: Float
-    slopes: matching.Slopes = field(repr=False)
+    slopes: matching.Slopes = field(repr=False)  # At the edges of the lattice
+    # (ny, nx): Mean of the two diagonal parts of every block's A, px^-2
     information: Float = field(repr=False)
-    reason: NDArray[np.uint8] = field(repr=False)
+    reason: NDArray[np.uint8] = field(repr=False)  # (ny, nx): Bits of `Reason` at the last look
+    # (float, float): Factors on the variance of either component (`along_each`)
     along: tuple[float, float] = (1.0, 1.0)
 
 
@@ -85,21 +64,7 @@ def whole(found: matching.Displacement) -> Float:
 def most_probable(
     found: matching.Displacement, one: matching.Prepared, other: matching.Prepared, modes: Modes
 ) -> Estimate:
-    """Displacement as all blocks together have it.
-
-    Parameters
-    ----------
-    found : Displacement
-        A match that is near.
-    one, other : Prepared
-        Its images: they are looked at once more at the first estimate.
-    modes : Modes
-        Cosines of the lattice.
-
-    Returns
-    -------
-    Estimate
-    """
+    """Displacement as all blocks together have it."""
     u = whole(found)
     waves, (mean, beyond, slopes) = modes.waves(u), modes.mean(u)
     freedom, seen = modes.freedom, None
@@ -132,19 +97,7 @@ def most_probable(
 def flows(
     first: Mapping[str, matching.Prepared], second: Mapping[str, matching.Prepared], plan: Plan
 ) -> dict[str, Flow]:
-    """Displacements of every camera that has a usable frame at both instants.
-
-    Parameters
-    ----------
-    first, second : mapping of str to Prepared
-        Images of two instants.
-    plan : Plan
-        Everything computed beforehand, its record learned.
-
-    Returns
-    -------
-    dict of str to Flow
-    """
+    """Displacements of every camera that has a usable frame at both instants."""
     return {
         n: flow_near(matching.match(first[n], second[n], plan.settings.piv), first[n], second[n], plan, n)
         for n in first
@@ -155,23 +108,7 @@ def flows(
 def flow_near(
     near: matching.Displacement, one: matching.Prepared, other: matching.Prepared, plan: Plan, name: str
 ) -> Flow:
-    """Displacement of one camera from what matching found.
-
-    Parameters
-    ----------
-    near : Displacement
-        The match.
-    one, other : Prepared
-        Its images.
-    plan : Plan
-        Everything computed beforehand, its record learned.
-    name : str
-        The camera.
-
-    Returns
-    -------
-    Flow
-    """
+    """Displacement of one camera from what matching found."""
     sight = plan.sights[name]
     found = most_probable(near, one, other, sight.modes)
     noise, missing = sight.spread(found.information)

@@ -22,17 +22,7 @@ _SCALE = 5000.0  # grey levels for a factor e: log(65535) still fits 16 bits
 def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
     """Whether a frame can be measured at all.
 
-    Parameters
-    ----------
-    image : ndarray or None
-        Frame; None if absent.
-    size : tuple of int
-        The camera's image (width, height), px.
-
-    Returns
-    -------
-    bool
-        False if it is absent, of another size, not a grey image of real numbers, or (almost) uniform.
+    With size, px.
     """
     if image is None or np.ndim(image) != 2 or image.shape != (size[1], size[0]):
         return False
@@ -47,20 +37,8 @@ def ready(
 ) -> NDArray[Any]:
     """A usable frame as it is matched: the floor taken off, brightness evened out, pixels binned.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), any real type
-        Raw image.
-    count : int
-        Side of the squares of pixels that are averaged, px; see `bin_pixels`.
-    width : float, optional
-        Width of the beads' images, px; measured in this image if left out.
-    covered : ndarray of bool, (row, column), optional
-        True where pixels do not count.
-
-    Returns
-    -------
-    ndarray of uint16 or float32, (row // count, column // count)
+    With image (row, column); count, px; width, px; covered (row, column); returns (row // count, column //
+    count).
     """
     if covered is not None:
         image = made_even(image, covered)
@@ -76,21 +54,10 @@ def ready(
 def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
     """An image with its short waves raised, so that beads do not reach into each other.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), uint8, uint16 or float32
-        As given by `ready`.
-    amount : float
-        a of the filter (-a, 1 + 2a, -a) along rows and columns: waves of two pixels grow by 1 + 4a each way.
-
-    Returns
-    -------
-    ndarray of float32, (row, column)
-
-    Notes
-    -----
     Two cameras see a bead differently bright, and where it reaches into its neighbour it pulls at the match.
     That error has the spectrum of the beads themselves: weighed by it, short waves tell as much as long ones.
+
+    With image (row, column); returns (row, column).
 
     Examples
     --------
@@ -107,25 +74,12 @@ def even_out(
 ) -> NDArray[Any]:
     """Logarithm of the brightness above the background.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), any real type
-        Raw image.
-    black : float, optional
-        Brightness that counts as none; that at 1 % if left out.
-    covered : ndarray of bool, (row, column), optional
-        True where pixels do not count.
-
-    Returns
-    -------
-    ndarray, (row, column), uint16, or float32 for images of real numbers
-
-    Notes
-    -----
     log(1 + (I - B) / (0.5 (I_99 - B))), with B the black level and I_99 the image's brightness at 99 %. Two
     cameras see a bead differently bright, and where the images of beads overlap the brighter one pulls the
     match: the logarithm turns factors into additions, which have no gradient, and lets faint beads count
     nearly as much as bright ones. Gains and offsets of a camera drop out.
+
+    With image (row, column); covered (row, column); returns (row, column).
 
     Examples
     --------

@@ -24,16 +24,7 @@ _NUMBERS = 200  # of wavenumber, up to the corner of what the grid resolves
 def tabulated(plan: Plan) -> dict[str, Float]:
     """Gains of a plan as they are stored with a cube.
 
-    Parameters
-    ----------
-    plan : Plan
-        Of a measurement; gains are NaN where it does not know its record, and of z for a light sheet.
-
-    Returns
-    -------
-    dict of str to ndarray
-        ``direction`` (8,), rad, over half a turn; ``k`` (200,), rad/m; ``gain_z``, ``gain_u``, ``gain_v``,
-        ``gain_w`` (8, 200), of amplitude (`gains`).
+    Returns ``direction`` (8,), rad, over half a turn.
     """
     k = np.linspace(0, np.sqrt(2) * np.pi / plan.grid.step, _NUMBERS)
     direction = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
@@ -73,20 +64,7 @@ def gains(plan: Plan, kx: Float, ky: Float) -> dict[str, Float]:
 
 
 def shortest_carried(plan: Plan, better: float | Mapping[str, float] = 1.0) -> dict[str, float]:
-    """Wavelengths of which the measurement keeps half, by linear theory.
-
-    Parameters
-    ----------
-    plan : Plan
-        Of a measurement, its record learned.
-    better : float or mapping of str to float, default 1
-        Factor on what every block tells: 2 for twice the beads, 4 for half the noise; or for each camera.
-
-    Returns
-    -------
-    dict of str to float
-        Metres, of z, u, v and w, mean over the directions.
-    """
+    """Wavelengths of which the measurement keeps half, by linear theory."""
     assert plan.record is not None
     each = better if isinstance(better, Mapping) else dict.fromkeys(plan.cameras, better)
     both = 1.0 / float(np.mean([1.0 / each[name] for name in plan.surface_cameras]))  # noises add
@@ -111,18 +89,6 @@ def shortest_carried(plan: Plan, better: float | Mapping[str, float] = 1.0) -> d
 def in_focus(plan: Plan) -> dict[str, float]:
     """What every block of a camera would tell more if its beads' images were two pixels wide.
 
-    Parameters
-    ----------
-    plan : Plan
-        Of a measurement, its record learned.
-
-    Returns
-    -------
-    dict of str to float
-        For `shortest_carried`: 1 for a camera whose beads are as small as that, and for a texture.
-
-    Notes
-    -----
     The same light in a spot of width s has gradients whose squares sum up to s^-4.
     """
     assert plan.record is not None
@@ -136,19 +102,7 @@ def _told(prior: Prior, factor: float) -> Prior:
 def gain_of_elevation(plan: Plan, kx: Float, ky: Float, record: Record | None = None) -> Float:
     """Gain of z.
 
-    Parameters
-    ----------
-    plan : Plan
-        Its record learned.
-    kx, ky : ndarray
-        Wavenumbers on the water, rad/m.
-    record : Record, optional
-        Another record than the plan's.
-
-    Returns
-    -------
-    ndarray
-        Amplitude gain of one frame; that of the mean over four frames comes on top.
+    With kx, ky, rad/m.
     """
     record = record or plan.record
     assert record is not None
@@ -161,20 +115,8 @@ def gain_of_elevation(plan: Plan, kx: Float, ky: Float, record: Record | None = 
 def gain_of_velocity(plan: Plan, kx: Float, ky: Float, record: Record | None = None) -> Float:
     """Displacement measured for one that is there, at the middle of the grid.
 
-    Parameters
-    ----------
-    plan : Plan
-        Its record learned.
-    kx, ky : ndarray, shape S
-        Wavenumbers on the water, rad/m.
-    record : Record, optional
-        Another record than the plan's.
-
-    Returns
-    -------
-    ndarray, S + (3, 3)
-        Measured (dx, dy, dz) by true (dx, dy, dz): each camera's gain in its own pixels, then the least
-        squares of all.
+    With kx, ky S, rad/m; returns S + (3, 3): Measured (dx, dy, dz) by true (dx, dy, dz): each camera's gain
+    in its own pixels, then the least squares of all.
     """
     record = record or plan.record
     assert record is not None

@@ -20,66 +20,29 @@ Frames = Mapping[str, NDArray[Any] | None]
 
 @dataclass(frozen=True)
 class Images:
-    """The usable frames of one instant, ready for matching.
+    """The usable frames of one instant, ready for matching."""
 
-    Parameters
-    ----------
-    flat, raw : mapping of str to Prepared
-        Rectified images, for the surface (none of a light sheet); raw ones, for matching in time.
-    missing : frozenset of str
-        Cameras without a usable frame.
-    covered : mapping of str to Covered
-        What is masked.
-    """
-
+    # Rectified images, for the surface (none of a light sheet); raw ones, for matching in time
     flat: Mapping[str, matching.Prepared]
     raw: Mapping[str, matching.Prepared]
-    missing: frozenset[str]
-    covered: Mapping[str, Covered] = field(default_factory=dict)
+    missing: frozenset[str]  # Cameras without a usable frame
+    covered: Mapping[str, Covered] = field(default_factory=dict)  # What is masked
 
 
 @dataclass(frozen=True)
 class Instant:
-    """What is kept of one instant.
+    """What is kept of one instant."""
 
-    Parameters
-    ----------
-    surface : Surface or None
-        Elevation at the nodes; None if it could not be measured.
-    images : mapping of str to Prepared
-        Raw images ready for matching in time.
-    missing : frozenset of str
-        Cameras without a usable frame.
-    frames : mapping of str to ndarray or None
-        The frames themselves, should a camera have to be left out.
-    masks : mapping of str to ndarray of bool or None
-        What is masked in them.
-    covered : mapping of str to Covered
-        The same, ready for matching.
-    """
-
-    surface: Surface | None
-    images: Mapping[str, matching.Prepared]
-    missing: frozenset[str]
-    frames: Frames
-    masks: Masks
-    covered: Mapping[str, Covered] = field(default_factory=dict)
+    surface: Surface | None  # Elevation at the nodes; None if it could not be measured
+    images: Mapping[str, matching.Prepared]  # Raw images ready for matching in time
+    missing: frozenset[str]  # Cameras without a usable frame
+    frames: Frames  # The frames themselves, should a camera have to be left out
+    masks: Masks  # What is masked in them
+    covered: Mapping[str, Covered] = field(default_factory=dict)  # The same, ready for matching
     _others: dict[str, Surface | None] = field(default_factory=dict)
 
     def without(self, camera: str, plan: Plan) -> Surface | None:
-        """Elevation at the nodes by the other cameras.
-
-        Parameters
-        ----------
-        camera : str
-            The one left out.
-        plan : Plan
-            As for `look`.
-
-        Returns
-        -------
-        Surface or None
-        """
+        """Elevation at the nodes by the other cameras."""
         if camera not in self._others:
             assert plan.record is not None
             rest = {name: image for name, image in self.frames.items() if name != camera}
@@ -120,20 +83,7 @@ def images_of(
 ) -> Images:
     """Make the frames of one instant ready for matching.
 
-    Parameters
-    ----------
-    frames : mapping of str to ndarray or None
-        One frame per camera.
-    plan : Plan
-        Everything computed beforehand.
-    beads : mapping of str to float
-        Width of every camera's beads, raw px.
-    masks : mapping of str to ndarray of bool, (row, column), or None
-        True where pixels of a camera's image do not count.
-
-    Returns
-    -------
-    Images
+    With masks (row, column).
     """
     masks = masks or {}
     covered = covered_in(masks, plan)
@@ -148,18 +98,7 @@ def images_of(
 def look(frames: Frames, plan: Plan, masks: Masks | None = None) -> Instant:
     """Everything that the frames of one instant give on their own.
 
-    Parameters
-    ----------
-    frames : mapping of str to ndarray or None
-        One frame per camera.
-    plan : Plan
-        Everything computed beforehand, its record learned.
-    masks : mapping of str to ndarray of bool, (row, column), or None
-        True where pixels of a camera's image do not count.
-
-    Returns
-    -------
-    Instant
+    With masks (row, column).
     """
     assert plan.record is not None
     images = images_of(frames, plan, dict(plan.record.beads), masks)

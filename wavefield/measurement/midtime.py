@@ -28,39 +28,16 @@ _WEIGHTS = {
 
 @dataclass(frozen=True)
 class MidTime:
-    """Surface at mid-time of a step.
+    """Surface at mid-time of a step."""
 
-    Parameters
-    ----------
-    z, std : ndarray of float32, (ny, nx)
-        Elevation and its standard uncertainty, metres.
-    rise : ndarray of float32, (ny, nx)
-        Rise per step of the surface at the water that is at the node at mid-time, metres.
-    """
-
-    z: Float
+    z: Float  # (ny, nx): Elevation and its standard uncertainty, metres
     std: Float
-    rise: Float
+    rise: Float  # (ny, nx): Rise per step of the surface at the water that is at the node at mid-time, metres
 
 
 def at_mid_time(surfaces: Surfaces, moved: Motion, x: Float, y: Float) -> MidTime:
     """Surface at mid-time.
 
-    Parameters
-    ----------
-    surfaces : sequence of six Surface or None
-        Of two frames before, of the two frames of the step, which must be there, and of two after.
-    moved : Motion
-        Of the water that is at the nodes at mid-time.
-    x, y : ndarray, (ny, nx)
-        The nodes, metres.
-
-    Returns
-    -------
-    MidTime
-
-    Notes
-    -----
     A current sweeps short waves past a node faster than frames can follow; beside the water they turn no
     faster than on still water. So z is interpolated in time in a frame that moves with the mean flow U, the
     median of the displacements over the field, and coincides with the grid at mid-time: of z_n = z(x + t_n U)
@@ -78,6 +55,8 @@ def at_mid_time(surfaces: Surfaces, moved: Motion, x: Float, y: Float) -> MidTim
     more than c_z is added, so that the rise changes with w.
 
     The same beads in the same places err the same way in all frames, so their errors do not average out.
+
+    With x, y (ny, nx), metres.
     """
     first, second = surfaces[2:4]
     assert first is not None
@@ -124,17 +103,7 @@ def _rows(field: Float, first: int, count: int, axis: int) -> Float:
 
 
 def frames_used(surfaces: Surfaces) -> int:
-    """Number of frames that z at mid-time comes from: 6, 4, 3 or 2.
-
-    Parameters
-    ----------
-    surfaces : sequence of six Surface or None
-        As for `at_mid_time`.
-
-    Returns
-    -------
-    int
-    """
+    """Number of frames that z at mid-time comes from: 6, 4, 3 or 2."""
     there = [one is not None for one in surfaces]
     if there[1] and there[4]:
         return 6 if there[0] and there[5] else 4

@@ -188,18 +188,6 @@ def _read_path(
 def noise_weights(frames: int) -> tuple[float, ...]:
     """What variances by noise of displacements weigh in that of the one at mid-time.
 
-    Parameters
-    ----------
-    frames : int
-        2, 4 or 6.
-
-    Returns
-    -------
-    tuple of float
-        Of the step's own displacement, and of those beside it either way.
-
-    Notes
-    -----
     Noise of a frame enters the displacements before and after it with opposite signs. Were it all, successive
     displacements had a correlation of -1/2; what the beads' places make in every pair of frames has none.
     By errors of chords and of paths through four and six places at 80 frames/s it is -.14 to -.21 in good
@@ -231,28 +219,6 @@ def read_path(
 ) -> tuple[Float, NDArray[np.int64]]:
     """Displacement per step, at mid-time, of what is then at given pixels, and its path around.
 
-    Parameters
-    ----------
-    splines : sequence of 1, 3 or 5 ndarray of float32, (ny, nx, 2), or None
-        Spline coefficients of the displacements of the steps before, of this step and of the steps after, px,
-        each at the place of departure. That of this step, in the middle, must be there.
-    valid : sequence of as many ndarray of bool, (ny, nx), or None
-        Blocks that were measured: only there the steps before and after are asked.
-    lattice : Lattice
-        Block centres, px.
-    X, Y : ndarray, shape S
-        Places at mid-time, px; NaN gives NaN.
-
-    Returns
-    -------
-    d : ndarray of float32, (6,) + S
-        dX/dt dt at mid-time; the displacement of the step; the bend of the path: the mean of the places in
-        the step's two frames, less the place at mid-time. Px, two components each.
-    block : ndarray of int, (5,) + S
-        Flat index of the block read in each of five steps; -1 where nothing was, but for this step.
-
-    Notes
-    -----
     With d01 the displacement of the step, d-10 and d12 of its neighbours along the path,
 
         X0 = X - d01/2 + (d12 - d-10)/16,    dX/dt dt = (26 d01 - d-10 - d12)/24.
@@ -265,6 +231,9 @@ def read_path(
 
     as exact for a cubic path, with .4 of the variance by noise (`noise_weights`), and less left of fast
     waves (`wavefield.variables.PATH_WEIGHTS`). The bend is (d12 - d-10)/16.
+
+    With splines (ny, nx, 2), px; valid (ny, nx); lattice, px; X, Y S, px; returns d (6,) + S: dX/dt dt at
+    mid-time; block (5,) + S: Flat index of the block read in each of five steps.
 
     Examples
     --------

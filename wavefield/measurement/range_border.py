@@ -22,16 +22,7 @@ _FEW = 0.5  # of the nodes in view: fewer measured ones ask for a reason
 def at_border(z: NDArray[Any], searched: tuple[float, float]) -> bool:
     """Whether a surface reaches an end of the range of elevations that is searched.
 
-    Parameters
-    ----------
-    z : ndarray, (ny, nx)
-        Elevation, metres; NaN where unknown.
-    searched : (float, float)
-        The range, metres.
-
-    Returns
-    -------
-    bool
+    With z (ny, nx), metres; searched (float, float), metres.
 
     Examples
     --------
@@ -49,14 +40,7 @@ def at_border(z: NDArray[Any], searched: tuple[float, float]) -> bool:
 def few_measured(quality: NDArray[np.uint8]) -> bool:
     """Whether fewer than half of the nodes in view were measured.
 
-    Parameters
-    ----------
-    quality : ndarray of uint8, (ny, nx)
-        Bits of `Quality`.
-
-    Returns
-    -------
-    bool
+    With quality (ny, nx).
     """
     seen = (quality & np.uint8(Quality.OUTSIDE)) == 0
     measured = (quality[seen] & np.uint8(Quality.MEASURED)) != 0
@@ -66,16 +50,7 @@ def few_measured(quality: NDArray[np.uint8]) -> bool:
 def rose_beyond(images: Mapping[str, NDArray[Any] | None], plan: Plan) -> bool:
     """Whether the water of an instant stands higher or lower than is searched, by a look far beyond.
 
-    Parameters
-    ----------
-    images : mapping of str to ndarray or None, (row, column)
-        A raw frame per camera.
-    plan : Plan
-        With the range searched.
-
-    Returns
-    -------
-    bool
+    With images (row, column).
     """
 
     def read(name: str, _: int) -> NDArray[Any] | None:
@@ -91,19 +66,7 @@ def rose_beyond(images: Mapping[str, NDArray[Any] | None], plan: Plan) -> bool:
 def moved_beyond(one: NDArray[Any] | None, other: NDArray[Any] | None, name: str, plan: Plan) -> bool:
     """Whether a camera's image moved further than is searched, by a look far beyond.
 
-    Parameters
-    ----------
-    one, other : ndarray or None, (row, column)
-        Its frames of a step, raw.
-    name : str
-        The camera.
-    plan : Plan
-        With the range searched.
-
-    Returns
-    -------
-    bool
-        False where a frame is missing, or too little of it is found again.
+    With one, other (row, column).
     """
     size, count = plan.rig[name].size, plan.binning[name]
     if one is None or other is None or not usable(one, size) or not usable(other, size):

@@ -81,22 +81,11 @@ def _double(image: NDArray[Any], scale: np.float32, rows: NDArray[Any], out: NDA
 def bin_pixels(image: NDArray[Any], count: int) -> NDArray[Any]:
     """Weighted means of squares of pixels, for a camera that resolves more than its partners.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), any real type
-        Raw image.
-    count : int
-        Side of the squares, px; 1 gives the image back. Rows and columns left over are cut off.
-
-    Returns
-    -------
-    ndarray, (row // count, column // count), uint8, uint16 or float32
-        8 bit become 16 (times 64), so that means are not rounded.
-
-    Notes
-    -----
     A Gaussian of half a square's side goes before the means: a bead that is sharp in the image is far
     narrower than a square, and means of squares alone show it the same wherever in a square it lies.
+
+    With image (row, column); count, px; returns (row // count, column // count): 8 bit become 16 (times 64),
+    so that means are not rounded.
     """
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32)
@@ -160,16 +149,7 @@ def _bin(image: NDArray[Any], weights: NDArray[Any], count: int, half: np.float3
 def binned(camera: Camera, count: int) -> Camera:
     """The camera of the images that `bin_pixels` makes.
 
-    Parameters
-    ----------
-    camera : Camera
-        Camera of the raw images.
-    count : int
-        Side of the squares, px.
-
-    Returns
-    -------
-    Camera
+    With count, px.
     """
     width, height = camera.size
     return replace(camera.scaled(1.0 / count), size=(width // count, height // count))
@@ -180,22 +160,10 @@ def double(
 ) -> NDArray[Any]:
     """Sample an image on a grid twice as fine, both images of a match equally smoothed.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), uint8, uint16 or float32
-        Image; 8 bit are spread over 16.
-    space : callable
-        Gives the memory of the result, from its shape and dtype.
-
-    Returns
-    -------
-    ndarray, (2 row, 2 column), uint16 or float32
-        Element (2 r, 2 c) lies on pixel (r, c).
-
-    Notes
-    -----
     Quintic B-spline without prefilter, weights 66, 26, 1 over 120 at whole and 1682, 237, 1 over 3840 at half
     pixels.
+
+    With image (row, column); returns (2 row, 2 column): Element (2 r, 2 c) lies on pixel (r, c).
     """
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32, copy=False)
@@ -227,19 +195,9 @@ _space = _Space()
 def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, Float, NDArray[np.bool_]]:
     """Where a camera sees the points of a lattice on the water at rest.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    x, y : ndarray, (nx,), (ny,)
-        Apparent coordinates of columns and rows, metres.
-
-    Returns
-    -------
-    X, Y : ndarray of float32, (ny, nx)
-        Places on the grid of `double`: twice the pixel coordinates.
-    seen : ndarray of bool, (ny, nx)
-        True where the camera sees the point, three pixels (the reach of the spline) from its edge.
+    With x, y (nx,), metres; returns X, Y (ny, nx): Places on the grid of `double`: twice the pixel
+    coordinates; seen (ny, nx): True where the camera sees the point, three pixels (the reach of the spline)
+    from its edge.
     """
     X, Y = camera.project(x[None, :], y[:, None], 0.0)
     w, h = camera.size
@@ -253,17 +211,7 @@ def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, 
 def rectify(image: NDArray[Any], X: Float, Y: Float) -> NDArray[Any]:
     """Image in apparent coordinates.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column), uint8, uint16 or float32
-        Raw image.
-    X, Y : ndarray of float32, (ny, nx)
-        As given by `sight_map`.
-
-    Returns
-    -------
-    ndarray, (ny, nx), uint16 or float32
-        Brightness; zero where the camera sees nothing. 8 bit become 16 (times 256).
+    With image (row, column); X, Y (ny, nx); returns (ny, nx): Brightness.
     """
     return cv2.remap(
         double(image, _space), X, Y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0
@@ -273,16 +221,7 @@ def rectify(image: NDArray[Any], X: Float, Y: Float) -> NDArray[Any]:
 def widen(image: NDArray[Any], x: float, y: float) -> NDArray[Any]:
     """Blur an image by a Gaussian, differently along its axes.
 
-    Parameters
-    ----------
-    image : ndarray, (ny, nx), uint16 or float32
-        Image.
-    x, y : float
-        Standard deviations along columns and rows, px; below 0.3 px an axis is left alone.
-
-    Returns
-    -------
-    ndarray, (ny, nx), float32, or the image itself if neither axis is blurred
+    With image (ny, nx); x, y, px; returns (ny, nx).
     """
     sides = tuple(2 * int(np.ceil(2.5 * sigma)) + 1 if sigma >= 0.3 else 1 for sigma in (x, y))
     if sides == (1, 1):

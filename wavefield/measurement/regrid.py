@@ -20,22 +20,12 @@ Weights = tuple[np.float32, np.float32, np.float32, np.float32]  # of four block
 
 @dataclass(frozen=True)
 class Lattice:
-    """Block centres in a plane: apparent coordinates or pixels.
+    """Block centres in a plane: apparent coordinates or pixels."""
 
-    Parameters
-    ----------
-    x0, y0 : float
-        Position of block (0, 0).
-    step : float
-        Distance between blocks, in the unit of x0 and y0.
-    shape : tuple of int
-        Number of blocks (ny, nx).
-    """
-
-    x0: float
+    x0: float  # Position of block (0, 0)
     y0: float
-    step: float
-    shape: tuple[int, int]
+    step: float  # Distance between blocks, in the unit of x0 and y0
+    shape: tuple[int, int]  # Number of blocks (ny, nx)
 
     @property
     def x(self) -> NDArray[Any]:
@@ -84,17 +74,7 @@ def _push(coarse: Float, sums: Float, weight: Float, out: Float) -> None:
 def push_pull(fields: Float, valid: Mask) -> Float:
     """Fill gaps from coarser and coarser means.
 
-    Parameters
-    ----------
-    fields : ndarray of float32, (ny, nx, F)
-        Values; those at gaps are not looked at.
-    valid : ndarray of bool, (ny, nx)
-        Where the values hold.
-
-    Returns
-    -------
-    ndarray of float32, (ny, nx, F)
-        The same with gaps filled; zero if nothing is valid.
+    With fields (ny, nx, F); valid (ny, nx); returns (ny, nx, F): The same with gaps filled.
     """
     levels: list[tuple[Float, Float]] = [(fields, valid.astype(np.float32))]
     while min(levels[-1][1].shape) > 1 and not levels[-1][1].all():
@@ -112,18 +92,7 @@ def push_pull(fields: Float, valid: Mask) -> Float:
 def thin_plate(shape: tuple[int, int], smoothing: float) -> Float:
     """Response of the smoothing thin plate and of the spline prefilter to each cosine.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Lattice (ny, nx).
-    smoothing : float
-        Weight of the bending energy, block lengths to the fourth power; the plate halves waves of
-        2 pi smoothing^(1/4) blocks.
-
-    Returns
-    -------
-    ndarray of float32, (ny, nx)
-        1 / ((1 + smoothing k^4) b_x b_y), b the sampled cubic B-spline.
+    Returns (ny, nx): 1 / ((1 + smoothing k^4) b_x b_y), b the sampled cubic B-spline.
     """
     ky, kx = (np.pi * np.arange(n) / n for n in shape)
     spline = ((2.0 + np.cos(ky)) / 3.0)[:, None] * ((2.0 + np.cos(kx)) / 3.0)
@@ -133,14 +102,7 @@ def thin_plate(shape: tuple[int, int], smoothing: float) -> Float:
 def coefficients(fields: Float) -> Float:
     """Cubic-spline coefficients of fields.
 
-    Parameters
-    ----------
-    fields : ndarray of float32, (ny, nx, F)
-        Values on the lattice, without gaps.
-
-    Returns
-    -------
-    ndarray of float32, (ny, nx, F)
+    With fields (ny, nx, F); returns (ny, nx, F).
     """
     stack = np.ascontiguousarray(np.moveaxis(fields, -1, 0))
     waves = scipy.fft.dctn(stack, axes=(1, 2), norm="ortho", workers=1)
@@ -246,27 +208,10 @@ def read_surface(
 ) -> tuple[Float, NDArray[np.int64]]:
     """Fields at physical positions, from a lattice in a camera's apparent coordinates.
 
-    Parameters
-    ----------
-    spline : ndarray of float32, (ny, nx, F)
-        `coefficients`; field 0 is the elevation in metres.
-    lattice : Lattice
-        Block centres in apparent coordinates, metres.
-    centre : ndarray, (3,)
-        Centre of that camera, metres.
-    x, y : ndarray, shape S
-        Wanted positions, metres.
-
-    Returns
-    -------
-    values : ndarray of float32, (F,) + S
-        The fields at (x, y).
-    block : ndarray of int, S
-        Flat index of the block nearest to each.
-
-    Notes
-    -----
     Solves x = x_a + D_a(x_a) z(x_a) by fixed point: with straight rays, x_a = c + (x - c) / (1 - z / c_z).
+
+    With spline (ny, nx, F); lattice, metres; centre (3,), metres; x, y S, metres; returns values (F,) + S:
+    The fields at (x, y).
     """
     nodes = np.broadcast_shapes(np.shape(x), np.shape(y))
     xs, ys = (np.ascontiguousarray(np.broadcast_to(v, nodes), dtype=np.float64).ravel() for v in (x, y))

@@ -17,14 +17,7 @@ from wavefield.rig import Camera
 class Sight:
     """Where one camera sees the nodes at any height, as polynomials in z.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera, binned.
-    x, y : ndarray, (ny, nx)
-        The nodes, metres.
-    z_range : (float, float)
-        Elevations searched, metres.
+    With x, y (ny, nx), metres; z_range (float, float), metres.
     """
 
     def __init__(
@@ -51,13 +44,7 @@ class Sight:
         self.sought: Sought | None = None
 
     def use(self, prior: Prior) -> None:
-        """Seek this camera's displacements.
-
-        Parameters
-        ----------
-        prior : Prior
-            Their spectrum, px of the binned image.
-        """
+        """Seek this camera's displacements."""
         if self.sought is None or self.sought.prior != prior:
             self.sought = Sought(prior, self.lattice.shape, 0.0)
 
@@ -81,30 +68,15 @@ class Sight:
     def at(self, z: NDArray[Any]) -> NDArray[np.float32]:
         """Image position and Jacobian of the nodes at given heights.
 
-        Parameters
-        ----------
-        z : ndarray of float32, (ny, nx)
-            Elevation of each node, metres.
-
-        Returns
-        -------
-        ndarray of float32, (8, ny, nx)
-            X, Y (px of the binned image), then dX/dx, dX/dy, dX/dz, dY/dx, dY/dy, dY/dz (px per metre).
+        With z (ny, nx), metres; returns (8, ny, nx): X, Y (px of the binned image), then dX/dx, dX/dy, dX/dz,
+        dY/dx, dY/dy, dY/dz (px per metre).
         """
         return self._evaluate(z, 8)
 
     def position(self, z: NDArray[Any]) -> NDArray[np.float32]:
         """Image position of the nodes at given heights.
 
-        Parameters
-        ----------
-        z : ndarray of float32, (ny, nx)
-            Elevation of each node, metres.
-
-        Returns
-        -------
-        ndarray of float32, (2, ny, nx)
-            X, Y, px of the binned image.
+        With z (ny, nx), metres; returns (2, ny, nx): X, Y, px of the binned image.
         """
         return self._evaluate(z, 2)
 

@@ -16,16 +16,7 @@ from wavefield.measurement.regrid import thin_plate
 class Sought:
     """A field that is sought by its spectrum; laid out when it is first asked for.
 
-    Parameters
-    ----------
-    prior : Prior
-        Its spectrum.
-    shape : (int, int)
-        Of the lattice, (ny, nx).
-    smoothing : float
-        Of its spline.
-    wanted : ndarray of bool, (ny, nx), optional
-        Blocks whose field is wanted; all if left out.
+    With shape (int, int); wanted (ny, nx).
     """
 
     def __init__(
@@ -63,16 +54,7 @@ class Sought:
     def splined(self, waves: NDArray[Any], slopes: Slopes) -> NDArray[Any]:
         """Spline coefficients of the field.
 
-        Parameters
-        ----------
-        waves : ndarray of float32, (c, my, mx)
-            Cosine coefficients.
-        slopes : Slopes
-            Slopes at the edges of the lattice, whose short waves the cosines leave out.
-
-        Returns
-        -------
-        ndarray of float32, (ny, nx, c)
+        With waves (c, my, mx); returns (ny, nx, c).
         """
         out = self.modes.field(waves * self.spline) + self.modes.edge.field(slopes, self._beyond)
         return np.ascontiguousarray(np.moveaxis(out, 0, -1), np.float32)

@@ -15,25 +15,11 @@ _UNKNOWN = 0.2  # of a height: what is seen of a bead changes with light and vie
 def swing(rise: Float, step: float, height: float) -> tuple[Float, Float]:
     """What beads move beyond the water that carries them.
 
-    Parameters
-    ----------
-    rise : ndarray, (ny, nx)
-        Rise of the surface per step, metres.
-    step : float
-        Distance of nodes, metres.
-    height : float
-        Of what is seen of a bead above the water, metres.
-
-    Returns
-    -------
-    moved, std : ndarray, (2, ny, nx)
-        Motion per step along x and y beyond the water's, and its standard uncertainty, metres; 0 where the
-        rise of a neighbour is not known.
-
-    Notes
-    -----
     What stands h above the water along its normal lies -h grad z beside it, so that it moves by
     -h d(grad z)/dt more: of a wave (1 - h k) of the horizontal motion is seen.
+
+    With rise (ny, nx), metres; step, metres; height, metres; returns moved, std (2, ny, nx): Motion per step
+    along x and y beyond the water's, and its standard uncertainty, metres.
 
     Examples
     --------

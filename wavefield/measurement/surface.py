@@ -22,36 +22,17 @@ Mask = NDArray[Any]
 
 @dataclass(frozen=True)
 class PairMatch:
-    """What one pair of cameras says about the blocks of the lattice.
+    """What one pair of cameras says about the blocks of the lattice."""
 
-    Parameters
-    ----------
-    pair : tuple of str
-        The cameras (a, b); the lattice is fixed in a's apparent coordinates.
-    difference : ndarray, (2, ny, nx)
-        x_b - x_a, metres.
-    parallax : ndarray, (2, ny, nx)
-        dD = D_b - D_a, each at its own apparent position.
-    eps_y : ndarray, (ny, nx)
-        Mismatch across the sight line, metres.
-    rejected : ndarray of uint16, (ny, nx)
-        Bits of `Quality` that say why a block does not count; 0 where it does.
-    matched : ndarray of bool, (ny, nx)
-        Blocks that both cameras see and that matching itself trusts.
-    settings : matching.Settings
-        The settings of this match.
-    found : matching.Displacement
-        The match itself, px.
-    """
-
-    pair: tuple[str, str]
-    difference: Float
-    parallax: Float
-    eps_y: Float
+    pair: tuple[str, str]  # The cameras (a, b); the lattice is fixed in a's apparent coordinates
+    difference: Float  # (2, ny, nx): x_b - x_a, metres
+    parallax: Float  # (2, ny, nx): dD = D_b - D_a, each at its own apparent position
+    eps_y: Float  # (ny, nx): Mismatch across the sight line, metres
+    # (ny, nx): Bits of `Quality` that say why a block does not count; 0 where it does
     rejected: NDArray[np.uint16]
-    matched: Mask
-    settings: matching.Settings
-    found: matching.Displacement
+    matched: Mask  # (ny, nx): Blocks that both cameras see and that matching itself trusts
+    settings: matching.Settings  # The settings of this match
+    found: matching.Displacement  # The match itself, px
 
     @property
     def valid(self) -> Mask:
@@ -65,20 +46,7 @@ def prepare(
 ) -> matching.Prepared:
     """Rectify a raw image and make it ready for matching.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column)
-        Raw image, its pixels binned.
-    camera : str
-        Its camera.
-    plan : Plan
-        Maps and masks.
-    mask : wavefield.matching.prepared.Mask, optional
-        Pixels of the rectified image that count; those that the camera sees if left out.
-
-    Returns
-    -------
-    matching.Prepared
+    With image (row, column).
     """
     sharp = sharpened(image, BETWEEN_CAMERAS)
     flat = widen(rectify(sharp, *plan.maps[camera]), *plan.blur[camera])
@@ -88,21 +56,6 @@ def prepare(
 def match_pair(a: matching.Prepared, b: matching.Prepared, pair: tuple[str, str], plan: Plan) -> PairMatch:
     """Match two rectified images of one instant.
 
-    Parameters
-    ----------
-    a, b : Prepared
-        As given by `prepare`.
-    pair : tuple of str
-        Their cameras.
-    plan : Plan
-        Lattice, sight lines, search range.
-
-    Returns
-    -------
-    PairMatch
-
-    Notes
-    -----
     x_a, x_b: apparent positions; d = x_b - x_a = -(D_b - D_a) z, so z = -(dD . d) / |dD|^2 and
     eps_Y = (dD_y d_x - dD_x d_y) / |dD|.
     """
@@ -127,19 +80,7 @@ def match_pair(a: matching.Prepared, b: matching.Prepared, pair: tuple[str, str]
 
 
 def difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
-    """Displacement between the partners of two pairs of one reference.
-
-    Parameters
-    ----------
-    one, other : PairMatch
-        Pairs (a, b) and (a, c).
-
-    Returns
-    -------
-    PairMatch
-        What they say together about (c, b), on a's lattice: x_b - x_c = (x_b - x_a) - (x_c - x_a). No match
-        stands behind it: ``found`` is that of the first pair.
-    """
+    """Displacement between the partners of two pairs of one reference."""
     d, parallax = one.difference - other.difference, one.parallax - other.parallax
     return PairMatch(
         (one.pair[0], one.pair[1]),

@@ -22,26 +22,7 @@ def matched_pixels(
 ) -> dict[str, NDArray[np.float64]]:
     """Match the cameras' images of some instants.
 
-    Parameters
-    ----------
-    read : callable
-        From camera and frame to the image (row, column), or None where it is missing or bad.
-    frames : sequence of int
-        Which.
-    plan : Plan
-        Rig, grid and settings.
-    progress : callable, optional
-        Told (frames done, all frames).
-
-    Returns
-    -------
-    dict of str to ndarray, (n, 2)
-        Pixels (column, row) of the same pieces of surface in each camera; NaN where a camera has none.
-
-    Raises
-    ------
-    CalibrationError
-        If no frame can be matched.
+    Returns (n, 2): Pixels (column, row) of the same pieces of surface in each camera.
     """
     rig = plan.rig
     cells = np.s_[::_APART, ::_APART]
@@ -76,17 +57,6 @@ def matched_pixels(
 
 def spread(count: int, wanted: int) -> list[int]:
     """Positions of some frames, evenly over a record.
-
-    Parameters
-    ----------
-    count : int
-        Frames there are.
-    wanted : int
-        Frames to use.
-
-    Returns
-    -------
-    list of int
 
     Examples
     --------

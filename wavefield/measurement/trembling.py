@@ -25,15 +25,7 @@ _FEW = 50  # nodes: less tell nothing
 def line_of(centres: Sequence[Float]) -> Float:
     """Direction of the line along which cameras stand.
 
-    Parameters
-    ----------
-    centres : sequence of ndarray, (3,)
-        Of two cameras or more, metres.
-
-    Returns
-    -------
-    ndarray, (2,)
-        Horizontal unit vector; where they do not stand in a line, that along which they stand furthest apart.
+    With centres (3,), metres; returns (2,): Horizontal unit vector.
 
     Examples
     --------
@@ -51,30 +43,12 @@ def left_over(
 ) -> tuple[Float, tuple[float, float]]:
     """What the cameras' displacements leave on the mean over the field, and how far cameras move for it.
 
-    Parameters
-    ----------
-    jacobian : ndarray, (2N, 3, ny, nx)
-        Of N cameras, px per metre.
-    moved, weight : ndarray, (2N, ny, nx)
-        Displacements, px, and the weights with which the water's is found from them.
-    good : ndarray of bool, (ny, nx)
-        Nodes that count: all cameras measured them.
-    line : ndarray, (2,)
-        Direction along which the cameras stand (`line_of`).
-
-    Returns
-    -------
-    left : ndarray, (2N,)
-        Median of the residuals over the field, px.
-    along, across : float
-        Rms motion of every camera's picture along the line and across it, px: with it the cameras would leave
-        so much.
-
-    Notes
-    -----
     A motion m of the pictures leaves M m, M = 1 - J (J^T W J)^-1 J^T W. Of motions of variance s^2 along one
     direction e of each picture, E|e^T M m|^2 = s^2 tr(P P^T) with P = e^T M e: s^2 follows from one step, and
     where a direction leaves nothing (two cameras, along the line) from the other.
+
+    With jacobian (2N, 3, ny, nx), px per metre; moved, weight (2N, ny, nx), px; good (ny, nx); line (2,);
+    returns left (2N,): Median of the residuals over the field, px.
     """
     rows = len(moved)
     places = np.flatnonzero(good.ravel())
@@ -103,17 +77,8 @@ def of_the_water(
 ) -> Float:
     """Variance of the water's displacement from pictures that move.
 
-    Parameters
-    ----------
-    jacobian, weight, good, line
-        As for `left_over`.
-    size : (float, float)
-        Rms motion of every picture along the line and across it, px.
-
-    Returns
-    -------
-    ndarray, (3,)
-        Of dx, dy, dz, square metres, in the middle of the nodes that count.
+    With size (float, float), px; returns (3,): Of dx, dy, dz, square metres, in the middle of the nodes that
+    count.
     """
     places = np.flatnonzero(good.ravel())
     if not len(places) or not any(size):
@@ -129,25 +94,10 @@ def of_the_water(
 def of_elevation(heights: Float, lengths: Float, least: float = 0.0) -> float:
     """Variance of the elevation of all pairs of cameras, from how it differs between them over the field.
 
-    Parameters
-    ----------
-    heights : ndarray, (P,)
-        Typical elevation by each of P pairs with one reference, metres, of places that all of them see.
-    lengths : ndarray, (P,)
-        Length of their parallax, metres per metre of elevation; its sign tells pairs on opposite sides of the
-        reference.
-    least : float, default 0
-        Variance that the motion of every picture on the water has at least, square metres.
-
-    Returns
-    -------
-    float
-        Square metres. One pair, which nothing contradicts, says nothing: then that of ``least``.
-
-    Notes
-    -----
     With the pictures of P + 1 cameras moved alike along the line, pair p is off by (m_p - m_0) / L_p; all
     pairs together, weighed by L^2, by sum h_p (m_p - m_0) / L_p.
+
+    With heights (P,), metres; lengths (P,).
 
     Examples
     --------
@@ -170,17 +120,7 @@ def _of_pairs(lengths: Float) -> tuple[Float, Float]:
 def motion_for(level: float, lengths: Float) -> float:
     """Motion of every camera's picture on the water along the line that moves the level of z by so much.
 
-    Parameters
-    ----------
-    level : float
-        Standard deviation of the elevation of all nodes alike, metres.
-    lengths : ndarray, (P,)
-        As for `of_elevation`.
-
-    Returns
-    -------
-    float
-        Standard deviation, metres.
+    With level, metres; lengths (P,); returns Standard deviation, metres.
 
     Examples
     --------
@@ -194,23 +134,12 @@ def motion_for(level: float, lengths: Float) -> float:
 def unsteady(levels: Sequence[float], turn: float) -> float:
     """How far the mean level of the water moves as no water does, from frame to frame.
 
-    Parameters
-    ----------
-    levels : sequence of float
-        Mean elevation over the same nodes in six consecutive frames, metres.
-    turn : float
-        Phase by which the shortest waves turn from frame to frame that such a mean still follows, rad.
-
-    Returns
-    -------
-    float
-        Standard deviation of each, metres, that explains their fifth difference; 0 where waves do.
-
-    Notes
-    -----
     Of levels that err by s each, the fifth difference errs by sqrt(252) s; of a wave whose phase turns by p
     from frame to frame it keeps (2 sin(p/2))^5, a hundredth at p = .4: so much of the levels' own amplitude
     is taken off.
+
+    With levels, metres; turn, rad; returns Standard deviation of each, metres, that explains their fifth
+    difference.
 
     Examples
     --------

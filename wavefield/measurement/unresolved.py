@@ -29,19 +29,12 @@ _BESIDE = 1.1  # a chord lies beside the path as well: the more, the steeper the
 
 @dataclass(frozen=True)
 class Unresolved:
-    """Standard deviation of what the finite time step leaves out, over the field.
-
-    Parameters
-    ----------
-    z : tuple of (int, float)
-        Of z at mid-time from 2, 3, 4 and 6 frames, metres.
-    d : tuple of (int, (float, float, float, float))
-        Of the water's displacement per step from 2, 4 and, where enough waves tell it, 6 frames, over the rms
-        of its rise: along either axis, where the water stands still and by how much more where it moves as
-        far as it does on the average (squares add), then the same of its rise.
-    """
+    """Standard deviation of what the finite time step leaves out, over the field."""
 
     z: tuple[tuple[int, float], ...]  # pairs, for a plan is looked up by what it was learned from
+    # (float, float, float, float): Of the water's displacement per step from 2, 4 and, where enough waves
+    # tell it, 6 frames, over the rms of its rise: along either axis, where the water stands still and by how
+    # much more where it moves as far as it does on the average (squares add), then the same of its rise
     d: tuple[tuple[int, Parts], ...]
 
     def of_z(self, frames: int) -> float:
@@ -51,24 +44,10 @@ class Unresolved:
     def of_displacement(self, frames: int, d: Float, known: NDArray[np.bool_]) -> Float:
         """Of the displacement per step from so many frames.
 
-        Parameters
-        ----------
-        frames : int
-            2 for a chord, 4 or 6 for a path through so many places.
-        d : ndarray, (3, ny, nx)
-            The displacement, metres.
-        known : ndarray of bool, (ny, nx)
-            Nodes that tell how far the water moves.
-
-        Returns
-        -------
-        ndarray, (3, ny, nx)
-            Metres.
-
-        Notes
-        -----
         Half of what is left out along the axes is shared as the motion itself is, half evenly: short waves
         come from more sides than long ones.
+
+        With d (3, ny, nx), metres; known (ny, nx); returns (3, ny, nx): Metres.
         """
         still, moving, still_up, moving_up = np.square(dict(self.d)[frames])
         if not known.any():
@@ -88,28 +67,13 @@ class Unresolved:
         return float(2.0 * (still + moving) + still_up + moving_up)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for a recipe.
-
-        Returns
-        -------
-        dict
-        """
+        """Plain data for a recipe."""
         z, d = {str(n): value for n, value in self.z}, {str(n): list(parts) for n, parts in self.d}
         return {"z": z, "d": d}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Unresolved:
-        """Inverse of `to_dict`.
-
-        Parameters
-        ----------
-        data : mapping
-            As given by `to_dict`.
-
-        Returns
-        -------
-        Unresolved
-        """
+        """Inverse of `to_dict`."""
         z = tuple((int(n), float(value)) for n, value in data["z"].items())
         return cls(z, tuple((int(n), _parts(value)) for n, value in data["d"].items()))
 
@@ -128,17 +92,6 @@ NOTHING = Unresolved(tuple((n, 0.0) for n in (2, 3, 4, 6)), tuple((n, (0.0, 0.0,
 def kept_of_z(phase: Float, frames: int) -> Float:
     """Fraction of a wave's elevation at mid-time that an interpolation in time keeps.
 
-    Parameters
-    ----------
-    phase : ndarray
-        By which the wave turns in a step, rad: beside the mean flow.
-    frames : int
-        2, 4 or 6 of them.
-
-    Returns
-    -------
-    ndarray
-
     Examples
     --------
     >>> kept_of_z(np.array([1.0]), 6).round(4).tolist(), kept_of_z(np.array([1.0]), 4).round(4).tolist()
@@ -151,16 +104,7 @@ def kept_of_z(phase: Float, frames: int) -> Float:
 def kept_of_displacement(phase: Float, frames: int) -> Float:
     """Fraction of a wave's velocity at mid-time that displacements keep.
 
-    Parameters
-    ----------
-    phase : ndarray
-        omega dt, rad.
-    frames : int
-        2 for a chord, 4 or 6 for a path through so many places.
-
-    Returns
-    -------
-    ndarray
+    With phase, rad.
     """
     here, *beside = PATH_WEIGHTS[frames]
     path = here + 2.0 * sum(w * np.cos(n * phase) for n, w in enumerate(beside, 1))
@@ -175,25 +119,6 @@ def unresolved(
 ) -> Unresolved:
     """What the finite time step leaves out, from elevations at two consecutive frames.
 
-    Parameters
-    ----------
-    pairs : sequence of (ndarray, ndarray), each (ny, nx)
-        Elevation at a frame and at the next, of sample steps, metres.
-    step : float
-        From node to node, metres.
-    noise : callable, optional
-        From wavenumbers, rad per node, to the noise in the power of every wave of the discrete Fourier
-        transform, metres squared; none if left out. It turns at any speed, and must not pass for waves.
-    matched : callable, optional
-        From wavenumbers, rad per node, to what the prior leaves of a wave's displacement, and to the factor
-        by which it is raised beside that, before paths take from it; 1 and 1 if left out.
-
-    Returns
-    -------
-    Unresolved
-
-    Notes
-    -----
     In every ring of wavenumber the power of the difference over that of the sum is tan^2(p/2), with p = omega
     dt the phase by which its waves turn in a step; the power P of the waves is the sum of both, over four. A
     ring of few waves says little of its own: its phase is drawn to c times that of the dispersion relation,
@@ -211,6 +136,8 @@ def unresolved(
     sum P q^2 L is, but for how much the path bends: its places are Gaussian, given d, and the expectation of
     the squared error follows from their covariances. Both grow nearly with d^2. d is that of deep water: as
     far as it rises.
+
+    With pairs (ndarray, ndarray), metres; step, metres; noise, rad per node; matched, rad per node.
     """
     if not pairs or min(pairs[0][0].shape) < _SMALLEST:
         return NOTHING
@@ -360,16 +287,7 @@ def _power(field: Float) -> Float:
 def typical(field: Float, inside: NDArray[np.bool_]) -> Float:
     """Half what is here, half what is elsewhere: errors do not vanish where a field passes through zero.
 
-    Parameters
-    ----------
-    field : ndarray, (ny, nx)
-        Any field.
-    inside : ndarray of bool, (ny, nx)
-        Nodes that count.
-
-    Returns
-    -------
-    ndarray, (ny, nx)
+    With field (ny, nx); inside (ny, nx); returns (ny, nx).
     """
     elsewhere = np.nanmean(np.square(field[inside])) if inside.any() else 0.0
     return np.asarray(np.sqrt(0.5 * (np.square(field) + elsewhere)))

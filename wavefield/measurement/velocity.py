@@ -29,38 +29,26 @@ _REACH = 20  # px: half a window of the coarse levels, by which what a camera sh
 
 @dataclass(frozen=True)
 class Motion:
-    """Displacement per step of the surface water at the nodes, at mid-time.
+    """Displacement per step of the surface water at the nodes, at mid-time."""
 
-    Parameters
-    ----------
-    d, d_std : ndarray, (3, ny, nx)
-        (dx, dy, dz) and its standard uncertainty, metres; NaN where fewer than two cameras see the node.
-    eps_piv : ndarray, (ny, nx)
-        Misfit of the cameras' displacements, px.
-    misfit : ndarray, (ny, nx)
-        Squared misfit over what noise lets expect, per degree of freedom; NaN where fewer than two see it.
-    quality : ndarray of uint16, (ny, nx)
-        Bits of `Quality`: why a camera's displacement was rejected; `FILLED` where not enough of them were
-        measured or they contradict each other; `TWO_FRAME_MEAN` where a path has fewer than four places.
-    frames : ndarray of uint8, (ny, nx)
-        Places that paths have: 2, 4 or 6, the fewest of all cameras'.
-    chord, bend : ndarray, (3, ny, nx)
-        Displacement over the step; mean of the places in its two frames less that at mid-time; metres.
-    left_out : str or None
-        The camera that contradicted the others, which agree without it.
-    regions : mapping of str to ndarray of bool, (ny, nx)
-        Where a camera contradicted the others, which agree there without it.
-    """
-
+    # (3, ny, nx): (dx, dy, dz) and its standard uncertainty, metres; NaN where fewer than two cameras see the
+    # node
     d: NDArray[Any]
     d_std: NDArray[Any]
-    eps_piv: NDArray[Any]
+    eps_piv: NDArray[Any]  # (ny, nx): Misfit of the cameras' displacements, px
+    # (ny, nx): Squared misfit over what noise lets expect, per degree of freedom; NaN where fewer than two
+    # see it
     misfit: NDArray[Any]
+    # (ny, nx): Bits of `Quality`: why a camera's displacement was rejected; `FILLED` where not enough of them
+    # were measured or they contradict each other; `TWO_FRAME_MEAN` where a path has fewer than four places
     quality: NDArray[np.uint16]
-    frames: NDArray[np.uint8]
+    frames: NDArray[np.uint8]  # (ny, nx): Places that paths have: 2, 4 or 6, the fewest of all cameras'
+    # (3, ny, nx): Displacement over the step; mean of the places in its two frames less that at mid-time;
+    # metres
     chord: NDArray[Any]
     bend: NDArray[Any]
-    left_out: str | None = None
+    left_out: str | None = None  # The camera that contradicted the others, which agree without it
+    # (ny, nx): Where a camera contradicted the others, which agree there without it
     regions: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     @property
@@ -72,41 +60,25 @@ class Motion:
 
 @dataclass(frozen=True)
 class Seen:
-    """What each of N cameras has at the nodes.
+    """What each of N cameras has at the nodes."""
 
-    Parameters
-    ----------
-    jacobian : ndarray, (2N, 3, ny, nx)
-        Px per metre.
-    moved : ndarray, (2N, ny, nx)
-        Displacement per step at mid-time, px; NaN where the camera does not see the node.
-    noise, missing : ndarray, (2N, ny, nx)
-        Variance by noise, and by what the prior takes away or makes up, px^2.
-    along, own : ndarray, (2N,)
-        Factors on the noise of every component: that of a camera's two, that of the camera beside the others.
-    rejected : ndarray of uint16, (N, ny, nx)
-        Why not measured: bits of `Quality`; `OUTSIDE` where not seen.
-    frames : ndarray of uint8, (ny, nx)
-        Places that paths have: 2, 4 or 6, the fewest of all cameras'.
-    line : ndarray, (2,)
-        Direction along which the cameras stand.
-    chord, bend : ndarray, (2N, ny, nx)
-        Displacement over the step, and the mean of the places in its two frames less that at mid-time, px.
-    axes : ndarray, (N, 3)
-        Direction in which each camera is directed over its distance from the middle of the field, 1/m.
-    """
-
-    jacobian: Float
+    jacobian: Float  # (2N, 3, ny, nx): Px per metre
+    # (2N, ny, nx): Displacement per step at mid-time, px; NaN where the camera does not see the node
     moved: Float
-    noise: Float
+    noise: Float  # (2N, ny, nx): Variance by noise, and by what the prior takes away or makes up, px^2
     missing: Float
+    # (2N,): Factors on the noise of every component: that of a camera's two, that of the camera beside the
+    # others
     along: Float
     own: Float
-    rejected: NDArray[np.uint16]
-    frames: NDArray[np.uint8]
-    line: Float
+    rejected: NDArray[np.uint16]  # (N, ny, nx): Why not measured: bits of `Quality`; `OUTSIDE` where not seen
+    frames: NDArray[np.uint8]  # (ny, nx): Places that paths have: 2, 4 or 6, the fewest of all cameras'
+    line: Float  # (2,): Direction along which the cameras stand
+    # (2N, ny, nx): Displacement over the step, and the mean of the places in its two frames less that at mid-
+    # time, px
     chord: Float
     bend: Float
+    # (N, 3): Direction in which each camera is directed over its distance from the middle of the field, 1/m
     axes: Float
 
     @property
@@ -148,27 +120,6 @@ def velocity(
 ) -> Motion | None:
     """Displacement per step of the surface water at the nodes, at mid-time.
 
-    Parameters
-    ----------
-    steps : sequence of 1, 3 or 5 mapping of str to Flow, or None
-        `flows` of the steps before, of this step and of the steps after.
-    z : ndarray, (ny, nx)
-        Elevation at mid-time, metres.
-    plan : Plan
-        Everything computed beforehand, its record learned.
-    without : mapping of str to ndarray of bool, (ny, nx), optional
-        Where a camera is to be left out; found from the cameras' misfit if not given.
-    unsteady : float, default 0
-        Motion of the pictures from frame to frame along the line on which the cameras stand, px, that the
-        surfaces tell of; what the displacements themselves tell is known.
-
-    Returns
-    -------
-    Motion or None
-        None if fewer than two cameras have both frames.
-
-    Notes
-    -----
     d = argmin sum w (J d - dX)^2, J the 2N x 3 Jacobian at the node's position on the surface at mid-time, dX
     the image velocity there (`read_path`): dX/dt = J dx/dt holds exactly, where the displacements themselves
     would ask for the curvature of the projection. eps' = |J d - dX| / sqrt(2N).
@@ -177,6 +128,8 @@ def velocity(
     not shrink when they are averaged: it is shared among the components as a short wave of any direction
     moves the water, half as much along x and along y as up and down (its variance); in a light sheet as the
     fluid's own motion is. Motion of the cameras themselves all nodes share (`trembling`).
+
+    With z (ny, nx), metres; without (ny, nx); unsteady, px.
     """
     names = _cameras(steps)
     if len(names) < 2:
@@ -239,19 +192,7 @@ def _others(seen: Seen, n: int) -> Seen:
 
 
 def look_at_nodes(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Seen:
-    """What each camera has at the nodes.
-
-    Parameters
-    ----------
-    names : sequence of str
-        The cameras.
-    steps, z, plan
-        As for `velocity`.
-
-    Returns
-    -------
-    Seen
-    """
+    """What each camera has at the nodes."""
     count, shape = len(names), z.shape
     jacobian = np.empty((2 * count, 3, *shape), np.float64)
     moved, chord, bend = np.empty((3, 2 * count, *shape), np.float64)
@@ -352,18 +293,7 @@ def _solved(seen: Seen, plan: Plan, unsteady: float = 0.0) -> Motion:
 
 
 def shares(plan: Plan) -> Sequence[float] | Float:
-    """Variance of u, v and w where the prior takes from waves, in proportion: of water, or in a light sheet.
-
-    Parameters
-    ----------
-    plan : Plan
-        Its record learned.
-
-    Returns
-    -------
-    sequence of float
-        Three of them.
-    """
+    """Variance of u, v and w where the prior takes from waves, in proportion: of water, or in a light sheet."""
     assert plan.record is not None
     return _SHORT_WAVES if plan.settings.sheet_thickness is None else np.square(plan.record.moved)
 
@@ -371,17 +301,7 @@ def shares(plan: Plan) -> Sequence[float] | Float:
 def signal(seen: Seen, parts: Sequence[float] | Float) -> Float:
     """Variance in each camera's image, mean of both components, of water that moves so.
 
-    Parameters
-    ----------
-    seen : Seen
-        Of N cameras.
-    parts : sequence of float
-        Variance of dx, dy, dz.
-
-    Returns
-    -------
-    ndarray, (N, ny, nx)
-        Px^2 for metres squared.
+    Returns (N, ny, nx): Px^2 for metres squared.
     """
     square = np.einsum("kiyx,i->kyx", np.square(seen.jacobian), parts)
     out: Float = 0.5 * (square[::2] + square[1::2])
@@ -391,17 +311,7 @@ def signal(seen: Seen, parts: Sequence[float] | Float) -> Float:
 def misfit(seen: Seen, d: Float) -> Float:
     """Squared misfit of the cameras over what noise lets expect, per degree of freedom.
 
-    Parameters
-    ----------
-    seen : Seen
-        Of N cameras.
-    d : ndarray, (ny, nx, 3)
-        Displacement of the water, metres.
-
-    Returns
-    -------
-    ndarray, (ny, nx)
-        chi^2 / (2N - 3); its median should be .79 for three cameras; NaN where fewer than two see a node.
+    With d (ny, nx, 3), metres; returns (ny, nx): chi^2 / (2N - 3).
     """
     left = np.einsum("rcyx,yxc->ryx", seen.jacobian, d) - seen.moved
     # one noise for all cameras: a quiet camera's own would make it contradict errors that are not noise

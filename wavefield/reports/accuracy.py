@@ -18,17 +18,7 @@ from wavefield.series.masks import covered_series, footprints
 
 
 def accuracy(sources: Sources) -> Section:
-    """Build the part on errors: internal, against probes, against the truth where it is known.
-
-    Parameters
-    ----------
-    sources : Sources
-        What there is.
-
-    Returns
-    -------
-    Section
-    """
+    """Build the part on errors: internal, against probes, against the truth where it is known."""
     part = sources.thinned("eps_y", "eps_piv")
     section = Section(
         "Accuracy",
@@ -235,17 +225,7 @@ _CALIBRATION = {
 
 
 def calibration(sources: Sources) -> Section:
-    """Build the part on the calibration, from the report that `wavefield calibrate` left beside the rig.
-
-    Parameters
-    ----------
-    sources : Sources
-        What there is.
-
-    Returns
-    -------
-    Section
-    """
+    """Build the part on the calibration, from the report that `wavefield calibrate` left beside the rig."""
     section = Section("Calibration")
     folder = sources.calibration_folder
     if folder is None:

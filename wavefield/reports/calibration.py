@@ -29,23 +29,7 @@ def _marked_before(path: Path) -> bool:
 def write_calibration(
     calibration: Calibration, directory: str | Path, target: Callable[[], bytes | None] | None = None
 ) -> Path:
-    """Write the report of a calibration.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        What to report; also one without a rig, to say what to photograph again.
-    directory : path
-        Made if it is not there. Each file is written whole or not at all.
-    target : callable, optional
-        Gives the picture of what was found in one image of each camera, a PNG file
-        (`wavefield.reports.targets.draw_found`); asked when all others are drawn.
-
-    Returns
-    -------
-    Path
-        The page, ``index.html``; beside it ``numbers.yaml`` and the pictures.
-    """
+    """Write the report of a calibration."""
     directory = Path(directory)
     content: dict[str, Any] = {
         "usable": calibration.usable,

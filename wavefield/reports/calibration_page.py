@@ -11,38 +11,15 @@ from wavefield.reports.page import Head, Listing, Picture, Section, Table, Text,
 
 @dataclass(frozen=True)
 class Drawn:
-    """A picture of the page.
+    """A picture of the page."""
 
-    Parameters
-    ----------
-    file : str
-        Name of the file beside the page that holds it too.
-    title : str
-        What it shows.
-    png : bytes
-        The picture.
-    """
-
-    file: str
-    title: str
-    png: bytes
+    file: str  # Name of the file beside the page that holds it too
+    title: str  # What it shows
+    png: bytes  # The picture
 
 
 def calibration_page(content: dict[str, Any], drawn: Sequence[Drawn]) -> str:
-    """Put the page together.
-
-    Parameters
-    ----------
-    content : dict
-        What ``numbers.yaml`` says.
-    drawn : sequence of Drawn
-        The pictures.
-
-    Returns
-    -------
-    str
-        HTML, complete in itself.
-    """
+    """Put the page together."""
     sections = list(_sections(content))
     if drawn:
         shown = [Picture(one.png, f"{one.title} ({one.file})", one.title) for one in drawn]

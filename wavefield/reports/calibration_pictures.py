@@ -39,21 +39,7 @@ def _image_frame(axes: Axes, size: tuple[int, int]) -> None:
 
 
 def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
-    """Residuals of one camera: every point, and their mean over cells of the image.
-
-    Parameters
-    ----------
-    observations : Observations
-        What was seen.
-    fit : Fit
-        The joint fit.
-    camera : int
-        Which.
-
-    Returns
-    -------
-    Figure
-    """
+    """Residuals of one camera: every point, and their mean over cells of the image."""
     o = observations
     rows = o.camera == camera
     pixel, miss, size = o.pixel[rows], fit.residual[rows], o.sizes[camera]
@@ -113,17 +99,7 @@ def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
 
 
 def coverage(observations: Observations) -> Figure:
-    """Where in each image the target was seen.
-
-    Parameters
-    ----------
-    observations : Observations
-        What was seen.
-
-    Returns
-    -------
-    Figure
-    """
+    """Where in each image the target was seen."""
     o = observations
     count = len(o.cameras)
     figure = _figure(3.9 * count + 0.3, 4.6)
@@ -156,16 +132,7 @@ def coverage(observations: Observations) -> Figure:
 def flat_target(surface: FlatSurface, mesh: float) -> Figure:
     """z of the flat target's nodes, as the rig measures it.
 
-    Parameters
-    ----------
-    surface : FlatSurface
-        The nodes.
-    mesh : float
-        Of the target, metres.
-
-    Returns
-    -------
-    Figure
+    With mesh, metres.
     """
     figure = _figure(7.6, 5.2)
     axes = figure.subplots()
@@ -202,21 +169,7 @@ def _frustum(camera: Camera, z: float) -> Array:
 
 
 def rig_drawing(observations: Observations, fit: Fit, cameras: Sequence[Camera]) -> Figure:
-    """The rig and the poses of the target, from the side and from above.
-
-    Parameters
-    ----------
-    observations : Observations
-        Names and nodes.
-    fit : Fit
-        The joint fit.
-    cameras : sequence of Camera
-        In the order of the observations.
-
-    Returns
-    -------
-    Figure
-    """
+    """The rig and the poses of the target, from the side and from above."""
     o, g = observations, fit.geometry
     figure = _figure(11.0, 4.4)
     axes: Sequence[Axes] = figure.subplots(1, 2)

@@ -23,21 +23,7 @@ def _draw(axes: Axes, time: Sequence[float], curves: Mapping[str, Sequence[float
 
 
 def camera_history(time: Sequence[float], cameras: Numbers, pairs: Numbers) -> Figure:
-    """Sharpness, brightness and free view of every camera, agreement of every pair, over the record.
-
-    Parameters
-    ----------
-    time : sequence of float
-        Instants that were looked at, s.
-    cameras : mapping of str to mapping of str to list of float
-        ``blur`` (px), ``brightness`` (grey levels), ``coverage`` (fraction of the view), per camera.
-    pairs : mapping of str to mapping of str to list of float
-        ``agreement`` (fraction of the patches), ``eps_y`` (px), per pair.
-
-    Returns
-    -------
-    Figure
-    """
+    """Sharpness, brightness and free view of every camera, agreement of every pair, over the record."""
     figure, axes = panels(3, 2 if pairs else 1, width=3.8, height=2.7)
     _draw(axes[0, 0], time, {n: c["blur"] for n, c in cameras.items()}, "width of the finest details (px)")
     levels = {n: c["brightness"] for n, c in cameras.items()}

@@ -30,18 +30,10 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class Entry:
-    """One run of a campaign.
+    """One run of a campaign."""
 
-    Parameters
-    ----------
-    run : str
-        Its name.
-    cube : path
-        Its cube; it need not be there yet.
-    """
-
-    run: str
-    cube: Path
+    run: str  # Its name
+    cube: Path  # Its cube; it need not be there yet
 
     @property
     def there(self) -> bool:
@@ -72,27 +64,7 @@ def _group(waves: Path, name: str) -> xr.Dataset | None:
 
 
 def compare(title: str, entries: Sequence[Entry], output: str | Path) -> Path:
-    """Write the page.
-
-    Parameters
-    ----------
-    title : str
-        Of the campaign.
-    entries : sequence of Entry
-        Its runs.
-    output : path
-        HTML file to write.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    StoreError
-        If a store is damaged, or the file cannot be written.
-    """
+    """Write the page."""
     output = Path(output)
     table = Section("The runs", [Markup(_table(entries, output))])
     sections = [(table, table.html())]

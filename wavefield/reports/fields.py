@@ -14,17 +14,7 @@ from wavefield.variables import FrameStatus
 
 
 def surface(sources: Sources) -> Section:
-    """Build the part on the surface and its velocity.
-
-    Parameters
-    ----------
-    sources : Sources
-        What there is.
-
-    Returns
-    -------
-    Section
-    """
+    """Build the part on the surface and its velocity."""
     snap = sources.snapshot()
     z, w = 100 * snap.z, 100 * snap.w
     numbers = (
@@ -51,17 +41,7 @@ def surface(sources: Sources) -> Section:
 
 
 def distributions(sources: Sources) -> Section:
-    """Build the part on distributions.
-
-    Parameters
-    ----------
-    sources : Sources
-        What there is.
-
-    Returns
-    -------
-    Section
-    """
+    """Build the part on distributions."""
     part = sources.thinned("z", "u", "v", "w")
     rate = float(sources.cube.attrs["frame_rate"])
     spread = ", ".join(
@@ -98,17 +78,7 @@ def distributions(sources: Sources) -> Section:
 
 
 def coverage(sources: Sources) -> Section:
-    """Build the part on coverage and faults.
-
-    Parameters
-    ----------
-    sources : Sources
-        What there is.
-
-    Returns
-    -------
-    Section
-    """
+    """Build the part on coverage and faults."""
     cube = sources.cube
     status = cube.frame_status.values
     faulty = np.flatnonzero(status != int(FrameStatus.DONE))

@@ -16,17 +16,7 @@ from wavefield.variables import FrameStatus, Quality
 
 
 def summary(sources: Sources) -> Section:
-    """Build the first screen: what was measured, how much of it, how well.
-
-    Parameters
-    ----------
-    sources : Sources
-        What there is.
-
-    Returns
-    -------
-    Section
-    """
+    """Build the first screen: what was measured, how much of it, how well."""
     cube = sources.cube
     part = sources.thinned("z", "u", "v", "w", "eps_y", "eps_piv", "quality")
     nothing = np.uint16(Quality.OUTSIDE | Quality.MASKED)  # older cubes hold 8 bits
@@ -93,17 +83,7 @@ def _left_out(quality: xr.DataArray, seen: xr.DataArray, cameras: Sequence[str])
 
 
 def setup(sources: Sources) -> Section:
-    """Build the part on cameras and frames.
-
-    Parameters
-    ----------
-    sources : Sources
-        What there is.
-
-    Returns
-    -------
-    Section
-    """
+    """Build the part on cameras and frames."""
     section = Section("Set-up")
     if sources.rig is None:
         return section
@@ -187,17 +167,7 @@ def _with_unit(name: str, words: str) -> str:
 
 
 def recipe(sources: Sources) -> Section:
-    """Build the part on how the cube was made.
-
-    Parameters
-    ----------
-    sources : Sources
-        What there is.
-
-    Returns
-    -------
-    Section
-    """
+    """Build the part on how the cube was made."""
     folder = str(sources.experiment.path.absolute().parent) if sources.experiment else ""
     attrs = {k: v for k, v in sources.cube.attrs.items() if k not in ("recipe", "fingerprints")}
     rows = [

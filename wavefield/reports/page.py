@@ -21,15 +21,6 @@ _SENTENCE = 60  # letters: a cell with more is read, not looked up
 def marked_up(words: str) -> str:
     """Plain words as HTML; what stands between backticks is to be typed.
 
-    Parameters
-    ----------
-    words : str
-        Such as "name them as `rest:`".
-
-    Returns
-    -------
-    str
-
     Examples
     --------
     >>> marked_up("name <them> as `rest:`")
@@ -40,21 +31,11 @@ def marked_up(words: str) -> str:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure with what it shows in words.
+    """A figure with what it shows in words."""
 
-    Parameters
-    ----------
-    figure : Figure or bytes
-        A matplotlib figure, or a PNG file as bytes.
-    caption : str
-        Below the figure: what it is and how to read it.
-    alt : str
-        For those who cannot see it: what one would see, with its numbers.
-    """
-
-    figure: Figure | bytes
-    caption: str
-    alt: str
+    figure: Figure | bytes  # A matplotlib figure, or a PNG file as bytes
+    caption: str  # Below the figure: what it is and how to read it
+    alt: str  # For those who cannot see it: what one would see, with its numbers
 
     def html(self) -> str:
         """Give the picture as HTML with its data inside."""
@@ -80,21 +61,11 @@ def _width_of(png: bytes) -> int:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under a heading row.
+    """Rows of text under a heading row."""
 
-    Parameters
-    ----------
-    caption : str
-        What it lists.
-    head : sequence of str
-        Column names.
-    rows : sequence of sequence of str
-        Cells; the first of each row names it.
-    """
-
-    caption: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    caption: str  # What it lists
+    head: Sequence[str]  # Column names
+    rows: Sequence[Sequence[str]]  # Cells; the first of each row names it
 
     def html(self) -> str:
         """Give the table as HTML."""
@@ -117,15 +88,9 @@ class Table:
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph.
+    """A paragraph."""
 
-    Parameters
-    ----------
-    words : str
-        Plain text.
-    """
-
-    words: str
+    words: str  # Plain text
 
     def html(self) -> str:
         """Give the paragraph as HTML."""
@@ -134,18 +99,10 @@ class Text:
 
 @dataclass(frozen=True)
 class Listing:
-    """Something long that is folded away: a recipe, a list of faults.
+    """Something long that is folded away: a recipe, a list of faults."""
 
-    Parameters
-    ----------
-    title : str
-        What one clicks on.
-    words : str
-        Plain text, shown as it is.
-    """
-
-    title: str
-    words: str
+    title: str  # What one clicks on
+    words: str  # Plain text, shown as it is
 
     def html(self) -> str:
         """Give the listing as HTML."""
@@ -155,15 +112,9 @@ class Listing:
 
 @dataclass(frozen=True)
 class Markup:
-    """HTML made by this package itself.
+    """HTML made by this package itself."""
 
-    Parameters
-    ----------
-    markup : str
-        HTML.
-    """
-
-    markup: str
+    markup: str  # HTML
 
     def html(self) -> str:
         """Give it back."""
@@ -172,17 +123,10 @@ class Markup:
 
 @dataclass
 class Section:
-    """A part of the page.
+    """A part of the page."""
 
-    Parameters
-    ----------
-    title : str
-        Heading.
-    items : list
-        Pictures, tables, texts, in order.
-    """
-
-    title: str
+    title: str  # Heading
+    # Pictures, tables, texts, in order
     items: list[Picture | Table | Text | Listing | Markup] = field(default_factory=list)
 
     @property
@@ -201,24 +145,12 @@ class Section:
 
 @dataclass(frozen=True)
 class Head:
-    """What a page says first.
+    """What a page says first."""
 
-    Parameters
-    ----------
-    title : str
-        Of the page.
-    lines : sequence of str
-        What it is about, a paragraph each; empty ones are left out.
-    verdict : str
-        Whether it can be trusted, in one line; none if empty.
-    weight : {"note", "remark", "grave"}
-        Of the verdict: its colour and its sign.
-    """
-
-    title: str
-    lines: Sequence[str] = ()
-    verdict: str = ""
-    weight: str = "note"
+    title: str  # Of the page
+    lines: Sequence[str] = ()  # What it is about, a paragraph each; empty ones are left out
+    verdict: str = ""  # Whether it can be trusted, in one line; none if empty
+    weight: str = "note"  # Of the verdict: its colour and its sign
 
     def html(self) -> str:
         """Give the head as HTML."""
@@ -239,19 +171,7 @@ _VERDICTS = {"note": ("\u2714", "good"), "remark": ("!", "doubtful"), "grave": (
 def render(head: Head, sections: Sequence[tuple[Section, str]], player: Mapping[str, str]) -> str:
     """Put the page together.
 
-    Parameters
-    ----------
-    head : Head
-        What it says first.
-    sections : sequence of (Section, str)
-        Its parts, each with its HTML.
-    player : mapping of str to str
-        Data of the moving pictures (`player.pack`); empty without them.
-
-    Returns
-    -------
-    str
-        HTML, complete in itself.
+    With sections (Section, str).
     """
     assets = files("wavefield.reports").joinpath("assets")
     return Template(assets.joinpath("page.html").read_text(encoding="utf-8")).substitute(

@@ -24,17 +24,6 @@ def _draw(axes: Axes, curves: dict[str, np.ndarray], unit: str, *, positive: boo
 def pair_misfits(diagnosis: Diagnosis) -> Figure:
     """Distributions of eps_y and of eps' of each pair of cameras on its own.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        As from `wavefield.measurement.diagnose`.
-
-    Returns
-    -------
-    Figure
-
-    Notes
-    -----
     Counterpart of the paper's distributions of eps_Y for three pairs and of its PIV errors.
     """
     figure, axes = panels(2, height=4.6)
@@ -49,17 +38,6 @@ def pair_misfits(diagnosis: Diagnosis) -> Figure:
 def pair_differences(diagnosis: Diagnosis) -> Figure:
     """Differences between pairs of cameras: of z, of dx, of dy, of dz.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        As from `wavefield.measurement.diagnose`.
-
-    Returns
-    -------
-    Figure
-
-    Notes
-    -----
     Counterpart of the paper's differences between the three pairs, and of the recombination of two pairs
     against the direct one. The mean in time of each node is kept.
     """

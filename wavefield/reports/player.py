@@ -51,15 +51,7 @@ def _text(raw: bytes) -> str:
 def stretch(cube: xr.Dataset) -> xr.Dataset:
     """Consecutive steps in the middle of the record, thinned in space, that fit into the page.
 
-    Parameters
-    ----------
-    cube : Dataset, (time, y, x)
-        A cube.
-
-    Returns
-    -------
-    Dataset
-        Every variable of a part of it, derived ones too, loaded.
+    With cube (time, y, x).
     """
     thin = max(1, int(np.ceil(np.sqrt(cube.sizes["x"] * cube.sizes["y"] / _MOST_NODES))))
     nodes = -(-cube.sizes["x"] // thin) * -(-cube.sizes["y"] // thin)
@@ -85,15 +77,7 @@ def _field(values: np.ndarray, name: str) -> tuple[np.ndarray, dict[str, Any]]:
 def pack(cube: xr.Dataset) -> dict[str, str]:
     """Data for the browser.
 
-    Parameters
-    ----------
-    cube : Dataset, (time, y, x)
-        A cube with z (m) and u, v, w (m s-1), and whatever else it has.
-
-    Returns
-    -------
-    dict of str to str
-        Name of an element of the page to its text: fields as base64, their description as JSON.
+    With cube (time, y, x).
     """
     part = stretch(cube)
     out, fields = {}, []
@@ -139,18 +123,7 @@ def pack(cube: xr.Dataset) -> dict[str, str]:
 
 
 def markup(cube: xr.Dataset) -> str:
-    """The player's place on the page.
-
-    Parameters
-    ----------
-    cube : Dataset
-        A cube: which variables there are.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """The player's place on the page."""
     there = [n for n in (*_SHOWN, "quality") if n in cube or n in _DERIVED]
     options = "".join(
         f'<option value="{name}">{html.escape(f"{name}: {TABLE[name].long_name}")}</option>' for name in there

@@ -201,20 +201,7 @@ def gather(
 
 
 def span_of(what: str, files: Iterable[Path]) -> dict[str, str]:
-    """From when to when files were written, to the minute.
-
-    Parameters
-    ----------
-    what : str
-        What was done with them.
-    files : iterable of Path
-        The files; those that are not there are passed over.
-
-    Returns
-    -------
-    dict of str to str
-        ``{what: "2026-03-01 10:12 to 10:40 UTC"}``; empty without a file.
-    """
+    """From when to when files were written, to the minute."""
     times = sorted(file.stat().st_mtime for file in files if file.exists())
     if not times:
         return {}
@@ -228,14 +215,7 @@ def span_of(what: str, files: Iterable[Path]) -> dict[str, str]:
 def grid_of(cube: xr.Dataset) -> Grid:
     """Grid of a cube.
 
-    Parameters
-    ----------
-    cube : Dataset, (time, y, x)
-        A cube.
-
-    Returns
-    -------
-    Grid
+    With cube (time, y, x).
     """
     x, y = cube.x.values, cube.y.values
     return Grid((x[0], x[-1]), (y[0], y[-1]), float(np.mean(np.diff(x))))

@@ -21,25 +21,10 @@ def target_points(
 
     A circle marks the origin, where the rig is known.
 
-    Parameters
-    ----------
-    images : mapping of str to ndarray, (row, column)
-        Image of each camera.
-    points : mapping of str to TargetPoints
-        What was found in it.
-    rig : Rig, optional
-        The cameras; without it the second row is left out.
-    mesh : float
-        Distance between neighbouring nodes, m.
-
-    Returns
-    -------
-    Figure
-
-    Notes
-    -----
     Counterpart of the paper's image of the calibration grid with its reference points, in image coordinates
     and in physical coordinates at z = 0.
+
+    With images (row, column).
     """
     rows = 1 if rig is None else 2
     figure, axes = panels(len(images), rows, width=4.0, height=3.8)
@@ -66,18 +51,7 @@ def target_points(
 
 
 def draw_found(result: TargetRig) -> bytes | None:
-    """Draw what was found in one image of each camera: the flat pose where there is one.
-
-    Parameters
-    ----------
-    result : TargetRig
-        As from `calibrate_experiment`.
-
-    Returns
-    -------
-    bytes or None
-        A PNG file; None if no target was found, or if the points came as tables.
-    """
+    """Draw what was found in one image of each camera: the flat pose where there is one."""
     poses = {
         camera: "flat" if "flat" in found else max(found, key=lambda pose: len(found[pose]))
         for camera, found in result.views.items()

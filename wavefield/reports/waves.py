@@ -10,17 +10,7 @@ from wavefield.waves.kinematics import kinematics_at
 
 
 def spectra(sources: Sources) -> Section:
-    """Build the part on spectra.
-
-    Parameters
-    ----------
-    sources : Sources
-        What there is.
-
-    Returns
-    -------
-    Section
-    """
+    """Build the part on spectra."""
     group, dispersion = sources.group("spectra"), sources.group("dispersion")
     section = Section("Spectra")
     if group is None:
@@ -87,17 +77,7 @@ def spectra(sources: Sources) -> Section:
 
 
 def nonlinearity(sources: Sources) -> Section:
-    """Build the part on the kinematic condition.
-
-    Parameters
-    ----------
-    sources : Sources
-        What there is.
-
-    Returns
-    -------
-    Section
-    """
+    """Build the part on the kinematic condition."""
     snap = sources.snapshot()
     terms = kinematics_at(snap, sources.cube)
     rms = {name: 100 * rms_of(terms[name]) for name in ("nonlinear", "residual")}

@@ -32,17 +32,6 @@ def number(value: float, unit: str = "", digits: int = 3) -> str:
 def without_folders(value: Any, folder: str = "") -> Any:
     """Names of files without the folders of the machine they lie on: a page is for others to read.
 
-    Parameters
-    ----------
-    value : str, number, list, or mapping
-        As in a recipe.
-    folder : str
-        From which names are told; of what lies elsewhere only the last part is left.
-
-    Returns
-    -------
-    the same
-
     Examples
     --------
     >>> without_folders({"rig": "/data/tank/rig.yaml", "images": ["/data/tank/cam1/a.tif"]}, "/data/tank")

@@ -64,17 +64,7 @@ def report(
 
 
 def remarks_section(verdict: Verdict) -> Section:
-    """The remarks of a verdict, as a part of the page.
-
-    Parameters
-    ----------
-    verdict : Verdict
-        With one remark at least.
-
-    Returns
-    -------
-    Section
-    """
+    """The remarks of a verdict, as a part of the page."""
     rows = [
         (f"{r.subject}: {r.kind}", r.sentence, r.expected or "-", r.remedy or "-") for r in verdict.remarks
     ]
@@ -83,20 +73,7 @@ def remarks_section(verdict: Verdict) -> Section:
 
 
 def cameras_section(sources: Sources, verdict: Verdict) -> Section:
-    """What each camera showed over the record, as the run looked at it.
-
-    Parameters
-    ----------
-    sources : Sources
-        The cube.
-    verdict : Verdict
-        With the numbers of its cameras.
-
-    Returns
-    -------
-    Section
-        Empty where the run has left no numbers.
-    """
+    """What each camera showed over the record, as the run looked at it."""
     section = Section("Cameras over time")
     if not verdict.cameras or not verdict.frames:
         return section
@@ -121,19 +98,7 @@ def cameras_section(sources: Sources, verdict: Verdict) -> Section:
 
 
 def head_of(sources: Sources, verdict: Verdict | None) -> Head:
-    """What the report says first: verdict, description, dates.
-
-    Parameters
-    ----------
-    sources : Sources
-        The cube and what lies beside it.
-    verdict : Verdict, optional
-        On the cube.
-
-    Returns
-    -------
-    Head
-    """
+    """What the report says first: verdict, description, dates."""
     cube = sources.cube
     name = str(cube.attrs.get("experiment", "")) or "unnamed experiment"
     rate = float(cube.attrs["frame_rate"])

@@ -11,22 +11,10 @@ def epipolar_distance(
 ) -> NDArray[np.float64]:
     """Distance of matched pixels from the epipolar lines of their partners.
 
-    Parameters
-    ----------
-    a, b : Camera
-        Two cameras of a rig.
-    Xa, Ya, Xb, Yb : array_like, (n,)
-        Matched pixels (column, row) in the two images.
-
-    Returns
-    -------
-    ndarray, (n,)
-        Signed distance in image b, px; the lens of b is taken into account by moving along its own pixels.
-
-    Notes
-    -----
     With Euclidean lines in the undistorted images: x_b^T E x_a over the length of its gradient with respect
     to x_b, where the gradient is taken in distorted pixels by the chain rule.
+
+    With Xa, Ya, Xb, Yb (n,); returns (n,): Signed distance in image b, px.
     """
     xa = np.stack([*a.tangents(Xa, Ya), np.ones(np.shape(Xa))])
     Xb, Yb = np.asarray(Xb, float), np.asarray(Yb, float)

@@ -16,19 +16,7 @@ LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", 
 def distort(a: Array, b: Array, k: tuple[float, float, float], p: tuple[float, float]) -> tuple[Array, Array]:
     """What the lens makes of tangents.
 
-    Parameters
-    ----------
-    a, b : ndarray
-        Tangents of the viewing angles.
-    k : (float, float, float)
-        Radial terms k1, k2, k3.
-    p : (float, float)
-        Tangential terms p1, p2.
-
-    Returns
-    -------
-    x, y : ndarray
-        Distorted tangents.
+    With k (float, float, float); p (float, float).
     """
     r2 = a * a + b * b
     radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]))
@@ -43,18 +31,7 @@ def distort(a: Array, b: Array, k: tuple[float, float, float], p: tuple[float, f
 def distort_jacobian(
     a: Array, b: Array, k: tuple[float, float, float], p: tuple[float, float]
 ) -> tuple[Array, Array, Array]:
-    """Derivatives of `distort`.
-
-    Parameters
-    ----------
-    a, b, k, p
-        As `distort`.
-
-    Returns
-    -------
-    xa, cross, yb : ndarray
-        dx/da; dx/db, which is dy/da, as the distortion is a gradient; dy/db.
-    """
+    """Derivatives of `distort`."""
     r2 = a * a + b * b
     radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]))
     slope = 2.0 * (k[0] + r2 * (2.0 * k[1] + r2 * 3.0 * k[2]))  # 2 d radial / d(r2)
@@ -67,14 +44,7 @@ def distort_jacobian(
 def tilt_matrix(tau_x: complex, tau_y: complex) -> NDArray[np.complex128]:
     """Homography of a tilted sensor (OpenCV's CALIB_TILTED_MODEL), for real or complex angles.
 
-    Parameters
-    ----------
-    tau_x, tau_y : float or complex
-        Angles, radians.
-
-    Returns
-    -------
-    ndarray, (3, 3)
+    Returns (3, 3).
     """
     cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
     about_y = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]], complex)
@@ -89,21 +59,8 @@ def tilt_matrix(tau_x: complex, tau_y: complex) -> NDArray[np.complex128]:
 def project(lens: Array, points: Array) -> tuple[Array, Array, Array]:
     """Pixels of points in a camera's frame, with all derivatives.
 
-    Parameters
-    ----------
-    lens : ndarray, (12,)
-        `LENS`.
-    points : ndarray, (n, 3)
-        In the camera's frame, metres.
-
-    Returns
-    -------
-    pixel : ndarray, (n, 2)
-        Pixels.
-    by_point : ndarray, (n, 2, 3)
-        Derivatives with respect to the points, px per metre.
-    by_lens : ndarray, (n, 2, 12)
-        Derivatives with respect to `LENS`.
+    With lens (12,); points (n, 3), metres; returns pixel (n, 2): Pixels; by_point (n, 2, 3): Derivatives with
+    respect to the points, px per metre; by_lens (n, 2, 12): Derivatives with respect to `LENS`..
     """
     fx, fy, cx, cy, k1, k2, p1, p2, k3, tau_x, tau_y, skew = lens.tolist()
     k, p = (k1, k2, k3), (p1, p2)

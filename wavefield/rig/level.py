@@ -14,24 +14,12 @@ _NEARLY = 10.0  # degrees: a frame tilted by more is not the water's
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane fitted to surface points.
+    """A plane fitted to surface points."""
 
-    Parameters
-    ----------
-    height : float
-        Of the plane at x = y = 0, metres.
-    slope : tuple of float
-        Along x and y.
-    rms : float
-        Of the points kept, across the plane, metres.
-    kept : ndarray of bool, (n,)
-        Points that belong to the plane.
-    """
-
-    height: float
-    slope: tuple[float, float]
-    rms: float
-    kept: NDArray[np.bool_]
+    height: float  # Of the plane at x = y = 0, metres
+    slope: tuple[float, float]  # Along x and y
+    rms: float  # Of the points kept, across the plane, metres
+    kept: NDArray[np.bool_]  # (n,): Points that belong to the plane
 
     @property
     def axes(self) -> NDArray[np.float64]:
@@ -45,20 +33,7 @@ class Plane:
 def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Plane:
     """Plane through surface points, blunders left out.
 
-    Parameters
-    ----------
-    x, y, z : array_like
-        Points, metres; NaN are ignored.
-
-    Returns
-    -------
-    Plane
-        By least squares over the points within 4 robust standard deviations.
-
-    Raises
-    ------
-    RigError
-        If fewer than ten points are left or they lie on a line.
+    With x, y, z, metres.
     """
     points = np.stack([np.ravel(v) for v in np.broadcast_arrays(x, y, z)], axis=-1).astype(float)
     kept = np.isfinite(points).all(axis=1)
@@ -92,27 +67,7 @@ def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Plane:
 def level(rig: Rig, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Rig, Plane]:
     """Re-express a rig so that the plane of surface points at rest is z = 0.
 
-    Parameters
-    ----------
-    rig : Rig
-        The cameras, in the frame of the points.
-    x, y, z : array_like
-        Points of the water surface at rest, triangulated with this rig, metres.
-
-    Returns
-    -------
-    rig : Rig
-        The same cameras; the origin moves along z only, and the x axis is turned up or down onto the plane.
-        From a frame that is tilted by more than 10 degrees, such as a camera's own, the origin moves to the
-        middle of the points, z points to the cameras, and x is the old one's projection.
-    plane : Plane
-        The plane in the old frame (in the turned one, where that was tilted by more than 10 degrees); its
-        ``rms`` says how flat the water was.
-
-    Raises
-    ------
-    RigError
-        As `fit_plane`.
+    With x, y, z, metres.
     """
     turned = rig
     points = np.stack([np.ravel(v) for v in np.broadcast_arrays(x, y, z)], axis=-1).astype(float)
@@ -153,16 +108,6 @@ def _across(rig: Rig, points: NDArray[np.float64]) -> tuple[NDArray[np.float64],
 def with_water_level(rig: Rig, height: float) -> Rig:
     """Re-express a rig when the water stands above or below the flat target by a known height.
 
-    Parameters
-    ----------
-    rig : Rig
-        With z = 0 on the flat target.
-    height : float
-        Of the water at rest above the target, metres; negative if below.
-
-    Returns
-    -------
-    Rig
-        With z = 0 on the water.
+    With height, metres.
     """
     return rig.moved(np.eye(3), (0.0, 0.0, height), water_above_target_m=float(height))

@@ -10,17 +10,6 @@ from wavefield.rig.rig import Rig
 def middle_camera(rig: Rig, names: Sequence[str]) -> str:
     """The camera nearest to all others; of two, the first.
 
-    Parameters
-    ----------
-    rig : Rig
-        The cameras.
-    names : sequence of str
-        Those to choose from.
-
-    Returns
-    -------
-    str
-
     Examples
     --------
     >>> from wavefield.rig import Camera
@@ -38,16 +27,7 @@ def middle_camera(rig: Rig, names: Sequence[str]) -> str:
 def pairs_of(rig: Rig, names: Sequence[str]) -> tuple[tuple[str, str], ...]:
     """The middle camera with each of the others.
 
-    Parameters
-    ----------
-    rig : Rig
-        The cameras.
-    names : sequence of str
-        Those to pair.
-
-    Returns
-    -------
-    tuple of (str, str)
+    Returns (str, str).
     """
     reference = middle_camera(rig, names)
     return tuple((reference, n) for n in names if n != reference)

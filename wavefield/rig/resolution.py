@@ -11,22 +11,7 @@ from wavefield.rig.rig import Rig
 def pixel_sides(camera: Camera, x: float, y: float) -> tuple[float, float]:
     """Shorter and longer side of a camera's pixel on the water at rest.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    x, y : float
-        Where, metres.
-
-    Returns
-    -------
-    shorter, longer : float
-        Metres: a camera that looks obliquely resolves less along its view than across it.
-
-    Raises
-    ------
-    RigError
-        If the camera does not look there.
+    With x, y, metres.
 
     Examples
     --------
@@ -44,45 +29,12 @@ def pixel_sides(camera: Camera, x: float, y: float) -> tuple[float, float]:
 def pixel_at(camera: Camera, x: float, y: float) -> float:
     """Size of a camera's pixel on the water at rest: the side of a square of the same area.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    x, y : float
-        Where, metres.
-
-    Returns
-    -------
-    float
-        Metres.
-
-    Raises
-    ------
-    RigError
-        If the camera does not look there.
+    With x, y, metres.
     """
     return float(np.sqrt(np.prod(pixel_sides(camera, x, y))))
 
 
 def pixel_size(rig: Rig, grid: Grid) -> float:
-    """Size of a pixel on the water: of the camera that resolves least, in the middle of the grid.
-
-    Parameters
-    ----------
-    rig : Rig
-        The cameras.
-    grid : Grid
-        The nodes.
-
-    Returns
-    -------
-    float
-        Metres (the paper's rig: 1.8 mm).
-
-    Raises
-    ------
-    RigError
-        If a camera does not look there.
-    """
+    """Size of a pixel on the water: of the camera that resolves least, in the middle of the grid."""
     x, y = float(np.mean(grid.x)), float(np.mean(grid.y))
     return max(pixel_at(camera, x, y) for camera in rig.cameras.values())

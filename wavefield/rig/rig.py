@@ -17,22 +17,7 @@ UNITS = {"length": "m", "image": "px", "angle": "rad"}
 
 
 def read_rig_text(path: Path) -> str:
-    """Text of a rig file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    RigError
-        If it is not there or cannot be read.
-    """
+    """Text of a rig file."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except FileNotFoundError:

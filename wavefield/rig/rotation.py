@@ -9,14 +9,7 @@ from wavefield.rig.lens import Array
 def rotation_about(vector: ArrayLike) -> Array:
     """Rotation matrix of a rotation vector (Rodrigues).
 
-    Parameters
-    ----------
-    vector : array_like, (3,)
-        Axis times angle, radians.
-
-    Returns
-    -------
-    ndarray, (3, 3)
+    With vector (3,); returns (3, 3).
 
     Examples
     --------

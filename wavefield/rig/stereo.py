@@ -20,27 +20,12 @@ def triangulate(
 ) -> tuple[Array, Array, Array, Array]:
     """Point nearest to the sight lines of all cameras.
 
-    Parameters
-    ----------
-    apparent : array_like, (N, 2, ...)
-        Apparent positions (x, y) on the plane z = 0 in N cameras, metres; NaN where a camera does not see it.
-    sight : array_like, (N, 2, ...)
-        Sight lines (Dx, Dy) of those cameras, each at its own apparent position.
-    std : array_like, broadcastable to (N, ...), optional
-        Standard uncertainty of each position per axis, metres; all alike if left out.
-
-    Returns
-    -------
-    x, y, z : ndarray, (...)
-        Position, metres; NaN where fewer than two cameras see the point.
-    eps : ndarray, (N, 2, ...)
-        What each camera's apparent position is off, x_k - (x - D_k z), metres.
-
-    Notes
-    -----
     Least squares for x_k = x - D_k z + error with weights w_k = 1 / std_k^2. For two cameras
     z = -(dD . d) / |dD|^2 with d = x_2 - x_1 and dD = D_2 - D_1; for more, the mean of the pairs' z with
     weights w_a w_b |dD|^2.
+
+    With apparent (N, 2, ...), metres; sight (N, 2, ...); std (N, ...), metres; returns x, y, z Position,
+    metres; eps (N, 2, ...): What each camera's apparent position is off, x_k - (x - D_k z), metres.
 
     Examples
     --------
@@ -68,17 +53,8 @@ def triangulate(
 def jacobians(cameras: Sequence[Camera], x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Array:
     """Jacobians of several cameras, stacked for `solve_displacement`.
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        The N cameras.
-    x, y, z : array_like, broadcastable to shape S
-        Positions, metres.
-
-    Returns
-    -------
-    ndarray, S + (2N, 3)
-        Derivatives of (X_1, Y_1, X_2, Y_2, ...) with respect to (x, y, z), px per metre.
+    With x, y, z S, metres; returns S + (2N, 3): Derivatives of (X_1, Y_1, X_2, Y_2, ...) with respect to (x,
+    y, z), px per metre.
     """
     shape = np.broadcast_shapes(np.shape(x), np.shape(y), np.shape(z))
     out = np.empty((*shape, 2 * len(cameras), 3))
@@ -163,29 +139,6 @@ def solve_displacement(
 ) -> tuple[Array, Array, Array]:
     """Displacement in space from the displacements on the sensors of N cameras.
 
-    Parameters
-    ----------
-    jacobian : array_like, (..., 2N, 3)
-        Derivatives of (X_1, Y_1, X_2, Y_2, ...) with respect to (x, y, z), px per metre (`jacobians`).
-    displacement : array_like, (..., 2N)
-        (dX_1, dY_1, dX_2, dY_2, ...), px; NaN where a camera has none: the others do the work.
-    std : array_like, broadcastable to (..., 2N), optional
-        Standard uncertainty of each displacement, px; all alike if left out. Infinite leaves one out.
-    noise : array_like, broadcastable to (..., 2N), optional
-        Standard deviation of what d_std is to answer for, px, where that is not ``std``.
-
-    Returns
-    -------
-    d : ndarray, (..., 3)
-        (dx, dy, dz), metres; NaN where fewer than two cameras are left.
-    eps_piv : ndarray, (...)
-        Misfit |J d - dX| / sqrt(number of rows used), px.
-    d_std : ndarray, (..., 3)
-        Standard uncertainty of (dx, dy, dz), metres, for independent errors of the stated ``noise``, or
-        ``std`` (metres per px, if both are left out).
-
-    Notes
-    -----
     d = argmin sum w (J d - dX)^2 with w = 1 / std^2: normal equations, 3 x 3, in closed form.
     For two cameras eps_piv is the paper's eps' = |J d - dX| / 2.
     """

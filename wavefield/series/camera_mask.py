@@ -17,58 +17,24 @@ _SHIFT = 6  # bits behind the point of a corner's coordinates, for OpenCV
 
 @dataclass(frozen=True)
 class CameraMask:
-    """Pixels of one camera that do not count.
+    """Pixels of one camera that do not count."""
 
-    Parameters
-    ----------
-    shape : tuple of int
-        (rows, columns) of its images.
-    outlines : tuple of ((column, row), ...)
-        Closed outlines, px; what lies inside is covered.
-    images : tuple of Entry
-        Images of the same size: what is not black is covered.
-    moving : sequence of Entry, optional
-        One such image for every frame of the series that the mask belongs to; empty if nothing moves.
-    """
-
-    shape: tuple[int, int]
-    outlines: tuple[Outline, ...] = ()
-    images: tuple[Entry, ...] = ()
+    shape: tuple[int, int]  # (rows, columns) of its images
+    outlines: tuple[Outline, ...] = ()  # (column, row): Closed outlines, px; what lies inside is covered
+    images: tuple[Entry, ...] = ()  # Images of the same size: what is not black is covered
+    # One such image for every frame of the series that the mask belongs to; empty if nothing moves
     moving: Sequence[Entry] = field(default=(), repr=False)
 
     def covered(self, index: int) -> NDArray[np.bool_]:
         """What is covered in one frame.
 
-        Parameters
-        ----------
-        index : int
-            Index of the frame in its series.
-
-        Returns
-        -------
-        ndarray of bool, (row, column)
-            True where covered; read-only. The same array for every frame if nothing moves.
-
-        Raises
-        ------
-        FrameError
-            If an image of the mask cannot be read, or has another size.
+        Returns (row, column): True where covered.
         """
         still = _still(self.shape, self.outlines, self.images)
         return _with_image(still, self.moving[index]) if self.moving else still
 
     def window(self, start: int, stop: int) -> "CameraMask":
-        """The mask of some of the frames.
-
-        Parameters
-        ----------
-        start, stop : int
-            Indices, from 0.
-
-        Returns
-        -------
-        CameraMask
-        """
+        """The mask of some of the frames."""
         return replace(self, moving=tuple(self.moving[max(start, 0) : stop]))
 
 
@@ -101,22 +67,7 @@ def _with_image(still: NDArray[np.bool_], entry: Entry) -> NDArray[np.bool_]:
 def read_mask(entry: Entry, shape: tuple[int, int]) -> NDArray[np.generic]:
     """Read an image of a mask.
 
-    Parameters
-    ----------
-    entry : Entry
-        Where it is.
-    shape : tuple of int
-        (rows, columns) that it must have.
-
-    Returns
-    -------
-    ndarray, (row, column)
-        Grey levels; what is not 0 is covered.
-
-    Raises
-    ------
-    FrameError
-        If it cannot be read, or has another size.
+    Returns (row, column): Grey levels.
     """
     image = read_entry(entry)
     if image.shape != shape:

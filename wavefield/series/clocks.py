@@ -20,19 +20,7 @@ _MOST = 10  # places for each image: what has more is several records in one fil
 def own_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64] | None:
     """When the images in recordings were taken, where these say so.
 
-    Parameters
-    ----------
-    images : str or list
-        As an experiment file names them.
-    camera : str
-        The camera.
-    folder : path
-        Relative names start here.
-
-    Returns
-    -------
-    ndarray, (n,), or None
-        Seconds, as they are, of one recording after the other; None if there is none, or one without times.
+    Returns (n,): Seconds, as they are, of one recording after the other.
     """
     parts = []
     for path in recordings_of(images, camera, folder):
@@ -52,24 +40,7 @@ def own_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64] | N
 def recorded_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64]:
     """As `own_times`, where they are asked for.
 
-    Parameters
-    ----------
-    images : str or list
-        The recording, as an experiment file names it.
-    camera : str
-        The camera.
-    folder : path
-        Relative names start here.
-
-    Returns
-    -------
-    ndarray, (n,)
-        Seconds, increasing.
-
-    Raises
-    ------
-    ExperimentError
-        If it is no recording that holds times, or they do not increase.
+    Returns (n,): Seconds, increasing.
     """
     if not recordings_of(images, camera, folder):
         raise ExperimentError(
@@ -86,23 +57,7 @@ def recorded_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64
 def read_time_stamps(path: Path, camera: str) -> np.ndarray:
     """Times of a camera's frames, one per image in order.
 
-    Parameters
-    ----------
-    path : path
-        Text file with one time in seconds per line (in the last column, if there are several); a first line
-        with names and lines that start with ``#`` are skipped.
-    camera : str
-        For the message.
-
-    Returns
-    -------
-    ndarray, (n,)
-        Times, seconds.
-
-    Raises
-    ------
-    ExperimentError
-        If a line holds no time, or times do not increase.
+    Returns (n,): Times, seconds.
     """
     try:
         lines = path.read_text().splitlines()
@@ -131,29 +86,7 @@ def place_by_time(
 ) -> Numbered:
     """Renumber frames by their time stamps, so that frames dropped by the camera leave gaps.
 
-    Parameters
-    ----------
-    numbered : dict of int to Entry
-        Frames in order.
-    times : ndarray, (n,)
-        Their times, seconds.
-    start : float
-        Time of frame 0, seconds.
-    frame_rate : float
-        Hz.
-    path : path
-        The file of time stamps, for the message.
-    camera : str
-        For the message.
-
-    Returns
-    -------
-    dict of int to Entry
-
-    Raises
-    ------
-    ExperimentError
-        If the stamps do not fit the images or the frame rate.
+    With times (n,), seconds; start, seconds.
     """
     if len(times) != len(numbered):
         raise ExperimentError(
@@ -173,17 +106,7 @@ def place_by_time(
 def place_by_intervals(numbered: Numbered, times: NDArray[np.float64]) -> Numbered:
     """Renumber frames so that those the camera dropped leave gaps: by intervals, not by the clock's rate.
 
-    Parameters
-    ----------
-    numbered : dict of int to Entry
-        Frames in order.
-    times : ndarray, (n,)
-        Their times, seconds: most intervals are alike.
-
-    Returns
-    -------
-    dict of int to Entry
-        The first keeps its number; all do where the times are not whole intervals apart.
+    With times (n,).
 
     Examples
     --------

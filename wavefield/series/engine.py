@@ -23,13 +23,7 @@ class FrameWarning(UserWarning):
 
 
 class FrameArray(BackendArray):
-    """The images of one camera as a lazy array (time, row, column).
-
-    Parameters
-    ----------
-    series : FrameSeries
-        The frames.
-    """
+    """The images of one camera as a lazy array (time, row, column)."""
 
     def __init__(self, series: FrameSeries) -> None:
         self.series = series
@@ -68,17 +62,7 @@ class ExperimentBackend(BackendEntrypoint):
     supports_groups = True
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
-        """Whether this is an experiment file.
-
-        Parameters
-        ----------
-        filename_or_obj : path
-            Any file.
-
-        Returns
-        -------
-        bool
-        """
+        """Whether this is an experiment file."""
         try:
             path = Path(filename_or_obj)
             return path.suffix in (".yaml", ".yml") and "cameras:" in path.read_text()
@@ -93,25 +77,7 @@ class ExperimentBackend(BackendEntrypoint):
         group: str | None = None,
         folder: str | None = None,
     ) -> xr.Dataset:
-        """Open one camera (``group="cam1"``), or all as variables named after the cameras.
-
-        Parameters
-        ----------
-        filename_or_obj : path
-            Experiment file.
-        drop_variables : str or iterable of str, optional
-            Variables to leave out.
-        group : str, optional
-            Name of a camera.
-        folder : path, optional
-            Folder of the images, in place of the one the file names.
-
-        Returns
-        -------
-        Dataset
-            ``image(time, row, column)`` of the camera; without group one variable per camera, whose rows and
-            columns bear its name because cameras differ in size.
-        """
+        """Open one camera (``group="cam1"``), or all as variables named after the cameras."""
         groups = self.open_groups_as_dict(filename_or_obj, folder=folder)
         root = groups.pop("/")
         name = (group or "").strip("/")
@@ -131,21 +97,7 @@ class ExperimentBackend(BackendEntrypoint):
         drop_variables: str | Iterable[str] | None = None,
         folder: str | None = None,
     ) -> dict[str, xr.Dataset]:
-        """Open the root (time) and one group per camera.
-
-        Parameters
-        ----------
-        filename_or_obj : path
-            Experiment file.
-        drop_variables : str or iterable of str, optional
-            Variables to leave out.
-        folder : path, optional
-            Folder of the images, in place of the one the file names.
-
-        Returns
-        -------
-        dict of str to Dataset
-        """
+        """Open the root (time) and one group per camera."""
         experiment = Experiment.load(filename_or_obj, folder)
         series = experiment.open_frames()
         if experiment.mask:
@@ -168,21 +120,7 @@ class ExperimentBackend(BackendEntrypoint):
         drop_variables: str | Iterable[str] | None = None,
         folder: str | None = None,
     ) -> xr.DataTree:
-        """Open all cameras as a tree: ``/cam1``, ``/cam2`` and so on, each with ``image(time, row, column)``.
-
-        Parameters
-        ----------
-        filename_or_obj : path
-            Experiment file.
-        drop_variables : str or iterable of str, optional
-            Variables to leave out.
-        folder : path, optional
-            Folder of the images, in place of the one the file names.
-
-        Returns
-        -------
-        DataTree
-        """
+        """Open all cameras as a tree: ``/cam1``, ``/cam2`` and so on, each with ``image(time, row, column)``."""
         groups = self.open_groups_as_dict(filename_or_obj, drop_variables=drop_variables, folder=folder)
         return xr.DataTree.from_dict(groups)
 

@@ -197,16 +197,7 @@ class FrameSeries:
 def judge_content(image: np.ndarray, place: str) -> Frame:
     """Mark an image without any contrast, or with pixels that are no numbers.
 
-    Parameters
-    ----------
-    image : ndarray, (row, column)
-        What was read.
-    place : str
-        Which frame this is, for the message.
-
-    Returns
-    -------
-    Frame
+    With image (row, column).
     """
     if image.dtype.kind == "f" and not np.isfinite(image).all():
         bad = int(image.size - np.isfinite(image).sum())

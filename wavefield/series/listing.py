@@ -24,29 +24,7 @@ _FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
 
 
 def number_frames(images: str | Sequence[str | None], folder: Path, camera: str) -> Numbered:
-    """Give every image of a camera its frame number.
-
-    Parameters
-    ----------
-    images : str or sequence of str or None
-        A pattern with ``{frame:05d}``, a glob, a multi-page TIFF, a video, a Zarr array; or a list of
-        files (None where a frame is known to be missing), numbered from 0. Patterns, files and Zarr arrays
-        may be addresses of an object store, as ``s3://bucket/cam1/img_{frame:05d}.tif``.
-    folder : path
-        Relative names start here.
-    camera : str
-        Name of the camera, put in place of ``{camera}``.
-
-    Returns
-    -------
-    dict of int to Entry
-        Frame number to where it is.
-
-    Raises
-    ------
-    ExperimentError
-        If nothing is found, or numbers are not unique.
-    """
+    """Give every image of a camera its frame number."""
     if not isinstance(images, str):
         return _from_list(images, folder, camera)
     name = images.replace("{camera}", camera)
@@ -63,23 +41,6 @@ def number_frames(images: str | Sequence[str | None], folder: Path, camera: str)
 
 def newest_frames(images: str | Sequence[str | None], folder: Path, camera: str, count: int) -> Numbered:
     """Give the newest images of a camera their frame numbers, however many there are.
-
-    Parameters
-    ----------
-    images, folder, camera
-        As of `number_frames`.
-    count : int
-        How many frames, those with the highest numbers.
-
-    Returns
-    -------
-    dict of int to Entry
-        Frame number to where it is, the newest first.
-
-    Raises
-    ------
-    ExperimentError
-        As `number_frames`.
 
     Examples
     --------
@@ -140,24 +101,7 @@ def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbe
 
 
 def list_folder(folder: Path, camera: str) -> list[str]:
-    """Names of the files in a folder, in one listing.
-
-    Parameters
-    ----------
-    folder : path
-        Where the images are.
-    camera : str
-        For the message.
-
-    Returns
-    -------
-    list of str
-
-    Raises
-    ------
-    ExperimentError
-        If the folder is missing or cannot be read.
-    """
+    """Names of the files in a folder, in one listing."""
     try:
         return os.listdir(folder)
     except FileNotFoundError:
@@ -243,26 +187,7 @@ def _hint(names: Sequence[str], folder: Path | str, pattern: str) -> str:
 def make_series(
     numbered: Mapping[str, Numbered], first: int, last: int, clocks: Mapping[str, NDArray[np.float64]]
 ) -> dict[str, FrameSeries]:
-    """Line up the cameras on a common range of frame numbers; reads one frame of each.
-
-    Parameters
-    ----------
-    numbered : mapping of str to dict
-        Frames of every camera.
-    first, last : int
-        Range of frame numbers, both included.
-    clocks : mapping of str to ndarray
-        When each frame was taken by the camera's own clock, s, in order; of the cameras that say so.
-
-    Returns
-    -------
-    dict of str to FrameSeries
-
-    Raises
-    ------
-    ExperimentError
-        If a camera has no readable frame in that range.
-    """
+    """Line up the cameras on a common range of frame numbers; reads one frame of each."""
     out = {}
     for camera, frames in numbered.items():
         entries = [frames.get(number) for number in range(first, last + 1)]

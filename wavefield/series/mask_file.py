@@ -18,19 +18,7 @@ Point = tuple[float, float]
 def add_polygons(experiment: Experiment, polygons: Mapping[str, Sequence[Point]]) -> None:
     """Write polygons into the experiment's file, beside the masks that it has.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        As read from its file.
-    polygons : mapping of str to sequence of (float, float)
-        By camera (column, row, px) or "water" (x, y, m).
-
-    Raises
-    ------
-    ExperimentError
-        If a polygon has fewer than three corners or crosses itself, or the file cannot be read any more.
-    StoreError
-        If the file cannot be written; it is then as it was.
+    With polygons (float, float).
     """
     path = experiment.path
     for name, corners in polygons.items():

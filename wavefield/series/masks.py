@@ -91,15 +91,8 @@ class MaskSection(Section):
 def crossing(corners: Sequence[tuple[float, float]]) -> tuple[int, int] | None:
     """Two sides of a polygon that cross.
 
-    Parameters
-    ----------
-    corners : sequence of (float, float)
-        In order around it.
-
-    Returns
-    -------
-    (int, int) or None
-        Numbers of the corners at which the sides begin, from 0; None if it does not cross itself.
+    With corners (float, float); returns (int, int): Numbers of the corners at which the sides begin, from 0;
+    None if it does not cross itself.
 
     Examples
     --------
@@ -124,19 +117,7 @@ def crossing(corners: Sequence[tuple[float, float]]) -> tuple[int, int] | None:
 
 
 def normalized(masks: Any, cameras: Iterable[str]) -> Any:
-    """Write out the short forms of ``mask:`` and refuse what belongs to no camera.
-
-    Parameters
-    ----------
-    masks : mapping
-        As in the file: a name of an image, one section or several, by camera or "water".
-    cameras : iterable of str
-        The cameras that there are.
-
-    Returns
-    -------
-    dict of str to list
-    """
+    """Write out the short forms of ``mask:`` and refuse what belongs to no camera."""
     if not isinstance(masks, Mapping):
         return masks
     out: dict[str, Any] = {}
@@ -154,18 +135,7 @@ def _written_out(name: str) -> dict[str, str]:
 
 
 def check(masks: Mapping[str, Sequence[MaskSection]]) -> None:
-    """Refuse what makes no sense where it stands.
-
-    Parameters
-    ----------
-    masks : mapping of str to sequence of MaskSection
-        By camera or "water".
-
-    Raises
-    ------
-    ValueError
-        If an image lies on the water, or a cylinder in an image.
-    """
+    """Refuse what makes no sense where it stands."""
     for name, shapes in masks.items():
         for shape in shapes:
             if name == WATER and (shape.image or shape.frames):
@@ -182,15 +152,7 @@ def check(masks: Mapping[str, Sequence[MaskSection]]) -> None:
 def footprints(masks: Mapping[str, Sequence[MaskSection]]) -> tuple[Outline, ...]:
     """Outlines on the water of what covers nodes, whatever the cameras see.
 
-    Parameters
-    ----------
-    masks : mapping of str to sequence of MaskSection
-        Of an experiment.
-
-    Returns
-    -------
-    tuple of ((x, y), ...)
-        Metres.
+    Returns (x, y): Metres.
     """
     out: list[Outline] = []
     for shape in masks.get(WATER, ()):
@@ -208,31 +170,7 @@ def covered_series(
     folder: Path,
     reach: float,
 ) -> dict[str, FrameSeries]:
-    """Frames that know what is covered in them.
-
-    Parameters
-    ----------
-    masks : mapping of str to sequence of MaskSection
-        Of an experiment.
-    series : mapping of str to FrameSeries
-        Its frames.
-    rig : Rig
-        Its cameras, for what lies on the water.
-    folder : path
-        Where names of images start.
-    reach : float
-        How far above and below z = 0 the water is looked for, m.
-
-    Returns
-    -------
-    dict of str to FrameSeries
-
-    Raises
-    ------
-    ExperimentError
-        If an image of a mask is missing or has another size, or a mask lies outside of the image or covers
-        all of it.
-    """
+    """Frames that know what is covered in them."""
     out = {}
     for name, frames in series.items():
         own, below = masks.get(name, ()), masks.get(WATER, ())
@@ -342,20 +280,7 @@ def _silhouette(cylinder: CylinderSection, camera: Camera, reach: float) -> NDAr
 
 
 def as_data(masks: Mapping[str, Sequence[MaskSection]], folder: Path) -> dict[str, Any]:
-    """Masks as plain data for a recipe: what a cube's values follow from.
-
-    Parameters
-    ----------
-    masks : mapping of str to sequence of MaskSection
-        Of an experiment.
-    folder : path
-        Where names of images start.
-
-    Returns
-    -------
-    dict
-        Images with a hash of their content; a series of images by its name, as the frames themselves.
-    """
+    """Masks as plain data for a recipe: what a cube's values follow from."""
     out: dict[str, Any] = {}
     for name, shapes in masks.items():
         out[name] = [shape.model_dump(exclude_none=True, mode="json") for shape in shapes]

@@ -16,18 +16,10 @@ _FEWEST = 3  # images that make a record
 
 @dataclass(frozen=True)
 class Numbered:
-    """Images whose names differ in one number.
+    """Images whose names differ in one number."""
 
-    Parameters
-    ----------
-    pattern : str
-        Path from the folder, with ``{frame}`` for the number.
-    numbers : tuple of int
-        The numbers, in order.
-    """
-
-    pattern: str
-    numbers: tuple[int, ...]
+    pattern: str  # Path from the folder, with ``{frame}`` for the number
+    numbers: tuple[int, ...]  # The numbers, in order
 
     @property
     def step(self) -> int:
@@ -37,23 +29,7 @@ class Numbered:
 
 
 def find_series(folder: Path) -> list[Numbered]:
-    """Find the numbered images in a folder and in those below.
-
-    Parameters
-    ----------
-    folder : path
-        Where to look.
-
-    Returns
-    -------
-    list of Numbered
-        In the order of their patterns.
-
-    Raises
-    ------
-    ExperimentError
-        If there is no such folder.
-    """
+    """Find the numbered images in a folder and in those below."""
     if not folder.is_dir():
         raise ExperimentError(f"{folder} is no folder; name the one that the images lie in or below")
     found: dict[str, list[int]] = defaultdict(list)

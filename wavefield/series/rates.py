@@ -11,21 +11,7 @@ _ALIKE = 1e-3  # of a rate: cameras round theirs
 
 
 def recorded_rates(cameras: Mapping[str, Any], folder: Path) -> dict[str, float]:
-    """Frame rates that recordings state, by camera.
-
-    Parameters
-    ----------
-    cameras : mapping of str to str or mapping
-        As in an experiment file: the images of each camera, or a block with ``images``.
-    folder : path
-        Relative names start here.
-
-    Returns
-    -------
-    dict of str to float
-        Hz; nothing for a camera whose images do not say, or cannot be read. A video states how fast it is to
-        be played, which is none.
-    """
+    """Frame rates that recordings state, by camera."""
     rates = {}
     for name, camera in cameras.items():
         named = camera.get("images") if isinstance(camera, Mapping) else camera
@@ -43,22 +29,7 @@ def recorded_rates(cameras: Mapping[str, Any], folder: Path) -> dict[str, float]
 
 
 def recordings_of(images: Any, camera: str, folder: Path) -> list[Path]:
-    """The recordings that hold a camera's images, one after the other.
-
-    Parameters
-    ----------
-    images : str or list
-        As an experiment file names them.
-    camera : str
-        The camera.
-    folder : path
-        Relative names start here.
-
-    Returns
-    -------
-    list of Path
-        Empty if some are in no recording.
-    """
+    """The recordings that hold a camera's images, one after the other."""
     named = [images] if isinstance(images, str) else images or []
     out = []
     for one in named:
@@ -70,25 +41,7 @@ def recordings_of(images: Any, camera: str, folder: Path) -> list[Path]:
 
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
-    """The rate that all recordings state.
-
-    Parameters
-    ----------
-    rates : mapping of str to float
-        As from `recorded_rates`.
-    path : path
-        The experiment file, for the message.
-
-    Returns
-    -------
-    float or None
-        Hz; None if none is stated.
-
-    Raises
-    ------
-    ExperimentError
-        If cameras state different ones.
-    """
+    """The rate that all recordings state."""
     if not rates:
         return None
     first = next(iter(rates))
@@ -103,15 +56,6 @@ def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
 
 def is_alike(one: float, other: float) -> bool:
     """Whether two rates are the same but for rounding.
-
-    Parameters
-    ----------
-    one, other : float
-        Hz.
-
-    Returns
-    -------
-    bool
 
     Examples
     --------

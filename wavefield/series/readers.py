@@ -41,19 +41,7 @@ class Entry(NamedTuple):
 def read_entry(entry: Entry) -> np.ndarray:
     """Read one frame.
 
-    Parameters
-    ----------
-    entry : Entry
-        Where it is.
-
-    Returns
-    -------
-    ndarray, (row, column)
-
-    Raises
-    ------
-    FrameError
-        If it cannot be read.
+    Returns (row, column).
     """
     if entry.kind == "file":
         return read_image(entry.path)
@@ -72,26 +60,7 @@ def read_entry(entry: Entry) -> np.ndarray:
 
 
 def count_images(name: str | Path) -> tuple[Kind, int]:
-    """What a single file or store holds.
-
-    Parameters
-    ----------
-    name : path or str
-        TIFF, IM7, video, Zarr array, or a recording as cameras write it (`wavefield.series.formats`); the
-        address of an image or of a Zarr array in an object store.
-
-    Returns
-    -------
-    kind : str
-        Kind of `Entry`.
-    count : int
-        Number of images in it.
-
-    Raises
-    ------
-    FrameError
-        If it cannot be read.
-    """
+    """What a single file or store holds."""
     if is_remote(str(name)):
         if str(name).rstrip("/").lower().endswith(".zarr"):
             return "zarr", _open_array(str(name)).count

@@ -14,15 +14,6 @@ _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://")
 def is_remote(name: str) -> bool:
     """Whether a name is an address rather than a path.
 
-    Parameters
-    ----------
-    name : str
-        Such as ``s3://bucket/cam1/img_00000.tif``.
-
-    Returns
-    -------
-    bool
-
     Examples
     --------
     >>> is_remote("s3://bucket/cam1.zarr"), is_remote("C://images/cam1"), is_remote("cam1/img_0.tif")
@@ -32,22 +23,7 @@ def is_remote(name: str) -> bool:
 
 
 def list_remote(folder: str) -> list[str]:
-    """Names of what lies in a folder of an object store, in one listing.
-
-    Parameters
-    ----------
-    folder : str
-        Address.
-
-    Returns
-    -------
-    list of str
-
-    Raises
-    ------
-    FrameError
-        If it cannot be reached.
-    """
+    """Names of what lies in a folder of an object store, in one listing."""
     try:
         files, inside = _reach(folder)
         listed = files.ls(inside, detail=False)
@@ -59,19 +35,7 @@ def list_remote(folder: str) -> list[str]:
 def read_remote(address: str) -> np.ndarray:
     """Read one image from an object store.
 
-    Parameters
-    ----------
-    address : str
-        Of the file.
-
-    Returns
-    -------
-    ndarray, (row, column)
-
-    Raises
-    ------
-    FrameError
-        If it cannot be reached or is no image.
+    Returns (row, column).
     """
     try:
         files, inside = _reach(address)

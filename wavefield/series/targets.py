@@ -11,23 +11,7 @@ from wavefield.series.experiment import Experiment
 
 
 def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
-    """Find the target images of an experiment.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        With a calibration block.
-
-    Returns
-    -------
-    dict of camera to dict of pose to Path
-        The flat pose is called "flat"; tilted ones after their file, without what names the camera.
-
-    Raises
-    ------
-    CalibrationError
-        If there is no calibration block, or a pattern in it names no image of a camera.
-    """
+    """Find the target images of an experiment."""
     section = experiment.calibration
     if section is None:
         raise CalibrationError(

@@ -6,19 +6,6 @@ from pathlib import Path
 def beside(store: Path, kind: str, ending: str) -> Path:
     """Where something made from a cube goes, unless said otherwise.
 
-    Parameters
-    ----------
-    store : Path
-        The cube.
-    kind : str
-        What it is: "waves", "report".
-    ending : str
-        Of its name.
-
-    Returns
-    -------
-    Path
-
     Examples
     --------
     >>> beside(Path("a/cube.zarr"), "waves", ".zarr").as_posix()

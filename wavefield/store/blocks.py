@@ -15,26 +15,7 @@ from wavefield.store.metadata import is_as_completed
 def read_blocks(path: Path, group: Any, name: str, layout: Layout) -> np.ndarray:
     """Read the whole of an array of the ledger, file by file: many times as fast as through Zarr.
 
-    Parameters
-    ----------
-    path : path
-        The store.
-    group : zarr.Group
-        As from `wavefield.store.read.open_group`.
-    name : {"frame_status", "frame_fault"}
-        The array.
-    layout : Layout
-        Sizes of the store.
-
-    Returns
-    -------
-    ndarray of uint8, (steps,) or (cameras, frames)
-        0 where nothing is stored.
-
-    Raises
-    ------
-    ValueError
-        If a file is not as long as it should be.
+    Returns (steps,): 0 where nothing is stored.
     """
     array = group[name]
     if array.compressors:  # stores of earlier versions
@@ -58,24 +39,7 @@ LEDGER = ("frame_status", "frame_fault")
 
 
 def check_blocks(path: Path, group: Any, layout: Layout, names: Collection[str] = WATCHED) -> None:
-    """Refuse a cube of which a finished block is not as long as it was written, or whose ledger changed.
-
-    Parameters
-    ----------
-    path : path
-        The store.
-    group : zarr.Group
-        As from `wavefield.store.read.open_group`.
-    layout : Layout
-        Sizes of the store.
-    names : collection of str, optional
-        Variables whose files are looked for; by default all.
-
-    Raises
-    ------
-    StoreError
-        If a block is damaged. Bytes that changed in place are found when they are read.
-    """
+    """Refuse a cube of which a finished block is not as long as it was written, or whose ledger changed."""
     if "stored_bytes" not in group or group["frame_status"].compressors:
         return  # begun before there were such records
     ledger = 0

@@ -20,15 +20,7 @@ NOTE = Product("a list of damaged blocks", marked(start=b'{"damaged blocks begin
 
 
 class CheckedStore(LocalStore):
-    """The files of a cube for Zarr; each block is compared with its checksum when it is first read.
-
-    Parameters
-    ----------
-    root : path
-        The cube.
-    read_only : bool, default True
-        Whether nothing can be written.
-    """
+    """The files of a cube for Zarr; each block is compared with its checksum when it is first read."""
 
     def __init__(self, root: Path | str, *, read_only: bool = True) -> None:
         super().__init__(root, read_only=read_only)
@@ -135,43 +127,13 @@ def noted_damaged(store: Path) -> set[int]:
 
 
 def checksum(path: Path, name: str, block: int) -> int:
-    """CRC-32 of what is stored of one block of a variable.
-
-    Parameters
-    ----------
-    path : path
-        The store.
-    name : str
-        The variable.
-    block : int
-        Which block.
-
-    Returns
-    -------
-    int
-        0 if nothing is stored.
-    """
+    """CRC-32 of what is stored of one block of a variable."""
     content = read_chunk(str(path), name, block)
     return (zlib.crc32(content) or 1) if content or chunk_path(path, name, block).exists() else 0
 
 
 def stored_bytes(path: Path, name: str, block: int) -> int:
-    """Size of what is stored of one block of a variable.
-
-    Parameters
-    ----------
-    path : path
-        The store.
-    name : str
-        The variable.
-    block : int
-        Which block.
-
-    Returns
-    -------
-    int
-        0 if nothing is stored.
-    """
+    """Size of what is stored of one block of a variable."""
     try:
         return os.stat(f"{path}/{chunk_name(name, block)}").st_size
     except (FileNotFoundError, NotADirectoryError):
@@ -179,22 +141,7 @@ def stored_bytes(path: Path, name: str, block: int) -> int:
 
 
 def chunk_path(path: Path, name: str, block: int) -> Path:
-    """The file of one block of a variable.
-
-    Parameters
-    ----------
-    path : path
-        The store.
-    name : str
-        The variable.
-    block : int
-        Which block.
-
-    Returns
-    -------
-    Path
-        It need not be there: what is all missing is not stored.
-    """
+    """The file of one block of a variable."""
     return path / chunk_name(name, block)
 
 

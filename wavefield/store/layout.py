@@ -68,31 +68,17 @@ _CHUNK_STEPS = 8  # steps that a reader must decode to see one
 
 @dataclass(frozen=True)
 class Layout:
-    """Sizes of a store.
+    """Sizes of a store."""
 
-    Parameters
-    ----------
-    steps : int
-        Number of steps; there is one frame more.
-    block : int
-        Steps per block (shard).
-    cameras : tuple of str
-        Cameras whose frames are watched.
-    first_frame : int
-        Number of the first frame.
-    """
-
-    steps: int
-    block: int
-    cameras: tuple[str, ...]
-    first_frame: int
+    steps: int  # Number of steps; there is one frame more
+    block: int  # Steps per block (shard)
+    cameras: tuple[str, ...]  # Cameras whose frames are watched
+    first_frame: int  # Number of the first frame
 
     def blocks(self) -> list[tuple[int, int]]:
         """Ranges of steps of all blocks, in order.
 
-        Returns
-        -------
-        list of (start, stop)
+        Returns (start, stop).
         """
         return [(i, min(i + self.block, self.steps)) for i in range(0, self.steps, self.block)]
 
@@ -108,25 +94,7 @@ def create_store(
 ) -> None:
     """Make an empty store: metadata, coordinates, attributes. It appears whole or not at all.
 
-    Parameters
-    ----------
-    path : path
-        The store.
-    recipe : Recipe
-        Put into the attributes with its hash.
-    x, y : ndarray
-        Nodes, metres.
-    layout : Layout
-        Sizes.
-    attributes : mapping
-        Further attributes.
-    gain : mapping of str to ndarray, optional
-        What the measurement keeps of waves, with its coordinates: rows of the table's group "gain".
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
+    With x, y, metres.
     """
     with whole(path, CUBE) as draft:
         _fill_in(draft, recipe, x, y, layout, attributes)
@@ -243,13 +211,7 @@ def _put(path: Path, gain: Mapping[str, np.ndarray]) -> None:
 
 
 def gather_metadata(path: Path) -> None:
-    """Put the metadata of all arrays into the store's own, for quick opening without a warning.
-
-    Parameters
-    ----------
-    path : path
-        The store. Whoever changes metadata afterwards gathers them again.
-    """
+    """Put the metadata of all arrays into the store's own, for quick opening without a warning."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         zarr.consolidate_metadata(path)

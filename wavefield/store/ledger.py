@@ -27,21 +27,11 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class BadFrames:
-    """Frames of one camera that share a fault.
+    """Frames of one camera that share a fault."""
 
-    Parameters
-    ----------
-    camera : str
-        The camera.
-    fault : FrameFault
-        What is wrong.
-    numbers : tuple of int
-        Frame numbers.
-    """
-
-    camera: str
-    fault: FrameFault
-    numbers: tuple[int, ...]
+    camera: str  # The camera
+    fault: FrameFault  # What is wrong
+    numbers: tuple[int, ...]  # Frame numbers
 
     def __str__(self) -> str:
         return f"{self.camera}: {_WORDS[self.fault]}: frame {spell_ranges(self.numbers)}"
@@ -210,18 +200,7 @@ def status(store: str | Path) -> Status:
 
 
 def unfinished_note(store: str | Path) -> str:
-    """What to say before something is made from a cube that is not finished.
-
-    Parameters
-    ----------
-    store : path
-        The cube.
-
-    Returns
-    -------
-    str
-        Empty if every step was measured.
-    """
+    """What to say before something is made from a cube that is not finished."""
     found = status(store)
     if found.complete and not found.failed:
         return ""

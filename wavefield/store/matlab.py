@@ -16,17 +16,6 @@ _CLASS = {"float32": "single", "float64": "double"}  # numpy's types whose names
 def write_matlab(cube: xr.Dataset, blocks: Iterator[xr.Dataset], path: Path) -> None:
     """Write a cube as a MAT-file of version 7.3, which `load` and `matfile` read.
 
-    Parameters
-    ----------
-    cube : Dataset
-        As from `open_cube`.
-    blocks : iterator of Dataset
-        The same, loaded, a few steps at a time.
-    path : path
-        File to write.
-
-    Notes
-    -----
     Fields are of size (y, x, time) as MATLAB reads them, so that ``surf(x, y, z(:,:,1))`` draws a step; one
     step can be read without the rest (``matfile``). ``units`` and ``long_name`` are structs of texts;
     ``recipe`` is JSON (``jsondecode``).

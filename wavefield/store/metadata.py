@@ -35,13 +35,7 @@ def _is_small(name: str) -> bool:
 
 
 def check_metadata(path: Path) -> None:
-    """Compare a cube's small files with their copies.
-
-    Raises
-    ------
-    StoreError
-        If one of them is missing or not as it was written.
-    """
+    """Compare a cube's small files with their copies."""
     for name, content in _kept(path).items():
         if _read(path / name) != content:
             what = "not as it was written" if (path / name).exists() else "missing"
@@ -52,13 +46,7 @@ def check_metadata(path: Path) -> None:
 
 
 def restore_metadata(path: Path) -> list[str]:
-    """Put a cube's small files back as they were written.
-
-    Returns
-    -------
-    list of str
-        Names of the files that were damaged.
-    """
+    """Put a cube's small files back as they were written."""
     try:
         kept = _kept(path)
     except (

@@ -20,21 +20,6 @@ _VELOCITY = ("u", "v", "w")
 def write_paraview(blocks: Iterator[xr.Dataset], draft: Path, folder: str) -> str:
     """Write every step as a structured grid (.vts); returns the text of the series of them (.pvd).
 
-    Parameters
-    ----------
-    blocks : iterator of Dataset
-        The cube, loaded, a few steps at a time.
-    draft : path
-        Folder to write the steps to.
-    folder : str
-        Name of the steps' folder when it is finished, beside the ``.pvd``.
-
-    Returns
-    -------
-    str
-
-    Notes
-    -----
     Points lie on the surface, (x, y, z); ``velocity`` is the vector (u, v, w). Nodes where z is unknown are
     marked as hidden points (``vtkGhostType``).
     """
@@ -56,16 +41,7 @@ def write_paraview(blocks: Iterator[xr.Dataset], draft: Path, folder: str) -> st
 def structured_grid(x: NDArray[Any], y: NDArray[Any], step: xr.Dataset) -> bytes:
     """One step as the bytes of a .vts file.
 
-    Parameters
-    ----------
-    x, y : ndarray, (ny, nx)
-        Nodes, metres.
-    step : Dataset, (y, x)
-        Its fields; z gives the points their height.
-
-    Returns
-    -------
-    bytes
+    With x, y (ny, nx), metres; step (y, x).
     """
     arrays, data, at = [], [], 0
     for name, values in points_and_fields(x, y, step).items():
@@ -92,18 +68,7 @@ def structured_grid(x: NDArray[Any], y: NDArray[Any], step: xr.Dataset) -> bytes
 def points_and_fields(x: NDArray[Any], y: NDArray[Any], step: xr.Dataset) -> dict[str, NDArray[Any]]:
     """What ParaView is given of a step.
 
-    Parameters
-    ----------
-    x, y : ndarray, (ny, nx)
-        Nodes, metres.
-    step : Dataset, (y, x)
-        Its fields; z gives the points their height.
-
-    Returns
-    -------
-    dict of str to ndarray, (ny, nx) or (ny, nx, 3)
-        ``Points`` on the surface, first; the fields, ``velocity`` for u, v, w; ``vtkGhostType``, which hides
-        points without an elevation.
+    With x, y (ny, nx), metres; step (y, x); returns (ny, nx): ``Points`` on the surface, first.
     """
     z = np.asarray(step.z, np.float32)
     known = np.isfinite(z)

@@ -30,34 +30,15 @@ PREVIEW = Product("a preview", zarr_store("thinned preview of ", "of", "every", 
 
 @dataclass(frozen=True)
 class Thinning:
-    """Which part of a cube a preview holds.
+    """Which part of a cube a preview holds."""
 
-    Parameters
-    ----------
-    every : int
-        Every so-many-th node along x and y, from the first.
-    names : tuple of str
-        Variables, in order.
-    scales : tuple of float
-        Value = scale * stored, in the variable's unit.
-    """
-
-    every: int
-    names: tuple[str, ...]
-    scales: tuple[float, ...]
+    every: int  # Every so-many-th node along x and y, from the first
+    names: tuple[str, ...]  # Variables, in order
+    scales: tuple[float, ...]  # Value = scale * stored, in the variable's unit
 
 
 def preview_path(cube: str | Path) -> Path:
     """Where the preview of a cube lies.
-
-    Parameters
-    ----------
-    cube : path
-        The cube.
-
-    Returns
-    -------
-    Path
 
     Examples
     --------
@@ -69,17 +50,7 @@ def preview_path(cube: str | Path) -> Path:
 
 
 def thinning(group: Any) -> Thinning:
-    """How a cube is thinned: every fourth node of an usual one, all of a small one.
-
-    Parameters
-    ----------
-    group : zarr.Group
-        The open cube.
-
-    Returns
-    -------
-    Thinning
-    """
+    """How a cube is thinned: every fourth node of an usual one, all of a small one."""
     names = tuple(name for name in CUBE_FIELDS if name in group)
     steps, ny, nx = group[names[0]].shape
     most = min(_NODES, max(1, _VALUES // max(steps, 1)))
@@ -89,20 +60,7 @@ def thinning(group: Any) -> Thinning:
 
 
 def create_preview(cube: Path, group: Any) -> None:
-    """Make an empty preview beside a new cube, in place of any that lies there.
-
-    Parameters
-    ----------
-    cube : path
-        The cube.
-    group : zarr.Group
-        The same, open.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
-    """
+    """Make an empty preview beside a new cube, in place of any that lies there."""
     path, layout, thin = preview_path(cube), read_layout(group), thinning(group)
     shape = _shape(group, thin)
     with whole(path, PREVIEW) as draft:
@@ -153,22 +111,7 @@ def _mark(group: Any) -> str:
 
 
 def open_preview(cube: Path, group: Any, mode: Any = "r") -> Any | None:
-    """The preview that belongs to a cube.
-
-    Parameters
-    ----------
-    cube : path
-        The cube.
-    group : zarr.Group
-        The same, open.
-    mode : {"r", "r+"}
-        To read, or to read and write.
-
-    Returns
-    -------
-    zarr.Group or None
-        None if there is none, or it is another cube's.
-    """
+    """The preview that belongs to a cube."""
     path = preview_path(cube)
     if not path.is_dir():
         return None
@@ -188,17 +131,7 @@ def open_preview(cube: Path, group: Any, mode: Any = "r") -> Any | None:
 def thin_block(fields: Mapping[str, NDArray[Any]], thin: Thinning) -> NDArray[np.int16]:
     """Every so-many-th node of a block in 16 bits.
 
-    Parameters
-    ----------
-    fields : mapping of str to ndarray, (n, ny, nx)
-        The block's results.
-    thin : Thinning
-        Which nodes and variables.
-
-    Returns
-    -------
-    ndarray of int16, (variable, y, x, n)
-        Round(value / scale); -32768 where values are missing or do not fit.
+    With fields (n, ny, nx); returns (variable, y, x, n): Round(value / scale).
     """
     out = []
     for name, scale in zip(thin.names, thin.scales):
@@ -212,21 +145,7 @@ def thin_block(fields: Mapping[str, NDArray[Any]], thin: Thinning) -> NDArray[np
 def write_preview(cube: Path, group: Any, start: int, fields: Mapping[str, NDArray[Any]]) -> None:
     """Write one block of the preview, if the cube has one.
 
-    Parameters
-    ----------
-    cube : path
-        The cube.
-    group : zarr.Group
-        The same, open.
-    start : int
-        First step of the block.
-    fields : mapping of str to ndarray, (n, ny, nx)
-        The block's results, at the frame rate that velocities are stored for.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
+    With fields (n, ny, nx).
     """
     preview = open_preview(cube, group, "r+")
     if preview is not None:
@@ -238,21 +157,7 @@ def write_preview(cube: Path, group: Any, start: int, fields: Mapping[str, NDArr
 def store_block(cube: Path, preview: Any, start: int, thinned: NDArray[np.int16]) -> None:
     """Put a thinned block into the preview, its ledger last.
 
-    Parameters
-    ----------
-    cube : path
-        The cube, for the message.
-    preview : zarr.Group
-        As from `open_preview`, to write.
-    start : int
-        First step of the block.
-    thinned : ndarray of int16, (variable, y, x, n)
-        As from `thin_block`.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
+    With thinned (variable, y, x, n).
     """
     stop = start + thinned.shape[-1]
     try:
@@ -284,18 +189,7 @@ def blocks_stored(preview: Any, layout: Layout) -> NDArray[np.bool_]:
 def read_block(group: Any, thin: Thinning, start: int, stop: int) -> NDArray[np.int16]:
     """Thin a block of the cube itself.
 
-    Parameters
-    ----------
-    group : zarr.Group
-        The open cube.
-    thin : Thinning
-        Which nodes and variables.
-    start, stop : int
-        Range of steps.
-
-    Returns
-    -------
-    ndarray of int16, (variable, y, x, n)
+    Returns (variable, y, x, n).
     """
     fields = {name: read_steps(group, name, start, stop) for name in thin.names}
     return thin_block(fields, thin)
@@ -311,26 +205,7 @@ def read_steps(
 ) -> NDArray[Any]:
     """Steps of one variable of a cube, unpacked.
 
-    Parameters
-    ----------
-    group : zarr.Group
-        The open cube.
-    name : str
-        The variable.
-    start, stop : int
-        Range of steps.
-    rows, columns : slice
-        Which nodes.
-
-    Returns
-    -------
-    ndarray, (n, ny, nx)
-        float32, NaN where nothing was measured; quality as stored.
-
-    Raises
-    ------
-    StoreError
-        If the file is damaged.
+    Returns (n, ny, nx): float32, NaN where nothing was measured.
     """
     array = group[name]
     try:
@@ -353,16 +228,7 @@ def read_steps(
 def blocks_done(ledger: NDArray[Any], layout: Layout) -> NDArray[np.bool_]:
     """Which blocks have no step left.
 
-    Parameters
-    ----------
-    ledger : ndarray of uint8, (steps,)
-        Of a cube or of a preview; 0 where nothing is there.
-    layout : Layout
-        Sizes of the cube.
-
-    Returns
-    -------
-    ndarray of bool, (blocks,)
+    With ledger (steps,); returns (blocks,).
 
     Examples
     --------

@@ -17,25 +17,7 @@ if TYPE_CHECKING:  # not needed by workers, and slow to import
 
 
 def open_group(path: Path, mode: Any = "r") -> Any:
-    """Open a store made by `create_store`.
-
-    Parameters
-    ----------
-    path : path
-        The store.
-    mode : {"r", "r+"}
-        To read, or to read and write. Reading, metadata and coordinates are compared with their copies
-        at once, blocks with their checksums as they are read.
-
-    Returns
-    -------
-    zarr.Group
-
-    Raises
-    ------
-    StoreError
-        If it is not there, is not a cube, or is damaged.
-    """
+    """Open a store made by `create_store`."""
     if not path.exists():
         raise StoreError(f"{path}: no such store; make one with `wavefield run`")
     if mode == "r":
@@ -56,17 +38,7 @@ def open_group(path: Path, mode: Any = "r") -> Any:
 
 
 def read_layout(group: Any) -> Layout:
-    """Sizes of an open store.
-
-    Parameters
-    ----------
-    group : zarr.Group
-        As from `open_group`.
-
-    Returns
-    -------
-    Layout
-    """
+    """Sizes of an open store."""
     frames = group["frame"]
     return Layout(
         steps=group["frame_status"].shape[0],
@@ -77,18 +49,7 @@ def read_layout(group: Any) -> Layout:
 
 
 def measured_rate(group: Any) -> float:
-    """Frame rate that velocities are stored for; the cube's own may have been mended since.
-
-    Parameters
-    ----------
-    group : zarr.Group
-        As from `open_group`.
-
-    Returns
-    -------
-    float
-        Hz.
-    """
+    """Frame rate that velocities are stored for; the cube's own may have been mended since."""
     return float(group.attrs.get("measured_frame_rate", group.attrs["frame_rate"]))
 
 
@@ -163,16 +124,6 @@ def open_stored(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
 
 
 def cube_recipe(dataset: "xr.Dataset") -> dict[str, Any]:
-    """The recipe in the attributes of a cube.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        As from `open_cube`.
-
-    Returns
-    -------
-    dict
-    """
+    """The recipe in the attributes of a cube."""
     recipe: dict[str, Any] = json.loads(dataset.attrs["recipe"])
     return recipe

@@ -15,53 +15,28 @@ from wavefield.errors import StoreError
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a cube was made from and how.
+    """What a cube was made from and how."""
 
-    Parameters
-    ----------
-    experiment : str
-        Name of the experiment.
-    images : mapping
-        Of every camera the images as the experiment file names them, its offset, its file of time stamps.
-    frames : tuple of int
-        First and last frame number.
-    frame_rate : float
-        Hz.
-    grid, rig, settings : mapping
-        As plain data.
-    packing : str
-        "float32" or "int16".
-    mask : mapping
-        What does not count as water, as plain data; empty if all does.
-    algorithm : int
-        Version of the measurement, raised when its values change.
-    record : mapping
-        What sample frames of the whole record said: beads, spectra, noise
-        (`wavefield.measurement.Record`). Not part of the hash: it follows from the rest.
-    software : mapping
-        Versions of this program and of what it rests on; not part of the hash.
-    """
-
-    experiment: str
+    experiment: str  # Name of the experiment
+    # Of every camera the images as the experiment file names them, its offset, its file of time stamps
     images: Mapping[str, Any]
-    frames: tuple[int, int]
-    frame_rate: float
-    grid: Mapping[str, Any]
+    frames: tuple[int, int]  # First and last frame number
+    frame_rate: float  # Hz
+    grid: Mapping[str, Any]  # As plain data
     rig: Mapping[str, Any]
     settings: Mapping[str, Any]
-    packing: str = "float32"
+    packing: str = "float32"  # "float32" or "int16"
+    # What does not count as water, as plain data; empty if all does
     mask: Mapping[str, Any] = field(default_factory=dict)
-    algorithm: int = 0
+    algorithm: int = 0  # Version of the measurement, raised when its values change
+    # What sample frames of the whole record said: beads, spectra, noise (`wavefield.measurement.Record`). Not
+    # part of the hash: it follows from the rest
     record: Mapping[str, Any] = field(default_factory=dict)
+    # Versions of this program and of what it rests on; not part of the hash
     software: Mapping[str, str] = field(default_factory=lambda: _software())
 
     def to_json(self) -> str:
-        """The recipe as text for a store's attributes.
-
-        Returns
-        -------
-        str
-        """
+        """The recipe as text for a store's attributes."""
         return json.dumps(asdict(self), sort_keys=True)
 
     @property
@@ -95,18 +70,7 @@ def _software() -> dict[str, str]:
 
 
 def differences(old: str, new: str) -> list[str]:
-    """What tells two recipes apart.
-
-    Parameters
-    ----------
-    old, new : str
-        Recipes as JSON.
-
-    Returns
-    -------
-    list of str
-        Such as "settings.piv.window: 20 there, 24 here".
-    """
+    """What tells two recipes apart."""
     a, b = dict(_leaves(json.loads(old))), dict(_leaves(json.loads(new)))
     told = ("software.", "record.")
     keys = [key for key in {**a, **b} if not key.startswith(told) and a.get(key) != b.get(key)]
@@ -133,22 +97,7 @@ def _hash_of(recipe: str) -> str:
 
 
 def check_recipe(path: Path, group: Any, recipe: Recipe) -> None:
-    """Refuse to go on with a store that was made with another recipe.
-
-    Parameters
-    ----------
-    path : path
-        The store, for the message.
-    group : zarr.Group
-        The open store.
-    recipe : Recipe
-        Of the run that wants to go on.
-
-    Raises
-    ------
-    StoreError
-        If the recipes differ; the message says in what.
-    """
+    """Refuse to go on with a store that was made with another recipe."""
     there = str(group.attrs["recipe"])
     if _hash_of(there) == recipe.hash:
         return

@@ -28,27 +28,6 @@ RATES = tuple(name for name in CUBE_FIELDS if TABLE[name].units == "m s-1")
 def relabel(path: Path, recipe: Recipe, attributes: Mapping[str, Any]) -> list[str]:
     """Give a cube the labels of another description of the same images.
 
-    Parameters
-    ----------
-    path : path
-        The cube.
-    recipe : Recipe
-        Of the same hash as the cube's; what is known of the record is kept as it is.
-    attributes : mapping
-        What else it says of itself; what it said and is not here any more is taken away.
-
-    Returns
-    -------
-    list of str
-        What changed, such as "frame_rate: 20.0 there, 25.0 here"; empty if nothing did.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
-
-    Notes
-    -----
     May be cut off anywhere: the recipe is written last, then the metadata are gathered for quick opening, and
     until both are done the same call does all of it again.
     """

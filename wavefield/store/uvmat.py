@@ -22,19 +22,6 @@ _ROLES = {  # name here: name and role there
 def write_uvmat(blocks: Iterator[xr.Dataset], draft: Path, stem: str, dt: float) -> None:
     """Write every step as a NetCDF 3 file as UVMAT's `struct2nc` does.
 
-    Parameters
-    ----------
-    blocks : iterator of Dataset
-        The cube, loaded, a few steps at a time.
-    draft : path
-        Folder to write to: ``STEM_1.nc`` and so on.
-    stem : str
-        First part of the files' names.
-    dt : float
-        Time between two frames, s.
-
-    Notes
-    -----
     Physical coordinates in metres, y upwards. ``FF`` is UVMAT's flag of false vectors: 0 where the node was
     measured, else the bits of ``quality``.
     """

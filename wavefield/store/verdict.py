@@ -20,33 +20,15 @@ _RANK = {"note": 0, "remark": 1, "grave": 2}
 
 @dataclass(frozen=True)
 class Remark:
-    """Something that a person should know of a measurement.
+    """Something that a person should know of a measurement."""
 
-    Parameters
-    ----------
-    subject : str
-        What it is about: a camera, the probes, the record.
-    kind : str
-        One word for scripts, such as "mirrored".
-    weight : {"note", "remark", "grave"}
-        Worth knowing; to be weighed; nothing that follows from it can be believed.
-    sentence : str
-        What was measured.
-    expected : str
-        What was expected.
-    remedy : str
-        What to do.
-    values : mapping
-        The numbers behind it.
-    """
-
-    subject: str
-    kind: str
-    weight: Weight
-    sentence: str
-    expected: str = ""
-    remedy: str = ""
-    values: Mapping[str, float] = field(default_factory=dict)
+    subject: str  # What it is about: a camera, the probes, the record
+    kind: str  # One word for scripts, such as "mirrored"
+    weight: Weight  # Worth knowing; to be weighed; nothing that follows from it can be believed
+    sentence: str  # What was measured
+    expected: str = ""  # What was expected
+    remedy: str = ""  # What to do
+    values: Mapping[str, float] = field(default_factory=dict)  # The numbers behind it
 
     def __str__(self) -> str:
         expected = f" (expected: {self.expected})" if self.expected else ""
@@ -58,15 +40,6 @@ class Remark:
 class Verdict:
     """All remarks on a measurement.
 
-    Parameters
-    ----------
-    remarks : tuple of Remark
-        The gravest first.
-    cameras, pairs : mapping of str to mapping of str to list of float
-        Numbers of every camera and pair over time.
-    frames : tuple of int
-        The instants of these numbers: frames of the record, from 0.
-
     Examples
     --------
     >>> Verdict().line
@@ -75,10 +48,10 @@ class Verdict:
     'sound with remarks: cam1 focus'
     """
 
-    remarks: tuple[Remark, ...] = ()
-    cameras: Numbers = field(default_factory=dict)
+    remarks: tuple[Remark, ...] = ()  # The gravest first
+    cameras: Numbers = field(default_factory=dict)  # Numbers of every camera and pair over time
     pairs: Numbers = field(default_factory=dict)
-    frames: tuple[int, ...] = ()
+    frames: tuple[int, ...] = ()  # The instants of these numbers: frames of the record, from 0
 
     @classmethod
     def of(
@@ -88,21 +61,7 @@ class Verdict:
         pairs: Numbers | None = None,
         frames: Iterable[int] = (),
     ) -> "Verdict":
-        """Put remarks in order.
-
-        Parameters
-        ----------
-        remarks : iterable of Remark
-            In any order.
-        cameras, pairs : mapping, optional
-            Numbers behind them.
-        frames : iterable of int, optional
-            Their instants.
-
-        Returns
-        -------
-        Verdict
-        """
+        """Put remarks in order."""
         ordered = tuple(sorted(remarks, key=lambda remark: -_RANK[remark.weight]))
         return cls(ordered, dict(cameras or {}), dict(pairs or {}), tuple(int(k) for k in frames))
 
@@ -128,13 +87,7 @@ class Verdict:
         return "\n".join([f"verdict: {self.line}", *(f"  {remark}" for remark in self.remarks)])
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data, as for ``--json``.
-
-        Returns
-        -------
-        dict
-            ``verdict``, ``line``, ``remarks``, ``cameras``, ``pairs``, ``frames``.
-        """
+        """Plain data, as for ``--json``."""
         return {
             "verdict": WORDS[self.weight],
             "line": self.line,
@@ -145,41 +98,14 @@ class Verdict:
         }
 
     def save(self, store: Path) -> None:
-        """Write the verdict beside a cube.
-
-        Parameters
-        ----------
-        store : path
-            The cube.
-
-        Raises
-        ------
-        StoreError
-            If it cannot be written.
-        """
+        """Write the verdict beside a cube."""
         data = self.to_dict()
         text = json.dumps(data | {"checksum": _checksum(data)}, indent=1) + "\n"
         write_text(beside(store, "verdict", ".json"), text, VERDICT)
 
 
 def read_verdict(store: str | Path) -> Verdict | None:
-    """The verdict on a cube, as its run left it.
-
-    Parameters
-    ----------
-    store : path
-        The cube.
-
-    Returns
-    -------
-    Verdict or None
-        None if there is none.
-
-    Raises
-    ------
-    StoreError
-        If it is damaged.
-    """
+    """The verdict on a cube, as its run left it."""
     path = beside(Path(store), "verdict", ".json")
     try:
         data = json.loads(path.read_text(encoding="utf-8"))

@@ -20,47 +20,23 @@ from wavefield.words import spell_ranges
 
 @dataclass(frozen=True)
 class Damage:
-    """What is wrong with one block of one variable.
+    """What is wrong with one block of one variable."""
 
-    Parameters
-    ----------
-    variable : str
-        The variable.
-    start, stop : int
-        Range of steps.
-    what : str
-        "missing", "not as it was written", "not as long as it was written" or "unreadable".
-    """
-
-    variable: str
-    start: int
+    variable: str  # The variable
+    start: int  # Range of steps
     stop: int
-    what: str
+    what: str  # "missing", "not as it was written", "not as long as it was written" or "unreadable"
 
 
 @dataclass(frozen=True)
 class Verification:
-    """What was found in a store.
+    """What was found in a store."""
 
-    Parameters
-    ----------
-    store : path
-        The store.
-    steps : int
-        Steps of the whole run.
-    done : int
-        Steps that the ledger calls done.
-    damages : tuple of Damage
-        Blocks that the ledger calls done and that are not as they were written.
-    read : bool
-        Whether data were read; else only sizes of files were looked at.
-    """
-
-    store: Path
-    steps: int
-    done: int
-    damages: tuple[Damage, ...]
-    read: bool = True
+    store: Path  # The store
+    steps: int  # Steps of the whole run
+    done: int  # Steps that the ledger calls done
+    damages: tuple[Damage, ...]  # Blocks that the ledger calls done and that are not as they were written
+    read: bool = True  # Whether data were read; else only sizes of files were looked at
 
     @property
     def sound(self) -> bool:
@@ -165,24 +141,7 @@ def verify(
 
 
 def suspicious(store: Path) -> list[int]:
-    """Blocks that are not what the ledger says, without reading all of the store.
-
-    Parameters
-    ----------
-    store : path
-        Written by `run`.
-
-    Returns
-    -------
-    list of int
-        First steps of blocks whose files are missing or have another size than when they were written, and
-        of those that `verify` found damaged and that still are.
-
-    Raises
-    ------
-    StoreError
-        If it is not there, is not a cube, or a variable is gone as a whole.
-    """
+    """Blocks that are not what the ledger says, without reading all of the store."""
     found = verify(store, read=False)
     if found.read:  # all of it was
         return found.starts

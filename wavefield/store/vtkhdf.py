@@ -27,17 +27,6 @@ _OFFSETS = ("PartOffsets", "CellOffsets", "ConnectivityIdOffsets")
 def write_vtkhdf(cube: xr.Dataset, blocks: Iterator[xr.Dataset], path: Path) -> None:
     """Write a cube as VTKHDF, a few steps at a time.
 
-    Parameters
-    ----------
-    cube : Dataset
-        As from `open_cube`.
-    blocks : iterator of Dataset
-        The same, loaded, a few steps at a time.
-    path : path
-        File to write.
-
-    Notes
-    -----
     Points and fields as in a ``.pvd`` (`wavefield.store.paraview`), one step behind the other. Cells lie
     between four nodes that all have an elevation; they are stored once, and again only where they change.
     """

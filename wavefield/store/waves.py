@@ -17,20 +17,7 @@ WAVES = Product("a wave store", zarr_store("waves of ", "wavefield_version", "se
 
 
 def write_waves(tree: xr.DataTree, path: str | Path) -> None:
-    """Write spectra and what goes with them; the store appears whole or not at all.
-
-    Parameters
-    ----------
-    tree : DataTree
-        As from `wavefield.waves.analyze`.
-    path : path
-        Zarr store; one that is there is replaced.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
-    """
+    """Write spectra and what goes with them; the store appears whole or not at all."""
     # Zarr 3 knows strings of any length only
     tree = tree.map_over_datasets(
         lambda group: group.assign_coords(
@@ -54,22 +41,7 @@ def write_waves(tree: xr.DataTree, path: str | Path) -> None:
 
 
 def open_waves(path: str | Path) -> xr.DataTree:
-    """Open a store of waves, lazily.
-
-    Parameters
-    ----------
-    path : path
-        Written by `wavefield.analyze`.
-
-    Returns
-    -------
-    DataTree
-
-    Raises
-    ------
-    StoreError
-        If a file of it is missing or not as it was written, or it is no such store.
-    """
+    """Open a store of waves, lazily."""
     path = Path(path)
     try:
         _check(path)

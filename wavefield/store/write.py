@@ -31,27 +31,7 @@ def write_block(
 ) -> None:
     """Write all results of one block, the ledger last. The only function that writes results.
 
-    Parameters
-    ----------
-    path : path
-        The store.
-    start : int
-        First step; must begin a block.
-    fields : mapping of str to ndarray, (n, ny, nx)
-        Every variable of the cube; n must be a whole block, or what is left at the end.
-    frame_status : ndarray of uint8, (n,)
-        Ledger of these steps; never NOT_STARTED.
-    faults : mapping of str to mapping of int to FrameFault
-        Bad frames by camera and index; those of neighbouring blocks are left to them.
-    shifts : mapping of int to mapping of str to ndarray, (3,), optional
-        By how much cameras were turned back, px, by index of the frame.
-
-    Raises
-    ------
-    StoreError
-        If the disk is full or the store cannot be written; nothing that was written before is harmed.
-    ValueError
-        If the arrays are not those of one whole block.
+    With fields (n, ny, nx); frame_status (n,); shifts (3,), px.
     """
     group = open_group(path, "r+")
     layout = read_layout(group)
@@ -132,15 +112,7 @@ def _shifts(
 
 
 def reset_blocks(path: Path, starts: Sequence[int]) -> None:
-    """Mark blocks as not started, before they are measured again.
-
-    Parameters
-    ----------
-    path : path
-        The store.
-    starts : sequence of int
-        First steps of the blocks.
-    """
+    """Mark blocks as not started, before they are measured again."""
     group = open_group(path, "r+")
     layout = read_layout(group)
     for start in starts:
@@ -149,20 +121,7 @@ def reset_blocks(path: Path, starts: Sequence[int]) -> None:
 
 
 def discard_blocks(path: Path, starts: Sequence[int]) -> None:
-    """Remove what is stored of damaged blocks; the ledger then calls them not started.
-
-    Parameters
-    ----------
-    path : path
-        The store.
-    starts : sequence of int
-        First steps of the blocks.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
-    """
+    """Remove what is stored of damaged blocks; the ledger then calls them not started."""
     size = read_layout(open_group(path)).block
     try:
         for block in (start // size for start in starts):
@@ -173,20 +132,7 @@ def discard_blocks(path: Path, starts: Sequence[int]) -> None:
 
 
 def pack(values: np.ndarray, name: str) -> np.ndarray:
-    """Pack a variable into 16 bits.
-
-    Parameters
-    ----------
-    values : ndarray of float
-        In units of the table.
-    name : str
-        The variable.
-
-    Returns
-    -------
-    ndarray of int16
-        Round(values / scale); -32768 where values are missing or do not fit.
-    """
+    """Pack a variable into 16 bits."""
     with np.errstate(invalid="ignore"):
         scaled = np.rint(values / PACKING[name])
         return np.where(np.abs(scaled) <= 32767, scaled, MISSING).astype(np.int16)

@@ -105,15 +105,7 @@ class Snapshot:
     def __call__(self, x: Array, y: Array) -> Array:
         """Fields at scattered points.
 
-        Parameters
-        ----------
-        x, y : ndarray, S
-            Positions in the basin, metres.
-
-        Returns
-        -------
-        ndarray, (number of names,) + S
-            Metres, slopes or m/s; NaN outside the basin.
+        With x, y, metres; returns (number of names,) + S: Metres, slopes or m/s.
         """
         out = np.empty((self._values.shape[0], x.size))
         _gather(x.ravel(), y.ravel(), self._values, *self._origin, self._step, out)

@@ -53,20 +53,12 @@ def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[A
 
 @dataclass(frozen=True)
 class Beads:
-    """A population of beads in one frame.
+    """A population of beads in one frame."""
 
-    Parameters
-    ----------
-    x, y, z : ndarray, (n,)
-        Positions, metres.
-    brightness : ndarray, (cameras, n)
-        Relative brightness as each camera sees it; 0 where it does not.
-    """
-
-    x: Array
+    x: Array  # (n,): Positions, metres
     y: Array
     z: Array
-    brightness: Array
+    brightness: Array  # (cameras, n): Relative brightness as each camera sees it; 0 where it does not
 
 
 class Population:
@@ -76,30 +68,7 @@ class Population:
     each second a small share of the beads is laid anew somewhere, as in a tank that is seeded all the time,
     so that the density stays even over long records.
 
-    Parameters
-    ----------
-    basin : Basin
-        Sea; the beads live inside it, a metre's share away from its edge.
-    x, y : tuple of float
-        Rectangle on which the beads live, metres.
-    density : float
-        Beads per square metre.
-    clustered : float
-        Share of the beads that come in groups of six within 8 mm, as floating beads attract each other.
-    holes : ndarray, (h, 3)
-        Discs without beads at the start: x, y, diameter, metres.
-    renewal : float
-        Share of the beads laid anew per second.
-    one_camera : float
-        Share of the beads that only one camera sees.
-    spread, spread_between : float
-        Relative spread of the brightness over beads, and between cameras for one bead.
-    cameras : int
-        Number of cameras.
-    start, frame_rate : float
-        Time of frame 0 (s) and frames per second.
-    seed : int
-        Seed of all that is random here.
+    With x, y, metres; holes (h, 3), metres.
     """
 
     def __init__(
@@ -150,18 +119,7 @@ class Population:
         return self._start + frame / self._rate
 
     def frame(self, frame: int) -> Beads:
-        """Beads in one frame.
-
-        Parameters
-        ----------
-        frame : int
-            Frame number, from 0. The beads are followed frame by frame and the last places are kept: ask
-            for frames in rising order.
-
-        Returns
-        -------
-        Beads
-        """
+        """Beads in one frame."""
         if frame not in self._positions:
             known = max((f for f in self._positions if f <= frame), default=None)
             if known is None:

@@ -29,27 +29,15 @@ _RESONANT = 0.1  # pairs nearer to resonance than this share of q g' are left to
 
 @dataclass(frozen=True)
 class BoundWaves:
-    """Second-order waves, gathered by wave vector.
+    """Second-order waves, gathered by wave vector."""
 
-    Parameters
-    ----------
-    kx, ky : ndarray, (m,)
-        Wave vectors, rad/m.
-    z, u, v : ndarray of complex, (p,)
-        Contributions of each pair at time zero, metres and m/s.
-    frequency : ndarray, (p,)
-        Frequency of each contribution as seen by the water, rad/s.
-    target : ndarray of int, (p,)
-        Which wave vector each contribution belongs to.
-    """
-
-    kx: Array
+    kx: Array  # (m,): Wave vectors, rad/m
     ky: Array
-    z: Complex
+    z: Complex  # (p,): Contributions of each pair at time zero, metres and m/s
     u: Complex
     v: Complex
-    frequency: Array
-    target: NDArray[np.int64]
+    frequency: Array  # (p,): Frequency of each contribution as seen by the water, rad/s
+    target: NDArray[np.int64]  # (p,): Which wave vector each contribution belongs to
 
     def at(self, time: float, current: tuple[float, float]) -> dict[str, Complex]:
         """Coefficients of z, z_t, u, v at one time, each (m,)."""
@@ -83,20 +71,7 @@ def bound_waves(
 ) -> BoundWaves:
     """Second-order waves of the steepest free waves.
 
-    Parameters
-    ----------
-    kx, ky, amplitude, sigma : ndarray, (n,)
-        Free waves: rad/m, metres (complex), rad/s.
-    depth : float
-        Depth, metres.
-    surface_tension : float
-        Surface tension over density, m3 s-2.
-    number : int
-        How many free waves take part, those of largest k |a|.
-
-    Returns
-    -------
-    BoundWaves
+    With kx, ky, amplitude, sigma (n,), rad/s; depth, metres.
     """
     steep = np.argsort(-np.hypot(kx, ky) * np.abs(amplitude), kind="stable")[:number]
     kx, ky, a, s = kx[steep], ky[steep], amplitude[steep], sigma[steep]

@@ -15,22 +15,6 @@ _BLOCK = 0.04  # the paper's finest correlation box, metres
 def summary(scene: Scene) -> dict[str, Any]:
     """Expected resolution, seeding and coverage.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-
-    Returns
-    -------
-    dict
-        ``cameras``: for each its size (px), ``mm_per_px`` (along x and y), ``incidence`` (degrees from the
-        vertical), ``spot`` (standard deviation of a bead's image, px), ``coverage`` (share of the grid's
-        nodes that it sees at rest), ``beads_per_pixel``. ``pairs``: for each pair ``parallax``, the shift in
-        px of the finer camera that 1 cm of elevation makes. ``coverage``: share of nodes seen by all
-        cameras. ``beads_per_block``: beads per 4 x 4 cm. ``sea``: rms of elevation (m), slope, vertical
-        velocity (m/s), and ``motion``, the rms displacement between two frames (mm). ``megabytes``: all
-        images.
-
     Examples
     --------
     >>> summary(Scene.load("demo"))["beads_per_block"]

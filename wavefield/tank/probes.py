@@ -15,19 +15,7 @@ Array = NDArray[np.float64]
 def record(sea: Sea, positions: Mapping[str, tuple[float, float]], times: Array) -> Array:
     """Exact elevation at the probes.
 
-    Parameters
-    ----------
-    sea : Sea
-        The sea.
-    positions : mapping of str to (x, y)
-        Probes, metres.
-    times : ndarray, (n,)
-        Seconds.
-
-    Returns
-    -------
-    ndarray, (n, number of probes)
-        Metres.
+    With positions (x, y), metres; times (n,); returns (n, number of probes): Metres.
     """
     x, y = np.array(list(positions.values()), float).reshape(-1, 2).T
     return np.array([sea.at(x, y, time, ("z",))["z"] for time in times]).reshape(len(times), x.size)
@@ -36,16 +24,7 @@ def record(sea: Sea, positions: Mapping[str, tuple[float, float]], times: Array)
 def write(path: Path, times: Array, positions: Mapping[str, tuple[float, float]], z: Array) -> None:
     """Write a record as CSV.
 
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    times : ndarray, (n,)
-        Seconds from the first frame.
-    positions : mapping of str to (x, y)
-        Probes, metres; written as comments at the top.
-    z : ndarray, (n, number of probes)
-        Elevation, metres.
+    With times (n,); positions (x, y), metres; z (n, number of probes), metres.
     """
     lines = [f"# {name} {x:.6g} {y:.6g}" for name, (x, y) in positions.items()]
     lines.append(",".join(["time", *positions]))

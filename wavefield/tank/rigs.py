@@ -79,23 +79,7 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
 def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: tuple[int, int]) -> Rig:
     """Exact cameras around a light sheet, with tilted sensors (Scheimpflug) where they look from the side.
 
-    Parameters
-    ----------
-    cameras : int
-        2, or 3 with a vertical one between.
-    angle : float
-        Of the outer cameras from the vertical, degrees.
-    distance : float
-        From the middle of the sheet, metres.
-    pixel : float
-        Of the vertical view, metres.
-    size : tuple of int
-        Width and height of the images, px.
-
-    Returns
-    -------
-    Rig
-        Cameras ``cam1`` (from -x), ``cam2`` (from +x), ``cam3`` (vertical).
+    With angle, degrees; distance, metres; pixel, metres; size, px.
 
     Examples
     --------
@@ -137,19 +121,7 @@ def bounds(
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Smallest rectangle of water that holds everything any camera sees.
 
-    Parameters
-    ----------
-    rig : Rig
-        The cameras.
-    lowest, highest : float
-        Limits of the elevation, metres.
-    margin : float
-        Added on all sides, metres.
-
-    Returns
-    -------
-    x, y : tuple of float
-        Limits along each axis, metres.
+    With lowest, highest, metres; margin, metres; returns x, y Limits along each axis, metres.
     """
     corners = np.concatenate([rig[name].corners(z) for name in rig for z in (lowest, highest)])
     lo, hi = np.nanmin(corners, axis=0) - margin, np.nanmax(corners, axis=0) + margin
@@ -159,15 +131,7 @@ def bounds(
 def pixel_footprint(camera: Camera) -> tuple[float, float]:
     """Size of a pixel on the water at rest, in the middle of the image.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-
-    Returns
-    -------
-    x, y : float
-        Extent along x and along y, metres per px.
+    Returns x, y Extent along x and along y, metres per px.
     """
     x, y = camera.unproject((camera.size[0] - 1) / 2, (camera.size[1] - 1) / 2)
     jacobian = camera.jacobian(x, y, 0.0)

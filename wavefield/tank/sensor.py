@@ -15,16 +15,7 @@ Image = NDArray[np.float32]
 def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
     """Add Gaussian spots to an image, each integrated exactly over every pixel.
 
-    Parameters
-    ----------
-    image : ndarray of float32, (row, column)
-        Changed in place.
-    X, Y : ndarray, (n,)
-        Centres (column, row), px; NaN and far-off ones are left out.
-    flux : ndarray, (n,)
-        Integral of each spot, grey levels times px^2.
-    sigma : float
-        Standard deviation of the spots before integration, px.
+    With image (row, column); X, Y (n,), px; flux (n,); sigma, px.
     """
     _splat(image, X, Y, flux, sigma)
 
@@ -56,19 +47,7 @@ def _splat(image: NDArray[np.float32], X: Array, Y: Array, flux: Array, sigma: f
 def uneven(size: tuple[int, int], unevenness: float, seed: int) -> Image:
     """Light over an image: a slope and a fall towards the edges that differ from camera to camera.
 
-    Parameters
-    ----------
-    size : tuple of int
-        (width, height), px.
-    unevenness : float
-        Relative difference between the brightest and the darkest corner.
-    seed : int
-        Seed.
-
-    Returns
-    -------
-    ndarray of float32, (row, column)
-        Factor with mean about 1.
+    With size, px; returns (row, column): Factor with mean about 1..
     """
     rng = np.random.default_rng([seed, 3])
     angle = rng.uniform(0, 2 * np.pi)
@@ -82,23 +61,7 @@ def uneven(size: tuple[int, int], unevenness: float, seed: int) -> Image:
 def expose(light: Image, read: float, shot: float, bits: int, rng: np.random.Generator) -> NDArray[Any]:
     """Turn light into the numbers of an image file.
 
-    Parameters
-    ----------
-    light : ndarray of float32, (row, column)
-        Grey levels on a scale of 255, before noise.
-    read : float
-        Standard deviation of the read-out noise, grey levels of 255.
-    shot : float
-        Variance of the shot noise per grey level, grey levels of 255.
-    bits : int
-        8 or 16.
-    rng : numpy.random.Generator
-        Source of the noise.
-
-    Returns
-    -------
-    ndarray of uint8 or uint16, (row, column)
-        The image, clipped at full scale.
+    With light (row, column); returns (row, column): The image, clipped at full scale.
     """
     if read or shot:
         noise = rng.standard_normal(light.shape, np.float32)

@@ -21,17 +21,10 @@ _LONGEST_TURN = 0.2  # rad: that a wave of the flow may turn in a sub-step
 
 @dataclass(frozen=True)
 class Flow:
-    """A steady flow that repeats itself in x and y and is alike across the sheet; free of divergence.
+    """A steady flow that repeats itself in x and y and is alike across the sheet; free of divergence."""
 
-    Parameters
-    ----------
-    k : ndarray, (n, 2)
-        Wave vectors, rad/m.
-    along, across : ndarray of complex, (n,)
-        Amplitudes of the velocity in the sheet, at right angles to k, and across it, m/s.
-    """
-
-    k: Array
+    k: Array  # (n, 2): Wave vectors, rad/m
+    # (n,): Amplitudes of the velocity in the sheet, at right angles to k, and across it, m/s
     along: NDArray[np.complex128]
     across: NDArray[np.complex128]
 
@@ -104,18 +97,7 @@ class Particles:
     They fill a layer twice as thick as the sheet evenly; what leaves it comes back on the other side, dark
     there, so that particles enter the light and leave it as they do in a flow.
 
-    Parameters
-    ----------
-    settings : wavefield.tank.parts.Sheet
-        The sheet and what is in it.
-    x, y : tuple of float
-        Rectangle that the particles fill, metres; the flow repeats itself with it.
-    cameras : int
-        Number of cameras.
-    frame_rate : float
-        Hz.
-    seed : int
-        Seed of all that is random here.
+    With x, y, metres.
     """
 
     def __init__(
@@ -138,18 +120,7 @@ class Particles:
         self._places = {0: np.stack([rng.uniform(*x, count), rng.uniform(*y, count), rng.random(count)])}
 
     def frame(self, frame: int) -> Beads:
-        """Particles in one frame, from 0; ask in rising order: the last places are kept.
-
-        Parameters
-        ----------
-        frame : int
-            Frame number.
-
-        Returns
-        -------
-        Beads
-            Where they are, and how bright: a Gaussian across the sheet.
-        """
+        """Particles in one frame, from 0; ask in rising order: the last places are kept."""
         if frame not in self._places:
             last = max(number for number in self._places if number <= frame)
             for number in range(last, frame):
@@ -171,16 +142,7 @@ class Particles:
     def truth(self, x: Array, y: Array, time: float) -> Truth:
         """Exact fields of one step at nodes in the sheet, in its own frame.
 
-        Parameters
-        ----------
-        x, y : ndarray, (ny, nx)
-            Nodes, metres.
-        time : float
-            Mid-time of the step, s.
-
-        Returns
-        -------
-        Truth
+        With x, y (ny, nx), metres.
         """
         u, v, w = self.flow(x, y)
         zero = np.zeros(np.shape(x))

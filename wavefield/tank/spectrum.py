@@ -13,19 +13,7 @@ Array = NDArray[np.float64]
 def jonswap(f: Array, peak: float, enhancement: float = 3.3) -> Array:
     """JONSWAP shape of the elevation's frequency spectrum.
 
-    Parameters
-    ----------
-    f : ndarray
-        Frequency, Hz.
-    peak : float
-        Frequency of the peak, Hz.
-    enhancement : float, default 3.3
-        Peak enhancement; 1 is a Pierson-Moskowitz spectrum.
-
-    Returns
-    -------
-    ndarray
-        Spectrum of arbitrary height; falls as f^-5 (Hasselmann et al. 1973).
+    With f, Hz; peak, Hz.
     """
     width = np.where(f <= peak, 0.07, 0.09)
     bump = enhancement ** np.exp(-((f / peak - 1) ** 2) / (2 * width**2))
@@ -36,19 +24,7 @@ def jonswap(f: Array, peak: float, enhancement: float = 3.3) -> Array:
 def power_law(f: Array, peak: float, exponent: float = 6.0) -> Array:
     """Spectrum that falls as a power of the frequency above its peak, as in wave turbulence.
 
-    Parameters
-    ----------
-    f : ndarray
-        Frequency, Hz.
-    peak : float
-        Frequency of the peak, Hz.
-    exponent : float, default 6
-        The spectrum falls as f^-exponent.
-
-    Returns
-    -------
-    ndarray
-        Spectrum of arbitrary height.
+    With f, Hz; peak, Hz.
     """
     return f**-exponent * np.exp(-exponent / 4 * (peak / f) ** 4)
 
@@ -56,17 +32,7 @@ def power_law(f: Array, peak: float, exponent: float = 6.0) -> Array:
 def spreading(angle: Array, exponent: float) -> Array:
     """Directional distribution cos^2s of half the angle from the main direction.
 
-    Parameters
-    ----------
-    angle : ndarray
-        Angle from the main direction, rad.
-    exponent : float
-        s; 0 is isotropic, 10 a wind sea, 75 a swell.
-
-    Returns
-    -------
-    ndarray
-        Distribution of arbitrary height.
+    With angle, rad.
     """
     return np.cos(angle / 2) ** (2 * exponent)
 
@@ -86,36 +52,11 @@ def random_waves(
 ) -> tuple[Array, Array, NDArray[np.complex128]]:
     """Draw the waves of a Gaussian sea on a square lattice of wave vectors.
 
-    Parameters
-    ----------
-    shape : callable
-        Frequency spectrum of the elevation as a function of frequency in Hz; its height does not matter.
-    rms : float
-        Standard deviation of the elevation, metres: held exactly as the mean over time.
-    direction, spread : float
-        Main direction (rad, anticlockwise from +x) and exponent of the spreading.
-    shortest, longest : float
-        Shortest and longest wavelength, metres.
-    period : float
-        The sea repeats itself after this distance along x and y, metres.
-    depth : float
-        Depth, metres.
-    surface_tension : float
-        Surface tension over density, m3 s-2.
-    seed : int
-        Seed of amplitudes and phases.
-
-    Returns
-    -------
-    kx, ky : ndarray, (n,)
-        Wave vectors, rad/m.
-    amplitude : ndarray of complex, (n,)
-        Amplitudes, metres.
-
-    Notes
-    -----
     The density over wave vectors is S(f) (df/dk) D(theta) / k; amplitudes are complex Gaussian, so that the
     elevation is Gaussian and spectra fluctuate as in nature.
+
+    With shortest, longest, metres; period, metres; depth, metres; returns kx, ky (n,): Wave vectors, rad/m;
+    amplitude (n,): Amplitudes, metres.
     """
     dk = 2 * np.pi / period
     m = np.arange(-int(period / shortest), int(period / shortest) + 1)

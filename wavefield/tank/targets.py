@@ -23,38 +23,16 @@ _FRAME_SHADE = 0.35  # its brightness relative to the strings
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a target is held: a point p of the target is at ``rotation @ p + origin``.
+    """Where a target is held: a point p of the target is at ``rotation @ p + origin``."""
 
-    Parameters
-    ----------
-    rotation : ndarray, (3, 3)
-        Target to physical frame.
-    origin : ndarray, (3,)
-        Position of the target's origin, metres.
-    """
-
-    rotation: Array
-    origin: Array
+    rotation: Array  # (3, 3): Target to physical frame
+    origin: Array  # (3,): Position of the target's origin, metres
 
 
 def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, float], seed: int) -> list[Pose]:
     """Poses of a target held by hand in the field of view.
 
-    Parameters
-    ----------
-    number : int
-        How many.
-    tilt : float
-        Largest tilt, degrees; about the y axis only three quarters of it, as the outer cameras look from +-x.
-    x, y : tuple of float
-        Field, metres: it sets how far the target is moved and raised.
-    seed : int
-        Seed.
-
-    Returns
-    -------
-    list of Pose
-        Tilted towards evenly spread directions, at different heights.
+    With tilt, degrees.
     """
     rng = np.random.default_rng([seed, 8])
     size = min(x[1] - x[0], y[1] - y[0])
@@ -82,18 +60,7 @@ def _about(axis: int, angle: float) -> Array:
 def node_offsets(target: Strings, seed: int) -> Array:
     """Errors of the target's crossings.
 
-    Parameters
-    ----------
-    target : Strings
-        The target; ``node_offset`` is the rms per axis.
-    seed : int
-        Seed.
-
-    Returns
-    -------
-    ndarray, (n, n, 3)
-        Offset of node (i, j) at [j + half, i + half], metres. The two marked nodes are exact: they define
-        the axes.
+    Returns (n, n, 3): Offset of node (i, j) at [j + half, i + half], metres.
     """
     count = 2 * target.half + 1
     offsets = target.node_offset * np.random.default_rng([seed, 9]).standard_normal((count, count, 3))
@@ -110,23 +77,7 @@ def draw(
 ) -> NDArray[np.float32]:
     """Light of a target on a camera's pixels, before background, lighting and noise.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    target : Strings, Chessboard or Dots
-        The target; its origin is the marked crossing of strings, the middle of a chessboard or of dots.
-    pose : Pose
-        Where it is.
-    blur : float
-        Standard deviation of a point's image, px.
-    offsets : ndarray, (n, n, 3), optional
-        Errors of the crossings of strings, metres.
-
-    Returns
-    -------
-    ndarray of float32, (row, column)
-        Grey levels of 255.
+    With blur, px; offsets (n, n, 3), metres; returns (row, column): Grey levels of 255..
     """
     # the target's own plane is z = 0 of a camera that moves with it
     own = replace(camera, rotation=camera.R @ pose.rotation, translation=camera.R @ pose.origin + camera.T)

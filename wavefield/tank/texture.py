@@ -14,14 +14,7 @@ Array = NDArray[np.float64]
 class Paint:
     """Band-limited white noise as a function of position: a cubic B-spline with random coefficients.
 
-    Parameters
-    ----------
-    x, y : tuple of float
-        Rectangle, metres; outside the texture goes on as its mirror image.
-    mesh : float
-        Distance between the random coefficients, metres.
-    seed : int
-        Seed.
+    With x, y, metres; mesh, metres.
     """
 
     def __init__(self, x: tuple[float, float], y: tuple[float, float], mesh: float, seed: int) -> None:
@@ -35,15 +28,7 @@ class Paint:
     def __call__(self, x: Array, y: Array) -> NDArray[np.float32]:
         """Texture at points.
 
-        Parameters
-        ----------
-        x, y : ndarray, S
-            Positions, metres.
-
-        Returns
-        -------
-        ndarray of float32, S
-            Mean 0, standard deviation 1.
+        With x, y, metres.
         """
         out = np.empty(x.size, np.float32)
         _spline(x.ravel(), y.ravel(), self._coefficients, self._x0, self._y0, self._mesh, out)
@@ -89,22 +74,10 @@ def _spline(
 def cast(camera: Camera, snapshot: Snapshot) -> tuple[Array, Array]:
     """Where the sight line of every pixel meets the water.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    snapshot : Snapshot
-        The elevation (first field) around all that the camera sees.
-
-    Returns
-    -------
-    x, y : ndarray, (row, column)
-        Horizontal position, metres; NaN where the line meets no water of the basin.
-
-    Notes
-    -----
     Fixed point of z = Z(x_a + D z) with x_a the apparent position: first on every sixth pixel, then from a
     spline through these on every pixel, to a tenth of a micrometre.
+
+    Returns x, y (row, column): Horizontal position, metres.
     """
     width, height = camera.size
     columns, rows = (np.append(np.arange(0, n - 1, 6.0), n - 1.0) for n in (width, height))

@@ -31,17 +31,6 @@ ELEVATION_UNITS = "m2 s rad-1"
 def density_units(unit: str, *over: str) -> str:
     """Units of a power spectrum.
 
-    Parameters
-    ----------
-    unit : str
-        Unit of the field.
-    *over : str
-        Axes that it is a density over: k (once for each direction) or omega.
-
-    Returns
-    -------
-    str
-
     Examples
     --------
     >>> density_units("m", "k", "omega")

@@ -18,42 +18,20 @@ _PIECE = 256  # steps cast at a time, of what is not in memory
 
 @dataclass(frozen=True)
 class Variable:
-    """One row of the table.
+    """One row of the table."""
 
-    Parameters
-    ----------
-    name : str
-        Name in the dataset.
-    dims : tuple of str
-        Dimensions, in order; of a variable that comes in several shapes those of its first.
-    units : str
-        CF units; "1" for pure numbers, "" where they follow from another variable's.
-    long_name : str
-        What it is, for axis labels.
-    dtype : str
-        Type in the store.
-    standard_name : str, optional
-        CF standard name.
-    meaning : str, optional
-        A sentence for the documentation.
-    extra : mapping, optional
-        Further attributes.
-    group : str, optional
-        Dataset that it belongs to, where its name alone does not say: a group of the wave store.
-    family : str, optional
-        Name with a star, shared by variables that the documentation describes in one line.
-    """
-
-    name: str
+    name: str  # Name in the dataset
+    # Dimensions, in order; of a variable that comes in several shapes those of its first
     dims: tuple[str, ...]
-    units: str
-    long_name: str
-    dtype: str = "float32"
-    standard_name: str = ""
-    meaning: str = ""
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    units: str  # CF units; "1" for pure numbers, "" where they follow from another variable's
+    long_name: str  # What it is, for axis labels
+    dtype: str = "float32"  # Type in the store
+    standard_name: str = ""  # CF standard name
+    meaning: str = ""  # A sentence for the documentation
+    extra: Mapping[str, Any] = field(default_factory=dict)  # Further attributes
+    # Dataset that it belongs to, where its name alone does not say: a group of the wave store
     group: str = ""
-    family: str = ""
+    family: str = ""  # Name with a star, shared by variables that the documentation describes in one line
 
     @property
     def key(self) -> str:
@@ -73,19 +51,7 @@ class Variable:
         return out | dict(self.extra)
 
     def of(self, what: str, units: str) -> dict[str, Any]:
-        """Attributes of a variable that can be had of several things.
-
-        Parameters
-        ----------
-        what : str
-            Name of the thing.
-        units : str
-            CF units.
-
-        Returns
-        -------
-        dict of str to object
-        """
+        """Attributes of a variable that can be had of several things."""
         return self.attrs | {"long_name": f"{self.long_name} of {what}", "units": units}
 
 
@@ -93,18 +59,7 @@ TABLE: dict[str, Variable] = {}
 
 
 def register(*rows: Variable) -> None:
-    """Add rows to the table.
-
-    Parameters
-    ----------
-    *rows : Variable
-        New variables; a name may be given once only in a group.
-
-    Raises
-    ------
-    ValueError
-        If another variable of that name is there.
-    """
+    """Add rows to the table."""
     for row in rows:
         if TABLE.setdefault(row.key, row) != row:
             raise ValueError(f"variable {row.key!r} is already in the table")
@@ -121,20 +76,7 @@ def rows_of(group: str) -> Iterator[Variable]:
 
 
 def annotate(dataset: "xr.Dataset", group: str = "") -> "xr.Dataset":
-    """Give every known variable of a dataset its attributes.
-
-    Parameters
-    ----------
-    dataset : xarray.Dataset
-        Any dataset of this package.
-    group : str, optional
-        Group of the wave store that it is, for names that mean different things in different groups.
-
-    Returns
-    -------
-    xarray.Dataset
-        The same data; attributes already there are kept unless the table has them.
-    """
+    """Give every known variable of a dataset its attributes."""
     out = dataset.copy()
     for name in [*out.coords, *out.data_vars]:
         row = find(str(name), group)
@@ -179,25 +121,6 @@ def _clocked(coordinate: Any, row: Variable) -> Any:
 
 def validate(dataset: Any, *names: str) -> "xr.Dataset":
     """Check that a dataset holds variables as the table has them; the door of every room.
-
-    Parameters
-    ----------
-    dataset : xarray.Dataset
-        What a user or a store gives.
-    *names : str
-        Variables that must be there.
-
-    Returns
-    -------
-    xarray.Dataset
-        These variables, their dimensions in the table's order, units converted to the table's (those without
-        units are believed), all floating-point ones of one type: the widest that occurs. Untouched arrays are
-        shared; nothing is computed.
-
-    Raises
-    ------
-    CubeError
-        If one is missing, has other dimensions, another kind of type, or units that are of another kind.
 
     Examples
     --------

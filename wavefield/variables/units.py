@@ -42,20 +42,7 @@ def _powers(unit: str) -> dict[str, int]:
 def product(*factors: tuple[str, int]) -> str:
     """Multiply powers of units.
 
-    Parameters
-    ----------
-    *factors : tuple of (str, int)
-        A unit as in CF ("m s-1"; "1" for a pure number) and its power.
-
-    Returns
-    -------
-    str
-        The product in the same notation.
-
-    Raises
-    ------
-    ValueError
-        If something is no product of powers of names.
+    With *factors (str, int).
 
     Examples
     --------
@@ -73,16 +60,6 @@ def product(*factors: tuple[str, int]) -> str:
 
 def factor(given: str, wanted: str) -> float | None:
     """How many of one unit make another.
-
-    Parameters
-    ----------
-    given, wanted : str
-        Units; lengths, times and pixels are known by their usual names.
-
-    Returns
-    -------
-    float or None
-        value [wanted] = factor * value [given]; None where they are of different kinds or unknown.
 
     Examples
     --------

@@ -42,38 +42,18 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True)
 class Split:
-    """Where free waves are.
+    """Where free waves are."""
 
-    Parameters
-    ----------
-    depth, gamma : float
-        Depth, m, and surface tension over density, m3/s2.
-    current : tuple of float
-        Along x and y, m/s.
-    reach : float
-        Half the width of the ridge, rad/m.
-    strip : float
-        Width of the strip beside it, rad/m.
-    """
-
-    depth: float = np.inf
+    depth: float = np.inf  # Depth, m, and surface tension over density, m3/s2
     gamma: float = GAMMA
-    current: tuple[float, float] = (0.0, 0.0)
-    reach: float = 1.0
-    strip: float = 0.0
+    current: tuple[float, float] = (0.0, 0.0)  # Along x and y, m/s
+    reach: float = 1.0  # Half the width of the ridge, rad/m
+    strip: float = 0.0  # Width of the strip beside it, rad/m
 
     def apart(self, omega: Array, ky: Array, kx: Array) -> tuple[Array, Array]:
         """Distance from the ridge and from its second harmonic.
 
-        Parameters
-        ----------
-        omega, ky, kx : array_like
-            rad/s, rad/m, of one shape.
-
-        Returns
-        -------
-        ridge, harmonic : ndarray
-            rad/m along the ray, positive for waves shorter than free ones.
+        With omega, ky, kx, rad/m.
         """
         k = np.hypot(ky, kx)
         drift = kx * self.current[0] + ky * self.current[1]

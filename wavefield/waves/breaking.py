@@ -32,29 +32,11 @@ def crest_ratio(
 ) -> tuple[Array, Array]:
     """B and the crest's speed at the crests of one step.
 
-    Parameters
-    ----------
-    z, z_t, u, v : ndarray, (ny, nx)
-        Elevation, m, its rate of rise and the velocity of the surface water, m/s, at one instant.
-    dy, dx : float
-        Distance between nodes, m.
-    reach : float
-        Standard deviation of the Gaussian around a crest over which its speed is taken, m.
-    height : float
-        Least elevation of a crest, m.
-    drift : tuple of float
-        Mean velocity of the water, m/s.
-
-    Returns
-    -------
-    ratio, speed : ndarray, (ny, nx)
-        B = u . n / c and c, m/s; NaN off the crests.
-
-    Notes
-    -----
     n is the direction of the water at the crest, seen by somebody who drifts with the mean flow, in whose
     frame both u and c are taken. The crest's speed is that of the pattern around it, z_t = -c . grad z along
     n by least squares: at the crest itself it would be a quotient of two small numbers.
+
+    With z, z_t, u, v (ny, nx), m/s; drift, m/s; returns ratio, speed (ny, nx): B = u . n / c and c, m/s.
     """
     z_y, z_x = (part[0] for part in slopes(np.ascontiguousarray(z)[None], dy, dx))
     u, v = u - drift[0], v - drift[1]

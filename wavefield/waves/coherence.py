@@ -20,18 +20,6 @@ PAIRS = (("rise", "w"), ("rise", "nl"), ("w", "nl"))
 def significance_level(samples: Any, chance: float = 0.05) -> Any:
     """Coherence squared that unrelated signals exceed by chance, 1 - chance^(1 / (N - 1)).
 
-    Parameters
-    ----------
-    samples : array_like
-        Effective number of independent samples N.
-    chance : float
-        Probability.
-
-    Returns
-    -------
-    array_like
-        Level, 0 to 1; 1 where there is but one sample.
-
     Examples
     --------
     >>> round(float(significance_level(45.0)), 3)
@@ -52,18 +40,7 @@ def _terms(ring: xr.Dataset) -> dict[str, tuple[xr.DataArray, xr.DataArray]]:
 
 
 def from_spectra(ring: xr.Dataset) -> xr.Dataset:
-    """Coherences from the cross spectra of z_t, w and u . grad z.
-
-    Parameters
-    ----------
-    ring : Dataset
-        As `cross_spectra` gives it for `NAMES` and `PAIRS`.
-
-    Returns
-    -------
-    Dataset
-        As `coherence` gives it.
-    """
+    """Coherences from the cross spectra of z_t, w and u . grad z."""
     duration = effective_duration(ring.attrs["segments"], ring.attrs["segment"] * ring.attrs["dt"])
     terms = _terms(ring)
     total = terms["tot"][1]

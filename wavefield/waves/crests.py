@@ -24,17 +24,8 @@ _PIECE = 512
 def extremes(series: Array) -> tuple[Array, Array, Array]:
     """Crests and troughs of a time series between its zero up-crossings.
 
-    Parameters
-    ----------
-    series : ndarray, (time,)
-        Values about their mean.
-
-    Returns
-    -------
-    start : ndarray of int, (waves,)
-        Step after which each wave begins.
-    crest, trough : ndarray, (waves,)
-        Largest and smallest value, the latter turned, by a parabola through three steps.
+    With series (time,); returns start (waves,): Step after which each wave begins; crest, trough (waves,):
+    Largest and smallest value, the latter turned, by a parabola through three steps.
 
     Examples
     --------
@@ -104,19 +95,6 @@ def _moments(sums: Array) -> Array:
 def tayfun(level: Array, skewness: float) -> Array:
     """Probability that a crest of a second-order sea exceeds a level.
 
-    Parameters
-    ----------
-    level : ndarray
-        Over the standard deviation, 0 or more.
-    skewness : float
-        Of the elevation; with none this is Rayleigh's exp(-level^2 / 2).
-
-    Returns
-    -------
-    ndarray
-
-    Notes
-    -----
     exp(-(sqrt(1 + 2 m x) - 1)^2 / 2 m^2), m a third of the skewness: the narrow-band second-order crest
     x = r + m r^2 / 2 of a Rayleigh amplitude r (Tayfun 1980).
     """

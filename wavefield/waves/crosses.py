@@ -82,21 +82,8 @@ def transforms(
 ) -> dict[str, Array]:
     """Transform a half segment in space.
 
-    Parameters
-    ----------
-    fields : dict of str to ndarray, (steps, ny, nx)
-        Fields of the cube; emptied on the way.
-    names : sequence of str
-        Spectral names.
-    welch : Welch
-        Distances, and what the velocities are.
-    old : mapping, optional
-        What it gave for an earlier half segment that is not needed any more: its memory is used again.
-
-    Returns
-    -------
-    dict of str to ndarray, complex, (cells, steps)
-        z is still at mid-time: `combine` takes it to frame times.
+    With fields (steps, ny, nx); returns (cells, steps): z is still at mid-time: `combine` takes it to frame
+    times.
     """
     out, old = {}, old or {}
     relative = [name for name in ("nl", "rise") if name in names]
@@ -128,27 +115,7 @@ def combine(
 ) -> dict[str, Array]:
     """Transform a segment in time and sum powers and cross products over rings.
 
-    Parameters
-    ----------
-    first, second : dict of str to ndarray, complex, (cells, n / 2)
-        Its halves, as `transforms` gives them.
-    names : sequence of str
-        Spectral names whose power is wanted.
-    pairs : sequence of (str, str)
-        Cross products wanted.
-    maps : sequence of str
-        Names whose power is wanted for each cell, and pairs "a*b" whose quadrature at mid-time is,
-        Re(i exp(i omega dt / 2) conj(a) b), a being half a step early and k pointing where waves go.
-    welch : Welch
-        Rings of the k plane and time between frames.
-    begin : int
-        First step of the segment.
-
-    Returns
-    -------
-    dict of str to ndarray
-        "name" (2, rings, n // 2 + 1), power and its square, "a*b" the same shape, real and
-        imaginary part, "map name" (cells, n), and what `scatter.take_in` keeps.
+    With first, second (cells, n / 2); pairs (str, str).
     """
     sums = empty_sums(first[names[0]], names, pairs, maps, welch.table)
     add_segment(sums, first, second, names, pairs, maps, welch, begin)
@@ -245,24 +212,7 @@ def label(
     welch: Welch,
     freedom: Mapping[str, Any] | None = None,
 ) -> xr.Dataset:
-    """Turn ring sums into a labelled dataset.
-
-    Parameters
-    ----------
-    sums : mapping of str to array
-        What `combine` gives, summed over all segments.
-    names, pairs : sequence
-        As given to `combine`.
-    welch : Welch
-        How they were taken.
-    freedom : mapping, optional
-        `scatter.freedom` of each name; found from the sums if not given.
-
-    Returns
-    -------
-    Dataset
-        As `cross_spectra` gives it.
-    """
+    """Turn ring sums into a labelled dataset."""
     factor = welch.ring_density
     dims = ("omega", "k")
     out: dict[str, Any] = {}
@@ -281,24 +231,7 @@ def label(
 
 
 def door(cube: Any, names: Sequence[str]) -> xr.Dataset:
-    """Fields of a cube that some spectral names are made of, checked, in m and s and of one type.
-
-    Parameters
-    ----------
-    cube : Dataset
-        What a user gives.
-    names : sequence of str
-        Spectral names.
-
-    Returns
-    -------
-    Dataset
-
-    Raises
-    ------
-    CubeError
-        If a field is missing or of other dimensions or units.
-    """
+    """Fields of a cube that some spectral names are made of, checked, in m and s and of one type."""
     fields = sources(names)
     for field in fields:
         if field not in cube:
@@ -408,22 +341,7 @@ def lazy_cross_spectra(
 
 
 def by_field(ring: xr.Dataset, names: Sequence[str], gain: xr.Dataset | None = None) -> xr.Dataset:
-    """E(k, omega), E(k) and E(omega) of each field with their intervals, as the wave store names them.
-
-    Parameters
-    ----------
-    ring : Dataset
-        As `cross_spectra` gives it.
-    names : sequence of str
-        Spectral names.
-    gain : Dataset, optional
-        What the measurement keeps of waves, to be undone (`window_gain`); ``valid_k_<name>`` (k) is false
-        where that is less than half.
-
-    Returns
-    -------
-    Dataset
-    """
+    """E(k, omega), E(k) and E(omega) of each field with their intervals, as the wave store names them."""
     step = float(ring["omega"][1] - ring["omega"][0])
     duration = effective_duration(ring.attrs["segments"], ring.attrs["segment"] * ring.attrs["dt"])
     out = xr.Dataset(attrs=ring.attrs)

@@ -45,30 +45,13 @@ def scan_current(
 ) -> Array:
     """Current that gathers most energy on the ridge, to start the fit from.
 
-    Parameters
-    ----------
-    energy : ndarray, (lines, cells)
-        Spectrum.
-    omega : ndarray, (lines,)
-        Angular frequency, rad/s.
-    noise : ndarray, (lines, cells)
-        Level of the noise.
-    plane : Plane
-        Cells.
-    depth, gamma : float
-        Depth, m, and surface tension over density, m3/s2.
-
-    Returns
-    -------
-    ndarray, (2,)
-        Along x and y, m/s, to .02 m/s; of currents that serve alike the weakest.
-
-    Notes
-    -----
     Each cell asks for a current (omega - sigma(k)) / k along its direction, or, if its waves run against one
     that carries them back, for (omega + sigma(k)) / k. All votes are counted, each line's energy as its
     part above the noise and short waves, which know it better, more; those of a current U lie on
     U cos(theta - phi).
+
+    With energy (lines, cells); omega (lines,), rad/s; noise (lines, cells); returns (2,): Along x and y, m/s,
+    to .02 m/s.
     """
     kept = (plane.k > LONGEST * plane.cell) & (plane.k < 0.9 * plane.k[plane.ky == 0].max())
     k, angle = plane.k[kept], plane.angle[kept]

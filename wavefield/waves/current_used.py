@@ -10,24 +10,12 @@ FITTED, GIVEN, NO_CURRENT = "fit", "given", "none"
 
 @dataclass(frozen=True)
 class CurrentUsed:
-    """A current and its origin.
+    """A current and its origin."""
 
-    Parameters
-    ----------
-    velocity : tuple of float
-        Along x and y, m/s.
-    std : tuple of float
-        Standard uncertainty, m/s; NaN if it is not known.
-    source : str
-        ``fit``, ``given``, or ``none`` where still water is assumed.
-    reason : str
-        Why the fit was refused; empty where it was not.
-    """
-
-    velocity: tuple[float, float]
-    std: tuple[float, float]
-    source: str
-    reason: str = ""
+    velocity: tuple[float, float]  # Along x and y, m/s
+    std: tuple[float, float]  # Standard uncertainty, m/s; NaN if it is not known
+    source: str  # ``fit``, ``given``, or ``none`` where still water is assumed
+    reason: str = ""  # Why the fit was refused; empty where it was not
 
     @property
     def attrs(self) -> dict[str, Any]:
@@ -39,12 +27,7 @@ class CurrentUsed:
 def current_used(dispersion: xr.Dataset, given: tuple[float, float] | None) -> CurrentUsed:
     """The fitted current where there is one, else that given, else none.
 
-    Parameters
-    ----------
-    dispersion : Dataset
-        As `ridge.dispersion_group` gives it.
-    given : tuple of float, optional
-        Current for where the fit is refused, m/s.
+    With given, m/s.
     """
     if "current_x" in dispersion:
         velocity, std = ([float(dispersion[f"current_{a}{end}"]) for a in "xy"] for end in ("", "_std"))

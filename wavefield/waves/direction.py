@@ -24,20 +24,8 @@ _WINDOW = 1 / 3  # of the power that a Hann window leaves of one wave
 def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, float]) -> Array:
     """Spectrum as somebody sees it who drifts with the water.
 
-    Parameters
-    ----------
-    density : DataArray, (omega, ky, kx)
-        E(ky, kx, omega).
-    lines : ndarray of int, (lines,)
-        Lines of omega wanted.
-    current : tuple of float
-        Velocity of the water, m/s.
-
-    Returns
-    -------
-    ndarray, (lines, ky, kx)
-        E(k, omega + k . U), between lines by straight lines; waves that the current turns round,
-        omega + k . U below zero, are taken from where they are seen, at -k.
+    With density (omega, ky, kx); lines (lines,); current, m/s; returns (lines, ky, kx): E(k, omega + k . U),
+    between lines by straight lines.
     """
     values = density.values
     if not any(current):
@@ -266,24 +254,7 @@ def direction_group(
 ) -> xr.Dataset:
     """Directions at the frequencies of the maps, isotropy at all.
 
-    Parameters
-    ----------
-    density : DataArray, (omega, ky, kx)
-        Spectrum of w.
-    chosen : list of int
-        Lines of the maps.
-    current : tuple of float
-        Velocity of the water along x and y, m/s.
-    depth, gamma : float
-        Depth, m, and surface tension over density, m3/s2, of the water.
-    dof : float
-        Degrees of freedom of a cell.
-
-    Returns
-    -------
-    Dataset
-        ``D`` and its interval (omega_map, theta), ``direction``, ``spread`` (omega_map), ``isotropy``
-        (omega).
+    With density (omega, ky, kx); current, m/s.
     """
     lines = density["omega"].values / (2 * np.pi)
     out = directions(density, lines[chosen], depth, current=current, dof=dof, gamma=gamma)

@@ -33,23 +33,7 @@ def from_density(
 ) -> xr.Dataset:
     """Directional spectrum of the elevation from E(ky, kx, omega) of w.
 
-    Parameters
-    ----------
-    density : DataArray, (omega, ky, kx)
-        Spectrum of w, in m and s, with ``dt`` known from its highest frequency.
-    depth, gamma : float
-        Depth, m, and surface tension over density, m3/s2, of the water.
-    current : tuple of float
-        Velocity of the water, m/s.
-    dof : float
-        Degrees of freedom of a cell.
-    frames : int
-        Frames that w comes from.
-
-    Returns
-    -------
-    Dataset
-        As `directional_spectrum` gives it.
+    With density (omega, ky, kx); current, m/s.
     """
     omega = density["omega"].values
     dt = np.pi / float(omega[-1])

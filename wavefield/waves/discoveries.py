@@ -11,18 +11,7 @@ _TAIL = 0.02  # of the surrogates, to which the tail of the null is fitted
 
 
 def probabilities(score: Array, null: Array) -> Array:
-    """Probability that chance gives a score at least as high.
-
-    Parameters
-    ----------
-    score, null : ndarray
-        Of the record, and of surrogates.
-
-    Returns
-    -------
-    ndarray
-        From the surrogates' distribution, its tail continued as exponential.
-    """
+    """Probability that chance gives a score at least as high."""
     null = np.sort(null)
     edge = null[int((1 - _TAIL) * (null.size - 1))]
     scale = float((null[null > edge] - edge).mean())
@@ -33,16 +22,7 @@ def probabilities(score: Array, null: Array) -> Array:
 def discoveries(p: Array, false: float) -> Array:
     """Which of many tests are significant (Benjamini and Hochberg 1995).
 
-    Parameters
-    ----------
-    p : ndarray, (n,)
-        Probabilities.
-    false : float
-        Expected fraction of false ones among the discoveries.
-
-    Returns
-    -------
-    ndarray of bool, (n,)
+    With p (n,); returns (n,).
 
     Examples
     --------

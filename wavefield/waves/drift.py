@@ -39,25 +39,10 @@ class _Velocity:
 def follow(velocities: Iterator[tuple[Array, Array]], place: Array, step: Array, dt: float) -> Array:
     """Follow points of the surface through steps of its velocity.
 
-    Parameters
-    ----------
-    velocities : iterator of (ndarray, ndarray)
-        u and v at each step, (ny, nx), m/s.
-    place : ndarray, (2, points)
-        Where they start at the first step, y and x from the first node, m.
-    step : ndarray, (2,)
-        Distance between the nodes along y and x, m.
-    dt : float
-        Time between the steps, s.
-
-    Returns
-    -------
-    ndarray, (steps, 2, points)
-        Their places; NaN once they have left the field.
-
-    Notes
-    -----
     Adams, Bashforth and Moulton of fourth order, corrected twice, from lower orders at the start.
+
+    With velocities (ndarray, ndarray), m/s; place (2, points); step (2,); returns (steps, 2, points): Their
+    places.
     """
     places, past = [place], list[Array]()
     for number, (u, v) in enumerate(velocities):

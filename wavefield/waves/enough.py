@@ -15,26 +15,6 @@ def leave_out_unknown(
 ) -> Groups:
     """Take away what a record does not last long enough for.
 
-    Parameters
-    ----------
-    statistics : Dataset
-        With ``peak_frequency`` (Hz), ``peak_k``, ``steepness``.
-    dispersion : Dataset
-        With ``gamma``, ``gamma_std``, ``omega_fit``, if a ridge was found.
-    seconds : float
-        Duration of the record, s.
-    segments : int
-        Welch segments in it.
-
-    Returns
-    -------
-    statistics, dispersion : Dataset
-        Without the spectral peak and what follows from it where the record lasts less than ten of its
-        periods; without the surface tension where there are fewer than four segments, or where it is not
-        known to 5 %.
-    notes : list of str
-        A sentence about each.
-
     Examples
     --------
     >>> peak = xr.Dataset({"peak_frequency": 1.3, "peak_k": 6.8, "steepness": 0.1})

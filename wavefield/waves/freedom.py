@@ -25,19 +25,8 @@ def hann_correlation(lines: int) -> Array:
 def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
     """Degrees of freedom of sums of powers, as their spread lets expect.
 
-    Parameters
-    ----------
-    power : ndarray, (parts, n)
-        What is summed over the first axis.
-    dof : ndarray, (parts, n)
-        Degrees of freedom of each.
-    overlap : ndarray, (parts, parts)
-        Squared correlation between them, times any factor of each part.
-
-    Returns
-    -------
-    ndarray, (n,)
-        (sum P)^2 / sum_ij rho_ij^2 P_i P_j / sqrt(nu_i nu_j); the mean of ``dof`` where there is no power.
+    With power (parts, n); dof (parts, n); overlap (parts, parts); returns (n,): (sum P)^2 / sum_ij rho_ij^2
+    P_i P_j / sqrt(nu_i nu_j).
 
     Examples
     --------
@@ -80,20 +69,7 @@ def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
 def samples_in_time(energy: xr.DataArray, duration: float, cells: xr.DataArray | float = 1.0) -> xr.DataArray:
     """Effective number of independent samples of a record in time, (sum S)^2 / sum S^2.
 
-    Parameters
-    ----------
-    energy : DataArray, (omega, ...)
-        Spectrum, one-sided.
-    duration : float
-        Length of the record, s (`effective_duration` for an estimate from windowed segments).
-    cells : DataArray, (omega, ...), optional
-        Independent samples in space at each frequency.
-
-    Returns
-    -------
-    DataArray
-        T (int S domega)^2 / (2 pi int S^2 / cells domega): a narrow band repeats itself, so this is far less
-        than the number of steps.
+    With energy (omega, ...); cells (omega, ...).
     """
     step = float(energy["omega"][1] - energy["omega"][0])
     squares = (energy**2 / cells).sum("omega")

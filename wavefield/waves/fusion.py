@@ -229,24 +229,7 @@ def _by_method(
 def from_spectra(
     ring: xr.Dataset, water: Water, gain: xr.Dataset | None = None, moving: Moving | None = None
 ) -> xr.Dataset:
-    """Fusion from the power and cross spectra of z and w.
-
-    Parameters
-    ----------
-    ring : Dataset
-        As `cross_spectra` gives it for `NAMES` and `PAIRS`.
-    water : tuple of float
-        Its depth, m, and surface tension over density, m3 s-2: they say where the ridge is.
-    gain : Dataset, optional
-        Gain of the matching windows, to be undone (`window_gain`).
-    moving : Moving, optional
-        The current and the spectra over the plane; still water if not given.
-
-    Returns
-    -------
-    Dataset
-        As `fusion` gives it.
-    """
+    """Fusion from the power and cross spectra of z and w."""
     ring = ring.compute()
     spectra = _elevations(ring, water, moving)
     omega = spectra.omega

@@ -18,19 +18,7 @@ from wavefield.waves.windows import hann, segment_count
 def lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
     """Fourier lines of time series at some points.
 
-    Parameters
-    ----------
-    series : ndarray, (time, points)
-        Values without gaps.
-    segment : int
-        Steps of a segment.
-    count : int
-        Number of lines kept, from zero on.
-
-    Returns
-    -------
-    ndarray, complex64, (count, segments * points)
-        Hann windows, mean removed; samples ordered by segment.
+    With series (time, points); returns (count, segments * points): Hann windows, mean removed.
     """
     half = segment // 2
     window = hann(segment).astype(series.dtype)[:, None]
@@ -44,16 +32,8 @@ def lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
 def bicoherence_of(z: np.ndarray) -> np.ndarray:
     """Bicoherence of Fourier lines.
 
-    Parameters
-    ----------
-    z : ndarray, complex, (n, samples)
-        Lines, from zero on.
-
-    Returns
-    -------
-    ndarray, (n, n)
-        |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>), Z3 the line at the sum of the two; NaN where that is not
-        among the lines. Between 0 and 1 by Cauchy and Schwarz (Kim and Powers 1979).
+    With z (n, samples); returns (n, n): |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>), Z3 the line at the sum of
+    the two.
     """
     n = z.shape[0]
     out = np.full((n, n), np.nan)
@@ -70,23 +50,6 @@ def bicoherence_of(z: np.ndarray) -> np.ndarray:
 def tricoherence_of(z: np.ndarray, apart: int = 2) -> tuple[np.ndarray, np.ndarray]:
     """Largest tricoherence over omega3 for each pair omega1, omega2.
 
-    Parameters
-    ----------
-    z : ndarray, complex, (n, samples)
-        Lines, from zero on.
-    apart : int
-        omega3 within so many lines of omega1 or omega2 makes a trivial pairing, and is left out.
-
-    Returns
-    -------
-    value : ndarray, (n, n)
-        max over omega3 of |<Z1 Z2 Z3* Z4*>| / sqrt(<|Z1 Z2|^2> <|Z3 Z4|^2>) with omega1 + omega2 = omega3 +
-        omega4; NaN where there is none.
-    partner : ndarray of int, (n, n)
-        Line of omega3; -1 where there is none.
-
-    Notes
-    -----
     Pairs with the same sum s share one matrix product: A_s A_s^H over the pairs of s.
     """
     n = z.shape[0]
@@ -115,19 +78,7 @@ def tricoherence_of(z: np.ndarray, apart: int = 2) -> tuple[np.ndarray, np.ndarr
 def shuffle_phases(z: np.ndarray, points: int, rng: np.random.Generator) -> np.ndarray:
     """Surrogate of Fourier lines: a random phase for each line and segment, the same at all points.
 
-    Parameters
-    ----------
-    z : ndarray, complex, (n, segments * points)
-        Lines.
-    points : int
-        Points per segment.
-    rng : numpy.random.Generator
-        Source of the phases.
-
-    Returns
-    -------
-    ndarray
-        The same powers and the same correlation in space at each line, no correlation between lines.
+    With z (n, segments * points).
     """
     n, samples = z.shape
     phase = np.exp(2j * np.pi * rng.random((n, samples // points))).astype(z.dtype)

@@ -33,21 +33,8 @@ def lags(longest: int) -> Array:
 def powers_of_differences(values: Array, axis: int, lag: int, differences: int) -> Array:
     """Sums of the powers of a field's differences.
 
-    Parameters
-    ----------
-    values : ndarray
-        The field.
-    axis : int
-        Along which the differences are taken.
-    lag : int
-        Samples.
-    differences : int
-        1 for f(s + lag) - f(s), 2 for f(s + lag) - 2 f(s) + f(s - lag).
-
-    Returns
-    -------
-    ndarray, (7,)
-        How many there are, and the sums of |difference|^p, p = 1 to 6; zeros where the field is too short.
+    Returns (7,): How many there are, and the sums of |difference|^p, p = 1 to 6; zeros where the field is too
+    short.
 
     Examples
     --------

@@ -28,14 +28,7 @@ _BATCH = 1024  # values sorted into bins at once
 def join(first: Array, second: Array, window: Array, out: Array) -> None:
     """Put two halves of a segment together, take off mean and trend in time, window, and turn around.
 
-    Parameters
-    ----------
-    first, second : ndarray, (n / 2, 2 * cells)
-        The halves, real and imaginary parts in turn.
-    window : ndarray, (n,)
-        Window in time, in the precision of the halves.
-    out : ndarray, (cells, 2 * n)
-        Receives the result, real and imaginary parts in turn.
+    With first, second (n / 2, 2 * cells); window (n,); out (cells, 2 * n).
     """
     half, columns = first.shape
     n = 2 * half
@@ -89,22 +82,11 @@ def frames(
 ) -> None:
     """Elevation at the first frame of each step of a segment, from mid-time elevation and rate of rise.
 
-    Parameters
-    ----------
-    z_first, z_second, rate_first, rate_second : ndarray, (n / 2, columns)
-        Mid-time elevation and rate of rise of the two halves, or their transforms, real and imaginary.
-    dt : float
-        Time between frames, in the precision of the fields.
-    begin : int
-        First column wanted.
-    first, second : ndarray, (n / 2, columns wanted)
-        Receive the elevation half a step before each mid-time.
-
-    Notes
-    -----
     z_0 = z + (dt / 16)(z_t after - z_t before) - (dt / 2) z_t, exact for z = (9 (z_0 + z_1) - z_-1 - z_2) /
     16. The first and last step follow from their neighbour by z_t alone: what lies outside the segment is not
     needed, and the mid-time z at the ends of a record, which had no fourth frame, is not used.
+
+    With z_first, z_second, rate_first, rate_second (n / 2, columns); first, second (n / 2, columns wanted).
     """
     half, columns = first.shape
     end = begin + columns
@@ -133,20 +115,7 @@ def _add_row(row: Array, factor: float, out: Array) -> None:
 def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Array, out: Array) -> None:
     """Add power and squared power of every cell to its rings, +-omega folded: k points where the wave goes.
 
-    Parameters
-    ----------
-    f : ndarray, complex, (cells, n)
-        Transform in space and time; numpy's signs.
-    start : ndarray, int, (cells + 1,)
-        Where the rings of each cell begin in ``ring`` and ``weight``.
-    ring : ndarray, int
-        Index of the ring.
-    weight : ndarray, float
-        Share of the cell in the ring, doubled where the cell stands for its mirror image as well.
-    spread : ndarray, float
-        The same for the squared power.
-    out : ndarray, float64, (2, rings, n // 2 + 1)
-        Sums of the power and of its square to add to.
+    With f (cells, n); start (cells + 1,); out (2, rings, n // 2 + 1).
     """
     cells, n = f.shape
     half = n // 2
@@ -203,12 +172,7 @@ def ring_crosses(f: Array, g: Array, start: Array, ring: Array, weight: Array, o
 def add_powers(f: Array, out: Array) -> None:
     """Add |f|^2.
 
-    Parameters
-    ----------
-    f : ndarray, complex, (cells, n)
-        Transform.
-    out : ndarray, float, (cells, n)
-        Sums to add to.
+    With f (cells, n); out (cells, n).
     """
     for c in range(f.shape[0]):
         line = f[c]
@@ -221,14 +185,7 @@ def add_powers(f: Array, out: Array) -> None:
 def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) -> None:
     """Add a part of conj(f) g.
 
-    Parameters
-    ----------
-    f, g : ndarray, complex, (cells, n)
-        Transforms.
-    real, imaginary : ndarray, (n,)
-        Factors of the product's real and imaginary part.
-    out : ndarray, float, (cells, n)
-        Sums to add to.
+    With f, g (cells, n); real, imaginary (n,); out (cells, n).
     """
     for c in range(f.shape[0]):
         a = f[c]
@@ -295,14 +252,7 @@ def _across(z: Array, i: int, factor: float, out: Array) -> None:
 def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
     """Gradient of each step by central differences of sixth order, of lower order at the edges.
 
-    Parameters
-    ----------
-    z : ndarray, (steps, y, x)
-        Field; at least 3 nodes along each axis.
-    dy, dx : float
-        Distance between nodes.
-    z_y, z_x : ndarray, (steps, y, x)
-        Receive the derivatives.
+    With z (steps, y, x); z_y, z_x (steps, y, x).
     """
     for t in range(z.shape[0]):
         for i in range(z.shape[1]):
@@ -314,20 +264,9 @@ def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
 def two_frame_mean(z: Array, z_t: Array, t: int, slope: float, rise: float, out: Array) -> None:
     """Mean elevation of the two frames of a step, from mid-time elevation and rate of rise.
 
-    Parameters
-    ----------
-    z, z_t : ndarray, (steps, y, x)
-        Elevation at mid-time from four frames, and rate of rise.
-    t : int
-        Step.
-    slope, rise : float
-        Time between frames over 16, and half of it, in the precision of the fields.
-    out : ndarray, (y, x)
-        Receives (z_0 + z_1) / 2; with fewer than three steps z itself.
-
-    Notes
-    -----
     As `frames`: the first and last step follow from their neighbour by z_t.
+
+    With z, z_t (steps, y, x); out (y, x).
     """
     last = z.shape[0] - 1
     if last < 2:
@@ -361,18 +300,7 @@ def advection(
 ) -> None:
     """Nonlinear term u . grad z of some steps, the gradient as `gradient` takes it.
 
-    Parameters
-    ----------
-    z, z_t, u, v : ndarray, (steps, y, x)
-        Elevation at mid-time, rate of rise and velocities along x and y.
-    first : int
-        First step wanted.
-    slope, rise : float
-        As `two_frame_mean` takes them: z is that mean.
-    dy, dx : float
-        Distance between nodes.
-    out : ndarray, (steps wanted, y, x)
-        Receives the term.
+    With z, z_t, u, v (steps, y, x); out (steps wanted, y, x).
     """
     mean = np.empty(z.shape[1:], z.dtype)
     z_y = np.empty(z.shape[2], z.dtype)
@@ -393,17 +321,7 @@ def advection(
 def slope_square(z: Array, dy: float, dx: float) -> float:
     """Sum of |grad z|^2 over all nodes and steps, the gradient as `gradient` takes it.
 
-    Parameters
-    ----------
-    z : ndarray, (steps, y, x)
-        Elevation.
-    dy, dx : float
-        Distance between nodes.
-
-    Returns
-    -------
-    float
-        Sum.
+    With z (steps, y, x).
     """
     z_y = np.empty(z.shape[2], z.dtype)
     z_x = np.empty(z.shape[2], z.dtype)
@@ -421,14 +339,7 @@ def slope_square(z: Array, dy: float, dx: float) -> float:
 def histogram(values: Array, mean: float, std: float, reach: float, counts: Array) -> None:
     """Count values in equal bins of (value - mean) / std from -reach to reach; the rest is left out.
 
-    Parameters
-    ----------
-    values : ndarray, (n,)
-        Any numbers; NaN is left out.
-    mean, std, reach : float
-        Scale of the bins.
-    counts : ndarray, int64, (bins,)
-        Counts to add to.
+    With values (n,); counts (bins,).
     """
     bins = counts.size
     scale = bins / (2.0 * reach * std)
@@ -456,14 +367,7 @@ def histogram(values: Array, mean: float, std: float, reach: float, counts: Arra
 def node_powers(values: Array, mean: float, sums: Array) -> None:
     """Add the first three powers of (value - mean) at every node to ``sums``.
 
-    Parameters
-    ----------
-    values : ndarray, (steps, nodes)
-        Finite numbers.
-    mean : float
-        A first guess of the mean.
-    sums : ndarray, float64, (3, nodes)
-        Sums over the steps to add to.
+    With values (steps, nodes); sums (3, nodes).
     """
     for r in range(values.shape[0]):
         for i in range(values.shape[1]):
@@ -480,14 +384,7 @@ def moments(values: Array, mean: float, sums: Array) -> None:
 
     Rows are summed one by one, so that single values do not drown in a long sum.
 
-    Parameters
-    ----------
-    values : ndarray, (rows, n)
-        Finite numbers.
-    mean : float
-        A first guess of the mean: it keeps the sums well conditioned.
-    sums : ndarray, float64, (5,)
-        Sums to add to.
+    With values (rows, n); sums (5,).
     """
     for r in range(values.shape[0]):
         row = values[r]
@@ -538,16 +435,7 @@ def _denominators(m: int) -> Array:
 def sample(field: Array, row: Array, column: Array, out: Array, points: int) -> None:
     """Interpolate a field between its nodes by Lagrange polynomials; NaN where the stencil runs out.
 
-    Parameters
-    ----------
-    field : ndarray, (y, x)
-        Values at nodes.
-    row, column : ndarray, (n,)
-        Positions in nodes.
-    out : ndarray, (n,)
-        Receives the values.
-    points : int
-        Nodes of the stencil along each axis, even.
+    With field (y, x); row, column (n,); out (n,).
     """
     ny, nx = field.shape
     wy = np.empty(points)
@@ -578,23 +466,8 @@ def windowed_sums(
 ) -> None:
     """Sum the energy less the noise over a window of cells of each line, and with it wavenumber and heading.
 
-    Parameters
-    ----------
-    energy : ndarray, (lines, all cells)
-        Spectrum.
-    noise : ndarray, (lines, all cells)
-        Level that is subtracted; differences below zero count, so that noise cancels on average.
-    cells : ndarray, int, (cells,)
-        Cells of the sector.
-    k : ndarray, (cells,)
-        Their wavenumber.
-    heading : ndarray, (2, cells)
-        Cosine and sine of their direction.
-    first, last : ndarray, int, (lines,)
-        First of the cells in the window and one past the last.
-    out : ndarray, float64, (8, lines)
-        Receives the sums: energy, energy times k, cosine and sine, each less the noise; then energy squared,
-        the same times k and k squared, and the noise.
+    With energy (lines, all cells); noise (lines, all cells); cells (cells,); k (cells,); heading (2, cells);
+    first, last (lines,); out (8, lines).
     """
     for i in range(first.size):
         out[:, i] = 0.0
@@ -615,16 +488,7 @@ def windowed_sums(
 def spread_waves(first: Array, weights: Array, power: Array, out: Array) -> None:
     """Add waves to a spectrum as windows spread them over neighbouring cells.
 
-    Parameters
-    ----------
-    first : ndarray, int, (3, waves)
-        First line, row and column that a wave is seen in; may lie outside.
-    weights : ndarray, (3, waves, near)
-        Its part in each of them from there on.
-    power : ndarray, (waves,)
-        Its energy.
-    out : ndarray, float64, (lines, ny, nx)
-        Is added to; rows and columns go on at the other side, lines do not.
+    With first (3, waves); weights (3, waves, near); power (waves,); out (lines, ny, nx).
     """
     lines, ny, nx = out.shape
     near = weights.shape[2]

@@ -31,17 +31,7 @@ def _door(cube: Any) -> xr.Dataset:
 def slopes(z: Array, dy: float, dx: float) -> tuple[Array, Array]:
     """Slopes z_y, z_x of each step by central differences of sixth order.
 
-    Parameters
-    ----------
-    z : ndarray, (steps, ny, nx)
-        Elevation at mid-time, m.
-    dy, dx : float
-        Distance between nodes, m.
-
-    Returns
-    -------
-    z_y, z_x : ndarray, (steps, ny, nx)
-        Slopes.
+    With z (steps, ny, nx); returns z_y, z_x (steps, ny, nx): Slopes.
     """
     z_y, z_x = np.empty_like(z), np.empty_like(z)
     kernels.gradient(z, dy, dx, z_y, z_x)
@@ -53,19 +43,8 @@ def terms(
 ) -> dict[str, Array]:
     """Slopes, nonlinear term, residual, vorticity and divergence.
 
-    Parameters
-    ----------
-    fields : mapping of str to ndarray, (..., ny, nx)
-        z, z_t, u, v, w at mid-time, m and m/s; ``mean``, the mean elevation of the step's two frames, m.
-    dy, dx : float
-        Distance between nodes, m.
-    current : tuple of float
-        Mean current U along x and y, m/s.
-
-    Returns
-    -------
-    dict of str to ndarray, (..., ny, nx)
-        ``z_x``, ``z_y``, ``nonlinear``, ``residual``, ``vorticity``, ``divergence``.
+    With fields (..., ny, nx); current, m/s; returns (..., ny, nx): ``z_x``, ``z_y``, ``nonlinear``,
+    ``residual``, ``vorticity``, ``divergence``..
     """
     shape = fields["z"].shape
     names = (*_NAMES, "mean")
@@ -187,26 +166,10 @@ def _mean_of_frames(z: xr.DataArray, z_t: xr.DataArray, dt: float) -> xr.DataArr
 def frame_elevations(z: Any, z_before: Any, z_after: Any, z_t: Any, dt: float) -> tuple[Any, Any]:
     """Elevations of the two frames of a step from what a cube holds.
 
-    Parameters
-    ----------
-    z : array_like
-        Elevation at mid-time, m.
-    z_before, z_after : array_like
-        Rate of rise of the step before and of the step after, m/s.
-    z_t : array_like
-        Rate of rise of the step, m/s.
-    dt : float
-        Time between frames, s.
-
-    Returns
-    -------
-    start, end : array_like
-        Elevation at the step's first and second frame, m.
-
-    Notes
-    -----
     z = (9 (z_0 + z_1) - z_-1 - z_2) / 16 gives (z_0 + z_1) / 2 = z + (dt / 16)(z_t after - z_t before);
     exact.
+
+    With z_before, z_after, m/s; z_t, m/s.
     """
     mean = z + (dt / 16) * (z_after - z_before)
     return mean - (dt / 2) * z_t, mean + (dt / 2) * z_t
@@ -224,19 +187,8 @@ def finite_residual_on_grid(
 ) -> Array:
     """Residual of the finite-displacement form for one step.
 
-    Parameters
-    ----------
-    start, end : ndarray, (ny, nx)
-        Elevation at the two frames, m.
-    u, v, w : ndarray, (ny, nx)
-        Displacement over dt of the particle whose path has its mid-point at the node, divided by dt, m/s.
-    dt, dy, dx : float
-        Distances, s and m.
-
-    Returns
-    -------
-    ndarray, (ny, nx)
-        (z(x + d/2, t + dt) - z(x - d/2, t)) / dt - w, m/s; NaN near the edges.
+    With start, end (ny, nx); u, v, w (ny, nx), m/s; returns (ny, nx): (z(x + d/2, t + dt) - z(x - d/2, t)) /
+    dt - w, m/s.
     """
     ny, nx = start.shape
     row, column = np.meshgrid(np.arange(ny, dtype=float), np.arange(nx, dtype=float), indexing="ij")
@@ -318,24 +270,8 @@ def balance(
 ) -> dict[str, float]:
     """Root mean squares of the terms of the kinematic condition at one step.
 
-    Parameters
-    ----------
-    fields : mapping of str to ndarray, (steps, ny, nx)
-        z, z_t, u, v, w, m and m/s.
-    i : int
-        The step, with one before and one after it.
-    dt, dy, dx : float
-        Distances, s and m.
-    frames : int
-        Frames that the velocities come from: with four there is no ``finite_residual_rms`` (NaN).
-    current : tuple of float
-        Mean current along x and y that the nonlinear term is relative to, m/s.
-
-    Returns
-    -------
-    dict of str to float
-        ``w_rms``, ``z_t_rms``, ``nonlinear_rms``, ``residual_rms``, ``finite_residual_rms``, m/s;
-        ``vorticity_rms``, ``divergence_rms``, 1/s.
+    With fields (steps, ny, nx); current, m/s; returns ``w_rms``, ``z_t_rms``, ``nonlinear_rms``,
+    ``residual_rms``, ``finite_residual_rms``, m/s.
     """
     now = {name: fields[name][i].astype(float) for name in _NAMES}
     before, after = fields["z_t"][i - 1].astype(float), fields["z_t"][i + 1].astype(float)
@@ -361,18 +297,7 @@ def balance(
 def balance_group(rows: list[dict[str, float]], time: Array) -> xr.Dataset:
     """The balance over a record.
 
-    Parameters
-    ----------
-    rows : list of dict
-        What `balance` gives, each with its "step".
-    time : ndarray, (steps,)
-        Times of the cube, s.
-
-    Returns
-    -------
-    Dataset
-        The terms over ``step``, and ``nonlinear_fraction``, ``residual_fraction``,
-        ``finite_residual_fraction``.
+    With time (steps,).
     """
     steps = np.array([row["step"] for row in rows], int)
     names = [name for name in rows[0] if name != "step"] if rows else []

@@ -24,44 +24,25 @@ _NOTHING = 1e-12  # of the strongest line
 
 @dataclass(frozen=True)
 class Leakage:
-    """What lines of E(omega) of w hold.
+    """What lines of E(omega) of w hold."""
 
-    Parameters
-    ----------
-    w, cross : ndarray, (omega,)
-        Factors for the spectrum of the elevation from w, and for that from its cross spectrum with z, after
-        the factor of the line's own frequency.
-    own : ndarray, (omega,)
-        Fraction of the line that comes from within the window's main lobe; below the strongest line never
-        more than of those between.
-    """
-
+    # (omega,): Factors for the spectrum of the elevation from w, and for that from its cross spectrum with z,
+    # after the factor of the line's own frequency
     w: Array
     cross: Array
+    # (omega,): Fraction of the line that comes from within the window's main lobe; below the strongest line
+    # never more than of those between
     own: Array
 
 
 def leakage(energy: Array, dt: float, frames: int) -> Leakage:
     """What the lines of a spectrum of w hold of other frequencies than their own.
 
-    Parameters
-    ----------
-    energy : ndarray, (n // 2 + 1,)
-        E(omega) of w from Hann-windowed segments of n steps, as measured.
-    dt : float
-        Time between frames, s.
-    frames : int
-        Frames that w comes from (`transfer.path_factor`).
-
-    Returns
-    -------
-    Leakage
-
-    Notes
-    -----
     The spectrum before the window, on four frequencies to a line, is found by 60 rounds of Richardson's and
     Lucy's method; multiplied by the elevation's factor and seen through the window again it gives the
     elevation's. The two lowest lines, from which mean and trend are taken off, are left as they are.
+
+    With energy (n // 2 + 1,).
 
     Examples
     --------

@@ -18,27 +18,13 @@ _FLOOR = 1e-12  # of the strongest line
 def expected_likeness(power: Array, count: int, furthest: int = 2) -> Array:
     """How many times as large the variance of a mean of segments is as if none were alike.
 
-    Parameters
-    ----------
-    power : ndarray, (n, lines)
-        One-sided spectra, any units, of Hann-windowed segments that overlap by half.
-    count : int
-        Number of segments K.
-    furthest : int
-        Segments apart that may be alike.
-
-    Returns
-    -------
-    ndarray, (n, lines)
-        1 + 2 sum_L (1 - L / K) |int S W^2 exp(i omega L T / 2) domega|^2 / (int S W^2 domega)^2, T the length
-        of a segment, W^2 the window's power about the line.
-
-    Notes
-    -----
     A line that sees one frequency, as beside the end of a sea, has the same power in segments that follow
     each other; one in the midst of an even spectrum has 1/36 in common. S is the spectrum given, sharpened in
     four rounds (Richardson and Lucy) at two frequencies a line; waves that stay alike for longer than the
     window tells make segments more alike than this.
+
+    With power (n, lines); returns (n, lines): 1 + 2 sum_L (1 - L / K) |int S W^2 exp(i omega L T / 2)
+    domega|^2 / (int S W^2 domega)^2, T the length of a segment, W^2 the window's power about the line.
 
     Examples
     --------

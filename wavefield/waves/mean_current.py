@@ -17,19 +17,7 @@ _CURRENT_STEPS = 64  # steps, evenly spread over the record, that the mean is ta
 def delayed_current(cube: xr.Dataset, record: Record) -> Any:
     """Mean of u, v over the measured nodes of evenly spread steps, and its standard uncertainty; delayed.
 
-    Parameters
-    ----------
-    cube : Dataset
-        u and v over (time, y, x), m/s.
-    record : Record
-        Rectangle and runs.
-
-    Returns
-    -------
-    delayed
-        Mean (2,) and standard uncertainty (2,), m/s, along x and y. This is the Eulerian mean at fixed
-        nodes, the part of u that makes u . grad z linear. The uncertainty is the scatter of the steps'
-        means over the square root of their number.
+    With cube, m/s; returns Mean (2,) and standard uncertainty (2,), m/s, along x and y.
     """
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]

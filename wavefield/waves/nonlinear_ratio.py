@@ -20,20 +20,7 @@ def mean_current(mean: NDArray[np.float64], std: NDArray[np.float64]) -> xr.Data
 
 
 def from_spectra(spectra: xr.Dataset) -> xr.Dataset:
-    """Ratio of nonlinear to linear, sqrt(E_nl / E_w), over k and over omega with 95 % intervals.
-
-    Parameters
-    ----------
-    spectra : Dataset
-        ``E_k_<name>`` (k), ``E_<name>`` (omega) and their degrees of freedom for w and nl, as the wave store
-        has them.
-
-    Returns
-    -------
-    Dataset
-        ``nonlinear_ratio_k``, ``nonlinear_ratio_omega`` and ``low_``, ``high_`` of each. The intervals are
-        those of the F distribution, as of independent powers.
-    """
+    """Ratio of nonlinear to linear, sqrt(E_nl / E_w), over k and over omega with 95 % intervals."""
     out = {}
     for axis, stem in (("k", "E_k"), ("omega", "E")):
         w, nl = spectra[f"{stem}_w"], spectra[f"{stem}_nl"]

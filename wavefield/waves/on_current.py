@@ -35,21 +35,7 @@ _SLOWEST, _FASTEST = 0.5, 1.5  # of a free wave's frequency: what lies further o
 def intrinsic(omega: Any, drift: Array, sigma: Array, dt: float) -> Array:
     """Frequency at which water meets waves, kept off zero and within reach of free waves.
 
-    Parameters
-    ----------
-    omega : float or ndarray
-        Frequency at which they are seen, rad/s, 0 or more.
-    drift : ndarray
-        k . U, rad/s.
-    sigma : ndarray
-        Frequency of free waves of that k on still water, rad/s.
-    dt : float
-        Time between frames, s.
-
-    Returns
-    -------
-    ndarray
-        omega - k . U, rad/s; omega itself without a current. Negative for waves that the current sweeps back.
+    With omega, rad/s; drift, rad/s; sigma, rad/s; returns omega - k . U, rad/s.
 
     Examples
     --------
@@ -64,20 +50,11 @@ def intrinsic(omega: Any, drift: Array, sigma: Array, dt: float) -> Array:
 
 @dataclass(frozen=True)
 class Moving:
-    """Spectra over the plane of wave vectors, and the current they were measured on.
+    """Spectra over the plane of wave vectors, and the current they were measured on."""
 
-    Parameters
-    ----------
-    current : tuple of float
-        Velocity of the water along x and y, m/s.
-    w : DataArray, (omega, ky, kx)
-        Spectrum of w.
-    zw : DataArray, (omega, ky, kx)
-        Re(i exp(i omega dt / 2) S), S the cross spectrum of z at frame times with w.
-    """
-
-    current: tuple[float, float]
-    w: xr.DataArray
+    current: tuple[float, float]  # Velocity of the water along x and y, m/s
+    w: xr.DataArray  # (omega, ky, kx): Spectrum of w
+    # (omega, ky, kx): Re(i exp(i omega dt / 2) S), S the cross spectrum of z at frame times with w
     zw: xr.DataArray
 
     @cached_property
@@ -88,20 +65,7 @@ class Moving:
     def elevations(self, water: Water, dt: float, frames: int) -> tuple[Array, Array, Array]:
         """Spectra of the elevation from w, and what they make of noise.
 
-        Parameters
-        ----------
-        water : tuple of float
-            Depth, m, and surface tension over density, m3 s-2.
-        dt : float
-            Time between frames, s.
-        frames : int
-            Frames that w comes from (`transfer.path_factor`).
-
-        Returns
-        -------
-        w, cross, shape : ndarray, (omega, k)
-            Integrals over angle of the spectra; and the factor from the elevation's noise to that of a
-            displacement, 4 sin^2((omega - k . U) dt / 2), as a ring's cells have it together.
+        Returns w, cross, shape (omega, k): Integrals over angle of the spectra.
         """
         kx, ky = self._plane
         sigma = dispersion(np.hypot(kx, ky), *water)
@@ -130,19 +94,7 @@ class Moving:
 def longest(omega: Array, water: Water, speed: float) -> Array:
     """Wavenumber of the waves that run with a current, the longest of their frequency.
 
-    Parameters
-    ----------
-    omega : ndarray
-        rad/s.
-    water : tuple of float
-        Depth, m, and surface tension over density, m3 s-2.
-    speed : float
-        Of the current, m/s.
-
-    Returns
-    -------
-    ndarray
-        rad/m.
+    With speed, m/s.
     """
     k = np.geomspace(1e-3, 4e3, 6000)
     return np.asarray(np.interp(omega, dispersion(k, *water) + k * speed, k))
@@ -169,36 +121,13 @@ def blend(
 ) -> Array:
     """Best elevation from the transforms of z and w in time, on a current.
 
-    Parameters
-    ----------
-    z : ndarray, complex, (omega, ny, nx)
-        Transform in time of the elevation at mid-time, numpy's signs exp(+i omega t).
-    w : ndarray, complex, (omega, ny, nx)
-        Of w.
-    omega : ndarray, (omega,)
-        rad/s.
-    distances : tuple of float
-        Between frames, s, and between nodes along y and x, m.
-    current : tuple of float
-        Velocity of the water along x and y, m/s.
-    water : tuple of float
-        Depth, m, and surface tension over density, m3 s-2.
-    noise : float
-        Noise of z over that of the displacement w dt, as variances.
-    frames : int
-        Frames that w comes from (`transfer.path_factor`).
-
-    Returns
-    -------
-    ndarray, complex, (omega, ny, nx)
-        Of the elevation at mid-time; z where omega is 0.
-
-    Notes
-    -----
     In every cell (k, omega) the two are weighted inversely to the noise that they have there: the integrated
     w has that of the displacement over 4 sin^2((omega - k . U) dt / 2). Waves that pass faster than frames
     follow show folded back: of omega + 2 pi n / dt the one nearest to their free frequency is taken. Beyond
     the edges the fields are mirrored and fade; within what water goes in .4 s the result passes to z alone.
+
+    With z (omega, ny, nx); w (omega, ny, nx); omega (omega,); current, m/s; returns (omega, ny, nx): Of the
+    elevation at mid-time.
     """
     dt, dy, dx = distances
     margin = min(_MARGIN, *(n - 1 for n in w.shape[1:]))
@@ -250,24 +179,7 @@ def moving_of(
     water: Water,
     current: tuple[float, float] | None = None,
 ) -> Moving | None:
-    """What `from_spectra` wants to know of a current.
-
-    Parameters
-    ----------
-    sums : dict of str to ndarray
-        With "map w" and "map z*w" (`crosses.combine`).
-    welch : Welch
-        How they were taken.
-    water : tuple of float
-        Its depth, m, and surface tension over density, m3 s-2.
-    current : tuple of float, optional
-        m/s; fitted to the ridge of w if not given.
-
-    Returns
-    -------
-    Moving or None
-        None where the water stands still.
-    """
+    """What `from_spectra` wants to know of a current."""
     planes = [
         plane_density(xr.Variable(("omega", "ky", "kx"), density(sums[f"map {name}"], welch)), "", "1", welch)
         for name in ("w", _CROSS)

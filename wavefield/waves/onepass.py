@@ -30,24 +30,13 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Sums:
-    """What one pass over a cube gives.
+    """What one pass over a cube gives."""
 
-    Parameters
-    ----------
-    rings : dict of str to ndarray
-        As `crosses.combine` gives it, over all segments.
-    survey : dict of str to ndarray
-        As `statistics.survey` gives it, and "slopes".
-    balance : list of dict
-        Rows of the kinematic balance (`kinematics.balance`), each with its "step".
-    points : ndarray, (time, points)
-        w at points far apart.
-    """
-
-    rings: dict[str, Array]
-    survey: dict[str, Array]
+    rings: dict[str, Array]  # As `crosses.combine` gives it, over all segments
+    survey: dict[str, Array]  # As `statistics.survey` gives it, and "slopes"
+    # Rows of the kinematic balance (`kinematics.balance`), each with its "step"
     balance: list[dict[str, float]]
-    points: Array
+    points: Array  # (time, points): w at points far apart
 
 
 @dataclass(frozen=True)
@@ -173,24 +162,7 @@ def one_pass(
 ) -> Sums:
     """Read a cube once.
 
-    Parameters
-    ----------
-    cube : Dataset
-        `FIELDS` over (time, y, x), m and m/s, of one type.
-    welch : Welch
-        Segments and rings.
-    alike : bool
-        The record was found from z alone: raise `segments.UnlikeFirst` where another field lacks more.
-    scale : dict of str to (float, float)
-        As `statistics.pilot` gives it.
-    progress : callable or None
-        Called with the parts done and all parts.
-    each : callable, optional
-        Does the work elsewhere (`record.Each`).
-
-    Returns
-    -------
-    Sums
+    With scale (float, float).
     """
     record = welch.record
     used = sum(b - a for a, b in record.runs)

@@ -19,42 +19,21 @@ _UNITS = {1e3: "mm", 1e2: "cm", 1e6: "um", 1e-3: "km"}
 
 @dataclass(frozen=True)
 class ProbeFit:
-    """How a probe fits the elevation at its place.
+    """How a probe fits the elevation at its place."""
 
-    Parameters
-    ----------
-    name : str
-        The probe.
-    likeness : float
-        Correlation as clock and position are stated.
-    best : float
-        The same at the best lag; negative where the sign is turned.
-    lag : float
-        Seconds by which the probe's clock is ahead: its event comes that much later by its own clock.
-    gain : float
-        Standard deviation of the probe over that of the elevation.
-    place : (float, float) or None
-        Where in the cube it fits, m, if that is elsewhere than stated.
-    """
-
-    name: str
-    likeness: float
-    best: float
+    name: str  # The probe
+    likeness: float  # Correlation as clock and position are stated
+    best: float  # The same at the best lag; negative where the sign is turned
+    # Seconds by which the probe's clock is ahead: its event comes that much later by its own clock
     lag: float
-    gain: float
+    gain: float  # Standard deviation of the probe over that of the elevation
+    # (float, float): Where in the cube it fits, m, if that is elsewhere than stated
     place: tuple[float, float] | None = None
 
     def problems(self, dt: float) -> Iterator[tuple[str, str, str]]:
         """What does not fit: a word, a sentence, a remedy.
 
-        Parameters
-        ----------
-        dt : float
-            Step of the cube, s.
-
-        Yields
-        ------
-        (str, str, str)
+        Returns (str, str, str).
         """
         if abs(self.best) < _ALIKE:
             if self.place is not None:
@@ -94,22 +73,10 @@ class ProbeFit:
 def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
     """Compare every probe that lies in the field with the elevation there.
 
-    Parameters
-    ----------
-    z : DataArray, (time, y, x)
-        Elevation, m, evenly in time; thinned or not.
-    probes : Dataset
-        As from `read_probes`: ``elevation`` (probe, time), ``probe_x``, ``probe_y``.
-
-    Returns
-    -------
-    list of ProbeFit
-        Without those whose place is not known, or that have too little to say.
-
-    Notes
-    -----
     Correlation normalised over what overlaps, at every lag that leaves half of the record; the peak to a
     fraction of a step by a parabola.
+
+    With z (time, y, x).
     """
     time = z["time"].values.astype(float)
     if time.size < _SHORTEST:
@@ -164,19 +131,7 @@ def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: f
 def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array]:
     """Normalised correlation of two series at every lag, over what overlaps.
 
-    Parameters
-    ----------
-    a, b : ndarray, (n,) and (m,)
-        Series; NaN where there is nothing.
-    least : int
-        Samples that must overlap.
-
-    Returns
-    -------
-    lags : ndarray of int
-        b[i + lag] is held beside a[i].
-    likeness : ndarray
-        -1 to 1.
+    With a, b (n,).
     """
     known = [np.isfinite(v).astype(float) for v in (a, b)]
     value = [np.where(k > 0, v - np.nanmean(v), 0.0) for k, v in zip(known, (a, b))]

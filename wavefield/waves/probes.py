@@ -24,18 +24,10 @@ _LARGEST = 0.5  # m, standard deviation: waves in a tank are lower
 
 @dataclass(frozen=True)
 class Columns:
-    """Which columns of a laboratory's file are what.
+    """Which columns of a laboratory's file are what."""
 
-    Parameters
-    ----------
-    time : str or int
-        Name in the header, or number from 1 where there is no header.
-    probes : mapping of str to str or int
-        The same for every probe, by the name that it gets.
-    """
-
-    time: str | int
-    probes: Mapping[str, str | int]
+    time: str | int  # Name in the header, or number from 1 where there is no header
+    probes: Mapping[str, str | int]  # The same for every probe, by the name that it gets
 
 
 def read_probes(

@@ -94,23 +94,7 @@ def _spacing(array: Any, name: str) -> float:
 
 
 def check_axes(array: Any) -> tuple[float, float, float]:
-    """Check that an array has the axes of a cube, evenly spaced.
-
-    Parameters
-    ----------
-    array : xarray.DataArray or xarray.Dataset
-        With dimensions time, y, x and their coordinates.
-
-    Returns
-    -------
-    dt, dy, dx : float
-        Steps, s and m.
-
-    Raises
-    ------
-    CubeError
-        If a dimension or coordinate is missing, descends or has unequal steps.
-    """
+    """Check that an array has the axes of a cube, evenly spaced."""
     for name in CUBE_DIMS:
         if name not in array.dims:
             raise CubeError(
@@ -362,19 +346,7 @@ def whole_record(array: Any) -> Record:
 def fill(block: np.ndarray, missing: np.ndarray) -> np.ndarray:
     """Fill what is missing in a piece of a record.
 
-    Parameters
-    ----------
-    block : ndarray, (steps, ny, nx)
-        Values; NaN where there are none.
-    missing : ndarray of bool, (steps,)
-        Steps to be bridged: cubic interpolation in time from two good steps on either side, linear or
-        constant where there are fewer.
-
-    Returns
-    -------
-    ndarray
-        The same array where nothing is missing, else a filled copy; single nodes take the nearest node's
-        value.
+    With block (steps, ny, nx); missing (steps,).
     """
     if not missing.any() and is_whole(block):
         return block

@@ -130,17 +130,8 @@ def _amplitudes(field: xr.DataArray, record: Record, lattice: _Lattice) -> list[
 def segment_lines(runs: list[Array], segment: int) -> Array:
     """Fourier lines of amplitudes in time.
 
-    Parameters
-    ----------
-    runs : list of ndarray, complex, (cells, steps)
-        Amplitudes of wave vectors, run by run.
-    segment : int
-        Steps of a segment; they overlap by half.
-
-    Returns
-    -------
-    ndarray, complex64, (cells, segments, segment // 2)
-        Lines of waves exp(-i omega t), omega from zero on, each over its rms.
+    With runs (cells, steps); returns (cells, segments, segment // 2): Lines of waves exp(-i omega t), omega
+    from zero on, each over its rms.
     """
     half, window = segment // 2, hann(segment).astype(np.float32)
     lines = []
@@ -163,19 +154,8 @@ def segment_lines(runs: list[Array], segment: int) -> Array:
 def surrogates(lines: Array, count: int, rng: np.random.Generator) -> Iterator[Array]:
     """Surrogates of lines: phases of each line's spectrum over the record drawn anew.
 
-    Parameters
-    ----------
-    lines : ndarray, complex64, (cells, segments, lines)
-        As `segment_lines` gives them.
-    count : int
-        How many surrogates.
-    rng : numpy.random.Generator
-        Source of the phases.
-
-    Yields
-    ------
-    ndarray, complex64, (cells, segments, lines)
-        The same power and memory of each line, no relation between lines.
+    With lines (cells, segments, lines); returns (cells, segments, lines): The same power and memory of each
+    line, no relation between lines.
     """
     spectra = fft.fft(lines, axis=1)
     turn = np.empty_like(spectra)
@@ -190,15 +170,8 @@ def surrogates(lines: Array, count: int, rng: np.random.Generator) -> Iterator[A
 def memory_of(lines: Array) -> Array:
     """How long lines remember themselves.
 
-    Parameters
-    ----------
-    lines : ndarray, complex, (cells, segments, lines)
-        As `segment_lines` gives them; surrogates share it.
-
-    Returns
-    -------
-    ndarray, complex, (cells, lines, lags)
-        Autocorrelation at lags of 1, 2, ... segments; that of a product is the product of its factors'.
+    With lines (cells, segments, lines); returns (cells, lines, lags): Autocorrelation at lags of 1, 2, ...
+    segments.
     """
     count = lines.shape[1]
     lags = min(_LAGS, count // 4)

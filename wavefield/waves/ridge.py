@@ -503,20 +503,7 @@ def _line_quality(points: Array, depth: float, fit: Array) -> dict[str, Any]:
 def fit_settings(fit: "FitSettings | Mapping[str, Any] | None") -> tuple[FitSettings, Vector | None]:
     """Settings of the fit, and the current to use where it is refused, from what a user gives.
 
-    Parameters
-    ----------
-    fit : FitSettings or mapping, optional
-        Fields of `FitSettings`; ``current_x`` and ``current_y``, m/s, for where the fit is refused.
-
-    Returns
-    -------
-    settings : FitSettings
-    current : tuple of float or None
-
-    Raises
-    ------
-    CubeError
-        If a name or a value is not one of a setting.
+    With fit, m/s.
 
     Examples
     --------
@@ -609,23 +596,7 @@ def dispersion_group(
 ) -> tuple[xr.Dataset, str]:
     """The theory and the fitted ridge.
 
-    Parameters
-    ----------
-    density : DataArray, (omega, ky, kx)
-        Spectrum of w.
-    k : ndarray, (k,)
-        Wavenumbers of the theory, rad/m.
-    depth, gamma : float
-        Depth, m, and surface tension over density, m3/s2, of the water.
-    settings : FitSettings, optional
-        Band, sectors and window.
-
-    Returns
-    -------
-    group : Dataset
-        ``omega_theory``, ``omega_fit`` (k) and what `fit_dispersion` gives.
-    note : str
-        Why no ridge was fitted; empty where one was.
+    With density (omega, ky, kx); k (k,), rad/m.
     """
     theory = xr.Dataset({"omega_theory": ("k", dispersion(k, depth, gamma))}, k_coords(k))
     try:

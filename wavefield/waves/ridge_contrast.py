@@ -23,25 +23,7 @@ def _near_ridge(omega: Array, plane: Plane, depth: float, fit: Array) -> Array:
 def contrast(energy: Array, omega: Array, lines: Array, plane: Plane, depth: float, fit: Array) -> float:
     """Energy on the ridge over what the same cells of the k plane would hold there if all lines were alike.
 
-    Parameters
-    ----------
-    energy : ndarray, (lines, cells)
-        Spectrum.
-    omega : ndarray, (lines,)
-        rad/s.
-    lines : ndarray of bool, (lines,)
-        Which lines count.
-    plane : Plane
-        Cells.
-    depth : float
-        Of the water, m.
-    fit : ndarray, (3,)
-        Current along x and y, m/s, and surface tension over density, m3/s2.
-
-    Returns
-    -------
-    float
-        1 for whatever knows nothing of the dispersion relation, and where lines are too few to tell.
+    With energy (lines, cells); omega (lines,); lines (lines,); fit (3,), m/s.
     """
     near = _near_ridge(omega, plane, depth, fit)[lines]
     near[:, plane.k < LONGEST * plane.cell] = False
@@ -58,23 +40,7 @@ def contrast(energy: Array, omega: Array, lines: Array, plane: Plane, depth: flo
 def fraction(energy: Array, omega: Array, plane: Plane, depth: float, fit: Array) -> float:
     """Fraction of the energy that lies within the ridge.
 
-    Parameters
-    ----------
-    energy : ndarray, (lines, cells)
-        Spectrum.
-    omega : ndarray, (lines,)
-        rad/s.
-    plane : Plane
-        Cells.
-    depth : float
-        Of the water, m.
-    fit : ndarray, (3,)
-        Current along x and y, m/s, and surface tension over density, m3/s2.
-
-    Returns
-    -------
-    float
-        NaN where there is no energy.
+    With energy (lines, cells); omega (lines,); fit (3,), m/s.
     """
     near = _near_ridge(omega, plane, depth, fit)
     total = float(energy.sum(dtype=float))
@@ -86,31 +52,9 @@ def explained(
 ) -> float:
     """Fraction of the energy above the noise that lies within the ridge, whichever way waves are seen to go.
 
-    Parameters
-    ----------
-    energy : ndarray, (lines, cells)
-        Spectrum.
-    omega : ndarray, (lines,)
-        rad/s.
-    noise : ndarray, (lines, cells)
-        Level of the noise.
-    lines : ndarray of bool, (lines,)
-        Which lines count.
-    plane : Plane
-        Cells.
-    depth : float
-        Of the water, m.
-    fit : ndarray, (3,)
-        Current along x and y, m/s, and surface tension over density, m3/s2.
-
-    Returns
-    -------
-    float
-        1 where there is no energy.
-
-    Notes
-    -----
     Waves that a current carries back are seen with the opposite wave vector: omega = k.U - sigma(k).
+
+    With energy (lines, cells); omega (lines,); noise (lines, cells); lines (lines,); fit (3,), m/s.
     """
     counted = plane.k > LONGEST * plane.cell
     above = np.maximum(energy[lines] - 3 * noise[lines], 0.0)[:, counted]

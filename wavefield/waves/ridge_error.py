@@ -15,22 +15,8 @@ _SLOWEST = 0.15  # of the free group velocity: waves that a current slows more a
 def against_theory(points: Array, depth: float, fit: Array, gamma: float) -> dict[str, Any]:
     """Compare the ridge with theory by bands of half a hertz.
 
-    Parameters
-    ----------
-    points : ndarray, (points, 4 or more)
-        omega, rad/s, k, rad/m, angle and weight.
-    depth : float
-        Of the water, m.
-    fit : ndarray, (3,)
-        Current along x and y, m/s, and surface tension over density, m3/s2; the last is not used.
-    gamma : float
-        Surface tension over density of the theory, m3/s2.
-
-    Returns
-    -------
-    dict
-        ``ridge_error``, the energy-weighted mean of k over the theory's k for that omega and direction, less
-        1, and ``band_frequency``, Hz, (band).
+    With points (points, 4 or more), rad/s; fit (3,), m/s; returns ``ridge_error``, the energy-weighted mean
+    of k over the theory's k for that omega and direction, less 1, and ``band_frequency``, Hz, (band).
     """
     omega, k, angle, weight = points.T[:4]
     along = fit[0] * np.cos(angle) + fit[1] * np.sin(angle)

@@ -17,24 +17,11 @@ _RING_CELLS = 1.5  # width of a ring of wavenumbers
 def noise_level(energy: Array, plane: Plane, nyquist_k: float) -> Array:
     """Level of the noise, a function of the frequency times a function of the wavenumber.
 
-    Parameters
-    ----------
-    energy : ndarray, (lines, cells)
-        Spectrum, all lines.
-    plane : Plane
-        Cells.
-    nyquist_k : float
-        Largest wavenumber along the shorter axis, rad/m.
-
-    Returns
-    -------
-    ndarray, float32, (lines, cells)
-
-    Notes
-    -----
     Along frequency: the median over the shortest waves. Along k: the level, over all lines, of what a ring
     holds in units of that; free waves are on few of them. Errors of measured displacements are independent
     from step to step and smooth over a matching window, so that their spectrum is such a product.
+
+    With energy (lines, cells); nyquist_k, rad/m; returns (lines, cells).
     """
     outer = plane.k > OUTER * nyquist_k
     if not outer.any():

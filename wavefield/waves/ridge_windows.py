@@ -29,14 +29,6 @@ _MOST = 4.0  # factor by which a round changes the energy at most
 def hann_power(distance: Array) -> Array:
     """Energy of a long Hann window's line at distances from it, in cells; 1 at none.
 
-    Parameters
-    ----------
-    distance : ndarray
-
-    Returns
-    -------
-    ndarray
-
     Examples
     --------
     >>> [round(float(p), 3) for p in hann_power(np.array([0.0, 1.0, 2.0, 2.5]))]
@@ -50,15 +42,9 @@ def hann_power(distance: Array) -> Array:
 
 @dataclass(frozen=True)
 class Cells:
-    """The cells of a spectrum.
+    """The cells of a spectrum."""
 
-    Parameters
-    ----------
-    omega, ky, kx : ndarray, (lines,), (ny,), (nx,)
-        rad/s and rad/m, evenly spaced.
-    """
-
-    omega: Array
+    omega: Array  # (lines,): rad/s and rad/m, evenly spaced
     ky: Array
     kx: Array
 
@@ -105,28 +91,11 @@ def _seen(parts: tuple[Array, Array], power: Array, shape: tuple[int, ...]) -> A
 def as_seen(energy: Array, noise: Array, cells: Cells, depth: float, fit: Array) -> Array:
     """Spectrum of free waves on a fitted relation with the energy of a measured one, through Hann windows.
 
-    Parameters
-    ----------
-    energy : ndarray, (lines, ny * nx)
-        Measured spectrum.
-    noise : ndarray, (lines, ny * nx)
-        Its floor.
-    cells : Cells
-        Of the spectrum.
-    depth : float
-        Depth of the water, m.
-    fit : ndarray, (3,)
-        Current along x and y, m/s, and surface tension over density, m3/s2.
-
-    Returns
-    -------
-    ndarray, (lines, ny * nx)
-
-    Notes
-    -----
     Four waves a cell, whose energy is adjusted in four rounds (Richardson and Lucy, each to the power 1.8)
     so that each cell of the k plane shows on the ridge what was measured there. A sea that is left too wide
     hides how far the windows reach from its strong directions into the weak ones.
+
+    With energy (lines, ny * nx); noise (lines, ny * nx); fit (3,), m/s; returns (lines, ny * nx).
     """
     wanted = _on_ridge(energy, noise, cells, depth, fit)
     steps = cells.steps

@@ -47,24 +47,6 @@ def keep_lines(power: Array, first: int) -> dict[str, Array]:
 def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = True) -> dict[str, Array]:
     """Degrees of freedom of E(k, omega), of E(omega) and of E(k).
 
-    Parameters
-    ----------
-    sums : mapping of str to array
-        As `take_in` gives them.
-    name : str
-        Field.
-    welch : Welch
-        How they were taken.
-    gaussian : bool
-        Whether its lines are Gaussian.
-
-    Returns
-    -------
-    dict of str to ndarray
-        "both" (rings, lines), "omega" (lines,), "k" (rings,); the last two NaN with fewer than four segments.
-
-    Notes
-    -----
     Twice the squared mean over the variance of the mean of K segments: c_0 / K times how alike they are, 1 +
     2 sum (1 - L/K) c_L / c_0, c_L their covariance L apart, L to 2, each over what taking off the mean leaves
     of it. The variance is told in parts of what the energy's spread over cells lets expect, which follows the

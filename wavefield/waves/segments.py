@@ -24,25 +24,7 @@ _CHAIN = 8  # segments in a row that are summed one after the other
 
 
 def segment_length(record: Record, segment: int | None) -> int:
-    """Segment length to use, checked against the record.
-
-    Parameters
-    ----------
-    record : Record
-        Where the estimators work.
-    segment : int, optional
-        Wanted length, steps; chosen from the longest run if not given.
-
-    Returns
-    -------
-    int
-        An even number of steps.
-
-    Raises
-    ------
-    CubeError
-        If no run is that long.
-    """
+    """Segment length to use, checked against the record."""
     longest = record.longest
     if segment is None:
         segment = choose_segment(longest)
@@ -111,17 +93,7 @@ class UnlikeFirst(Exception):
 
 
 class Reader:
-    """Reads pieces of a record inside a task: nothing is read before it is needed.
-
-    Parameters
-    ----------
-    arrays : sequence of DataArray
-        Fields over (time, y, x).
-    record : Record
-        Rectangle and runs.
-    alike : bool
-        The record was found from the first field alone: raise `UnlikeFirst` where another lacks more.
-    """
+    """Reads pieces of a record inside a task: nothing is read before it is needed."""
 
     def __init__(self, arrays: Sequence[xr.DataArray], record: Record, alike: bool = False) -> None:
         self.arrays, self.record, self.alike = list(arrays), record, alike
@@ -159,21 +131,7 @@ def remainders(record: Record, segment: int) -> list[tuple[int, int, tuple[int, 
 
 
 def chains(record: Record, segment: int) -> list[list[Link]]:
-    """Cut the segments of a record into chains that are summed one after the other.
-
-    Parameters
-    ----------
-    record : Record
-        Rectangle and runs.
-    segment : int
-        Steps of a segment.
-
-    Returns
-    -------
-    list of list of Link
-        The half segments of each chain, in the order of the record: fixed by the record alone. A chain begins
-        with the half that the one before ends with, and only one of them has it as new.
-    """
+    """Cut the segments of a record into chains that are summed one after the other."""
     half = segment // 2
     out = []
     for run in record.runs:
@@ -188,25 +146,7 @@ def chains(record: Record, segment: int) -> list[list[Link]]:
 def half_segments(
     arrays: Sequence[xr.DataArray], record: Record, half: int, make: Callable[..., dict[str, Any]]
 ) -> list[list[Any]]:
-    """Lay out the tasks that turn half segments of a record into whatever `make` gives.
-
-    Parameters
-    ----------
-    arrays : sequence of DataArray
-        Fields over (time, y, x).
-    record : Record
-        Rectangle and runs.
-    half : int
-        Steps of a half segment.
-    make : callable
-        ``make(blocks, first)`` with a list of blocks (steps, ny, nx) without gaps, which it may empty as it
-        goes to save memory, and the number of the first step; gives a dictionary.
-
-    Returns
-    -------
-    list of list of delayed
-        Half segments, run by run; what is left at the end of a run is shorter than one and not used.
-    """
+    """Lay out the tasks that turn half segments of a record into whatever `make` gives."""
     runs = []
     for run in record.runs:
         count = (run[1] - run[0]) // half
@@ -253,17 +193,7 @@ def window_energy(segment: int, ny: int, nx: int) -> float:
 def transform_space(block: Any, out: np.ndarray | None = None) -> np.ndarray:
     """Transform each step in space.
 
-    Parameters
-    ----------
-    block : ndarray, (steps, ny, nx)
-        Field, float32 or float64; or what is computed when steps are cut out of it.
-    out : ndarray, optional
-        What it gave for an earlier block of the same shape and type, to be used again: new memory is dear.
-
-    Returns
-    -------
-    ndarray, complex, (ny * (nx // 2 + 1), steps)
-        Windowed transform, cells first (in memory, steps are).
+    With block (steps, ny, nx).
     """
     steps, ny, nx = block.shape
     window = spatial_window(ny, nx).astype(block.dtype)
@@ -286,17 +216,7 @@ def slabs(cells: int) -> Iterator[slice]:
 
 
 class TimeTransform:
-    """Transforms segments in time, slab by slab, in work space of its own: it is made once and used again.
-
-    Parameters
-    ----------
-    half : int
-        Steps of half a segment.
-    dtype : dtype
-        Complex type of the spatial transforms.
-    names : int
-        Number of fields whose lines are held at a time.
-    """
+    """Transforms segments in time, slab by slab, in work space of its own: it is made once and used again."""
 
     def __init__(self, half: int, dtype: Any, names: int = 1) -> None:
         dtype = np.dtype(dtype)
@@ -308,17 +228,8 @@ class TimeTransform:
     def __call__(self, first: np.ndarray, second: np.ndarray, name: int = 0) -> np.ndarray:
         """Transform a slab.
 
-        Parameters
-        ----------
-        first, second : ndarray, complex, (cells, n / 2)
-            Spatial transforms of the two halves.
-        name : int
-            Which field it is.
-
-        Returns
-        -------
-        ndarray, complex, (cells, n)
-            Mean and trend taken off, Hann window, numpy's signs; good until the next call for the name.
+        With first, second (cells, n / 2); returns (cells, n): Mean and trend taken off, Hann window, numpy's
+        signs.
         """
         cells = first.shape[0]
         halves = [part[: self.half * cells].reshape(self.half, cells) for part in self.halves]

@@ -57,21 +57,9 @@ def _powers(a: dict[str, Array], b: dict[str, Array], begin: int) -> dict[str, A
 def unfold(power: Array, ny: int, nx: int) -> Array:
     """Bring the power on the half plane to omega >= 0 and the full plane, k pointing where the wave goes.
 
-    Parameters
-    ----------
-    power : ndarray, (ny * (nx // 2 + 1), n)
-        |F|^2 in numpy's order and signs.
-    ny, nx : int
-        Nodes.
-
-    Returns
-    -------
-    ndarray, (n // 2 + 1, ny, nx)
-        One-sided in omega, k ascending along both axes.
-
-    Notes
-    -----
     cos(k . x - omega t) appears in numpy's transform at (k, -omega) and (-k, omega).
+
+    Returns (n // 2 + 1, ny, nx): One-sided in omega, k ascending along both axes.
     """
     n = power.shape[-1]
     power = power.reshape(ny, nx // 2 + 1, n)
@@ -164,19 +152,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
 def plane_density(values: Any, name: str, units: str, welch: Welch) -> xr.Dataset:
     """Label E(ky, kx, omega).
 
-    Parameters
-    ----------
-    values : Variable, (omega, ky, kx)
-        The density.
-    name, units : str
-        Of the field.
-    welch : Welch
-        How it was estimated.
-
-    Returns
-    -------
-    Dataset
-        As `spectrum` gives it.
+    With values (omega, ky, kx).
     """
     low, high = interval(welch.dof)
     parts = {"E": values, "dof": ((), welch.dof), "low": ((), float(low)), "high": ((), float(high))}

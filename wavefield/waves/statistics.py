@@ -34,19 +34,7 @@ ERRORS = ("eps_y", "eps_piv")
 def pilot(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Rough mean and standard deviation from a few steps: they fix the bins of the distributions.
 
-    Parameters
-    ----------
-    cube : Dataset
-        Fields over (time, y, x).
-    record : Record
-        Rectangle and runs.
-    names : sequence of str
-        Fields.
-
-    Returns
-    -------
-    dict of str to (float, float)
-        Mean and standard deviation; 1 where a field is constant.
+    Returns (float, float): Mean and standard deviation.
     """
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
@@ -64,17 +52,7 @@ def pilot(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, t
 def survey(fields: Mapping[str, Array], scale: Mapping[str, tuple[float, float]]) -> dict[str, Array]:
     """Count and sum what the statistics need of a piece of a record.
 
-    Parameters
-    ----------
-    fields : mapping of str to ndarray, (steps, ny, nx)
-        z, u, v, w; any of them.
-    scale : mapping of str to (float, float)
-        Rough mean and standard deviation of each.
-
-    Returns
-    -------
-    dict of str to ndarray
-        "sums name" (5,): count and first four powers about the rough mean; "counts name" (bins,).
+    With fields (steps, ny, nx); scale (float, float).
     """
     out = {}
     for name, values in fields.items():
@@ -90,17 +68,7 @@ def survey(fields: Mapping[str, Array], scale: Mapping[str, tuple[float, float]]
 def time_sums(fields: Mapping[str, Array], scale: Mapping[str, tuple[float, float]]) -> dict[str, Array]:
     """Sums over the steps at every node, "map name" (3, nodes), of the first powers about the rough mean.
 
-    Parameters
-    ----------
-    fields : mapping of str to ndarray, (steps, ny, nx)
-        z, u, v, w; any of them.
-    scale : mapping of str to (float, float)
-        Rough mean and standard deviation of each.
-
-    Returns
-    -------
-    dict of str to ndarray
-        And "steps", their number, (1,).
+    With fields (steps, ny, nx); scale (float, float).
     """
     out: dict[str, Array] = {}
     for name, values in fields.items():
@@ -134,17 +102,7 @@ def slope_square(z: Array, dy: float, dx: float) -> Array:
 def central_moments(sums: Array, guess: float) -> dict[str, float]:
     """Mean, standard deviation, skewness and excess kurtosis.
 
-    Parameters
-    ----------
-    sums : ndarray, (5,)
-        Count and the sums of the first four powers of (value - guess).
-    guess : float
-        The number taken off.
-
-    Returns
-    -------
-    dict of str to float
-        ``mean``, ``std``, ``skewness``, ``kurtosis``, ``count``.
+    With sums (5,).
     """
     n = sums[0]
     if n == 0:
@@ -190,21 +148,7 @@ def label(
 ) -> xr.Dataset:
     """Turn sums over a record into labelled statistics.
 
-    Parameters
-    ----------
-    sums : mapping of str to ndarray
-        What `survey` and `slope_square` (as "slopes") gave, summed.
-    scale : mapping of str to (float, float)
-        As given to `survey`.
-    dt : float
-        Time between frames, s.
-    pixel_size : float or None
-        m; None where it is not known.
-
-    Returns
-    -------
-    Dataset
-        As `statistics` gives it.
+    With scale (float, float).
     """
     names = [name for name, field in QUANTITIES.items() if f"sums {field}" in sums]
     raw, rows = {}, {}
@@ -329,23 +273,7 @@ def _errors(block: Any, scale: tuple[float, float]) -> dict[str, Array]:
 
 
 def error_statistics(cube: xr.Dataset, record: Record, each: Each | None = None) -> xr.Dataset:
-    """Distributions and moments of the internal errors ``eps_y`` and ``eps_piv``, where the cube has them.
-
-    Parameters
-    ----------
-    cube : Dataset
-        With ``eps_y`` (m), ``eps_piv`` (pixel) over (time, y, x), or without.
-    record : Record
-        Rectangle and runs.
-    each : callable, optional
-        Does the work elsewhere (`record.Each`).
-
-    Returns
-    -------
-    Dataset
-        ``eps_y_mean``, ``eps_y_std`` (m), ``eps_piv_mean``, ``eps_piv_std``, ``eps_piv_rms`` (pixel),
-        ``eps_pdf`` (error, eps_bin); empty where the cube has neither. Missing values are left out.
-    """
+    """Distributions and moments of the internal errors ``eps_y`` and ``eps_piv``, where the cube has them."""
     names = [name for name in ERRORS if name in cube]
     cube = validate(cube, *names)
     out: dict[str, Any] = {}
@@ -381,22 +309,7 @@ def _error_sums(
 
 
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:
-    """Add the spectral peak and the steepness.
-
-    Parameters
-    ----------
-    statistics : Dataset
-        As `label` gives it.
-    fused : Dataset
-        As `fusion.fusion` gives it.
-    depth, gamma : float
-        Depth, m, and surface tension over density, m3/s2, of the water.
-
-    Returns
-    -------
-    Dataset
-        With ``peak_frequency``, ``peak_k``, ``steepness``.
-    """
+    """Add the spectral peak and the steepness."""
     best = fused["Ez_cross"].where(fused["valid_cross"], 0.0)
     if not float(best.max()) > 0:
         best = fused["Ez_stereo"].where(np.arange(fused.sizes["omega"]) > 0, 0.0)

@@ -85,24 +85,10 @@ def gain_six_frames(omega: Any, dt: float) -> Any:
 def path_factor(omega: Any, dt: float, frames: int) -> Any:
     """Amplitude of a velocity along a path over that of one displacement.
 
-    Parameters
-    ----------
-    omega : array_like
-        Angular frequency, rad/s, of either sign.
-    dt : float
-        Time between frames, s.
-    frames : int
-        2 for a displacement over dt, 4 or 6 for paths.
-
-    Returns
-    -------
-    array_like
-        1; of four frames 1 to 28/24, of six 1 to 1/6 at half the frame rate.
-
-    Notes
-    -----
     With weights w of displacements d (`wavefield.variables.PATH_WEIGHTS`), w_0 d(k) + w_1 [d(k-1) + d(k+1)]
     + ..., it is w_0 + 2 w_1 cos omega dt + 2 w_2 cos 2 omega dt: (26 - 2 cos omega dt) / 24 of four frames.
+
+    With omega, rad/s.
 
     Examples
     --------
@@ -121,26 +107,10 @@ def path_factor(omega: Any, dt: float, frames: int) -> Any:
 def to_frame_time(omega: Any, dt: float, frames: int, z_frames: int = 4) -> Any:
     """Factor T so that z + T z_t is the elevation at a step's first frame, in numpy's signs exp(+i omega t).
 
-    Parameters
-    ----------
-    omega : array_like
-        Angular frequency, rad/s, of either sign.
-    dt : float
-        Time between frames, s.
-    frames : int
-        Frames that z_t comes from (`path_factor`).
-    z_frames : int
-        Frames that z comes from, 4 or 6.
-
-    Returns
-    -------
-    array_like, complex
-        s.
-
-    Notes
-    -----
     With d the differences over dt, the mean of the two frames is z + (dt / 16) (d(k+1) - d(k-1)) for four
     frames, z + (dt / 256) [22 (d(k+1) - d(k-1)) - 3 (d(k+2) - d(k-2))] for six.
+
+    With omega, rad/s.
     """
     if z_frames == 6:
         mean = dt / 128 * 1j * (22 * np.sin(omega * dt) - 3 * np.sin(2 * omega * dt))
@@ -152,25 +122,11 @@ def to_frame_time(omega: Any, dt: float, frames: int, z_frames: int = 4) -> Any:
 def from_moving_frame(k: Any, omega: Any, dt: float) -> Any:
     """Factor from z at mid-time in a frame that moves with the mean flow to z at the step's first frame.
 
-    Parameters
-    ----------
-    k : array_like
-        Wavenumber, rad/m.
-    omega : array_like
-        Angular frequency at the node, rad/s, of either sign.
-    dt : float
-        Time between frames, s.
-
-    Returns
-    -------
-    array_like, complex
-        In numpy's signs exp(+i omega t).
-
-    Notes
-    -----
     Beside the mean flow a free wave turns by sigma(k) dt from frame to frame, whatever the current: of its
     amplitude six frames leave the root of `gain_six_frames` of that, which is undone, up to twofold. Half a
     step earlier its phase is less by omega dt / 2.
+
+    With k, rad/m; omega, rad/s.
     """
     kept = np.sqrt(gain_six_frames(dispersion(np.asarray(k, float)), dt))
     return np.exp(-0.5j * omega * dt) / np.maximum(kept, MIN_AMPLITUDE)

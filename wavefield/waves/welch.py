@@ -33,32 +33,16 @@ def k_coords(k: Array) -> Coordinates:
 
 @dataclass(frozen=True)
 class Welch:
-    """Segments of a record and the rings of its k plane.
+    """Segments of a record and the rings of its k plane."""
 
-    Parameters
-    ----------
-    record : Record
-        Rectangle and runs.
-    segment : int
-        Steps of a segment.
-    dk : float, optional
-        Width of the rings, rad/m; by default 2 pi over the shorter side of the rectangle.
-    frames : int
-        Frames that velocities and z_t come from (`transfer.path_factor`).
-    z_frames : int
-        Frames that z comes from (`transfer.to_frame_time`).
-    moving : bool
-        Whether z is interpolated in time in a frame that moves with the mean flow.
-    current : tuple of float
-        Mean current along x and y that nonlinear quantities are relative to, m/s.
-    """
-
-    record: Record
-    segment: int
+    record: Record  # Rectangle and runs
+    segment: int  # Steps of a segment
+    # Width of the rings, rad/m; by default 2 pi over the shorter side of the rectangle
     dk: float | None = None
-    frames: int = 2
-    z_frames: int = 4
-    moving: bool = False
+    frames: int = 2  # Frames that velocities and z_t come from (`transfer.path_factor`)
+    z_frames: int = 4  # Frames that z comes from (`transfer.to_frame_time`)
+    moving: bool = False  # Whether z is interpolated in time in a frame that moves with the mean flow
+    # Mean current along x and y that nonlinear quantities are relative to, m/s
     current: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
@@ -67,25 +51,7 @@ class Welch:
     ) -> "Welch":
         """Lay segments over fields.
 
-        Parameters
-        ----------
-        fields : DataArray or Dataset
-            Over (time, y, x), s and m.
-        segment : int, optional
-            Steps of a segment; chosen from the record if not given.
-        record : Record, optional
-            Rectangle and runs; found from the fields if not given, which reads them once more.
-        dk : float, optional
-            Width of the rings, rad/m.
-
-        Returns
-        -------
-        Welch
-
-        Raises
-        ------
-        CubeError
-            If the record is shorter than a segment, its axes are uneven or no full rectangle is left.
+        With dk, rad/m.
         """
         record = find_record(fields) if record is None else record
         length = segments.segment_length(record, segment)
@@ -154,24 +120,15 @@ class Welch:
     def freedom(self, sums: Array) -> Array:
         """Degrees of freedom of E(k, omega) from how the energy is spread over the cells of each ring.
 
-        Parameters
-        ----------
-        sums : array, (2, rings, n // 2 + 1)
-            Power and squared power as `kernels.ring_powers` sums them over the segments.
-
-        Returns
-        -------
-        array, (rings, n // 2 + 1)
-            Degrees of freedom of a cell times the equivalent number of independent cells.
-
-        Notes
-        -----
         The variance of sum A_c |F_c|^2 is sum A_c A_d |<F_c F_d*>|^2, and the windows correlate cells c and d
         by rho_cd. With the square of each cell's expected power taken from <|F_c|^4> / 2 (Gaussian waves),
         the number of independent cells is (sum A_c E_c)^2 / sum A_c E_c^2 (rho^2 A)_c: the geometric number
         of a ring for energy spread evenly over it, one for a single wave. Squares are averaged over segments
         before they are summed, so the number does not depend on K; its reciprocal is averaged over three
         lines and what chance adds to the squared power, 1 / K, taken off.
+
+        With sums (2, rings, n // 2 + 1); returns (rings, n // 2 + 1): Degrees of freedom of a cell times the
+        equivalent number of independent cells.
         """
         power, square = sums[0], sums[1]
         filled = power > 0
@@ -207,18 +164,7 @@ class Welch:
 
 
 def frames_of(fields: Any) -> int:
-    """Frames that the velocities of a cube come from: 6 or 4 along paths, else 2.
-
-    Parameters
-    ----------
-    fields : Dataset or DataArray
-        With the coordinate ``path_frames``, or, as cubes of before have it, with an attribute ``frames`` of
-        ``z_t``, ``w``, ``u``, ``v``.
-
-    Returns
-    -------
-    int
-    """
+    """Frames that the velocities of a cube come from: 6 or 4 along paths, else 2."""
     if "path_frames" in fields.coords:
         return int(fields["path_frames"])
     arrays = (
@@ -230,49 +176,19 @@ def frames_of(fields: Any) -> int:
 
 
 def along_paths(fields: Any) -> bool:
-    """Whether the velocities of a cube follow paths; of a lazy one nothing is computed.
-
-    Parameters
-    ----------
-    fields : Dataset or DataArray
-        As for `frames_of`.
-
-    Returns
-    -------
-    bool
-    """
+    """Whether the velocities of a cube follow paths; of a lazy one nothing is computed."""
     return "path_frames" in fields.coords or frames_of(fields) > 2
 
 
 def frames_of_z(fields: Any) -> int:
-    """Frames that the elevations of a cube come from: 6, or 4 where it does not say.
-
-    Parameters
-    ----------
-    fields : Dataset or DataArray
-        Whose ``z`` carries the attribute ``frames``.
-
-    Returns
-    -------
-    int
-    """
+    """Frames that the elevations of a cube come from: 6, or 4 where it does not say."""
     if not hasattr(fields, "data_vars"):
         return int(fields.attrs.get("frames", 4)) if fields.name == "z" else 4
     return int(fields["z"].attrs.get("frames", 4)) if "z" in fields else 4
 
 
 def moves_with_flow(fields: Any) -> bool:
-    """Whether the elevations of a cube are interpolated in time in a frame that moves with the mean flow.
-
-    Parameters
-    ----------
-    fields : Dataset or DataArray
-        Whose ``z`` carries the attribute ``moving``; older cubes, interpolated at the nodes, do not.
-
-    Returns
-    -------
-    bool
-    """
+    """Whether the elevations of a cube are interpolated in time in a frame that moves with the mean flow."""
     return hasattr(fields, "data_vars") and "z" in fields and bool(fields["z"].attrs.get("moving", 0))
 
 

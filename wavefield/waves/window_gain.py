@@ -191,26 +191,7 @@ def read_gain(source: Any) -> xr.Dataset:
 
 
 def gain_of(cube: xr.Dataset, asked: Any = None) -> xr.Dataset | None:
-    """The gain by which spectra of a cube are to be mended.
-
-    Parameters
-    ----------
-    cube : Dataset
-        A cube.
-    asked : path, Dataset or False, optional
-        As for `wavefield.waves.analyze`.
-
-    Returns
-    -------
-    Dataset or None
-        What was asked for, or what is stored with the cube; None where neither is, and where that keeps not
-        even half of the longest waves: water at rest has none, and its spectra are those of the noise.
-
-    Raises
-    ------
-    StoreError
-        If what was asked for cannot be read.
-    """
+    """The gain by which spectra of a cube are to be mended."""
     if asked is False:
         return None
     if asked is not None:
@@ -227,19 +208,7 @@ def gain_of(cube: xr.Dataset, asked: Any = None) -> xr.Dataset | None:
 def kept(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Factor that undoes a gain in the power of a field, and where that can be done.
 
-    Parameters
-    ----------
-    gain : Dataset
-        As `window_gain` gives it.
-    name : str
-        z, u, v or w; one that it has not got is left as it is.
-    k : ndarray
-        Wavenumbers of rings, rad/m.
-
-    Returns
-    -------
-    factor, valid : ndarray
-        One over the power gain where half of the amplitude or more is kept, else 1; and whether it is.
+    With k, rad/m.
     """
     if f"gain_{name}" not in gain:
         return np.ones_like(k), np.ones(k.shape, bool)
@@ -251,19 +220,7 @@ def kept(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np.bool_
 def ring_gain(gain: xr.Dataset, one: str, other: str, k: Any) -> Array:
     """Gain of a power or cross spectrum over rings, for waves that come from all directions alike.
 
-    Parameters
-    ----------
-    gain : Dataset
-        As `window_gain` gives it.
-    one, other : str
-        Names of two fields: z, u, v or w; the same twice for power.
-    k : array_like
-        Wavenumbers, rad/m.
-
-    Returns
-    -------
-    ndarray
-        Mean over direction of the product of both gains; 0 where it is not known.
+    With k, rad/m.
     """
     product = (gain[f"gain_{one}"] * gain[f"gain_{other}"]).mean("direction", skipna=False)
     known = np.isfinite(product.values)

@@ -18,19 +18,7 @@ def segment_count(steps: int, segment: int) -> int:
 
 
 def choose_segment(steps: int) -> int:
-    """Choose a segment length for a record.
-
-    Parameters
-    ----------
-    steps : int
-        Steps of the longest run without gaps.
-
-    Returns
-    -------
-    int
-        512 for long records; a quarter of shorter ones (7 segments), but at least 64 steps where there are as
-        many, for the frequency resolution; always even and quick to transform.
-    """
+    """Choose a segment length for a record."""
     wanted = min(DEFAULT_SEGMENT, max(steps // 4, min(64, steps)))
     even = wanted - wanted % 2
     while even > 4 and fft.next_fast_len(even // 2, real=True) != even // 2:
@@ -41,18 +29,6 @@ def choose_segment(steps: int) -> int:
 def degrees_of_freedom(segments: float) -> float:
     """Degrees of freedom of one spectral cell.
 
-    Parameters
-    ----------
-    segments : float
-        Number of Hann-windowed segments that overlap by half.
-
-    Returns
-    -------
-    float
-        nu = 2 K / (1 + (1 - 1 / K) / 18).
-
-    Notes
-    -----
     Welch (1967): neighbouring segments have a squared correlation of 1/36.
 
     Examples
@@ -66,18 +42,6 @@ def degrees_of_freedom(segments: float) -> float:
 def effective_duration(segments: float, length: float) -> float:
     """Length of a record as its Hann-windowed, half-overlapping segments weigh it.
 
-    Parameters
-    ----------
-    segments : float
-        Number of segments K.
-    length : float
-        Length of a segment, s.
-
-    Returns
-    -------
-    float
-        (int p)^2 / int p^2, with p(t) the sum of the squared windows: length 18 K^2 / (38 K - 3), s.
-
     Examples
     --------
     Nearly the whole record of (K + 1) / 2 segments; half of a single one.
@@ -89,20 +53,7 @@ def effective_duration(segments: float, length: float) -> float:
 
 
 def interval(dof: np.ndarray | float, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-    """Confidence interval of a spectrum as factors.
-
-    Parameters
-    ----------
-    dof : array_like
-        Degrees of freedom, any shape.
-    confidence : float
-        Probability that the interval holds the truth.
-
-    Returns
-    -------
-    low, high : ndarray
-        The truth lies in [low E, high E].
-    """
+    """Confidence interval of a spectrum as factors."""
     dof = np.asarray(dof, float)
     some, place = np.unique(dof, return_inverse=True)  # rings of all frequencies have the same
     ends = 0.5 + confidence / 2, 0.5 - confidence / 2

@@ -26,21 +26,12 @@ LENGTHS = {
 
 @dataclass(frozen=True)
 class Stated:
-    """What the user says of a file that the file does not.
+    """What the user says of a file that the file does not."""
 
-    Parameters
-    ----------
-    sizes : mapping of str to (width, height), optional
-        Image size per camera, px.
-    names : sequence of str, optional
-        Names for the cameras, in the file's order; cam1, cam2, ... if left out.
-    unit : str, default "m"
-        Unit of length, or a number of metres.
-    """
-
-    sizes: Mapping[str, Size] | None = None
+    sizes: Mapping[str, Size] | None = None  # (width, height): Image size per camera, px
+    # Names for the cameras, in the file's order; cam1, cam2, ... if left out
     names: Sequence[str] | None = None
-    unit: str = "m"
+    unit: str = "m"  # Unit of length, or a number of metres
 
     @property
     def length(self) -> float:

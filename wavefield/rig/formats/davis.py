@@ -27,28 +27,7 @@ _UNIT = 1e-3  # m
 
 
 def load_davis(root: ET.Element, path: Path, stated: Stated) -> Rig:
-    """Read a calibration of DaVis.
-
-    Parameters
-    ----------
-    root : Element
-        Of the XML.
-    path : Path
-        The file.
-    stated : Stated
-        Names.
-
-    Returns
-    -------
-    Rig
-        ``provenance["imported"]["marks_px"]`` says by how much the marks are missed (rms), where their table
-        lies beside the file or in a folder there.
-
-    Raises
-    ------
-    RigError
-        If cameras are polynomials, are corrected by a field of vectors, or miss their own marks.
-    """
+    """Read a calibration of DaVis."""
     if any(beside.is_dir() for beside in path.parent.glob("[Cc]orrection field")):
         raise RigError(
             "a correction field of DaVis' self-calibration lies beside it, which is not read: take the "

@@ -20,27 +20,7 @@ def is_kalibr(data: Any) -> bool:
 
 
 def load_kalibr(data: Mapping[str, Any], path: Path, stated: Stated) -> Rig:
-    """Read a camera chain.
-
-    Parameters
-    ----------
-    data : mapping
-        Content of the YAML file.
-    path : Path
-        The file.
-    stated : Stated
-        Names, and sizes in place of the file's.
-
-    Returns
-    -------
-    Rig
-        In the frame of the first camera.
-
-    Raises
-    ------
-    RigError
-        If a camera is no pinhole with radial-tangential distortion, or a pose is missing.
-    """
+    """Read a camera chain."""
     chain = sorted((key for key in data if key.startswith("cam")), key=lambda key: int(key[3:] or 0))
     R, T = np.eye(3), np.zeros(3)
     cameras = {}

@@ -15,26 +15,7 @@ _LEVEL = "no pose in the world: the frame is that of the first camera; level it 
 
 
 def load_matlab(path: Path, stated: Stated) -> Rig:
-    """Read a calibration made in MATLAB.
-
-    Parameters
-    ----------
-    path : Path
-        ``Calib_Results.mat`` or ``Calib_Results_stereo.mat`` of Bouguet's toolbox, or a file into which
-        ``toStruct`` of a ``cameraParameters`` or ``stereoParameters`` object was saved (version 7 or before).
-    stated : Stated
-        Names; its unit is that of the target's squares (most often mm).
-
-    Returns
-    -------
-    Rig
-        In the frame of the first camera.
-
-    Raises
-    ------
-    RigError
-        If the file is of version 7.3, or holds neither.
-    """
+    """Read a calibration made in MATLAB."""
     import scipy.io  # half a second that no other rig needs
 
     try:

@@ -95,24 +95,7 @@ def _kind(stem: str, value: Array) -> str:
 
 
 def load_opencv(path: Path, stated: Stated) -> Rig:
-    """Read OpenCV's storage: one camera, or several with the pose of the second from the first.
-
-    Parameters
-    ----------
-    path : Path
-        YAML or XML.
-    stated : Stated
-        Unit of length; sizes where the file has none.
-
-    Returns
-    -------
-    Rig
-
-    Raises
-    ------
-    RigError
-        If there is no camera matrix, a pose is missing, or the lens has terms that `Camera` lacks.
-    """
+    """Read OpenCV's storage: one camera, or several with the pose of the second from the first."""
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     try:
         nodes = _nodes(storage)
@@ -186,13 +169,6 @@ def save_opencv(rig: Rig, path: str | Path) -> None:
     """Write a rig as OpenCV's YAML: M1, D1, M2, D2, ..., and R, T of the second camera from the first.
 
     The poses in the physical frame are added as ``world_R1``, ``world_T1``, ..., metres.
-
-    Parameters
-    ----------
-    rig : Rig
-        Any cameras.
-    path : path
-        File to write; .yml, .yaml or .xml.
     """
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     try:

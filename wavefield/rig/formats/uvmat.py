@@ -17,21 +17,7 @@ _FLIP = np.diag([1.0, -1.0, 1.0])
 
 
 def load_uvmat(root: ET.Element, path: Path, stated: Stated) -> Rig:
-    """Read UVMAT's ImaDoc of one camera.
-
-    Parameters
-    ----------
-    root : Element
-        Of the XML.
-    path : Path
-        The file.
-    stated : Stated
-        UVMAT does not store the image size.
-
-    Returns
-    -------
-    Rig
-    """
+    """Read UVMAT's ImaDoc of one camera."""
     calibration = root.find("GeometryCalib")
     if calibration is None:
         raise RigError("it has no <GeometryCalib>: the images were not calibrated")
@@ -78,22 +64,7 @@ def _check_size(calibration: ET.Element, size: tuple[int, int]) -> None:
 
 
 def save_uvmat(camera: Camera, path: str | Path, unit: str = "cm") -> None:
-    """Write one camera as UVMAT's ImaDoc XML.
-
-    Parameters
-    ----------
-    camera : Camera
-        With the paper's terms only: fx, fy, cx, cy, k1.
-    path : path
-        File to write.
-    unit : str, default "cm"
-        Unit of length in the file.
-
-    Raises
-    ------
-    RigError
-        If the camera has terms that UVMAT does not know.
-    """
+    """Write one camera as UVMAT's ImaDoc XML."""
     refuse_terms(camera, "UVMAT", "k1")
     scale = 1.0 / LENGTHS[unit]
     root = ET.Element("ImaDoc")

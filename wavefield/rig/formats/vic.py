@@ -12,21 +12,7 @@ from wavefield.rig.rig import Rig
 
 
 def load_vic(root: ET.Element, path: Path, stated: Stated) -> Rig:
-    """Read VIC-3D's project.
-
-    Parameters
-    ----------
-    root : Element
-        Of the XML.
-    path : Path
-        The file.
-    stated : Stated
-        Names, and sizes in place of the file's.
-
-    Returns
-    -------
-    Rig
-    """
+    """Read VIC-3D's project."""
     elements = root.findall("calibration/camera")
     if not elements:
         raise RigError("it has no <camera>: the project was not calibrated")
@@ -49,20 +35,7 @@ def load_vic(root: ET.Element, path: Path, stated: Stated) -> Rig:
 
 
 def save_vic(rig: Rig, path: str | Path) -> None:
-    """Write a rig as VIC-3D's XML, in millimetres.
-
-    Parameters
-    ----------
-    rig : Rig
-        Cameras without tangential terms and sensor tilt; image size of the first.
-    path : path
-        File to write.
-
-    Raises
-    ------
-    RigError
-        If a camera has terms that VIC-3D does not know.
-    """
+    """Write a rig as VIC-3D's XML, in millimetres."""
     root = ET.Element("project", dir=".")
     calibration = ET.SubElement(root, "calibration", lri="calibration")
     for n, camera in enumerate(rig.cameras.values()):

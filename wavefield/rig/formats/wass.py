@@ -13,27 +13,7 @@ from wavefield.rig.rig import Rig
 
 
 def load_wass(folder: Path, stated: Stated) -> Rig:
-    """Read the configuration, or one working folder, of WASS.
-
-    Parameters
-    ----------
-    folder : Path
-        With ``intrinsics_*.xml`` and ``distortion_*.xml`` (or ``intr_*``, ``dist_*``) of two cameras, and
-        ``ext_R.xml`` and ``ext_T.xml``; without these two both cameras are in one place.
-    stated : Stated
-        Image sizes; its unit is the distance between the cameras, which WASS counts as one, where it is given
-        as a number of metres in `wavefield.rig.formats.load_rig`.
-
-    Returns
-    -------
-    Rig
-        In the frame of the first camera.
-
-    Raises
-    ------
-    RigError
-        If a file is missing.
-    """
+    """Read the configuration, or one working folder, of WASS."""
     lenses = [_only(path) for path in _files(folder, ("intr*.xml",))]
     distortions = [_only(path) for path in _files(folder, ("dist*.xml",))]
     if len(lenses) < 2 or len(distortions) != len(lenses):

@@ -28,24 +28,7 @@ __all__ = ["ENDINGS", "Recording", "file_of", "open_recording"]
 
 
 def open_recording(path: str | Path) -> Recording:
-    """Open a recording: its header is read, its images are not.
-
-    Parameters
-    ----------
-    path : path
-        Phantom's ``.cine``, Photron's ``.mraw`` or ``.cihx``, StreamPix' ``.seq``, DaVis' ``.set``, HDF5;
-        of HDF5 the name of the dataset may follow the file's, as in ``run.h5/camera1/images``, of a set the
-        number of the image in its buffers.
-
-    Returns
-    -------
-    Recording
-
-    Raises
-    ------
-    FrameError
-        If the file is missing, damaged, or of a kind that is not read.
-    """
+    """Open a recording: its header is read, its images are not."""
     path = Path(path)
     file = file_of(path)
     if file is None:
@@ -64,15 +47,5 @@ def open_recording(path: str | Path) -> Recording:
 
 
 def file_of(path: Path) -> Path | None:
-    """The recording that a path names, or names a part of; None if it names none.
-
-    Parameters
-    ----------
-    path : Path
-        Such as ``run.cine`` or ``run.h5/camera1``.
-
-    Returns
-    -------
-    Path or None
-    """
+    """The recording that a path names, or names a part of; None if it names none."""
     return next((part for part in (path, *path.parents) if part.suffix.lower() in _OPENERS), None)

@@ -28,23 +28,7 @@ _PACKED = {256: 10, 1024: 12}  # biCompression to bits
 
 
 def open_cine(path: Path) -> Recording:
-    """Open a cine file of grey or raw images.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    Recording
-        Raw values: 8 and 16 bits as they are, 10 (on the camera's own curve) and 12 bits unpacked.
-
-    Raises
-    ------
-    FrameError
-        If it is no cine file, or holds colour or compressed images.
-    """
+    """Open a cine file of grey or raw images."""
     with path.open("rb") as stream:
         head = stream.read(_HEADER.size)
         if len(head) < _HEADER.size or head[:2] != b"CI":

@@ -31,23 +31,7 @@ class _Set:
 
 
 def open_davis(path: Path) -> Recording:
-    """Open a set of DaVis.
-
-    Parameters
-    ----------
-    path : Path
-        The ``.set``; where its buffers hold several images (of both exposures, of several cameras) the
-        number of one must follow, from 0, as in ``run.set/1``.
-
-    Returns
-    -------
-    Recording
-
-    Raises
-    ------
-    FrameError
-        If its folder or its buffers are missing or damaged, or it is not said which image is meant.
-    """
+    """Open a set of DaVis."""
     name = path if path.suffix.lower() == ".set" else path.parent
     folder = name.with_suffix("")
     buffers = _in_order(list(folder.glob("*.im7")))

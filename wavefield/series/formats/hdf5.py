@@ -91,22 +91,6 @@ def _is_plain(data: h5py.Dataset) -> bool:
 def open_hdf5(path: Path) -> Recording:
     """Open images in HDF5.
 
-    Parameters
-    ----------
-    path : Path
-        The file; the dataset's name may follow it, and must where there are several of three dimensions.
-
-    Returns
-    -------
-    Recording
-
-    Raises
-    ------
-    FrameError
-        If it is damaged, or holds no images or several series of them.
-
-    Notes
-    -----
     Times are the coordinate of the first dimension, as netCDF has it, or a dataset ``time`` beside the
     images, with ``units`` ("s", "ms since ..."); the rate is the attribute ``frame_rate``, or theirs.
     """

@@ -22,17 +22,7 @@ def packed(shape: tuple[int, int], bits: int) -> Callable[[Stream], Pixels]:
     The bytes are read to the end of the image's own memory and unpacked towards its beginning: what is
     written never overtakes what is still to be read, and no second memory is touched.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns.
-    bits : {10, 12}
-        Of a pixel.
-
-    Returns
-    -------
-    callable
-        To images of uint16.
+    With shape (int, int).
 
     Examples
     --------
@@ -58,16 +48,7 @@ def packed(shape: tuple[int, int], bits: int) -> Callable[[Stream], Pixels]:
 def packed_bytes(shape: tuple[int, int], bits: int) -> int:
     """Bytes of an image of packed pixels.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns.
-    bits : int
-        Of a pixel.
-
-    Returns
-    -------
-    int
+    With shape (int, int).
     """
     return -(-shape[0] * shape[1] * bits // 8)
 

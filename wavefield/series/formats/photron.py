@@ -28,23 +28,7 @@ _XML = {
 
 
 def open_photron(path: Path) -> Recording:
-    """Open a recording of Photron's cameras.
-
-    Parameters
-    ----------
-    path : Path
-        The ``.mraw``, or its ``.cihx`` or ``.cih``; both files must lie side by side.
-
-    Returns
-    -------
-    Recording
-        Of 8, 10, 12 or 16 bits a pixel.
-
-    Raises
-    ------
-    FrameError
-        If one of the two files is missing, or the images are in colour.
-    """
+    """Open a recording of Photron's cameras."""
     notes = [path.with_suffix(ending) for ending in (".cihx", ".cih", ".CIHX", ".CIH")]
     note = next((file for file in notes if file.is_file()), None)
     if note is None:

@@ -20,16 +20,7 @@ _PIECE = 1 << 18  # bytes of an image upside down that are read at a time
 class Recording(Protocol):
     """A file of many images, of which any one can be read without its neighbours.
 
-    Attributes
-    ----------
-    count : int
-        Images in it.
-    shape : (int, int)
-        Rows and columns.
-    rate : float or None
-        Images per second, where the file says.
-    first : int
-        Number that the camera gave the first image.
+    With shape (int, int).
     """
 
     count: int
@@ -46,57 +37,26 @@ class Recording(Protocol):
 
 @dataclass
 class RawRecording:
-    """A recording whose images lie at known places in the file, their pixels uncompressed.
+    """A recording whose images lie at known places in the file, their pixels uncompressed."""
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    count : int
-        Images in it.
-    shape : (int, int)
-        Rows and columns.
-    start : callable
-        From the number of an image, from 0, to the byte where its pixels start.
-    take : callable
-        Reads an image, (row, column), from a file that stands at its pixels; `EOFError` where it ends before.
-    rate : float, optional
-        Images per second, where the file says.
-    first : int
-        Number that the camera gave the first image.
-    prefixed : bool
-        Whether each image begins with a note to it, whose length in bytes are its first four.
-    times : callable, optional
-        Gives when each image was taken, s since 1970, (count,); None where the file does not say.
-    """
-
-    path: Path
-    count: int
-    shape: tuple[int, int]
-    start: Callable[[int], int]
+    path: Path  # The file
+    count: int  # Images in it
+    shape: tuple[int, int]  # (int, int): Rows and columns
+    start: Callable[[int], int]  # From the number of an image, from 0, to the byte where its pixels start
+    # Reads an image, (row, column), from a file that stands at its pixels; `EOFError` where it ends before
     take: Callable[[Stream], Pixels]
-    rate: float | None = None
-    first: int = 0
+    rate: float | None = None  # Images per second, where the file says
+    first: int = 0  # Number that the camera gave the first image
+    # Whether each image begins with a note to it, whose length in bytes are its first four
     prefixed: bool = False
+    # Gives when each image was taken, s since 1970, (count,); None where the file does not say
     times: Callable[[], NDArray[np.float64]] | None = None
     _stream: FileIO | None = field(default=None, repr=False)
 
     def read(self, index: int) -> Pixels:
         """Read one image, without its neighbours.
 
-        Parameters
-        ----------
-        index : int
-            Which, from 0.
-
-        Returns
-        -------
-        ndarray, (row, column)
-
-        Raises
-        ------
-        FrameError
-            If the file ends before, or there is no such image.
+        Returns (row, column).
         """
         if not 0 <= index < self.count:
             raise FrameError(f"{self.path} has {self.count} images: there is no image {index}")
@@ -127,18 +87,7 @@ class RawRecording:
 def plain(shape: tuple[int, int], dtype: str, *, upside_down: bool = False) -> Callable[[Stream], Pixels]:
     """Reader of whole bytes: straight into the image.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns.
-    dtype : str
-        Of a pixel in the file, as numpy writes it.
-    upside_down : bool
-        Whether the lowest row comes first.
-
-    Returns
-    -------
-    callable
+    With shape (int, int).
     """
 
     def take(stream: Stream) -> Pixels:
@@ -157,20 +106,7 @@ def plain(shape: tuple[int, int], dtype: str, *, upside_down: bool = False) -> C
 
 
 def fill(out: Pixels, stream: Stream) -> None:
-    """Read bytes until an array is full.
-
-    Parameters
-    ----------
-    out : ndarray
-        Contiguous; overwritten.
-    stream : file
-        That stands at them.
-
-    Raises
-    ------
-    EOFError
-        Where the file ends before.
-    """
+    """Read bytes until an array is full."""
     rest = memoryview(out.reshape(-1).view(np.uint8))  # type: ignore[arg-type]  # which is a buffer
     while rest:
         count = stream.readinto(rest)
@@ -182,21 +118,7 @@ def fill(out: Pixels, stream: Stream) -> None:
 def checked_shape(path: Path, width: int, height: int) -> tuple[int, int]:
     """Rows and columns, refused where they cannot be those of an image.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    width, height : int
-        As the file says, px.
-
-    Returns
-    -------
-    (int, int)
-
-    Raises
-    ------
-    FrameError
-        If they are none or enormous.
+    With width, height, px; returns (int, int).
     """
     if not (0 < width <= 65536 and 0 < height <= 65536):
         raise FrameError(f"{path} says its images are {width} x {height} px: its header is damaged")
@@ -204,28 +126,7 @@ def checked_shape(path: Path, width: int, height: int) -> tuple[int, int]:
 
 
 def fitting(path: Path, count: int, starts: Sequence[int] | Callable[[int], int], each: int) -> int:
-    """How many of the images announced are there: a recording that was cut short keeps those before.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    count : int
-        Images announced.
-    starts : sequence of int, or callable
-        Where each starts.
-    each : int
-        Bytes of an image.
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    FrameError
-        If not even one is there.
-    """
+    """How many of the images announced are there: a recording that was cut short keeps those before."""
     size = path.stat().st_size
     at = starts if callable(starts) else starts.__getitem__
     low, high = 0, count

@@ -14,22 +14,7 @@ _GREY = (100, 101)  # monochrome, and raw of a colour mosaic
 
 
 def open_streampix(path: Path) -> Recording:
-    """Open a sequence of StreamPix.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    Recording
-
-    Raises
-    ------
-    FrameError
-        If it is no such file, or its images are compressed or in colour.
-    """
+    """Open a sequence of StreamPix."""
     with path.open("rb") as stream:
         head = stream.read(1024)
     if len(head) < 1024 or struct.unpack_from("<I", head)[0] != _MAGIC:

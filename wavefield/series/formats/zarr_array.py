@@ -14,18 +14,7 @@ from wavefield.series.formats.recording import Pixels
 
 
 class ZarrImages:
-    """An array of images; one that lies in a file of its own, as it is, is read past Zarr.
-
-    Parameters
-    ----------
-    path : str
-        Of the array, or of a group that holds it as ``image``; a path or an address.
-
-    Raises
-    ------
-    FrameError
-        If it is no such array.
-    """
+    """An array of images; one that lies in a file of its own, as it is, is read past Zarr."""
 
     def __init__(self, path: str) -> None:
         self.path, self._array = path, _open(path)
@@ -35,19 +24,7 @@ class ZarrImages:
     def read(self, index: int) -> Pixels:
         """Read one image.
 
-        Parameters
-        ----------
-        index : int
-            Which, from 0.
-
-        Returns
-        -------
-        ndarray, (row, column)
-
-        Raises
-        ------
-        FrameError
-            If it is missing or damaged.
+        Returns (row, column).
         """
         image = None if self._folder is None else self._as_it_lies(self._folder, index)
         try:
