@@ -21,13 +21,13 @@ import numpy as np
 from wavefield.calibration import Target, TargetPoints, calibrate, find_target
 from wavefield.calibration.bundle import fit
 from wavefield.calibration.observations import Geometry, collect
-from wavefield.calibration.rest import check_rig, refine_and_level, sight_points
 from wavefield.calibration.start import calibrate_alone
+from wavefield.calibration.still_water_correction import check_rig, refine_and_level, sight_points
 from wavefield.errors import CalibrationError
 from wavefield.images import read_image
 from wavefield.matching import Settings, match
 from wavefield.rig import Rig
-from wavefield.rig.level import level
+from wavefield.rig.water_level import level
 from wavefield.tank import Scene
 from wavefield.tank.tank import Tank
 

@@ -32,8 +32,8 @@ import numpy as np
 import psutil
 import xarray as xr
 
-from wavefield.cubes import open_cube, reconstruct, status
 from wavefield.images import read_image, write_image
+from wavefield.pipeline import open_cube, reconstruct, status
 from wavefield.series import frames, listing
 from wavefield.store.verify import verify
 from wavefield.tank import Scene, Tank, paper_rig

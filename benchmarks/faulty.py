@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scenes import HALF
-from wavefield.cubes.suspects import Examination, examine
-from wavefield.cubes.synchrony import delays, remarks
-from wavefield.cubes.witness import Witness
 from wavefield.measurement import Plan, Settings
+from wavefield.quality.camera_delay import delays, remarks
+from wavefield.quality.camera_faults import Examination, examine
+from wavefield.quality.patch_matching import Witness
 from wavefield.store.verdict import Remark
 from wavefield.tank import Scene, Tank
 

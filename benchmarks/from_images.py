@@ -7,7 +7,7 @@ import xarray as xr
 
 import wavefield.waves as wv
 from benchmarks import crests
-from wavefield.cubes import predicted_gain
+from wavefield.pipeline import predicted_gain
 
 
 def row(what: str, asked: str, reached: str) -> None:

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from benchmarks.cubes import say
 from benchmarks.scenes import HALF
 from wavefield.measurement import Plan, learn, measure, sample_steps
-from wavefield.measurement.covered import covered_in
 from wavefield.measurement.learn import SAMPLES
-from wavefield.measurement.record import Record
+from wavefield.measurement.learned_record import Record
+from wavefield.measurement.masked import covered_in
 from wavefield.series import FrameSeries
 from wavefield.series.masks import MaskSection, covered_series, footprints
 from wavefield.tank import Scene, Tank

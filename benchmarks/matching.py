@@ -22,8 +22,8 @@ import numpy as np
 
 from benchmarks import particle_images as images
 from wavefield.images import read_image
-from wavefield.matching import Displacement, Prepared, Settings, correlate, kernels, match, prepare
-from wavefield.matching.lattice import sample
+from wavefield.matching import Displacement, Prepared, Settings, correlate, match, matching_kernels, prepare
+from wavefield.matching.block_lattice import sample
 
 cv2.setNumThreads(1)
 SHARED = Path(os.environ.get("WAVEFIELD_SHARED", Path(__file__).resolve().parents[2] / "shared"))
@@ -448,13 +448,13 @@ def profile() -> None:
 @nb.njit(nogil=True)
 def _read(image, u, v, position, whole, taps, strip):
     for by in range(len(u)):
-        kernels._warp_strip(image, by, u[by], v[by], position, whole, taps, strip)
+        matching_kernels._warp_strip(image, by, u[by], v[by], position, whole, taps, strip)
 
 
 def _reading(first: Prepared, second: Prepared) -> float:
     """Least time, ms, to read the second image once under all blocks."""
     u = np.full(first.levels[0].blocks, np.float32(1.3))
-    work = kernels.scratch(u.shape[1])
+    work = matching_kernels.scratch(u.shape[1])
     arguments = [work[name] for name in ("position", "whole", "taps", "strip")]
     times = []
     for _ in range(8):

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from benchmarks.scenes import SEEDS, Case, calibrated, draw, inside, reconstruct, scene
 from benchmarks.scores import Score
 from wavefield.measurement import Plan, Settings, learn, measure, sample_steps
-from wavefield.measurement.gain import gains as theory
+from wavefield.measurement.response import gains as theory
 
 SLOPE = 0.03
 WAVES = {0.20: 30.0, 0.12: 100.0, 0.08: 250.0}  # length, m: where it goes, degrees

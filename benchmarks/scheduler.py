@@ -21,9 +21,9 @@ import numpy as np
 import psutil
 from distributed import Client, Worker
 
-from wavefield.cubes.dask_cluster import _map_on
-from wavefield.cubes.dask_settings import configured, dask_settings
-from wavefield.cubes.workflow import Workflow
+from wavefield.execution.dask_cluster import _map_on
+from wavefield.execution.dask_settings import configured, dask_settings
+from wavefield.execution.workflow import Workflow
 
 _ROW = 10_000  # chunks: a row of the table each
 
@@ -111,7 +111,7 @@ def ledger(steps: int) -> None:
     """Print what opening, asking and verifying the store of a long record costs."""
     import zarr
 
-    from wavefield.cubes import open_cube, status
+    from wavefield.pipeline import open_cube, status
     from wavefield.store.checked import chunk_path, stored_bytes
     from wavefield.store.layout import WATCHED, Layout, create_store
     from wavefield.store.recipe import Recipe
@@ -158,10 +158,10 @@ def count(folder: Path) -> int:
 
 def message() -> None:
     """Print how large a task is that a worker is sent: rig, grid and settings, and a block's frames."""
-    from wavefield.cubes.block import make_block
-    from wavefield.cubes.work import Work
     from wavefield.images import write_image
     from wavefield.measurement import Plan
+    from wavefield.pipeline.chunk import make_block
+    from wavefield.pipeline.chunk_worker import Work
     from wavefield.series import Experiment
     from wavefield.tank import Scene, Tank
 

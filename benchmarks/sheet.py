@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.calibration.sheet import sheet_of
+from wavefield.calibration.light_sheet import sheet_of
 from wavefield.measurement import Plan, Settings, measure
 from wavefield.rig import Rig
 from wavefield.tank import Scene, Tank
-from wavefield.tank.sheet import plane
+from wavefield.tank.light_sheet_scene import plane
 from wavefield.variables import Quality
 
 PIXEL = 2e-4  # metres

@@ -25,8 +25,8 @@ from wavefield.images import read_image
 from wavefield.measurement import Plan, measure
 from wavefield.rig import Rig
 from wavefield.rig.formats import load_rig
-from wavefield.rig.level import level
 from wavefield.rig.stereo import triangulate as nearest_point
+from wavefield.rig.water_level import level
 from wavefield.variables import Quality
 
 MICRON = 1e-6

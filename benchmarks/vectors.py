@@ -29,7 +29,7 @@ def main() -> int:
         return 0
     with tempfile.TemporaryDirectory() as folder:
         config.CACHE_DIR = folder
-        from wavefield.matching import Settings, kernels, match
+        from wavefield.matching import Settings, match, matching_kernels
 
         image = np.random.default_rng(0).normal(size=(100, 100)).astype(np.float32)
         for settings in (Settings.piv(), Settings.fast()):
@@ -37,7 +37,7 @@ def main() -> int:
     lost = 0
     print(f"{'kernel':20} {'asked':>6} {'found':>6}")
     for name, least in ASKED.items():
-        code = "".join(getattr(kernels, name).inspect_asm().values())
+        code = "".join(getattr(matching_kernels, name).inspect_asm().values())
         found = len(re.findall(r"vfn?m(?:add|sub)[0-9]+ps\s[^\n]*[yz]mm", code))
         lost += found < least
         print(f"{name:20} {least:6} {found:6}  {'NOT REACHED' if found < least else 'reached'}")

@@ -21,7 +21,7 @@ import cv2
 import psutil
 
 from benchmarks.cubes import finish, same, say, small_scene, start, workers_of, write_tank
-from wavefield.cubes.guards import log_path
+from wavefield.execution.stop_signals import log_path
 from wavefield.images import read_image
 from wavefield.tank import Scene, simulate
 

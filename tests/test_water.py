@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from wavefield import water
 from wavefield.errors import CubeError
-from wavefield.series.parts import WaterSection
+from wavefield.series.experiment_parts import WaterSection
 
 
 @given(st.floats(0.5, 400), st.floats(0.05, 5))

@@ -1,21 +1,21 @@
 # The public names and where they live: read by type checkers, and by __init__.py, which imports on first use.
-from wavefield.calibration.afloat import level_experiment as level
 from wavefield.calibration.images import calibrate_experiment as calibrate
-from wavefield.calibration.sheet import find_sheet
+from wavefield.calibration.level_on_water import level_experiment as level
+from wavefield.calibration.light_sheet import find_sheet
 from wavefield.calibration.target import Target
-from wavefield.cubes.analysis import analyze_on_workers
-from wavefield.cubes.catalog import run_catalog
-from wavefield.cubes.forecast import check
-from wavefield.cubes.gain import predicted_gain
-from wavefield.cubes.lazy import reconstruct
-from wavefield.cubes.running import run
-from wavefield.cubes.workflow import Workflow
+from wavefield.execution.workflow import Workflow
 from wavefield.explorer.notebook import look
 from wavefield.grid import Grid
 from wavefield.matching.gauss_newton import match
-from wavefield.measurement.settings import Settings
-from wavefield.reports.paper import paper
-from wavefield.reports.write import report
+from wavefield.measurement.measurement_settings import Settings
+from wavefield.pipeline.analysis import analyze_on_workers
+from wavefield.pipeline.catalog import run_catalog
+from wavefield.pipeline.forecast import check
+from wavefield.pipeline.gain_prediction import predicted_gain
+from wavefield.pipeline.lazy import reconstruct
+from wavefield.pipeline.running import run
+from wavefield.reports.compose import report
+from wavefield.reports.paper_page import paper
 from wavefield.rig.camera import Camera
 from wavefield.rig.formats import load_rig
 from wavefield.rig.rig import Rig
@@ -27,22 +27,22 @@ from wavefield.store.pivpy import to_pivpy
 from wavefield.store.read import open_cube
 from wavefield.store.verify import verify
 from wavefield.tank.scene import Scene
-from wavefield.tank.simulate import simulate
+from wavefield.tank.write_experiment import simulate
 from wavefield.waves.analyze import analyze
-from wavefield.waves.bound import free_and_bound, free_and_bound_fields
-from wavefield.waves.breaking import breaking
-from wavefield.waves.budget import energy_budget
-from wavefield.waves.coherence import coherence
-from wavefield.waves.crests import crest_statistics
-from wavefield.waves.directional import directional_spectrum
-from wavefield.waves.drift import stokes_drift, surface_paths
-from wavefield.waves.increments import structure_functions
-from wavefield.waves.kinematics import kinematics
-from wavefield.waves.resonances import resonances
-from wavefield.waves.ridge import fit_dispersion
-from wavefield.waves.shear import current_by_depth
-from wavefield.waves.spectra import komega, spectrum
-from wavefield.waves.vortices import waves_and_vortices
+from wavefield.waves.dispersion_relation.current_by_depth import current_by_depth
+from wavefield.waves.dispersion_relation.directional_spectrum import directional_spectrum
+from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
+from wavefield.waves.nonlinear.bound_waves import free_and_bound, free_and_bound_fields
+from wavefield.waves.nonlinear.coherence import coherence
+from wavefield.waves.nonlinear.kinematics import kinematics
+from wavefield.waves.nonlinear.resonances import resonances
+from wavefield.waves.spectra.field_spectra import komega, spectrum
+from wavefield.waves.surface.breaking import breaking
+from wavefield.waves.surface.crests import crest_statistics
+from wavefield.waves.surface.drift import stokes_drift, surface_paths
+from wavefield.waves.surface.energy_budget import energy_budget
+from wavefield.waves.surface.increments import structure_functions
+from wavefield.waves.surface.vortices import waves_and_vortices
 
 __version__: str
 

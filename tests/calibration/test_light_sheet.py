@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from wavefield.calibration.sheet import sheet_of
+from wavefield.calibration.light_sheet import sheet_of
 from wavefield.commands.cli import cli
 from wavefield.errors import CalibrationError, ExperimentError
 from wavefield.measurement import Plan, Settings, measure
@@ -105,7 +105,7 @@ def test_a_knocked_camera_is_named_and_mended():
 
 
 def test_of_two_cameras_a_knock_is_mended_and_how_far_places_may_lie_elsewhere_is_said():
-    from wavefield.cubes.at_rest import remark_on_rest
+    from wavefield.pipeline.still_water import remark_on_rest
 
     tank = Tank(scene(surface=BESIDE, faults={"cam1": {"turned": [0.05, 0.03, 0.0]}}))
     images = [tank.render(k) for k in range(FRAMES - 1)]
@@ -132,7 +132,7 @@ def test_of_two_cameras_a_knock_is_mended_and_how_far_places_may_lie_elsewhere_i
 
 
 def sheet_points(tank, x, y):
-    from wavefield.tank.sheet import plane
+    from wavefield.tank.light_sheet_scene import plane
 
     axes, origin = plane(tank.scene.surface)
     return np.einsum("ij,jyx->iyx", axes, np.stack([x, y, 0 * x])) + origin[:, None, None]
@@ -172,7 +172,7 @@ def test_command_finds_the_sheet_of_an_experiment(tmp_path):
     rig = Rig.load(folder / "sheet.yaml")
     assert rig.provenance["light_sheet"]["height_m"] == pytest.approx(0.002, abs=3e-5)
 
-    from wavefield.cubes.at_rest import remark_on_rest
+    from wavefield.pipeline.still_water import remark_on_rest
 
     text = (folder / "experiment.yaml").read_text() + "settings: {preset: sheet, sheet_thickness: 0.001}\n"
     (folder / "experiment.yaml").write_text(text)

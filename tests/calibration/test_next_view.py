@@ -10,7 +10,7 @@ from wavefield.calibration import TargetPoints, calibrate
 from wavefield.calibration.next_view import next_view
 from wavefield.explorer.target_watch import so_far
 from wavefield.rig import Rig
-from wavefield.series.parts import CalibrationSection
+from wavefield.series.experiment_parts import CalibrationSection
 from wavefield.tank.rigs import paper_rig
 
 NODES = np.mgrid[-8:9, -6:7].reshape(2, -1).T

@@ -7,7 +7,7 @@ import pytest
 from rendering import camera_at
 from sea_pictures import photograph, sea_rig, texture
 
-from wavefield.calibration.placing import level_on_water, match_features, place_second
+from wavefield.calibration.relative_pose import level_on_water, match_features, place_second
 from wavefield.commands.cli import main
 from wavefield.errors import RigError
 from wavefield.images import write_image

@@ -8,7 +8,7 @@ import pytest
 from solve_cases import nodes, poses
 
 from wavefield.calibration import calibrate
-from wavefield.calibration.derived import derive
+from wavefield.calibration.derived_uncertainty import derive
 from wavefield.calibration.pointfile import read_points, write_points
 from wavefield.calibration.points import TargetPoints
 from wavefield.commands.cli import main

@@ -8,12 +8,12 @@ from solve_cases import MESH, nodes, poses, views
 
 from wavefield.calibration import Target, calibrate
 from wavefield.calibration.points import TargetPoints
-from wavefield.calibration.rest import sight_points
+from wavefield.calibration.still_water_correction import sight_points
 from wavefield.errors import CalibrationError
 from wavefield.figures.style import panels
 from wavefield.reports.calibration import write_calibration
 from wavefield.rig import Camera, Rig
-from wavefield.rig.level import level
+from wavefield.rig.water_level import level
 from wavefield.tank.rigs import paper_rig
 
 FAST = "f tilt k1"  # the model of the simulated cameras

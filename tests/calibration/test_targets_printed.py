@@ -10,9 +10,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from rendering import Picture, aprilgrid, camera_at, centred, charuco, chessboard, dots, pattern_picture
 
 from wavefield.calibration import Target, find_target
-from wavefield.calibration.lattice import SmoothMap
 from wavefield.calibration.pointfile import read_points, write_points
 from wavefield.calibration.points import TargetPoints
+from wavefield.calibration.target_lattice import SmoothMap
 from wavefield.errors import CalibrationError
 from wavefield.images import read_image
 

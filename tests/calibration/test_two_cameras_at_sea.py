@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from sea_pictures import photograph, sea_rig, texture, waves
 
-from wavefield.cubes import check
-from wavefield.cubes.advice import advise
-from wavefield.cubes.block import make_block, measure_block
-from wavefield.cubes.cost import fraction_measured
-from wavefield.cubes.prepare import prepare
 from wavefield.errors import ExperimentError
 from wavefield.images import write_image
-from wavefield.measurement.settings import Settings
+from wavefield.measurement.measurement_settings import Settings
+from wavefield.pipeline import check
+from wavefield.pipeline.advice import advise
+from wavefield.pipeline.chunk import make_block, measure_block
+from wavefield.pipeline.cost import fraction_measured
+from wavefield.pipeline.prepare import prepare
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
 from wavefield.variables import Quality

@@ -10,8 +10,8 @@ import pytest
 from cube_cases import FOURS, HERE, KNOCKED, write_tank
 
 import wavefield.measurement
-from wavefield.cubes import run
 from wavefield.images import write_image
+from wavefield.pipeline import run
 from wavefield.tank import Scene, Tank
 from wavefield.waves import analyze
 

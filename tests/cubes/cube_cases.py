@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from wavefield.cubes import Workflow, open_cube
+from wavefield.pipeline import Workflow, open_cube
 from wavefield.tank import Scene, Tank
 from wavefield.variables import CUBE_FIELDS
 

@@ -17,12 +17,13 @@ import pytest
 from cube_cases import different
 from distributed import Client
 
-from wavefield.cubes import Workflow, dask_cluster, run, status
-from wavefield.cubes.cluster import open_cluster
-from wavefield.cubes.dask_settings import dask_settings
-from wavefield.cubes.slurm import count_jobs, slurm_cluster
-from wavefield.cubes.worker_settings import one_thread
 from wavefield.errors import ExperimentError
+from wavefield.execution import dask_cluster
+from wavefield.execution.cluster import open_cluster
+from wavefield.execution.dask_settings import dask_settings
+from wavefield.execution.slurm import count_jobs, slurm_cluster
+from wavefield.execution.worker_settings import one_thread
+from wavefield.pipeline import Workflow, run, status
 
 PATIENCE = 300.0  # seconds, on a busy machine
 
@@ -186,7 +187,7 @@ def scheduler_and_worker(folder):
             "--no-dashboard",
             "--no-nanny",
             "--preload",
-            "wavefield.cubes.dask_preload",
+            "wavefield.pipeline.dask_preload",
             "--death-timeout",
             "60",
         ],
@@ -280,8 +281,8 @@ def test_a_slurm_cluster_starts_from_a_helper_thread_and_leaves_ctrl_c_alone():
     """dask-jobqueue takes over Ctrl-C where it is imported, which fails outside the main thread."""
     program = (
         "import signal, sys, threading\n"
-        "from wavefield.cubes import Workflow\n"
-        "from wavefield.cubes.cluster import open_cluster\n"
+        "from wavefield.pipeline import Workflow\n"
+        "from wavefield.execution.cluster import open_cluster\n"
         "before = signal.getsignal(signal.SIGINT)\n"
         "with open_cluster(Workflow(cluster='slurm')):\n"
         "    thread = threading.Thread(target=__import__, args=['dask_jobqueue.slurm'])\n"

@@ -11,12 +11,13 @@ import psutil
 import pytest
 
 import wavefield
-from wavefield.cubes import Workflow, dask_cluster
-from wavefield.cubes.cluster import count_workers, open_cluster
-from wavefield.cubes.dask_cluster import Task
-from wavefield.cubes.dask_settings import temporary_credentials, wants_tls
-from wavefield.cubes.slurm import count_jobs
 from wavefield.errors import ExperimentError, StoreError
+from wavefield.execution import dask_cluster
+from wavefield.execution.cluster import count_workers, open_cluster
+from wavefield.execution.dask_cluster import Task
+from wavefield.execution.dask_settings import temporary_credentials, wants_tls
+from wavefield.execution.slurm import count_jobs
+from wavefield.pipeline import Workflow
 
 
 def ports(item):

@@ -10,10 +10,10 @@ import xarray as xr
 from cube_cases import HERE, different
 
 from wavefield.commands.cli import main
-from wavefield.cubes import Workflow, catalog_add, check, export, open_cube, run, run_catalog, status
-from wavefield.cubes.prepare import choose_block
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.images import read_image, write_image
+from wavefield.pipeline import Workflow, catalog_add, check, export, open_cube, run, run_catalog, status
+from wavefield.pipeline.prepare import choose_block
 from wavefield.variables import CUBE_FIELDS, FrameStatus
 
 # -- check ------------------------------------------------------------------------------------------------

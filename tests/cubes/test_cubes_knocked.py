@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from cube_cases import HERE, KNOCKED
 
-from wavefield.cubes import Workflow, check, open_cube, run
-from wavefield.cubes.steadiness import size, steadiness
+from wavefield.pipeline import Workflow, check, open_cube, run
+from wavefield.quality.camera_motion import size, steadiness
 from wavefield.rig import Rig
 
 

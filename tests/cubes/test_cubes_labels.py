@@ -8,9 +8,9 @@ import xarray as xr
 from cube_cases import HERE, different
 
 from wavefield.commands.cli import main
-from wavefield.cubes import open_cube, run, work
 from wavefield.errors import StoreError
 from wavefield.images import read_image, write_image
+from wavefield.pipeline import chunk_worker, open_cube, run
 from wavefield.reports.sources import gather
 from wavefield.store.preview import open_preview, read_steps, thinning
 from wavefield.store.read import cube_recipe, open_group
@@ -27,7 +27,7 @@ def cube(own_tank, reference, monkeypatch):
     def never(*_):
         raise AssertionError("a step was measured again")
 
-    monkeypatch.setattr(work, "measure_block", never)
+    monkeypatch.setattr(chunk_worker, "measure_block", never)
     return own_tank.parent / "cube.zarr"
 
 

@@ -9,8 +9,8 @@ import xarray as xr
 from cube_cases import different
 
 import wavefield as wf
-from wavefield.cubes import reconstruct
 from wavefield.errors import ExperimentError, RigError
+from wavefield.pipeline import reconstruct
 from wavefield.series import Experiment
 from wavefield.variables import CUBE_FIELDS, FrameStatus, Quality, validate
 

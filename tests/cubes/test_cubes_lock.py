@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 
-from wavefield.cubes.lock import Lock
 from wavefield.errors import StoreError
+from wavefield.execution.lock import Lock
 
 NOBODY = 65534
 KILLED = """
 import os, sys
 from pathlib import Path
-from wavefield.cubes.lock import Lock
+from wavefield.execution.lock import Lock
 with Lock.hold(Path(sys.argv[1])):
     os.kill(os.getpid(), 9)
 """
@@ -128,7 +128,7 @@ def test_of_many_that_find_a_dead_lock_only_one_gets_it(tmp_path):
 
 
 def test_a_run_that_was_taken_for_dead_stops_and_leaves_the_other_its_lock(tmp_path, monkeypatch):
-    monkeypatch.setattr("wavefield.cubes.lock._TOUCH", 0.01)
+    monkeypatch.setattr("wavefield.execution.lock._TOUCH", 0.01)
     store = tmp_path / "cube.zarr"
     with Lock.hold(store) as lock:
         lock.path.unlink()

@@ -8,8 +8,8 @@ import xarray as xr
 import zarr
 from cube_cases import HERE, different
 
-from wavefield.cubes import open_cube, run
 from wavefield.errors import StoreError
+from wavefield.pipeline import open_cube, run
 from wavefield.variables import Quality
 
 MASK = "mask: {water: {cylinder: {x: 0.0, y: 0.0, radius: 0.015, top: 0.01, bottom: -0.01}}}\n"

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from cube_cases import HERE
 
-from wavefield.cubes import check
-from wavefield.cubes.block import Block, _find_ranges
 from wavefield.images import read_image, write_image
 from wavefield.measurement import Plan, Settings
 from wavefield.measurement.first_heights import first_heights, high_enough
 from wavefield.measurement.frame import ready
+from wavefield.pipeline import check
+from wavefield.pipeline.chunk import Block, _find_ranges
 from wavefield.rig import Rig
 from wavefield.tank import Scene, Tank
 from wavefield.variables import FrameFault, FrameStatus

@@ -7,8 +7,8 @@ import pytest
 from cube_cases import write_tank
 
 import wavefield as wf
-from wavefield.cubes.reading import Reading, look_at_reading
 from wavefield.images import write_image
+from wavefield.pipeline.reading_speed import Reading, look_at_reading
 from wavefield.series import Experiment
 
 FRAMES, SHAPE = 5, (500, 800)

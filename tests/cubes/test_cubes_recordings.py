@@ -5,8 +5,8 @@ import struct
 import numpy as np
 from cube_cases import FRAMES, HERE, far_apart
 
-from wavefield.cubes import check, open_cube, run
 from wavefield.images import read_image
+from wavefield.pipeline import check, open_cube, run
 
 RATE = 20.0
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from wavefield.commands.cli import main
-from wavefield.cubes.at_rest import level_at_rest, remark_on_rest
 from wavefield.errors import ExperimentError
 from wavefield.images import write_image
+from wavefield.pipeline.still_water import level_at_rest, remark_on_rest
 from wavefield.rig import Rig
 from wavefield.series import Experiment
 from wavefield.tank import Scene, Tank

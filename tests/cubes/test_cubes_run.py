@@ -14,13 +14,13 @@ import tifffile
 import zarr
 from cube_cases import FRAMES, HERE, different, far_apart
 
-from wavefield.cubes import Workflow, open_cube, run, status, work
-from wavefield.cubes.lock import Lock
 from wavefield.errors import ExperimentError, RigError, RunStopped, StoreError
-from wavefield.store import write
+from wavefield.execution.lock import Lock
+from wavefield.pipeline import Workflow, chunk_worker, open_cube, run, status
+from wavefield.store import write_cube
 from wavefield.store.layout import PACKING
 from wavefield.store.read import cube_recipe
-from wavefield.store.write import pack, write_block
+from wavefield.store.write_cube import pack, write_block
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus, Quality, validate
 
 STEPS = FRAMES - 1
@@ -39,8 +39,8 @@ def measured(monkeypatch):
         starts.append(block.start)
         return real(block, plan, frame_rate)
 
-    real = work.measure_block
-    monkeypatch.setattr(work, "measure_block", counting)
+    real = chunk_worker.measure_block
+    monkeypatch.setattr(chunk_worker, "measure_block", counting)
     return starts
 
 
@@ -154,7 +154,7 @@ def test_a_time_limit_stops_the_run(tank, tmp_path, monkeypatch):
         signal.raise_signal(signal.SIGALRM)
 
     left = []
-    monkeypatch.setattr(work, "measure_block", alarm_rings)
+    monkeypatch.setattr(chunk_worker, "measure_block", alarm_rings)
     with pytest.raises(RunStopped, match="stopped by its time limit after 0 of"):
         run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(4, time_limit="1h"))
     assert 0 < left[0] <= 3600
@@ -168,7 +168,7 @@ def test_a_block_is_not_done_before_all_its_data_are_there(tank, reference, tmp_
     def dying(values, name):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(write, "pack", dying)
+    monkeypatch.setattr(write_cube, "pack", dying)
     with pytest.raises(RunStopped):
         run(tank, out=out, workflow=blocks_of(8, packing="int16"))
     assert status(out).left == STEPS
@@ -344,9 +344,9 @@ def test_a_measurement_that_breaks_is_reported_and_tried_again(tank, reference, 
             raise ZeroDivisionError("deep inside")
         return real(block, plan, frame_rate)
 
-    real = work.measure_block
+    real = chunk_worker.measure_block
     with monkeypatch.context() as patch:
-        patch.setattr(work, "measure_block", breaking)
+        patch.setattr(chunk_worker, "measure_block", breaking)
         with pytest.raises(
             StoreError, match=r"1 of 4 blocks failed, the first \(steps 4 to 7\) with ZeroDivisionError"
         ):
@@ -364,7 +364,7 @@ def test_when_every_block_breaks_the_run_gives_up(tank, tmp_path, monkeypatch):
         calls.append(block.start)
         raise ZeroDivisionError("always")
 
-    monkeypatch.setattr(work, "measure_block", breaking)
+    monkeypatch.setattr(chunk_worker, "measure_block", breaking)
     with pytest.raises(StoreError, match="always"):
         run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(1))
     assert len(calls) == 3

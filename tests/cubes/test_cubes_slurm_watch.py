@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from wavefield.cubes.slurm_watch import Watch
 from wavefield.errors import ExperimentError
+from wavefield.execution.slurm_queue import Watch
 
 
 class Cluster:

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import zarr
 
-from wavefield.cubes.steadiness import jump, knocks, shaking, size, steadiness, trembling
-from wavefield.cubes.synchrony import Delay, Sample, delays, regress, remarks
-from wavefield.cubes.witness import Witness
 from wavefield.grid import Grid
 from wavefield.measurement import Plan, Settings
+from wavefield.quality.camera_delay import Delay, Sample, delays, regress, remarks
+from wavefield.quality.camera_motion import jump, knocks, shaking, size, steadiness, trembling
+from wavefield.quality.patch_matching import Witness
 from wavefield.tank import Scene, Tank
 
 

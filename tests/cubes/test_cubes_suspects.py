@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wavefield.cubes.suspects import examine
-from wavefield.cubes.witness import Witness
 from wavefield.grid import Grid
+from wavefield.quality.camera_faults import examine
+from wavefield.quality.patch_matching import Witness
 from wavefield.store.verdict import Remark, Verdict, read_verdict
 from wavefield.tank import Scene, Tank
 

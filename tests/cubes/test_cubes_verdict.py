@@ -8,8 +8,8 @@ import pytest
 import zarr
 
 from wavefield.commands.cli import main
-from wavefield.cubes.judgement import _left_out
 from wavefield.images import read_image, write_image
+from wavefield.pipeline.run_quality import _left_out
 from wavefield.variables import Quality
 
 

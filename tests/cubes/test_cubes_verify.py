@@ -8,8 +8,8 @@ import pytest
 from cube_cases import different
 
 from wavefield.commands.cli import main
-from wavefield.cubes import Workflow, export, run, status
 from wavefield.errors import RunStopped, StoreError
+from wavefield.pipeline import Workflow, export, run, status
 from wavefield.store.checked import chunk_path
 from wavefield.store.verify import verify
 

@@ -18,11 +18,11 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from wavefield.commands.cli import main
-from wavefield.cubes import open_cube, run, status
 from wavefield.errors import StoreError, WavefieldError
-from wavefield.explorer.record import Record
+from wavefield.explorer.cube_record import Record
+from wavefield.pipeline import open_cube, run, status
 from wavefield.reports.sources import gather
-from wavefield.store.waves import open_waves
+from wavefield.store.wave_store import open_waves
 
 DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "120"))
 PRODUCTS = ("cube.zarr", "cube_preview.zarr", "waves.zarr", "verdict.json")

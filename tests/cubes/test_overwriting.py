@@ -17,11 +17,11 @@ import zarr
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
+from wavefield.atomic_write import ANY_FILE, whole
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError
 from wavefield.store.export import PRODUCTS
-from wavefield.store.waves import WAVES
-from wavefield.whole_files import ANY_FILE, whole
+from wavefield.store.wave_store import WAVES
 
 DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "80"))
 ENDINGS = (".nc", ".mat", ".pvd", ".vtkhdf", ".uvmat")

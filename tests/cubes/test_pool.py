@@ -5,7 +5,7 @@ import sys
 
 WORK = """
 import multiprocessing
-from wavefield.cubes.pool import Pool
+from wavefield.execution.pool import Pool
 
 kept = []
 

@@ -6,12 +6,12 @@ import xarray as xr
 
 import wavefield as wf
 import wavefield.waves as wv
-from wavefield.cubes import predicted_gain
 from wavefield.errors import CubeError
 from wavefield.grid import Grid
 from wavefield.matching import Prior
 from wavefield.measurement import Plan, Record, Settings
-from wavefield.measurement.gain import in_focus, shortest_carried
+from wavefield.measurement.response import in_focus, shortest_carried
+from wavefield.pipeline import predicted_gain
 from wavefield.tank import Scene
 
 

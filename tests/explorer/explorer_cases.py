@@ -11,7 +11,7 @@ from wavefield.store.layout import Layout, create_store
 from wavefield.store.preview import create_preview
 from wavefield.store.read import open_group
 from wavefield.store.recipe import Recipe
-from wavefield.store.write import write_block
+from wavefield.store.write_cube import write_block
 from wavefield.variables import CUBE_FIELDS, FrameStatus, Quality
 
 WAVES = ((3.0, 1.0, 0.006, 0.3), (-2.0, 4.0, 0.004, 1.1), (6.0, -5.0, 0.002, 2.0))  # kx, ky, amplitude, phase

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from wavefield.explorer import selections
-from wavefield.explorer.fields import arrows, relief
+from wavefield.explorer.map_fields import arrows, relief
 from wavefield.explorer.surface_panel import project
 from wavefield.figures.quality import KINDS, quality_kind
 from wavefield.figures.style import limit
@@ -113,8 +113,8 @@ def test_any_variable_is_shown_in_its_unit(page, fields, name, factor):
 
 
 def test_derived_variables_are_those_of_the_analysis(page, whole):
-    from wavefield.cubes import open_cube
-    from wavefield.waves.kinematics import kinematics
+    from wavefield.pipeline import open_cube
+    from wavefield.waves.nonlinear.kinematics import kinematics
 
     expected = kinematics(open_cube(whole[0]).isel(time=slice(STEP - 1, STEP + 2)).load())
     for name, factor in (("vorticity", 1), ("divergence", 1), ("residual", 100)):
@@ -176,8 +176,8 @@ def test_the_wheel_zooms_and_reset_goes_back(page):
 
 
 def test_a_click_shows_everything_at_the_node(page, fields, whole):
-    from wavefield.cubes import open_cube
-    from wavefield.waves.kinematics import kinematics
+    from wavefield.pipeline import open_cube
+    from wavefield.waves.nonlinear.kinematics import kinematics
 
     j, i = 10, 13
     page.click("map", X[i] + 0.01, Y[j] - 0.01)

@@ -2,8 +2,8 @@ import pytest
 from explorer_cases import create_cube
 
 from wavefield.commands.look import _cube_of
-from wavefield.cubes.catalog import catalog_add
 from wavefield.errors import WavefieldError
+from wavefield.pipeline.catalog import catalog_add
 
 
 @pytest.fixture

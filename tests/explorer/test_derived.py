@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from explorer_cases import create_cube, make_cube, write_cube_block
 
-from wavefield.cubes import open_cube
 from wavefield.errors import StoreError
-from wavefield.explorer.derived import derived_series
-from wavefield.explorer.fields import DERIVED
+from wavefield.explorer.cube_record import Record
+from wavefield.explorer.derived_series import derived_series
+from wavefield.explorer.map_fields import DERIVED
 from wavefield.explorer.place import Place
-from wavefield.explorer.record import Record
 from wavefield.explorer.save import as_csv, node_series, step_fields
 from wavefield.explorer.server import make_server
+from wavefield.pipeline import open_cube
 from wavefield.waves import kinematics
 
 

@@ -200,7 +200,7 @@ def test_following_leaves_no_trace(followed):
 
 
 def test_a_run_after_following_was_interrupted_is_the_run_that_was_never_followed(small_tank, tmp_path):
-    from wavefield.cubes import Workflow, run
+    from wavefield.pipeline import Workflow, run
 
     rig, frames = small_tank
     cubes = []

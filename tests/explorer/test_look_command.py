@@ -21,7 +21,7 @@ def given_way(monkeypatch):
         raise click.UsageError("far enough")
 
     monkeypatch.setattr(os, "nice", nice, raising=False)
-    monkeypatch.setattr("wavefield.explorer.server.look_server", no_server)
+    monkeypatch.setattr("wavefield.explorer.server.session_server", no_server)
 
     def run(path):
         result = CliRunner().invoke(look, [str(path), "--no-open"])

@@ -8,10 +8,10 @@ from bokeh.core.validation import check_integrity
 from bokeh.document import Document
 from explorer_cases import create_cube, make_cube, write_cube_block
 
-from wavefield.explorer.beside import find_beside
-from wavefield.explorer.page import Looked, Page
+from wavefield.explorer.context import find_beside
+from wavefield.explorer.cube_record import Record
+from wavefield.explorer.look_page import Looked, Page
 from wavefield.explorer.place import TABS, Place
-from wavefield.explorer.record import Record
 
 
 def build(path, place=None):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from explorer_cases import create_cube, make_cube, write_cube_block
 
-from wavefield.explorer.record import Record
+from wavefield.explorer.cube_record import Record
 from wavefield.store.preview import create_preview, open_preview, preview_path, thinning
 from wavefield.store.read import open_group
 
@@ -84,7 +84,7 @@ def test_a_cube_that_is_being_written_is_read_as_far_as_it_is(tmp_path):
 
 
 def test_a_block_that_is_measured_again_is_read_again(tmp_path):
-    from wavefield.store.write import reset_blocks
+    from wavefield.store.write_cube import reset_blocks
 
     path = tmp_path / "cube.zarr"
     make_cube(path)

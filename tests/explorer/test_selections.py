@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from wavefield.explorer import selections
-from wavefield.explorer.fields import arrows, colour_limits, derive
-from wavefield.explorer.parts import envelope, image_data
+from wavefield.explorer.map_fields import arrows, colour_limits, derive
 from wavefield.explorer.place import Place
+from wavefield.explorer.plot_parts import envelope, image_data
 from wavefield.explorer.surface_panel import project
 from wavefield.figures.quality import KINDS, quality_kind
 

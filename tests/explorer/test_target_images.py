@@ -5,10 +5,10 @@ import pytest
 from bokeh.document import Document
 from explorer_cases import make_cube
 
-from wavefield.explorer.beside import find_beside
-from wavefield.explorer.page import Looked, Page
+from wavefield.explorer.context import find_beside
+from wavefield.explorer.cube_record import Record
+from wavefield.explorer.look_page import Looked, Page
 from wavefield.explorer.place import Place
-from wavefield.explorer.record import Record
 from wavefield.images import write_image
 
 SQUARE, SHAPE = 24, (7, 5)  # px; inner corners along a row, and rows

@@ -62,7 +62,7 @@ def test_help_is_quick_because_nothing_heavy_is_imported():
 
 def test_a_run_begins_before_what_only_its_end_needs_is_imported():
     heavy = ["xarray", "pandas", "dask", "matplotlib"]
-    modules = "sys, wavefield.cubes.running, wavefield.measurement.learn"
+    modules = "sys, wavefield.pipeline.running, wavefield.measurement.learn"
     code = f"import {modules}; print([m for m in {heavy} if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
 
@@ -93,12 +93,12 @@ def test_debug_shows_the_traceback(tmp_path, capsys):
 
 
 def test_an_unforeseen_error_has_no_traceback_either(monkeypatch, tmp_path, capsys):
-    import wavefield.cubes
+    import wavefield.pipeline
 
     def broken(store):
         raise ZeroDivisionError("by accident")
 
-    monkeypatch.setattr(wavefield.cubes, "status", broken)
+    monkeypatch.setattr(wavefield.pipeline, "status", broken)
     assert main(["status", str(tmp_path)]) == 1
     error = capsys.readouterr().err
     assert "by accident" in error
@@ -107,12 +107,12 @@ def test_an_unforeseen_error_has_no_traceback_either(monkeypatch, tmp_path, caps
 
 
 def test_interruption_says_that_nothing_is_lost(monkeypatch, tmp_path, capsys):
-    import wavefield.cubes
+    import wavefield.pipeline
 
     def interrupted(store):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(wavefield.cubes, "status", interrupted)
+    monkeypatch.setattr(wavefield.pipeline, "status", interrupted)
     assert main(["status", str(tmp_path)]) == 130
     assert "interrupted" in capsys.readouterr().err
 
@@ -120,13 +120,13 @@ def test_interruption_says_that_nothing_is_lost(monkeypatch, tmp_path, capsys):
 def test_warnings_are_one_line(monkeypatch, tmp_path, capsys):
     import warnings
 
-    import wavefield.cubes
+    import wavefield.pipeline
 
     def warning(store):
         warnings.warn("a frame is missing", stacklevel=1)
         raise StoreError("done")
 
-    monkeypatch.setattr(wavefield.cubes, "status", warning)
+    monkeypatch.setattr(wavefield.pipeline, "status", warning)
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         assert main(["status", str(tmp_path)]) == 1

@@ -216,7 +216,7 @@ def test_demo_gives_the_commands_of_the_readme_and_stops_where_one_fails(monkeyp
 
 def test_poses_are_named_alike_in_all_cameras(tmp_path):
     from wavefield.series import Experiment
-    from wavefield.series.targets import find_views
+    from wavefield.series.target_listing import find_views
 
     for camera in ("left", "right"):
         for pose in (1, 2):
@@ -270,7 +270,7 @@ def test_report_is_written_without_the_images_too_and_says_so(folder, tmp_path, 
 
 
 def test_the_papers_figures_are_on_one_page(folder, tmp_path, monkeypatch, without_pixels):
-    monkeypatch.setattr("wavefield.reports.paper._PAIR_STEPS", 2)
+    monkeypatch.setattr("wavefield.reports.paper_page._PAIR_STEPS", 2)
     page, cube = tmp_path / "paper.html", str(folder / "cube.zarr")
     with without_pixels():
         assert main(["-q", "paper", cube, "--rest", cube, "-o", str(page)]) == 0  # any will do as one at rest

@@ -163,7 +163,7 @@ def _rms(values):
 
 def test_found_nodes_are_drawn_in_pixels_and_on_the_plane():
     from wavefield.calibration import TargetPoints
-    from wavefield.reports.targets import target_points
+    from wavefield.reports.target_pictures import target_points
 
     rig = paper_rig(0.2)
     node = np.array([[i, j] for i in range(-2, 3) for j in range(-2, 3)])
@@ -259,7 +259,7 @@ def test_picture_of_the_dispersion_ridge():
 
     from wavefield.water import dispersion
     from wavefield.waves import spectrum
-    from wavefield.waves.ridge import dispersion_group
+    from wavefield.waves.dispersion_relation.dispersion_fit import dispersion_group
 
     rng = np.random.default_rng(0)
     k, angle = rng.uniform(6, 40, 300), rng.uniform(-np.pi, np.pi, 300)

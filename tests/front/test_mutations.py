@@ -16,9 +16,9 @@ import tifffile
 from spoil import spoil_bytes, spoil_text
 from test_bad_input import NOTE
 
-from wavefield.cubes import Workflow
-from wavefield.cubes.prepare import make_settings
 from wavefield.errors import WavefieldError
+from wavefield.pipeline import Workflow
+from wavefield.pipeline.prepare import make_settings
 from wavefield.rig import Rig
 from wavefield.series import Experiment
 from wavefield.series.readers import close_files

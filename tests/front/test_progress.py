@@ -6,7 +6,7 @@ import pytest
 
 from wavefield.commands import progress
 from wavefield.commands.progress import Progress
-from wavefield.words import spell_time
+from wavefield.text import spell_time
 
 
 class Terminal(io.StringIO):

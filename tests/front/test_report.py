@@ -15,10 +15,10 @@ from wavefield.grid import Grid
 from wavefield.measurement import Plan
 from wavefield.reports import Sources, write_report
 from wavefield.reports.calibration_page import _with_std
+from wavefield.reports.html_page import Picture, Table
+from wavefield.reports.number_text import median_of, number
 from wavefield.reports.overview import _left_out
-from wavefield.reports.page import Picture, Table
 from wavefield.reports.player import pack
-from wavefield.reports.words import median_of, number
 from wavefield.tank import paper_rig
 from wavefield.variables import CUBE_FIELDS, Quality
 
@@ -160,7 +160,7 @@ def test_every_variable_is_in_the_player_derived_ones_too(cube, page_text):
 
 
 def test_the_verdict_with_description_and_dates_stands_first(cube, tmp_path):
-    from wavefield.reports.write import head_of
+    from wavefield.reports.compose import head_of
     from wavefield.series import Experiment
     from wavefield.store.verdict import Remark, Verdict
 

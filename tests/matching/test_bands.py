@@ -5,8 +5,8 @@ import pytest
 import scipy.fft
 
 from wavefield.matching import Modes, Spread, better_prior
+from wavefield.matching.matching_gain import footprint
 from wavefield.matching.prior import FIRST_SIGNAL_TO_NOISE, SHORTEST_WAVENUMBER, Prior
-from wavefield.matching.transfer import footprint
 
 SHAPE = (60, 66)
 BLOCK = 9e-3  # metres: blocks of 5 px of 1.8 mm

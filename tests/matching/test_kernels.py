@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matching_cases import particle_pair, wave
 
-from wavefield.matching import Settings, correlate, kernels, lattice, match, prepare
+from wavefield.matching import Settings, block_lattice, correlate, match, matching_kernels, prepare
 
 F = np.float32
 
@@ -36,7 +36,7 @@ def case():
     slope = rng.uniform(-0.2, 0.2, (4, ny, nx)).astype(F)
     c2 = rng.uniform(0.1, 2, (ny, nx)).astype(F)
     planes = np.empty((3, h, w), F)
-    kernels.spline_image(a, np.empty((2, w + 4), F), planes)
+    matching_kernels.spline_image(a, np.empty((2, w + 4), F), planes)
     smooth, gx, gy = planes
     return a, b, u, v, slope, c2, smooth, gx, gy
 
@@ -109,8 +109,8 @@ def expected_sums(case):
 def test_block_sums_are_what_they_say(case):
     a, b, u, v, slope, c2, *_ = case
     expected = expected_sums(case)
-    work = kernels.scratch(u.shape[1])
-    for kernel, n in ((kernels.robust_sums, 6), (kernels.final_sums, 12)):
+    work = matching_kernels.scratch(u.shape[1])
+    for kernel, n in ((matching_kernels.robust_sums, 6), (matching_kernels.final_sums, 12)):
         out = np.full((n, *u.shape), np.nan, F)
         kernel(a, b, u, v, slope, c2, F(0.05), out=out, **work)
         for k in range(n):
@@ -119,10 +119,10 @@ def test_block_sums_are_what_they_say(case):
 
 def test_unweighted_sums_are_the_last_ones_with_weights_of_one(case):
     a, b, u, v, slope, c2, *_ = case
-    work = kernels.scratch(u.shape[1])
+    work = matching_kernels.scratch(u.shape[1])
     expected, out = np.full((2, 12, *u.shape), np.nan, F)
-    kernels.final_sums(a, b, u, v, slope, 0 * c2, F(0.05), out=expected, **work)
-    kernels.unweighted_sums(a, b, u, v, slope, out=out, **work)
+    matching_kernels.final_sums(a, b, u, v, slope, 0 * c2, F(0.05), out=expected, **work)
+    matching_kernels.unweighted_sums(a, b, u, v, slope, out=out, **work)
     given = [0, 1, 5, 6, 7, 8, 9, 10, 11]
     np.testing.assert_allclose(out[given], expected[given], atol=2e-5)
     assert np.isnan(out[2:5]).all()
@@ -136,7 +136,9 @@ def test_places_outside_the_image_are_read_inside_it(case):
         inner = room[32:-32].reshape(b.shape)
         for move in (-1e6, -30.0, 30.0, 1e6):
             out = np.empty((2, *u.shape), F)
-            kernels.plain_sums(a, inner, u + F(move), v + F(move), out=out, **kernels.scratch(u.shape[1]))
+            matching_kernels.plain_sums(
+                a, inner, u + F(move), v + F(move), out=out, **matching_kernels.scratch(u.shape[1])
+            )
             read.append(out)
     assert np.isfinite(read).all()
     np.testing.assert_array_equal(read[:4], read[4:])
@@ -144,15 +146,15 @@ def test_places_outside_the_image_are_read_inside_it(case):
 
 def test_plain_sums_with_slopes_taken_off_are_the_unweighted_ones(case):
     a, b, u, v, slope, c2, *_ = case
-    work = kernels.scratch(u.shape[1])
+    work = matching_kernels.scratch(u.shape[1])
     full = np.empty((6, *u.shape), F)
-    kernels.robust_sums(a, b, u, v, slope, 0 * c2, F(0.05), out=full, **work)
+    matching_kernels.robust_sums(a, b, u, v, slope, 0 * c2, F(0.05), out=full, **work)
     moments = np.empty((9, *u.shape), F)
-    kernels.gradient_moments(a, work["rows"], work["sums"], moments)
+    matching_kernels.gradient_moments(a, work["rows"], work["sums"], moments)
     np.testing.assert_allclose(moments[:3], full[2:5], atol=1e-5)
     plain = np.empty((2, *u.shape), F)
-    kernels.plain_sums(a, b, u, v, out=plain, **work)
-    lattice.subtract_slopes(plain, moments, slope)
+    matching_kernels.plain_sums(a, b, u, v, out=plain, **work)
+    block_lattice.subtract_slopes(plain, moments, slope)
     np.testing.assert_allclose(plain, full[:2], atol=2e-5)
 
 
@@ -198,9 +200,9 @@ _GENERIC = """
 import gc, sys
 gc.disable()  # it would look again and again through what the compiler has made
 import numpy as np
-from wavefield.matching import Settings, match
+from wavefield.matching import MatchSettings, match
 a, b = np.load(sys.argv[1])
-np.save(sys.argv[2], [match(a, b, s).u for s in (Settings.piv(), Settings.fast())])
+np.save(sys.argv[2], [match(a, b, s).u for s in (MatchSettings.piv(), MatchSettings.fast())])
 """
 
 

@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 from matching_cases import interior, particle_pair, truth, uniform
 
-from wavefield.matching import Settings, kernels, lattice, look_again, match, prepare, scores_at
+from wavefield.matching import (
+    Settings,
+    block_lattice,
+    look_again,
+    match,
+    matching_kernels,
+    prepare,
+    scores_at,
+)
 
 F = np.float32
 SHAPE = (300, 340)
@@ -35,7 +43,7 @@ def with_and_without(look, pair, move, monkeypatch):
     taken = []
 
     def keep(*all_of_it):
-        taken.append(lattice.subtract_strain(*all_of_it))
+        taken.append(block_lattice.subtract_strain(*all_of_it))
 
     scores = []
     for instead in (keep, lambda *nothing: None):
@@ -78,10 +86,10 @@ def test_strain_moments_are_what_they_say():
     rng = np.random.default_rng(2)
     ny, nx = 7, 11
     image = rng.normal(0, 1, (5 * ny + 3 + 16, 5 * nx + 1 + 16)).astype(F)
-    work = kernels.scratch(nx)
+    work = matching_kernels.scratch(nx)
     work["rows"][:] = work["sums"][:] = np.nan  # nothing is read before it is written
     out = np.full((8, ny, nx), np.nan, F)
-    kernels.strain_moments(image, work["rows"], work["sums"], out)
+    matching_kernels.strain_moments(image, work["rows"], work["sums"], out)
 
     def at(along_x, along_y):
         inner = image.astype(float)
@@ -100,7 +108,7 @@ def test_strain_moments_are_what_they_say():
 SUMS = """
 import hashlib
 import numpy as np
-from wavefield.matching.kernels import gradient_moments, scratch, strain_moments
+from wavefield.matching.matching_kernels import gradient_moments, scratch, strain_moments
 image = np.random.default_rng(1).standard_normal((116, 136)).astype(np.float32)
 work = scratch(24)
 first, second = np.empty((9, 20, 24), np.float32), np.empty((8, 20, 24), np.float32)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from wavefield.measurement.each_camera import noise_of_each, own_noise
-from wavefield.measurement.record import Record
+from wavefield.measurement.learned_record import Record
 from wavefield.measurement.velocity import Seen, _solved
 
 OBLIQUE = np.array(

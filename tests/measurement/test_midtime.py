@@ -5,12 +5,18 @@ import pytest
 
 from wavefield.measurement.elevation import Surface
 from wavefield.measurement.midtime import at_mid_time, frames_used, slope
-from wavefield.measurement.unresolved import NOTHING, Unresolved, kept_of_displacement, kept_of_z, unresolved
+from wavefield.measurement.temporal_truncation import (
+    NOTHING,
+    Unresolved,
+    kept_of_displacement,
+    kept_of_z,
+    unresolved,
+)
 from wavefield.measurement.velocity import Motion
 from wavefield.tank import Scene
 from wavefield.tank.basin import Basin
 from wavefield.tank.beads import carry
-from wavefield.waves.kinematics import slopes
+from wavefield.waves.nonlinear.kinematics import slopes
 
 TIMES = (-2.5, -1.5, -0.5, 0.5, 1.5, 2.5)
 

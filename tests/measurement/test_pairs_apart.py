@@ -4,7 +4,7 @@ import numpy as np
 from measurement_cases import RATE
 
 from wavefield.measurement import measure
-from wavefield.measurement.contradiction import scores_apart, widened
+from wavefield.measurement.outlier_detection import scores_apart, widened
 from wavefield.variables import Quality
 
 SHAPE = 60, 80

@@ -8,7 +8,7 @@ import pytest
 from measurement_cases import RATE
 
 from wavefield.measurement import Plan, measure
-from wavefield.measurement.trembling import (
+from wavefield.measurement.camera_jitter import (
     left_over,
     line_of,
     motion_for,

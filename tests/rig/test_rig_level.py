@@ -4,7 +4,7 @@ from rig_cases import random_camera
 
 from wavefield.errors import RigError
 from wavefield.rig import Rig
-from wavefield.rig.level import fit_plane, level, with_water_level
+from wavefield.rig.water_level import fit_plane, level, with_water_level
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ import pytest
 import tifffile
 import zarr
 
-from wavefield.cubes.recording_remarks import remark_on_recordings
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.images import read_image
+from wavefield.quality.recording_remarks import remark_on_recordings
 from wavefield.series import Experiment
 from wavefield.series.formats import open_recording
 from wavefield.series.formats.packed import packed

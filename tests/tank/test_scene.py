@@ -5,7 +5,7 @@ import yaml
 
 from wavefield.errors import ExperimentError
 from wavefield.tank import Scene, Tank
-from wavefield.tank.plan import summary
+from wavefield.tank.camera_plan import summary
 
 
 @pytest.mark.parametrize("name", sorted(Scene.presets()))

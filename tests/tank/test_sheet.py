@@ -14,7 +14,7 @@ def tank():
 
 
 def own_frame(tank, beads):
-    from wavefield.tank.sheet import plane
+    from wavefield.tank.light_sheet_scene import plane
 
     axes, origin = plane(tank.scene.surface)
     return axes.T @ (np.stack([beads.x, beads.y, beads.z]) - origin[:, None])

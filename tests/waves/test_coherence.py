@@ -8,9 +8,9 @@ import xarray as xr
 from waves_cases import axes, cube, linear_cube, random_waves
 
 import wavefield.waves as wv
-from wavefield.waves.windows import effective_duration, hann
+from wavefield.waves.estimation.windows import effective_duration, hann
 
-coherence_module = importlib.import_module("wavefield.waves.coherence")
+coherence_module = importlib.import_module("wavefield.waves.nonlinear.coherence")
 NAMES, PAIRS = ("rise", "w", "nl"), (("rise", "w"), ("rise", "nl"), ("w", "nl"))
 
 

@@ -6,8 +6,8 @@ from independent_seas import Sea, family
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.current_used import current_used
-from wavefield.waves.ridge import fit_settings
+from wavefield.waves.dispersion_relation.current_used import current_used
+from wavefield.waves.dispersion_relation.dispersion_fit import fit_settings
 
 
 def fitted(sea, **settings):

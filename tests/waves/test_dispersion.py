@@ -6,8 +6,8 @@ from waves_cases import GAMMA, GaussianSea, PeriodicSea, relation
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.current_scan import plane_of, scan_current
-from wavefield.waves.ridge_contrast import explained
+from wavefield.waves.dispersion_relation.current_scan import plane_of, scan_current
+from wavefield.waves.dispersion_relation.shell_contrast import explained
 
 CURRENT = (0.04, -0.02)
 

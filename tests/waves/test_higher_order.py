@@ -6,7 +6,7 @@ import pytest
 import wavefield.waves as wv
 from wavefield.errors import CubeError
 
-module = importlib.import_module("wavefield.waves.higher_order")
+module = importlib.import_module("wavefield.waves.nonlinear.higher_order")
 
 
 def gaussian_lines(rng, n, samples):

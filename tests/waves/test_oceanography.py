@@ -6,7 +6,7 @@ import xarray as xr
 from waves_cases import GaussianSea, Waves, axes, cube, relation, second_order_sea
 
 import wavefield.waves as wv
-from wavefield.waves.breaking import crest_ratio
+from wavefield.waves.surface.breaking import crest_ratio
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ from waves_cases import linear_cube, random_waves
 
 from wavefield.errors import ExperimentError
 from wavefield.waves import read_probes
-from wavefield.waves.probe_fit import fit_probes
-from wavefield.waves.probes import Columns
+from wavefield.waves.probes.probe_files import Columns
+from wavefield.waves.probes.probe_fit import fit_probes
 
 PLACE = (0.26, 0.30)  # a node
 

@@ -10,7 +10,7 @@ import wavefield.waves as wv
 from wavefield.errors import CubeError
 from wavefield.grid import largest_rectangle
 from wavefield.variables import FrameStatus, Quality
-from wavefield.waves.record import fill
+from wavefield.waves.estimation.wave_record import fill
 
 
 @pytest.fixture(scope="module")

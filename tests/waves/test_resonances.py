@@ -7,7 +7,7 @@ from waves_cases import GaussianSea, relation
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.discoveries import discoveries, probabilities
+from wavefield.waves.estimation.multiple_testing import discoveries, probabilities
 
 NY, NX, DX = 24, 32, 0.06
 CELL = 2 * np.array([2 * np.pi / (NY * DX), 2 * np.pi / (NX * DX)])  # of every second cell

@@ -8,10 +8,10 @@ from waves_cases import GaussianSea, Waves, axes, random_waves, seen
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves import rings, windows
-from wavefield.waves.likeness import expected_likeness
-from wavefield.waves.ridge_windows import hann_power
-from wavefield.waves.windows import interval
+from wavefield.waves.estimation import rings, windows
+from wavefield.waves.estimation.segment_correlation import expected_likeness
+from wavefield.waves.estimation.windowed_dispersion import hann_power
+from wavefield.waves.estimation.windows import interval
 
 
 def field(values, dt=0.05, dx=0.03, units="m"):

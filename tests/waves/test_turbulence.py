@@ -10,7 +10,7 @@ import wavefield.waves as wv
 from wavefield.errors import CubeError
 from wavefield.tank.sea import Sea
 from wavefield.water import group_velocity
-from wavefield.waves.windows import hann
+from wavefield.waves.estimation.windows import hann
 
 
 def field(values, dt=0.05, dx=0.02):

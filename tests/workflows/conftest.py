@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "cubes"))
 
 from cube_cases import HERE, write_tank
 
-from wavefield.cubes import run
+from wavefield.pipeline import run
 
 
 @pytest.fixture(scope="session")

@@ -17,12 +17,12 @@ import yaml
 from cube_cases import different
 
 import wavefield as wf
-from wavefield.cubes import Workflow, open_cube, run, run_catalog
-from wavefield.cubes.catalog import find_experiment
-from wavefield.cubes.cluster import open_cluster
-from wavefield.cubes.dask_settings import dask_settings, temporary_credentials
-from wavefield.cubes.slurm import count_jobs, slurm_cluster
 from wavefield.errors import ExperimentError
+from wavefield.execution.cluster import open_cluster
+from wavefield.execution.dask_settings import dask_settings, temporary_credentials
+from wavefield.execution.slurm import count_jobs, slurm_cluster
+from wavefield.pipeline import Workflow, open_cube, run, run_catalog
+from wavefield.pipeline.catalog import find_experiment
 from wavefield.reports import errors_against, gather
 from wavefield.variables import FrameStatus
 

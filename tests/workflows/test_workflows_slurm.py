@@ -17,9 +17,9 @@ import yaml
 from cube_cases import different
 
 import wavefield as wf
-from wavefield.cubes import Workflow, status
-from wavefield.cubes.cluster import open_cluster
 from wavefield.errors import ExperimentError
+from wavefield.execution.cluster import open_cluster
+from wavefield.pipeline import Workflow, status
 
 ROOT = Path(__file__).parents[2]
 LIMITED = "limited"  # name of the jobs that end at their time limit, beside the other tests

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from cube_cases import different
 
-from wavefield.cubes import Workflow, run
+from wavefield.pipeline import Workflow, run
 
 ROOT = Path(__file__).parents[2]
 SERVER = shutil.which("sshd", path="/usr/sbin:/usr/local/sbin:/usr/bin")

@@ -10,10 +10,10 @@ _PUBLIC = {
     "Calibration": "wavefield.calibration.result",
     "Target": "wavefield.calibration.target",
     "calibrate": "wavefield.calibration.solve",
-    "check_rig": "wavefield.calibration.rest",
+    "check_rig": "wavefield.calibration.still_water_correction",
     "find_target": "wavefield.calibration.find",
-    "refine": "wavefield.calibration.rest",
-    "refine_and_level": "wavefield.calibration.rest",
+    "refine": "wavefield.calibration.still_water_correction",
+    "refine_and_level": "wavefield.calibration.still_water_correction",
 }
 
 __all__ = ["TargetPoints", *sorted(_PUBLIC)]

@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from wavefield.calibration.lattice import SmoothMap
+from wavefield.calibration.target_lattice import SmoothMap
 from wavefield.robust import robust_std
 
 Array = NDArray[np.float64]

@@ -23,7 +23,7 @@ from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError, FrameError
 from wavefield.images import read_image
 from wavefield.series import Experiment
-from wavefield.series.targets import find_views
+from wavefield.series.target_listing import find_views
 
 TABLES = (".csv", ".txt")  # points found by another program
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wavefield.calibration.bundle import Fit
-from wavefield.calibration.derived import at_points, volume
+from wavefield.calibration.derived_uncertainty import at_points, volume
 from wavefield.calibration.observations import Observations
 from wavefield.calibration.parameters import TERMS
 from wavefield.errors import CalibrationError

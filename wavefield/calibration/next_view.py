@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 
 from wavefield.calibration.bundle import Fit
-from wavefield.calibration.derived import derive
-from wavefield.calibration.judge import ENOUGH
+from wavefield.calibration.derived_uncertainty import derive
 from wavefield.calibration.observations import Geometry, Observations
 from wavefield.calibration.parameters import Layout, linearised
 from wavefield.calibration.result import Calibration
+from wavefield.calibration.trust import ENOUGH
 from wavefield.rig import Camera
 from wavefield.rig.lens import Array
 

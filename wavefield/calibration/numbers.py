@@ -10,8 +10,8 @@ from wavefield.calibration.observations import Observations
 from wavefield.rig import Rig
 from wavefield.rig.epipolar import epipolar_distance
 from wavefield.rig.lens import Array
-from wavefield.rig.level import Plane, fit_plane
 from wavefield.rig.stereo import triangulate
+from wavefield.rig.water_level import Plane, fit_plane
 from wavefield.robust import robust_std
 
 

@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from wavefield.calibration.blobs import centroid_bias, centroids, find_blobs, mesh_length
-from wavefield.calibration.lattice import Candidates, Lattice, SmoothMap
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.target import Target
+from wavefield.calibration.target_lattice import Candidates, Lattice, SmoothMap
 from wavefield.errors import CalibrationError
 
 Array = NDArray[np.float64]

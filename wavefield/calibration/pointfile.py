@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.atomic_write import ANY_FILE, write_text
 from wavefield.calibration.points import TargetPoints
 from wavefield.errors import CalibrationError
-from wavefield.whole_files import ANY_FILE, write_text
 
 COLUMNS = ("i", "j", "X", "Y")
 

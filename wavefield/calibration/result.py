@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wavefield.calibration.bundle import Fit
-from wavefield.calibration.derived import Derived
+from wavefield.calibration.derived_uncertainty import Derived
 from wavefield.calibration.model_choice import Choice
 from wavefield.calibration.observations import Observations
 from wavefield.rig import Rig

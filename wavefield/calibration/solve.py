@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from wavefield.calibration.bundle import Fit, fit
 from wavefield.calibration.compare import chained
-from wavefield.calibration.derived import derive
+from wavefield.calibration.derived_uncertainty import derive
 from wavefield.calibration.findings import Findings
-from wavefield.calibration.judge import judge
-from wavefield.calibration.judge import provenance as own_provenance
 from wavefield.calibration.model_choice import MODELS, Choice, choose, terms_of
 from wavefield.calibration.observations import Geometry, Observations, collect
 from wavefield.calibration.result import Calibration
 from wavefield.calibration.start import Alone, mean_rotation
 from wavefield.calibration.target import Target
+from wavefield.calibration.trust import judge
+from wavefield.calibration.trust import provenance as own_provenance
 from wavefield.calibration.views import Views, agreeing, each_alone, sound_views
 from wavefield.rig import Rig
 from wavefield.rig.lens import LENS, Array

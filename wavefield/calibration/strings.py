@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from wavefield.calibration.lattice import REACH, Candidates, Lattice, SmoothMap, crossings
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.subpixel import WIDTH1, WIDTH2, Crossings, fit_crossings, start_parameters
 from wavefield.calibration.target import Target
+from wavefield.calibration.target_lattice import REACH, Candidates, Lattice, SmoothMap, crossings
 from wavefield.errors import CalibrationError
 
 Array = NDArray[np.float64]

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from wavefield.config_files import make
 from wavefield.errors import CalibrationError
-from wavefield.sections import make
 
 Length = Annotated[float, Field(gt=0, lt=100)]  # m
 Nodes = Annotated[int, Field(ge=3)]

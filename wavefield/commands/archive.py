@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from wavefield.commands.level import level, sheet
+from wavefield.commands.level_command import level, sheet
 from wavefield.commands.progress import Progress
 
 _STORE = click.Path(exists=True, file_okay=False, path_type=Path)
@@ -74,7 +74,7 @@ def add(catalog: Path, experiment: Path) -> None:
     The catalog is an intake file: `intake.open_catalog` opens it, and `wavefield run CATALOG` runs all or
     some of its entries.
     """
-    from wavefield.cubes.catalog import catalog_add
+    from wavefield.pipeline.catalog import catalog_add
 
     name = catalog_add(catalog, experiment)
     click.echo(f"{catalog} now has {name}.")
@@ -131,8 +131,8 @@ def convert(files: tuple[str, ...], output: Path | None, to: str, size: tuple[st
 
     FILES is one file, or camera=file for each camera.
     """
+    from wavefield.atomic_write import NEW_FILE, Product, check_replaceable, refuse_input
     from wavefield.rig import formats
-    from wavefield.whole_files import NEW_FILE, Product, check_replaceable, refuse_input
 
     named = dict(entry.split("=", 1) for entry in files if "=" in entry)
     if len(files) > 1 and len(named) < len(files):

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import click
 
 import wavefield
-from wavefield.commands import archive, experiment, look, simulate, waves
+from wavefield.commands import archive, experiment_commands, look, simulate_command, wave_commands
 from wavefield.errors import WavefieldError
 
 _EPILOG = """\b
@@ -55,18 +55,18 @@ def cli(quiet: bool, verbose: bool, debug: bool) -> None:
 
 
 for _command in (
-    simulate.demo,
-    simulate.simulate,
-    experiment.init,
-    experiment.check,
-    experiment.calibrate,
-    experiment.refine,
-    experiment.run,
-    experiment.status,
-    experiment.verify,
-    waves.analyze,
-    waves.report,
-    waves.paper,
+    simulate_command.demo,
+    simulate_command.simulate,
+    experiment_commands.init,
+    experiment_commands.check,
+    experiment_commands.calibrate,
+    experiment_commands.refine,
+    experiment_commands.run,
+    experiment_commands.status,
+    experiment_commands.verify,
+    wave_commands.analyze,
+    wave_commands.report,
+    wave_commands.paper,
     look.look,
     look.follow,
     archive.export,

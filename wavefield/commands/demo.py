@@ -46,7 +46,7 @@ def run_demo(
 
 def comparison(store: Path, directory: Path) -> str:
     """Errors of a cube against the truth of its simulated experiment, beside the paper's."""
-    from wavefield.cubes import open_cube
+    from wavefield.pipeline import open_cube
     from wavefield.reports import errors_against
     from wavefield.reports.sources import grid_of
     from wavefield.rig import Rig

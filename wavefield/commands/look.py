@@ -47,9 +47,9 @@ def look(source: Path, run: str | None, waves: Path | None, port: int | None, op
     Of a catalog name the RUN, unless only one has a cube.
     """
     from wavefield.errors import StoreError
-    from wavefield.explorer.beside import find_beside
-    from wavefield.explorer.page import Looked
-    from wavefield.explorer.record import Record
+    from wavefield.explorer.context import find_beside
+    from wavefield.explorer.cube_record import Record
+    from wavefield.explorer.look_page import Looked
     from wavefield.explorer.server import look_server
     from wavefield.store.blocks import check_blocks
 
@@ -109,7 +109,7 @@ def _cube_of(source: Path, run: str | None = None) -> Path:
     from wavefield.errors import StoreError
 
     if source.is_file():
-        from wavefield.cubes.catalog import find_cube, is_catalog
+        from wavefield.pipeline.catalog import find_cube, is_catalog
 
         if is_catalog(source):
             return find_cube(source, run)

@@ -8,7 +8,7 @@ from typing import TextIO
 
 import click
 
-from wavefield.words import spell_time
+from wavefield.text import spell_time
 
 
 class Progress:

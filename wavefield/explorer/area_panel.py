@@ -4,10 +4,10 @@ import numpy as np
 from bokeh.layouts import column
 from bokeh.models import ColumnDataSource, Div
 
-from wavefield.explorer.fields import shown_as
-from wavefield.explorer.parts import BLUE, band, envelope, make_figure, number
+from wavefield.explorer.cube_record import Record
+from wavefield.explorer.map_fields import shown_as
 from wavefield.explorer.place import Place
-from wavefield.explorer.record import Record
+from wavefield.explorer.plot_parts import BLUE, band, envelope, make_figure, number
 from wavefield.explorer.selections import area, span
 
 

@@ -10,11 +10,11 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Range1d, Select
 from numpy.typing import NDArray
 
-from wavefield.explorer.beside import Beside
+from wavefield.explorer.context import Beside
+from wavefield.explorer.cube_record import Record
 from wavefield.explorer.mask_panel import outlines_of
-from wavefield.explorer.parts import INK, VERMILION, draw_masks, make_figure
 from wavefield.explorer.place import Place
-from wavefield.explorer.record import Record
+from wavefield.explorer.plot_parts import INK, VERMILION, draw_masks, make_figure
 from wavefield.explorer.selections import nearest
 from wavefield.figures.quality import KINDS, quality_kind
 from wavefield.rig import Camera

@@ -7,18 +7,18 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Select
 from bokeh.server.server import BaseServer as Server
 
-from wavefield.explorer.beside import Beside
 from wavefield.explorer.camera_panel import shrink
-from wavefield.explorer.fields import arrows, colour_limits, colour_map, palette, shown_as
+from wavefield.explorer.context import Beside
 from wavefield.explorer.follower import Follower, Seen
 from wavefield.explorer.lights import Light, verdict
-from wavefield.explorer.parts import GREY, INK, colour_bar, image_data, image_source, make_figure
+from wavefield.explorer.map_fields import arrows, colour_limits, colour_map, palette, shown_as
+from wavefield.explorer.plot_parts import GREY, INK, colour_bar, image_data, image_source, make_figure
 from wavefield.explorer.server import make_server
 from wavefield.explorer.target_watch import TargetWatch
 from wavefield.explorer.template import dress
 from wavefield.figures.style import limit
+from wavefield.text import spell_time
 from wavefield.variables import TABLE
-from wavefield.words import spell_time
 
 _OFTEN = 200  # ms between looks for something new
 _SHOWN = ("z", "w", "u", "v", "z_t", "eps_y", "eps_piv", "z_std")

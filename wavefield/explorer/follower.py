@@ -195,21 +195,21 @@ class Follower:
 
     def _agreements(self, found: FrameSet) -> dict[str, Agreement]:
         """How each pair of cameras agrees on the second frame; nothing without a rig."""
-        from wavefield.measurement import surface
+        from wavefield.measurement import pair_surface
         from wavefield.measurement.frame import ready, usable
 
         if self._plan is None:
             return {}
         plan = self._plan.plan
         good = {
-            name: surface.prepare(ready(both[1], plan.binning[name]), name, plan)
+            name: pair_surface.prepare(ready(both[1], plan.binning[name]), name, plan)
             for name, both in found.images.items()
             if name in plan.surface_cameras and usable(both[1], plan.rig[name].size)
         }
         out = {}
         for a, b in plan.pairs:
             if a in good and b in good:
-                match = surface.match_pair(good[a], good[b], (a, b), plan)
+                match = pair_surface.match_pair(good[a], good[b], (a, b), plan)
                 seen = (plan.seen_blocks[a] > 0.5) & (plan.seen_blocks[b] > 0.5)
                 eps = match.eps_y[match.matched] / plan.pixel
                 rms = float(np.sqrt(np.mean(np.square(eps)))) if eps.size else float("nan")
@@ -217,10 +217,10 @@ class Follower:
         return out
 
     def _plan_for(self, sizes: dict[str, tuple[int, int]]) -> None:
-        from wavefield.cubes.prepare import make_settings
-        from wavefield.cubes.workflow import Workflow
+        from wavefield.execution.workflow import Workflow
         from wavefield.explorer.learner import Learner
         from wavefield.measurement import Plan
+        from wavefield.pipeline.prepare import make_settings
 
         self._sizes = sizes
         try:

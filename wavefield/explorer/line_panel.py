@@ -4,8 +4,10 @@ import numpy as np
 from bokeh.layouts import column
 from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Range1d, Span
 
-from wavefield.explorer.fields import colour_map, palette, shown_as
-from wavefield.explorer.parts import (
+from wavefield.explorer.cube_record import Record
+from wavefield.explorer.map_fields import colour_map, palette, shown_as
+from wavefield.explorer.place import Place
+from wavefield.explorer.plot_parts import (
     BLUE,
     GREY,
     INK,
@@ -15,8 +17,6 @@ from wavefield.explorer.parts import (
     make_figure,
     number,
 )
-from wavefield.explorer.place import Place
-from wavefield.explorer.record import Record
 from wavefield.explorer.selections import interpolate, line_points, time_distance
 
 _STEPS = 400  # of the time-distance diagram, about the moment shown

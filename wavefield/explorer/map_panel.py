@@ -20,8 +20,10 @@ from bokeh.models import (
     ZoomOutTool,
 )
 
-from wavefield.explorer.fields import arrows, colour_limits, colour_map, palette, shown_as
-from wavefield.explorer.parts import (
+from wavefield.explorer.cube_record import Record
+from wavefield.explorer.map_fields import arrows, colour_limits, colour_map, palette, shown_as
+from wavefield.explorer.place import Place
+from wavefield.explorer.plot_parts import (
     GREY,
     INK,
     colour_bar,
@@ -32,8 +34,6 @@ from wavefield.explorer.parts import (
     make_figure,
     number,
 )
-from wavefield.explorer.place import Place
-from wavefield.explorer.record import Record
 from wavefield.figures.quality import KINDS, quality_kind
 from wavefield.figures.style import limit
 

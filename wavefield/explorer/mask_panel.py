@@ -10,7 +10,7 @@ from bokeh.models import Button, Div
 from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
-from wavefield.explorer.beside import Beside
+from wavefield.explorer.context import Beside
 from wavefield.series.masks import WATER
 
 Point = tuple[float, float]

@@ -12,11 +12,20 @@ from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Select, Span
 from numpy.typing import NDArray
 
 from wavefield.errors import StoreError
-from wavefield.explorer.derived import derived_series
-from wavefield.explorer.fields import DERIVED, readings, shown_as
-from wavefield.explorer.parts import BLUE, INK, MOST_POINTS, VERMILION, band, envelope, make_figure, number
+from wavefield.explorer.cube_record import Record
+from wavefield.explorer.derived_series import derived_series
+from wavefield.explorer.map_fields import DERIVED, readings, shown_as
 from wavefield.explorer.place import Place
-from wavefield.explorer.record import Record
+from wavefield.explorer.plot_parts import (
+    BLUE,
+    INK,
+    MOST_POINTS,
+    VERMILION,
+    band,
+    envelope,
+    make_figure,
+    number,
+)
 from wavefield.explorer.selections import nearest, spectrum
 from wavefield.figures.quality import KINDS, quality_kind
 

@@ -38,9 +38,9 @@ def look(cube: Any, *, waves: str | Path | None = None, port: int | None = 0) ->
     wavefield.errors.StoreError: ...: no such store; make one with `wavefield run`
     """
     from wavefield.errors import StoreError
-    from wavefield.explorer.beside import find_beside
-    from wavefield.explorer.page import Looked
-    from wavefield.explorer.record import Record
+    from wavefield.explorer.context import find_beside
+    from wavefield.explorer.cube_record import Record
+    from wavefield.explorer.look_page import Looked
     from wavefield.explorer.server import Served, look_server
 
     path = cube if isinstance(cube, str | Path) else getattr(cube, "encoding", {}).get("source")

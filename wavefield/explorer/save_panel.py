@@ -3,8 +3,8 @@
 from bokeh.layouts import column
 from bokeh.models import Div, Spinner
 
+from wavefield.explorer.cube_record import Record
 from wavefield.explorer.place import Place
-from wavefield.explorer.record import Record
 
 
 class SavePanel:

@@ -16,7 +16,7 @@ from tornado.ioloop import IOLoop
 from tornado.web import HTTPError, RequestHandler
 
 from wavefield.errors import WavefieldError
-from wavefield.explorer.page import Looked, Page
+from wavefield.explorer.look_page import Looked, Page
 from wavefield.explorer.place import Place
 from wavefield.explorer.save import FILES
 

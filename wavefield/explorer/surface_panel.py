@@ -7,10 +7,10 @@ import numpy as np
 from bokeh.models import ColumnDataSource, CustomJS, Label, LinearColorMapper
 from numpy.typing import NDArray
 
-from wavefield.explorer.fields import colour_map, palette, relief, shown_as
-from wavefield.explorer.parts import INK, colour_bar, make_figure, number
+from wavefield.explorer.cube_record import Record
+from wavefield.explorer.map_fields import colour_map, palette, relief, shown_as
 from wavefield.explorer.place import Place
-from wavefield.explorer.record import Record
+from wavefield.explorer.plot_parts import INK, colour_bar, make_figure, number
 from wavefield.figures.style import limit
 
 TURN, TILT = -0.7, 0.62  # radians, to begin with

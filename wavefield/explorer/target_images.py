@@ -28,7 +28,7 @@ class TargetImages:
     """Looks for the target in images of an experiment when they are asked for."""
 
     def __init__(self, experiment: Experiment) -> None:
-        from wavefield.series.targets import find_views
+        from wavefield.series.target_listing import find_views
 
         self._experiment = experiment
         self._found: dict[Path, FoundTarget] = {}

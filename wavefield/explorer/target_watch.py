@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wavefield.calibration.points import TargetPoints
 from wavefield.errors import CalibrationError, FrameError, WavefieldError
 from wavefield.series import Experiment
-from wavefield.series.parts import CalibrationSection
+from wavefield.series.experiment_parts import CalibrationSection
 
 _PAUSE = 1.0  # s
 _VIEWS = 3  # of each camera, before anything is solved for
@@ -49,7 +49,7 @@ class TargetWatch:
 
     def look(self) -> None:
         """Look at target images that are new."""
-        from wavefield.series.targets import find_views
+        from wavefield.series.target_listing import find_views
 
         try:
             views = find_views(self._experiment)

@@ -10,9 +10,9 @@ from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Range1d, Sele
 from numpy.typing import NDArray
 
 from wavefield import water
-from wavefield.explorer.beside import Beside, open_waves
-from wavefield.explorer.fields import palette
-from wavefield.explorer.parts import (
+from wavefield.explorer.context import Beside, open_waves
+from wavefield.explorer.map_fields import palette
+from wavefield.explorer.plot_parts import (
     BLUE,
     GREEN,
     INK,

@@ -5,10 +5,10 @@ Each takes plain xarray datasets (a cube, one step of it, a group of a wave stor
 """
 
 from wavefield.figures.distributions import distributions, error_distributions, error_maps
-from wavefield.figures.kinematics import balance_history, coherence_curves, kinematics_maps
+from wavefield.figures.kinematics_figures import balance_history, coherence_curves, kinematics_maps
 from wavefield.figures.nonlinear import bound_spectra, resonance_map
 from wavefield.figures.oceans import breaking_map, current_profile
-from wavefield.figures.paper import plane_coherence_maps, rest_distributions, vorticity_map
+from wavefield.figures.paper_figures import plane_coherence_maps, rest_distributions, vorticity_map
 from wavefield.figures.quality import (
     coverage_map,
     fault_history,
@@ -17,8 +17,8 @@ from wavefield.figures.quality import (
     quality_shares,
     uncertainty_maps,
 )
-from wavefield.figures.rig import camera_frames, method_diagram, rig_views
-from wavefield.figures.spectra import (
+from wavefield.figures.rig_figures import camera_frames, method_diagram, rig_views
+from wavefield.figures.spectra_figures import (
     bicoherence_map,
     directions,
     dispersion_ridge,
@@ -28,7 +28,7 @@ from wavefield.figures.spectra import (
     wavenumber_spectra,
     wavevector_map,
 )
-from wavefield.figures.surface import elevation_map, surface_3d, velocity_map
+from wavefield.figures.surface_figures import elevation_map, surface_3d, velocity_map
 from wavefield.figures.turbulence import (
     crest_curves,
     energy_bars,

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import tifffile
 
+from wavefield.atomic_write import ANY_FILE, whole
 from wavefield.errors import FrameError, StoreError
-from wavefield.images.davis import read_buffer
+from wavefield.images.davis_image import read_buffer
 from wavefield.images.dng import read_dng
 from wavefield.images.plain_tiff import read_plain_tiff
-from wavefield.whole_files import ANY_FILE, whole
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # what is wrong with a file is said here
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")

@@ -4,13 +4,13 @@ from wavefield.matching.correlate import correlate
 from wavefield.matching.displacement import Displacement, Reason
 from wavefield.matching.edges import Slopes, edge_slopes
 from wavefield.matching.gauss_newton import look_again, match, scores_at
+from wavefield.matching.matching_gain import footprint, raised, restoring, transfer_function, transfer_kernel
+from wavefield.matching.matching_settings import Settings
 from wavefield.matching.noise import along_each, around_holes, noise_of_scores
 from wavefield.matching.posterior import Modes
+from wavefield.matching.posterior_variance import Spread
 from wavefield.matching.prepared import Prepared, prepare
 from wavefield.matching.prior import Prior, believed, better_prior, first_prior
-from wavefield.matching.settings import Settings
-from wavefield.matching.spread import Spread
-from wavefield.matching.transfer import footprint, raised, restoring, transfer_function, transfer_kernel
 from wavefield.matching.uncertainty import std_from_influence
 
 __all__ = [

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from wavefield.compiled import compiled
+from wavefield.matching.block_lattice import block_weights
 from wavefield.matching.displacement import Displacement, Reason
-from wavefield.matching.kernels import BLOCK
-from wavefield.matching.lattice import block_weights
+from wavefield.matching.matching_kernels import BLOCK
+from wavefield.matching.matching_settings import Settings
 from wavefield.matching.prepared import Level
-from wavefield.matching.settings import Settings
 
 F = np.float32
 # `Reason` in numbers that the compiler knows

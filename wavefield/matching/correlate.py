@@ -10,10 +10,7 @@ import scipy.fft
 
 from wavefield.compiled import compiled
 from wavefield.matching.assess import assess
-from wavefield.matching.displacement import Displacement
-from wavefield.matching.gauss_newton import Initial, initial_fields, last_sums, prepared_pair
-from wavefield.matching.kernels import BLOCK, F, scratch, spline_image
-from wavefield.matching.lattice import (
+from wavefield.matching.block_lattice import (
     block_weights,
     filtered,
     replace_outliers,
@@ -21,8 +18,11 @@ from wavefield.matching.lattice import (
     smoothed,
     window_weights,
 )
+from wavefield.matching.displacement import Displacement
+from wavefield.matching.gauss_newton import Initial, initial_fields, last_sums, prepared_pair
+from wavefield.matching.matching_kernels import BLOCK, F, scratch, spline_image
+from wavefield.matching.matching_settings import Settings
 from wavefield.matching.prepared import Prepared
-from wavefield.matching.settings import Settings
 
 _STRIDE = 2  # blocks between correlation windows
 _REFINE = 4  # px: reach of the search once the images are deformed

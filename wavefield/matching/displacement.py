@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from wavefield.matching.lattice import sample
-from wavefield.matching.settings import Settings
+from wavefield.matching.block_lattice import sample
+from wavefield.matching.matching_settings import Settings
 from wavefield.matching.uncertainty import std_from_influence
 
 

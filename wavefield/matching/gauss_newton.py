@@ -8,17 +8,7 @@ import numpy as np
 
 from wavefield.errors import FrameError
 from wavefield.matching.assess import assess
-from wavefield.matching.displacement import Displacement, Reason
-from wavefield.matching.kernels import (
-    BLOCK,
-    F,
-    final_sums,
-    plain_sums,
-    robust_sums,
-    scratch,
-    unweighted_sums,
-)
-from wavefield.matching.lattice import (
+from wavefield.matching.block_lattice import (
     block_weights,
     filtered,
     replace_outliers,
@@ -32,9 +22,19 @@ from wavefield.matching.lattice import (
     trusted,
     window_weights,
 )
+from wavefield.matching.displacement import Displacement, Reason
+from wavefield.matching.matching_kernels import (
+    BLOCK,
+    F,
+    final_sums,
+    plain_sums,
+    robust_sums,
+    scratch,
+    unweighted_sums,
+)
+from wavefield.matching.matching_settings import Settings
 from wavefield.matching.prepared import Level, Prepared, depth, prepare
 from wavefield.matching.search import search
-from wavefield.matching.settings import Settings
 
 _RIDGE = 0.01  # of the mean trace of the windowed Hessians: keeps steps small where there is little to see
 _LONGEST_STEP = 1.5  # px

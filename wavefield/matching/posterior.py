@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from wavefield.compiled import compiled
 from wavefield.matching.cosines import Cosines, weigh
 from wavefield.matching.edges import REACH, Edge, Slopes
+from wavefield.matching.matching_gain import footprint
 from wavefield.matching.noise import CLUSTER, bare
 from wavefield.matching.prior import Prior, wavenumbers
-from wavefield.matching.transfer import footprint
 
 Float = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -51,8 +51,8 @@ class Modes:
         Spectrum and typical information.
     shape : tuple of int
         Lattice (ny, nx).
-    wanted : ndarray of bool, (ny, nx), optional
-        Blocks whose field is wanted; all if left out.
+    requested : ndarray of bool, (ny, nx), optional
+        Blocks whose field is requested; all if left out.
 
     Attributes
     ----------

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from wavefield.errors import FrameError
-from wavefield.matching.kernels import BLOCK, PAD, gradient_moments, scratch, strain_moments
+from wavefield.matching.matching_kernels import BLOCK, PAD, gradient_moments, scratch, strain_moments
+from wavefield.matching.matching_settings import Settings
 from wavefield.matching.normalize import Cells, share_of
-from wavefield.matching.settings import Settings
 
 _FILLED = 16.0  # px: masked pixels of an image that is not normalised get the mean of so wide surroundings
 _FLAT = 5  # px: side of the smallest patch at the image's largest value that counts as saturated

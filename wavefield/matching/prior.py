@@ -14,7 +14,7 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 
-from wavefield.matching.transfer import footprint
+from wavefield.matching.matching_gain import footprint
 
 Float = NDArray[np.floating[Any]]
 

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 
 from wavefield.compiled import compiled
-from wavefield.matching.kernels import BLOCK, shift_sums
-from wavefield.matching.lattice import F, filtered, replace_outliers, smoothed, window_weights
+from wavefield.matching.block_lattice import F, filtered, replace_outliers, smoothed, window_weights
+from wavefield.matching.matching_kernels import BLOCK, shift_sums
+from wavefield.matching.matching_settings import Settings
 from wavefield.matching.prepared import Level
-from wavefield.matching.settings import Settings
 
 njit = compiled(error_model="numpy")
 

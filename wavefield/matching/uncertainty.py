@@ -7,11 +7,11 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from wavefield.matching.kernels import BLOCK
-from wavefield.matching.lattice import BORDER, filtered
+from wavefield.matching.block_lattice import BORDER, filtered
+from wavefield.matching.matching_gain import transfer_kernel
+from wavefield.matching.matching_kernels import BLOCK
+from wavefield.matching.matching_settings import Settings
 from wavefield.matching.noise import CLUSTER
-from wavefield.matching.settings import Settings
-from wavefield.matching.transfer import transfer_kernel
 
 
 @lru_cache(maxsize=32)

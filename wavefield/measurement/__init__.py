@@ -1,12 +1,12 @@
 """From frames to z, z_t, u, v, w with their errors, at the nodes of one grid. Arrays in, arrays out."""
 
 from wavefield.measurement.diagnostics import Diagnosis, diagnose, pooled
-from wavefield.measurement.gain import gains
 from wavefield.measurement.learn import learn, sample_steps
+from wavefield.measurement.learned_record import Record
 from wavefield.measurement.measure import measure
+from wavefield.measurement.measurement_settings import Settings
 from wavefield.measurement.plan import Plan
-from wavefield.measurement.record import Record
-from wavefield.measurement.settings import Settings
+from wavefield.measurement.response import gains
 
 __all__ = [
     "Diagnosis",

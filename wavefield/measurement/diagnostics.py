@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching.one_thread import one_thread
-from wavefield.measurement import surface as stereo
+from wavefield.measurement import pair_surface as stereo
 from wavefield.measurement.elevation import surface, windowed
 from wavefield.measurement.flow import flows
-from wavefield.measurement.gain import in_focus, shortest_carried
 from wavefield.measurement.instant import Images, images_of
 from wavefield.measurement.learn import learn
 from wavefield.measurement.plan import Plan
+from wavefield.measurement.response import in_focus, shortest_carried
 from wavefield.measurement.velocity import velocity
 from wavefield.variables import Quality
 

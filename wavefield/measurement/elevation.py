@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.matching import Modes
-from wavefield.measurement.contradiction import pairs_apart, scores_apart
+from wavefield.measurement.camera_jitter import of_elevation
+from wavefield.measurement.outlier_detection import pairs_apart, scores_apart
+from wavefield.measurement.pair_surface import PairMatch, match_pair
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.regrid import coefficients, push_pull, read_surface
-from wavefield.measurement.surface import PairMatch, match_pair
-from wavefield.measurement.trembling import of_elevation
 from wavefield.variables import Quality
 
 Float = NDArray[Any]

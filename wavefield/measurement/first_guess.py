@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.measurement.settings import Settings
+from wavefield.measurement.measurement_settings import Settings
 
 TILE = 64  # px: side of the pieces that are looked for
 REACH = 256  # px: how far

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.measurement.first_guess import shifts
+from wavefield.measurement.measurement_settings import Settings
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.rectify import rectify
-from wavefield.measurement.settings import Settings
 
 _COARSE = 2  # px averaged along each side: what the cameras see differently of a bead matters less
 _PIECE = 48  # px of these: side of the pieces that are looked for

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.matching import Modes
 from wavefield.measurement.elevation import MAX_LOOKS, Progress
+from wavefield.measurement.pair_surface import why_rejected
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.regrid import push_pull
-from wavefield.measurement.surface import why_rejected
 
 Float = NDArray[Any]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
 from wavefield.images import made_even
-from wavefield.measurement.floor import above_floor, bead_width
+from wavefield.measurement.background import above_floor, bead_width
 from wavefield.measurement.rectify import bin_pixels
 
 _KNEE = 0.5  # of the contrast: darker than this above the background, the logarithm is nearly a line

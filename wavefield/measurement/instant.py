@@ -9,10 +9,10 @@ from typing import Any
 from numpy.typing import NDArray
 
 from wavefield import matching
-from wavefield.measurement import surface as stereo
-from wavefield.measurement.covered import Covered, Masks, covered_in
+from wavefield.measurement import pair_surface as stereo
 from wavefield.measurement.elevation import Surface, surface
 from wavefield.measurement.frame import IN_TIME, ready, sharpened, usable
+from wavefield.measurement.masked import Covered, Masks, covered_in
 from wavefield.measurement.plan import Plan
 
 Frames = Mapping[str, NDArray[Any] | None]

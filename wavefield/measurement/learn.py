@@ -14,20 +14,20 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.images import made_even
 from wavefield.matching import Modes, Prior
-from wavefield.matching.kernels import BLOCK
+from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.one_thread import one_thread
 from wavefield.matching.prior import FIRST_SIGNAL_TO_NOISE, OPEN_SIGNAL_TO_NOISE
 from wavefield.measurement import elevation, flow
-from wavefield.measurement.covered import Masks, bare_of_camera, bare_of_pairs
+from wavefield.measurement.background import bead_width
 from wavefield.measurement.differences import Differences, differences, typical
-from wavefield.measurement.floor import bead_width
 from wavefield.measurement.frame import usable
 from wavefield.measurement.instant import Images, images_of
+from wavefield.measurement.learned_record import Record
+from wavefield.measurement.masked import Masks, bare_of_camera, bare_of_pairs
+from wavefield.measurement.pair_surface import PairMatch
 from wavefield.measurement.paths import noise_weights
 from wavefield.measurement.plan import Plan
-from wavefield.measurement.record import Record
-from wavefield.measurement.surface import PairMatch
-from wavefield.measurement.unresolved import Unresolved, unresolved
+from wavefield.measurement.temporal_truncation import Unresolved, unresolved
 
 Frames = Mapping[str, NDArray[Any] | None]
 Float = NDArray[Any]

@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching.one_thread import one_thread
-from wavefield.measurement.covered import masked_nodes
+from wavefield.measurement.bead_tilt import swing
+from wavefield.measurement.camera_jitter import motion_for, unsteady
 from wavefield.measurement.elevation import Surface
 from wavefield.measurement.flow import Flows, flows
 from wavefield.measurement.instant import Instant, look
 from wavefield.measurement.learn import learn, sample_steps
+from wavefield.measurement.masked import masked_nodes
 from wavefield.measurement.midtime import MidTime, at_mid_time, frames_used, slope
 from wavefield.measurement.plan import Plan
-from wavefield.measurement.standing import swing
-from wavefield.measurement.trembling import motion_for, unsteady
-from wavefield.measurement.unresolved import Unresolved, typical
+from wavefield.measurement.temporal_truncation import Unresolved, typical
 from wavefield.measurement.velocity import Motion, motion_at, velocity
 from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality
 from wavefield.water import GRAVITY

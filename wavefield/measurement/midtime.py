@@ -83,7 +83,7 @@ def at_mid_time(surfaces: Surfaces, moved: Motion, x: Float, y: Float) -> MidTim
 
 
 def slope(z: Float, step: float, axis: int) -> Float:
-    """Slope along an axis, by the differences of `wavefield.waves.kinematics.slopes`."""
+    """Slope along an axis, by the differences of `wavefield.waves.nonlinear.kinematics.slopes`."""
     out: Float = np.gradient(z, step, axis=axis, edge_order=2)
     for reach, weights in ((2, (8, -1)), (3, (45, -9, 1))):
         rows = z.shape[axis] - 2 * reach

@@ -17,14 +17,14 @@ from wavefield import matching
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.matching import Modes, Spread
-from wavefield.matching.kernels import BLOCK
+from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.prepared import Mask
-from wavefield.measurement.record import Record
+from wavefield.measurement.elevation_model import Sought
+from wavefield.measurement.learned_record import Record
+from wavefield.measurement.measurement_settings import Settings
 from wavefield.measurement.rectify import binned, sight_map
 from wavefield.measurement.regrid import Lattice
-from wavefield.measurement.settings import Settings
 from wavefield.measurement.sight import Sight
-from wavefield.measurement.sought import Sought
 from wavefield.rig import Camera, Rig
 from wavefield.rig.pairs import pairs_of
 from wavefield.rig.resolution import pixel_at, pixel_sides

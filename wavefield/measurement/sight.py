@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching import Modes, Prior, Slopes, Spread
-from wavefield.matching.kernels import BLOCK
+from wavefield.matching.matching_kernels import BLOCK
+from wavefield.measurement.elevation_model import Sought
 from wavefield.measurement.regrid import Lattice
-from wavefield.measurement.sought import Sought
 from wavefield.rig import Camera
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import CalibrationError
-from wavefield.measurement import surface
+from wavefield.measurement import pair_surface
 from wavefield.measurement.frame import ready, usable
 from wavefield.measurement.plan import Plan
 
@@ -32,13 +32,13 @@ def matched_pixels(
         images = {name: read(name, index) for name in plan.surface_cameras}
         if all(usable(image, rig[name].size) for name, image in images.items()):
             flat = {
-                name: surface.prepare(ready(np.asarray(image), plan.binning[name]), name, plan)
+                name: pair_surface.prepare(ready(np.asarray(image), plan.binning[name]), name, plan)
                 for name, image in images.items()
             }
             valid = np.zeros(x.shape, bool)
             found = {}
             for a, b in plan.pairs:
-                match = surface.match_pair(flat[a], flat[b], (a, b), plan)
+                match = pair_surface.match_pair(flat[a], flat[b], (a, b), plan)
                 dx, dy = (np.where(match.matched, d, np.nan)[cells] for d in match.difference)
                 found[b] = np.stack(rig[b].project(x + dx, y + dy, 0.0), axis=-1)
                 valid |= match.matched[cells]

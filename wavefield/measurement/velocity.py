@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.measurement.contradiction import MISFIT, NODE, median_misfit, regions, who_lies
+from wavefield.measurement.camera_jitter import left_over, line_of, of_the_water
 from wavefield.measurement.flow import Flow, Flows
+from wavefield.measurement.outlier_detection import MISFIT, NODE, median_misfit, regions, who_lies
 from wavefield.measurement.paths import five, noise_weights, read_path
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.sight import Sight
-from wavefield.measurement.trembling import left_over, line_of, of_the_water
 from wavefield.rig.stereo import solve_displacement
 from wavefield.variables import Quality
 
@@ -293,7 +293,7 @@ def _solved(seen: Seen, plan: Plan, unsteady: float = 0.0) -> Motion:
 
 
 def shares(plan: Plan) -> Sequence[float] | Float:
-    """Variance of u, v and w where the prior takes from waves, in proportion: of water, or in a light sheet."""
+    """Relative variances of u, v, w by what the prior removes from waves: of water, or in a light sheet."""
     assert plan.record is not None
     return _SHORT_WAVES if plan.settings.sheet_thickness is None else np.square(plan.record.moved)
 

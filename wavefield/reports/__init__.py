@@ -5,16 +5,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from wavefield.reports.accuracy import errors_against
+    from wavefield.reports.compose import report, write_report
     from wavefield.reports.sources import Sources, gather
-    from wavefield.reports.write import report, write_report
 
 # name -> where it lives; imported on first use: a page of a calibration needs nothing of the waves
 _PUBLIC = {
     "Sources": "sources",
     "errors_against": "accuracy",
     "gather": "sources",
-    "report": "write",
-    "write_report": "write",
+    "report": "compose",
+    "write_report": "compose",
 }
 
 __all__ = ["Sources", "errors_against", "gather", "report", "write_report"]

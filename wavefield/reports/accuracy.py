@@ -9,10 +9,10 @@ from wavefield import figures
 from wavefield.errors import ExperimentError
 from wavefield.measurement import Plan, Settings
 from wavefield.measurement.diagnostics import diagnose_around
-from wavefield.reports.page import Picture, Section, Table, Text
+from wavefield.reports.html_page import Picture, Section, Table, Text
+from wavefield.reports.number_text import number, rms_of
 from wavefield.reports.pair_pictures import pair_differences, pair_misfits
 from wavefield.reports.sources import Sources
-from wavefield.reports.words import number, rms_of
 from wavefield.rig.resolution import pixel_size
 from wavefield.series.masks import covered_series, footprints
 

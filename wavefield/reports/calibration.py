@@ -9,11 +9,11 @@ import numpy as np
 import yaml
 from matplotlib.figure import Figure
 
+from wavefield.atomic_write import PAGE, Product, marked, whole, write_text
 from wavefield.calibration.numbers import FlatSurface, numbers
 from wavefield.calibration.result import Calibration
 from wavefield.reports import calibration_pictures as pictures
 from wavefield.reports.calibration_page import Drawn, calibration_page
-from wavefield.whole_files import PAGE, Product, marked, whole, write_text
 
 NUMBERS = Product("the numbers of a calibration", marked(b"\nproblems:", start=b"usable: "))
 _marked = marked(b"Software\0wavefield", start=b"\x89PNG")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from wavefield.reports.page import Head, Listing, Picture, Section, Table, Text, render
+from wavefield.reports.html_page import Head, Listing, Picture, Section, Table, Text, render
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 
 from wavefield import figures
-from wavefield.reports.page import Listing, Picture, Section, Table, Text
+from wavefield.reports.html_page import Listing, Picture, Section, Table, Text
+from wavefield.reports.number_text import number, rms_of, without_folders
 from wavefield.reports.sources import Sources
-from wavefield.reports.words import number, rms_of, without_folders
 from wavefield.rig.pairs import pairs_of
 from wavefield.variables import FrameStatus, Quality
 

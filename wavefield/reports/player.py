@@ -12,7 +12,7 @@ from matplotlib import colormaps
 from wavefield.figures.quality import KINDS, quality_kind
 from wavefield.figures.style import POSITIVE, SIGNED, limit
 from wavefield.variables import TABLE
-from wavefield.waves.kinematics import kinematics
+from wavefield.waves.nonlinear.kinematics import kinematics
 
 _MOST_NODES = 8_000  # per field: more is not seen on a screen
 _MOST_BYTES = 5_500_000  # of packed fields: leaves room for the figures in 15 MB

@@ -14,7 +14,7 @@ from wavefield.errors import StoreError, WavefieldError
 from wavefield.grid import Grid
 from wavefield.rig import Camera, Rig
 from wavefield.series import Experiment, FrameSeries
-from wavefield.store.waves import open_waves
+from wavefield.store.wave_store import open_waves
 from wavefield.variables import CUBE_FIELDS
 
 _MOST_VALUES = 8_000_000  # per variable, for distributions: a few seconds and 64 MB
@@ -159,7 +159,7 @@ def gather(
     StoreError
         If the cube cannot be read.
     """
-    from wavefield.cubes import open_cube, status
+    from wavefield.pipeline import open_cube, status
 
     cube = open_cube(store)[[*CUBE_FIELDS, "frame_status"]]
     kept = {*cube.dims, "path_frames"}

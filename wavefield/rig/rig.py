@@ -9,9 +9,9 @@ import numpy as np
 import yaml
 from numpy.typing import ArrayLike
 
+from wavefield.atomic_write import RIG, write_text
 from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
-from wavefield.whole_files import RIG, write_text
 
 UNITS = {"length": "m", "image": "px", "angle": "rad"}
 

@@ -120,7 +120,7 @@ class ExperimentBackend(BackendEntrypoint):
         drop_variables: str | Iterable[str] | None = None,
         folder: str | None = None,
     ) -> xr.DataTree:
-        """Open all cameras as a tree: ``/cam1``, ``/cam2`` and so on, each with ``image(time, row, column)``."""
+        """Open all cameras as a tree: ``/cam1``, ``/cam2``, ..., each with ``image(time, row, column)``."""
         groups = self.open_groups_as_dict(filename_or_obj, drop_variables=drop_variables, folder=folder)
         return xr.DataTree.from_dict(groups)
 

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
+from wavefield.config_files import Section, load, read_yaml
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field
 from wavefield.rig.formats import load_rig
-from wavefield.rig.level import with_water_level
-from wavefield.sections import Section, load, read_yaml
+from wavefield.rig.water_level import with_water_level
 from wavefield.series import masks
 from wavefield.series.clocks import (
     RECORDED,
@@ -24,9 +24,7 @@ from wavefield.series.clocks import (
     read_time_stamps,
     recorded_times,
 )
-from wavefield.series.frames import FrameSeries
-from wavefield.series.listing import Numbered, make_series, number_frames
-from wavefield.series.parts import (
+from wavefield.series.experiment_parts import (
     CalibrationSection,
     CameraSection,
     FramesSection,
@@ -36,6 +34,8 @@ from wavefield.series.parts import (
     VelocitySection,
     WaterSection,
 )
+from wavefield.series.frames import FrameSeries
+from wavefield.series.listing import Numbered, make_series, number_frames
 from wavefield.series.rates import one_rate, recorded_rates
 
 
@@ -310,7 +310,7 @@ class Experiment(Section):
         if self.probes is None:
             return None
         from wavefield.waves import read_probes
-        from wavefield.waves.probes import Columns
+        from wavefield.waves.probes.probe_files import Columns
 
         section = self.probes
         columns = Columns(section.time, section.columns) if section.columns else None

@@ -6,11 +6,11 @@ from typing import Any
 
 import yaml
 
+from wavefield.atomic_write import ANY_FILE, whole
+from wavefield.config_files import make, read_yaml
 from wavefield.errors import ExperimentError
-from wavefield.sections import make, read_yaml
 from wavefield.series.experiment import Experiment
 from wavefield.series.masks import MaskSection, normalized
-from wavefield.whole_files import ANY_FILE, whole
 
 Point = tuple[float, float]
 

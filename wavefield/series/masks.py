@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from wavefield.config_files import Section
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.rig import Camera, Rig
-from wavefield.sections import Section
 from wavefield.series.camera_mask import CameraMask, Outline
 from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import number_frames

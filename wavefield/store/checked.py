@@ -11,10 +11,10 @@ from typing import Any
 
 from zarr.storage import LocalStore
 
+from wavefield.atomic_write import Product, marked, write_text
 from wavefield.errors import StoreError
-from wavefield.store.beside import beside
 from wavefield.store.layout import WATCHED
-from wavefield.whole_files import Product, marked, write_text
+from wavefield.store.store_paths import beside
 
 NOTE = Product("a list of damaged blocks", marked(start=b'{"damaged blocks begin at steps": ['))
 

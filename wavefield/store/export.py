@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wavefield.atomic_write import Product, check_writable, files_named, marked, whole, write_text
 from wavefield.errors import StoreError
 from wavefield.store.ledger import unfinished_note
 from wavefield.store.read import cube_recipe, open_cube
 from wavefield.variables import TABLE
-from wavefield.whole_files import Product, check_writable, files_named, marked, whole, write_text
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -95,7 +95,7 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
     >>> import xarray as xr
     >>> from wavefield.store.layout import Layout, create_store
     >>> from wavefield.store.recipe import Recipe
-    >>> from wavefield.store.write import write_block
+    >>> from wavefield.store.write_cube import write_block
     >>> from wavefield.variables import CUBE_FIELDS, FrameStatus
     >>> recipe, layout = Recipe("basin", {}, (0, 2), 20.0, {}, {}, {}), Layout(2, 2, ("left", "right"), 0)
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -149,14 +149,14 @@ def _netcdf(cube: "xr.Dataset", path: Path) -> None:
 
 
 def _matlab(cube: "xr.Dataset", path: Path) -> None:
-    from wavefield.store.matlab import write_matlab
+    from wavefield.store.export_matlab import write_matlab
 
     with whole(path, PRODUCTS["matlab"]) as draft:
         write_matlab(cube, _by_steps(cube), draft)
 
 
 def _paraview(cube: "xr.Dataset", path: Path) -> None:
-    from wavefield.store.paraview import write_paraview
+    from wavefield.store.export_paraview import write_paraview
 
     folder = path.with_name(f"{path.stem}_steps")
     with whole(folder, _STEPS) as draft:
@@ -172,7 +172,7 @@ def _vtkhdf(cube: "xr.Dataset", path: Path) -> None:
 
 
 def _uvmat(cube: "xr.Dataset", path: Path) -> None:
-    from wavefield.store.uvmat import write_uvmat
+    from wavefield.store.export_uvmat import write_uvmat
 
     dt = 1.0 / float(cube_recipe(cube)["frame_rate"])
     with whole(path, PRODUCTS["uvmat"]) as draft:

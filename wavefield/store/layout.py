@@ -10,10 +10,10 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
 
+from wavefield.atomic_write import Product, whole
 from wavefield.store.metadata import keep_metadata
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, Variable, find, register
-from wavefield.whole_files import Product, whole
 
 # variables whose blocks have a checksum; those after frame_fault since the ledger has one
 WATCHED = (*CUBE_FIELDS, "frame_fault", "camera_shift", "frame_status")

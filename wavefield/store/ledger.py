@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from wavefield.errors import StoreError
-from wavefield.store.beside import beside
 from wavefield.store.blocks import check_blocks, read_blocks
 from wavefield.store.metadata import is_complete
 from wavefield.store.read import open_group, read_layout
+from wavefield.store.store_paths import beside
 from wavefield.store.verdict import Verdict, read_verdict
+from wavefield.text import spell_ranges
 from wavefield.variables import FrameFault, FrameStatus
-from wavefield.words import spell_ranges
 
 _LEDGER = ("failed steps", "bad frames")  # remarks that the ledger's own lines say
 _WORDS = {

@@ -7,9 +7,9 @@ coordinates, the table of the gain) is small, and is kept a second time in ``che
 import zipfile
 from pathlib import Path
 
+from wavefield.atomic_write import ANY_FILE, file_names, make_durable, whole
 from wavefield.errors import StoreError
 from wavefield.variables import CUBE_FIELDS
-from wavefield.whole_files import ANY_FILE, file_names, make_durable, whole
 
 ARCHIVE = "checksum/metadata.zip"
 _COMPLETE = "checksum/complete"  # checksum of the ledger of a run that has ended

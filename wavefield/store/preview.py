@@ -17,11 +17,11 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
+from wavefield.atomic_write import Product, whole, write_error, zarr_store
 from wavefield.errors import StoreError
 from wavefield.store.layout import COMPRESSION, MISSING, PACKING, Layout
 from wavefield.store.read import measured_rate, read_layout
 from wavefield.variables import CUBE_FIELDS, TABLE
-from wavefield.whole_files import Product, whole, write_error, zarr_store
 
 _NODES = 2000  # of a preview: every fourth of 150 x 200, either way
 _VALUES = 32_000_000  # of one variable: 64 MB; longer records are thinned more

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import zarr
 
+from wavefield.atomic_write import write_error
 from wavefield.store.layout import PACKING, gather_metadata
 from wavefield.store.metadata import ARCHIVE, keep_metadata
 from wavefield.store.read import measured_rate, open_group
 from wavefield.store.recipe import Recipe, differences
 from wavefield.variables import CUBE_FIELDS, TABLE
-from wavefield.whole_files import write_error
 
 RATES = tuple(name for name in CUBE_FIELDS if TABLE[name].units == "m s-1")
 

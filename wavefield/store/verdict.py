@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from wavefield.atomic_write import Product, marked, write_text
 from wavefield.errors import StoreError
-from wavefield.store.beside import beside
-from wavefield.whole_files import Product, marked, write_text
+from wavefield.store.store_paths import beside
 
 Weight = Literal["note", "remark", "grave"]
 Numbers = Mapping[str, Mapping[str, list[float]]]

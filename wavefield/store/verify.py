@@ -14,8 +14,8 @@ from wavefield.store.checked import checksum, note_damaged, noted_damaged, store
 from wavefield.store.layout import WATCHED
 from wavefield.store.metadata import is_as_completed
 from wavefield.store.read import open_group, read_layout
+from wavefield.text import spell_ranges
 from wavefield.variables import FrameStatus
-from wavefield.words import spell_ranges
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def verify(
     >>> from wavefield.store.checked import chunk_path
     >>> from wavefield.store.layout import Layout, create_store
     >>> from wavefield.store.recipe import Recipe
-    >>> from wavefield.store.write import write_block
+    >>> from wavefield.store.write_cube import write_block
     >>> from wavefield.variables import CUBE_FIELDS
     >>> recipe, layout = Recipe("basin", {}, (0, 2), 20.0, {}, {}, {}), Layout(2, 2, ("left", "right"), 0)
     >>> with tempfile.TemporaryDirectory() as folder:

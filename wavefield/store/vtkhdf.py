@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavefield.store.paraview import points_and_fields
+from wavefield.store.export_paraview import points_and_fields
 
 _QUAD = 9  # VTK_QUAD
 _CHUNK = 1 << 14  # values of a list whose length is not known before
@@ -27,7 +27,8 @@ _OFFSETS = ("PartOffsets", "CellOffsets", "ConnectivityIdOffsets")
 def write_vtkhdf(cube: xr.Dataset, blocks: Iterator[xr.Dataset], path: Path) -> None:
     """Write a cube as VTKHDF, a few steps at a time.
 
-    Points and fields as in a ``.pvd`` (`wavefield.store.paraview`), one step behind the other. Cells lie
+    Points and fields as in a ``.pvd`` (`wavefield.store.export_paraview`), one step behind the other. Cells
+    lie
     between four nodes that all have an elevation; they are stored once, and again only where they change.
     """
     x, y = np.meshgrid(np.asarray(cube.x), np.asarray(cube.y))

@@ -5,9 +5,9 @@ from wavefield.tank.beads import carry
 from wavefield.tank.rigs import paper_rig
 from wavefield.tank.scene import Scene
 from wavefield.tank.sea import Sea
-from wavefield.tank.simulate import simulate
 from wavefield.tank.tank import Tank, render
 from wavefield.tank.truth import Truth, displacement, truth
+from wavefield.tank.write_experiment import simulate
 
 __all__ = [
     "Basin",

@@ -7,12 +7,12 @@ from typing import Annotated, Any, cast
 import yaml
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from wavefield.config_files import make, read_yaml
 from wavefield.errors import ExperimentError
 from wavefield.grid import Grid
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field
-from wavefield.sections import make, read_yaml
-from wavefield.tank.parts import (
+from wavefield.tank.scene_parts import (
     Beads,
     Calibration,
     Fault,

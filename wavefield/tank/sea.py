@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wavefield.compiled import compiled
-from wavefield.tank.bound import BoundWaves, bound_waves
+from wavefield.tank.bound_harmonics import BoundWaves, bound_waves
 from wavefield.water import GAMMA, dispersion
 
 Array = NDArray[np.float64]

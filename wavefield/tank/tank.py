@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from wavefield.rig import Camera, Rig
 from wavefield.tank import beads as floating
-from wavefield.tank import parts, rigs, sensor, sheet, targets, texture
+from wavefield.tank import light_sheet_scene, rendered_targets, rigs, scene_parts, sensor, texture
 from wavefield.tank.basin import Basin
 from wavefield.tank.scene import Scene
 from wavefield.tank.sea import Sea
@@ -21,7 +21,7 @@ from wavefield.tank.truth import Truth, truth
 
 Array = NDArray[np.float64]
 
-_SOUND = parts.Fault()
+_SOUND = scene_parts.Fault()
 
 
 class Tank:
@@ -46,7 +46,7 @@ class Tank:
         self.rig: Rig = scene.build_rig()
         self.sea: Sea = scene.build_sea()
         reach = max(self.sea.reach, 0.01)
-        margin = 0.01 if isinstance(scene.surface, parts.Sheet) else 0.05
+        margin = 0.01 if isinstance(scene.surface, scene_parts.Sheet) else 0.05
         self.x, self.y = rigs.bounds(self.rig, -reach, reach, margin)
         # what moves between two frames must stay inside the basin
         air = 0.15 + 2.0 * max(np.hypot(*self.sea.current) / scene.frame_rate, 0.0)
@@ -59,14 +59,14 @@ class Tank:
         return self.scene.start + frame / self.scene.frame_rate
 
     @cached_property
-    def population(self) -> floating.Population | sheet.Particles:
+    def population(self) -> floating.Population | light_sheet_scene.Particles:
         """The beads, or the particles of a light sheet."""
         settings = self.scene.surface
-        if isinstance(settings, parts.Sheet):
-            return sheet.Particles(
+        if isinstance(settings, scene_parts.Sheet):
+            return light_sheet_scene.Particles(
                 settings, self.x, self.y, len(self.rig), self.scene.frame_rate, self.scene.seed
             )
-        if not isinstance(settings, parts.Beads):
+        if not isinstance(settings, scene_parts.Beads):
             raise ValueError("this scene has a painted surface, no beads")
         rng = np.random.default_rng([self.scene.seed, 6])
         # holes where all cameras look, so that a scene has as many as it says
@@ -105,7 +105,7 @@ class Tank:
     @cached_property
     def _paint(self) -> texture.Paint:
         settings = self.scene.surface
-        assert isinstance(settings, parts.Texture)
+        assert isinstance(settings, scene_parts.Texture)
         mesh = settings.mesh or 1.5 * max(max(rigs.pixel_footprint(self.rig[name])) for name in self.rig)
         return texture.Paint(self.basin.x, self.basin.y, mesh, self.scene.seed)
 
@@ -121,9 +121,9 @@ class Tank:
         -------
         Truth
         """
-        if isinstance(self.scene.surface, parts.Sheet):
+        if isinstance(self.scene.surface, scene_parts.Sheet):
             particles = self.population
-            assert isinstance(particles, sheet.Particles)
+            assert isinstance(particles, light_sheet_scene.Particles)
             nodes = np.meshgrid(self.scene.grid.x_nodes, self.scene.grid.y_nodes)
             return particles.truth(nodes[0], nodes[1], self.time(step + 0.5))
         return truth(self.basin, self.scene.grid, self.time(step + 0.5), 1.0 / self.scene.frame_rate)
@@ -141,7 +141,7 @@ class Tank:
         float
             px: the blur and the bead's own size (variance of a disc: a quarter of its radius squared).
         """
-        size = 0.0 if isinstance(self.scene.surface, parts.Texture) else self.scene.surface.diameter
+        size = 0.0 if isinstance(self.scene.surface, scene_parts.Texture) else self.scene.surface.diameter
         pixel = float(np.sqrt(np.prod(rigs.pixel_footprint(camera))))
         return float(np.hypot(self.scene.light.blur, size / 4 / pixel))
 
@@ -163,7 +163,7 @@ class Tank:
         for name in self.rig if cameras is None else cameras:
             fault = self.scene.faults.get(name, _SOUND)
             taken, source = max(frame - fault.late, 0), fault.shows or name
-            if not isinstance(self.scene.surface, parts.Texture):
+            if not isinstance(self.scene.surface, scene_parts.Texture):
                 image = self._beads(self.population.frame(taken), taken, source, fault)
             else:
                 image = self._painted(taken, source, fault)
@@ -193,9 +193,9 @@ class Tank:
             for name in (self.rig if cameras is None else cameras)
         }
 
-    def _beads(self, beads: floating.Beads, frame: int, name: str, fault: parts.Fault) -> NDArray[Any]:
+    def _beads(self, beads: floating.Beads, frame: int, name: str, fault: scene_parts.Fault) -> NDArray[Any]:
         settings, camera = self.scene.surface, _shifted(self.rig[name], fault.shift)
-        assert not isinstance(settings, parts.Texture)
+        assert not isinstance(settings, scene_parts.Texture)
         if any(fault.turned) and frame >= fault.since:
             camera = _turned(camera, fault.turned)
         if fault.delay:
@@ -215,18 +215,22 @@ class Tank:
         return replace(beads, x=x, y=y, z=z)
 
     @cached_property
-    def target_poses(self) -> dict[str, targets.Pose]:
+    def target_poses(self) -> dict[str, rendered_targets.Pose]:
         """Poses of the target by name of the image: ``tilt_0``, ``tilt_1``, ..., ``flat``."""
         settings, grid = self.scene.calibration, self.scene.grid
-        tilted = targets.poses(settings.tilted, settings.tilt, grid.x, grid.y, self.scene.seed)
-        flat = targets.Pose(np.eye(3), np.array([0.0, 0.0, settings.level]))
+        tilted = rendered_targets.poses(settings.tilted, settings.tilt, grid.x, grid.y, self.scene.seed)
+        flat = rendered_targets.Pose(np.eye(3), np.array([0.0, 0.0, settings.level]))
         return {f"tilt_{i}": pose for i, pose in enumerate(tilted)} | {"flat": flat}
 
     @cached_property
     def target_offsets(self) -> Array | None:
         """Errors of the target's crossings, (n, n, 3), metres; None for other targets than strings."""
         target = self.scene.calibration.target
-        return targets.node_offsets(target, self.scene.seed) if isinstance(target, parts.Strings) else None
+        return (
+            rendered_targets.node_offsets(target, self.scene.seed)
+            if isinstance(target, scene_parts.Strings)
+            else None
+        )
 
     def target_image(self, name: str, camera: str) -> NDArray[Any]:
         """Image of the calibration target.
@@ -242,7 +246,7 @@ class Tank:
         -------
         ndarray, (row, column), uint8 or uint16
         """
-        image = targets.draw(
+        image = rendered_targets.draw(
             self.rig[camera],
             self.scene.calibration.target,
             self.target_poses[name],
@@ -251,9 +255,9 @@ class Tank:
         )
         return self._expose(image, camera, -1 - list(self.target_poses).index(name))
 
-    def _painted(self, frame: int, name: str, fault: parts.Fault) -> NDArray[Any]:
+    def _painted(self, frame: int, name: str, fault: scene_parts.Fault) -> NDArray[Any]:
         settings = self.scene.surface
-        assert isinstance(settings, parts.Texture)
+        assert isinstance(settings, scene_parts.Texture)
         snapshot = self.basin.snapshot(self.time(frame), ("z",))
         x, y = texture.cast(_shifted(self.rig[name], fault.shift), snapshot)
         if settings.carried and frame:

@@ -2,7 +2,7 @@
 
 from wavefield.variables.codes import FrameFault, FrameStatus, Quality
 from wavefield.variables.cube import AROUND, CUBE_FIELDS, PATH_WEIGHTS
-from wavefield.variables.spectra import (
+from wavefield.variables.spectra_table import (
     FIELD_TEXTS,
     FIELD_UNITS,
     K_UNITS,
@@ -12,7 +12,7 @@ from wavefield.variables.spectra import (
 )
 from wavefield.variables.table import CUBE_DIMS, TABLE, Variable, annotate, find, register, rows_of, validate
 from wavefield.variables.units import factor, product
-from wavefield.variables.waves import GROUPS
+from wavefield.variables.waves_table import GROUPS
 
 # isort: split
 import wavefield.variables.estimators  # noqa: F401  its rows join the table

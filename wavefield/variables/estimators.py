@@ -1,6 +1,6 @@
 """The variables of what the estimators of waves give in a notebook."""
 
-from wavefield.variables.spectra import HIGH, LOW, rows
+from wavefield.variables.spectra_table import HIGH, LOW, rows
 
 # ---- crests, troughs and errors of moments ----
 rows(

@@ -6,35 +6,11 @@ objects; lazy input gives lazy results, reduced in one pass over Welch segments.
 
 from wavefield.water import dispersion, group_velocity, wavenumber
 from wavefield.waves.analyze import analyze
-from wavefield.waves.bound import free_and_bound, free_and_bound_fields
-from wavefield.waves.breaking import breaking
-from wavefield.waves.budget import energy_budget
-from wavefield.waves.coherence import coherence
-from wavefield.waves.crests import crest_statistics
-from wavefield.waves.crosses import cross_spectra
-from wavefield.waves.direction import directions
-from wavefield.waves.directional import directional_spectrum
-from wavefield.waves.drift import stokes_drift, surface_paths
-from wavefield.waves.fuse import fuse
-from wavefield.waves.fusion import fusion
-from wavefield.waves.higher_order import HigherOrderSettings, higher_order
-from wavefield.waves.increments import structure_functions
-from wavefield.waves.kinematics import finite_residual, kinematics, kinematics_at
-from wavefield.waves.probes import probe_spectra, read_probes
-from wavefield.waves.record import Record, find_record, whole_record
-from wavefield.waves.resonances import ResonanceSettings, resonances
-from wavefield.waves.ridge import FitSettings, fit_dispersion
-from wavefield.waves.shear import ShearSettings, current_by_depth
-from wavefield.waves.spectra import (
-    angular_integral,
-    at_frequency,
-    frequency_spectrum,
-    komega,
-    spectrum,
-    total,
-)
-from wavefield.waves.statistics import statistics
-from wavefield.waves.transfer import (
+from wavefield.waves.dispersion_relation.current_by_depth import ShearSettings, current_by_depth
+from wavefield.waves.dispersion_relation.direction import directions
+from wavefield.waves.dispersion_relation.directional_spectrum import directional_spectrum
+from wavefield.waves.dispersion_relation.dispersion_fit import FitSettings, fit_dispersion
+from wavefield.waves.estimation.transfer_functions import (
     elevation_from_w,
     gain_box,
     gain_displacement,
@@ -43,9 +19,33 @@ from wavefield.waves.transfer import (
     gain_two_frames,
     undo,
 )
-from wavefield.waves.vortices import waves_and_vortices
-from wavefield.waves.wave_vectors import plane_coherence
-from wavefield.waves.window_gain import read_gain, window_gain
+from wavefield.waves.estimation.wave_record import Record, find_record, whole_record
+from wavefield.waves.estimation.window_gain import read_gain, window_gain
+from wavefield.waves.fused.fused_series import fuse
+from wavefield.waves.fused.fused_spectra import fusion
+from wavefield.waves.nonlinear.bound_waves import free_and_bound, free_and_bound_fields
+from wavefield.waves.nonlinear.coherence import coherence
+from wavefield.waves.nonlinear.higher_order import HigherOrderSettings, higher_order
+from wavefield.waves.nonlinear.kinematics import finite_residual, kinematics, kinematics_at
+from wavefield.waves.nonlinear.resonances import ResonanceSettings, resonances
+from wavefield.waves.nonlinear.wave_vectors import plane_coherence
+from wavefield.waves.probes.probe_files import probe_spectra, read_probes
+from wavefield.waves.spectra.cross_spectra import cross_spectra
+from wavefield.waves.spectra.field_spectra import (
+    angular_integral,
+    at_frequency,
+    frequency_spectrum,
+    komega,
+    spectrum,
+    total,
+)
+from wavefield.waves.surface.breaking import breaking
+from wavefield.waves.surface.crests import crest_statistics
+from wavefield.waves.surface.drift import stokes_drift, surface_paths
+from wavefield.waves.surface.energy_budget import energy_budget
+from wavefield.waves.surface.increments import structure_functions
+from wavefield.waves.surface.statistics import statistics
+from wavefield.waves.surface.vortices import waves_and_vortices
 
 __all__ = [
     "FitSettings",

@@ -22,39 +22,38 @@ import numpy as np
 import xarray as xr
 
 import wavefield
+from wavefield.atomic_write import check_writable, refuse_input
 from wavefield.errors import CubeError, StoreError
-from wavefield.store.waves import WAVES, write_waves
+from wavefield.store.wave_store import WAVES, write_waves
 from wavefield.variables import FIELD_TEXTS, FIELD_UNITS, TABLE, annotate, density_units, validate
 from wavefield.water import water_of
-from wavefield.waves import (
-    coherence,
-    crosses,
-    fusion,
-    kinematics,
-    nonlinear_ratio,
-    scatter,
-    segments,
-    spectra,
-    statistics,
-    transfer,
+from wavefield.waves.dispersion_relation.current_by_depth import current_by_depth
+from wavefield.waves.dispersion_relation.current_used import (
+    FITTED,
+    GIVEN,
+    NO_CURRENT,
+    CurrentUsed,
+    current_used,
 )
-from wavefield.waves.bound import free_and_bound
-from wavefield.waves.current_used import FITTED, GIVEN, NO_CURRENT, CurrentUsed, current_used
-from wavefield.waves.direction import direction_group
-from wavefield.waves.directional import from_density
-from wavefield.waves.enough import leave_out_unknown
-from wavefield.waves.higher_order import higher_order
-from wavefield.waves.mean_current import delayed_current
-from wavefield.waves.on_current import Moving
+from wavefield.waves.dispersion_relation.direction import direction_group
+from wavefield.waves.dispersion_relation.directional_spectrum import from_density
+from wavefield.waves.dispersion_relation.dispersion_fit import FitSettings, dispersion_group, fit_settings
+from wavefield.waves.dispersion_relation.doppler_correction import Moving
+from wavefield.waves.estimation import segment_variance, segments, transfer_functions
+from wavefield.waves.estimation.mean_current import delayed_current
+from wavefield.waves.estimation.record_limits import leave_out_unknown
+from wavefield.waves.estimation.wave_record import Each, Record, find_record
+from wavefield.waves.estimation.welch import Welch, frames_of, frames_of_z, moves_with_flow, omega_coords
+from wavefield.waves.estimation.window_gain import gain_of
+from wavefield.waves.fused import fused_spectra
+from wavefield.waves.nonlinear import coherence, kinematics, nonlinear_ratio
+from wavefield.waves.nonlinear.bound_waves import free_and_bound
+from wavefield.waves.nonlinear.higher_order import higher_order
+from wavefield.waves.nonlinear.resonances import resonances
 from wavefield.waves.onepass import FIELDS, MAPS, NAMES, PAIRS, Progress, Sums, one_pass
-from wavefield.waves.probes import probe_spectra, read_probes
-from wavefield.waves.record import Each, Record, find_record
-from wavefield.waves.resonances import resonances
-from wavefield.waves.ridge import FitSettings, dispersion_group, fit_settings
-from wavefield.waves.shear import current_by_depth
-from wavefield.waves.welch import Welch, frames_of, frames_of_z, moves_with_flow, omega_coords
-from wavefield.waves.window_gain import gain_of
-from wavefield.whole_files import check_writable, refuse_input
+from wavefield.waves.probes.probe_files import probe_spectra, read_probes
+from wavefield.waves.spectra import cross_spectra, field_spectra
+from wavefield.waves.surface import statistics
 
 MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz; 2.8 is the paper's
 _FEW = 7  # segments: with fewer, single cells say little
@@ -275,13 +274,13 @@ def _probes(job: _Job, welch: Welch, time: np.ndarray) -> xr.Dataset | None:
 def _groups(
     job: _Job, welch: Welch, sums: Sums, scale: dict[str, tuple[float, float]], notes: list[str]
 ) -> tuple[dict[str, xr.Dataset], list[_Subject]]:
-    ring = crosses.label(sums.rings, NAMES, PAIRS, welch)
+    ring = cross_spectra.label(sums.rings, NAMES, PAIRS, welch)
     density = {name: _density(sums.rings.pop(f"map {name}"), name, welch) for name in MAPS}
     # what rests on the sums alone; what takes longest comes first
     following = partial(dispersion_group, density["w"], welch.table.k, job.depth, job.gamma, job.fit)
     batch = [
         _Subject("dispersion", following),
-        _Subject("spectra", partial(crosses.by_field, ring, NAMES, job.gain)),
+        _Subject("spectra", partial(cross_spectra.by_field, ring, NAMES, job.gain)),
     ]
     if welch.count >= 4:
         alone = partial(higher_order, sums.points, welch.record.dt, welch.segment)
@@ -291,18 +290,22 @@ def _groups(
     notes.extend([note] if note else [])
     used = current_used(dispersion, job.current)
     moving = _moving(used, density["w"], sums.rings.pop("map z*w"), welch)
-    fused = fusion.from_spectra(ring, (job.depth, job.gamma), job.gain, moving).assign_attrs(used.attrs)
-    for method in fusion.METHODS:
+    fused = fused_spectra.from_spectra(ring, (job.depth, job.gamma), job.gain, moving).assign_attrs(
+        used.attrs
+    )
+    for method in fused_spectra.METHODS:
         fused[f"Ez_{method}"].attrs |= used.attrs
     chosen = _map_lines(welch.omega, job.maps)
     by_method = [
-        f"{name}_{method}" for method in fusion.METHODS for name in ("Ez", "dof", "low", "high", "valid")
+        f"{name}_{method}"
+        for method in fused_spectra.METHODS
+        for name in ("Ez", "dof", "low", "high", "valid")
     ]
     maps = {f"E_kxky_{name}": _map(density[name], chosen, name) for name in MAPS}
     spectra_group = early.pop("spectra").assign(fused[by_method].data_vars)
-    spectra_group = spectra_group.assign(transfer.gains(welch.omega, welch.record.dt, welch.frames)).assign(
-        maps
-    )
+    spectra_group = spectra_group.assign(
+        transfer_functions.gains(welch.omega, welch.record.dt, welch.frames)
+    ).assign(maps)
     moments = statistics.label(sums.survey, scale, welch.record.dt, job.pixel_size)
     moments = moments.assign(statistics.error_statistics(job.whole, welch.record, job.each).data_vars)
     wild = {str(q): int(n) for q, n in zip(moments["quantity"].values, moments["wild"].values) if n}
@@ -312,7 +315,7 @@ def _groups(
             f"Values beyond six standard deviations: {words}. A single wild value lifts the floor of its"
             " spectra: look at them before you trust what lies decades below the peak."
         )
-    alone_dof = scatter.cell_freedom(sums.rings, "w", welch)
+    alone_dof = segment_variance.cell_freedom(sums.rings, "w", welch)
     water = job.depth, job.gamma, alone_dof
     subjects = _currents(job, density, dispersion, used, moments, welch, alone_dof)
     seconds = sum(b - a for a, b in welch.record.runs) * welch.record.dt
@@ -376,7 +379,7 @@ def _moving(used: CurrentUsed, w: xr.DataArray, power: np.ndarray, welch: Welch)
     # what takes w to the elevation on the current; None on still water and where none is known
     if used.source == NO_CURRENT:
         return None
-    zw = xr.DataArray(spectra.density(power, welch), w.coords, w.dims)
+    zw = xr.DataArray(field_spectra.density(power, welch), w.coords, w.dims)
     return Moving(used.velocity, w, zw)
 
 
@@ -392,8 +395,8 @@ def _map(density: xr.DataArray, chosen: list[int], name: str) -> xr.DataArray:
 
 
 def _density(power: np.ndarray, name: str, welch: Welch) -> xr.DataArray:
-    values = xr.Variable(("omega", "ky", "kx"), spectra.density(power, welch))
-    return spectra.plane_density(values, FIELD_TEXTS[name], FIELD_UNITS[name], welch)["E"]
+    values = xr.Variable(("omega", "ky", "kx"), field_spectra.density(power, welch))
+    return field_spectra.plane_density(values, FIELD_TEXTS[name], FIELD_UNITS[name], welch)["E"]
 
 
 def _notes(welch: Welch, job: _Job) -> list[str]:

@@ -11,17 +11,21 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavefield.waves import coherence, crosses, fusion, kinematics, segments, statistics
-from wavefield.waves.record import Each
-from wavefield.waves.welch import Welch
+from wavefield.waves.estimation import segments
+from wavefield.waves.estimation.wave_record import Each
+from wavefield.waves.estimation.welch import Welch
+from wavefield.waves.fused import fused_spectra
+from wavefield.waves.nonlinear import coherence, kinematics
+from wavefield.waves.spectra import cross_spectra
+from wavefield.waves.surface import statistics
 
 Array = NDArray[Any]
 
 FIELDS = ("z", "z_t", "u", "v", "w")
 NAMES = ("z", "z_t", "rise", "u", "v", "w", "nl")
-PAIRS = (*coherence.PAIRS, *fusion.PAIRS)
+PAIRS = (*coherence.PAIRS, *fused_spectra.PAIRS)
 MAPS = ("z", "w")
-PLANES = (*MAPS, *fusion.PLANES)
+PLANES = (*MAPS, *fused_spectra.PLANES)
 _KINEMATIC_STEPS = 200  # steps at which the kinematic balance is drawn up
 _POINT_DISTANCE = 0.08  # m between the points of the higher-order spectra
 
@@ -61,11 +65,11 @@ class _Step:
             points = fields["w"][:, :: self.apart[0], :: self.apart[1]]
             state["points"] = [*state["points"], points.reshape(points.shape[0], -1).copy()]
         # transforms come last: the rest needs room too
-        half = crosses.transforms(fields, NAMES, self.welch, state.get("old"))
+        half = cross_spectra.transforms(fields, NAMES, self.welch, state.get("old"))
         if "half" in state:
             if state["sums"] is None:
-                state["sums"] = crosses.empty_sums(half["z"], NAMES, PAIRS, PLANES, self.welch.table)
-            crosses.add_segment(
+                state["sums"] = cross_spectra.empty_sums(half["z"], NAMES, PAIRS, PLANES, self.welch.table)
+            cross_spectra.add_segment(
                 state["sums"], state["half"], half, NAMES, PAIRS, PLANES, self.welch, a - self.welch.half
             )
         return state | {"half": half, "old": state.get("half")}

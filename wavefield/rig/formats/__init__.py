@@ -12,11 +12,11 @@ import yaml
 
 from wavefield.errors import RigError
 from wavefield.rig.formats.common import LENGTHS, Size, Stated
-from wavefield.rig.formats.davis import load_davis
+from wavefield.rig.formats.davis_rig import load_davis
 from wavefield.rig.formats.kalibr import is_kalibr, load_kalibr
-from wavefield.rig.formats.matlab import load_matlab
+from wavefield.rig.formats.matlab_rig import load_matlab
 from wavefield.rig.formats.opencv import load_opencv, save_opencv
-from wavefield.rig.formats.uvmat import load_uvmat, save_uvmat
+from wavefield.rig.formats.uvmat_rig import load_uvmat, save_uvmat
 from wavefield.rig.formats.vic import load_vic, save_vic
 from wavefield.rig.formats.wass import load_wass
 from wavefield.rig.rig import Rig, read_rig_text

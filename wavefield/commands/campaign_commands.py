@@ -1,0 +1,87 @@
+"""What commands do with a catalog: the same with each of its runs, one after the other."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from wavefield.errors import StoreError, WavefieldError
+
+ENTRIES = click.argument("entries", nargs=-1, metavar="[RUN]...")
+
+
+def named(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
+    """Values of a catalog's parameters, from words such as ``location=/disk2``."""
+    for value in values:
+        if "=" not in value:
+            raise click.BadParameter(f"{value!r}: write name=value")
+    return dict(value.split("=", 1) for value in values)
+
+
+PARAMETERS = click.option(
+    "-p",
+    "--parameter",
+    "parameters",
+    multiple=True,
+    callback=named,
+    help="name=value for a catalog's parameter.",
+)
+
+
+def is_campaign(source: Path, entries: Sequence[str], parameters: Mapping[str, str] | None = None) -> bool:
+    """Whether a command was given a catalog; runs of anything else are wrong use."""
+    from wavefield.pipeline import is_catalog
+
+    if source.is_file() and is_catalog(source):
+        return True
+    if entries or parameters:
+        raise click.UsageError(f"{source} is not a catalog: it has no runs and parameters")
+    return False
+
+
+def cubes_of(source: Path, entries: Sequence[str], parameters: Mapping[str, str]) -> list[tuple[str, Path]]:
+    """Names and newest cubes of a catalog's runs."""
+    from wavefield.pipeline.catalog import cube_of, runs_of
+
+    return [(run, cube_of(source, {"run": run, **parameters})) for run in runs_of(source, entries)]
+
+
+def one_cube(source: Path) -> Path:
+    """A cube given by itself."""
+    if not source.is_dir():
+        raise StoreError(f"{source} is neither a cube nor a catalog of `wavefield catalog add`")
+    return source
+
+
+def each(runs: Sequence[tuple[str, Any]], work: Callable[[str, Any], int], quiet: bool = False) -> int:
+    """Do something with every run, saying which; what fails with one does not keep the others.
+
+    With runs (str, any).
+    """
+    found = []
+    for number, (run, known) in enumerate(runs, 1):
+        if not quiet:
+            click.echo(f"{run} ({number} of {len(runs)})")
+        try:
+            found.append(work(run, known))
+        except WavefieldError as error:
+            click.echo(f"  {error}", err=True)
+            found.append(1)
+    return worst(found)
+
+
+def worst(statuses: Sequence[int]) -> int:
+    """The exit status of several: 1 before 3 before 0."""
+    return 1 if 1 in statuses else max(statuses, default=0)
+
+
+def with_cube(work: Callable[[Path], int]) -> Callable[[str, Path], int]:
+    """Work on a cube as `each` wants it; a run that has none yet says so."""
+
+    def checked(run: str, cube: Path) -> int:
+        if not cube.is_dir():
+            raise StoreError(f"{run} is not measured yet; `wavefield run CATALOG {run}` does it")
+        return work(cube)
+
+    return checked

@@ -1,0 +1,87 @@
+"""`wavefield rig level` and `sheet`: z = 0 brought to moving water, or to a light sheet, by its images."""
+
+from pathlib import Path
+
+import click
+
+from wavefield.commands.progress import Progress
+
+_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield rig level sea/experiment.yaml --rig stereo.yaml -o rig.yaml                 # the level alone
+  wavefield rig level sea/experiment.yaml --rig wass_config --distance 2.5 -o rig.yaml  # lenses known alone
+"""
+)
+@click.argument("experiment", type=_FILE)
+@click.option("--rig", type=click.Path(exists=True, path_type=Path), help="In place of the experiment's.")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="Rig to write."
+)
+@click.option(
+    "--distance",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Between two cameras, m: the second is placed anew by what both see.",
+)
+@click.option(
+    "--frames", default=20, show_default=True, type=click.IntRange(min=1), help="How many instants to use."
+)
+def level(experiment: Path, rig: Path | None, output: Path, distance: float | None, frames: int) -> None:
+    """Place and level cameras by moving water of natural texture, as at sea.
+
+    Features that the cameras share are triangulated at many instants; the plane through them becomes z = 0,
+    whatever frame the rig is in. For water at rest seeded with beads `wavefield refine` is the better way.
+    """
+    from wavefield.calibration.level_on_water import level_experiment
+
+    _check_output(output, experiment, rig)
+    with Progress("Matching the cameras", "instants") as progress:
+        found = level_experiment(experiment, rig, distance, frames, progress)
+    click.echo(found.sentence)
+    found.rig.save(output)
+    click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  wavefield rig sheet piv/experiment.yaml -o sheet.yaml                  # of the rig that it names
+  wavefield rig sheet piv/experiment.yaml --rig target.yaml -o sheet.yaml
+"""
+)
+@click.argument("experiment", type=_FILE)
+@click.option("--rig", type=click.Path(exists=True, path_type=Path), help="In place of the experiment's.")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="Rig to write."
+)
+@click.option(
+    "--frames", default=50, show_default=True, type=click.IntRange(min=1), help="How many instants to use."
+)
+def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
+    """Bring z = 0 to a light sheet, and mend a camera that has moved, from the particles themselves.
+
+    The cameras' images of one instant, dewarped to z = 0, are correlated; where they disagree, the sheet lies
+    beside the target's plane or a camera has moved. Says how thick the sheet is, too.
+    """
+    from wavefield.calibration.light_sheet import find_sheet
+
+    _check_output(output, experiment, rig)
+    with Progress("Correlating the cameras", "passes") as progress:
+        found = find_sheet(experiment, rig, frames, progress)
+    click.echo(found.sentence)
+    found.rig.save(output)
+    click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
+    if found.thickness > 0:
+        click.echo(f"Then: settings: {{preset: sheet, sheet_thickness: {found.thickness:.2g}}}")
+
+
+def _check_output(output: Path, experiment: Path, rig: Path | None) -> None:
+    """Refuse, before the work, to write over anything but another rig of this program."""
+    from wavefield.atomic_write import RIG, check_writable, refuse_input
+    from wavefield.series import Experiment
+
+    refuse_input(output, *([rig] if rig else Experiment.load(experiment).rig_paths))
+    check_writable(output, RIG)

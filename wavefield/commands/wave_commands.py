@@ -1,0 +1,197 @@
+"""`wavefield analyze`, `wavefield report` and `wavefield paper`: from a cube to waves and to pages."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from wavefield.commands import campaign_commands
+from wavefield.commands.progress import Progress
+from wavefield.store.store_paths import beside
+
+_STORE = click.Path(exists=True, file_okay=False, path_type=Path)
+_SOURCE = click.Path(exists=True, path_type=Path)
+
+
+@click.command(epilog="\b\nExample:\n  wavefield analyze cube.zarr      # writes waves.zarr beside it")
+@click.argument("source", metavar="CUBE|CATALOG", type=_SOURCE)
+@campaign_commands.ENTRIES
+@campaign_commands.PARAMETERS
+@click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), help="Wave store to write.")
+@click.option(
+    "--segment",
+    type=click.IntRange(min=8),
+    help="Steps per Welch segment; by default chosen from the record.",
+)
+@click.option(
+    "--probes",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="CSV of wave probes; by default those that the experiment file names.",
+)
+@click.option(
+    "--gain",
+    metavar="GAIN|theory|none",
+    help="What of short waves the measurement keeps, to be undone: by default as stored with the cube. A gain"
+    " measured on a simulated experiment, `theory` for what follows from the cube's recipe, or `none`.",
+)
+@click.option(
+    "--fit",
+    multiple=True,
+    metavar="NAME=VALUE",
+    callback=campaign_commands.named,
+    help="How the current is fitted: lowest=1.5, highest=4 (Hz; by default from the spectrum), or"
+    " current_x=0.1, current_y=0 (m/s), used where the fit is refused. May be repeated.",
+)
+@click.option(
+    "--workflow",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Where to compute: a file as in workflows/; by default the cores of this machine.",
+)
+@click.pass_context
+def analyze(
+    context: click.Context,
+    source: Path,
+    entries: tuple[str, ...],
+    parameters: dict[str, str],
+    output: Path | None,
+    segment: int | None,
+    probes: Path | None,
+    gain: str | None,
+    fit: dict[str, str],
+    workflow: Path | None,
+) -> None:
+    """Compute the waves of a cube: spectra, coherence, statistics.
+
+    Also dispersion, fusion of z and w, directions, bicoherence. Writes one Zarr store;
+    `xarray.open_datatree` reads it. Of a catalog, the waves of every run.
+    """
+    asked: dict[str, Any] = {"segment": segment, "probes": probes, "gain": gain, "fit": fit or None}
+
+    def work(cube: Path) -> int:
+        return _analyze(cube, output, workflow, asked)
+
+    if campaign_commands.is_campaign(source, entries, parameters):
+        if output:
+            raise click.UsageError("the waves of a campaign lie beside its cubes; leave out -o")
+        cubes = campaign_commands.cubes_of(source, entries, parameters)
+        found = campaign_commands.each(cubes, campaign_commands.with_cube(work))
+        click.echo(f"Next: wavefield report {source}")
+        context.exit(found)
+    found = work(campaign_commands.one_cube(source))
+    click.echo(f"Next: wavefield report {source}")
+    context.exit(found)
+
+
+def _analyze(store: Path, output: Path | None, workflow: Path | None, asked: dict[str, Any]) -> int:
+    from wavefield.pipeline import open_cube, predicted_gain
+    from wavefield.store.ledger import unfinished_note
+
+    note = unfinished_note(store)
+    if note:
+        click.echo(f"note: {note}", err=True)
+    output = output or beside(store, "waves", ".zarr")
+    known = asked["probes"] or _probes_of(store)
+    undone: Any = False if asked["gain"] == "none" else asked["gain"]
+    if undone == "theory":
+        undone = predicted_gain(open_cube(store))
+    with Progress(f"Analysing {store}") as progress:
+        asked = asked | {"probes": known, "gain": undone, "progress": progress}
+        if workflow:
+            from wavefield.pipeline import analyze_on_workers
+
+            analyze_on_workers(store, output, workflow, **asked)
+        else:
+            from wavefield.waves import analyze as analyze_cube
+
+            analyze_cube(store, output, **asked)
+    click.echo(f"Wrote {output}.")
+    return 3 if note else 0
+
+
+def _probes_of(store: Path) -> Any:
+    """Probes that the experiment of a cube names, if its file is still there."""
+    from wavefield.errors import ExperimentError
+    from wavefield.pipeline import open_cube
+    from wavefield.series import Experiment
+
+    try:
+        experiment = Experiment.load(str(open_cube(store).attrs.get("experiment_file", "")))
+    except ExperimentError:
+        return None
+    if not experiment.probes:
+        return None
+    path = experiment.resolve(experiment.probes.file)
+    if path.is_file():
+        return experiment.read_probes()
+    click.echo(
+        f"note: without the probes {path}, which {experiment.path} names: there is no such file", err=True
+    )
+    return None
+
+
+@click.command(epilog="\b\nExample:\n  wavefield report cube.zarr      # writes report.html beside it")
+@click.argument("source", metavar="CUBE|CATALOG", type=_SOURCE)
+@campaign_commands.ENTRIES
+@campaign_commands.PARAMETERS
+@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="HTML file to write.")
+@click.option(
+    "--waves",
+    type=_STORE,
+    help="Wave store; by default the one that `wavefield analyze` writes beside the cube.",
+)
+@click.pass_context
+def report(
+    context: click.Context,
+    source: Path,
+    entries: tuple[str, ...],
+    parameters: dict[str, str],
+    output: Path | None,
+    waves: Path | None,
+) -> None:
+    """Write the report of a cube as one HTML file that opens offline.
+
+    Of a catalog, the report of every run, and beside the catalog (or as -o says) one page that compares them.
+    """
+    from wavefield.reports.compose import report as write
+
+    def work(cube: Path, page: Path | None = None) -> int:
+        page = page or beside(cube, "report", ".html")
+        with Progress(f"Drawing {page}", "parts") as progress:
+            write(cube, page, waves=waves, progress=progress)
+        click.echo(f"Wrote {page}; open it in a browser.")
+        return 0
+
+    if not campaign_commands.is_campaign(source, entries, parameters):
+        context.exit(work(campaign_commands.one_cube(source), output))
+    if waves:
+        raise click.UsageError("the waves of a campaign lie beside its cubes; leave out --waves")
+    from wavefield.reports.campaign_page import Entry, compare
+
+    cubes = campaign_commands.cubes_of(source, entries, parameters)
+    found = campaign_commands.each(cubes, campaign_commands.with_cube(work))
+    page = compare(source.stem, [Entry(*one) for one in cubes], output or source.with_suffix(".html"))
+    click.echo(f"Wrote {page}, which compares {len(cubes)} runs; open it in a browser.")
+    context.exit(found)
+
+
+@click.command(
+    epilog="\b\nExample:\n  wavefield paper cube.zarr --rest rest.zarr      # writes paper.html beside it"
+)
+@click.argument("store", metavar="CUBE", type=_STORE)
+@click.option("--rest", type=_STORE, help="Cube of the water at rest, by the same cameras.")
+@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="HTML file to write.")
+@click.option(
+    "--waves", type=_STORE, help="Wave store; by default the one beside the cube, made if there is none."
+)
+def paper(store: Path, rest: Path | None, output: Path | None, waves: Path | None) -> None:
+    """Write the figures and numbers of the method's paper for a cube.
+
+    One HTML file: snapshot, distributions, spectra, nonlinear term and coherence, probes, water at rest, the
+    pairs of cameras over the whole record, and a table beside the paper's numbers.
+    """
+    from wavefield.reports.paper_page import paper as write
+
+    output = output or beside(store, "paper", ".html")
+    with Progress(f"Drawing {output}", "parts") as progress:
+        write(store, output, rest=rest, waves=waves, progress=progress)
+    click.echo(f"Wrote {output}; open it in a browser.")

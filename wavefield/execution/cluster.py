@@ -1,0 +1,71 @@
+"""Where blocks are measured: in this process, in others of this machine, or on a Dask cluster."""
+
+import os
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from wavefield.execution.pool import Pool
+from wavefield.execution.worker_settings import one_thread
+from wavefield.execution.workflow import Workflow
+
+_MOST_THREADS = 4  # of a run's own process
+
+Work = Callable[[Any], Any]
+MapUnordered = Callable[[Work, Sequence[Any]], Generator[tuple[Any, Any], None, None]]
+
+
+def count_workers(workflow: Workflow) -> int:
+    """Number of workers that a workflow asks for, at most."""
+    if workflow.cluster == "none":
+        return 1
+    if workflow.workers == "auto":
+        return _cores()
+    return workflow.workers if isinstance(workflow.workers, int) else workflow.workers.maximum
+
+
+def threads_here(workflow: Workflow) -> int:
+    """Threads that a run takes in its own process while its workers have nothing to do yet or any more."""
+    return min(count_workers(workflow), _cores(), _MOST_THREADS)
+
+
+def _cores() -> int:
+    """Of this machine, as far as this process may use them."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def open_cluster(
+    workflow: Workflow,
+    logs: Path | None = None,
+    ahead: bool = False,
+    lasting: bool = False,
+    forked: str = "wavefield.pipeline.worker_imports",
+) -> Iterator[MapUnordered]:
+    """Give a function that maps work over items on workers that come and go with it."""
+    count = count_workers(workflow)
+    watched = bool(workflow.dashboard or workflow.performance_report)
+    if workflow.cluster == "none" or (workflow.cluster == "local" and count == 1 and not watched):
+        yield _map_here
+    elif workflow.cluster == "local" and not watched:
+        with Pool(count, workflow.memory_bytes, lasting, forked) as pool:
+            if ahead:
+                pool.start()
+            yield pool.map_unordered
+    else:
+        from wavefield.execution.dask_cluster import open_dask_cluster
+
+        folder = logs or Path("wavefield.jobs").absolute()
+        with open_dask_cluster(workflow, count, folder, lasting) as map_unordered:
+            yield map_unordered
+
+
+def _map_here(work: Work, items: Sequence[Any]) -> Generator[tuple[Any, Any], None, None]:
+    with one_thread():
+        for item in items:
+            try:
+                result: Any = work(item)
+            except Exception as error:
+                result = error
+            yield item, result

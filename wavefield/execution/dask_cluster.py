@@ -1,0 +1,329 @@
+"""Workers of a Dask cluster: one that runs already, or one that comes and goes with the run."""
+
+import itertools
+import logging
+import queue
+import sys
+import uuid
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import wavefield
+from wavefield.errors import ExperimentError, StoreError, WavefieldError
+from wavefield.execution import slurm
+from wavefield.execution.dask_settings import (
+    configured,
+    dashboard_address,
+    dask_settings,
+    of_jobqueue,
+    temporary_credentials,
+    wants_tls,
+)
+from wavefield.execution.deferred_signals import undisturbed
+from wavefield.execution.pool import portable
+from wavefield.execution.slurm_queue import Watch
+from wavefield.execution.worker_settings import settle_worker
+from wavefield.execution.workflow import Workflow
+
+log = logging.getLogger("wavefield.run")
+Look = Callable[[], None]
+
+_SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
+_LOOK_AFTER = 2.0  # seconds without news after which the workers are looked after
+_HELD = 2  # tasks that the scheduler holds for each worker: one at work, one ready
+_MOST_TOGETHER = 8  # items in a task
+_TASKS_LEFT = 16  # for each worker: with fewer to come, tasks become smaller, so that all end together
+
+
+@dataclass(frozen=True)
+class Task:
+    """Work as it is sent to a worker: done only by the client's Python and version."""
+
+    work: Callable[[Any], Any]  # The work
+    python: tuple[int, ...]  # Major and minor version of the client's Python
+    version: str  # Of the client's wavefield
+
+    def __call__(self, items: Sequence[Any]) -> list[Any]:
+        """Do the work for some items."""
+        here, client = sys.version_info[:2], f"Python {_dotted(self.python)}, wavefield {self.version}"
+        if (here, wavefield.__version__) != (self.python, self.version):
+            raise ExperimentError(
+                f"the workers run Python {_dotted(here)}, wavefield {wavefield.__version__} "
+                f"({sys.executable}), but the run {client}: start both from one environment"
+            )
+        settle_worker()
+        out = []
+        for item in items:
+            try:
+                out.append(self.work(item))
+            except Exception as error:
+                return [*out, portable(error)]
+        return out
+
+
+def _dotted(version: tuple[int, ...]) -> str:
+    return ".".join(map(str, version))
+
+
+@contextmanager
+def open_dask_cluster(
+    workflow: Workflow, count: int, logs: Path, lasting: bool = False
+) -> Iterator[Callable[[Callable[[Any], Any], Sequence[Any]], Generator[tuple[Any, Any], None, None]]]:
+    """Give a function that maps work over items on a Dask cluster that it starts and ends."""
+    if workflow.cluster == "slurm" or of_jobqueue(workflow):
+        slurm.import_jobqueue()
+    started: list[tuple[Any, Look]] = []
+    with ExitStack() as stack:
+
+        def map_unordered(
+            work: Callable[[Any], Any], items: Sequence[Any]
+        ) -> Generator[tuple[Any, Any], None, None]:
+            # the workers end with their work, while the caller still guards the store
+            with nullcontext() if lasting else stack:
+                if not started:
+                    started.append(_start(workflow, count, logs, stack))
+                client, watch = started[0]
+                yield from _map_on(client, work, items, count, watch)
+
+        yield map_unordered
+
+
+def _start(workflow: Workflow, count: int, logs: Path, stack: ExitStack) -> tuple[Any, Look]:
+    with undisturbed():  # what is closed while it starts prints tracebacks from other threads
+        settings = dask_settings(workflow)
+        if wants_tls(workflow):
+            secrets = stack.enter_context(temporary_credentials(logs))
+            settings = _merged(secrets, settings)
+        stack.enter_context(configured(settings))
+        client, watch = _connect(workflow, count, logs, settings, stack)
+    log.info("scheduler: %s", client.scheduler.address)
+    if client.dashboard_link and workflow.dashboard:
+        log.info("dashboard: %s", client.dashboard_link)
+    if workflow.performance_report:
+        from distributed import performance_report
+
+        stack.enter_context(client.as_current())
+        stack.enter_context(performance_report(filename=workflow.performance_report))
+    return client, watch
+
+
+def _merged(*settings: dict[str, Any]) -> dict[str, Any]:
+    import dask
+
+    out: dict[str, Any] = dask.config.merge(*settings)
+    return out
+
+
+def _connect(
+    workflow: Workflow, count: int, logs: Path, settings: dict[str, Any], stack: ExitStack
+) -> tuple[Any, Look]:
+    from distributed import Client
+
+    watch: Look = lambda: None  # noqa: E731
+    if workflow.cluster == "address":
+        try:
+            client = Client(workflow.address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)
+        except OSError as error:
+            raise ExperimentError(
+                f"no scheduler answers at {workflow.address} ({error}); start one with "
+                "`dask scheduler`, or correct `address` in the workflow"
+            ) from None
+        stack.enter_context(client)
+        return client, _Patience(client, workflow.address or "")
+    if workflow.cluster == "slurm":
+        cluster = stack.enter_context(slurm.slurm_cluster(workflow, logs, settings))
+        fewest, most = slurm.count_jobs(workflow)
+        cluster.adapt(minimum_jobs=fewest, maximum_jobs=most)  # jobs that end or die are asked for again
+        log.info("asked Slurm for %d jobs; the run begins when the first starts", fewest)
+        watch = Watch(cluster, Path(workflow.slurm.get("log_directory", logs)))
+    elif workflow.cluster == "dask":
+        cluster = stack.enter_context(_deploy(workflow, settings))
+    else:
+        cluster = stack.enter_context(_local(workflow, count))
+    client = Client(cluster, timeout="60s", set_as_default=False)
+    return stack.enter_context(client), watch
+
+
+def _local(workflow: Workflow, count: int) -> Any:
+    from distributed import LocalCluster
+
+    return LocalCluster(
+        n_workers=count,
+        threads_per_worker=1,
+        processes=True,
+        host="127.0.0.1",
+        memory_limit=workflow.memory_bytes or "auto",
+        dashboard_address=dashboard_address(workflow),
+        worker_dashboard_address="127.0.0.1:0",
+        preload=["wavefield.pipeline.dask_preload"],
+        silence_logs=logging.ERROR,
+    )
+
+
+def _deploy(workflow: Workflow, settings: dict[str, Any]) -> Any:
+    """Start a cluster of any class that deploys Dask."""
+    name, options = workflow.deploy or "", dict(workflow.options)
+    if of_jobqueue(workflow):  # its jobs know nothing of our configuration, TLS among it
+        own = list(options.get("job_script_prologue", []))
+        options["job_script_prologue"] = slurm.environment_lines(settings) + own
+    module, _, attribute = name.rpartition(".")
+    try:
+        kind = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ExperimentError(
+            f"the workflow's `deploy`: {name!r} cannot be imported ({error}); install its package, or "
+            "correct the name, such as distributed.SSHCluster"
+        ) from None
+    try:
+        cluster = kind(**options)
+    except Exception as error:  # each library has exceptions of its own
+        raise ExperimentError(
+            f"the workflow's `deploy`: {name} does not start: {type(error).__name__}: {error}; look at "
+            "`options`, which are its keywords"
+        ) from error
+    if isinstance(workflow.workers, int):
+        cluster.scale(workflow.workers)
+    elif workflow.workers != "auto":
+        cluster.adapt(minimum=workflow.workers.minimum, maximum=workflow.workers.maximum)
+    return cluster
+
+
+class _Patience:
+    """Says, once, that a scheduler has no workers."""
+
+    def __init__(self, client: Any, address: str) -> None:
+        self._client, self._address, self._said = client, address, False
+
+    def __call__(self) -> None:
+        if not self._said and not self._client.nthreads():
+            self._said = True
+            log.warning(
+                "the scheduler at %s has no workers; the run begins when the first is started: "
+                "`dask worker %s --nthreads 1`",
+                self._address,
+                self._address,
+            )
+
+
+def _map_on(
+    client: Any, work: Callable[[Any], Any], items: Sequence[Any], workers: int, watch: Look
+) -> Generator[tuple[Any, Any], None, None]:
+    """Map work over items, so that the scheduler never holds more than a few tasks for each worker."""
+    from distributed import CancelledError
+
+    tasks = _Tasks(client, Task(work, sys.version_info[:2], wavefield.__version__), items, workers)
+    lost = StoreError("the scheduler was lost; what is done is kept: run the same command again to go on")
+    try:
+        tasks.submit()
+        while tasks.futures:
+            watch()
+            done = tasks.wait()
+            gone = {future.status for future in done} - {"finished", "error"}
+            if "cancelled" in gone or (gone and client.status != "running"):
+                raise lost
+            if done:
+                with undisturbed():
+                    results = tasks.fetch(done)
+                    tasks.submit()
+                for index, result in results:
+                    yield items[index], _understood(result)
+    except (OSError, CancelledError) as error:  # the connection broke while a report was fetched
+        raise lost from error
+    finally:
+        if tasks.futures and client.status == "running":
+            client.cancel(list(tasks.futures), force=True)
+
+
+class _Tasks:
+    """Items as tasks: several in one while many are left, so that a scheduler of many workers keeps up.
+
+    What ended while the last results were fetched is fetched at once, and as much submitted at once.
+    """
+
+    def __init__(self, client: Any, task: Task, items: Sequence[Any], workers: int) -> None:
+        self._client, self._task, self._items = client, task, items
+        self._workers = max(workers, 1)
+        self._news: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._left = deque(range(len(items)))
+        self._alone: set[int] = set()  # items of a task that ended with its workers: which of them was it?
+        self._number = itertools.count()
+        self._mark = uuid.uuid4().hex  # an address would come again, and with it the results of other items
+        self.futures: dict[Any, list[int]] = {}
+
+    def submit(self) -> None:
+        """Submit until the scheduler holds enough."""
+        room = min(_HELD * self._workers - len(self.futures), len(self._left))
+        some = [indices for indices in (self._take() for _ in range(room)) if indices]
+        if not some:
+            return
+        keys = [f"blocks-{next(self._number)}-{self._mark}" for _ in some]
+        batches = [[self._items[index] for index in indices] for indices in some]
+        for future, indices in zip(self._client.map(self._task, batches, pure=False, key=keys), some):
+            self.futures[future] = indices
+            future.add_done_callback(self._news.put)
+
+    def _take(self) -> list[int]:
+        if self._left and self._left[0] in self._alone:
+            return [self._left.popleft()]
+        size = min(max(len(self._left) // (_TASKS_LEFT * self._workers), 1), _MOST_TOGETHER)
+        return [self._left.popleft() for _ in range(min(size, len(self._left)))]
+
+    def wait(self) -> list[Any]:
+        """Tasks that have ended; none if nothing happens for a while."""
+        try:
+            done = [self._news.get(timeout=_LOOK_AFTER)]
+        except queue.Empty:
+            return []
+        while not self._news.empty():
+            done.append(self._news.get())
+        return done
+
+    def fetch(self, done: Sequence[Any]) -> list[tuple[int, Any]]:
+        """Results of tasks that have ended, item by item; what was not done goes back to what is left."""
+        from distributed import CancelledError
+
+        finished = [future for future in done if future.status == "finished"]
+        gone = [future for future in done if future.status not in ("finished", "error")]
+        try:
+            results = dict(zip(finished, self._client.gather(finished))) if finished else {}
+        except CancelledError:
+            results, gone = {}, gone + finished
+        out: list[tuple[int, Any]] = []
+        for future in done:
+            indices = self.futures.pop(future)
+            if future in results:
+                out += zip(indices, results[future])
+                self._left.extendleft(reversed(indices[len(results[future]) :]))
+            elif future in gone:  # its worker ended before the results were fetched
+                self._left.extendleft(reversed(indices))
+            elif len(indices) > 1:
+                self._alone.update(indices)
+                self._left.extendleft(reversed(indices))
+            else:
+                out.append((indices[0], future.exception()))
+        return out
+
+
+def _understood(result: Any) -> Any:
+    """What Dask says of a task that never ran, as a sentence."""
+    from distributed import KilledWorker
+
+    if isinstance(result, WavefieldError):
+        return result
+    if isinstance(result, KilledWorker):
+        return StoreError(
+            f"{result.allowed_failures} workers ended while they worked on it: if memory ran out, give more "
+            "`memory` or a smaller `steps_per_block` in the workflow; if their time did, give them more"
+        )
+    missing = isinstance(result, ModuleNotFoundError) and (result.name or "").startswith("wavefield")
+    if missing or "deserialization" in str(result):
+        return ExperimentError(
+            f"scheduler or workers cannot load wavefield {wavefield.__version__} ({result}); start them from "
+            "an environment in which it is installed"
+        )
+    return result

@@ -1,0 +1,91 @@
+"""What guards a run: signals that end it in order, and the log beside its store."""
+
+import logging
+import re
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from wavefield.atomic_write import Product, check_replaceable, write_error
+
+log = logging.getLogger("wavefield.run")
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal other than Ctrl-C, or the time limit."""
+
+
+@contextmanager
+def stop_signals(time_limit: float | None = None) -> Iterator[None]:
+    """Let SIGTERM, SIGUSR1 (Slurm's warning) and a time limit stop a run as Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    reasons = {
+        name: reason
+        for name, reason in (
+            ("SIGTERM", "SIGTERM"),
+            ("SIGUSR1", "SIGUSR1"),
+            ("SIGALRM", "its time limit"),
+        )
+        if hasattr(signal, name)
+    }
+
+    def stop(number: int, frame: Any) -> None:
+        raise Stopped(reasons[signal.Signals(number).name])
+
+    before = {name: signal.signal(getattr(signal, name), stop) for name in reasons}
+    if time_limit and hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, time_limit)
+    try:
+        yield
+    finally:
+        if time_limit and hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, 0)
+        for name, handler in before.items():
+            signal.signal(getattr(signal, name), handler)
+
+
+def _is_log(path: Path) -> bool:
+    with path.open("rb") as stream:
+        line = stream.readline(200)
+    return not line or re.match(rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} [A-Z]+ ", line) is not None
+
+
+LOG = Product("a log", _is_log)
+
+
+def log_path(store: Path) -> Path:
+    """The log of a store's runs."""
+    return store.with_suffix(".log")
+
+
+def jobs_folder(store: Path) -> Path:
+    """Folder for what the jobs of a store's runs say, where they run on a cluster."""
+    return store.absolute().with_suffix(".jobs")
+
+
+@contextmanager
+def log_file(store: Path) -> Iterator[None]:
+    """Write what a run says to a file beside its store."""
+    try:
+        store.parent.mkdir(parents=True, exist_ok=True)
+        check_replaceable(log_path(store), LOG)  # it is added to
+        handler = logging.FileHandler(log_path(store), delay=False)
+    except OSError as error:
+        raise write_error(store, error) from None
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    handler.handleError = lambda record: None  # type: ignore[method-assign]  # a full disk must not hide the cause
+    level = log.level
+    log.setLevel(logging.INFO)
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(level)
+        with suppress(OSError):
+            handler.close()

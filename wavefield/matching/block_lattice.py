@@ -1,0 +1,313 @@
+"""Fields on the lattice of blocks: windows, smoothing, neighbours, from one pyramid level to the next."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from wavefield.compiled import compiled
+from wavefield.matching.matching_kernels import BLOCK
+
+F = np.float32
+BORDER = cv2.BORDER_REPLICATE
+
+njit = compiled(error_model="numpy")
+
+
+@lru_cache(maxsize=64)
+def gaussian(sigma: float) -> np.ndarray:
+    """Weights of a Gaussian of `sigma` blocks, cut at 2.7 sigma, sum 1."""
+    reach = max(1, int(np.ceil(2.7 * sigma)))
+    weights = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * sigma**2))
+    out: np.ndarray = (weights / weights.sum()).astype(np.float32)
+    return out
+
+
+def window_sigma(window: float) -> float:
+    """Standard deviation, in blocks, of the Gaussian window with the area of a square of side `window` px."""
+    return float(window / np.sqrt(4 * np.pi) / BLOCK)
+
+
+def window_weights(window: float) -> np.ndarray:
+    """Weights over blocks of that Gaussian window."""
+    return gaussian(window_sigma(window))
+
+
+def filtered(field: np.ndarray, weights: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+    """The field convolved with the same weights along x and y; the border is replicated."""
+    return cv2.sepFilter2D(field, -1, weights, weights, dst=out, borderType=BORDER)
+
+
+def smoothed(
+    field: np.ndarray, sigma: float, order: int, trust: tuple[np.ndarray, np.ndarray] | None = None
+) -> np.ndarray:
+    """The flat smoother 1 - (1 - G)^order, G a Gaussian of `sigma` blocks.
+
+    With field (ny, nx); trust (ny, nx); returns (ny, nx).
+    """
+    if sigma == 0:
+        return field
+    g = gaussian(sigma)
+    part = np.empty_like(field)
+    if trust is None:
+        rest = field - filtered(field, g, part)
+        for _ in range(order - 1):
+            rest -= filtered(rest, g, part)
+    else:
+        weight, norm = trust
+        rest, product = field.copy(), field * weight
+        for _ in range(order):
+            _take_off(rest, product, filtered(product, g, part), weight, norm)
+    out: np.ndarray = np.subtract(field, rest, out=rest)
+    return out
+
+
+def trusted(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
+    """Trust in each block (ny, nx) as `smoothed` wants it: G becomes G(weight f) / G(weight)."""
+    return weight, F(1) / np.maximum(filtered(weight, gaussian(sigma)), F(1e-3))
+
+
+@njit
+def _take_off(
+    rest: np.ndarray, product: np.ndarray, part: np.ndarray, weight: np.ndarray, norm: np.ndarray
+) -> None:
+    """rest -= norm part; product = weight rest."""
+    for j in range(len(rest)):
+        here, to, off, w, n = rest[j], product[j], part[j], weight[j], norm[j]
+        for i in range(len(here)):
+            value = here[i] - n[i] * off[i]
+            here[i] = value
+            to[i] = w[i] * value
+
+
+def slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(4, ny, nx) float32: du/dx, du/dy, dv/dx, dv/dy per px, by central differences."""
+    out = np.empty((4, *u.shape), np.float32)
+    _slopes(u, out[0], out[1])
+    _slopes(v, out[2], out[3])
+    return out
+
+
+@njit
+def _slopes(f: np.ndarray, fx: np.ndarray, fy: np.ndarray, block: int = BLOCK) -> None:
+    # block is given, not read from elsewhere: numba keeps what it compiled by its arguments
+    ny, nx = f.shape
+    for j in range(ny):
+        up, here, down = f[max(j - 1, 0)], f[j], f[min(j + 1, ny - 1)]
+        scale_y = F(1 / block) / F(max(min(j + 1, ny - 1) - max(j - 1, 0), 1))
+        for i in range(nx):
+            fy[j, i] = (down[i] - up[i]) * scale_y
+        for i in range(1, nx - 1):
+            fx[j, i] = (here[i + 1] - here[i - 1]) * F(0.5 / block)
+        last = max(nx - 2, 0)
+        fx[j, 0] = (here[min(1, nx - 1)] - here[0]) * F(1 / block)
+        fx[j, nx - 1] = (here[nx - 1] - here[last]) * F(1 / block)
+
+
+@njit
+def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) -> None:
+    """Turn sums made with a displacement constant per block into those of one linear inside the block.
+
+    sums (2, ny, nx) are changed in place; moments (9, ny, nx) are those of `gradient_moments`.
+    """
+    _, ny, nx = sums.shape
+    for j in range(ny):
+        sx, sy = sums[0, j], sums[1, j]
+        ux, uy, vx, vy = slope[0, j], slope[1, j], slope[2, j], slope[3, j]
+        xxx, xyx, yyx = moments[3, j], moments[4, j], moments[5, j]
+        xxy, xyy, yyy = moments[6, j], moments[7, j], moments[8, j]
+        for i in range(nx):
+            sx[i] -= xxx[i] * ux[i] + xxy[i] * uy[i] + xyx[i] * vx[i] + xyy[i] * vy[i]
+            sy[i] -= xyx[i] * ux[i] + xyy[i] * uy[i] + yyx[i] * vx[i] + yyy[i] * vy[i]
+
+
+@njit
+def subtract_strain(
+    sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
+) -> tuple[float, float]:
+    """Take off what reading b through a displacement with slopes adds where images are not strained.
+
+    sums (2, ny, nx), those of blocks that count (1 in count, else 0), are changed in place; moments
+    (8, ny, nx) are those of `strain_moments`. Returns the factors c and s^2 of `look_again` that leave least
+    of the sums, as they were taken off.
+    """
+    _, ny, nx = sums.shape
+    aa = ab = bb = ra = rb = 0.0
+    c = s2 = 0.0
+    row = np.empty((4, nx), np.float32)
+    ax, ay, bx, by = row[0], row[1], row[2], row[3]
+    for taken in range(2):
+        for j in range(ny):
+            sx, sy, weight = sums[0, j], sums[1, j], count[j]
+            ux, uy, vx, vy = slope[0, j], slope[1, j], slope[2, j], slope[3, j]
+            x, y, xxx, xxy, xyy = moments[0, j], moments[1, j], moments[2, j], moments[3, j], moments[4, j]
+            yxx, yxy, yyy = moments[5, j], moments[6, j], moments[7, j]
+            for i in range(nx):
+                wider, shear = weight[i] * (ux[i] + vy[i]), uy[i] + vx[i]
+                ax[i] = wider * x[i]
+                ay[i] = wider * y[i]
+                bx[i] = weight[i] * (xxx[i] * ux[i] + xxy[i] * shear + xyy[i] * vy[i])
+                by[i] = weight[i] * (yxx[i] * ux[i] + yxy[i] * shear + yyy[i] * vy[i])
+            if taken:
+                for i in range(nx):
+                    sx[i] -= F(c) * ax[i] + F(s2) * bx[i]
+                    sy[i] -= F(c) * ay[i] + F(s2) * by[i]
+            else:
+                for i in range(nx):
+                    aa += ax[i] * ax[i] + ay[i] * ay[i]
+                    ab += ax[i] * bx[i] + ay[i] * by[i]
+                    bb += bx[i] * bx[i] + by[i] * by[i]
+                    ra += sx[i] * ax[i] + sy[i] * ay[i]
+                    rb += sx[i] * bx[i] + sy[i] * by[i]
+        if not taken:
+            whole = max(aa * bb - ab * ab, 1e-6 * aa * bb + 1e-30)
+            c = min(max((ra * bb - rb * ab) / whole, 0.0), 1.0)
+            s2 = max((rb - c * ab) / max(bb, 1e-30), 0.0)
+    return c, s2
+
+
+@njit
+def step(
+    h: np.ndarray,
+    s: np.ndarray,
+    ridge: np.float32,
+    relaxation: np.float32,
+    limit: np.float32,
+    u: np.ndarray,
+    v: np.ndarray,
+) -> None:
+    """One Gauss-Newton step per block: u, v += relaxation (H + ridge)^-1 s, at most `limit` px each way.
+
+    h (3, ny, nx) holds the windowed sums gx gx, gx gy, gy gy; s (2, ny, nx) those of gx r, gy r.
+    """
+    ny, nx = u.shape
+    for j in range(ny):
+        xx, xy, yy, sx, sy = h[0, j], h[1, j], h[2, j], s[0, j], s[1, j]
+        to_u, to_v = u[j], v[j]
+        for i in range(nx):
+            a, c, b = xx[i] + ridge, yy[i] + ridge, xy[i]
+            scale = relaxation / max(a * c - b * b, F(1e-30))
+            to_u[i] += min(max((c * sx[i] - b * sy[i]) * scale, -limit), limit)
+            to_v[i] += min(max((a * sy[i] - b * sx[i]) * scale, -limit), limit)
+
+
+def replace_outliers(u: np.ndarray, v: np.ndarray, limit: float) -> np.ndarray:
+    """Replace vectors further than `limit` px from the median of their 5 x 5 neighbours by it, in place.
+
+    Returns (ny, nx): Where.
+    """
+    outlier = np.empty(u.shape, np.bool_)
+    _replace(u, v, cv2.medianBlur(u, 5), cv2.medianBlur(v, 5), F(limit), outlier)
+    return outlier
+
+
+@njit
+def _replace(
+    u: np.ndarray,
+    v: np.ndarray,
+    median_u: np.ndarray,
+    median_v: np.ndarray,
+    limit: np.float32,
+    outlier: np.ndarray,
+) -> None:
+    for j in range(u.shape[0]):
+        for i in range(u.shape[1]):
+            wrong = abs(u[j, i] - median_u[j, i]) + abs(v[j, i] - median_v[j, i]) > limit
+            outlier[j, i] = wrong
+            u[j, i] = median_u[j, i] if wrong else u[j, i]
+            v[j, i] = median_v[j, i] if wrong else v[j, i]
+
+
+@lru_cache(maxsize=32)
+def _doubling_maps(coarse: tuple[int, int], fine: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    y, x = ((np.arange(n) + 0.5) / 2 - 0.5 for n in fine)
+    x, y = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
+    return np.clip(x, 0, coarse[1] - 1), np.clip(y, 0, coarse[0] - 1)
+
+
+def to_finer(field: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """A displacement field in px of one level, on the lattice and in px of the next finer level."""
+    x, y = _doubling_maps(field.shape, shape)
+    return cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=BORDER) * F(2)
+
+
+def to_coarser(field: np.ndarray, levels: int, shape: tuple[int, int]) -> np.ndarray:
+    """A displacement field of the finest level on the lattice and in px of the level `levels` above."""
+    if levels == 0:
+        return np.ascontiguousarray(field, np.float32)
+    q = 2**levels
+    need = [(0, max(n * q - m, 0)) for n, m in zip(shape, field.shape)]
+    field = np.pad(np.asarray(field, np.float32), need, mode="edge")[: shape[0] * q, : shape[1] * q]
+    return cv2.resize(field, shape[::-1], interpolation=cv2.INTER_AREA) / F(q)
+
+
+@njit
+def block_weights(
+    mask_a: np.ndarray,
+    mask_b: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+    height: int,
+    width: int,
+    out: np.ndarray,
+    block: int = BLOCK,
+) -> None:
+    """Weight 1 of the blocks that lie inside b and touch no masked pixel, 0 of the others, into `out`.
+
+    mask_a, mask_b (h, w) uint8 are 1 where a whole block around the pixel is good; of size 0 where nothing is
+    masked.
+    """
+    ny, nx = u.shape
+    for j in range(ny):
+        for i in range(nx):
+            x, y = F(i * block + 2) + u[j, i], F(j * block + 2) + v[j, i]
+            good = x >= F(1) and y >= F(1) and x <= F(width - 2) and y <= F(height - 2)
+            if good and mask_b.size > 0:
+                good = mask_b[int(y + F(0.5)), int(x + F(0.5))] != 0
+            if good and mask_a.size > 0:
+                good = mask_a[j * block + 2, i * block + 2] != 0
+            out[j, i] = F(1) if good else F(0)
+
+
+@njit
+def _cubic(t: np.float32) -> tuple[np.float32, ...]:
+    """Weights of Keys' cubic convolution for a fraction t."""
+    return (
+        ((-F(0.5) * t + F(1)) * t - F(0.5)) * t,
+        (F(1.5) * t - F(2.5)) * t * t + F(1),
+        ((-F(1.5) * t + F(2)) * t + F(0.5)) * t,
+        (F(0.5) * t - F(0.5)) * t * t,
+    )
+
+
+@njit
+def _sample(field: np.ndarray, x: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
+    ny, nx = field.shape
+    for k in range(len(out)):
+        px, py = min(max(x[k], F(0)), F(nx - 1)), min(max(y[k], F(0)), F(ny - 1))
+        i, j = int(px), int(py)
+        wx, wy = _cubic(px - F(i)), _cubic(py - F(j))
+        total = F(0)
+        for n in range(4):
+            row = field[min(max(j + n - 1, 0), ny - 1)]
+            total += wy[n] * (
+                wx[0] * row[max(i - 1, 0)]
+                + wx[1] * row[i]
+                + wx[2] * row[min(i + 1, nx - 1)]
+                + wx[3] * row[min(i + 2, nx - 1)]
+            )
+        out[k] = total
+
+
+def sample(field: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Read a lattice field between its blocks by cubic convolution.
+
+    With field (ny, nx).
+    """
+    x, y = np.broadcast_arrays(x, y)
+    out = np.empty(x.size, np.float32)
+    flat_x, flat_y = (np.ascontiguousarray(q, np.float32).ravel() for q in (x, y))
+    _sample(np.ascontiguousarray(field, np.float32), flat_x, flat_y, out)
+    return out.reshape(x.shape)

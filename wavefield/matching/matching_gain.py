@@ -1,0 +1,136 @@
+"""What matching leaves of a wave, by linear theory, and the filter that gives it back."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from wavefield.matching.block_lattice import gaussian, window_sigma
+from wavefield.matching.matching_kernels import BLOCK
+from wavefield.matching.matching_settings import Settings
+
+_N = 128  # blocks: period of the Fourier transforms below
+_FOOTPRINT = 6.0  # px^2: variance of the area that a block's value stands for, beads' own images included
+_TAKEN = 4.0  # px^2: variance of the area over which blocks and beads' images average displacements
+_NOISE = 0.4  # how much of a wave that is half lost is given up for being noise
+
+
+def transfer_function(settings: Settings, kx: np.ndarray, ky: np.ndarray, gain: float = 1.0) -> np.ndarray:
+    """Gain of the displacement field that windows, smoother and steps leave, linear theory.
+
+    Parameters
+    ----------
+    settings : Settings
+        Those of the match.
+    kx, ky : ndarray, shapes that broadcast
+        Wavenumbers along columns and rows, rad per block.
+    gain : float
+        What a step achieves of the way to the solution (1 on clean images, less where noise shortens steps).
+
+    Returns
+    -------
+    ndarray
+        Amplitude gain.
+
+    Notes
+    -----
+    T <- S (T + gain W (1 - T)) for the window W and the smoother S of every step at every level.
+    """
+
+    def response(weights: np.ndarray) -> np.ndarray:
+        n = np.arange(len(weights)) - len(weights) // 2
+        along_x, along_y = (np.cos(np.asarray(k)[..., None] * n) @ weights.astype(float) for k in (kx, ky))
+        return np.asarray(along_x * along_y)
+
+    total = np.zeros(np.broadcast_shapes(np.shape(kx), np.shape(ky)))
+    for level in reversed(range(settings.levels)):
+        sigma = settings.smoother_sigma if level == 0 else settings.coarse_smoother_sigma
+        window = response(gaussian(2**level * window_sigma(settings.window)))
+        smoother = np.ones_like(window)
+        if sigma > 0:
+            smoother = 1 - (1 - response(gaussian(2**level * sigma))) ** settings.smoother_order
+        for _ in range(settings.iterations[settings.levels - 1 - level]):
+            total = smoother * (total + gain * window * (1 - total))
+    return total
+
+
+def restoring(settings: Settings, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+    """Filter that gives back to a displacement field what matching took from its short waves.
+
+    Parameters
+    ----------
+    settings : Settings
+        Those of the match.
+    kx, ky : ndarray, shapes that broadcast
+        Wavenumbers along columns and rows, rad per block.
+
+    Returns
+    -------
+    ndarray
+        Factor on each wave.
+
+    Notes
+    -----
+    G / (G^2 + 0.4 (1 - G)^2): Wiener's filter where noise grows as waves are lost, for the gain G of
+    `transfer_function` times exp(-4 px^2 k^2), which stands for the size of blocks and of beads' images.
+    """
+    lost = transfer_function(settings, kx, ky).clip(0.0, 1.0) * footprint(kx, ky)
+    out: np.ndarray = lost / (lost**2 + _NOISE * (1 - lost) ** 2)
+    return out
+
+
+def footprint(kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+    """Gain of the area that a block's value stands for.
+
+    Parameters
+    ----------
+    kx, ky : ndarray, shapes that broadcast
+        Wavenumbers along columns and rows, rad per block.
+
+    Returns
+    -------
+    ndarray
+        Amplitude gain.
+    """
+    out: np.ndarray = np.exp(-0.5 * _FOOTPRINT * (np.square(kx) + np.square(ky)) / BLOCK**2)
+    return out
+
+
+def raised(k: np.ndarray) -> np.ndarray:
+    """By how much displacements are raised because a block is thought to stand for more than it averages.
+
+    Parameters
+    ----------
+    k : ndarray
+        Wavenumber, rad per block.
+
+    Returns
+    -------
+    ndarray
+        Factor on the amplitude of a wave that stands out from noise, 1 or more.
+
+    Examples
+    --------
+    >>> raised(np.array([0.0, 0.8])).round(3).tolist()
+    [1.0, 1.026]
+    """
+    out: np.ndarray = np.exp(0.5 * (_FOOTPRINT - _TAKEN) * np.square(k) / BLOCK**2)
+    return out
+
+
+@lru_cache(maxsize=32)
+def transfer_kernel(settings: Settings, gain: float = 1.0, restored: bool = False) -> np.ndarray:
+    """Weight of each block's own displacement in the final vector, linear theory.
+
+    Returns (2 r + 1, 2 r + 1): The kernel, its centre at [r, r]; it sums to nearly 1..
+    """
+    kx = 2 * np.pi * np.fft.fftfreq(_N)
+    ky = kx[:, None]
+    total = transfer_function(settings, kx, ky, gain)
+    if restored:
+        total = total * footprint(kx, ky) * restoring(settings, kx, ky)
+    kernel = np.fft.fftshift(np.fft.ifft2(total).real)
+    reach = min(_N // 2 - 1, int(3 * settings.window / BLOCK) + 3)
+    middle = slice(_N // 2 - reach, _N // 2 + reach + 1)
+    return kernel[middle, middle].astype(np.float32)

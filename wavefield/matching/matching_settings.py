@@ -1,0 +1,146 @@
+"""What a user may choose about matching."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from wavefield.config_files import CHECKED
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How two images are matched. Start from a preset: `piv`, `fast`, `stereo`.
+
+    Parameters
+    ----------
+    iterations : tuple of int
+        Steps per pyramid level, coarsest level first; its length is the number of levels. Small images use
+        the finest levels only.
+    window : float
+        Side of the square of the same area as the Gaussian window that is matched, px of each level.
+    smoother_sigma : float
+        Standard deviation, in blocks, of the Gaussian G in the smoother 1 - (1 - G)^smoother_order;
+        0 for no smoothing.
+    coarse_smoother_sigma : float
+        The same at all levels but the finest: less, because there a block is larger and a wave shorter.
+    smoother_order : int
+        Order of the smoother: the higher, the flatter its passband.
+    robust : float
+        c of the weight (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 given to a pixel with residual r, from the
+        second step of the finest level on; 0 for no weights. It pays where particles appear and vanish.
+    robust_beta : float
+        beta of that weight: how much the residual of a bright pixel may be larger.
+    relaxation : float
+        Factor on every step: noise makes the steps of the method too short.
+    normalization : float
+        Standard deviation, px, of the Gaussian window of the local normalisation to zero mean and unit
+        variance, done before matching; 0 for none. Needed where lighting differs, as between cameras.
+    search_x, search_y : (float, float) or None
+        Smallest and largest displacement along columns and along rows, px, of the whole-pixel correlation
+        search at the coarsest level; None for no search (displacements then start at zero or at `initial`).
+    search_window : float
+        As `window`, for that search, px of the coarsest level.
+    min_correlation : float
+        Blocks whose normalised correlation stays below are invalid.
+    min_gradient_energy : float
+        Blocks whose matched gradient energy is below this fraction of the image's median are invalid: nothing
+        to match there.
+    max_deviation : float
+        Blocks that step further than this from the median of their 5 x 5 neighbours, px, are replaced by it,
+        and invalid if that happens in the last step.
+    """
+
+    __pydantic_config__ = CHECKED
+
+    iterations: tuple[int, ...] = (6, 4, 4)
+    window: float = 32.0
+    smoother_sigma: float = 2.5
+    coarse_smoother_sigma: float = 2.0
+    smoother_order: int = 4
+    robust: float = 1.5
+    robust_beta: float = 0.3
+    relaxation: float = 1.15
+    normalization: float = 16.0
+    search_x: Range | None = (-16.0, 16.0)
+    search_y: Range | None = (-16.0, 16.0)
+    search_window: float = 20.0
+    min_correlation: float = 0.3
+    min_gradient_energy: float = 0.05
+    max_deviation: float = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "iterations", tuple(int(n) for n in self.iterations))
+        if not self.iterations or min(self.iterations) < 0 or self.iterations[-1] < 1:
+            raise ValueError("iterations: give one count per level, coarsest first, the last at least 1")
+        for name in ("window", "search_window", "relaxation", "max_deviation"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be above 0, not {getattr(self, name)}")
+        for name in (
+            "smoother_sigma",
+            "coarse_smoother_sigma",
+            "robust",
+            "robust_beta",
+            "normalization",
+            "min_gradient_energy",
+        ):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} must be 0 or more, not {getattr(self, name)}")
+        if self.smoother_order < 1:
+            raise ValueError(f"smoother_order must be 1 or more, not {self.smoother_order}")
+        if (self.search_x is None) != (self.search_y is None):
+            raise ValueError("give both search_x and search_y, or neither")
+        for name in ("search_x", "search_y"):
+            limits = getattr(self, name)
+            if limits is None:
+                continue
+            if len(limits) != 2 or not limits[0] <= limits[1]:
+                raise ValueError(f"{name}: give (smallest, largest) displacement in px, not {limits}")
+            object.__setattr__(self, name, (float(limits[0]), float(limits[1])))
+
+    @property
+    def levels(self) -> int:
+        """Number of pyramid levels."""
+        return len(self.iterations)
+
+    @classmethod
+    def piv(cls, **changes: Any) -> Settings:
+        """One camera, one frame to the next: robust weights against particles that appear and vanish."""
+        return replace(cls(), **changes)
+
+    @classmethod
+    def fast(cls, **changes: Any) -> Settings:
+        """One camera, one frame to the next, good images: a third of the time of `piv`."""
+        return replace(
+            cls(
+                iterations=(4, 3, 1),
+                smoother_sigma=1.5,
+                coarse_smoother_sigma=1.5,
+                smoother_order=2,
+                robust=0.0,
+                normalization=0.0,
+                search_x=None,
+                search_y=None,
+            ),
+            **changes,
+        )
+
+    @classmethod
+    def stereo(cls, **changes: Any) -> Settings:
+        """Two synchronous cameras: large smooth parallax, different lighting."""
+        return replace(
+            cls(
+                iterations=(3, 3, 3, 3),
+                window=26.0,
+                smoother_sigma=2.4,
+                coarse_smoother_sigma=2.4,
+                robust=0.0,
+                normalization=13.0,
+                search_x=(-48.0, 48.0),
+                search_y=(-8.0, 8.0),
+                search_window=32.0,
+            ),
+            **changes,
+        )

@@ -1,0 +1,185 @@
+"""How uncertain the most probable field is: the posterior's variance from the information around a block."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, spline_filter1d
+
+from wavefield.compiled import compiled
+from wavefield.matching.cosines import cosines
+from wavefield.matching.matching_gain import footprint
+from wavefield.matching.noise import bare
+from wavefield.matching.prior import Prior, wavenumbers
+
+Float = NDArray[Any]
+F = np.float32
+
+_LEVELS = 3.0 * 4.0 ** np.arange(0.0, -7.0, -1.0)  # of information over the typical one
+_SMALL = 1e-3  # of a kernel's transform is left out
+_RADII = (1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0)  # of holes, blocks
+_DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the way from a hole's rim to its middle
+_HARDLY = 1e-3  # of a spectrum: there may always be so many waves
+_RIM = 5  # blocks around a hole that are thought known
+
+
+class Spread:
+    """Variance of the most probable field, split into noise and what the prior takes from waves.
+
+    Parameters
+    ----------
+    prior : Prior
+        Spectrum and typical information.
+    shape : tuple of int
+        Lattice (ny, nx).
+
+    Notes
+    -----
+    For an even information A a mode's variance is 1 / (F^2 A + 1/S); of it F^2 A / (F^2 A + 1/S)^2 is noise
+    and 1/S / (F^2 A + 1/S)^2 what is missing of the waves. Where information differs from place to place the
+    level of A is taken that equals the information around, weighed by the squared impulse response of its own
+    level. In a hole the variance given the rim adds to it, tabulated for round holes by radius and depth.
+    """
+
+    def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
+        kx, ky = wavenumbers(shape)
+        square, inverse = footprint(kx, ky) ** 2, 1.0 / prior.spectrum(kx, ky)
+        self.shape = shape
+        self.usual = prior.information
+        self._waves = max(prior.waves, _HARDLY)
+        levels = _LEVELS * prior.information
+        certain = [square * a + inverse for a in levels]
+        noise = [np.mean(square * a / c**2, axis=(1, 2)) for a, c in zip(levels, certain)]
+        missing = [self._waves * np.mean(inverse / c**2, axis=(1, 2)) for c in certain]
+        self._log = np.log(levels).astype(np.float32)
+        # (2 c, levels): noise of every component, then what is missing of it
+        self._variance = np.log(np.concatenate([np.transpose(noise), np.transpose(missing)])).astype(
+            np.float32
+        )
+        kernels = np.array([_around((square * a / c).mean(axis=0)) for a, c in zip(levels, certain)])
+        rows, columns = np.nonzero((kernels > _SMALL).any(axis=0))
+        my, mx = rows.max() + 1, columns.max() + 1
+        self._kernels = np.ascontiguousarray(kernels[:, :my, :mx], np.float32)
+        down, along = (cosines(n, m).astype(np.float32) for n, m in zip(shape, (my, mx)))
+        self._to = down, np.ascontiguousarray(along.T)
+        self._back = np.ascontiguousarray(down[:, ::2].T), np.ascontiguousarray(along[:, ::2])
+        self._spectrum = 1.0 / inverse
+
+    @cached_property
+    def _holes(self) -> list[Float]:
+        return [self._waves * hole_variance(one, 1.0 / self.usual) for one in self._spectrum]
+
+    def __call__(self, information: Float) -> tuple[Float, Float]:
+        """Variance of every block.
+
+        With information (ny, nx); returns noise, missing (1 or c, ny, nx): Variance by noise, and by what the
+        prior takes away or makes up, in the field's unit squared.
+        """
+        waves = self._to[0] @ (information @ self._to[1])
+        x = self._back[0] @ ((self._kernels * waves) @ self._back[1])
+        both = np.empty((len(self._variance), *x.shape[1:]), np.float32)
+        _at_level(x, self._log, self._variance, both)
+        noise, missing = np.array([self._whole(f) for f in both]).reshape(2, -1, *self.shape)
+        hole = bare(information, self.usual)
+        if hole.any():
+            hole = cv2.dilate(hole.view(np.uint8), np.ones((7, 7), np.uint8)) > 0
+            missing += _in_holes(~hole, self._holes)
+        return noise, missing
+
+    def _whole(self, half: Float) -> Float:
+        """From every second block to all."""
+        ny, nx = self.shape
+        twice = np.array([[2.0, 0, 0], [0, 2.0, 0]])
+        return cv2.warpAffine(
+            half.astype(np.float32), twice, (nx, ny), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+
+
+@compiled(error_model="numpy", fastmath={"contract"})
+def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
+    """Variances where the information around, x per level, equals that of the level it is taken at.
+
+    log (levels,) and variance (n, levels) are logarithms, the richest level first.
+    """
+    for j in range(x.shape[1]):
+        for i in range(x.shape[2]):
+            before = np.log(max(x[0, j, i], F(1e-30))) - log[0]
+            n, t = 0, F(0)
+            while before < F(0) and n < x.shape[0] - 1:
+                n += 1
+                here = np.log(max(x[n, j, i], F(1e-30))) - log[n]
+                t = min(max(here / max(here - before, F(1e-6)), F(0)), F(1))
+                before = here
+            for k in range(len(variance)):
+                low, high = variance[k, n], variance[k, max(n - 1, 0)]
+                out[k, j, i] = np.exp(low + t * (high - low))
+
+
+def _impulse(gain: Float) -> Float:
+    """Response to a single block, (ny + 1, nx + 1), from a filter's response to cosines (ny, nx).
+
+    Of one quarter: it is even in both, and the response to the wave of two blocks is taken for zero.
+    """
+    out: Float = scipy.fft.dctn(np.pad(gain, (0, 1)), type=1) / (4 * gain.size)
+    return out
+
+
+def _around(gain: Float) -> Float:
+    """Response of the squared impulse response of a filter, made to have the sum 1."""
+    out: Float = scipy.fft.dctn(_impulse(gain) ** 2, type=1)[:-1, :-1]
+    out /= out[0, 0]
+    return out
+
+
+def hole_variance(spectrum: Float, noise: float) -> Float:
+    """Variance of a field in a round hole whose rim is known.
+
+    With spectrum (ny, nx); returns (radii, depths): For holes of 1 to 16 blocks and from the rim to the
+    middle.
+    """
+    ny, nx = spectrum.shape
+    covariance = _impulse(spectrum)
+    most = min(ny, nx)
+    along = 0.5 * (covariance[0, :most] + covariance[:most, 0])
+    curve = spline_filter1d(along, mode="mirror")
+
+    def between(p: Float, q: Float) -> Float:
+        far = np.minimum(np.hypot(*np.moveaxis(p[:, None] - q, -1, 0)), most - 1)
+        out: Float = map_coordinates(curve, far[None], mode="mirror", prefilter=False)
+        return out
+
+    out = np.zeros((len(_RADII), len(_DEPTHS)))
+    for i, radius in enumerate(_RADII):
+        g = np.arange(-np.ceil(radius + _RIM), np.ceil(radius + _RIM) + 1)
+        x, y = np.meshgrid(g, g)
+        d = np.hypot(x, y)
+        near = (d < radius + 2) | ((x + y) % 2 == 0)  # further out every second block tells as much
+        rim = (d >= radius) & (d < radius + _RIM) & near
+        p = np.stack([x[rim], y[rim]], axis=1)
+        q = np.stack([radius * (1 - np.array(_DEPTHS)), np.zeros(len(_DEPTHS))], axis=1)
+        known = between(p, p) + noise * np.eye(len(p))
+        to = between(p, q)
+        out[i] = np.maximum(along[0] - np.sum(to * np.linalg.solve(known, to), axis=0), 0.0)
+    return out
+
+
+def _in_holes(known: Float, tables: Sequence[Float]) -> Float:
+    """Variance inside holes from how wide they are and how far the rim is, (tables, ny, nx)."""
+    depth = cv2.distanceTransform((~known).astype(np.uint8), cv2.DIST_L2, 5)
+    out = np.zeros((len(tables), *known.shape), np.float32)
+    at = depth > 0
+    radius = depth.copy()
+    for _ in range(3):
+        radius = np.where(at, cv2.dilate(radius, np.ones((9, 9), np.uint8)), np.float32(0))
+    wide = np.maximum(radius[at], 1.0)
+    i = np.interp(wide, _RADII, np.arange(len(_RADII)))
+    j = np.interp(depth[at] / wide, _DEPTHS, np.arange(len(_DEPTHS)))
+    for one, table in zip(out, tables):
+        one[at] = np.exp(map_coordinates(np.log(table + 1e-30), [i, j], order=1, mode="nearest"))
+    return out

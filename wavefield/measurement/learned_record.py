@@ -1,0 +1,97 @@
+"""What sample frames of a whole record say, once per run: kept in the recipe, so that every step is alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from wavefield.matching import Prior
+from wavefield.measurement.temporal_truncation import NOTHING, Unresolved
+
+
+@dataclass(frozen=True)
+class Record:
+    """Beads, spectra and noise of a record, from sample frames (`learn`).
+
+    Parameters
+    ----------
+    beads : tuple of (str, float)
+        Width of the beads' images per camera, raw px; 0 where a camera sees a texture.
+    elevation : Prior
+        Of z on the rectified lattice, metres.
+    displacement : tuple of (str, Prior)
+        Of each velocity camera's displacement from frame to frame, px of the binned image.
+    moved : (float, float, float)
+        Standard deviation of dx, dy, dz of the water from frame to frame, metres.
+    temporal_truncation : Unresolved
+        What frames so far apart leave out.
+    noise : tuple of (str, float)
+        Noise of each camera's displacement over what all cameras' misfit says; 1 where not named.
+    camera_jitter : (float, float)
+        Rms motion of the cameras' pictures from frame to frame, along the line on which they stand and across
+        it, px of the binned image.
+    path_frames : int
+        Frames that velocities and the rate of rise come from: 6 where less is wrong so, else 4.
+    """
+
+    beads: tuple[tuple[str, float], ...]
+    elevation: Prior
+    displacement: tuple[tuple[str, Prior], ...]
+    moved: tuple[float, float, float]
+    unresolved: Unresolved = NOTHING
+    noise: tuple[tuple[str, float], ...] = ()
+    trembling: tuple[float, float] = (0.0, 0.0)
+    path_frames: int = 4
+
+    def width(self, camera: str) -> float:
+        """Width of a camera's beads, raw px."""
+        return dict(self.beads)[camera]
+
+    def own_noise(self, camera: str) -> float:
+        """Noise of a camera's displacement over what all cameras' misfit says."""
+        return dict(self.noise).get(camera, 1.0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for a recipe.
+
+        Returns
+        -------
+        dict
+        """
+        return {
+            "beads": dict(self.beads),
+            "elevation": self.elevation.to_dict(),
+            "displacement": {name: prior.to_dict() for name, prior in self.displacement},
+            "moved": list(self.moved),
+            "temporal_truncation": self.unresolved.to_dict(),
+            "noise": dict(self.noise),
+            "camera_jitter": list(self.trembling),
+            "path_frames": self.path_frames,
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Record:
+        """Inverse of `to_dict`.
+
+        Parameters
+        ----------
+        data : mapping
+            As given by `to_dict`.
+
+        Returns
+        -------
+        Record
+        """
+        x, y, z = map(float, data["moved"])
+        along, across = map(float, data.get("camera_jitter", (0.0, 0.0)))
+        return cls(
+            tuple((str(name), float(width)) for name, width in data["beads"].items()),
+            Prior.from_dict(data["elevation"]),
+            tuple((str(name), Prior.from_dict(p)) for name, p in data["displacement"].items()),
+            (x, y, z),
+            Unresolved.from_dict(data["temporal_truncation"]) if "temporal_truncation" in data else NOTHING,
+            tuple((str(name), float(factor)) for name, factor in data.get("noise", {}).items()),
+            (along, across),
+            int(data.get("path_frames", 4)),
+        )

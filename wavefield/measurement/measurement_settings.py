@@ -1,0 +1,228 @@
+"""What a user may choose about the measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from wavefield import matching
+from wavefield.config_files import CHECKED, make, place_of
+from wavefield.errors import ExperimentError
+
+_NOT_FAST = "`fast` is gone: it saved a few per cent of a step and erred by a third more; take the line out"
+# what differs from the defaults, which are for floating beads
+_PRESETS: dict[str, dict[str, dict[str, Any]]] = {
+    "floating": {},
+    "sheet": {
+        "stereo": {"window": 32.0, "min_correlation": 0.2},
+        "piv": {"window": 24.0, "min_correlation": 0.2, "robust": 1.5},
+    },
+    "texture": {
+        "stereo": {"window": 36.0, "min_correlation": 0.3, "max_deviation": 5.0},
+        "piv": {"window": 24.0, "min_correlation": 0.3},
+    },
+}
+
+
+def _stereo() -> matching.Settings:
+    return matching.Settings.stereo(
+        iterations=(2, 1, 2),
+        window=21.0,
+        smoother_sigma=1.8,
+        coarse_smoother_sigma=1.5,
+        relaxation=1.25,
+        normalization=10.0,
+        search_window=24.0,
+        min_correlation=0.5,
+        min_gradient_energy=0.1,
+    )
+
+
+def _piv() -> matching.Settings:
+    return matching.Settings.piv(
+        iterations=(2, 1, 2),
+        window=12.0,
+        smoother_sigma=1.3,
+        coarse_smoother_sigma=1.0,
+        relaxation=1.25,
+        robust=0.0,
+        normalization=10.0,
+        min_correlation=0.5,
+    )
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How frames become z, u, v, w. Everything that is left out follows from the rig.
+
+    Parameters
+    ----------
+    pairs : tuple of (str, str)
+        Pairs of cameras whose parallax gives z; one camera, the reference, belongs to all of them. Empty: the
+        middle camera with each of the others.
+    velocity_cameras : tuple of str
+        Cameras whose displacements give u, v, w, at least two. Empty: all.
+    z_range : (float, float) or None
+        Lowest and highest elevation to search, metres. None: 2 % of the reference camera's distance up and
+        down (9 cm at 4.4 m).
+    sheet_thickness : float or None
+        Thickness of a light sheet on z = 0, metres: particles in it are measured, and no surface; z is 0,
+        known to a quarter of the thickness, and no cameras are matched with each other. None: a surface.
+    bead_height : float
+        How far what is seen of a floating bead stands above the water, metres, as a record at rest says where
+        z = 0 of the calibration is the water's level: its swinging is taken off u and v. z is not changed.
+    pixel : float or None
+        Pixel of the rectified images, metres. None: the finest side of a pixel of the camera that resolves
+        least, or down to half of it where blocks of five would be wider than 0.8 grid steps.
+    smoothing : float
+        Thin-plate smoothing of z on the lattice of blocks, beyond what matching does, block lengths to the
+        fourth power; it halves waves of 2 pi smoothing^(1/4) blocks.
+    eps_limit : float
+        A match is rejected where its mismatch across the sight line exceeds this many times its rms.
+    eps_floor : float
+        Mismatch that is never rejected, px of the rectified images.
+    min_valid : float
+        Smallest share of the common view that a frame must measure; below, it counts as missing.
+    vibration : {"leave", "correct"}
+        Whether each frame of each camera is turned back by what its sight lines miss those of the others
+        (constant, tilt, roll), before it is measured; the cube keeps by how much (``camera_shift``).
+    stereo : matching.Settings
+        Matching between cameras; its search range is set from z_range.
+    piv : matching.Settings
+        Matching between frames. Floating beads stay in view; where particles come and go, set its ``robust``
+        to 1.5: a third more time.
+
+    Examples
+    --------
+    >>> Settings(pairs=(("cam3", "cam1"), ("cam3", "cam2")), z_range=(-0.05, 0.05)).z_range
+    (-0.05, 0.05)
+    """
+
+    __pydantic_config__ = CHECKED
+
+    pairs: tuple[tuple[str, str], ...] = ()
+    velocity_cameras: tuple[str, ...] = ()
+    z_range: tuple[float, float] | None = None
+    sheet_thickness: float | None = None
+    bead_height: float = 0.0
+    pixel: float | None = None
+    smoothing: float = 0.0
+    eps_limit: float = 3.0
+    eps_floor: float = 0.3
+    min_valid: float = 0.2
+    vibration: Literal["leave", "correct"] = "leave"
+    stereo: matching.Settings = field(default_factory=_stereo)
+    piv: matching.Settings = field(default_factory=_piv)
+
+    def __post_init__(self) -> None:
+        for name in ("pairs", "velocity_cameras"):
+            if isinstance(getattr(self, name), str) or not isinstance(getattr(self, name), Sequence):
+                raise ExperimentError(f"{name}: give a list of camera names, not {getattr(self, name)!r}")
+        for pair in self.pairs:
+            if isinstance(pair, str) or len(pair) != 2 or pair[0] == pair[1]:
+                raise ExperimentError(f"surface: pairs: {pair!r} is not a pair of two cameras")
+        object.__setattr__(self, "pairs", tuple((str(a), str(b)) for a, b in self.pairs))
+        object.__setattr__(self, "velocity_cameras", tuple(str(name) for name in self.velocity_cameras))
+        if len(self.velocity_cameras) == 1 or len(set(self.velocity_cameras)) < len(self.velocity_cameras):
+            raise ExperimentError(
+                "velocity: cameras: name at least two different cameras, or leave it out for all"
+            )
+        if self.z_range is not None:
+            low, high = (float(v) for v in self.z_range)
+            if not low < high:
+                raise ExperimentError(f"z_range: the lowest elevation comes first, not {self.z_range}")
+            object.__setattr__(self, "z_range", (low, high))
+        if self.pixel is not None and not self.pixel > 0:
+            raise ExperimentError(f"pixel: give a length above 0 m, not {self.pixel}")
+        self._check_sheet()
+        for name in ("smoothing", "eps_limit", "eps_floor", "min_valid", "bead_height"):
+            if not getattr(self, name) >= 0:
+                raise ExperimentError(f"{name} must be 0 or more, not {getattr(self, name)}")
+
+    def _check_sheet(self) -> None:
+        if self.sheet_thickness is not None:
+            if not self.sheet_thickness > 0:
+                raise ExperimentError(f"sheet_thickness: give a length above 0 m, not {self.sheet_thickness}")
+            if self.bead_height:
+                raise ExperimentError("bead_height: particles in a light sheet do not float; leave it out")
+            if self.vibration != "leave":
+                raise ExperimentError(
+                    "vibration: correct wants cameras that are matched with each other: those of a light "
+                    "sheet are not; take one of the two out"
+                )
+
+    def adjusted(self, preset: str) -> Settings:
+        """The same, fit for other images.
+
+        Parameters
+        ----------
+        preset : {"floating", "sheet", "texture"}
+            Floating beads (as it is); particles that come and go in a light sheet, weakly correlated;
+            natural texture, as of the sea.
+
+        Returns
+        -------
+        Settings
+
+        Examples
+        --------
+        >>> Settings().adjusted("texture").stereo.window
+        36.0
+        """
+        changes = _PRESETS[preset]
+        stereo, piv = (replace(getattr(self, name), **changes.get(name, {})) for name in ("stereo", "piv"))
+        return replace(self, stereo=stereo, piv=piv)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for a recipe.
+
+        Returns
+        -------
+        dict
+            Names to numbers, strings, lists and, for the two matchings, dicts.
+        """
+        out: dict[str, Any] = _plain(asdict(self))
+        return out
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], path: Path | None = None) -> Settings:
+        """Inverse of `to_dict`; what is left out keeps its default.
+
+        Parameters
+        ----------
+        data : mapping
+            Names to values; ``stereo`` and ``piv`` may name only what differs. ``preset`` starts from those
+            of `adjusted` instead of the defaults.
+        path : path, optional
+            The file whose ``settings`` they are, to be named with the line at fault.
+
+        Returns
+        -------
+        Settings
+
+        Raises
+        ------
+        ExperimentError
+            If a name is unknown or a value does not fit.
+        """
+        values: dict[str, Any] = dict(data)
+        preset = values.pop("preset", "floating")
+        if not isinstance(preset, str) or preset not in _PRESETS:
+            where = f"{place_of(path, ('settings', 'preset'))}: " if path else ""
+            why = _NOT_FAST if preset == "fast" else f"choose one of {', '.join(_PRESETS)}, not {preset!r}"
+            raise ExperimentError(f"{where}settings.preset: {why}")
+        base = cls().adjusted(preset)
+        for name, default in (("stereo", base.stereo), ("piv", base.piv)):
+            if isinstance(values.get(name, {}), Mapping):
+                values[name] = asdict(default) | dict(values.get(name, {}))
+        return make(cls, values, path=path, location=("settings",))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_plain(v) for v in value]
+    return value

@@ -1,0 +1,146 @@
+"""What the most probable fields keep of a wave, by linear theory, from what was learned of the record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.matching.matching_kernels import BLOCK
+from wavefield.matching.prior import Prior
+from wavefield.measurement.learned_record import Record
+from wavefield.measurement.plan import Plan
+
+Float = NDArray[np.floating[Any]]
+
+_SHARP = 2.0  # px: width of a bead's image that is in focus
+DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
+_NUMBERS = 200  # of wavenumber, up to the corner of what the grid resolves
+
+
+def tabulated(plan: Plan) -> dict[str, Float]:
+    """Gains of a plan as they are stored with a cube.
+
+    Returns ``direction`` (8,), rad, over half a turn.
+    """
+    k = np.linspace(0, np.sqrt(2) * np.pi / plan.grid.step, _NUMBERS)
+    direction = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    unknown = np.full((DIRECTIONS, _NUMBERS), np.nan)
+    found = dict.fromkeys("zuvw", unknown)
+    if plan.record is not None:
+        found = gains(plan, k * np.cos(direction[:, None]), k * np.sin(direction[:, None]))
+        if plan.settings.sheet_thickness is not None:
+            found["z"] = unknown
+    return {"direction": direction, "k": k} | {f"gain_{name}": values for name, values in found.items()}
+
+
+def gains(plan: Plan, kx: Float, ky: Float) -> dict[str, Float]:
+    """Amplitude gains of what a plan measures.
+
+    Parameters
+    ----------
+    plan : Plan
+        Of a measurement, its record learned.
+    kx, ky : ndarray
+        Wavenumbers, rad/m.
+
+    Returns
+    -------
+    dict of str to ndarray
+        z, u, v and w, each of the wavenumbers' shape; what the mean over four frames does comes on top.
+
+    Notes
+    -----
+    The most probable field keeps S / (S + N) of a wave, with the spectrum S and the noise N of the blocks
+    that were learned from sample frames; for velocities each camera's displacement in its own pixels at the
+    middle of the grid, then the least squares of all.
+    """
+    velocity = gain_of_velocity(plan, kx, ky)
+    out = {name: velocity[..., i, i] for i, name in enumerate("uvw")}
+    return {"z": gain_of_elevation(plan, kx, ky)} | out
+
+
+def shortest_carried(plan: Plan, better: float | Mapping[str, float] = 1.0) -> dict[str, float]:
+    """Wavelengths of which the measurement keeps half, by linear theory."""
+    assert plan.record is not None
+    each = better if isinstance(better, Mapping) else dict.fromkeys(plan.cameras, better)
+    both = 1.0 / float(np.mean([1.0 / each[name] for name in plan.surface_cameras]))  # noises add
+    record = replace(
+        plan.record,
+        elevation=_told(plan.record.elevation, both),
+        displacement=tuple((name, _told(prior, each[name])) for name, prior in plan.record.displacement),
+    )
+    k = np.linspace(0.0, np.pi / plan.grid.step, 600)
+    angle = np.arange(8)[:, None] * np.pi / 8
+    kx, ky = k * np.cos(angle), k * np.sin(angle)
+    velocity = gain_of_velocity(plan, kx, ky, record)
+    fields = {"z": gain_of_elevation(plan, kx, ky, record)}
+    fields |= {name: velocity[..., i, i] for i, name in enumerate("uvw")}
+    out = {}
+    for name, gain in fields.items():
+        below = np.flatnonzero(gain.mean(axis=0) < 0.5)
+        out[name] = float(2 * np.pi / k[max(below[0], 1)]) if below.size else 2.0 * plan.grid.step
+    return out
+
+
+def in_focus(plan: Plan) -> dict[str, float]:
+    """What every block of a camera would tell more if its beads' images were two pixels wide.
+
+    The same light in a spot of width s has gradients whose squares sum up to s^-4.
+    """
+    assert plan.record is not None
+    return {name: max(plan.record.width(name) / _SHARP, 1.0) ** 4 for name in plan.cameras}
+
+
+def _told(prior: Prior, factor: float) -> Prior:
+    return replace(prior, information=prior.information * factor)
+
+
+def gain_of_elevation(plan: Plan, kx: Float, ky: Float, record: Record | None = None) -> Float:
+    """Gain of z.
+
+    With kx, ky, rad/m.
+    """
+    record = record or plan.record
+    assert record is not None
+    step = BLOCK * plan.pixel
+    gain: Float = _between_blocks(record.elevation, kx * step, ky * step)[0]
+    gain /= 1.0 + plan.settings.smoothing * (np.square(kx * step) + np.square(ky * step)) ** 2
+    return gain
+
+
+def gain_of_velocity(plan: Plan, kx: Float, ky: Float, record: Record | None = None) -> Float:
+    """Displacement measured for one that is there, at the middle of the grid.
+
+    With kx, ky S, rad/m; returns S + (3, 3): Measured (dx, dy, dz) by true (dx, dy, dz): each camera's gain
+    in its own pixels, then the least squares of all.
+    """
+    record = record or plan.record
+    assert record is not None
+    grid = plan.grid
+    middle = 0.5 * (grid.x[0] + grid.x[1]), 0.5 * (grid.y[0] + grid.y[1])
+    priors = dict(record.displacement)
+    jacobians: list[Any] = [plan.binned[name].jacobian(*middle, 0.0) for name in priors]
+    inverse = np.linalg.pinv(np.concatenate(jacobians))
+    out = np.zeros((*np.broadcast_shapes(np.shape(kx), np.shape(ky)), 3, 3))
+    for i, (prior, jacobian) in enumerate(zip(priors.values(), jacobians)):
+        q = np.stack([kx, ky], axis=-1) @ (BLOCK * np.linalg.inv(jacobian[:, :2]))
+        gain = _between_blocks(prior, q[..., 0], q[..., 1])
+        both = np.moveaxis(np.broadcast_to(gain, (2, *out.shape[:-2])), 0, -1)
+        out += inverse[:, 2 * i : 2 * i + 2] @ (both[..., None] * jacobian)
+    return out
+
+
+def _between_blocks(prior: Prior, qx: Float, qy: Float) -> Float:
+    """Gain of the most probable field, (1 or c,) + S, read between the blocks from a cubic spline.
+
+    Wavenumbers in rad per block.
+    """
+    gain = prior.gain(qx, qy)
+    for q in (qx, qy):
+        spline = np.sinc(q / (2 * np.pi)) ** 4 * 3.0 / (2.0 + np.cos(q))
+        gain = np.where(np.abs(q) < np.pi, gain * spline, 0.0)
+    return gain

@@ -1,0 +1,58 @@
+"""What would help where little is measured: other settings that measure more of the same step, or why not."""
+
+from typing import Any
+
+import numpy as np
+
+from wavefield.pipeline.chunk import make_block, measure_block
+from wavefield.pipeline.cost import fraction_measured, has_step, in_view, whole_step
+from wavefield.pipeline.prepare import Prepared
+from wavefield.variables import Quality
+
+ENOUGH = 0.8  # of the nodes in view: images that measure so much need no advice
+_GAIN = 0.1  # of the nodes in view: settings that measure no more than this besides are not worth a word
+_OTHERS = {"sheet": "particles in a light sheet", "texture": "natural texture"}
+_WHY = {
+    Quality.REJECTED_CORRELATION: "the images do not look alike there: more light, more seeding, a sharper "
+    "focus or a higher frame rate would help; `wavefield check --pairs` tells cameras from frames",
+    Quality.REJECTED_EPS: "sight lines miss one another: does the rig belong to these images? "
+    "`wavefield refine` mends one that was knocked",
+    Quality.REJECTED_NEIGHBOURS: "values far from their neighbours: are the frames of one moment the "
+    "cameras' own?",
+    Quality.REJECTED_RANGE: "they lie beyond what is searched: is the range of elevations wide enough "
+    "(`settings: {z_range: ...}`), and that of the displacements (`piv: {search_x: ..., search_y: ...}`)?",
+}
+
+
+def advise(prepared: Prepared, measured: float) -> str:
+    """Say what would help, after trying it on the step that was tried."""
+    if measured >= ENOUGH or not has_step(prepared.series):
+        return ""
+    settings = prepared.plan.settings
+    tried = {name: fraction_measured(_quality(prepared, settings.adjusted(name))) for name in _OTHERS}
+    best = max(tried, key=lambda name: tried[name])
+    if tried[best] > measured + _GAIN:
+        return (
+            f"advice: only {100 * measured:.0f} % measured; with `settings: {{preset: {best}}}`, for "
+            f"{_OTHERS[best]}, the same step measures {100 * tried[best]:.0f} %, short waves less well"
+        )
+    return (
+        f"advice: only {100 * measured:.0f} % measured, mostly because {_why(_quality(prepared, settings))}"
+    )
+
+
+def _why(quality: np.ndarray) -> str:
+    """What most of the nodes that are not measured lack."""
+    lost = quality[in_view(quality) & (quality & Quality.MEASURED == 0)]
+    return _WHY[max(_WHY, key=lambda flag: int((lost & flag != 0).sum()))]
+
+
+def _quality(prepared: Prepared, settings: Any) -> np.ndarray:
+    """Of the step that was tried, measured with some settings."""
+    from wavefield.measurement import Plan
+
+    start = whole_step(prepared.series)
+    plan = Plan(prepared.rig, prepared.grid, settings, covered=prepared.plan.covered)
+    rate = prepared.experiment.frame_rate
+    block = measure_block(make_block(prepared.series, start, start + 1), plan, rate)
+    return np.asarray(block.fields["quality"])

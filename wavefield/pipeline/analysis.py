@@ -1,0 +1,147 @@
+"""The waves of a cube on workers: the analysis of one process, its sums taken elsewhere."""
+
+import pickle
+import tempfile
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wavefield.atomic_write import write_error
+from wavefield.errors import ExperimentError, RunStopped
+from wavefield.execution.cluster import MapUnordered, open_cluster
+from wavefield.execution.stop_signals import Stopped, jobs_folder, log_file, stop_signals
+from wavefield.execution.workflow import Workflow
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_FORKED = "wavefield.pipeline.worker_imports_waves"
+
+
+def analyze_on_workers(
+    cube: str | Path, out: str | Path, workflow: str | Path | Workflow, **asked: Any
+) -> "xr.DataTree":
+    """Compute the waves of a cube on the workers of a workflow: bit for bit as `wavefield.analyze` does.
+
+    Parameters
+    ----------
+    cube : path
+        A cube's store, on a disk that all workers see.
+    out : path
+        Zarr store to write, on such a disk: sums on their way lie beside it, and go with the analysis.
+    workflow : path or Workflow
+        Where to work.
+    **asked
+        Further keywords of `wavefield.analyze`: probes, segment, depth and others.
+
+    Returns
+    -------
+    DataTree
+        As `wavefield.analyze` gives it.
+
+    Raises
+    ------
+    CubeError, StoreError
+        As `wavefield.analyze` raises them.
+    ExperimentError
+        If the cluster cannot be started or its scheduler not be reached.
+    RunStopped
+        If it was interrupted, by Ctrl-C, a signal or the workflow's time limit.
+
+    Notes
+    -----
+    The record is cut into chains of eight segments whatever the workers are; each chain is summed by one
+    worker, and the sums of the chains are added in their order.
+
+    Examples
+    --------
+    >>> import wavefield as wf
+    >>> workflow = wf.Workflow(cluster="local", workers=4)
+    >>> waves = wf.analyze_on_workers("cube.zarr", "cube_waves.zarr", workflow, depth=0.7)  # doctest: +SKIP
+    >>> waves["coherence"].C_tot.dims  # doctest: +SKIP
+    ('k',)
+    """
+    if not isinstance(workflow, Workflow):
+        workflow = Workflow.load(workflow)
+    source, target = Path(cube).absolute(), Path(out).absolute()
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        place = tempfile.TemporaryDirectory(prefix=f".{target.name}.", suffix=".partial", dir=target.parent)
+    except OSError as error:
+        raise write_error(target, error) from None
+    with place as folder, log_file(target), stop_signals(workflow.time_limit_seconds):
+        try:
+            with open_cluster(workflow, jobs_folder(target), True, True, _FORKED) as map_unordered:
+                from wavefield.waves.analyze import analyze  # takes as long as the workers' start: beside it
+
+                return analyze(source, target, each=_InOrder(map_unordered, Path(folder)), **asked)
+        except KeyboardInterrupt as stop:
+            why = f" by {stop}" if isinstance(stop, Stopped) else ""
+            raise RunStopped(
+                f"stopped{why}; nothing was written, and the same command begins again"
+            ) from None
+
+
+@dataclass(frozen=True)
+class _ThroughDisk:
+    """Does work for an item in a file, leaves the result in one: both are large, messages should not be."""
+
+    work: Callable[[Any], Any]
+    folder: Path
+
+    def __call__(self, numbered: tuple[int, Path]) -> Path:
+        return _laid(self.work(_taken(numbered[1])), self.folder)
+
+
+def _taken(path: Path) -> Any:
+    try:
+        with path.open("rb") as stream:
+            return pickle.load(stream)
+    except FileNotFoundError:
+        raise _unseen(path.parent.parent) from None
+
+
+def _laid(thing: Any, folder: Path) -> Path:
+    path = folder / uuid.uuid4().hex
+    try:
+        with path.open("wb") as stream:
+            pickle.dump(thing, stream, pickle.HIGHEST_PROTOCOL)
+    except FileNotFoundError:
+        raise _unseen(folder.parent) from None
+    except OSError as error:
+        raise write_error(folder.parent, error) from None
+    return path
+
+
+def _unseen(folder: Path) -> ExperimentError:
+    return ExperimentError(
+        f"a worker does not see {folder}: write the waves to a disk that all workers share"
+    )
+
+
+@dataclass(frozen=True)
+class _InOrder:
+    """Gives results in the order of their items: what is done too early waits on the disk."""
+
+    map_unordered: MapUnordered
+    folder: Path
+
+    def __call__(self, work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
+        waiting: dict[int, Path] = {}
+        wanted = 0
+        if not items:
+            return
+        laid = list(enumerate(_laid(item, self.folder) for item in items))
+        with closing(self.map_unordered(_ThroughDisk(work, self.folder), laid)) as results:
+            for (number, _), result in results:
+                if isinstance(result, BaseException):
+                    raise result
+                waiting[number] = result
+                while wanted in waiting:
+                    path = waiting.pop(wanted)
+                    yield _taken(path)
+                    path.unlink()
+                    wanted += 1

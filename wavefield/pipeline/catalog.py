@@ -1,0 +1,352 @@
+"""Intake catalogs: the frames, the cube and the waves of many runs under names, with stock readers.
+
+A catalog ``tank.yaml`` has a folder ``tank`` beside it, and in it one folder per run::
+
+    tank.yaml
+    tank/coriolis-07/experiment.yaml        the experiment, or a file that points to it
+    tank/coriolis-07/1a2b3c4d/cube.zarr     derived stores, in a folder named after their recipe
+    tank/coriolis-07/1a2b3c4d/waves.zarr
+    tank/coriolis-07/latest                 link to the recipe run last
+
+so that a changed recipe goes beside the old one. ``run`` and ``recipe`` are parameters of the catalog.
+"""
+
+import errno
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlparse
+
+import yaml
+
+from wavefield.atomic_write import ANY_FILE, NEW_FILE, write_text
+from wavefield.config_files import read_yaml
+from wavefield.errors import ExperimentError, StoreError
+from wavefield.execution.cluster import open_cluster
+from wavefield.execution.lock import Lock
+from wavefield.execution.stop_signals import jobs_folder
+from wavefield.execution.workflow import Workflow
+from wavefield.pipeline.prepare import Prepared, prepare
+from wavefield.pipeline.running import ProgressFunction, process
+from wavefield.rig import Rig
+from wavefield.series import Experiment
+from wavefield.store.ledger import Status
+
+_OPTIONS = "intake.readers.user_parameters:OptionsUserParameter"
+_TEXT = "intake.readers.user_parameters:SimpleUserParameter"
+_XARRAY = "intake.readers.readers:XArrayDatasetReader"
+_PARTS = ["spectra", "coherence", "kinematics", "statistics"]
+
+
+def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = None) -> str:
+    """Register an experiment as a run of a catalog; the catalog is made if it is not there.
+
+    Parameters
+    ----------
+    catalog : path
+        Intake catalog, YAML.
+    experiment : path
+        Experiment file.
+    name : str, optional
+        Name of the run; by default that of the experiment.
+
+    Returns
+    -------
+    str
+        Name of the run.
+
+    Raises
+    ------
+    ExperimentError
+        If the experiment is wrong, or another experiment of that name is in the catalog.
+    """
+    catalog = Path(catalog).absolute()
+    found = Experiment.load(experiment)
+    run = name or found.name
+    data = read_yaml(catalog) if catalog.exists() else new_catalog(catalog.stem)
+    try:
+        options = data["user_parameters"]["run"]["options"]
+    except (KeyError, TypeError):
+        raise ExperimentError(
+            f"{catalog} has no parameter `run` with options; let `wavefield catalog add` make a new catalog"
+        ) from None
+    place = catalog.with_suffix("") / run / "experiment.yaml"
+    if place.exists() and Experiment.load(place).path.resolve() != found.path.resolve():
+        raise ExperimentError(f"{catalog} has another run {run!r} already; give this one a name of its own")
+    if not place.exists():
+        target = os.path.relpath(found.path, place.parent)
+        write_text(
+            place,
+            "# stands for the experiment file it names\n" + yaml.safe_dump({"experiment": target}),
+            NEW_FILE,
+        )
+    if run not in options:
+        options.append(run)
+        data["user_parameters"]["run"]["default"] = options[0]
+        _save(catalog, data)
+    return run
+
+
+def new_catalog(stem: str) -> dict[str, Any]:
+    """An intake catalog without runs."""
+    base = "{CATALOG_DIR}/" + stem + "/{run}"
+
+    def parameter(
+        kind: str, description: str, default: str, options: list[str] | None = None
+    ) -> dict[str, Any]:
+        out = {"cls": kind, "dtype": "str", "description": description, "default": default}
+        return out if options is None else {**out, "options": options}
+
+    def data(kind: str, url: str, **more: Any) -> dict[str, Any]:
+        return {
+            "datatype": f"intake.readers.datatypes:{kind}",
+            "kwargs": {"url": url, "storage_options": None, **more},
+            "metadata": {},
+            "user_parameters": {},
+        }
+
+    def entry(source: str, description: str, **keywords: Any) -> dict[str, Any]:
+        return {
+            "reader": _XARRAY,
+            "kwargs": {"data": "{data(" + source + ")}", **keywords},
+            "output_instance": "xarray:Dataset",
+            "metadata": {"description": description},
+            "user_parameters": {},
+        }
+
+    return {
+        "version": 2,
+        "metadata": {"title": stem},
+        "user_parameters": {
+            "run": parameter(_OPTIONS, "which experiment", "", []),
+            "recipe": parameter(
+                _OPTIONS, "which of its cubes: the first digits of the recipe's hash", "latest", ["latest"]
+            ),
+            # not `folder`: intake drops a keyword of a reader that has the name of a parameter
+            "location": parameter(_TEXT, "folder of the images, if not that of the experiment file", ""),
+            "part": parameter(_OPTIONS, "which part of the waves", "spectra", _PARTS),
+        },
+        "data": {
+            "experiment_file": data("FileData", f"{base}/experiment.yaml"),
+            "cube_store": data("Zarr", base + "/{recipe}/cube.zarr", root=""),
+            "waves_store": data("Zarr", base + "/{recipe}/waves.zarr", root=""),
+        },
+        "entries": {
+            "frames": entry(
+                "experiment_file",
+                "images of all cameras",
+                engine="wavefield",
+                folder="{location}",
+                chunks={},
+                open_local=True,
+            ),
+            "cube": entry("cube_store", "z, u, v, w (time, y, x)", engine="zarr", chunks={}),
+            "waves": entry("waves_store", "spectra and coherences", engine="zarr", group="{part}", chunks={}),
+        },
+        "aliases": {"frames": "frames", "cube": "cube", "waves": "waves"},
+    }
+
+
+def is_catalog(path: str | Path) -> bool:
+    """Whether a file is an intake catalog rather than an experiment.
+
+    Parameters
+    ----------
+    path : path
+        YAML.
+
+    Returns
+    -------
+    bool
+    """
+    return "entries" in read_yaml(Path(path))
+
+
+def run_catalog(
+    catalog: str | Path,
+    entries: Sequence[str] = (),
+    out: str | Path | None = None,
+    *,
+    rig: str | Path | Rig | None = None,
+    workflow: str | Path | Workflow | None = None,
+    progress: ProgressFunction | None = None,
+    parameters: Mapping[str, str] | None = None,
+) -> list[Status]:
+    """Process runs of a catalog, each into a folder named after its recipe.
+
+    Parameters
+    ----------
+    catalog : path
+        Intake catalog.
+    entries : sequence of str
+        Runs; all of them if left out.
+    out : path, optional
+        The store of a single run, elsewhere than the catalog says.
+    rig : path or Rig, optional
+        In place of the ones that the experiments name.
+    workflow : path or Workflow, optional
+        Cluster and recipe.
+    progress : callable, optional
+        Called with steps done, steps of the run, and a sentence that names the run.
+    parameters : mapping, optional
+        Values of the catalog's parameters.
+
+    Returns
+    -------
+    list of Status
+        One per run.
+
+    Raises
+    ------
+    ExperimentError
+        If a run or a parameter is unknown, or the catalog lacks what is needed.
+
+    Examples
+    --------
+    >>> import wavefield as wf
+    >>> from wavefield.pipeline.catalog import catalog_add
+    >>> catalog_add("tank.yaml", "experiment.yaml")  # doctest: +SKIP
+    'coriolis-07'
+    >>> found = wf.run_catalog("tank.yaml", ["coriolis-07"])  # doctest: +SKIP
+    >>> all(one.complete for one in found)  # doctest: +SKIP
+    True
+    """
+    path = Path(catalog).absolute()
+    runs = runs_of(path, entries)
+    if out is not None and len(runs) > 1:
+        raise ExperimentError(f"one store cannot hold {len(runs)} runs; name the run, or leave out -o")
+    done = []
+    for number, run in enumerate(runs, 1):
+        chosen = {"run": run, **(parameters or {})}
+        prepared = prepare(find_experiment(path, chosen), rig, workflow)
+        store = Path(out) if out is not None else store_of(path, chosen, prepared)
+        with (
+            Lock.hold(store.absolute()) as lock,
+            open_cluster(prepared.workflow, jobs_folder(store)) as mapped,
+        ):
+            done.append(process(prepared, lock, mapped, _named(progress, f"{run} ({number} of {len(runs)})")))
+        if out is None:
+            _link_latest(store, prepared)
+    return done
+
+
+def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
+    """Names of a catalog's runs."""
+    path = Path(catalog).absolute()
+    options = read_yaml(path).get("user_parameters", {}).get("run", {}).get("options", [])
+    unknown = [name for name in entries if name not in options]
+    if unknown:
+        raise ExperimentError(f"{path} has no run {unknown[0]!r}; it has {', '.join(options) or 'none'}")
+    runs = list(entries) or list(options)
+    if not runs:
+        raise ExperimentError(
+            f"{path} has no runs; add one with `wavefield catalog add {path.name} EXPERIMENT`"
+        )
+    return runs
+
+
+def cube_of(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
+    """Where the cube of a run lies, or will: that of the recipe run last, unless ``recipe`` is chosen."""
+    return Path(_local(_open_entry(Path(catalog).absolute(), "cube", chosen).kwargs["data"].url))
+
+
+def _named(progress: ProgressFunction | None, run: str) -> ProgressFunction | None:
+    if progress is None:
+        return None
+    return lambda done, total, sentence: progress(done, total, f"{run}: {sentence}" if sentence else run)
+
+
+def _open_entry(catalog: Path, entry: str, chosen: Mapping[str, str]) -> Any:
+    import intake
+
+    opened = intake.open_catalog(str(catalog))
+    known = [name for name in opened.user_parameters if not name.isupper()]
+    unknown = [name for name in chosen if name not in known]
+    if unknown:
+        raise ExperimentError(f"{catalog} has no parameter {unknown[0]!r}; it has {', '.join(known)}")
+    if entry not in list(opened):
+        raise ExperimentError(f"{catalog} has no entry {entry!r}; it has {', '.join(opened)}")
+    try:
+        return opened(**chosen)[entry]
+    except (ValueError, TypeError, KeyError) as error:
+        raise ExperimentError(f"{catalog}: entry {entry!r}: {error}") from None
+
+
+def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> Experiment:
+    """The experiment that a catalog's entry ``frames`` opens."""
+    reader = _open_entry(Path(catalog).absolute(), "frames", chosen)
+    return Experiment.load(_local(reader.kwargs["data"].url), reader.kwargs.get("folder") or None)
+
+
+def find_cube(catalog: str | Path, run: str | None = None) -> Path:
+    """The cube of a run: that of the recipe that was run last."""
+    path = Path(catalog).absolute()
+    runs = read_yaml(path).get("user_parameters", {}).get("run", {}).get("options", [])
+    if run is not None and run not in runs:
+        raise ExperimentError(f"{path} has no run {run!r}; it has {', '.join(runs) or 'none'}")
+    cubes = {
+        name: Path(_local(_open_entry(path, "cube", {"run": name}).kwargs["data"].url))
+        for name in (runs if run is None else [run])
+    }
+    there = {name: cube for name, cube in cubes.items() if cube.exists()}
+    if not there:
+        raise ExperimentError(
+            f"{path} has no cube of {run or 'any run'} yet; make it with `wavefield run {path.name}"
+            + (f" {run}`" if run else "`")
+        )
+    if len(there) > 1:
+        raise ExperimentError(f"{path} has the cubes of {', '.join(there)}; name one of these runs")
+    return next(iter(there.values()))
+
+
+def store_of(catalog: Path, chosen: Mapping[str, str], prepared: Prepared) -> Path:
+    """Where a catalog wants the cube of a run, and put its recipe among the catalog's options."""
+    data = read_yaml(catalog)
+    recipe = data.get("user_parameters", {}).get("recipe")
+    if recipe is not None:
+        short = prepared.recipe.hash[:8]
+        if "options" in recipe and short not in recipe["options"]:
+            recipe["options"].append(short)
+            _save(catalog, data)
+        chosen = {**chosen, "recipe": short}
+    return cube_of(catalog, chosen)
+
+
+def _local(url: str) -> str:
+    parts = urlparse(url)
+    if parts.scheme not in ("", "file"):
+        raise ExperimentError(f"{url} is not on this machine's disks; a run needs local files")
+    return unquote(parts.path) if parts.scheme else url
+
+
+def _link_latest(store: Path, prepared: Prepared) -> None:
+    """Let the link `latest` beside the recipe's folder point to it."""
+    folder = store.parent
+    if folder.name != prepared.recipe.hash[:8]:
+        return
+    temporary = folder.with_name(f".latest.{os.getpid()}")
+    try:
+        temporary.unlink(missing_ok=True)
+        temporary.symlink_to(folder.name, target_is_directory=True)
+        latest = folder.with_name("latest")
+        if latest.exists() and not latest.is_symlink():
+            raise OSError(errno.EEXIST, "there is a file or folder of this name")
+        temporary.replace(latest)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise StoreError(
+            f"the link {folder.with_name('latest')} cannot be made ({error.strerror}); open the cube with "
+            f"recipe={folder.name!r}"
+        ) from None
+
+
+def _save(catalog: Path, data: Mapping[str, Any]) -> None:
+    """Write the catalog, keeping the comment at its head."""
+    head = []
+    if catalog.exists():
+        for line in catalog.read_text().splitlines():
+            if line and not line.startswith("#"):
+                break
+            head.append(line + "\n")
+    write_text(catalog, "".join(head) + yaml.safe_dump(dict(data), sort_keys=False, width=110), ANY_FILE)

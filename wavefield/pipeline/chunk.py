@@ -1,0 +1,191 @@
+"""Measuring one block of steps: frames in, arrays and faults out.
+
+A block of n steps reads n + 5 frames: both frames of each step, and two neighbours on either side for z at
+mid-time. Blocks do not depend on each other, so they can be measured in any order, anywhere, any time again.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from wavefield.series import Frame
+from wavefield.variables import AROUND, FrameFault, FrameStatus
+
+
+class Source(Protocol):
+    """Frames of one camera: a `FrameSeries`, or an array of images."""
+
+    def __len__(self) -> int: ...
+
+    def read(self, index: int) -> Frame:
+        """Read one frame."""
+        ...
+
+    def covered(self, index: int) -> np.ndarray | None:
+        """What is masked in a frame, True there; None if nothing is."""
+        ...
+
+    def window(self, start: int, stop: int) -> "Source":
+        """The part that a block needs."""
+        ...
+
+
+@dataclass(frozen=True)
+class Block:
+    """Steps start to stop (not included), and the frames around them."""
+
+    start: int  # Range of steps
+    stop: int
+    # Frames start - 2 to stop + 2 of every camera, as far as there are any
+    sources: Mapping[str, Source] = field(repr=False)
+    first: int  # Index of the frame that is index 0 of the sources
+
+    @property
+    def steps(self) -> int:
+        """Number of steps."""
+        return self.stop - self.start
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Results of a block."""
+
+    fields: dict[str, np.ndarray]  # (n, ny, nx): The variables of `wavefield.variables.CUBE_FIELDS`
+    frame_status: np.ndarray  # (n,): See `wavefield.variables.FrameStatus`
+    faults: dict[str, dict[int, FrameFault]]  # Bad frames of each camera, by index in the whole series
+    messages: list[str]  # A sentence about each of them
+    # (3,): By how much each camera was turned back in each frame, by index in the whole series
+    # (`wavefield.quality.stabilized`); empty unless the settings ask for it
+    shifts: dict[int, dict[str, np.ndarray]] = field(default_factory=dict)
+
+
+def make_block(sources: Mapping[str, Source], start: int, stop: int) -> Block:
+    """Cut out what a block needs."""
+    first = max(start - AROUND, 0)
+    return Block(
+        start, stop, {name: s.window(first, stop + 1 + AROUND) for name, s in sources.items()}, first
+    )
+
+
+class BlockFrames(Sequence[np.ndarray | None]):
+    """The n + 5 frames of one camera, read when asked for; only the last few are kept in memory."""
+
+    _KEEP = 2 * AROUND + 2  # as many as a step at mid-time looks at
+
+    def __init__(self, source: Source, block: Block) -> None:
+        self._source, self._block = source, block
+        self._kept: dict[int, np.ndarray | None] = {}
+        self.faults: dict[int, FrameFault] = {}
+        self.messages: dict[int, str] = {}
+
+    def __len__(self) -> int:
+        return self._block.steps + 2 * AROUND + 1
+
+    def __getitem__(self, position: Any) -> Any:
+        if isinstance(position, slice):
+            return [self[i] for i in range(*position.indices(len(self)))]
+        if not -len(self) <= position < len(self):
+            raise IndexError(position)
+        position %= len(self)
+        if position not in self._kept:
+            self._kept[position] = self._read(position)
+            while len(self._kept) > self._KEEP:
+                del self._kept[next(iter(self._kept))]
+        return self._kept[position]
+
+    def _read(self, position: int) -> np.ndarray | None:
+        index = self._block.start - AROUND + position
+        inside = index - self._block.first
+        if not 0 <= inside < len(self._source):
+            return None  # before the first or after the last frame: not a fault
+        frame = self._source.read(inside)
+        if frame.fault:
+            self.faults[index] = frame.fault
+            self.messages[index] = frame.message
+        return frame.image
+
+
+class BlockMasks(Sequence[np.ndarray | None]):
+    """What is masked in the n + 5 frames of one camera."""
+
+    def __init__(self, source: Source, block: Block) -> None:
+        self._source, self._block = source, block
+
+    def __len__(self) -> int:
+        return self._block.steps + 2 * AROUND + 1
+
+    def __getitem__(self, position: Any) -> Any:
+        inside = self._block.start - AROUND + position - self._block.first
+        return self._source.covered(inside) if 0 <= inside < len(self._source) else None
+
+
+def measure_block(block: Block, plan: Any, frame_rate: float) -> Measured:
+    """Measure all steps of a block."""
+    from wavefield.measurement.measure import measure
+
+    frames = {name: BlockFrames(source, block) for name, source in block.sources.items()}
+    masks = {name: BlockMasks(source, block) for name, source in block.sources.items()}
+    given: Mapping[str, Sequence[np.ndarray | None]] = frames
+    steadier = None
+    if plan.settings.vibration == "correct":
+        from wavefield.quality.stabilized import Steadier
+
+        steadier = Steadier(frames, plan)
+        given = steadier.sequences()
+    fields = dict(measure(given, plan, frame_rate, masks))
+    status = np.asarray(fields.pop("frame_status"), np.uint8)
+    _find_dim_frames(frames, status, block, plan)
+    _find_ranges(frames, fields, status, block, plan)
+    faults = {name: dict(lazy.faults) for name, lazy in frames.items()}
+    messages = [lazy.messages[i] for lazy in frames.values() for i in sorted(lazy.messages)]
+    shifts = {block.start - AROUND + k: found for k, found in steadier.shifts.items()} if steadier else {}
+    return Measured(fields, status, faults, messages, shifts)
+
+
+def _find_dim_frames(frames: Mapping[str, BlockFrames], status: np.ndarray, block: Block, plan: Any) -> None:
+    """Name the frames that the measurement found to show next to nothing, though they are not quite blank."""
+    from wavefield.measurement.frame import usable
+
+    suspicious = np.flatnonzero(status != FrameStatus.DONE)
+    for position in sorted({int(step) + k for step in suspicious for k in (AROUND, AROUND + 1)}):
+        index = block.start - AROUND + position
+        for name, lazy in frames.items():
+            if index not in lazy.faults:
+                image = lazy[position]
+                if image is not None and not usable(image, plan.rig[name].size):
+                    lazy.faults[index] = FrameFault.BLANK
+                    lazy.messages[index] = f"{name} frame at index {index} shows next to nothing"
+
+
+def _find_ranges(
+    frames: Mapping[str, BlockFrames],
+    fields: Mapping[str, np.ndarray],
+    status: np.ndarray,
+    block: Block,
+    plan: Any,
+) -> None:
+    """Mark the frames from which the water went further than is searched; their steps have faults."""
+    from wavefield.measurement.search_limits import at_border, few_measured, moved_beyond, rose_beyond
+
+    def mark(name: str, step: int, words: str) -> None:
+        index = block.start + step
+        frames[name].faults.setdefault(index, FrameFault.RANGE)
+        frames[name].messages.setdefault(index, f"{name} frame at index {index}: {words}")
+        status[step] = max(status[step], FrameStatus.DONE_WITH_FAULTS)
+
+    for step in range(len(status)):
+        quality = fields["quality"][step]
+        if status[step] != FrameStatus.FAILED and at_border(fields["z"][step], plan.z_range):
+            mark(plan.reference, step, "the water reaches the border of the elevations searched")
+        if status[step] == FrameStatus.FAILED and rose_beyond(
+            {name: lazy[step + AROUND] for name, lazy in frames.items()}, plan
+        ):
+            mark(plan.reference, step, "the water stands beyond the elevations searched")
+        if few_measured(quality) or status[step] == FrameStatus.FAILED:
+            for name in plan.velocity_cameras:
+                if name in frames and moved_beyond(
+                    frames[name][step + AROUND], frames[name][step + AROUND + 1], name, plan
+                ):
+                    mark(name, step, "the water moves further than is searched")

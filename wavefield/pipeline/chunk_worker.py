@@ -1,0 +1,44 @@
+"""What a worker does: measure one block and write it. Imports little, so that workers start quickly."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wavefield.pipeline.chunk import Block, measure_block
+from wavefield.store.write_cube import write_block
+from wavefield.variables import FrameStatus
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a worker says of a block that it has written."""
+
+    start: int  # Range of steps
+    stop: int
+    failed: int  # Steps that could not be measured
+    messages: tuple[str, ...]  # A sentence about each bad frame
+
+
+@dataclass(frozen=True)
+class Work:
+    """Measures one block and writes it: what a worker is sent."""
+
+    store: Path  # Where to write
+    plan: Any  # Pickles as rig, grid and settings; computed once per process
+    frame_rate: float  # Hz
+
+    def __call__(self, block: Block) -> Report:
+        """Measure and write."""
+        measured = measure_block(block, self.plan, self.frame_rate)
+        write_block(
+            self.store,
+            block.start,
+            measured.fields,
+            measured.frame_status,
+            measured.faults,
+            measured.shifts,
+        )
+        failed = int(np.count_nonzero(measured.frame_status == FrameStatus.FAILED))
+        return Report(block.start, block.stop, failed, tuple(measured.messages))

@@ -1,0 +1,160 @@
+"""What a run will take, told from a few steps of it."""
+
+import shutil
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numcodecs
+import numpy as np
+
+from wavefield.errors import ExperimentError
+from wavefield.execution.cluster import count_workers
+from wavefield.pipeline.chunk import Measured, Source, make_block, measure_block
+from wavefield.pipeline.learning import learn_from
+from wavefield.pipeline.prepare import Prepared
+from wavefield.pipeline.reading_speed import Reading, look_at_reading
+from wavefield.series import Frame, FrameSeries
+from wavefield.store.layout import COMPRESSION
+from wavefield.text import spell_time
+from wavefield.variables import AROUND, FrameStatus, Quality
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a run will take, from measured steps."""
+
+    step_seconds: float  # Time per step on one worker, s
+    workers: int  # Workers that share the steps
+    seconds: float  # Time of the whole run, s
+    memory: int  # Memory per worker, bytes
+    disk: int  # Size of the store, bytes
+    free: int  # Room on the disk of the store, bytes
+    reading: Reading | None = None  # What the workers want to read, and what the images' disk gives
+
+    def __str__(self) -> str:
+        workers = "1 worker" if self.workers == 1 else f"{self.workers} workers"
+        text = (
+            f"{spell_time(self.seconds)} on {workers} ({self.step_seconds:.2f} s per step), "
+            f"{self.memory / 1e9:.2f} GB of memory per worker, {_size(self.disk)} of disk"
+        )
+        if self.free < 1.1 * self.disk:
+            text += f" - but only {_size(self.free)} are free: free some room or write elsewhere with -o"
+        return text
+
+
+def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
+    """Measure a few steps in the middle of the run, and tell from them what the whole will take."""
+    start = whole_step(prepared.series)
+    stop = min(start + 3, prepared.steps)
+    pair = {name: one.window(start, start + 2) for name, one in prepared.series.items()}
+    prepared = prepared.knowing(learn_from([pair], prepared.plan))  # as a run learns; and compiles
+    one, step = _measured(prepared, start, stop)
+    if (one.frame_status == FrameStatus.FAILED).all():
+        raise ExperimentError(
+            f"the step of frame {next(iter(prepared.series.values())).first + start} could not be measured; "
+            "look at its images, the rig and the grid"
+        )
+    workers = count_workers(prepared.workflow)
+    frames_measured = prepared.steps * (1 + 5 / prepared.block)
+    cost = Cost(
+        step_seconds=step,
+        workers=workers,
+        seconds=step * frames_measured / workers,
+        memory=_peak_memory() + 3 * prepared.block * prepared.step_bytes,
+        disk=int(_stored_bytes(one.fields) * prepared.steps / (stop - start)),
+        free=shutil.disk_usage(prepared.experiment.path.parent).free,
+        reading=look_at_reading(prepared.series, prepared.block, step, workers),
+    )
+    return cost, fraction_measured(one.fields["quality"])
+
+
+class _Clocked:
+    """Frames of one camera that note when each is asked for."""
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.asked: list[float] = []
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def read(self, index: int) -> Frame:
+        self.asked.append(time.perf_counter())
+        return self.source.read(index)
+
+    def covered(self, index: int) -> np.ndarray | None:
+        return self.source.covered(index)
+
+    def window(self, start: int, stop: int) -> Source:
+        return self.source.window(start, stop)
+
+
+def _measured(prepared: Prepared, start: int, stop: int) -> tuple[Measured, float]:
+    """Measure a block; also the seconds that a step takes once its neighbours are there."""
+    block = make_block(prepared.series, start, stop)
+    clocked = {name: _Clocked(source) for name, source in block.sources.items()}
+    since = time.perf_counter()
+    measured = measure_block(replace(block, sources=clocked), prepared.plan, prepared.experiment.frame_rate)
+    whole = time.perf_counter() - since
+    frames = block.steps + 2 * AROUND + 1
+    gaps = np.diff(next(iter(clocked.values())).asked[:frames])
+    # each frame is asked for when all is done with those before: the first have no step to give yet
+    whole_steps = gaps[2 * AROUND + 1 :]
+    return measured, float(whole_steps.mean()) if whole_steps.size else whole / frames
+
+
+def _stored_bytes(fields: Mapping[str, np.ndarray]) -> int:
+    """Bytes of measured fields after compression as in the store."""
+    codec = numcodecs.Blosc(**COMPRESSION, shuffle=numcodecs.Blosc.SHUFFLE)
+    return sum(len(codec.encode(np.ascontiguousarray(field))) for field in fields.values())
+
+
+def _peak_memory() -> int:
+    """Most memory that this process has used so far, bytes."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
+
+
+def _size(count: float) -> str:
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
+
+
+def whole_step(series: Mapping[str, FrameSeries]) -> int:
+    """A step near the middle whose frames are there in all cameras."""
+    steps = _steps(series)
+    if steps.size == 0:
+        raise ExperimentError("no two consecutive frames are there in all cameras: nothing can be measured")
+    return int(steps[np.argmin(np.abs(steps - (len(next(iter(series.values()))) - 1) // 2))])
+
+
+def has_step(series: Mapping[str, FrameSeries]) -> bool:
+    """Whether two consecutive frames are there in all cameras."""
+    return bool(_steps(series).size)
+
+
+def _steps(series: Mapping[str, FrameSeries]) -> np.ndarray:
+    there = np.all([[entry is not None for entry in one.entries] for one in series.values()], axis=0)
+    return np.flatnonzero(there[:-1] & there[1:])
+
+
+def in_view(quality: np.ndarray) -> np.ndarray:
+    """Nodes that could be measured: seen by the cameras and not masked."""
+    return np.asarray((quality & (Quality.OUTSIDE | Quality.MASKED)) == 0)
+
+
+def fraction_measured(quality: np.ndarray) -> float:
+    """Fraction of the nodes in view that were measured: filled ones are finite too, but do not count.
+
+    Examples
+    --------
+    >>> fraction_measured(np.array([Quality.MEASURED, Quality.FILLED, Quality.OUTSIDE]))
+    0.5
+    """
+    seen = in_view(quality)
+    return float((quality[seen] & Quality.MEASURED != 0).mean()) if seen.any() else 0.0

@@ -1,0 +1,61 @@
+"""The gain of a cube's measurement, predicted from its recipe."""
+
+import json
+
+import xarray as xr
+
+from wavefield.errors import CubeError
+from wavefield.grid import Grid
+from wavefield.measurement import Plan, Record, Settings
+from wavefield.measurement.response import tabulated
+from wavefield.rig import Camera, Rig
+from wavefield.waves.estimation.window_gain import label
+
+
+def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
+    """Predict the gain of the measurement from what a cube's run learned of its record.
+
+    Parameters
+    ----------
+    cube : Dataset
+        A cube with its recipe among its attributes, as `wavefield run` writes it.
+
+    Returns
+    -------
+    Dataset
+        As `wavefield.waves.estimation.window_gain` gives it, without coherences.
+
+    Raises
+    ------
+    CubeError
+        If the cube does not say how it was made.
+
+    Notes
+    -----
+    By linear theory: `wavefield.measurement.response.gains`.
+
+    Examples
+    --------
+    >>> import wavefield as wf
+    >>> gain = wf.predicted_gain(wf.open_cube("cube.zarr"))  # doctest: +SKIP
+    >>> waves = wf.analyze("cube.zarr", gain=gain)  # doctest: +SKIP
+
+    A cube from elsewhere does not say how it was made:
+
+    >>> predicted_gain(xr.Dataset())
+    Traceback (most recent call last):
+        ...
+    wavefield.errors.CubeError: the cube does not say how it was made ...
+    """
+    try:
+        recipe = json.loads(cube.attrs["recipe"])
+        rig = Rig({name: Camera.from_dict(camera) for name, camera in recipe["rig"].items()})
+        grid = Grid(**recipe["grid"])
+        settings = Settings.from_dict(recipe["settings"])
+        record = Record.from_dict(recipe["record"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise CubeError(
+            f"the cube does not say how it was made ({error}): measure the gain of its windows, window_gain"
+        ) from None
+    table = tabulated(Plan(rig, grid, settings, record))
+    return label({name: table[f"gain_{name}"] for name in "zuvw"}, table["k"], "linear theory")

@@ -1,0 +1,272 @@
+"""The lazy cube: `reconstruct` maps the measurement over blocks of steps, one Dask task each."""
+
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from operator import getitem
+from typing import Any
+
+import dask
+import dask.array as da
+import numpy as np
+import xarray as xr
+from dask.delayed import Delayed
+from dask.highlevelgraph import HighLevelGraph
+
+from wavefield.errors import ExperimentError, RigError
+from wavefield.grid import Grid
+from wavefield.pipeline.chunk import Block, make_block, measure_block
+from wavefield.pipeline.learning import learn_from, samples
+from wavefield.rig import Rig
+from wavefield.rig.resolution import pixel_size
+from wavefield.series import Frame
+from wavefield.series.frames import judge_content
+from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, FrameFault, annotate
+
+# One task measures a block and one more per variable hands it on: with fewer steps per block the graph of a
+# long series would grow beyond one task for five steps.
+STEPS_PER_TASK = 72
+
+
+@dataclass(frozen=True)
+class ArraySource:
+    """Images of one camera in an xarray variable, lazy or not."""
+
+    camera: str  # Its name
+    variable: xr.Variable  # (time, row, column)
+    mask: xr.Variable | None = None  # (row, column) or (time, row, column): True where pixels do not count
+
+    def __len__(self) -> int:
+        return int(self.variable.shape[0])
+
+    def read(self, index: int) -> Frame:
+        """Read one frame; an image without contrast counts as bad."""
+        image = np.asarray(self.variable[index].values)
+        place = f"{self.camera} frame {index}"
+        if image.ndim != 2:
+            return Frame(None, FrameFault.WRONG_SIZE, f"{place} has {image.ndim} dimensions")
+        return judge_content(image, place)
+
+    def covered(self, index: int) -> np.ndarray | None:
+        """What is masked in a frame.
+
+        Returns (row, column): True where masked.
+        """
+        if self.mask is None:
+            return None
+        mask = self.mask[index] if self.mask.ndim == 3 else self.mask
+        return np.asarray(mask.values, bool)
+
+    def window(self, start: int, stop: int) -> "ArraySource":
+        """The part that a block needs."""
+        part = slice(max(start, 0), stop)
+        mask = self.mask[part] if self.mask is not None and self.mask.ndim == 3 else self.mask
+        return replace(self, variable=self.variable[part], mask=mask)
+
+
+def reconstruct(
+    frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray],
+    rig: Rig,
+    grid: Grid,
+    settings: Any = None,
+    *,
+    steps_per_task: int = STEPS_PER_TASK,
+    record: Mapping[str, Any] | None = None,
+) -> xr.Dataset:
+    """Turn image series into a lazy cube of elevation and velocity.
+
+    Nothing is read or computed before values are asked for; then four sample steps of the whole series say
+    what every step is weighed with: beads, spectra, noise. To look at a few steps only, select their
+    frames first: ``reconstruct(frames.isel(time=slice(0, 4)), ...)``; to process a whole experiment into a
+    store that survives interruptions, use `wavefield.pipeline.run`.
+
+    Parameters
+    ----------
+    frames : DataTree, Dataset or mapping of str to DataArray
+        Images (time, row, column) per camera: a tree with one node per camera and ``image`` in it, as
+        ``xr.open_datatree("experiment.yaml", engine="wavefield")`` gives, or arrays by name of camera.
+        ``mask`` beside an image, (row, column) or (time, row, column), is true where pixels do not count.
+        All have the same times, evenly spaced.
+    rig : Rig
+        The cameras.
+    grid : Grid
+        Nodes wanted, metres.
+    settings : wavefield.measurement.Settings, optional
+        Choices of the measurement.
+    steps_per_task : int
+        Steps that one task measures; it does not change the values.
+    record : mapping, optional
+        What is known of the whole record, ``json.loads(cube.attrs["recipe"])["record"]`` of an earlier cube:
+        then a few of its steps come out as they are there. Otherwise it is learned from these frames.
+
+    Returns
+    -------
+    Dataset
+        Every variable of the cube on (time, y, x), Dask arrays; time at mid-step, seconds.
+
+    Raises
+    ------
+    ExperimentError
+        If cameras are missing, or times are not evenly spaced.
+
+    Examples
+    --------
+    Images that are all black, of which nothing is read yet: work begins when values are asked for.
+
+    >>> from wavefield.tank import Scene
+    >>> rig = Scene.load("demo").build_rig()
+    >>> times = {"time": np.arange(5) / 20}
+    >>> frames = {}
+    >>> for name in rig:
+    ...     width, height = rig[name].size
+    ...     images = da.zeros((5, height, width), np.uint8, chunks=(1, -1, -1))
+    ...     frames[name] = xr.DataArray(images, times, ("time", "row", "column"))
+    >>> cube = reconstruct(frames, rig, Grid(x=(-0.5, 0.5), y=(-0.4, 0.4), step=0.02))
+    >>> cube.z.dims, cube.z.shape
+    (('time', 'y', 'x'), (4, 41, 51))
+    >>> round(float(cube.time[0]), 3)
+    0.025
+    """
+    from wavefield.measurement import Plan, Settings
+
+    settings = Settings() if settings is None else settings
+    arrays, attributes = _arrays(frames)
+    plan = Plan(rig, grid, settings)
+    absent = [name for name in plan.cameras if name not in arrays]
+    if absent:
+        raise ExperimentError(f"the frames have no camera {', '.join(absent)}; there are {', '.join(arrays)}")
+    arrays = {name: arrays[name] for name in plan.cameras}
+    times, frame_rate = _times(arrays, attributes)
+    _check_sizes(arrays, rig)
+
+    masks = _masks(frames)
+    sources = {name: ArraySource(name, array.variable, masks.get(name)) for name, array in arrays.items()}
+    steps = len(times) - 1
+    edges = [(i, min(i + steps_per_task, steps)) for i in range(0, steps, steps_per_task)]
+    token = uuid.uuid4().hex
+    known = dask.delayed(_known, pure=False, traverse=True)(
+        samples(sources, steps), plan, record, dask_key_name=f"learn-{token}"
+    )
+    measure = dask.delayed(_measure, pure=False, traverse=True)
+    tasks = [
+        measure(make_block(sources, *edge), known, frame_rate, dask_key_name=f"measure-{token}-{k}")
+        for k, edge in enumerate(edges)
+    ]
+    variables = {
+        name: (TABLE[name].dims, _assemble(name, tasks, token, edges, grid.shape))
+        for name in (*CUBE_FIELDS, "frame_status")
+    }
+    gain, axes = _gain(known, plan)
+    path_frames = da.from_delayed(dask.delayed(_path_frames, pure=False)(known), (), np.uint8)
+    mid = 0.5 * (times[:-1] + times[1:])
+    coords = {"time": mid, "y": grid.y_nodes, "x": grid.x_nodes, "path_frames": path_frames} | axes
+    out = xr.Dataset(variables | gain, coords=coords)
+    used = replace(rig, cameras={name: rig[name] for name in plan.cameras})
+    out.attrs = {"frame_rate": frame_rate, "pixel_size": pixel_size(used, grid)} | {
+        name: attributes[name]
+        for name in ("experiment", "water_depth", "surface_tension_over_density")
+        if name in attributes
+    }
+    return annotate(out, "gain")
+
+
+def _gain(known: Delayed, plan: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What the measurement keeps of waves, once its record is known, and its axes."""
+    from wavefield.measurement.response import tabulated
+
+    table = tabulated(plan)
+    found = dask.delayed(tabulated, pure=False)(known)
+    dims = TABLE["gain/gain_z"].dims
+    shape = tuple(table[name].size for name in dims)
+    gain = {
+        name: (dims, da.from_delayed(found[name], shape, np.float64)) for name in table if name not in dims
+    }
+    return gain, {name: table[name] for name in dims}
+
+
+def _known(pairs: Sequence[Mapping[str, Any]], plan: Any, record: Mapping[str, Any] | None) -> Any:
+    """The plan with what is known of the record."""
+    from wavefield.measurement import Record
+
+    learned = learn_from(pairs, plan) if record is None else record
+    return plan.knowing(Record.from_dict(learned)) if learned else plan
+
+
+def _path_frames(plan: Any) -> np.ndarray:
+    return np.asarray(plan.record.path_frames if plan.record else 4, np.uint8)
+
+
+def _measure(block: Block, plan: Any, frame_rate: float) -> dict[str, np.ndarray]:
+    measured = measure_block(block, plan, frame_rate)
+    return {**measured.fields, "frame_status": measured.frame_status}
+
+
+def _assemble(
+    name: str, tasks: Sequence[Delayed], token: str, edges: Sequence[tuple[int, int]], shape: tuple[int, int]
+) -> da.Array:
+    """One variable as a Dask array over the tasks that measure the blocks."""
+    row = TABLE[name]
+    cube = row.dims == CUBE_DIMS
+    key = f"{name}-{token}"
+    layer: dict[Any, Any] = {
+        (key, k, *((0, 0) if cube else ())): (getitem, task.key, name) for k, task in enumerate(tasks)
+    }
+    graph = HighLevelGraph.from_collections(key, layer, dependencies=list(tasks))  # type: ignore[arg-type]
+    sizes = tuple(stop - start for start, stop in edges)
+    chunks = (sizes, (shape[0],), (shape[1],)) if cube else (sizes,)
+    return da.Array(graph, key, chunks=chunks, dtype=row.dtype)
+
+
+def _arrays(
+    frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray],
+) -> tuple[dict[str, xr.DataArray], dict[str, Any]]:
+    """Images by camera, and the attributes of the whole."""
+    attributes = {str(name): value for name, value in getattr(frames, "attrs", {}).items()}
+    if isinstance(frames, xr.DataTree):
+        found = {
+            name: node.to_dataset()["image"] for name, node in frames.children.items() if "image" in node
+        }
+        return found, attributes
+    if isinstance(frames, xr.Dataset):
+        return {str(n): a for n, a in frames.data_vars.items() if a.ndim == 3}, attributes
+    return {str(name): array for name, array in frames.items()}, attributes
+
+
+def _masks(frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray]) -> dict[str, xr.Variable]:
+    """What is masked, by camera."""
+    if not isinstance(frames, xr.DataTree):
+        return {}
+    return {name: node["mask"].variable for name, node in frames.children.items() if "mask" in node}
+
+
+def _times(arrays: Mapping[str, xr.DataArray], attributes: Mapping[str, Any]) -> tuple[np.ndarray, float]:
+    """Times of the frames, and the frame rate."""
+    name, first = next(iter(arrays.items()))
+    for other, array in arrays.items():
+        if array.dims[0] != "time" or array.ndim != 3:
+            raise ExperimentError(
+                f"images of {other} have dimensions {array.dims}; needed: time, row, column"
+            )
+        if "time" not in array.coords or not np.array_equal(array["time"], first["time"]):
+            raise ExperimentError(f"{other} and {name} need the same `time` coordinate, in seconds")
+    times = np.asarray(first["time"].values, float)
+    if times.size < 2:
+        raise ExperimentError(f"there are {times.size} frames; a step needs two")
+    intervals = np.diff(times)
+    frame_rate = float(attributes.get("frame_rate") or round(1.0 / np.median(intervals), 9))
+    if np.abs(intervals * frame_rate - 1.0).max() > 1e-3:
+        raise ExperimentError(
+            f"the times of the frames are not evenly spaced at {frame_rate:g} Hz; "
+            "select them without a stride"
+        )
+    return times, frame_rate
+
+
+def _check_sizes(arrays: Mapping[str, xr.DataArray], rig: Rig) -> None:
+    for name, array in arrays.items():
+        w, h = rig[name].size
+        if array.shape[1:] != (h, w):
+            raise RigError(
+                f"the rig was made for images of {name} of {w} x {h} px, but these have "
+                f"{array.shape[2]} x {array.shape[1]}"
+            )

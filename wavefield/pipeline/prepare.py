@@ -1,0 +1,235 @@
+"""Everything that a run needs, read and checked before it starts."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wavefield.errors import ExperimentError
+from wavefield.execution.cluster import count_workers
+from wavefield.execution.workflow import Workflow
+from wavefield.grid import Grid
+from wavefield.measurement.algorithm import ALGORITHM
+from wavefield.measurement.first_guess import FirstGuess, first_guess, wide_enough
+from wavefield.measurement.first_heights import FirstHeights, first_heights, high_enough
+from wavefield.quality.stabilized import refuse_unless_in_a_row
+from wavefield.rig import Rig
+from wavefield.series import Experiment, FrameSeries, masks
+from wavefield.store.recipe import Recipe
+from wavefield.variables import CUBE_FIELDS, TABLE
+
+_LOOKS = 4  # steps over the record by which the range of displacements is found
+_LONGEST_BLOCK = 100  # steps; a block costs one to two steps more for its five extra frames
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Everything that a run needs before it starts."""
+
+    experiment: Experiment  # The experiment
+    series: Mapping[str, FrameSeries]  # Frames of the cameras that measure
+    rig: Rig  # Those cameras
+    grid: Grid  # The nodes
+    plan: Any  # The measurement
+    recipe: Recipe  # All of it as plain data
+    workflow: Workflow  # How to process
+    # How far the water moves from frame to frame; None where the settings state the range to search
+    motion: FirstGuess | None = None
+    # How high it stands and rises; None where the settings state ``z_range``
+    heights: FirstHeights | None = None
+
+    def knowing(self, record: Mapping[str, Any]) -> "Prepared":
+        """The same with what sample frames of the record say."""
+        from wavefield.measurement import Record
+
+        plan = self.plan.knowing(Record.from_dict(record)) if record else self.plan
+        return replace(self, plan=plan, recipe=replace(self.recipe, record=record))
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of the whole run."""
+        return len(next(iter(self.series.values()))) - 1
+
+    @property
+    def step_bytes(self) -> int:
+        """Bytes of the results of one step."""
+        return int(self.plan.x.size) * sum(np.dtype(TABLE[name].dtype).itemsize for name in CUBE_FIELDS)
+
+    @property
+    def block(self) -> int:
+        """Steps per block of a new store."""
+        workflow = self.workflow
+        block = workflow.steps_per_block or choose_block(
+            self.steps, count_workers(workflow), self.step_bytes, workflow.memory_bytes
+        )
+        return min(block, self.steps)
+
+
+def prepare(
+    experiment: str | Path | Experiment,
+    rig: str | Path | Rig | None = None,
+    workflow: str | Path | Workflow | None = None,
+) -> Prepared:
+    """Read and check everything that a run needs."""
+    from wavefield.measurement import Plan
+
+    experiment, workflow = load_files(experiment, workflow)
+    series = experiment.open_frames()
+    if not isinstance(rig, Rig):
+        rig = experiment.load_rig(rig, series)
+    used = {name: rig[name] for name in experiment.measuring_cameras}
+    rig = replace(rig, cameras=used)
+    grid = experiment.choose_grid(rig)
+    if not any(expected_coverage(replace(rig, cameras={name: rig[name]}), grid) for name in rig):
+        raise ExperimentError(
+            f"{experiment.path}: no camera sees the grid (x {grid.x[0]:g} to {grid.x[1]:g} m, "
+            f"y {grid.y[0]:g} to {grid.y[1]:g} m); correct `grid`, or leave it out to have it chosen"
+        )
+    settings = make_settings(experiment, workflow)
+    series = {name: series[name] for name in used}
+    covered = masks.footprints(experiment.mask)
+    plan = Plan(rig, grid, settings, covered=covered)
+    if settings.vibration == "correct":
+        refuse_unless_in_a_row(plan)
+    bare, folder = series, experiment.path.parent
+    series = masks.covered_series(experiment.mask, bare, rig, folder, -plan.z_range[0])
+    look = _Look(series, plan)
+    motion, heights = None, None
+    if not _states_search(experiment, workflow):
+        motion = first_guess(look.read, plan.velocity_cameras, look.steps)
+        settings = wide_enough(settings, motion)
+    if settings.z_range is None:
+        settings, heights = high_enough(settings, first_heights(look.read, plan, look.steps))
+    if settings != plan.settings:
+        plan = Plan(rig, grid, settings, covered=covered)
+        series = masks.covered_series(experiment.mask, bare, rig, folder, -plan.z_range[0])
+    recipe = make_recipe(experiment, series, rig, grid, settings, workflow.packing)
+    return Prepared(experiment, series, rig, grid, plan, recipe, workflow, motion, heights)
+
+
+def _states_search(experiment: Experiment, workflow: Workflow) -> bool:
+    """Whether the range of displacements is among the settings."""
+    stated = (source.settings.get("piv") for source in (experiment, workflow))
+    return any(isinstance(piv, Mapping) and {"search_x", "search_y"} & set(piv) for piv in stated)
+
+
+class _Look:
+    """Some steps over the whole record, their images as they are matched."""
+
+    def __init__(self, series: Mapping[str, FrameSeries], plan: Any) -> None:
+        self.series, self.plan = series, plan
+        count = min(len(series[name]) for name in plan.cameras) - 1
+        self.steps = sorted({int((i + 0.5) * count / _LOOKS) for i in range(_LOOKS)})
+        self._widths: dict[str, float] = {}  # of the beads, measured in the first image of a camera
+        self._twice: dict[tuple[str, int], Any] = {}  # images that motion and elevation are both seen in
+
+    def read(self, name: str, frame: int) -> Any:
+        """Image of a camera; None where there is none that can be used."""
+        if frame not in self.steps:
+            return self._read(name, frame)
+        if (name, frame) not in self._twice:
+            self._twice[name, frame] = self._read(name, frame)
+        return self._twice[name, frame]
+
+    def _read(self, name: str, frame: int) -> Any:
+        from wavefield.measurement.background import bead_width
+        from wavefield.measurement.frame import ready, usable
+
+        image = self.series[name].read_uncovered(frame)
+        if not usable(image, self.plan.rig[name].size):
+            return None
+        if name not in self._widths:
+            self._widths[name] = bead_width(np.asarray(image))
+        return ready(np.asarray(image), self.plan.binning[name], self._widths[name])
+
+
+def load_files(
+    experiment: str | Path | Experiment, workflow: str | Path | Workflow | None
+) -> tuple[Experiment, Workflow]:
+    """Read the files that describe a run, as far as they are not read yet."""
+    if not isinstance(experiment, Experiment):
+        experiment = Experiment.load(experiment)
+    if not isinstance(workflow, Workflow):
+        workflow = Workflow() if workflow is None else Workflow.load(workflow)
+    return experiment, workflow
+
+
+def make_recipe(
+    experiment: Experiment,
+    series: Mapping[str, FrameSeries],
+    rig: Rig,
+    grid: Grid,
+    settings: Any,
+    packing: str = "float32",
+) -> Recipe:
+    """Collect the recipe of a run."""
+    one = next(iter(series.values()))
+    return Recipe(
+        experiment=experiment.name,
+        images={name: _images(experiment, name) for name in series},
+        frames=(one.first, one.first + len(one) - 1),
+        frame_rate=experiment.frame_rate,
+        grid=asdict(grid),
+        rig={name: rig[name].to_dict() for name in series},
+        settings=settings.to_dict(),
+        packing=packing,
+        mask=masks.as_data(experiment.mask, experiment.path.parent),
+        algorithm=ALGORITHM,
+    )
+
+
+def _images(experiment: Experiment, name: str) -> Any:
+    section = experiment.cameras[name]
+    images: Any = section.images
+    if not isinstance(images, str) and len(images) > 20:  # a long list is told apart by its hash
+        digest = hashlib.sha256(json.dumps(images).encode()).hexdigest()[:16]
+        images = f"list of {len(images)} files, {digest}"
+    return [images, section.offset, section.times]
+
+
+def expected_coverage(rig: Rig, grid: Grid) -> float:
+    """Share of the nodes that every camera sees while the water is at rest."""
+    x, y = np.meshgrid(grid.x_nodes, grid.y_nodes)
+    seen = np.ones(x.shape, bool)
+    for name in rig:
+        seen &= rig[name].sees(x, y, 0.0)
+    return float(seen.mean())
+
+
+def make_settings(experiment: Experiment, workflow: Workflow) -> Any:
+    """Measurement settings: defaults, then those of the experiment, then those of the workflow."""
+    from wavefield.measurement.measurement_settings import Settings
+
+    for source in (experiment, workflow):  # each by itself: only then is the place of an error known
+        Settings.from_dict(source.settings, source.path)
+    data: dict[str, Any] = {}
+    if experiment.surface:
+        data["pairs"] = experiment.surface.pairs
+    if experiment.velocity:
+        data["velocity_cameras"] = experiment.velocity.cameras
+    for more in (experiment.settings, workflow.settings):
+        for name, value in more.items():
+            nested = isinstance(value, Mapping) and isinstance(data.get(name), Mapping)
+            data[name] = {**data[name], **value} if nested else value
+    return Settings.from_dict(data)
+
+
+def choose_block(steps: int, workers: int, step_bytes: int, memory: int | None) -> int:
+    """Steps per block: long enough that its five extra frames do not matter, short enough for memory.
+
+    Examples
+    --------
+    >>> choose_block(12000, 2, 151 * 201 * 45, None)
+    100
+    >>> choose_block(40, 2, 151 * 201 * 45, None)
+    20
+    """
+    # results, their stack and their compressed copy are there at once; half the memory is for the measurement
+    room = int((memory or 1_500_000_000) // 2 // (4 * step_bytes))
+    longest = max(1, min(_LONGEST_BLOCK, room))
+    rounds = -(-steps // (workers * longest))
+    return max(1, min(longest, -(-steps // (workers * rounds))))

@@ -1,0 +1,173 @@
+"""The verdict on an experiment before its run, and on a cube after it."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wavefield.execution.cluster import threads_here
+from wavefield.execution.worker_settings import one_thread
+from wavefield.pipeline.prepare import Prepared, expected_coverage
+from wavefield.pipeline.still_water import remark_on_rest
+from wavefield.quality import camera_delay, camera_motion
+from wavefield.quality.camera_delay import Delay
+from wavefield.quality.camera_faults import Examination, examine
+from wavefield.quality.patch_matching import Witness
+from wavefield.quality.probe_remarks import remark_on_probes
+from wavefield.quality.recording_remarks import remark_on_recordings
+from wavefield.store.ledger import Status
+from wavefield.store.read import open_group
+from wavefield.store.verdict import Remark, Verdict
+from wavefield.text import spell_ranges
+from wavefield.variables import Quality
+
+_INSTANTS = 4  # of a record, looked at before a run and after it
+_SYNCHRONY = 24  # of a record, by which delays of cameras are measured after its run
+_FIRST_LOOK = 4  # the same before it
+_STEPS = 12  # of a cube, looked at after its run
+_EPS = (0.15, 0.5)  # px: eps' that is remarked upon, that nothing can be believed of
+_ALONE = (0.01, 0.1)  # of the nodes measured without one camera: that is told, that is remarked upon
+_LEAST_MEASURED = (0.7, 0.2)  # of what all cameras see: less is remarked upon, is worth nothing
+_MANY = 0.01  # of the steps with bad frames: fewer are only noted
+
+
+def look_at_cameras(prepared: Prepared) -> Examination:
+    """Compare the cameras' images at some instants of the record."""
+    count = prepared.steps + 1
+    frames = sorted({int((k + 0.5) * count / _INSTANTS) for k in range(_INSTANTS)})
+    with one_thread():  # each of them
+        return examine(_witness(prepared), count, frames, threads_here(prepared.workflow))
+
+
+def synchrony_of(prepared: Prepared, instants: int = _SYNCHRONY) -> tuple[dict[str, Delay], float]:
+    """Whether the cameras take their frames at the same moment."""
+    count = prepared.steps + 1
+    even = ((k + 0.5) * count / instants for k in range(instants))
+    frames = sorted({min(max(int(k), 2), count - 3) for k in even}) if count >= 5 else []
+    rate = prepared.experiment.frame_rate
+    with one_thread():  # each of them
+        return camera_delay.delays(
+            prepared.plan, _witness(prepared), frames, rate, threads_here(prepared.workflow)
+        )
+
+
+def clocks(prepared: Prepared) -> tuple[str, list[Remark]]:
+    """A first look at whether the cameras take their frames at the same moment, at a few instants."""
+    found, speed = synchrony_of(prepared, _FIRST_LOOK)
+    return camera_delay.sentence(found), list(camera_delay.remarks(found, speed))
+
+
+def _witness(prepared: Prepared) -> Witness:
+    return Witness(lambda name, k: prepared.series[name].read_uncovered(k), prepared.rig, prepared.grid)
+
+
+def judge(prepared: Prepared, status: Status, seen: Examination | None = None) -> Verdict:
+    """The verdict on a cube whose run has ended."""
+    seen = look_at_cameras(prepared) if seen is None else seen
+    remarks = [
+        *seen.remarks,
+        *([] if any(one.weight == "grave" for one in seen.remarks) else _clocks_and_mounts(prepared, status)),
+        remark_on_rest(prepared.experiment, prepared.rig),
+        *remark_on_recordings(prepared.experiment, prepared.series),
+        *remark_on_probes(prepared.experiment, status.store),
+        *_steps(status),
+        *_fields(status.store, expected_coverage(prepared.rig, prepared.grid)),
+    ]
+    return Verdict.of(remarks, seen.cameras, seen.pairs, seen.frames)
+
+
+def _clocks_and_mounts(prepared: Prepared, status: Status) -> Iterator[Remark]:
+    """What eps_y says of cameras that see the same water."""
+    instants = min(_SYNCHRONY, max(_INSTANTS, prepared.steps // 6))  # of a short record, not most of its cost
+    yield from camera_delay.remarks(*synchrony_of(prepared, instants))
+    first = next(iter(prepared.series.values())).first
+    yield from camera_motion.remarks(status.store, prepared.plan, _witness(prepared), first)
+
+
+def _steps(status: Status) -> Iterator[Remark]:
+    if status.failed:
+        everything = status.failed == status.steps
+        yield Remark(
+            "record",
+            "failed steps",
+            "grave" if everything else "remark",
+            f"{'all' if everything else status.failed} of {status.steps} steps could not be measured, "
+            f"from frame {spell_ranges(status.failed_steps, 3)}",
+            "none",
+            "look at these frames: are they there, bright, seeded, and of all cameras?",
+            {"failed": status.failed, "steps": status.steps},
+        )
+    if status.faulty:
+        yield Remark(
+            "record",
+            "bad frames",
+            "remark" if status.faulty > _MANY * status.steps else "note",
+            f"{status.faulty} of {status.steps} steps have bad frames around them",
+            f"less than {100 * _MANY:.0f} %",
+            "copy these frames again and run the same command",
+            {"faulty": status.faulty, "steps": status.steps},
+        )
+
+
+def _fields(store: Path, seen: float) -> Iterator[Remark]:
+    """What the values themselves say, at some steps."""
+    group = open_group(store)
+    steps = _some(group["z"].shape[0])
+    z = np.stack([np.asarray(group["z"][k]) for k in steps])
+    if group["z"].dtype == np.int16:
+        z = np.where(z == group["z"].attrs["_FillValue"], np.nan, z.astype(np.float32))
+    found = np.isfinite(z)
+    if not found.any():
+        return  # the ledger says so
+    eps = np.stack([np.asarray(group["eps_piv"][k], np.float32) for k in steps])
+    eps *= np.float32(group["eps_piv"].attrs.get("scale_factor", 1.0))
+    misfit = (
+        float(np.median(np.abs(eps[found & np.isfinite(eps)]))) if (found & np.isfinite(eps)).any() else 0.0
+    )
+    if misfit > _EPS[0]:
+        yield Remark(
+            "velocity",
+            "eps'",
+            "grave" if misfit > _EPS[1] else "remark",
+            f"the cameras contradict each other on how the water moves: median eps' {misfit:.2f} px",
+            f"less than {_EPS[0]} px",
+            "are the frames of the same moments, and of the same order, for all cameras?",
+            {"eps_piv": misfit},
+        )
+    yield from _left_out(group, steps)
+    measured = float(found.mean()) / max(seen, 1e-9)
+    if seen > 0.05 and measured < _LEAST_MEASURED[0]:
+        yield Remark(
+            "surface",
+            "holes",
+            "grave" if measured < _LEAST_MEASURED[1] else "remark",
+            f"{100 * measured:.0f} % of what all cameras see was measured",
+            f"{100 * _LEAST_MEASURED[0]:.0f} % at least",
+            "look at seeding and light where `quality` says why nodes were rejected",
+            {"fraction": measured},
+        )
+
+
+def _left_out(group: Any, steps: Sequence[int]) -> Iterator[Remark]:
+    """Cameras without which much was measured."""
+    quality = np.stack([np.asarray(group["quality"][k]) for k in steps])
+    seen = (quality & np.uint16(Quality.MEASURED | Quality.FILLED)) != 0
+    for number, camera in enumerate(group.attrs["cameras"]):
+        bit = np.uint16(Quality.without(number) & ~Quality.FEWER_CAMERAS)
+        fraction = float(((quality & bit) != 0)[seen].mean()) if seen.any() else 0.0
+        if fraction > _ALONE[0]:
+            yield Remark(
+                camera,
+                "left out",
+                "remark" if fraction > _ALONE[1] else "note",
+                f"{100 * fraction:.1f} % of the nodes were measured without {camera}: its frame was missing,"
+                " or it contradicted the others there",
+                f"less than {100 * _ALONE[0]:.0f} %",
+                f"look at the images of {camera}: a drop on its window, a reflection, focus, a late frame?",
+                {"fraction": fraction},
+            )
+
+
+def _some(count: int) -> Sequence[int]:
+    return sorted({int((k + 0.5) * count / _STEPS) for k in range(_STEPS)})

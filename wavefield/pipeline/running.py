@@ -1,0 +1,351 @@
+"""Processing a whole experiment into a store, block by block, on one process or many.
+
+Whatever stops a run (Ctrl-C, a time limit, a dead scheduler, a full disk), the same command goes on from the
+ledger: only blocks that are not marked done are measured.
+"""
+
+import json
+import logging
+import time
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wavefield.atomic_write import check_replaceable, check_writable, remove_leftovers
+from wavefield.errors import RunStopped, StoreError, WavefieldError
+from wavefield.execution.cluster import open_cluster, threads_here
+from wavefield.execution.deferred_signals import undisturbed
+from wavefield.execution.lock import Lock
+from wavefield.execution.stop_signals import Stopped, jobs_folder, log_file, log_path, stop_signals
+from wavefield.execution.workflow import Workflow
+from wavefield.pipeline.chunk import Block, make_block
+from wavefield.pipeline.chunk_worker import Work
+from wavefield.pipeline.fingerprint import check_images, fingerprints
+from wavefield.pipeline.learning import learn_record
+from wavefield.pipeline.prepare import Prepared, load_files, prepare
+from wavefield.rig import Rig
+from wavefield.rig.resolution import pixel_size
+from wavefield.series import Experiment, FrameSeries
+from wavefield.store.blocks import ledger_checksum
+from wavefield.store.layout import Layout, create_store
+from wavefield.store.ledger import Status, status
+from wavefield.store.metadata import mark_complete, restore_metadata
+from wavefield.store.preview import create_preview
+from wavefield.store.read import measured_rate, open_group, read_layout
+from wavefield.store.recipe import check_recipe
+from wavefield.store.relabel import relabel
+from wavefield.store.store_paths import beside
+from wavefield.store.verdict import VERDICT, read_verdict
+from wavefield.store.verify import suspicious
+from wavefield.store.write_cube import discard_blocks, reset_blocks
+from wavefield.text import spell_time
+from wavefield.variables import AROUND, FrameFault, FrameStatus
+
+log = logging.getLogger("wavefield.run")
+ProgressFunction = Callable[[int, int, str], None]
+MapFunction = Callable[[Work, Sequence[Block]], Generator[tuple[Block, Any]]]
+
+_MOST_TOLD = 30  # bad frames that the log names
+_ENOUGH_FAILURES = 3  # blocks that fail before any succeeds: something is wrong with all of them
+
+
+def run(
+    experiment: str | Path | Experiment,
+    out: str | Path | None = None,
+    *,
+    rig: str | Path | Rig | None = None,
+    workflow: str | Path | Workflow | None = None,
+    progress: ProgressFunction | None = None,
+) -> Status:
+    """Process an experiment into a cube; goes on where an earlier run stopped.
+
+    Parameters
+    ----------
+    experiment : path or Experiment
+        The experiment. `wavefield.pipeline.catalog.run_catalog` processes those of a catalog.
+    out : path, optional
+        The store; by default ``cube.zarr`` beside the experiment file.
+    rig : path or Rig, optional
+        In place of the one that the experiment names.
+    workflow : path or Workflow, optional
+        Cluster and recipe; by default the processes of this machine.
+    progress : callable, optional
+        Called with steps done, steps of the whole run, and a sentence.
+
+    Returns
+    -------
+    Status
+
+    Raises
+    ------
+    ExperimentError, RigError
+        If something is missing or wrong, before anything is written.
+    StoreError
+        If the store was made with another recipe, cannot be written, or another run is writing it.
+    RunStopped
+        If it was interrupted.
+
+    Notes
+    -----
+    Results do not depend on the workflow: neither on the number of workers nor on the size of blocks.
+
+    A store goes on with the recipe that it was begun with: settings, rig, grid, names of images, and the
+    version of the measurement. Its labels may change: name, description, `offset` of all cameras, frame rate,
+    water; they are written into the cube, and nothing is measured again. Other images under the same names
+    are refused if some frames (first, middle, last) show it.
+
+    Worker processes start by importing the program that started them: in a script, call this below
+    ``if __name__ == "__main__":``.
+
+    Examples
+    --------
+    Two steps of a small simulated tank, in this process; the same call would go on where it stopped.
+
+    >>> import tempfile
+    >>> from wavefield.images import write_image
+    >>> from wavefield.store.read import open_cube
+    >>> from wavefield.tank import Scene, Tank
+    >>> tank = Tank(Scene.load("demo").with_(rig={"crop": 0.12}, sea={"shortest": 0.15}))
+    >>> note = "{name: a, frame_rate: 20, rig: rig.yaml, grid: {x: [-.04, .04], y: [-.06, .06], step: .01}"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     tank.rig.save(Path(folder) / "rig.yaml")
+    ...     for number in range(3):
+    ...         for camera, image in tank.render(number).items():
+    ...             write_image(Path(folder) / camera / f"{number}.tif", image)
+    ...     file = Path(folder) / "experiment.yaml"
+    ...     _ = file.write_text(note + ", cameras: {cam1: cam1/*.tif, cam2: cam2/*.tif, cam3: cam3/*.tif}}")
+    ...     found = run(file, workflow=Workflow(cluster="none"))
+    ...     shape = open_cube(file.with_name("cube.zarr")).z.shape
+    >>> found.complete, shape
+    (True, (2, 13, 9))
+    """
+    experiment, workflow = load_files(experiment, workflow)
+    path = Path(out) if out is not None else experiment.resolve("cube.zarr")
+    with ExitStack() as stack:
+        lock = stack.enter_context(Lock.hold(path.absolute()))
+        if path.exists():
+            _repair(path)
+            open_group(path)  # what is no cube is refused at once
+        check_writable(beside(path, "verdict", ".json"), VERDICT)
+        with undisturbed():  # Ctrl-C inside an import may be lost
+            map_unordered = stack.enter_context(open_cluster(workflow, jobs_folder(path), not path.exists()))
+            prepared = prepare(experiment, rig, workflow)
+        return process(prepared, lock, map_unordered, progress)
+
+
+def process(
+    prepared: Prepared, lock: Lock, map_unordered: MapFunction, progress: ProgressFunction | None = None
+) -> Status:
+    """Create the store or go on with it, until every block is done."""
+    path = lock.store
+    with log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
+        try:
+            _go_on(prepared, lock, map_unordered, progress)
+        except KeyboardInterrupt as stop:
+            raise RunStopped(
+                f"stopped{_why(stop)}{_how_far(path)}; nothing is lost, and the same command goes on"
+            ) from None
+    with undisturbed():  # what only the end needs comes when the rest is done
+        from wavefield.pipeline.run_quality import judge
+    found = status(path)
+    judge(prepared, found).save(path)
+    if found.complete:
+        mark_complete(path, ledger_checksum(path, read_layout(open_group(path))))
+    return status(path)
+
+
+def _go_on(
+    prepared: Prepared, lock: Lock, map_unordered: MapFunction, progress: ProgressFunction | None
+) -> None:
+    path = lock.store
+    prepared, layout = _open_or_create(prepared, path)
+    mark_complete(path, None)
+    ranges = unfinished(path, layout, prepared.series)
+    todo = [make_block(prepared.series, start, stop) for start, stop in ranges]
+    tracker = _Tracker(layout.steps, layout.steps - sum(b.steps for b in todo), progress)
+    tracker.say(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} blocks to do")
+    if todo:
+        _work_off(prepared, lock, todo, map_unordered, tracker)
+    tracker.say("done")
+
+
+def _repair(path: Path) -> None:
+    """Put damaged metadata and coordinates back; damaged blocks are measured again later."""
+    for name in restore_metadata(path):
+        log.warning("%s was damaged: written again", path / name)
+    try:
+        read_verdict(path)
+    except StoreError:
+        verdict = beside(path, "verdict", ".json")
+        check_replaceable(verdict, VERDICT)
+        verdict.unlink()  # another comes at the end of the run
+
+
+def _why(stop: KeyboardInterrupt) -> str:
+    return f" by {stop}" if isinstance(stop, Stopped) else ""
+
+
+def _how_far(path: Path) -> str:
+    if not path.exists():
+        return " before it began"
+    now = status(path)
+    return f" after {now.steps - now.left} of {now.steps} steps"
+
+
+def _open_or_create(prepared: Prepared, path: Path) -> tuple[Prepared, Layout]:
+    if path.exists():
+        _repair(path)
+        group = open_group(path)
+        check_recipe(path, group, prepared.recipe)
+        check_images(str(path), json.loads(group.attrs.get("fingerprints", "{}")), prepared.series)
+        remove_leftovers(path)
+        prepared = prepared.knowing(json.loads(str(group.attrs["recipe"]))["record"])
+        for change in relabel(path, prepared.recipe, _labels(prepared.experiment)):
+            log.info("labelled anew, nothing is measured again: %s", change)
+        return prepared, read_layout(open_group(path))
+    log.info("learning beads, spectra and noise from sample frames")
+    threads = threads_here(prepared.workflow)
+    prepared = prepared.knowing(learn_record(prepared.series, prepared.steps, prepared.plan, threads))
+    if prepared.recipe.record:
+        log.info("velocities along paths of %d frames", prepared.recipe.record["path_frames"])
+    grid = prepared.grid
+    first = next(iter(prepared.series.values())).first
+    layout = Layout(prepared.steps, prepared.block, tuple(prepared.series), first)
+    attributes = {
+        "pixel_size": pixel_size(prepared.rig, grid),
+        "fingerprints": json.dumps(fingerprints(prepared.series)),
+        **_labels(prepared.experiment),
+    }
+    remove_leftovers(path)
+    from wavefield.measurement.response import tabulated
+
+    gain = tabulated(prepared.plan)
+    create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes, gain)
+    create_preview(path, open_group(path))
+    return prepared, layout
+
+
+def _labels(experiment: Experiment) -> dict[str, Any]:
+    """What a cube says of its experiment, and no value follows from."""
+    out: dict[str, Any] = {"experiment_file": str(experiment.path)}
+    if experiment.description:
+        out["description"] = experiment.description
+    if experiment.folder:
+        out["image_folder"] = str(experiment.image_folder)
+    return out | experiment.water.attributes()
+
+
+def unfinished(path: Path, layout: Layout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
+    """Blocks that are still to be measured: not done yet, or with bad frames that are good by now.
+
+    Returns (start, stop): Ranges of steps.
+    """
+    damaged = suspicious(path)
+    if damaged:
+        log.warning("%d blocks are damaged: measuring them again", len(damaged))
+        discard_blocks(path, damaged)
+    group = open_group(path)
+    ledger = np.asarray(group["frame_status"][:])
+    faults = np.asarray(group["frame_fault"][:])
+    mended = np.zeros(layout.steps + 1, bool)
+    for camera, index in np.argwhere((faults != 0) & (faults != FrameFault.RANGE)):
+        if not series[layout.cameras[camera]].read(int(index)).fault:
+            mended[index] = True
+    again, todo = [], []
+    for start, stop in layout.blocks():
+        if (ledger[start:stop] == FrameStatus.NOT_STARTED).any():
+            todo.append((start, stop))
+        elif mended[max(start - AROUND, 0) : stop + 1 + AROUND].any():
+            again.append(start)
+            todo.append((start, stop))
+    if again:
+        log.info("frames that were bad can be read now: measuring %d blocks again", len(again))
+        reset_blocks(path, again)
+    return todo
+
+
+def _work_off(
+    prepared: Prepared,
+    lock: Lock,
+    todo: Sequence[Block],
+    map_unordered: MapFunction,
+    tracker: "_Tracker",
+) -> None:
+    path = lock.store
+    work = Work(path, prepared.plan, measured_rate(open_group(path)))
+    failures: list[tuple[Block, BaseException]] = []
+    told = _Told()
+    succeeded = 0
+    tracker.start()
+    # closed here and now: what is not done yet is called off before anything else
+    with closing(map_unordered(work, todo)) as results:
+        for block, result in results:
+            lock.check()
+            if isinstance(result, WavefieldError):
+                raise result
+            if isinstance(result, BaseException):
+                log.error("steps %d to %d failed", block.start, block.stop - 1, exc_info=result)
+                failures.append((block, result))
+                if not succeeded and len(failures) >= _ENOUGH_FAILURES:
+                    break
+                continue
+            succeeded += 1
+            told.tell(result.messages)
+            tracker.add(result.stop - result.start)
+    if failures:
+        block, error = failures[0]
+        raise StoreError(
+            f"{len(failures)} of {len(todo)} blocks failed, the first (steps {block.start} to "
+            f"{block.stop - 1}) with {type(error).__name__}: {error}; see {log_path(path)}, and run the same "
+            "command again to retry"
+        ) from error
+
+
+class _Told:
+    """Passes sentences about bad frames on to the log: the first of them, then how many there are."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def tell(self, messages: Sequence[str]) -> None:
+        for message in messages:
+            self.count += 1
+            if self.count <= _MOST_TOLD:
+                log.warning("%s", message)
+            elif self.count == _MOST_TOLD + 1:
+                log.warning("more than %d bad frames; `wavefield status` lists them all", _MOST_TOLD)
+
+
+class _Tracker:
+    """Counts steps, and tells the log and the user how far the run is."""
+
+    def __init__(self, total: int, done: int, progress: ProgressFunction | None) -> None:
+        self.total, self.done, self._progress = total, done, progress
+        self._since, self._before = time.monotonic(), done
+        self._logged = 0.0
+
+    def start(self) -> None:
+        self._since = time.monotonic()
+        self.say("")
+
+    def add(self, steps: int) -> None:
+        self.done += steps
+        now = time.monotonic()
+        left = (now - self._since) / (self.done - self._before) * (self.total - self.done)
+        sentence = f"{spell_time(left)} left" if self.done < self.total else ""
+        if now - self._logged > 10 or self.done == self.total:
+            self._logged = now
+            log.info("%d of %d steps%s", self.done, self.total, f", {sentence}" if sentence else "")
+        self._tell(sentence)
+
+    def say(self, sentence: str) -> None:
+        if sentence:
+            log.info("%s", sentence)
+        self._tell(sentence)
+
+    def _tell(self, sentence: str) -> None:
+        if self._progress:
+            self._progress(self.done, self.total, sentence)

@@ -1,0 +1,123 @@
+"""A record of the water at rest: it mends the rig, and tells where the beads lie above the water."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wavefield.pipeline.prepare import prepare
+from wavefield.rig import Rig
+from wavefield.rig.water_level import Plane
+from wavefield.series import Experiment
+from wavefield.store.verdict import Remark
+
+if TYPE_CHECKING:
+    from wavefield.calibration.still_water_correction import RigCheck
+
+FRAMES = 10  # of the record at rest that are matched
+_BEADS = 1e-4, 2e-3  # metres: what may be seen of beads above the water
+
+
+def level_at_rest(
+    experiment: Experiment,
+    rig: str | Path | Rig | None = None,
+    frames: int = FRAMES,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[Rig, RigCheck, Plane]:
+    """Mend and level a rig by a record of still, seeded water."""
+    from wavefield.calibration.still_water_correction import refine_and_level
+    from wavefield.measurement.tie_points import matched_pixels, spread
+
+    prepared = prepare(experiment, rig)
+    series = prepared.series
+
+    def read(camera: str, frame: int) -> Any:
+        return series[camera].read(frame).image
+
+    count = len(next(iter(series.values())))
+    matches = matched_pixels(read, spread(count, frames), prepared.plan, progress)
+    return refine_and_level(prepared.rig, matches)
+
+
+def plane_sentence(plane: Plane) -> str:
+    """Where the water was, for a person."""
+    return (
+        f"The water's plane: {1e3 * plane.height:+.3f} mm at the origin, slope {1e3 * plane.slope[0]:+.3f}, "
+        f"{1e3 * plane.slope[1]:+.3f} mrad along x, y; rms about it {1e3 * plane.rms:.3f} mm."
+    )
+
+
+def remark_on_rest(experiment: Experiment, rig: Rig) -> Remark:
+    """Say whether z = 0 is the water at rest, and how that is known."""
+    found = rig.provenance.get("levelled")
+    if experiment.settings.get("sheet_thickness") is not None:
+        return _remark_on_sheet(experiment, rig)
+    if isinstance(found, dict) and {"height_m", "rms_m", "points"} <= set(found):
+        height, rms = 1e3 * float(found["height_m"]), 1e3 * float(found["rms_m"])
+        stated = float(experiment.settings.get("bead_height", 0.0)) > 0
+        return Remark(
+            "rig",
+            "levelled",
+            "note",
+            f"z = 0 is the water at rest: {found['points']} points of it stood {height:+.2f} mm beside the "
+            f"target's plane, {rms:.2f} mm rms about their own",
+            remedy=""
+            if stated or not _BEADS[0] < height / 1e3 < _BEADS[1]
+            else "if that plane was the water's level beads show so far above it: "
+            f"`settings: {{bead_height: {height / 1e3:.2g}}}` takes their swinging off u and v",
+            values={"height_m": height / 1e3, "rms_m": rms / 1e3},
+        )
+    if experiment.rest:
+        return Remark(
+            "rig",
+            "not levelled",
+            "remark",
+            "it was not mended by the record at rest that the experiment names",
+            "z = 0 on the water at rest",
+            f"run `wavefield calibrate {experiment.path.name}` again, or `wavefield refine "
+            f"{experiment.path.name}` where the rig is another program's",
+        )
+    return Remark(
+        "rig",
+        "no rest",
+        "note",
+        "no record of the water at rest: z = 0 is the target's plane, and beads show above the water, by "
+        "about .4 mm where they are 3 to 5 mm large, and swing with it (u and v of 12 cm waves 2 % too low)",
+        "z = 0 on the water at rest",
+        "photograph some twenty frames of still, seeded water; name them as `rest:` in the experiment file: "
+        "they give z = 0, and `bead_height` where the target lay on the water",
+    )
+
+
+def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
+    found = rig.provenance.get("light_sheet")
+    if isinstance(found, dict) and "height_m" in found:
+        height, elsewhere = float(found["height_m"]), float(found.get("elsewhere_m", 0.0))
+        if elsewhere > 0:
+            return Remark(
+                "rig",
+                "light sheet",
+                "remark",
+                "a camera had moved since the calibration, and two tell neither which nor by how much along "
+                f"their parallax: all places in the sheet may lie some {1e3 * elsewhere:.1f} mm elsewhere",
+                "cameras that stood still since the calibration",
+                "calibrate again, or look with a third camera",
+                values={"height_m": height, "elsewhere_m": elsewhere},
+            )
+        return Remark(
+            "rig",
+            "light sheet",
+            "note",
+            f"z = 0 is the middle of the light sheet, which stood {1e3 * height:+.2f} mm beside the target's "
+            "plane",
+            values={"height_m": height},
+        )
+    return Remark(
+        "rig",
+        "light sheet",
+        "remark",
+        "z = 0 is the target's plane: where the light sheet lies has not been looked for",
+        "the cameras' displacements at one place of the sheet",
+        f"run `wavefield rig sheet {experiment.path.name} -o sheet.yaml`, and use that rig",
+    )

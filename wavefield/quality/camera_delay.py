@@ -1,0 +1,282 @@
+"""Do the cameras take their frames at the same moment? What misses across the sight lines says it.
+
+A camera that is late by tau sees every bead tau times its velocity further on. Along the parallax of two
+cameras that is taken for height; across it no height does that, and the miss (eps_y) is tau times the
+velocity across the sight lines, patch by patch: one regression over some instants gives tau. A camera that
+has moved or shakes misses by something low-order in space (constant, tilt, roll), which every instant has of
+its own and which is taken out.
+
+Miss and velocity must be of the same resolution, or tau is too large: both are means over one patch, and the
+velocity is that of five frames (of three it is 7 % low for 2 Hz waves at 20 frames per second).
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.quality.patch_matching import ALIKE, REACH, SIDE, Array, Comparison, Pair, Witness, compare
+from wavefield.robust import PER_MEDIAN
+from wavefield.store.verdict import Remark
+
+_FEWEST = 12  # patches of an instant
+_CELLS = 4  # matched ones of a patch
+_BESIDE = 16  # px: how far a patch is looked for around where its motion in another frame takes it
+_SLOPE = {3: {1: 1 / 2}, 5: {1: 2 / 3, 2: -1 / 12}}  # by how many frames: of x(k) - x(-k), px per frame
+_SURE = 4.0  # standard deviations
+_SHORTEST = 2e-5  # s: less is noted nowhere
+_MATTERS = 0.1  # px that a bead moves meanwhile
+
+
+@dataclass(frozen=True)
+class Delay:
+    """By how much one camera's frames are taken later than the others'."""
+
+    seconds: float  # Negative if earlier
+    std: float  # Standard uncertainty, s
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What two cameras say of one instant, patch by patch."""
+
+    miss: Array  # (m,): Mean eps_y, px on the water
+    velocity: Array  # (m,): Of the beads across the sight lines, px per frame
+    low: Array  # (m, 3): Constant, and places scaled to -1 to 1 along x and y
+    speed: float = 0.0  # Of the beads in all directions, rms, px per frame
+
+
+def prepared(plan: Any, witness: Witness, frame: int, widths: Mapping[str, float]) -> dict[str, Any]:
+    """Images of an instant, ready for matching between cameras; those that cannot be used are left out."""
+    from wavefield.measurement import pair_surface
+    from wavefield.measurement.frame import ready, usable
+
+    images = {name: witness.read(name, frame) for name in plan.surface_cameras}
+    return {
+        name: pair_surface.prepare(ready(np.asarray(image), plan.binning[name], widths[name]), name, plan)
+        for name, image in images.items()
+        if usable(image, plan.rig[name].size)
+    }
+
+
+def sample(plan: Any, witness: Witness, pair: Pair, frame: int, flat: Mapping[str, Any]) -> Sample | None:
+    """Miss and velocity all over what two cameras share at an instant.
+
+    With pair (str, str).
+    """
+    from wavefield.measurement import pair_surface
+
+    if not all(name in flat for name in pair):
+        return None
+    moved = _moved(witness, pair[1], frame, _furthest(plan, pair[1]))
+    if moved is None:
+        return None
+    match = pair_surface.match_pair(flat[pair[0]], flat[pair[1]], pair, plan)
+    length = np.maximum(np.hypot(*match.parallax), 1e-12)
+    p, q = (part / length for part in match.parallax)
+    x, y = np.meshgrid(plan.lattice.x, plan.lattice.y)
+    good = match.matched & np.isfinite(match.eps_y)
+    shown = [(v + d)[good] for v, d in zip((x, y), match.difference)]  # where the second camera shows it
+    means = _over_patches(witness, shown, [v[good] for v in (match.eps_y, p, q)])
+    known = np.isfinite(means[:, 0]) & np.isfinite(moved).all(axis=1)
+    if known.sum() < _FEWEST:
+        return None
+    (miss, p, q), (dx, dy) = means[known].T, moved[known].T * witness.pixel
+    low = np.stack([np.ones(known.sum()), _scaled(witness.x[known]), _scaled(witness.y[known])], axis=-1)
+    speed = float(np.sqrt((dx**2 + dy**2).mean())) / plan.pixel
+    return Sample(miss / plan.pixel, (q * dx - p * dy) / plan.pixel, low, speed)
+
+
+def _furthest(plan: Any, name: str) -> int:
+    """How far a camera's beads go from frame to frame, raw px: as far as the measurement searches."""
+    ranges = (plan.settings.piv.search_x, plan.settings.piv.search_y)
+    ends = [abs(end) for one in ranges if one is not None for end in one]
+    return min(int(np.ceil(max(ends, default=REACH) * plan.binning[name])), REACH)
+
+
+def _moved(witness: Witness, name: str, frame: int, furthest: int) -> Array | None:
+    """How far what one camera shows in each patch moves in a frame, px, (n, 2): by four frames or two."""
+    still = np.zeros((len(witness.x), 2), np.int64)
+    now = witness.around(name, frame, still, 0)
+
+    def find(k: int, near: Array, reach: int) -> Comparison | None:
+        known: NDArray[np.bool_] = np.isfinite(near[:, 0])
+        limit = REACH - reach
+        at = np.clip(np.rint(np.where(known[:, None], near, 0)), -limit, limit).astype(np.int64)
+        found = compare(now, witness.around(name, frame + k, at, reach), at)
+        return None if found is None else Comparison(found.moved, np.where(known, found.likeness, 0.0))
+
+    after = find(1, still.astype(float), furthest)
+    if after is None:
+        return None
+    first = np.where(after.likeness[:, None] > ALIKE, after.moved, np.nan)
+    before = find(-1, -first, _BESIDE)
+    if before is None:
+        return None
+    last = np.where(before.likeness[:, None] > ALIKE, before.moved, np.nan)
+    found: dict[int, Comparison | None] = {1: after, -1: before}
+    # and two frames away about where a parabola goes
+    found |= {k: find(k, k * (first - last) / 2 + 2 * (first + last), _BESIDE) for k in (-2, 2)}
+    for slope in (_SLOPE[5], _SLOPE[3]):
+        around = [(weight, found[k], found[-k]) for k, weight in slope.items()]
+        sides = [(weight, a, b) for weight, a, b in around if a is not None and b is not None]
+        if len(sides) < len(around):
+            continue
+        moved = sum((weight * (a.moved - b.moved) for weight, a, b in sides), np.zeros(1))
+        alike = np.all([(a.likeness > ALIKE) & (b.likeness > ALIKE) for _, a, b in sides], axis=0)
+        moved = np.where(alike[:, None], moved, np.nan)
+        if np.isfinite(moved).all(axis=1).sum() >= _FEWEST:
+            return np.asarray(moved)
+    return None
+
+
+def _over_patches(witness: Witness, at: Sequence[Array], values: Sequence[Array]) -> Array:
+    """Means over the middle of each patch, (n, values); NaN where little is known."""
+    pitch = SIDE * witness.pixel  # patches lie side by side
+    column, row = (
+        np.floor((v - places.min()) / pitch + 0.5).astype(np.int64)
+        for v, places in zip(at, (witness.x, witness.y))
+    )
+    own_column, own_row = (np.rint((v - v.min()) / pitch).astype(np.int64) for v in (witness.x, witness.y))
+    nx, ny = int(own_column.max()) + 1, int(own_row.max()) + 1
+    inside = (column >= 0) & (column < nx) & (row >= 0) & (row < ny)
+    which, own = (row * nx + column)[inside], own_row * nx + own_column
+    count = np.bincount(which, minlength=nx * ny)[own]
+    means = [np.bincount(which, v[inside], nx * ny)[own] / np.maximum(count, 1) for v in values]
+    return np.where(count[:, None] >= _CELLS, np.stack(means, axis=-1), np.nan)
+
+
+def _scaled(v: Array) -> Array:
+    return np.asarray((v - v.mean()) / max(float(np.ptp(v)) / 2, 1e-12))
+
+
+def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
+    """The delay of the second camera behind the first, in frames.
+
+    Robust least squares (Huber at 2.5); every instant has a constant and slopes of its own. The uncertainty
+    is that of the quarters of the field at each instant, not of patches: near ones depend on each other.
+    """
+    if len(samples) < 2:
+        return None
+    weights = [np.ones(len(s.miss)) for s in samples]
+    delay = 0.0
+    for _ in range(8):
+        cleared = [_cleared(s, w) for s, w in zip(samples, weights)]
+        power = sum(float((w * v * v).sum()) for (_, v), w in zip(cleared, weights))
+        if power <= 0:
+            return None
+        delay = sum(float((w * v * y).sum()) for (y, v), w in zip(cleared, weights)) / power
+        left = [y - delay * v for y, v in cleared]
+        scale = PER_MEDIAN * float(np.median(np.abs(np.concatenate(left)))) + 1e-9
+        weights = [np.minimum(1.0, 2.5 * scale / np.maximum(np.abs(r), 1e-12)) for r in left]
+    scores = np.concatenate(
+        [np.bincount(_quarters(s), w * v * r, 4) for s, w, (_, v), r in zip(samples, weights, cleared, left)]
+    )
+    count = len(scores)
+    return delay, float(np.sqrt((scores**2).sum() * count / (count - 1))) / power
+
+
+def _quarters(one: Sample) -> NDArray[np.intp]:
+    return np.asarray((one.low[:, 1] > 0) + 2 * (one.low[:, 2] > 0), np.intp)
+
+
+def _cleared(one: Sample, weight: Array) -> tuple[Array, Array]:
+    """Miss and velocity without what a constant and slopes explain of them."""
+    root = np.sqrt(weight)[:, None]
+    both = np.stack([one.miss, one.velocity], axis=-1)
+    fit = np.linalg.lstsq(root * one.low, root * both, rcond=None)[0]
+    rest = both - one.low @ fit
+    return rest[:, 0], rest[:, 1]
+
+
+def _widths(plan: Any, witness: Witness, frames: Sequence[int]) -> dict[str, float]:
+    """Widths of the beads: those of the record, or of the first image that can be used."""
+    from wavefield.measurement.background import bead_width
+    from wavefield.measurement.frame import usable
+
+    if plan.record is not None:
+        return dict(plan.record.beads)
+    out = dict.fromkeys(plan.surface_cameras, 0.0)
+    for name in out:
+        images = (witness.read(name, k) for k in frames)
+        one = next((image for image in images if usable(image, plan.rig[name].size)), None)
+        out[name] = 0.0 if one is None else bead_width(np.asarray(one))
+    return out
+
+
+def delays(
+    plan: Any, witness: Witness, frames: Sequence[int], rate: float, threads: int = 1
+) -> tuple[dict[str, Delay], float]:
+    """By how much each camera's frames are taken later than those of most."""
+    names = list(plan.surface_cameras)
+    rows, values, spreads = [], [], []
+    speeds: list[float] = []
+    widths = _widths(plan, witness, frames)
+
+    def look(frame: int) -> list[Sample | None]:
+        flat = prepared(plan, witness, frame, widths)
+        return [sample(plan, witness, pair, frame, flat) for pair in plan.pairs]
+
+    with ThreadPoolExecutor(threads) as pool:
+        found_at = list(pool.map(look, frames))
+    for (a, b), of_pair in zip(plan.pairs, zip(*found_at)):
+        samples = [s for s in of_pair if s is not None]
+        speeds += [s.speed for s in samples]
+        found = regress(samples)
+        if found is not None:
+            rows.append([float(name == b) - float(name == a) for name in names])
+            values.append(found[0] / rate)
+            spreads.append(max(found[1] / rate, 1e-7))
+    if not rows or np.linalg.matrix_rank(rows) < len(names) - 1:
+        return {}, 0.0
+    design = np.array(rows) / np.array(spreads)[:, None]
+    # only differences are known: the middle of the cameras, or the first of two, is taken for right
+    design = np.vstack([design, np.eye(len(names))[:1] * 1e9])
+    wanted = np.append(np.array(values) / spreads, 0.0)
+    inverse = np.linalg.inv(design.T @ design)
+    best = inverse @ design.T @ wanted
+    usual = int(np.argsort(best)[(len(best) - 1) // 2]) if len(names) > 2 else 0
+    out = {}
+    for k, name in enumerate(names):
+        difference = np.eye(len(names))[k] - np.eye(len(names))[usual]
+        variance = float(difference @ inverse @ difference)
+        out[name] = Delay(float(difference @ best), float(np.sqrt(max(variance, 0.0))))
+    return out, rate * float(np.median(speeds))
+
+
+def remarks(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
+    """What to say of delays."""
+    for name, one in found.items():
+        if abs(one.seconds) < max(_SURE * one.std, _SHORTEST):
+            continue
+        off, word = abs(one.seconds) * speed, "later" if one.seconds > 0 else "earlier"
+        yield Remark(
+            name,
+            "delayed",
+            "remark" if off > _MATTERS else "note",
+            f"its frames are taken {1e3 * abs(one.seconds):.3f} ms {word} than the others' "
+            f"(+- {1e3 * one.std:.3f} ms): the water moves {off:.2f} px meanwhile",
+            f"{_MATTERS} px at most",
+            "trigger all cameras by one signal and give them one exposure time",
+            {"delay": one.seconds, "std": one.std, "px": off},
+        )
+
+
+def sentence(found: Mapping[str, Delay]) -> str:
+    """Delays of all cameras in a line.
+
+    Examples
+    --------
+    >>> sentence({"cam1": Delay(0.0, 0.0), "cam2": Delay(2e-4, 1e-5)})
+    'cam2 is later than cam1 by 0.200 +- 0.010 ms'
+    """
+    first = next((name for name, one in found.items() if one.std == 0), "")
+    words = [
+        f"{name} is later than {first} by {1e3 * one.seconds:.3f} +- {1e3 * one.std:.3f} ms"
+        for name, one in found.items()
+        if name != first
+    ]
+    return "; ".join(words) or "too little moves, or matches, to tell"

@@ -1,0 +1,323 @@
+"""Which camera contradicts the others, and why: mirrored, swapped, late, reversed, blurred, covered, knocked.
+
+Every camera is compared with every other at some instants of the record. One that agrees with none while the
+others agree among themselves is looked at again as if its images were mirrored, another camera's, of another
+moment: what makes it agree is what is wrong with it.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.quality.pair_consistency import LEAST, Table, covered, score, size
+from wavefield.quality.patch_matching import (
+    Agreement,
+    Pair,
+    Witness,
+)
+from wavefield.robust import PER_MEDIAN
+from wavefield.store.verdict import Remark, Weight
+
+_FEWEST = 6  # patches: with fewer nothing is said
+_MATTERS = 0.1  # px: what the mending of a rig is worth
+_BLURRED = 1.6  # times the blur of the other cameras
+_COVERED = 0.08  # of the patches
+_FLIPS = ("mirrored", "upside down", "turned by 180 degrees")
+
+
+@dataclass(frozen=True)
+class Examination:
+    """What was found."""
+
+    remarks: tuple[Remark, ...]  # What is wrong
+    # Per camera: ``blur`` (px), ``brightness`` (grey levels), ``coverage`` (fraction); a value per instant
+    cameras: Mapping[str, Mapping[str, list[float]]]
+    # Per pair: ``agreement`` (fraction of patches), ``eps_y`` (px, smooth part), one value per instant
+    pairs: Mapping[str, Mapping[str, list[float]]]
+    frames: tuple[int, ...]  # The instants
+
+
+def examine(witness: Witness, count: int, frames: Sequence[int], threads: int = 1) -> Examination:
+    """Compare cameras at some instants, and name what is wrong with them."""
+    names = list(witness.rig)
+    whole = tuple(k for k in frames if all(witness.read(name, k) is not None for name in names))
+    if len(witness.x) < _FEWEST or not whole or len(names) < 2:
+        return Examination((), {}, {}, whole)
+    table = Table(witness, names, whole, threads)
+    remarks = [*_covered(table), *_blurred(table)]
+    lying, explained = _lying(table, count)
+    seen = {remark.subject: remark for remark in remarks}
+    explained = [  # what is so blurred or covered that nothing matches is no contradiction
+        replace(seen[one.subject], weight="grave")
+        if one.kind == "contradicts" and one.subject in seen
+        else one
+        for one in explained
+    ]
+    remarks = [remark for remark in remarks if remark.subject not in lying] + explained
+    remarks += _knocked(table, lying) or _uneven(table, lying)
+    return Examination(tuple(remarks), table.camera_numbers(), table.pair_numbers(), whole)
+
+
+# -- one thing after another -------------------------------------------------------------------------------
+
+
+def _covered(table: Table) -> Iterator[Remark]:
+    for name in table.names:
+        fraction = float(np.median(covered(table, name)))
+        if fraction > _COVERED:
+            yield Remark(
+                name,
+                "covered",
+                "grave" if fraction > 0.6 else "remark",
+                f"it shows nothing in {100 * fraction:.0f} % of the field where the others do",
+                f"less than {100 * _COVERED:.0f} %",
+                "look for what stands before it or for missing light; what it does not see is not measured",
+                {"fraction": fraction},
+            )
+
+
+def _blurred(table: Table) -> Iterator[Remark]:
+    widths = {name: float(np.nanmedian(table.blur[name])) for name in table.names}
+    for name, width in widths.items():
+        usual = float(np.median([widths[other] for other in table.names if other != name]))
+        if width > _BLURRED * usual and width > 1.0:
+            yield Remark(
+                name,
+                "out of focus",
+                "remark",
+                f"its images are blurred by {width:.1f} px",
+                f"{usual:.1f} px as the other cameras",
+                "focus it; where it is to stay, leave it out (`surface: pairs`, `velocity: cameras`)",
+                {"blur": width, "usual": usual},
+            )
+
+
+def _lying(table: Table, count: int) -> tuple[set[str], list[Remark]]:
+    """Cameras that agree with none, and what explains it."""
+    good = table.good()
+    if len(good) == len(table.pairs):
+        return set(), []
+    lying = {name for name in table.names if not any(name in pair for pair in good)}
+    if not lying:  # a wide pair of cameras may see too different pictures; each still agrees with a third
+        return set(), []
+    level = table.level()
+    if swap := _swapped(table, level):
+        return set(table.names), [swap]
+    remarks = []
+    for name in sorted(lying):
+        partners = [n for n in table.names if n != name and n not in lying] or [
+            n for n in table.names if n != name
+        ]
+        remarks.append(_explain(table, name, partners, level, count))
+    named = [remark for remark in remarks if remark.kind != "contradicts"]
+    if len(lying) == len(table.names):  # nobody agrees with anybody: what is explained goes first
+        remarks = named[:1] or [_nobody(table)]
+    return lying, remarks
+
+
+def _nobody(table: Table) -> Remark:
+    best = max(score(found) for found in table.found.values())
+    return Remark(
+        "cameras",
+        "disagree",
+        "grave",
+        f"no two of them see the same water: at best {100 * best:.0f} % of the patches are found again",
+        f"more than {100 * LEAST:.0f} %",
+        "is the rig theirs, are the frames of the same moments (`offset`), is the water seeded?",
+        {"agreement": best},
+    )
+
+
+def _swapped(table: Table, level: float) -> Remark | None:
+    before = float(np.mean([score(found) for found in table.found.values()]))
+    best, which = max(before + 0.1, level), None
+    for one, other in table.pairs:
+        if len(table.names) < 3:
+            break
+        turned = {one: other, other: one}
+        scores = [
+            score([table.compare((a, b), k, turned.get(a, a), turned.get(b, b)) for k in table.frames[:2]])
+            for a, b in table.pairs
+        ]
+        if min(scores) > LEAST / 2 and float(np.mean(scores)) > best:
+            best, which = float(np.mean(scores)), (one, other)
+    if which is None:
+        return None
+    return Remark(
+        f"{which[0]} and {which[1]}",
+        "swapped",
+        "grave",
+        f"they agree with the others ({100 * best:.0f} % of the patches) when their images are exchanged",
+        f"{100 * before:.0f} % as they are named",
+        "exchange their `images` in the experiment file, or their names in the rig",
+        {"agreement": best, "as named": before},
+    )
+
+
+def _explain(table: Table, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
+    """What makes a camera agree with its partners, tried at two instants."""
+    frames = table.frames[:2]
+    candidates: dict[tuple[str, str, str], float] = {}
+    for partner in partners:
+        pair = (partner, name)
+        for change in _FLIPS:
+            found = [table.compare(pair, k, partner, name, change=change) for k in frames]
+            _keep(candidates, ("mirrored", change, partner), score(found))
+        for later in (-2, -1, 1, 2):
+            some = [k for k in frames if 0 <= k + later < count]
+            found = [table.compare(pair, k, partner, name, later=later) for k in some]
+            _keep(candidates, ("late" if later > 0 else "early", str(abs(later)), partner), score(found))
+        some = [k for k in frames if abs(count - 1 - 2 * k) > 1]
+        found = [table.compare(pair, k, partner, name, later=count - 1 - 2 * k) for k in some]
+        _keep(candidates, ("reversed", "", partner), score(found))
+        for other in table.names:
+            if other not in (name, partner):
+                found = [table.compare((partner, other), k, partner, name) for k in frames]
+                _keep(candidates, ("swapped", other, partner), score(found))
+    (kind, what, _), best = max(candidates.items(), key=lambda item: item[1])
+    now = max(score(table.found[pair]) for pair in table.pairs if name in pair)
+    if best < max(LEAST, level, 2 * now):
+        return _contradicts(table, name, now)
+    return replace(_WORDS[kind](name, what), values={"agreement": best, "as it is": now})
+
+
+def _keep(candidates: dict[tuple[str, str, str], float], key: tuple[str, str, str], value: float) -> None:
+    candidates[key] = max(value, candidates.get(key, 0.0))
+
+
+def _grave(name: str, kind: str, sentence: str, remedy: str) -> Remark:
+    return Remark(name, kind, "grave", sentence, "images as the rig has them, of the same moments", remedy)
+
+
+_WORDS = {
+    "mirrored": lambda name, what: _grave(
+        name,
+        "mirrored",
+        f"it agrees with the others when its images are {what}",
+        "mend its images, or calibrate it with target images that are turned alike",
+    ),
+    "late": lambda name, what: _grave(
+        name,
+        "late",
+        f"it agrees with the others when its frames are taken {what} later",
+        f"take {what} from its `offset` in the experiment file",
+    ),
+    "early": lambda name, what: _grave(
+        name,
+        "early",
+        f"it agrees with the others when its frames are taken {what} before",
+        f"add {what} to its `offset` in the experiment file",
+    ),
+    "reversed": lambda name, what: _grave(
+        name,
+        "reversed",
+        "it agrees with the others when its record is run backwards",
+        "number its images in the order of time",
+    ),
+    "swapped": lambda name, what: _grave(
+        name,
+        "swapped",
+        f"its images are those that {what} would take",
+        f"correct its `images` in the experiment file: they show what {what} sees",
+    ),
+}
+
+
+def _contradicts(table: Table, name: str, now: float) -> Remark:
+    usual = max(score(found) for found in table.found.values())
+    return Remark(
+        name,
+        "contradicts",
+        "grave",
+        f"it agrees with no other camera: {100 * now:.0f} % of its patches are found again",
+        f"{100 * usual:.0f} % as the others among themselves" if usual else f"more than {100 * LEAST:.0f} %",
+        "is it sharp and bright, are its frames of the same moments, is the rig that of these images?",
+        {"agreement": now, "usual": usual},
+    )
+
+
+def _knocked(table: Table, lying: set[str]) -> list[Remark]:
+    """Cameras whose sight lines miss those of the others by a smooth eps_y."""
+    smooth = {
+        pair: np.median([one.smooth for one in found if one.fraction > 0], axis=0)
+        for pair, found in table.found.items()
+        if not lying & set(pair) and any(one.fraction > 0 for one in found)
+    }
+    missed = {pair: size(value) for pair, value in smooth.items()}
+    wrong = [pair for pair, value in missed.items() if value > _MATTERS and _sure(table.found[pair]) > 4]
+    if not wrong:
+        return []
+    most = max(missed[pair] for pair in wrong)
+    suspects = [
+        name
+        for name in table.names
+        if all(name in pair for pair in wrong)
+        and all(value < most / 3 for pair, value in missed.items() if name not in pair)
+    ]
+    weight: Weight = "grave" if most > 0.5 else "remark"
+    subject = suspects[0] if len(suspects) == 1 else "rig"
+    between = " and of ".join("-".join(pair) for pair in wrong)
+    remark = Remark(
+        subject,
+        "moved",
+        weight,
+        f"the sight lines of {between} miss each other by {most:.2f} px on the water",
+        f"less than {_MATTERS} px",
+        "mend the rig by a record of water at rest (`rest:`, or `wavefield refine`), or calibrate again",
+        {f"eps_y {'-'.join(pair)}": value for pair, value in missed.items()},
+    )
+    return [remark]
+
+
+def _uneven(table: Table, lying: set[str]) -> list[Remark]:
+    """Pairs of cameras that see the same water at different heights: one has moved along the parallax.
+
+    Which one cannot be told: heights of two pairs are one number more than there is water.
+    """
+    worst, sure = 0.0, 0.0
+    which: tuple[Pair, ...] = ()
+    for first, second in combinations(table.pairs, 2):
+        if first[0] != second[0] or lying & {*first, *second}:
+            continue  # both look for the same camera's patches
+        apart = [_apart(table, first, second, k) for k in range(len(table.frames))]
+        values = np.concatenate(apart)
+        if len(values) < _FEWEST * 4:
+            continue
+        off = float(np.median(values))
+        spread = float(PER_MEDIAN * np.median(np.abs(values - off)) / np.sqrt(len(values) / 4)) + 1e-3
+        if abs(off) > abs(worst):
+            worst, sure, which = off, abs(off) / spread, (first, second)
+    if abs(worst) <= _MATTERS or sure < 6:
+        return []
+    names = " and ".join("-".join(pair) for pair in which)
+    return [
+        Remark(
+            "rig",
+            "moved",
+            "grave" if abs(worst) > 0.5 else "remark",
+            f"{names} see the same water at different heights, as if a camera had moved "
+            f"{abs(worst):.2f} px along the parallax",
+            f"less than {_MATTERS} px",
+            "mend the rig by a record of water at rest (`rest:`, or `wavefield refine`), or calibrate again",
+            {"height": worst},
+        )
+    ]
+
+
+def _apart(table: Table, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:
+    """By how much the heights of two pairs differ where both found a patch, px of parallax."""
+    a, b = table.found[first][k], table.found[second][k]
+    both, ia, ib = np.intersect1d(a.places, b.places, return_indices=True)
+    parallax = np.minimum(table.witness.parallax(first), table.witness.parallax(second))[both]
+    return np.asarray((a.height[ia] - b.height[ib]) * parallax / table.witness.pixel)
+
+
+def _sure(found: Sequence[Agreement]) -> float:
+    """The smooth part over its uncertainty."""
+    one = max(found, key=lambda each: each.fraction)
+    if len(one.eps_y) < 8:
+        return 0.0
+    return float(size(one.smooth) / max(float(one.eps_y.std()) / np.sqrt(len(one.eps_y) - 3), 1e-3))

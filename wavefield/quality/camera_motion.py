@@ -1,0 +1,264 @@
+"""Do the cameras stand still? The low-order part of eps_y, step by step, says it.
+
+Water makes no eps_y whatever its shape, so what is constant or linear in it over the field belongs to the
+cameras: one that shakes makes it vary from step to step (tilt, roll), one that is knocked makes it jump once.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.quality.patch_matching import Witness
+from wavefield.quality.stabilized import shifts
+from wavefield.robust import PER_MEDIAN
+from wavefield.store.preview import read_steps
+from wavefield.store.read import open_group, read_layout
+from wavefield.store.verdict import Remark
+
+Array = NDArray[np.float64]
+
+_LOOKS = 600  # steps that are read, evenly over the record
+_NODES = 2000  # of each
+_FEWEST = 50  # nodes of a step, to say anything
+_SIDE = 3  # steps on either side of a jump, at least
+_JUMP = 0.05  # px: a smaller one is not told from what shakes
+_MATTERS = 0.1  # px
+_TREMBLES = 0.02  # px: noise makes .006 of it in poor light
+_MOST = 3  # knocks that are looked for
+
+
+@dataclass(frozen=True)
+class Steadiness:
+    """Low-order part of eps_y over time."""
+
+    steps: NDArray[np.intp]  # (n,): Which steps were read
+    low: Array  # (n, 3): px: over the middle, at the right and at the upper edge against the middle
+    std: Array  # (n, 3): Standard uncertainty, px
+
+
+@dataclass(frozen=True)
+class Knock:
+    """A jump."""
+
+    frame: int  # First frame (index in the record) after it
+    size: float  # Rms over the field of what eps_y is more since, px
+
+
+def steadiness(store: Path, steps: Sequence[int] | None = None) -> Steadiness:
+    """Fit the low-order part of eps_y at steps of a cube."""
+    group = open_group(store)
+    count, ny, nx = group["eps_y"].shape
+    every = max(1, int(np.sqrt(ny * nx / _NODES)))
+    pixel = float(group.attrs["pixel_size"])
+    x, y = np.meshgrid(*(np.linspace(-1, 1, n)[::every] for n in (nx, ny)))
+    design = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=-1)
+    wanted = np.unique(np.linspace(0, count - 1, min(count, _LOOKS)).astype(int)) if steps is None else steps
+    kept, low, std = [], [], []
+    block = read_layout(group).block
+    for first in range(0, count, block):
+        inside = [k for k in wanted if first <= k < first + block]
+        if not inside:
+            continue
+        values = read_steps(group, "eps_y", first, min(first + block, count))[:, ::every, ::every] / pixel
+        for k in inside:
+            fit = _fit(design, values[k - first].ravel())
+            if fit is not None:
+                kept.append(k)
+                low.append(fit[0])
+                std.append(fit[1])
+    return Steadiness(np.array(kept, int), np.array(low).reshape(-1, 3), np.array(std).reshape(-1, 3))
+
+
+def _fit(design: Array, values: Array) -> tuple[Array, Array] | None:
+    good = np.isfinite(values)
+    if good.sum() < _FEWEST:
+        return None
+    middle = np.median(values[good])
+    spread = PER_MEDIAN * np.median(np.abs(values[good] - middle)) + 1e-6
+    good &= np.abs(values - middle) < 4 * spread + 1.0
+    A, b = design[good], values[good].astype(float)
+    if len(b) < _FEWEST:
+        return None
+    found = np.linalg.lstsq(A, b, rcond=None)[0]
+    variance = float(np.var(b - A @ found))
+    return found, np.sqrt(variance * np.diag(np.linalg.pinv(A.T @ A)))
+
+
+def size(low: Array) -> float:
+    """Rms over the field of a low-order eps_y.
+
+    With low (3,).
+
+    Examples
+    --------
+    >>> size(np.array([0.3, 0.0, 0.0]))
+    0.3
+    """
+    return float(np.sqrt(low[0] ** 2 + (low[1] ** 2 + low[2] ** 2) / 3))
+
+
+def jump(low: Array) -> int | None:
+    """Where a series jumps, if it does.
+
+    With low (n, 3), px.
+
+    Examples
+    --------
+    >>> quiet = np.zeros((12, 3))
+    >>> jump(quiet) is None
+    True
+    >>> jump(np.vstack([quiet, quiet + [0.4, 0.0, 0.0]]))
+    12
+    """
+    n = len(low)
+    if n < 2 * _SIDE:
+        return None
+    total, squares = np.cumsum(low, axis=0), float((low**2).sum())
+    cuts = np.arange(_SIDE, n - _SIDE + 1)
+    before, after = total[cuts - 1] / cuts[:, None], (total[-1] - total[cuts - 1]) / (n - cuts)[:, None]
+    left = squares - (before**2).sum(axis=1) * cuts - (after**2).sum(axis=1) * (n - cuts)
+    best = int(np.argmin(left))
+    scatter = float(np.sqrt(max(left[best], 0.0) / max(n - 2, 1)))
+    if size(after[best] - before[best]) < max(_JUMP, 2 * scatter):
+        return None
+    return int(cuts[best])
+
+
+def knocks(store: Path, found: Steadiness) -> list[Knock]:
+    """Jumps of a record, each dated to a frame."""
+    pieces = [(0, len(found.steps))]
+    cuts: list[int] = []
+    while pieces and len(cuts) < _MOST:
+        a, b = pieces.pop(0)
+        at = jump(found.low[a:b])
+        if at is not None:
+            cuts.append(a + at)
+            pieces += [(a, a + at), (a + at, b)]
+    out = []
+    edges = [0, *sorted(cuts), len(found.steps)]
+    for a, at, b in zip(edges, edges[1:], edges[2:]):
+        before, after = (np.median(found.low[s], axis=0) for s in (slice(a, at), slice(at, b)))
+        between = range(max(int(found.steps[at - 1]) - 1, 0), int(found.steps[at]) + 1)
+        near = steadiness(store, list(between))
+        along = (near.low - before) @ (after - before) / float((after - before) @ (after - before))
+        # a step shows the mean of its two frames: the one in which the knock falls is half way
+        whole = near.steps[along > 0.75]
+        frame = int(whole[0]) if whole.size else int(found.steps[at])
+        out.append(Knock(frame, size(after - before)))
+    return out
+
+
+def shaking(found: Steadiness, cuts: Sequence[int]) -> tuple[float, float]:
+    """How far the picture of the cameras shakes from step to step."""
+    edges = [0, *np.searchsorted(found.steps, cuts).tolist(), len(found.steps)]
+    parts = [found.low[a:b] - found.low[a:b].mean(axis=0) for a, b in pairwise(edges) if b - a > 1]
+    if not parts:
+        return 0.0, np.inf
+    rest = np.concatenate(parts)
+    freedom = len(rest) - len(parts)
+    variance = (rest**2).sum(axis=0) / freedom - np.mean(found.std**2, axis=0)
+    power = max(float(variance[0] + (variance[1] + variance[2]) / 3), 0.0)
+    noise = float(np.mean(found.std[:, 0] ** 2)) + power
+    return float(np.sqrt(power)), float(np.sqrt(noise / (2 * freedom)))
+
+
+def who(plan: Any, witness: Witness, frame: int, count: int) -> tuple[str, float]:
+    """The camera that a knock moved: its picture alone has moved since.
+
+    Returns size By how much its sight lines miss the others' more, px.
+    """
+    sides = []
+    for frames in (range(max(frame - _SIDE, 0), frame), range(frame, min(frame + _SIDE, count))):
+        found = [shifts({name: witness.read(name, k) for name in plan.cameras}, plan) for k in frames]
+        sides.append([one for one in found if one])
+    if not all(sides):
+        return "rig", 0.0
+    middle = [{name: np.median([one[name] for one in side], axis=0) for name in side[0]} for side in sides]
+    moved = {name: size(middle[1][name] - middle[0][name]) for name in middle[0]}
+    first, *others = sorted(moved, key=lambda name: -moved[name])
+    if len(moved) < 3 or moved[first] < 2 * moved[others[0]]:
+        return "rig", 0.0
+    return first, moved[first]
+
+
+def remarks(store: Path, plan: Any, witness: Witness, first_frame: int) -> Iterator[Remark]:
+    """What to say of cameras that do not stand still."""
+    yield from _turned_back(store, first_frame)
+    yield from trembling(plan)
+    found = steadiness(store)
+    if len(found.steps) < 2 * _SIDE:
+        return
+    jumps = knocks(store, found)
+    count = int(open_group(store)["frame"].shape[0])
+    for one in jumps:
+        name, alone = who(plan, witness, one.frame, count)
+        off = max(one.size, alone)  # eps_y of a cube is the mean of its pairs
+        yield Remark(
+            name,
+            "knocked",
+            "grave" if off > 10 * _MATTERS else "remark",
+            f"it moved between frames {first_frame + one.frame - 1} and {first_frame + one.frame}: since "
+            f"then sight lines miss each other by {off:.2f} px more",
+            f"less than {_JUMP} px",
+            "run the two parts by themselves (`frames: {first, last}`), the second with a rig mended by "
+            "`wavefield refine`",
+            {"frame": first_frame + one.frame, "px": off},
+        )
+    rms, std = shaking(found, [one.frame for one in jumps])
+    if rms > max(_JUMP, 3 * std):
+        yield Remark(
+            "cameras",
+            "shaking",
+            "remark" if rms > _MATTERS else "note",
+            f"their pictures shake by {rms:.3f} +- {std:.3f} px from step to step "
+            "(tilt and roll across the sight lines)",
+            f"{_MATTERS} px at most",
+            "stiffen their mounts, or let no carriage, pump or person move while they record",
+            {"px": rms, "std": std},
+        )
+
+
+def trembling(plan: Any) -> Iterator[Remark]:
+    """What to say of cameras that move against each other along the line on which they stand.
+
+    Of that eps_y knows nothing; the cameras' displacements do, if there are three.
+    """
+    along = plan.record.trembling[0] if plan.record else 0.0
+    if along > _TREMBLES:
+        yield Remark(
+            "cameras",
+            "trembling",
+            "remark" if along > _MATTERS else "note",
+            f"their pictures move by {along:.3f} px from frame to frame along the line on which they stand; "
+            "which of them does cannot be told: z, u, v and w are stated less certain by what it may do",
+            f"less than {_TREMBLES} px",
+            "stiffen their mounts, or let no carriage, pump or person move while they record",
+            {"px": along},
+        )
+
+
+def _turned_back(store: Path, first_frame: int) -> Iterator[Remark]:
+    """What was corrected, of a cube that was measured so."""
+    group = open_group(store)
+    if "camera_shift" not in group:
+        return
+    for name, low in zip(read_layout(group).cameras, np.asarray(group["camera_shift"][:], float)):
+        known = np.flatnonzero(np.isfinite(low).all(axis=1))
+        if not known.size:
+            continue
+        rms = float(np.sqrt(np.mean([size(one) ** 2 for one in low[known]])))
+        at = jump(low[known])
+        when = "" if at is None else f", most of it from frame {first_frame + int(known[at])} on"
+        if rms > _JUMP / 5:
+            yield Remark(
+                name,
+                "turned back",
+                "note",
+                f"its pictures were turned back by {rms:.3f} px rms across the sight lines{when}",
+                values={"px": rms} | ({} if at is None else {"frame": float(first_frame + known[at])}),
+            )

@@ -1,0 +1,106 @@
+"""What recordings say of their own: their frame rate, images that were dropped, clocks that drift apart."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from wavefield.robust import robust_std
+from wavefield.series import Experiment, FrameSeries
+from wavefield.series.rates import is_alike, recorded_rates
+from wavefield.store.verdict import Remark
+from wavefield.text import spell_ranges
+
+_UNEVEN = 0.5  # of an interval, by which two frames may be further apart than their numbers say
+_DRIFT = 0.1  # of an interval, by which cameras may drift apart
+_PIECES = 16  # of a record: over each the jitter of two clocks is averaged
+_FEW = 64  # frames that two cameras share: of fewer nothing is said
+_SURE = 4.0  # standard deviations of a piece's mean
+
+
+def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
+    """Say where recordings contradict the experiment file, one another, or an even clock."""
+    yield from _rates(experiment)
+    for one in series.values():
+        yield from _gaps(one)
+    yield from _drifts(series, experiment.frame_rate)
+
+
+def _rates(experiment: Experiment) -> Iterator[Remark]:
+    named = {name: one.images for name, one in experiment.cameras.items() if one.times is None}
+    for name, rate in recorded_rates(named, experiment.image_folder).items():
+        if not is_alike(rate, experiment.frame_rate):
+            yield Remark(
+                name,
+                "frame rate",
+                "remark",
+                f"its recording states {rate:g} Hz, {experiment.path.name} {experiment.frame_rate:g} Hz",
+                "the rate of the recording",
+                "leave frame_rate out to take the recording's; all is well if frames were left out since",
+                values={"recorded_hz": rate, "stated_hz": experiment.frame_rate},
+            )
+
+
+def _gaps(series: FrameSeries) -> Iterator[Remark]:
+    """Images that the camera dropped: gaps of its frames, or intervals that are none of whole frames."""
+    if series.times is None:
+        return
+    there = np.flatnonzero(np.isfinite(series.times))
+    places, intervals = np.diff(there), np.diff(series.times[there])
+    if not len(places):
+        return
+    usual = float(np.median(intervals / places))
+    uneven = np.abs(intervals - places * usual) > _UNEVEN * usual
+    dropped = int((places - 1).sum())
+    if dropped:
+        first = int(there[np.argmax(places > 1)])
+        many = "1 image was" if dropped == 1 else f"{dropped} images were"
+        yield Remark(
+            series.camera,
+            "dropped images",
+            "remark",
+            f"{many} dropped, by its clock, the first after frame {series.first + first} "
+            f"({series.times[first] - series.times[there[0]]:.3f} s into the record)",
+            "none",
+            "their places stay empty and no step is measured across them; to lose none, record to the "
+            "camera's memory, to a faster disk or at a lower rate",
+            {"dropped": dropped, "first": series.first + first},
+        )
+    if uneven.any():
+        numbers = series.first + there[:-1][uneven]
+        yield Remark(
+            series.camera,
+            "uneven times",
+            "remark",
+            f"{uneven.sum()} intervals between its images are no whole ones, after frame "
+            f"{spell_ranges(numbers.tolist(), 3)}: velocities there are of the nominal interval, and wrong",
+            "even times",
+            "use an even part of the record (`frames`), or save each part as a recording of its own",
+            {"uneven": int(uneven.sum()), "first": int(numbers[0])},
+        )
+
+
+def _drifts(series: Mapping[str, FrameSeries], rate: float) -> Iterator[Remark]:
+    """Cameras whose clocks go away from that of the first."""
+    timed = {name: one.times for name, one in series.items() if one.times is not None}
+    if len(timed) < 2:
+        return
+    first = next(iter(timed))
+    for name in list(timed)[1:]:
+        apart = timed[name] - timed[first]
+        apart = apart[np.isfinite(apart)]
+        if len(apart) < _FEW:
+            continue
+        drift = float(np.ptp([np.median(piece) for piece in np.array_split(apart, _PIECES)]))
+        jitter = robust_std(np.diff(apart)) / np.sqrt(len(apart) / _PIECES)
+        if drift > max(_DRIFT / rate, _SURE * jitter):
+            yield Remark(
+                name,
+                "drift",
+                "remark",
+                f"its times and those of {first} drift apart by {1e3 * drift:.3g} ms in the record, "
+                f"{drift * rate:.2f} of an interval",
+                f"{_DRIFT} of an interval at most",
+                "trigger all cameras by one signal; if one triggers them, their clocks alone differ, and all "
+                "is well where no camera is said to be delayed",
+                {"drift": drift, "intervals": drift * rate},
+            )

@@ -1,0 +1,186 @@
+"""Frames of cameras that shake, turned back before they are measured: ``settings: {vibration: correct}``.
+
+Of every frame the low-order part of eps_y between the reference camera and each other one (constant, and
+linear along x and y) is measured and taken off by an affine map of the raw image, across the sight lines.
+What moves along them cannot be told from the water. A frame's correction follows from that frame's images
+alone, so that neither blocks nor workers matter; it is kept in the cube as ``camera_shift``.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.errors import ExperimentError
+from wavefield.robust import PER_MEDIAN
+from wavefield.variables import AROUND
+
+Array = NDArray[np.float64]
+Image = NDArray[Any]
+
+_APART = 5  # blocks: nearer ones share their window
+_FEWEST = 40  # of them, to correct a frame
+_KEPT = 2 * AROUND + 2  # frames
+_ALONG = 0.9  # cosine: cameras in one line share the direction across their sight lines
+
+
+def refuse_unless_in_a_row(plan: Any) -> None:
+    """Make sure that the pairs of cameras share the direction across their sight lines."""
+    middle = np.array([float(np.mean(plan.grid.x)), float(np.mean(plan.grid.y))])
+    along = {}
+    for a, b in plan.pairs:
+        one, other = plan.rig[a].centre, plan.rig[b].centre
+        rise = (middle - other[:2]) / other[2] - (middle - one[:2]) / one[2]
+        along[a, b] = rise / max(float(np.hypot(*rise)), 1e-12)
+    (first, of_first), *others = along.items()
+    for pair, direction in others:
+        cosine = abs(float(direction @ of_first))
+        if cosine <= _ALONG:
+            raise ExperimentError(
+                f"`vibration: correct` is for cameras in a row: the sight lines of {'-'.join(first)} and of "
+                f"{'-'.join(pair)} part in directions {np.degrees(np.arccos(cosine)):.0f} degrees apart, and "
+                "which camera shakes cannot be told; leave `vibration` out of the settings, or measure z "
+                "with two cameras (`surface: {pairs: ...}`)"
+            )
+
+
+class Steadier:
+    """Corrected frames of a block, and by how much each was corrected."""
+
+    def __init__(self, frames: Mapping[str, Sequence[Image | None]], plan: Any) -> None:
+        self.frames, self.plan = frames, plan
+        self.shifts: dict[int, dict[str, Array]] = {}
+        self._kept: dict[int, dict[str, Image | None]] = {}
+
+    def __call__(self, position: int) -> dict[str, Image | None]:
+        """Images of all cameras at a position of the block, corrected."""
+        if position not in self._kept:
+            raw = {name: one[position] for name, one in self.frames.items()}
+            self._kept[position], self.shifts[position] = corrected(raw, self.plan)
+            while len(self._kept) > _KEPT:
+                del self._kept[next(iter(self._kept))]
+        return self._kept[position]
+
+    def sequences(self) -> dict[str, "Steadied"]:
+        """One sequence of corrected frames for each camera, as `wavefield.measurement.measure` takes them."""
+        return {name: Steadied(self, name) for name in self.frames}
+
+
+class Steadied(Sequence[Image | None]):
+    """Corrected frames of one camera."""
+
+    def __init__(self, steadier: Steadier, name: str) -> None:
+        self._steadier, self._name = steadier, name
+
+    def __len__(self) -> int:
+        return len(self._steadier.frames[self._name])
+
+    def __getitem__(self, position: Any) -> Any:
+        if isinstance(position, slice):
+            return [self[i] for i in range(*position.indices(len(self)))]
+        return self._steadier(int(position) % len(self))[self._name]
+
+
+def corrected(
+    images: Mapping[str, Image | None], plan: Any
+) -> tuple[dict[str, Image | None], dict[str, Array]]:
+    """Images of one moment turned back, and by how much.
+
+    Returns shifts (3,): As from `shifts`..
+    """
+    found = shifts(images, plan)
+    out: dict[str, Image | None] = dict(images)
+    for name, low in found.items():
+        image = images[name]
+        if image is not None:
+            out[name] = moved(image, low, name, plan)
+    return out, found
+
+
+def shifts(images: Mapping[str, Image | None], plan: Any) -> dict[str, Array]:
+    """By how much each camera's picture has moved across the sight lines, in one frame.
+
+    Returns (3,): px on the water: in the middle of the lattice, and what is added at its right and upper
+    edge.
+    """
+    from wavefield.measurement import pair_surface
+    from wavefield.measurement.frame import ready, usable
+
+    names = plan.surface_cameras
+    if not all(usable(images.get(name), plan.rig[name].size) for name in names):
+        return {}
+    flat = {
+        name: pair_surface.prepare(ready(np.asarray(images[name]), plan.binning[name]), name, plan)
+        for name in names
+    }
+    found: dict[str, Array] = {plan.reference: np.zeros(3)}
+    first: Array | None = None
+    cells = np.s_[::_APART, ::_APART]
+    design = np.stack([part[cells] for part in _scaled(plan)], axis=-1)
+    for a, b in plan.pairs:
+        match = pair_surface.match_pair(flat[a], flat[b], (a, b), plan)
+        low = _fit(design[match.matched[cells]], match.eps_y[cells][match.matched[cells]] / plan.pixel)
+        if low is None:
+            return {}
+        normal = _across(match.parallax)
+        first = normal if first is None else first
+        turn = float(np.sign(normal @ first)) if abs(normal @ first) > _ALONG else 0.0
+        if turn == 0.0:
+            return {}  # cameras that are not in one line: which one moved is not a matter of signs
+        found[b] = turn * low
+    usual = np.median(list(found.values()), axis=0)
+    return {name: low - usual for name, low in found.items()}
+
+
+def _scaled(plan: Any) -> tuple[Array, Array, Array]:
+    """1, and places on the lattice from -1 to 1 along x and y."""
+    x, y = np.meshgrid(*(np.linspace(-1.0, 1.0, len(v)) for v in (plan.lattice.x, plan.lattice.y)))
+    return np.ones_like(x), x, y
+
+
+def _fit(design: Array, values: Array) -> Array | None:
+    if len(values) < _FEWEST:
+        return None
+    weight: NDArray[Any] = np.ones(len(values))
+    found: Array = np.zeros(3)
+    for _ in range(6):
+        root = np.sqrt(weight)
+        found = np.linalg.lstsq(root[:, None] * design, root * values, rcond=None)[0]
+        miss = np.abs(values - design @ found)
+        weight = np.minimum(1.0, 2.0 * (PER_MEDIAN * np.median(miss) + 1e-9) / np.maximum(miss, 1e-12))
+    return np.asarray(found)
+
+
+def _across(parallax: Array) -> Array:
+    """Mean unit vector across the sight lines of a pair, (2,)."""
+    along = np.nanmean(parallax.reshape(2, -1), axis=1)
+    along = along / max(float(np.hypot(*along)), 1e-12)
+    return np.array([along[1], -along[0]])
+
+
+def moved(image: Image, low: Array, name: str, plan: Any) -> NDArray[np.float32]:
+    """A raw image moved back by what its camera has moved.
+
+    With image (row, column); low (3,); returns (row, column).
+    """
+    centre, other = plan.rig[plan.pairs[0][0]].centre, plan.rig[plan.pairs[0][1]].centre
+    x, y = (v[::8, ::8].ravel() for v in np.meshgrid(plan.lattice.x, plan.lattice.y))
+    design = np.stack([part[::8, ::8].ravel() for part in _scaled(plan)], axis=-1)
+    along = (np.stack([x, y]) - other[:2, None]) / other[2] - (np.stack([x, y]) - centre[:2, None]) / centre[
+        2
+    ]
+    along /= np.maximum(np.hypot(*along), 1e-12)
+    # eps_y is the part of x_b - x_a along (dD_y, -dD_x) / |dD|, and dD = D_b - D_a points against `along`
+    size = -(design @ low) * plan.pixel
+    dx, dy = -along[1] * size, along[0] * size
+    camera = plan.rig[name]
+    before = np.stack(camera.project(x, y, 0.0), axis=-1)
+    after = np.stack(camera.project(x + dx, y + dy, 0.0), axis=-1)
+    A = np.column_stack([before, np.ones(len(before))])
+    affine = np.linalg.lstsq(A, after - before, rcond=None)[0].T + np.eye(2, 3)
+    size_px = (image.shape[1], image.shape[0])
+    flat = np.ascontiguousarray(image, np.float32)
+    out = cv2.warpAffine(flat, affine, size_px, flags=cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
+    return np.maximum(np.asarray(out, np.float32), 0)

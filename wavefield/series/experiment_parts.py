@@ -1,0 +1,132 @@
+"""The parts of an experiment file: cameras, calibration, surface, velocity, grid, water, probes, frames."""
+
+from typing import Any, Literal
+
+from pydantic import Field, model_validator
+
+from wavefield.config_files import Section
+from wavefield.grid import Grid
+from wavefield.water import tension_over_density
+
+
+class CameraSection(Section):
+    """Where the images of one camera are."""
+
+    images: str | list[str | None] = Field(
+        examples=['"cam1/img_{frame:05d}.tif"'],
+        description="pattern with the frame number, glob, list, multi-page TIFF, video, Zarr array",
+    )
+    offset: int = Field(default=0, description="added to this camera's frame numbers")
+    times: str | None = Field(
+        default=None,
+        description="file of time stamps, one line per image, seconds; `recorded`: those in a recording, "
+        "where all cameras' clocks are one",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _shorthand(cls, data: Any) -> Any:
+        return {"images": data} if isinstance(data, str | list) else data
+
+
+class CalibrationSection(Section):
+    """Target images and what the target is; read by the calibration."""
+
+    target: dict[str, Any] = Field(examples=["{kind: strings, mesh: 0.10}"])
+    tilted: str | list[str] = Field(examples=['"calib/{camera}/tilt_*.tif"'])
+    flat: str | None = Field(default=None, examples=['"calib/{camera}/flat.tif"'])
+    model: str | None = Field(default=None, description="camera model, where the default does not do")
+    target_std: float = Field(
+        default=0.0,
+        ge=0,
+        examples=["0.001"],
+        description="uncertainty of the target's nodes, m: their offsets are solved for",
+    )
+    heights: dict[str, float] = Field(
+        default_factory=dict,
+        examples=["{z_1: -0.003, z_2: 0.0, z_3: 0.003}"],
+        description="z of a target that was moved along z, by pose (the file's name without the camera), m",
+    )
+    camera_distance: dict[str, float] = Field(
+        default_factory=dict,
+        examples=["{cam1: 4.5}"],
+        description="from the origin, by tape, m: checks the mesh",
+    )
+
+
+class SurfaceSection(Section):
+    """Pairs of cameras that give z."""
+
+    pairs: list[tuple[str, str]] = Field(examples=["[[cam3, cam1], [cam3, cam2]]"], min_length=1)
+
+
+class VelocitySection(Section):
+    """Cameras that give u, v, w."""
+
+    cameras: list[str] = Field(examples=["[cam1, cam2]"], min_length=2)
+
+
+class GridSection(Section):
+    """Nodes of the grid, metres; without x and y the extent is that seen by the cameras."""
+
+    x: tuple[float, float] | None = Field(default=None, examples=["[-1.0, 1.0]"])
+    y: tuple[float, float] | None = Field(default=None, examples=["[-0.75, 0.75]"])
+    step: float = Field(gt=0, examples=["0.01"])
+
+    @model_validator(mode="after")
+    def _whole(self) -> "GridSection":
+        if (self.x is None) != (self.y is None):
+            raise ValueError("give both x and y, or neither for the extent seen by the cameras")
+        if self.x is not None and self.y is not None:
+            Grid(self.x, self.y, self.step)
+        return self
+
+
+class WaterSection(Section):
+    """The water."""
+
+    depth: float | None = Field(default=None, gt=0, examples=["0.70"], description="m")
+    level: float = Field(
+        default=0.0, description="height of the water at rest above z = 0 of the rig file, m"
+    )
+    density: float | None = Field(default=None, gt=0, examples=["1000"], description="kg m-3")
+    surface_tension: float | None = Field(default=None, ge=0, examples=["0.073"], description="N m-1")
+
+    def attributes(self) -> dict[str, float]:
+        """What cubes and frames say of the water: ``water_depth``, ``surface_tension_over_density``."""
+        out = {} if self.depth is None else {"water_depth": self.depth}
+        if self.surface_tension is not None or self.density is not None:
+            out["surface_tension_over_density"] = tension_over_density(self.surface_tension, self.density)
+        return out
+
+
+class ProbesSection(Section):
+    """A file of wave probes, and what its header does not say."""
+
+    file: str = Field(examples=["probes.csv"])
+    time: str | int = Field(
+        default="time", examples=['"Zeit [s]"'], description="column of time: its name, or its number from 1"
+    )
+    columns: dict[str, str | int] = Field(
+        default_factory=dict, examples=['{p1: "WG 1", p2: 3}'], description="column of every probe, likewise"
+    )
+    unit: Literal["", "m", "cm", "mm", "um"] = Field(default="", description="where the file does not say it")
+    factor: float = Field(
+        default=1.0, description="on the values, such as -1 for gauges that count downwards"
+    )
+    clock: float = Field(default=0.0, description="s, added to their times")
+    places: dict[str, tuple[float, float]] = Field(
+        default_factory=dict, examples=["{p1: [0.2, -0.1]}"], description="x, y of every probe, m"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _shorthand(cls, data: Any) -> Any:
+        return {"file": data} if isinstance(data, str) else data
+
+
+class FramesSection(Section):
+    """Range of frame numbers to use, both included."""
+
+    first: int | None = Field(default=None, examples=["0"])
+    last: int | None = Field(default=None, examples=["11999"])

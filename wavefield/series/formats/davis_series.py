@@ -1,0 +1,60 @@
+"""LaVision's DaVis: a `.set` of `.im7` buffers in the folder of the same name."""
+
+import re
+from pathlib import Path
+
+from wavefield.errors import FrameError
+from wavefield.images.davis_image import count_frames, read_buffer
+from wavefield.series.formats.recording import Pixels, Recording
+
+_MOST = 10  # numbers for each buffer: what has more is not counted by its names
+
+
+class _Set:
+    """One image of every buffer of a set, as a recording."""
+
+    def __init__(self, path: Path, buffers: list[Path], frame: int) -> None:
+        self.path, self._buffers, self._frame = path, buffers, frame
+        first = read_buffer(buffers[0], frame)
+        self.count, self.shape = len(buffers), (first.shape[0], first.shape[1])
+        self.rate: float | None = None
+        self.first = 0
+
+    def read(self, index: int) -> Pixels:
+        """Read one image."""
+        if not 0 <= index < self.count:
+            raise FrameError(f"{self.path} has {self.count} images: there is no image {index}")
+        return read_buffer(self._buffers[index], self._frame)
+
+    def close(self) -> None:
+        """Nothing stays open."""
+
+
+def open_davis(path: Path) -> Recording:
+    """Open a set of DaVis."""
+    name = path if path.suffix.lower() == ".set" else path.parent
+    folder = name.with_suffix("")
+    buffers = _in_order(list(folder.glob("*.im7")))
+    if not buffers:
+        raise FrameError(f"{name} has no .im7 in the folder {folder.name} beside it: copy both")
+    count = count_frames(buffers[0])
+    if path == name and count > 1:
+        raise FrameError(f"{name} has {count} images in each buffer: name one, as {name.name}/0")
+    inside = "0" if path == name else path.name
+    if not inside.isdecimal() or int(inside) >= count:
+        raise FrameError(f"{name} has images 0 to {count - 1} in each buffer, none called {inside!r}")
+    return _Set(path, buffers, int(inside))
+
+
+def _in_order(found: list[Path]) -> list[Path]:
+    """Buffers by the numbers that end their names, not by rank: one that is missing keeps its place."""
+    ends = [re.search(r"\d+$", path.stem) for path in found]
+    numbered = {int(end[0]): path for end, path in zip(ends, found) if end}
+    if not found or len(numbered) < len(found):
+        return sorted(found)
+    first, last = min(numbered), max(numbered)
+    if last - first >= _MOST * len(found):
+        return sorted(found)
+    width = len(re.search(r"\d*$", numbered[first].stem)[0])  # type: ignore[index]  # which always fits
+    stem, folder = numbered[first].stem[:-width], found[0].parent
+    return [numbered.get(n, folder / f"{stem}{n:0{width}d}.im7") for n in range(first, last + 1)]

@@ -1,0 +1,336 @@
+"""The parts of a scene: every setting of a simulated experiment, with its unit and its limits."""
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
+
+from wavefield.config_files import Section
+from wavefield.rig import Rig
+from wavefield.tank import rigs, spectrum
+from wavefield.tank.sea import Sea
+from wavefield.water import GAMMA
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Limits = tuple[float, float]
+
+
+def _rising(limits: Limits) -> Limits:
+    if limits[1] < limits[0]:
+        raise ValueError("the smaller value comes first")
+    return limits
+
+
+class Part(Section):
+    """A part whose settings are checked and cannot change."""
+
+    model_config = ConfigDict(allow_inf_nan=True)  # deep water
+
+
+class AddedWave(Part):
+    """A wave added to a sea, for instance to see what is left of it after the measurement."""
+
+    amplitude: Positive = Field(description="m")
+    wavelength: Positive = Field(description="m")
+    direction: float = Field(default=0.0, description="where it goes, degrees anticlockwise from +x")
+    phase: float = Field(default=0.0, description="degrees")
+
+    @property
+    def vector(self) -> tuple[float, float]:
+        """Wave vector, rad/m."""
+        k, angle = 2 * np.pi / self.wavelength, np.radians(self.direction)
+        return float(k * np.cos(angle)), float(k * np.sin(angle))
+
+
+class _Water(Part):
+    depth: Positive = Field(default=0.7, description="depth of the water, m; .inf for deep water")
+    surface_tension: NotNegative = Field(default=GAMMA, description="surface tension over density, m3 s-2")
+    current: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="velocity of the water as a whole, m/s"
+    )
+
+    added: tuple[AddedWave, ...] = Field(default=(), description="free waves besides")
+
+    def _sea(self, kx: Any, ky: Any, amplitude: Any, bound: int) -> Sea:
+        for wave in self.added:
+            (x, y), height = wave.vector, wave.amplitude * np.exp(1j * np.radians(wave.phase))
+            kx, ky, amplitude = np.append(kx, x), np.append(ky, y), np.append(amplitude, height)
+        return Sea(kx, ky, amplitude, self.depth, self.surface_tension, self.current, bound)
+
+
+class StillSea(_Water):
+    """Water at rest (but for its current)."""
+
+    kind: Literal["still"]
+
+    def build(self, seed: int) -> Sea:
+        """Make the sea."""
+        return self._sea([1.0], [0.0], [0.0], 0)
+
+
+class SingleWave(_Water):
+    """One wave."""
+
+    kind: Literal["single"]
+    amplitude: NotNegative = Field(description="m")
+    wavelength: Positive = Field(description="m")
+    direction: float = Field(default=0.0, description="where it goes, degrees anticlockwise from +x")
+    phase: float = Field(default=0.0, description="degrees")
+    order: Literal[1, 2] = Field(default=1, description="2 adds the bound second harmonic")
+
+    def build(self, seed: int) -> Sea:
+        """Make the sea."""
+        k, angle = 2 * np.pi / self.wavelength, np.radians(self.direction)
+        amplitude = self.amplitude * np.exp(1j * np.radians(self.phase))
+        return self._sea([k * np.cos(angle)], [k * np.sin(angle)], [amplitude], int(self.order == 2))
+
+
+class Jonswap(Part):
+    """JONSWAP spectrum."""
+
+    kind: Literal["jonswap"]
+    peak: Positive = Field(description="frequency of the peak, Hz")
+    enhancement: Positive = 3.3
+
+    def __call__(self, frequency: np.ndarray) -> np.ndarray:
+        """Spectrum at frequencies in Hz, to within a factor."""
+        return spectrum.jonswap(frequency, self.peak, self.enhancement)
+
+
+class PowerLaw(Part):
+    """Spectrum that falls as a power of the frequency."""
+
+    kind: Literal["power"]
+    peak: Positive = Field(description="frequency of the peak, Hz")
+    exponent: Positive = 6.0
+
+    def __call__(self, frequency: np.ndarray) -> np.ndarray:
+        """Spectrum at frequencies in Hz, to within a factor."""
+        return spectrum.power_law(frequency, self.peak, self.exponent)
+
+
+class RandomSea(_Water):
+    """A random sea with a given spectrum."""
+
+    kind: Literal["random"]
+    rms: NotNegative = Field(description="standard deviation of the elevation, m")
+    spectrum: Annotated[Jonswap | PowerLaw, Field(discriminator="kind")]
+    direction: float = Field(default=0.0, description="main direction, degrees anticlockwise from +x")
+    spread: NotNegative = Field(
+        default=0.0, description="exponent s of cos^2s of half the angle; 0 is isotropic"
+    )
+    shortest: Positive = Field(default=0.05, description="shortest free wave, m")
+    longest: Positive = Field(default=np.inf, description="longest free wave, m")
+    period: Positive = Field(
+        default=6.0, description="the sea repeats itself in x and y after this distance, m"
+    )
+    order: Literal[1, 2] = Field(default=1, description="2 adds the waves bound to the steepest free ones")
+    interacting: Annotated[int, Field(ge=2, le=2000)] = Field(
+        default=300, description="free waves with bound ones"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> "RandomSea":
+        if self.shortest * 4 > self.period:
+            raise ValueError("period must be at least four times the shortest wave")
+        if self.longest <= self.shortest:
+            raise ValueError("longest must be larger than shortest")
+        return self
+
+    def build(self, seed: int) -> Sea:
+        """Make the sea."""
+        kx, ky, amplitude = spectrum.random_waves(
+            self.spectrum,
+            rms=self.rms,
+            direction=np.radians(self.direction),
+            spread=self.spread,
+            shortest=self.shortest,
+            longest=self.longest,
+            period=self.period,
+            depth=self.depth,
+            surface_tension=self.surface_tension,
+            seed=seed,
+        )
+        return self._sea(kx, ky, amplitude, self.interacting if self.order == 2 else 0)
+
+
+class PaperRig(Part):
+    """The paper's three cameras; its two oblique ones alone, or a fourth that looks across them."""
+
+    cameras: Literal[2, 3, 4] = 3
+    scale: Annotated[float, Field(gt=0, le=2)] = Field(default=1.0, description="image size over full size")
+    crop: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="share of the sensor read out")
+
+    def build(self) -> Rig:
+        """Make the rig."""
+        return rigs.paper_rig(self.scale, self.crop, self.cameras)
+
+
+class SheetRig(Part):
+    """Cameras around a light sheet: two that look from both sides, and a vertical one between."""
+
+    cameras: Literal[2, 3] = 2
+    angle: Annotated[float, Field(ge=5, le=70)] = Field(
+        default=35.0, description="of the outer cameras from the vertical, degrees"
+    )
+    distance: Positive = Field(default=1.0, description="from the middle of the sheet, m")
+    pixel: Positive = Field(default=2e-4, description="of the vertical view, m")
+    size: tuple[int, int] = Field(default=(800, 600), description="width and height of the images, px")
+
+    def build(self) -> Rig:
+        """Make the rig."""
+        return rigs.sheet_rig(self.cameras, self.angle, self.distance, self.pixel, self.size)
+
+
+class RigFile(Part):
+    """Any cameras, from a rig file."""
+
+    file: str = Field(description="a rig as YAML; relative to the scene file")
+
+    def build(self) -> Rig:
+        """Read the rig."""
+        return Rig.load(self.file)
+
+
+class Beads(Part):
+    """Floating beads."""
+
+    kind: Literal["beads"] = "beads"
+    density: Positive = Field(default=1.1e4, description="beads per m2; 1.1e4 is 17.6 per 4 x 4 cm")
+    diameter: NotNegative = Field(default=0.7e-3, description="m")
+    brightness: Positive = Field(default=110.0, description="mean height of a spot, grey levels of 255")
+    spread: NotNegative = Field(default=0.35, description="relative spread of brightness over beads")
+    spread_between: NotNegative = Field(
+        default=0.15, description="relative spread between cameras for one bead"
+    )
+    one_camera: Share = Field(default=0.0, description="share of beads that only one camera sees")
+    clustered: Share = Field(default=0.0, description="share of beads in groups of six within 8 mm")
+    holes: Annotated[int, Field(ge=0)] = Field(default=0, description="number of round places without beads")
+    hole_diameter: Positive | Annotated[tuple[Positive, Positive], AfterValidator(_rising)] = Field(
+        default=0.10, description="m; two values: drawn evenly between them"
+    )
+    renewal: Share = Field(default=0.005, description="share of beads laid anew per second")
+
+
+class Texture(Part):
+    """White noise painted on the surface, as in the paper's test."""
+
+    kind: Literal["texture"] = "texture"
+    mesh: Positive | None = Field(default=None, description="size of the grains, m; by default 1.5 pixels")
+    contrast: Positive = Field(default=40.0, description="standard deviation, grey levels of 255")
+    mean: NotNegative = Field(default=120.0, description="grey levels of 255")
+    carried: bool = Field(
+        default=False, description="moves with the water; else it stays and only its height changes"
+    )
+
+
+class Sheet(Part):
+    """Particles in a light sheet and a flow through it, instead of a water surface; the sea must be still."""
+
+    kind: Literal["sheet"] = "sheet"
+    thickness: Positive = Field(default=1e-3, description="where its light is above 1/e2, m")
+    height: float = Field(default=0.0, description="of its middle above the target's plane, m")
+    tilt: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="of the sheet against the target's plane along x and y, degrees"
+    )
+    density: Positive = Field(default=6e5, description="particles in the sheet per m2")
+    diameter: NotNegative = Field(default=1e-4, description="m")
+    brightness: Positive = Field(
+        default=110.0, description="mean height of a spot in the middle, grey levels of 255"
+    )
+    spread: Positive = Field(default=0.35, description="relative spread of brightness over particles")
+    spread_between: NotNegative = Field(
+        default=0.15, description="relative spread between cameras for one particle"
+    )
+    speed: NotNegative = Field(default=0.015, description="rms of u and of v, m/s")
+    speed_across: NotNegative = Field(default=0.003, description="rms of w, m/s")
+    shortest: Positive = Field(default=0.03, description="shortest wavelength of the flow, m")
+
+
+class Light(Part):
+    """How the cameras see."""
+
+    blur: Positive = Field(default=0.62, description="standard deviation of a point's image, px")
+    background: NotNegative = Field(default=12.0, description="grey levels of 255")
+    unevenness: NotNegative = Field(default=0.3, description="relative difference of light across an image")
+    flicker: NotNegative = Field(default=0.0, description="relative rms change of light from frame to frame")
+    gain: dict[str, Positive] = Field(default_factory=dict, description="camera: factor on its grey levels")
+    read_noise: NotNegative = Field(default=1.2, description="grey levels of 255")
+    shot_noise: NotNegative = Field(default=0.04, description="variance per grey level, grey levels of 255")
+    bits: Literal[8, 16] = 8
+
+
+class Fault(Part):
+    """What goes wrong with a camera while it records; its target images are right."""
+
+    mirrored: bool = Field(default=False, description="columns in reverse order")
+    shows: str | None = Field(default=None, description="the camera whose images come under its name")
+    late: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="frames behind the others; at the start it repeats its first image"
+    )
+    shift: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="columns and rows by which its picture has moved, px"
+    )
+    defocus: NotNegative = Field(default=0.0, description="standard deviation added to the blur, px")
+    delay: float = Field(default=0.0, description="s by which its frames are taken later (beads only)")
+    turned: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 0.0), description="rotation vector in its own axes, degrees (beads only)"
+    )
+    since: Annotated[int, Field(ge=0)] = Field(default=0, description="frame from which it is turned")
+
+
+class Strings(Part):
+    """The paper's grid of white strings."""
+
+    kind: Literal["strings"] = "strings"
+    mesh: Positive = Field(default=0.10, description="m")
+    width: Positive = Field(default=3e-3, description="width of a string, m")
+    half: Annotated[int, Field(ge=2)] = Field(
+        default=10, description="strings on each side of the middle one"
+    )
+    origin_disc: Positive = Field(default=0.036, description="diameter of the disc at the origin, m")
+    x_disc: Positive = Field(
+        default=0.022, description="diameter of the disc at the next crossing along +x, m"
+    )
+    brightness: Positive = Field(default=150.0, description="grey levels of 255")
+    node_offset: NotNegative = Field(default=0.0, description="rms error of the crossings in x, y, z, m")
+
+
+class Chessboard(Part):
+    """A chessboard, its middle at the origin."""
+
+    kind: Literal["chessboard"]
+    mesh: Positive = Field(default=0.08, description="side of a square, m")
+    shape: tuple[int, int] = Field(default=(11, 8), description="inner corners along x and y")
+    brightness: Positive = 150.0
+
+
+class Dots(Part):
+    """White dots on a dark plate, their middle at the origin."""
+
+    kind: Literal["dots"]
+    mesh: Positive = Field(default=0.08, description="distance between dots, m")
+    shape: tuple[int, int] = Field(default=(11, 8), description="dots along x and y")
+    diameter: Positive = Field(default=0.02, description="m")
+    brightness: Positive = 150.0
+
+
+class Calibration(Part):
+    """Target images."""
+
+    target: Annotated[Strings | Chessboard | Dots, Field(discriminator="kind")] = Strings()
+    tilted: Annotated[int, Field(ge=0)] = Field(default=6, description="number of tilted poses")
+    tilt: Positive = Field(default=20.0, description="largest tilt, degrees")
+    level: float = Field(default=0.0, description="height of the flat target above the water at rest, m")
+
+
+class Probes(Part):
+    """Wave probes."""
+
+    rate: Positive = Field(default=100.0, description="Hz")
+    positions: dict[str, tuple[float, float]] = Field(
+        default_factory=lambda: {"probe1": (-0.25, 0.1), "probe2": (0.2, -0.15)}, description="x, y, m"
+    )
+    noise: NotNegative = Field(default=1e-4, description="rms, m")

@@ -1,0 +1,1 @@
+"""The dispersion relation: fit of current and surface tension, current by depth, directions."""

@@ -1,0 +1,1 @@
+"""What all wave estimators share: records, segments, windows, rings, degrees of freedom, gains."""

@@ -1,0 +1,42 @@
+"""Mean horizontal velocity of a record: the current that nonlinear quantities are taken relative to."""
+
+from typing import Any
+
+import dask
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from wavefield.waves.estimation.wave_record import Record, piece
+
+Array = NDArray[np.float64]
+
+_CURRENT_STEPS = 64  # steps, evenly spread over the record, that the mean is taken over
+
+
+def delayed_current(cube: xr.Dataset, record: Record) -> Any:
+    """Mean of u, v over the measured nodes of evenly spread steps, and its standard uncertainty; delayed.
+
+    With cube, m/s; returns Mean (2,) and standard uncertainty (2,), m/s, along x and y.
+    """
+    missing = set(record.bridged)
+    steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
+    chosen = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, _CURRENT_STEPS).astype(int)})
+    area = slice(*record.y), slice(*record.x)
+    task = dask.delayed(_mean_of_step, pure=False)
+    means = [[task(piece(cube[name], slice(t, t + 1), *area)) for name in ("u", "v")] for t in chosen]
+    return dask.delayed(_mean_and_uncertainty, pure=False)(means)
+
+
+def _mean_of_step(block: Any) -> float:
+    values = np.asarray(block, np.float64)
+    measured = values[np.isfinite(values)]
+    return float(measured.mean()) if measured.size else np.nan
+
+
+def _mean_and_uncertainty(means: list[list[float]]) -> tuple[Array, Array]:
+    values = np.asarray(means, np.float64)
+    values = values[np.isfinite(values).all(axis=1)]
+    if values.shape[0] < 2:
+        return np.zeros(2) if not values.size else values[0], np.full(2, np.nan)
+    return values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(values.shape[0])

@@ -1,0 +1,247 @@
+"""Welch's method as a graph: every half segment is transformed in space once and used by both its segments.
+
+Half segments and segments are fixed by the record alone, and the sums run in their order: results do not
+depend on how the data are chunked.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from dask import delayed
+from scipy import fft
+
+from wavefield.errors import CubeError
+from wavefield.waves.estimation import wave_kernels
+from wavefield.waves.estimation.wave_record import LONGEST_BRIDGE, Record, fill, is_whole, piece
+from wavefield.waves.estimation.windows import choose_segment, hann, segment_count
+
+_FRAMES = 4  # steps transformed in space at once: they fit the cache
+CELLS = 128  # cells transformed in time at once: so do their segments
+_CHAIN = 8  # segments in a row that are summed one after the other
+
+
+def segment_length(record: Record, segment: int | None) -> int:
+    """Segment length to use, checked against the record."""
+    longest = record.longest
+    if segment is None:
+        segment = choose_segment(longest)
+    if segment % 2 or segment < 8:
+        raise CubeError(f"the segment length is {segment} steps: choose an even number, 8 at least")
+    if longest < segment:
+        raise CubeError(
+            f"the longest run without gaps has {longest} steps, less than one segment of {segment}:"
+            f" choose a segment of at most {longest - longest % 2} steps"
+        )
+    return segment
+
+
+def count_segments(record: Record, segment: int) -> int:
+    """Number of segments, overlapping by half, in all runs of a record."""
+    return sum(segment_count(b - a, segment) for a, b in record.runs)
+
+
+def _values(part: Any) -> np.ndarray:
+    block = np.asarray(part)
+    return block if block.dtype.kind == "f" else block.astype(np.float64)
+
+
+def _half(
+    make: Callable[..., dict[str, Any]], pieces: Sequence[Any], missing: np.ndarray, inner: slice, first: int
+) -> dict[str, Any]:
+    return make([np.ascontiguousarray(fill(_values(part), missing)[inner]) for part in pieces], first)
+
+
+def _span(
+    record: Record, a: int, b: int, run: tuple[int, int]
+) -> tuple[tuple[slice, slice, slice], np.ndarray, slice]:
+    # what to read for the steps a to b, which of it is missing, and where a to b lie in it:
+    # interpolation in time wants good steps on either side
+    bridged = np.asarray(record.bridged, int)
+    reach = LONGEST_BRIDGE + 2 if ((bridged >= a - 1) & (bridged <= b)).any() else 0
+    lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
+    missing = np.isin(np.arange(lo, hi), bridged)
+    return (slice(lo, hi), slice(*record.y), slice(*record.x)), missing, slice(a - lo, b - lo)
+
+
+def _lay(
+    arrays: Sequence[xr.DataArray],
+    record: Record,
+    a: int,
+    b: int,
+    run: tuple[int, int],
+    make: Callable[..., dict[str, Any]],
+) -> Any:
+    area, missing, inner = _span(record, a, b, run)
+    pieces = [piece(array, *area) for array in arrays]
+    return delayed(_half, pure=False)(make, pieces, missing, inner, a)
+
+
+class Link(NamedTuple):
+    """Half a segment of a chain: steps ``start`` to ``stop`` of a run; ``new`` if no other chain has them."""
+
+    start: int
+    stop: int
+    run: tuple[int, int]
+    new: bool
+
+
+class UnlikeFirst(Exception):
+    """A field of a record lacks values where the first one has them."""
+
+
+class Reader:
+    """Reads pieces of a record inside a task: nothing is read before it is needed."""
+
+    def __init__(self, arrays: Sequence[xr.DataArray], record: Record, alike: bool = False) -> None:
+        self.arrays, self.record, self.alike = list(arrays), record, alike
+
+    def __call__(self, a: int, b: int, run: tuple[int, int]) -> list[np.ndarray]:
+        """Blocks (b - a, ny, nx) of the steps a to b of a run, without gaps."""
+        area, missing, inner = _span(self.record, a, b, run)
+        blocks: list[np.ndarray] = []
+        holes = np.zeros((), bool)  # of the first field
+        for array in self.arrays:
+            part = piece(array, *area)
+            if hasattr(part, "dask"):
+                part = part.compute(scheduler="synchronous")
+            block = _values(part)
+            if self.alike and not is_whole(block):
+                lacking = ~np.isfinite(block)
+                if not blocks:
+                    holes = lacking
+                elif (lacking & ~holes)[~missing].any():
+                    raise UnlikeFirst
+            # one layout, one compiled kernel: the same sums to the bit
+            blocks.append(np.ascontiguousarray(fill(block, missing)[inner]))
+        return blocks
+
+
+def remainders(record: Record, segment: int) -> list[tuple[int, int, tuple[int, int]]]:
+    """Steps (first, one past the last, run) that no segment holds, in pieces of half a segment at most."""
+    half = segment // 2
+    out = []
+    for run in record.runs:
+        count = segment_count(run[1] - run[0], segment)
+        start = run[0] + (count + 1) * half if count else run[0]
+        out += [(a, min(a + half, run[1]), run) for a in range(start, run[1], half)]
+    return out
+
+
+def chains(record: Record, segment: int) -> list[list[Link]]:
+    """Cut the segments of a record into chains that are summed one after the other."""
+    half = segment // 2
+    out = []
+    for run in record.runs:
+        count = segment_count(run[1] - run[0], segment)
+        for some in np.array_split(np.arange(count), -(-count // _CHAIN)) if count else ():
+            halves = range(int(some[0]), int(some[-1]) + 2)
+            starts = [run[0] + i * half for i in halves]
+            out.append([Link(a, a + half, run, i > some[0] or i == 0) for i, a in zip(halves, starts)])
+    return out
+
+
+def half_segments(
+    arrays: Sequence[xr.DataArray], record: Record, half: int, make: Callable[..., dict[str, Any]]
+) -> list[list[Any]]:
+    """Lay out the tasks that turn half segments of a record into whatever `make` gives."""
+    runs = []
+    for run in record.runs:
+        count = (run[1] - run[0]) // half
+        ends = [run[0] + i * half for i in range(count + 1)]
+        runs.append([_lay(arrays, record, a, b, run, make) for a, b in pairwise(ends)])
+    return runs
+
+
+def pieces(
+    arrays: Sequence[xr.DataArray], record: Record, length: int, make: Callable[..., dict[str, Any]]
+) -> list[Any]:
+    """Lay out tasks as `half_segments` does, over every step of a run; the last may be shorter."""
+    out = []
+    for run in record.runs:
+        for a in range(run[0], run[1], length):
+            out.append(_lay(arrays, record, a, min(a + length, run[1]), run, make))
+    return out
+
+
+def in_order(parts: Sequence[Any]) -> Any:
+    """Sum delayed dictionaries of arrays one after the other, in their order."""
+    task = delayed(add, pure=False)
+    total = parts[0]
+    for part in parts[1:]:
+        total = task(total, part)
+    return total
+
+
+def add(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
+    """Sum two dictionaries of arrays, name by name; what only one of them has is kept."""
+    return {**a, **b} | {name: a[name] + b[name] for name in a if name in b}
+
+
+def spatial_window(ny: int, nx: int) -> np.ndarray:
+    """Hann window of the rectangle, (ny, nx)."""
+    return np.outer(hann(ny), hann(nx))
+
+
+def window_energy(segment: int, ny: int, nx: int) -> float:
+    """Sum of the squared window over a segment."""
+    return float((hann(segment) ** 2).sum() * (hann(ny) ** 2).sum() * (hann(nx) ** 2).sum())
+
+
+def transform_space(block: Any, out: np.ndarray | None = None) -> np.ndarray:
+    """Transform each step in space.
+
+    With block (steps, ny, nx).
+    """
+    steps, ny, nx = block.shape
+    window = spatial_window(ny, nx).astype(block.dtype)
+    shape = steps, ny, nx // 2 + 1
+    if out is None:
+        out = np.empty((steps, ny * shape[2]), np.result_type(block.dtype, np.complex64)).T
+    planes = out.T.reshape(shape)
+    some = np.empty((min(_FRAMES, steps), ny, nx), block.dtype)
+    for a in range(0, steps, _FRAMES):
+        part = block[a : a + _FRAMES]
+        windowed = np.multiply(part, window, out=some[: part.shape[0]])
+        planes[a : a + _FRAMES] = fft.rfft2(windowed, axes=(1, 2))
+    return out
+
+
+def slabs(cells: int) -> Iterator[slice]:
+    """Cut cells into slabs that fit the cache."""
+    for a in range(0, cells, CELLS):
+        yield slice(a, min(a + CELLS, cells))
+
+
+class TimeTransform:
+    """Transforms segments in time, slab by slab, in work space of its own: it is made once and used again."""
+
+    def __init__(self, half: int, dtype: Any, names: int = 1) -> None:
+        dtype = np.dtype(dtype)
+        self.half, self.real = half, dtype.type(0).real.dtype
+        self.window = hann(2 * half).astype(self.real)
+        self.lines = np.empty((names, 2 * half * CELLS), dtype)
+        self.halves = np.empty((2, half * CELLS), dtype)
+
+    def __call__(self, first: np.ndarray, second: np.ndarray, name: int = 0) -> np.ndarray:
+        """Transform a slab.
+
+        With first, second (cells, n / 2); returns (cells, n): Mean and trend taken off, Hann window, numpy's
+        signs.
+        """
+        cells = first.shape[0]
+        halves = [part[: self.half * cells].reshape(self.half, cells) for part in self.halves]
+        for part, given in zip(halves, (first, second)):
+            part[...] = given.T  # read once from far, then from the cache
+        joined = self.lines[name, : 2 * self.half * cells].reshape(cells, 2 * self.half)
+        first, second = (part.view(self.real) for part in halves)
+        wave_kernels.join(first, second, self.window, joined.view(self.real))
+        out: np.ndarray = fft.fft(joined, axis=-1, overwrite_x=True)
+        return out
+
+
+def transform_time(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Transform a slab of a segment in time, as `TimeTransform` does."""
+    return TimeTransform(first.shape[1], first.dtype)(first, second)

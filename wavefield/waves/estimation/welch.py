@@ -1,0 +1,198 @@
+"""Welch's method on one record: what every spectrum of it shares."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from wavefield.waves.estimation import rings, segments
+from wavefield.waves.estimation.wave_record import Record, find_record
+from wavefield.waves.estimation.windows import degrees_of_freedom, effective_duration
+
+Array = NDArray[np.float64]
+Coordinates = dict[str, tuple[str, Array]]
+
+LEAST_COUNT = 4  # segments
+_NEAR = 3  # lines over which the spread over cells is averaged
+LOWEST = 2  # cells: a Hann window mixes what is nearer to zero with the mean
+
+
+def omega_coords(omega: Array) -> Coordinates:
+    """Coordinates ``omega`` (rad/s) and ``frequency`` (Hz)."""
+    return {"omega": ("omega", omega), "frequency": ("omega", omega / (2 * np.pi))}
+
+
+def k_coords(k: Array) -> Coordinates:
+    """Coordinates ``k`` (rad/m) and ``cycles`` (1/m)."""
+    return {"k": ("k", k), "cycles": ("k", k / (2 * np.pi))}
+
+
+@dataclass(frozen=True)
+class Welch:
+    """Segments of a record and the rings of its k plane."""
+
+    record: Record  # Rectangle and runs
+    segment: int  # Steps of a segment
+    # Width of the rings, rad/m; by default 2 pi over the shorter side of the rectangle
+    dk: float | None = None
+    frames: int = 2  # Frames that velocities and z_t come from (`transfer.path_factor`)
+    z_frames: int = 4  # Frames that z comes from (`transfer.to_frame_time`)
+    moving: bool = False  # Whether z is interpolated in time in a frame that moves with the mean flow
+    # Mean current along x and y that nonlinear quantities are relative to, m/s
+    current: tuple[float, float] = (0.0, 0.0)
+
+    @classmethod
+    def of(
+        cls, fields: Any, segment: int | None = None, record: Record | None = None, dk: float | None = None
+    ) -> "Welch":
+        """Lay segments over fields.
+
+        With dk, rad/m.
+        """
+        record = find_record(fields) if record is None else record
+        length = segments.segment_length(record, segment)
+        return cls(record, length, dk, frames_of(fields), frames_of_z(fields), moves_with_flow(fields))
+
+    @cached_property
+    def count(self) -> int:
+        """Number of segments, overlapping by half, in all runs."""
+        return segments.count_segments(self.record, self.segment)
+
+    @property
+    def half(self) -> int:
+        """Steps of half a segment."""
+        return self.segment // 2
+
+    @cached_property
+    def omega(self) -> Array:
+        """Angular frequencies, (segment // 2 + 1,), rad/s."""
+        return np.asarray(2 * np.pi * np.arange(self.half + 1) / (self.segment * self.record.dt), float)
+
+    @cached_property
+    def table(self) -> rings.Rings:
+        """Rings of the k plane."""
+        record = self.record
+        return rings.rings(*record.shape, record.dy, record.dx, self.dk)
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of a single cell."""
+        return degrees_of_freedom(self.count)
+
+    @property
+    def duration(self) -> float:
+        """Length of the record as its segments weigh it, s."""
+        return effective_duration(self.count, self.segment * self.record.dt)
+
+    @property
+    def density(self) -> float:
+        """Factor from summed |F|^2 to a two-sided density in rad/m, rad/m and rad/s."""
+        record = self.record
+        energy = segments.window_energy(self.segment, *record.shape)
+        return record.dt * record.dy * record.dx / ((2 * np.pi) ** 3 * energy * self.count)
+
+    @property
+    def ring_density(self) -> float:
+        """Factor from ring sums of |F|^2 to E(k, omega)."""
+        ny, nx = self.record.shape
+        cell = (2 * np.pi) ** 2 / (ny * self.record.dy * nx * self.record.dx)
+        return self.density * cell / self.table.dk
+
+    @property
+    def plane(self) -> Coordinates:
+        """Coordinates ``ky`` and ``kx`` (rad/m), ascending."""
+        record = self.record
+        lengths = zip(("ky", "kx"), record.shape, (record.dy, record.dx))
+        return {name: (name, np.sort(rings.wavenumbers(n, step))) for name, n, step in lengths}
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Where E(k, omega) can be trusted, (omega, k): off the lowest cells, below Nyquist in x and y."""
+        nyquist = np.pi / max(self.record.dy, self.record.dx)
+        table = self.table
+        in_k = (table.k > LOWEST * table.dk) & (table.k + table.dk / 2 <= nyquist * (1 + 1e-9))
+        return inner(self.omega.size)[:, None] & in_k
+
+    def freedom(self, sums: Array) -> Array:
+        """Degrees of freedom of E(k, omega) from how the energy is spread over the cells of each ring.
+
+        The variance of sum A_c |F_c|^2 is sum A_c A_d |<F_c F_d*>|^2, and the windows correlate cells c and d
+        by rho_cd. With the square of each cell's expected power taken from <|F_c|^4> / 2 (Gaussian waves),
+        the number of independent cells is (sum A_c E_c)^2 / sum A_c E_c^2 (rho^2 A)_c: the geometric number
+        of a ring for energy spread evenly over it, one for a single wave. Squares are averaged over segments
+        before they are summed, so the number does not depend on K; its reciprocal is averaged over three
+        lines and what chance adds to the squared power, 1 / K, taken off.
+
+        With sums (2, rings, n // 2 + 1); returns (rings, n // 2 + 1): Degrees of freedom of a cell times the
+        equivalent number of independent cells.
+        """
+        power, square = sums[0], sums[1]
+        filled = power > 0
+        spread = np.divide(self.count * square, power**2, out=np.zeros_like(power), where=filled)
+        weight = ndimage.uniform_filter1d(filled.astype(float), _NEAR, axis=-1, mode="nearest")
+        spread = ndimage.uniform_filter1d(spread, _NEAR, axis=-1, mode="nearest")
+        cells = np.divide(weight, spread, out=np.zeros_like(power), where=spread > 0) - 1 / self.count
+        cells = np.where(filled, cells, self.table.cells[:, None])  # where there is no energy at all
+        return np.asarray(self.dof * cells.clip(1))
+
+    @property
+    def ring_variables(self) -> Mapping[str, tuple[str, Array]]:
+        """Variables along k that every E(k, omega) carries: coverage and cells."""
+        return {"coverage": ("k", self.table.coverage), "cells": ("k", self.table.cells)}
+
+    @property
+    def attrs(self) -> dict[str, Any]:
+        """Attributes that say how a spectrum was estimated."""
+        record = self.record
+        return {
+            "estimator": "Welch, Hann windows in t, y and x, half overlap, mean and trend removed",
+            "segment": self.segment,
+            "segments": self.count,
+            "degrees_of_freedom": self.dof,
+            "steps_bridged": len(record.bridged),
+            "nodes_filled": record.holes,
+            "nodes": list(record.shape),
+            "node_step": [record.dy, record.dx],
+            "dt": record.dt,
+            "frames": self.frames,
+            "convention": "k points where the wave goes; density in rad/m and rad/s, one-sided in omega",
+        }
+
+
+def frames_of(fields: Any) -> int:
+    """Frames that the velocities of a cube come from: 6 or 4 along paths, else 2."""
+    if "path_frames" in fields.coords:
+        return int(fields["path_frames"])
+    arrays = (
+        [fields[n] for n in ("z_t", "w", "u", "v") if n in fields]
+        if hasattr(fields, "data_vars")
+        else [fields]
+    )
+    return max((int(array.attrs.get("frames", 2)) for array in arrays), default=2)
+
+
+def along_paths(fields: Any) -> bool:
+    """Whether the velocities of a cube follow paths; of a lazy one nothing is computed."""
+    return "path_frames" in fields.coords or frames_of(fields) > 2
+
+
+def frames_of_z(fields: Any) -> int:
+    """Frames that the elevations of a cube come from: 6, or 4 where it does not say."""
+    if not hasattr(fields, "data_vars"):
+        return int(fields.attrs.get("frames", 4)) if fields.name == "z" else 4
+    return int(fields["z"].attrs.get("frames", 4)) if "z" in fields else 4
+
+
+def moves_with_flow(fields: Any) -> bool:
+    """Whether the elevations of a cube are interpolated in time in a frame that moves with the mean flow."""
+    return hasattr(fields, "data_vars") and "z" in fields and bool(fields["z"].attrs.get("moving", 0))
+
+
+def inner(lines: int) -> NDArray[np.bool_]:
+    """Lines of a spectrum off its mean and off the Nyquist frequency, (lines,)."""
+    index = np.arange(lines)
+    return (index >= LOWEST) & (index < lines - 1)

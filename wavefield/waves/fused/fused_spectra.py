@@ -1,0 +1,407 @@
+"""The best elevation from stereo and from the integrated vertical velocity, and the noise of either.
+
+z = eta + n_z at frame times; w dt is the difference of two elevations, so w_hat = w i dt / (2 sin b), b =
+omega dt / 2, is the elevation at mid-time with noise n_w. No rest record is needed to tell signal from noise.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import dask
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from wavefield.variables import annotate
+from wavefield.water import dispersion, water_of, wavenumber
+from wavefield.waves.dispersion_relation.doppler_correction import Moving, longest, moving_of, shortest
+from wavefield.waves.estimation.degrees_of_freedom import with_interval
+from wavefield.waves.estimation.leakage import leakage
+from wavefield.waves.estimation.transfer_functions import LEAST_SIGNAL, elevation_from_w, path_factor
+from wavefield.waves.estimation.wave_record import Record
+from wavefield.waves.estimation.welch import Welch, inner, k_coords, omega_coords
+from wavefield.waves.estimation.window_gain import LEAST, read_gain, ring_gain
+from wavefield.waves.spectra.cross_spectra import door, label, lazy_sums
+from wavefield.waves.spectra.field_spectra import frequency_spectrum
+
+Array = NDArray[Any]
+Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
+
+NAMES = ("z", "w")
+PAIRS = (("z", "w"),)
+PLANES = ("z*w",)
+METHODS = ("stereo", "w", "cross", "fusion")
+_LONGER = 0.5  # of the ridge's k: what is longer is no free wave of that frequency
+_OFF = 0.3  # of the ridge's omega: further off there is no free wave
+_TRUSTED = 0.7  # fraction of the ridge's cells
+_OWN = 0.5  # of a line of w: more from afar is leakage
+_LOWEST = 1.2  # Hz: below it the integrated w holds little but drift
+
+
+def _white(noise: Array, use: Array) -> Array:
+    # level of each ring: the median passes over the ridge, where gains err, and over the nonlinear term in w
+    noise = np.where(use, noise, np.nan)
+    told = np.isfinite(noise).any(axis=0)  # a short record has rings without a line off the ridge
+    out: Array = np.zeros(noise.shape[1])
+    out[told] = np.nanmedian(noise[:, told], axis=0).clip(min=0.0)
+    return out
+
+
+def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
+    # up to where, from the peak on, a method is valid; and how far below the peak that is, in decades
+    peak = int(np.argmax(np.nan_to_num(signal)))
+    index = peak
+    while index + 1 < omega.size and valid[index + 1]:
+        index += 1
+    floor = signal[index]
+    decades = float(np.log10(signal[peak] / floor)) if floor > 0 else np.nan
+    return float(omega[index] / (2 * np.pi)), decades
+
+
+def _smooth(values: Array, width: int = 7) -> Array:
+    padded = np.pad(values, width // 2, mode="edge")
+    return np.convolve(padded, np.full(width, 1 / width), "valid")
+
+
+def _on_ridge(trusted: Array, spectra: "_Elevations", water: Water) -> Array:
+    # whether the waves' own cells are trusted: three rings about the ridge, seven lines
+    k = spectra.k
+    place = np.rint(np.interp(_wavenumber(spectra, water), k, np.arange(k.size))).astype(int)
+    near = np.clip(place[:, None] + np.arange(-1, 2), 0, k.size - 1)
+    return _smooth(np.take_along_axis(trusted, near, axis=1).mean(axis=1)) > _TRUSTED
+
+
+@dataclass(frozen=True)
+class _Gains:
+    """Power gains (k,) of z and of w and the gain of their cross spectrum; 0 where they are not trusted."""
+
+    z: Array
+    w: Array
+    zw: Array
+
+    @property
+    def sees_both(self) -> Array:
+        return np.asarray((self.z > 0) & (self.w > 0))
+
+    def elevation(self, cross: Array) -> Array:
+        """Spectrum of the elevation from the cross spectrum, (omega, k)."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.sees_both, cross / self.zw, 0.0)
+
+
+def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
+    if gain is None:
+        return _Gains(np.ones_like(k), np.ones_like(k), np.ones_like(k))
+    z, w, both = (ring_gain(gain, *names, k) for names in (("z", "z"), ("w", "w"), ("z", "w")))
+    return _Gains(np.where(z > LEAST, z, 0.0), np.where(w > LEAST, w, 0.0), both)
+
+
+@dataclass(frozen=True)
+class _Elevations:
+    """Spectra (omega, k) of the elevation: stereo, integrated w, both together."""
+
+    omega: Array
+    k: Array
+    dt: float
+    zz: Array
+    ww: Array
+    zw: Array
+    shape: Array  # 4 sin^2: noise of a displacement over that of the elevation from it
+    own: Array  # (omega,), fraction of w that leaks in from no other frequency
+    speed: float = 0.0  # of the current, m/s
+
+    @property
+    def step(self) -> float:
+        return float(self.k[1] - self.k[0])
+
+    def over_k(self, array: Array) -> Array:
+        return np.asarray(array.sum(axis=1) * self.step)
+
+
+def _elevations(ring: xr.Dataset, water: Water, moving: Moving | None) -> _Elevations:
+    dt, omega = float(ring.attrs["dt"]), ring["omega"].values
+    frames = int(ring.attrs.get("frames", 2))
+    given = omega, ring["k"].values, dt, ring["E_z"].values
+    leaked = leakage(ring["E_w"].values.sum(axis=1), dt, frames)
+    if moving is not None:
+        of_w, cross, shape = moving.elevations(water, dt, frames)
+        speed = float(np.hypot(*moving.current))
+    else:
+        b, speed = omega * dt / 2, 0.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # z is half a step early: exp(i b) brings it to mid-time
+            path = path_factor(omega, dt, frames)
+            to_elevation = np.exp(1j * b) * 1j * dt / (2 * np.sin(b) * path)
+            factor_w = elevation_from_w(omega, dt, frames)
+        to_elevation[0], factor_w[0] = 0, 0
+        of_w = ring["E_w"].values * factor_w[:, None]
+        cross = (ring["S_z_w"].values * to_elevation[:, None]).real
+        shape = np.broadcast_to(4 * np.sin(b[:, None]) ** 2, cross.shape)
+    of_w, cross = of_w * leaked.w[:, None], cross * leaked.cross[:, None]
+    return _Elevations(*given, of_w, cross, shape, leaked.own, speed)
+
+
+def _wavenumber(spectra: _Elevations, water: Water) -> Array:
+    # of the waves at each frequency; on a current, that of their energy
+    omega = spectra.omega
+    if spectra.speed == 0:
+        return np.asarray(wavenumber(omega, *water))
+    energy = np.maximum(spectra.zw, 0.0)
+    middle = (energy * spectra.k).sum(axis=1) / np.maximum(energy.sum(axis=1), _tiny(spectra))
+    reach = longest(omega, water, spectra.speed), shortest(omega, water, spectra.speed)
+    return np.asarray(np.clip(_smooth(middle), *reach))
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Noise (omega, k) of stereo and of the integrated w, and its white fits."""
+
+    z: Array
+    w: Array
+    fit_z: Array
+    fit_w: Array
+    white_z: Array  # (k,)
+    white_dz: Array
+
+
+def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
+    omega, k = spectra.omega, spectra.k
+    use = (omega > 2 * np.pi * _LOWEST) & (omega < 0.95 * omega[-1])
+    if use.sum() < 3:
+        use = omega > 0
+    # windows that leave too little to correct still leave some: noise is what is off the ridge there
+    free = dispersion(k, *water)
+    off = np.abs(omega[:, None] - free) > np.maximum(_OFF * free, 4 * omega[1]) + k * spectra.speed
+    use = use[:, None] & (off | gains.sees_both)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        eta = gains.elevation(spectra.zw)
+        noise_z, noise_w = spectra.zz - gains.z * eta, spectra.ww - gains.w * eta
+        white_z = _white(noise_z, use)
+        white_dz = _white(noise_w * spectra.shape, use)
+        fit_w = np.where(omega[:, None] > 0, white_dz / spectra.shape, np.inf)
+    fit_z = np.broadcast_to(white_z, spectra.zz.shape)
+    tiny = _tiny(spectra)
+    return _Noise(noise_z, noise_w, np.maximum(fit_z, tiny), np.maximum(fit_w, tiny), white_z, white_dz)
+
+
+def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array]:
+    # z / H_z and w / H_w weighted by what their noise is then, in every cell: its spectrum and its noise
+    by_z, by_w = np.sqrt(gains.z) / noise.fit_z, np.sqrt(gains.w) / noise.fit_w
+    scale = np.maximum(by_z, by_w)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        by_z, by_w = by_z / scale, by_w / scale
+        whole = by_z**2 * gains.z + by_w**2 * gains.w + 2 * by_z * by_w * gains.zw
+        left = (by_z**2 * noise.fit_z + np.where(by_w > 0, by_w**2 * noise.fit_w, 0.0)) / whole
+        power = (by_z**2 * spectra.zz + by_w**2 * spectra.ww + 2 * by_z * by_w * spectra.zw) / whole
+    known = scale > 0
+    return np.where(known, power - left, 0.0), np.where(known, left, np.inf)
+
+
+def _tiny(spectra: _Elevations) -> float:
+    return 1e-30 * max(float(spectra.zz.max()), 1e-300)
+
+
+def _by_method(
+    spectra: _Elevations, noise: _Noise, gains: _Gains, undo: bool
+) -> tuple[tuple[Array, ...], tuple[Array, ...] | None]:
+    # energies (omega, k) in the order of METHODS, and where they are trusted
+    best, left = _best(spectra, noise, gains)
+    if not undo:
+        return (spectra.zz, spectra.ww, spectra.zw, best), None
+    with np.errstate(divide="ignore", invalid="ignore"):
+        energies = (
+            (spectra.zz - noise.fit_z) / gains.z,
+            (spectra.ww - noise.fit_w) / gains.w,
+            gains.elevation(spectra.zw),
+            best,
+        )
+        trusted = tuple(
+            there & (energy > LEAST_SIGNAL * own)
+            for energy, own, there in zip(
+                energies,
+                (noise.fit_z / gains.z, noise.fit_w / gains.w, left, left),
+                (gains.z > 0, gains.w > 0, gains.sees_both, (gains.z > 0) | (gains.w > 0)),
+            )
+        )
+    return tuple(np.where(t, e, 0.0) for t, e in zip(trusted, energies)), trusted
+
+
+def from_spectra(
+    ring: xr.Dataset, water: Water, gain: xr.Dataset | None = None, moving: Moving | None = None
+) -> xr.Dataset:
+    """Fusion from the power and cross spectra of z and w."""
+    ring = ring.compute()
+    spectra = _elevations(ring, water, moving)
+    omega = spectra.omega
+    gains = _gains(gain, spectra.k)
+    noise = _noise(spectra, water, gains)
+    energies_k, trusted_k = _by_method(spectra, noise, gains, gain is not None)
+    energies = dict(zip(METHODS, (spectra.over_k(array) for array in energies_k)))
+    fit_z, fit_w = spectra.over_k(noise.fit_z), spectra.over_k(noise.fit_w)
+    # of the fields as they are, all k alike: for time series
+    weight = (1 / fit_z) / (1 / fit_z + 1 / fit_w)
+    left = 1 / (1 / fit_z + 1 / fit_w)
+    tiny = _tiny(spectra)
+    positive = np.maximum(_smooth(energies["fusion"]), tiny)
+
+    dof = _freedom(ring)
+    if trusted_k is None:
+        valid = _standing_out(energies, dof["cross"], fit_z, fit_w, left, positive)
+    else:
+        on_ridge = (_on_ridge(trusted, spectra, water) for trusted in trusted_k)
+        valid = {method: inner(omega.size) & there for method, there in zip(METHODS, on_ridge)}
+    waves = _at_waves(energies_k[-1], spectra, water)
+    own = {"stereo": np.ones_like(waves), "fusion": (weight > 0.5) | (spectra.own > _OWN)}
+    valid = {m: there & waves & own.get(m, spectra.own > _OWN) for m, there in valid.items()}
+    reach = [_reach(omega, valid[method], positive) for method in METHODS]
+    kept = _kept_freedom(energies, left, tiny)
+
+    out = xr.Dataset(coords=omega_coords(omega) | {"source": list(METHODS)})
+    for method in METHODS:
+        energy = xr.DataArray(energies[method], {"omega": omega}, ("omega",))
+        parts = with_interval(energy, xr.DataArray(dof[method] * kept[method], dims="omega"))
+        parts["valid"] = ("omega", valid[method])
+        names = {n: f"{n}_{method}" for n in ("dof", "low", "high", "valid")}
+        parts = annotate(parts.drop_vars("omega").rename({"E": f"Ez_{method}"} | names), "spectra")
+        out = out.assign(parts.data_vars)
+    out["noise_z"], out["noise_w"] = (("omega", spectra.over_k(array)) for array in (noise.z, noise.w))
+    out["noise_z_fit"], out["noise_w_fit"] = ("omega", fit_z), ("omega", fit_w)
+    out["weight_z"], out["wiener"] = ("omega", weight), ("omega", positive / (positive + left))
+    if trusted_k is not None:
+        out = out.assign_coords(k_coords(spectra.k))
+        out["Ez_komega"] = (("omega", "k"), np.where(trusted_k[-1], energies_k[-1], np.nan))
+    band = np.pi / spectra.dt
+    out["sigma_z"] = ((), np.sqrt(float(noise.white_z.sum()) * spectra.step * band))
+    out["sigma_dz"] = ((), np.sqrt(float(noise.white_dz.sum()) * spectra.step * band))
+    out["noise_coherence"] = ((), _noise_coherence(ring, spectra, water))
+    out["range_frequency"] = ("source", [r[0] for r in reach])
+    out["range_decades"] = ("source", [r[1] for r in reach])
+    still: dict[str, Any] = {"current": [0.0, 0.0] if moving is None else list(moving.current)}
+    depth, gamma = water
+    still |= {"water_depth": depth if np.isfinite(depth) else "deep", "surface_tension_over_density": gamma}
+    return annotate(out.assign_attrs(ring.attrs | still), "fusion")
+
+
+def _freedom(ring: xr.Dataset) -> dict[str, Array]:
+    # of E(omega) by each method, before noise takes its part: from the scatter between the segments
+    dof = {}
+    for name in NAMES:
+        single = ring.rename({f"E_{name}": "E", f"dof_{name}": "dof", f"dof_omega_{name}": "dof_omega"})
+        dof[name] = frequency_spectrum(single[["E", "dof", "dof_omega"]])["dof"].values
+    both = np.sqrt(dof["z"] * dof["w"])
+    return {"stereo": dof["z"], "w": dof["w"], "cross": both, "fusion": both}
+
+
+def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
+    # whether a line holds energy where waves of its frequency are, not where the peak is: what a window
+    # lets through of a peak decades above keeps the peak's wavenumber
+    shorter = spectra.k > _LONGER * longest(spectra.omega, water, spectra.speed)[:, None]
+    there = np.maximum(energy, 0.0)
+    total = _smooth(there.sum(axis=1))
+    return np.asarray(_smooth((there * shorter).sum(axis=1)) > 0.5 * total)
+
+
+def _standing_out(
+    energies: dict[str, Array], dof: Array, fit_z: Array, fit_w: Array, left: Array, positive: Array
+) -> dict[str, Array]:
+    # a method is right within a factor 2 where its own noise stays below the signal; the noise-free ones
+    # where the signal stands out of what is left by chance
+    zz, ww, zw = (_smooth(energies[method]) for method in ("stereo", "w", "cross"))
+    scatter_cross = np.sqrt((zz * ww + zw**2) / dof)
+    both = np.maximum(energies["fusion"] + left, 0)
+    scatter_best = _smooth(both) * np.sqrt(2 / dof)
+    band = inner(dof.size)
+    return {
+        "stereo": band & (fit_z < positive),
+        "w": band & (fit_w < positive),
+        "cross": band & (zw > 2 * scatter_cross / np.sqrt(7)),
+        "fusion": band & (_smooth(energies["fusion"]) > 2 * scatter_best / np.sqrt(7)),
+    }
+
+
+def _kept_freedom(energies: dict[str, Array], left: Array, tiny: float) -> dict[str, Array]:
+    # fraction of the degrees of freedom that a method's estimate keeps
+    zz, ww, zw, best = (energies[method] for method in METHODS)
+    both = np.maximum(best + left, tiny)
+    return {
+        "stereo": np.ones_like(zz),
+        "w": np.ones_like(zz),
+        "cross": np.clip(2 * zw**2 / np.maximum(zz * ww + zw**2, tiny**2), 1e-3, 1),
+        "fusion": np.clip(np.maximum(best, 0) / both, 1e-3, 1) ** 2,
+    }
+
+
+def _noise_coherence(ring: xr.Dataset, spectra: _Elevations, water: Water) -> float:
+    # waves, bound ones too, have omega above the free relation's at their k or near it; below it there is but
+    # noise
+    free = dispersion(spectra.k, *water)
+    omega = spectra.omega[:, None]
+    off = (
+        (free - spectra.k * spectra.speed > 1.6 * omega + 12)
+        & ring["valid"].values
+        & (omega > 2 * np.pi * 0.5)
+    )
+    if off.sum() < 10:
+        return float("nan")
+    z, w, both = ((array * off).sum(axis=1) for array in (spectra.zz, spectra.ww, spectra.zw))
+    lines = (z > 0) & (w > 0)
+    # each line on the scale of its own noise
+    return float((both[lines] / np.sqrt(z[lines] * w[lines])).mean()) if lines.any() else float("nan")
+
+
+def fusion(
+    cube: xr.Dataset,
+    *,
+    gain: Any = None,
+    depth: float | None = None,
+    current: tuple[float, float] | None = None,
+    segment: int | None = None,
+    record: Record | None = None,
+) -> xr.Dataset:
+    """Elevation spectrum by four methods, the noise of each, and the weights of the best combination.
+
+    Parameters
+    ----------
+    cube : Dataset
+        z, z_t, w over (time, y, x), m and m/s.
+    gain : path or Dataset, optional
+        Gain of the matching windows (`window_gain`): it is undone, and all four have their noise taken
+        off, where half of the amplitude is left and the signal is 3 times the noise.
+    depth : float, optional
+        Depth of the water, m; the attribute ``water_depth`` of the cube, or deep, if not given.
+    current : tuple of float, optional
+        Velocity of the water along x and y, m/s; fitted to the ridge of w if not given, and none where no
+        ridge stands out.
+    segment : int, optional
+        Steps of a Welch segment; chosen from the record if not given.
+    record : Record, optional
+        Rectangle and runs; found from the cube if not given.
+
+    Returns
+    -------
+    Dataset
+        ``Ez_stereo``, ``Ez_w``, ``Ez_cross``, ``Ez_fusion`` (omega, m2 s rad-1) with ``dof_``, ``low_``,
+        ``high_``, ``valid_``; ``noise_z``, ``noise_w`` and their fits; ``weight_z``, ``wiener`` (omega);
+        ``sigma_z``, ``sigma_dz`` (m); ``noise_coherence``; ``range_frequency`` (Hz), ``range_decades``
+        (source); with a gain ``Ez_komega`` (omega, k) too, NaN where it cannot be trusted. Computed at once.
+
+    Raises
+    ------
+    CubeError
+        If a variable is missing, the record is shorter than a segment or no full rectangle is left.
+
+    Notes
+    -----
+    N_z = S_zz - Re S_zw, N_w = S_ww - Re S_zw; weights inverse to the noise in every cell (k, omega), the
+    noise fitted ring by ring as white in z and in the displacement. With gains H, S_zw / (H_z H_w) stands for
+    the elevation and N / H^2 for the noise, so that the weight passes at short waves to what resolves them.
+    It rests on independent noises: ``noise_coherence`` measures how far they are. On a current U, w is
+    integrated at omega - k . U in every cell.
+    """
+    water = water_of(cube.attrs, depth)
+    gain = None if gain is None else read_gain(gain)
+    cube = door(cube, NAMES)
+    welch = Welch.of(cube, segment, record)
+    (sums,) = dask.compute(lazy_sums(cube, NAMES, PAIRS, ("w", *PLANES), welch))
+    moving = moving_of(sums, welch, water, current)
+    return from_spectra(label(sums, NAMES, PAIRS, welch), water, gain, moving)

@@ -1,0 +1,1 @@
+"""The nonlinear term, coherences, bound waves and resonances."""

@@ -1,0 +1,132 @@
+"""Coherence of the rate of rise with vertical velocity and nonlinear term: the paper's three curves."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from wavefield.variables import annotate
+from wavefield.waves.estimation.degrees_of_freedom import samples_in_time
+from wavefield.waves.estimation.wave_record import Record
+from wavefield.waves.estimation.welch import Welch
+from wavefield.waves.estimation.windows import effective_duration
+from wavefield.waves.spectra.cross_spectra import door, lazy_cross_spectra
+from wavefield.waves.spectra.field_spectra import finish
+
+NAMES = ("rise", "w", "nl")
+PAIRS = (("rise", "w"), ("rise", "nl"), ("w", "nl"))
+
+
+def significance_level(samples: Any, chance: float = 0.05) -> Any:
+    """Coherence squared that unrelated signals exceed by chance, 1 - chance^(1 / (N - 1)).
+
+    Examples
+    --------
+    >>> round(float(significance_level(45.0)), 3)
+    0.066
+    """
+    more = np.maximum(samples - 1, 1e-9)
+    return 1 - chance ** (1 / more)
+
+
+def _terms(ring: xr.Dataset) -> dict[str, tuple[xr.DataArray, xr.DataArray]]:
+    # cross spectrum with z_t and power of each term; -u . grad z, so signs turn
+    total = ring["E_w"] + ring["E_nl"] - 2 * ring["S_w_nl"].real
+    return {
+        "w": (ring["S_rise_w"], ring["E_w"]),
+        "nl": (-ring["S_rise_nl"], ring["E_nl"]),
+        "tot": (ring["S_rise_w"] - ring["S_rise_nl"], total),
+    }
+
+
+def from_spectra(ring: xr.Dataset) -> xr.Dataset:
+    """Coherences from the cross spectra of z_t, w and u . grad z."""
+    duration = effective_duration(ring.attrs["segments"], ring.attrs["segment"] * ring.attrs["dt"])
+    terms = _terms(ring)
+    total = terms["tot"][1]
+    out: dict[str, Any] = {}
+    for ending in ("", "_komega"):
+        add = _itself if ending else _over_omega
+        norm = np.sqrt(add(ring["E_rise"]) * add(total))
+        for name, (cross, power) in terms.items():
+            out[f"C_{name}{ending}"] = add(cross) / norm
+            both = add(ring["E_rise"]) * add(power)
+            out[f"gamma2_{name}{ending}"] = np.abs(add(cross)) ** 2 / both.where(both > 0)
+            samples = _samples(ring, name)
+            if not ending:
+                cells = 2 * samples / ring.attrs["degrees_of_freedom"]
+                samples = samples_in_time((ring["E_rise"] * power) ** 0.5, duration, cells)
+            samples = samples.clip(min=1)
+            out[f"samples_{name}{ending}"] = samples
+            out[f"bias_{name}{ending}"] = 1 / samples
+            out[f"level_{name}{ending}"] = xr.apply_ufunc(
+                significance_level, samples, dask="parallelized", output_dtypes=[float]
+            )
+    return annotate(xr.Dataset(out, attrs=ring.attrs), "coherence")
+
+
+def _itself(array: xr.DataArray) -> xr.DataArray:
+    return array
+
+
+def _over_omega(array: xr.DataArray) -> xr.DataArray:
+    return array.sum("omega")
+
+
+def _samples(ring: xr.Dataset, name: str) -> xr.DataArray:
+    # independent samples of a product of two fields, from the degrees of freedom of both; the sum
+    # w - u . grad z has those of w, its largest part
+    other = ring["dof_w" if name == "tot" else f"dof_{name}"]
+    return (ring["dof_rise"] * other) ** 0.5 / 2
+
+
+def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | None = None) -> xr.Dataset:
+    """Coherence of z_t with w, with -u . grad z and with their sum, over k and over (k, omega).
+
+    Parameters
+    ----------
+    cube : Dataset
+        z, z_t, u, v, w over (time, y, x), m and m/s. Lazy input gives a lazy result.
+    segment : int, optional
+        Steps of a Welch segment; chosen from the record if not given.
+    record : Record, optional
+        Rectangle and runs; found from the cube if not given.
+
+    Returns
+    -------
+    Dataset
+        ``C_w``, ``C_nl``, ``C_tot`` (k), complex; ``gamma2_w``, ``samples_w``, ``bias_w``, ``level_w`` and
+        likewise ``nl``, ``tot`` (k); the same with ``_komega`` over (omega, k).
+
+    Raises
+    ------
+    CubeError
+        If a variable is missing, the record is shorter than a segment or no full rectangle is left.
+
+    Notes
+    -----
+    All are in the frame that moves with the mean current U, the mean of u, v over the record: z_t is
+    z_t + U . grad z, and u is u - U, since U . grad z is linear.
+    The three C share the norm sqrt(<|z_t|^2> <|w - u . grad z|^2>), cross and auto spectra being averaged
+    over angle first, so C_w + C_nl = C_tot exactly and |C_w| may exceed 1. Sums run over omega >= 0, where k
+    points where the wave goes; the mean over both signs of omega is the real part. gamma2 is the standard
+    coherence; for unrelated signals its mean is 1 / samples.
+
+    Examples
+    --------
+    A plane tilted by .1 that water crosses at a tenth of its rate of rise.
+
+    >>> rise = np.random.default_rng(0).standard_normal((128, 20, 24))
+    >>> axes = {"time": np.arange(128) * 0.05, "y": np.arange(20) * 0.04, "x": np.arange(24) * 0.04}
+    >>> fields = {"z_t": rise, "u": 0.1 * rise, "v": 0 * rise, "w": 1.01 * rise}
+    >>> fields["z"] = 0 * rise + 0.1 * axes["x"]
+    >>> units = {"z": {"units": "m"}} | {name: {"units": "m s-1"} for name in ("z_t", "u", "v", "w")}
+    >>> at = ("time", "y", "x")
+    >>> cube = xr.Dataset({name: (at, field, units[name]) for name, field in fields.items()}, axes)
+    >>> C = coherence(cube, segment=32)
+    >>> print(f"{float(C.gamma2_w.min()):.2f}, {float(abs(C.C_w).max()):.2f}, {float(abs(C.C_nl).max()):.2f}")
+    1.00, 1.01, 0.01
+    """
+    cube = door(cube, NAMES)
+    ring = lazy_cross_spectra(cube, NAMES, PAIRS, Welch.of(cube, segment, record))
+    return finish(from_spectra(ring), cube["z_t"])

@@ -1,0 +1,195 @@
+"""Bicoherence and tricoherence: which waves are bound or exchange energy in threes and fours.
+
+Kernels take Fourier lines Z (frequencies, samples), samples being segments times points.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from scipy import fft
+
+from wavefield.errors import CubeError
+from wavefield.variables import annotate
+from wavefield.waves.estimation.windows import hann, segment_count
+from wavefield.waves.nonlinear.coherence import significance_level
+
+
+def lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
+    """Fourier lines of time series at some points.
+
+    With series (time, points); returns (count, segments * points): Hann windows, mean removed.
+    """
+    half = segment // 2
+    window = hann(segment).astype(series.dtype)[:, None]
+    out = []
+    for s in range(segment_count(series.shape[0], segment)):
+        part = series[s * half : s * half + segment]
+        out.append(fft.rfft((part - part.mean(axis=0)) * window, axis=0)[:count])
+    return np.ascontiguousarray(np.stack(out, axis=1).reshape(count, -1)).astype(np.complex64)
+
+
+def bicoherence_of(z: np.ndarray) -> np.ndarray:
+    """Bicoherence of Fourier lines.
+
+    With z (n, samples); returns (n, n): |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>), Z3 the line at the sum of
+    the two.
+    """
+    n = z.shape[0]
+    out = np.full((n, n), np.nan)
+    power = (np.abs(z) ** 2).sum(axis=1)
+    for i in range(1, n):
+        j = np.arange(1, n - i)
+        product = z[i] * z[j]
+        numerator = np.abs(np.einsum("js,js->j", product, z[i + j].conj()))
+        norm = np.sqrt((np.abs(product) ** 2).sum(axis=1) * power[i + j])
+        out[i, j] = np.divide(numerator, norm, out=np.zeros(j.size), where=norm > 0)
+    return out
+
+
+def tricoherence_of(z: np.ndarray, apart: int = 2) -> tuple[np.ndarray, np.ndarray]:
+    """Largest tricoherence over omega3 for each pair omega1, omega2.
+
+    Pairs with the same sum s share one matrix product: A_s A_s^H over the pairs of s.
+    """
+    n = z.shape[0]
+    value, partner = np.full((n, n), np.nan), np.full((n, n), -1)
+    for s in range(2, 2 * n - 1):
+        first = np.arange(max(1, s - n + 1), s // 2 + 1)
+        second = s - first
+        if first.size < 2:
+            continue
+        products = z[first] * z[second]
+        gram = products @ products.conj().T
+        norm = np.sqrt(np.maximum(gram.diagonal().real, 1e-300))
+        coherence = np.abs(gram) / (norm[:, None] * norm)
+        # first <= second and third <= fourth: trivial where the pairs nearly coincide
+        trivial = np.abs(first[:, None] - first) <= apart
+        coherence[trivial] = -1
+        best = coherence.argmax(axis=1)
+        top = coherence[np.arange(first.size), best]
+        found = top >= 0
+        for a, b in ((first, second), (second, first)):
+            value[a[found], b[found]] = np.minimum(top[found], 1.0)
+            partner[a[found], b[found]] = first[best[found]]
+    return value, partner
+
+
+def shuffle_phases(z: np.ndarray, points: int, rng: np.random.Generator) -> np.ndarray:
+    """Surrogate of Fourier lines: a random phase for each line and segment, the same at all points.
+
+    With z (n, segments * points).
+    """
+    n, samples = z.shape
+    phase = np.exp(2j * np.pi * rng.random((n, samples // points))).astype(z.dtype)
+    out: np.ndarray = z * np.repeat(phase, points, axis=1)
+    return out
+
+
+@dataclass(frozen=True)
+class HigherOrderSettings:
+    """What of the higher-order spectra is computed.
+
+    Parameters
+    ----------
+    highest : float
+        Highest frequency, Hz.
+    lines : int
+        At most so many Fourier lines: the segment is shortened to that.
+    surrogates : int
+        Number of surrogates for the significance.
+    chance : float
+        Share of surrogates above the level.
+    samples : int
+        At most so many segments times points: of more points every second, third ... is taken.
+    """
+
+    highest: float = 5.0
+    lines: int = 48
+    surrogates: int = 12
+    chance: float = 0.05
+    samples: int = 4000
+
+
+def _level_one(surrogates: list[np.ndarray], chance: float) -> np.ndarray:
+    # the square of one coherence without coupling: mean 1 / N, exceeded by chance as significance_level says
+    mean = np.mean(np.square(surrogates), axis=0)
+    out: np.ndarray = np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9), chance))
+    return out
+
+
+def _level_largest(surrogates: list[np.ndarray], chance: float) -> np.ndarray:
+    # the largest of many follows Gumbel's distribution
+    quantile = -np.log(-np.log(1 - chance))
+    spread = np.std(surrogates, axis=0, ddof=1) * np.sqrt(6) / np.pi
+    out: np.ndarray = np.minimum(np.mean(surrogates, axis=0) + (quantile - np.euler_gamma) * spread, 1.0)
+    return out
+
+
+def higher_order(
+    series: np.ndarray, dt: float, segment: int, settings: HigherOrderSettings | None = None
+) -> xr.Dataset:
+    """Bicoherence and tricoherence of time series at some points, with their significance.
+
+    Parameters
+    ----------
+    series : ndarray, (time, points)
+        Elevation or velocity at points so far apart that they tell different things.
+    dt : float
+        Time step, s.
+    segment : int
+        Steps of a segment.
+    settings : HigherOrderSettings, optional
+        Band and surrogates.
+
+    Returns
+    -------
+    Dataset
+        ``bicoherence``, ``bicoherence_level``, ``tricoherence``, ``tricoherence_omega3`` (rad/s),
+        ``tricoherence_level`` (omega1, omega2); ``bicoherence_samples``, number of segments times points.
+
+    Raises
+    ------
+    CubeError
+        If there are fewer than two segments: every phase would then seem coupled.
+
+    Notes
+    -----
+    Level: what phase-randomised surrogates exceed in 5 % of cases, at each pair of frequencies. The
+    surrogates keep the correlation in space, which makes the number of independent samples less than segments
+    times points.
+    """
+    settings = settings or HigherOrderSettings()
+    count = min(segment // 2 + 1, int(settings.highest * segment * dt) + 1)
+    if count > settings.lines:
+        segment = max(int(segment * settings.lines / count) // 2 * 2, 16)
+        count = min(segment // 2 + 1, int(settings.highest * segment * dt) + 1)
+    if segment_count(series.shape[0], segment) < 2:
+        raise CubeError("higher-order spectra need two segments at least: choose a shorter segment")
+    allowed = max(settings.samples // segment_count(series.shape[0], segment), 1)
+    series = series[:, :: -(-series.shape[1] // allowed)]
+    z = lines(series, segment, count)
+    points = series.shape[1]
+    rng = np.random.default_rng(0)
+    value, partner = tricoherence_of(z)
+    bicoherence = bicoherence_of(z)
+    bi, tri = [], []
+    for _ in range(settings.surrogates):
+        fake = shuffle_phases(z, points, rng)
+        bi.append(bicoherence_of(fake))
+        tri.append(tricoherence_of(fake)[0])
+    omega = 2 * np.pi * np.arange(count) / (segment * dt)
+    dims = ("omega1", "omega2")
+    pairs = {
+        "bicoherence": bicoherence,
+        "bicoherence_level": _level_one(bi, settings.chance),
+        "tricoherence": value,
+        "tricoherence_level": _level_largest(tri, settings.chance),
+        "tricoherence_omega3": np.where(partner >= 0, omega[np.maximum(partner, 0)], np.nan),
+    }
+    out = xr.Dataset(
+        {name: (dims, array) for name, array in pairs.items()}, {name: (name, omega) for name in dims}
+    )
+    out["bicoherence_samples"] = ((), z.shape[1])
+    out.attrs = {"segment": segment, "surrogates": settings.surrogates}
+    return annotate(out, "higher_order")

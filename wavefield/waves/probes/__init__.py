@@ -1,0 +1,1 @@
+"""Wave probes: their files, and their fit to the cube."""

@@ -1,0 +1,374 @@
+"""Wave probes: reading their file, and their spectrum on the frequencies of the cube's."""
+
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import fft, ndimage
+
+from wavefield.errors import CubeError, ExperimentError
+from wavefield.variables import annotate
+from wavefield.waves.estimation.welch import LOWEST
+from wavefield.waves.estimation.windows import degrees_of_freedom, hann, interval, segment_count
+
+Array = NDArray[Any]
+LONGEST_GAP = 3  # samples that are bridged
+_LARGEST = 0.5  # m, standard deviation: waves in a tank are lower
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Which columns of a laboratory's file are what."""
+
+    time: str | int  # Name in the header, or number from 1 where there is no header
+    probes: Mapping[str, str | int]  # The same for every probe, by the name that it gets
+
+
+def read_probes(
+    path: str | Path,
+    columns: Columns | None = None,
+    *,
+    unit: str = "",
+    factor: float = 1.0,
+    clock: float = 0.0,
+    places: Mapping[str, tuple[float, float]] | None = None,
+) -> xr.Dataset:
+    """Read a file of probes.
+
+    Parameters
+    ----------
+    path : path-like
+        Table with a header, columns parted by commas, semicolons or tabs: a column of time (``time``,
+        ``t``; s or ms) and one per probe. Units stand in brackets in the header, as in ``p1 [mm]``, or in a
+        line ``# unit mm``; without any they are metres. Lines ``# name x y`` give positions, m.
+        With `columns` lines above the header and columns that are not named are passed over, and numbers may
+        have decimal commas where columns are parted otherwise.
+    columns : Columns, optional
+        Which columns are what, where the header does not say it.
+    unit : str
+        Of the probes, where the file does not say it: m, cm, mm, um.
+    factor : float
+        On their values, such as -1 for gauges that count downwards.
+    clock : float
+        Added to their times, s.
+    places : mapping of str to (float, float), optional
+        Where they stand, m; more than what the file says.
+
+    Returns
+    -------
+    Dataset
+        ``elevation`` (probe, time), m; coordinates ``probe`` (name), ``probe_x``, ``probe_y`` (m, NaN if not
+        given).
+
+    Raises
+    ------
+    ExperimentError
+        If the file cannot be read, a line does not fit the header, time does not rise, or the numbers are
+        no metres; the message names the line.
+
+    Notes
+    -----
+    An empty cell, or one that says nan, is a missing value of that probe at that time alone.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except OSError as error:
+        raise ExperimentError(f"cannot read the probes {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ExperimentError(f"the probes {path} are not a text file; write them as CSV") from None
+    known = _places(lines) | dict(places or {})
+    unit = unit or _unit_of(lines, path)
+    if unit and unit not in _UNITS:
+        raise ExperimentError(f"the probes {path}: unit {unit!r} is not known; use m, cm or mm")
+    body = [(k, line) for k, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    if columns is not None:
+        body = _chosen(path, body, columns)
+    found, separator = _header(path, body, unit)
+    table = _table(path, body[1:], found, separator)
+    table[:, 0] += clock
+    table[:, 1:] *= factor
+    names = [column.name for column in found[1:]]
+    nowhere = (np.nan, np.nan)
+    out = xr.Dataset(
+        {"elevation": (("probe", "time"), table[:, 1:].T)},
+        {
+            "time": ("time", table[:, 0]),
+            "probe": ("probe", names),
+            "probe_x": ("probe", [known.get(n, nowhere)[0] for n in names]),
+            "probe_y": ("probe", [known.get(n, nowhere)[1] for n in names]),
+        },
+    )
+    return annotate(out, "probes")
+
+
+def _chosen(path: Path, body: list[tuple[int, str]], columns: Columns) -> list[tuple[int, str]]:
+    """The table of the wanted columns alone, with a header of our own."""
+    wanted = [columns.time, *columns.probes.values()]
+    separator = max(";\t,", key=lambda mark: sum(line.count(mark) > 0 for _, line in body))
+    cells = [(k, [cell.strip().strip('"') for cell in line.split(separator)]) for k, line in body]
+    if all(isinstance(one, int) for one in wanted):
+        at = [int(one) - 1 for one in wanted]
+        first = next((i for i, (_, row) in enumerate(cells) if _numeric(row, at)), None)
+        if first is None:
+            raise ExperimentError(
+                f"the probes {path}: no line has numbers in the columns {', '.join(map(str, wanted))}"
+            )
+        units = [""] * len(at)
+    else:
+        plain = [[re.sub(r"\s*[\[(]\s*\w*\s*[\])]$", "", cell) for cell in row] for _, row in cells]
+        head = next(
+            (i for i, row in enumerate(plain) if all(_named(one, row, cells[i][1]) for one in wanted)), None
+        )
+        if head is None:
+            known = max((row for _, row in cells[:20]), key=len, default=[])
+            raise ExperimentError(
+                f"the probes {path}: no header has the columns {', '.join(map(str, wanted))}; there is "
+                f"{', '.join(known[:12]) or 'nothing'}"
+            )
+        raw = cells[head][1]
+        at = [_place(one, plain[head], raw) for one in wanted]
+        units = [match[0] if (match := re.search(r"[\[(]\s*\w+\s*[\])]$", raw[i])) else "" for i in at]
+        first = head + 1
+    header = ",".join(f"{name} {unit}" for name, unit in zip(("time", *columns.probes), units))
+    rows = [(body[max(first - 1, 0)][0], header)]
+    for k, row in cells[first:]:
+        if len(row) <= max(at):
+            raise ExperimentError(f"{path}, line {k}: {len(row)} columns, but column {max(at) + 1} is wanted")
+        values = [row[i].replace(",", ".") if separator != "," else row[i] for i in at]
+        rows.append((k, ",".join(values)))
+    return rows
+
+
+def _numeric(row: list[str], at: list[int]) -> bool:
+    if len(row) <= max(at):
+        return False
+    return all(re.fullmatch(r"[-+]?[\d.,]+([eE][-+]?\d+)?", row[i]) for i in at)
+
+
+def _named(one: str | int, plain: list[str], raw: list[str]) -> bool:
+    return (isinstance(one, int) and 0 < one <= len(raw)) or one in plain or one in raw
+
+
+def _place(one: str | int, plain: list[str], raw: list[str]) -> int:
+    if isinstance(one, int):
+        return one - 1
+    return raw.index(one) if one in raw else plain.index(one)
+
+
+def _places(lines: list[str]) -> dict[str, tuple[float, float]]:
+    # comments of three words whose last two are numbers
+    out = {}
+    for line in lines:
+        words = line.lstrip("#").split()
+        if line.startswith("#") and len(words) == 3:
+            try:
+                out[words[0]] = float(words[1]), float(words[2])
+            except ValueError:
+                continue  # a remark of three words
+    return out
+
+
+_TELLING, _NEAR = 4, 9  # segments that tell how alike probes are; lines over which that is averaged
+_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6, "s": 1.0, "ms": 0.001}
+_TIMES = ("time", "t", "zeit", "temps", "tiempo")
+
+
+class _Column(NamedTuple):
+    name: str
+    factor: float  # to metres, or seconds
+    stated: bool  # whether the file says its unit
+
+
+def _unit_of(lines: list[str], path: Path) -> str:
+    """Unit of all probes, from a line ``# unit mm``."""
+    for k, line in enumerate(lines, 1):
+        words = line.lstrip("#").replace(":", " ").split()
+        if line.startswith("#") and len(words) == 2 and words[0].lower() in ("unit", "units"):
+            if words[1] not in _UNITS:
+                raise ExperimentError(f"{path}, line {k}: unit {words[1]!r} is not known; use m, cm or mm")
+            return words[1]
+    return ""
+
+
+def _header(path: Path, body: list[tuple[int, str]], unit: str) -> tuple[list[_Column], str]:
+    if not body:
+        raise ExperimentError(f"the probes {path} are empty")
+    number, line = body[0]
+    separator = max(",;\t", key=line.count)
+    columns: list[_Column] = []
+    for word in line.split(separator):
+        match = re.fullmatch(r"(.*?)\s*(?:[\[(]\s*(\w+)\s*[\])])?", word.strip().strip('"'))
+        name, own = (match[1], match[2] or "") if match else (word.strip(), "")
+        if own and own not in _UNITS:
+            raise ExperimentError(f"{path}, line {number}: unit {own!r} is not known; use m, cm, mm, s or ms")
+        own = own or ("" if not columns else unit)
+        columns.append(_Column(name, _UNITS.get(own, 1.0), bool(own)))
+    if len(columns) < 2 or columns[0].name.lower() not in _TIMES:
+        raise ExperimentError(f"{path}, line {number}: no header 'time,<names>': write one above the numbers")
+    return columns, separator
+
+
+def _table(path: Path, body: list[tuple[int, str]], columns: list[_Column], separator: str) -> Array:
+    rows = []
+    for number, line in body:
+        words = line.split(separator)
+        if len(words) != len(columns):
+            raise ExperimentError(
+                f"{path}, line {number}: {len(words)} values, but the header names {len(columns)} columns"
+            )
+        try:
+            rows.append([float(word.strip() or "nan") for word in words])
+        except ValueError as error:
+            raise ExperimentError(
+                f"{path}, line {number}: {str(error).split(': ')[-1]} is no number; where there is no value "
+                "leave the cell empty"
+            ) from None
+    if len(rows) < 2:
+        raise ExperimentError(f"the probes {path} hold {len(rows)} lines of numbers; two at least are needed")
+    table = np.array(rows) * [column.factor for column in columns]
+    rising = np.diff(table[:, 0]) > 0
+    if not rising.all():
+        raise ExperimentError(f"{path}, line {body[int(np.argmin(rising)) + 1][0]}: time does not rise")
+    for k, column in enumerate(columns[1:], 1):
+        values = table[:, k][np.isfinite(table[:, k])]
+        if values.size and not column.stated and float(values.std()) > _LARGEST:
+            raise ExperimentError(
+                f"{path}: {column.name} varies by {values.std():.3g} m; if these are millimetres write "
+                f"'{column.name} [mm]' into the header or add a line '# unit mm' (m, if they are metres)"
+            )
+    return table
+
+
+def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, float]) -> xr.Dataset:
+    """Elevation spectra of probes over the time of a record, on the record's frequencies.
+
+    Parameters
+    ----------
+    probes : Dataset
+        As `read_probes` gives it; any rate of its own.
+    omega : DataArray, (omega,)
+        Frequencies of the record's spectra, rad/s: their step sets the segment.
+    span : tuple of float
+        First and last time of the record, s.
+
+    Returns
+    -------
+    Dataset
+        ``Ez_probe`` (probe, omega), ``Ez_probes`` (omega), their mean, in m2 s rad-1, with ``dof_probes``,
+        ``low_probes``, ``high_probes``, ``valid_probes``.
+
+    Raises
+    ------
+    CubeError
+        If the probes were not recording while the cameras were, for one segment at least, or have uneven
+        steps.
+
+    Notes
+    -----
+    n probes count as n^2 / sum of gamma_ij^2, their squared coherences: those beside one another see the same
+    waves. With fewer than four segments they count as one.
+    """
+    target = omega.values
+    duration = 2 * np.pi / float(omega[1] - omega[0])
+    inside, rate = _shared_time(probes["time"].values, span, duration)
+    values = np.array([_bridged(row) for row in probes["elevation"].values[:, inside]])
+    usable = np.isfinite(values).all(axis=1)
+    if not usable.any():
+        raise CubeError("every probe has missing values during the record: mend or leave out the probes")
+    for name, row in zip(probes["probe"].values[~usable], values[~usable]):
+        warnings.warn(
+            f"probe {name} is left out: {np.isnan(row).sum()} of its {row.size} values during the record are "
+            f"missing, more than {LONGEST_GAP} in a row",
+            stacklevel=2,
+        )
+    own, density, count, likeness = _density(values, rate, duration)
+    # the frequencies agree where the rates divide; else straight lines between them
+    on_grid = np.array([np.interp(target, own, row, right=np.nan) for row in density])
+    on_grid[~usable] = np.nan
+    independent = _independent(likeness[np.ix_(usable, usable)], count)
+    dof = degrees_of_freedom(count) * np.interp(target, own, independent)
+    low, high = interval(dof)
+    out = xr.Dataset(
+        {
+            "Ez_probe": (("probe", "omega"), on_grid),
+            "Ez_probes": ("omega", np.nanmean(on_grid[usable], axis=0)),
+            "dof_probes": ("omega", dof),
+            "low_probes": ("omega", low),
+            "high_probes": ("omega", high),
+            "valid_probes": (
+                "omega",
+                (np.arange(target.size) >= LOWEST) & np.isfinite(on_grid[usable]).all(axis=0),
+            ),
+        },
+        {name: probes[name] for name in ("probe", "probe_x", "probe_y")} | {"omega": omega},
+    )
+    return annotate(out, "spectra")
+
+
+def _bridged(values: Array) -> Array:
+    """A series with its short gaps filled by straight lines."""
+    missing = ~np.isfinite(values)
+    if not missing.any() or missing.all():
+        return values
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(int), [0]])))
+    out, there = values.copy(), np.flatnonzero(~missing)
+    for start, stop in zip(edges[::2], edges[1::2]):
+        if stop - start <= LONGEST_GAP:
+            out[start:stop] = np.interp(np.arange(start, stop), there, values[there])
+    return out
+
+
+def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[Array, float]:
+    # samples during the record, and their rate
+    inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
+    if inside.sum() < 8 or time[inside][-1] - time[inside][0] < 0.9 * duration:
+        raise CubeError(
+            f"the probes cover {time[0]:g} to {time[-1]:g} s, the record {span[0]:g} to {span[1]:g} s:"
+            f" they share less than one segment of {duration:.3g} s; check the clock of the probes or"
+            " leave them out"
+        )
+    time = time[inside]
+    rate = float((time.size - 1) / (time[-1] - time[0]))
+    if np.abs(np.diff(time) * rate - 1).max() > 0.01:
+        raise CubeError("the probes' time steps are unequal: resample them at a fixed rate first")
+    return inside, rate
+
+
+def _independent(likeness: Array, count: int) -> Array:
+    # how many independent probes they amount to, (omega,), n^2 / sum of their squared coherences
+    n = likeness.shape[0]
+    if count < _TELLING:
+        return np.ones(likeness.shape[-1])
+    alike = ndimage.uniform_filter1d(likeness, min(_NEAR, likeness.shape[-1]), axis=-1, mode="nearest")
+    alike = ((alike - 1 / count) / (1 - 1 / count)).clip(0, 1)  # by chance it is 1 / count
+    alike[np.arange(n), np.arange(n)] = 1
+    return np.asarray(n**2 / alike.sum(axis=(0, 1)))
+
+
+def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array, int, Array]:
+    # frequencies, one-sided density (probe, omega), number of segments, squared coherence of each pair
+    n = min(round(duration * rate), values.shape[1])
+    n -= n % 2
+    half, window = n // 2, hann(n)
+    count = segment_count(values.shape[1], n)
+    ramp = np.arange(n) - (n - 1) / 2
+    total = np.zeros((values.shape[0], values.shape[0], n // 2 + 1), complex)
+    for s in range(count):
+        part = values[:, s * half : s * half + n]
+        part = part - part.mean(axis=1, keepdims=True)
+        part = part - np.outer(part @ ramp / (ramp @ ramp), ramp)
+        lines = fft.rfft(part * window, axis=1)
+        total += lines[:, None].conj() * lines
+    power = np.einsum("iiw->iw", total).real
+    with np.errstate(divide="ignore", invalid="ignore"):
+        likeness = np.nan_to_num(np.abs(total) ** 2 / (power[:, None] * power))
+    density = power / (count * (window**2).sum() * rate * 2 * np.pi)
+    density[:, 1:-1] *= 2
+    return 2 * np.pi * np.arange(n // 2 + 1) * rate / n, density, count, likeness

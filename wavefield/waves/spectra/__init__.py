@@ -1,0 +1,1 @@
+"""Spectra and cross spectra of fields over (time, y, x)."""

@@ -1,0 +1,396 @@
+"""Spectra of a field over (time, y, x): E(ky, kx, omega), E(k, omega), E(ky, kx), E(omega), E(k).
+
+Every spectrum is a density in rad/m and rad/s, one-sided in omega; k points where the wave goes.
+"""
+
+import itertools
+from typing import Any
+
+import dask
+import dask.array as da
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from wavefield.errors import CubeError
+from wavefield.variables import K_UNITS, TABLE, annotate, density_units, product
+from wavefield.waves.estimation import rings, segment_variance, segments, wave_kernels
+from wavefield.waves.estimation.degrees_of_freedom import independent_cells, with_interval
+from wavefield.waves.estimation.wave_record import Record
+from wavefield.waves.estimation.welch import Welch, inner, k_coords, omega_coords
+from wavefield.waves.estimation.windows import interval
+
+Array = NDArray[Any]
+
+
+def _field(field: Any) -> xr.DataArray:
+    if not isinstance(field, xr.DataArray):
+        raise CubeError(
+            f"expected one variable over time, y and x (for example cube.w), got {type(field).__name__}"
+        )
+    return field
+
+
+def _name(field: xr.DataArray) -> str:
+    return str(field.attrs.get("long_name", field.name))
+
+
+def finish(dataset: xr.Dataset, field: xr.DataArray) -> xr.Dataset:
+    """Compute a result where its input was in memory; leave it lazy where the input was chunked."""
+    return dataset if field.chunks is not None else dataset.compute()
+
+
+# ---- E(ky, kx, omega) --------------------------------------------------------------------------------------
+def _transform(blocks: list[Array], first: int) -> dict[str, Array]:
+    return {"f": segments.transform_space(blocks.pop())}
+
+
+def _powers(a: dict[str, Array], b: dict[str, Array], begin: int) -> dict[str, Array]:
+    cells, half = a["f"].shape
+    power = np.zeros((cells, 2 * half), a["f"].real.dtype)
+    transform = segments.TimeTransform(half, a["f"].dtype)
+    for slab in segments.slabs(cells):
+        wave_kernels.add_powers(transform(a["f"][slab], b["f"][slab]), power[slab])
+    return {"power": power} | segment_variance.keep_lines(power, begin)
+
+
+def unfold(power: Array, ny: int, nx: int) -> Array:
+    """Bring the power on the half plane to omega >= 0 and the full plane, k pointing where the wave goes.
+
+    cos(k . x - omega t) appears in numpy's transform at (k, -omega) and (-k, omega).
+
+    Returns (n // 2 + 1, ny, nx): One-sided in omega, k ascending along both axes.
+    """
+    n = power.shape[-1]
+    power = power.reshape(ny, nx // 2 + 1, n)
+    columns = np.arange(nx)
+    right = columns <= nx // 2
+    out = np.empty((n // 2 + 1, ny, nx), power.dtype)
+    backward = np.r_[0, np.arange(n - 1, n // 2 - 1, -1)]  # numpy's index of -omega
+    out[:, :, right] = np.moveaxis(power[:, :, backward], 2, 0)
+    mirror = power[(-np.arange(ny)) % ny][:, nx - columns[~right]][:, :, : n // 2 + 1]
+    out[:, :, ~right] = np.moveaxis(mirror, 2, 0)
+    out[1:-1] *= 2
+    return np.fft.fftshift(out, axes=(1, 2))
+
+
+def _map(total: dict[str, Array], welch: Welch) -> dict[str, Any]:
+    dof = segment_variance.cell_freedom(total, "f", welch)
+    found = {"E": density(total["power"], welch), "dof": np.array(dof)}
+    return found | dict(zip(("low", "high"), interval(dof)))
+
+
+def density(power: Array, welch: Welch) -> Array:
+    """E(ky, kx, omega) from summed powers on the half plane, (omega, ky, kx)."""
+    values = unfold(power, *welch.record.shape)
+    values *= power.dtype.type(welch.density)
+    return values
+
+
+def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record | None = None) -> xr.Dataset:
+    """Power spectrum E(ky, kx, omega).
+
+    Parameters
+    ----------
+    field : DataArray, (time, y, x)
+        Any variable of a cube; s and m. Lazy input gives a lazy result.
+    segment : int, optional
+        Steps of a Welch segment; chosen from the record if not given.
+    record : Record, optional
+        Rectangle and runs (`find_record`); found from the field if not given.
+
+    Returns
+    -------
+    Dataset
+        ``E`` (omega, ky, kx), ``dof``, and the factors ``low`` and ``high`` of the 95 % interval.
+
+    Raises
+    ------
+    CubeError
+        If the record is shorter than a segment, its axes are uneven or no full rectangle is left.
+
+    Notes
+    -----
+    E = dt dy dx / ((2 pi)^3 sum W^2) <|FFT(W f)|^2>, twice that for 0 < omega < Nyquist: the sum of
+    E domega dkx dky is <W^2 f^2> / <W^2>.
+
+    Examples
+    --------
+    A wave of 1 cm amplitude along x; its variance is half the square of that.
+
+    >>> t, y, x = np.arange(128) * 0.05, np.arange(32) * 0.05, np.arange(40) * 0.05
+    >>> wave = 0.01 * np.cos(12.3 * x - 10.98 * t[:, None, None] + 0 * y[:, None])
+    >>> z = xr.DataArray(wave, {"time": t, "y": y, "x": x}, ("time", "y", "x"), attrs={"units": "m"})
+    >>> E = spectrum(z).E
+    >>> peak = E.isel(E.argmax(...))
+    >>> round(float(peak.kx)), round(float(peak.omega))
+    (13, 12)
+    >>> round(float(total(E) / (0.01**2 / 2)), 2)
+    1.0
+    """
+    field = _field(field)
+    welch = Welch.of(field, segment, record)
+    runs = segments.half_segments([field], welch.record, welch.half, _transform)
+    task = dask.delayed(_powers, pure=False)
+    summed = segments.in_order(
+        [
+            task(a, b, begin)
+            for run, (start, _) in zip(runs, welch.record.runs)
+            for begin, (a, b) in zip(itertools.count(start, welch.half), itertools.pairwise(run))
+        ]
+    )
+    lazy = dask.delayed(_map, pure=False)(summed, welch)
+    dtype = np.float32 if field.dtype == np.float32 else np.float64
+    shape = (welch.omega.size, *welch.record.shape)
+    values = xr.Variable(("omega", "ky", "kx"), da.from_delayed(lazy["E"], shape, dtype))
+    out = plane_density(values, _name(field), field.attrs.get("units", "1"), welch)
+    for name in ("dof", "low", "high"):
+        out[name] = xr.DataArray(da.from_delayed(lazy[name], (), np.float64), attrs=out[name].attrs)
+    return finish(out, field)
+
+
+def plane_density(values: Any, name: str, units: str, welch: Welch) -> xr.Dataset:
+    """Label E(ky, kx, omega).
+
+    With values (omega, ky, kx).
+    """
+    low, high = interval(welch.dof)
+    parts = {"E": values, "dof": ((), welch.dof), "low": ((), float(low)), "high": ((), float(high))}
+    out = xr.Dataset(parts, coords=omega_coords(welch.omega) | welch.plane, attrs=welch.attrs)
+    out = annotate(out, "plane")
+    out["E"].attrs = TABLE["plane/E"].of(name, density_units(units, "k", "k", "omega"))
+    return out
+
+
+def total(density: xr.DataArray) -> xr.DataArray:
+    """Integrate a spectrum over all its axes (omega, k, ky, kx): the variance.
+
+    Parameters
+    ----------
+    density : DataArray
+        Any spectrum of this package.
+
+    Returns
+    -------
+    DataArray
+        Sum times the cell.
+    """
+    out = density
+    for name in ("omega", "k", "ky", "kx"):
+        if name in density.dims:
+            out = out.sum(name, dtype=np.float64) * float(density[name][1] - density[name][0])
+    return out
+
+
+# ---- E(k, omega) -------------------------------------------------------------------------------------------
+def _ring_powers(
+    a: dict[str, Array],
+    b: dict[str, Array],
+    start: Array,
+    ring: Array,
+    weight: Array,
+    spread: Array,
+    begin: int,
+) -> dict[str, Array]:
+    cells, half = a["f"].shape
+    shape = int(ring.max()) + 1, half + 1
+    mine = np.zeros((2, *shape))
+    transform = segments.TimeTransform(half, a["f"].dtype)
+    for slab in segments.slabs(cells):
+        lines = transform(a["f"][slab], b["f"][slab])
+        wave_kernels.ring_powers(lines, start[slab.start : slab.stop + 1], ring, weight, spread, mine)
+    out = {"f": np.zeros_like(mine)}
+    segment_variance.take_in(out, "f", mine, begin)
+    return out
+
+
+def _estimates(summed: dict[str, Array], welch: Welch) -> dict[str, Array]:
+    """E(k, omega), its freedom and interval, (4, omega, k), and freedom of E(omega) and E(k): one task."""
+    dof = segment_variance.freedom(summed, "f", welch)
+    parts = np.stack([summed["f"][0] * welch.ring_density, dof["both"], *interval(dof["both"])])
+    return {"parts": parts.transpose(0, 2, 1), "omega": dof["omega"], "k": dof["k"]}
+
+
+def komega(
+    field: xr.DataArray,
+    *,
+    segment: int | None = None,
+    record: Record | None = None,
+    dk: float | None = None,
+) -> xr.Dataset:
+    """Spectrum E(k, omega): the power spectrum integrated over the angle of the wave vector.
+
+    Parameters
+    ----------
+    field : DataArray, (time, y, x)
+        Any variable of a cube; s and m. Lazy input gives a lazy result, taken in one pass in bounded memory.
+    segment : int, optional
+        Steps of a Welch segment; chosen from the record if not given.
+    record : Record, optional
+        Rectangle and runs (`find_record`); found from the field if not given, which reads it once more.
+    dk : float, optional
+        Width of the rings, rad/m; by default 2 pi over the shorter side of the rectangle.
+
+    Returns
+    -------
+    Dataset
+        ``E``, ``dof``, ``low``, ``high``, ``valid`` (omega, k); ``coverage``, ``cells`` (k). The azimuthal
+        mean is E / (2 pi k coverage).
+
+    Raises
+    ------
+    CubeError
+        If the record is shorter than a segment, its axes are uneven or no full rectangle is left.
+
+    Notes
+    -----
+    Each cell of the k plane is shared between rings by area, so energy is conserved to rounding; the corners
+    beyond the Nyquist wavenumber of the axes are kept, and ``coverage`` says how much of a ring they fill.
+    The degrees of freedom follow from the data (`ring_freedom`): waves from few directions have fewer.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> axes = {"time": np.arange(256) * 0.05, "y": np.arange(24) * 0.05, "x": np.arange(32) * 0.05}
+    >>> w = xr.DataArray(rng.standard_normal((256, 24, 32)), axes, ("time", "y", "x"))
+    >>> E = komega(w, segment=64)
+    >>> E.E.dims, int(E.segments)
+    (('omega', 'k'), 7)
+    """
+    field = _field(field)
+    welch = Welch.of(field, segment, record, dk)
+    table = welch.table
+    runs = segments.half_segments([field], welch.record, welch.half, _transform)
+    task = dask.delayed(_ring_powers, pure=False)
+    weights = table.start, table.ring, table.weight, table.spread
+    summed = segments.in_order(
+        [
+            task(a, b, *weights, begin)
+            for run, (start, _) in zip(runs, welch.record.runs)
+            for begin, (a, b) in zip(itertools.count(start, welch.half), itertools.pairwise(run))
+        ]
+    )
+    found = dask.delayed(_estimates, pure=False)(summed, welch)
+    parts = da.from_delayed(found["parts"], (4, welch.omega.size, table.k.size), np.float64)
+    names = ("E", "dof", "low", "high")
+    out = annotate(xr.Dataset({name: (("omega", "k"), part) for name, part in zip(names, parts)}))
+    for axis, size in (("omega", welch.omega.size), ("k", table.k.size)):
+        out[f"dof_{axis}"] = (axis, da.from_delayed(found[axis], (size,), np.float64))
+    out = out.assign(welch.ring_variables).assign_coords(omega_coords(welch.omega) | k_coords(table.k))
+    out["valid"] = (("omega", "k"), welch.valid)
+    out = annotate(out.assign_attrs(welch.attrs), "komega")
+    out["E"].attrs = TABLE["komega/E"].of(
+        _name(field), density_units(field.attrs.get("units", "1"), "k", "omega")
+    )
+    return finish(out, field)
+
+
+# ---- reductions of spectra ---------------------------------------------------------------------------------
+def angular_integral(density: xr.DataArray, dk: float | None = None) -> xr.DataArray:
+    """Integrate a density over the plane (ky, kx) along rings of |k|.
+
+    Parameters
+    ----------
+    density : DataArray, (..., ky, kx)
+        A density in rad/m and rad/m, such as ``spectrum(...).E``.
+    dk : float, optional
+        Width of the rings, rad/m; by default the larger side of a cell.
+
+    Returns
+    -------
+    DataArray, (..., k)
+        Density in rad/m; its sum times dk is the sum of the input times the cell, to rounding.
+    """
+    ny, nx = density.sizes["ky"], density.sizes["kx"]
+    cell_y, cell_x = (float(density[name][1] - density[name][0]) for name in ("ky", "kx"))
+    table = rings.rings(ny, nx, 2 * np.pi / (ny * cell_y), 2 * np.pi / (nx * cell_x), dk)
+
+    def integrate(values: Array) -> Array:
+        flat = np.fft.ifftshift(values, axes=(-2, -1)).reshape(-1, ny * nx).astype(np.float64)
+        out = (table.shares.T @ flat.T).T * (cell_y * cell_x / table.dk)
+        result: Array = out.reshape(*values.shape[:-2], table.k.size)
+        return result
+
+    out = xr.apply_ufunc(
+        integrate,
+        density,
+        input_core_dims=[["ky", "kx"]],
+        output_core_dims=[["k"]],
+        dask="parallelized",
+        output_dtypes=[np.float64],
+        dask_gufunc_kwargs={"output_sizes": {"k": table.k.size}, "allow_rechunk": True},
+    )
+    out = annotate(out.assign_coords(k_coords(table.k)).to_dataset(name="E"))["E"].rename(None)
+    out.attrs = density.attrs | {"units": product((density.attrs.get("units", "1"), 1), (K_UNITS, 1))}
+    return out
+
+
+def at_frequency(density: xr.DataArray, frequency: float, bandwidth: float | None = None) -> xr.DataArray:
+    """Cut E(ky, kx) out of E(ky, kx, omega) at a frequency.
+
+    Parameters
+    ----------
+    density : DataArray, (omega, ...)
+        A spectrum.
+    frequency : float
+        Hz.
+    bandwidth : float, optional
+        Width of the band that is averaged, Hz; by default the nearest line alone.
+
+    Returns
+    -------
+    DataArray
+        Mean density over the band.
+
+    Raises
+    ------
+    CubeError
+        If the frequency lies beyond the Nyquist frequency.
+    """
+    lines = density["omega"].values / (2 * np.pi)
+    if not 0 <= frequency <= lines[-1]:
+        raise CubeError(f"{frequency:g} Hz is outside the spectrum, which ends at {lines[-1]:g} Hz")
+    if bandwidth is None:
+        chosen = np.array([np.abs(lines - frequency).argmin()])
+    else:
+        chosen = np.flatnonzero(np.abs(lines - frequency) <= bandwidth / 2 + 1e-9)
+        if not chosen.size:
+            chosen = np.array([np.abs(lines - frequency).argmin()])
+    out = density.isel(omega=chosen).mean("omega")
+    out.attrs = dict(density.attrs)
+    return out.assign_coords(frequency=float(lines[chosen].mean()))
+
+
+def frequency_spectrum(komega: xr.Dataset) -> xr.Dataset:
+    """Integrate E(k, omega) over k.
+
+    Parameters
+    ----------
+    komega : Dataset
+        As `komega` gives it.
+
+    Returns
+    -------
+    Dataset
+        ``E`` (omega), the mean spectrum over the nodes weighted by the squared window; ``dof``, ``low``,
+        ``high`` and ``valid`` (omega).
+
+    Notes
+    -----
+    The degrees of freedom follow from the scatter between the segments; with fewer than four of those from
+    the degrees of the rings and the spread of the energy over them.
+    """
+    step = float(komega["k"][1] - komega["k"][0])
+    energy = komega["E"].sum("k", dtype=np.float64) * step
+    single = float(komega.attrs["degrees_of_freedom"])
+    table = rings.rings(*komega.attrs["nodes"], *komega.attrs["node_step"], step)
+    theory = single * independent_cells(komega["E"], komega["dof"] / single, table)
+    dof = komega["dof_omega"].fillna(theory) if "dof_omega" in komega else theory
+    out = with_interval(energy, dof)
+    out["valid"] = ("omega", inner(out.sizes["omega"]))
+    out = annotate(out, "frequency")
+    words = str(komega["E"].attrs.get("long_name", "")).partition(" of ")[2] or "the field"
+    out["E"].attrs = TABLE["frequency/E"].of(
+        words, product((komega["E"].attrs.get("units", "1"), 1), (K_UNITS, 1))
+    )
+    return out
