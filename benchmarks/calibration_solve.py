@@ -25,7 +25,7 @@ from wavefield.calibration.start import calibrate_alone
 from wavefield.calibration.still_water_correction import check_rig, refine_and_level, sight_points
 from wavefield.errors import CalibrationError
 from wavefield.images import read_image
-from wavefield.matching import Settings, match
+from wavefield.matching import MatchSettings, match
 from wavefield.rig import Rig
 from wavefield.rig.water_level import level
 from wavefield.tank import Scene
@@ -196,7 +196,7 @@ def turned_camera(found, exact):
         anyway = check_rig(found.rig, exact_matches(now, wavy, 0.07))
         note = (
             f"z was wrong by {z_error(found.rig, now, wavy):.2f} mm; named {verdict.moved}, on waves "
-            f"{' or '.join(anyway.suspects) or 'none'}; {cpu:.1f} s CPU"
+            f"{' or '.join(anyway.faulty_cameras) or 'none'}; {cpu:.1f} s CPU"
         )
         assert verdict.moved == name, verdict
         row(
@@ -236,7 +236,7 @@ def matches_of_frames(rig, frames, middle="cam3", step=2e-3):
     for name in rig:
         if name == middle:
             continue
-        found = match(flat_images[middle], flat_images[name], Settings.stereo())
+        found = match(flat_images[middle], flat_images[name], MatchSettings.stereo())
         cols, rows = np.meshgrid(found.x, found.y)
         good = found.valid
         for camera, u, v in ((middle, 0.0, 0.0), (name, found.u, found.v)):

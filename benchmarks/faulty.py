@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from benchmarks.scenes import HALF
 from wavefield.measurement import Plan, Settings
 from wavefield.quality.camera_delay import delays, remarks
-from wavefield.quality.camera_faults import Examination, examine
-from wavefield.quality.patch_matching import Witness
+from wavefield.quality.camera_faults import CameraFaults, find_camera_faults
+from wavefield.quality.patch_matching import PatchMatcher
 from wavefield.store.verdict import Remark
 from wavefield.tank import Scene, Tank
 
@@ -38,14 +38,14 @@ def shots(seed: int, frames: int = COUNT, **faults: Any) -> tuple[Tank, Read]:
     return tank, lambda name, frame: drawn[frame][name]
 
 
-def look(tank: Tank, read: Read) -> Examination:
+def look(tank: Tank, read: Read) -> CameraFaults:
     """As `wavefield check` looks at cameras."""
-    return examine(Witness(read, tank.rig, tank.scene.grid), COUNT, LOOKS)
+    return find_camera_faults(PatchMatcher(read, tank.rig, tank.scene.grid), COUNT, LOOKS)
 
 
 def clocks(tank: Tank, read: Read) -> list[Remark]:
     """As `wavefield check` looks at their clocks."""
-    witness, plan = Witness(read, tank.rig, tank.scene.grid), Plan(tank.rig, tank.scene.grid, Settings())
+    witness, plan = PatchMatcher(read, tank.rig, tank.scene.grid), Plan(tank.rig, tank.scene.grid, Settings())
     return list(remarks(*delays(plan, witness, (2, 3, 4, 5), tank.scene.frame_rate)))
 
 
@@ -106,7 +106,7 @@ def delay(options: argparse.Namespace) -> None:
     """A delay of .2 ms, and of none: found, and how sure."""
     for seed, late in ((FIRST + 60, 2e-4), (FIRST + 61, 2e-4), (FIRST + 62, 0.0)):
         tank, read = shots(seed, max(INSTANTS) + 3, cam2={"delay": late})
-        witness = Witness(read, tank.rig, tank.scene.grid)
+        witness = PatchMatcher(read, tank.rig, tank.scene.grid)
         plan = Plan(tank.rig, tank.scene.grid, Settings())
         found, _ = delays(plan, witness, tuple(INSTANTS), tank.scene.frame_rate)
         words = ", ".join(f"{n} {1e3 * d.seconds:+.4f} +- {1e3 * d.std:.4f}" for n, d in found.items())

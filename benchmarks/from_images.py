@@ -182,7 +182,7 @@ def experiment(
         ("windows undone as kept", kept),
     ):
         if gain is not None:
-            results[how] = wv.fusion(cube, gain=gain, depth=depth, segment=segment, record=record)
+            results[how] = wv.fused_spectra(cube, gain=gain, depth=depth, segment=segment, record=record)
             ranges(results[how], elevation, how, asked)
     undone = results["windows undone by theory"]
     for name in ("stereo", "w"):

@@ -22,7 +22,7 @@ from benchmarks.cubes import say
 from benchmarks.scenes import HALF
 from wavefield.measurement import Plan, learn, measure, sample_steps
 from wavefield.measurement.learn import SAMPLES
-from wavefield.measurement.learned_record import Record
+from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.masked import covered_in
 from wavefield.series import FrameSeries
 from wavefield.series.masks import MaskSection, covered_series, footprints
@@ -54,7 +54,7 @@ def with_cylinder(images: Images, where: Mapping[str, NDArray[np.bool_]], seed: 
     return out
 
 
-def learned(images: Images, plan: Plan, masks: Mapping[str, Any] | None) -> Record:
+def learned(images: Images, plan: Plan, masks: Mapping[str, Any] | None) -> LearnedRecord:
     """What a run would learn of the record."""
     instants = [{name: frames[k] for name, frames in images.items()} for k in range(2 * SAMPLES)]
     pairs = list(zip(instants[::2], instants[1::2], strict=True))
@@ -64,11 +64,11 @@ def learned(images: Images, plan: Plan, masks: Mapping[str, Any] | None) -> Reco
 
 
 def one_step(
-    images: Images, plan: Plan, record: Record, masks: Mapping[str, Any] | None, rate: float
+    images: Images, plan: Plan, record: LearnedRecord, masks: Mapping[str, Any] | None, rate: float
 ) -> dict[str, Any]:
     """A step measured as a run does."""
     every = {name: [pixels] * FRAMES for name, pixels in masks.items()} if masks else None
-    return measure(images, plan.knowing(record), rate, every)
+    return measure(images, plan.with_prior(record), rate, every)
 
 
 def hidden_from_any(z: NDArray[Any], masks: Mapping[str, Any], plan: Plan) -> NDArray[np.bool_]:

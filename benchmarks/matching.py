@@ -22,7 +22,15 @@ import numpy as np
 
 from benchmarks import particle_images as images
 from wavefield.images import read_image
-from wavefield.matching import Displacement, Prepared, Settings, correlate, match, matching_kernels, prepare
+from wavefield.matching import (
+    Displacement,
+    MatchSettings,
+    PreparedImage,
+    correlate,
+    match,
+    matching_kernels,
+    prepare,
+)
 from wavefield.matching.block_lattice import sample
 
 cv2.setNumThreads(1)
@@ -100,7 +108,7 @@ def peers() -> None:
         "correlate": (None,) * 4,
     }
     for preset, limits in asked.items():
-        settings = Settings.fast() if preset == "fast" else Settings.piv()
+        settings = MatchSettings.fast() if preset == "fast" else MatchSettings.piv()
         method = correlate if preset == "correlate" else match
         for (name, case), limit in zip(cases.items(), limits):
             d = method(case["A"], case["B"], settings).at_midpoint()
@@ -194,7 +202,7 @@ def speed() -> None:
     a, b = (cases["b"]["A"], cases["b"]["B"]) if cases else images.particles(images.cellular(4.0))
     dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
 
-    def series(settings: Settings) -> Callable[[], None]:
+    def series(settings: MatchSettings) -> Callable[[], None]:
         state = {"previous": prepare(a, settings), "count": 0}
 
         def step() -> None:
@@ -207,10 +215,10 @@ def speed() -> None:
 
     runs = {
         "DIS": lambda: dis.calc(a, b, None),
-        "piv": series(Settings.piv()),
-        "fast": series(Settings.fast()),
+        "piv": series(MatchSettings.piv()),
+        "fast": series(MatchSettings.fast()),
     }
-    runs["stereo"] = series(Settings.stereo())
+    runs["stereo"] = series(MatchSettings.stereo())
     took: dict[str, list[float]] = {name: [] for name in runs}
     for name in runs:
         runs[name]()
@@ -237,9 +245,9 @@ def stereo() -> None:
     title("Stereo-like pairs: 40 px, gradient .15, gain and offset different between cameras")
     hole = images.holes()
     holes_grown = cv2.dilate(hole.astype(np.uint8), np.ones((17, 17), np.uint8)) > 0
-    preset = Settings.stereo()
-    strong = Settings.stereo(window=32.0, smoother_sigma=2.8, coarse_smoother_sigma=2.8)
-    weights = Settings.stereo(robust=1.5)
+    preset = MatchSettings.stereo()
+    strong = MatchSettings.stereo(window=32.0, smoother_sigma=2.8, coarse_smoother_sigma=2.8)
+    weights = MatchSettings.stereo(robust=1.5)
     dirty = {"unmatched": 0.25, "noise": 0.04, "lit": True}
     cases = (
         ("clean texture", images.texture(images.parallax, lit=True), None, preset, 0.006, 0),
@@ -307,7 +315,7 @@ def stereo() -> None:
 def hard() -> None:
     title("Bias, resolution, steep and dirty displacement fields (PIV)")
     for sigma, limit in ((0.675, 0.002), (0.35, 0.005)):
-        for name, settings in (("piv", Settings.piv()), ("fast", Settings.fast())):
+        for name, settings in (("piv", MatchSettings.piv()), ("fast", MatchSettings.fast())):
             worst = 0.0
             for fraction in (0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9):
                 a, b = images.particles(images.uniform(fraction, fraction / 2), sigma=sigma)
@@ -318,7 +326,11 @@ def hard() -> None:
                 limit if name == "piv" else None,
                 worst,
             )
-    for name, settings in (("piv", Settings.piv()), ("fast", Settings.fast()), ("stereo", Settings.stereo())):
+    for name, settings in (
+        ("piv", MatchSettings.piv()),
+        ("fast", MatchSettings.fast()),
+        ("stereo", MatchSettings.stereo()),
+    ):
         for windows, least in ((2, 0.84), (4, 0.97)):
             wave = images.shear_wave(32.0 * windows)
             d = match(*images.particles(wave), settings)
@@ -407,7 +419,7 @@ def profile() -> None:
         "prepare: saturation": (prepared, ("_saturated",)),
     }
     for preset in ("piv", "fast", "stereo"):
-        settings = getattr(Settings, preset)()
+        settings = getattr(MatchSettings, preset)()
         spent: dict[str, float] = dict.fromkeys(stages, 0.0)
         saved = []
 
@@ -451,7 +463,7 @@ def _read(image, u, v, position, whole, taps, strip):
         matching_kernels._warp_strip(image, by, u[by], v[by], position, whole, taps, strip)
 
 
-def _reading(first: Prepared, second: Prepared) -> float:
+def _reading(first: PreparedImage, second: PreparedImage) -> float:
     """Least time, ms, to read the second image once under all blocks."""
     u = np.full(first.levels[0].blocks, np.float32(1.3))
     work = matching_kernels.scratch(u.shape[1])
@@ -562,7 +574,7 @@ def specimen(folder: Path) -> None:
     ref = reference(0)
     good = ref["MATCH"] >= 0
     x, y = ref["COORDINATE_X"], ref["COORDINATE_Y"]
-    d = match(left[0], right, Settings.stereo(search_x=(-80, 10), search_y=(-90, 10)))
+    d = match(left[0], right, MatchSettings.stereo(search_x=(-80, 10), search_y=(-90, 10)))
     u, v, valid = _at(d, x, y)
     du, dv = (u - ref["CROSS_CORR_Q"])[good & valid], (v - ref["CROSS_CORR_R"])[good & valid]
     pooled = float(np.median(np.abs(np.concatenate([du, dv]))))

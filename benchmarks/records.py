@@ -51,7 +51,7 @@ def known(case: Case) -> tuple[Plan, dict[str, NDArray[Any]]]:
     record = learn(pairs, plan)
     if record is None:
         raise SystemExit("nothing of these frames can be measured")
-    plan = plan.knowing(record)
+    plan = plan.with_prior(record)
     return plan, measure(case.frames, plan, case.frame_rate)
 
 

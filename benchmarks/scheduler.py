@@ -113,14 +113,14 @@ def ledger(steps: int) -> None:
 
     from wavefield.pipeline import open_cube, status
     from wavefield.store.checked import chunk_path, stored_bytes
-    from wavefield.store.layout import WATCHED, Layout, create_store
+    from wavefield.store.layout import WATCHED, StoreLayout, create_store
     from wavefield.store.recipe import Recipe
     from wavefield.store.verify import suspicious
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "cube.zarr"
         x, y = np.linspace(-1, 1, 201), np.linspace(-0.75, 0.75, 151)
-        layout = Layout(steps, 100, ("cam1", "cam2", "cam3"), 0)
+        layout = StoreLayout(steps, 100, ("cam1", "cam2", "cam3"), 0)
         recipe = Recipe("stand-in", {}, (0, steps), 20.0, {}, {}, {})
         create_store(path, recipe, x, y, layout, {})
         group = zarr.open_group(path, mode="r+")

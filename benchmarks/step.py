@@ -52,7 +52,7 @@ def main(words: Sequence[str]) -> int:
     plan = Plan(case.rig, case.grid, settings)
     began = time.process_time()
     sample = tuple({name: images[k] for name, images in case.frames.items()} for k in (1, 2))
-    plan = plan.knowing(learn([sample], plan))
+    plan = plan.with_prior(learn([sample], plan))
     learned = time.process_time() - began
     full = draw(scene("random", 71, True).with_(frames=4), case.rig) if options.half else case
     first, second = (np.asarray(image) for image in full.frames["cam1"][1:3])

@@ -29,10 +29,10 @@ def main() -> int:
         return 0
     with tempfile.TemporaryDirectory() as folder:
         config.CACHE_DIR = folder
-        from wavefield.matching import Settings, match, matching_kernels
+        from wavefield.matching import MatchSettings, match, matching_kernels
 
         image = np.random.default_rng(0).normal(size=(100, 100)).astype(np.float32)
-        for settings in (Settings.piv(), Settings.fast()):
+        for settings in (MatchSettings.piv(), MatchSettings.fast()):
             match(image, image, settings)
     lost = 0
     print(f"{'kernel':20} {'asked':>6} {'found':>6}")

@@ -133,17 +133,17 @@ def main(words: Sequence[str]) -> int:
         folder = Path(name)
         scene = Scene.load("full").with_(seed=321, **HALF)
         experiment = write_tank(folder / "tank", scene, options.steps)
-        alone, looked_at, errors, views = [], [], [], 0
+        alone, used_blocks, errors, views = [], [], [], 0
         for number in range(options.repeats):
             alone.append(Run(experiment, folder / f"alone{number}.zarr").times())
             wall, cpu, seen, wrong = watched(
                 experiment, folder / f"watched{number}.zarr", options.browsers_too
             )
-            looked_at.append((wall, cpu))
+            used_blocks.append((wall, cpu))
             errors += wrong
             views += seen
         for k, (what, asked) in enumerate((("wall", "+ 2 %"), ("CPU of the run", ""))):
-            one, two = (statistics.median(times[k] for times in both) for both in (alone, looked_at))
+            one, two = (statistics.median(times[k] for times in both) for both in (alone, used_blocks))
             say(
                 f"a job with two people looking, {what}",
                 asked,

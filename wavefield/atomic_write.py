@@ -116,7 +116,7 @@ def refuse_input(path: Path, *inputs: Any) -> None:
 
 
 @contextmanager
-def whole(path: str | Path, product: Product) -> Iterator[Path]:
+def atomic(path: str | Path, product: Product) -> Iterator[Path]:
     """Write a file or a folder under another name, and let it take its place when it is finished.
 
     A folder cannot be replaced in one go: the old one stays beside it as ``.NAME.xxxxxxxx.old`` until the new
@@ -181,7 +181,7 @@ def make_durable(paths: Iterable[Path]) -> None:
 
 def write_text(path: str | Path, text: str, product: Product) -> None:
     """Write a text file (UTF-8), whole or not at all."""
-    with whole(path, product) as draft:
+    with atomic(path, product) as draft:
         draft.write_text(text, encoding="utf-8")
 
 

@@ -1,6 +1,7 @@
 """Settings that people write by hand: checked section by section; errors name file, line and remedy.
 
-A section is a pydantic model (`Section`) or a frozen dataclass. `load` reads one from a YAML file, `make`
+A section is a pydantic model (`ConfigSection`) or a frozen dataclass. `load` reads one from a YAML file,
+`make`
 from plain data that was read already.
 """
 
@@ -21,7 +22,7 @@ Key = str | int
 T = TypeVar("T")
 
 _LARGEST = 200_000  # values in a file; a list of every image of a long record has fewer
-_MOST_TOLD = 4  # problems of a file
+_MAX_MESSAGES = 4  # problems of a file
 _KNOWN = "; known keys here: "
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
@@ -30,7 +31,7 @@ _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 CHECKED = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-class Section(BaseModel):
+class ConfigSection(BaseModel):
     """A block of settings: refuses what it does not know, and numbers that are none."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
@@ -62,16 +63,16 @@ def make(
         unknown = [p for p in wrong if p["type"] in _UNKNOWN]  # what is missing is there under a wrong name
         wrong = unknown or [p for p in wrong if not _is_other_form(p, wrong)]
         problems = [_sentence(problem, kind, path, node, location, name) for problem in wrong]
-    told = list(dict.fromkeys(problems))
+    messages = list(dict.fromkeys(problems))
     by_place: dict[str, list[str]] = {}
     listed: set[str] = set()
-    for where, words in told[:_MOST_TOLD]:
+    for where, words in messages[:_MAX_MESSAGES]:
         bare, _, keys = words.partition(_KNOWN)
         by_place.setdefault(where, []).append(bare if keys in listed else words)
         listed |= {keys} - {""}
     sentences = [(f"{where}: " if where else "") + "; ".join(words) for where, words in by_place.items()]
-    if len(told) > _MOST_TOLD:
-        sentences.append(f"and {len(told) - _MOST_TOLD} more: is it a file of this kind at all?")
+    if len(messages) > _MAX_MESSAGES:
+        sentences.append(f"and {len(messages) - _MAX_MESSAGES} more: is it a file of this kind at all?")
     raise error("; ".join(sentences))
 
 

@@ -38,8 +38,8 @@ def water_of(attributes: Mapping[str, Any], depth: float | None = None) -> tuple
     (0.7, 7.28e-05)
     """
     if depth is None:
-        said = attributes.get("water_depth")
-        depth = np.inf if not said or said == "deep" else float(said)
+        stated = attributes.get("water_depth")
+        depth = np.inf if not stated or stated == "deep" else float(stated)
     return float(depth), float(attributes.get("surface_tension_over_density", GAMMA))
 
 

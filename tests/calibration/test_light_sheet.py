@@ -110,7 +110,7 @@ def test_of_two_cameras_a_knock_is_mended_and_how_far_places_may_lie_elsewhere_i
     tank = Tank(scene(surface=BESIDE, faults={"cam1": {"turned": [0.05, 0.03, 0.0]}}))
     images = [tank.render(k) for k in range(FRAMES - 1)]
     found = sheet_of(lambda name, k: images[k][name], range(3), tank.rig)
-    assert found.check.suspects == ("cam1", "cam2")
+    assert found.check.faulty_cameras == ("cam1", "cam2")
     assert found.after < 0.3
     x, y = np.meshgrid(tank.scene.grid.x_nodes, tank.scene.grid.y_nodes)
     exact = sheet_points(tank, x, y)

@@ -48,7 +48,7 @@ def matches(rig, surface, noise=0.07, count=1000):
 def test_a_sound_rig_is_left_alone(calibrated):
     found = check_rig(calibrated, matches(paper_rig(), wave)[0])
     assert found.moved is None
-    assert found.suspects == ()
+    assert found.faulty_cameras == ()
     assert found.misfit == pytest.approx(0.07, rel=0.05)
     assert "no camera has moved" in found.sentence
     new, _ = refine(calibrated, matches(paper_rig(), wave)[0])
@@ -92,7 +92,7 @@ def test_two_cameras_cannot_tell_which_moved(calibrated):
     pixels, _ = matches(bumped("cam1", (1, 0, 0)), wave)
     found = check_rig(calibrated, {name: pixels[name] for name in ("cam1", "cam2")})
     assert found.moved is None
-    assert found.suspects == ("cam1", "cam2")
+    assert found.faulty_cameras == ("cam1", "cam2")
     assert "cam1 or cam2" in found.sentence
 
 

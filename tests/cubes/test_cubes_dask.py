@@ -15,7 +15,7 @@ from wavefield.errors import ExperimentError, StoreError
 from wavefield.execution import dask_cluster
 from wavefield.execution.cluster import count_workers, open_cluster
 from wavefield.execution.dask_cluster import Task
-from wavefield.execution.dask_settings import temporary_credentials, wants_tls
+from wavefield.execution.dask_settings import needs_tls, temporary_credentials
 from wavefield.execution.slurm import count_jobs
 from wavefield.pipeline import Workflow
 
@@ -54,11 +54,11 @@ def test_credentials_are_for_their_owner_alone(tmp_path):
 
 
 def test_tls_is_the_rule_where_ports_are_open_to_the_network():
-    assert wants_tls(Workflow(cluster="slurm"))
-    assert wants_tls(Workflow(cluster="dask", deploy="distributed.SSHCluster"))
-    assert wants_tls(Workflow(cluster="dask", deploy="dask_jobqueue.PBSCluster"))
-    assert not wants_tls(Workflow(cluster="slurm", security="none"))
-    assert not wants_tls(Workflow(cluster="local"))
+    assert needs_tls(Workflow(cluster="slurm"))
+    assert needs_tls(Workflow(cluster="dask", deploy="distributed.SSHCluster"))
+    assert needs_tls(Workflow(cluster="dask", deploy="dask_jobqueue.PBSCluster"))
+    assert not needs_tls(Workflow(cluster="slurm", security="none"))
+    assert not needs_tls(Workflow(cluster="local"))
 
 
 def test_jobs_of_other_queues_get_the_credentials_and_settings_of_the_run(tmp_path, monkeypatch):

@@ -7,11 +7,11 @@ import zarr
 from wavefield.errors import StoreError
 from wavefield.store.blocks import read_blocks
 from wavefield.store.checked import checksum, chunk_path, stored_bytes
-from wavefield.store.layout import WATCHED, Layout, create_store
+from wavefield.store.layout import WATCHED, StoreLayout, create_store
 from wavefield.store.ledger import status
 from wavefield.store.recipe import Recipe
 
-LAYOUT = Layout(47, 10, ("a", "b"), 0)
+LAYOUT = StoreLayout(47, 10, ("a", "b"), 0)
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from cube_cases import write_tank
 
 import wavefield as wf
 from wavefield.images import write_image
-from wavefield.pipeline.reading_speed import Reading, look_at_reading
+from wavefield.pipeline.reading_speed import ReadingSpeed, measure_reading_speed
 from wavefield.series import Experiment
 
 FRAMES, SHAPE = 5, (500, 800)
@@ -29,29 +29,29 @@ def series(tmp_path):
 
 def test_a_step_reads_a_frame_of_each_camera_and_a_block_five_more(series, tmp_path):
     image = (tmp_path / "a" / "000.tif").stat().st_size
-    found = look_at_reading(series, block=30, step_seconds=0.5, workers=4)
+    found = measure_reading_speed(series, block=30, step_seconds=0.5, workers=4)
     assert found.step_bytes == pytest.approx(2 * image * (1 + 5 / 30))
     assert found.worker_rate == pytest.approx(2 * 2 * image * (1 + 5 / 30))
     assert found.disk_rate is None or found.disk_rate > 0
     for camera in ("a", "b"):
         for number in range(FRAMES):
             os.truncate(tmp_path / camera / f"{number:03d}.tif", 0)
-    assert look_at_reading(series, block=30, step_seconds=0.5, workers=4) is None
+    assert measure_reading_speed(series, block=30, step_seconds=0.5, workers=4) is None
 
 
 def test_the_disk_is_the_limit_where_the_workers_want_more_than_a_reader_gets():
-    enough = Reading(6e6, 50e6, 4, 400e6)
+    enough = ReadingSpeed(6e6, 50e6, 4, 400e6)
     assert not enough.limited
     assert str(enough) == (
         "reading: a worker wants 50 MB/s, 4 workers 200 MB/s; one reader gets 400 MB/s from the disk of the "
         "images"
     )
-    short = Reading(6e6, 50e6, 40, 400e6)
+    short = ReadingSpeed(6e6, 50e6, 40, 400e6)
     assert short.limited
     assert short.enough_for == 8
     assert "40 workers 2.0 GB/s" in str(short)
     assert "beyond 8 workers the disk is the limit" in str(short)
-    unknown = Reading(6e6, 50e6, 1)
+    unknown = ReadingSpeed(6e6, 50e6, 1)
     assert not unknown.limited
     assert str(unknown) == "reading: a worker wants 50 MB/s"
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from wavefield.errors import ExperimentError
-from wavefield.execution.slurm_queue import Watch
+from wavefield.execution.slurm_queue import QueueWatch
 
 
 class Cluster:
@@ -50,7 +50,7 @@ def look(tmp_path, monkeypatch):
     monkeypatch.setattr("time.monotonic", lambda: now[0])
 
     def make(cluster):
-        watch = Watch(cluster, tmp_path)
+        watch = QueueWatch(cluster, tmp_path)
 
         def once():
             now[0] += 3600.0

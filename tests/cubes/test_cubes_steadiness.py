@@ -10,8 +10,8 @@ import zarr
 from wavefield.grid import Grid
 from wavefield.measurement import Plan, Settings
 from wavefield.quality.camera_delay import Delay, Sample, delays, regress, remarks
-from wavefield.quality.camera_motion import jump, knocks, shaking, size, steadiness, trembling
-from wavefield.quality.patch_matching import Witness
+from wavefield.quality.camera_motion import camera_jitter, camera_motion, jump, knocks, shaking, size
+from wavefield.quality.patch_matching import PatchMatcher
 from wavefield.tank import Scene, Tank
 
 
@@ -32,18 +32,18 @@ def add(cube, what):
 def test_a_knock_is_dated_to_the_frame_and_measured(cube):
     steps = np.arange(16)
     add(cube, np.where(steps > 8, 0.45, np.where(steps == 8, 0.225, 0.0)))  # step 8 has one frame of each
-    found = steadiness(cube)
+    found = camera_motion(cube)
     (knock,) = knocks(cube, found)
     assert knock.frame == 9
     assert knock.size == pytest.approx(0.45, abs=0.03)
 
 
 def test_a_shaking_camera_is_measured_tilt_and_roll_alike(cube):
-    still = shaking(steadiness(cube), [])[0]
+    still = shaking(camera_motion(cube), [])[0]
     rng = np.random.default_rng(2)
     x = np.linspace(-1, 1, 9)
     add(cube, 0.2 * rng.standard_normal(16)[:, None, None] + 0.3 * rng.standard_normal((16, 1, 1)) * x)
-    rms, std = shaking(steadiness(cube), [])
+    rms, std = shaking(camera_motion(cube), [])
     assert still < 0.05
     assert rms == pytest.approx(np.sqrt(0.2**2 + 0.3**2 / 3), rel=0.4)
     assert 0 < std < rms / 2
@@ -51,17 +51,17 @@ def test_a_shaking_camera_is_measured_tilt_and_roll_alike(cube):
 
 def test_cameras_that_tremble_along_their_line_are_said():
     def said(px):
-        return list(trembling(SimpleNamespace(record=SimpleNamespace(trembling=(px, 0.0)))))
+        return list(camera_jitter(SimpleNamespace(record=SimpleNamespace(camera_jitter=(px, 0.0)))))
 
     assert said(0.006) == []
     (one,) = said(0.15)
     assert (one.kind, one.weight) == ("trembling", "remark")
     assert "0.150 px" in one.sentence
-    assert list(trembling(SimpleNamespace(record=None))) == []
+    assert list(camera_jitter(SimpleNamespace(record=None))) == []
 
 
 def test_a_steady_record_has_no_knock(reference):
-    found = steadiness(reference)
+    found = camera_motion(reference)
     assert len(found.steps) == 16
     assert knocks(reference, found) == []
 
@@ -109,7 +109,7 @@ def test_a_delay_is_seen_in_images_by_check_without_bias():
     tank = Tank(Scene.load("demo").with_(rig={"crop": 0.35}, faults={"cam2": {"delay": 2e-3}}))
     drawn = [tank.render(k) for k in range(8)]
     grid = Grid((-0.2, 0.2), (-0.15, 0.15), 0.01)
-    witness = Witness(lambda name, k: drawn[k][name], tank.rig, grid)
+    witness = PatchMatcher(lambda name, k: drawn[k][name], tank.rig, grid)
     found, _ = delays(Plan(tank.rig, grid, Settings()), witness, (2, 3, 4, 5), tank.scene.frame_rate)
     late = found["cam2"]
     assert late.seconds == pytest.approx(2e-3, abs=3 * late.std)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from wavefield.grid import Grid
-from wavefield.quality.camera_faults import examine
-from wavefield.quality.patch_matching import Witness
+from wavefield.quality.camera_faults import find_camera_faults
+from wavefield.quality.patch_matching import PatchMatcher
 from wavefield.store.verdict import Remark, Verdict, read_verdict
 from wavefield.tank import Scene, Tank
 
@@ -32,8 +32,8 @@ GRID = Grid((-0.28, 0.28), (-0.2, 0.2), 0.01)
 
 
 def found(read, rig=None, frames=FRAMES):
-    witness = Witness(read, rig or SOUND.tank.rig, GRID)
-    return examine(witness, COUNT, frames)
+    witness = PatchMatcher(read, rig or SOUND.tank.rig, GRID)
+    return find_camera_faults(witness, COUNT, frames)
 
 
 SOUND = Shots(11)

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError, WavefieldError
-from wavefield.explorer.cube_record import Record
+from wavefield.explorer.cube_record import CubeRecord
 from wavefield.pipeline import open_cube, run, status
 from wavefield.reports.sources import gather
 from wavefield.store.wave_store import open_waves
@@ -89,7 +89,7 @@ def by_report(folder):
 
 
 def by_look(folder):
-    record = Record(folder / "cube.zarr")
+    record = CubeRecord(folder / "cube.zarr")
     record.preview.load()
     if not record.preview.complete:
         raise StoreError(record.preview.trouble)

@@ -17,7 +17,7 @@ import zarr
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from wavefield.atomic_write import ANY_FILE, whole
+from wavefield.atomic_write import ANY_FILE, atomic
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError
 from wavefield.store.export import PRODUCTS
@@ -150,7 +150,7 @@ def test_nothing_is_removed_or_changed_that_was_not_written_as_the_same(crowded,
 
 
 def replaced(path, product, write):
-    with whole(path, product) as draft:
+    with atomic(path, product) as draft:
         write(draft)
 
 

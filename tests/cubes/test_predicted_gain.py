@@ -9,7 +9,7 @@ import wavefield.waves as wv
 from wavefield.errors import CubeError
 from wavefield.grid import Grid
 from wavefield.matching import Prior
-from wavefield.measurement import Plan, Record, Settings
+from wavefield.measurement import LearnedRecord, Plan, Settings
 from wavefield.measurement.response import in_focus, shortest_carried
 from wavefield.pipeline import predicted_gain
 from wavefield.tank import Scene
@@ -30,7 +30,9 @@ def test_the_gain_is_what_the_posterior_keeps_of_a_wave():
     # signal and noise are alike at half a radian per block
     flat = Prior.isotropic(k, [1e-6 * (0.5 / q) ** 5 for q in k], 1e6)
     scene = Scene.load("demo")
-    record = Record((), flat, tuple((name, flat) for name in ("cam1", "cam2", "cam3")), (1.0, 1.0, 1.0))
+    record = LearnedRecord(
+        (), flat, tuple((name, flat) for name in ("cam1", "cam2", "cam3")), (1.0, 1.0, 1.0)
+    )
     cube = cube_of(scene, record)
     gain = predicted_gain(cube)
     assert wv.read_gain(gain) is gain
@@ -49,7 +51,9 @@ def test_what_is_carried_grows_shorter_with_less_noise_and_more_beads():
     k = tuple(np.linspace(0.04, 3.1, 40))
     steep = Prior.isotropic(k, [1e-6 * (0.5 / q) ** 5 for q in k], 1e6)
     scene = Scene.load("demo")
-    record = Record((), steep, tuple((name, steep) for name in ("cam1", "cam2", "cam3")), (1.0, 1.0, 1.0))
+    record = LearnedRecord(
+        (), steep, tuple((name, steep) for name in ("cam1", "cam2", "cam3")), (1.0, 1.0, 1.0)
+    )
     plan = Plan(scene.build_rig(), Grid(scene.grid.x, scene.grid.y, scene.grid.step), record=record)
     now, denser, quieter = (shortest_carried(plan, better) for better in (1.0, 2.0, 4.0))
     # signal over noise falls as k^-5: four times the information carries waves 4^(1/5) shorter
@@ -74,7 +78,7 @@ def test_beads_out_of_focus_would_carry_shorter_waves_in_focus():
     scene = Scene.load("demo")
     names = ("cam1", "cam2", "cam3")
     widths = (("cam1", 4.0), ("cam2", 1.5), ("cam3", 0.0))
-    record = Record(widths, steep, tuple((name, steep) for name in names), (1.0, 1.0, 1.0))
+    record = LearnedRecord(widths, steep, tuple((name, steep) for name in names), (1.0, 1.0, 1.0))
     plan = Plan(scene.build_rig(), Grid(scene.grid.x, scene.grid.y, scene.grid.step), record=record)
     assert in_focus(plan) == {"cam1": 16.0, "cam2": 1.0, "cam3": 1.0}
     now, sharp = shortest_carried(plan), shortest_carried(plan, in_focus(plan))

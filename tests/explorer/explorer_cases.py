@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefield.store.layout import Layout, create_store
+from wavefield.store.layout import StoreLayout, create_store
 from wavefield.store.preview import create_preview
 from wavefield.store.read import open_group
 from wavefield.store.recipe import Recipe
@@ -66,11 +66,11 @@ def create_cube(
     preview: bool = True,
     rig: dict[str, object] | None = None,
     **attributes: object,
-) -> Layout:
+) -> StoreLayout:
     """An empty cube of so many steps at 20 Hz, with nodes 5 cm apart about the origin."""
     x, y = 0.05 * (np.arange(nx) - (nx - 1) / 2), 0.05 * (np.arange(ny) - (ny - 1) / 2)
     recipe = Recipe("sea of three waves", {}, (0, steps), 20.0, {}, rig or {}, {})
-    layout = Layout(steps, block, ("cam1", "cam2", "cam3"), 0)
+    layout = StoreLayout(steps, block, ("cam1", "cam2", "cam3"), 0)
     create_store(path, recipe, x, y, layout, {"water_depth": 0.7} | attributes)
     if preview:
         create_preview(path, open_group(path))

@@ -7,7 +7,7 @@ import pytest
 from explorer_cases import create_cube, make_cube, write_cube_block
 
 from wavefield.errors import StoreError
-from wavefield.explorer.cube_record import Record
+from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.derived_series import derived_series
 from wavefield.explorer.map_fields import DERIVED
 from wavefield.explorer.place import Place
@@ -28,7 +28,7 @@ def cube(tmp_path_factory):
 def test_a_derived_series_is_that_of_the_analysis(cube, node):
     expected = kinematics(open_cube(cube).load())
     told = []
-    found = derived_series(Record(cube), *node, told.append)
+    found = derived_series(CubeRecord(cube), *node, told.append)
     assert set(found) == set(DERIVED)
     for name, series in found.items():
         np.testing.assert_allclose(series, expected[name].values[:, *node], rtol=1e-4, atol=1e-6)
@@ -36,7 +36,7 @@ def test_a_derived_series_is_that_of_the_analysis(cube, node):
 
 
 def test_saved_series_and_steps_hold_what_is_derived(cube):
-    record = Record(cube)
+    record = CubeRecord(cube)
     record.preview.load()
     expected = kinematics(open_cube(cube).load())
     place = Place(node=(float(record.x[9]), float(record.y[8])), step=41)
@@ -53,7 +53,7 @@ def test_saved_series_and_steps_hold_what_is_derived(cube):
 
 def test_a_derived_map_is_that_of_the_analysis(cube):
     expected = kinematics(open_cube(cube).load())
-    record = Record(cube)
+    record = CubeRecord(cube)
     for name in DERIVED:
         np.testing.assert_allclose(record.field(name, 41), expected[name].values[41], rtol=1e-4, atol=1e-6)
 
@@ -62,7 +62,7 @@ def test_steps_to_come_are_empty(tmp_path):
     path = tmp_path / "cube.zarr"
     create_cube(path)
     write_cube_block(path, 40)
-    series = derived_series(Record(path), 8, 9)["vorticity"]
+    series = derived_series(CubeRecord(path), 8, 9)["vorticity"]
     assert np.isfinite(series[40:80]).all()
     assert np.isnan(series[:40]).all()
     assert np.isnan(series[80:]).all()
@@ -72,7 +72,7 @@ def test_half_a_cube_is_a_sentence_that_names_what_is_missing(cube, tmp_path):
     half = tmp_path / "cube.zarr"
     shutil.copytree(cube, half)
     shutil.rmtree(half / "u" / "c" / "1")
-    record = Record(half)
+    record = CubeRecord(half)
     assert np.isfinite(record.field("u", 3)).any()
     with pytest.raises(StoreError, match=r"u of steps 40 to 79 is not in cube\.zarr.*copy the cube again"):
         record.field("u", 50)
@@ -83,7 +83,7 @@ def test_a_cube_without_a_velocity_shows_what_it_has(cube, tmp_path):
     shutil.copytree(cube, part)
     shutil.rmtree(part / "v")
     (part / "checksum" / "metadata.zip").unlink()  # as of a cube from before
-    record = Record(part)
+    record = CubeRecord(part)
     assert "u" in record.names
     assert not {"v", "vorticity", "residual"} & set(record.names)
     assert derived_series(record, 8, 9) == {}

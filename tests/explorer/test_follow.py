@@ -16,7 +16,7 @@ from wavefield.explorer.features import bead_size, features
 from wavefield.explorer.follower import Follower
 from wavefield.explorer.learner import Learner
 from wavefield.explorer.lights import verdict
-from wavefield.explorer.watch import Watch
+from wavefield.explorer.watch import FolderWatch
 from wavefield.images import write_image
 from wavefield.series import Experiment
 from wavefield.variables import Quality
@@ -113,7 +113,7 @@ def test_the_right_light_turns(followed, small_tank, tmp_path, fault):
     later = copy.copy(follower)
     shutil.copytree(folder, tmp_path / "live")
     later.experiment = Experiment.load(tmp_path / "live" / "experiment.yaml")
-    later.watch = Watch(later.experiment)
+    later.watch = FolderWatch(later.experiment)
     later._start = copy.deepcopy(follower._start)
     for number in (6, 7):
         images = dict(frames[6])
@@ -137,7 +137,7 @@ def test_a_cable_pulled_turns_its_cameras_light_and_the_others_go_on(followed, s
     later = copy.copy(follower)
     shutil.copytree(folder, tmp_path / "live")
     later.experiment = Experiment.load(tmp_path / "live" / "experiment.yaml")
-    later.watch = Watch(later.experiment)
+    later.watch = FolderWatch(later.experiment)
     later._start = copy.deepcopy(follower._start)
     now = time.time()
     for name in CAMERAS:

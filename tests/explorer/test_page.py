@@ -8,16 +8,16 @@ from bokeh.core.validation import check_integrity
 from bokeh.document import Document
 from explorer_cases import create_cube, make_cube, write_cube_block
 
-from wavefield.explorer.context import find_beside
-from wavefield.explorer.cube_record import Record
-from wavefield.explorer.look_page import Looked, Page
+from wavefield.explorer.context import find_context
+from wavefield.explorer.cube_record import CubeRecord
+from wavefield.explorer.look_page import LookSession, Page
 from wavefield.explorer.place import TABS, Place
 
 
 def build(path, place=None):
-    record = Record(path)
+    record = CubeRecord(path)
     record.preview.load()
-    page, document = Page(Looked(record, find_beside(record)), place or Place()), Document()
+    page, document = Page(LookSession(record, find_context(record)), place or Place()), Document()
     page.attach(document)
     return page, document
 
@@ -36,7 +36,7 @@ def test_the_terminal_is_told_of_nothing_amiss_in_a_page(cube):
 
 def test_every_variable_and_view_can_be_shown(cube):
     page, document = build(cube)
-    for name in page.looked.record.names:
+    for name in page.session.record.names:
         for tab in TABS:
             page.change(show=name, tab=tab)
             page.redraw()
@@ -70,8 +70,8 @@ def test_a_damaged_step_is_a_sentence_and_the_others_are_shown(cube, tmp_path):
     path = tmp_path / "cube.zarr"
     make_cube(path)
     next((path / "w" / "c").glob("0/0/0")).write_bytes(b"nonsense")
-    record = Record(path)
-    page, document = Page(Looked(record, find_beside(record)), Place(step=1)), Document()
+    record = CubeRecord(path)
+    page, document = Page(LookSession(record, find_context(record)), Place(step=1)), Document()
     page.attach(document)
     assert "w of steps 0 to 39 is lost" in page.state.text
     page.change(step=50)
@@ -86,11 +86,11 @@ def test_an_empty_cube_is_shown_as_such(tmp_path):
     assert "not measured yet" in page.map.figure.title.text
     assert "measured so far: 0 (0 %)" in page.state.text
     write_cube_block(path, 0)
-    page._look_again()
+    page._recheck()
     assert "measured so far: 40" in page.state.text
 
 
 def test_what_is_missing_beside_a_cube_is_a_sentence(cube):
     page, _ = build(cube)
-    assert "no waves yet" in page.looked.beside.notes["waves"]
-    assert "no images" in page.looked.beside.notes["cameras"]
+    assert "no waves yet" in page.session.beside.notes["waves"]
+    assert "no images" in page.session.beside.notes["cameras"]

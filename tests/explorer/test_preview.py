@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from explorer_cases import create_cube, make_cube, write_cube_block
 
-from wavefield.explorer.cube_record import Record
+from wavefield.explorer.cube_record import CubeRecord
 from wavefield.store.preview import create_preview, open_preview, preview_path, thinning
 from wavefield.store.read import open_group
 
@@ -43,7 +43,7 @@ def test_cube_and_ledger_are_the_same_with_and_without_a_preview(tmp_path):
 
 def test_memory_holds_what_the_preview_holds(cube):
     path, fields = cube
-    record = Record(path)
+    record = CubeRecord(path)
     record.preview.load()
     assert record.preview.complete
     np.testing.assert_allclose(record.preview.series("w", 12, 14), fields["w"][:, 24, 28], atol=5.1e-5)
@@ -55,13 +55,13 @@ def test_a_cube_without_a_preview_gets_the_same_one_on_first_look(cube, tmp_path
     bare = tmp_path / "bare" / "cube.zarr"
     shutil.copytree(path, bare)
     told = []
-    record = Record(bare)
+    record = CubeRecord(bare)
     record.preview.load(lambda done, total: told.append((done, total)))
-    written = Record(path)
+    written = CubeRecord(path)
     written.preview.load()
     assert told == [(1, 3), (2, 3), (3, 3)]
     assert np.array_equal(record.preview.fields, written.preview.fields)
-    again = Record(bare)
+    again = CubeRecord(bare)
     preview = open_preview(bare, again.group)
     assert preview is not None
     assert np.asarray(preview["done"][:]).all()
@@ -71,7 +71,7 @@ def test_a_cube_that_is_being_written_is_read_as_far_as_it_is(tmp_path):
     path = tmp_path / "cube.zarr"
     create_cube(path)
     write_cube_block(path, 40)
-    record = Record(path)
+    record = CubeRecord(path)
     record.preview.load()
     assert record.first_step() == 40
     assert record.preview.known.tolist() == [False, True, False]
@@ -88,7 +88,7 @@ def test_a_block_that_is_measured_again_is_read_again(tmp_path):
 
     path = tmp_path / "cube.zarr"
     make_cube(path)
-    record = Record(path)
+    record = CubeRecord(path)
     record.preview.load()
     before = record.preview.series("w", 5, 5)
     field = record.field("w", 41)
@@ -111,7 +111,7 @@ def test_another_cubes_preview_is_not_taken(tmp_path):
     shutil.rmtree(path)
     fields = make_cube(path, steps=80, preview=False)
     assert open_preview(path, open_group(path)) is None
-    record = Record(path)
+    record = CubeRecord(path)
     record.preview.load()
     np.testing.assert_allclose(record.preview.series("z", 6, 6), fields["z"][:, 6, 6], atol=5.1e-6)
 
@@ -128,7 +128,7 @@ def test_a_preview_that_cannot_be_kept_is_a_sentence_and_memory_has_it_all(tmp_p
     path = tmp_path / "cube.zarr"
     fields = make_cube(path, preview=False)
     preview_path(path).write_text("in the way")
-    record = Record(path)
+    record = CubeRecord(path)
     record.preview.load()
     assert "preview" in record.preview.trouble
     np.testing.assert_allclose(record.preview.series("z", 6, 6), fields["z"][:, 6, 6], atol=5.1e-6)
@@ -137,6 +137,6 @@ def test_a_preview_that_cannot_be_kept_is_a_sentence_and_memory_has_it_all(tmp_p
 def test_a_run_writes_a_preview_of_what_it_measures(tmp_path):
     path = tmp_path / "cube.zarr"
     fields = make_cube(path)
-    record = Record(path)
+    record = CubeRecord(path)
     for name in record.stored:
         np.testing.assert_array_equal(record.field(name, 17), fields[name][17])

@@ -5,9 +5,9 @@ import pytest
 from bokeh.document import Document
 from explorer_cases import make_cube
 
-from wavefield.explorer.context import find_beside
-from wavefield.explorer.cube_record import Record
-from wavefield.explorer.look_page import Looked, Page
+from wavefield.explorer.context import find_context
+from wavefield.explorer.cube_record import CubeRecord
+from wavefield.explorer.look_page import LookSession, Page
 from wavefield.explorer.place import Place
 from wavefield.images import write_image
 
@@ -39,8 +39,8 @@ def page(tmp_path, tank_rig):
     )
     rig = {name: tank_rig[name].to_dict() for name in ("cam1", "cam2")}
     make_cube(tmp_path / "cube.zarr", rig=rig, experiment_file=str(tmp_path / "experiment.yaml"))
-    record = Record(tmp_path / "cube.zarr")
-    out, document = Page(Looked(record, find_beside(record)), Place(tab="cameras")), Document()
+    record = CubeRecord(tmp_path / "cube.zarr")
+    out, document = Page(LookSession(record, find_context(record)), Place(tab="cameras")), Document()
     out.attach(document)
     return out
 

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from matching_cases import interior, particle_pair, truth, uniform, wave
 
-from wavefield.matching import Settings, match, prepare
+from wavefield.matching import MatchSettings, match, prepare
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def worst(d, move, select):
 def test_uniform_displacement_is_found_with_its_sign(preset, limit):
     move = uniform(3.3, -1.7)
     a, b = particle_pair(move)
-    d = match(a, b, getattr(Settings, preset)())
+    d = match(a, b, getattr(MatchSettings, preset)())
     inside = interior(d, a.shape)
     assert rms(d, move, inside) < limit
     assert d.u.dtype == np.float32
@@ -37,7 +37,7 @@ def test_uniform_displacement_is_found_with_its_sign(preset, limit):
 @pytest.mark.parametrize(("preset", "limit"), [("piv", 0.012), ("fast", 0.02), ("stereo", 0.012)])
 def test_displacement_is_that_of_the_patch_at_its_place_in_a(clean_pair, preset, limit):
     a, b, move = clean_pair
-    d = match(a, b, getattr(Settings, preset)())
+    d = match(a, b, getattr(MatchSettings, preset)())
     assert rms(d, move, interior(d, a.shape)) < limit
 
 
@@ -83,7 +83,7 @@ def test_unmatched_particles_gain_and_noise_leave_no_outlier():
     inside = interior(d, a.shape)
     assert worst(d, move, inside) < 1.0
     assert rms(d, move, inside) < 0.14
-    plain = match(a, b, Settings.piv(robust=0.0))
+    plain = match(a, b, MatchSettings.piv(robust=0.0))
     assert rms(d, move, inside) < 0.95 * rms(plain, move, inside)
 
 
@@ -106,7 +106,7 @@ def test_large_parallax_of_either_sign_under_different_lighting(sign):
         + 12
         + 8 * np.sin(y / 150)
     )
-    d = match(a, b.astype(np.float32), Settings.stereo())
+    d = match(a, b.astype(np.float32), MatchSettings.stereo())
     u, _ = truth(d, move)
     inside = interior(d, a.shape) & (d.x + u > 40) & (d.x + u < a.shape[1] - 41)
     assert rms(d, move, inside) < 0.008
@@ -114,7 +114,7 @@ def test_large_parallax_of_either_sign_under_different_lighting(sign):
 
 
 def test_lattice_is_the_same_for_both_pairs_of_a_prepared_image():
-    settings = Settings.stereo()
+    settings = MatchSettings.stereo()
     a, b = particle_pair(uniform(9.0, 0.5))
     _, c = particle_pair(uniform(-9.0, 0.5))
     middle = prepare(a, settings)
@@ -131,12 +131,12 @@ def test_lattice_is_the_same_for_both_pairs_of_a_prepared_image():
 def test_initial_displacement_replaces_the_search(initial):
     move = uniform(30.3, 14.6)
     a, b = particle_pair(move)
-    settings = Settings.piv(search_x=None, search_y=None)
+    settings = MatchSettings.piv(search_x=None, search_y=None)
     lost = match(a, b, settings)
     start = {
         "constant": (30.0, 15.0),
         "field": (np.full(lost.u.shape, 30.0), np.full(lost.u.shape, 15.0)),
-        "displacement": match(a, b, Settings.piv(search_x=(0, 40), search_y=(0, 20))),
+        "displacement": match(a, b, MatchSettings.piv(search_x=(0, 40), search_y=(0, 20))),
     }[initial]
     d = match(a, b, settings, initial=start)
     inside = interior(d, a.shape, 60)
@@ -166,7 +166,7 @@ def test_no_peak_locking(sigma):
 
 @pytest.mark.parametrize(("windows", "least"), [(2, 0.84), (4, 0.97)])
 def test_short_waves_keep_their_amplitude(windows, least):
-    wavelength = windows * Settings.piv().window
+    wavelength = windows * MatchSettings.piv().window
 
     def move(x, y):
         return np.sin(2 * np.pi * y / wavelength) + 0 * x, 0.3 + 0 * x

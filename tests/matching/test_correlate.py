@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from matching_cases import interior, particle_pair, truth, uniform, wave
 
-from wavefield.matching import Settings, correlate, match
+from wavefield.matching import MatchSettings, correlate, match
 
 
 def rms(d, move, select):
@@ -34,7 +34,7 @@ def test_centres_are_those_of_the_fast_matcher():
 def test_wide_search_and_initial_field():
     move = uniform(41.3, -2.4)
     a, b = particle_pair(move)
-    settings = Settings.stereo()
+    settings = MatchSettings.stereo()
     inside = None
     for d in (correlate(a, b, settings), correlate(a, b, settings, initial=(40.0, -2.0))):
         inside = interior(d, a.shape, 60)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matching_cases import particle_pair, wave
 
-from wavefield.matching import Settings, block_lattice, correlate, match, matching_kernels, prepare
+from wavefield.matching import MatchSettings, block_lattice, correlate, match, matching_kernels, prepare
 
 F = np.float32
 
@@ -161,7 +161,7 @@ def test_plain_sums_with_slopes_taken_off_are_the_unweighted_ones(case):
 def test_nothing_is_read_before_it_is_written(monkeypatch):
     a, b = particle_pair(wave(2.0, 200.0), shape=(130, 157))
     for method in (match, correlate):
-        for settings in (Settings.piv(), Settings.fast(), Settings.stereo()):
+        for settings in (MatchSettings.piv(), MatchSettings.fast(), MatchSettings.stereo()):
             expected = method(a, b, settings)
             real = np.empty
 
@@ -179,7 +179,7 @@ def test_nothing_is_read_before_it_is_written(monkeypatch):
 
 def test_the_same_bits_every_time_and_in_every_thread():
     a, b = particle_pair(wave(2.0, 200.0), shape=(200, 230), unmatched=0.1, noise=0.02)
-    settings = Settings.piv()
+    settings = MatchSettings.piv()
     first, second = prepare(a, settings), prepare(b, settings)
     expected = match(a, b, settings)
     results = []
@@ -218,6 +218,6 @@ def test_another_processor_gives_the_same_to_rounding(tmp_path):
     command = [sys.executable, "-c", _GENERIC, tmp_path / "pair.npy", tmp_path / "u.npy"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    for found, settings in zip(np.load(tmp_path / "u.npy"), (Settings.piv(), Settings.fast())):
+    for found, settings in zip(np.load(tmp_path / "u.npy"), (MatchSettings.piv(), MatchSettings.fast())):
         here = match(a, b, settings)
         assert np.max(np.abs(found - here.u)[here.valid]) < 5e-4

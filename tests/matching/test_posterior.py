@@ -12,11 +12,11 @@ from wavefield.matching import (
     Spread,
     along_each,
     around_holes,
-    believed,
     better_prior,
     edge_slopes,
     first_prior,
     noise_of_scores,
+    shrinkage,
 )
 from wavefield.matching.cosines import cosines
 
@@ -305,10 +305,10 @@ def test_the_component_that_is_told_less_of_is_the_more_uncertain_one():
 
 def test_what_fields_have_not_in_common_is_no_wave():
     spectrum, noise = 3.0, 1.0
-    assert believed(noise + spectrum, noise, spectrum) == 1.0  # as much as the spectrum would bring
-    assert believed(1.05 * noise, noise, spectrum) < 0.15  # noise alone
-    assert believed(0.5 * noise, noise, spectrum) == 0.0
-    assert believed(5.0 * noise, noise, 1e3) == 1.0  # few waves, far above the noise
+    assert shrinkage(noise + spectrum, noise, spectrum) == 1.0  # as much as the spectrum would bring
+    assert shrinkage(1.05 * noise, noise, spectrum) < 0.15  # noise alone
+    assert shrinkage(0.5 * noise, noise, spectrum) == 0.0
+    assert shrinkage(5.0 * noise, noise, 1e3) == 1.0  # few waves, far above the noise
 
 
 def test_what_is_missing_counts_as_far_as_the_spectrum_is_waves():

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from wavefield.matching import Settings, prepare
+from wavefield.matching import MatchSettings, prepare
 from wavefield.matching.prepared import Mask
 
 
@@ -32,7 +32,7 @@ def normalized_slowly(image, sigma, good=None):
 @pytest.mark.parametrize("sigma", [3.0, 10.0, 20.0])
 def test_normalisation_takes_out_local_mean_and_contrast(dtype, sigma):
     image = scene(dtype=dtype)
-    out = prepare(image, Settings.piv(normalization=sigma)).levels[0].image
+    out = prepare(image, MatchSettings.piv(normalization=sigma)).levels[0].image
     exact = normalized_slowly(image, sigma)
     # a border replicated cell by cell is not that of the pixels
     assert np.sqrt(np.mean((out - exact) ** 2)) < 0.08
@@ -42,7 +42,7 @@ def test_normalisation_takes_out_local_mean_and_contrast(dtype, sigma):
 def test_masked_pixels_are_zero_and_tell_their_surroundings_nothing():
     image, good = scene(), np.ones((203, 187), bool)
     good[60:120, 50:130] = False
-    settings = Settings.piv(normalization=10.0)
+    settings = MatchSettings.piv(normalization=10.0)
     out = prepare(image, settings, good).levels[0].image
     assert (out[~good] == 0).all()
     other = np.where(good, image, np.uint8(200))
@@ -53,7 +53,7 @@ def test_masked_pixels_are_zero_and_tell_their_surroundings_nothing():
 
 @pytest.mark.parametrize("normalization", [0.0, 10.0])
 def test_a_mask_prepared_once_serves_like_the_array(normalization):
-    settings = Settings.piv(normalization=normalization)
+    settings = MatchSettings.piv(normalization=normalization)
     good = np.ones((203, 187), bool)
     good[:, :40] = False
     mask = Mask.of(good, settings)
@@ -68,7 +68,7 @@ def test_a_mask_prepared_once_serves_like_the_array(normalization):
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("row", [100, 202])
 def test_a_pixel_that_is_not_finite_is_left_out_and_spoils_nothing(with_mask, value, row):
-    settings = Settings.piv(normalization=10.0)
+    settings = MatchSettings.piv(normalization=10.0)
     good = np.ones((203, 187), bool)
     if with_mask:
         good[:, :40] = False
@@ -90,11 +90,11 @@ def test_the_smallest_saturated_patch_is_found_wherever_it_lies(corner):
     j, i = corner
     image = np.minimum(scene(), 250).astype(np.uint8)
     image[j : j + 5, i : i + 5] = 255
-    level = prepare(image, Settings.piv()).levels[0]
+    level = prepare(image, MatchSettings.piv()).levels[0]
     assert (level.image[j : j + 5, i : i + 5] == 0).all()
     assert not level.good[j + 2, i + 2]
     image[j + 2, i + 2] = 250
-    assert prepare(image, Settings.piv()).levels[0].good.size == 0
+    assert prepare(image, MatchSettings.piv()).levels[0].good.size == 0
 
 
 def test_a_mask_hides_what_is_brighter_than_the_saturated_patch():
@@ -102,12 +102,12 @@ def test_a_mask_hides_what_is_brighter_than_the_saturated_patch():
     image[20:40, 20:40], image[100:110, 100:110] = 255, 220
     good = np.ones(image.shape, bool)
     good[15:45, 15:45] = False
-    assert not prepare(image, Settings.piv(), good).levels[0].good[105, 105]
+    assert not prepare(image, MatchSettings.piv(), good).levels[0].good[105, 105]
 
 
 def test_infinitely_little_contrast_is_not_amplified():
     image = scene(dtype=np.float32)
     image[:, 80:] = 50.0
     image[:, 80:] += np.random.default_rng(0).normal(0, 1e-4, image[:, 80:].shape)
-    out = prepare(image, Settings.piv(normalization=5.0)).levels[0].image
+    out = prepare(image, MatchSettings.piv(normalization=5.0)).levels[0].image
     assert np.abs(out[:, 120:]).max() < 0.05

@@ -10,18 +10,18 @@ import pytest
 from matching_cases import interior, particle_pair, truth, uniform
 
 from wavefield.matching import (
-    Settings,
+    MatchSettings,
     block_lattice,
-    look_again,
     match,
     matching_kernels,
     prepare,
+    reevaluate,
     scores_at,
 )
 
 F = np.float32
 SHAPE = (300, 340)
-SETTINGS = Settings.piv()
+SETTINGS = MatchSettings.piv()
 
 
 def strained(x, y):
@@ -31,7 +31,7 @@ def strained(x, y):
 
 
 def again(d, a, b, u, v):
-    return look_again(a, b, u, v, SETTINGS)
+    return reevaluate(a, b, u, v, SETTINGS)
 
 
 def with_and_without(look, pair, move, monkeypatch):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from matching_cases import interior, particle_pair, truth, uniform, wave
 
-from wavefield.matching import Settings, match, std_from_influence, transfer_kernel
+from wavefield.matching import MatchSettings, match, std_from_influence, transfer_kernel
 
 CASES = {
     "clean": {},
@@ -20,7 +20,7 @@ def test_errors_fall_within_the_stated_uncertainty(case, preset):
     one, two = [], []
     for seed in (1, 2):
         a, b = particle_pair(move, shape=(420, 420), seed=seed, **CASES[case])
-        d = match(a, b, getattr(Settings, preset)())
+        d = match(a, b, getattr(MatchSettings, preset)())
         u, v = truth(d, move)
         inside = interior(d, a.shape) & d.valid
         for error, std in ((d.u - u, d.u_std), (d.v - v, d.v_std)):
@@ -32,7 +32,7 @@ def test_errors_fall_within_the_stated_uncertainty(case, preset):
 
 
 def test_transfer_kernel_is_the_response_to_one_block():
-    for settings in (Settings.piv(), Settings.fast(), Settings.stereo()):
+    for settings in (MatchSettings.piv(), MatchSettings.fast(), MatchSettings.stereo()):
         kernel = transfer_kernel(settings)
         r = len(kernel) // 2
         assert kernel.sum() == pytest.approx(1, abs=0.01)
@@ -44,7 +44,7 @@ def test_transfer_kernel_is_the_response_to_one_block():
 def test_independent_noise_gives_the_standard_deviation_of_the_filtered_field():
     """White influences, filtered by the kernel as matching does, and seen through what the fit leaves."""
     rng = np.random.default_rng(0)
-    settings = Settings.piv()
+    settings = MatchSettings.piv()
     kernel = transfer_kernel(settings).astype(float)
     noise = rng.normal(0, 1, (256, 256))
     pad = np.zeros_like(noise)
@@ -58,7 +58,7 @@ def test_independent_noise_gives_the_standard_deviation_of_the_filtered_field():
 
 def test_uncertainty_scales_with_a_combination_of_influences():
     a, b = particle_pair(uniform(2.2, 1.1), noise=0.03)
-    settings = Settings.stereo()
+    settings = MatchSettings.stereo()
     d = match(a, b, settings)
     one = std_from_influence(d.influence_u, settings)
     np.testing.assert_allclose(std_from_influence(3 * d.influence_u, settings), 3 * one, rtol=1e-4)

@@ -4,7 +4,7 @@ import pytest
 from matching_cases import interior, particle_pair, truth, uniform, wave
 
 from wavefield.errors import FrameError
-from wavefield.matching import Reason, Settings, correlate, match, prepare
+from wavefield.matching import MatchSettings, Reason, correlate, match, prepare
 
 
 def errors(d, move):
@@ -35,7 +35,7 @@ def patch_blocks(d, grow=0):
 @pytest.mark.parametrize("value", [0, 90, 255])
 def test_uniform_and_saturated_areas_are_invalid_and_spoil_nothing(pair, preset, value):
     a, b, move = pair
-    d = match(*with_patch((a, b), value), getattr(Settings, preset)())
+    d = match(*with_patch((a, b), value), getattr(MatchSettings, preset)())
     deep = patch_blocks(d, -25)
     assert not d.valid[deep].any()
     outside = interior(d, a.shape) & ~patch_blocks(d, 12)
@@ -46,7 +46,7 @@ def test_uniform_and_saturated_areas_are_invalid_and_spoil_nothing(pair, preset,
 @pytest.mark.parametrize("preset", ["piv", "fast", "stereo"])
 def test_masked_pixels_are_never_looked_at(pair, preset):
     a, b, move = pair
-    settings = getattr(Settings, preset)()
+    settings = getattr(MatchSettings, preset)()
     mask = np.ones(a.shape, bool)
     mask[100:200, 120:220] = False
     results = [match(*with_patch((a, b), value), settings, mask=mask) for value in (0, 100, 255)]
@@ -63,7 +63,7 @@ def test_masked_pixels_are_never_looked_at(pair, preset):
 @pytest.mark.parametrize("preset", ["piv", "fast", "stereo"])
 def test_not_a_number_pixels_count_as_masked(pair, preset):
     a, b, move = pair
-    settings = getattr(Settings, preset)()
+    settings = getattr(MatchSettings, preset)()
     a, b = a.astype(np.float32), b.astype(np.float32)
     holed = with_patch((a, b), np.nan)
     holed[1][40, 60] = np.inf
@@ -83,7 +83,7 @@ def test_image_mostly_outside_the_view_still_gives_the_rest():
     y, x = np.mgrid[:400, :400]
     for q, shift in ((a, 0), (b, 30)):
         q[(x + y < 330 + shift) | (x - y > 150)] = np.nan
-    d = match(a, b, Settings.stereo())
+    d = match(a, b, MatchSettings.stereo())
     assert 0.2 < d.valid.mean() < 0.6
     assert np.max(errors(d, move)[d.valid]) < 0.3
     assert np.sqrt(np.mean(errors(d, move)[d.valid] ** 2)) < 0.03
@@ -91,7 +91,7 @@ def test_image_mostly_outside_the_view_still_gives_the_rest():
 
 def test_empty_image_is_invalid_everywhere():
     for image in (np.zeros((100, 120), np.uint8), np.full((100, 120), np.nan, np.float32)):
-        for settings in (Settings.piv(), Settings.fast(), Settings.stereo()):
+        for settings in (MatchSettings.piv(), MatchSettings.fast(), MatchSettings.stereo()):
             d = match(image, image, settings)
             assert not d.valid.any()
             assert np.isfinite(d.u).all()
@@ -101,7 +101,7 @@ def test_empty_image_is_invalid_everywhere():
 def test_unrelated_images_are_rejected():
     a, _ = particle_pair(uniform(0, 0), seed=1)
     b, _ = particle_pair(uniform(0, 0), seed=2)
-    for settings in (Settings.piv(), Settings.stereo()):
+    for settings in (MatchSettings.piv(), MatchSettings.stereo()):
         assert match(a, b, settings).valid.mean() < 0.05
 
 
@@ -116,14 +116,14 @@ def test_blocks_that_leave_the_image_are_marked():
 
 def test_displacements_beyond_the_search_range_are_marked():
     a, b = particle_pair(uniform(9.0, 0.0))
-    d = match(a, b, Settings.piv(search_x=(-2, 2), search_y=(-2, 2)))
+    d = match(a, b, MatchSettings.piv(search_x=(-2, 2), search_y=(-2, 2)))
     inside = interior(d, a.shape)
     assert ((d.reason[inside] & Reason.RANGE) > 0).mean() > 0.95
 
 
 def test_a_lonely_wrong_block_is_marked_by_its_neighbours(pair):
     a, b, _ = pair
-    d = match(a, b, Settings.fast(max_deviation=1e-4))
+    d = match(a, b, MatchSettings.fast(max_deviation=1e-4))
     assert (d.reason & Reason.NEIGHBOURS).any()
 
 
@@ -137,7 +137,7 @@ def test_a_lonely_wrong_block_is_marked_by_its_neighbours(pair):
 )
 def test_images_that_cannot_be_matched_are_refused_with_the_reason(image, words):
     with pytest.raises(FrameError, match=words):
-        prepare(image, Settings.piv())
+        prepare(image, MatchSettings.piv())
 
 
 def test_wrong_use_is_refused_with_the_remedy(pair):
@@ -149,11 +149,11 @@ def test_wrong_use_is_refused_with_the_remedy(pair):
     with pytest.raises(ValueError, match="lattice"):
         match(a, b, initial=(np.zeros((3, 3)), np.zeros((3, 3))))
     with pytest.raises(ValueError, match="prepare"):
-        match(prepare(a, Settings.fast()), b, Settings.piv())
+        match(prepare(a, MatchSettings.fast()), b, MatchSettings.piv())
     with pytest.raises(ValueError, match="levels"):
-        match(prepare(a, Settings.piv(iterations=(3,))), b, Settings.piv())
+        match(prepare(a, MatchSettings.piv(iterations=(3,))), b, MatchSettings.piv())
     with pytest.raises(ValueError, match="mask"):
-        match(prepare(a, Settings.piv()), b, Settings.piv(), mask=np.ones(a.shape, bool))
+        match(prepare(a, MatchSettings.piv()), b, MatchSettings.piv(), mask=np.ones(a.shape, bool))
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_wrong_use_is_refused_with_the_remedy(pair):
 )
 def test_settings_that_make_no_sense_are_refused(changes):
     with pytest.raises(ValueError, match=next(iter(changes)).split("_")[0]):
-        Settings.piv(**changes)
+        MatchSettings.piv(**changes)
 
 
 def test_correlation_matcher_marks_the_same_things(pair):
@@ -202,7 +202,7 @@ def weak_pair(like=True):
 
 def test_few_weak_particles_are_given_larger_windows_by_themselves():
     a, b = weak_pair()
-    usual, chosen = match(a, b, Settings.piv()), match(a, b)
+    usual, chosen = match(a, b, MatchSettings.piv()), match(a, b)
     assert usual.valid.mean() < 0.5
     assert chosen.valid.mean() > max(0.7, 2 * usual.valid.mean())
     assert np.median(np.hypot(chosen.u - 3, chosen.v + 2)[chosen.valid]) < 0.5

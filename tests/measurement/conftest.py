@@ -36,4 +36,4 @@ def plan(series: Series) -> Plan:
     steps = [tuple({n: f[k + i] for n, f in series.frames.items()} for i in (0, 1)) for k in range(4)]
     record = learn(steps, plan)
     assert record is not None
-    return plan.knowing(record)
+    return plan.with_prior(record)

@@ -8,7 +8,7 @@ import pytest
 from measurement_cases import RATE, around
 
 from wavefield.measurement import measure
-from wavefield.measurement.instant import look
+from wavefield.measurement.instant import measure_instant
 from wavefield.variables import Quality
 
 
@@ -76,7 +76,7 @@ def test_water_that_stands_where_none_was_searched_is_not_called_measured(series
     """Not even where it is only the frame before the step, which has a say in z at mid-time."""
 
     def look_up(frames, plan, masks=None):
-        found = look(frames, plan, masks)
+        found = measure_instant(frames, plan, masks)
         first = frames["cam1"] is series.frames["cam1"][1]
         more = np.zeros_like(found.surface.z)
         more[10, 12] = 0.5 if first else 0.0

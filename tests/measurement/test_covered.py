@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from measurement_cases import RATE, around
 
-from wavefield.measurement import Plan, Record, diagnose, learn, measure
+from wavefield.measurement import LearnedRecord, Plan, diagnose, learn, measure
 from wavefield.series.camera_mask import CameraMask
 from wavefield.series.masks import MaskSection, _seen, footprints
 from wavefield.variables import Quality
@@ -45,7 +45,7 @@ def far(series, quality, metres):
 
 def test_a_masked_cylinder_changes_little_beyond_a_window(series, plan, drawn, free):
     outlines = footprints({"water": [CYLINDER]})
-    with_mask = Plan(series.rig, series.grid, covered=outlines).knowing(plan.record)
+    with_mask = Plan(series.rig, series.grid, covered=outlines).with_prior(plan.record)
     found = measure(around(drawn[0]), with_mask, RATE, around(drawn[1]))
     window = max(with_mask.settings.piv.window, with_mask.settings.stereo.window) * with_mask.pixel
     away = far(series, found["quality"][0], window)
@@ -78,7 +78,9 @@ def test_what_is_learned_of_the_water_depends_little_on_how_much_of_it_is_masked
 
 
 def test_masked_nodes_hold_nothing_and_say_so(series, plan, drawn):
-    with_mask = Plan(series.rig, series.grid, covered=footprints({"water": [CYLINDER]})).knowing(plan.record)
+    with_mask = Plan(series.rig, series.grid, covered=footprints({"water": [CYLINDER]})).with_prior(
+        plan.record
+    )
     found = measure(around(drawn[0]), with_mask, RATE, around(drawn[1]))
     masked = (found["quality"][0] & MASKED) != 0
     x, y = np.meshgrid(series.grid.x_nodes, series.grid.y_nodes)
@@ -150,5 +152,5 @@ def test_a_record_is_learned_without_what_is_covered(series, drawn):
         )
         for some in (frames, other)
     ]
-    assert isinstance(known[0], Record)
+    assert isinstance(known[0], LearnedRecord)
     assert known[0] == known[1]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from wavefield.measurement.each_camera import noise_of_each, own_noise
-from wavefield.measurement.learned_record import Record
-from wavefield.measurement.velocity import Seen, _solved
+from wavefield.measurement.learned_record import LearnedRecord
+from wavefield.measurement.velocity import CameraDisplacements, _solved
 
 OBLIQUE = np.array(
     [[450.0, 0, 450], [0, 640, 0], [450, 0, -450], [0, 640, 0], [540, 0, 0], [0, 540, 0]]
@@ -43,7 +43,7 @@ def seen_by_three(noise, missing):
     moved = np.random.default_rng(3).normal(size=(6, 4, 5))
     none, frames = np.zeros(shape, np.uint16), np.full((4, 5), 4, np.uint8)
     along, own = np.ones((2, 6))
-    return Seen(
+    return CameraDisplacements(
         J,
         moved,
         np.full(moved.shape, noise),
@@ -66,7 +66,7 @@ def test_what_cameras_miss_alike_does_not_make_one_certain():
 
 def plan_of(moved, sheet=None):
     return SimpleNamespace(
-        record=SimpleNamespace(moved=moved, trembling=(0.0, 0.0)),
+        record=SimpleNamespace(moved=moved, camera_jitter=(0.0, 0.0)),
         settings=SimpleNamespace(sheet_thickness=sheet),
     )
 
@@ -92,9 +92,9 @@ def test_what_the_prior_takes_is_shared_as_short_waves_move_the_water():
 
 def test_a_record_keeps_the_noise_of_each_camera_and_older_ones_had_none(plan):
     record = replace(plan.record, noise=(("cam1", 1.25), ("cam2", 0.5)))
-    again = Record.from_dict(record.to_dict())
+    again = LearnedRecord.from_dict(record.to_dict())
     assert again == record
     assert (again.own_noise("cam2"), again.own_noise("cam9")) == (0.5, 1.0)
     older = record.to_dict()
     del older["noise"]
-    assert Record.from_dict(older).own_noise("cam1") == 1.0
+    assert LearnedRecord.from_dict(older).own_noise("cam1") == 1.0

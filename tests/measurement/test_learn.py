@@ -19,7 +19,7 @@ def test_water_at_rest_has_no_waves_and_its_uncertainty_is_that_of_noise(plan):
     assert record.elevation.waves < 0.5
     assert max(prior.waves for _, prior in record.displacement) < 0.3
     frames = {name: [image[name] for image in images] for name in tank.rig}
-    found = measure(around(frames), still.knowing(record), 20.0)
+    found = measure(around(frames), still.with_prior(record), 20.0)
     inside = np.s_[0, 6:-6, 6:-6]
     for name in "uvw":
         off, std = found[name][inside], found[f"{name}_std"][inside]

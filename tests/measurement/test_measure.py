@@ -8,7 +8,7 @@ from measurement_cases import PIXEL, RATE, around
 
 from wavefield.errors import ExperimentError
 from wavefield.grid import Grid
-from wavefield.measurement import Plan, Record, Settings, learn, measure
+from wavefield.measurement import LearnedRecord, Plan, Settings, learn, measure
 from wavefield.measurement.midtime import slope
 from wavefield.rig import Rig
 from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, Quality
@@ -79,7 +79,7 @@ def test_water_above_the_elevations_searched_is_marked_as_that(series):
 
 
 def test_a_record_survives_as_plain_data_and_learning_from_the_frames_at_hand_serves(series, plan, cube):
-    again = Record.from_dict(json.loads(json.dumps(plan.record.to_dict())))
+    again = LearnedRecord.from_dict(json.loads(json.dumps(plan.record.to_dict())))
     assert again == plan.record
     alone = measure(series.block(steps=3), Plan(series.rig, series.grid), RATE)
     assert rms((alone["u"] - cube["u"])[:, series.inside]) < 0.01 * PIXEL * RATE
@@ -203,7 +203,7 @@ def test_two_cameras_far_apart_are_half_as_uncertain_again_as_three_at_most(seri
     frames = {name: images for name, images in series.block(steps=3).items() if name in pair}
     steps = [tuple({n: series.frames[n][k + i] for n in pair} for i in (0, 1)) for k in range(4)]
     plain = Plan(pair, series.grid)
-    two = measure(frames, plain.knowing(learn(steps, plain)), RATE)
+    two = measure(frames, plain.with_prior(learn(steps, plain)), RATE)
     for name in ("z", "u", "v", "w"):
         errors = [
             np.stack([(out[name][k] - series.truth[k][name])[series.inside] for k in range(3)])

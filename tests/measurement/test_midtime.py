@@ -7,10 +7,10 @@ from wavefield.measurement.elevation import Surface
 from wavefield.measurement.midtime import at_mid_time, frames_used, slope
 from wavefield.measurement.temporal_truncation import (
     NOTHING,
-    Unresolved,
+    TemporalTruncation,
     kept_of_displacement,
     kept_of_z,
-    unresolved,
+    temporal_truncation,
 )
 from wavefield.measurement.velocity import Motion
 from wavefield.tank import Scene
@@ -142,7 +142,9 @@ def test_what_frames_cannot_follow_is_foreseen(rate):
     """Short waves are small, but they turn most in a step: the rms of all tells nothing of what is lost."""
     rng = np.random.default_rng(3)
     waves = [(length, 0.02 * length, *rng.uniform(0, 6, 2)) for length in (0.7, 0.4, 0.2, 0.13, 0.1)]
-    found = unresolved([(sea(rate, t, waves)[0], sea(rate, t + 1, waves)[0]) for t in (0.0, 7.0, 15.0)], 0.01)
+    found = temporal_truncation(
+        [(sea(rate, t, waves)[0], sea(rate, t + 1, waves)[0]) for t in (0.0, 7.0, 15.0)], 0.01
+    )
     lost = {n: [] for n in (2, 4, 6)}
     moved, missed = [], {4: [], 6: []}
     for t in np.arange(8) * 2.3:
@@ -173,7 +175,7 @@ def test_waves_longer_than_the_field_do_not_pass_for_slow_short_ones(seed):
     lengths = (1.6, 1.3, 1.1, 0.9, 0.25, 0.2, 0.17, 0.14)
     waves = [(length, 0.02 * length, *rng.uniform(0, 6, 2)) for length in lengths]
     part, times = np.s_[:29, :37], np.arange(12) * 2.3
-    found = unresolved([[sea(20.0, t + s, waves)[0][part] for s in (0, 1)] for t in times], 0.01)
+    found = temporal_truncation([[sea(20.0, t + s, waves)[0][part] for s in (0, 1)] for t in times], 0.01)
     moved, missed = [], []
     for t in times:
         rises = np.diff([sea(20.0, t + s, waves)[0][part] for s in TIMES[1:5]], axis=0)
@@ -213,7 +215,7 @@ def test_paths_lose_more_of_short_waves_where_long_ones_carry_the_water_fast(rat
     lengths = [1.5, 1.0, 0.7, 0.2, 0.16, 0.13, 0.11, 0.1, 0.09, 0.08]
     waves = [(length, 0.01 * length**1.5, *rng.uniform(0, 6, 2)) for length in lengths]
     times = np.arange(8) * 2.3
-    found = unresolved([(sea(rate, t, waves)[0], sea(rate, t + 1, waves)[0]) for t in times], 0.01)
+    found = temporal_truncation([(sea(rate, t, waves)[0], sea(rate, t + 1, waves)[0]) for t in times], 0.01)
     weights = {4: (0, -2, 52, -2, 0), 6: (-3, 10, 34, 10, -3)}[places]
     error, moved = [], []
     for t in times:
@@ -240,17 +242,17 @@ def test_a_displacement_keeps_what_theory_says():
 
 def test_water_at_rest_leaves_nothing_out():
     still = np.zeros((40, 50))
-    found = unresolved([(still, still)], 0.01)
+    found = temporal_truncation([(still, still)], 0.01)
     assert set(dict(found.z).values()) == {0.0}
     assert {part for parts in dict(found.d).values() for part in parts} == {0.0}
-    assert Unresolved.from_dict(found.to_dict()) == found
-    assert hash(found) == hash(Unresolved.from_dict(found.to_dict())), "plans are looked up by it"
+    assert TemporalTruncation.from_dict(found.to_dict()) == found
+    assert hash(found) == hash(TemporalTruncation.from_dict(found.to_dict())), "plans are looked up by it"
     line = np.zeros((1, 50))  # too few nodes to tell waves
-    assert unresolved([(line, line)], 0.01) == NOTHING
+    assert temporal_truncation([(line, line)], 0.01) == NOTHING
 
 
 def test_a_recipe_with_one_number_for_all_displacements_is_read():
     old = {"z": {"2": 1e-3, "3": 1e-3, "4": 1e-4, "6": 1e-5}, "d": {"2": 0.02, "4": 0.002}}
-    across, _, up, _ = dict(Unresolved.from_dict(old).d)[4]
+    across, _, up, _ = dict(TemporalTruncation.from_dict(old).d)[4]
     assert up == 0.002
     assert across == pytest.approx(0.002 / np.sqrt(2))

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from wavefield.measurement.paths import noise_weights, read_path
-from wavefield.measurement.regrid import Lattice, coefficients
+from wavefield.measurement.regrid import BlockLattice, coefficients
 
-LATTICE = Lattice(2.0, 2.0, 5.0, (60, 60))
+LATTICE = BlockLattice(2.0, 2.0, 5.0, (60, 60))
 MIDDLE = 150.0
 
 

@@ -3,7 +3,7 @@ import pytest
 import scipy.fft
 
 from wavefield.measurement.regrid import (
-    Lattice,
+    BlockLattice,
     coefficients,
     push_pull,
     read_surface,
@@ -13,7 +13,7 @@ from wavefield.measurement.regrid import (
 
 @pytest.fixture(scope="module")
 def lattice():
-    return Lattice(x0=-0.5, y0=-0.4, step=0.01, shape=(81, 101))
+    return BlockLattice(x0=-0.5, y0=-0.4, step=0.01, shape=(81, 101))
 
 
 def wave(x, y):

@@ -12,7 +12,7 @@ def test_settings_survive_a_recipe():
         pairs=(("cam3", "cam1"),),
         velocity_cameras=("cam1", "cam2"),
         z_range=(-0.02, 0.03),
-        piv=matching.Settings.fast(),
+        piv=matching.MatchSettings.fast(),
     )
     assert Settings.from_dict(json.loads(json.dumps(settings.to_dict()))) == settings
     assert Settings.from_dict({}) == Settings()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from wavefield.grid import Grid
-from wavefield.measurement import Plan, Record, learn, measure
+from wavefield.measurement import LearnedRecord, Plan, learn, measure
 from wavefield.tank import Scene, Tank
 from wavefield.variables import Quality
 
@@ -23,7 +23,7 @@ def taken(rate, frames):
     plan = Plan(tank.rig, Grid(**grid))
     record = learn([(images[k], images[k + 1]) for k in range(4)], plan)
     assert record is not None
-    return tank, {name: [image[name] for image in images] for name in tank.rig}, plan.knowing(record)
+    return tank, {name: [image[name] for image in images] for name in tank.rig}, plan.with_prior(record)
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +50,8 @@ def errors(cube, tank):
 def test_six_frames_are_taken_where_waves_turn_slowly_only(fast, cube):
     tank, frames, plan = fast
     assert plan.record.path_frames == 6
-    assert Record.from_dict(plan.record.to_dict()) == plan.record
-    four = measure(frames, plan.knowing(replace(plan.record, path_frames=4)), RATE)
+    assert LearnedRecord.from_dict(plan.record.to_dict()) == plan.record
+    four = measure(frames, plan.with_prior(replace(plan.record, path_frames=4)), RATE)
     six, other = errors(cube, tank), errors(four, tank)
     for name in six:
         assert six[name] < 0.85 * other[name], name
@@ -72,7 +72,7 @@ def test_beside_a_lost_frame_paths_have_four(fast, cube):
     _, frames, plan = fast
     lost = {name: [None, *images[1:]] for name, images in frames.items()}
     out = measure(lost, plan, RATE)
-    four = measure(lost, plan.knowing(replace(plan.record, path_frames=4)), RATE)
+    four = measure(lost, plan.with_prior(replace(plan.record, path_frames=4)), RATE)
     for name in (*NAMES, "w_std"):
         np.testing.assert_array_equal(out[name][0], four[name][0])
         np.testing.assert_array_equal(out[name][1:], cube[name][1:])
@@ -88,6 +88,6 @@ def test_a_knock_is_not_spread_along_paths(fast):
     knocked["cam1"][5] = cv2.warpAffine(image, moved, image.shape[::-1], flags=cv2.INTER_LANCZOS4)
     six = {name: images[:6] for name, images in knocked.items()}
     out = measure(six, plan, RATE)
-    four = measure(six, plan.knowing(replace(plan.record, path_frames=4)), RATE)
+    four = measure(six, plan.with_prior(replace(plan.record, path_frames=4)), RATE)
     for name in (*NAMES, "z", "quality"):
         np.testing.assert_array_equal(out[name], four[name])

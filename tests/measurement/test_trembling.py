@@ -89,7 +89,7 @@ def test_two_cameras_of_which_one_trembles_along_their_line_are_not_believed_eit
         moved = np.array([[1.0, 0.0, rng.normal(0, 0.2)], [0.0, 1.0, 0.0]])
         frames["cam1"][k] = cv2.warpAffine(image, moved, image.shape[::-1], flags=cv2.INTER_LANCZOS4)
     known = tuple(prior for prior in plan.record.displacement if prior[0] in frames)
-    two = Plan(rig, series.grid).knowing(replace(plan.record, displacement=known))
+    two = Plan(rig, series.grid).with_prior(replace(plan.record, displacement=known))
     still, out = (measure(f, two, RATE) for f in (steady, frames))
     measured = series.inside & ((out["quality"][0] & Quality.MEASURED) > 0)
     assert measured.sum() > 0.5 * series.inside.sum()

@@ -8,7 +8,7 @@ import zarr
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.images import read_image
-from wavefield.series.readers import Entry as ImageEntry
+from wavefield.series.readers import FrameEntry as ImageEntry
 from wavefield.series.readers import close_files, count_images, read_entry
 
 COUNT, ROWS, COLUMNS = 6, 48, 64

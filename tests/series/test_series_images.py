@@ -7,7 +7,7 @@ import tifffile
 
 from wavefield.errors import FrameError
 from wavefield.images import plain_tiff, read_image, write_image
-from wavefield.series.frames import judge_content
+from wavefield.series.frames import check_content
 
 
 @pytest.fixture
@@ -136,7 +136,7 @@ def test_a_truncated_file_is_named_by_us_alone(tmp_path, picture, capfd, name):
 def test_an_image_with_pixels_that_are_no_numbers_is_not_measured(value):
     image = np.linspace(0, 1, 400, dtype=np.float32).reshape(20, 20)
     image[3, 4] = value
-    frame = judge_content(image, "cam1 frame 7")
+    frame = check_content(image, "cam1 frame 7")
     assert frame.image is None
     assert frame.message == "cam1 frame 7 has 1 pixels that are not finite numbers"
 

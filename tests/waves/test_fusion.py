@@ -23,7 +23,7 @@ def record(measured):
 
 @pytest.fixture(scope="module")
 def fused(measured, record):
-    return wv.fusion(measured, record=record, segment=512)
+    return wv.fused_spectra(measured, record=record, segment=512)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def part(measured):
 @pytest.fixture(scope="module")
 def best(part, fused):
     """The combined time series."""
-    return wv.fuse(part, fused, record=wv.whole_record(part))
+    return wv.fused_series(part, fused, record=wv.whole_record(part))
 
 
 @pytest.fixture(scope="module")
@@ -108,8 +108,8 @@ def test_undone_windows_give_the_truth_to_the_shortest_waves(through_windows):
     cube, true = through_windows
     record = wv.whole_record(cube)
     truth = true.sum("k") * float(true.k[1] - true.k[0])
-    plain = wv.fusion(cube, segment=256, record=record)
-    undone = wv.fusion(cube, segment=256, record=record, gain=box_gain())
+    plain = wv.fused_spectra(cube, segment=256, record=record)
+    undone = wv.fused_spectra(cube, segment=256, record=record, gain=box_gain())
     for method in ("stereo", "w", "fusion"):
         before, after = (reach(out[f"Ez_{method}"], truth) for out in (plain, undone))
         assert after[0] > before[0] + 0.4, method
@@ -138,7 +138,7 @@ def test_what_the_measurement_takes_comes_back_where_half_is_left():
     both = {f"gain_{name}": (("direction", "k"), np.tile(kept(k), (8, 1))) for name in "zw"}
     gain = xr.Dataset(both, {"k": k})
     measured = sea.cube(1024, 50, 64, noise_z=1e-5, noise_dz=1e-5).drop_vars("exact")
-    undone = wv.fusion(measured, segment=256, record=wv.whole_record(measured), gain=gain)
+    undone = wv.fused_spectra(measured, segment=256, record=wv.whole_record(measured), gain=gain)
     true = wv.komega(exact.exact, segment=256).E
     truth = true.sum("k") * float(true.k[1] - true.k[0])
     last = float(wv.dispersion(half, 0.7)) / (2 * np.pi)
@@ -154,7 +154,7 @@ def test_what_the_measurement_takes_comes_back_where_half_is_left():
 
 def test_noise_is_told_from_what_windows_take(through_windows):
     cube, _ = through_windows
-    undone = wv.fusion(cube, segment=256, record=wv.whole_record(cube), gain=box_gain())
+    undone = wv.fused_spectra(cube, segment=256, record=wv.whole_record(cube), gain=box_gain())
     assert float(undone.sigma_z) == pytest.approx(1e-4, rel=0.05)
     assert float(undone.sigma_dz) == pytest.approx(1e-4, rel=0.05)
 
@@ -163,7 +163,7 @@ def test_what_is_not_known_is_masked(through_windows):
     cube, true = through_windows
     gain = box_gain()
     gain = gain.where(gain.k < 90)
-    undone = wv.fusion(cube, segment=256, record=wv.whole_record(cube), gain=gain)
+    undone = wv.fused_spectra(cube, segment=256, record=wv.whole_record(cube), gain=gain)
     assert bool(np.isnan(undone.Ez_komega.sel(k=slice(90, None))).all())
     assert float(undone.range_frequency.max()) < float(wv.dispersion(95, 0.7)) / (2 * np.pi)
     kept = np.isfinite(undone.Ez_komega)
@@ -175,7 +175,7 @@ def test_an_analysis_undoes_the_windows(tmp_path):
     gain = box_gain()
     gain.to_zarr(tmp_path / "gain.zarr", consolidated=False)
     tree = wv.analyze(cube, gain=tmp_path / "gain.zarr", segment=64)
-    alone = wv.fusion(cube, gain=gain, segment=64)
+    alone = wv.fused_spectra(cube, gain=gain, segment=64)
     np.testing.assert_allclose(tree["spectra"].Ez_fusion, alone.Ez_fusion, rtol=1e-6)
     xr.testing.assert_allclose(tree["fusion"].Ez_komega, alone.Ez_komega)
     assert tree.attrs["windows_undone"] != "no"
@@ -203,7 +203,7 @@ def test_spectra_undo_the_gain_that_is_stored_with_the_cube():
             expected = np.where(valid, (1 + (k / half) ** 5) ** 2, 1).reshape(-1, *[1] * (ratio.ndim - 1))
             np.testing.assert_allclose(ratio, np.broadcast_to(expected, ratio.shape), rtol=0.02)
     xr.testing.assert_equal(one.E_k_u, other.E_k_u)
-    np.testing.assert_allclose(other["Ez_fusion"], wv.fusion(cube, gain=stored, segment=64).Ez_fusion)
+    np.testing.assert_allclose(other["Ez_fusion"], wv.fused_spectra(cube, gain=stored, segment=64).Ez_fusion)
     # water at rest: nothing that could be undone
     still = stored.assign(gain_w=0.1 * stored.gain_w)
     assert wv.analyze(cube.merge(still), segment=64).attrs["windows_undone"] == "no"
@@ -211,7 +211,7 @@ def test_spectra_undo_the_gain_that_is_stored_with_the_cube():
 
 def test_integrated_w_is_the_elevation_before_noise():
     quiet = PeriodicSea(n=128).cube(700, 40, 50)
-    out = wv.fusion(quiet, segment=256)
+    out = wv.fused_spectra(quiet, segment=256)
     band = (out.frequency > 1) & (out.frequency < 6)
     ratio = out.Ez_w[band] / out.Ez_stereo[band]
     assert np.abs(ratio.mean() - 1) < 0.01
@@ -224,14 +224,14 @@ def test_integrated_w_is_the_elevation_before_noise():
 @pytest.mark.parametrize("current", [(0.0, 0.0), (0.1, 0.0)])
 def test_integrated_w_is_the_elevation_at_and_below_the_peak_whatever_the_window(current):
     quiet = PeriodicSea(n=128, current=current).cube(700, 40, 50)
-    out = wv.fusion(quiet, segment=64, current=current)
+    out = wv.fused_spectra(quiet, segment=64, current=current)
     strong = (out.Ez_stereo > 0.05 * out.Ez_stereo.max()) & (out.frequency < 2)
     assert int(strong.sum()) >= 4
     for method, asked in (("w", 0.1), ("cross", 0.06), ("fusion", 0.1)):
         ratio = out[f"Ez_{method}"] / out.Ez_stereo
         np.testing.assert_allclose(ratio.where(strong, drop=True), 1, atol=asked)  # 1.3 and .85 before
     # where w holds but what leaks from the peak it is not said to be valid
-    out = wv.fusion(quiet, segment=256, current=current)
+    out = wv.fused_spectra(quiet, segment=256, current=current)
     deep = (out.Ez_stereo < 1e-5 * out.Ez_stereo.max()) & (out.frequency < 0.7) & (out.frequency > 0.2)
     assert bool(deep.any())
     assert not bool(out.valid_w.where(deep, False).any())
@@ -240,7 +240,7 @@ def test_integrated_w_is_the_elevation_at_and_below_the_peak_whatever_the_window
 def test_the_combined_time_series_is_better_than_either(part, fused, best):
     # elevation at mid-time, exact: from the frames by the same sea
     exact = part.exact
-    wiener = wv.fuse(part, fused, gain=fused.wiener, record=wv.whole_record(part))
+    wiener = wv.fused_series(part, fused, gain=fused.wiener, record=wv.whole_record(part))
     # the truth at mid-time: shift frame times by half a step in Fourier space, away from the ends
     lines = np.fft.rfft(exact.values.astype(float), axis=0)
     omega = 2 * np.pi * np.fft.rfftfreq(exact.sizes["time"], 0.05)
@@ -259,7 +259,7 @@ def test_the_combined_time_series_of_still_water_takes_of_either_what_its_weight
     still = fused.assign_attrs(current=(0.0, 0.0))
     few = part.isel(y=slice(0, 8), x=slice(0, 8))
     record = wv.whole_record(few)
-    combined = wv.fuse(few, still, record=record)
+    combined = wv.fused_series(few, still, record=record)
     exact = few.exact
     middle = (9 * (exact[1:-2].values + exact[2:-1].values) - exact[:-3].values - exact[3:].values) / 16
     inner = slice(100, -100)
@@ -269,7 +269,7 @@ def test_the_combined_time_series_of_still_water_takes_of_either_what_its_weight
 
     def mixed(weight, *without):
         cube = few.assign({name: 0 * few[name] for name in without})
-        return wv.fuse(cube, still.assign(weight_z=0 * fused.weight_z + weight), record=record).values
+        return wv.fused_series(cube, still.assign(weight_z=0 * fused.weight_z + weight), record=record).values
 
     by_z, by_w = mixed(1.0), mixed(0.0)
     np.testing.assert_array_equal(mixed(1.0, "w"), by_z)
@@ -289,18 +289,20 @@ def test_the_ends_of_the_combined_series_are_as_good(part, best):
 
 def test_chunks_do_not_matter(measured, fused):
     short = measured.isel(time=slice(0, 700), y=slice(0, 8), x=slice(0, 10)).drop_vars("exact")
-    whole = wv.fuse(short, fused, gain=fused.wiener)
-    lazy = wv.fuse(short.chunk({"time": 211, "x": 5}), fused, gain=fused.wiener)
+    whole = wv.fused_series(short, fused, gain=fused.wiener)
+    lazy = wv.fused_series(short.chunk({"time": 211, "x": 5}), fused, gain=fused.wiener)
     assert dask.is_dask_collection(lazy)
     xr.testing.assert_equal(lazy.compute(), whole)
-    xr.testing.assert_equal(wv.fusion(short.chunk({"time": 90}), segment=128), wv.fusion(short, segment=128))
+    xr.testing.assert_equal(
+        wv.fused_spectra(short.chunk({"time": 90}), segment=128), wv.fused_spectra(short, segment=128)
+    )
 
 
 def test_what_is_missing_is_named(measured, fused):
     with pytest.raises(CubeError, match="no 'w'"):
-        wv.fusion(measured.drop_vars("w"))
+        wv.fused_spectra(measured.drop_vars("w"))
     with pytest.raises(CubeError, match="less than one segment of the fusion"):
-        wv.fuse(measured.isel(time=slice(0, 300)), fused)
+        wv.fused_series(measured.isel(time=slice(0, 300)), fused)
 
 
 def test_a_correction_is_masked_where_it_would_blow_up_noise():
@@ -325,7 +327,9 @@ def found(flowing):
     """Its fusion with the current that is found, and as if the water stood."""
     _, cube, _ = flowing
     record = wv.whole_record(cube)
-    return [wv.fusion(cube, segment=256, record=record, **more) for more in ({}, {"current": (0.0, 0.0)})]
+    return [
+        wv.fused_spectra(cube, segment=256, record=record, **more) for more in ({}, {"current": (0.0, 0.0)})
+    ]
 
 
 def test_elevation_from_w_is_right_on_a_current(flowing, found):
@@ -350,17 +354,19 @@ def test_the_combined_time_series_is_better_than_stereo_on_a_current(flowing, fo
     cube, (out, still) = cube.isel(time=slice(0, 384)), found
     middle = sea.z(0.025, 384, 0.05, 50, 64)
     inner = slice(100, -100), slice(8, -8), slice(8, -8)
-    error, stereo = (float(np.std(z.values[inner] - middle[inner])) for z in (wv.fuse(cube, out), cube.z))
+    error, stereo = (
+        float(np.std(z.values[inner] - middle[inner])) for z in (wv.fused_series(cube, out), cube.z)
+    )
     assert error < 0.7 * stereo
-    assert float(np.std(wv.fuse(cube, still).values[inner] - middle[inner])) > stereo
+    assert float(np.std(wv.fused_series(cube, still).values[inner] - middle[inner])) > stereo
 
 
 def test_the_combined_time_series_is_better_than_stereo_where_waves_outrun_the_frames():
     sea = PeriodicSea(n=128, current=(0.45, 0.0))  # the shortest pass at 9 Hz and more, frames see to 10
     cube = sea.cube(600, 50, 64, noise_z=SIGMA_Z, noise_dz=SIGMA_DZ)
     record = wv.whole_record(cube)
-    out = wv.fusion(cube, segment=256, record=record, current=sea.current)
-    error = wv.fuse(cube, out, record=record) - sea.z(0.025, 600, 0.05, 50, 64)
+    out = wv.fused_spectra(cube, segment=256, record=record, current=sea.current)
+    error = wv.fused_series(cube, out, record=record) - sea.z(0.025, 600, 0.05, 50, 64)
     stereo = cube.z - sea.z(0.025, 600, 0.05, 50, 64)
     whole, inner = slice(100, -100), (slice(100, -100), slice(8, -8), slice(8, -8))
     assert float(error[whole].std()) < 0.96 * float(stereo[whole].std())  # the edges are left to stereo
@@ -372,5 +378,5 @@ def test_an_analysis_takes_the_current_into_account(flowing):
     cube = cube.drop_vars("exact").isel(time=slice(0, 300)).assign(u=cube.w, v=cube.w)
     tree = wv.analyze(cube, segment=128)
     assert tree["fusion"].attrs["current"] == pytest.approx(current, abs=0.003)
-    alone = wv.fusion(cube, segment=128)
+    alone = wv.fused_spectra(cube, segment=128)
     np.testing.assert_allclose(tree["spectra"].Ez_fusion, alone.Ez_fusion, rtol=1e-5)

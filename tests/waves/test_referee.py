@@ -85,7 +85,7 @@ def test_unrelated_seas_of_one_spectrum_exceed_the_level_in_five_percent(spread)
 def test_leakage_of_the_peak_is_not_valid():
     # waves up to 2.5 Hz without noise: beyond them there is but what the window lets through
     waves = random_waves(n=80, lowest=1.0, highest=2.5)
-    out = wv.fusion(linear_cube(waves, 400, 40, 50, dx=0.02, dtype="f8"), segment=100)
+    out = wv.fused_spectra(linear_cube(waves, 400, 40, 50, dx=0.02, dtype="f8"), segment=100)
     for method in ("stereo", "w", "cross", "fusion"):
         valid = out[f"valid_{method}"]
         assert not bool(valid.where(out.frequency > 5.0, False).any()), method
@@ -136,12 +136,13 @@ def test_velocities_along_paths_give_the_same_elevation_as_displacements(frames,
         spectra[0] > 1e-3 * float(spectra[0].max())
     )
     np.testing.assert_allclose(spectra[1].where(band), spectra[0].where(band), rtol=0.01)
-    fused = [wv.fusion(cube, segment=segment) for cube in (two, path)]
+    fused = [wv.fused_spectra(cube, segment=segment) for cube in (two, path)]
     lines = (fused[0].frequency > 1.2) & (fused[0].frequency < 5)
     for name in ("Ez_stereo", "Ez_w", "Ez_cross"):
         np.testing.assert_allclose(fused[1][name][lines], fused[0][name][lines], rtol=0.02)
     series = [
-        wv.fuse(cube, how).isel(time=slice(3 * rate, -3 * rate)) for cube, how in zip((two, path), fused)
+        wv.fused_series(cube, how).isel(time=slice(3 * rate, -3 * rate))
+        for cube, how in zip((two, path), fused)
     ]
     z = waves.on_grid(series[0].time.values, series[0].y.values, series[0].x.values, "z")["z"]
     errors = [float(np.std(found - z)) for found in series]

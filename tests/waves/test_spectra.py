@@ -9,7 +9,7 @@ from waves_cases import GaussianSea, Waves, axes, random_waves, seen
 import wavefield.waves as wv
 from wavefield.errors import CubeError
 from wavefield.waves.estimation import rings, windows
-from wavefield.waves.estimation.segment_correlation import expected_likeness
+from wavefield.waves.estimation.segment_correlation import expected_segment_correlation
 from wavefield.waves.estimation.windowed_dispersion import hann_power
 from wavefield.waves.estimation.windows import interval
 
@@ -145,12 +145,12 @@ def test_the_intervals_of_sums_over_k_and_over_omega_hold_their_truth(spread):
 
 def test_segments_of_waves_of_one_frequency_are_alike():
     white = np.ones((1, 33))
-    assert expected_likeness(white, 39)[0, 16] == pytest.approx(1 + (1 - 1 / 39) / 18, abs=2e-3)
+    assert expected_segment_correlation(white, 39)[0, 16] == pytest.approx(1 + (1 - 1 / 39) / 18, abs=2e-3)
     steep = hann_power(np.arange(33.0) - 10.3)[None]
-    likeness = expected_likeness(steep, 39)[0]
-    assert likeness[8] > 1.5
-    assert (likeness > 1).all()
-    assert (likeness < 5).all()
+    peak_correlation = expected_segment_correlation(steep, 39)[0]
+    assert peak_correlation[8] > 1.5
+    assert (peak_correlation > 1).all()
+    assert (peak_correlation < 5).all()
 
 
 def test_turning_the_sea_changes_the_spectrum_within_its_interval():

@@ -7,7 +7,7 @@ import numpy as np
 
 from wavefield.calibration.least_squares import Whitener, huber, minimise
 from wavefield.calibration.observations import Geometry, Observations
-from wavefield.calibration.parameters import Layout, layout, linearised, moved, predict
+from wavefield.calibration.parameters import ParameterLayout, layout, linearised, moved, predict
 from wavefield.rig.lens import Array
 from wavefield.robust import robust_std
 
@@ -17,7 +17,7 @@ class Fit:
     """Result of a joint fit."""
 
     geometry: Geometry  # Cameras, poses and node offsets
-    layout: Layout  # The parameters
+    layout: ParameterLayout  # The parameters
     covariance: Array  # (p, p): Of the parameters, scaled by the observed scatter
     residual: Array  # (n, 2): Observed less predicted, px
     scale: float  # Scatter of the residuals over their stated uncertainty

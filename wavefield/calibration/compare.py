@@ -19,7 +19,7 @@ SHIFT = 0.1, 0.4  # of a mesh; a view counted from another node is off by a whol
 
 
 @dataclass
-class Agreement:
+class ViewAgreement:
     """What the comparison found."""
 
     # (str, str): (camera, pose) of single views that disagree with all others
@@ -58,7 +58,7 @@ class _Pair:
     good: Mapping[str, bool] = field(default_factory=dict)  # by pose, where they agree
 
 
-def compare(cameras: Mapping[str, Alone], mesh: float) -> Agreement:
+def compare(cameras: Mapping[str, Alone], mesh: float) -> ViewAgreement:
     """Compare the poses of the target that the cameras found each on its own.
 
     With mesh, metres.
@@ -70,7 +70,7 @@ def compare(cameras: Mapping[str, Alone], mesh: float) -> Agreement:
     # the largest company is right; who agrees with none of it is wrong
     agreed = [pair for pair, verdict in met.items() if verdict.agrees]
     company = max((_company(name, agreed) for name in names), key=len, default=[])
-    return Agreement(
+    return ViewAgreement(
         _wrong_views(names, met),
         [name for name in names if name not in company and name not in alone],
         alone,

@@ -39,7 +39,7 @@ class TargetRig:
     mesh: float  # Of the target, m
 
 
-def _look(path: Path, target: Target, size: tuple[int, int] | None) -> TargetPoints | str:
+def _find_in_file(path: Path, target: Target, size: tuple[int, int] | None) -> TargetPoints | str:
     """Find the target in one image; a sentence where it cannot be found."""
     try:
         if path.suffix.lower() in TABLES:
@@ -138,7 +138,9 @@ def calibrate_experiment(
     notes = []
     workers = min(os.cpu_count() or 1, len(jobs), 8)
     with ProcessPoolExecutor(workers, mp_context=start_workers_from(), initializer=_settle) as pool:
-        found = pool.map(_look, [path for _, _, path in jobs], [target] * len(jobs), [None] * len(jobs))
+        found = pool.map(
+            _find_in_file, [path for _, _, path in jobs], [target] * len(jobs), [None] * len(jobs)
+        )
         for done, ((camera, pose, _), points) in enumerate(zip(jobs, found, strict=True), 1):
             if isinstance(points, str):
                 notes.append(points)

@@ -62,8 +62,8 @@ def level_experiment(
     if distance is None and any(np.allclose(loaded[first].centre, loaded[n].centre) for n in others):
         raise RigError("the rig says nothing of where its cameras are: state the distance between them")
     count = len(series[first])
-    looks = min(frames, count)
-    instants = [int((k + 0.5) * count / looks) for k in range(looks)]
+    instants_used = min(frames, count)
+    instants = [int((k + 0.5) * count / instants_used) for k in range(instants_used)]
     matches: list[dict[tuple[str, str], Pixels]] = []
     for done, instant in enumerate(instants, 1):
         images = {name: series[name].read(instant).image for name in names}

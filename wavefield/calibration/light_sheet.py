@@ -58,7 +58,7 @@ class LightSheet:
         )
 
     def _cameras(self) -> str:
-        check, who = self.check, " or ".join(self.check.suspects)
+        check, who = self.check, " or ".join(self.check.faulty_cameras)
         if not who:
             return check.sentence
         text = f"(turned by about {check.angle:.3f} degrees, sight lines missed by {check.misfit:.2f} px)"
@@ -110,8 +110,8 @@ def find_sheet(
     series = experiment.open_frames()
     loaded = experiment.load_rig(rig, series)
     count = min(len(one) for one in series.values())
-    looks = min(frames, count)
-    instants = [int((k + 0.5) * count / looks) for k in range(looks)]
+    instants_used = min(frames, count)
+    instants = [int((k + 0.5) * count / instants_used) for k in range(instants_used)]
     return sheet_of(lambda name, k: series[name].read(k).image, instants, loaded, progress)
 
 
@@ -146,7 +146,7 @@ def sheet_of(
         last = rms
         rig, found, plane = refine_and_level(rig, matches, _STD)
         origin, axes = origin + axes @ np.array([0.0, 0.0, plane.height]), axes @ plane.axes
-        if check is None and not found.moved and found.suspects:
+        if check is None and not found.moved and found.faulty_cameras:
             # what is seen across the parallax may be as much along it, where it passes for the sheet's height
             elsewhere = found.misfit * seen.pixel
         check = check or found
@@ -155,7 +155,7 @@ def sheet_of(
     slope = float(-normal[0] / normal[2]), float(-normal[1] / normal[2])
     height = float(origin @ normal / normal[2])
     note = {"height_m": height, "slope": list(slope), "instants": used, "elsewhere_m": elsewhere}
-    kept = {name: said for name, said in rig.provenance.items() if name != "levelled"}  # that is of water
+    kept = {name: stated for name, stated in rig.provenance.items() if name != "levelled"}  # that is of water
     rig = Rig(rig.cameras, {**kept, "light_sheet": note})
     return LightSheet(rig, height, slope, seen.thickness(), before, rms, check, good, used, elsewhere)
 

@@ -9,7 +9,7 @@ import numpy as np
 from wavefield.calibration.bundle import Fit
 from wavefield.calibration.derived_uncertainty import derive
 from wavefield.calibration.observations import Geometry, Observations
-from wavefield.calibration.parameters import Layout, linearised
+from wavefield.calibration.parameters import ParameterLayout, linearised
 from wavefield.calibration.result import Calibration
 from wavefield.calibration.trust import ENOUGH
 from wavefield.rig import Camera
@@ -115,9 +115,9 @@ def _with_view(
     J = J.reshape(-1, count + 6) / (result.scale * np.repeat(seen.std, 2))[:, None]
     normal = J.T @ J
     a, b = slice(0, count), slice(count, None)
-    told = normal[a, a] - normal[a, b] @ np.linalg.pinv(normal[b, b], hermitian=True) @ normal[b, a]
+    information = normal[a, a] - normal[a, b] @ np.linalg.pinv(normal[b, b], hermitian=True) @ normal[b, a]
     # (C^-1 + L L')^-1 without inverting C, which may be near singular
-    value, vector = np.linalg.eigh(told)
+    value, vector = np.linalg.eigh(information)
     L = vector[:, value > 0] * np.sqrt(value[value > 0])
     CL = result.covariance @ L
     return np.asarray(result.covariance - CL @ np.linalg.solve(np.eye(L.shape[1]) + L.T @ CL, CL.T))
@@ -125,7 +125,7 @@ def _with_view(
 
 def _seen(
     o: Observations, result: Fit, tilt: tuple[float, float], place: tuple[float, float]
-) -> tuple[Observations, Geometry, Layout]:
+) -> tuple[Observations, Geometry, ParameterLayout]:
     # what the cameras would see of the target in one more pose, and geometry and parameters with that pose
     g, p = result.geometry, len(o.poses)
     cameras = [g.camera(c, size) for c, size in enumerate(o.sizes)]
@@ -154,7 +154,7 @@ def _seen(
     plan, count = result.layout, len(result.layout.names)
     own = tuple((count + k, k) for k in range(6))
     names = (*plan.names, *(f"next {k}" for k in range(6)))
-    return seen, more, Layout(names, plan.lens, plan.camera, (*plan.pose, own))
+    return seen, more, ParameterLayout(names, plan.lens, plan.camera, (*plan.pose, own))
 
 
 def _field(cameras: list[Camera], plan: Array) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ from wavefield.rig import Rig
 from wavefield.rig.epipolar import epipolar_distance
 from wavefield.rig.lens import Array
 from wavefield.rig.stereo import triangulate
-from wavefield.rig.water_level import Plane, fit_plane
+from wavefield.rig.water_level import WaterPlane, fit_plane
 from wavefield.robust import robust_std
 
 
@@ -22,7 +22,7 @@ class FlatSurface:
     x: Array  # (n,): Nodes seen by two cameras at least, triangulated from their pixels, metres
     y: Array
     z: Array
-    plane: Plane  # Through them
+    plane: WaterPlane  # Through them
 
     @property
     def rms(self) -> float:

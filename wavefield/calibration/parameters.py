@@ -32,7 +32,7 @@ def _turn(rotation: Array, vector: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class Layout:
+class ParameterLayout:
     """Which parameter moves what."""
 
     names: tuple[str, ...]  # One per parameter, for people
@@ -50,7 +50,7 @@ def layout(
     reference: int,
     flat: Sequence[int] = (),
     placed: Sequence[int] = (),
-) -> Layout:
+) -> ParameterLayout:
     """Lay out the parameters of the joint fit."""
     names: list[str] = []
     lens, camera, pose = [], [], []
@@ -66,10 +66,10 @@ def layout(
         free = [] if held else [2, 3, 4] if p in flat else list(range(6))
         pose.append(tuple((len(names) + k, which) for k, which in enumerate(free)))
         names += [f"{name} {('R1', 'R2', 'R3', 'x', 'y', 'z')[which]}" for which in free]
-    return Layout(tuple(names), tuple(lens), tuple(camera), tuple(pose))
+    return ParameterLayout(tuple(names), tuple(lens), tuple(camera), tuple(pose))
 
 
-def moved(start: Geometry, plan: Layout, x: Array) -> Geometry:
+def moved(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
     """The geometry at given parameters, counted from a start.
 
     With x (p,).
@@ -111,7 +111,7 @@ def predict(geometry: Geometry, observations: Observations) -> Array:
 
 
 def linearised(
-    start: Geometry, plan: Layout, x: Array, observations: Observations
+    start: Geometry, plan: ParameterLayout, x: Array, observations: Observations
 ) -> tuple[Array, Array, Array]:
     """Pixels predicted at given parameters, with derivatives.
 

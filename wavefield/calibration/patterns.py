@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from wavefield.calibration.blobs import centroid_bias, centroids, find_blobs, mesh_length
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.target import Target
-from wavefield.calibration.target_lattice import Candidates, Lattice, SmoothMap
+from wavefield.calibration.target_lattice import Candidates, SmoothMap, TargetLattice
 from wavefield.errors import CalibrationError
 
 Array = NDArray[np.float64]
@@ -279,12 +279,12 @@ def make_points(
 # -- dots ---------------------------------------------------------------------------------------------
 
 
-def _dot_lattice(blobs: Array, area: Array, size: tuple[int, int]) -> Lattice | None:
+def _dot_lattice(blobs: Array, area: Array, size: tuple[int, int]) -> TargetLattice | None:
     """The largest lattice grown from blobs near the middle and their nearest neighbours."""
     if len(blobs) < 9:
         return None
     tree = cKDTree(blobs)
-    best: Lattice | None = None
+    best: TargetLattice | None = None
     for k in np.argsort(np.hypot(*(blobs - np.median(blobs, 0)).T))[:6]:
         _, near = tree.query(blobs[k], min(9, len(blobs)))
         arms = blobs[near[1:]] - blobs[k]
@@ -292,7 +292,7 @@ def _dot_lattice(blobs: Array, area: Array, size: tuple[int, int]) -> Lattice | 
             cross = arms[0][0] * arms[b][1] - arms[0][1] * arms[b][0]
             if abs(cross) < 0.3 * np.hypot(*arms[0]) * np.hypot(*arms[b]):
                 continue
-            lattice = Lattice(blobs[k], arms[0], arms[b])
+            lattice = TargetLattice(blobs[k], arms[0], arms[b])
             lattice.grow(Candidates(blobs, area, 1.0), size)
             if best is None or len(lattice) > len(best):
                 best = lattice

@@ -16,7 +16,7 @@ from wavefield.calibration.observations import Geometry, Observations, collect
 from wavefield.calibration.result import Calibration
 from wavefield.calibration.start import Alone, mean_rotation
 from wavefield.calibration.target import Target
-from wavefield.calibration.trust import judge
+from wavefield.calibration.trust import assess_rig
 from wavefield.calibration.trust import provenance as own_provenance
 from wavefield.calibration.views import Views, agreeing, each_alone, sound_views
 from wavefield.rig import Rig
@@ -107,7 +107,7 @@ def calibrate(
         observations, geometry, frame, terms_of(model), target_std, findings
     )
     derived = derive(observations, result, frame.level)
-    judge(observations, result, derived, target_std, camera_distance or {}, findings)
+    assess_rig(observations, result, derived, target_std, camera_distance or {}, findings)
     cameras = {
         name: result.geometry.camera(c, observations.sizes[c]) for c, name in enumerate(observations.cameras)
     }

@@ -13,13 +13,13 @@ from scipy.special import gammaincinv
 
 from wavefield.calibration.least_squares import minimise
 from wavefield.calibration.observations import Geometry, Observations
-from wavefield.calibration.parameters import TERMS, Layout, layout, linearised, moved
+from wavefield.calibration.parameters import TERMS, ParameterLayout, layout, linearised, moved
 from wavefield.errors import CalibrationError
 from wavefield.rig import Rig
 from wavefield.rig.epipolar import epipolar_distance
 from wavefield.rig.lens import LENS, Array
 from wavefield.rig.stereo import jacobians, solve_displacement, triangulate
-from wavefield.rig.water_level import Plane, level
+from wavefield.rig.water_level import WaterPlane, level
 from wavefield.robust import robust_std
 
 MOST = 3000  # matches used: more tell no more
@@ -47,7 +47,7 @@ class RigCheck:
     expected: float  # What it would be if no camera had moved, px: with all cameras free to move
     # The camera that has moved; None if none has, or if several fit alike (see ``suspects``)
     moved: str | None
-    suspects: tuple[str, ...]  # Cameras whose motion explains the misfit about equally well
+    faulty_cameras: tuple[str, ...]  # Cameras whose motion explains the misfit about equally well
     angle: float  # By how much the moved camera has turned, degrees
     sentence: str  # All this for a person
     refused: bool = False  # Whether the rig is beyond mending by matches: `refine` leaves it as it is
@@ -198,16 +198,16 @@ class _Problem:
         return float(np.median(norm / median))
 
 
-def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[Layout, Array]:
+def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[ParameterLayout, Array]:
     """Parameters of the cameras and their covariance, from the calibration if the rig carries it."""
     stated = rig.provenance.get("covariance")
-    wanted: dict[str, list[str]] = {name: [] for name in names}
+    requested: dict[str, list[str]] = {name: [] for name in names}
     if stated:
         for parameter in stated["parameters"]:
             name, what = parameter.rsplit(" ", 1)
-            if name in wanted and what in FREE:
-                wanted[name].append(what)
-    plan = layout(observations, [_terms(wanted[name]) for name in names], 0)
+            if name in requested and what in FREE:
+                requested[name].append(what)
+    plan = layout(observations, [_terms(requested[name]) for name in names], 0)
     covariance = np.zeros((len(plan.names), len(plan.names)))
     if stated:
         known = {parameter: k for k, parameter in enumerate(stated["parameters"])}
@@ -267,13 +267,13 @@ def _check(problem: _Problem) -> tuple[RigCheck, dict[str | None, tuple[Array, f
     motion = {name: problem.turn(found[name][0], name) for name in problem.names}
     # a turn that would move the image much further than it mends, but for a shift that undoes it, is no
     # knock: matches do not tell the two apart
-    mended = {name: np.sqrt(max(before**2 - found[name][1] ** 2, 0.0)) for name in problem.names}
-    told = [name for name in problem.names if motion[name] < FAR * mended[name]]
-    best = min(told or problem.names, key=lambda name: chi2[name])
+    repaired = {name: np.sqrt(max(before**2 - found[name][1] ** 2, 0.0)) for name in problem.names}
+    movable = [name for name in problem.names if motion[name] < FAR * repaired[name]]
+    best = min(movable or problem.names, key=lambda name: chi2[name])
     gain = chi2[None] - chi2[best]
     # what no knock explains, and is less than a match's own error, is nothing
-    meet = before < 1.1 * expected or (not told and before < problem.std)
-    if not told and gain >= ALIKE and not meet:
+    meet = before < 1.1 * expected or (not movable and before < problem.std)
+    if not movable and gain >= ALIKE and not meet:
         angle = problem.angle(found[best][0], best)
         text = (
             f"sight lines miss by {before:.2f} px; turning {best} by {angle:.2f} degrees would mend "
@@ -286,28 +286,29 @@ def _check(problem: _Problem) -> tuple[RigCheck, dict[str | None, tuple[Array, f
         if misfit_as_it_is > UNLIKE:
             text = f"sight lines miss by {misfit_as_it_is:.2f} px, and no camera has moved: {_OTHERWISE}"
         return RigCheck(misfit_as_it_is, expected, None, (), 0.0, text), found
-    suspects = tuple(n for n in told if chi2[n] - chi2[best] < max(ALIKE, 1e-4 * gain))
-    return _verdict(problem, found, best, suspects, misfit_as_it_is, expected), found
+    faulty_cameras = tuple(n for n in movable if chi2[n] - chi2[best] < max(ALIKE, 1e-4 * gain))
+    return _verdict(problem, found, best, faulty_cameras, misfit_as_it_is, expected), found
 
 
 def _verdict(
     problem: _Problem,
     found: Mapping[str | None, tuple[Array, float, float]],
     best: str,
-    suspects: tuple[str, ...],
+    faulty_cameras: tuple[str, ...],
     before: float,
     after: float,
 ) -> RigCheck:
     angle = problem.angle(found[best][0], best)
     if after > max(0.5 * before, UNLIKE):
         text = f"sight lines miss by {before:.2f} px, and by {after:.2f} px with one turned: {_OTHERWISE}"
-        return RigCheck(before, after, None, suspects, angle, text)
+        return RigCheck(before, after, None, faulty_cameras, angle, text)
     text = (
-        f"{' or '.join(suspects)} has moved since the calibration (turned by about {angle:.3f} degrees): "
+        f"{' or '.join(faulty_cameras)} has moved since the calibration (turned by about {angle:.3f} "
+        f"degrees): "
         f"sight lines miss by {before:.2f} px, and by {after:.2f} px once that is mended; "
         "refine the rig from a record at rest"
     )
-    return RigCheck(before, after, best if len(suspects) == 1 else None, suspects, angle, text)
+    return RigCheck(before, after, best if len(faulty_cameras) == 1 else None, faulty_cameras, angle, text)
 
 
 def _misfit_at_start(problem: _Problem) -> float:
@@ -339,7 +340,9 @@ def refine(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig, RigCheck]
     if verdict.refused:
         return rig, verdict
     # where several cameras may be at fault, all of them are set free: the prior shares the motion out
-    solution = problem.solve(verdict.suspects) if len(verdict.suspects) > 1 else found[verdict.moved]
+    solution = (
+        problem.solve(verdict.faulty_cameras) if len(verdict.faulty_cameras) > 1 else found[verdict.moved]
+    )
     return _refined(problem, solution, verdict), verdict
 
 
@@ -348,13 +351,13 @@ def _refined(problem: _Problem, solution: tuple[Array, float, float], verdict: R
     note = {
         "misfit_before_px": verdict.misfit,
         "misfit_after_px": after,
-        "moved": list(verdict.suspects),
+        "moved": list(verdict.faulty_cameras),
         "matches": problem.n,
     }
     return Rig(problem.rig_at(x).cameras, {**problem.rig.provenance, "refined": note})
 
 
-def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig, RigCheck, Plane]:
+def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig, RigCheck, WaterPlane]:
     """Refine a rig from a record at rest, and bring z = 0 to the water's plane.
 
     Parameters
@@ -375,7 +378,7 @@ def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig,
     verdict, found = _check(problem)
     candidates: dict[str | None, Rig] = {None: rig}
     if not verdict.refused:
-        names = verdict.suspects or (None,)
+        names = verdict.faulty_cameras or (None,)
         candidates = {name: _refined(problem, found[name], verdict) for name in names}
     levelled = {name: level(new, *sight_points(new, matches)[:3]) for name, new in candidates.items()}
     tilt = {name: float(np.hypot(*plane.slope)) for name, (_, plane) in levelled.items()}
@@ -383,8 +386,8 @@ def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig,
     if len(tilt) > 1:
         # sight lines alone do not tell these apart; but the target lay on the water, so the wrong
         # explanation tilts the water's plane
-        suspects = tuple(name for name in verdict.suspects if tilt[name] < 3.0 * tilt[best])
-        verdict = _verdict(problem, found, str(best), suspects, verdict.misfit, verdict.expected)
+        faulty_cameras = tuple(name for name in verdict.faulty_cameras if tilt[name] < 3.0 * tilt[best])
+        verdict = _verdict(problem, found, str(best), faulty_cameras, verdict.misfit, verdict.expected)
     return levelled[best][0], verdict, levelled[best][1]
 
 

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.subpixel import WIDTH1, WIDTH2, Crossings, fit_crossings, start_parameters
 from wavefield.calibration.target import Target
-from wavefield.calibration.target_lattice import REACH, Candidates, Lattice, SmoothMap, crossings
+from wavefield.calibration.target_lattice import REACH, Candidates, SmoothMap, TargetLattice, crossings
 from wavefield.errors import CalibrationError
 
 Array = NDArray[np.float64]
@@ -54,9 +54,9 @@ _NONE = (
 # -- the lattice --------------------------------------------------------------------------------------
 
 
-def _best_lattice(image: NDArray[np.float32]) -> tuple[Lattice, float]:
+def _best_lattice(image: NDArray[np.float32]) -> tuple[TargetLattice, float]:
     """The lattice whose meshes run along the most light, and the scale of its candidates."""
-    best: Lattice | None = None
+    best: TargetLattice | None = None
     best_scale, most = SCALES[0], 0.0
     size = image.shape[::-1]
     for scale in SCALES:
@@ -64,7 +64,7 @@ def _best_lattice(image: NDArray[np.float32]) -> tuple[Lattice, float]:
         if len(candidates.pixel) < FEWEST:
             continue
         for start, e1, e2 in _seeds(image, candidates):
-            lattice = Lattice(start, e1, e2)
+            lattice = TargetLattice(start, e1, e2)
             lattice.grow(candidates, size)
             if len(lattice) < FEWEST:
                 continue
@@ -78,7 +78,7 @@ def _best_lattice(image: NDArray[np.float32]) -> tuple[Lattice, float]:
     return best, best_scale
 
 
-def _light_along(image: NDArray[np.float32], lattice: Lattice) -> float:
+def _light_along(image: NDArray[np.float32], lattice: TargetLattice) -> float:
     """Light on the lines between neighbouring nodes above that beside them, summed over their length.
 
     A lattice that noise or dirt suggests has many nodes, but no strings between them.

@@ -208,7 +208,7 @@ def _centre_variance(a: Array, chi: float, out: Array) -> bool:
 
 
 @compiled()
-def _look(
+def _evaluate(
     pixels: Array,
     p: Array,
     angles: Pair,
@@ -294,7 +294,7 @@ def _fit_one(
             break
     if not _centre_variance(a, chi, covariance):
         return -1.0
-    _look(pixels, p, angles, blur, misses, spread, arms, noise)
+    _evaluate(pixels, p, angles, blur, misses, spread, arms, noise)
     return chi
 
 

@@ -94,7 +94,7 @@ def _windows(table: Array, node: NDArray[np.int64]) -> Array:
     return out
 
 
-class Lattice:
+class TargetLattice:
     """Positions of nodes over a square of indices, grown outwards from a seed.
 
     With start (2,); e1, e2 (2,).

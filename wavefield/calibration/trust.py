@@ -16,7 +16,7 @@ from wavefield.calibration.result import Calibration
 ENOUGH = 0.3  # px: a camera known less well than this is not used
 
 
-def judge(
+def assess_rig(
     o: Observations,
     result: Fit,
     derived: Derived,

@@ -14,7 +14,7 @@ from wavefield.calibration.blobs import centroid_bias, centroids, find_blobs
 from wavefield.calibration.patterns import make_points
 from wavefield.calibration.points import TargetPoints
 from wavefield.calibration.target import Target
-from wavefield.calibration.target_lattice import Candidates, Lattice, SmoothMap
+from wavefield.calibration.target_lattice import Candidates, SmoothMap, TargetLattice
 from wavefield.errors import CalibrationError
 
 Array = NDArray[np.float64]
@@ -97,7 +97,7 @@ def _first_level(centre: Array, area: Array, size: tuple[int, int]) -> _Level | 
     best, most = None, 0
     for k in np.argsort(np.hypot(*(centre - np.median(centre, 0)).T))[:5]:
         for e1, e2 in _arms(centre, tree, int(k)):
-            lattice = Lattice(centre[k], e1, e2)
+            lattice = TargetLattice(centre[k], e1, e2)
             lattice.grow(Candidates(centre, area, 1.0), size)
             if len(lattice) <= max(most, FEWEST - 1):
                 continue

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wavefield.calibration.compare import Agreement, compare, mirrored
+from wavefield.calibration.compare import ViewAgreement, compare, mirrored
 from wavefield.calibration.findings import Findings
 from wavefield.calibration.observations import collect
 from wavefield.calibration.points import TargetPoints
@@ -111,7 +111,7 @@ def agreeing(alone: dict[str, Alone], good: Good, mesh: float, findings: Finding
     With mesh, metres.
     """
     agreement = compare(alone, mesh)
-    _tell_disagreement(agreement, alone, mesh, findings)
+    _remark_on_disagreement(agreement, alone, mesh, findings)
     for name, pose in agreement.wrong_views:
         findings.leave_out(
             name,
@@ -130,8 +130,8 @@ def agreeing(alone: dict[str, Alone], good: Good, mesh: float, findings: Finding
     return together
 
 
-def _tell_disagreement(
-    agreement: Agreement, alone: Mapping[str, Alone], mesh: float, findings: Findings
+def _remark_on_disagreement(
+    agreement: ViewAgreement, alone: Mapping[str, Alone], mesh: float, findings: Findings
 ) -> None:
     trusted = [n for n in alone if n not in agreement.wrong_cameras]
     for name in agreement.wrong_cameras:

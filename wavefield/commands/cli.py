@@ -34,7 +34,7 @@ Your own data:  wavefield calibrate experiment.yaml
     is_flag=True,
     is_eager=True,
     expose_value=False,
-    callback=lambda context, option, asked: _say_version(context) if asked else None,
+    callback=lambda context, option, asked: _print_version(context) if asked else None,
     help="Show the version and exit.",
 )
 @click.option("-q", "--quiet", is_flag=True, help="Only results, warnings and errors; no progress.")
@@ -76,7 +76,7 @@ for _command in (
     cli.add_command(_command)
 
 
-def _say_version(context: click.Context) -> None:
+def _print_version(context: click.Context) -> None:
     click.echo(f"wavefield {wavefield.__version__}")  # asking for it takes longer than all of --help
     context.exit()
 

@@ -15,7 +15,7 @@ from wavefield.commands.progress import Progress
 if TYPE_CHECKING:
     from wavefield.measurement.diagnostics import Diagnosis
     from wavefield.pipeline import Check
-    from wavefield.pipeline.prepare import Prepared
+    from wavefield.pipeline.prepare import PreparedRun
     from wavefield.series import Experiment
 
 _FILE = click.Path(exists=True, path_type=Path)
@@ -73,7 +73,7 @@ def check(
         if as_json:
             click.echo(json.dumps(found.to_dict(), indent=1, default=str))
             context.exit(found.exit_status)
-        _say(found, source, rig, workflow, pairs)
+        _report(found, source, rig, workflow, pairs)
         context.exit(found.exit_status)
     from wavefield.pipeline.catalog import find_experiment, runs_of
 
@@ -84,7 +84,7 @@ def check(
         with Progress(f"Looking at {run}"):
             seen[run] = pipeline.check(experiment, rig, workflow)
         if not as_json:
-            _say(seen[run], experiment, rig, workflow, pairs)
+            _report(seen[run], experiment, rig, workflow, pairs)
         return seen[run].exit_status
 
     status_of_all = campaign_commands.each(runs, work, quiet=as_json)
@@ -96,7 +96,7 @@ def check(
     context.exit(status_of_all)
 
 
-def _say(
+def _report(
     found: Check, experiment: Path | Experiment, rig: Path | None, workflow: Path | None, pairs: bool
 ) -> None:
     click.echo(str(found))
@@ -112,7 +112,7 @@ def _say(
         click.echo(f"  clocks, by more instants: {sentence(synchrony_of(prepared)[0])}")
 
 
-def _reader(prepared: Prepared) -> Callable[[str, int], Any]:
+def _reader(prepared: PreparedRun) -> Callable[[str, int], Any]:
     return lambda camera, frame: prepared.series[camera].read_uncovered(frame)
 
 
@@ -133,7 +133,7 @@ def _probes_line(source: Path | Experiment) -> str:
     return f"{names}, from {clock[0]:g} to {clock[-1]:g} s; frames from {times[0]:g} to {times[-1]:g} s"
 
 
-def _pairs_table(prepared: Prepared) -> str:
+def _pairs_table(prepared: PreparedRun) -> str:
     """What `diagnose` finds around the middle of the record, a line per error."""
     from wavefield.measurement.diagnostics import diagnose_around
     from wavefield.rig.resolution import pixel_size
@@ -315,12 +315,12 @@ def run(
         how: dict[str, Any] = {"rig": rig, "workflow": workflow}
         if campaign_commands.is_campaign(source, entries, parameters):
 
-            def tell(done: int, total: int, sentence: str) -> None:
+            def report_progress(done: int, total: int, sentence: str) -> None:
                 progress.stage = f"Measuring {sentence.split(':')[0]}"  # which run of how many
                 progress(done, total)
 
             states = pipeline.run_catalog(
-                source, entries, output, parameters=parameters, progress=tell, **how
+                source, entries, output, parameters=parameters, progress=report_progress, **how
             )
         else:
             states = [

@@ -47,21 +47,21 @@ def look(source: Path, run: str | None, waves: Path | None, port: int | None, op
     Of a catalog name the RUN, unless only one has a cube.
     """
     from wavefield.errors import StoreError
-    from wavefield.explorer.context import find_beside
-    from wavefield.explorer.cube_record import Record
-    from wavefield.explorer.look_page import Looked
-    from wavefield.explorer.server import look_server
+    from wavefield.explorer.context import find_context
+    from wavefield.explorer.cube_record import CubeRecord
+    from wavefield.explorer.look_page import LookSession
+    from wavefield.explorer.server import session_server
     from wavefield.store.blocks import check_blocks
 
-    record = Record(_cube_of(source, run))
+    record = CubeRecord(_cube_of(source, run))
     try:
         check_blocks(record.path, record.group, record.layout)
     except StoreError as error:  # the page shows the rest
         click.echo(f"note: {error}", err=True)
     give_way(record.layout.steps - record.steps_done)
-    looked = Looked(record, find_beside(record, waves))
-    server = look_server(looked, port)
-    looked.load()
+    session = LookSession(record, find_context(record, waves))
+    server = session_server(session, port)
+    session.load()
     server.start()
     announce(f"http://localhost:{server.port}/", int(server.port or 0), open_page)
     try:

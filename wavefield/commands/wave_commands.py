@@ -165,11 +165,11 @@ def report(
         context.exit(work(campaign_commands.one_cube(source), output))
     if waves:
         raise click.UsageError("the waves of a campaign lie beside its cubes; leave out --waves")
-    from wavefield.reports.campaign_page import Entry, compare
+    from wavefield.reports.campaign_page import CampaignEntry, compare
 
     cubes = campaign_commands.cubes_of(source, entries, parameters)
     found = campaign_commands.each(cubes, campaign_commands.with_cube(work))
-    page = compare(source.stem, [Entry(*one) for one in cubes], output or source.with_suffix(".html"))
+    page = compare(source.stem, [CampaignEntry(*one) for one in cubes], output or source.with_suffix(".html"))
     click.echo(f"Wrote {page}, which compares {len(cubes)} runs; open it in a browser.")
     context.exit(found)
 

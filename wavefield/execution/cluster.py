@@ -41,7 +41,7 @@ def open_cluster(
     logs: Path | None = None,
     ahead: bool = False,
     lasting: bool = False,
-    forked: str = "wavefield.pipeline.worker_imports",
+    preloaded: str = "wavefield.pipeline.worker_imports",
 ) -> Iterator[MapUnordered]:
     """Give a function that maps work over items on workers that come and go with it."""
     count = count_workers(workflow)
@@ -49,7 +49,7 @@ def open_cluster(
     if workflow.cluster == "none" or (workflow.cluster == "local" and count == 1 and not watched):
         yield _map_here
     elif workflow.cluster == "local" and not watched:
-        with Pool(count, workflow.memory_bytes, lasting, forked) as pool:
+        with Pool(count, workflow.memory_bytes, lasting, preloaded) as pool:
             if ahead:
                 pool.start()
             yield pool.map_unordered

@@ -20,13 +20,13 @@ from wavefield.execution.dask_settings import (
     configured,
     dashboard_address,
     dask_settings,
+    needs_tls,
     of_jobqueue,
     temporary_credentials,
-    wants_tls,
 )
-from wavefield.execution.deferred_signals import undisturbed
+from wavefield.execution.deferred_signals import deferred_signals
 from wavefield.execution.pool import portable
-from wavefield.execution.slurm_queue import Watch
+from wavefield.execution.slurm_queue import QueueWatch
 from wavefield.execution.worker_settings import settle_worker
 from wavefield.execution.workflow import Workflow
 
@@ -34,7 +34,7 @@ log = logging.getLogger("wavefield.run")
 Look = Callable[[], None]
 
 _SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
-_LOOK_AFTER = 2.0  # seconds without news after which the workers are looked after
+_POLL_SECONDS = 2.0  # seconds without news after which the workers are looked after
 _HELD = 2  # tasks that the scheduler holds for each worker: one at work, one ready
 _MOST_TOGETHER = 8  # items in a task
 _TASKS_LEFT = 16  # for each worker: with fewer to come, tasks become smaller, so that all end together
@@ -94,9 +94,9 @@ def open_dask_cluster(
 
 
 def _start(workflow: Workflow, count: int, logs: Path, stack: ExitStack) -> tuple[Any, Look]:
-    with undisturbed():  # what is closed while it starts prints tracebacks from other threads
+    with deferred_signals():  # what is closed while it starts prints tracebacks from other threads
         settings = dask_settings(workflow)
-        if wants_tls(workflow):
+        if needs_tls(workflow):
             secrets = stack.enter_context(temporary_credentials(logs))
             settings = _merged(secrets, settings)
         stack.enter_context(configured(settings))
@@ -140,7 +140,7 @@ def _connect(
         fewest, most = slurm.count_jobs(workflow)
         cluster.adapt(minimum_jobs=fewest, maximum_jobs=most)  # jobs that end or die are asked for again
         log.info("asked Slurm for %d jobs; the run begins when the first starts", fewest)
-        watch = Watch(cluster, Path(workflow.slurm.get("log_directory", logs)))
+        watch = QueueWatch(cluster, Path(workflow.slurm.get("log_directory", logs)))
     elif workflow.cluster == "dask":
         cluster = stack.enter_context(_deploy(workflow, settings))
     else:
@@ -197,11 +197,11 @@ class _Patience:
     """Says, once, that a scheduler has no workers."""
 
     def __init__(self, client: Any, address: str) -> None:
-        self._client, self._address, self._said = client, address, False
+        self._client, self._address, self._reported = client, address, False
 
     def __call__(self) -> None:
-        if not self._said and not self._client.nthreads():
-            self._said = True
+        if not self._reported and not self._client.nthreads():
+            self._reported = True
             log.warning(
                 "the scheduler at %s has no workers; the run begins when the first is started: "
                 "`dask worker %s --nthreads 1`",
@@ -227,7 +227,7 @@ def _map_on(
             if "cancelled" in gone or (gone and client.status != "running"):
                 raise lost
             if done:
-                with undisturbed():
+                with deferred_signals():
                     results = tasks.fetch(done)
                     tasks.submit()
                 for index, result in results:
@@ -276,7 +276,7 @@ class _Tasks:
     def wait(self) -> list[Any]:
         """Tasks that have ended; none if nothing happens for a while."""
         try:
-            done = [self._news.get(timeout=_LOOK_AFTER)]
+            done = [self._news.get(timeout=_POLL_SECONDS)]
         except queue.Empty:
             return []
         while not self._news.empty():

@@ -66,7 +66,7 @@ def of_jobqueue(workflow: Workflow) -> bool:
     return (workflow.deploy or "").startswith("dask_jobqueue.")
 
 
-def wants_tls(workflow: Workflow) -> bool:
+def needs_tls(workflow: Workflow) -> bool:
     """Whether client, scheduler and workers talk through TLS, with credentials made for this run."""
     if workflow.security == "auto":
         open_ports = workflow.deploy == "distributed.SSHCluster" or of_jobqueue(workflow)

@@ -8,7 +8,7 @@ from types import FrameType
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
+def deferred_signals() -> Iterator[None]:
     """Put off the signals that stop a run until a call is over; a second one is heard at once.
 
     A call of distributed that is interrupted before it began prints a traceback from another thread, and
@@ -19,14 +19,14 @@ def undisturbed() -> Iterator[None]:
         return
     names = [name for name in ("SIGINT", "SIGTERM", "SIGUSR1", "SIGALRM") if hasattr(signal, name)]
     before = {number: signal.getsignal(number) for number in (getattr(signal, name) for name in names)}
-    heard: list[int] = []
+    received: list[int] = []
 
     def later(number: int, frame: FrameType | None) -> None:
-        heard.append(number)
-        if len(heard) > 1:
-            tell(number, frame)
+        received.append(number)
+        if len(received) > 1:
+            report_progress(number, frame)
 
-    def tell(number: int, frame: FrameType | None) -> None:
+    def report_progress(number: int, frame: FrameType | None) -> None:
         handler = before[signal.Signals(number)]
         if callable(handler):
             handler(number, frame)
@@ -39,5 +39,5 @@ def undisturbed() -> Iterator[None]:
     finally:
         for number in ours:
             signal.signal(number, before[number])
-    if heard:
-        tell(heard[0], None)
+    if received:
+        report_progress(received[0], None)

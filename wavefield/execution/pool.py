@@ -23,12 +23,12 @@ from multiprocessing.process import BaseProcess
 from typing import Any, Self
 
 from wavefield.errors import StoreError
-from wavefield.execution.deferred_signals import undisturbed
+from wavefield.execution.deferred_signals import deferred_signals
 from wavefield.execution.worker_settings import settle_worker
 
 _MOST_DEATHS = 3  # of workers over one item: it is the item
 _WORK, _ITEM = b"w", b"i"  # what a message to a worker begins with
-_LOOK_AFTER = 1.0  # seconds between looks at the memory of the workers
+_POLL_SECONDS = 1.0  # seconds between looks at the memory of the workers
 
 
 @dataclass(eq=False)
@@ -46,9 +46,9 @@ class Pool:
         count: int,
         memory: int | None = None,
         lasting: bool = False,
-        forked: str = "wavefield.pipeline.worker_imports",
+        preloaded: str = "wavefield.pipeline.worker_imports",
     ) -> None:
-        self._count, self._memory, self._lasting, self._forked = count, memory, lasting, forked
+        self._count, self._memory, self._lasting, self._preloaded = count, memory, lasting, preloaded
         self._workers: list[_Worker] = []
         self._starter: ThreadPoolExecutor | None = None
         self._started: Future[None] | None = None
@@ -66,7 +66,7 @@ class Pool:
         """Start the processes, without waiting for them."""
         if self._started is None:
             if self._context.get_start_method() == "forkserver":
-                self._context.set_forkserver_preload([self._forked])
+                self._context.set_forkserver_preload([self._preloaded])
             self._starter = ThreadPoolExecutor(1)
             self._started = self._starter.submit(self._start_all)
 
@@ -74,7 +74,7 @@ class Pool:
         """End the processes, whatever they are doing: a block is written whole or not at all."""
         if self._starter is None:
             return
-        with undisturbed():
+        with deferred_signals():
             self._starter.shutdown(wait=True)  # or it would start processes that nobody ends
             for worker in self._workers:
                 worker.process.terminate()
@@ -94,7 +94,7 @@ class Pool:
         Returns (item, result or exception): As they are done.
         """
         try:
-            with undisturbed():
+            with deferred_signals():
                 self.start()
                 assert self._started is not None
                 self._started.result()
@@ -124,7 +124,7 @@ class Pool:
                     worker.index = todo.popleft()
                     self._send(worker, _ITEM + pickle.dumps(items[worker.index]))
             busy = {worker.connection: worker for worker in self._workers if worker.index is not None}
-            ready = connections.wait(list(busy), _LOOK_AFTER if self._memory else None)
+            ready = connections.wait(list(busy), _POLL_SECONDS if self._memory else None)
             for one in ready:
                 worker = busy[one]  # type: ignore[index]
                 index = worker.index
@@ -152,7 +152,7 @@ class Pool:
         worker.connection.close()
         worker.process.join(5.0)
         code = worker.process.exitcode
-        with undisturbed():
+        with deferred_signals():
             new = self._start_one()
         worker.process, worker.connection, worker.index = new.process, new.connection, None
         self._send(worker, _WORK + work)

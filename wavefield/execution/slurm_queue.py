@@ -14,7 +14,7 @@ log = logging.getLogger("wavefield.run")
 
 _MOST_FAILURES = 3  # jobs that end before their workers have started
 _OFTEN, _SELDOM = 2.0, 30.0  # seconds between questions to Slurm: at first, and in a long queue
-_SAY_AFTER = 10.0  # seconds in the queue after which the reason is worth a line
+_REPORT_AFTER_S = 10.0  # seconds in the queue after which the reason is worth a line
 _NEVER = (  # parts of reasons for which Slurm keeps a job waiting until somebody changes it
     "BadConstraints",
     "InvalidAccount",
@@ -39,50 +39,50 @@ _DECISIVE = re.compile(r"DUE TO|out of memory|oom.kill", re.I)  # of Slurm itsel
 _LINE = 300  # characters of a log that are worth repeating
 
 
-class Watch:
+class QueueWatch:
     """Looks after the jobs of a run: says why they wait, asks again for lost ones, and ends a run in vain."""
 
     def __init__(self, cluster: Any, logs: Path) -> None:
         self._cluster, self._logs = cluster, logs
-        self._since = self._looked = time.monotonic()
-        self._said = ""
-        self._heard: set[str] = set()  # names of workers; what becomes of their jobs later is Dask's business
+        self._since = self._checked_at = time.monotonic()
+        self._reported = ""
+        self._connected: set[str] = (
+            set()
+        )  # names of workers; what becomes of their jobs later is Dask's business
         self._absent: set[str] = set()
         self._failed: list[str] = []
 
     def __call__(self) -> None:
         """Look, unless that was a moment ago."""
         now = time.monotonic()
-        if now - self._looked < min(_SELDOM, max(_OFTEN, (now - self._since) / 10)):
+        if now - self._checked_at < min(_SELDOM, max(_OFTEN, (now - self._since) / 10)):
             return
-        self._looked = now
+        self._checked_at = now
         connected = {str(worker["id"]) for worker in self._cluster.scheduler_info["workers"].values()}
-        self._heard |= connected
+        self._connected |= connected
         silent = {
             str(name): job
             for name, job in list(self._cluster.workers.items())
-            if not any(one == str(name) or one.startswith(f"{name}-") for one in self._heard)
+            if not any(one == str(name) or one.startswith(f"{name}-") for one in self._connected)
         }
-        self._look_at_refused(silent, bool(connected))
+        self._check_refused(silent, bool(connected))
         asked = {job.job_id: name for name, job in silent.items() if job.job_id}
         states = _states() if asked else None
         if states is not None:
-            self._look_for_ended(asked, states, bool(connected))
+            self._check_ended(asked, states, bool(connected))
             if not connected:
-                self._look_at_queue([states[number] for number in asked if number in states])
+                self._check_queue([states[number] for number in asked if number in states])
 
-    def _look_at_refused(self, silent: dict[str, Any], working: bool) -> None:
+    def _check_refused(self, silent: dict[str, Any], working: bool) -> None:
         for name, job in silent.items():
             if job.refused:
                 sentence = _refusal(job.refused)
                 if not working and not _PASSING.search(sentence):
                     raise ExperimentError(f"{sentence}; correct the `slurm` block of the workflow")
-                self._say(f"{sentence}; asking again")
+                self._report(f"{sentence}; asking again")
                 self._forget(name)
 
-    def _look_for_ended(
-        self, asked: dict[str, str], states: dict[str, tuple[str, str]], working: bool
-    ) -> None:
+    def _check_ended(self, asked: dict[str, str], states: dict[str, tuple[str, str]], working: bool) -> None:
         absent = {number for number in asked if number not in states}
         for number in absent & self._absent:  # twice: Slurm may be late to list it, the worker to be heard
             blameless = any(state in _shown(number) for state in _NOT_ITS_FAULT)
@@ -95,7 +95,7 @@ class Watch:
         elif self._failed and len(self._failed) >= min(_MOST_FAILURES, len(self._cluster.worker_spec) or 1):
             raise ExperimentError(why_ended(self._failed[0], self._logs))
 
-    def _look_at_queue(self, waiting: list[tuple[str, str]]) -> None:
+    def _check_queue(self, waiting: list[tuple[str, str]]) -> None:
         reasons = sorted({reason for state, reason in waiting if state == "PENDING"})
         for reason in reasons:
             if any(never in reason for never in _NEVER):
@@ -103,8 +103,8 @@ class Watch:
                     f"Slurm will never start the jobs of this run: {reason}; correct `queue`, `walltime`, "
                     "`cores` or `memory` in the workflow (`scontrol show partition` says what there is)"
                 )
-        if reasons and time.monotonic() - self._since > _SAY_AFTER:
-            self._say(
+        if reasons and time.monotonic() - self._since > _REPORT_AFTER_S:
+            self._report(
                 f"{len(waiting)} jobs wait in Slurm's queue ({', '.join(reasons)}); the run begins when the "
                 "first starts (`squeue --start` estimates when)"
             )
@@ -113,16 +113,16 @@ class Watch:
         """Take a job for lost, so that another is asked for in its place."""
         self._cluster.sync(self._cluster.scale_down, [name])
 
-    def _say(self, sentence: str) -> None:
-        if sentence != self._said:
-            self._said = sentence
+    def _report(self, sentence: str) -> None:
+        if sentence != self._reported:
+            self._reported = sentence
             log.warning("%s", sentence)
 
 
 def _refusal(text: str) -> str:
-    said = re.findall(r"sbatch: error: (.*)", text)
-    if said:
-        reason = "; ".join(dict.fromkeys(line.strip() for line in said))
+    stated = re.findall(r"sbatch: error: (.*)", text)
+    if stated:
+        reason = "; ".join(dict.fromkeys(line.strip() for line in stated))
     elif "No such file" in text:
         reason = "there is no sbatch here: start the run where jobs can be submitted"
     else:

@@ -6,10 +6,10 @@ from typing import Any, Literal
 
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
-from wavefield.config_files import Section, load
+from wavefield.config_files import ConfigSection, load
 
 
-class Between(Section):
+class Between(ConfigSection):
     """From how many to how many workers: more are asked for while blocks wait, and given back at the end."""
 
     minimum: int = Field(ge=1, examples=["2"], description="workers to ask for at once")
@@ -22,7 +22,7 @@ class Between(Section):
         return self
 
 
-class Workflow(Section):
+class Workflow(ConfigSection):
     """A workflow file: cluster, resources, recipe.
 
     Examples

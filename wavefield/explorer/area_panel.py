@@ -4,7 +4,7 @@ import numpy as np
 from bokeh.layouts import column
 from bokeh.models import ColumnDataSource, Div
 
-from wavefield.explorer.cube_record import Record
+from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.map_fields import shown_as
 from wavefield.explorer.place import Place
 from wavefield.explorer.plot_parts import BLUE, band, envelope, make_figure, number
@@ -14,7 +14,7 @@ from wavefield.explorer.selections import area, span
 class AreaPanel:
     """What a rectangle of the map holds, over the whole record."""
 
-    def __init__(self, record: Record) -> None:
+    def __init__(self, record: CubeRecord) -> None:
         self._record = record
         self.words = Div(
             text="Choose \u201crectangle\u201d for dragging (key R) and drag over the map.",

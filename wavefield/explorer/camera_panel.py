@@ -10,8 +10,8 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Range1d, Select
 from numpy.typing import NDArray
 
-from wavefield.explorer.context import Beside
-from wavefield.explorer.cube_record import Record
+from wavefield.explorer.context import CubeContext
+from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.mask_panel import outlines_of
 from wavefield.explorer.place import Place
 from wavefield.explorer.plot_parts import INK, VERMILION, draw_masks, make_figure
@@ -68,8 +68,8 @@ class CameraPanel:
 
     def __init__(
         self,
-        record: Record,
-        beside: Beside,
+        record: CubeRecord,
+        beside: CubeContext,
         picked: Callable[[str, tuple[float, ...]], None],
         corner: Callable[[str, tuple[float, float]], bool] = lambda name, where: False,
     ) -> None:
@@ -227,16 +227,16 @@ class CameraPanel:
         self._show_grid(rig[name], fields["z"], over != "nothing")
         self._mark(place, rig[name], fields)
 
-    def _show_grid(self, camera: Camera, z: NDArray[Any], wanted: bool) -> None:
+    def _show_grid(self, camera: Camera, z: NDArray[Any], requested: bool) -> None:
         """Grid lines on the water as it stands."""
         xs, ys = [], []
         record = self._record
         z = np.where(np.isfinite(z), z, 0.0)
-        for j in np.unique(np.linspace(0, record.y.size - 1, 9).astype(int)) if wanted else ():
+        for j in np.unique(np.linspace(0, record.y.size - 1, 9).astype(int)) if requested else ():
             X, Y = camera.project(record.x, np.full(record.x.size, record.y[j]), z[j])
             xs.append(X)
             ys.append(Y)
-        for i in np.unique(np.linspace(0, record.x.size - 1, 9).astype(int)) if wanted else ():
+        for i in np.unique(np.linspace(0, record.x.size - 1, 9).astype(int)) if requested else ():
             X, Y = camera.project(np.full(record.y.size, record.x[i]), record.y, z[:, i])
             xs.append(X)
             ys.append(Y)

@@ -9,7 +9,7 @@ from pathlib import Path
 import xarray as xr
 
 from wavefield.errors import StoreError, WavefieldError
-from wavefield.explorer.cube_record import Record
+from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.target_images import TargetImages
 from wavefield.rig import Camera, Rig
 from wavefield.series import Experiment, FrameSeries
@@ -20,7 +20,7 @@ _REACH = 0.05  # m: how low the water is thought to go where a cylinder stands
 
 
 @dataclass
-class Beside:
+class CubeContext:
     """Companions of a cube; what is not there is None or empty, with a sentence in `notes`."""
 
     rig: Rig | None = None  # Cameras of the run
@@ -65,9 +65,9 @@ def waves_beside(cube: Path) -> Path:
     return cube.with_name((stem.replace("cube", "waves") if "cube" in stem else f"{stem}_waves") + ".zarr")
 
 
-def find_beside(record: Record, waves: str | Path | None = None) -> Beside:
+def find_context(record: CubeRecord, waves: str | Path | None = None) -> CubeContext:
     """Find what lies beside a cube."""
-    out = Beside(waves_path=Path(waves) if waves is not None else waves_beside(record.path))
+    out = CubeContext(waves_path=Path(waves) if waves is not None else waves_beside(record.path))
     open_waves(out)
     attributes = record.group.attrs
     recipe = json.loads(str(attributes.get("recipe", "{}")))
@@ -91,7 +91,7 @@ def find_beside(record: Record, waves: str | Path | None = None) -> Beside:
     return out
 
 
-def open_waves(beside: Beside) -> bool:
+def open_waves(beside: CubeContext) -> bool:
     """Open the wave store, if it is there by now."""
     beside.notes.pop("waves", None)
     if not beside.waves_path.is_dir():

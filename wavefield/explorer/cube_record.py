@@ -25,7 +25,7 @@ _TOGETHER = 8  # steps that are decoded together anyway
 _BALANCE = ("z", "z_t", "u", "v", "w")
 
 
-class Record:
+class CubeRecord:
     """A cube for looking at: any variable at any step at once, everything at a node as soon as it is read."""
 
     def __init__(self, path: str | Path) -> None:
@@ -127,7 +127,7 @@ def _in_order(name: str) -> int:
 class Preview:
     """The thinned cube in memory; read once, in the background."""
 
-    def __init__(self, record: Record) -> None:
+    def __init__(self, record: CubeRecord) -> None:
         self._record = record
         self.thin = previews.thinning(record.group)
         self.y, self.x = record.y[:: self.thin.every], record.x[:: self.thin.every]
@@ -139,14 +139,14 @@ class Preview:
         self._lock = threading.Lock()
 
     @property
-    def wanted(self) -> NDArray[np.bool_]:
+    def requested(self) -> NDArray[np.bool_]:
         """Which blocks the cube has."""
         return previews.blocks_done(self._record.ledger, self._record.layout)
 
     @property
     def complete(self) -> bool:
         """Whether all that is measured is in memory."""
-        return bool((self.known | ~self.wanted).all())
+        return bool((self.known | ~self.requested).all())
 
     def load(self, progress: Callable[[int, int], None] | None = None) -> None:
         """Read what the cube has and memory has not; writes what the preview on disk lacks."""
@@ -155,10 +155,10 @@ class Preview:
 
     def _load(self, progress: Callable[[int, int], None] | None) -> None:
         record, layout = self._record, self._record.layout
-        blocks, wanted = layout.blocks(), self.wanted
-        for index in np.flatnonzero(self.known & ~wanted):  # measured again
+        blocks, requested = layout.blocks(), self.requested
+        for index in np.flatnonzero(self.known & ~requested):  # measured again
             self.known[index] = False
-        todo = np.flatnonzero(wanted & ~self.known)
+        todo = np.flatnonzero(requested & ~self.known)
         if not todo.size:
             return
         on_disk = self._open()

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavefield.explorer.cube_record import Record
+from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.map_fields import DERIVED
 from wavefield.store.preview import read_steps
 from wavefield.variables import CUBE_DIMS
@@ -17,7 +17,7 @@ _BALANCE = ("z", "z_t", "u", "v", "w")
 
 
 def derived_series(
-    record: Record, j: int, i: int, progress: Callable[[float], None] | None = None
+    record: CubeRecord, j: int, i: int, progress: Callable[[float], None] | None = None
 ) -> dict[str, NDArray[np.float32]]:
     """All derived variables at one node over the whole record.
 

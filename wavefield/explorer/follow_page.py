@@ -8,9 +8,9 @@ from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Select
 from bokeh.server.server import BaseServer as Server
 
 from wavefield.explorer.camera_panel import shrink
-from wavefield.explorer.context import Beside
-from wavefield.explorer.follower import Follower, Seen
-from wavefield.explorer.lights import Light, verdict
+from wavefield.explorer.context import CubeContext
+from wavefield.explorer.follower import FollowedSet, Follower
+from wavefield.explorer.lights import StatusLight, verdict
 from wavefield.explorer.map_fields import arrows, colour_limits, colour_map, palette, shown_as
 from wavefield.explorer.plot_parts import GREY, INK, colour_bar, image_data, image_source, make_figure
 from wavefield.explorer.server import make_server
@@ -35,7 +35,7 @@ _SIGNS = {
 _LEFT = "style='text-align: left; font-weight: 600; padding-right: 10px'"
 
 
-def lights_table(lights: tuple[Light, ...]) -> str:
+def lights_table(lights: tuple[StatusLight, ...]) -> str:
     """Lights as a table: a row per thing judged, a column per camera."""
     frames = [light for light in lights if light.camera and "-" not in light.camera]
     cameras = list(dict.fromkeys(light.camera for light in frames))
@@ -51,7 +51,7 @@ def lights_table(lights: tuple[Light, ...]) -> str:
     return f"<table>{''.join(rows)}</table>"
 
 
-def _cell(light: Light, columns: int) -> str:
+def _cell(light: StatusLight, columns: int) -> str:
     sign, colour, word = _SIGNS[light.state]
     return (
         f"<td colspan='{columns}' style='padding: 2px 10px 2px 0'><b style='display: inline-block; "
@@ -80,7 +80,7 @@ class FollowPage:
         )
         self.map = self._draw_map(probes)
         self.cameras = {name: self._draw_camera(name) for name in follower.experiment.cameras}
-        self._lights_shown: tuple[Light, ...] = ()
+        self._lights_shown: tuple[StatusLight, ...] = ()
 
     def _draw_map(self, probes: Any) -> Any:
         made = make_figure(
@@ -161,7 +161,7 @@ class FollowPage:
         trouble = list(self._follower.watch.trouble.values())
         self.verdict.text = _large("Waiting for frames", "#57606a", "<br>".join(map(_plain, trouble)))
 
-    def _show_lights(self, seen: Seen) -> None:
+    def _show_lights(self, seen: FollowedSet) -> None:
         self._lights_shown = seen.lights
         self.lights.text = lights_table(seen.lights)
         first = verdict(seen.lights)
@@ -173,7 +173,7 @@ class FollowPage:
         else:
             self.verdict.text = _large(f"{first.name} {first.camera}".strip(), "#B34700", first.words)
 
-    def _show_set(self, seen: Seen) -> None:
+    def _show_set(self, seen: FollowedSet) -> None:
         self.state.text = (
             f"frame {seen.number}; measured {seen.measured}, skipped {seen.skipped}; "
             f"{_spell_delay(seen.delay)} after its last byte"
@@ -184,7 +184,7 @@ class FollowPage:
         if seen.fields:
             self._show_map(seen)
 
-    def _show_map(self, seen: Seen) -> None:
+    def _show_map(self, seen: FollowedSet) -> None:
         x, y = self._follower.nodes
         name = self.show.value
         shown = shown_as(name, TABLE[name].units)
@@ -249,7 +249,7 @@ def follow_server(follower: Follower, port: int | None = None) -> Server:
 def _probes(follower: Follower) -> Any:
     from wavefield.errors import WavefieldError
 
-    beside = Beside()
+    beside = CubeContext()
     if follower.experiment.probes:
         try:
             beside.probes = follower.experiment.read_probes()

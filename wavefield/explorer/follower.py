@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from wavefield.errors import WavefieldError
 from wavefield.explorer.features import Features, features
 from wavefield.explorer.lights import (
-    Agreement,
-    Light,
+    PairMisfit,
     Quantities,
     Start,
+    StatusLight,
     arrival_lights,
     frame_lights,
     pair_light,
@@ -26,7 +26,7 @@ from wavefield.explorer.lights import (
     tilt_light,
 )
 from wavefield.explorer.live_masks import LiveMasks
-from wavefield.explorer.watch import FrameSet, Watch
+from wavefield.explorer.watch import FolderWatch, FrameSet
 from wavefield.rig import Rig
 from wavefield.series import Experiment
 from wavefield.series.masks import footprints
@@ -40,13 +40,13 @@ _PAUSE = 0.15  # s between looks at the folders
 
 
 @dataclass(frozen=True)
-class Seen:
+class FollowedSet:
     """What was made of one set of frames."""
 
     number: int  # Of its first frame
     images: dict[str, NDArray[Any]]  # The second frame
     fields: dict[str, NDArray[Any]]  # (ny, nx): The measured step; empty without a rig
-    lights: tuple[Light, ...]  # The judgement
+    lights: tuple[StatusLight, ...]  # The judgement
     delay: float  # From the last byte of the set until it was measured, s
     measured: int  # Steps so far
     skipped: int
@@ -59,14 +59,14 @@ class Follower:
 
     experiment: Experiment  # The experiment
     rig: Any = None  # In place of the one that the experiment names
-    seen: Seen | None = None
+    seen: FollowedSet | None = None
     count: int = 0
     _plan: "Learner | None" = None
     _trouble: str = ""
     _sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.watch = Watch(self.experiment)
+        self.watch = FolderWatch(self.experiment)
         self._start = Start()
         self._steps: deque[Quantities] = deque(maxlen=_AVERAGED)
         self._stop = threading.Event()
@@ -121,7 +121,7 @@ class Follower:
         self._take(found)
         return True
 
-    def _arrivals(self) -> list[Light]:
+    def _arrivals(self) -> list[StatusLight]:
         return arrival_lights(self.watch.last, self.watch.newest, time.time())
 
     def _take(self, found: FrameSet) -> None:
@@ -129,18 +129,18 @@ class Follower:
             self._first = found.number
         now = {name: features(both[1]) for name, both in found.images.items()}
         if self._plan is None and not self._trouble:  # a minute, the very first time: show what can be shown
-            self._publish(found, {}, self._judge(now, {}, None), "getting ready to measure")
+            self._publish(found, {}, self._assess(now, {}, None), "getting ready to measure")
         fields, summary = self._measure(found)
-        pairs = self._agreements(found)
+        pairs = self._pair_consistencies(found)
         self._start.take(now, pairs, summary)
         self._measured += 1
-        self._publish(found, fields, self._judge(now, pairs, summary), self._trouble)
+        self._publish(found, fields, self._assess(now, pairs, summary), self._trouble)
 
     def _publish(
-        self, found: FrameSet, fields: dict[str, NDArray[Any]], lights: list[Light], trouble: str
+        self, found: FrameSet, fields: dict[str, NDArray[Any]], lights: list[StatusLight], trouble: str
     ) -> None:
         assert self._first is not None
-        self.seen = Seen(
+        self.seen = FollowedSet(
             number=found.number,
             images={name: both[1] for name, both in found.images.items()},
             fields=fields,
@@ -152,9 +152,9 @@ class Follower:
         )
         self.count += 1
 
-    def _judge(
-        self, now: Mapping[str, Features], pairs: Mapping[str, Agreement], summary: Quantities | None
-    ) -> list[Light]:
+    def _assess(
+        self, now: Mapping[str, Features], pairs: Mapping[str, PairMisfit], summary: Quantities | None
+    ) -> list[StatusLight]:
         lights = self._arrivals()
         for name, found in now.items():
             lights += frame_lights(name, found, self._start.of(name))
@@ -193,7 +193,7 @@ class Follower:
         fields = {name: values[0] for name, values in block.items() if np.ndim(values) == 3}
         return fields, quantities(fields, plan.x, plan.y, plan.z_range)
 
-    def _agreements(self, found: FrameSet) -> dict[str, Agreement]:
+    def _pair_consistencies(self, found: FrameSet) -> dict[str, PairMisfit]:
         """How each pair of cameras agrees on the second frame; nothing without a rig."""
         from wavefield.measurement import pair_surface
         from wavefield.measurement.frame import ready, usable
@@ -213,7 +213,7 @@ class Follower:
                 seen = (plan.seen_blocks[a] > 0.5) & (plan.seen_blocks[b] > 0.5)
                 eps = match.eps_y[match.matched] / plan.pixel
                 rms = float(np.sqrt(np.mean(np.square(eps)))) if eps.size else float("nan")
-                out[f"{a}-{b}"] = Agreement(rms, float(match.valid.sum() / max(seen.sum(), 1)))
+                out[f"{a}-{b}"] = PairMisfit(rms, float(match.valid.sum() / max(seen.sum(), 1)))
         return out
 
     def _plan_for(self, sizes: dict[str, tuple[int, int]]) -> None:
@@ -228,9 +228,9 @@ class Follower:
             used = replace(rig, cameras={name: rig[name] for name in self.experiment.measuring_cameras})
             for name, size in sizes.items():
                 if name in used.cameras and used[name].size != size:
-                    wanted = "{} x {}".format(*used[name].size)
+                    requested = "{} x {}".format(*used[name].size)
                     self._trouble = (
-                        f"nothing is measured: the rig was made for images of {name} of {wanted} px, but "
+                        f"nothing is measured: the rig was made for images of {name} of {requested} px, but "
                         f"these have {size[0]} x {size[1]}; use the rig of these images"
                     )
                     return

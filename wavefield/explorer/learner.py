@@ -51,7 +51,7 @@ class Learner:
         try:
             record = learn([step for step, _ in sets], self._bare, [masks for _, masks in sets])
             if record is not None:
-                self.plan = self._bare.knowing(record)
+                self.plan = self._bare.with_prior(record)
         except (WavefieldError, ValueError) as error:  # what was known stays
             log.warning("these frames taught nothing: %s", error)
         except RuntimeError as error:

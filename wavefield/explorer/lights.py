@@ -29,7 +29,7 @@ _ENOUGH = 20  # steps
 
 
 @dataclass(frozen=True)
-class Light:
+class StatusLight:
     """One light."""
 
     name: str  # What is judged, such as "focus"
@@ -87,21 +87,21 @@ def _rms(values: NDArray[Any]) -> float:
 
 
 @dataclass(frozen=True)
-class Agreement:
+class PairMisfit:
     """How two cameras agree on the same instant, before anything is rejected."""
 
     eps_y: float  # Mismatch of sight lines, rms, in pixels on the water
     agreed: float  # Fraction of the blocks seen by both that count
 
 
-def pair_light(pair: str, now: Agreement, start: Agreement | None) -> Light:
+def pair_light(pair: str, now: PairMisfit, start: PairMisfit | None) -> StatusLight:
     """Whether a camera was knocked: sight lines of a pair miss each other, or nothing is found again."""
     state = _worse(_over(now.eps_y, _EPS), _under(now.agreed, (0.5, 0.2)))
     if start is not None:
         state = _worse(state, _over(_fraction(now.eps_y, max(start.eps_y, 0.15)), _RISE))
         state = _worse(state, _under(_fraction(now.agreed, start.agreed), (0.8, 0.6)))
     missed = f"sight lines miss by {now.eps_y:.2f} px" if np.isfinite(now.eps_y) else "nothing is found again"
-    return Light("eps_y", pair, state, f"{missed}; {100 * now.agreed:.0f} % agree")
+    return StatusLight("eps_y", pair, state, f"{missed}; {100 * now.agreed:.0f} % agree")
 
 
 @dataclass
@@ -111,10 +111,10 @@ class Start:
     sets: int = 4  # How many sets make the start
     _frames: dict[str, list[Features]] = field(default_factory=dict)
     _steps: list[Quantities] = field(default_factory=list)
-    _pairs: dict[str, list[Agreement]] = field(default_factory=dict)
+    _pairs: dict[str, list[PairMisfit]] = field(default_factory=dict)
 
     def take(
-        self, frames: Mapping[str, Features], pairs: Mapping[str, Agreement], step: Quantities | None
+        self, frames: Mapping[str, Features], pairs: Mapping[str, PairMisfit], step: Quantities | None
     ) -> None:
         """Take in a set, as long as it is one of the first."""
         for pair, agreement in pairs.items():
@@ -133,10 +133,10 @@ class Start:
         kept = self._frames.get(camera, [])
         return _median(kept, Features) if len(kept) >= self.sets else None
 
-    def of_pair(self, pair: str) -> Agreement | None:
+    def of_pair(self, pair: str) -> PairMisfit | None:
         """A pair of cameras at the start; None until there are enough."""
         kept = self._pairs.get(pair, [])
-        return _median(kept, Agreement) if len(kept) >= self.sets else None
+        return _median(kept, PairMisfit) if len(kept) >= self.sets else None
 
     @property
     def step(self) -> Quantities | None:
@@ -150,7 +150,7 @@ def _median(kept: Sequence[Any], kind: type) -> Any:
         return kind(**{name: float(np.median([getattr(one, name) for one in kept])) for name in names})
 
 
-def frame_lights(camera: str, now: Features, start: Features | None) -> list[Light]:
+def frame_lights(camera: str, now: Features, start: Features | None) -> list[StatusLight]:
     """Brightness, saturation, seeding and focus of one camera."""
     dark = False
     beads = 1.0
@@ -159,27 +159,27 @@ def frame_lights(camera: str, now: Features, start: Features | None) -> list[Lig
         beads = _fraction(now.peak - start.dark, start.peak - start.dark)
         dark = light < _DIM and beads < _DIM
     out = [
-        Light("brightness", camera, "bad" if dark else "good", _brightness(now, beads, start)),
-        Light(
+        StatusLight("brightness", camera, "bad" if dark else "good", _brightness(now, beads, start)),
+        StatusLight(
             "saturation", camera, _over(now.saturated, _SATURATED), f"{100 * now.saturated:.1f} % saturated"
         ),
     ]
     if dark:
         return [
             *out,
-            Light("seeding", camera, "unknown", "too dark"),
-            Light("focus", camera, "unknown", "too dark"),
+            StatusLight("seeding", camera, "unknown", "too dark"),
+            StatusLight("focus", camera, "unknown", "too dark"),
         ]
     seeding = _under(now.cells, _SPARSE)
     if start is not None:
         seeding = _worse(seeding, _under(_fraction(now.cells, start.cells), _FEW_BEADS))
-    out.append(Light("seeding", camera, seeding, f"{100 * now.cells:.0f} % of the cells hold beads"))
+    out.append(StatusLight("seeding", camera, seeding, f"{100 * now.cells:.0f} % of the cells hold beads"))
     if seeding == "bad" or not np.isfinite(now.size):
-        return [*out, Light("focus", camera, "unknown", "no beads to judge by")]
+        return [*out, StatusLight("focus", camera, "unknown", "no beads to judge by")]
     focus: State = "doubtful" if now.size > _LARGE_BEADS else "good"
     if start is not None and np.isfinite(start.size):
         focus = _worse(focus, _over(now.size / start.size, _BLURRED))
-    return [*out, Light("focus", camera, focus, f"beads of {now.size:.2f} px")]
+    return [*out, StatusLight("focus", camera, focus, f"beads of {now.size:.2f} px")]
 
 
 def _brightness(now: Features, beads: float, start: Features | None) -> str:
@@ -187,7 +187,7 @@ def _brightness(now: Features, beads: float, start: Features | None) -> str:
     return words if start is None else f"{words}; {100 * min(beads, 9.99):.0f} % of the start"
 
 
-def arrival_lights(last: Mapping[str, float], newest: Mapping[str, int], now: float) -> list[Light]:
+def arrival_lights(last: Mapping[str, float], newest: Mapping[str, int], now: float) -> list[StatusLight]:
     """Whether every camera still sends frames, and all the same ones."""
     out = []
     latest = max(last.values(), default=now)
@@ -199,11 +199,11 @@ def arrival_lights(last: Mapping[str, float], newest: Mapping[str, int], now: fl
         )
         if most - newest[camera] > 2:
             words += f", {most - newest[camera]} frames behind"
-        out.append(Light("synchronisation", camera, _over(behind, _LATE), words))
+        out.append(StatusLight("synchronisation", camera, _over(behind, _LATE), words))
     return out
 
 
-def step_lights(now: Quantities | None, start: Quantities | None) -> list[Light]:
+def step_lights(now: Quantities | None, start: Quantities | None) -> list[StatusLight]:
     """What a measured step says of the rig and the water."""
     if now is None:
         return []
@@ -211,21 +211,25 @@ def step_lights(now: Quantities | None, start: Quantities | None) -> list[Light]
     if start is not None:
         coverage = _worse(coverage, _under(_fraction(now.coverage, start.coverage), _COVERAGE))
     return [
-        Light("eps'", "", _over(now.eps_piv, _EPS_PIV), f"displacements disagree by {now.eps_piv:.2f} px"),
-        Light("coverage", "", coverage, f"{100 * now.coverage:.0f} % of the nodes measured"),
-        Light("range of z", "", _over(now.range_used, _RANGE), f"{100 * now.range_used:.0f} % of it used"),
+        StatusLight(
+            "eps'", "", _over(now.eps_piv, _EPS_PIV), f"displacements disagree by {now.eps_piv:.2f} px"
+        ),
+        StatusLight("coverage", "", coverage, f"{100 * now.coverage:.0f} % of the nodes measured"),
+        StatusLight(
+            "range of z", "", _over(now.range_used, _RANGE), f"{100 * now.range_used:.0f} % of it used"
+        ),
     ]
 
 
-def tilt_light(steps: Sequence[Quantities]) -> Light:
+def tilt_light(steps: Sequence[Quantities]) -> StatusLight:
     """Whether z = 0 lies on the water at rest: the plane through it, averaged over waves."""
     planes = np.array([[one.slope_x, one.slope_y, one.height] for one in steps if np.isfinite(one.height)])
     if len(planes) < _ENOUGH:
-        return Light("tilt", "", "unknown", f"after {_ENOUGH} steps")
+        return StatusLight("tilt", "", "unknown", f"after {_ENOUGH} steps")
     mean, doubt = planes.mean(axis=0), planes.std(axis=0) / np.sqrt(len(planes) / 4)  # waves last some steps
     tilt = float(np.hypot(mean[0], mean[1]))
     state = _over(tilt - 2 * float(np.hypot(doubt[0], doubt[1])), _TILT)
-    return Light(
+    return StatusLight(
         "tilt", "", state, f"{1e3 * tilt:.1f} mrad, mean z {1e3 * mean[2]:+.1f} mm, {len(planes)} steps"
     )
 
@@ -235,7 +239,7 @@ _ORDER = ("synchronisation", "brightness", "saturation", "seeding", "focus", "ep
           "coverage", "tilt")  # fmt: skip
 
 
-def verdict(lights: Sequence[Light]) -> Light | None:
+def verdict(lights: Sequence[StatusLight]) -> StatusLight | None:
     """The light to look at first."""
     bad = [light for light in lights if light.state == "bad"]
     return min(bad, key=lambda light: _ORDER.index(light.name)) if bad else None

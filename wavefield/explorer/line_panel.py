@@ -4,7 +4,7 @@ import numpy as np
 from bokeh.layouts import column
 from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Range1d, Span
 
-from wavefield.explorer.cube_record import Record
+from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.map_fields import colour_map, palette, shown_as
 from wavefield.explorer.place import Place
 from wavefield.explorer.plot_parts import (
@@ -25,7 +25,7 @@ _STEPS = 400  # of the time-distance diagram, about the moment shown
 class LinePanel:
     """Transect and time-distance diagram."""
 
-    def __init__(self, record: Record) -> None:
+    def __init__(self, record: CubeRecord) -> None:
         self._record = record
         self.words = Div(
             text="Choose \u201cline\u201d for dragging (key L) and drag across the map.",

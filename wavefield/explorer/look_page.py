@@ -21,8 +21,8 @@ from bokeh.models import (
 from wavefield.errors import WavefieldError
 from wavefield.explorer.area_panel import AreaPanel
 from wavefield.explorer.camera_panel import CameraPanel
-from wavefield.explorer.context import Beside
-from wavefield.explorer.cube_record import Record
+from wavefield.explorer.context import CubeContext
+from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.line_panel import LinePanel
 from wavefield.explorer.map_fields import shown_as
 from wavefield.explorer.map_panel import MapPanel
@@ -37,7 +37,7 @@ from wavefield.explorer.wave_panel import WavePanel
 from wavefield.series.masks import WATER, footprints
 from wavefield.text import spell_time
 
-_LOOK_AGAIN = 2000  # ms between looks at the ledger of a cube that is being written
+_RECHECK_MS = 2000  # ms between looks at the ledger of a cube that is being written
 
 # Plays from the browser: the next step is asked for when this one has arrived, so that nothing piles up.
 _PLAY = """
@@ -59,11 +59,11 @@ history.replaceState(null, "", location.pathname + "?" + cb_obj.text)
 
 
 @dataclass(frozen=True)
-class Looked:
+class LookSession:
     """What all sessions of one server share."""
 
-    record: Record  # The cube
-    beside: Beside  # What lies beside it
+    record: CubeRecord  # The cube
+    beside: CubeContext  # What lies beside it
 
     def load(self) -> threading.Thread:
         """Read the preview in the background."""
@@ -75,9 +75,9 @@ class Looked:
 class Page:
     """One person's page."""
 
-    def __init__(self, looked: Looked, place: Place) -> None:
-        self.looked, self.place = looked, place
-        record, beside = looked.record, looked.beside
+    def __init__(self, session: LookSession, place: Place) -> None:
+        self.session, self.place = session, place
+        record, beside = session.record, session.beside
         self._record = record
         self._scheduled: set[str] = set()
         self._known = self._tried = -1
@@ -182,7 +182,7 @@ class Page:
             document.add_root(root)
         dress(document, f"{self._record.experiment}", "look", ("controls", "views", "picked"))
         document.on_event(DocumentReady, lambda event: self._soon(self._show_picked))
-        document.add_periodic_callback(self._look_again, _LOOK_AGAIN)
+        document.add_periodic_callback(self._recheck, _RECHECK_MS)
         self._fit_words()
         self._show_masks()
         self.redraw()
@@ -327,7 +327,7 @@ class Page:
         self.map.mask.data = {"x": x, "y": y}
         x, y = self.masks.closed(self.cameras.camera.value)
         self.cameras.mask.data = {"x": x, "y": y}
-        experiment = self.looked.beside.experiment
+        experiment = self.session.beside.experiment
         lines = footprints(experiment.mask) if experiment else ()
         xs, ys = ([[corner[k] for corner in line] for line in lines] for k in (0, 1))
         self.map.masks.data = {"xs": xs, "ys": ys}
@@ -339,11 +339,11 @@ class Page:
 
     # -- while it is being written ---------------------------------------------------------------------
 
-    def _look_again(self) -> None:
+    def _recheck(self) -> None:
         """Look at the ledger, read what is new; says how far the run and the preview are."""
         record = self._record
         if record.steps_done < record.layout.steps and record.refresh():
-            self.looked.load()
+            self.session.load()
         if record.ledger[self.place.step] != self._tried:  # whoever noticed first
             self.redraw()
         known = int(record.preview.known.sum())
@@ -361,8 +361,8 @@ class Page:
         if done < steps:
             words += f"; measured so far: {done} ({100 * done // steps} %)"
         if not record.preview.complete:
-            known, wanted = record.preview.known.sum(), record.preview.wanted.sum()
-            words += f"; reading the preview for series: {100 * int(known) // max(int(wanted), 1)} %"
+            known, requested = record.preview.known.sum(), record.preview.requested.sum()
+            words += f"; reading the preview for series: {100 * int(known) // max(int(requested), 1)} %"
         if record.preview.trouble:
             words += f"; {_plain(record.preview.trouble)}"
         self.state.text = words

@@ -20,7 +20,7 @@ from bokeh.models import (
     ZoomOutTool,
 )
 
-from wavefield.explorer.cube_record import Record
+from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.map_fields import arrows, colour_limits, colour_map, palette, shown_as
 from wavefield.explorer.place import Place
 from wavefield.explorer.plot_parts import (
@@ -54,7 +54,9 @@ else area.data = {left: [Math.min(x0, x1)], right: [Math.max(x0, x1)],
 class MapPanel:
     """The map of one variable."""
 
-    def __init__(self, record: Record, drag: Any, picked: Callable[[str, tuple[float, ...]], None]) -> None:
+    def __init__(
+        self, record: CubeRecord, drag: Any, picked: Callable[[str, tuple[float, ...]], None]
+    ) -> None:
         self._record, self._drag, self._picked = record, drag, picked
         self._start: Point | None = None
         self._palettes = {name: palette(name) for name in {colour_map(n) for n in record.names}}

@@ -10,7 +10,7 @@ from bokeh.models import Button, Div
 from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
-from wavefield.explorer.context import Beside
+from wavefield.explorer.context import CubeContext
 from wavefield.series.masks import WATER
 
 Point = tuple[float, float]
@@ -32,7 +32,7 @@ def outlines_of(covered: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
 class MaskPanel:
     """Corners that were clicked, by camera or on the water."""
 
-    def __init__(self, beside: Beside, drawn: Callable[[], None]) -> None:
+    def __init__(self, beside: CubeContext, drawn: Callable[[], None]) -> None:
         self._beside, self._drawn = beside, drawn
         self.corners: dict[str, list[Point]] = {}
         self._order: list[str] = []

@@ -12,7 +12,7 @@ from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Select, Span
 from numpy.typing import NDArray
 
 from wavefield.errors import StoreError
-from wavefield.explorer.cube_record import Record
+from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.derived_series import derived_series
 from wavefield.explorer.map_fields import DERIVED, readings, shown_as
 from wavefield.explorer.place import Place
@@ -30,7 +30,7 @@ from wavefield.explorer.selections import nearest, spectrum
 from wavefield.figures.quality import KINDS, quality_kind
 
 _MAIN = ("z", "u", "v", "w")
-_TOLD_EVERY = 0.5  # s
+_REDRAW_SECONDS = 0.5  # s
 _NEAR = 0.25  # m: a probe farther away sees other waves
 
 
@@ -45,7 +45,7 @@ class Asked(NamedTuple):
 class NodePanel:
     """What is known at one node."""
 
-    def __init__(self, record: Record, probes: xr.Dataset | None = None) -> None:
+    def __init__(self, record: CubeRecord, probes: xr.Dataset | None = None) -> None:
         self._record, self._probes = record, probes
         self._main = tuple(name for name in _MAIN if name in record.stored)
         others = [n for n in record.names if n not in (*_MAIN, "quality") and not n.endswith("_std")]
@@ -228,13 +228,13 @@ class NodePanel:
 
     def _read(self, document: Any) -> None:
         """Read what was asked for last, and again if that has changed meanwhile."""
-        told = time.monotonic()
+        last_redraw = time.monotonic()
 
         def progress(done: float) -> None:
-            nonlocal told
-            if time.monotonic() - told > _TOLD_EVERY:
-                told = time.monotonic()
-                document.add_next_tick_callback(lambda: self._say(f"reading: {100 * done:.0f} %"))
+            nonlocal last_redraw
+            if time.monotonic() - last_redraw > _REDRAW_SECONDS:
+                last_redraw = time.monotonic()
+                document.add_next_tick_callback(lambda: self._report(f"reading: {100 * done:.0f} %"))
 
         while self._asked is not None and (self._found is None or self._found[0] != self._asked):
             asked = self._asked
@@ -246,7 +246,7 @@ class NodePanel:
         self._reading = False
         document.add_next_tick_callback(self._show_other)
 
-    def _say(self, words: str) -> None:
+    def _report(self, words: str) -> None:
         if self._reading:
             self.figures[-1].yaxis.axis_label = words
 

@@ -38,15 +38,15 @@ def look(cube: Any, *, waves: str | Path | None = None, port: int | None = 0) ->
     wavefield.errors.StoreError: ...: no such store; make one with `wavefield run`
     """
     from wavefield.errors import StoreError
-    from wavefield.explorer.context import find_beside
-    from wavefield.explorer.cube_record import Record
-    from wavefield.explorer.look_page import Looked
-    from wavefield.explorer.server import Served, look_server
+    from wavefield.explorer.context import find_context
+    from wavefield.explorer.cube_record import CubeRecord
+    from wavefield.explorer.look_page import LookSession
+    from wavefield.explorer.server import Served, session_server
 
     path = cube if isinstance(cube, str | Path) else getattr(cube, "encoding", {}).get("source")
     if path is None:
         raise StoreError("only cubes in a store can be looked at: give its path, or what open_cube gave")
-    record = Record(path)
-    looked = Looked(record, find_beside(record, waves))
-    looked.load()
-    return Served(lambda: look_server(looked, port))
+    record = CubeRecord(path)
+    session = LookSession(record, find_context(record, waves))
+    session.load()
+    return Served(lambda: session_server(session, port))

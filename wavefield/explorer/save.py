@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 
 from wavefield.errors import StoreError
-from wavefield.explorer.cube_record import Record
+from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.derived_series import derived_series
 from wavefield.explorer.map_fields import arrows, colour_limits, colour_map, shown_as
 from wavefield.explorer.place import Place
@@ -27,7 +27,7 @@ _MOST_FRAMES = 2000
 
 
 def draw(
-    record: Record, place: Place, limits: tuple[float, float] | None = None, fastest: float = 0.0
+    record: CubeRecord, place: Place, limits: tuple[float, float] | None = None, fastest: float = 0.0
 ) -> Any:
     """The map as a figure.
 
@@ -53,14 +53,14 @@ def draw(
     return figure
 
 
-def picture(record: Record, place: Place, kind: str) -> bytes:
+def picture(record: CubeRecord, place: Place, kind: str) -> bytes:
     """The map as a file."""
     out = io.BytesIO()
     draw(record, place).savefig(out, format=kind, dpi=160)
     return out.getvalue()
 
 
-def movie(record: Record, place: Place, kind: str, frames: int) -> bytes:
+def movie(record: CubeRecord, place: Place, kind: str, frames: int) -> bytes:
     """The play from a step on."""
     stop = min(place.step + min(frames, _MOST_FRAMES), record.layout.steps)
     if stop - place.step < 2:
@@ -69,7 +69,7 @@ def movie(record: Record, place: Place, kind: str, frames: int) -> bytes:
     return (_mp4 if kind == "mp4" else _gif)(_pictures(record, place, stop), rate)
 
 
-def _pictures(record: Record, place: Place, stop: int) -> Iterator[NDArray[np.uint8]]:
+def _pictures(record: CubeRecord, place: Place, stop: int) -> Iterator[NDArray[np.uint8]]:
     """Pictures (row, column, 3), red first, of one size and one colour scale."""
     from dataclasses import replace
 
@@ -122,7 +122,7 @@ def _gif(pictures: Iterator[NDArray[np.uint8]], rate: float) -> bytes:
     return out.getvalue()
 
 
-def node_series(record: Record, place: Place) -> xr.Dataset:
+def node_series(record: CubeRecord, place: Place) -> xr.Dataset:
     """Every variable at the picked node, from the preview; what is derived from them, from the cube.
 
     Returns (time,).
@@ -138,7 +138,7 @@ def node_series(record: Record, place: Place) -> xr.Dataset:
     return _labelled(out, record)
 
 
-def line_table(record: Record, place: Place) -> xr.Dataset:
+def line_table(record: CubeRecord, place: Place) -> xr.Dataset:
     """The shown variable along the picked line, now.
 
     Returns (distance,).
@@ -154,7 +154,7 @@ def line_table(record: Record, place: Place) -> xr.Dataset:
     )
 
 
-def step_fields(record: Record, place: Place) -> xr.Dataset:
+def step_fields(record: CubeRecord, place: Place) -> xr.Dataset:
     """Every variable at the shown step.
 
     Returns (y, x).
@@ -164,7 +164,7 @@ def step_fields(record: Record, place: Place) -> xr.Dataset:
     return _labelled(xr.Dataset(variables, coords=coordinates), record)
 
 
-def area_fields(record: Record, place: Place) -> xr.Dataset:
+def area_fields(record: CubeRecord, place: Place) -> xr.Dataset:
     """Every variable in the picked rectangle at all steps, from the preview.
 
     Returns (time, y, x).
@@ -184,7 +184,7 @@ def area_fields(record: Record, place: Place) -> xr.Dataset:
     return _labelled(xr.Dataset(variables, coords=coordinates), record)
 
 
-def _labelled(dataset: xr.Dataset, record: Record) -> xr.Dataset:
+def _labelled(dataset: xr.Dataset, record: CubeRecord) -> xr.Dataset:
     out: xr.Dataset = annotate(dataset.assign_coords(record.paths))
     for variable in out.variables.values():
         variable.attrs.pop("ancillary_variables", None)
@@ -210,7 +210,7 @@ def as_csv(dataset: xr.Dataset) -> bytes:
     return bytes(frame.to_csv().encode())
 
 
-_Maker = Callable[[Record, Place, int], bytes]
+_Maker = Callable[[CubeRecord, Place, int], bytes]
 
 FILES: dict[str, tuple[str, _Maker]] = {
     "map.png": ("image/png", lambda r, p, n: picture(r, p, "png")),

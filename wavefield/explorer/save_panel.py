@@ -3,7 +3,7 @@
 from bokeh.layouts import column
 from bokeh.models import Div, Spinner
 
-from wavefield.explorer.cube_record import Record
+from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.place import Place
 
 
@@ -16,10 +16,10 @@ class SavePanel:
         )
         self.words = Div(text="", name="save_words", sizing_mode="stretch_width")
         self.layout = column(self.words, self.frames, sizing_mode="stretch_width")
-        self._last: tuple[Place, Record] | None = None
+        self._last: tuple[Place, CubeRecord] | None = None
         self.frames.on_change("value", lambda attr, old, new: self._last and self.show(*self._last))
 
-    def show(self, place: Place, record: Record) -> None:
+    def show(self, place: Place, record: CubeRecord) -> None:
         """Offer what can be saved of a place."""
         self._last = (place, record)
         query = place.query()

@@ -29,7 +29,7 @@ def decode(stored: NDArray[np.int16], scale: float) -> NDArray[np.float32]:
     return values
 
 
-def nearest(positions: NDArray[Any], wanted: float) -> int:
+def nearest(positions: NDArray[Any], requested: float) -> int:
     """Index of the nearest of some positions.
 
     With positions (n,), metres.
@@ -39,7 +39,7 @@ def nearest(positions: NDArray[Any], wanted: float) -> int:
     >>> nearest(np.array([0.0, 0.5, 1.0]), 0.7)
     1
     """
-    return int(np.argmin(np.abs(np.asarray(positions) - wanted)))
+    return int(np.argmin(np.abs(np.asarray(positions) - requested)))
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,8 @@ def spectrum(values: NDArray[Any], dt: float, lasting: float | None = None) -> S
     if not runs:
         return None
     length = min(run.size for run in runs)
-    wanted = min(1024, 1 << int(np.log2(max(_SHORTEST, 2 * length / 9))))
-    segment = min(wanted if lasting is None else max(round(lasting / dt), 2), length)
+    requested = min(1024, 1 << int(np.log2(max(_SHORTEST, 2 * length / 9))))
+    segment = min(requested if lasting is None else max(round(lasting / dt), 2), length)
     frequency, density = signal.welch(
         np.array([run[:length] for run in runs]), fs=1.0 / dt, nperseg=segment, detrend="constant"
     )

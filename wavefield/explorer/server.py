@@ -16,7 +16,7 @@ from tornado.ioloop import IOLoop
 from tornado.web import HTTPError, RequestHandler
 
 from wavefield.errors import WavefieldError
-from wavefield.explorer.look_page import Looked, Page
+from wavefield.explorer.look_page import LookSession, Page
 from wavefield.explorer.place import Place
 from wavefield.explorer.save import FILES
 
@@ -28,11 +28,11 @@ _HOSTS = ("localhost", "127.0.0.1")
 class SaveHandler(RequestHandler):
     """Answers the links of the Save panel."""
 
-    looked: Looked
+    session: LookSession
 
-    def initialize(self, looked: Looked) -> None:
+    def initialize(self, session: LookSession) -> None:
         """Take what the pages look at."""
-        self.looked = looked
+        self.session = session
 
     async def get(self, name: str) -> None:
         """Make a file of what is seen; a sentence where that cannot be."""
@@ -41,7 +41,7 @@ class SaveHandler(RequestHandler):
         kind = FILES.get(name)
         if kind is None:
             raise HTTPError(404)
-        record = self.looked.record
+        record = self.session.record
         query = {key: self.get_query_argument(key) for key in self.request.query_arguments}
         place = Place.read(query, record.names, record.layout.steps, record.first_step())
         frames = int(query["frames"]) if query.get("frames", "").isdecimal() else 100
@@ -61,8 +61,8 @@ def make_server(
     make_page: Callable[[Any], None], port: int | None, routes: list[Any] | None = None
 ) -> Server:
     """A server on the loopback."""
-    wanted = range(PORT, PORT + _MORE_PORTS) if port is None else (port,)
-    for number in wanted:
+    requested = range(PORT, PORT + _MORE_PORTS) if port is None else (port,)
+    for number in requested:
         try:
             listening = _listen(number)
         except OSError as error:
@@ -80,9 +80,9 @@ def make_server(
         http.add_sockets([listening])
         return Server(IOLoop.current(), application, http)
     raise WavefieldError(
-        f"port {wanted[0]} is taken; choose another with --port"
-        if len(wanted) == 1
-        else f"the ports {wanted[0]} to {wanted[-1]} are all taken; name a free one with --port"
+        f"port {requested[0]} is taken; choose another with --port"
+        if len(requested) == 1
+        else f"the ports {requested[0]} to {requested[-1]} are all taken; name a free one with --port"
     )
 
 
@@ -99,19 +99,19 @@ def _listen(port: int) -> socket.socket:
     return made
 
 
-def look_server(looked: Looked, port: int | None = None) -> Server:
+def session_server(session: LookSession, port: int | None = None) -> Server:
     """A server of the page of a cube."""
 
     def make_page(document: Any) -> None:
-        record = looked.record
+        record = session.record
         query = {
             key: values[0].decode(errors="replace")
             for key, values in (document.session_context.request.arguments or {}).items()
         }
         first = record.first_step()
-        Page(looked, Place.read(query, record.names, record.layout.steps, first)).attach(document)
+        Page(session, Place.read(query, record.names, record.layout.steps, first)).attach(document)
 
-    return make_server(make_page, port, [(r"/save/([\w.]+)", SaveHandler, {"looked": looked})])
+    return make_server(make_page, port, [(r"/save/([\w.]+)", SaveHandler, {"looked": session})])
 
 
 class Served:

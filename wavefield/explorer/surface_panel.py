@@ -7,7 +7,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, CustomJS, Label, LinearColorMapper
 from numpy.typing import NDArray
 
-from wavefield.explorer.cube_record import Record
+from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.map_fields import colour_map, palette, relief, shown_as
 from wavefield.explorer.place import Place
 from wavefield.explorer.plot_parts import INK, colour_bar, make_figure, number
@@ -32,7 +32,7 @@ def project(
 class SurfacePanel:
     """The relief of z, coloured by the shown variable."""
 
-    def __init__(self, record: Record) -> None:
+    def __init__(self, record: CubeRecord) -> None:
         self._record = record
         self._half = 0.0
         self.field = ColumnDataSource({"x": [], "y": [], "height": [], "value": []}, name="surface_field")

@@ -48,10 +48,10 @@ class TargetImages:
         if path not in self._found:
             while len(self._found) >= _KEPT:
                 self._found.pop(next(iter(self._found)))
-            self._found[path] = self._look(path)
+            self._found[path] = self._find(path)
         return self._found[path]
 
-    def _look(self, path: Path) -> FoundTarget:
+    def _find(self, path: Path) -> FoundTarget:
         from wavefield.calibration import Target, find_target
 
         section, none = self._experiment.calibration, np.zeros((0, 2))

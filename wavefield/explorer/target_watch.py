@@ -23,7 +23,7 @@ class TargetWatch:
 
     def __init__(self, experiment: Experiment) -> None:
         self._experiment = experiment
-        self._looked: dict[tuple[str, str], tuple[str, float]] = {}
+        self._checked: dict[tuple[str, str], tuple[str, float]] = {}
         self._words: dict[str, str] = {}
         self._views: dict[str, dict[str, TargetPoints]] = {}  # points by camera and pose
         self.found: dict[str, tuple[NDArray[Any], NDArray[Any]]] = {}
@@ -65,11 +65,11 @@ class TargetWatch:
             images.sort(key=lambda one: one[1].stat().st_mtime)
             for pose, path in images:
                 mark = str(path), path.stat().st_mtime
-                if self._looked.get((camera, pose)) != mark:
-                    self._looked[camera, pose] = mark
+                if self._checked.get((camera, pose)) != mark:
+                    self._checked[camera, pose] = mark
                     new |= self._find(camera, pose, path, len(poses))
         if new:
-            self._judge()
+            self._assess()
 
     def _find(self, camera: str, pose: str, path: Path, poses: int) -> bool:
         from wavefield.calibration import Target, find_target
@@ -87,7 +87,7 @@ class TargetWatch:
         self._views.setdefault(camera, {})[pose] = points
         return True
 
-    def _judge(self) -> None:
+    def _assess(self) -> None:
         section = self._experiment.calibration
         assert section is not None
         if min((len(self._views.get(name, ())) for name in self._experiment.cameras), default=0) < _VIEWS:

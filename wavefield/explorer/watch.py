@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wavefield.errors import FrameError, WavefieldError
 from wavefield.series import Experiment
 from wavefield.series.listing import newest_frames
-from wavefield.series.readers import Entry, read_entry
+from wavefield.series.readers import FrameEntry, read_entry
 
 _BACK = 3  # frames to go back where the newest cannot be read yet
 _KEPT = 1000  # frames that are known: no camera that still sends is as many behind the others
@@ -28,7 +28,7 @@ class FrameSet:
     written: float  # When the last of them was written, s since the epoch
 
 
-class Watch:
+class FolderWatch:
     """The frames of an experiment as they come."""
 
     def __init__(self, experiment: Experiment) -> None:
@@ -36,7 +36,7 @@ class Watch:
         self.newest: dict[str, int] = {}
         self.last: dict[str, float] = {}
         self.trouble: dict[str, str] = {}
-        self._frames: dict[str, dict[int, Entry]] = {}
+        self._frames: dict[str, dict[int, FrameEntry]] = {}
 
     def look(self) -> None:
         """List the folders."""
@@ -72,7 +72,7 @@ class Watch:
         return None
 
     def _read(self, name: str, number: int) -> tuple[NDArray[Any], NDArray[Any]] | None:
-        frames: Mapping[int, Entry] = self._frames[name]
+        frames: Mapping[int, FrameEntry] = self._frames[name]
         if number not in frames or number + 1 not in frames:
             return None
         try:
@@ -81,7 +81,7 @@ class Watch:
             return None
 
 
-def _written(entry: Entry) -> float:
+def _written(entry: FrameEntry) -> float:
     try:
         return os.stat(Path(entry.path)).st_mtime
     except OSError:

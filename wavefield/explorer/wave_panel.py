@@ -10,7 +10,7 @@ from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Range1d, Sele
 from numpy.typing import NDArray
 
 from wavefield import water
-from wavefield.explorer.context import Beside, open_waves
+from wavefield.explorer.context import CubeContext, open_waves
 from wavefield.explorer.map_fields import palette
 from wavefield.explorer.plot_parts import (
     BLUE,
@@ -48,7 +48,7 @@ def ruler(k: NDArray[Any], current: float, depth: float) -> NDArray[Any]:
 class WavePanel:
     """What `wavefield analyze` found."""
 
-    def __init__(self, beside: Beside, depth: float) -> None:
+    def __init__(self, beside: CubeContext, depth: float) -> None:
         self._beside = beside
         self._depth = depth if np.isfinite(depth) else 5.0
         self.words = Div(text=beside.notes.get("waves", ""), name="wave_words", sizing_mode="stretch_width")

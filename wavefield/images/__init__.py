@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import tifffile
 
-from wavefield.atomic_write import ANY_FILE, whole
+from wavefield.atomic_write import ANY_FILE, atomic
 from wavefield.errors import FrameError, StoreError
 from wavefield.images.davis_image import read_buffer
 from wavefield.images.dng import read_dng
@@ -162,7 +162,7 @@ def write_image(path: str | Path, image: np.ndarray) -> None:
     """
     path = Path(path)
     try:
-        with whole(path, ANY_FILE) as draft:
+        with atomic(path, ANY_FILE) as draft:
             if path.suffix.lower() in (".tif", ".tiff"):
                 tifffile.imwrite(draft, image)
             else:

@@ -13,7 +13,7 @@ _SPREAD = ("StripOffsets", "StripByteCounts", "BitsPerSample", "SampleFormat")  
 _MOST = 64  # layouts kept in mind
 
 
-class _Layout(NamedTuple):
+class _TiffLayout(NamedTuple):
     """Where the pixels are, in every file of this size in which these bytes stand in these places."""
 
     known: tuple[tuple[int, bytes], ...]
@@ -22,7 +22,7 @@ class _Layout(NamedTuple):
     dtype: np.dtype[Any]
 
 
-_layouts: dict[tuple[int, bytes], _Layout] = {}
+_layouts: dict[tuple[int, bytes], _TiffLayout] = {}
 
 
 def read_plain_tiff(path: str | Path) -> NDArray[Any] | None:
@@ -48,7 +48,7 @@ def read_plain_tiff(path: str | Path) -> NDArray[Any] | None:
             stream.seek(0)
             key = size, stream.read(_HEAD)
             layout = _layouts.get(key)
-            if layout is None or not _stands(stream, layout):
+            if layout is None or not _is_at(stream, layout):
                 layout = _found(stream, size)
                 if layout is None:
                     return None
@@ -60,7 +60,7 @@ def read_plain_tiff(path: str | Path) -> NDArray[Any] | None:
         return None
 
 
-def _stands(stream: FileIO, layout: _Layout) -> bool:
+def _is_at(stream: FileIO, layout: _TiffLayout) -> bool:
     for place, expected in layout.known:
         stream.seek(place)
         if stream.read(len(expected)) != expected:
@@ -68,7 +68,7 @@ def _stands(stream: FileIO, layout: _Layout) -> bool:
     return True
 
 
-def _found(stream: FileIO, size: int) -> _Layout | None:
+def _found(stream: FileIO, size: int) -> _TiffLayout | None:
     stream.seek(0)
     with tifffile.TiffFile(stream) as tiff:
         page: Any = tiff.pages.first
@@ -89,10 +89,10 @@ def _found(stream: FileIO, size: int) -> _Layout | None:
             stream.seek(place)
             known.append((place, stream.read(count)))
         dtype = page.dtype.newbyteorder(tiff.byteorder)
-        return _Layout(tuple(known), int(page.dataoffsets[0]), page.shape, dtype)
+        return _TiffLayout(tuple(known), int(page.dataoffsets[0]), page.shape, dtype)
 
 
-def _pixels(stream: FileIO, layout: _Layout) -> NDArray[Any] | None:
+def _pixels(stream: FileIO, layout: _TiffLayout) -> NDArray[Any] | None:
     out = np.empty(layout.shape, layout.dtype)
     rest = memoryview(out.reshape(-1).view(np.uint8))  # type: ignore[arg-type]  # which is a buffer
     stream.seek(layout.start)

@@ -8,7 +8,7 @@ from wavefield.compiled import compiled
 from wavefield.matching.block_lattice import block_weights
 from wavefield.matching.displacement import Displacement, Reason
 from wavefield.matching.matching_kernels import BLOCK
-from wavefield.matching.matching_settings import Settings
+from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.prepared import Level
 
 F = np.float32
@@ -154,7 +154,7 @@ def assess(
     share: np.ndarray,
     moved: tuple[np.ndarray, np.ndarray],
     outlier: np.ndarray,
-    settings: Settings,
+    settings: MatchSettings,
 ) -> Displacement:
     """Make the result of a match from the last displacement and the last sums.
 
@@ -228,7 +228,7 @@ def _reasons(
     outlier: np.ndarray,
     correlation: np.ndarray,
     energy: np.ndarray,
-    settings: Settings,
+    settings: MatchSettings,
 ) -> np.ndarray:
     """Bits of `Reason` per block."""
     inside, weight = np.empty((2, *u.shape), np.float32)

@@ -21,8 +21,8 @@ from wavefield.matching.block_lattice import (
 from wavefield.matching.displacement import Displacement
 from wavefield.matching.gauss_newton import Initial, initial_fields, last_sums, prepared_pair
 from wavefield.matching.matching_kernels import BLOCK, F, scratch, spline_image
-from wavefield.matching.matching_settings import Settings
-from wavefield.matching.prepared import Prepared
+from wavefield.matching.matching_settings import MatchSettings
+from wavefield.matching.prepared import PreparedImage
 
 _STRIDE = 2  # blocks between correlation windows
 _REFINE = 4  # px: reach of the search once the images are deformed
@@ -33,9 +33,9 @@ njit = compiled(fastmath=True, error_model="numpy")
 
 
 def correlate(
-    a: np.ndarray | Prepared,
-    b: np.ndarray | Prepared,
-    settings: Settings | None = None,
+    a: np.ndarray | PreparedImage,
+    b: np.ndarray | PreparedImage,
+    settings: MatchSettings | None = None,
     mask: np.ndarray | None = None,
     initial: Initial = None,
 ) -> Displacement:
@@ -77,7 +77,7 @@ def correlate(
     >>> round(float(np.median(d.u[d.valid])), 1), round(float(np.median(d.v[d.valid])), 1)
     (3.0, 2.0)
     """
-    settings = Settings.piv() if settings is None else settings
+    settings = MatchSettings.piv() if settings is None else settings
     a, b = prepared_pair(a, b, settings, mask)
     first, second = a.levels[0], b.levels[0]
     ny, nx = first.blocks
@@ -114,7 +114,7 @@ def correlate(
 
 
 def _assessed(
-    first: Any, second: Any, u: np.ndarray, v: np.ndarray, outlier: np.ndarray, settings: Settings
+    first: Any, second: Any, u: np.ndarray, v: np.ndarray, outlier: np.ndarray, settings: MatchSettings
 ) -> Displacement:
     """Correlation, uncertainty and validity as `match` finds them."""
     work = scratch(u.shape[1])

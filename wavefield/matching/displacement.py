@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from wavefield.matching.block_lattice import sample
-from wavefield.matching.matching_settings import Settings
+from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.uncertainty import std_from_influence
 
 
@@ -64,7 +64,7 @@ class Displacement:
     influence_u: np.ndarray
     influence_v: np.ndarray
     gain: float
-    settings: Settings
+    settings: MatchSettings
     score: np.ndarray
     hessian: np.ndarray
 

@@ -32,8 +32,8 @@ from wavefield.matching.matching_kernels import (
     scratch,
     unweighted_sums,
 )
-from wavefield.matching.matching_settings import Settings
-from wavefield.matching.prepared import Level, Prepared, depth, prepare
+from wavefield.matching.matching_settings import MatchSettings
+from wavefield.matching.prepared import Level, PreparedImage, depth, prepare
 from wavefield.matching.search import search
 
 _RIDGE = 0.01  # of the mean trace of the windowed Hessians: keeps steps small where there is little to see
@@ -50,9 +50,9 @@ Initial = Displacement | tuple[np.ndarray | float, np.ndarray | float] | None
 
 
 def match(
-    a: np.ndarray | Prepared,
-    b: np.ndarray | Prepared,
-    settings: Settings | None = None,
+    a: np.ndarray | PreparedImage,
+    b: np.ndarray | PreparedImage,
+    settings: MatchSettings | None = None,
     mask: np.ndarray | None = None,
     initial: Initial = None,
 ) -> Displacement:
@@ -115,28 +115,31 @@ def match(
 
 
 def _by_themselves(
-    a: np.ndarray | Prepared, b: np.ndarray | Prepared, mask: np.ndarray | None, initial: Initial
+    a: np.ndarray | PreparedImage, b: np.ndarray | PreparedImage, mask: np.ndarray | None, initial: Initial
 ) -> Displacement:
     """Match with settings that the images choose."""
-    usual = Settings.piv()
+    usual = MatchSettings.piv()
     a, b = prepared_pair(a, b, usual, mask)
     found = match(a, b, usual, initial=initial)
-    first = _told(found)
+    first = _information_weight(found)
     if first >= _ENOUGH:
         return found
-    wide = match(a, b, Settings.piv(**_WIDE), initial=initial)
-    return wide if _told(wide) > _MUCH_MORE * first else found
+    wide = match(a, b, MatchSettings.piv(**_WIDE), initial=initial)
+    return wide if _information_weight(wide) > _MUCH_MORE * first else found
 
 
-def _told(found: Displacement) -> float:
+def _information_weight(found: Displacement) -> float:
     """Fraction of the blocks that are not masked of which a match tells something."""
-    looked_at = (found.reason & Reason.MASKED) == 0
-    return float(found.valid[looked_at].mean()) if looked_at.any() else 1.0
+    used_blocks = (found.reason & Reason.MASKED) == 0
+    return float(found.valid[used_blocks].mean()) if used_blocks.any() else 1.0
 
 
 def prepared_pair(
-    a: np.ndarray | Prepared, b: np.ndarray | Prepared, settings: Settings, mask: np.ndarray | None
-) -> tuple[Prepared, Prepared]:
+    a: np.ndarray | PreparedImage,
+    b: np.ndarray | PreparedImage,
+    settings: MatchSettings,
+    mask: np.ndarray | None,
+) -> tuple[PreparedImage, PreparedImage]:
     """Two images prepared for these settings, if they are not yet, and of one size."""
     a, b = _prepared(a, settings, mask), _prepared(b, settings, mask)
     if a.shape != b.shape:
@@ -144,9 +147,11 @@ def prepared_pair(
     return a, b
 
 
-def _prepared(image: np.ndarray | Prepared, settings: Settings, mask: np.ndarray | None) -> Prepared:
+def _prepared(
+    image: np.ndarray | PreparedImage, settings: MatchSettings, mask: np.ndarray | None
+) -> PreparedImage:
     """The image prepared for these settings, if it is not yet."""
-    if not isinstance(image, Prepared):
+    if not isinstance(image, PreparedImage):
         return prepare(image, settings, mask)
     if mask is not None:
         raise ValueError("give the mask when preparing the image")
@@ -164,7 +169,7 @@ def _prepared(image: np.ndarray | Prepared, settings: Settings, mask: np.ndarray
 
 
 def _start(
-    a: Level, b: Level, levels: int, finest: tuple[int, int], settings: Settings, initial: Initial
+    a: Level, b: Level, levels: int, finest: tuple[int, int], settings: MatchSettings, initial: Initial
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement at the coarsest level to begin with, px of that level."""
     if initial is not None:
@@ -201,7 +206,7 @@ def initial_fields(
 class _View:
     """What a level of two images shows of each other: which blocks count, windows and steps over them."""
 
-    def __init__(self, a: Level, b: Level, sigma: float, settings: Settings) -> None:
+    def __init__(self, a: Level, b: Level, sigma: float, settings: MatchSettings) -> None:
         self.a, self.b, self.sigma, self.settings = a, b, sigma, settings
         self.masked = bool(a.good.size or b.good.size)
         self.weights = window_weights(settings.window)
@@ -308,7 +313,7 @@ def _finest(view: _View, u: np.ndarray, v: np.ndarray, count: int) -> Displaceme
     return assess(a, b, u, v, sums, windowed, view.share, moved, outlier, settings)
 
 
-def _sharpness(rr: np.ndarray, share: np.ndarray, settings: Settings) -> np.ndarray:
+def _sharpness(rr: np.ndarray, share: np.ndarray, settings: MatchSettings) -> np.ndarray:
     """1 / (c s)^2 of the robust weights from the windowed sums of squared residuals."""
     variance = rr / (F(BLOCK * BLOCK) * np.maximum(share, F(1e-3)))
     least = F(1e-6) * F(variance.mean()) + F(1e-12)
@@ -316,7 +321,9 @@ def _sharpness(rr: np.ndarray, share: np.ndarray, settings: Settings) -> np.ndar
     return out
 
 
-def look_again(a: Prepared, b: Prepared, u: np.ndarray, v: np.ndarray, settings: Settings) -> Displacement:
+def reevaluate(
+    a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray, settings: MatchSettings
+) -> Displacement:
     """What every block says about a given displacement, without a step.
 
     Parameters
@@ -351,9 +358,9 @@ def look_again(a: Prepared, b: Prepared, u: np.ndarray, v: np.ndarray, settings:
     >>> import numpy as np, cv2
     >>> noise = np.random.default_rng(1).normal(128, 40, (200, 240)).astype(np.float32)
     >>> image = cv2.GaussianBlur(noise, (0, 0), 1.2)
-    >>> a, b = (prepare(f, Settings.piv()) for f in (image, np.roll(image, 3, 1)))
+    >>> a, b = (prepare(f, MatchSettings.piv()) for f in (image, np.roll(image, 3, 1)))
     >>> off = np.full(a.levels[0].blocks, 2.9)
-    >>> seen = look_again(a, b, off, 0 * off, Settings.piv())
+    >>> seen = look_again(a, b, off, 0 * off, MatchSettings.piv())
     >>> round(float((seen.score[0] / seen.hessian[0].clip(1e-9))[seen.valid].mean()), 1)
     0.1
     """
@@ -372,10 +379,12 @@ def look_again(a: Prepared, b: Prepared, u: np.ndarray, v: np.ndarray, settings:
     return assess(view.a, view.b, u, v, sums, windowed, view.share, (still, still), none, settings)
 
 
-def scores_at(found: Displacement, a: Prepared, b: Prepared, u: np.ndarray, v: np.ndarray) -> Displacement:
+def scores_at(
+    found: Displacement, a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray
+) -> Displacement:
     """What every block that counts says about a displacement near the one that was found.
 
-    Half of what `look_again` takes: it wins no block back that the match has lost.
+    Half of what `reevaluate` takes: it wins no block back that the match has lost.
 
     Parameters
     ----------
@@ -402,7 +411,7 @@ def scores_at(found: Displacement, a: Prepared, b: Prepared, u: np.ndarray, v: n
     >>> import numpy as np, cv2
     >>> noise = np.random.default_rng(1).normal(128, 40, (200, 240)).astype(np.float32)
     >>> image = cv2.GaussianBlur(noise, (0, 0), 1.2)
-    >>> a, b = (prepare(f, Settings.piv()) for f in (image, np.roll(image, 3, 1)))
+    >>> a, b = (prepare(f, MatchSettings.piv()) for f in (image, np.roll(image, 3, 1)))
     >>> found = match(a, b)
     >>> seen = scores_at(found, a, b, found.u - 0.1, found.v)
     >>> round(float((seen.score[0] / seen.hessian[0].clip(1e-9))[seen.valid].mean()), 1)

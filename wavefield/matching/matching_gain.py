@@ -8,7 +8,7 @@ import numpy as np
 
 from wavefield.matching.block_lattice import gaussian, window_sigma
 from wavefield.matching.matching_kernels import BLOCK
-from wavefield.matching.matching_settings import Settings
+from wavefield.matching.matching_settings import MatchSettings
 
 _N = 128  # blocks: period of the Fourier transforms below
 _FOOTPRINT = 6.0  # px^2: variance of the area that a block's value stands for, beads' own images included
@@ -16,7 +16,9 @@ _TAKEN = 4.0  # px^2: variance of the area over which blocks and beads' images a
 _NOISE = 0.4  # how much of a wave that is half lost is given up for being noise
 
 
-def transfer_function(settings: Settings, kx: np.ndarray, ky: np.ndarray, gain: float = 1.0) -> np.ndarray:
+def transfer_function(
+    settings: MatchSettings, kx: np.ndarray, ky: np.ndarray, gain: float = 1.0
+) -> np.ndarray:
     """Gain of the displacement field that windows, smoother and steps leave, linear theory.
 
     Parameters
@@ -55,7 +57,7 @@ def transfer_function(settings: Settings, kx: np.ndarray, ky: np.ndarray, gain: 
     return total
 
 
-def restoring(settings: Settings, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+def restoring(settings: MatchSettings, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
     """Filter that gives back to a displacement field what matching took from its short waves.
 
     Parameters
@@ -120,7 +122,7 @@ def raised(k: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=32)
-def transfer_kernel(settings: Settings, gain: float = 1.0, restored: bool = False) -> np.ndarray:
+def transfer_kernel(settings: MatchSettings, gain: float = 1.0, restored: bool = False) -> np.ndarray:
     """Weight of each block's own displacement in the final vector, linear theory.
 
     Returns (2 r + 1, 2 r + 1): The kernel, its centre at [r, r]; it sums to nearly 1..

@@ -11,7 +11,7 @@ Range = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Settings:
+class MatchSettings:
     """How two images are matched. Start from a preset: `piv`, `fast`, `stereo`.
 
     Parameters
@@ -106,12 +106,12 @@ class Settings:
         return len(self.iterations)
 
     @classmethod
-    def piv(cls, **changes: Any) -> Settings:
+    def piv(cls, **changes: Any) -> MatchSettings:
         """One camera, one frame to the next: robust weights against particles that appear and vanish."""
         return replace(cls(), **changes)
 
     @classmethod
-    def fast(cls, **changes: Any) -> Settings:
+    def fast(cls, **changes: Any) -> MatchSettings:
         """One camera, one frame to the next, good images: a third of the time of `piv`."""
         return replace(
             cls(
@@ -128,7 +128,7 @@ class Settings:
         )
 
     @classmethod
-    def stereo(cls, **changes: Any) -> Settings:
+    def stereo(cls, **changes: Any) -> MatchSettings:
         """Two synchronous cameras: large smooth parallax, different lighting."""
         return replace(
             cls(

@@ -91,10 +91,10 @@ def along_each(score: Float, hessian: Float, counts: Float) -> tuple[float, floa
     if not full.any():
         return 1.0, 1.0
     square = [float(np.median(np.square(_clusters(part * counts)[::2, ::2][full]))) for part in score]
-    told = [float((part * counts).sum(dtype=np.float64)) for part in hessian[::2]]
-    if not all(value > 0 for value in (*square, *told)):
+    hessian_sums = [float((part * counts).sum(dtype=np.float64)) for part in hessian[::2]]
+    if not all(value > 0 for value in (*square, *hessian_sums)):
         return 1.0, 1.0
-    x, y = (noise / much**2 for noise, much in zip(square, told, strict=True))
+    x, y = (noise / much**2 for noise, much in zip(square, hessian_sums, strict=True))
     more = min(max((x - y) / (x + y), -_UNEVEN), _UNEVEN)
     return 1.0 + more, 1.0 - more
 

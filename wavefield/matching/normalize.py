@@ -114,7 +114,7 @@ def _normalize(
             _clear_row(good[y], out[y])
 
 
-class Cells:
+class NormalizationCells:
     """Sums over the cells of one image.
 
     With image (h, w); width, px; good (h, w).
@@ -180,7 +180,7 @@ class Cells:
 
 def share_of(good: np.ndarray, width: float) -> np.ndarray:
     """(ny, nx) float32: share of usable pixels around each cell, never quite 0."""
-    out: np.ndarray = np.maximum(Cells(good, width).local(0), _FEW)
+    out: np.ndarray = np.maximum(NormalizationCells(good, width).local(0), _FEW)
     return out
 
 

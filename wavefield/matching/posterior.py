@@ -66,13 +66,13 @@ class Modes:
         Smooth fields with slopes at the edges of the lattice.
     """
 
-    def __init__(self, prior: Prior, shape: tuple[int, int], wanted: Mask | None = None) -> None:
+    def __init__(self, prior: Prior, shape: tuple[int, int], requested: Mask | None = None) -> None:
         self.prior, self.lattice = prior, shape
-        self._wanted = np.ones(shape, np.bool_) if wanted is None else wanted.copy()
+        self._requested = np.ones(shape, np.bool_) if requested is None else requested.copy()
         edge = int(REACH)  # so near to it little is known anyway: that is no hole
         inside = np.zeros(shape, np.bool_)
         inside[edge:-edge, edge:-edge] = True
-        self._wanted &= inside
+        self._requested &= inside
         kx, ky = wavenumbers(shape)
         foot, spectrum = footprint(kx, ky), prior.spectrum(kx, ky)
         ratio = foot**2 * prior.information * spectrum
@@ -185,7 +185,7 @@ class Modes:
         float, float
             For `solve`: closer where there are holes, in which the field follows last.
         """
-        hole = bare(information, self.prior.information) & self._wanted
+        hole = bare(information, self.prior.information) & self._requested
         return _CLOSE if cv2.erode(hole.view(np.uint8), _HOLE).any() else _LOOSE
 
     def solve(

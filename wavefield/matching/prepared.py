@@ -10,8 +10,8 @@ import numpy as np
 
 from wavefield.errors import FrameError
 from wavefield.matching.matching_kernels import BLOCK, PAD, gradient_moments, scratch, strain_moments
-from wavefield.matching.matching_settings import Settings
-from wavefield.matching.normalize import Cells, share_of
+from wavefield.matching.matching_settings import MatchSettings
+from wavefield.matching.normalize import NormalizationCells, share_of
 
 _FILLED = 16.0  # px: masked pixels of an image that is not normalised get the mean of so wide surroundings
 _FLAT = 5  # px: side of the smallest patch at the image's largest value that counts as saturated
@@ -60,7 +60,7 @@ class Level:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedImage:
     """An image ready to be matched: its pyramid, finest level first.
 
     Parameters
@@ -89,7 +89,7 @@ class Mask:
     share: np.ndarray  # (ny, nx): Share of usable pixels around the cells of the normalisation
 
     @staticmethod
-    def of(good: np.ndarray, settings: Settings) -> Mask:
+    def of(good: np.ndarray, settings: MatchSettings) -> Mask:
         """Prepare a mask.
 
         With good (h, w).
@@ -104,7 +104,9 @@ class Mask:
         return Mask(good, tuple(levels), share_of(good, settings.normalization or _FILLED))
 
 
-def prepare(image: np.ndarray, settings: Settings, mask: np.ndarray | Mask | None = None) -> Prepared:
+def prepare(
+    image: np.ndarray, settings: MatchSettings, mask: np.ndarray | Mask | None = None
+) -> PreparedImage:
     """Prepare an image for matching.
 
     Parameters
@@ -130,7 +132,7 @@ def prepare(image: np.ndarray, settings: Settings, mask: np.ndarray | Mask | Non
     --------
     >>> import numpy as np
     >>> image = np.random.default_rng(0).integers(0, 255, (120, 160), dtype=np.uint8)
-    >>> prepare(image, Settings.piv()).shape
+    >>> prepare(image, MatchSettings.piv()).shape
     (120, 160)
     """
     image = np.asarray(image)
@@ -161,7 +163,7 @@ def prepare(image: np.ndarray, settings: Settings, mask: np.ndarray | Mask | Non
             cv2.resize(even, (w, h), dst=padded[PAD:-PAD, PAD:-PAD], interpolation=cv2.INTER_AREA)
         _replicate_border(padded)
         levels.append(Level(padded, _NO_MASK if mask is None else mask.levels[number]))
-    return Prepared(tuple(levels), settings.normalization)
+    return PreparedImage(tuple(levels), settings.normalization)
 
 
 def depth(shape: tuple[int, ...], levels: int) -> int:
@@ -172,16 +174,16 @@ def depth(shape: tuple[int, ...], levels: int) -> int:
     return levels
 
 
-def _normalize(image: np.ndarray, mask: Mask | None, settings: Settings, out: np.ndarray) -> Mask | None:
+def _normalize(image: np.ndarray, mask: Mask | None, settings: MatchSettings, out: np.ndarray) -> Mask | None:
     """Write the normalised image; return the mask less what cannot be used of this image."""
     width = settings.normalization or _FILLED
-    cells = Cells(image, width, None if mask is None else mask.good)
+    cells = NormalizationCells(image, width, None if mask is None else mask.good)
     if not cells.finite and not (finite := np.isfinite(image)).all():
         mask = _without(~finite, mask, settings)
-        cells = Cells(image, width, mask.good)
+        cells = NormalizationCells(image, width, mask.good)
     if (flat := _saturated(image, cells.largest, cells.brightest)) is not None:
         mask = _without(flat, mask, settings)
-        cells = Cells(image, width, mask.good)
+        cells = NormalizationCells(image, width, mask.good)
     if settings.normalization > 0:
         cells.normalized(None if mask is None else mask.share, out)
     elif mask is not None:
@@ -191,7 +193,7 @@ def _normalize(image: np.ndarray, mask: Mask | None, settings: Settings, out: np
     return mask
 
 
-def _without(bad: np.ndarray, mask: Mask | None, settings: Settings) -> Mask:
+def _without(bad: np.ndarray, mask: Mask | None, settings: MatchSettings) -> Mask:
     return Mask.of(~bad if mask is None else (mask.good != 0) & ~bad, settings)
 
 

@@ -24,8 +24,8 @@ _OWN = 2.0  # modes: a sector of a ring in which so many were looked at is belie
 _ALIKE = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0  # rings in which waves are thought to have like directions
 _LEAST = 0.01  # of a ring: no sector of it is thought to be less
 _SEEN = 0.15  # squared gain of the windows below which their field says nothing of a wave
-_STANDS_OUT = 3.0  # times the plateau of noise: what a windowed field shows there is signal
-_HEARD = 0.3  # of the noise: what the posterior tells apart of a spectrum
+_MIN_PEAK_TO_NOISE = 3.0  # times the plateau of noise: what a windowed field shows there is signal
+_DETECTED_SNR = 0.3  # of the noise: what the posterior tells apart of a spectrum
 SHORTEST_WAVENUMBER = 2.0  # rad per block: shorter waves are not searched for in gaps of a spectrum
 OPEN_SIGNAL_TO_NOISE = 1.0  # while a spectrum is learned, every wave may have so much at least
 FIRST_SIGNAL_TO_NOISE = 6.0  # the same at first, when the noise is thought several times too small
@@ -213,9 +213,9 @@ class Prior:
         ndarray of float64, S
             G^2 / (F^2 A), in the field's unit squared; 0 beyond the shortest wave of the lattice.
         """
-        told = footprint(k, np.zeros(1)) ** 2 * self.information
+        weight_sum = footprint(k, np.zeros(1)) ** 2 * self.information
         kept = np.square(self.gain(*_all_around(k))).mean(axis=(0, 1))
-        return np.where(k < np.pi, kept / np.maximum(told, 1e-30), 0.0)
+        return np.where(k < np.pi, kept / np.maximum(weight_sum, 1e-30), 0.0)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe.
@@ -245,8 +245,8 @@ class Prior:
         if not isinstance(power[0], list | tuple):
             power = [[power]]
         table = tuple(tuple(tuple(map(float, ring)) for ring in turns) for turns in power)
-        told, noise, waves = (float(data.get(name, 1.0)) for name in ("information", "noise", "waves"))
-        return cls(tuple(map(float, data["k"])), table, told, noise, waves)
+        weight_sum, noise, waves = (float(data.get(name, 1.0)) for name in ("information", "noise", "waves"))
+        return cls(tuple(map(float, data["k"])), table, weight_sum, noise, waves)
 
 
 def _all_around(k: Float) -> tuple[Float, Float]:
@@ -289,7 +289,7 @@ def first_prior(fields: Sequence[Float], window: Float, information: float) -> P
     raw = bins.mean(power) / np.maximum(seen, 1e-9)
     plateau = float(raw[seen > _SEEN].min())
     signal = np.maximum(raw - plateau, 0.0) / gain
-    last = bins.until((seen > _SEEN) & (raw > _STANDS_OUT * plateau))
+    last = bins.until((seen > _SEEN) & (raw > _MIN_PEAK_TO_NOISE * plateau))
     return Prior.isotropic(bins.k, _continued(bins.middle, signal, last, plateau), information)
 
 
@@ -345,8 +345,8 @@ def better_prior(
         weight = np.maximum(mean(kept), 1e-30)
         return mean(power) / weight, np.maximum(mean(kept * noise) / weight, 1e-30)
 
-    whole, drowned = parts(waves, noise, bins.rings)
-    apart, drowned_apart = parts(waves, noise, bins.sectors)
+    whole, noise_power = parts(waves, noise, bins.rings)
+    apart, sector_noise_power = parts(waves, noise, bins.sectors)
     there = bins.count > 0
     shape = np.ones_like(whole)
     if noise_alone:
@@ -356,24 +356,24 @@ def better_prior(
         ]
         shape = np.array([bins.level(one) for one in np.mean(alone, axis=0)])
     resolved = there & (bins.middle < SHORTEST_WAVENUMBER)
-    level = [_plateau(one, bins.count[resolved]) for one in (whole / (shape * drowned))[:, resolved]]
+    level = [_plateau(one, bins.count[resolved]) for one in (whole / (shape * noise_power))[:, resolved]]
     plateau = shape * np.reshape(level, (-1, 1))
-    drowned, drowned_apart = plateau * drowned, plateau[:, None] * drowned_apart
-    signal = whole - drowned
+    noise_power, sector_noise_power = plateau * noise_power, plateau[:, None] * sector_noise_power
+    signal = whole - noise_power
     significant = [
-        bins.significant(one / np.maximum(own, 1e-30), len(waves)) for one, own in zip(signal, drowned)
+        bins.significant(one / np.maximum(own, 1e-30), len(waves)) for one, own in zip(signal, noise_power)
     ]
     lasts = [max(int(np.flatnonzero(good).max(initial=-1)) + 1, 3) for good in significant]
     scatter = np.sqrt(2.0 / np.maximum(bins.count * len(waves), 1))
-    limit = np.maximum(signal, 0.0) + LIMIT_STANDARD_DEVIATIONS * scatter * drowned
+    limit = np.maximum(signal, 0.0) + LIMIT_STANDARD_DEVIATIONS * scatter * noise_power
     signal = np.where(significant, signal, limit)
     least = float(noise.min())
-    most = np.where(there, np.minimum(limit, _HEARD * drowned), np.inf)
+    most = np.where(there, np.minimum(limit, _DETECTED_SNR * noise_power), np.inf)
     rings = np.array(
         [_continued(bins.middle, one, last, least, top) for one, last, top in zip(signal, lasts, most)]
     )
-    weight = bins.looked_at * len(waves) * np.square(rings / (rings + drowned))[:, None]
-    shapes = _shapes((apart - drowned_apart) / rings[:, None], weight, lasts)
+    weight = bins.used_blocks * len(waves) * np.square(rings / (rings + noise_power))[:, None]
+    shapes = _shapes((apart - sector_noise_power) / rings[:, None], weight, lasts)
     table = tuple(
         tuple(tuple(float(f"{v:.4g}") for v in ring) for ring in turns) for turns in shapes * rings[:, None]
     )
@@ -387,15 +387,15 @@ def _shapes(parts: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray
     """
     for one, last in zip(weight, lasts):
         one[:, last:] = 0.0
-    told = convolve1d(weight, _ALIKE, axis=-1, mode="constant")
-    mean = convolve1d(parts * weight, _ALIKE, axis=-1, mode="constant") / np.maximum(told, 1e-30)
-    out: NDArray[np.float64] = np.maximum((told * mean + _OWN) / (told + _OWN), _LEAST)
+    weight_sum = convolve1d(weight, _ALIKE, axis=-1, mode="constant")
+    mean = convolve1d(parts * weight, _ALIKE, axis=-1, mode="constant") / np.maximum(weight_sum, 1e-30)
+    out: NDArray[np.float64] = np.maximum((weight_sum * mean + _OWN) / (weight_sum + _OWN), _LEAST)
     for one, last in zip(out, lasts):
         one[:, last:] = one[:, last - 1 : last]
     return out
 
 
-def believed(variance: float, noise: float, waves: float) -> float:
+def shrinkage(variance: float, noise: float, waves: float) -> float:
     """Fraction of a spectrum that is waves, from what fields vary by.
 
     Parameters
@@ -443,7 +443,7 @@ class _Bins:
         turn = np.arctan2(ky, kx).ravel() * (_SECTORS / (0.5 * np.pi))
         self._sector = np.minimum(turn.astype(int), _SECTORS - 1) * _BINS + self._which
         self.count = np.bincount(self._which, minlength=_BINS)
-        self.looked_at = np.bincount(self._sector, minlength=_SECTORS * _BINS).reshape(_SECTORS, _BINS)
+        self.used_blocks = np.bincount(self._sector, minlength=_SECTORS * _BINS).reshape(_SECTORS, _BINS)
 
     def mean(self, field: NDArray[Any]) -> NDArray[np.float64]:
         """Of a field over rings, (rings,)."""
@@ -456,9 +456,9 @@ class _Bins:
 
     def sectors(self, fields: Float) -> NDArray[np.float64]:
         """Mean of fields (c, my, mx) over the sectors of rings, (c, sectors, rings)."""
-        size = self.looked_at.size
+        size = self.used_blocks.size
         total = np.array([np.bincount(self._sector, field.ravel(), minlength=size) for field in fields])
-        return np.asarray(total.reshape(-1, _SECTORS, _BINS) / np.maximum(self.looked_at, 1))
+        return np.asarray(total.reshape(-1, _SECTORS, _BINS) / np.maximum(self.used_blocks, 1))
 
     def significant(self, ratio: Float, samples: int) -> NDArray[np.bool_]:
         """Rings (rings,) whose signal over noise is no chance.
@@ -466,16 +466,16 @@ class _Bins:
         Rings up to the first without waves have to stand out from the noise as it is known from theirs; waves
         beyond such a gap have to do so by more, together with both neighbouring rings.
         """
-        contiguous = np.arange(_BINS) < self.until((self.count > 0) & (ratio > _HEARD))
+        contiguous = np.arange(_BINS) < self.until((self.count > 0) & (ratio > _DETECTED_SNR))
         count = self.count * samples
         sum_of_three = np.convolve(ratio * count, np.ones(3), mode="same")
         count_of_three = np.convolve(count, np.ones(3), mode="same")
         mean = sum_of_three / np.maximum(count_of_three, 1)
         chance = MIN_STANDARD_DEVIATIONS * np.sqrt(2.0 / np.maximum(count_of_three, 1))
-        apart = (mean > np.maximum(chance, MIN_SIGNAL_TO_NOISE)) & (ratio > _HEARD) & (self.count > 0)
+        apart = (mean > np.maximum(chance, MIN_SIGNAL_TO_NOISE)) & (ratio > _DETECTED_SNR) & (self.count > 0)
         apart &= ~contiguous & (self.middle < SHORTEST_WAVENUMBER)
         if apart.any():  # the first three rings may belong to the gap
-            contiguous &= ratio > _HEARD
+            contiguous &= ratio > _DETECTED_SNR
         return np.asarray(contiguous | apart)
 
     def level(self, ratio: Float) -> NDArray[np.float64]:

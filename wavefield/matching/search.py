@@ -8,7 +8,7 @@ import numpy as np
 from wavefield.compiled import compiled
 from wavefield.matching.block_lattice import F, filtered, replace_outliers, smoothed, window_weights
 from wavefield.matching.matching_kernels import BLOCK, shift_sums
-from wavefield.matching.matching_settings import Settings
+from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.prepared import Level
 
 njit = compiled(error_model="numpy")
@@ -17,7 +17,7 @@ _LOCAL = 41  # px of the level: side of the box of its local normalisation
 
 
 def search(
-    a: Level, b: Level, x_range: tuple[int, int], y_range: tuple[int, int], settings: Settings
+    a: Level, b: Level, x_range: tuple[int, int], y_range: tuple[int, int], settings: MatchSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement of every block to the best of all whole-pixel shifts, refined by parabolas.
 

@@ -10,12 +10,14 @@ import numpy as np
 from wavefield.matching.block_lattice import BORDER, filtered
 from wavefield.matching.matching_gain import transfer_kernel
 from wavefield.matching.matching_kernels import BLOCK
-from wavefield.matching.matching_settings import Settings
+from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.noise import CLUSTER
 
 
 @lru_cache(maxsize=32)
-def _separable(settings: Settings, gain: float, restored: bool) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+def _separable(
+    settings: MatchSettings, gain: float, restored: bool
+) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """Transfer kernel as a short sum of separable ones: rows and columns of its singular vectors."""
     left, size, right = np.linalg.svd(transfer_kernel(settings, gain, restored).astype(float))
     keep = int(np.sum(size > 1e-4 * size[0]))
@@ -25,7 +27,7 @@ def _separable(settings: Settings, gain: float, restored: bool) -> tuple[tuple[n
 
 
 @lru_cache(maxsize=32)
-def _squared(settings: Settings, gain: float, restored: bool) -> tuple[np.ndarray, float]:
+def _squared(settings: MatchSettings, gain: float, restored: bool) -> tuple[np.ndarray, float]:
     """Square of the transfer kernel as one separable kernel: weights along either axis, and its sum.
 
     The square of a round hump is nearly a Gaussian, and that is separable: its first singular vector, with
@@ -53,7 +55,7 @@ def _convolved(field: np.ndarray, parts: tuple[tuple[np.ndarray, np.ndarray], ..
 
 def std_from_influence(
     influence: np.ndarray,
-    settings: Settings,
+    settings: MatchSettings,
     field: np.ndarray | None = None,
     gain: float = 1.0,
     restored: bool = False,

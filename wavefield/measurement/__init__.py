@@ -2,7 +2,7 @@
 
 from wavefield.measurement.diagnostics import Diagnosis, diagnose, pooled
 from wavefield.measurement.learn import learn, sample_steps
-from wavefield.measurement.learned_record import Record
+from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.measure import measure
 from wavefield.measurement.measurement_settings import Settings
 from wavefield.measurement.plan import Plan
@@ -10,8 +10,8 @@ from wavefield.measurement.response import gains
 
 __all__ = [
     "Diagnosis",
+    "LearnedRecord",
     "Plan",
-    "Record",
     "Settings",
     "diagnose",
     "gains",

@@ -12,7 +12,7 @@ Float = NDArray[Any]
 _UNKNOWN = 0.2  # of a height: what is seen of a bead changes with light and view
 
 
-def swing(rise: Float, step: float, height: float) -> tuple[Float, Float]:
+def bead_tilt(rise: Float, step: float, height: float) -> tuple[Float, Float]:
     """What beads move beyond the water that carries them.
 
     What stands h above the water along its normal lies -h grad z beside it, so that it moves by

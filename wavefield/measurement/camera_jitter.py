@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 Float = NDArray[Any]
 
 _NODES = 400  # evenly over the field: motion that all share needs no more
-_TOLD = 0.05  # of the variance of what moves: less is left over of it where the cameras cannot tell it
+_MIN_FREEDOM = 0.05  # of the variance of what moves: less is left over of it where the cameras cannot tell it
 _FEW = 50  # nodes: less tell nothing
 
 
@@ -63,10 +63,12 @@ def left_over(
     found = []
     for e in _directions(J, line):
         P = e.T @ M @ e
-        told = float(np.trace(P @ P.T))
-        found.append((float(np.sum(np.square(e.T @ left))), told))
-    enough = [told > _TOLD * rows / 2 for _, told in found]
-    size = [np.sqrt(square / told) if ok else 0.0 for (square, told), ok in zip(found, enough, strict=True)]
+        freedom = float(np.trace(P @ P.T))
+        found.append((float(np.sum(np.square(e.T @ left))), freedom))
+    enough = [freedom > _MIN_FREEDOM * rows / 2 for _, freedom in found]
+    size = [
+        np.sqrt(square / freedom) if ok else 0.0 for (square, freedom), ok in zip(found, enough, strict=True)
+    ]
     if not enough[0]:
         size[0] = size[1]
     return left, (float(size[0]), float(size[1]))

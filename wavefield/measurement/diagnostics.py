@@ -242,7 +242,7 @@ def _learned(frames: Frames, plan: Plan, masks: Frames) -> tuple[Plan, Images, I
         record = learn([(instants[0], instants[1])], every, [(covered[0], covered[1])])
         if record is None:
             raise ValueError("the frames cannot be matched: nothing to compare with")
-        plan = every.knowing(record)
+        plan = every.with_prior(record)
     assert plan.record is not None
     beads = dict(plan.record.beads)
     first, second = (images_of(frame, plan, beads, hidden) for frame, hidden in zip(instants, covered))

@@ -14,7 +14,14 @@ from wavefield import matching
 from wavefield.measurement.each_camera import noise_of_each, own_noise
 from wavefield.measurement.flow import Flows
 from wavefield.measurement.plan import Plan
-from wavefield.measurement.velocity import Seen, look_at_nodes, misfit, shares, signal, velocity
+from wavefield.measurement.velocity import (
+    CameraDisplacements,
+    displacements_at_nodes,
+    misfit,
+    shares,
+    signal,
+    velocity,
+)
 from wavefield.rig.stereo import solve_displacement
 from wavefield.variables import Quality
 
@@ -28,8 +35,8 @@ class Differences:
     """What the cameras' differences say."""
 
     # (float, float): Motion of the cameras' pictures from frame to frame, along their line and across it, px
-    trembling: tuple[float, float]
-    told: bool = False  # Whether anything else can be told: not where the cameras contradict each other
+    camera_jitter: tuple[float, float]
+    determined: bool = False  # Whether anything else can be told: not where the cameras contradict each other
     noise: float = 1.0  # Noise of all cameras over what is thought
     own: Mapping[str, float] = field(default_factory=dict)  # Noise of each camera over that of all
     # (float, float, float): Standard deviation of the water's motion from frame to frame, metres
@@ -49,12 +56,12 @@ def differences(flows: Flows, z: Float, plan: Plan) -> Differences | None:
     if motion is None:
         return None
     names = [name for name in flows if name != motion.left_out]
-    seen = look_at_nodes(names, steps, z, plan)
-    left, trembling = seen.trembling()
-    seen = seen.steadied(left)
+    seen = displacements_at_nodes(names, steps, z, plan)
+    left, camera_jitter = seen.camera_jitter()
+    seen = seen.stabilized(left)
     good = np.isfinite(motion.misfit) & ((motion.quality & Quality.FILLED) == 0)
     if not good.any():
-        return Differences(trembling)
+        return Differences(camera_jitter)
     freedom = 2 * len(names) - 3
     x, y, up = (float(np.std(d[good])) for d in motion.d)
     typical_misfit = float(np.median(misfit(seen, np.moveaxis(motion.d, 0, -1))[good]))
@@ -62,7 +69,7 @@ def differences(flows: Flows, z: Float, plan: Plan) -> Differences | None:
     good &= np.isfinite(seen.moved).all(axis=0)
     for where in motion.regions.values():
         good &= ~where
-    found = Differences(trembling, True, noise, {}, (x, y, up))
+    found = Differences(camera_jitter, True, noise, {}, (x, y, up))
     if not good.any():
         return found
     J = np.moveaxis(seen.jacobian[:, :, good], -1, 0)
@@ -73,7 +80,12 @@ def differences(flows: Flows, z: Float, plan: Plan) -> Differences | None:
 
 
 def _in_common(
-    J: Float, seen: Seen, names: Sequence[str], good: NDArray[np.bool_], noise: float, plan: Plan
+    J: Float,
+    seen: CameraDisplacements,
+    names: Sequence[str],
+    good: NDArray[np.bool_],
+    noise: float,
+    plan: Plan,
 ) -> tuple[float, float]:
     """Fraction of the displacements' spectra that is waves: noise of the cameras is smaller in their mean.
 
@@ -89,7 +101,7 @@ def _in_common(
     ]
     waves = float(np.mean(brought) * parts.sum())
     scatter = float(np.square(d_std).mean(axis=0).sum())
-    return matching.believed(float(np.var(d, axis=0).sum()), scatter, waves), scatter
+    return matching.shrinkage(float(np.var(d, axis=0).sum()), scatter, waves), scatter
 
 
 def typical(steps: Sequence[Differences], pixel: float) -> Differences:
@@ -97,15 +109,15 @@ def typical(steps: Sequence[Differences], pixel: float) -> Differences:
 
     With pixel, metres.
     """
-    along, across = np.sqrt(np.mean(np.square([one.trembling for one in steps] or [(0.0, 0.0)]), axis=0))
-    trembling = float(along), float(across)
-    steps = [one for one in steps if one.told]
+    along, across = np.sqrt(np.mean(np.square([one.camera_jitter for one in steps] or [(0.0, 0.0)]), axis=0))
+    camera_jitter = float(along), float(across)
+    steps = [one for one in steps if one.determined]
     if not steps:
-        return Differences(trembling)
+        return Differences(camera_jitter)
     moved = np.sqrt(np.mean(np.square([one.moved for one in steps]), axis=0))
     x, y, z = np.maximum(moved, _STILL * pixel)
     noise, waves, scatter = (
         float(np.median(part)) for part in zip(*((one.noise, one.waves, one.scatter) for one in steps))
     )
     own = own_noise([one.own for one in steps])
-    return Differences(trembling, True, noise, own, (float(x), float(y), float(z)), waves, scatter)
+    return Differences(camera_jitter, True, noise, own, (float(x), float(y), float(z)), waves, scatter)

@@ -12,7 +12,7 @@ from scipy.special import gammaincinv
 Float = NDArray[Any]
 
 _MEDIAN = 2.0 * float(gammaincinv(0.5, 0.5))  # of chi^2 of one degree of freedom
-_TOLD = 0.1  # of the best told: combinations of cameras of which less is told keep what all have
+_MIN_FREEDOM = 0.1  # of the best told: combinations of cameras of which less is told keep what all have
 _FREE = 0.05  # of a row's variance: what less is left over of says nothing of its noise
 _LEAST = 0.2  # of what all have
 
@@ -45,17 +45,17 @@ def noise_of_each(jacobian: Float, moved: Float, noise: Float, weight: Float) ->
     parts = np.square(left) * noise[:, None, :]
     expected = parts.sum(axis=2)
     free = np.median(expected / noise, axis=0)
-    told = free > _FREE
-    if not told.any():
+    determined = free > _FREE
+    if not determined.any():
         return np.ones(rows // 2)
     rest = np.square(np.einsum("nij,nj->ni", left, moved))
-    found = np.median(rest[:, told] / expected[:, told], axis=0) / _MEDIAN
-    of_each = np.median(parts[:, told] / expected[:, told, None], axis=0)
+    found = np.median(rest[:, determined] / expected[:, determined], axis=0) / _MEDIAN
+    of_each = np.median(parts[:, determined] / expected[:, determined, None], axis=0)
     of_each = of_each[:, ::2] + of_each[:, 1::2]
     of_each /= of_each.sum(axis=1, keepdims=True)
-    root = np.sqrt(free[told])
-    common = float(np.sum(free[told] * found) / np.sum(free[told]))
-    more = np.linalg.lstsq(of_each * root[:, None], (found - common) * root, rcond=_TOLD)[0]
+    root = np.sqrt(free[determined])
+    common = float(np.sum(free[determined] * found) / np.sum(free[determined]))
+    more = np.linalg.lstsq(of_each * root[:, None], (found - common) * root, rcond=_MIN_FREEDOM)[0]
     return np.asarray(np.maximum(common + more, _LEAST * common))
 
 

@@ -21,7 +21,7 @@ from wavefield.variables import Quality
 Float = NDArray[Any]
 Mask = NDArray[np.bool_]
 
-LOOKS = 2  # at the images: where matching led, and where the first solution leads
+EVALUATIONS = 2  # at the images: where matching led, and where the first solution leads
 MAX_LOOKS = 6  # where windows have left much of short steep waves and solutions still change
 MAX_CHANGE = 0.15  # px, rms, of the displacement from one solution to the next that is taken for converged
 MAX_RELATIVE_CHANGE = 0.05  # of the displacement's own rms: the same where there are short waves alone
@@ -88,7 +88,7 @@ def combine(matches: Sequence[PairMatch]) -> Blocks:
 
 
 @dataclass
-class Estimate:
+class ElevationEstimate:
     """The most probable elevation of one instant, and what it rests on."""
 
     waves: Float  # (1, my, mx): Cosine coefficients of the elevation and of its prior mean, metres
@@ -114,7 +114,7 @@ class Progress:
     @property
     def converged(self) -> bool:
         """Whether no further look is needed."""
-        return self._looks >= LOOKS and self._change <= self._allowed
+        return self._looks >= EVALUATIONS and self._change <= self._allowed
 
     def next(self, modes: Modes, waves: Float, found: Float, seen: Float | None) -> tuple[Float, Float]:
         """Coefficients to go on with and the field that blocks see: half way where it goes to and fro."""
@@ -125,7 +125,7 @@ class Progress:
         change = self._scale * float(np.sqrt(np.mean(np.square(after - seen))))
         relative = MAX_RELATIVE_CHANGE * self._scale * float(after.std())
         self._allowed = min(MAX_CHANGE, max(NEGLIGIBLE_CHANGE, relative))
-        to_and_fro = self._looks > LOOKS and change > max(_SLOW * self._change, self._allowed)
+        to_and_fro = self._looks > EVALUATIONS and change > max(_SLOW * self._change, self._allowed)
         self._change = change
         if to_and_fro:
             half = np.float32(0.5)
@@ -136,11 +136,11 @@ class Progress:
 def most_probable(
     blocks: Blocks,
     matches: Sequence[PairMatch],
-    prepared: Mapping[str, matching.Prepared],
+    prepared: Mapping[str, matching.PreparedImage],
     modes: Modes,
     pixel: float,
     across: bool = True,
-) -> Estimate:
+) -> ElevationEstimate:
     """Elevation as the blocks of all pairs together have it.
 
     A rise of z moves a pair's patches by -dD z: its score is -dD . s, its information dD H dD. Pairs of one
@@ -152,20 +152,20 @@ def most_probable(
     """
     z = blocks.whole
     waves, (mean, beyond, slopes) = modes.waves(z), modes.mean(z)
-    looks = [_Look(m, pixel) for m in matches]
+    instants_used = [_PairScores(m, pixel) for m in matches]
     smooth = _smooth(matches, modes)
     seen, scores = None, [z[0]]
     information = z[:1]
-    progress = Progress(float(np.sqrt(np.mean([np.square(one.D).sum(axis=0) for one in looks]))))
+    progress = Progress(float(np.sqrt(np.mean([np.square(one.D).sum(axis=0) for one in instants_used]))))
     for number in range(MAX_LOOKS):
         if number:
             z = seen + beyond
-            for one in looks:
+            for one in instants_used:
                 one.again(z[0], prepared)
-        scores = [one.score(z[0]) for one in looks]
+        scores = [one.score(z[0]) for one in instants_used]
         score = np.sum(scores, axis=0)
-        hessian = np.sum([one.hessian for one in looks], axis=0)
-        nu = _noise_across(looks, smooth) if across else _noise(score, hessian, modes.freedom)
+        hessian = np.sum([one.hessian for one in instants_used], axis=0)
+        nu = _noise_across(instants_used, smooth) if across else _noise(score, hessian, modes.freedom)
         information = (hessian / nu)[None]
         right = information * (z - beyond) + (score / nu)[None]
         if not number:
@@ -176,21 +176,21 @@ def most_probable(
             break
     counts = information[0] > 0
     miss = float(np.sqrt(np.mean(np.square(smooth[counts])))) if counts.any() else 0.0
-    lengths = [np.hypot(*one.D) for one in looks]
-    apart = scores_apart(scores, [one.hessian for one in looks], lengths)
-    return Estimate(waves, mean, slopes, information[0], miss, apart)
+    lengths = [np.hypot(*one.D) for one in instants_used]
+    apart = scores_apart(scores, [one.hessian for one in instants_used], lengths)
+    return ElevationEstimate(waves, mean, slopes, information[0], miss, apart)
 
 
 def _noise(score: Float, hessian: Float, freedom: float) -> Float:
     return matching.noise_of_scores(score[None], hessian, (hessian > 0).astype(np.float32), freedom)
 
 
-def _noise_across(looks: Sequence[_Look], smooth: Float) -> Float:
+def _noise_across(instants_used: Sequence[_PairScores], smooth: Float) -> Float:
     """Noise of the scores, (ny, nx), from those across the sight lines."""
-    parts = [one.across(smooth) for one in looks]
+    parts = [one.across(smooth) for one in instants_used]
     score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     out: Float = np.float32(_CAREFUL) * _noise(score, hessian, 1.0)
-    information = np.sum([one.hessian for one in looks], axis=0) / out
+    information = np.sum([one.hessian for one in instants_used], axis=0) / out
     return out * matching.around_holes(information, _AT_RIMS)
 
 
@@ -215,14 +215,14 @@ def _quarter(vector: Float) -> Float:
 
 def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float, freedom: float) -> float:
     """Mean information of a block about the elevation, before any posterior."""
-    looks = [_Look(m, pixel) for m in matches]
+    instants_used = [_PairScores(m, pixel) for m in matches]
     z = blocks.whole[0]
-    hessian = np.sum([one.hessian for one in looks], axis=0)
-    score = np.sum([one.score(z) for one in looks], axis=0)
+    hessian = np.sum([one.hessian for one in instants_used], axis=0)
+    score = np.sum([one.score(z) for one in instants_used], axis=0)
     return float((hessian / _noise(score, hessian, freedom)).mean())
 
 
-class _Look:
+class _PairScores:
     """What the blocks of one pair say about the elevation."""
 
     def __init__(self, match: PairMatch, pixel: float) -> None:
@@ -235,7 +235,7 @@ class _Look:
     def _weigh(self) -> None:
         self.hessian = _through(self.D, self.found.hessian * self.counts)
 
-    def again(self, z: Float, prepared: Mapping[str, matching.Prepared]) -> None:
+    def again(self, z: Float, prepared: Mapping[str, matching.PreparedImage]) -> None:
         """Look at the images at an elevation (ny, nx)."""
         m, rise = self.match, z - self.own
         a, b = (prepared[name] for name in m.pair)
@@ -270,20 +270,20 @@ def _height(parallax: Float, difference: Float) -> Float:
     return out
 
 
-def surface(prepared: Mapping[str, matching.Prepared], plan: Plan) -> Surface | None:
+def surface(prepared: Mapping[str, matching.PreparedImage], plan: Plan) -> Surface | None:
     """Elevation at the nodes from the frames of one instant."""
     if plan.settings.sheet_thickness is not None:
         return _sheet(plan.settings.sheet_thickness, plan.grid.shape)
-    found = look_at_pairs(prepared, plan)
+    found = match_pairs(prepared, plan)
     return None if found is None else surface_of(*found, prepared, plan)
 
 
 def surface_of(
-    blocks: Blocks, matches: Sequence[PairMatch], prepared: Mapping[str, matching.Prepared], plan: Plan
+    blocks: Blocks, matches: Sequence[PairMatch], prepared: Mapping[str, matching.PreparedImage], plan: Plan
 ) -> Surface:
     """Elevation at the nodes from matched pairs."""
     estimate = most_probable(blocks, matches, prepared, plan.modes, plan.pixel)
-    spline = plan.sought.splined(estimate.waves, estimate.slopes)
+    spline = plan.field_model.splined(estimate.waves, estimate.slopes)
     (noise,), (missing,) = plan.spread(estimate.information)
     centre = plan.rig[matches[0].pair[0]].centre
 
@@ -301,12 +301,12 @@ def surface_of(
 
 def _shaken(matches: Sequence[PairMatch], plan: Plan) -> float:
     """Variance of the elevation from cameras that move (`of_elevation`), square metres."""
-    told = np.logical_and.reduce([m.valid for m in matches])
-    if told.sum() < _FEW:
-        told = np.logical_or.reduce([m.valid for m in matches])
-    heights = [np.median(_height(m.parallax, m.difference)[told]) for m in matches]
+    usable = np.logical_and.reduce([m.valid for m in matches])
+    if usable.sum() < _FEW:
+        usable = np.logical_or.reduce([m.valid for m in matches])
+    heights = [np.median(_height(m.parallax, m.difference)[usable]) for m in matches]
     assert plan.record is not None
-    between = plan.record.trembling[0] * plan.pixel  # two frames, each of which has moved
+    between = plan.record.camera_jitter[0] * plan.pixel  # two frames, each of which has moved
     return of_elevation(np.array(heights), plan.parallaxes([m.pair for m in matches]), 0.5 * between**2)
 
 
@@ -318,8 +318,8 @@ def _sheet(thickness: float, shape: tuple[int, int]) -> Surface:
     return Surface(z, unknown, std, quality, apart, lambda x, y: z)
 
 
-def look_at_pairs(
-    prepared: Mapping[str, matching.Prepared], plan: Plan
+def match_pairs(
+    prepared: Mapping[str, matching.PreparedImage], plan: Plan
 ) -> tuple[Blocks, list[PairMatch]] | None:
     """Match the pairs of one instant.
 

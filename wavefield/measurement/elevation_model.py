@@ -13,7 +13,7 @@ from wavefield.matching.one_thread import one_thread
 from wavefield.measurement.regrid import thin_plate
 
 
-class Sought:
+class FieldModel:
     """A field that is sought by its spectrum; laid out when it is first asked for.
 
     With shape (int, int); wanted (ny, nx).
@@ -24,15 +24,15 @@ class Sought:
         prior: Prior,
         shape: tuple[int, int],
         smoothing: float,
-        wanted: NDArray[np.bool_] | None = None,
+        requested: NDArray[np.bool_] | None = None,
     ) -> None:
-        self.prior, self._shape, self._smoothing, self._wanted = prior, shape, smoothing, wanted
+        self.prior, self._shape, self._smoothing, self._requested = prior, shape, smoothing, requested
 
     @cached_property
     def modes(self) -> Modes:
         """Cosines of the field."""
         with one_thread():
-            return Modes(self.prior, self._shape, self._wanted)
+            return Modes(self.prior, self._shape, self._requested)
 
     @cached_property
     def spread(self) -> Spread:

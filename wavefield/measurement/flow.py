@@ -21,7 +21,7 @@ Float = NDArray[Any]
 
 
 @dataclass(frozen=True)
-class Flow:
+class CameraFlow:
     """One camera's displacement from one frame to the next, ready to be read anywhere."""
 
     # (ny, nx, 2): Spline coefficients of the displacement on the lattice of blocks, px of the binned image
@@ -39,11 +39,11 @@ class Flow:
         return np.asarray(self.rejected == 0)
 
 
-Flows = Mapping[str, Flow]
+Flows = Mapping[str, CameraFlow]
 
 
 @dataclass
-class Estimate:
+class FlowEstimate:
     """The most probable displacement between two frames, and what it rests on."""
 
     waves: Float  # (2, my, mx): Cosine coefficients of the displacement and of its prior mean, px
@@ -62,8 +62,8 @@ def whole(found: matching.Displacement) -> Float:
 
 
 def most_probable(
-    found: matching.Displacement, one: matching.Prepared, other: matching.Prepared, modes: Modes
-) -> Estimate:
+    found: matching.Displacement, one: matching.PreparedImage, other: matching.PreparedImage, modes: Modes
+) -> FlowEstimate:
     """Displacement as all blocks together have it."""
     u = whole(found)
     waves, (mean, beyond, slopes) = modes.waves(u), modes.mean(u)
@@ -73,7 +73,7 @@ def most_probable(
     for number in range(MAX_LOOKS):
         if number:
             u = seen + beyond
-            found = matching.look_again(one, other, u[0], u[1], found.settings)
+            found = matching.reevaluate(one, other, u[0], u[1], found.settings)
         counts = found.valid.astype(np.float32)
         trace = found.hessian[0] + found.hessian[2]
         nu = matching.noise_of_scores(found.score, trace, counts, freedom, torn=True)
@@ -91,12 +91,12 @@ def most_probable(
         if progress.converged:
             break
     along = matching.along_each(found.score, found.hessian, found.valid.astype(np.float32))
-    return Estimate(waves, mean, slopes, information, found.reason, along)
+    return FlowEstimate(waves, mean, slopes, information, found.reason, along)
 
 
 def flows(
-    first: Mapping[str, matching.Prepared], second: Mapping[str, matching.Prepared], plan: Plan
-) -> dict[str, Flow]:
+    first: Mapping[str, matching.PreparedImage], second: Mapping[str, matching.PreparedImage], plan: Plan
+) -> dict[str, CameraFlow]:
     """Displacements of every camera that has a usable frame at both instants."""
     return {
         n: flow_near(matching.match(first[n], second[n], plan.settings.piv), first[n], second[n], plan, n)
@@ -106,13 +106,17 @@ def flows(
 
 
 def flow_near(
-    near: matching.Displacement, one: matching.Prepared, other: matching.Prepared, plan: Plan, name: str
-) -> Flow:
+    near: matching.Displacement,
+    one: matching.PreparedImage,
+    other: matching.PreparedImage,
+    plan: Plan,
+    name: str,
+) -> CameraFlow:
     """Displacement of one camera from what matching found."""
     sight = plan.sights[name]
     found = most_probable(near, one, other, sight.modes)
     noise, missing = sight.spread(found.information)
-    return Flow(
+    return CameraFlow(
         sight.splined(found.waves, found.slopes),
         noise,
         missing,

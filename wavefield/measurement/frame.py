@@ -98,7 +98,7 @@ def even_out(
         if image.dtype == np.uint8:
             return cv2.LUT(image, table)
         out = np.empty(image.shape, np.uint16)
-        _look_up(image, table, out)
+        _table_value(image, table, out)
         return out
     above = np.maximum(image.astype(np.float32) - np.float32(low), np.float32(0.0))
     result: NDArray[Any] = np.float32(_SCALE) * np.log(np.float32(1.0) + above / np.float32(knee))
@@ -106,7 +106,7 @@ def even_out(
 
 
 @compiled()
-def _look_up(image: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) -> None:
+def _table_value(image: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) -> None:
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             out[y, x] = table[image[y, x]]

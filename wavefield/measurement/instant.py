@@ -23,8 +23,8 @@ class Images:
     """The usable frames of one instant, ready for matching."""
 
     # Rectified images, for the surface (none of a light sheet); raw ones, for matching in time
-    flat: Mapping[str, matching.Prepared]
-    raw: Mapping[str, matching.Prepared]
+    flat: Mapping[str, matching.PreparedImage]
+    raw: Mapping[str, matching.PreparedImage]
     missing: frozenset[str]  # Cameras without a usable frame
     covered: Mapping[str, Covered] = field(default_factory=dict)  # What is masked
 
@@ -34,7 +34,7 @@ class Instant:
     """What is kept of one instant."""
 
     surface: Surface | None  # Elevation at the nodes; None if it could not be measured
-    images: Mapping[str, matching.Prepared]  # Raw images ready for matching in time
+    images: Mapping[str, matching.PreparedImage]  # Raw images ready for matching in time
     missing: frozenset[str]  # Cameras without a usable frame
     frames: Frames  # The frames themselves, should a camera have to be left out
     masks: Masks  # What is masked in them
@@ -67,7 +67,7 @@ def _evened(frames: Frames, plan: Plan, beads: Mapping[str, float], masks: Masks
 
 def _rectified(
     good: Mapping[str, NDArray[Any]], plan: Plan, covered: Mapping[str, Covered]
-) -> dict[str, matching.Prepared]:
+) -> dict[str, matching.PreparedImage]:
     """Images ready for matching between cameras; none of a light sheet."""
     if plan.settings.sheet_thickness is not None:
         return {}
@@ -95,7 +95,7 @@ def images_of(
     return Images(flat, raw, frozenset(n for n in plan.cameras if n not in good), covered)
 
 
-def look(frames: Frames, plan: Plan, masks: Masks | None = None) -> Instant:
+def measure_instant(frames: Frames, plan: Plan, masks: Masks | None = None) -> Instant:
     """Everything that the frames of one instant give on their own.
 
     With masks (row, column).

@@ -22,12 +22,12 @@ from wavefield.measurement.background import bead_width
 from wavefield.measurement.differences import Differences, differences, typical
 from wavefield.measurement.frame import usable
 from wavefield.measurement.instant import Images, images_of
-from wavefield.measurement.learned_record import Record
+from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.masked import Masks, bare_of_camera, bare_of_pairs
 from wavefield.measurement.pair_surface import PairMatch
 from wavefield.measurement.paths import noise_weights
 from wavefield.measurement.plan import Plan
-from wavefield.measurement.temporal_truncation import Unresolved, unresolved
+from wavefield.measurement.temporal_truncation import TemporalTruncation, temporal_truncation
 
 Frames = Mapping[str, NDArray[Any] | None]
 Float = NDArray[Any]
@@ -61,8 +61,8 @@ def sample_steps(count: int, number: int = 0) -> list[int]:
     >>> sample_steps(100), sample_steps(100, 1), sample_steps(2)
     ([12, 37, 62, 87], [20, 45, 70, 95], [0, 1])
     """
-    wanted = min(count, SAMPLES)
-    return [int((i + 0.5 + number / 3) * count / wanted) % count for i in range(wanted)]
+    requested = min(count, SAMPLES)
+    return [int((i + 0.5 + number / 3) * count / requested) % count for i in range(requested)]
 
 
 @one_thread()
@@ -71,7 +71,7 @@ def learn(
     plan: Plan,
     masks: Sequence[tuple[Masks, Masks]] | None = None,
     threads: int = 1,
-) -> Record | None:
+) -> LearnedRecord | None:
     """Learn a record's beads, spectra and noise from sample frames.
 
     Parameters
@@ -105,7 +105,7 @@ def _learned(
     plan: Plan,
     covered: Sequence[tuple[Masks, Masks]],
     pool: ThreadPoolExecutor,
-) -> Record | None:
+) -> LearnedRecord | None:
     beads = _beads(steps, covered, plan, pool)
 
     def view(step: tuple[Frames, Frames], masked: tuple[Masks, Masks]) -> tuple[Images, Images]:
@@ -115,7 +115,7 @@ def _learned(
     def match(view: tuple[Images, Images]) -> _Near:
         one, other = (images.raw for images in view)
         found = {n: matching.match(one[n], other[n], plan.settings.piv) for n in one if n in other}
-        return _Near(elevation.look_at_pairs(view[0].flat, plan), found)
+        return _Near(elevation.match_pairs(view[0].flat, plan), found)
 
     views = list(pool.map(view, steps, covered))
     near = list(pool.map(match, views))
@@ -126,14 +126,14 @@ def _learned(
         return None
     some = next(iter(known.values()))
     priors = {name: known.get(name, some).prior for name in plan.velocity_cameras}
-    record = Record(tuple(beads.items()), height, tuple(priors.items()), (1.0, 1.0, 1.0))
-    known_plan = plan = plan.knowing(record)
+    record = LearnedRecord(tuple(beads.items()), height, tuple(priors.items()), (1.0, 1.0, 1.0))
+    known_plan = plan = plan.with_prior(record)
     pairs = list(pool.map(lambda step, found: _elevations(step, found, known_plan), views, near))
     heights = [None if pair is None else np.float32(0.5) * (pair[0] + pair[1]) for pair in pairs]
     known_pairs = [pair for pair in pairs if pair is not None]
     record = replace(
         record,
-        unresolved=unresolved(
+        temporal_truncation=temporal_truncation(
             known_pairs,
             plan.grid.step,
             partial(_noise_of_waves, height, plan),
@@ -142,7 +142,7 @@ def _learned(
     )
     for number in range(2):
         if number:
-            plan = plan.knowing(record)
+            plan = plan.with_prior(record)
         found = _differences(views, near, heights, plan, pool)
         priors = {}
         for name, prior in record.displacement:
@@ -155,12 +155,12 @@ def _learned(
             displacement=tuple(priors.items()),
             moved=found.moved,
             noise=tuple(own.items()),
-            trembling=found.trembling,
+            camera_jitter=found.camera_jitter,
         )
-    return replace(record, path_frames=_path_frames(found, record.unresolved))
+    return replace(record, path_frames=_path_frames(found, record.temporal_truncation))
 
 
-def _path_frames(found: Differences, unresolved: Unresolved) -> int:
+def _path_frames(found: Differences, temporal_truncation: TemporalTruncation) -> int:
     """Frames that leave least of the water's displacement wrong: by noise, and of waves that turn fast.
 
     Four where few waves tell how fast; six have to be better by more than what that is uncertain by.
@@ -168,10 +168,10 @@ def _path_frames(found: Differences, unresolved: Unresolved) -> int:
 
     def wrong(frames: int) -> float:
         here, *beside = noise_weights(frames)
-        lost = found.moved[2] ** 2 * unresolved.total(frames)
+        lost = found.moved[2] ** 2 * temporal_truncation.total(frames)
         return found.scatter * (here + 2.0 * sum(beside)) + _DOUBT**2 * lost
 
-    return 6 if 6 in dict(unresolved.d) and wrong(6) < wrong(4) else 4
+    return 6 if 6 in dict(temporal_truncation.d) and wrong(6) < wrong(4) else 4
 
 
 @dataclass(frozen=True)
@@ -208,28 +208,28 @@ def _learn_elevation(
     if plan.settings.sheet_thickness is not None:
         return _FLAT
 
-    def look(view: tuple[Images, Images], found: _Near) -> _Height | None:
+    def sample_of(view: tuple[Images, Images], found: _Near) -> _Height | None:
         if found.pairs is None:
             return None
         return _Height(*found.pairs, view[0].flat, plan.pixel, bare_of_pairs(view[0].covered, plan))
 
-    samples = [sample for sample in pool.map(look, views, near) if sample is not None]
+    samples = [sample for sample in pool.map(sample_of, views, near) if sample is not None]
     if not samples:
         return None
     prior = _Samples.of(samples, plan.settings.stereo, pool).prior
     modes = Modes(prior, plan.lattice.shape)
 
-    def told(sample: _Height) -> tuple[float, float, float]:
+    def summarize(sample: _Height) -> tuple[float, float, float]:
         """Information of a block, variance of z, and of what is smooth across sight lines."""
         estimate = elevation.most_probable(*sample.parts, modes, plan.pixel)
         z = modes.field(estimate.waves - estimate.mean)[0][estimate.information > 0]
         apart = float(np.median(np.abs(z - np.median(z)))) / _HALF if z.size else 0.0
         return float(estimate.information.mean()) / sample.bare, apart**2, estimate.miss**2
 
-    information, variance, miss = np.mean(list(pool.map(told, samples)), axis=0)
+    information, variance, miss = np.mean(list(pool.map(summarize, samples)), axis=0)
     prior = replace(prior, information=float(information))
     waves, noise = (float(part[0]) for part in prior.variances(modes.lattice))
-    return replace(prior, waves=matching.believed(variance, noise + miss, waves))
+    return replace(prior, waves=matching.shrinkage(variance, noise + miss, waves))
 
 
 def _learn_displacement(
@@ -239,13 +239,13 @@ def _learn_displacement(
     plan: Plan,
     pool: ThreadPoolExecutor,
 ) -> _Samples | None:
-    def look(step: tuple[tuple[Images, Images], _Near]) -> _Shift:
+    def sample_of(step: tuple[tuple[Images, Images], _Near]) -> _Shift:
         (one, other), found = step
         bare = bare_of_camera([one.covered.get(name), other.covered.get(name)])
         return _Shift(found.displacements[name], one.raw[name], other.raw[name], bare)
 
     there = [step for step in zip(views, near) if name in step[1].displacements]
-    samples = list(pool.map(look, there))
+    samples = list(pool.map(sample_of, there))
     if not any(sample.information > 0 for sample in samples):
         return None
     return _Samples.of(samples, plan.settings.piv, pool)
@@ -262,7 +262,7 @@ class _Sample:
     information: float
     bare: float
 
-    def estimate(self, modes: Modes) -> elevation.Estimate | flow.Estimate:
+    def estimate(self, modes: Modes) -> elevation.ElevationEstimate | flow.FlowEstimate:
         """The most probable field."""
         raise NotImplementedError
 
@@ -276,7 +276,7 @@ class _Height(_Sample):
         self,
         blocks: elevation.Blocks,
         matches: Sequence[PairMatch],
-        prepared: Mapping[str, matching.Prepared],
+        prepared: Mapping[str, matching.PreparedImage],
         pixel: float,
         bare: float,
     ) -> None:
@@ -284,7 +284,7 @@ class _Height(_Sample):
         self.field = blocks.whole
         self.information = elevation.first_information(blocks, matches, pixel, _FREEDOM) / bare
 
-    def estimate(self, modes: Modes) -> elevation.Estimate:
+    def estimate(self, modes: Modes) -> elevation.ElevationEstimate:
         # noise from the same scores as the field: taken across, what is more along would pass for waves
         return elevation.most_probable(*self.parts, modes, self._pixel, across=False)
 
@@ -300,7 +300,11 @@ class _Height(_Sample):
 
 class _Shift(_Sample):
     def __init__(
-        self, found: matching.Displacement, one: matching.Prepared, other: matching.Prepared, bare: float
+        self,
+        found: matching.Displacement,
+        one: matching.PreparedImage,
+        other: matching.PreparedImage,
+        bare: float,
     ) -> None:
         self._parts, self.bare = (found, one, other), bare
         self.field = flow.whole(found)
@@ -309,7 +313,7 @@ class _Shift(_Sample):
         nu = matching.noise_of_scores(found.score, trace, counts, _FREEDOM, torn=True)
         self.information = 0.5 * float((trace * counts / nu).mean()) / bare
 
-    def estimate(self, modes: Modes) -> flow.Estimate:
+    def estimate(self, modes: Modes) -> flow.FlowEstimate:
         return flow.most_probable(*self._parts, modes)
 
 
@@ -323,7 +327,7 @@ class _Samples:
 
     @classmethod
     def of(
-        cls, samples: Sequence[_Sample], settings: matching.Settings, pool: ThreadPoolExecutor
+        cls, samples: Sequence[_Sample], settings: matching.MatchSettings, pool: ThreadPoolExecutor
     ) -> _Samples:
         shape = samples[0].field.shape[-2:]
         kx, ky = (np.pi * np.arange(n) / n for n in shape[::-1])
@@ -353,7 +357,7 @@ def _noise_of_waves(prior: Prior, plan: Plan, k: Float) -> Float:
     return out
 
 
-def _matched(record: Record, plan: Plan, k: Float) -> tuple[Float, Float]:
+def _matched(record: LearnedRecord, plan: Plan, k: Float) -> tuple[Float, Float]:
     """What priors leave of waves' displacements, and by how much these are raised; k in rad per node."""
     blocks = k * BLOCK * plan.pixel / plan.grid.step
     gain = np.mean([prior.mean_gain(blocks) for _, prior in record.displacement], axis=0)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from wavefield.matching import Prior
-from wavefield.measurement.temporal_truncation import NOTHING, Unresolved
+from wavefield.measurement.temporal_truncation import NOTHING, TemporalTruncation
 
 
 @dataclass(frozen=True)
-class Record:
+class LearnedRecord:
     """Beads, spectra and noise of a record, from sample frames (`learn`).
 
     Parameters
@@ -39,9 +39,9 @@ class Record:
     elevation: Prior
     displacement: tuple[tuple[str, Prior], ...]
     moved: tuple[float, float, float]
-    unresolved: Unresolved = NOTHING
+    temporal_truncation: TemporalTruncation = NOTHING
     noise: tuple[tuple[str, float], ...] = ()
-    trembling: tuple[float, float] = (0.0, 0.0)
+    camera_jitter: tuple[float, float] = (0.0, 0.0)
     path_frames: int = 4
 
     def width(self, camera: str) -> float:
@@ -64,14 +64,14 @@ class Record:
             "elevation": self.elevation.to_dict(),
             "displacement": {name: prior.to_dict() for name, prior in self.displacement},
             "moved": list(self.moved),
-            "temporal_truncation": self.unresolved.to_dict(),
+            "temporal_truncation": self.temporal_truncation.to_dict(),
             "noise": dict(self.noise),
-            "camera_jitter": list(self.trembling),
+            "camera_jitter": list(self.camera_jitter),
             "path_frames": self.path_frames,
         }
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Record:
+    def from_dict(cls, data: Mapping[str, Any]) -> LearnedRecord:
         """Inverse of `to_dict`.
 
         Parameters
@@ -90,7 +90,9 @@ class Record:
             Prior.from_dict(data["elevation"]),
             tuple((str(name), Prior.from_dict(p)) for name, p in data["displacement"].items()),
             (x, y, z),
-            Unresolved.from_dict(data["temporal_truncation"]) if "temporal_truncation" in data else NOTHING,
+            TemporalTruncation.from_dict(data["temporal_truncation"])
+            if "temporal_truncation" in data
+            else NOTHING,
             tuple((str(name), float(factor)) for name, factor in data.get("noise", {}).items()),
             (along, across),
             int(data.get("path_frames", 4)),

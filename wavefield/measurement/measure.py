@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching.one_thread import one_thread
-from wavefield.measurement.bead_tilt import swing
+from wavefield.measurement.bead_tilt import bead_tilt
 from wavefield.measurement.camera_jitter import motion_for, unsteady
 from wavefield.measurement.elevation import Surface
 from wavefield.measurement.flow import Flows, flows
-from wavefield.measurement.instant import Instant, look
+from wavefield.measurement.instant import Instant, measure_instant
 from wavefield.measurement.learn import learn, sample_steps
 from wavefield.measurement.masked import masked_nodes
 from wavefield.measurement.midtime import MidTime, at_mid_time, frames_used, slope
 from wavefield.measurement.plan import Plan
-from wavefield.measurement.temporal_truncation import Unresolved, typical
+from wavefield.measurement.temporal_truncation import TemporalTruncation, typical
 from wavefield.measurement.velocity import Motion, motion_at, velocity
 from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality
 from wavefield.water import GRAVITY
@@ -81,14 +81,14 @@ def measure(
         record = learn(pairs, plan, [_pair(masks, k) for k in samples] if masks else None)
         if record is None:
             return out
-        plan = plan.knowing(record)
+        plan = plan.with_prior(record)
     assert plan.record is not None
     beside = plan.record.path_frames // 2 - 1  # steps either way whose displacements are wanted
     window: list[Instant] = []
     moves: list[Flows] = []
     for number in range(steps + 2 * AROUND + 1):
         covered = {name: masks[name][number] for name in masks} if masks else None
-        window.append(look({name: frames[name][number] for name in frames}, plan, covered))
+        window.append(measure_instant({name: frames[name][number] for name in frames}, plan, covered))
         if AROUND - beside < number <= steps + AROUND + beside:
             moves.append(flows(window[-2].images, window[-1].images, plan))
         if number:  # not wanted any more, or a neighbour of neighbours whose z alone is
@@ -130,7 +130,7 @@ def _step(
         return
     if before.surface is None or after.surface is None:
         out["quality"][:] |= np.uint16(Quality.TWO_FRAME_MEAN)
-    seen = _look_at(window, moves, plan, frame_rate)
+    seen = _measure_sample(window, moves, plan, frame_rate)
     if seen is None:
         return
     surfaces, moved = seen.surfaces, seen.moved
@@ -159,13 +159,13 @@ def _step(
     out["quality"][:] |= np.where(inside, quality, nothing)
     known = inside & ~filled  # what is made up in holes says nothing of the rest
     assert plan.record is not None
-    unresolved = plan.record.unresolved
+    temporal_truncation = plan.record.temporal_truncation
     left_out = np.zeros_like(moved.d)
     for places in np.unique(moved.frames[inside]):
-        parts = unresolved.of_displacement(int(places), moved.d, known)
+        parts = temporal_truncation.of_displacement(int(places), moved.d, known)
         left_out = np.where(moved.frames == places, parts, left_out)
     d, d_std = moved.d.copy(), np.hypot(moved.d_std, left_out)
-    beyond_water, its_std = swing(rise, plan.grid.step, plan.settings.bead_height)
+    beyond_water, its_std = bead_tilt(rise, plan.grid.step, plan.settings.bead_height)
     d[:2] -= beyond_water
     d_std[:2] = np.hypot(d_std[:2], its_std)
     z_y, z_x = (slope(z, plan.grid.step, axis) for axis in (0, 1))
@@ -177,7 +177,7 @@ def _step(
         "w": d[2] * frame_rate,
         "eps_y": np.float32(0.5) * (first_surface.eps_y + second_surface.eps_y),
         "eps_piv": moved.eps_piv,
-        "z_std": np.hypot(z_std, _left_out_of_z(surfaces, rise, known, unresolved)),
+        "z_std": np.hypot(z_std, _left_out_of_z(surfaces, rise, known, temporal_truncation)),
         "u_std": d_std[0] * frame_rate,
         "v_std": d_std[1] * frame_rate,
         "w_std": d_std[2] * frame_rate,
@@ -200,7 +200,7 @@ class _Seen:
     left_out: frozenset[str] = frozenset()
 
 
-def _look_at(
+def _measure_sample(
     window: Sequence[Instant], moves: Sequence[Flows], plan: Plan, frame_rate: float
 ) -> _Seen | None:
     """Surfaces and motion of a step; None if nothing can be said of it.
@@ -213,8 +213,8 @@ def _look_at(
     if seen is None:
         return None
     moved = seen.moved
-    if moved.contradicted and len(moves) > 3:
-        return _look_at(window, moves[1:-1], plan, frame_rate)
+    if moved.inconsistent and len(moves) > 3:
+        return _measure_sample(window, moves[1:-1], plan, frame_rate)
     if not (moved.left_out or moved.regions):
         return seen
     left_out: frozenset[str] = frozenset()
@@ -225,7 +225,7 @@ def _look_at(
             return None
         moves = [{n: f for n, f in flow.items() if n not in left_out} for flow in moves]
     else:
-        surfaces = [_mended(instant, moved.regions, plan) for instant in window]
+        surfaces = [_repaired(instant, moved.regions, plan) for instant in window]
     seen = _follow(surfaces, moves, plan, frame_rate, moved.regions)
     return None if seen is None else replace(seen, left_out=left_out)
 
@@ -241,12 +241,12 @@ def _follow(
     first, second = surfaces[AROUND : AROUND + 2]
     assert first is not None
     assert second is not None
-    level, trembles = _unsteady(surfaces, plan, frame_rate)
+    level, jitters = _unsteady(surfaces, plan, frame_rate)
     moved = motion_at(moves, np.float32(0.5) * (first.z + second.z), plan)
     if moved is None:
         return None
     height = at_mid_time(surfaces, moved, plan.x, plan.y).z
-    moved = velocity(moves, height, plan, without, trembles)
+    moved = velocity(moves, height, plan, without, jitters)
     if moved is None:
         return None
     at = at_mid_time(surfaces, moved, plan.x, plan.y)
@@ -258,13 +258,13 @@ def _follow(
 def _unsteady(surfaces: Sequence[Surface | None], plan: Plan, frame_rate: float) -> tuple[float, float]:
     """How far the level of z moves as no water does, metres; motion of the pictures that explains it, px."""
     known = [one for one in surfaces if one is not None]
-    told = np.logical_and.reduce([(one.quality & Quality.MEASURED) > 0 for one in known])
-    if len(known) < len(surfaces) or told.sum() < _FEW or plan.settings.sheet_thickness is not None:
+    usable = np.logical_and.reduce([(one.quality & Quality.MEASURED) > 0 for one in known])
+    if len(known) < len(surfaces) or usable.sum() < _FEW or plan.settings.sheet_thickness is not None:
         return 0.0, 0.0
     # waves of half the field's width and more move its mean
     shortest = 0.5 * max(min(np.ptp(plan.x), np.ptp(plan.y)), plan.grid.step)
     turn = float(np.sqrt(2.0 * np.pi * GRAVITY / shortest)) / frame_rate
-    level = unsteady([float(one.z[told].mean(dtype=np.float64)) for one in known], turn)
+    level = unsteady([float(one.z[usable].mean(dtype=np.float64)) for one in known], turn)
     motion = np.sqrt(2.0) * motion_for(level, plan.parallaxes(plan.pairs)) / plan.pixel
     return level, float(motion)
 
@@ -277,7 +277,7 @@ def _without(cameras: Collection[str], plan: Plan) -> np.uint16:
     return np.uint16(bits)
 
 
-def _mended(instant: Instant, regions: Mapping[str, NDArray[np.bool_]], plan: Plan) -> Surface | None:
+def _repaired(instant: Instant, regions: Mapping[str, NDArray[np.bool_]], plan: Plan) -> Surface | None:
     """An instant's surface with that of the other cameras where one contradicts them."""
     surface = instant.surface
     if plan.settings.sheet_thickness is not None:
@@ -301,11 +301,14 @@ def _joined(surface: Surface, other: Surface, where: NDArray[np.bool_]) -> Surfa
 
 
 def _left_out_of_z(
-    surfaces: Sequence[Surface | None], rise: NDArray[Any], known: NDArray[np.bool_], unresolved: Unresolved
+    surfaces: Sequence[Surface | None],
+    rise: NDArray[Any],
+    known: NDArray[np.bool_],
+    temporal_truncation: TemporalTruncation,
 ) -> Any:
     """Standard uncertainty of z for what its frames cannot follow, metres: a number, or (ny, nx)."""
     count = frames_used(surfaces)
-    out = np.float32(unresolved.of_z(count))
+    out = np.float32(temporal_truncation.of_z(count))
     if count != 3 or not known.any():
         return out
     # a parabola errs with the third derivative: where water rises fast

@@ -26,8 +26,8 @@ _PRESETS: dict[str, dict[str, dict[str, Any]]] = {
 }
 
 
-def _stereo() -> matching.Settings:
-    return matching.Settings.stereo(
+def _stereo() -> matching.MatchSettings:
+    return matching.MatchSettings.stereo(
         iterations=(2, 1, 2),
         window=21.0,
         smoother_sigma=1.8,
@@ -40,8 +40,8 @@ def _stereo() -> matching.Settings:
     )
 
 
-def _piv() -> matching.Settings:
-    return matching.Settings.piv(
+def _piv() -> matching.MatchSettings:
+    return matching.MatchSettings.piv(
         iterations=(2, 1, 2),
         window=12.0,
         smoother_sigma=1.3,
@@ -113,8 +113,8 @@ class Settings:
     eps_floor: float = 0.3
     min_valid: float = 0.2
     vibration: Literal["leave", "correct"] = "leave"
-    stereo: matching.Settings = field(default_factory=_stereo)
-    piv: matching.Settings = field(default_factory=_piv)
+    stereo: matching.MatchSettings = field(default_factory=_stereo)
+    piv: matching.MatchSettings = field(default_factory=_piv)
 
     def __post_init__(self) -> None:
         for name in ("pairs", "velocity_cameras"):

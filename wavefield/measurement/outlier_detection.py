@@ -27,7 +27,7 @@ _FEW = 50  # nodes: less tell nothing
 _MOST = 0.5  # of the nodes around must contradict
 
 
-def who_lies(count: int, typical: float, without: Callable[[int], float]) -> int | None:
+def outlier_camera(count: int, typical: float, without: Callable[[int], float]) -> int | None:
     """The camera without which the others agree.
 
     Three cameras have but one displacement over along the line on which they stand: whichever is left out,
@@ -81,10 +81,10 @@ def regions(
                 others[n] = without(n)
             return median_misfit(others[n], here)
 
-        liar = who_lies(count, median_misfit(misfit, here), misfit_without)
-        if liar is not None:
+        outlier = outlier_camera(count, median_misfit(misfit, here), misfit_without)
+        if outlier is not None:
             wide = cv2.dilate(here.view(np.uint8), disc) > 0
-            out[liar] = out.get(liar, np.zeros_like(known)) | wide
+            out[outlier] = out.get(outlier, np.zeros_like(known)) | wide
     return out
 
 
@@ -117,10 +117,10 @@ def scores_apart(scores: Sequence[Float], hessians: Sequence[Float], lengths: Se
     wide = [(cv2.blur(s, _WIDE), cv2.blur(h, _WIDE)) for s, h in zip(scores, hessians, strict=True)]
     out = np.zeros(scores[0].shape, bool)
     for ((s, h), a), ((t, g), b) in pairwise(zip(wide, lengths, strict=True)):
-        told = (h > np.float32(_TELLING) * h.mean()) & (g > np.float32(_TELLING) * g.mean())
+        usable = (h > np.float32(_TELLING) * h.mean()) & (g > np.float32(_TELLING) * g.mean())
         tiny = np.float32(1e-30)
         apart = (s / np.maximum(h, tiny) - t / np.maximum(g, tiny)) * np.minimum(a, b)
-        out |= told & (np.abs(apart) > np.float32(_ASK))
+        out |= usable & (np.abs(apart) > np.float32(_ASK))
     return widened(out)
 
 

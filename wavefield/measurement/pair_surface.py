@@ -31,7 +31,7 @@ class PairMatch:
     # (ny, nx): Bits of `Quality` that say why a block does not count; 0 where it does
     rejected: NDArray[np.uint16]
     matched: Mask  # (ny, nx): Blocks that both cameras see and that matching itself trusts
-    settings: matching.Settings  # The settings of this match
+    settings: matching.MatchSettings  # The settings of this match
     found: matching.Displacement  # The match itself, px
 
     @property
@@ -43,7 +43,7 @@ class PairMatch:
 
 def prepare(
     image: NDArray[Any], camera: str, plan: Plan, mask: matching.prepared.Mask | None = None
-) -> matching.Prepared:
+) -> matching.PreparedImage:
     """Rectify a raw image and make it ready for matching.
 
     With image (row, column).
@@ -53,7 +53,9 @@ def prepare(
     return matching.prepare(flat, plan.settings.stereo, mask=mask or plan.masks[camera])
 
 
-def match_pair(a: matching.Prepared, b: matching.Prepared, pair: tuple[str, str], plan: Plan) -> PairMatch:
+def match_pair(
+    a: matching.PreparedImage, b: matching.PreparedImage, pair: tuple[str, str], plan: Plan
+) -> PairMatch:
     """Match two rectified images of one instant.
 
     x_a, x_b: apparent positions; d = x_b - x_a = -(D_b - D_a) z, so z = -(dD . d) / |dD|^2 and

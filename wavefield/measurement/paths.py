@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
 from wavefield.measurement.regrid import (
-    Lattice,
+    BlockLattice,
     Weights,
     place_of,
     spline_line,
@@ -213,7 +213,7 @@ def five(steps: Sequence[Step | None]) -> Sequence[Step | None]:
 def read_path(
     splines: Sequence[Float | None],
     valid: Sequence[Mask | None],
-    lattice: Lattice,
+    lattice: BlockLattice,
     X: NDArray[Any],
     Y: NDArray[Any],
 ) -> tuple[Float, NDArray[np.int64]]:
@@ -237,7 +237,7 @@ def read_path(
 
     Examples
     --------
-    >>> lattice = Lattice(2.0, 2.0, 5.0, (8, 8))
+    >>> lattice = BlockLattice(2.0, 2.0, 5.0, (8, 8))
     >>> same = np.full((8, 8, 2), 1.5, np.float32)
     >>> at = np.array([20.0])
     >>> d, block = read_path((None, same, None), (None, None, None), lattice, at, at)

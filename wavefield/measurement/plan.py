@@ -19,11 +19,11 @@ from wavefield.grid import Grid
 from wavefield.matching import Modes, Spread
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.prepared import Mask
-from wavefield.measurement.elevation_model import Sought
-from wavefield.measurement.learned_record import Record
+from wavefield.measurement.elevation_model import FieldModel
+from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.measurement_settings import Settings
 from wavefield.measurement.rectify import binned, sight_map
-from wavefield.measurement.regrid import Lattice
+from wavefield.measurement.regrid import BlockLattice
 from wavefield.measurement.sight import Sight
 from wavefield.rig import Camera, Rig
 from wavefield.rig.pairs import pairs_of
@@ -90,11 +90,11 @@ class Plan:
         rig: Rig,
         grid: Grid,
         settings: Settings | None = None,
-        record: Record | None = None,
+        record: LearnedRecord | None = None,
         covered: Outlines = (),
     ) -> None:
         self.rig, self.grid, self.covered = rig, grid, covered
-        self.record: Record | None = None
+        self.record: LearnedRecord | None = None
         self.settings = settings = settings or Settings()
         if len(rig) < 2:
             raise RigError("a rig needs at least two cameras to measure a surface")
@@ -136,7 +136,7 @@ class Plan:
             self.covered,
         )
 
-    def knowing(self, record: Record) -> Plan:
+    def with_prior(self, record: LearnedRecord) -> Plan:
         """The same plan with another record.
 
         Parameters
@@ -156,11 +156,11 @@ class Plan:
         out._use(record)
         return out
 
-    def _use(self, record: Record) -> None:
+    def _use(self, record: LearnedRecord) -> None:
         """Seek the fields whose spectra the record has; what is laid out for the same spectrum stays."""
         shape, before = self.lattice.shape, self.record
         if before is None or before.elevation != record.elevation:
-            self.sought = Sought(record.elevation, shape, self.settings.smoothing, self._in_view())
+            self.field_model = FieldModel(record.elevation, shape, self.settings.smoothing, self._in_view())
         for name, prior in record.displacement:
             self.sights[name].use(prior)
         self.record = record
@@ -168,12 +168,12 @@ class Plan:
     @property
     def modes(self) -> Modes:
         """Cosines of the elevation."""
-        return self.sought.modes
+        return self.field_model.modes
 
     @property
     def spread(self) -> Spread:
         """Variance of the elevation."""
-        return self.sought.spread
+        return self.field_model.spread
 
     def _in_view(self) -> NDArray[np.bool_]:
         """(ny, nx): blocks well inside what the reference and a partner see of the water at rest."""
@@ -253,7 +253,7 @@ class Plan:
         py = y0 + self.pixel * np.arange(ny * BLOCK)
         middle_of_block = 0.5 * (BLOCK - 1) * self.pixel
         self.origin = (float(x0), float(y0))
-        self.lattice = Lattice(x0 + middle_of_block, y0 + middle_of_block, step, (ny, nx))
+        self.lattice = BlockLattice(x0 + middle_of_block, y0 + middle_of_block, step, (ny, nx))
         self.maps: dict[str, tuple[NDArray[Any], NDArray[Any]]] = {}
         self.seen: dict[str, NDArray[Any]] = {}
         self.masks: dict[str, Mask] = {}
@@ -272,13 +272,13 @@ class Plan:
         self.block_x, self.block_y = x.astype(np.float32), y.astype(np.float32)
         self.stereo = {pair: self._search(pair) for pair in self.pairs}
 
-    def stereo_settings(self, pair: tuple[str, str]) -> matching.Settings:
+    def stereo_settings(self, pair: tuple[str, str]) -> matching.MatchSettings:
         """Matching settings of a pair, its search range from the elevations searched."""
         if pair not in self.stereo:
             self.stereo[pair] = self._search(pair)
         return self.stereo[pair]
 
-    def _search(self, pair: tuple[str, str]) -> matching.Settings:
+    def _search(self, pair: tuple[str, str]) -> matching.MatchSettings:
         a, b = (self.rig[name] for name in pair)
         xa, ya = np.meshgrid(self.lattice.x[[0, -1]], self.lattice.y[[0, -1]])
         ends = []
@@ -363,7 +363,7 @@ def _cached(
     cameras: tuple[tuple[str, Camera], ...],
     grid: Grid,
     settings: Settings,
-    record: Record | None,
+    record: LearnedRecord | None,
     covered: Outlines,
 ) -> Plan:
     return Plan(Rig(dict(cameras)), grid, settings, record, covered)

@@ -19,7 +19,7 @@ Weights = tuple[np.float32, np.float32, np.float32, np.float32]  # of four block
 
 
 @dataclass(frozen=True)
-class Lattice:
+class BlockLattice:
     """Block centres in a plane: apparent coordinates or pixels."""
 
     x0: float  # Position of block (0, 0)
@@ -204,7 +204,7 @@ def _read_surface(
 
 
 def read_surface(
-    spline: Float, lattice: Lattice, centre: NDArray[Any], x: NDArray[Any], y: NDArray[Any]
+    spline: Float, lattice: BlockLattice, centre: NDArray[Any], x: NDArray[Any], y: NDArray[Any]
 ) -> tuple[Float, NDArray[np.int64]]:
     """Fields at physical positions, from a lattice in a camera's apparent coordinates.
 

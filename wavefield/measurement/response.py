@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.prior import Prior
-from wavefield.measurement.learned_record import Record
+from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.plan import Plan
 
 Float = NDArray[np.floating[Any]]
@@ -70,8 +70,10 @@ def shortest_carried(plan: Plan, better: float | Mapping[str, float] = 1.0) -> d
     both = 1.0 / float(np.mean([1.0 / each[name] for name in plan.surface_cameras]))  # noises add
     record = replace(
         plan.record,
-        elevation=_told(plan.record.elevation, both),
-        displacement=tuple((name, _told(prior, each[name])) for name, prior in plan.record.displacement),
+        elevation=_information_weight(plan.record.elevation, both),
+        displacement=tuple(
+            (name, _information_weight(prior, each[name])) for name, prior in plan.record.displacement
+        ),
     )
     k = np.linspace(0.0, np.pi / plan.grid.step, 600)
     angle = np.arange(8)[:, None] * np.pi / 8
@@ -95,11 +97,11 @@ def in_focus(plan: Plan) -> dict[str, float]:
     return {name: max(plan.record.width(name) / _SHARP, 1.0) ** 4 for name in plan.cameras}
 
 
-def _told(prior: Prior, factor: float) -> Prior:
+def _information_weight(prior: Prior, factor: float) -> Prior:
     return replace(prior, information=prior.information * factor)
 
 
-def gain_of_elevation(plan: Plan, kx: Float, ky: Float, record: Record | None = None) -> Float:
+def gain_of_elevation(plan: Plan, kx: Float, ky: Float, record: LearnedRecord | None = None) -> Float:
     """Gain of z.
 
     With kx, ky, rad/m.
@@ -112,7 +114,7 @@ def gain_of_elevation(plan: Plan, kx: Float, ky: Float, record: Record | None = 
     return gain
 
 
-def gain_of_velocity(plan: Plan, kx: Float, ky: Float, record: Record | None = None) -> Float:
+def gain_of_velocity(plan: Plan, kx: Float, ky: Float, record: LearnedRecord | None = None) -> Float:
     """Displacement measured for one that is there, at the middle of the grid.
 
     With kx, ky S, rad/m; returns S + (3, 3): Measured (dx, dy, dz) by true (dx, dy, dz): each camera's gain

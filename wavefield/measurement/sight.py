@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from wavefield.matching import Modes, Prior, Slopes, Spread
 from wavefield.matching.matching_kernels import BLOCK
-from wavefield.measurement.elevation_model import Sought
-from wavefield.measurement.regrid import Lattice
+from wavefield.measurement.elevation_model import FieldModel
+from wavefield.measurement.regrid import BlockLattice
 from wavefield.rig import Camera
 
 
@@ -26,7 +26,7 @@ class Sight:
         self.camera = camera
         w, h = camera.size
         ny, nx = h // BLOCK, w // BLOCK
-        self.lattice = Lattice(0.5 * (BLOCK - 1), 0.5 * (BLOCK - 1), float(BLOCK), (ny, nx))
+        self.lattice = BlockLattice(0.5 * (BLOCK - 1), 0.5 * (BLOCK - 1), float(BLOCK), (ny, nx))
         # projection is a ratio of linear functions of z with |z| well below the distance: order 4 is exact
         # to better than a thousandth of a pixel
         low, high = z_range
@@ -41,29 +41,29 @@ class Sight:
             values.append(np.concatenate([[X, Y], np.moveaxis(J.reshape(*X.shape, 6), -1, 0)]))
         # (8, 5, ny, nx): X, Y, then the Jacobian row by row
         self.polynomial = np.einsum("pk,kfyx->fpyx", inverse, np.array(values)).astype(np.float32)
-        self.sought: Sought | None = None
+        self.field_model: FieldModel | None = None
 
     def use(self, prior: Prior) -> None:
         """Seek this camera's displacements."""
-        if self.sought is None or self.sought.prior != prior:
-            self.sought = Sought(prior, self.lattice.shape, 0.0)
+        if self.field_model is None or self.field_model.prior != prior:
+            self.field_model = FieldModel(prior, self.lattice.shape, 0.0)
 
     @property
     def modes(self) -> Modes:
         """Cosines of the displacements."""
-        assert self.sought is not None
-        return self.sought.modes
+        assert self.field_model is not None
+        return self.field_model.modes
 
     @property
     def spread(self) -> Spread:
         """Variance of the displacements."""
-        assert self.sought is not None
-        return self.sought.spread
+        assert self.field_model is not None
+        return self.field_model.spread
 
     def splined(self, waves: NDArray[Any], slopes: Slopes) -> NDArray[Any]:
         """Spline coefficients of displacements, as `Sought.splined`."""
-        assert self.sought is not None
-        return self.sought.splined(waves, slopes)
+        assert self.field_model is not None
+        return self.field_model.splined(waves, slopes)
 
     def at(self, z: NDArray[Any]) -> NDArray[np.float32]:
         """Image position and Jacobian of the nodes at given heights.

@@ -16,7 +16,7 @@ from wavefield.water import dispersion
 Float = NDArray[Any]
 Parts = tuple[float, float, float, float]
 
-_HEARD = 6.0  # times its noise: what the power of a ring must be to tell of its waves
+_DETECTED_SNR = 6.0  # times its noise: what the power of a ring must be to tell of its waves
 _LEAKED = 0.5  # of a ring, by Hann window, so many rings further to the power of -6
 _MAIN = 3  # rings: nearer than that a window mixes them
 _TURNS = 16  # directions of waves to the water's own
@@ -28,7 +28,7 @@ _BESIDE = 1.1  # a chord lies beside the path as well: the more, the steeper the
 
 
 @dataclass(frozen=True)
-class Unresolved:
+class TemporalTruncation:
     """Standard deviation of what the finite time step leaves out, over the field."""
 
     z: tuple[tuple[int, float], ...]  # pairs, for a plan is looked up by what it was learned from
@@ -72,7 +72,7 @@ class Unresolved:
         return {"z": z, "d": d}
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Unresolved:
+    def from_dict(cls, data: Mapping[str, Any]) -> TemporalTruncation:
         """Inverse of `to_dict`."""
         z = tuple((int(n), float(value)) for n, value in data["z"].items())
         return cls(z, tuple((int(n), _parts(value)) for n, value in data["d"].items()))
@@ -86,7 +86,9 @@ def _parts(value: Any) -> Parts:
     return across, more, up, more_up
 
 
-NOTHING = Unresolved(tuple((n, 0.0) for n in (2, 3, 4, 6)), tuple((n, (0.0, 0.0, 0.0, 0.0)) for n in (2, 4)))
+NOTHING = TemporalTruncation(
+    tuple((n, 0.0) for n in (2, 3, 4, 6)), tuple((n, (0.0, 0.0, 0.0, 0.0)) for n in (2, 4))
+)
 
 
 def kept_of_z(phase: Float, frames: int) -> Float:
@@ -111,12 +113,12 @@ def kept_of_displacement(phase: Float, frames: int) -> Float:
     return np.asarray(np.sinc(phase / (2.0 * np.pi)) * path)
 
 
-def unresolved(
+def temporal_truncation(
     pairs: Sequence[tuple[Float, Float]],
     step: float,
     noise: Callable[[Float], Float] | None = None,
     matched: Callable[[Float], tuple[Float, Float]] | None = None,
-) -> Unresolved:
+) -> TemporalTruncation:
     """What the finite time step leaves out, from elevations at two consecutive frames.
 
     In every ring of wavenumber the power of the difference over that of the sum is tan^2(p/2), with p = omega
@@ -145,13 +147,13 @@ def unresolved(
     inner = shape[0] - 2, shape[1] - 2
     ring, k, square = _rings(inner)
     count = np.bincount(ring)
-    drowned = np.zeros(count.size)
+    noise_power = np.zeros(count.size)
     if noise is not None:  # in the power of every wave of a smaller field there is more of it
-        drowned = 2.0 * np.bincount(ring, noise(k)) * np.prod(shape) / np.prod(inner)
+        noise_power = 2.0 * np.bincount(ring, noise(k)) * np.prod(shape) / np.prod(inner)
 
-    def in_rings(look: Callable[[Float], Float], sign: float, weight: Float) -> Float:
-        powers = [np.bincount(ring, weight * _power(look(a + sign * b))) for a, b in pairs]
-        return np.asarray(np.maximum(np.mean(powers, axis=0) - drowned, 0.0))
+    def in_rings(combine: Callable[[Float], Float], sign: float, weight: Float) -> Float:
+        powers = [np.bincount(ring, weight * _power(combine(a + sign * b))) for a, b in pairs]
+        return np.asarray(np.maximum(np.mean(powers, axis=0) - noise_power, 0.0))
 
     flat = np.ones_like(k)
     curved = [in_rings(_curvature, sign, 1.0 / square) for sign in (1.0, -1.0)]
@@ -162,11 +164,15 @@ def unresolved(
         0.25 * (plus + minus),
         0.25 * np.sum(curved, axis=0) * np.bincount(ring, square) / count,
     )
-    heard = (power > 0.25 * _HEARD * drowned) & (curvature > _HEARD * _leaked(curvature)) & (own > 0)
-    heard[0] = False
+    detected = (
+        (power > 0.25 * _DETECTED_SNR * noise_power)
+        & (curvature > _DETECTED_SNR * _leaked(curvature))
+        & (own > 0)
+    )
+    detected[0] = False
     peak = 1 + int(np.argmax(power[1:]))  # what is heard again beyond a ring that is not is noise
-    heard[peak:] = np.logical_and.accumulate(heard[peak:])
-    waves = np.where(heard, count * len(pairs) / _PER_WAVE, 0.0)
+    detected[peak:] = np.logical_and.accumulate(detected[peak:])
+    waves = np.where(detected, count * len(pairs) / _PER_WAVE, 0.0)
     k = np.bincount(ring, k) / count / step
     phase = _drawn(own, waves, dispersion(k))
     longer = np.sum(whole, axis=1) - [plus[1:].sum(), minus[1:].sum()]
@@ -182,7 +188,7 @@ def unresolved(
         faster = np.maximum(moving - still, 0.0)
         across, up = factor * np.sqrt(np.stack([still, faster], axis=1) / max(rise, 1e-30))
         d.append((n, (float(across[0]), float(across[1]), float(up[0]), float(up[1]))))
-    return Unresolved(tuple(sorted(z.items())), tuple(d))
+    return TemporalTruncation(tuple(sorted(z.items())), tuple(d))
 
 
 def _of_paths(
@@ -240,9 +246,9 @@ def _drawn(own: Float, waves: Float, shape: Float) -> Float:
     """Phases of rings as they and all others together have them, in proportion to a shape."""
     if not waves.any():
         return np.zeros_like(own)
-    heard = waves > 0
+    detected = waves > 0
     ratio = np.zeros_like(own)
-    ratio[heard] = np.log(own[heard] / shape[heard])
+    ratio[detected] = np.log(own[detected] / shape[detected])
     mean = np.sum(waves * ratio) / np.sum(waves)
     share = waves / (waves + _FEW)
     return np.asarray(np.minimum(shape * np.exp(share * ratio + (1.0 - share) * mean), np.pi))

@@ -55,7 +55,7 @@ def matched_pixels(
     return {name: np.concatenate(pixels) for name, pixels in parts.items()}
 
 
-def spread(count: int, wanted: int) -> list[int]:
+def spread(count: int, requested: int) -> list[int]:
     """Positions of some frames, evenly over a record.
 
     Examples
@@ -63,5 +63,5 @@ def spread(count: int, wanted: int) -> list[int]:
     >>> spread(100, 4)
     [12, 37, 62, 87]
     """
-    wanted = min(count, wanted)
-    return [int((i + 0.5) * count / wanted) for i in range(wanted)]
+    requested = min(count, requested)
+    return [int((i + 0.5) * count / requested) for i in range(requested)]

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.measurement.camera_jitter import left_over, line_of, of_the_water
-from wavefield.measurement.flow import Flow, Flows
-from wavefield.measurement.outlier_detection import MISFIT, NODE, median_misfit, regions, who_lies
+from wavefield.measurement.flow import CameraFlow, Flows
+from wavefield.measurement.outlier_detection import MISFIT, NODE, median_misfit, outlier_camera, regions
 from wavefield.measurement.paths import five, noise_weights, read_path
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.sight import Sight
@@ -52,14 +52,14 @@ class Motion:
     regions: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     @property
-    def contradicted(self) -> bool:
+    def inconsistent(self) -> bool:
         """Whether cameras contradict each other at more than single nodes."""
         against = self.misfit[np.isfinite(self.misfit)] > MISFIT
         return bool(self.left_out or self.regions or against.sum() > _SINGLE * against.size)
 
 
 @dataclass(frozen=True)
-class Seen:
+class CameraDisplacements:
     """What each of N cameras has at the nodes."""
 
     jacobian: Float  # (2N, 3, ny, nx): Px per metre
@@ -82,15 +82,15 @@ class Seen:
     axes: Float
 
     @property
-    def told(self) -> NDArray[np.bool_]:
+    def determined(self) -> NDArray[np.bool_]:
         """Nodes that all cameras measured, (ny, nx)."""
         return np.asarray((self.rejected == 0).all(axis=0) & np.isfinite(self.moved).all(axis=0))
 
-    def trembling(self) -> tuple[Float, tuple[float, float]]:
+    def camera_jitter(self) -> tuple[Float, tuple[float, float]]:
         """What the cameras leave on the mean over the field, px, and how far they move (`left_over`)."""
-        return left_over(self.jacobian, self.moved, 1.0 / self.variance, self.told, self.line)
+        return left_over(self.jacobian, self.moved, 1.0 / self.variance, self.determined, self.line)
 
-    def steadied(self, left: Float) -> Seen:
+    def stabilized(self, left: Float) -> CameraDisplacements:
         """The same with what is left on the mean over the field taken off."""
         return replace(self, moved=self.moved - left[:, None, None])
 
@@ -134,7 +134,7 @@ def velocity(
     names = _cameras(steps)
     if len(names) < 2:
         return None
-    seen = look_at_nodes(names, steps, z, plan)
+    seen = displacements_at_nodes(names, steps, z, plan)
     motion = _solved(seen, plan, unsteady)
     known = (seen.rejected == 0).all(axis=0)
 
@@ -145,23 +145,23 @@ def velocity(
     def misfit_without(n: int) -> Float:
         return by_others(n).misfit
 
-    liar = None
+    outlier = None
     if without is None:
         reach = max(1, round(_REACH * plan.pixel / plan.grid.step))
         found = regions(motion.misfit, known, len(names), misfit_without, reach)
         typical = median_misfit(motion.misfit, known)
-        liar = who_lies(len(names), typical, lambda n: median_misfit(misfit_without(n), known))
-        if liar in found and (found[liar] & known).sum() < _WHOLE * known.sum():
-            liar = None  # not everywhere
-        without = {names[n]: where for n, where in found.items()} if liar is None else {}
-    if liar is not None:
-        motion = replace(by_others(liar), left_out=names[liar])
+        outlier = outlier_camera(len(names), typical, lambda n: median_misfit(misfit_without(n), known))
+        if outlier in found and (found[outlier] & known).sum() < _WHOLE * known.sum():
+            outlier = None  # not everywhere
+        without = {names[n]: where for n, where in found.items()} if outlier is None else {}
+    if outlier is not None:
+        motion = replace(by_others(outlier), left_out=names[outlier])
     for name, where in without.items():
         motion = _patched(motion, by_others(names.index(name)), where)
     motion = replace(motion, regions=without)
     typical = median_misfit(motion.misfit, known)
     # where most contradict each other and no one camera explains it, some nodes agree by chance
-    limit = NODE if liar is not None or typical <= MISFIT else 0.0
+    limit = NODE if outlier is not None or typical <= MISFIT else 0.0
     against = np.where(motion.misfit > limit, np.uint16(Quality.REJECTED_EPS | Quality.FILLED), np.uint16(0))
     return replace(motion, quality=motion.quality | against)
 
@@ -169,7 +169,7 @@ def velocity(
 def motion_at(steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Motion | None:
     """As `velocity`, by all cameras, whether they contradict each other or not."""
     names = _cameras(steps)
-    return None if len(names) < 2 else _solved(look_at_nodes(names, steps, z, plan), plan)
+    return None if len(names) < 2 else _solved(displacements_at_nodes(names, steps, z, plan), plan)
 
 
 def _cameras(steps: Sequence[Flows | None]) -> list[str]:
@@ -182,7 +182,7 @@ def _patched(motion: Motion, other: Motion, where: NDArray[np.bool_]) -> Motion:
     return replace(motion, **{n: np.where(where, getattr(other, n), getattr(motion, n)) for n in names})
 
 
-def _others(seen: Seen, n: int) -> Seen:
+def _others(seen: CameraDisplacements, n: int) -> CameraDisplacements:
     """The same without one camera."""
     rows = [i for i in range(len(seen.moved)) if i // 2 != n]
     cameras = [i for i in range(len(seen.rejected)) if i != n]
@@ -191,7 +191,9 @@ def _others(seen: Seen, n: int) -> Seen:
     return replace(seen, **parts, rejected=seen.rejected[cameras], axes=seen.axes[cameras])
 
 
-def look_at_nodes(names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Seen:
+def displacements_at_nodes(
+    names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan
+) -> CameraDisplacements:
     """What each camera has at the nodes."""
     count, shape = len(names), z.shape
     jacobian = np.empty((2 * count, 3, *shape), np.float64)
@@ -221,11 +223,13 @@ def look_at_nodes(names: Sequence[str], steps: Sequence[Flows | None], z: NDArra
         rejected[n] = np.where(inside, here.rejected.ravel()[block[2]], np.uint16(Quality.OUTSIDE))
         frames = np.where(inside, np.minimum(frames, _frames_of(block)), frames)
     line = line_of([plan.rig[name].centre for name in names])
-    return Seen(jacobian, moved, noise, missing, along, own, rejected, frames, line, chord, bend, axes)
+    return CameraDisplacements(
+        jacobian, moved, noise, missing, along, own, rejected, frames, line, chord, bend, axes
+    )
 
 
 def _along_path(
-    path: Sequence[Flow | None], sight: Sight, X: NDArray[Any], Y: NDArray[Any]
+    path: Sequence[CameraFlow | None], sight: Sight, X: NDArray[Any], Y: NDArray[Any]
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
     """Path of one camera at given pixels (`read_path`), blocks read, noise, what is missing."""
     here = path[len(path) // 2]
@@ -257,7 +261,7 @@ def _at_blocks(field: Float, block: NDArray[np.int64]) -> Float:
     return np.asarray(np.take(field.reshape(len(field), -1), block, axis=1))
 
 
-def _solved(seen: Seen, plan: Plan, unsteady: float = 0.0) -> Motion:
+def _solved(seen: CameraDisplacements, plan: Plan, unsteady: float = 0.0) -> Motion:
     """Least squares over the cameras."""
     record = plan.record
     assert record is not None
@@ -280,9 +284,9 @@ def _solved(seen: Seen, plan: Plan, unsteady: float = 0.0) -> Motion:
     missing = (weight * taken / signal(seen, parts)).sum(axis=0)
     variance = np.moveaxis(np.square(d_std), -1, 0)
     variance += missing * np.asarray(parts)[:, None, None]
-    along, across = np.maximum(seen.trembling()[1], record.trembling)
+    along, across = np.maximum(seen.camera_jitter()[1], record.camera_jitter)
     size = max(along, unsteady), across
-    shaken = of_the_water(seen.jacobian, 1.0 / seen.variance, seen.told, seen.line, size)
+    shaken = of_the_water(seen.jacobian, 1.0 / seen.variance, seen.determined, seen.line, size)
     variance += shaken[:, None, None]
     enough = trusted.sum(axis=0) >= 2
     why = np.bitwise_or.reduce(seen.rejected & ~np.uint16(Quality.OUTSIDE), axis=0)
@@ -298,7 +302,7 @@ def shares(plan: Plan) -> Sequence[float] | Float:
     return _SHORT_WAVES if plan.settings.sheet_thickness is None else np.square(plan.record.moved)
 
 
-def signal(seen: Seen, parts: Sequence[float] | Float) -> Float:
+def signal(seen: CameraDisplacements, parts: Sequence[float] | Float) -> Float:
     """Variance in each camera's image, mean of both components, of water that moves so.
 
     Returns (N, ny, nx): Px^2 for metres squared.
@@ -308,7 +312,7 @@ def signal(seen: Seen, parts: Sequence[float] | Float) -> Float:
     return out
 
 
-def misfit(seen: Seen, d: Float) -> Float:
+def misfit(seen: CameraDisplacements, d: Float) -> Float:
     """Squared misfit of the cameras over what noise lets expect, per degree of freedom.
 
     With d (ny, nx, 3), metres; returns (ny, nx): chi^2 / (2N - 3).

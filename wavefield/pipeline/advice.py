@@ -6,7 +6,7 @@ import numpy as np
 
 from wavefield.pipeline.chunk import make_block, measure_block
 from wavefield.pipeline.cost import fraction_measured, has_step, in_view, whole_step
-from wavefield.pipeline.prepare import Prepared
+from wavefield.pipeline.prepare import PreparedRun
 from wavefield.variables import Quality
 
 ENOUGH = 0.8  # of the nodes in view: images that measure so much need no advice
@@ -24,7 +24,7 @@ _WHY = {
 }
 
 
-def advise(prepared: Prepared, measured: float) -> str:
+def advise(prepared: PreparedRun, measured: float) -> str:
     """Say what would help, after trying it on the step that was tried."""
     if measured >= ENOUGH or not has_step(prepared.series):
         return ""
@@ -47,7 +47,7 @@ def _why(quality: np.ndarray) -> str:
     return _WHY[max(_WHY, key=lambda flag: int((lost & flag != 0).sum()))]
 
 
-def _quality(prepared: Prepared, settings: Any) -> np.ndarray:
+def _quality(prepared: PreparedRun, settings: Any) -> np.ndarray:
     """Of the step that was tried, measured with some settings."""
     from wavefield.measurement import Plan
 

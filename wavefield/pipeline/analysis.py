@@ -18,7 +18,7 @@ from wavefield.execution.workflow import Workflow
 if TYPE_CHECKING:
     import xarray as xr
 
-_FORKED = "wavefield.pipeline.worker_imports_waves"
+_PRELOADED = "wavefield.pipeline.worker_imports_waves"
 
 
 def analyze_on_workers(
@@ -74,7 +74,7 @@ def analyze_on_workers(
         raise write_error(target, error) from None
     with place as folder, log_file(target), stop_signals(workflow.time_limit_seconds):
         try:
-            with open_cluster(workflow, jobs_folder(target), True, True, _FORKED) as map_unordered:
+            with open_cluster(workflow, jobs_folder(target), True, True, _PRELOADED) as map_unordered:
                 from wavefield.waves.analyze import analyze  # takes as long as the workers' start: beside it
 
                 return analyze(source, target, each=_InOrder(map_unordered, Path(folder)), **asked)
@@ -131,7 +131,7 @@ class _InOrder:
 
     def __call__(self, work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
         waiting: dict[int, Path] = {}
-        wanted = 0
+        requested = 0
         if not items:
             return
         laid = list(enumerate(_laid(item, self.folder) for item in items))
@@ -140,8 +140,8 @@ class _InOrder:
                 if isinstance(result, BaseException):
                     raise result
                 waiting[number] = result
-                while wanted in waiting:
-                    path = waiting.pop(wanted)
+                while requested in waiting:
+                    path = waiting.pop(requested)
                     yield _taken(path)
                     path.unlink()
-                    wanted += 1
+                    requested += 1

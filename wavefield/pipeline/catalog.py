@@ -27,7 +27,7 @@ from wavefield.execution.cluster import open_cluster
 from wavefield.execution.lock import Lock
 from wavefield.execution.stop_signals import jobs_folder
 from wavefield.execution.workflow import Workflow
-from wavefield.pipeline.prepare import Prepared, prepare
+from wavefield.pipeline.prepare import PreparedRun, prepare
 from wavefield.pipeline.running import ProgressFunction, process
 from wavefield.rig import Rig
 from wavefield.series import Experiment
@@ -300,7 +300,7 @@ def find_cube(catalog: str | Path, run: str | None = None) -> Path:
     return next(iter(there.values()))
 
 
-def store_of(catalog: Path, chosen: Mapping[str, str], prepared: Prepared) -> Path:
+def store_of(catalog: Path, chosen: Mapping[str, str], prepared: PreparedRun) -> Path:
     """Where a catalog wants the cube of a run, and put its recipe among the catalog's options."""
     data = read_yaml(catalog)
     recipe = data.get("user_parameters", {}).get("recipe")
@@ -320,7 +320,7 @@ def _local(url: str) -> str:
     return unquote(parts.path) if parts.scheme else url
 
 
-def _link_latest(store: Path, prepared: Prepared) -> None:
+def _link_latest(store: Path, prepared: PreparedRun) -> None:
     """Let the link `latest` beside the recipe's folder point to it."""
     folder = store.parent
     if folder.name != prepared.recipe.hash[:8]:

@@ -128,19 +128,19 @@ def measure_block(block: Block, plan: Any, frame_rate: float) -> Measured:
     frames = {name: BlockFrames(source, block) for name, source in block.sources.items()}
     masks = {name: BlockMasks(source, block) for name, source in block.sources.items()}
     given: Mapping[str, Sequence[np.ndarray | None]] = frames
-    steadier = None
+    stabilizer = None
     if plan.settings.vibration == "correct":
-        from wavefield.quality.stabilized import Steadier
+        from wavefield.quality.stabilized import Stabilizer
 
-        steadier = Steadier(frames, plan)
-        given = steadier.sequences()
+        stabilizer = Stabilizer(frames, plan)
+        given = stabilizer.sequences()
     fields = dict(measure(given, plan, frame_rate, masks))
     status = np.asarray(fields.pop("frame_status"), np.uint8)
     _find_dim_frames(frames, status, block, plan)
     _find_ranges(frames, fields, status, block, plan)
     faults = {name: dict(lazy.faults) for name, lazy in frames.items()}
     messages = [lazy.messages[i] for lazy in frames.values() for i in sorted(lazy.messages)]
-    shifts = {block.start - AROUND + k: found for k, found in steadier.shifts.items()} if steadier else {}
+    shifts = {block.start - AROUND + k: found for k, found in stabilizer.shifts.items()} if stabilizer else {}
     return Measured(fields, status, faults, messages, shifts)
 
 

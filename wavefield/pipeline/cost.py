@@ -13,8 +13,8 @@ from wavefield.errors import ExperimentError
 from wavefield.execution.cluster import count_workers
 from wavefield.pipeline.chunk import Measured, Source, make_block, measure_block
 from wavefield.pipeline.learning import learn_from
-from wavefield.pipeline.prepare import Prepared
-from wavefield.pipeline.reading_speed import Reading, look_at_reading
+from wavefield.pipeline.prepare import PreparedRun
+from wavefield.pipeline.reading_speed import ReadingSpeed, measure_reading_speed
 from wavefield.series import Frame, FrameSeries
 from wavefield.store.layout import COMPRESSION
 from wavefield.text import spell_time
@@ -31,7 +31,7 @@ class Cost:
     memory: int  # Memory per worker, bytes
     disk: int  # Size of the store, bytes
     free: int  # Room on the disk of the store, bytes
-    reading: Reading | None = None  # What the workers want to read, and what the images' disk gives
+    reading: ReadingSpeed | None = None  # What the workers want to read, and what the images' disk gives
 
     def __str__(self) -> str:
         workers = "1 worker" if self.workers == 1 else f"{self.workers} workers"
@@ -44,12 +44,12 @@ class Cost:
         return text
 
 
-def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
+def measure_cost(prepared: PreparedRun) -> tuple[Cost, float]:
     """Measure a few steps in the middle of the run, and tell from them what the whole will take."""
     start = whole_step(prepared.series)
     stop = min(start + 3, prepared.steps)
     pair = {name: one.window(start, start + 2) for name, one in prepared.series.items()}
-    prepared = prepared.knowing(learn_from([pair], prepared.plan))  # as a run learns; and compiles
+    prepared = prepared.with_prior(learn_from([pair], prepared.plan))  # as a run learns; and compiles
     one, step = _measured(prepared, start, stop)
     if (one.frame_status == FrameStatus.FAILED).all():
         raise ExperimentError(
@@ -65,7 +65,7 @@ def measure_cost(prepared: Prepared) -> tuple[Cost, float]:
         memory=_peak_memory() + 3 * prepared.block * prepared.step_bytes,
         disk=int(_stored_bytes(one.fields) * prepared.steps / (stop - start)),
         free=shutil.disk_usage(prepared.experiment.path.parent).free,
-        reading=look_at_reading(prepared.series, prepared.block, step, workers),
+        reading=measure_reading_speed(prepared.series, prepared.block, step, workers),
     )
     return cost, fraction_measured(one.fields["quality"])
 
@@ -91,7 +91,7 @@ class _Clocked:
         return self.source.window(start, stop)
 
 
-def _measured(prepared: Prepared, start: int, stop: int) -> tuple[Measured, float]:
+def _measured(prepared: PreparedRun, start: int, stop: int) -> tuple[Measured, float]:
     """Measure a block; also the seconds that a step takes once its neighbours are there."""
     block = make_block(prepared.series, start, stop)
     clocked = {name: _Clocked(source) for name, source in block.sources.items()}

@@ -32,10 +32,10 @@ def check_images(
 ) -> None:
     """Refuse to go on with other images than a cube was begun with."""
     for name, sums in begun.items():
-        for index, wanted in sums.items():
+        for index, requested in sums.items():
             frames = series.get(name)
             image = frames.read(int(index)).image if frames is not None else None
-            if frames is not None and image is not None and _sum(image) != wanted:
+            if frames is not None and image is not None and _sum(image) != requested:
                 raise StoreError(
                     f"{store} was begun with other images: {frames.place(int(index))} is not what it was; "
                     "write to another store with -o, or remove this one"

@@ -15,7 +15,7 @@ from wavefield.grid import Grid
 from wavefield.pipeline.advice import advise
 from wavefield.pipeline.cost import Cost, measure_cost
 from wavefield.pipeline.prepare import expected_coverage, load_files, prepare
-from wavefield.pipeline.run_quality import clocks, look_at_cameras
+from wavefield.pipeline.run_quality import clocks, compare_cameras
 from wavefield.pipeline.still_water import remark_on_rest
 from wavefield.quality.recording_remarks import remark_on_recordings
 from wavefield.rig import Rig
@@ -175,13 +175,13 @@ class Check:
             lines.append(f"  a run will take {self.cost}")
             lines += [f"  {self.cost.reading}"] if self.cost.reading else []
         lines += [f"  {words}" for words in (self.motion, self.heights, self.advice) if words]
-        lines += self._agreements()
+        lines += self._pair_consistencies()
         lines += [f"  clocks: {self.clocks}"] if self.clocks else []
         lines += [f"  not ready: {problem}" for problem in self.problems]
         lines += [f"  {remark}" for remark in (self.verdict.remarks if self.verdict else ())]
         return "\n".join(lines)
 
-    def _agreements(self) -> list[str]:
+    def _pair_consistencies(self) -> list[str]:
         """How well the cameras agree, in a line."""
         pairs = self.verdict.pairs if self.verdict else {}
         words = [
@@ -226,7 +226,7 @@ def check(
     """
     experiment, _ = load_files(experiment, None)  # a wrong workflow is one of the problems
     series = experiment.open_frames()
-    cameras = tuple(_look_at(s, experiment.cameras[name].offset) for name, s in series.items())
+    cameras = tuple(_measure_sample(s, experiment.cameras[name].offset) for name, s in series.items())
     steps = len(next(iter(series.values()))) - 1
     problems: list[str] = []
     prepared, cost, coverage, measured, advice = None, None, None, None, ""
@@ -244,10 +244,10 @@ def check(
             except ExperimentError as error:
                 problems.append(str(error))
             advice = advise(prepared, measured or 0.0)
-    seen = look_at_cameras(prepared) if prepared and not problems else None
-    said, late = "", list[Remark]()
+    seen = compare_cameras(prepared) if prepared and not problems else None
+    clock_text, late = "", list[Remark]()
     if prepared and seen and not any(one.weight == "grave" for one in seen.remarks):
-        said, late = clocks(prepared)
+        clock_text, late = clocks(prepared)
     remarks = [
         *(seen.remarks if seen else ()),
         *late,
@@ -271,7 +271,7 @@ def check(
         verdict=Verdict.of(remarks, seen.cameras, seen.pairs, seen.frames) if seen else None,
         motion=prepared.motion.sentence if prepared and prepared.motion else "",
         heights=prepared.heights.sentence if prepared and prepared.heights else "",
-        clocks=said,
+        clocks=clock_text,
         advice=advice,
     )
 
@@ -294,7 +294,7 @@ def _ends(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator
             )
 
 
-def _look_at(series: FrameSeries, offset: int) -> CameraCheck:
+def _measure_sample(series: FrameSeries, offset: int) -> CameraCheck:
     """Look at one camera's files; frames are numbered as the run counts them."""
     missing = tuple(int(n) for n in series.missing)
     sizes = {}

@@ -6,7 +6,7 @@ import xarray as xr
 
 from wavefield.errors import CubeError
 from wavefield.grid import Grid
-from wavefield.measurement import Plan, Record, Settings
+from wavefield.measurement import LearnedRecord, Plan, Settings
 from wavefield.measurement.response import tabulated
 from wavefield.rig import Camera, Rig
 from wavefield.waves.estimation.window_gain import label
@@ -52,7 +52,7 @@ def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
         rig = Rig({name: Camera.from_dict(camera) for name, camera in recipe["rig"].items()})
         grid = Grid(**recipe["grid"])
         settings = Settings.from_dict(recipe["settings"])
-        record = Record.from_dict(recipe["record"])
+        record = LearnedRecord.from_dict(recipe["record"])
     except (KeyError, TypeError, ValueError) as error:
         raise CubeError(
             f"the cube does not say how it was made ({error}): measure the gain of its windows, window_gain"

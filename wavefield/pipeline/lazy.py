@@ -20,7 +20,7 @@ from wavefield.pipeline.learning import learn_from, samples
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
 from wavefield.series import Frame
-from wavefield.series.frames import judge_content
+from wavefield.series.frames import check_content
 from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, FrameFault, annotate
 
 # One task measures a block and one more per variable hands it on: with fewer steps per block the graph of a
@@ -45,7 +45,7 @@ class ArraySource:
         place = f"{self.camera} frame {index}"
         if image.ndim != 2:
             return Frame(None, FrameFault.WRONG_SIZE, f"{place} has {image.ndim} dimensions")
-        return judge_content(image, place)
+        return check_content(image, place)
 
     def covered(self, index: int) -> np.ndarray | None:
         """What is masked in a frame.
@@ -186,10 +186,10 @@ def _gain(known: Delayed, plan: Any) -> tuple[dict[str, Any], dict[str, np.ndarr
 
 def _known(pairs: Sequence[Mapping[str, Any]], plan: Any, record: Mapping[str, Any] | None) -> Any:
     """The plan with what is known of the record."""
-    from wavefield.measurement import Record
+    from wavefield.measurement import LearnedRecord
 
     learned = learn_from(pairs, plan) if record is None else record
-    return plan.knowing(Record.from_dict(learned)) if learned else plan
+    return plan.with_prior(LearnedRecord.from_dict(learned)) if learned else plan
 
 
 def _path_frames(plan: Any) -> np.ndarray:

@@ -22,12 +22,12 @@ from wavefield.series import Experiment, FrameSeries, masks
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_FIELDS, TABLE
 
-_LOOKS = 4  # steps over the record by which the range of displacements is found
+_SAMPLE_STEPS = 4  # steps over the record by which the range of displacements is found
 _LONGEST_BLOCK = 100  # steps; a block costs one to two steps more for its five extra frames
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedRun:
     """Everything that a run needs before it starts."""
 
     experiment: Experiment  # The experiment
@@ -42,11 +42,11 @@ class Prepared:
     # How high it stands and rises; None where the settings state ``z_range``
     heights: FirstHeights | None = None
 
-    def knowing(self, record: Mapping[str, Any]) -> "Prepared":
+    def with_prior(self, record: Mapping[str, Any]) -> "PreparedRun":
         """The same with what sample frames of the record say."""
-        from wavefield.measurement import Record
+        from wavefield.measurement import LearnedRecord
 
-        plan = self.plan.knowing(Record.from_dict(record)) if record else self.plan
+        plan = self.plan.with_prior(LearnedRecord.from_dict(record)) if record else self.plan
         return replace(self, plan=plan, recipe=replace(self.recipe, record=record))
 
     @property
@@ -73,7 +73,7 @@ def prepare(
     experiment: str | Path | Experiment,
     rig: str | Path | Rig | None = None,
     workflow: str | Path | Workflow | None = None,
-) -> Prepared:
+) -> PreparedRun:
     """Read and check everything that a run needs."""
     from wavefield.measurement import Plan
 
@@ -97,7 +97,7 @@ def prepare(
         refuse_unless_in_a_row(plan)
     bare, folder = series, experiment.path.parent
     series = masks.covered_series(experiment.mask, bare, rig, folder, -plan.z_range[0])
-    look = _Look(series, plan)
+    look = _SampleImages(series, plan)
     motion, heights = None, None
     if not _states_search(experiment, workflow):
         motion = first_guess(look.read, plan.velocity_cameras, look.steps)
@@ -108,7 +108,7 @@ def prepare(
         plan = Plan(rig, grid, settings, covered=covered)
         series = masks.covered_series(experiment.mask, bare, rig, folder, -plan.z_range[0])
     recipe = make_recipe(experiment, series, rig, grid, settings, workflow.packing)
-    return Prepared(experiment, series, rig, grid, plan, recipe, workflow, motion, heights)
+    return PreparedRun(experiment, series, rig, grid, plan, recipe, workflow, motion, heights)
 
 
 def _states_search(experiment: Experiment, workflow: Workflow) -> bool:
@@ -117,13 +117,13 @@ def _states_search(experiment: Experiment, workflow: Workflow) -> bool:
     return any(isinstance(piv, Mapping) and {"search_x", "search_y"} & set(piv) for piv in stated)
 
 
-class _Look:
+class _SampleImages:
     """Some steps over the whole record, their images as they are matched."""
 
     def __init__(self, series: Mapping[str, FrameSeries], plan: Any) -> None:
         self.series, self.plan = series, plan
         count = min(len(series[name]) for name in plan.cameras) - 1
-        self.steps = sorted({int((i + 0.5) * count / _LOOKS) for i in range(_LOOKS)})
+        self.steps = sorted({int((i + 0.5) * count / _SAMPLE_STEPS) for i in range(_SAMPLE_STEPS)})
         self._widths: dict[str, float] = {}  # of the beads, measured in the first image of a camera
         self._twice: dict[tuple[str, int], Any] = {}  # images that motion and elevation are both seen in
 

@@ -14,7 +14,7 @@ _PIECE = 4_000_000  # bytes of one read
 
 
 @dataclass(frozen=True)
-class Reading:
+class ReadingSpeed:
     """What a run reads, beside what its disk gives."""
 
     step_bytes: float  # Bytes of images that a step takes from the disk
@@ -53,15 +53,15 @@ def _rate(value: float) -> str:
     return f"{value / 1e9:.1f} GB/s" if value >= 1e9 else f"{value / 1e6:.3g} MB/s"
 
 
-def look_at_reading(
+def measure_reading_speed(
     series: Mapping[str, FrameSeries], block: int, step_seconds: float, workers: int
-) -> Reading | None:
+) -> ReadingSpeed | None:
     """Tell what a run wants to read, and try its disk."""
     sizes = [_frame_bytes(one) for one in series.values()]
     if not all(sizes) or step_seconds <= 0:
         return None
     step_bytes = sum(sizes) * (1 + 5 / block)
-    return Reading(step_bytes, step_bytes / step_seconds, workers, _try_disk(list(_files(series))))
+    return ReadingSpeed(step_bytes, step_bytes / step_seconds, workers, _try_disk(list(_files(series))))
 
 
 def _frame_bytes(series: FrameSeries) -> float:

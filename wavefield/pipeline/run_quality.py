@@ -8,12 +8,12 @@ import numpy as np
 
 from wavefield.execution.cluster import threads_here
 from wavefield.execution.worker_settings import one_thread
-from wavefield.pipeline.prepare import Prepared, expected_coverage
+from wavefield.pipeline.prepare import PreparedRun, expected_coverage
 from wavefield.pipeline.still_water import remark_on_rest
 from wavefield.quality import camera_delay, camera_motion
 from wavefield.quality.camera_delay import Delay
-from wavefield.quality.camera_faults import Examination, examine
-from wavefield.quality.patch_matching import Witness
+from wavefield.quality.camera_faults import CameraFaults, find_camera_faults
+from wavefield.quality.patch_matching import PatchMatcher
 from wavefield.quality.probe_remarks import remark_on_probes
 from wavefield.quality.recording_remarks import remark_on_recordings
 from wavefield.store.ledger import Status
@@ -24,7 +24,7 @@ from wavefield.variables import Quality
 
 _INSTANTS = 4  # of a record, looked at before a run and after it
 _SYNCHRONY = 24  # of a record, by which delays of cameras are measured after its run
-_FIRST_LOOK = 4  # the same before it
+_FIRST_CHECK = 4  # the same before it
 _STEPS = 12  # of a cube, looked at after its run
 _EPS = (0.15, 0.5)  # px: eps' that is remarked upon, that nothing can be believed of
 _ALONE = (0.01, 0.1)  # of the nodes measured without one camera: that is told, that is remarked upon
@@ -32,15 +32,15 @@ _LEAST_MEASURED = (0.7, 0.2)  # of what all cameras see: less is remarked upon, 
 _MANY = 0.01  # of the steps with bad frames: fewer are only noted
 
 
-def look_at_cameras(prepared: Prepared) -> Examination:
+def compare_cameras(prepared: PreparedRun) -> CameraFaults:
     """Compare the cameras' images at some instants of the record."""
     count = prepared.steps + 1
     frames = sorted({int((k + 0.5) * count / _INSTANTS) for k in range(_INSTANTS)})
     with one_thread():  # each of them
-        return examine(_witness(prepared), count, frames, threads_here(prepared.workflow))
+        return find_camera_faults(_patch_matcher(prepared), count, frames, threads_here(prepared.workflow))
 
 
-def synchrony_of(prepared: Prepared, instants: int = _SYNCHRONY) -> tuple[dict[str, Delay], float]:
+def synchrony_of(prepared: PreparedRun, instants: int = _SYNCHRONY) -> tuple[dict[str, Delay], float]:
     """Whether the cameras take their frames at the same moment."""
     count = prepared.steps + 1
     even = ((k + 0.5) * count / instants for k in range(instants))
@@ -48,23 +48,23 @@ def synchrony_of(prepared: Prepared, instants: int = _SYNCHRONY) -> tuple[dict[s
     rate = prepared.experiment.frame_rate
     with one_thread():  # each of them
         return camera_delay.delays(
-            prepared.plan, _witness(prepared), frames, rate, threads_here(prepared.workflow)
+            prepared.plan, _patch_matcher(prepared), frames, rate, threads_here(prepared.workflow)
         )
 
 
-def clocks(prepared: Prepared) -> tuple[str, list[Remark]]:
+def clocks(prepared: PreparedRun) -> tuple[str, list[Remark]]:
     """A first look at whether the cameras take their frames at the same moment, at a few instants."""
-    found, speed = synchrony_of(prepared, _FIRST_LOOK)
+    found, speed = synchrony_of(prepared, _FIRST_CHECK)
     return camera_delay.sentence(found), list(camera_delay.remarks(found, speed))
 
 
-def _witness(prepared: Prepared) -> Witness:
-    return Witness(lambda name, k: prepared.series[name].read_uncovered(k), prepared.rig, prepared.grid)
+def _patch_matcher(prepared: PreparedRun) -> PatchMatcher:
+    return PatchMatcher(lambda name, k: prepared.series[name].read_uncovered(k), prepared.rig, prepared.grid)
 
 
-def judge(prepared: Prepared, status: Status, seen: Examination | None = None) -> Verdict:
+def assess_run(prepared: PreparedRun, status: Status, seen: CameraFaults | None = None) -> Verdict:
     """The verdict on a cube whose run has ended."""
-    seen = look_at_cameras(prepared) if seen is None else seen
+    seen = compare_cameras(prepared) if seen is None else seen
     remarks = [
         *seen.remarks,
         *([] if any(one.weight == "grave" for one in seen.remarks) else _clocks_and_mounts(prepared, status)),
@@ -77,12 +77,12 @@ def judge(prepared: Prepared, status: Status, seen: Examination | None = None) -
     return Verdict.of(remarks, seen.cameras, seen.pairs, seen.frames)
 
 
-def _clocks_and_mounts(prepared: Prepared, status: Status) -> Iterator[Remark]:
+def _clocks_and_mounts(prepared: PreparedRun, status: Status) -> Iterator[Remark]:
     """What eps_y says of cameras that see the same water."""
     instants = min(_SYNCHRONY, max(_INSTANTS, prepared.steps // 6))  # of a short record, not most of its cost
     yield from camera_delay.remarks(*synchrony_of(prepared, instants))
     first = next(iter(prepared.series.values())).first
-    yield from camera_motion.remarks(status.store, prepared.plan, _witness(prepared), first)
+    yield from camera_motion.remarks(status.store, prepared.plan, _patch_matcher(prepared), first)
 
 
 def _steps(status: Status) -> Iterator[Remark]:

@@ -17,7 +17,7 @@ import numpy as np
 from wavefield.atomic_write import check_replaceable, check_writable, remove_leftovers
 from wavefield.errors import RunStopped, StoreError, WavefieldError
 from wavefield.execution.cluster import open_cluster, threads_here
-from wavefield.execution.deferred_signals import undisturbed
+from wavefield.execution.deferred_signals import deferred_signals
 from wavefield.execution.lock import Lock
 from wavefield.execution.stop_signals import Stopped, jobs_folder, log_file, log_path, stop_signals
 from wavefield.execution.workflow import Workflow
@@ -25,12 +25,12 @@ from wavefield.pipeline.chunk import Block, make_block
 from wavefield.pipeline.chunk_worker import Work
 from wavefield.pipeline.fingerprint import check_images, fingerprints
 from wavefield.pipeline.learning import learn_record
-from wavefield.pipeline.prepare import Prepared, load_files, prepare
+from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.blocks import ledger_checksum
-from wavefield.store.layout import Layout, create_store
+from wavefield.store.layout import StoreLayout, create_store
 from wavefield.store.ledger import Status, status
 from wavefield.store.metadata import mark_complete, restore_metadata
 from wavefield.store.preview import create_preview
@@ -48,7 +48,7 @@ log = logging.getLogger("wavefield.run")
 ProgressFunction = Callable[[int, int, str], None]
 MapFunction = Callable[[Work, Sequence[Block]], Generator[tuple[Block, Any]]]
 
-_MOST_TOLD = 30  # bad frames that the log names
+_MAX_MESSAGES = 30  # bad frames that the log names
 _ENOUGH_FAILURES = 3  # blocks that fail before any succeeds: something is wrong with all of them
 
 
@@ -130,14 +130,14 @@ def run(
             _repair(path)
             open_group(path)  # what is no cube is refused at once
         check_writable(beside(path, "verdict", ".json"), VERDICT)
-        with undisturbed():  # Ctrl-C inside an import may be lost
+        with deferred_signals():  # Ctrl-C inside an import may be lost
             map_unordered = stack.enter_context(open_cluster(workflow, jobs_folder(path), not path.exists()))
             prepared = prepare(experiment, rig, workflow)
         return process(prepared, lock, map_unordered, progress)
 
 
 def process(
-    prepared: Prepared, lock: Lock, map_unordered: MapFunction, progress: ProgressFunction | None = None
+    prepared: PreparedRun, lock: Lock, map_unordered: MapFunction, progress: ProgressFunction | None = None
 ) -> Status:
     """Create the store or go on with it, until every block is done."""
     path = lock.store
@@ -148,17 +148,17 @@ def process(
             raise RunStopped(
                 f"stopped{_why(stop)}{_how_far(path)}; nothing is lost, and the same command goes on"
             ) from None
-    with undisturbed():  # what only the end needs comes when the rest is done
-        from wavefield.pipeline.run_quality import judge
+    with deferred_signals():  # what only the end needs comes when the rest is done
+        from wavefield.pipeline.run_quality import assess_run
     found = status(path)
-    judge(prepared, found).save(path)
+    assess_run(prepared, found).save(path)
     if found.complete:
         mark_complete(path, ledger_checksum(path, read_layout(open_group(path))))
     return status(path)
 
 
 def _go_on(
-    prepared: Prepared, lock: Lock, map_unordered: MapFunction, progress: ProgressFunction | None
+    prepared: PreparedRun, lock: Lock, map_unordered: MapFunction, progress: ProgressFunction | None
 ) -> None:
     path = lock.store
     prepared, layout = _open_or_create(prepared, path)
@@ -195,25 +195,25 @@ def _how_far(path: Path) -> str:
     return f" after {now.steps - now.left} of {now.steps} steps"
 
 
-def _open_or_create(prepared: Prepared, path: Path) -> tuple[Prepared, Layout]:
+def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, StoreLayout]:
     if path.exists():
         _repair(path)
         group = open_group(path)
         check_recipe(path, group, prepared.recipe)
         check_images(str(path), json.loads(group.attrs.get("fingerprints", "{}")), prepared.series)
         remove_leftovers(path)
-        prepared = prepared.knowing(json.loads(str(group.attrs["recipe"]))["record"])
+        prepared = prepared.with_prior(json.loads(str(group.attrs["recipe"]))["record"])
         for change in relabel(path, prepared.recipe, _labels(prepared.experiment)):
             log.info("labelled anew, nothing is measured again: %s", change)
         return prepared, read_layout(open_group(path))
     log.info("learning beads, spectra and noise from sample frames")
     threads = threads_here(prepared.workflow)
-    prepared = prepared.knowing(learn_record(prepared.series, prepared.steps, prepared.plan, threads))
+    prepared = prepared.with_prior(learn_record(prepared.series, prepared.steps, prepared.plan, threads))
     if prepared.recipe.record:
         log.info("velocities along paths of %d frames", prepared.recipe.record["path_frames"])
     grid = prepared.grid
     first = next(iter(prepared.series.values())).first
-    layout = Layout(prepared.steps, prepared.block, tuple(prepared.series), first)
+    layout = StoreLayout(prepared.steps, prepared.block, tuple(prepared.series), first)
     attributes = {
         "pixel_size": pixel_size(prepared.rig, grid),
         "fingerprints": json.dumps(fingerprints(prepared.series)),
@@ -238,7 +238,7 @@ def _labels(experiment: Experiment) -> dict[str, Any]:
     return out | experiment.water.attributes()
 
 
-def unfinished(path: Path, layout: Layout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
+def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
     """Blocks that are still to be measured: not done yet, or with bad frames that are good by now.
 
     Returns (start, stop): Ranges of steps.
@@ -250,15 +250,15 @@ def unfinished(path: Path, layout: Layout, series: Mapping[str, FrameSeries]) ->
     group = open_group(path)
     ledger = np.asarray(group["frame_status"][:])
     faults = np.asarray(group["frame_fault"][:])
-    mended = np.zeros(layout.steps + 1, bool)
+    repaired = np.zeros(layout.steps + 1, bool)
     for camera, index in np.argwhere((faults != 0) & (faults != FrameFault.RANGE)):
         if not series[layout.cameras[camera]].read(int(index)).fault:
-            mended[index] = True
+            repaired[index] = True
     again, todo = [], []
     for start, stop in layout.blocks():
         if (ledger[start:stop] == FrameStatus.NOT_STARTED).any():
             todo.append((start, stop))
-        elif mended[max(start - AROUND, 0) : stop + 1 + AROUND].any():
+        elif repaired[max(start - AROUND, 0) : stop + 1 + AROUND].any():
             again.append(start)
             todo.append((start, stop))
     if again:
@@ -268,7 +268,7 @@ def unfinished(path: Path, layout: Layout, series: Mapping[str, FrameSeries]) ->
 
 
 def _work_off(
-    prepared: Prepared,
+    prepared: PreparedRun,
     lock: Lock,
     todo: Sequence[Block],
     map_unordered: MapFunction,
@@ -277,7 +277,7 @@ def _work_off(
     path = lock.store
     work = Work(path, prepared.plan, measured_rate(open_group(path)))
     failures: list[tuple[Block, BaseException]] = []
-    told = _Told()
+    message_log = _MessageLog()
     succeeded = 0
     tracker.start()
     # closed here and now: what is not done yet is called off before anything else
@@ -293,7 +293,7 @@ def _work_off(
                     break
                 continue
             succeeded += 1
-            told.tell(result.messages)
+            message_log.add(result.messages)
             tracker.add(result.stop - result.start)
     if failures:
         block, error = failures[0]
@@ -304,19 +304,19 @@ def _work_off(
         ) from error
 
 
-class _Told:
+class _MessageLog:
     """Passes sentences about bad frames on to the log: the first of them, then how many there are."""
 
     def __init__(self) -> None:
         self.count = 0
 
-    def tell(self, messages: Sequence[str]) -> None:
+    def add(self, messages: Sequence[str]) -> None:
         for message in messages:
             self.count += 1
-            if self.count <= _MOST_TOLD:
+            if self.count <= _MAX_MESSAGES:
                 log.warning("%s", message)
-            elif self.count == _MOST_TOLD + 1:
-                log.warning("more than %d bad frames; `wavefield status` lists them all", _MOST_TOLD)
+            elif self.count == _MAX_MESSAGES + 1:
+                log.warning("more than %d bad frames; `wavefield status` lists them all", _MAX_MESSAGES)
 
 
 class _Tracker:
@@ -339,13 +339,13 @@ class _Tracker:
         if now - self._logged > 10 or self.done == self.total:
             self._logged = now
             log.info("%d of %d steps%s", self.done, self.total, f", {sentence}" if sentence else "")
-        self._tell(sentence)
+        self._report_progress(sentence)
 
     def say(self, sentence: str) -> None:
         if sentence:
             log.info("%s", sentence)
-        self._tell(sentence)
+        self._report_progress(sentence)
 
-    def _tell(self, sentence: str) -> None:
+    def _report_progress(self, sentence: str) -> None:
         if self._progress:
             self._progress(self.done, self.total, sentence)

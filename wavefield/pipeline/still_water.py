@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from wavefield.pipeline.prepare import prepare
 from wavefield.rig import Rig
-from wavefield.rig.water_level import Plane
+from wavefield.rig.water_level import WaterPlane
 from wavefield.series import Experiment
 from wavefield.store.verdict import Remark
 
@@ -24,7 +24,7 @@ def level_at_rest(
     rig: str | Path | Rig | None = None,
     frames: int = FRAMES,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[Rig, RigCheck, Plane]:
+) -> tuple[Rig, RigCheck, WaterPlane]:
     """Mend and level a rig by a record of still, seeded water."""
     from wavefield.calibration.still_water_correction import refine_and_level
     from wavefield.measurement.tie_points import matched_pixels, spread
@@ -40,7 +40,7 @@ def level_at_rest(
     return refine_and_level(prepared.rig, matches)
 
 
-def plane_sentence(plane: Plane) -> str:
+def plane_sentence(plane: WaterPlane) -> str:
     """Where the water was, for a person."""
     return (
         f"The water's plane: {1e3 * plane.height:+.3f} mm at the origin, slope {1e3 * plane.slope[0]:+.3f}, "

@@ -18,7 +18,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.quality.patch_matching import ALIKE, REACH, SIDE, Array, Comparison, Pair, Witness, compare
+from wavefield.quality.patch_matching import (
+    ALIKE,
+    REACH,
+    SIDE,
+    Array,
+    Comparison,
+    Pair,
+    PatchMatcher,
+    compare,
+)
 from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark
 
@@ -49,12 +58,14 @@ class Sample:
     speed: float = 0.0  # Of the beads in all directions, rms, px per frame
 
 
-def prepared(plan: Any, witness: Witness, frame: int, widths: Mapping[str, float]) -> dict[str, Any]:
+def prepared(
+    plan: Any, patch_matcher: PatchMatcher, frame: int, widths: Mapping[str, float]
+) -> dict[str, Any]:
     """Images of an instant, ready for matching between cameras; those that cannot be used are left out."""
     from wavefield.measurement import pair_surface
     from wavefield.measurement.frame import ready, usable
 
-    images = {name: witness.read(name, frame) for name in plan.surface_cameras}
+    images = {name: patch_matcher.read(name, frame) for name in plan.surface_cameras}
     return {
         name: pair_surface.prepare(ready(np.asarray(image), plan.binning[name], widths[name]), name, plan)
         for name, image in images.items()
@@ -62,7 +73,9 @@ def prepared(plan: Any, witness: Witness, frame: int, widths: Mapping[str, float
     }
 
 
-def sample(plan: Any, witness: Witness, pair: Pair, frame: int, flat: Mapping[str, Any]) -> Sample | None:
+def sample(
+    plan: Any, patch_matcher: PatchMatcher, pair: Pair, frame: int, flat: Mapping[str, Any]
+) -> Sample | None:
     """Miss and velocity all over what two cameras share at an instant.
 
     With pair (str, str).
@@ -71,7 +84,7 @@ def sample(plan: Any, witness: Witness, pair: Pair, frame: int, flat: Mapping[st
 
     if not all(name in flat for name in pair):
         return None
-    moved = _moved(witness, pair[1], frame, _furthest(plan, pair[1]))
+    moved = _moved(patch_matcher, pair[1], frame, _furthest(plan, pair[1]))
     if moved is None:
         return None
     match = pair_surface.match_pair(flat[pair[0]], flat[pair[1]], pair, plan)
@@ -80,12 +93,14 @@ def sample(plan: Any, witness: Witness, pair: Pair, frame: int, flat: Mapping[st
     x, y = np.meshgrid(plan.lattice.x, plan.lattice.y)
     good = match.matched & np.isfinite(match.eps_y)
     shown = [(v + d)[good] for v, d in zip((x, y), match.difference)]  # where the second camera shows it
-    means = _over_patches(witness, shown, [v[good] for v in (match.eps_y, p, q)])
+    means = _over_patches(patch_matcher, shown, [v[good] for v in (match.eps_y, p, q)])
     known = np.isfinite(means[:, 0]) & np.isfinite(moved).all(axis=1)
     if known.sum() < _FEWEST:
         return None
-    (miss, p, q), (dx, dy) = means[known].T, moved[known].T * witness.pixel
-    low = np.stack([np.ones(known.sum()), _scaled(witness.x[known]), _scaled(witness.y[known])], axis=-1)
+    (miss, p, q), (dx, dy) = means[known].T, moved[known].T * patch_matcher.pixel
+    low = np.stack(
+        [np.ones(known.sum()), _scaled(patch_matcher.x[known]), _scaled(patch_matcher.y[known])], axis=-1
+    )
     speed = float(np.sqrt((dx**2 + dy**2).mean())) / plan.pixel
     return Sample(miss / plan.pixel, (q * dx - p * dy) / plan.pixel, low, speed)
 
@@ -97,26 +112,28 @@ def _furthest(plan: Any, name: str) -> int:
     return min(int(np.ceil(max(ends, default=REACH) * plan.binning[name])), REACH)
 
 
-def _moved(witness: Witness, name: str, frame: int, furthest: int) -> Array | None:
+def _moved(patch_matcher: PatchMatcher, name: str, frame: int, furthest: int) -> Array | None:
     """How far what one camera shows in each patch moves in a frame, px, (n, 2): by four frames or two."""
-    still = np.zeros((len(witness.x), 2), np.int64)
-    now = witness.around(name, frame, still, 0)
+    still = np.zeros((len(patch_matcher.x), 2), np.int64)
+    now = patch_matcher.around(name, frame, still, 0)
 
     def find(k: int, near: Array, reach: int) -> Comparison | None:
         known: NDArray[np.bool_] = np.isfinite(near[:, 0])
         limit = REACH - reach
         at = np.clip(np.rint(np.where(known[:, None], near, 0)), -limit, limit).astype(np.int64)
-        found = compare(now, witness.around(name, frame + k, at, reach), at)
-        return None if found is None else Comparison(found.moved, np.where(known, found.likeness, 0.0))
+        found = compare(now, patch_matcher.around(name, frame + k, at, reach), at)
+        return (
+            None if found is None else Comparison(found.moved, np.where(known, found.peak_correlation, 0.0))
+        )
 
     after = find(1, still.astype(float), furthest)
     if after is None:
         return None
-    first = np.where(after.likeness[:, None] > ALIKE, after.moved, np.nan)
+    first = np.where(after.peak_correlation[:, None] > ALIKE, after.moved, np.nan)
     before = find(-1, -first, _BESIDE)
     if before is None:
         return None
-    last = np.where(before.likeness[:, None] > ALIKE, before.moved, np.nan)
+    last = np.where(before.peak_correlation[:, None] > ALIKE, before.moved, np.nan)
     found: dict[int, Comparison | None] = {1: after, -1: before}
     # and two frames away about where a parabola goes
     found |= {k: find(k, k * (first - last) / 2 + 2 * (first + last), _BESIDE) for k in (-2, 2)}
@@ -126,21 +143,25 @@ def _moved(witness: Witness, name: str, frame: int, furthest: int) -> Array | No
         if len(sides) < len(around):
             continue
         moved = sum((weight * (a.moved - b.moved) for weight, a, b in sides), np.zeros(1))
-        alike = np.all([(a.likeness > ALIKE) & (b.likeness > ALIKE) for _, a, b in sides], axis=0)
+        alike = np.all(
+            [(a.peak_correlation > ALIKE) & (b.peak_correlation > ALIKE) for _, a, b in sides], axis=0
+        )
         moved = np.where(alike[:, None], moved, np.nan)
         if np.isfinite(moved).all(axis=1).sum() >= _FEWEST:
             return np.asarray(moved)
     return None
 
 
-def _over_patches(witness: Witness, at: Sequence[Array], values: Sequence[Array]) -> Array:
+def _over_patches(patch_matcher: PatchMatcher, at: Sequence[Array], values: Sequence[Array]) -> Array:
     """Means over the middle of each patch, (n, values); NaN where little is known."""
-    pitch = SIDE * witness.pixel  # patches lie side by side
+    pitch = SIDE * patch_matcher.pixel  # patches lie side by side
     column, row = (
         np.floor((v - places.min()) / pitch + 0.5).astype(np.int64)
-        for v, places in zip(at, (witness.x, witness.y))
+        for v, places in zip(at, (patch_matcher.x, patch_matcher.y))
     )
-    own_column, own_row = (np.rint((v - v.min()) / pitch).astype(np.int64) for v in (witness.x, witness.y))
+    own_column, own_row = (
+        np.rint((v - v.min()) / pitch).astype(np.int64) for v in (patch_matcher.x, patch_matcher.y)
+    )
     nx, ny = int(own_column.max()) + 1, int(own_row.max()) + 1
     inside = (column >= 0) & (column < nx) & (row >= 0) & (row < ny)
     which, own = (row * nx + column)[inside], own_row * nx + own_column
@@ -192,7 +213,7 @@ def _cleared(one: Sample, weight: Array) -> tuple[Array, Array]:
     return rest[:, 0], rest[:, 1]
 
 
-def _widths(plan: Any, witness: Witness, frames: Sequence[int]) -> dict[str, float]:
+def _widths(plan: Any, patch_matcher: PatchMatcher, frames: Sequence[int]) -> dict[str, float]:
     """Widths of the beads: those of the record, or of the first image that can be used."""
     from wavefield.measurement.background import bead_width
     from wavefield.measurement.frame import usable
@@ -201,27 +222,27 @@ def _widths(plan: Any, witness: Witness, frames: Sequence[int]) -> dict[str, flo
         return dict(plan.record.beads)
     out = dict.fromkeys(plan.surface_cameras, 0.0)
     for name in out:
-        images = (witness.read(name, k) for k in frames)
+        images = (patch_matcher.read(name, k) for k in frames)
         one = next((image for image in images if usable(image, plan.rig[name].size)), None)
         out[name] = 0.0 if one is None else bead_width(np.asarray(one))
     return out
 
 
 def delays(
-    plan: Any, witness: Witness, frames: Sequence[int], rate: float, threads: int = 1
+    plan: Any, patch_matcher: PatchMatcher, frames: Sequence[int], rate: float, threads: int = 1
 ) -> tuple[dict[str, Delay], float]:
     """By how much each camera's frames are taken later than those of most."""
     names = list(plan.surface_cameras)
     rows, values, spreads = [], [], []
     speeds: list[float] = []
-    widths = _widths(plan, witness, frames)
+    widths = _widths(plan, patch_matcher, frames)
 
-    def look(frame: int) -> list[Sample | None]:
-        flat = prepared(plan, witness, frame, widths)
-        return [sample(plan, witness, pair, frame, flat) for pair in plan.pairs]
+    def sample_at(frame: int) -> list[Sample | None]:
+        flat = prepared(plan, patch_matcher, frame, widths)
+        return [sample(plan, patch_matcher, pair, frame, flat) for pair in plan.pairs]
 
     with ThreadPoolExecutor(threads) as pool:
-        found_at = list(pool.map(look, frames))
+        found_at = list(pool.map(sample_at, frames))
     for (a, b), of_pair in zip(plan.pairs, zip(*found_at)):
         samples = [s for s in of_pair if s is not None]
         speeds += [s.speed for s in samples]
@@ -235,9 +256,9 @@ def delays(
     design = np.array(rows) / np.array(spreads)[:, None]
     # only differences are known: the middle of the cameras, or the first of two, is taken for right
     design = np.vstack([design, np.eye(len(names))[:1] * 1e9])
-    wanted = np.append(np.array(values) / spreads, 0.0)
+    requested = np.append(np.array(values) / spreads, 0.0)
     inverse = np.linalg.inv(design.T @ design)
-    best = inverse @ design.T @ wanted
+    best = inverse @ design.T @ requested
     usual = int(np.argsort(best)[(len(best) - 1) // 2]) if len(names) > 2 else 0
     out = {}
     for k, name in enumerate(names):

@@ -12,11 +12,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.quality.pair_consistency import LEAST, Table, covered, score, size
+from wavefield.quality.pair_consistency import LEAST, ConsistencyTable, covered, score, size
 from wavefield.quality.patch_matching import (
-    Agreement,
     Pair,
-    Witness,
+    PairConsistency,
+    PatchMatcher,
 )
 from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark, Weight
@@ -29,7 +29,7 @@ _FLIPS = ("mirrored", "upside down", "turned by 180 degrees")
 
 
 @dataclass(frozen=True)
-class Examination:
+class CameraFaults:
     """What was found."""
 
     remarks: tuple[Remark, ...]  # What is wrong
@@ -40,15 +40,17 @@ class Examination:
     frames: tuple[int, ...]  # The instants
 
 
-def examine(witness: Witness, count: int, frames: Sequence[int], threads: int = 1) -> Examination:
+def find_camera_faults(
+    patch_matcher: PatchMatcher, count: int, frames: Sequence[int], threads: int = 1
+) -> CameraFaults:
     """Compare cameras at some instants, and name what is wrong with them."""
-    names = list(witness.rig)
-    whole = tuple(k for k in frames if all(witness.read(name, k) is not None for name in names))
-    if len(witness.x) < _FEWEST or not whole or len(names) < 2:
-        return Examination((), {}, {}, whole)
-    table = Table(witness, names, whole, threads)
+    names = list(patch_matcher.rig)
+    whole = tuple(k for k in frames if all(patch_matcher.read(name, k) is not None for name in names))
+    if len(patch_matcher.x) < _FEWEST or not whole or len(names) < 2:
+        return CameraFaults((), {}, {}, whole)
+    table = ConsistencyTable(patch_matcher, names, whole, threads)
     remarks = [*_covered(table), *_blurred(table)]
-    lying, explained = _lying(table, count)
+    inconsistent, explained = _inconsistent(table, count)
     seen = {remark.subject: remark for remark in remarks}
     explained = [  # what is so blurred or covered that nothing matches is no contradiction
         replace(seen[one.subject], weight="grave")
@@ -56,15 +58,15 @@ def examine(witness: Witness, count: int, frames: Sequence[int], threads: int = 
         else one
         for one in explained
     ]
-    remarks = [remark for remark in remarks if remark.subject not in lying] + explained
-    remarks += _knocked(table, lying) or _uneven(table, lying)
-    return Examination(tuple(remarks), table.camera_numbers(), table.pair_numbers(), whole)
+    remarks = [remark for remark in remarks if remark.subject not in inconsistent] + explained
+    remarks += _knocked(table, inconsistent) or _uneven(table, inconsistent)
+    return CameraFaults(tuple(remarks), table.camera_numbers(), table.pair_numbers(), whole)
 
 
 # -- one thing after another -------------------------------------------------------------------------------
 
 
-def _covered(table: Table) -> Iterator[Remark]:
+def _covered(table: ConsistencyTable) -> Iterator[Remark]:
     for name in table.names:
         fraction = float(np.median(covered(table, name)))
         if fraction > _COVERED:
@@ -79,7 +81,7 @@ def _covered(table: Table) -> Iterator[Remark]:
             )
 
 
-def _blurred(table: Table) -> Iterator[Remark]:
+def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
     widths = {name: float(np.nanmedian(table.blur[name])) for name in table.names}
     for name, width in widths.items():
         usual = float(np.median([widths[other] for other in table.names if other != name]))
@@ -95,30 +97,32 @@ def _blurred(table: Table) -> Iterator[Remark]:
             )
 
 
-def _lying(table: Table, count: int) -> tuple[set[str], list[Remark]]:
+def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[Remark]]:
     """Cameras that agree with none, and what explains it."""
     good = table.good()
     if len(good) == len(table.pairs):
         return set(), []
-    lying = {name for name in table.names if not any(name in pair for pair in good)}
-    if not lying:  # a wide pair of cameras may see too different pictures; each still agrees with a third
+    inconsistent = {name for name in table.names if not any(name in pair for pair in good)}
+    if (
+        not inconsistent
+    ):  # a wide pair of cameras may see too different pictures; each still agrees with a third
         return set(), []
     level = table.level()
     if swap := _swapped(table, level):
         return set(table.names), [swap]
     remarks = []
-    for name in sorted(lying):
-        partners = [n for n in table.names if n != name and n not in lying] or [
+    for name in sorted(inconsistent):
+        partners = [n for n in table.names if n != name and n not in inconsistent] or [
             n for n in table.names if n != name
         ]
         remarks.append(_explain(table, name, partners, level, count))
     named = [remark for remark in remarks if remark.kind != "contradicts"]
-    if len(lying) == len(table.names):  # nobody agrees with anybody: what is explained goes first
+    if len(inconsistent) == len(table.names):  # nobody agrees with anybody: what is explained goes first
         remarks = named[:1] or [_nobody(table)]
-    return lying, remarks
+    return inconsistent, remarks
 
 
-def _nobody(table: Table) -> Remark:
+def _nobody(table: ConsistencyTable) -> Remark:
     best = max(score(found) for found in table.found.values())
     return Remark(
         "cameras",
@@ -131,7 +135,7 @@ def _nobody(table: Table) -> Remark:
     )
 
 
-def _swapped(table: Table, level: float) -> Remark | None:
+def _swapped(table: ConsistencyTable, level: float) -> Remark | None:
     before = float(np.mean([score(found) for found in table.found.values()]))
     best, which = max(before + 0.1, level), None
     for one, other in table.pairs:
@@ -157,7 +161,7 @@ def _swapped(table: Table, level: float) -> Remark | None:
     )
 
 
-def _explain(table: Table, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
+def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
     """What makes a camera agree with its partners, tried at two instants."""
     frames = table.frames[:2]
     candidates: dict[tuple[str, str, str], float] = {}
@@ -180,7 +184,7 @@ def _explain(table: Table, name: str, partners: Sequence[str], level: float, cou
     (kind, what, _), best = max(candidates.items(), key=lambda item: item[1])
     now = max(score(table.found[pair]) for pair in table.pairs if name in pair)
     if best < max(LEAST, level, 2 * now):
-        return _contradicts(table, name, now)
+        return _inconsistent_pairs(table, name, now)
     return replace(_WORDS[kind](name, what), values={"agreement": best, "as it is": now})
 
 
@@ -226,7 +230,7 @@ _WORDS = {
 }
 
 
-def _contradicts(table: Table, name: str, now: float) -> Remark:
+def _inconsistent_pairs(table: ConsistencyTable, name: str, now: float) -> Remark:
     usual = max(score(found) for found in table.found.values())
     return Remark(
         name,
@@ -239,26 +243,26 @@ def _contradicts(table: Table, name: str, now: float) -> Remark:
     )
 
 
-def _knocked(table: Table, lying: set[str]) -> list[Remark]:
+def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
     """Cameras whose sight lines miss those of the others by a smooth eps_y."""
     smooth = {
         pair: np.median([one.smooth for one in found if one.fraction > 0], axis=0)
         for pair, found in table.found.items()
-        if not lying & set(pair) and any(one.fraction > 0 for one in found)
+        if not inconsistent & set(pair) and any(one.fraction > 0 for one in found)
     }
     missed = {pair: size(value) for pair, value in smooth.items()}
     wrong = [pair for pair, value in missed.items() if value > _MATTERS and _sure(table.found[pair]) > 4]
     if not wrong:
         return []
     most = max(missed[pair] for pair in wrong)
-    suspects = [
+    faulty_cameras = [
         name
         for name in table.names
         if all(name in pair for pair in wrong)
         and all(value < most / 3 for pair, value in missed.items() if name not in pair)
     ]
     weight: Weight = "grave" if most > 0.5 else "remark"
-    subject = suspects[0] if len(suspects) == 1 else "rig"
+    subject = faulty_cameras[0] if len(faulty_cameras) == 1 else "rig"
     between = " and of ".join("-".join(pair) for pair in wrong)
     remark = Remark(
         subject,
@@ -272,7 +276,7 @@ def _knocked(table: Table, lying: set[str]) -> list[Remark]:
     return [remark]
 
 
-def _uneven(table: Table, lying: set[str]) -> list[Remark]:
+def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
     """Pairs of cameras that see the same water at different heights: one has moved along the parallax.
 
     Which one cannot be told: heights of two pairs are one number more than there is water.
@@ -280,7 +284,7 @@ def _uneven(table: Table, lying: set[str]) -> list[Remark]:
     worst, sure = 0.0, 0.0
     which: tuple[Pair, ...] = ()
     for first, second in combinations(table.pairs, 2):
-        if first[0] != second[0] or lying & {*first, *second}:
+        if first[0] != second[0] or inconsistent & {*first, *second}:
             continue  # both look for the same camera's patches
         apart = [_apart(table, first, second, k) for k in range(len(table.frames))]
         values = np.concatenate(apart)
@@ -307,15 +311,15 @@ def _uneven(table: Table, lying: set[str]) -> list[Remark]:
     ]
 
 
-def _apart(table: Table, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:
+def _apart(table: ConsistencyTable, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:
     """By how much the heights of two pairs differ where both found a patch, px of parallax."""
     a, b = table.found[first][k], table.found[second][k]
     both, ia, ib = np.intersect1d(a.places, b.places, return_indices=True)
-    parallax = np.minimum(table.witness.parallax(first), table.witness.parallax(second))[both]
-    return np.asarray((a.height[ia] - b.height[ib]) * parallax / table.witness.pixel)
+    parallax = np.minimum(table.patch_matcher.parallax(first), table.patch_matcher.parallax(second))[both]
+    return np.asarray((a.height[ia] - b.height[ib]) * parallax / table.patch_matcher.pixel)
 
 
-def _sure(found: Sequence[Agreement]) -> float:
+def _sure(found: Sequence[PairConsistency]) -> float:
     """The smooth part over its uncertainty."""
     one = max(found, key=lambda each: each.fraction)
     if len(one.eps_y) < 8:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.quality.patch_matching import Witness
+from wavefield.quality.patch_matching import PatchMatcher
 from wavefield.quality.stabilized import shifts
 from wavefield.robust import PER_MEDIAN
 from wavefield.store.preview import read_steps
@@ -22,18 +22,18 @@ from wavefield.store.verdict import Remark
 
 Array = NDArray[np.float64]
 
-_LOOKS = 600  # steps that are read, evenly over the record
+_SAMPLE_STEPS = 600  # steps that are read, evenly over the record
 _NODES = 2000  # of each
 _FEWEST = 50  # nodes of a step, to say anything
 _SIDE = 3  # steps on either side of a jump, at least
 _JUMP = 0.05  # px: a smaller one is not told from what shakes
 _MATTERS = 0.1  # px
-_TREMBLES = 0.02  # px: noise makes .006 of it in poor light
+_MIN_JITTER = 0.02  # px: noise makes .006 of it in poor light
 _MOST = 3  # knocks that are looked for
 
 
 @dataclass(frozen=True)
-class Steadiness:
+class CameraMotion:
     """Low-order part of eps_y over time."""
 
     steps: NDArray[np.intp]  # (n,): Which steps were read
@@ -49,7 +49,7 @@ class Knock:
     size: float  # Rms over the field of what eps_y is more since, px
 
 
-def steadiness(store: Path, steps: Sequence[int] | None = None) -> Steadiness:
+def camera_motion(store: Path, steps: Sequence[int] | None = None) -> CameraMotion:
     """Fit the low-order part of eps_y at steps of a cube."""
     group = open_group(store)
     count, ny, nx = group["eps_y"].shape
@@ -57,11 +57,15 @@ def steadiness(store: Path, steps: Sequence[int] | None = None) -> Steadiness:
     pixel = float(group.attrs["pixel_size"])
     x, y = np.meshgrid(*(np.linspace(-1, 1, n)[::every] for n in (nx, ny)))
     design = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=-1)
-    wanted = np.unique(np.linspace(0, count - 1, min(count, _LOOKS)).astype(int)) if steps is None else steps
+    requested = (
+        np.unique(np.linspace(0, count - 1, min(count, _SAMPLE_STEPS)).astype(int))
+        if steps is None
+        else steps
+    )
     kept, low, std = [], [], []
     block = read_layout(group).block
     for first in range(0, count, block):
-        inside = [k for k in wanted if first <= k < first + block]
+        inside = [k for k in requested if first <= k < first + block]
         if not inside:
             continue
         values = read_steps(group, "eps_y", first, min(first + block, count))[:, ::every, ::every] / pixel
@@ -71,7 +75,7 @@ def steadiness(store: Path, steps: Sequence[int] | None = None) -> Steadiness:
                 kept.append(k)
                 low.append(fit[0])
                 std.append(fit[1])
-    return Steadiness(np.array(kept, int), np.array(low).reshape(-1, 3), np.array(std).reshape(-1, 3))
+    return CameraMotion(np.array(kept, int), np.array(low).reshape(-1, 3), np.array(std).reshape(-1, 3))
 
 
 def _fit(design: Array, values: Array) -> tuple[Array, Array] | None:
@@ -129,7 +133,7 @@ def jump(low: Array) -> int | None:
     return int(cuts[best])
 
 
-def knocks(store: Path, found: Steadiness) -> list[Knock]:
+def knocks(store: Path, found: CameraMotion) -> list[Knock]:
     """Jumps of a record, each dated to a frame."""
     pieces = [(0, len(found.steps))]
     cuts: list[int] = []
@@ -144,7 +148,7 @@ def knocks(store: Path, found: Steadiness) -> list[Knock]:
     for a, at, b in zip(edges, edges[1:], edges[2:]):
         before, after = (np.median(found.low[s], axis=0) for s in (slice(a, at), slice(at, b)))
         between = range(max(int(found.steps[at - 1]) - 1, 0), int(found.steps[at]) + 1)
-        near = steadiness(store, list(between))
+        near = camera_motion(store, list(between))
         along = (near.low - before) @ (after - before) / float((after - before) @ (after - before))
         # a step shows the mean of its two frames: the one in which the knock falls is half way
         whole = near.steps[along > 0.75]
@@ -153,7 +157,7 @@ def knocks(store: Path, found: Steadiness) -> list[Knock]:
     return out
 
 
-def shaking(found: Steadiness, cuts: Sequence[int]) -> tuple[float, float]:
+def shaking(found: CameraMotion, cuts: Sequence[int]) -> tuple[float, float]:
     """How far the picture of the cameras shakes from step to step."""
     edges = [0, *np.searchsorted(found.steps, cuts).tolist(), len(found.steps)]
     parts = [found.low[a:b] - found.low[a:b].mean(axis=0) for a, b in pairwise(edges) if b - a > 1]
@@ -167,14 +171,14 @@ def shaking(found: Steadiness, cuts: Sequence[int]) -> tuple[float, float]:
     return float(np.sqrt(power)), float(np.sqrt(noise / (2 * freedom)))
 
 
-def who(plan: Any, witness: Witness, frame: int, count: int) -> tuple[str, float]:
+def who(plan: Any, patch_matcher: PatchMatcher, frame: int, count: int) -> tuple[str, float]:
     """The camera that a knock moved: its picture alone has moved since.
 
     Returns size By how much its sight lines miss the others' more, px.
     """
     sides = []
     for frames in (range(max(frame - _SIDE, 0), frame), range(frame, min(frame + _SIDE, count))):
-        found = [shifts({name: witness.read(name, k) for name in plan.cameras}, plan) for k in frames]
+        found = [shifts({name: patch_matcher.read(name, k) for name in plan.cameras}, plan) for k in frames]
         sides.append([one for one in found if one])
     if not all(sides):
         return "rig", 0.0
@@ -186,17 +190,17 @@ def who(plan: Any, witness: Witness, frame: int, count: int) -> tuple[str, float
     return first, moved[first]
 
 
-def remarks(store: Path, plan: Any, witness: Witness, first_frame: int) -> Iterator[Remark]:
+def remarks(store: Path, plan: Any, patch_matcher: PatchMatcher, first_frame: int) -> Iterator[Remark]:
     """What to say of cameras that do not stand still."""
     yield from _turned_back(store, first_frame)
-    yield from trembling(plan)
-    found = steadiness(store)
+    yield from camera_jitter(plan)
+    found = camera_motion(store)
     if len(found.steps) < 2 * _SIDE:
         return
     jumps = knocks(store, found)
     count = int(open_group(store)["frame"].shape[0])
     for one in jumps:
-        name, alone = who(plan, witness, one.frame, count)
+        name, alone = who(plan, patch_matcher, one.frame, count)
         off = max(one.size, alone)  # eps_y of a cube is the mean of its pairs
         yield Remark(
             name,
@@ -223,20 +227,20 @@ def remarks(store: Path, plan: Any, witness: Witness, first_frame: int) -> Itera
         )
 
 
-def trembling(plan: Any) -> Iterator[Remark]:
+def camera_jitter(plan: Any) -> Iterator[Remark]:
     """What to say of cameras that move against each other along the line on which they stand.
 
     Of that eps_y knows nothing; the cameras' displacements do, if there are three.
     """
-    along = plan.record.trembling[0] if plan.record else 0.0
-    if along > _TREMBLES:
+    along = plan.record.camera_jitter[0] if plan.record else 0.0
+    if along > _MIN_JITTER:
         yield Remark(
             "cameras",
             "trembling",
             "remark" if along > _MATTERS else "note",
             f"their pictures move by {along:.3f} px from frame to frame along the line on which they stand; "
             "which of them does cannot be told: z, u, v and w are stated less certain by what it may do",
-            f"less than {_TREMBLES} px",
+            f"less than {_MIN_JITTER} px",
             "stiffen their mounts, or let no carriage, pump or person move while they record",
             {"px": along},
         )

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.quality.patch_matching import (
-    Agreement,
     Pair,
-    Witness,
+    PairConsistency,
+    PatchMatcher,
     agreement,
     compare,
     grounds,
@@ -24,34 +24,38 @@ _BESIDE = 0.5  # of what the best pair of cameras agrees in
 _SCATTER = 0.4  # px of eps_y: more is not the same water
 
 
-class Table:
+class ConsistencyTable:
     """Agreements of all pairs at all instants."""
 
-    def __init__(self, witness: Witness, names: list[str], frames: tuple[int, ...], threads: int = 1) -> None:
-        self.witness, self.names, self.frames = witness, names, frames
+    def __init__(
+        self, patch_matcher: PatchMatcher, names: list[str], frames: tuple[int, ...], threads: int = 1
+    ) -> None:
+        self.patch_matcher, self.names, self.frames = patch_matcher, names, frames
         self.pairs = pairs_of_all(names)
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(lambda name: witness.patches(name, frames[0]), names))  # lays out its lens
-            self.grounds = dict(zip(frames, pool.map(lambda k: grounds(witness, k, names), frames)))
-            agreements = list(pool.map(self._agreements, frames))
-            blurs = list(pool.map(lambda k: [blur(witness.read(name, k)) for name in names], frames))
-        self.found: dict[Pair, list[Agreement]] = dict(zip(self.pairs, map(list, zip(*agreements))))
+            list(pool.map(lambda name: patch_matcher.patches(name, frames[0]), names))  # lays out its lens
+            self.grounds = dict(zip(frames, pool.map(lambda k: grounds(patch_matcher, k, names), frames)))
+            pair_consistencies = list(pool.map(self._pair_consistencies, frames))
+            blurs = list(pool.map(lambda k: [blur(patch_matcher.read(name, k)) for name in names], frames))
+        self.found: dict[Pair, list[PairConsistency]] = dict(
+            zip(self.pairs, map(list, zip(*pair_consistencies)))
+        )
         self.blur: dict[str, list[float]] = dict(zip(names, map(list, zip(*blurs))))
 
-    def _agreements(self, frame: int) -> list[Agreement]:
+    def _pair_consistencies(self, frame: int) -> list[PairConsistency]:
         return [self.compare(pair, frame, pair[0], pair[1]) for pair in self.pairs]
 
     def compare(
         self, pair: Pair, frame: int, first: str, second: str, *, change: str = "", later: int = 0
-    ) -> Agreement:
+    ) -> PairConsistency:
         """Images of two cameras through the lenses of a pair; the second changed, or of another moment."""
-        witness, a, b = self.witness, *pair
-        one = witness.patches(first, frame, "", a)
-        other = witness.patches(second, frame + later, change, b)
+        patch_matcher, a, b = self.patch_matcher, *pair
+        one = patch_matcher.patches(first, frame, "", a)
+        other = patch_matcher.patches(second, frame + later, change, b)
         ground = self.grounds[frame][first] if first == a else None
         if not change and second == b and ground is not None:
             ground = ground & self.grounds[frame][second]
-        return agreement(witness, pair, compare(one, other), ground)
+        return agreement(patch_matcher, pair, compare(one, other), ground)
 
     def level(self) -> float:
         """Fraction of patches from which on two cameras agree."""
@@ -84,10 +88,10 @@ class Table:
         }
 
     def _image(self, name: str, frame: int) -> NDArray[Any]:
-        return np.asarray(self.witness.read(name, frame))
+        return np.asarray(self.patch_matcher.read(name, frame))
 
 
-def score(found: Sequence[Agreement]) -> float:
+def score(found: Sequence[PairConsistency]) -> float:
     """How well two cameras agree over some instants: patches found, nothing if they scatter."""
     scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= 4]
     return pooled(found) if scatter and float(np.median(scatter)) < _SCATTER else 0.0
@@ -117,7 +121,7 @@ def blur(image: NDArray[Any] | None) -> float:
     return float(np.sqrt(-3 / (4 * np.log(np.sqrt(ratio.prod())))))
 
 
-def covered(table: Table, name: str) -> list[float]:
+def covered(table: ConsistencyTable, name: str) -> list[float]:
     """Fraction of the patches in which a camera shows nothing where another shows something."""
     out = []
     for ground in table.grounds.values():

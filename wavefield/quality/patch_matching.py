@@ -39,11 +39,11 @@ class Comparison:
     """One camera's patches found again in another's images."""
 
     moved: Array  # (n, 2): By how much along x and y, px on the water; NaN where not found
-    likeness: Array  # (n,): Normalised correlation
+    peak_correlation: Array  # (n,): Normalised correlation
 
 
 @dataclass
-class Witness:
+class PatchMatcher:
     """Patches of all cameras on the water at rest, taken as they are asked for."""
 
     read: Read  # From camera and frame to the image, or None
@@ -166,7 +166,7 @@ def compare(
     if first is None or second is None:
         return None
     moved = np.full((len(first), 2), np.nan)
-    likeness = np.zeros(len(first))
+    peak_correlation = np.zeros(len(first))
     reach = (second.shape[1] - SIDE) // 2
     templates = np.ascontiguousarray(middle(first))
     usual = templates.mean(axis=(1, 2))
@@ -178,12 +178,12 @@ def compare(
             around = np.where(gaps, usual[k], around)
         score = cv2.matchTemplate(around, templates[k], cv2.TM_CCOEFF_NORMED)
         _, _, _, (column, row) = cv2.minMaxLoc(score)
-        likeness[k] = score[row, column]
+        peak_correlation[k] = score[row, column]
         if 0 < row < score.shape[0] - 1 and 0 < column < score.shape[1] - 1:
             dx = _vertex(*score[row, column - 1 : column + 2])
             dy = _vertex(*score[row - 1 : row + 2, column])
             moved[k] = column + dx - reach, row + dy - reach
-    return Comparison(moved if near is None else moved + near, likeness)
+    return Comparison(moved if near is None else moved + near, peak_correlation)
 
 
 def _vertex(before: float, at: float, after: float) -> float:
@@ -192,7 +192,7 @@ def _vertex(before: float, at: float, after: float) -> float:
 
 
 @dataclass(frozen=True)
-class Agreement:
+class PairConsistency:
     """How two cameras agree."""
 
     fraction: float  # Patches found again, and across the parallax where a smooth eps_y lets expect them
@@ -204,26 +204,26 @@ class Agreement:
 
 
 def agreement(
-    witness: Witness, pair: Pair, found: Comparison | None, ground: NDArray[np.bool_] | None = None
-) -> Agreement:
+    patch_matcher: PatchMatcher, pair: Pair, found: Comparison | None, ground: NDArray[np.bool_] | None = None
+) -> PairConsistency:
     """How far one camera's patches found in another's could be the same water.
 
     With pair (str, str); ground (n,).
     """
-    n = len(witness.x)
-    nothing = Agreement(0.0, np.zeros(0), np.zeros(3), np.zeros(0, np.intp))
+    n = len(patch_matcher.x)
+    nothing = PairConsistency(0.0, np.zeros(0), np.zeros(3), np.zeros(0, np.intp))
     counted = n if ground is None else int(ground.sum())
     if found is None or counted < 4:
         return nothing
-    along, across = witness.across(pair)
+    along, across = patch_matcher.across(pair)
     eps_y = (found.moved * across).sum(axis=1)
-    height = (found.moved * along).sum(axis=1) * witness.pixel / witness.parallax(pair)
-    good = (found.likeness > ALIKE) & np.isfinite(eps_y)
+    height = (found.moved * along).sum(axis=1) * patch_matcher.pixel / patch_matcher.parallax(pair)
+    good = (found.peak_correlation > ALIKE) & np.isfinite(eps_y)
     if ground is not None:
         good &= ground
     if good.sum() < 4:
         return nothing
-    design = np.stack([np.ones(n), *(_scaled(v) for v in (witness.x, witness.y))], axis=-1)
+    design = np.stack([np.ones(n), *(_scaled(v) for v in (patch_matcher.x, patch_matcher.y))], axis=-1)
     smooth = np.array([np.median(eps_y[good]), 0.0, 0.0])
     for _ in range(4):  # what lies near the smooth part makes it anew
         near = good & (np.abs(eps_y - design @ smooth) < _NEAR)
@@ -231,7 +231,9 @@ def agreement(
             break
         smooth = np.linalg.lstsq(design[near], eps_y[near], rcond=None)[0]
     near = good & (np.abs(eps_y - design @ smooth) < _NEAR)
-    return Agreement(float(near.sum() / counted), eps_y[near], smooth, np.flatnonzero(near), height[near])
+    return PairConsistency(
+        float(near.sum() / counted), eps_y[near], smooth, np.flatnonzero(near), height[near]
+    )
 
 
 def _scaled(v: Array) -> Array:
@@ -247,22 +249,22 @@ def pairs_of_all(names: Sequence[str]) -> list[Pair]:
     return list(combinations(names, 2))
 
 
-def pooled(agreements: Sequence[Agreement]) -> float:
+def pooled(pair_consistencies: Sequence[PairConsistency]) -> float:
     """Mean fraction over instants."""
-    return float(np.mean([a.fraction for a in agreements])) if agreements else 0.0
+    return float(np.mean([a.fraction for a in pair_consistencies])) if pair_consistencies else 0.0
 
 
-def grounds(witness: Witness, frame: int, names: Sequence[str]) -> Mapping[str, NDArray[np.bool_]]:
+def grounds(patch_matcher: PatchMatcher, frame: int, names: Sequence[str]) -> Mapping[str, NDArray[np.bool_]]:
     """Where each camera shows something: contrast of a fifth of its median at least.
 
     Returns (n,).
     """
     out = {}
     for name in names:
-        contrast = witness.contrast(name, frame)
+        contrast = patch_matcher.contrast(name, frame)
         if contrast is not None and len(contrast):
             usual = np.median(contrast[contrast > 0.5]) if (contrast > 0.5).any() else np.inf
             out[name] = contrast > 0.2 * usual
         else:
-            out[name] = np.zeros(len(witness.x), bool)
+            out[name] = np.zeros(len(patch_matcher.x), bool)
     return out

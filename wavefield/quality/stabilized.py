@@ -46,7 +46,7 @@ def refuse_unless_in_a_row(plan: Any) -> None:
             )
 
 
-class Steadier:
+class Stabilizer:
     """Corrected frames of a block, and by how much each was corrected."""
 
     def __init__(self, frames: Mapping[str, Sequence[Image | None]], plan: Any) -> None:
@@ -63,24 +63,24 @@ class Steadier:
                 del self._kept[next(iter(self._kept))]
         return self._kept[position]
 
-    def sequences(self) -> dict[str, "Steadied"]:
+    def sequences(self) -> dict[str, "StabilizedFrames"]:
         """One sequence of corrected frames for each camera, as `wavefield.measurement.measure` takes them."""
-        return {name: Steadied(self, name) for name in self.frames}
+        return {name: StabilizedFrames(self, name) for name in self.frames}
 
 
-class Steadied(Sequence[Image | None]):
+class StabilizedFrames(Sequence[Image | None]):
     """Corrected frames of one camera."""
 
-    def __init__(self, steadier: Steadier, name: str) -> None:
-        self._steadier, self._name = steadier, name
+    def __init__(self, stabilizer: Stabilizer, name: str) -> None:
+        self._stabilizer, self._name = stabilizer, name
 
     def __len__(self) -> int:
-        return len(self._steadier.frames[self._name])
+        return len(self._stabilizer.frames[self._name])
 
     def __getitem__(self, position: Any) -> Any:
         if isinstance(position, slice):
             return [self[i] for i in range(*position.indices(len(self)))]
-        return self._steadier(int(position) % len(self))[self._name]
+        return self._stabilizer(int(position) % len(self))[self._name]
 
 
 def corrected(

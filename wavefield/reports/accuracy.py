@@ -9,7 +9,7 @@ from wavefield import figures
 from wavefield.errors import ExperimentError
 from wavefield.measurement import Plan, Settings
 from wavefield.measurement.diagnostics import diagnose_around
-from wavefield.reports.html_page import Picture, Section, Table, Text
+from wavefield.reports.html_page import Picture, ReportSection, Table, Text
 from wavefield.reports.number_text import number, rms_of
 from wavefield.reports.pair_pictures import pair_differences, pair_misfits
 from wavefield.reports.sources import Sources
@@ -17,10 +17,10 @@ from wavefield.rig.resolution import pixel_size
 from wavefield.series.masks import covered_series, footprints
 
 
-def accuracy(sources: Sources) -> Section:
+def accuracy(sources: Sources) -> ReportSection:
     """Build the part on errors: internal, against probes, against the truth where it is known."""
     part = sources.thinned("eps_y", "eps_piv")
-    section = Section(
+    section = ReportSection(
         "Accuracy",
         [
             Picture(
@@ -224,9 +224,9 @@ _CALIBRATION = {
 }
 
 
-def calibration(sources: Sources) -> Section:
+def calibration(sources: Sources) -> ReportSection:
     """Build the part on the calibration, from the report that `wavefield calibrate` left beside the rig."""
-    section = Section("Calibration")
+    section = ReportSection("Calibration")
     folder = sources.calibration_folder
     if folder is None:
         return section

@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 from matplotlib.figure import Figure
 
-from wavefield.atomic_write import PAGE, Product, marked, whole, write_text
+from wavefield.atomic_write import PAGE, Product, atomic, marked, write_text
 from wavefield.calibration.numbers import FlatSurface, numbers
 from wavefield.calibration.result import Calibration
 from wavefield.reports import calibration_pictures as pictures
@@ -48,7 +48,7 @@ def write_calibration(
     if found is not None:
         drawn.insert(0, Drawn("target.png", "The target as it was found in an image of each camera", found))
     for picture in drawn:
-        with whole(directory / picture.file, PICTURE) as draft:
+        with atomic(directory / picture.file, PICTURE) as draft:
             draft.write_bytes(picture.png)
     write_text(
         directory / "numbers.yaml",

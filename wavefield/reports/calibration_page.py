@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from wavefield.reports.html_page import Head, Listing, Picture, Section, Table, Text, render
+from wavefield.reports.html_page import Head, Listing, Picture, ReportSection, Table, Text, render
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ def calibration_page(content: dict[str, Any], drawn: Sequence[Drawn]) -> str:
     sections = list(_sections(content))
     if drawn:
         shown = [Picture(one.png, f"{one.title} ({one.file})", one.title) for one in drawn]
-        sections.append(Section("Pictures", list(shown)))
+        sections.append(ReportSection("Pictures", list(shown)))
     usable = content["usable"]
     weight = "grave" if not usable else "remark" if content["notes"] else "note"
     head = Head(
@@ -34,27 +34,29 @@ def calibration_page(content: dict[str, Any], drawn: Sequence[Drawn]) -> str:
     return render(head, [(section, section.html()) for section in sections], {})
 
 
-def _sections(content: dict[str, Any]) -> Iterator[Section]:
+def _sections(content: dict[str, Any]) -> Iterator[ReportSection]:
     if content["problems"] or content["notes"]:
         rows = [("problem", words) for words in content["problems"]]
         rows += [("note", words) for words in content["notes"]]
-        yield Section(
+        yield ReportSection(
             "Remarks", [Table("Problems must be mended before the rig can be used", ("", "remark"), rows)]
         )
     if "cameras" not in content:
         return
-    yield Section("Cameras", [_cameras(content), Text(_PREDICTED)])
-    between = Section("Between cameras")
+    yield ReportSection("Cameras", [_cameras(content), Text(_PREDICTED)])
+    between = ReportSection("Between cameras")
     if content["epipolar"]:
         between.items.append(_epipolar(content))
     if "flat_target" in content:
         between.items.append(Text(_flat(content)))
     yield between
-    yield Section(f"Camera model: {content['model']}", [*_models(content), _lens(content), Text(_CORRELATED)])
+    yield ReportSection(
+        f"Camera model: {content['model']}", [*_models(content), _lens(content), Text(_CORRELATED)]
+    )
     strongest = content["predicted"]["strongest_correlations"]
     words = "\n".join(f"{a} with {b}: {r:.4f}" for a, b, r in strongest)
     if words:
-        yield Section("Covariance", [Listing("strongest correlations of the parameters", words)])
+        yield ReportSection("Covariance", [Listing("strongest correlations of the parameters", words)])
 
 
 _PREDICTED = (

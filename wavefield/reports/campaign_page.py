@@ -13,7 +13,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from wavefield.atomic_write import PAGE, write_text
 from wavefield.figures.style import LINES, panels
-from wavefield.reports.html_page import Head, Markup, Picture, Section, render
+from wavefield.reports.html_page import Head, Markup, Picture, ReportSection, render
 from wavefield.reports.number_text import number
 from wavefield.store.ledger import status
 from wavefield.store.store_paths import beside
@@ -29,7 +29,7 @@ _COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Entry:
+class CampaignEntry:
     """One run of a campaign."""
 
     run: str  # Its name
@@ -63,10 +63,10 @@ def _group(waves: Path, name: str) -> xr.Dataset | None:
     return found[name].to_dataset() if name in found.children else None
 
 
-def compare(title: str, entries: Sequence[Entry], output: str | Path) -> Path:
+def compare(title: str, entries: Sequence[CampaignEntry], output: str | Path) -> Path:
     """Write the page."""
     output = Path(output)
-    table = Section("The runs", [Markup(_table(entries, output))])
+    table = ReportSection("The runs", [Markup(_table(entries, output))])
     sections = [(table, table.html())]
     spectra = {e.run: found for e in entries if e.there and (found := e.spectrum()) is not None}
     if spectra:
@@ -75,14 +75,14 @@ def compare(title: str, entries: Sequence[Entry], output: str | Path) -> Path:
             "Spectra of the elevation, where they can be trusted.",
             f"Curves of E(omega) of {', '.join(spectra)}.",
         )
-        part = Section("Spectra", [picture])
+        part = ReportSection("Spectra", [picture])
         sections.append((part, part.html()))
     begun = sum(e.there for e in entries)
     write_text(output, render(Head(title, (f"{begun} of {len(entries)} runs measured",)), sections, {}), PAGE)
     return output
 
 
-def _table(entries: Sequence[Entry], output: Path) -> str:
+def _table(entries: Sequence[CampaignEntry], output: Path) -> str:
     head = ("run", "verdict", "steps", *(label for _, label, _ in _COLUMNS), "report")
     rows = "".join(f"<tr>{''.join(_cells(entry, output))}</tr>" for entry in entries)
     cells = "".join(f'<th scope="col">{html.escape(cell)}</th>' for cell in head)
@@ -92,7 +92,7 @@ def _table(entries: Sequence[Entry], output: Path) -> str:
     )
 
 
-def _cells(entry: Entry, output: Path) -> list[str]:
+def _cells(entry: CampaignEntry, output: Path) -> list[str]:
     first = f'<th scope="row">{html.escape(entry.run)}</th>'
     if not entry.there:
         return [first, *(f"<td>{word}</td>" for word in ("not run yet", *"–" * (len(_COLUMNS) + 2)))]

@@ -9,7 +9,7 @@ import numpy as np
 from wavefield.atomic_write import PAGE, check_writable, write_text
 from wavefield.reports.camera_pictures import camera_history
 from wavefield.reports.field_sections import coverage
-from wavefield.reports.html_page import Head, Picture, Section, Table, render
+from wavefield.reports.html_page import Head, Picture, ReportSection, Table, render
 from wavefield.reports.number_text import median_of, number
 from wavefield.reports.player import pack
 from wavefield.reports.report_sections import SECTIONS
@@ -63,18 +63,18 @@ def report(
     return write_report(sources, output, progress, read_verdict(store))
 
 
-def remarks_section(verdict: Verdict) -> Section:
+def remarks_section(verdict: Verdict) -> ReportSection:
     """The remarks of a verdict, as a part of the page."""
     rows = [
         (f"{r.subject}: {r.kind}", r.sentence, r.expected or "-", r.remedy or "-") for r in verdict.remarks
     ]
     head = ("remark", "measured", "expected", "what to do")
-    return Section("Remarks", [Table(f"The cube is {verdict.line}", head, rows)])
+    return ReportSection("Remarks", [Table(f"The cube is {verdict.line}", head, rows)])
 
 
-def cameras_section(sources: Sources, verdict: Verdict) -> Section:
+def cameras_section(sources: Sources, verdict: Verdict) -> ReportSection:
     """What each camera showed over the record, as the run looked at it."""
-    section = Section("Cameras over time")
+    section = ReportSection("Cameras over time")
     if not verdict.cameras or not verdict.frames:
         return section
     cube = sources.cube

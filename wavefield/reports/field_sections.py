@@ -6,14 +6,14 @@ import numpy as np
 
 from wavefield import figures
 from wavefield.figures.style import moment_title
-from wavefield.reports.html_page import Listing, Markup, Picture, Section, Table
+from wavefield.reports.html_page import Listing, Markup, Picture, ReportSection, Table
 from wavefield.reports.number_text import number
 from wavefield.reports.player import markup
 from wavefield.reports.sources import Sources
 from wavefield.variables import FrameStatus
 
 
-def surface(sources: Sources) -> Section:
+def surface(sources: Sources) -> ReportSection:
     """Build the part on the surface and its velocity."""
     snap = sources.snapshot()
     z, w = 100 * snap.z, 100 * snap.w
@@ -22,7 +22,7 @@ def surface(sources: Sources) -> Section:
         f"w from "
         f"{float(w.min()):.2g} to {float(w.max()):.2g} cm/s."
     )
-    return Section(
+    return ReportSection(
         "Surface and velocity",
         [
             Markup(markup(sources.cube)),
@@ -40,7 +40,7 @@ def surface(sources: Sources) -> Section:
     )
 
 
-def distributions(sources: Sources) -> Section:
+def distributions(sources: Sources) -> ReportSection:
     """Build the part on distributions."""
     part = sources.thinned("z", "u", "v", "w")
     rate = float(sources.cube.attrs["frame_rate"])
@@ -74,15 +74,15 @@ def distributions(sources: Sources) -> Section:
                 ],
             )
         )
-    return Section("Distributions", items)
+    return ReportSection("Distributions", items)
 
 
-def coverage(sources: Sources) -> Section:
+def coverage(sources: Sources) -> ReportSection:
     """Build the part on coverage and faults."""
     cube = sources.cube
     status = cube.frame_status.values
     faulty = np.flatnonzero(status != int(FrameStatus.DONE))
-    section = Section(
+    section = ReportSection(
         "Coverage and faults",
         [
             Picture(

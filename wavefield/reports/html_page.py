@@ -122,7 +122,7 @@ class Markup:
 
 
 @dataclass
-class Section:
+class ReportSection:
     """A part of the page."""
 
     title: str  # Heading
@@ -168,7 +168,7 @@ class Head:
 _VERDICTS = {"note": ("\u2714", "good"), "remark": ("!", "doubtful"), "grave": ("\u2716", "bad")}
 
 
-def render(head: Head, sections: Sequence[tuple[Section, str]], player: Mapping[str, str]) -> str:
+def render(head: Head, sections: Sequence[tuple[ReportSection, str]], player: Mapping[str, str]) -> str:
     """Put the page together.
 
     With sections (Section, str).

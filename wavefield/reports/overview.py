@@ -8,14 +8,14 @@ import numpy as np
 import xarray as xr
 
 from wavefield import figures
-from wavefield.reports.html_page import Listing, Picture, Section, Table, Text
+from wavefield.reports.html_page import Listing, Picture, ReportSection, Table, Text
 from wavefield.reports.number_text import number, rms_of, without_folders
 from wavefield.reports.sources import Sources
 from wavefield.rig.pairs import pairs_of
 from wavefield.variables import FrameStatus, Quality
 
 
-def summary(sources: Sources) -> Section:
+def summary(sources: Sources) -> ReportSection:
     """Build the first screen: what was measured, how much of it, how well."""
     cube = sources.cube
     part = sources.thinned("z", "u", "v", "w", "eps_y", "eps_piv", "quality")
@@ -68,7 +68,7 @@ def summary(sources: Sources) -> Section:
     items: list[Any] = [Table("The run in numbers", ("quantity", "value"), rows)]
     if sources.notes:
         items.append(Text("Not in this report: " + "; ".join(sources.notes) + "."))
-    return Section("Summary", items)
+    return ReportSection("Summary", items)
 
 
 def _left_out(quality: xr.DataArray, seen: xr.DataArray, cameras: Sequence[str]) -> list[tuple[str, str]]:
@@ -82,9 +82,9 @@ def _left_out(quality: xr.DataArray, seen: xr.DataArray, cameras: Sequence[str])
     return [("nodes measured without", ", ".join(shares))] if shares else []
 
 
-def setup(sources: Sources) -> Section:
+def setup(sources: Sources) -> ReportSection:
     """Build the part on cameras and frames."""
-    section = Section("Set-up")
+    section = ReportSection("Set-up")
     if sources.rig is None:
         return section
     rig, grid = sources.rig, sources.grid
@@ -166,7 +166,7 @@ def _with_unit(name: str, words: str) -> str:
         return words
 
 
-def recipe(sources: Sources) -> Section:
+def recipe(sources: Sources) -> ReportSection:
     """Build the part on how the cube was made."""
     folder = str(sources.experiment.path.absolute().parent) if sources.experiment else ""
     attrs = {k: v for k, v in sources.cube.attrs.items() if k not in ("recipe", "fingerprints")}
@@ -175,7 +175,7 @@ def recipe(sources: Sources) -> Section:
         for name, value in attrs.items()
         if len(str(value)) < 300
     ]
-    section = Section("Recipe", [Table("What the cube says of itself", ("", ""), rows)])
+    section = ReportSection("Recipe", [Table("What the cube says of itself", ("", ""), rows)])
     if sources.recipe:
         words = json.dumps(without_folders(sources.recipe, folder), indent=1)
         section.items.append(Listing("The recipe: settings, rig, experiment, versions", words))

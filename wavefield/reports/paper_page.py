@@ -11,7 +11,7 @@ from wavefield.atomic_write import PAGE, check_writable, write_text
 from wavefield.errors import StoreError, WavefieldError
 from wavefield.measurement import Plan, Settings
 from wavefield.measurement.diagnostics import Diagnosis, diagnose, joined, pooled
-from wavefield.reports.html_page import Head, Picture, Section, Table, Text, render
+from wavefield.reports.html_page import Head, Picture, ReportSection, Table, Text, render
 from wavefield.reports.number_text import number, rms_of
 from wavefield.reports.pair_pictures import pair_differences, pair_misfits
 from wavefield.reports.sources import Sources, gather
@@ -106,10 +106,10 @@ def _pixel(sources: Sources) -> float:
     return pixel_size(sources.rig, sources.grid) if sources.rig is not None else float("nan")
 
 
-def _snapshot(sources: Sources) -> Section:
+def _snapshot(sources: Sources) -> ReportSection:
     snap = sources.snapshot()
     alt = f"Elevation from {100 * float(snap.z.min()):.2g} to {100 * float(snap.z.max()):.2g} cm"
-    return Section(
+    return ReportSection(
         "Surface and velocity",
         [
             Picture(figures.surface_3d(snap), "The surface at one moment, heights exaggerated.", alt + "."),
@@ -122,7 +122,7 @@ def _snapshot(sources: Sources) -> Section:
     )
 
 
-def _distributions(sources: Sources) -> Section:
+def _distributions(sources: Sources) -> ReportSection:
     part = sources.thinned("z", "u", "v", "w")
     rows = []
     rate = float(sources.cube.attrs["frame_rate"])
@@ -130,7 +130,7 @@ def _distributions(sources: Sources) -> Section:
         values = scale * part[name]
         label = name if name == "z" else f"d{dict(zip('uvw', 'xyz'))[name]}"
         rows.append((label, number(float(values.std())), number(float(np.abs(values).max()))))
-    return Section(
+    return ReportSection(
         "Distributions",
         [
             Picture(
@@ -143,11 +143,11 @@ def _distributions(sources: Sources) -> Section:
     )
 
 
-def _spectrum(sources: Sources) -> Section:
+def _spectrum(sources: Sources) -> ReportSection:
     group, dispersion = _group(sources, "spectra"), sources.group("dispersion")
     energy = group.E_komega_w.values
     decades = float(np.log10(energy.max() / np.median(energy[energy > 0])))
-    return Section(
+    return ReportSection(
         "Spectrum of the vertical velocity",
         [
             Picture(
@@ -164,7 +164,7 @@ def _spectrum(sources: Sources) -> Section:
     )
 
 
-def _nonlinear(sources: Sources) -> Section:
+def _nonlinear(sources: Sources) -> ReportSection:
     snap = sources.snapshot()
     at = int(np.argmin(np.abs(sources.cube.time.values - float(snap.time))))
     first = min(max(at - 1, 0), max(sources.cube.sizes["time"] - 3, 0))
@@ -173,7 +173,7 @@ def _nonlinear(sources: Sources) -> Section:
     plane = plane_coherence(sources.cube)
     coherence = _group(sources, "coherence")
     last = f"mean {float(plane.mean_C_tot[: plane.sizes['k'] // 4].mean()):.3f} over the lowest quarter"
-    return Section(
+    return ReportSection(
         "Nonlinear term",
         [
             Picture(
@@ -204,7 +204,7 @@ def _nonlinear(sources: Sources) -> Section:
     )
 
 
-def _probes(sources: Sources) -> Section:
+def _probes(sources: Sources) -> ReportSection:
     group, fusion = _group(sources, "spectra"), _group(sources, "fusion")
     rows = [
         (
@@ -215,7 +215,7 @@ def _probes(sources: Sources) -> Section:
         for name in fusion.source.values
     ]
     without = "" if "Ez_probes" in group else " The experiment has no wave probes."
-    return Section(
+    return ReportSection(
         "Spectrum of the elevation",
         [
             Picture(
@@ -228,8 +228,8 @@ def _probes(sources: Sources) -> Section:
     )
 
 
-def _rest(sources: Sources, still: xr.Dataset | None) -> Section:
-    section = Section("Water at rest")
+def _rest(sources: Sources, still: xr.Dataset | None) -> ReportSection:
+    section = ReportSection("Water at rest")
     if still is None:
         section.items.append(Text("No record at rest was given (--rest): the paper's figure needs one."))
         return section
@@ -272,8 +272,8 @@ def _pairs(sources: Sources) -> Diagnosis | None:
     return pooled(found) if found else None
 
 
-def _consistency(sources: Sources, found: Diagnosis | None) -> Section:
-    section = Section("Pairs of cameras against one another")
+def _consistency(sources: Sources, found: Diagnosis | None) -> ReportSection:
+    section = ReportSection("Pairs of cameras against one another")
     if found is None:
         section.items.append(
             Text("The images are not there any more: pairs cannot be measured on their own.")
@@ -299,7 +299,7 @@ def _consistency(sources: Sources, found: Diagnosis | None) -> Section:
     return section
 
 
-def _numbers(sources: Sources, still: xr.Dataset | None, found: Diagnosis | None) -> Section:
+def _numbers(sources: Sources, still: xr.Dataset | None, found: Diagnosis | None) -> ReportSection:
     pixel = _pixel(sources)
     rows: list[tuple[str, str, str]] = []
     if still is not None:
@@ -336,4 +336,4 @@ def _numbers(sources: Sources, still: xr.Dataset | None, found: Diagnosis | None
     caption = "Numbers of the paper and of this experiment" + (
         f"; 1 px is {1e3 * pixel:.2g} mm" if np.isfinite(pixel) else ""
     )
-    return Section("Numbers", [Table(caption, ("", "paper", "here"), rows)])
+    return ReportSection("Numbers", [Table(caption, ("", "paper", "here"), rows)])

@@ -3,16 +3,16 @@
 import numpy as np
 
 from wavefield import figures
-from wavefield.reports.html_page import Picture, Section, Text
+from wavefield.reports.html_page import Picture, ReportSection, Text
 from wavefield.reports.number_text import median_of, number, rms_of
 from wavefield.reports.sources import Sources
 from wavefield.waves.nonlinear.kinematics import kinematics_at
 
 
-def spectra(sources: Sources) -> Section:
+def spectra(sources: Sources) -> ReportSection:
     """Build the part on spectra."""
     group, dispersion = sources.group("spectra"), sources.group("dispersion")
-    section = Section("Spectra")
+    section = ReportSection("Spectra")
     if group is None:
         return section
     values = group.E_komega_w.values
@@ -76,12 +76,12 @@ def spectra(sources: Sources) -> Section:
     return section
 
 
-def nonlinearity(sources: Sources) -> Section:
+def nonlinearity(sources: Sources) -> ReportSection:
     """Build the part on the kinematic condition."""
     snap = sources.snapshot()
     terms = kinematics_at(snap, sources.cube)
     rms = {name: 100 * rms_of(terms[name]) for name in ("nonlinear", "residual")}
-    section = Section(
+    section = ReportSection(
         "Nonlinear term and coherence",
         [
             Picture(

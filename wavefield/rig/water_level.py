@@ -13,7 +13,7 @@ _NEARLY = 10.0  # degrees: a frame tilted by more is not the water's
 
 
 @dataclass(frozen=True)
-class Plane:
+class WaterPlane:
     """A plane fitted to surface points."""
 
     height: float  # Of the plane at x = y = 0, metres
@@ -30,7 +30,7 @@ class Plane:
         return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Plane:
+def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> WaterPlane:
     """Plane through surface points, blunders left out.
 
     With x, y, z, metres.
@@ -61,10 +61,10 @@ def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Plane:
         kept = new
     height, bx, by = (float(v) for v in solution)
     rms = float(np.sqrt(np.mean(miss[kept] ** 2) / (1.0 + bx * bx + by * by)))
-    return Plane(height, (bx, by), rms, kept)
+    return WaterPlane(height, (bx, by), rms, kept)
 
 
-def level(rig: Rig, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Rig, Plane]:
+def level(rig: Rig, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Rig, WaterPlane]:
     """Re-express a rig so that the plane of surface points at rest is z = 0.
 
     With x, y, z, metres.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
-from wavefield.series.readers import Entry, read_entry
+from wavefield.series.readers import FrameEntry, read_entry
 
 Outline = tuple[tuple[float, float], ...]
 _SHIFT = 6  # bits behind the point of a corner's coordinates, for OpenCV
@@ -21,9 +21,9 @@ class CameraMask:
 
     shape: tuple[int, int]  # (rows, columns) of its images
     outlines: tuple[Outline, ...] = ()  # (column, row): Closed outlines, px; what lies inside is covered
-    images: tuple[Entry, ...] = ()  # Images of the same size: what is not black is covered
+    images: tuple[FrameEntry, ...] = ()  # Images of the same size: what is not black is covered
     # One such image for every frame of the series that the mask belongs to; empty if nothing moves
-    moving: Sequence[Entry] = field(default=(), repr=False)
+    moving: Sequence[FrameEntry] = field(default=(), repr=False)
 
     def covered(self, index: int) -> NDArray[np.bool_]:
         """What is covered in one frame.
@@ -40,7 +40,7 @@ class CameraMask:
 
 @lru_cache(maxsize=16)
 def _still(
-    shape: tuple[int, int], outlines: tuple[Outline, ...], images: tuple[Entry, ...]
+    shape: tuple[int, int], outlines: tuple[Outline, ...], images: tuple[FrameEntry, ...]
 ) -> NDArray[np.bool_]:
     covered = np.zeros(shape, np.uint8)
     for outline in outlines:
@@ -54,17 +54,17 @@ def _still(
 
 
 @lru_cache(maxsize=1)
-def _last(entry: Entry, shape: tuple[int, int]) -> NDArray[np.bool_]:
+def _last(entry: FrameEntry, shape: tuple[int, int]) -> NDArray[np.bool_]:
     return np.asarray(read_mask(entry, shape) != 0)
 
 
-def _with_image(still: NDArray[np.bool_], entry: Entry) -> NDArray[np.bool_]:
+def _with_image(still: NDArray[np.bool_], entry: FrameEntry) -> NDArray[np.bool_]:
     out = still | _last(entry, still.shape)
     out.flags.writeable = False
     return out
 
 
-def read_mask(entry: Entry, shape: tuple[int, int]) -> NDArray[np.generic]:
+def read_mask(entry: FrameEntry, shape: tuple[int, int]) -> NDArray[np.generic]:
     """Read an image of a mask.
 
     Returns (row, column): Grey levels.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
-from wavefield.config_files import Section, load, read_yaml
+from wavefield.config_files import ConfigSection, load, read_yaml
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
 from wavefield.rig import Rig
@@ -39,7 +39,7 @@ from wavefield.series.listing import Numbered, make_series, number_frames
 from wavefield.series.rates import one_rate, recorded_rates
 
 
-class Experiment(Section):
+class Experiment(ConfigSection):
     """An experiment: cameras, rig, grid, and what is known of the water.
 
     Read one with `Experiment.load`; relative paths in it are relative to the file (images: to ``folder``,

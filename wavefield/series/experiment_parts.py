@@ -4,12 +4,12 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from wavefield.config_files import Section
+from wavefield.config_files import ConfigSection
 from wavefield.grid import Grid
 from wavefield.water import tension_over_density
 
 
-class CameraSection(Section):
+class CameraSection(ConfigSection):
     """Where the images of one camera are."""
 
     images: str | list[str | None] = Field(
@@ -29,7 +29,7 @@ class CameraSection(Section):
         return {"images": data} if isinstance(data, str | list) else data
 
 
-class CalibrationSection(Section):
+class CalibrationSection(ConfigSection):
     """Target images and what the target is; read by the calibration."""
 
     target: dict[str, Any] = Field(examples=["{kind: strings, mesh: 0.10}"])
@@ -54,19 +54,19 @@ class CalibrationSection(Section):
     )
 
 
-class SurfaceSection(Section):
+class SurfaceSection(ConfigSection):
     """Pairs of cameras that give z."""
 
     pairs: list[tuple[str, str]] = Field(examples=["[[cam3, cam1], [cam3, cam2]]"], min_length=1)
 
 
-class VelocitySection(Section):
+class VelocitySection(ConfigSection):
     """Cameras that give u, v, w."""
 
     cameras: list[str] = Field(examples=["[cam1, cam2]"], min_length=2)
 
 
-class GridSection(Section):
+class GridSection(ConfigSection):
     """Nodes of the grid, metres; without x and y the extent is that seen by the cameras."""
 
     x: tuple[float, float] | None = Field(default=None, examples=["[-1.0, 1.0]"])
@@ -82,7 +82,7 @@ class GridSection(Section):
         return self
 
 
-class WaterSection(Section):
+class WaterSection(ConfigSection):
     """The water."""
 
     depth: float | None = Field(default=None, gt=0, examples=["0.70"], description="m")
@@ -100,7 +100,7 @@ class WaterSection(Section):
         return out
 
 
-class ProbesSection(Section):
+class ProbesSection(ConfigSection):
     """A file of wave probes, and what its header does not say."""
 
     file: str = Field(examples=["probes.csv"])
@@ -125,7 +125,7 @@ class ProbesSection(Section):
         return {"file": data} if isinstance(data, str) else data
 
 
-class FramesSection(Section):
+class FramesSection(ConfigSection):
     """Range of frame numbers to use, both included."""
 
     first: int | None = Field(default=None, examples=["0"])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from wavefield.errors import FrameError
 from wavefield.images import made_even
 from wavefield.series.camera_mask import CameraMask
-from wavefield.series.readers import Entry, read_entry
+from wavefield.series.readers import FrameEntry, read_entry
 from wavefield.variables import FrameFault
 
 
@@ -59,7 +59,7 @@ class FrameSeries:
 
     camera: str
     first: int
-    entries: Sequence[Entry | None] = field(repr=False)
+    entries: Sequence[FrameEntry | None] = field(repr=False)
     shape: tuple[int, int]
     dtype: str
     mask: CameraMask | None = None
@@ -171,9 +171,9 @@ class FrameSeries:
         """
         if image.shape != self.shape or image.dtype != self.dtype:
             found = f"{image.shape[1]} x {image.shape[0]} {image.dtype}"
-            wanted = f"{self.shape[1]} x {self.shape[0]} {self.dtype}"
-            return Frame(None, FrameFault.WRONG_SIZE, f"{place} is {found}, the others are {wanted}")
-        return judge_content(image, place)
+            requested = f"{self.shape[1]} x {self.shape[0]} {self.dtype}"
+            return Frame(None, FrameFault.WRONG_SIZE, f"{place} is {found}, the others are {requested}")
+        return check_content(image, place)
 
     def window(self, start: int, stop: int) -> "FrameSeries":
         """The frames of one block: small enough to send to a worker.
@@ -194,7 +194,7 @@ class FrameSeries:
         return replace(self, first=self.first + start, entries=entries, mask=mask, times=None)
 
 
-def judge_content(image: np.ndarray, place: str) -> Frame:
+def check_content(image: np.ndarray, place: str) -> Frame:
     """Mark an image without any contrast, or with pixels that are no numbers.
 
     With image (row, column).

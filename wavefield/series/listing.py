@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.series.frames import FrameSeries
-from wavefield.series.readers import Entry, count_images, read_entry
+from wavefield.series.readers import FrameEntry, count_images, read_entry
 from wavefield.series.remote import is_remote, list_remote
 
-Numbered = dict[int, Entry]
+Numbered = dict[int, FrameEntry]
 _FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
 
 
@@ -34,9 +34,9 @@ def number_frames(images: str | Sequence[str | None], folder: Path, camera: str)
     if _has_pattern(path):
         prefix = str(path.parent) + os.sep
         names = _names(path, camera)
-        return {number: Entry("file", prefix + name) for number, name in sorted(names.items())}
+        return {number: FrameEntry("file", prefix + name) for number, name in sorted(names.items())}
     kind, count = _counted(path, camera)
-    return {i: Entry(kind, str(path), i) for i in range(count)}
+    return {i: FrameEntry(kind, str(path), i) for i in range(count)}
 
 
 def newest_frames(images: str | Sequence[str | None], folder: Path, camera: str, count: int) -> Numbered:
@@ -56,19 +56,19 @@ def newest_frames(images: str | Sequence[str | None], folder: Path, camera: str,
         found = number_frames(images, folder, camera)
         return {number: found[number] for number in nlargest(count, found)}
     names = _names(path, camera)
-    return {number: Entry("file", str(path.parent / names[number])) for number in nlargest(count, names)}
+    return {number: FrameEntry("file", str(path.parent / names[number])) for number in nlargest(count, names)}
 
 
 def _from_store(address: str, camera: str) -> Numbered:
     folder, _, pattern = address.rpartition("/")
     if not (_FRAME.search(pattern) or any(c in pattern for c in "*?[")):
         kind, count = _counted(address, camera)
-        return {i: Entry(kind, address, i) for i in range(count)}
+        return {i: FrameEntry(kind, address, i) for i in range(count)}
     try:
         numbered = _numbered(list_remote(folder), pattern, folder, camera)
     except FrameError as error:
         raise ExperimentError(f"images of {camera}: {error}") from None
-    return {number: Entry("remote", f"{folder}/{name}") for number, name in sorted(numbered.items())}
+    return {number: FrameEntry("remote", f"{folder}/{name}") for number, name in sorted(numbered.items())}
 
 
 def _counted(path: Path | str, camera: str):  # type: ignore[no-untyped-def]
@@ -92,7 +92,7 @@ def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbe
             else:
                 kind, count = _counted(path, camera)
             if kind != "file" or path.exists():
-                out |= {number + i: Entry(kind, str(path), i) for i in range(count)}  # type: ignore[arg-type]
+                out |= {number + i: FrameEntry(kind, str(path), i) for i in range(count)}  # type: ignore[arg-type]
             number += count - 1
         number += 1
     if not out:
@@ -199,7 +199,7 @@ def make_series(
     return out
 
 
-def _first_readable(entries: Sequence[Entry | None], camera: str) -> tuple[tuple[int, int], str]:
+def _first_readable(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tuple[int, int], str]:
     present = [entry for entry in entries if entry is not None]
     tried = present[:20]
     problem = "there are none in the range of frames"

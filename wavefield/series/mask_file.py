@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-from wavefield.atomic_write import ANY_FILE, whole
+from wavefield.atomic_write import ANY_FILE, atomic
 from wavefield.config_files import make, read_yaml
 from wavefield.errors import ExperimentError
 from wavefield.series.experiment import Experiment
@@ -33,7 +33,7 @@ def add_polygons(experiment: Experiment, polygons: Mapping[str, Sequence[Point]]
     text = path.read_text(encoding="utf-8")
     start, stop = _place(text)
     text = text[:start] + ("" if not start or text[start - 1] == "\n" else "\n") + block + text[stop:]
-    with whole(path, ANY_FILE) as draft:
+    with atomic(path, ANY_FILE) as draft:
         draft.write_text(text, encoding="utf-8")
         _still_an_experiment(draft, path)
 

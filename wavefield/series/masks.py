@@ -11,20 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from wavefield.config_files import Section
+from wavefield.config_files import ConfigSection
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.rig import Camera, Rig
 from wavefield.series.camera_mask import CameraMask, Outline
 from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import number_frames
-from wavefield.series.readers import Entry
+from wavefield.series.readers import FrameEntry
 
 WATER = "water"  # the key of masks that lie on the water, not in one camera's image
 _CORNERS = 64  # of a circle's outline
 _SIDE_POINTS = 16  # along an edge on the water: it is no straight line in an image
 
 
-class CylinderSection(Section):
+class CylinderSection(ConfigSection):
     """An upright cylinder that pierces the surface, metres."""
 
     x: float = Field(examples=["0.2"])
@@ -42,7 +42,7 @@ class CylinderSection(Section):
         return self
 
 
-class MaskSection(Section):
+class MaskSection(ConfigSection):
     """One thing that covers the water; exactly one of these."""
 
     polygon: list[tuple[float, float]] | None = Field(
@@ -200,10 +200,10 @@ def _check_size(name: str, mask: CameraMask) -> None:
         )
 
 
-def _file(name: str, path: Path) -> Entry:
+def _file(name: str, path: Path) -> FrameEntry:
     if not path.is_file():
         raise ExperimentError(f"mask of {name}: there is no {path}; correct `mask`, or save the image there")
-    return Entry("file", str(path))
+    return FrameEntry("file", str(path))
 
 
 def _in_image(name: str, shape: MaskSection, size: tuple[int, int]) -> Outline:
@@ -219,7 +219,7 @@ def _in_image(name: str, shape: MaskSection, size: tuple[int, int]) -> Outline:
 
 def _for_every_frame(
     name: str, patterns: Sequence[str], series: FrameSeries, folder: Path
-) -> tuple[Entry, ...]:
+) -> tuple[FrameEntry, ...]:
     if not patterns:
         return ()
     if len(patterns) > 1:

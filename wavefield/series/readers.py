@@ -27,7 +27,7 @@ VIDEO_ENDINGS = (".avi", ".mp4", ".mov", ".mkv")
 Kind = Literal["file", "page", "video", "zarr", "recording", "remote"]
 
 
-class Entry(NamedTuple):
+class FrameEntry(NamedTuple):
     """Where one frame is."""
 
     kind: Kind
@@ -38,7 +38,7 @@ class Entry(NamedTuple):
         return self.path if self.kind in ("file", "remote") else f"{self.path}, image {self.image}"
 
 
-def read_entry(entry: Entry) -> np.ndarray:
+def read_entry(entry: FrameEntry) -> np.ndarray:
     """Read one frame.
 
     Returns (row, column).
@@ -126,7 +126,7 @@ def _open_tiff(path: str) -> tifffile.TiffFile:
         raise FrameError(f"{path} cannot be read: {error}") from None
 
 
-def _read_page(entry: Entry) -> np.ndarray:
+def _read_page(entry: FrameEntry) -> np.ndarray:
     tiff = _open(entry.path, _open_tiff)
     try:
         page = tiff.pages[entry.image]

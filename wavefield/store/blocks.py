@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from wavefield.store.checked import checksum, chunk_path, damaged_block, kept_row, read_chunk, stored_bytes
-from wavefield.store.layout import WATCHED, Layout
+from wavefield.store.layout import WATCHED, StoreLayout
 from wavefield.store.metadata import is_as_completed
 
 
-def read_blocks(path: Path, group: Any, name: str, layout: Layout) -> np.ndarray:
+def read_blocks(path: Path, group: Any, name: str, layout: StoreLayout) -> np.ndarray:
     """Read the whole of an array of the ledger, file by file: many times as fast as through Zarr.
 
     Returns (steps,): 0 where nothing is stored.
@@ -38,7 +38,7 @@ def read_blocks(path: Path, group: Any, name: str, layout: Layout) -> np.ndarray
 LEDGER = ("frame_status", "frame_fault")
 
 
-def check_blocks(path: Path, group: Any, layout: Layout, names: Collection[str] = WATCHED) -> None:
+def check_blocks(path: Path, group: Any, layout: StoreLayout, names: Collection[str] = WATCHED) -> None:
     """Refuse a cube of which a finished block is not as long as it was written, or whose ledger changed."""
     if "stored_bytes" not in group or group["frame_status"].compressors:
         return  # begun before there were such records
@@ -66,7 +66,7 @@ def check_blocks(path: Path, group: Any, layout: Layout, names: Collection[str] 
         raise damaged_block(path, "frame_status", missing, "not as it was when the run ended")
 
 
-def ledger_checksum(path: Path, layout: Layout) -> int:
+def ledger_checksum(path: Path, layout: StoreLayout) -> int:
     """CRC-32 of the ledger's files, the last block's first."""
     out = 0
     for block in reversed(range(len(layout.blocks()))):

@@ -56,10 +56,10 @@ class CheckedStore(LocalStore):
             now = (key, 0, 0)
         if now in self._found_sound:
             return
-        wanted = kept_row(self.root, "checksum", block)
-        if wanted is not None and len(wanted) > WATCHED.index(name):
+        requested = kept_row(self.root, "checksum", block)
+        if requested is not None and len(requested) > WATCHED.index(name):
             found = checksum(self.root, name, block)
-            if found != wanted[WATCHED.index(name)] and _is_done(self.root, block):
+            if found != requested[WATCHED.index(name)] and _is_done(self.root, block):
                 raise damaged_block(self.root, name, block, "not as it was written" if found else "missing")
         self._found_sound.add(now)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wavefield.atomic_write import Product, check_writable, files_named, marked, whole, write_text
+from wavefield.atomic_write import Product, atomic, check_writable, files_named, marked, write_text
 from wavefield.errors import StoreError
 from wavefield.store.ledger import unfinished_note
 from wavefield.store.read import cube_recipe, open_cube
@@ -144,14 +144,14 @@ def _netcdf(cube: "xr.Dataset", path: Path) -> None:
         if variable.ndim == 3:
             chunks = (min(8, variable.shape[0]), *variable.shape[1:])
             variable.encoding |= {"zlib": True, "complevel": 4, "shuffle": True, "chunksizes": chunks}
-    with whole(path, PRODUCTS["netcdf"]) as draft:
+    with atomic(path, PRODUCTS["netcdf"]) as draft:
         cube.to_netcdf(draft, engine="h5netcdf", format="NETCDF4")
 
 
 def _matlab(cube: "xr.Dataset", path: Path) -> None:
     from wavefield.store.export_matlab import write_matlab
 
-    with whole(path, PRODUCTS["matlab"]) as draft:
+    with atomic(path, PRODUCTS["matlab"]) as draft:
         write_matlab(cube, _by_steps(cube), draft)
 
 
@@ -159,7 +159,7 @@ def _paraview(cube: "xr.Dataset", path: Path) -> None:
     from wavefield.store.export_paraview import write_paraview
 
     folder = path.with_name(f"{path.stem}_steps")
-    with whole(folder, _STEPS) as draft:
+    with atomic(folder, _STEPS) as draft:
         text = write_paraview(_by_steps(cube), draft, folder.name)
     write_text(path, text, PRODUCTS["paraview"])
 
@@ -167,7 +167,7 @@ def _paraview(cube: "xr.Dataset", path: Path) -> None:
 def _vtkhdf(cube: "xr.Dataset", path: Path) -> None:
     from wavefield.store.vtkhdf import write_vtkhdf
 
-    with whole(path, PRODUCTS["vtkhdf"]) as draft:
+    with atomic(path, PRODUCTS["vtkhdf"]) as draft:
         write_vtkhdf(cube, _by_steps(cube), draft)
 
 
@@ -175,7 +175,7 @@ def _uvmat(cube: "xr.Dataset", path: Path) -> None:
     from wavefield.store.export_uvmat import write_uvmat
 
     dt = 1.0 / float(cube_recipe(cube)["frame_rate"])
-    with whole(path, PRODUCTS["uvmat"]) as draft:
+    with atomic(path, PRODUCTS["uvmat"]) as draft:
         write_uvmat(_by_steps(cube), draft, path.stem, dt)
 
 

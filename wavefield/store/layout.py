@@ -10,7 +10,7 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
 
-from wavefield.atomic_write import Product, whole
+from wavefield.atomic_write import Product, atomic
 from wavefield.store.metadata import keep_metadata
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, Variable, find, register
@@ -67,7 +67,7 @@ _CHUNK_STEPS = 8  # steps that a reader must decode to see one
 
 
 @dataclass(frozen=True)
-class Layout:
+class StoreLayout:
     """Sizes of a store."""
 
     steps: int  # Number of steps; there is one frame more
@@ -88,7 +88,7 @@ def create_store(
     recipe: Recipe,
     x: np.ndarray,
     y: np.ndarray,
-    layout: Layout,
+    layout: StoreLayout,
     attributes: Mapping[str, Any],
     gain: Mapping[str, np.ndarray] | None = None,
 ) -> None:
@@ -96,7 +96,7 @@ def create_store(
 
     With x, y, metres.
     """
-    with whole(path, CUBE) as draft:
+    with atomic(path, CUBE) as draft:
         _fill_in(draft, recipe, x, y, layout, attributes)
         _put(draft, gain or {})
         gather_metadata(draft)
@@ -104,7 +104,12 @@ def create_store(
 
 
 def _fill_in(
-    path: Path, recipe: Recipe, x: np.ndarray, y: np.ndarray, layout: Layout, attributes: Mapping[str, Any]
+    path: Path,
+    recipe: Recipe,
+    x: np.ndarray,
+    y: np.ndarray,
+    layout: StoreLayout,
+    attributes: Mapping[str, Any],
 ) -> None:
     n, block = layout.steps, layout.block
     group = zarr.open_group(

@@ -7,7 +7,7 @@ coordinates, the table of the gain) is small, and is kept a second time in ``che
 import zipfile
 from pathlib import Path
 
-from wavefield.atomic_write import ANY_FILE, file_names, make_durable, whole
+from wavefield.atomic_write import ANY_FILE, atomic, file_names, make_durable
 from wavefield.errors import StoreError
 from wavefield.variables import CUBE_FIELDS
 
@@ -22,7 +22,7 @@ def keep_metadata(path: Path) -> None:
     names = [name for name in file_names(path) if _is_small(name)]
     make_durable([path / name for name in names])
     with (
-        whole(path / ARCHIVE, ANY_FILE) as draft,
+        atomic(path / ARCHIVE, ANY_FILE) as draft,
         zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive,
     ):
         for name in names:
@@ -56,7 +56,7 @@ def restore_metadata(path: Path) -> list[str]:
         return [ARCHIVE]
     damaged = [name for name, content in kept.items() if _read(path / name) != content]
     for name in damaged:
-        with whole(path / name, ANY_FILE) as draft:
+        with atomic(path / name, ANY_FILE) as draft:
             draft.write_bytes(kept[name])
     return damaged
 
@@ -88,7 +88,7 @@ def mark_complete(path: Path, ledger_checksum: int | None) -> None:
     if ledger_checksum is None:
         mark.unlink(missing_ok=True)
     elif _read(mark) != str(ledger_checksum).encode():
-        with whole(mark, ANY_FILE) as draft:
+        with atomic(mark, ANY_FILE) as draft:
             draft.write_text(str(ledger_checksum))
 
 

@@ -17,9 +17,9 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
-from wavefield.atomic_write import Product, whole, write_error, zarr_store
+from wavefield.atomic_write import Product, atomic, write_error, zarr_store
 from wavefield.errors import StoreError
-from wavefield.store.layout import COMPRESSION, MISSING, PACKING, Layout
+from wavefield.store.layout import COMPRESSION, MISSING, PACKING, StoreLayout
 from wavefield.store.read import measured_rate, read_layout
 from wavefield.variables import CUBE_FIELDS, TABLE
 
@@ -63,7 +63,7 @@ def create_preview(cube: Path, group: Any) -> None:
     """Make an empty preview beside a new cube, in place of any that lies there."""
     path, layout, thin = preview_path(cube), read_layout(group), thinning(group)
     shape = _shape(group, thin)
-    with whole(path, PREVIEW) as draft:
+    with atomic(path, PREVIEW) as draft:
         preview = zarr.open_group(
             draft,
             mode="w",
@@ -178,7 +178,7 @@ def stored_block(preview: Any, start: int, stop: int) -> NDArray[np.int16] | Non
     return thinned if zlib.crc32(thinned.tobytes()) == kept else None
 
 
-def blocks_stored(preview: Any, layout: Layout) -> NDArray[np.bool_]:
+def blocks_stored(preview: Any, layout: StoreLayout) -> NDArray[np.bool_]:
     """Which blocks the preview's ledger calls done; none where it cannot be read."""
     try:
         return blocks_done(np.asarray(preview["done"][:]), layout)
@@ -225,14 +225,14 @@ def read_steps(
     return out
 
 
-def blocks_done(ledger: NDArray[Any], layout: Layout) -> NDArray[np.bool_]:
+def blocks_done(ledger: NDArray[Any], layout: StoreLayout) -> NDArray[np.bool_]:
     """Which blocks have no step left.
 
     With ledger (steps,); returns (blocks,).
 
     Examples
     --------
-    >>> blocks_done(np.array([1, 1, 1, 0], np.uint8), Layout(4, 2, (), 0)).tolist()
+    >>> blocks_done(np.array([1, 1, 1, 0], np.uint8), StoreLayout(4, 2, (), 0)).tolist()
     [True, False]
     """
     return np.array([bool(ledger[a:b].all()) for a, b in layout.blocks()])

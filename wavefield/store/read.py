@@ -9,7 +9,7 @@ import zarr
 from wavefield.errors import StoreError
 from wavefield.store.blocks import check_blocks
 from wavefield.store.checked import CheckedStore
-from wavefield.store.layout import PACKING, Layout
+from wavefield.store.layout import PACKING, StoreLayout
 from wavefield.store.metadata import check_metadata
 
 if TYPE_CHECKING:  # not needed by workers, and slow to import
@@ -37,10 +37,10 @@ def open_group(path: Path, mode: Any = "r") -> Any:
     raise StoreError(f"{path} is not a cube of `wavefield run`; choose another name")
 
 
-def read_layout(group: Any) -> Layout:
+def read_layout(group: Any) -> StoreLayout:
     """Sizes of an open store."""
     frames = group["frame"]
-    return Layout(
+    return StoreLayout(
         steps=group["frame_status"].shape[0],
         block=int(group.attrs["steps_per_block"]),
         cameras=tuple(group.attrs["cameras"]),
@@ -82,7 +82,8 @@ def open_cube(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
     >>> import numpy as np
     >>> from wavefield.store.layout import create_store
     >>> from wavefield.store.recipe import Recipe
-    >>> recipe, layout = Recipe("basin", {}, (0, 10), 20.0, {}, {}, {}), Layout(10, 4, ("left", "right"), 0)
+    >>> recipe, layout = Recipe("basin", {}, (0, 10), 20.0, {}, {}, {}), StoreLayout(10, 4, ("left",
+    ...     "right"), 0)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     store = Path(folder) / "cube.zarr"
     ...     create_store(store, recipe, np.arange(4) * 0.1, np.arange(3) * 0.1, layout, {})

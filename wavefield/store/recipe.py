@@ -72,8 +72,8 @@ def _software() -> dict[str, str]:
 def differences(old: str, new: str) -> list[str]:
     """What tells two recipes apart."""
     a, b = dict(_leaves(json.loads(old))), dict(_leaves(json.loads(new)))
-    told = ("software.", "record.")
-    keys = [key for key in {**a, **b} if not key.startswith(told) and a.get(key) != b.get(key)]
+    ignored = ("software.", "record.")
+    keys = [key for key in {**a, **b} if not key.startswith(ignored) and a.get(key) != b.get(key)]
     return [f"{key}: {a.get(key)!r} there, {b.get(key)!r} here" for key in keys]
 
 

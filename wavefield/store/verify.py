@@ -202,10 +202,10 @@ def _sizes(group: Any, blocks: int) -> np.ndarray:
     return out
 
 
-def _sized(path: Path, wanted: np.ndarray, block: int) -> dict[str, str]:
+def _sized(path: Path, requested: np.ndarray, block: int) -> dict[str, str]:
     """What is wrong with a block's variables by the sizes of their files."""
     out = {}
-    for name, size in zip(WATCHED, wanted):
+    for name, size in zip(WATCHED, requested):
         found = stored_bytes(path, name, block)
         if found != size:
             out[name] = "not as long as it was written" if found else "missing"
@@ -214,13 +214,13 @@ def _sized(path: Path, wanted: np.ndarray, block: int) -> dict[str, str]:
 
 def _compared(path: Path, group: Any, block: int) -> dict[str, str]:
     """What is wrong with a block's variables by their checksums."""
-    wanted = _wanted(group, block)
-    names = [name for name in WATCHED if name in group] if wanted is None else wanted
-    found = {name: _compare(path, group, name, block, wanted) for name in names}
+    requested = _requested(group, block)
+    names = [name for name in WATCHED if name in group] if requested is None else requested
+    found = {name: _compare(path, group, name, block, requested) for name in names}
     return {name: what for name, what in found.items() if what}
 
 
-def _wanted(group: Any, block: int) -> dict[str, int] | None:
+def _requested(group: Any, block: int) -> dict[str, int] | None:
     """Checksums of a block by variable; None in stores made before there were any."""
     if "checksum" not in group:
         return None
@@ -230,8 +230,8 @@ def _wanted(group: Any, block: int) -> dict[str, int] | None:
         return dict.fromkeys(WATCHED, 0)
 
 
-def _compare(path: Path, group: Any, name: str, block: int, wanted: dict[str, int] | None) -> str:
-    if wanted is None:
+def _compare(path: Path, group: Any, name: str, block: int, requested: dict[str, int] | None) -> str:
+    if requested is None:
         try:
             layout = read_layout(group)
             start, stop = layout.blocks()[block]
@@ -240,6 +240,6 @@ def _compare(path: Path, group: Any, name: str, block: int, wanted: dict[str, in
             return "unreadable"
         return ""
     found = checksum(path, name, block)
-    if found == wanted[name]:
+    if found == requested[name]:
         return ""
     return "missing" if found == 0 else "not as it was written"

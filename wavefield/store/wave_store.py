@@ -10,7 +10,7 @@ import xarray as xr
 import zarr
 from zarr.storage import MemoryStore
 
-from wavefield.atomic_write import CHECKSUMS, Product, file_names, whole, zarr_store
+from wavefield.atomic_write import CHECKSUMS, Product, atomic, file_names, zarr_store
 from wavefield.errors import StoreError
 
 WAVES = Product("a wave store", zarr_store("waves of ", "wavefield_version", "segment"), folder=True)
@@ -24,7 +24,7 @@ def write_waves(tree: xr.DataTree, path: str | Path) -> None:
             {name: array.astype(object) for name, array in group.coords.items() if array.dtype.kind == "U"}
         )
     )
-    with whole(path, WAVES) as draft, warnings.catch_warnings():
+    with atomic(path, WAVES) as draft, warnings.catch_warnings():
         # readers warn without consolidated metadata, zarr warns with it
         warnings.filterwarnings("ignore", message="Consolidated metadata")
         # many small arrays: made in memory, as zarr hands every file to another thread and waits for it

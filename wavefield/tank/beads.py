@@ -52,7 +52,7 @@ def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[A
 
 
 @dataclass(frozen=True)
-class Beads:
+class BeadField:
     """A population of beads in one frame."""
 
     x: Array  # (n,): Positions, metres
@@ -118,7 +118,7 @@ class Population:
         """Time of a frame, s."""
         return self._start + frame / self._rate
 
-    def frame(self, frame: int) -> Beads:
+    def frame(self, frame: int) -> BeadField:
         """Beads in one frame."""
         if frame not in self._positions:
             known = max((f for f in self._positions if f <= frame), default=None)
@@ -132,7 +132,7 @@ class Population:
             self._positions = {f: p for f, p in self._positions.items() if f in kept}
         px, py = self._positions[frame]
         (pz,) = self._basin.snapshot(self.time(frame), ("z",))(px, py)
-        return Beads(px, py, pz, self._brightness)
+        return BeadField(px, py, pz, self._brightness)
 
     def _advance(self, px: Array, py: Array, frame: int) -> tuple[Array, Array]:
         px, py = carry(self._basin, px, py, self.time(frame), self.time(frame + 1))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
 from wavefield.tank import scene_parts
-from wavefield.tank.beads import Beads
+from wavefield.tank.beads import BeadField
 from wavefield.tank.truth import Truth
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ _LONGEST_TURN = 0.2  # rad: that a wave of the flow may turn in a sub-step
 
 
 @dataclass(frozen=True)
-class Flow:
+class SheetFlow:
     """A steady flow that repeats itself in x and y and is alike across the sheet; free of divergence."""
 
     k: Array  # (n, 2): Wave vectors, rad/m
@@ -29,7 +29,7 @@ class Flow:
     across: NDArray[np.complex128]
 
     @classmethod
-    def random(cls, settings: scene_parts.Sheet, period: tuple[float, float], seed: int) -> "Flow":
+    def random(cls, settings: scene_parts.Sheet, period: tuple[float, float], seed: int) -> "SheetFlow":
         """Draw a flow: as much of it at every wavelength from half the period down to the shortest."""
         rng = np.random.default_rng([seed, 11])
         longest = 0.5 * min(period)
@@ -110,7 +110,7 @@ class Particles:
         seed: int,
     ) -> None:
         self.settings, self._x, self._y, self._step = settings, x, y, 1.0 / frame_rate
-        self.flow = Flow.random(settings, (x[1] - x[0], y[1] - y[0]), seed)
+        self.flow = SheetFlow.random(settings, (x[1] - x[0], y[1] - y[0]), seed)
         self._axes, self._origin = plane(settings)
         rng = np.random.default_rng([seed, 12])
         # density counts those whose light is above 1/e^2: in the middle half of the layer
@@ -119,7 +119,7 @@ class Particles:
         self._own = self._own * np.exp(rng.normal(0.0, settings.spread_between, (cameras, count)))
         self._places = {0: np.stack([rng.uniform(*x, count), rng.uniform(*y, count), rng.random(count)])}
 
-    def frame(self, frame: int) -> Beads:
+    def frame(self, frame: int) -> BeadField:
         """Particles in one frame, from 0; ask in rising order: the last places are kept."""
         if frame not in self._places:
             last = max(number for number in self._places if number <= frame)
@@ -131,7 +131,7 @@ class Particles:
         n = (height - 0.5) * _SLAB * self.settings.thickness
         light = np.exp(-8.0 * (n / self.settings.thickness) ** 2)
         px, py, pz = self._axes @ np.stack([x, y, n]) + self._origin[:, None]
-        return Beads(px, py, pz, self._own * light)
+        return BeadField(px, py, pz, self._own * light)
 
     def _advance(self, places: Array) -> Array:
         x, y, rise = self.flow.carry(places[0], places[1], self._step)

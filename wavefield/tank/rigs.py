@@ -90,7 +90,7 @@ def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: t
     for name, side, roll, k1 in (("cam1", -1, 0.4, -0.04), ("cam2", 1, -0.5, -0.03), ("cam3", 0, 0.3, 0.03)):
         turn, lean = np.radians(roll), np.radians(angle * side)
         tilt = side * 0.02
-        rotation = _looking(lean, turn)
+        rotation = _orientation(lean, turn)
         focal = distance / pixel
         made[name] = Camera(
             fx=focal,
@@ -107,7 +107,7 @@ def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: t
     return Rig(chosen, {"source": f"exact cameras around a light sheet, {angle:g} degrees"})
 
 
-def _looking(lean: float, turn: float) -> np.ndarray:
+def _orientation(lean: float, turn: float) -> np.ndarray:
     """Rotation of a camera that looks down at the origin, from +x by ``lean``, rolled by ``turn``, rad."""
     axis = -np.array([np.sin(lean), 0.0, np.cos(lean)])
     down = np.array([0.0, -1.0, 0.0])

@@ -14,7 +14,7 @@ from wavefield.rig import Rig
 from wavefield.rig.field import common_field
 from wavefield.tank.scene_parts import (
     Beads,
-    Calibration,
+    CalibrationScene,
     Fault,
     Light,
     PaperRig,
@@ -79,7 +79,7 @@ class Scene(Part):
     ] = Beads()
     light: Light = Light()
     faults: dict[str, Fault] = Field(default_factory=dict, description="camera: what goes wrong with it")
-    calibration: Calibration = Calibration()
+    calibration: CalibrationScene = CalibrationScene()
     probes: Probes = Probes()
 
     @model_validator(mode="after")

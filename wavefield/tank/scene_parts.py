@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from wavefield.config_files import Section
+from wavefield.config_files import ConfigSection
 from wavefield.rig import Rig
 from wavefield.tank import rigs, spectrum
 from wavefield.tank.sea import Sea
@@ -23,7 +23,7 @@ def _rising(limits: Limits) -> Limits:
     return limits
 
 
-class Part(Section):
+class Part(ConfigSection):
     """A part whose settings are checked and cannot change."""
 
     model_config = ConfigDict(allow_inf_nan=True)  # deep water
@@ -44,7 +44,7 @@ class AddedWave(Part):
         return float(k * np.cos(angle)), float(k * np.sin(angle))
 
 
-class _Water(Part):
+class _TankWater(Part):
     depth: Positive = Field(default=0.7, description="depth of the water, m; .inf for deep water")
     surface_tension: NotNegative = Field(default=GAMMA, description="surface tension over density, m3 s-2")
     current: tuple[float, float] = Field(
@@ -60,7 +60,7 @@ class _Water(Part):
         return Sea(kx, ky, amplitude, self.depth, self.surface_tension, self.current, bound)
 
 
-class StillSea(_Water):
+class StillSea(_TankWater):
     """Water at rest (but for its current)."""
 
     kind: Literal["still"]
@@ -70,7 +70,7 @@ class StillSea(_Water):
         return self._sea([1.0], [0.0], [0.0], 0)
 
 
-class SingleWave(_Water):
+class SingleWave(_TankWater):
     """One wave."""
 
     kind: Literal["single"]
@@ -111,7 +111,7 @@ class PowerLaw(Part):
         return spectrum.power_law(frequency, self.peak, self.exponent)
 
 
-class RandomSea(_Water):
+class RandomSea(_TankWater):
     """A random sea with a given spectrum."""
 
     kind: Literal["random"]
@@ -317,7 +317,7 @@ class Dots(Part):
     brightness: Positive = 150.0
 
 
-class Calibration(Part):
+class CalibrationScene(Part):
     """Target images."""
 
     target: Annotated[Strings | Chessboard | Dots, Field(discriminator="kind")] = Strings()

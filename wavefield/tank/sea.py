@@ -61,7 +61,7 @@ class Sea:
     surface_tension: float = GAMMA
     current: tuple[float, float] = (0.0, 0.0)
     bound: int = 0
-    _layout: "_Layout" = field(init=False, repr=False, compare=False)
+    _layout: "_WaveLayout" = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kx", np.atleast_1d(np.asarray(self.kx, float)))
@@ -70,7 +70,7 @@ class Sea:
         kx, ky = self.kx, self.ky
         if self._bound is not None:
             kx, ky = np.concatenate([kx, self._bound.kx]), np.concatenate([ky, self._bound.ky])
-        object.__setattr__(self, "_layout", _Layout(kx, ky))
+        object.__setattr__(self, "_layout", _WaveLayout(kx, ky))
 
     @cached_property
     def k(self) -> Array:
@@ -205,14 +205,14 @@ class Sea:
         """
         x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         shape, x, y = x.shape, x.ravel(), y.ravel()
-        wanted = _needed(names)
-        matrices = self._matrices(time, wanted)
-        out = {name: np.empty(x.size) for name in wanted}
+        requested = _needed(names)
+        matrices = self._matrices(time, requested)
+        out = {name: np.empty(x.size) for name in requested}
         for start in range(0, x.size, 2048):
             part = slice(start, start + 2048)
             ex = np.exp(1j * np.outer(x[part], self._layout.kx))
             ey = np.exp(1j * np.outer(y[part], self._layout.ky))
-            for name, matrix in zip(wanted, matrices, strict=True):
+            for name, matrix in zip(requested, matrices, strict=True):
                 out[name][part] = np.einsum("pk,pk->p", ey @ matrix, ex).real
         return {name: values.reshape(shape) for name, values in self._finish(out, names).items()}
 
@@ -244,7 +244,7 @@ def _product(a: Array, b: Array) -> Array:
     return out
 
 
-class _Layout:
+class _WaveLayout:
     """Where each wave stands in a matrix (ky, kx) with kx >= 0: sums over waves become matrix products."""
 
     def __init__(self, kx: Array, ky: Array) -> None:

@@ -171,7 +171,7 @@ class Tank:
         return out
 
     def photograph(
-        self, beads: floating.Beads, frame: int, cameras: Iterable[str] | None = None
+        self, beads: floating.BeadField, frame: int, cameras: Iterable[str] | None = None
     ) -> dict[str, NDArray[Any]]:
         """Images of given beads.
 
@@ -193,7 +193,9 @@ class Tank:
             for name in (self.rig if cameras is None else cameras)
         }
 
-    def _beads(self, beads: floating.Beads, frame: int, name: str, fault: scene_parts.Fault) -> NDArray[Any]:
+    def _beads(
+        self, beads: floating.BeadField, frame: int, name: str, fault: scene_parts.Fault
+    ) -> NDArray[Any]:
         settings, camera = self.scene.surface, _shifted(self.rig[name], fault.shift)
         assert not isinstance(settings, scene_parts.Texture)
         if any(fault.turned) and frame >= fault.since:
@@ -207,7 +209,7 @@ class Tank:
         sensor.splat(image, X, Y, flux, float(np.hypot(sharp, fault.defocus)))
         return self._expose(image, name, frame)
 
-    def _later(self, beads: floating.Beads, time: float, delay: float) -> floating.Beads:
+    def _later(self, beads: floating.BeadField, time: float, delay: float) -> floating.BeadField:
         """The same beads a moment later."""
         x, y = floating.carry(self.basin, beads.x, beads.y, time, time + delay)
         x, y = np.where(np.isnan(x), beads.x, x), np.where(np.isnan(y), beads.y, y)

@@ -80,13 +80,13 @@ def simulate(
     total = len(names) * (scene.frames + len(tank.target_poses)) + steps
     done = itertools.count(1)
 
-    def tell() -> None:
+    def report_progress() -> None:
         if progress is not None:
             progress(next(done), total)
 
     _write_notes(scene, tank, directory)
     with ThreadPoolExecutor(max(1, workers)) as pool:
-        queue = _Queue(pool, 4 * max(1, workers), tell)
+        queue = _Queue(pool, 4 * max(1, workers), report_progress)
         for pose in tank.target_poses:
             for camera in names:
                 queue.give(_draw_target, tank, directory, camera, pose)
@@ -97,7 +97,7 @@ def simulate(
                 queue.give(_draw_frame, tank, directory, camera, frame, beads)
         queue.finish()
         if steps:
-            _write_truth(tank, steps, directory / "truth" / "truth.zarr", pool, tell)
+            _write_truth(tank, steps, directory / "truth" / "truth.zarr", pool, report_progress)
     return directory / "experiment.yaml"
 
 
@@ -107,7 +107,7 @@ class _Queue:
 
     pool: ThreadPoolExecutor
     most: int
-    tell: Callable[[], None]
+    report_progress: Callable[[], None]
     waiting: deque[Future[None]] = field(default_factory=deque)
 
     def give(self, draw: Callable[..., None], *arguments: object) -> None:
@@ -117,14 +117,16 @@ class _Queue:
     def finish(self, leave: int = 0) -> None:
         while len(self.waiting) > leave:
             self.waiting.popleft().result()
-            self.tell()
+            self.report_progress()
 
 
 def _draw_target(tank: Tank, directory: Path, camera: str, pose: str) -> None:
     write_image(directory / "calib" / camera / f"{pose}.tif", tank.target_image(pose, camera))
 
 
-def _draw_frame(tank: Tank, directory: Path, camera: str, frame: int, beads: floating.Beads | None) -> None:
+def _draw_frame(
+    tank: Tank, directory: Path, camera: str, frame: int, beads: floating.BeadField | None
+) -> None:
     if beads is None:
         image = tank.render(frame, [camera])[camera]
     else:
@@ -133,7 +135,7 @@ def _draw_frame(tank: Tank, directory: Path, camera: str, frame: int, beads: flo
 
 
 def _write_truth(
-    tank: Tank, steps: int, path: Path, pool: ThreadPoolExecutor, tell: Callable[[], None]
+    tank: Tank, steps: int, path: Path, pool: ThreadPoolExecutor, report_progress: Callable[[], None]
 ) -> None:
     """Write the exact fields in pieces of time, so that a long record needs little memory."""
     grid, rate = tank.scene.grid, tank.scene.frame_rate
@@ -142,7 +144,7 @@ def _write_truth(
         parts: list[Truth] = []
         for part in pool.map(tank.truth, range(first, min(first + piece, steps))):
             parts.append(part)
-            tell()
+            report_progress()
         fields = {
             name: (CUBE_DIMS, np.stack([getattr(part, name) for part in parts]).astype(np.float32))
             for name in _FIELDS

@@ -58,7 +58,7 @@ def product(*factors: tuple[str, int]) -> str:
     return " ".join(out) or "1"
 
 
-def factor(given: str, wanted: str) -> float | None:
+def factor(given: str, requested: str) -> float | None:
     """How many of one unit make another.
 
     Examples
@@ -68,7 +68,7 @@ def factor(given: str, wanted: str) -> float | None:
     """
     scale = 1.0
     left: dict[str, int] = {}
-    for unit, sign in ((given, 1), (wanted, -1)):
+    for unit, sign in ((given, 1), (requested, -1)):
         try:
             powers = _powers(unit)
         except ValueError:

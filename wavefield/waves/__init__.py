@@ -21,8 +21,8 @@ from wavefield.waves.estimation.transfer_functions import (
 )
 from wavefield.waves.estimation.wave_record import Record, find_record, whole_record
 from wavefield.waves.estimation.window_gain import read_gain, window_gain
-from wavefield.waves.fused.fused_series import fuse
-from wavefield.waves.fused.fused_spectra import fusion
+from wavefield.waves.fused.fused_series import fused_series
+from wavefield.waves.fused.fused_spectra import fused_spectra
 from wavefield.waves.nonlinear.bound_waves import free_and_bound, free_and_bound_fields
 from wavefield.waves.nonlinear.coherence import coherence
 from wavefield.waves.nonlinear.higher_order import HigherOrderSettings, higher_order
@@ -72,8 +72,8 @@ __all__ = [
     "free_and_bound",
     "free_and_bound_fields",
     "frequency_spectrum",
-    "fuse",
-    "fusion",
+    "fused_series",
+    "fused_spectra",
     "gain_box",
     "gain_displacement",
     "gain_four_frames",

@@ -383,9 +383,9 @@ def _moving(used: CurrentUsed, w: xr.DataArray, power: np.ndarray, welch: Welch)
     return Moving(used.velocity, w, zw)
 
 
-def _map_lines(omega: np.ndarray, wanted: Sequence[float]) -> list[int]:
+def _map_lines(omega: np.ndarray, requested: Sequence[float]) -> list[int]:
     lines = omega / (2 * np.pi)
-    return sorted({int(np.abs(lines - f).argmin()) for f in wanted if f < lines[-2]} - {0})
+    return sorted({int(np.abs(lines - f).argmin()) for f in requested if f < lines[-2]} - {0})
 
 
 def _map(density: xr.DataArray, chosen: list[int], name: str) -> xr.DataArray:

@@ -95,14 +95,14 @@ class _Chain:
     """Takes in the half segments of a chain, one after the other."""
 
     step: _Step
-    tell: Callable[[], None] | None = None
+    report_progress: Callable[[], None] | None = None
 
     def __call__(self, links: Sequence[segments.Link]) -> dict[str, Any]:
         state: dict[str, Any] | None = None
         for link in links:
             state = self.step(state, *link)
-            if self.tell:
-                self.tell()
+            if self.report_progress:
+                self.report_progress()
         assert state is not None
         return {name: part for name, part in state.items() if name not in ("half", "old")}
 
@@ -110,17 +110,22 @@ class _Chain:
 class _Count:
     """Tells how many parts are done; parts end in any thread."""
 
-    def __init__(self, tell: Progress, total: int) -> None:
-        self._tell, self._total, self._done, self._lock = tell, total, 0, threading.Lock()
+    def __init__(self, report_progress: Progress, total: int) -> None:
+        self._report_progress, self._total, self._done, self._lock = (
+            report_progress,
+            total,
+            0,
+            threading.Lock(),
+        )
 
     def __call__(self) -> None:
         with self._lock:
             self._done += 1
-            self._tell(self._done, self._total)
+            self._report_progress(self._done, self._total)
 
 
 @dataclass(frozen=True)
-class _Look:
+class _ReadPiece:
     """Reads a piece, which complains if a field lacks values there."""
 
     read: segments.Reader
@@ -177,19 +182,21 @@ def one_pass(
     # what lies in no segment has a say in where the runs end
     rests = segments.remainders(record, welch.segment) if alike else []
     parts = len(chains) if each else sum(len(links) for links in chains)
-    tell = None if progress is None else _Count(progress, parts)
+    report_progress = None if progress is None else _Count(progress, parts)
     if each is None:
-        dask.compute(*(dask.delayed(_Look(read), pure=False)(rest) for rest in rests))
-        sums, survey, balance, points = _sum_here(_Chain(step, tell), chains)
+        dask.compute(*(dask.delayed(_ReadPiece(read), pure=False)(rest) for rest in rests))
+        sums, survey, balance, points = _sum_here(_Chain(step, report_progress), chains)
     else:
-        deque(each(_Look(read), rests), maxlen=0)
-        sums, survey, balance, points = _sum_of(_told(each(_Chain(step), chains), tell))
+        deque(each(_ReadPiece(read), rests), maxlen=0)
+        sums, survey, balance, points = _sum_of(_with_progress(each(_Chain(step), chains), report_progress))
     series = np.concatenate([np.concatenate(run) for run in points])
     return Sums(sums, survey, [row for rows in balance for row in rows], series)
 
 
-def _told(states: Iterable[dict[str, Any]], tell: Callable[[], None] | None) -> Iterator[dict[str, Any]]:
+def _with_progress(
+    states: Iterable[dict[str, Any]], report_progress: Callable[[], None] | None
+) -> Iterator[dict[str, Any]]:
     for state in states:
         yield state
-        if tell:
-            tell()
+        if report_progress:
+            report_progress()

@@ -53,10 +53,11 @@ def load_davis(root: ET.Element, path: Path, stated: Stated) -> Rig:
         if rms is None:
             continue
         missed[name] = round(rms, 4)
-        told = _number(mapper, "FitError", "RMS", np.inf)
-        if rms > max(_ALIKE * told, _LEAST):
+        stated_rms = _number(mapper, "FitError", "RMS", np.inf)
+        if rms > max(_ALIKE * stated_rms, _LEAST):
             raise RigError(
-                f"{name} misses its own marks ({_TABLE}) by {rms:.2f} px, where DaVis states {told:.2f}: if "
+                f"{name} misses its own marks ({_TABLE}) by {rms:.2f} px, where DaVis states "
+                f"{stated_rms:.2f}: if "
                 f"it was calibrated on particles since, take the table away from there; if not, {_AGAIN}"
             )
     if missed:

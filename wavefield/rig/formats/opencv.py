@@ -67,10 +67,10 @@ def _camera_nodes(nodes: list[_Node]) -> dict[str, dict[str, Array]]:
     for node in nodes:
         head = re.match(r"(?:cam(?:era)?)?(\d+)", node.name)
         tail = re.search(r"(\d+|left|right|l|r)$", node.name)
-        told = [("", node.name)]
-        told += [(head[1], node.name[head.end() :])] if head else []
-        told += [(tail[1], node.name[: tail.start()])] if tail else []
-        for which, stem in told:
+        candidates = [("", node.name)]
+        candidates += [(head[1], node.name[head.end() :])] if head else []
+        candidates += [(tail[1], node.name[: tail.start()])] if tail else []
+        for which, stem in candidates:
             kind = _kind(stem, node.value)
             if kind:
                 found.setdefault(which, {}).setdefault(kind, node.value)

@@ -41,7 +41,7 @@ class _Dataset:
             raise FrameError(f"{self.path} has {self.count} images: there is no image {index}")
         try:
             out = np.empty(self.shape, self._data.dtype)
-            if not (self._plain and self._as_it_lies(index, out)):
+            if not (self._plain and self._in_file_order(index, out)):
                 self._data.read_direct(out, np.s_[index])
             return out.astype(out.dtype.newbyteorder("="), copy=False)
         except (OSError, RuntimeError) as error:
@@ -51,7 +51,7 @@ class _Dataset:
         """When the images were taken, s; empty where the file does not say."""
         return self._times
 
-    def _as_it_lies(self, index: int, out: Pixels) -> bool:
+    def _in_file_order(self, index: int, out: Pixels) -> bool:
         """Read the chunk that is the image; False where none was written, or filters were left out."""
         try:
             skipped, _ = self._data.id.read_direct_chunk((index, 0, 0), out=out.reshape(-1).view(np.uint8))

@@ -36,14 +36,14 @@ def open_photron(path: Path) -> Recording:
     pixels = next((f for f in (path.with_suffix(e) for e in (".mraw", ".MRAW")) if f.is_file()), None)
     if pixels is None:
         raise FrameError(f"{path} has no .mraw beside it: save the recording as MRAW")
-    said = _read_xml(note) if note.suffix.lower() == ".cihx" else _read_text(note)
+    stated = _read_xml(note) if note.suffix.lower() == ".cihx" else _read_text(note)
     missing = [
-        name for name in ("Total Frame", "Image Width", "Image Height", "Color Bit") if name not in said
+        name for name in ("Total Frame", "Image Width", "Image Height", "Color Bit") if name not in stated
     ]
     if missing:
         raise FrameError(f"{note} does not state {', '.join(missing)}: it is damaged")
     try:
-        count, width, height, bits = (int(said[name]) for name in _NEEDED)
+        count, width, height, bits = (int(stated[name]) for name in _NEEDED)
     except ValueError:
         raise FrameError(f"{note} states sizes that are not whole numbers: it is damaged") from None
     shape = checked_shape(note, width, height)
@@ -58,7 +58,7 @@ def open_photron(path: Path) -> Recording:
         return index * each
 
     there = fitting(pixels, count, start, each)
-    rate, first = _number(said.get("Record Rate(fps)")), _number(said.get("Start Frame"))
+    rate, first = _number(stated.get("Record Rate(fps)")), _number(stated.get("Start Frame"))
     return RawRecording(pixels, there, shape, start, take, rate, int(first or 0))
 
 

@@ -26,13 +26,13 @@ class ZarrImages:
 
         Returns (row, column).
         """
-        image = None if self._folder is None else self._as_it_lies(self._folder, index)
+        image = None if self._folder is None else self._in_file_order(self._folder, index)
         try:
             return np.asarray(self._array[index]) if image is None else image
         except Exception as error:
             raise FrameError(f"{self.path}, image {index} cannot be read: {error}") from None
 
-    def _as_it_lies(self, folder: Path, index: int) -> Pixels | None:
+    def _in_file_order(self, folder: Path, index: int) -> Pixels | None:
         """None where there is no such file, or one of another size: Zarr says what that means."""
         array = self._array
         file, size = folder / array.metadata.encode_chunk_key((index, 0, 0)), array.shape[1] * array.shape[2]

@@ -17,7 +17,7 @@ _FASTEST, _SCAN_STEP, _SCAN_SECTORS = 0.8, 0.02, 48  # m/s
 
 
 @dataclass(frozen=True)
-class Plane:
+class WavenumberPlane:
     """Cells of the k plane, flat."""
 
     kx: Array  # (cells,)
@@ -28,20 +28,20 @@ class Plane:
     spread: float  # variance along k that the window lends to a single wave, (rad/m)^2
 
 
-def plane_of(density: xr.DataArray) -> Plane:
+def plane_of(density: xr.DataArray) -> WavenumberPlane:
     """The plane of E(ky, kx, omega)."""
     ky, kx = np.meshgrid(density["ky"].values, density["kx"].values, indexing="ij")
     cells = [float(density[name][1] - density[name][0]) for name in ("ky", "kx")]
     # second moment of a Hann line |W|^2 (weights 1, 4, 1 over 6) is a third of a cell squared; across the ray
     # it lengthens |k| on average by spread / 2k
     spread = float(np.mean(np.square(cells))) / 3
-    return Plane(
+    return WavenumberPlane(
         kx.ravel(), ky.ravel(), np.hypot(kx, ky).ravel(), np.arctan2(ky, kx).ravel(), max(cells), spread
     )
 
 
 def scan_current(
-    energy: Array, omega: Array, noise: Array, plane: Plane, depth: float, gamma: float
+    energy: Array, omega: Array, noise: Array, plane: WavenumberPlane, depth: float, gamma: float
 ) -> Array:
     """Current that gathers most energy on the ridge, to start the fit from.
 
@@ -63,10 +63,10 @@ def scan_current(
         weight = np.maximum(line[kept] - 3 * floor[kept], 0.0)
         total = weight.sum() + floor[kept].sum()
         for free in (sigma, -sigma):
-            wanted = np.rint(((o - free) / k + _FASTEST) / _SCAN_STEP).astype(int)
-            inside = (wanted >= 0) & (wanted < slots) & (weight > 0)
+            requested = np.rint(((o - free) / k + _FASTEST) / _SCAN_STEP).astype(int)
+            inside = (requested >= 0) & (requested < slots) & (weight > 0)
             if total > 0:
-                place = sector[inside] * slots + wanted[inside]
+                place = sector[inside] * slots + requested[inside]
                 votes += np.bincount(place, weight[inside] * k[inside] / total, votes.size)
     votes = ndimage.gaussian_filter1d(votes.reshape(_SCAN_SECTORS, slots), 1.0, axis=1)
     speeds = np.arange(-(slots // 2), slots // 2 + 1) * _SCAN_STEP

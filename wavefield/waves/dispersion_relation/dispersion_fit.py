@@ -13,13 +13,13 @@ from scipy.optimize import least_squares
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.water import GAMMA, dispersion, group_velocity, wavenumber
-from wavefield.waves.dispersion_relation.current_scan import LONGEST, Plane, plane_of, scan_current
+from wavefield.waves.dispersion_relation.current_scan import LONGEST, WavenumberPlane, plane_of, scan_current
 from wavefield.waves.dispersion_relation.noise_floor import noise_level
 from wavefield.waves.dispersion_relation.shell_contrast import contrast, explained, fraction
 from wavefield.waves.dispersion_relation.shell_error import against_theory
 from wavefield.waves.estimation import wave_kernels
 from wavefield.waves.estimation.welch import k_coords
-from wavefield.waves.estimation.windowed_dispersion import Cells, as_seen
+from wavefield.waves.estimation.windowed_dispersion import SpectralCells, as_seen
 
 Array = NDArray[Any]
 Vector = tuple[float, float]
@@ -49,7 +49,7 @@ _FILM = 0.3  # of the surface tension: so far water may differ from what is give
 _UNKNOWN = 0.012  # m/s: a current that is known no better is not stated
 _TENSION = 0.02  # of the surface tension: what noisy seas leave wrong in it
 _CONTRAST = 1.5  # energy on the ridge over what its cells hold at other frequencies: noise has .9 to 1.2
-_MENDS = 12  # rounds at most in which the windows' doing is taken off, two at least
+_MIN_IMPROVEMENT = 12  # rounds at most in which the windows' doing is taken off, two at least
 DAMPED_FROM = 3  # round
 _SETTLED, _UNSETTLED = 3e-4, 5e-3  # m/s: they end where the current changes by less; are refused by more
 
@@ -90,7 +90,7 @@ class _Sector:
     heading: Array  # (2, cells), cosine and sine of the angle
 
 
-def _sectors(plane: Plane, count: int) -> list[_Sector]:
+def _sectors(plane: WavenumberPlane, count: int) -> list[_Sector]:
     out = []
     width = np.pi / count
     rising = np.argsort(plane.k, kind="stable")
@@ -106,7 +106,7 @@ def _centroids(
     energy: Array,
     omega: Array,
     noise: Array,
-    plane: Plane,
+    plane: WavenumberPlane,
     sectors: list[_Sector],
     depth: float,
     fit: Array,
@@ -406,16 +406,16 @@ def _fit_band(density: xr.DataArray, depth: float, gamma: float, settings: FitSe
         points = _enough(points, bottom, top)
         fit = _solve(points, depth, fit)
     lean, change = np.zeros((2, 0)), np.inf
-    for mend in range(_MENDS):
+    for correction in range(_MIN_IMPROVEMENT):
         before = fit
         lean = _windows_lean(density, noise, band, sectors, plane, depth, fit, settings)
         points = _centroids(used, omega[band], floor, plane, sectors, depth, fit, settings)
         points = _enough(_straightened(points, lean), bottom, top)
         fit = _solve(points, depth, fit)
-        if mend >= DAMPED_FROM:  # rounds that overshoot in turn settle half-way
+        if correction >= DAMPED_FROM:  # rounds that overshoot in turn settle half-way
             fit = (fit + before) / 2
         change = float(np.hypot(*(fit - before)[:2]))
-        if mend > 0 and change < _SETTLED:
+        if correction > 0 and change < _SETTLED:
             break
 
     band_words = f"the waves between {bottom / (2 * np.pi):.2g} and {top / (2 * np.pi):.2g} Hz"
@@ -426,11 +426,12 @@ def _fit_band(density: xr.DataArray, depth: float, gamma: float, settings: FitSe
             f" whatever the current (the best is {fit[0]:.2f}, {fit[1]:.2f} m/s): check depth, frame rate and"
             " grid step, or choose another band"
         )
-    stands_out = contrast(energy, omega, (omega > bottom / 2) & (omega < 1.5 * top), plane, depth, fit)
-    if stands_out < _CONTRAST:
+    contrast_found = contrast(energy, omega, (omega > bottom / 2) & (omega < 1.5 * top), plane, depth, fit)
+    if contrast_found < _CONTRAST:
         raise CubeError(
             f"no ridge stands out between {bottom / (2 * np.pi):.2g} and {top / (2 * np.pi):.2g} Hz: the best"
-            f" one holds {stands_out:.2f} times what the same wave vectors hold at other frequencies, where"
+            f" one holds {contrast_found:.2f} times what the same wave vectors hold at other frequencies, "
+            f"where"
             " noise has 1"
         )
     if change > _UNSETTLED:
@@ -449,7 +450,7 @@ def _fit_band(density: xr.DataArray, depth: float, gamma: float, settings: FitSe
     doubt = 0.5 * np.abs(_solve(_straightened(quieter, lean), depth, fit) - fit)
     doubt = np.hypot(doubt, np.hypot(_solve(_fast(points, depth, fit), depth, fit) - fit, fit - before))
     # of what the points say 1 / contrast is noise
-    covariance = _covariance(points, depth, fit) / (1 - 1 / stands_out) ** 2
+    covariance = _covariance(points, depth, fit) / (1 - 1 / contrast_found) ** 2
     fit, covariance = _of_water(fit, covariance, gamma)
     chance = np.sqrt(np.diag(covariance))
     chance[:2] = np.maximum(chance[:2], _jackknife(points, depth, fit))
@@ -554,14 +555,14 @@ def _windows_lean(
     noise: Array,
     band: Array,
     sectors: list[_Sector],
-    plane: Plane,
+    plane: WavenumberPlane,
     depth: float,
     fit: Array,
     settings: FitSettings,
 ) -> Array:
     # keys of points (see `_centroids`) and how far in k they lie beside the relation by the windows' doing;
     # without those that lie where they do for the windows: beyond the end of a sea all is leakage
-    cells = Cells(*(density[name].values for name in ("omega", "ky", "kx")))
+    cells = SpectralCells(*(density[name].values for name in ("omega", "ky", "kx")))
     values = density.values.reshape(cells.omega.size, -1)
     seen = as_seen(values, noise, cells, depth, fit)[band]
     quiet = np.zeros_like(seen)

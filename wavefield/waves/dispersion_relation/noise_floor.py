@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.waves.dispersion_relation.current_scan import Plane
+from wavefield.waves.dispersion_relation.current_scan import WavenumberPlane
 
 Array = NDArray[Any]
 
@@ -14,7 +14,7 @@ OUTER = 0.8  # of the largest k along the axes: waves this short are weak on mos
 _RING_CELLS = 1.5  # width of a ring of wavenumbers
 
 
-def noise_level(energy: Array, plane: Plane, nyquist_k: float) -> Array:
+def noise_level(energy: Array, plane: WavenumberPlane, nyquist_k: float) -> Array:
     """Level of the noise, a function of the frequency times a function of the wavenumber.
 
     Along frequency: the median over the shortest waves. Along k: the level, over all lines, of what a ring

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.water import dispersion, group_velocity
-from wavefield.waves.dispersion_relation.current_scan import LONGEST, Plane
+from wavefield.waves.dispersion_relation.current_scan import LONGEST, WavenumberPlane
 
 Array = NDArray[Any]
 
 
-def _near_ridge(omega: Array, plane: Plane, depth: float, fit: Array) -> Array:
+def _near_ridge(omega: Array, plane: WavenumberPlane, depth: float, fit: Array) -> Array:
     # within two cells in k and two lines in omega of the fitted relation, (lines, cells)
     free = dispersion(plane.k, depth, fit[2]) + fit[0] * plane.kx + fit[1] * plane.ky
     slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), depth, fit[2]))
@@ -20,7 +20,9 @@ def _near_ridge(omega: Array, plane: Plane, depth: float, fit: Array) -> Array:
     return np.asarray(np.abs(omega[:, None] - free) < reach)
 
 
-def contrast(energy: Array, omega: Array, lines: Array, plane: Plane, depth: float, fit: Array) -> float:
+def contrast(
+    energy: Array, omega: Array, lines: Array, plane: WavenumberPlane, depth: float, fit: Array
+) -> float:
     """Energy on the ridge over what the same cells of the k plane would hold there if all lines were alike.
 
     With energy (lines, cells); omega (lines,); lines (lines,); fit (3,), m/s.
@@ -37,7 +39,7 @@ def contrast(energy: Array, omega: Array, lines: Array, plane: Plane, depth: flo
     return np.inf if there.any() else 1.0
 
 
-def fraction(energy: Array, omega: Array, plane: Plane, depth: float, fit: Array) -> float:
+def fraction(energy: Array, omega: Array, plane: WavenumberPlane, depth: float, fit: Array) -> float:
     """Fraction of the energy that lies within the ridge.
 
     With energy (lines, cells); omega (lines,); fit (3,), m/s.
@@ -48,7 +50,7 @@ def fraction(energy: Array, omega: Array, plane: Plane, depth: float, fit: Array
 
 
 def explained(
-    energy: Array, omega: Array, noise: Array, lines: Array, plane: Plane, depth: float, fit: Array
+    energy: Array, omega: Array, noise: Array, lines: Array, plane: WavenumberPlane, depth: float, fit: Array
 ) -> float:
     """Fraction of the energy above the noise that lies within the ridge, whichever way waves are seen to go.
 

@@ -19,7 +19,7 @@ def probabilities(score: Array, null: Array) -> Array:
     return np.where(score > edge, _TAIL * np.exp(-(score - edge) / scale), (count + 1) / (null.size + 1))
 
 
-def discoveries(p: Array, false: float) -> Array:
+def significant_tests(p: Array, false: float) -> Array:
     """Which of many tests are significant (Benjamini and Hochberg 1995).
 
     With p (n,); returns (n,).

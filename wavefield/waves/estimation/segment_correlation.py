@@ -15,7 +15,7 @@ _ROUNDS = 4  # in which the spectrum is sharpened
 _FLOOR = 1e-12  # of the strongest line
 
 
-def expected_likeness(power: Array, count: int, furthest: int = 2) -> Array:
+def expected_segment_correlation(power: Array, count: int, furthest: int = 2) -> Array:
     """How many times as large the variance of a mean of segments is as if none were alike.
 
     A line that sees one frequency, as beside the end of a sea, has the same power in segments that follow

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from wavefield.waves.estimation.degrees_of_freedom import HANN_LINES, hann_correlation, sum_freedom
-from wavefield.waves.estimation.segment_correlation import expected_likeness
+from wavefield.waves.estimation.segment_correlation import expected_segment_correlation
 from wavefield.waves.estimation.welch import LEAST_COUNT, Welch
 
 Array = NDArray[Any]
@@ -58,7 +58,8 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
     Student's variance with the n = K / likeness segments that are not alike; of E(omega) and E(k) n is that
     times the independent lines among the 11, over 1 + 6 / nu: powers of nu degrees of freedom tell their
     variance less well than Gaussian values. Fewer than twelve segments are taken to be as alike as
-    those of white noise, those of E(omega) and E(k), however many, at least as `expected_likeness` has it for
+    those of white noise, those of E(omega) and E(k), however many, at least as
+    `expected_segment_correlation` has it for
     the spectra of the rings; fewer than eight leave E(k, omega) of Gaussian lines at what is expected.
     """
     theory = welch.freedom(sums[name])
@@ -69,15 +70,15 @@ def freedom(sums: Mapping[str, Any], name: str, welch: Welch, gaussian: bool = T
     parts, near = np.ones_like(theory), _near(welch.count, _MANY[gaussian])
     if not gaussian:  # their scatter is all that is known
         # products of waves make the cells of a ring rise and fall as one: many times what cells let expect
-        parts, likeness = _scatter(powers, starts, welch, theory / 2, (near, near))
-        parts = (parts * _student(welch.count / likeness)).clip(1 / _MOST, None)
+        parts, segment_correlation = _scatter(powers, starts, welch, theory / 2, (near, near))
+        parts = (parts * _student(welch.count / segment_correlation)).clip(1 / _MOST, None)
     elif welch.count >= _TELLING:
         parts = _scatter(powers, starts, welch, theory / 2, (near, _WIDE))[0].clip(1 / _MOST, _MOST)
     power = sums[name][0]
     on_omega = sum_freedom(power, theory, welch.table.overlap)
     on_k = sum_freedom(power.T, theory.T, hann_correlation(power.shape[1]))
     # of the cells of a ring, in proportion to what they bring to the variance of a sum
-    alike, variance = expected_likeness(power, welch.count, _FURTHEST), power**2 / theory
+    alike, variance = expected_segment_correlation(power, welch.count, _FURTHEST), power**2 / theory
     least = [(alike * variance).sum(axis=i) / np.maximum(variance.sum(axis=i), 1e-300) for i in (0, 1)]
     return {
         "both": (theory / parts).clip(1, None),
@@ -118,12 +119,12 @@ def _scatter(
     alone, whole = (part * scale for part in _variances(powers, starts, welch))
     near, wide = sizes
     white = 1 + (1 - 1 / welch.count) / 18
-    likeness = np.maximum(np.full(alone.shape, white), least)
+    segment_correlation = np.maximum(np.full(alone.shape, white), least)
     if welch.count >= _ENOUGH:
         with np.errstate(divide="ignore", invalid="ignore"):
             found = np.nan_to_num(_smooth(whole, wide) / _smooth(alone, wide), nan=white)
-        likeness = np.maximum(found, likeness)
-    return np.asarray(_smooth(alone, near) * likeness), likeness
+        segment_correlation = np.maximum(found, segment_correlation)
+    return np.asarray(_smooth(alone, near) * segment_correlation), segment_correlation
 
 
 def _student(number: Array) -> Array:
@@ -134,11 +135,11 @@ def _student(number: Array) -> Array:
 
 def _of_sum(powers: Array, starts: Array, welch: Welch, theory: Array, least: Array) -> Array:
     # degrees of freedom of sums (segments, n), from those that their cells let expect
-    parts, likeness = _scatter(powers, starts, welch, theory / 2, (_ALONG, _ALONG), least)
+    parts, segment_correlation = _scatter(powers, starts, welch, theory / 2, (_ALONG, _ALONG), least)
     parts = parts.clip(1e-9 * theory, None)
-    single = theory * likeness / (welch.count * parts)  # of one segment's sum
+    single = theory * segment_correlation / (welch.count * parts)  # of one segment's sum
     lines = max(min(_ALONG, theory.size) / HANN_LINES, 1.0)
-    parts *= _student(welch.count / likeness * lines / (1 + 6 / single))
+    parts *= _student(welch.count / segment_correlation * lines / (1 + 6 / single))
     return np.asarray((theory / parts).clip(1, None))
 
 

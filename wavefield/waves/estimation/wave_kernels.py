@@ -141,7 +141,7 @@ def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Arra
 
 
 @_rounded
-def ring_crosses(f: Array, g: Array, start: Array, ring: Array, weight: Array, out: Array) -> None:
+def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Array, out: Array) -> None:
     """As the power in `ring_powers`, for conj(f) g; ``out`` holds real and imaginary parts.
 
     The phase is that of waves exp(i (k . x - omega t)), omega > 0.

@@ -19,7 +19,7 @@ Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[Any]]
 
 LONGEST_BRIDGE = 2  # steps: longer gaps split the record
 _FIELDS = ("z", "z_t", "u", "v", "w")
-_LOOK = 256  # steps looked at in one piece
+_STEPS_PER_READ = 256  # steps looked at in one piece
 _NODE_FRACTION = 0.9  # of the good steps in which a node must be there to belong to the rectangle
 _STEP_FRACTION = 0.95  # of the rectangle that must be there for a step to count
 _SMALLEST = 8  # nodes along either side of a usable rectangle
@@ -151,10 +151,10 @@ def _finite(pieces: list[Any]) -> np.ndarray | None:
 
 
 def _runs(
-    good: np.ndarray, longest_bridge: int, barred: np.ndarray
+    valid_steps: np.ndarray, longest_bridge: int, barred: np.ndarray
 ) -> tuple[list[tuple[int, int]], list[int]]:
     # runs of good steps; gaps up to `longest_bridge` between good steps are bridged, but none that is barred
-    edges = np.flatnonzero(np.diff(np.r_[False, good, False].astype(int)))
+    edges = np.flatnonzero(np.diff(np.r_[False, valid_steps, False].astype(int)))
     pieces = list(zip(edges[::2].tolist(), edges[1::2].tolist()))
     runs: list[tuple[int, int]] = []
     bridged: list[int] = []
@@ -213,25 +213,25 @@ def find_record(cube: Any, longest_bridge: int = LONGEST_BRIDGE, each: Each | No
     if not arrays:
         raise CubeError(f"the cube has none of {', '.join(_FIELDS)} over time, y and x")
     steps, ny, nx = (arrays[0].sizes[name] for name in CUBE_DIMS)
-    pieces = [(a, min(a + _LOOK, steps)) for a in range(0, steps, _LOOK)]
+    pieces = [(a, min(a + _STEPS_PER_READ, steps)) for a in range(0, steps, _STEPS_PER_READ)]
     masks = _masks(arrays, pieces) if each is None else list(each(_Mask(arrays), pieces))
 
-    looked = _Looked(pieces, masks, (ny, nx))
-    good = _good_steps(looked, _measured(cube, steps))
-    (y, x), barred = _beside_masks(looked, good, _masked_pieces(cube, looked))
-    good &= ~barred
+    valid_nodes = _ValidNodes(pieces, masks, (ny, nx))
+    valid_steps = _good_steps(valid_nodes, _measured(cube, steps))
+    (y, x), barred = _beside_masks(valid_nodes, valid_steps, _masked_pieces(cube, valid_nodes))
+    valid_steps &= ~barred
     size, holes = (y[1] - y[0]) * (x[1] - x[0]), 0
-    for steps_of, there in looked:
+    for steps_of, there in valid_nodes:
         if there is not None:
             inside = there[:, y[0] : y[1], x[0] : x[1]].sum(axis=(1, 2))
-            good[steps_of] &= inside >= _STEP_FRACTION * size
-            holes += int((size - inside)[good[steps_of]].sum())
-    runs, bridged = _runs(good, longest_bridge, barred)
+            valid_steps[steps_of] &= inside >= _STEP_FRACTION * size
+            holes += int((size - inside)[valid_steps[steps_of]].sum())
+    runs, bridged = _runs(valid_steps, longest_bridge, barred)
     return Record(y, x, tuple(runs), tuple(bridged), steps, holes, dt, dy, dx)
 
 
 @dataclass(frozen=True)
-class _Looked:
+class _ValidNodes:
     """Which nodes hold values: of each piece of the steps a mask in bits, None where all do."""
 
     pieces: Sequence[tuple[int, int]]
@@ -257,11 +257,11 @@ def _measured(cube: Any, steps: int) -> np.ndarray:
     return np.ones(steps, bool)
 
 
-def _good_steps(looked: _Looked, known: np.ndarray) -> np.ndarray:
+def _good_steps(valid_nodes: _ValidNodes, known: np.ndarray) -> np.ndarray:
     """Measured steps that hold half as many values as the median one at least."""
-    ny, nx = looked.shape
+    ny, nx = valid_nodes.shape
     count = np.full(known.size, ny * nx)
-    for steps, there in looked:
+    for steps, there in valid_nodes:
         if there is not None:
             count[steps] = there.sum(axis=(1, 2))
     alive = known & (count > 0)
@@ -272,13 +272,13 @@ def _good_steps(looked: _Looked, known: np.ndarray) -> np.ndarray:
 
 
 def _rectangle(
-    looked: _Looked, good: np.ndarray, open_water: np.ndarray | bool = True
+    valid_nodes: _ValidNodes, valid_steps: np.ndarray, open_water: np.ndarray | bool = True
 ) -> tuple[tuple[int, int], tuple[int, int]]:
     """Largest rectangle of nodes, y and x, that hold values in nearly all good steps."""
-    seen = np.zeros(looked.shape, int)
-    for steps, there in looked:
-        seen += int(good[steps].sum()) if there is None else there[good[steps]].sum(axis=0)
-    y, x = largest_rectangle((seen >= _NODE_FRACTION * good.sum()) & open_water)
+    seen = np.zeros(valid_nodes.shape, int)
+    for steps, there in valid_nodes:
+        seen += int(valid_steps[steps].sum()) if there is None else there[valid_steps[steps]].sum(axis=0)
+    y, x = largest_rectangle((seen >= _NODE_FRACTION * valid_steps.sum()) & open_water)
     if min(y[1] - y[0], x[1] - x[0]) < _SMALLEST:
         raise CubeError(
             f"the largest rectangle of nodes that are measured throughout is {y[1] - y[0]} x {x[1] - x[0]}"
@@ -288,12 +288,12 @@ def _rectangle(
     return y, x
 
 
-def _masked_pieces(cube: Any, looked: _Looked) -> list[tuple[slice, np.ndarray]]:
+def _masked_pieces(cube: Any, valid_nodes: _ValidNodes) -> list[tuple[slice, np.ndarray]]:
     """Where something is masked at some steps, (steps, ny, nx) bool; a mask leaves no values."""
     if not (isinstance(cube, xr.Dataset) and "quality" in cube):
         return []
     out = []
-    for steps, there in looked:
+    for steps, there in valid_nodes:
         if there is not None:
             bits = np.asarray(piece(cube["quality"], steps), np.float64)  # NaN where it was reindexed
             masked = (np.nan_to_num(bits).astype(np.int64) & int(Quality.MASKED)) != 0
@@ -303,24 +303,24 @@ def _masked_pieces(cube: Any, looked: _Looked) -> list[tuple[slice, np.ndarray]]
 
 
 def _beside_masks(
-    looked: _Looked, good: np.ndarray, masked: Sequence[tuple[slice, np.ndarray]]
+    valid_nodes: _ValidNodes, valid_steps: np.ndarray, masked: Sequence[tuple[slice, np.ndarray]]
 ) -> tuple[tuple[tuple[int, int], tuple[int, int]], np.ndarray]:
     """Rectangle, and steps to be left out, so that nothing masked is left: it is no water, and never filled.
 
     Nodes that are masked at any step are left out, or all such steps are: what keeps more.
     """
-    ever, none = np.zeros(looked.shape, bool), np.zeros(good.size, bool)
+    ever, none = np.zeros(valid_nodes.shape, bool), np.zeros(valid_steps.size, bool)
     for _, what in masked:
         ever |= what.any(axis=0)
-    across, barred = _rectangle(looked, good), none.copy()
+    across, barred = _rectangle(valid_nodes, valid_steps), none.copy()
     (y0, y1), (x0, x1) = across
     for steps, what in masked:
         barred[steps] = what[:, y0:y1, x0:x1].any(axis=(1, 2))
     if not barred.any():
         return across, barred
     with suppress(CubeError):  # where no rectangle is left beside what moves
-        (v0, v1), (u0, u1) = beside = _rectangle(looked, good, ~ever)
-        if (v1 - v0) * (u1 - u0) * good.sum() >= (y1 - y0) * (x1 - x0) * (good & ~barred).sum():
+        (v0, v1), (u0, u1) = beside = _rectangle(valid_nodes, valid_steps, ~ever)
+        if (v1 - v0) * (u1 - u0) * valid_steps.sum() >= (y1 - y0) * (x1 - x0) * (valid_steps & ~barred).sum():
             return beside, none
     return across, barred
 
@@ -351,14 +351,14 @@ def fill(block: np.ndarray, missing: np.ndarray) -> np.ndarray:
     if not missing.any() and is_whole(block):
         return block
     block = block.copy()
-    good = np.flatnonzero(~missing)
-    for t in good:
+    valid_steps = np.flatnonzero(~missing)
+    for t in valid_steps:
         hole = ~np.isfinite(block[t])
         if hole.any():
             nearest = ndimage.distance_transform_edt(hole, return_distances=False, return_indices=True)
             block[t] = block[t][tuple(nearest)]
     for t in np.flatnonzero(missing):
-        before, after = good[good < t][-2:], good[good > t][:2]
+        before, after = valid_steps[valid_steps < t][-2:], valid_steps[valid_steps > t][:2]
         if before.size != after.size:  # at an edge: lean on the nearest
             before, after = before[-1:], after[:1]
         nodes = np.r_[before, after].astype(float)

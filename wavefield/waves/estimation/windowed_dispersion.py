@@ -41,7 +41,7 @@ def hann_power(distance: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Cells:
+class SpectralCells:
     """The cells of a spectrum."""
 
     omega: Array  # (lines,): rad/s and rad/m, evenly spaced
@@ -59,7 +59,7 @@ class Cells:
         return np.asarray(dispersion(k, depth, fit[2]) + kx * fit[0] + ky * fit[1])
 
 
-def _on_ridge(energy: Array, noise: Array, cells: Cells, depth: float, fit: Array) -> Array:
+def _on_ridge(energy: Array, noise: Array, cells: SpectralCells, depth: float, fit: Array) -> Array:
     # energy of each cell of the k plane on the ridge, (ny, nx)
     ky, kx = np.meshgrid(cells.ky, cells.kx, indexing="ij")
     seen = cells.frequency(ky, kx, depth, fit)
@@ -88,7 +88,7 @@ def _seen(parts: tuple[Array, Array], power: Array, shape: tuple[int, ...]) -> A
     return out
 
 
-def as_seen(energy: Array, noise: Array, cells: Cells, depth: float, fit: Array) -> Array:
+def as_seen(energy: Array, noise: Array, cells: SpectralCells, depth: float, fit: Array) -> Array:
     """Spectrum of free waves on a fitted relation with the energy of a measured one, through Hann windows.
 
     Four waves a cell, whose energy is adjusted in four rounds (Richardson and Lucy, each to the power 1.8)
@@ -97,7 +97,7 @@ def as_seen(energy: Array, noise: Array, cells: Cells, depth: float, fit: Array)
 
     With energy (lines, ny * nx); noise (lines, ny * nx); fit (3,), m/s; returns (lines, ny * nx).
     """
-    wanted = _on_ridge(energy, noise, cells, depth, fit)
+    requested = _on_ridge(energy, noise, cells, depth, fit)
     steps = cells.steps
     within = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
     rows, columns = np.meshgrid(np.arange(cells.ky.size), np.arange(cells.kx.size), indexing="ij")
@@ -107,18 +107,18 @@ def as_seen(energy: Array, noise: Array, cells: Cells, depth: float, fit: Array)
         cells.frequency(cells.ky[0] + row * steps[1], cells.kx[0] + column * steps[2], depth, fit)
         - cells.omega[0]
     ) / steps[0]
-    floor = _LEAST * max(float(wanted.max()), 1e-300)
+    floor = _LEAST * max(float(requested.max()), 1e-300)
     kept = (line > -_REACH) & (line < cells.omega.size + _REACH)
-    kept &= np.tile(wanted.ravel() > floor, _PARTS**2)
+    kept &= np.tile(requested.ravel() > floor, _PARTS**2)
     place = np.array([line[kept], row[kept], column[kept]])
-    cell = np.tile(np.arange(wanted.size), _PARTS**2)[kept]
-    logs = np.log(np.maximum(wanted, floor))
+    cell = np.tile(np.arange(requested.size), _PARTS**2)[kept]
+    logs = np.log(np.maximum(requested, floor))
     power = np.exp(ndimage.map_coordinates(logs, place[1:], order=1, mode="nearest"))
-    shape, parts = (cells.omega.size, *wanted.shape), _parts(place)
+    shape, parts = (cells.omega.size, *requested.shape), _parts(place)
     out = _seen(parts, power, shape)
     for _ in range(_ROUNDS):
         found = _on_ridge(out.reshape(shape[0], -1), np.zeros((shape[0], 1)), cells, depth, fit)
-        ratio = np.clip(wanted / np.maximum(found, floor * 1e-3), 1 / _MOST, _MOST)
+        ratio = np.clip(requested / np.maximum(found, floor * 1e-3), 1 / _MOST, _MOST)
         power = power * ratio.ravel()[cell] ** _HASTE
         out = _seen(parts, power, shape)
     return out.reshape(shape[0], -1)

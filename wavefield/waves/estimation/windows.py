@@ -19,8 +19,8 @@ def segment_count(steps: int, segment: int) -> int:
 
 def choose_segment(steps: int) -> int:
     """Choose a segment length for a record."""
-    wanted = min(DEFAULT_SEGMENT, max(steps // 4, min(64, steps)))
-    even = wanted - wanted % 2
+    requested = min(DEFAULT_SEGMENT, max(steps // 4, min(64, steps)))
+    even = requested - requested % 2
     while even > 4 and fft.next_fast_len(even // 2, real=True) != even // 2:
         even -= 2
     return even

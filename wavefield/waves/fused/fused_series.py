@@ -87,7 +87,7 @@ def _filter(
     return out
 
 
-def fuse(
+def fused_series(
     cube: xr.Dataset,
     fusion: xr.Dataset,
     *,
@@ -150,7 +150,7 @@ def fuse(
         if run[1] - run[0] < segment:
             continue
         for a in range(run[0], run[1], half):
-            wanted = np.arange(a - half, a + 2 * half)
+            requested = np.arange(a - half, a + 2 * half)
             lo, hi = max(a - half, run[0]), min(a + 2 * half, run[1])
             if hi - lo < 2 * half:  # the end of a run: enough to mirror
                 lo = max(hi - 2 * half, run[0])
@@ -159,7 +159,7 @@ def fuse(
             missing = np.isin(np.arange(lo, hi), bridged)
             frames = frames_of(cube), frames_of_z(cube)
             given = segment, distances, frames, moves_with_flow(cube), weight, more
-            block = task(pieces, wanted, lo, missing, *given, *moving)
+            block = task(pieces, requested, lo, missing, *given, *moving)
             count = min(half, run[1] - a)
             rows.append(da.from_delayed(block, (half, ny, nx), dtype)[:count])
             steps_used.append(np.arange(a, a + count))

@@ -41,9 +41,9 @@ _LOWEST = 1.2  # Hz: below it the integrated w holds little but drift
 def _white(noise: Array, use: Array) -> Array:
     # level of each ring: the median passes over the ridge, where gains err, and over the nonlinear term in w
     noise = np.where(use, noise, np.nan)
-    told = np.isfinite(noise).any(axis=0)  # a short record has rings without a line off the ridge
+    known_lines = np.isfinite(noise).any(axis=0)  # a short record has rings without a line off the ridge
     out: Array = np.zeros(noise.shape[1])
-    out[told] = np.nanmedian(noise[:, told], axis=0).clip(min=0.0)
+    out[known_lines] = np.nanmedian(noise[:, known_lines], axis=0).clip(min=0.0)
     return out
 
 
@@ -246,7 +246,7 @@ def from_spectra(
 
     dof = _freedom(ring)
     if trusted_k is None:
-        valid = _standing_out(energies, dof["cross"], fit_z, fit_w, left, positive)
+        valid = _above_noise(energies, dof["cross"], fit_z, fit_w, left, positive)
     else:
         on_ridge = (_on_ridge(trusted, spectra, water) for trusted in trusted_k)
         valid = {method: inner(omega.size) & there for method, there in zip(METHODS, on_ridge)}
@@ -301,7 +301,7 @@ def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
     return np.asarray(_smooth((there * shorter).sum(axis=1)) > 0.5 * total)
 
 
-def _standing_out(
+def _above_noise(
     energies: dict[str, Array], dof: Array, fit_z: Array, fit_w: Array, left: Array, positive: Array
 ) -> dict[str, Array]:
     # a method is right within a factor 2 where its own noise stays below the signal; the noise-free ones
@@ -349,7 +349,7 @@ def _noise_coherence(ring: xr.Dataset, spectra: _Elevations, water: Water) -> fl
     return float((both[lines] / np.sqrt(z[lines] * w[lines])).mean()) if lines.any() else float("nan")
 
 
-def fusion(
+def fused_spectra(
     cube: xr.Dataset,
     *,
     gain: Any = None,

@@ -16,7 +16,7 @@ from scipy import fft
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.water import GAMMA, dispersion
-from wavefield.waves.estimation.multiple_testing import discoveries, probabilities
+from wavefield.waves.estimation.multiple_testing import probabilities, significant_tests
 from wavefield.waves.estimation.segments import Reader, spatial_window
 from wavefield.waves.estimation.wave_record import Record, find_record
 from wavefield.waves.estimation.windows import hann
@@ -29,7 +29,7 @@ _APART = 2  # of these cells: nearer wave vectors are the same wave to the windo
 _LONGEST = 2.5  # cells
 _SHORTEST = 0.8  # of the Nyquist wavenumber
 _CELLS = 700  # wave vectors held over time
-_STANDS_OUT = 3.0  # energy on the ridge over what lies beside it
+_MIN_PEAK_TO_NOISE = 3.0  # energy on the ridge over what lies beside it
 _LEAST = 8  # segments
 _LAGS = 24  # segments over which lines may remember themselves
 _BATCH = 2048  # coherences computed at a time
@@ -100,7 +100,7 @@ def _lattice(
     off = np.abs(density["omega"].values[:, None] - omega)
     there = np.where(off < width, energy, 0.0).sum(axis=0) / np.maximum((off < width).sum(axis=0), 1)
     beside = np.nanmedian(np.where(off > 1.5 * width, energy, np.nan), axis=0)
-    good = inside & (k > _LONGEST * max(steps) / _THIN) & (there > _STANDS_OUT * beside)
+    good = inside & (k > _LONGEST * max(steps) / _THIN) & (there > _MIN_PEAK_TO_NOISE * beside)
     free = np.flatnonzero(good)
     free = np.sort(free[np.argsort(-there[free], kind="stable")][: s.modes])
     cell = {(int(a), int(b)): i for i, (a, b) in enumerate(n)}
@@ -405,7 +405,7 @@ def _listed(
     s: ResonanceSettings,
 ) -> dict[str, Any]:
     p = probabilities(found.score, null) if null.size > 50 else np.ones(found.score.size)
-    significant = discoveries(p, s.false_discovery)
+    significant = significant_tests(p, s.false_discovery)
     first = np.argsort(p, kind="stable")[: s.listed]
     best, which, dims = found[first], tests[first], (kind, f"{kind}_wave")
     k = lattice.k(which.who)

@@ -110,30 +110,31 @@ def read_probes(
 
 def _chosen(path: Path, body: list[tuple[int, str]], columns: Columns) -> list[tuple[int, str]]:
     """The table of the wanted columns alone, with a header of our own."""
-    wanted = [columns.time, *columns.probes.values()]
+    requested = [columns.time, *columns.probes.values()]
     separator = max(";\t,", key=lambda mark: sum(line.count(mark) > 0 for _, line in body))
     cells = [(k, [cell.strip().strip('"') for cell in line.split(separator)]) for k, line in body]
-    if all(isinstance(one, int) for one in wanted):
-        at = [int(one) - 1 for one in wanted]
+    if all(isinstance(one, int) for one in requested):
+        at = [int(one) - 1 for one in requested]
         first = next((i for i, (_, row) in enumerate(cells) if _numeric(row, at)), None)
         if first is None:
             raise ExperimentError(
-                f"the probes {path}: no line has numbers in the columns {', '.join(map(str, wanted))}"
+                f"the probes {path}: no line has numbers in the columns {', '.join(map(str, requested))}"
             )
         units = [""] * len(at)
     else:
         plain = [[re.sub(r"\s*[\[(]\s*\w*\s*[\])]$", "", cell) for cell in row] for _, row in cells]
         head = next(
-            (i for i, row in enumerate(plain) if all(_named(one, row, cells[i][1]) for one in wanted)), None
+            (i for i, row in enumerate(plain) if all(_named(one, row, cells[i][1]) for one in requested)),
+            None,
         )
         if head is None:
             known = max((row for _, row in cells[:20]), key=len, default=[])
             raise ExperimentError(
-                f"the probes {path}: no header has the columns {', '.join(map(str, wanted))}; there is "
+                f"the probes {path}: no header has the columns {', '.join(map(str, requested))}; there is "
                 f"{', '.join(known[:12]) or 'nothing'}"
             )
         raw = cells[head][1]
-        at = [_place(one, plain[head], raw) for one in wanted]
+        at = [_place(one, plain[head], raw) for one in requested]
         units = [match[0] if (match := re.search(r"[\[(]\s*\w+\s*[\])]$", raw[i])) else "" for i in at]
         first = head + 1
     header = ",".join(f"{name} {unit}" for name, unit in zip(("time", *columns.probes), units))
@@ -288,11 +289,11 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
             f"missing, more than {LONGEST_GAP} in a row",
             stacklevel=2,
         )
-    own, density, count, likeness = _density(values, rate, duration)
+    own, density, count, peak_correlation = _density(values, rate, duration)
     # the frequencies agree where the rates divide; else straight lines between them
     on_grid = np.array([np.interp(target, own, row, right=np.nan) for row in density])
     on_grid[~usable] = np.nan
-    independent = _independent(likeness[np.ix_(usable, usable)], count)
+    independent = _independent(peak_correlation[np.ix_(usable, usable)], count)
     dof = degrees_of_freedom(count) * np.interp(target, own, independent)
     low, high = interval(dof)
     out = xr.Dataset(
@@ -341,12 +342,14 @@ def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tup
     return inside, rate
 
 
-def _independent(likeness: Array, count: int) -> Array:
+def _independent(peak_correlation: Array, count: int) -> Array:
     # how many independent probes they amount to, (omega,), n^2 / sum of their squared coherences
-    n = likeness.shape[0]
+    n = peak_correlation.shape[0]
     if count < _TELLING:
-        return np.ones(likeness.shape[-1])
-    alike = ndimage.uniform_filter1d(likeness, min(_NEAR, likeness.shape[-1]), axis=-1, mode="nearest")
+        return np.ones(peak_correlation.shape[-1])
+    alike = ndimage.uniform_filter1d(
+        peak_correlation, min(_NEAR, peak_correlation.shape[-1]), axis=-1, mode="nearest"
+    )
     alike = ((alike - 1 / count) / (1 - 1 / count)).clip(0, 1)  # by chance it is 1 / count
     alike[np.arange(n), np.arange(n)] = 1
     return np.asarray(n**2 / alike.sum(axis=(0, 1)))
@@ -368,7 +371,7 @@ def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array,
         total += lines[:, None].conj() * lines
     power = np.einsum("iiw->iw", total).real
     with np.errstate(divide="ignore", invalid="ignore"):
-        likeness = np.nan_to_num(np.abs(total) ** 2 / (power[:, None] * power))
+        peak_correlation = np.nan_to_num(np.abs(total) ** 2 / (power[:, None] * power))
     density = power / (count * (window**2).sum() * rate * 2 * np.pi)
     density[:, 1:-1] *= 2
-    return 2 * np.pi * np.arange(n // 2 + 1) * rate / n, density, count, likeness
+    return 2 * np.pi * np.arange(n // 2 + 1) * rate / n, density, count, peak_correlation

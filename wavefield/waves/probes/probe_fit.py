@@ -22,7 +22,7 @@ class ProbeFit:
     """How a probe fits the elevation at its place."""
 
     name: str  # The probe
-    likeness: float  # Correlation as clock and position are stated
+    peak_correlation: float  # Correlation as clock and position are stated
     best: float  # The same at the best lag; negative where the sign is turned
     # Seconds by which the probe's clock is ahead: its event comes that much later by its own clock
     lag: float
@@ -48,7 +48,7 @@ class ProbeFit:
             return
         if self.best < 0:
             yield "sign", "it falls where the elevation rises", "turn its sign (`factor: -1` in `probes:`)"
-        if abs(self.lag) > 0.5 * dt and abs(self.best) > abs(self.likeness) + _BETTER:
+        if abs(self.lag) > 0.5 * dt and abs(self.best) > abs(self.peak_correlation) + _BETTER:
             yield (
                 "clock",
                 f"its clock is {abs(self.lag):.3f} s {'ahead of' if self.lag > 0 else 'behind'} the cameras'",
@@ -111,20 +111,24 @@ def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
 
 
 def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: float) -> ProbeFit | None:
-    lags, likeness = correlation(here, values, int(_LEAST_OVERLAP * time.size))
+    lags, peak_correlation = correlation(here, values, int(_LEAST_OVERLAP * time.size))
     if not lags.size:
         return None
     shift = lags * dt + (clock[0] - time[0])  # by which the probe's time is later, event by event
-    k = int(np.argmax(np.abs(likeness)))
+    k = int(np.argmax(np.abs(peak_correlation)))
     if 0 < k < lags.size - 1:
-        before, at, after = np.abs(likeness[k - 1 : k + 2])
+        before, at, after = np.abs(peak_correlation[k - 1 : k + 2])
         bend = before - 2 * at + after
         fine = 0.5 * (before - after) / bend if bend < 0 else 0.0
     else:
         fine = 0.0
-    now = float(np.interp(0.0, shift, likeness, left=0.0, right=0.0))
+    now = float(np.interp(0.0, shift, peak_correlation, left=0.0, right=0.0))
     return ProbeFit(
-        name, now, float(likeness[k]), float(shift[k] + fine * dt), float(values.std() / np.nanstd(here))
+        name,
+        now,
+        float(peak_correlation[k]),
+        float(shift[k] + fine * dt),
+        float(values.std() / np.nanstd(here)),
     )
 
 
@@ -145,10 +149,10 @@ def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array
     power = (sums(value[0] ** 2, known[1]) - one**2 / held) * (
         sums(known[0], value[1] ** 2) - other**2 / held
     )
-    likeness = (sums(value[0], value[1]) - one * other / held) / np.sqrt(np.maximum(power, 1e-30))
+    peak_correlation = (sums(value[0], value[1]) - one * other / held) / np.sqrt(np.maximum(power, 1e-30))
     lags = np.arange(-(a.size - 1), b.size)
     enough = (count > least - 0.5) & (power > 1e-12 * float(np.max(power)))
-    return lags[enough], np.clip(likeness[enough], -1.0, 1.0)
+    return lags[enough], np.clip(peak_correlation[enough], -1.0, 1.0)
 
 
 def _elsewhere(fit: ProbeFit, z: xr.DataArray, clock: Array, values: Array, dt: float) -> ProbeFit:
@@ -159,11 +163,11 @@ def _elsewhere(fit: ProbeFit, z: xr.DataArray, clock: Array, values: Array, dt: 
         return fit
     field = z.values[good].astype(float)
     field = field - field.mean(axis=0)
-    wanted = there[good] - there[good].mean()
-    power = np.sqrt((field**2).sum(axis=0) * (wanted**2).sum())
-    likeness = np.nan_to_num(np.tensordot(wanted, field, 1) / np.where(power > 0, power, np.inf))
-    row, column = np.unravel_index(int(np.argmax(likeness)), likeness.shape)
-    if likeness[row, column] < max(_ALIKE, abs(fit.likeness) + _BETTER):
+    requested = there[good] - there[good].mean()
+    power = np.sqrt((field**2).sum(axis=0) * (requested**2).sum())
+    peak_correlation = np.nan_to_num(np.tensordot(requested, field, 1) / np.where(power > 0, power, np.inf))
+    row, column = np.unravel_index(int(np.argmax(peak_correlation)), peak_correlation.shape)
+    if peak_correlation[row, column] < max(_ALIKE, abs(fit.peak_correlation) + _BETTER):
         return fit
     place = float(z["x"][column]), float(z["y"][row])
-    return ProbeFit(fit.name, fit.likeness, fit.best, fit.lag, fit.gain, place)
+    return ProbeFit(fit.name, fit.peak_correlation, fit.best, fit.lag, fit.gain, place)

@@ -96,10 +96,10 @@ def transforms(
     relative = [name for name in ("nl", "rise") if name in names]
     for name in relative:
         out[name] = segments.transform_space(_Relative(fields, welch, name), old.get(name))
-    wanted = {*names} - {*relative} | ({"z_t"} if "z" in names else set())
+    requested = {*names} - {*relative} | ({"z_t"} if "z" in names else set())
     for name in [*fields]:
         block = fields.pop(name)
-        if name in wanted:
+        if name in requested:
             out[name] = segments.transform_space(block, old.get(name))
     return out
 
@@ -181,7 +181,9 @@ def add_segment(
             if name in maps:
                 wave_kernels.add_powers(lines[name], sums[f"map {name}"][slab])
         for a, b in pairs:
-            wave_kernels.ring_crosses(lines[a], lines[b], start, table.ring, table.weight, sums[f"{a}*{b}"])
+            wave_kernels.ring_cross_spectra(
+                lines[a], lines[b], start, table.ring, table.weight, sums[f"{a}*{b}"]
+            )
             if f"{a}*{b}" in maps:
                 to = sums[f"map {a}*{b}"][slab]
                 wave_kernels.add_products(lines[a], lines[b], turns[0], turns[1], to)
@@ -341,8 +343,8 @@ def lazy_cross_spectra(
     """As `cross_spectra`, lazy whatever the cube is, which came through `door`."""
     summed = lazy_sums(cube, names, pairs, (), welch)
     shape = (welch.table.k.size, welch.omega.size)
-    wanted = (*names, *(f"{a}*{b}" for a, b in pairs))
-    sums = {name: da.from_delayed(summed[name], (2, *shape), float) for name in wanted}
+    requested = (*names, *(f"{a}*{b}" for a, b in pairs))
+    sums = {name: da.from_delayed(summed[name], (2, *shape), float) for name in requested}
     shapes = {"both": shape, "omega": shape[1:], "k": shape[:1]}
     freedom = {}
     for name in names:

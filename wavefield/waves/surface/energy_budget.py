@@ -26,7 +26,7 @@ _FEWEST, _MOST = 4, 16  # blocks of time
 
 
 @dataclass(frozen=True)
-class _Water:
+class _WaterProperties:
     depth: float
     gamma: float
     current: tuple[float, float]
@@ -34,7 +34,7 @@ class _Water:
     viscosity: float
 
 
-def _sums(E: xr.DataArray, water: _Water, least: float, edges: Array, frames: int) -> Array:
+def _sums(E: xr.DataArray, water: _WaterProperties, least: float, edges: Array, frames: int) -> Array:
     # energy J m-2, flux W m-1 along x and y, viscous loss W m-2 of each band, (4, bands)
     ky, kx = np.meshgrid(E["ky"].values, E["kx"].values, indexing="ij")
     omega, k = E["omega"].values, np.hypot(ky, kx)
@@ -152,8 +152,8 @@ def energy_budget(
     field = validate(cube, "w")["w"]
     record = find_record(field) if record is None else record
     if segment is None:
-        wanted = min(record.longest * 2 // (3 * _FEWEST), 256)
-        segment = max(wanted - wanted % 2, 8)
+        requested = min(record.longest * 2 // (3 * _FEWEST), 256)
+        segment = max(requested - requested % 2, 8)
     segment = segment_length(record, segment)
     pieces = _pieces(record, segment)
     if len(pieces) < _FEWEST:
@@ -162,7 +162,7 @@ def energy_budget(
             f" energy budget wants {_FEWEST}: choose a shorter segment or a longer record"
         )
     depth, gamma = water_of(cube.attrs, depth)
-    water = _Water(depth, gamma, current, density, viscosity)
+    water = _WaterProperties(depth, gamma, current, density, viscosity)
     areas = {"whole": record} | _halves(record)
     shorter = min(n * h for n, h in zip(record.shape, (record.dy, record.dx)))
     least = _LEAST_CELLS * 2 * np.pi / shorter
@@ -180,7 +180,7 @@ def energy_budget(
     return _label(found, middle, (sides[0], sides[1]), edges, reached)
 
 
-def _reached(edges: Array, least: float, water: _Water) -> Array:
+def _reached(edges: Array, least: float, water: _WaterProperties) -> Array:
     # whether the waves of a band are all shorter than that
     lowest = float(dispersion(least, water.depth, water.gamma)) / (2 * np.pi)
     return np.array([low >= lowest for low, _ in pairwise(edges)])

@@ -119,8 +119,8 @@ def structure_functions(
         raise CubeError(f"differences is {differences}: choose 1 or 2")
     record = find_record(field) if record is None else record
     steps = sum(b - a for a, b in record.runs)
-    wanted = min(steps / 16, 10 / record.dt) if longest is None else longest / record.dt
-    spans = [max(int(wanted), 1), *(max(n // 3, 1) for n in record.shape)]
+    requested = min(steps / 16, 10 / record.dt) if longest is None else longest / record.dt
+    spans = [max(int(requested), 1), *(max(n // 3, 1) for n in record.shape)]
     chosen = [lags(span) for span in spans]
     blocks = _blocks(record, differences * spans[0])
     if len(blocks) < _LEAST:
