@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 ROOMS = [
     "calibration",
-    "cubes",
+    "pipeline",
     "figures",
     "matching",
     "measurement",
