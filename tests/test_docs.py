@@ -17,7 +17,12 @@ import wavefield.figures
 from wavefield.commands.cli import cli
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+BUILT = ("_build", "gallery")  # folders that the site makes
+PAGES = sorted(
+    page
+    for page in [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
+    if not any(part in BUILT for part in page.parts)
+)
 ROOMS = [
     "calibration",
     "pipeline",
@@ -106,12 +111,16 @@ def test_there_are_four_notebooks():
 
 def test_every_page_of_the_guide_is_on_the_site():
     text = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
-    listed = set(re.search(r"```\{toctree\}\n:hidden:\n(.*?)```", text, re.S)[1].split())
-    linked = {target.removesuffix(".md") for target in re.findall(r"\]\((\S+\.md)\)", text)}
+    trees = re.findall(r"```\{toctree\}\n:hidden:\n:caption: [^\n]+\n(.*?)```", text, re.S)
+    listed = set(" ".join(trees).split())
+    on_the_front = {"notebooks", "reference"}  # in the list of index.md
+    linked = {target.removesuffix(".md") for target in re.findall(r"\]\((\S+\.md)\)", text)} - on_the_front
     index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8") + (
         ROOT / "docs" / "notebooks.md"
     ).read_text()
-    pages = {page.stem for page in ROOT.glob("docs/*.md")} - {"index"}
+    docs = ROOT / "docs"
+    pages = {page.relative_to(docs).with_suffix("").as_posix() for page in docs.glob("**/*.md")} - {"index"}
+    pages = {page for page in pages if not page.startswith(("_build/", "gallery/"))}
     assert listed == linked
     assert not [page for page in pages - listed if not re.search(rf"^{page}$", index, re.M)]
     assert not [path.stem for path in NOTEBOOKS if f"notebooks/{path.stem}" not in index]
@@ -168,3 +177,31 @@ def test_experiment_files_of_the_pages_load(tmp_path):
                 assert Experiment.load(tmp_path / "experiment.yaml").cameras, page.name
                 found += 1
     assert found >= 3
+
+
+def test_theory_pages_are_short_and_hold_no_measured_figures():
+    pages = [page for page in sorted((ROOT / "docs" / "theory").glob("*.md")) if page.stem != "paper-errors"]
+    words = {page.name: len(page.read_text(encoding="utf-8").split()) for page in pages}
+    assert 10 <= len(pages) <= 13
+    assert sum(words.values()) <= 5000
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        assert "validation.md" in text, f"{page.name} links to no validation"
+        assert not re.search(r"\bseeds? \d", text), f"{page.name}: results belong to validation.md"
+
+
+def test_the_map_of_the_house_names_every_room_and_nothing_else():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    table = text[text.index("| room | holds |") : text.index("## Habits")]
+    named = {
+        name
+        for row in table.strip().splitlines()[2:]
+        for name in re.findall(r"`([\w/]+?)(?:/|\.py)`", row.split("|")[1])
+    }
+    package = ROOT / "wavefield"
+    rooms = {p.stem for p in package.iterdir() if p.is_dir() and (p / "__init__.py").exists()}
+    files = {p.stem for p in package.glob("*.py")} - {"__init__"}
+    nested = {f"waves/{p.name}" for p in (package / "waves").iterdir() if (p / "__init__.py").exists()}
+    assert named == (rooms - {"waves"}) | files | nested
+    for path in re.findall(r"`((?:[a-z_]+/)+[a-z_]+\.py)`", table):
+        assert (package / path).exists() or (ROOT / path).exists(), f"CONTRIBUTING.md names {path}"
