@@ -83,7 +83,7 @@ def test_water_that_stands_where_none_was_searched_is_not_called_measured(series
         z, read = found.surface.z + more, found.surface.read
         return replace(found, surface=replace(found.surface, z=z, read=lambda x, y: read(x, y) + more))
 
-    monkeypatch.setattr(sys.modules["wavefield.measurement.measure"], "look", look_up)
+    monkeypatch.setattr(sys.modules["wavefield.measurement.measure"], "measure_instant", look_up)
     out = measure(series.block(1), plan, RATE)
     measured = (out["quality"][0] & Quality.MEASURED) > 0
     assert series.inside[10, 12]
