@@ -8,6 +8,7 @@ import numpy as np
 
 from wavefield.execution.cluster import threads_here
 from wavefield.execution.worker_settings import one_thread
+from wavefield.pipeline.cost import fraction_measured
 from wavefield.pipeline.prepare import PreparedRun, expected_coverage
 from wavefield.pipeline.still_water import remark_on_rest
 from wavefield.quality import camera_delay, camera_motion
@@ -16,6 +17,7 @@ from wavefield.quality.camera_faults import CameraFaults, find_camera_faults
 from wavefield.quality.patch_matching import PatchMatcher
 from wavefield.quality.probe_remarks import remark_on_probes
 from wavefield.quality.recording_remarks import remark_on_recordings
+from wavefield.quality.stored_values import remark_on_stored_values
 from wavefield.store.ledger import Status
 from wavefield.store.read import open_group
 from wavefield.store.verdict import Remark, Verdict
@@ -28,6 +30,8 @@ _FIRST_CHECK = 4  # the same before it
 _STEPS = 12  # of a cube, looked at after its run
 _EPS = (0.15, 0.5)  # px: eps' that is remarked upon, that nothing can be believed of
 _ALONE = (0.01, 0.1)  # of the nodes measured without one camera: that is told, that is remarked upon
+MIN_STEPS_COMPARED = 5  # of a record: shorter ones have no neighbours to compare with
+_LEAST_IN_VIEW = (0.5, 0.05)  # of the grid in common view: less is remarked upon, is worth nothing
 _LEAST_MEASURED = (0.7, 0.2)  # of what all cameras see: less is remarked upon, is worth nothing
 _MANY = 0.01  # of the steps with bad frames: fewer are only noted
 
@@ -73,6 +77,7 @@ def assess_run(prepared: PreparedRun, status: Status, seen: CameraFaults | None 
         *remark_on_probes(prepared.experiment, status.store),
         *_steps(status),
         *_fields(status.store, expected_coverage(prepared.rig, prepared.grid)),
+        *_stored_values(prepared, status),
     ]
     return Verdict.of(remarks, seen.cameras, seen.pairs, seen.frames)
 
@@ -110,6 +115,14 @@ def _steps(status: Status) -> Iterator[Remark]:
         )
 
 
+def _stored_values(prepared: PreparedRun, status: Status) -> Iterator[Remark]:
+    """What the stored fields show when they are compared with each other."""
+    if status.done < MIN_STEPS_COMPARED or prepared.plan.settings.sheet_thickness is not None:
+        return
+    first = next(iter(prepared.series.values())).first
+    yield from remark_on_stored_values(status.store, _some(status.steps), first)
+
+
 def _fields(store: Path, seen: float) -> Iterator[Remark]:
     """What the values themselves say, at some steps."""
     group = open_group(store)
@@ -136,13 +149,24 @@ def _fields(store: Path, seen: float) -> Iterator[Remark]:
             {"eps_piv": misfit},
         )
     yield from _left_out(group, steps)
-    measured = float(found.mean()) / max(seen, 1e-9)
-    if seen > 0.05 and measured < _LEAST_MEASURED[0]:
+    quality = np.stack([np.asarray(group["quality"][k]) for k in steps])
+    measured = fraction_measured(quality)
+    if seen < _LEAST_IN_VIEW[0]:
+        yield Remark(
+            "grid",
+            "coverage",
+            "grave" if seen < _LEAST_IN_VIEW[1] else "remark",
+            f"the cameras have {100 * seen:.2g} % of the grid's nodes in common view",
+            f"{100 * _LEAST_IN_VIEW[0]:.0f} % at least",
+            "check the extent of the grid, which is in metres, or leave it out: `grid: auto`",
+            {"fraction": seen},
+        )
+    if measured < _LEAST_MEASURED[0]:
         yield Remark(
             "surface",
             "holes",
             "grave" if measured < _LEAST_MEASURED[1] else "remark",
-            f"{100 * measured:.0f} % of what all cameras see was measured",
+            f"{100 * measured:.0f} % of the nodes in view were measured; the others are filled or empty",
             f"{100 * _LEAST_MEASURED[0]:.0f} % at least",
             "look at seeding and light where `quality` says why nodes were rejected",
             {"fraction": measured},

@@ -18,12 +18,13 @@ from wavefield.quality.patch_matching import (
     PairConsistency,
     PatchMatcher,
 )
+from wavefield.rig.resolution import pixel_at
 from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark, Weight
 
 _FEWEST = 6  # patches: with fewer nothing is said
 _MATTERS = 0.1  # px: what the mending of a rig is worth
-_BLURRED = 1.6  # times the blur of the other cameras
+_BLURRED = 1.6  # times the blur of the other cameras, in px and on the water
 _COVERED = 0.08  # of the patches
 _FLIPS = ("mirrored", "upside down", "turned by 180 degrees")
 
@@ -82,10 +83,20 @@ def _covered(table: ConsistencyTable) -> Iterator[Remark]:
 
 
 def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
+    """Cameras whose images are wider than those of the others in pixels and on the water.
+
+    Beads have a size: a camera of smaller pixels has wider images of them without being blurred.
+    """
     widths = {name: float(np.nanmedian(table.blur[name])) for name in table.names}
+    rig, grid = table.patch_matcher.rig, table.patch_matcher.grid
+    centre = float(np.mean(grid.x)), float(np.mean(grid.y))
+    pixels = {name: pixel_at(rig[name], *centre) for name in table.names}
     for name, width in widths.items():
-        usual = float(np.median([widths[other] for other in table.names if other != name]))
-        if width > _BLURRED * usual and width > 1.0:
+        others = [other for other in table.names if other != name]
+        usual = float(np.median([widths[other] for other in others]))
+        on_water = float(np.median([widths[other] * pixels[other] for other in others]))
+        wider = min(width / max(usual, 1e-9), width * pixels[name] / max(on_water, 1e-12))
+        if wider > _BLURRED and width > 1.0:
             yield Remark(
                 name,
                 "out of focus",

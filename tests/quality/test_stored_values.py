@@ -1,0 +1,83 @@
+"""The checks on stored values: sound seas raise nothing, fields that contradict each other do."""
+
+import numpy as np
+import pytest
+
+from wavefield.quality.stored_values import (
+    KINEMATIC_MISFIT,
+    continuity,
+    discontinuous,
+    kinematic_misfit,
+)
+
+STEP, RATE = 0.01, 20.0
+NAMES = ("u", "v", "w")
+
+
+def sea(seed, steps=16, shape=(40, 50), noise=0.004):
+    """A random linear sea of 12 cm to 1.5 m on a current, with noise of the stated uncertainty, m/s."""
+    rng = np.random.default_rng(seed)
+    k, angle, phase = rng.uniform(4, 50, 40), rng.uniform(-np.pi, np.pi, 40), rng.uniform(0, 2 * np.pi, 40)
+    slope = rng.uniform(0.02, 0.15) / np.sqrt(20.0)
+    current = rng.uniform(-0.3, 0.3, 2)
+    t, y, x = np.meshgrid(
+        np.arange(steps) / RATE, np.arange(shape[0]) * STEP, np.arange(shape[1]) * STEP, indexing="ij"
+    )
+    out = {name: np.zeros(t.shape) for name in ("z", "z_t", "u", "v", "w")}
+    z_x, z_y = np.zeros(t.shape), np.zeros(t.shape)
+    for kn, a, p in zip(k, angle, phase):
+        kx, ky, sigma = kn * np.cos(a), kn * np.sin(a), np.sqrt(9.81 * kn)
+        turn = kx * x + ky * y - (sigma + kx * current[0] + ky * current[1]) * t + p
+        amplitude = slope / kn
+        out["z"] += amplitude * np.cos(turn)
+        out["u"] += amplitude * sigma * np.cos(a) * np.cos(turn)
+        out["v"] += amplitude * sigma * np.sin(a) * np.cos(turn)
+        out["w"] += amplitude * sigma * np.sin(turn)
+        z_x -= amplitude * kx * np.sin(turn)
+        z_y -= amplitude * ky * np.sin(turn)
+    out["u"] += current[0]
+    out["v"] += current[1]
+    out["z_t"] = out["w"] - out["u"] * z_x - out["v"] * z_y
+    for name in NAMES:
+        out[name] = out[name] + noise * rng.standard_normal(t.shape)
+        out[f"{name}_std"] = np.full(t.shape, noise)
+    return out
+
+
+def continuities(w, measured):
+    inner = [continuity(w[k - 2 : k + 3], measured[k - 2 : k + 3]) for k in range(2, len(w) - 2)]
+    return np.array([np.nan, np.nan, *inner, np.nan, np.nan])
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_sound_seas_raise_no_alarm(seed):
+    fields = sea(seed)
+    measured = np.random.default_rng(seed).random(fields["z"].shape) < 0.9
+    assert np.nanmedian(kinematic_misfit(fields, measured, STEP)) < KINEMATIC_MISFIT[0]
+    assert discontinuous(continuities(fields["w"], measured)).size == 0
+
+
+def test_water_that_rises_otherwise_than_its_surface_is_found():
+    fields = sea(1)
+    everywhere = np.ones(fields["z"].shape, bool)
+    still = fields | {"w": 0 * fields["w"]}
+    assert np.nanmedian(kinematic_misfit(still, everywhere, STEP)) > KINEMATIC_MISFIT[1]
+    other_rate = fields | {name: 1.3 * fields[name] for name in NAMES}
+    assert np.nanmedian(kinematic_misfit(other_rate, everywhere, STEP)) > KINEMATIC_MISFIT[0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_step_without_motion_or_of_two_intervals_is_named(seed):
+    w = sea(seed, noise=0.001)["w"]
+    everywhere = np.ones(w.shape, bool)
+    duplicated = np.concatenate([w[:8], 0 * w[:1], w[8:-1]])
+    assert 8 in discontinuous(continuities(duplicated, everywhere))
+    lost = np.concatenate([w[:7], w[7:8] + w[8:9], w[9:]])
+    assert 7 in discontinuous(continuities(lost, np.ones(lost.shape, bool)))
+
+
+def test_steps_with_few_measured_nodes_are_not_checked():
+    fields = sea(2)
+    nothing = np.zeros(fields["z"].shape, bool)
+    assert np.isnan(kinematic_misfit(fields, nothing, STEP)).all()
+    assert discontinuous(continuities(fields["w"], nothing)).size == 0

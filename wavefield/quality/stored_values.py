@@ -1,0 +1,136 @@
+"""Two checks on what a cube stores: the surface rises as its water moves, and steps continue each other.
+
+Neither uses what the uncertainties were computed from, so that both can show where these are wrong.
+"""
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.store.read import open_cube
+from wavefield.store.verdict import Remark
+from wavefield.text import spell_ranges
+from wavefield.variables import Quality
+from wavefield.waves.nonlinear.kinematics import slopes
+
+Array = NDArray[np.floating]
+Mask = NDArray[np.bool_]
+
+MIN_NODES = 50  # with fewer measured nodes a step is not checked
+MARGIN_NODES = 3  # from the edge of the grid, where slopes are of lower order
+MEDIAN_SQUARE = 0.455  # of a standard normal variable
+NEIGHBOURS = np.array([-1.0, 4.0, 4.0, -1.0]) / 6.0  # a cubic through the steps k - 2, k - 1, k + 1, k + 2
+USABLE_CONTINUITY = (
+    0.7,
+    1.3,
+)  # of the record's median: outside it waves are too fast for neighbours to predict
+MAX_DEPARTURE = 0.3  # of a step's continuity from 1; sound steps depart by 0.15 at most
+KINEMATIC_MISFIT = (
+    1.6,
+    3.0,
+)  # medians that are remarked upon, that make values useless; sound seas have 0.1 to 1.1
+
+
+def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float) -> Array:
+    """Robust rms of z_t - w + u z_x + v z_y over its standard uncertainty, per step (n,).
+
+    With fields z, z_t, u, v, w, u_std, v_std, w_std and measured (n, ny, nx), the grid step in metres.
+    About 1 where the uncertainties hold; NaN for steps with few measured nodes.
+    """
+    z = np.asarray(fields["z"], np.float64)
+    z_y, z_x = slopes(z, step, step)
+    residual = fields["z_t"] - fields["w"] + fields["u"] * z_x + fields["v"] * z_y
+    variance = (
+        np.square(fields["w_std"]) + np.square(fields["u_std"] * z_x) + np.square(fields["v_std"] * z_y)
+    )
+    inner = np.zeros_like(measured)
+    inner[:, MARGIN_NODES:-MARGIN_NODES, MARGIN_NODES:-MARGIN_NODES] = True
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.square(residual) / variance
+    usable = measured & inner & np.isfinite(ratio)
+    return np.array([_robust_rms(one[ok]) for one, ok in zip(ratio, usable, strict=True)])
+
+
+def _robust_rms(squares: Array) -> float:
+    return float(np.sqrt(np.median(squares) / MEDIAN_SQUARE)) if squares.size >= MIN_NODES else np.nan
+
+
+def continuity(rise: Sequence[Array], measured: Sequence[Mask]) -> float:
+    """Regression of a step's rise on the cubic through those of its four neighbours; NaN with few nodes.
+
+    With the rises and masks (ny, nx) of the steps k - 2 to k + 2. It is near 1 where waves turn slowly from
+    step to step, and the same for all steps of a sound record.
+    """
+    everywhere = np.logical_and.reduce(measured)
+    if everywhere.sum() < MIN_NODES:
+        return np.nan
+    before2, before, here, after, after2 = (np.asarray(one[everywhere], np.float64) for one in rise)
+    expected = NEIGHBOURS @ np.stack([before2, before, after, after2])
+    square = float(expected @ expected)
+    return float(here @ expected) / square if square > 0 else np.nan
+
+
+def discontinuous(continuities: Array) -> NDArray[np.intp]:
+    """Steps that do not continue their neighbours, by the continuity (n,); none where waves are too fast."""
+    found = np.isfinite(continuities)
+    lowest, highest = USABLE_CONTINUITY
+    if found.sum() < 3 or not lowest < float(np.median(continuities[found])) < highest:
+        return np.empty(0, np.intp)
+    return np.flatnonzero(found & (np.abs(continuities - 1.0) > MAX_DEPARTURE))
+
+
+def continuities_of(cube: Any) -> Array:
+    """Continuity of every step of a cube (n,), read chunk by chunk; NaN for two steps at either end."""
+    count, chunk = cube.sizes["time"], max(cube.w.chunksizes.get("time", (64,))[0], 1)
+    out = np.full(count, np.nan)
+    window: deque[tuple[Array, Mask]] = deque(maxlen=5)
+    for start in range(0, count, chunk):
+        part = cube[["w", "quality"]].isel(time=slice(start, start + chunk)).load()
+        flags = part.quality.values & int(Quality.MEASURED) != 0
+        for k, (w, flag) in enumerate(zip(part.w.values, flags, strict=True), start):
+            window.append((w, flag & np.isfinite(w)))
+            if len(window) == 5:
+                out[k - 2] = continuity(*zip(*window, strict=True))
+    return out
+
+
+def remark_on_stored_values(store: Path, steps: Sequence[int], first: int) -> Iterator[Remark]:
+    """Compare the stored fields of a cube with each other: kinematics at some steps, continuity at all.
+
+    ``first`` is the number of the first frame.
+    """
+    cube = open_cube(store)
+    names = ["z", "z_t", "u", "v", "w", "u_std", "v_std", "w_std"]
+    part = cube[[*names, "quality"]].isel(time=list(steps)).load()
+    measured = part.quality.values & int(Quality.MEASURED) != 0
+    spacing = float(cube.x[1] - cube.x[0])
+    misfits = kinematic_misfit({name: part[name].values for name in names}, measured, spacing)
+    if np.isfinite(misfits).any():
+        misfit = float(np.nanmedian(misfits))
+        if misfit > KINEMATIC_MISFIT[0]:
+            yield Remark(
+                "record",
+                "kinematics",
+                "grave" if misfit > KINEMATIC_MISFIT[1] else "remark",
+                f"the surface does not rise as its water moves: z_t - w + u . grad z is {misfit:.1f} times"
+                " its standard uncertainty",
+                f"at most {KINEMATIC_MISFIT[0]}",
+                "check frame rate, synchronisation and seeding; waves may be too short for the images",
+                {"kinematic_misfit": misfit},
+            )
+    found = discontinuous(continuities_of(cube))
+    if found.size:
+        yield Remark(
+            "record",
+            "discontinuous steps",
+            "remark",
+            f"{found.size} of {cube.sizes['time']} steps do not continue their neighbours: those from frames"
+            f" {spell_ranges([first + int(k) for k in found], 3)}",
+            "none",
+            "check whether frames were duplicated or lost in all cameras there, and leave these steps out",
+            {"steps": int(found.size)},
+        )
