@@ -1,12 +1,18 @@
-"""Compiled loops where compiled code cannot be kept: a full home folder, one that may not be written."""
+"""Compiled code is kept on disk: where that fails, is damaged, or is done by many processes at once."""
 
 import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
+import pytest
 from numba import float64
 from numba.core import caching
 
-from wavefield.compiled import compiled
+import wavefield.compiled
+from wavefield.compiled import clear_compiled, compiled
 
 
 def full(*args, **keywords):
@@ -14,7 +20,7 @@ def full(*args, **keywords):
 
 
 def test_a_full_disk_costs_the_time_of_compiling_and_nothing_else(monkeypatch):
-    monkeypatch.setattr(caching.IndexDataCacheFile, "save", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
 
     @compiled()
     def doubled(x):
@@ -38,3 +44,114 @@ def test_no_folder_for_compiled_code_is_none_of_the_users_business(monkeypatch):
         return x / 2
 
     assert halved(np.arange(3.0)).tolist() == [0, 0.5, 1]
+
+
+LOOP = """
+from wavefield.compiled import compiled
+
+@compiled()
+def total(x):
+    out = 0.0
+    for i in range(x.shape[0]):
+        out += {factor} * x[i]
+    return out
+"""
+PROCESS = """
+import sys
+import numpy as np
+import loop
+x = np.arange(8.0)
+for kind in sys.argv[1]:
+    print(loop.total({"c": x[:4], "s": x[::2], "f": x[:4].astype("f4"), "i": x[:4].astype(int)}[kind]))
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A module with one compiled loop, and a place for its compiled code."""
+    (tmp_path / "loop.py").write_text(LOOP.format(factor=1))
+    (tmp_path / "process.py").write_text(PROCESS)
+    return tmp_path
+
+
+def started(folder, kinds):
+    """A process that calls the loop with arrays of several kinds: contiguous, strided, float32, integer."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "kept")}
+    command = [sys.executable, folder / "process.py", kinds]
+    return subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def answers(process):
+    out, problem = process.communicate(timeout=120)
+    assert process.returncode == 0, problem
+    return out.split()
+
+
+def kept(folder):
+    return sorted((folder / "kept").rglob("*.nbc"))
+
+
+EXPECTED = {"c": "6.0", "s": "12.0", "f": "6.0", "i": "6.0"}
+
+
+def test_first_processes_at_once_keep_the_code_of_each_kind_apart(folder):
+    orders = ("csfi", "ifsc")
+    for process, kinds in [(started(folder, kinds), kinds) for kinds in orders]:
+        assert answers(process) == [EXPECTED[kind] for kind in kinds]
+    before = {path: path.stat().st_mtime_ns for path in kept(folder)}
+    assert len(before) == len(EXPECTED)
+    assert answers(started(folder, "sfic")) == [EXPECTED[kind] for kind in "sfic"]
+    assert {path: path.stat().st_mtime_ns for path in kept(folder)} == before  # read, not compiled again
+
+
+def test_kept_code_is_of_the_sources_as_they_are_now(folder):
+    assert answers(started(folder, "c")) == ["6.0"]
+    (folder / "loop.py").write_text(LOOP.format(factor=2))
+    assert answers(started(folder, "c")) == ["12.0"]
+    assert len(kept(folder)) == 1  # that of the sources of before is gone
+
+
+def test_damaged_code_is_compiled_again(folder):
+    assert answers(started(folder, "c")) == ["6.0"]
+    (path,) = kept(folder)
+    whole = path.read_bytes()
+    for damaged in (b"", whole[:-100], whole[:2000] + b"\0" + whole[2001:]):
+        path.write_bytes(damaged)
+        assert answers(started(folder, "c")) == ["6.0"]
+        assert path.read_bytes()[-100:] == whole[-100:]
+
+
+def test_code_that_two_processes_write_in_turn_is_never_taken_for_the_others(tmp_path):
+    """Every order of reading and writing, of two kinds of arguments: what is read is what was asked for."""
+    here, there = (
+        wavefield.compiled._CompiledFiles(tmp_path, "loop", test_damaged_code_is_compiled_again)
+        for _ in range(2)
+    )
+    here.save("contiguous", 1)
+    there.save("strided", 2)
+    assert [one.load(key) for one in (here, there) for key in ("contiguous", "strided", "other")] == [
+        1,
+        2,
+        None,
+        1,
+        2,
+        None,
+    ]
+
+
+def test_clearing_removes_compiled_code_and_nothing_else(tmp_path, monkeypatch):
+    package = tmp_path / "package"
+    (package / "room" / "__pycache__").mkdir(parents=True)
+    for name in ("__init__.py", "compiled.py", "room/__init__.py", "room/__pycache__/a.pyc"):
+        (package / name).touch()
+    ours = [package / "room/__pycache__" / name for name in ("f-1.py311.ab-cd.nbc", "g-1.py311.nbi")]
+    for path in ours:
+        path.touch()
+    monkeypatch.setattr(wavefield.compiled, "__file__", str(package / "compiled.py"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    monkeypatch.setattr(wavefield.compiled.numba.config, "CACHE_DIR", "")
+    assert clear_compiled() == len(ours)
+    assert not any(path.exists() for path in ours)
+    assert (package / "room/__pycache__/a.pyc").exists()

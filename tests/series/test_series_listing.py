@@ -52,7 +52,7 @@ def test_a_missing_file_does_not_shift_the_rest(tmp_path, images):
 def test_numbers_are_those_in_the_names(numbers, pattern):
     names = [pattern.format(n) for n in numbers]
     before, after = pattern.split("{:07d}" if "07" in pattern else "{}")
-    assert _numbers_by_pattern([*names, "other.txt", before + after], before, after) == dict(
+    assert _numbers_by_pattern([*names, "other.txt", before + after], before, after, "cam1") == dict(
         zip(numbers, names)
     )
     assert _numbers_by_glob(names, "*", "cam1") == dict(zip(numbers, names))
@@ -256,5 +256,13 @@ def test_a_corrupt_first_frame_does_not_hide_the_series(tmp_path):
     assert series.shape == (6, 8)
     for n in range(4):
         (tmp_path / "cam1" / f"img_{n:05d}.tif").write_bytes(b"")
-    with pytest.raises(ExperimentError, match=r"none of the first 4 can be read: .* is empty"):
+    with pytest.raises(ExperimentError, match=r"none of 4 tried can be read: .* is empty"):
         open_frames(tmp_path, "cam1: cam1/*.tif")
+
+
+@pytest.mark.parametrize("pattern", ["img_{frame}.tif", "img_{frame:05d}.tif", "img_*.tif"])
+def test_two_files_of_one_frame_number_are_refused(tmp_path, pattern):
+    for name in ("img_3.tif", "img_4.tif", "img_00004.tif"):
+        (tmp_path / name).touch()
+    with pytest.raises(ExperimentError, match=r"cam1: 'img_00004.tif' and 'img_4.tif' are both frame 4"):
+        number_frames(pattern, tmp_path, "cam1")

@@ -1,10 +1,12 @@
 """Worker processes of this machine.
 
 They are forked from one process that has imported what they need once for all, and end with their work. One
-that dies is replaced and its item done again.
+that dies is replaced and its item done again. Where compiled code made it crash, what is kept of such code is
+removed first, once, and new processes compile it again.
 """
 
 import functools
+import logging
 import multiprocessing
 import os
 import pickle
@@ -29,6 +31,9 @@ from wavefield.execution.worker_settings import settle_worker
 _MOST_DEATHS = 3  # of workers over one item: it is the item
 _WORK, _ITEM = b"w", b"i"  # what a message to a worker begins with
 _POLL_SECONDS = 1.0  # seconds between looks at the memory of the workers
+_CRASHES = ("SIGSEGV", "SIGBUS", "SIGILL", "SIGFPE", "SIGABRT")  # what ends a process that runs faulty code
+
+log = logging.getLogger("wavefield.run")
 
 
 @dataclass(eq=False)
@@ -36,6 +41,7 @@ class _Worker:
     process: BaseProcess
     connection: Connection
     index: int | None = None  # of the item that it is at work on
+    compiled_anew: bool = False  # it began after kept compiled code had been removed
 
 
 class Pool:
@@ -52,6 +58,7 @@ class Pool:
         self._workers: list[_Worker] = []
         self._starter: ThreadPoolExecutor | None = None
         self._started: Future[None] | None = None
+        self._cleared = False  # whether kept compiled code was removed
         # the C library's threads and the image of the caller's memory are not what a worker should inherit
         method = "forkserver" if sys.platform == "linux" else "spawn"
         self._context = multiprocessing.get_context(method)
@@ -108,11 +115,13 @@ class Pool:
             self._workers.append(self._start_one())
 
     def _start_one(self) -> _Worker:
-        here, there = self._context.Pipe()
-        process = self._context.Process(target=_serve, args=(there,), daemon=True)  # type: ignore[attr-defined]
-        _start_deaf(self._context, process)
+        # the process that others are forked from may have read compiled code before it was removed
+        context = multiprocessing.get_context("spawn") if self._cleared else self._context
+        here, there = context.Pipe()
+        process = context.Process(target=_serve, args=(there,), daemon=True)  # type: ignore[attr-defined]
+        _start_deaf(context, process)
         there.close()
-        return _Worker(process, here)
+        return _Worker(process, here, compiled_anew=self._cleared)
 
     def _work_off(self, work: bytes, items: Sequence[Any]) -> Generator[tuple[Any, Any], None, None]:
         todo, deaths = deque(range(len(items))), Counter[int]()
@@ -132,8 +141,9 @@ class Pool:
                 try:
                     result = pickle.loads(worker.connection.recv_bytes())
                 except (EOFError, OSError):
-                    deaths[index] += 1
+                    counts = worker.compiled_anew
                     code = self._replace(worker, work)
+                    deaths[index] += counts or _crash(code) is None
                     if deaths[index] < _MOST_DEATHS:
                         todo.appendleft(index)
                         continue
@@ -152,9 +162,21 @@ class Pool:
         worker.connection.close()
         worker.process.join(5.0)
         code = worker.process.exitcode
+        crash = _crash(code)
+        if crash and not self._cleared:
+            from wavefield.compiled import clear_compiled
+
+            self._cleared = True
+            log.warning(
+                "a worker crashed in compiled code (%s): removed %d files of compiled code kept by earlier "
+                "processes, and going on with new workers, which compile it again (one to two minutes)",
+                crash,
+                clear_compiled(),
+            )
         with deferred_signals():
             new = self._start_one()
         worker.process, worker.connection, worker.index = new.process, new.connection, None
+        worker.compiled_anew = new.compiled_anew
         self._send(worker, _WORK + work)
         return code
 
@@ -169,7 +191,20 @@ class Pool:
                     worker.process.kill()
 
 
+def _crash(code: int | None) -> str | None:
+    """Name of the signal of a process that ended by a crash in compiled code; None if it ended otherwise."""
+    name = signal.Signals(-code).name if code is not None and code < 0 else None
+    return name if name in _CRASHES else None
+
+
 def _lost(code: int | None, memory: int | None) -> StoreError:
+    crash = _crash(code)
+    if crash:
+        return StoreError(
+            f"the process that worked on it crashed in compiled code ({crash}), {_MOST_DEATHS} times, also "
+            "after it was compiled again: a fault of the program, of a library or of the machine's memory; "
+            "run the same command again or on another machine, and if it stays, report it"
+        )
     if code is not None and code < 0:
         how = f"was ended by {signal.Signals(-code).name}"
     else:

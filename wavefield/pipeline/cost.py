@@ -20,6 +20,8 @@ from wavefield.store.layout import COMPRESSION
 from wavefield.text import spell_time
 from wavefield.variables import AROUND, FrameStatus, Quality
 
+MIN_FREE_SHARE = 1.1  # of what a run writes
+
 
 @dataclass(frozen=True)
 class Cost:
@@ -37,10 +39,10 @@ class Cost:
         workers = "1 worker" if self.workers == 1 else f"{self.workers} workers"
         text = (
             f"{spell_time(self.seconds)} on {workers} ({self.step_seconds:.2f} s per step), "
-            f"{self.memory / 1e9:.2f} GB of memory per worker, {_size(self.disk)} of disk"
+            f"{self.memory / 1e9:.2f} GB of memory per worker, {spell_size(self.disk)} of disk"
         )
-        if self.free < 1.1 * self.disk:
-            text += f" - but only {_size(self.free)} are free: free some room or write elsewhere with -o"
+        if self.free < MIN_FREE_SHARE * self.disk:
+            text += f" - but only {spell_size(self.free)} are free: free some room or write elsewhere with -o"
         return text
 
 
@@ -121,7 +123,8 @@ def _peak_memory() -> int:
     return peak if sys.platform == "darwin" else 1024 * peak
 
 
-def _size(count: float) -> str:
+def spell_size(count: float) -> str:
+    """Bytes in words."""
     return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
 
 

@@ -1,7 +1,7 @@
 """What is there, what is missing, and what a run will cost: before a night is spent on it."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,12 @@ from wavefield.execution.worker_settings import one_thread
 from wavefield.execution.workflow import Workflow
 from wavefield.grid import Grid
 from wavefield.pipeline.advice import advise
-from wavefield.pipeline.cost import Cost, measure_cost
+from wavefield.pipeline.cost import MIN_FREE_SHARE, Cost, measure_cost, spell_size
 from wavefield.pipeline.prepare import expected_coverage, load_files, prepare
 from wavefield.pipeline.run_quality import clocks, compare_cameras
 from wavefield.pipeline.still_water import remark_on_rest
+from wavefield.quality.camera_faults import CameraFaults
+from wavefield.quality.frame_remarks import FrameInspection, inspect_frames, remark_on_frames, sample_frames
 from wavefield.quality.recording_remarks import remark_on_recordings
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
@@ -24,14 +26,16 @@ from wavefield.store.verdict import Remark, Verdict
 from wavefield.text import spell_ranges, spell_time
 from wavefield.variables import FrameFault
 
-_ENDS = 0.02  # of the record: more frames of one camera beyond its ends are remarked upon
+_UNUSUAL_SIZE = 0.005  # of the usual size of a camera's files
+_UNUSUAL_SPREADS = 8.0  # times the median deviation from it
+_MAX_UNUSUAL_READ = 24  # files of a camera
 
 
 @dataclass(frozen=True)
 class CameraCheck:
     """Frames of one camera.
 
-    Only files less than half as large as most are looked into.
+    Of a record of more than 40 frames only a sample is read, and files of unusual sizes.
     """
 
     name: str  # The camera
@@ -226,7 +230,15 @@ def check(
     """
     experiment, _ = load_files(experiment, None)  # a wrong workflow is one of the problems
     series = experiment.open_frames()
-    cameras = tuple(_measure_sample(s, experiment.cameras[name].offset) for name, s in series.items())
+    measuring = {name: series[name] for name in experiment.measuring_cameras}
+    sample = sample_frames(measuring)
+    inspections = {
+        name: inspect_frames(one, tuple(sorted({*sample, *_unusual_files(one)})))
+        for name, one in series.items()
+    }
+    cameras = tuple(
+        _summary(one, inspections[name], experiment.cameras[name].offset) for name, one in series.items()
+    )
     steps = len(next(iter(series.values()))) - 1
     problems: list[str] = []
     prepared, cost, coverage, measured, advice = None, None, None, None, ""
@@ -249,9 +261,10 @@ def check(
     if prepared and seen and not any(one.weight == "grave" for one in seen.remarks):
         clock_text, late = clocks(prepared)
     remarks = [
+        *remark_on_frames(measuring, {name: inspections[name] for name in measuring}, sample),
+        *_disk(cost),
         *(seen.remarks if seen else ()),
         *late,
-        *_ends(experiment, series),
         *remark_on_recordings(experiment, series),
     ]
     if prepared:
@@ -268,7 +281,7 @@ def check(
         measured=measured,
         cost=cost,
         problems=tuple(problems),
-        verdict=Verdict.of(remarks, seen.cameras, seen.pairs, seen.frames) if seen else None,
+        verdict=_verdict(remarks, seen),
         motion=prepared.motion.sentence if prepared and prepared.motion else "",
         heights=prepared.heights.sentence if prepared and prepared.heights else "",
         clocks=clock_text,
@@ -276,27 +289,27 @@ def check(
     )
 
 
-def _ends(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Cameras of which much is not used because others begin later or end earlier."""
-    given = experiment.frames.first is not None, experiment.frames.last is not None
-    for name in experiment.measuring_cameras:
-        ends = [n for n, stated in zip(series[name].beyond, given) if not stated]
-        if sum(ends) > max(2, _ENDS * len(series[name])):
-            yield Remark(
-                name,
-                "longer",
-                "remark",
-                f"{sum(ends)} of its frames lie before or after the record, where another camera has none",
-                f"{100 * _ENDS:.0f} % of the record at most",
-                "are the other cameras' images all there? do the frames of one moment have one number "
-                "(`offset`)?",
-                {"frames": sum(ends)},
-            )
+def _verdict(remarks: list[Remark], seen: CameraFaults | None) -> Verdict | None:
+    if seen:
+        return Verdict.of(remarks, seen.cameras, seen.pairs, seen.frames)
+    return Verdict.of(remarks) if remarks else None
 
 
-def _measure_sample(series: FrameSeries, offset: int) -> CameraCheck:
-    """Look at one camera's files; frames are numbered as the run counts them."""
-    missing = tuple(int(n) for n in series.missing)
+def _disk(cost: Cost | None) -> Iterator[Remark]:
+    if cost and cost.free < MIN_FREE_SHARE * cost.disk:
+        yield Remark(
+            "disk",
+            "room",
+            "remark",
+            f"a run writes {spell_size(cost.disk)}, but only {spell_size(cost.free)} are free",
+            f"{MIN_FREE_SHARE} times as much",
+            "free some room or write elsewhere with -o",
+            {"bytes": cost.disk, "free": cost.free},
+        )
+
+
+def _unusual_files(series: FrameSeries) -> list[int]:
+    """Frames whose files are less than half as large as most, and some of other sizes than most."""
     sizes = {}
     for index, entry in enumerate(series.entries):
         if entry is not None and entry.kind == "file":
@@ -304,11 +317,20 @@ def _measure_sample(series: FrameSeries, offset: int) -> CameraCheck:
                 sizes[index] = os.stat(entry.path).st_size
             except OSError:
                 sizes[index] = 0
-    usual = np.median(list(sizes.values())) if sizes else 0
-    bad: dict[FrameFault, list[int]] = {fault: [] for fault in FrameFault}
-    for index, size in sizes.items():
-        if size < usual / 2:
-            bad[series.read(index).fault].append(series.first + index)
+    if not sizes:
+        return []
+    size = np.array(list(sizes.values()))
+    usual = float(np.median(size))
+    apart = np.abs(size - usual)
+    unusual = apart > max(_UNUSUAL_SIZE * usual, _UNUSUAL_SPREADS * float(np.median(apart)))
+    largest_first = sorted(np.flatnonzero(unusual), key=lambda k: -apart[k])[:_MAX_UNUSUAL_READ]
+    chosen = {*largest_first, *np.flatnonzero(size < usual / 2)}
+    return [index for k, index in enumerate(sizes) if k in chosen]
+
+
+def _summary(series: FrameSeries, found: FrameInspection, offset: int) -> CameraCheck:
+    """What there is of one camera; frames are numbered as the run counts them."""
+    missing = tuple(int(n) for n in series.missing)
     rows, columns = series.shape
     return CameraCheck(
         series.camera,
@@ -316,9 +338,9 @@ def _measure_sample(series: FrameSeries, offset: int) -> CameraCheck:
         (columns, rows),
         series.dtype,
         missing,
-        small=tuple(bad[FrameFault.UNREADABLE]),
-        blank=tuple(bad[FrameFault.BLANK]),
-        other=tuple(bad[FrameFault.WRONG_SIZE]),
+        small=found.numbers(series.first, FrameFault.UNREADABLE),
+        blank=found.numbers(series.first, FrameFault.BLANK),
+        other=found.numbers(series.first, FrameFault.WRONG_SIZE),
         beyond=series.beyond,
         offset=offset,
     )

@@ -16,6 +16,13 @@ from wavefield.grid import Grid
 from wavefield.measurement.algorithm import ALGORITHM
 from wavefield.measurement.first_guess import FirstGuess, first_guess, wide_enough
 from wavefield.measurement.first_heights import FirstHeights, first_heights, high_enough
+from wavefield.pipeline.magnitudes import (
+    name_of_rig,
+    refuse_far_cameras,
+    refuse_high_water,
+    refuse_other_grids,
+    refuse_small_fields,
+)
 from wavefield.quality.stabilized import refuse_unless_in_a_row
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries, masks
@@ -79,17 +86,28 @@ def prepare(
 
     experiment, workflow = load_files(experiment, workflow)
     series = experiment.open_frames()
+    rig_file = name_of_rig(experiment, rig)
     if not isinstance(rig, Rig):
         rig = experiment.load_rig(rig, series)
     used = {name: rig[name] for name in experiment.measuring_cameras}
     rig = replace(rig, cameras=used)
-    grid = experiment.choose_grid(rig)
-    if not any(expected_coverage(replace(rig, cameras={name: rig[name]}), grid) for name in rig):
+    refuse_far_cameras(experiment, rig, rig_file)
+    try:
+        grid = experiment.choose_grid(rig)
+    except ValueError as error:  # a step that does not fit what the cameras see
+        raise ExperimentError(f"{experiment.path}: {error}") from None
+    refuse_other_grids(experiment, rig, grid, rig_file)
+    blind = [name for name in rig if not expected_coverage(replace(rig, cameras={name: rig[name]}), grid)]
+    if blind:
+        who = "no camera sees" if len(blind) == len(used) else f"{', '.join(blind)} does not see"
         raise ExperimentError(
-            f"{experiment.path}: no camera sees the grid (x {grid.x[0]:g} to {grid.x[1]:g} m, "
+            f"{experiment.path}: {who} the grid (x {grid.x[0]:g} to {grid.x[1]:g} m, "
             f"y {grid.y[0]:g} to {grid.y[1]:g} m); correct `grid`, or leave it out to have it chosen"
         )
     settings = make_settings(experiment, workflow)
+    refuse_high_water(
+        settings, rig, str(workflow.path if "z_range" in workflow.settings else experiment.path)
+    )
     series = {name: series[name] for name in used}
     covered = masks.footprints(experiment.mask)
     plan = Plan(rig, grid, settings, covered=covered)
@@ -107,6 +125,7 @@ def prepare(
     if settings != plan.settings:
         plan = Plan(rig, grid, settings, covered=covered)
         series = masks.covered_series(experiment.mask, bare, rig, folder, -plan.z_range[0])
+    refuse_small_fields(plan, str(experiment.path))
     recipe = make_recipe(experiment, series, rig, grid, settings, workflow.packing)
     return PreparedRun(experiment, series, rig, grid, plan, recipe, workflow, motion, heights)
 

@@ -114,7 +114,7 @@ class PatchMatcher:
         With near (n, 2), px; returns (n, SIDE + 2 reach, SIDE + 2 reach): Grey levels.
         """
         image = self.read(name, frame)
-        if image is None:
+        if image is None or len(near) == 0:
             return None
         side, whole = SIDE + 2 * reach, SIDE + 2 * REACH
         column, row = (part.reshape(-1, whole, whole) for part in self._map(name))

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from wavefield.quality.frame_remarks import remark_on_absent_frames
 from wavefield.robust import robust_std
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.rates import is_alike, recorded_rates
@@ -14,15 +15,55 @@ _UNEVEN = 0.5  # of an interval, by which two frames may be further apart than t
 _DRIFT = 0.1  # of an interval, by which cameras may drift apart
 _PIECES = 16  # of a record: over each the jitter of two clocks is averaged
 _FEW = 64  # frames that two cameras share: of fewer nothing is said
+_ENDS = 0.02  # of the record: more frames of one camera beyond its ends are remarked upon
+_MAX_HOURS = 24.0  # of a record
 _SURE = 4.0  # standard deviations of a piece's mean
 
 
 def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
     """Say where recordings contradict the experiment file, one another, or an even clock."""
+    measuring = {name: series[name] for name in experiment.measuring_cameras if name in series}
+    yield from remark_on_absent_frames(measuring)
+    yield from _ends(experiment, measuring)
+    yield from _duration(experiment, series)
     yield from _rates(experiment)
     for one in series.values():
         yield from _gaps(one)
     yield from _drifts(series, experiment.frame_rate)
+
+
+def _ends(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
+    """Cameras of which much is not used because others begin later or end earlier."""
+    given = experiment.frames.first is not None, experiment.frames.last is not None
+    for name, one in series.items():
+        ends = [n for n, stated in zip(one.beyond, given) if not stated]
+        if sum(ends) > max(2, _ENDS * len(one)):
+            yield Remark(
+                name,
+                "longer",
+                "remark",
+                f"{sum(ends)} of its frames lie before or after the record, where another camera has none",
+                f"{100 * _ENDS:.0f} % of the record at most",
+                "are the other cameras' images all there? do the frames of one moment have one number "
+                "(`offset`)?",
+                {"frames": sum(ends)},
+            )
+
+
+def _duration(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
+    """A record longer than anybody films."""
+    frames = len(next(iter(series.values())))
+    hours = frames / experiment.frame_rate / 3600.0
+    if hours > _MAX_HOURS:
+        yield Remark(
+            "record",
+            "duration",
+            "remark",
+            f"{frames} frames at {experiment.frame_rate:g} Hz last {hours:.3g} h",
+            f"{_MAX_HOURS:.0f} h at most",
+            f"is frame_rate of {experiment.path.name} in Hz, and are the frames numbered one by one?",
+            {"hours": hours},
+        )
 
 
 def _rates(experiment: Experiment) -> Iterator[Remark]:

@@ -1,6 +1,6 @@
 """The experiment file: one YAML file that describes an experiment as a lab note would."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -38,6 +38,9 @@ from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import Numbered, make_series, number_frames
 from wavefield.series.rates import one_rate, recorded_rates
 
+_MAX_FRAMES = 5_000_000  # of a record
+_MAX_LEAP = 1000  # times as many numbers as there are frames
+
 
 class Experiment(ConfigSection):
     """An experiment: cameras, rig, grid, and what is known of the water.
@@ -61,7 +64,9 @@ class Experiment(ConfigSection):
 
     name: str = Field(examples=["coriolis-07"], pattern=r"^[^/\\]+$")
     description: str = ""
-    frame_rate: float = Field(gt=0, examples=["20.0"], description="Hz; by default what recordings state")
+    frame_rate: float = Field(
+        gt=0, le=1e7, examples=["20.0"], description="Hz; by default what recordings state"
+    )
     folder: str | None = Field(default=None, description="folder of the images, if not that of this file")
     cameras: dict[str, CameraSection] = Field(min_length=1, examples=['{cam1: {images: "cam1/*.tif"}}'])
     frames: FramesSection = FramesSection()
@@ -245,7 +250,23 @@ class Experiment(ConfigSection):
         last = last if self.frames.last is None else self.frames.last
         if last <= first:
             raise ExperimentError(self._no_step(numbered))
+        self._refuse_leaps(measuring, first, last)
         return make_series(numbered, first, last, clocks)
+
+    def _refuse_leaps(self, measuring: Sequence[Numbered], first: int, last: int) -> None:
+        """Refuse a range of numbers that hardly has frames, before it takes any memory."""
+        lowest = min(min(frames) for frames in measuring)
+        if first < min(lowest, 0):
+            raise ExperimentError(
+                f"{self.path}: frames.first is {first}, but the first frame there is {lowest}"
+            )
+        there = max(sum(first <= number <= last for number in frames) for frames in measuring)
+        count = last - first + 1
+        if count > _MAX_FRAMES or count > _MAX_LEAP * max(there, 1):
+            raise ExperimentError(
+                f"{self.path}: the record runs from frame {first} to {last}, but only {there} of these "
+                f"{count} numbers have a file; correct `frames`, or remove files whose number leaps"
+            )
 
     def _by_clocks(
         self, numbered: Mapping[str, Numbered]

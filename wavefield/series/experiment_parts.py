@@ -85,12 +85,12 @@ class GridSection(ConfigSection):
 class WaterSection(ConfigSection):
     """The water."""
 
-    depth: float | None = Field(default=None, gt=0, examples=["0.70"], description="m")
+    depth: float | None = Field(default=None, gt=0, le=12_000, examples=["0.70"], description="m")
     level: float = Field(
         default=0.0, description="height of the water at rest above z = 0 of the rig file, m"
     )
-    density: float | None = Field(default=None, gt=0, examples=["1000"], description="kg m-3")
-    surface_tension: float | None = Field(default=None, ge=0, examples=["0.073"], description="N m-1")
+    density: float | None = Field(default=None, gt=0, le=30_000, examples=["1000"], description="kg m-3")
+    surface_tension: float | None = Field(default=None, ge=0, le=5, examples=["0.073"], description="N m-1")
 
     def attributes(self) -> dict[str, float]:
         """What cubes and frames say of the water: ``water_depth``, ``surface_tension_over_density``."""

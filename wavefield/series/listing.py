@@ -134,7 +134,7 @@ def _numbered(names: Sequence[str], pattern: str, folder: Path | str, camera: st
         before, after = _FRAME.sub("\0", pattern).split("\0", 1)
         if "\0" in after:
             raise ExperimentError(f"images of {camera}: {pattern} has {{frame}} twice")
-        numbered = _numbers_by_pattern(names, before, after)
+        numbered = _numbers_by_pattern(names, before, after, camera)
     else:
         numbered = _numbers_by_glob(fnmatch.filter(names, pattern), pattern, camera)
     if not numbered:
@@ -144,14 +144,24 @@ def _numbered(names: Sequence[str], pattern: str, folder: Path | str, camera: st
     return numbered
 
 
-def _numbers_by_pattern(names: Sequence[str], before: str, after: str) -> dict[int, str]:
+def _numbers_by_pattern(names: Sequence[str], before: str, after: str, camera: str) -> dict[int, str]:
     head, tail = len(before), len(after)
-    out = {}
+    out: dict[int, str] = {}
     for name in names:
         digits = name[head : len(name) - tail]
         if digits.isdecimal() and name.startswith(before) and name.endswith(after):
-            out[int(digits)] = name
+            _place(out, int(digits), name, camera)
     return out
+
+
+def _place(out: dict[int, str], number: int, name: str, camera: str) -> None:
+    """Give a file its frame number, which no other file may have."""
+    other = out.setdefault(number, name)
+    if other != name:
+        first, second = sorted((name, other))
+        raise ExperimentError(
+            f"images of {camera}: {first!r} and {second!r} are both frame {number}; remove or rename one"
+        )
 
 
 def _numbers_by_glob(names: Sequence[str], pattern: str, camera: str) -> dict[int, str]:
@@ -175,7 +185,10 @@ def _numbers_by_glob(names: Sequence[str], pattern: str, camera: str) -> dict[in
             f"images of {camera}: {problem} among the names that fit {pattern!r}; say where the frame "
             "number is, as in img_{frame:05d}.tif"
         )
-    return {d[varying[0]]: name for d, name in zip(digits, names)}
+    out: dict[int, str] = {}
+    for numbers, name in zip(digits, names):
+        _place(out, numbers[varying[0]], name, camera)
+    return out
 
 
 def _hint(names: Sequence[str], folder: Path | str, pattern: str) -> str:
@@ -191,7 +204,7 @@ def make_series(
     out = {}
     for camera, frames in numbered.items():
         entries = [frames.get(number) for number in range(first, last + 1)]
-        shape, dtype = _first_readable(entries, camera)
+        shape, dtype = _usual_kind(entries, camera)
         beyond = sum(number < first for number in frames), sum(number > last for number in frames)
         taken = dict(zip(sorted(frames), clocks.get(camera, ())))
         times = np.array([taken.get(number, np.nan) for number in range(first, last + 1)]) if taken else None
@@ -199,9 +212,19 @@ def make_series(
     return out
 
 
-def _first_readable(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tuple[int, int], str]:
+def _file_size(entry: FrameEntry) -> int:
+    try:
+        return os.stat(entry.path).st_size if entry.kind == "file" else 0
+    except OSError:
+        return 0
+
+
+def _usual_kind(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tuple[int, int], str]:
     present = [entry for entry in entries if entry is not None]
-    tried = present[:20]
+    # the first, as any, may be of another size than the record: the one tried first is of the usual size
+    some = [present[int(k * (len(present) - 1) / 4)] for k in range(5)] if present else []
+    usual = sorted(some, key=_file_size)[2:3]
+    tried = list(dict.fromkeys([*usual, *present[:20]]))
     problem = "there are none in the range of frames"
     for entry in tried:
         try:
@@ -210,4 +233,4 @@ def _first_readable(entries: Sequence[FrameEntry | None], camera: str) -> tuple[
             problem = str(error)
             continue
         return (image.shape[0], image.shape[1]), str(image.dtype)
-    raise ExperimentError(f"images of {camera}: none of the first {len(tried)} can be read: {problem}")
+    raise ExperimentError(f"images of {camera}: none of {len(tried)} tried can be read: {problem}")
