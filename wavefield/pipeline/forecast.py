@@ -14,6 +14,7 @@ from wavefield.execution.workflow import Workflow
 from wavefield.grid import Grid
 from wavefield.pipeline.advice import advise
 from wavefield.pipeline.cost import MIN_FREE_SHARE, Cost, measure_cost, spell_size
+from wavefield.pipeline.magnitudes import refuse_small_fields
 from wavefield.pipeline.prepare import expected_coverage, load_files, prepare
 from wavefield.pipeline.run_quality import clocks, compare_cameras
 from wavefield.pipeline.still_water import remark_on_rest
@@ -244,6 +245,7 @@ def check(
     prepared, cost, coverage, measured, advice = None, None, None, None, ""
     try:
         prepared = prepare(experiment, rig, workflow)
+        refuse_small_fields(prepared.plan, str(prepared.experiment.path))
         if experiment.rest:
             experiment.at_rest().open_frames()  # are they there?
     except (RigError, ExperimentError) as error:

@@ -21,7 +21,6 @@ from wavefield.pipeline.magnitudes import (
     refuse_far_cameras,
     refuse_high_water,
     refuse_other_grids,
-    refuse_small_fields,
 )
 from wavefield.quality.stabilized import refuse_unless_in_a_row
 from wavefield.rig import Rig
@@ -125,7 +124,6 @@ def prepare(
     if settings != plan.settings:
         plan = Plan(rig, grid, settings, covered=covered)
         series = masks.covered_series(experiment.mask, bare, rig, folder, -plan.z_range[0])
-    refuse_small_fields(plan, str(experiment.path))
     recipe = make_recipe(experiment, series, rig, grid, settings, workflow.packing)
     return PreparedRun(experiment, series, rig, grid, plan, recipe, workflow, motion, heights)
 

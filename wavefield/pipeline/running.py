@@ -25,6 +25,7 @@ from wavefield.pipeline.chunk import Block, make_block
 from wavefield.pipeline.chunk_worker import Work
 from wavefield.pipeline.fingerprint import check_images, fingerprints
 from wavefield.pipeline.learning import learn_record
+from wavefield.pipeline.magnitudes import refuse_small_fields
 from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
@@ -133,6 +134,7 @@ def run(
         with deferred_signals():  # Ctrl-C inside an import may be lost
             map_unordered = stack.enter_context(open_cluster(workflow, jobs_folder(path), not path.exists()))
             prepared = prepare(experiment, rig, workflow)
+            refuse_small_fields(prepared.plan, str(prepared.experiment.path))
         return process(prepared, lock, map_unordered, progress)
 
 

@@ -174,6 +174,8 @@ def remark_on_absent_frames(series: Mapping[str, FrameSeries]) -> Iterator[Remar
             "copy them, or state the range of frames that is complete (`frames`)",
             {"missing": len(missing), "frames": len(one)},
         )
+    if not series:
+        return
     present = _present(series)
     share = float((present[:-1] & present[1:]).mean())
     if share < MIN_USABLE_SHARE:

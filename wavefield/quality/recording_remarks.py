@@ -52,7 +52,7 @@ def _ends(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator
 
 def _duration(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
     """A record longer than anybody films."""
-    frames = len(next(iter(series.values())))
+    frames = max((len(one) for one in series.values()), default=0)
     hours = frames / experiment.frame_rate / 3600.0
     if hours > _MAX_HOURS:
         yield Remark(
