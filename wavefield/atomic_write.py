@@ -126,7 +126,7 @@ def atomic(path: str | Path, product: Product) -> Iterator[Path]:
     --------
     >>> import tempfile
     >>> path = Path(tempfile.mkdtemp()) / "a.txt"
-    >>> with whole(path, ANY_FILE) as draft:
+    >>> with atomic(path, ANY_FILE) as draft:
     ...     written = draft.write_text("all of it")
     >>> path.read_text()
     'all of it'

@@ -232,7 +232,7 @@ def test_a_worker_without_wavefield_is_named():
     ("settings", "sentence"),
     [
         ({"deploy": "nowhere.Cluster"}, "`deploy`: 'nowhere.Cluster' cannot be imported"),
-        ({"deploy": "distributed.SSHCluster", "options": {"hosts": []}}, "look at `options`"),
+        ({"deploy": "distributed.SSHCluster", "options": {"hosts": []}}, "see `options`"),
     ],
 )
 def test_classes_that_do_not_deploy_are_named(settings, sentence, tmp_path):

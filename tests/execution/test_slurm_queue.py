@@ -85,7 +85,7 @@ def test_a_job_that_ended_without_workers_is_named_with_slurms_own_line(slurm, l
         )
     once = look(Cluster())
     once()
-    sentence = r"job 1[01] ended .* \(TIMEOUT, TimeLimit\); .*-1[01].err says: .* DUE TO TIME LIMIT"
+    sentence = r"job 1[01] ended .* \(TIMEOUT, TimeLimit\); .*-1[01].err has: .* DUE TO TIME LIMIT"
     with pytest.raises(ExperimentError, match=sentence):
         once()
 

@@ -89,5 +89,5 @@ def test_beads_out_of_focus_would_carry_shorter_waves_in_focus():
 
 
 def test_a_cube_that_does_not_say_how_it_was_made_is_refused():
-    with pytest.raises(CubeError, match="does not say how it was made"):
+    with pytest.raises(CubeError, match="does not state how it was made"):
         predicted_gain(xr.Dataset())

@@ -129,7 +129,7 @@ def test_check_says_when_nothing_can_be_measured(own_tank):
         write_image(image, np.full((207, 292), 7, np.uint8))
     for image in (own_tank.parent / "cam2").glob("*.tif"):
         write_image(image, np.full((123, 123), 7, np.uint8))
-    assert "could not be measured; look at its images" in str(check(own_tank, workflow=HERE))
+    assert "could not be measured; check its images" in str(check(own_tank, workflow=HERE))
 
 
 # -- status and export ------------------------------------------------------------------------------------

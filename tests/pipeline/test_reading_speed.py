@@ -43,7 +43,7 @@ def test_the_disk_is_the_limit_where_the_workers_want_more_than_a_reader_gets():
     enough = ReadingSpeed(6e6, 50e6, 4, 400e6)
     assert not enough.limited
     assert str(enough) == (
-        "reading: a worker wants 50 MB/s, 4 workers 200 MB/s; one reader gets 400 MB/s from the disk of the "
+        "reading: each worker reads 50 MB/s, 4 workers 200 MB/s; one reader gets 400 MB/s from the disk of the "
         "images"
     )
     short = ReadingSpeed(6e6, 50e6, 40, 400e6)
@@ -53,11 +53,11 @@ def test_the_disk_is_the_limit_where_the_workers_want_more_than_a_reader_gets():
     assert "beyond 8 workers the disk is the limit" in str(short)
     unknown = ReadingSpeed(6e6, 50e6, 1)
     assert not unknown.limited
-    assert str(unknown) == "reading: a worker wants 50 MB/s"
+    assert str(unknown) == "reading: each worker reads 50 MB/s"
 
 
 def test_check_says_what_a_worker_wants_to_read(tmp_path):
     found = wf.check(write_tank(tmp_path, 6), workflow=wf.Workflow(cluster="local", workers=3))
-    assert "reading: a worker wants" in str(found)
+    assert "reading: each worker reads" in str(found)
     assert "3 workers" in str(found.cost.reading)
     assert found.to_dict()["cost"]["reading"]["workers"] == 3

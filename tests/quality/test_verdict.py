@@ -54,7 +54,7 @@ def test_a_mirrored_camera_is_named_by_every_command_and_stops_check_and_run(lab
     said("report", cube, status=0)
     page = lab.with_name("report.html").read_text()
     assert "Verdict: not to be trusted: cam2 mirrored" in page
-    assert "mend its images" in page
+    assert "correct its images" in page
 
 
 def test_the_verdict_names_a_camera_without_which_much_was_measured():

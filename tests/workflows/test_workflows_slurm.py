@@ -257,11 +257,11 @@ def test_the_waves_that_slurm_jobs_find_are_those_of_one_process(reference, work
         ({"walltime": "400-00:00:00"}, "Slurm will never start the jobs of this run: PartitionTimeLimit"),
         (
             {"python": "/nowhere/python"},
-            r"ended before its workers started .*\.err says: .*/nowhere/python: No such",
+            r"ended before its workers started .*\.err has: .*/nowhere/python: No such",
         ),
         (
             {"job_script_prologue": ["echo 'module: command not found' >&2; exit 1"]},
-            r"ended before its workers started .*\.err says: module: command not found",
+            r"ended before its workers started .*\.err has: module: command not found",
         ),
     ],
     ids=["wrong partition", "too long", "wrong Python", "no module"],

@@ -60,7 +60,7 @@ def check(
     SOURCE is an experiment file or a catalog. Counts the frames of each camera, names missing ones, shows how
     much of the grid the cameras see, measures a few steps to tell the time, memory and disk of the whole run,
     and compares the cameras' images: is one mirrored, swapped, late, reversed, blurred, covered, or has it
-    moved? Changes nothing. The exit status is 1 where something stands in the way, 3 where the verdict has
+    moved? Changes nothing. The exit status is 1 where something prevents a run, 3 where the verdict has
     remarks that matter.
     """
     from wavefield import pipeline

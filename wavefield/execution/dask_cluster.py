@@ -34,7 +34,7 @@ log = logging.getLogger("wavefield.run")
 Look = Callable[[], None]
 
 _SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
-_POLL_SECONDS = 2.0  # seconds without news after which the workers are looked after
+_POLL_SECONDS = 2.0  # without news, after which the workers are checked
 _HELD = 2  # tasks that the scheduler holds for each worker: one at work, one ready
 _MOST_TOGETHER = 8  # items in a task
 _TASKS_LEFT = 16  # for each worker: with fewer to come, tasks become smaller, so that all end together
@@ -168,7 +168,7 @@ def _local(workflow: Workflow, count: int) -> Any:
 def _deploy(workflow: Workflow, settings: dict[str, Any]) -> Any:
     """Start a cluster of any class that deploys Dask."""
     name, options = workflow.deploy or "", dict(workflow.options)
-    if of_jobqueue(workflow):  # its jobs know nothing of our configuration, TLS among it
+    if of_jobqueue(workflow):  # its jobs do not have our configuration, such as TLS
         own = list(options.get("job_script_prologue", []))
         options["job_script_prologue"] = slurm.environment_lines(settings) + own
     module, _, attribute = name.rpartition(".")
@@ -183,7 +183,7 @@ def _deploy(workflow: Workflow, settings: dict[str, Any]) -> Any:
         cluster = kind(**options)
     except Exception as error:  # each library has exceptions of its own
         raise ExperimentError(
-            f"the workflow's `deploy`: {name} does not start: {type(error).__name__}: {error}; look at "
+            f"the workflow's `deploy`: {name} does not start: {type(error).__name__}: {error}; see "
             "`options`, which are its keywords"
         ) from error
     if isinstance(workflow.workers, int):
@@ -310,7 +310,7 @@ class _Tasks:
 
 
 def _understood(result: Any) -> Any:
-    """What Dask says of a task that never ran, as a sentence."""
+    """Dask's error for a task that never ran, as a sentence."""
     from distributed import KilledWorker
 
     if isinstance(result, WavefieldError):

@@ -13,7 +13,7 @@ from wavefield.errors import ExperimentError
 from wavefield.execution.workflow import Workflow
 
 # Blocks are independent and a worker may die for reasons of its own, so be patient with both. Tasks take
-# minutes, so look after them less often than every few ms: for two workers that takes 15 % of a core.
+# minutes, so check them less often than every few ms: for two workers that takes 15 % of a core.
 _DASK: dict[str, Any] = {
     "array": {"query-planning": False},
     "distributed": {
@@ -83,7 +83,7 @@ def temporary_credentials(folder: Path) -> Iterator[dict[str, Any]]:
         security = Security.temporary()
     except ImportError:
         raise ExperimentError(
-            "security: tls needs cryptography: `pip install cryptography`, or say `security: none` in the "
+            "security: tls needs cryptography: `pip install cryptography`, or state `security: none` in the "
             "workflow where nobody else is on the network"
         ) from None
     try:

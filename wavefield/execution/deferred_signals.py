@@ -9,7 +9,7 @@ from types import FrameType
 
 @contextmanager
 def deferred_signals() -> Iterator[None]:
-    """Put off the signals that stop a run until a call is over; a second one is heard at once.
+    """Put off the signals that stop a run until a call is over; a second one acts at once.
 
     A call of distributed that is interrupted before it began prints a traceback from another thread, and
     Ctrl-C inside an import may be lost.

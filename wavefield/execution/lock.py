@@ -1,4 +1,4 @@
-"""The lock of a store: a file beside it that one run at a time can make, on local and on network disks.
+"""The lock of a store: a file next to it that one run at a time can make, on local and network disks.
 
 A run that was killed cannot remove its lock. It is taken for dead when its process is gone, seen from the
 same machine, or when the lock has not been touched for a while, seen from another. To remove a dead run's
@@ -87,7 +87,7 @@ class Lock:
         try:
             with os.fdopen(number, "w") as stream:
                 stream.write(json.dumps(self._owner))
-        except OSError:  # a full disk: a lock that does not say whose it is would stand in the way
+        except OSError:  # a full disk: a lock without an owner would block later runs
             path.unlink(missing_ok=True)
             raise
         return True
@@ -146,7 +146,7 @@ def _machine() -> str:
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    """What a lock says; empty while it is being written, None if there is none."""
+    """Content of a lock; empty while it is being written, None if there is none."""
     try:
         data = json.loads(path.read_text() or "{}")
     except FileNotFoundError:
@@ -166,7 +166,7 @@ def _is_alive(path: Path, held: dict[str, Any]) -> bool:
 
 
 def _age(path: Path) -> float:
-    """Seconds since a file was touched, by the clock of the disk that it lies on."""
+    """Seconds since a file was touched, by the clock of its disk."""
     now = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
     try:
         now.touch()

@@ -30,7 +30,7 @@ from wavefield.execution.worker_settings import settle_worker
 
 _MOST_DEATHS = 3  # of workers over one item: it is the item
 _WORK, _ITEM = b"w", b"i"  # what a message to a worker begins with
-_POLL_SECONDS = 1.0  # seconds between looks at the memory of the workers
+_POLL_SECONDS = 1.0  # between checks of the workers' memory
 _CRASHES = ("SIGSEGV", "SIGBUS", "SIGILL", "SIGFPE", "SIGABRT")  # what ends a process that runs faulty code
 
 log = logging.getLogger("wavefield.run")
@@ -220,7 +220,7 @@ def _lost(code: int | None, memory: int | None) -> StoreError:
 
 
 def _start_deaf(context: Any, process: BaseProcess) -> None:
-    """Start a process that does not hear Ctrl-C and Slurm's warning, not even while it imports."""
+    """Start a process that ignores Ctrl-C and Slurm's warning, also while it imports."""
     if not hasattr(signal, "pthread_sigmask"):
         process.start()
         return

@@ -48,11 +48,11 @@ def slurm_cluster(workflow: Workflow, logs: Path, settings: dict[str, Any]) -> A
     if unknown:
         raise ExperimentError(
             f"the `slurm` block of the workflow: {unknown[0]!r} is not a keyword of "
-            f"dask_jobqueue.SLURMCluster; it knows {', '.join(sorted(known))}"
+            f"dask_jobqueue.SLURMCluster; it accepts {', '.join(sorted(known))}"
         )
 
     class Asked(SLURMJob):
-        """Remembers why sbatch refuses a job, for the watch; Dask would say no more of it."""
+        """Keeps the reason why sbatch refuses a job; Dask would not report it."""
 
         refused = ""
 
@@ -87,7 +87,7 @@ def _keywords(workflow: Workflow, logs: Path, settings: dict[str, Any]) -> dict[
     keywords: dict[str, Any] = {
         "cores": 1,
         "processes": given.get("cores", 1),
-        # Slurm looks after the only worker of a job; a nanny would import everything once more
+        # Slurm supervises the only worker of a job; a nanny would import everything once more
         "nanny": int(given.get("processes", given.get("cores", 1))) > 1,
         "job_name": "wavefield",
         "memory": workflow.memory or "2 GB",

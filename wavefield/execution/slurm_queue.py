@@ -31,7 +31,7 @@ _NEVER = (  # parts of reasons for which Slurm keeps a job waiting until somebod
     "QOSNotAllowed",
 )
 _NOT_ITS_FAULT = ("PREEMPTED", "NODE_FAIL", "BOOT_FAIL")
-_PASSING = re.compile(r"temporar|timed out|unable to contact|limit", re.I)  # in what sbatch says of a refusal
+_PASSING = re.compile(r"temporar|timed out|unable to contact|limit", re.I)  # in sbatch's message of a refusal
 _TELLING = re.compile(
     r"error|cannot|no such|not found|no module|no space|quota|denied|killed|cancelled|exceeded|refused", re.I
 )
@@ -40,7 +40,7 @@ _LINE = 300  # characters of a log that are worth repeating
 
 
 class QueueWatch:
-    """Looks after the jobs of a run: says why they wait, asks again for lost ones, and ends a run in vain."""
+    """Supervises the jobs of a run: reports why they wait, resubmits lost ones, ends a hopeless run."""
 
     def __init__(self, cluster: Any, logs: Path) -> None:
         self._cluster, self._logs = cluster, logs
@@ -84,7 +84,7 @@ class QueueWatch:
 
     def _check_ended(self, asked: dict[str, str], states: dict[str, tuple[str, str]], working: bool) -> None:
         absent = {number for number in asked if number not in states}
-        for number in absent & self._absent:  # twice: Slurm may be late to list it, the worker to be heard
+        for number in absent & self._absent:  # twice: Slurm may list it late, and the worker may connect late
             blameless = any(state in _shown(number) for state in _NOT_ITS_FAULT)
             if not blameless and not _connected_once(number, self._logs):
                 self._failed.append(number)
@@ -101,7 +101,7 @@ class QueueWatch:
             if any(never in reason for never in _NEVER):
                 raise ExperimentError(
                     f"Slurm will never start the jobs of this run: {reason}; correct `queue`, `walltime`, "
-                    "`cores` or `memory` in the workflow (`scontrol show partition` says what there is)"
+                    "`cores` or `memory` in the workflow (`scontrol show partition` lists what there is)"
                 )
         if reasons and time.monotonic() - self._since > _REPORT_AFTER_S:
             self._report(
@@ -142,7 +142,7 @@ def _states() -> dict[str, tuple[str, str]] | None:
 
 
 def _connected_once(number: str, logs: Path) -> bool:
-    """Whether a worker of a job has met the scheduler, if only between two looks: its log tells."""
+    """Whether a worker of a job has reached the scheduler, according to its log."""
     return any(b"Registered to" in path.read_bytes() for path in logs.glob(f"*-{number}*.err"))
 
 
@@ -158,7 +158,7 @@ def _shown(number: str) -> str:
 
 
 def why_ended(number: str, logs: Path) -> str:
-    """A sentence that says why a job ended before its workers started, as far as Slurm and its log tell."""
+    """Why a job ended before its workers started, from Slurm and its log, as a sentence."""
     state = _shown(number)
     head = f"Slurm job {number} ended before its workers started{f' ({state})' if state else ''}; "
     for path in [*sorted(logs.glob(f"*-{number}*.err")), *sorted(logs.glob(f"*-{number}*.out"))]:
@@ -166,7 +166,7 @@ def why_ended(number: str, logs: Path) -> str:
         if lines:
             telling = [line for line in lines if _DECISIVE.search(line)]
             telling = telling or [line for line in lines if _TELLING.search(line)] or lines
-            return f"{head}{path} says: {telling[-1][:_LINE]}"
+            return f"{head}{path} has: {telling[-1][:_LINE]}"
     return (
         f"{head}it left no log in {logs}: is that a folder on a disk that all nodes share, with room, and is "
         "`python` of the workflow's `slurm` block there on the nodes?"

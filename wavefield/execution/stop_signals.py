@@ -1,4 +1,4 @@
-"""What guards a run: signals that end it in order, and the log beside its store."""
+"""Signals that end a run in order, and the log next to its store."""
 
 import logging
 import re
@@ -64,13 +64,13 @@ def log_path(store: Path) -> Path:
 
 
 def jobs_folder(store: Path) -> Path:
-    """Folder for what the jobs of a store's runs say, where they run on a cluster."""
+    """Folder for the output of the jobs of a store's runs on a cluster."""
     return store.absolute().with_suffix(".jobs")
 
 
 @contextmanager
 def log_file(store: Path) -> Iterator[None]:
-    """Write what a run says to a file beside its store."""
+    """Write the messages of a run to a file next to its store."""
     try:
         store.parent.mkdir(parents=True, exist_ok=True)
         check_replaceable(log_path(store), LOG)  # it is added to

@@ -360,7 +360,7 @@ def reevaluate(
     >>> image = cv2.GaussianBlur(noise, (0, 0), 1.2)
     >>> a, b = (prepare(f, MatchSettings.piv()) for f in (image, np.roll(image, 3, 1)))
     >>> off = np.full(a.levels[0].blocks, 2.9)
-    >>> seen = look_again(a, b, off, 0 * off, MatchSettings.piv())
+    >>> seen = reevaluate(a, b, off, 0 * off, MatchSettings.piv())
     >>> round(float((seen.score[0] / seen.hessian[0].clip(1e-9))[seen.valid].mean()), 1)
     0.1
     """

@@ -415,7 +415,7 @@ def shrinkage(variance: float, noise: float, waves: float) -> float:
 
     Examples
     --------
-    >>> believed(4.0, 1.0, 3.0), round(believed(1.0, 1.0, 3.0), 3)
+    >>> shrinkage(4.0, 1.0, 3.0), round(shrinkage(1.0, 1.0, 3.0), 3)
     (1.0, 0.067)
     """
     found = variance - _SURE * noise

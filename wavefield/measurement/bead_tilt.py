@@ -26,7 +26,7 @@ def bead_tilt(rise: Float, step: float, height: float) -> tuple[Float, Float]:
     A surface that tilts by .1 about the y axis in a step:
 
     >>> rise = 0.1 * np.tile(np.arange(4) * 0.01, (3, 1))
-    >>> along_x, along_y = swing(rise, 0.01, 4e-4)[0][:, 1, 1]
+    >>> along_x, along_y = bead_tilt(rise, 0.01, 4e-4)[0][:, 1, 1]
     >>> f"{1e6 * along_x:.0f} um along x, {abs(along_y):.0f} along y"
     '-40 um along x, 0 along y'
     """

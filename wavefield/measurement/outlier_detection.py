@@ -35,9 +35,9 @@ def outlier_camera(count: int, typical: float, without: Callable[[int], float]) 
 
     Examples
     --------
-    >>> who_lies(3, 500.0, lambda n: 1.0 if n == 1 else 400.0)
+    >>> outlier_camera(3, 500.0, lambda n: 1.0 if n == 1 else 400.0)
     1
-    >>> who_lies(3, 500.0, lambda n: 400.0 if n == 1 else 1.0) is None
+    >>> outlier_camera(3, 500.0, lambda n: 400.0 if n == 1 else 1.0) is None
     True
     """
     if count < 3 or not typical > MISFIT:

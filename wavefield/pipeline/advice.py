@@ -13,14 +13,15 @@ ENOUGH = 0.8  # of the nodes in view: images that measure so much need no advice
 _GAIN = 0.1  # of the nodes in view: settings that measure no more than this besides are not worth a word
 _OTHERS = {"sheet": "particles in a light sheet", "texture": "natural texture"}
 _WHY = {
-    Quality.REJECTED_CORRELATION: "the images do not look alike there: more light, more seeding, a sharper "
-    "focus or a higher frame rate would help; `wavefield check --pairs` tells cameras from frames",
+    Quality.REJECTED_CORRELATION: "the images do not match there: more light, more seeding, a sharper "
+    "focus or a higher frame rate would help; `wavefield check --pairs` compares the cameras",
     Quality.REJECTED_EPS: "sight lines miss one another: does the rig belong to these images? "
-    "`wavefield refine` mends one that was knocked",
+    "`wavefield refine` corrects one that was knocked",
     Quality.REJECTED_NEIGHBOURS: "values far from their neighbours: are the frames of one moment the "
     "cameras' own?",
-    Quality.REJECTED_RANGE: "they lie beyond what is searched: is the range of elevations wide enough "
-    "(`settings: {z_range: ...}`), and that of the displacements (`piv: {search_x: ..., search_y: ...}`)?",
+    Quality.REJECTED_RANGE: "they are beyond the range that is searched: is the range of elevations "
+    "wide enough (`settings: {z_range: ...}`), and that of the displacements "
+    "(`piv: {search_x: ..., search_y: ...}`)?",
 }
 
 

@@ -31,7 +31,7 @@ def analyze_on_workers(
     cube : path
         A cube's store, on a disk that all workers see.
     out : path
-        Zarr store to write, on such a disk: sums on their way lie beside it, and go with the analysis.
+        Zarr store to write, on such a disk: partial sums are stored next to it and removed at the end.
     workflow : path or Workflow
         Where to work.
     **asked
@@ -75,7 +75,7 @@ def analyze_on_workers(
     with place as folder, log_file(target), stop_signals(workflow.time_limit_seconds):
         try:
             with open_cluster(workflow, jobs_folder(target), True, True, _PRELOADED) as map_unordered:
-                from wavefield.waves.analyze import analyze  # takes as long as the workers' start: beside it
+                from wavefield.waves.analyze import analyze  # while the workers start
 
                 return analyze(source, target, each=_InOrder(map_unordered, Path(folder)), **asked)
         except KeyboardInterrupt as stop:

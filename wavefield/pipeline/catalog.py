@@ -78,7 +78,7 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
         target = os.path.relpath(found.path, place.parent)
         write_text(
             place,
-            "# stands for the experiment file it names\n" + yaml.safe_dump({"experiment": target}),
+            "# refers to the experiment file it names\n" + yaml.safe_dump({"experiment": target}),
             NEW_FILE,
         )
     if run not in options:
@@ -182,7 +182,7 @@ def run_catalog(
     entries : sequence of str
         Runs; all of them if left out.
     out : path, optional
-        The store of a single run, elsewhere than the catalog says.
+        The store of a single run, in another place than the catalog states.
     rig : path or Rig, optional
         In place of the ones that the experiments name.
     workflow : path or Workflow, optional
@@ -247,7 +247,7 @@ def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
 
 
 def cube_of(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
-    """Where the cube of a run lies, or will: that of the recipe run last, unless ``recipe`` is chosen."""
+    """Path of the cube of a run: that of the recipe run last, unless ``recipe`` is chosen."""
     return Path(_local(_open_entry(Path(catalog).absolute(), "cube", chosen).kwargs["data"].url))
 
 
@@ -301,7 +301,7 @@ def find_cube(catalog: str | Path, run: str | None = None) -> Path:
 
 
 def store_of(catalog: Path, chosen: Mapping[str, str], prepared: PreparedRun) -> Path:
-    """Where a catalog wants the cube of a run, and put its recipe among the catalog's options."""
+    """Path that a catalog gives to the cube of a run; its recipe joins the catalog's options."""
     data = read_yaml(catalog)
     recipe = data.get("user_parameters", {}).get("recipe")
     if recipe is not None:

@@ -72,7 +72,7 @@ def make_block(sources: Mapping[str, Source], start: int, stop: int) -> Block:
 class BlockFrames(Sequence[np.ndarray | None]):
     """The n + 5 frames of one camera, read when asked for; only the last few are kept in memory."""
 
-    _KEEP = 2 * AROUND + 2  # as many as a step at mid-time looks at
+    _KEEP = 2 * AROUND + 2  # as many as a step at mid-time uses
 
     def __init__(self, source: Source, block: Block) -> None:
         self._source, self._block = source, block
@@ -182,7 +182,7 @@ def _find_ranges(
         if status[step] == FrameStatus.FAILED and rose_beyond(
             {name: lazy[step + AROUND] for name, lazy in frames.items()}, plan
         ):
-            mark(plan.reference, step, "the water stands beyond the elevations searched")
+            mark(plan.reference, step, "the water is beyond the elevations that are searched")
         if few_measured(quality) or status[step] == FrameStatus.FAILED:
             for name in plan.velocity_cameras:
                 if name in frames and moved_beyond(

@@ -13,7 +13,7 @@ from wavefield.variables import FrameStatus
 
 @dataclass(frozen=True)
 class Report:
-    """What a worker says of a block that it has written."""
+    """What a worker reports of a chunk that it has written."""
 
     start: int  # Range of steps
     stop: int

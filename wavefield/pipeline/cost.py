@@ -1,4 +1,4 @@
-"""What a run will take, told from a few steps of it."""
+"""Time, memory and disk that a run will take, measured on a few of its steps."""
 
 import shutil
 import sys
@@ -33,7 +33,7 @@ class Cost:
     memory: int  # Memory per worker, bytes
     disk: int  # Size of the store, bytes
     free: int  # Room on the disk of the store, bytes
-    reading: ReadingSpeed | None = None  # What the workers want to read, and what the images' disk gives
+    reading: ReadingSpeed | None = None  # The rate that the workers need, and that of the images' disk
 
     def __str__(self) -> str:
         workers = "1 worker" if self.workers == 1 else f"{self.workers} workers"
@@ -47,7 +47,7 @@ class Cost:
 
 
 def measure_cost(prepared: PreparedRun) -> tuple[Cost, float]:
-    """Measure a few steps in the middle of the run, and tell from them what the whole will take."""
+    """Measure a few steps in the middle of the run, and extrapolate to all of it."""
     start = whole_step(prepared.series)
     stop = min(start + 3, prepared.steps)
     pair = {name: one.window(start, start + 2) for name, one in prepared.series.items()}
@@ -56,7 +56,7 @@ def measure_cost(prepared: PreparedRun) -> tuple[Cost, float]:
     if (one.frame_status == FrameStatus.FAILED).all():
         raise ExperimentError(
             f"the step of frame {next(iter(prepared.series.values())).first + start} could not be measured; "
-            "look at its images, the rig and the grid"
+            "check its images, the rig and the grid"
         )
     workers = count_workers(prepared.workflow)
     frames_measured = prepared.steps * (1 + 5 / prepared.block)

@@ -1,4 +1,4 @@
-"""Are these the images that a cube was begun with? Some frames of each camera tell."""
+"""Compare the images with those that a cube was begun with, by some frames of each camera."""
 
 import zlib
 from collections.abc import Mapping

@@ -77,7 +77,7 @@ def _frames(numbers: tuple[int, ...]) -> str:
 
 @dataclass(frozen=True)
 class Check:
-    """An experiment looked at before a run.
+    """What `check` found of an experiment.
 
     Parameters
     ----------
@@ -102,11 +102,11 @@ class Check:
     cost : Cost or None
         What a run will take; None if it cannot run yet.
     problems : tuple of str
-        What stands in the way of a run.
+        What prevents a run.
     verdict : Verdict or None
         On the cameras' images; None if they could not be compared.
     motion, heights, clocks : str
-        How far the water moves from frame to frame, how high it stands, and whether the cameras take their
+        How far the water moves from frame to frame, how high it rises, and whether the cameras take their
         frames at the same moment, in words.
     advice : str
         What would help where little is measured.
@@ -131,7 +131,7 @@ class Check:
 
     @property
     def exit_status(self) -> int:
-        """Of a command: 1 where something stands in the way, 3 where a remark matters, else 0."""
+        """Of a command: 1 where something prevents a run, 3 where a remark matters, else 0."""
         if self.problems:
             return 1
         return self.verdict.exit_status if self.verdict else 0
@@ -215,7 +215,7 @@ def check(
     Returns
     -------
     Check
-        To be printed; ``problems`` says what stands in the way of a run.
+        To be printed; ``problems`` lists what prevents a run.
 
     Raises
     ------

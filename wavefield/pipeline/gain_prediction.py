@@ -28,7 +28,7 @@ def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
     Raises
     ------
     CubeError
-        If the cube does not say how it was made.
+        If the cube does not state how it was made.
 
     Notes
     -----
@@ -40,12 +40,12 @@ def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
     >>> gain = wf.predicted_gain(wf.open_cube("cube.zarr"))  # doctest: +SKIP
     >>> waves = wf.analyze("cube.zarr", gain=gain)  # doctest: +SKIP
 
-    A cube from elsewhere does not say how it was made:
+    A cube from elsewhere does not state how it was made:
 
     >>> predicted_gain(xr.Dataset())
     Traceback (most recent call last):
         ...
-    wavefield.errors.CubeError: the cube does not say how it was made ...
+    wavefield.errors.CubeError: the cube does not state how it was made ...
     """
     try:
         recipe = json.loads(cube.attrs["recipe"])
@@ -55,7 +55,7 @@ def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
         record = LearnedRecord.from_dict(recipe["record"])
     except (KeyError, TypeError, ValueError) as error:
         raise CubeError(
-            f"the cube does not say how it was made ({error}): measure the gain of its windows, window_gain"
+            f"the cube does not state how it was made ({error}): measure the gain of its windows, window_gain"
         ) from None
     table = tabulated(Plan(rig, grid, settings, record))
     return label({name: table[f"gain_{name}"] for name in "zuvw"}, table["k"], "linear theory")

@@ -75,8 +75,8 @@ def reconstruct(
 ) -> xr.Dataset:
     """Turn image series into a lazy cube of elevation and velocity.
 
-    Nothing is read or computed before values are asked for; then four sample steps of the whole series say
-    what every step is weighed with: beads, spectra, noise. To look at a few steps only, select their
+    Nothing is read or computed before values are asked for; then four sample steps of the whole series give
+    the weights of every step: beads, spectra, noise. To measure a few steps only, select their
     frames first: ``reconstruct(frames.isel(time=slice(0, 4)), ...)``; to process a whole experiment into a
     store that survives interruptions, use `wavefield.pipeline.run`.
 
@@ -90,14 +90,14 @@ def reconstruct(
     rig : Rig
         The cameras.
     grid : Grid
-        Nodes wanted, metres.
+        Nodes at which to measure, metres.
     settings : wavefield.measurement.Settings, optional
         Choices of the measurement.
     steps_per_task : int
         Steps that one task measures; it does not change the values.
     record : mapping, optional
-        What is known of the whole record, ``json.loads(cube.attrs["recipe"])["record"]`` of an earlier cube:
-        then a few of its steps come out as they are there. Otherwise it is learned from these frames.
+        What was learned from the whole record, ``json.loads(cube.attrs["recipe"])["record"]`` of an earlier
+        cube: then a few of its steps come out as they are there. Otherwise it is learned from these frames.
 
     Returns
     -------
@@ -171,7 +171,7 @@ def reconstruct(
 
 
 def _gain(known: Delayed, plan: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """What the measurement keeps of waves, once its record is known, and its axes."""
+    """The response of the measurement to waves, once its record was learned, and its axes."""
     from wavefield.measurement.response import tabulated
 
     table = tabulated(plan)
@@ -185,7 +185,7 @@ def _gain(known: Delayed, plan: Any) -> tuple[dict[str, Any], dict[str, np.ndarr
 
 
 def _known(pairs: Sequence[Mapping[str, Any]], plan: Any, record: Mapping[str, Any] | None) -> Any:
-    """The plan with what is known of the record."""
+    """The plan with what was learned from the record."""
     from wavefield.measurement import LearnedRecord
 
     learned = learn_from(pairs, plan) if record is None else record

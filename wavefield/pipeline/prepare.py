@@ -45,11 +45,11 @@ class PreparedRun:
     workflow: Workflow  # How to process
     # How far the water moves from frame to frame; None where the settings state the range to search
     motion: FirstGuess | None = None
-    # How high it stands and rises; None where the settings state ``z_range``
+    # Range of elevations and of the rise; None where the settings state ``z_range``
     heights: FirstHeights | None = None
 
     def with_prior(self, record: Mapping[str, Any]) -> "PreparedRun":
-        """The same with what sample frames of the record say."""
+        """The same with what sample frames of the record give."""
         from wavefield.measurement import LearnedRecord
 
         plan = self.plan.with_prior(LearnedRecord.from_dict(record)) if record else self.plan
@@ -202,7 +202,7 @@ def make_recipe(
 def _images(experiment: Experiment, name: str) -> Any:
     section = experiment.cameras[name]
     images: Any = section.images
-    if not isinstance(images, str) and len(images) > 20:  # a long list is told apart by its hash
+    if not isinstance(images, str) and len(images) > 20:  # a long list is identified by its hash
         digest = hashlib.sha256(json.dumps(images).encode()).hexdigest()[:16]
         images = f"list of {len(images)} files, {digest}"
     return [images, section.offset, section.times]

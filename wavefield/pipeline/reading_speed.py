@@ -1,4 +1,4 @@
-"""How fast the workers of a run want to read, and how fast the disk of the images lets them."""
+"""The reading rate that the workers of a run need, and the rate that the disk of the images gives."""
 
 import os
 import time
@@ -8,33 +8,33 @@ from pathlib import Path
 
 from wavefield.series import FrameSeries
 
-_SAMPLE_BYTES, _SAMPLE_SECONDS = 200_000_000, 1.0  # read to know the disk: whichever comes first
-_LEAST_BYTES = 1_000_000  # less tells nothing of a disk
+_SAMPLE_BYTES, _SAMPLE_SECONDS = 200_000_000, 1.0  # read to measure the disk: whichever comes first
+_LEAST_BYTES = 1_000_000  # less is too little to measure a disk
 _PIECE = 4_000_000  # bytes of one read
 
 
 @dataclass(frozen=True)
 class ReadingSpeed:
-    """What a run reads, beside what its disk gives."""
+    """The reading rate that a run needs and the rate that its disk gives."""
 
     step_bytes: float  # Bytes of images that a step takes from the disk
-    worker_rate: float  # What one worker wants, bytes/s
+    worker_rate: float  # What one worker needs, bytes/s
     workers: int  # How many there are
-    # What one reader gets from the images' disk, bytes/s; None where too little could be read to tell
+    # What one reader gets from the images' disk, bytes/s; None where too little could be read
     disk_rate: float | None = None
 
     @property
     def enough_for(self) -> int | None:
-        """Workers that one reader's rate would feed; None where it is not known."""
+        """Workers that one reader's rate supplies; None where it was not measured."""
         return None if self.disk_rate is None else max(int(self.disk_rate / self.worker_rate), 1)
 
     @property
     def limited(self) -> bool:
-        """Whether the workers want more than one reader gets."""
+        """Whether the workers need more than one reader gets."""
         return self.disk_rate is not None and self.workers * self.worker_rate > self.disk_rate
 
     def __str__(self) -> str:
-        text = f"reading: a worker wants {_rate(self.worker_rate)}"
+        text = f"reading: each worker reads {_rate(self.worker_rate)}"
         if self.workers > 1:
             text += f", {self.workers} workers {_rate(self.workers * self.worker_rate)}"
         if self.disk_rate is None:
@@ -56,7 +56,7 @@ def _rate(value: float) -> str:
 def measure_reading_speed(
     series: Mapping[str, FrameSeries], block: int, step_seconds: float, workers: int
 ) -> ReadingSpeed | None:
-    """Tell what a run wants to read, and try its disk."""
+    """Compute the reading rate that a run needs, and measure its disk."""
     sizes = [_frame_bytes(one) for one in series.values()]
     if not all(sizes) or step_seconds <= 0:
         return None
@@ -104,7 +104,7 @@ def _try_disk(paths: list[str]) -> float | None:
                     count += len(piece)
                     if len(piece) < _PIECE:
                         break
-        except OSError:  # a frame that cannot be read is told elsewhere
+        except OSError:  # a frame that cannot be read is reported elsewhere
             continue
         if spent >= _SAMPLE_SECONDS or count >= _SAMPLE_BYTES:
             break

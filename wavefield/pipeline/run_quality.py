@@ -24,12 +24,12 @@ from wavefield.store.verdict import Remark, Verdict
 from wavefield.text import spell_ranges
 from wavefield.variables import Quality
 
-_INSTANTS = 4  # of a record, looked at before a run and after it
+_INSTANTS = 4  # of a record, compared before a run and after it
 _SYNCHRONY = 24  # of a record, by which delays of cameras are measured after its run
 _FIRST_CHECK = 4  # the same before it
-_STEPS = 12  # of a cube, looked at after its run
-_EPS = (0.15, 0.5)  # px: eps' that is remarked upon, that nothing can be believed of
-_ALONE = (0.01, 0.1)  # of the nodes measured without one camera: that is told, that is remarked upon
+_STEPS = 12  # of a cube, checked after its run
+_EPS = (0.15, 0.5)  # px: median eps' that is remarked upon, that makes values useless
+_ALONE = (0.01, 0.1)  # of the nodes measured without one camera: that is noted, that is remarked upon
 MIN_STEPS_COMPARED = 5  # of a record: shorter ones have no neighbours to compare with
 _LEAST_IN_VIEW = (0.5, 0.05)  # of the grid in common view: less is remarked upon, is worth nothing
 _LEAST_MEASURED = (0.7, 0.2)  # of what all cameras see: less is remarked upon, is worth nothing
@@ -57,7 +57,7 @@ def synchrony_of(prepared: PreparedRun, instants: int = _SYNCHRONY) -> tuple[dic
 
 
 def clocks(prepared: PreparedRun) -> tuple[str, list[Remark]]:
-    """A first look at whether the cameras take their frames at the same moment, at a few instants."""
+    """First estimate of the delays between cameras, at a few instants."""
     found, speed = synchrony_of(prepared, _FIRST_CHECK)
     return camera_delay.sentence(found), list(camera_delay.remarks(found, speed))
 
@@ -83,7 +83,7 @@ def assess_run(prepared: PreparedRun, status: Status, seen: CameraFaults | None 
 
 
 def _clocks_and_mounts(prepared: PreparedRun, status: Status) -> Iterator[Remark]:
-    """What eps_y says of cameras that see the same water."""
+    """Remarks on delays and motion of cameras, from the epipolar errors."""
     instants = min(_SYNCHRONY, max(_INSTANTS, prepared.steps // 6))  # of a short record, not most of its cost
     yield from camera_delay.remarks(*synchrony_of(prepared, instants))
     first = next(iter(prepared.series.values())).first
@@ -100,7 +100,7 @@ def _steps(status: Status) -> Iterator[Remark]:
             f"{'all' if everything else status.failed} of {status.steps} steps could not be measured, "
             f"from frame {spell_ranges(status.failed_steps, 3)}",
             "none",
-            "look at these frames: are they there, bright, seeded, and of all cameras?",
+            "check these frames: are they present, bright and seeded in all cameras?",
             {"failed": status.failed, "steps": status.steps},
         )
     if status.faulty:
@@ -124,7 +124,7 @@ def _stored_values(prepared: PreparedRun, status: Status) -> Iterator[Remark]:
 
 
 def _fields(store: Path, seen: float) -> Iterator[Remark]:
-    """What the values themselves say, at some steps."""
+    """Remarks on the stored values, at some steps."""
     group = open_group(store)
     steps = _some(group["z"].shape[0])
     z = np.stack([np.asarray(group["z"][k]) for k in steps])
@@ -132,7 +132,7 @@ def _fields(store: Path, seen: float) -> Iterator[Remark]:
         z = np.where(z == group["z"].attrs["_FillValue"], np.nan, z.astype(np.float32))
     found = np.isfinite(z)
     if not found.any():
-        return  # the ledger says so
+        return  # the ledger reports it
     eps = np.stack([np.asarray(group["eps_piv"][k], np.float32) for k in steps])
     eps *= np.float32(group["eps_piv"].attrs.get("scale_factor", 1.0))
     misfit = (
@@ -143,7 +143,7 @@ def _fields(store: Path, seen: float) -> Iterator[Remark]:
             "velocity",
             "eps'",
             "grave" if misfit > _EPS[1] else "remark",
-            f"the cameras contradict each other on how the water moves: median eps' {misfit:.2f} px",
+            f"the cameras are inconsistent on the motion of the water: median eps' {misfit:.2f} px",
             f"less than {_EPS[0]} px",
             "are the frames of the same moments, and of the same order, for all cameras?",
             {"eps_piv": misfit},
@@ -168,7 +168,7 @@ def _fields(store: Path, seen: float) -> Iterator[Remark]:
             "grave" if measured < _LEAST_MEASURED[1] else "remark",
             f"{100 * measured:.0f} % of the nodes in view were measured; the others are filled or empty",
             f"{100 * _LEAST_MEASURED[0]:.0f} % at least",
-            "look at seeding and light where `quality` says why nodes were rejected",
+            "check seeding and light; `quality` gives the reason why nodes were rejected",
             {"fraction": measured},
         )
 
@@ -186,9 +186,9 @@ def _left_out(group: Any, steps: Sequence[int]) -> Iterator[Remark]:
                 "left out",
                 "remark" if fraction > _ALONE[1] else "note",
                 f"{100 * fraction:.1f} % of the nodes were measured without {camera}: its frame was missing,"
-                " or it contradicted the others there",
+                " or it was inconsistent with the others there",
                 f"less than {100 * _ALONE[0]:.0f} %",
-                f"look at the images of {camera}: a drop on its window, a reflection, focus, a late frame?",
+                f"check the images of {camera}: a drop on its window, a reflection, focus, a late frame?",
                 {"fraction": fraction},
             )
 

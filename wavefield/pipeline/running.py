@@ -168,7 +168,7 @@ def _go_on(
     ranges = unfinished(path, layout, prepared.series)
     todo = [make_block(prepared.series, start, stop) for start, stop in ranges]
     tracker = _Tracker(layout.steps, layout.steps - sum(b.steps for b in todo), progress)
-    tracker.say(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} blocks to do")
+    tracker.say(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} chunks to measure")
     if todo:
         _work_off(prepared, lock, todo, map_unordered, tracker)
     tracker.say("done")
@@ -231,7 +231,7 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
 
 
 def _labels(experiment: Experiment) -> dict[str, Any]:
-    """What a cube says of its experiment, and no value follows from."""
+    """Attributes of a cube that describe its experiment and that no value depends on."""
     out: dict[str, Any] = {"experiment_file": str(experiment.path)}
     if experiment.description:
         out["description"] = experiment.description
@@ -322,7 +322,7 @@ class _MessageLog:
 
 
 class _Tracker:
-    """Counts steps, and tells the log and the user how far the run is."""
+    """Counts steps, and reports the progress to the log and to the user."""
 
     def __init__(self, total: int, done: int, progress: ProgressFunction | None) -> None:
         self.total, self.done, self._progress = total, done, progress

@@ -1,4 +1,4 @@
-"""A record of the water at rest: it mends the rig, and tells where the beads lie above the water."""
+"""A still-water record: it corrects the rig, and gives the height of the beads above the water."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def plane_sentence(plane: WaterPlane) -> str:
 
 
 def remark_on_rest(experiment: Experiment, rig: Rig) -> Remark:
-    """Say whether z = 0 is the water at rest, and how that is known."""
+    """Report whether z = 0 is the still water, and how that was determined."""
     found = rig.provenance.get("levelled")
     if experiment.settings.get("sheet_thickness") is not None:
         return _remark_on_sheet(experiment, rig)
@@ -60,12 +60,12 @@ def remark_on_rest(experiment: Experiment, rig: Rig) -> Remark:
             "rig",
             "levelled",
             "note",
-            f"z = 0 is the water at rest: {found['points']} points of it stood {height:+.2f} mm beside the "
+            f"z = 0 is the water at rest: {found['points']} points of it were {height:+.2f} mm from the "
             f"target's plane, {rms:.2f} mm rms about their own",
             remedy=""
             if stated or not _BEADS[0] < height / 1e3 < _BEADS[1]
             else "if that plane was the water's level beads show so far above it: "
-            f"`settings: {{bead_height: {height / 1e3:.2g}}}` takes their swinging off u and v",
+            f"`settings: {{bead_height: {height / 1e3:.2g}}}` corrects u and v for it",
             values={"height_m": height / 1e3, "rms_m": rms / 1e3},
         )
     if experiment.rest:
@@ -73,7 +73,7 @@ def remark_on_rest(experiment: Experiment, rig: Rig) -> Remark:
             "rig",
             "not levelled",
             "remark",
-            "it was not mended by the record at rest that the experiment names",
+            "it was not corrected with the still-water record that the experiment names",
             "z = 0 on the water at rest",
             f"run `wavefield calibrate {experiment.path.name}` again, or `wavefield refine "
             f"{experiment.path.name}` where the rig is another program's",
@@ -82,11 +82,10 @@ def remark_on_rest(experiment: Experiment, rig: Rig) -> Remark:
         "rig",
         "no rest",
         "note",
-        "no record of the water at rest: z = 0 is the target's plane, and beads show above the water, by "
-        "about .4 mm where they are 3 to 5 mm large, and swing with it (u and v of 12 cm waves 2 % too low)",
-        "z = 0 on the water at rest",
-        "photograph some twenty frames of still, seeded water; name them as `rest:` in the experiment file: "
-        "they give z = 0, and `bead_height` where the target lay on the water",
+        "no still-water record: z = 0 is the target's plane; visible beads are about 0.4 mm higher, which "
+        "lowers u and v of 12 cm waves by about 2 %",
+        "z = 0 on the still water",
+        "record some twenty frames of still, seeded water and name them as `rest:` in the experiment file",
     )
 
 
@@ -99,17 +98,18 @@ def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
                 "rig",
                 "light sheet",
                 "remark",
-                "a camera had moved since the calibration, and two tell neither which nor by how much along "
-                f"their parallax: all places in the sheet may lie some {1e3 * elsewhere:.1f} mm elsewhere",
+                "a camera had moved since the calibration, two cameras show neither which nor by how much "
+                "along "
+                f"their parallax: all places in the sheet may be some {1e3 * elsewhere:.1f} mm elsewhere",
                 "cameras that stood still since the calibration",
-                "calibrate again, or look with a third camera",
+                "calibrate again, or add a third camera",
                 values={"height_m": height, "elsewhere_m": elsewhere},
             )
         return Remark(
             "rig",
             "light sheet",
             "note",
-            f"z = 0 is the middle of the light sheet, which stood {1e3 * height:+.2f} mm beside the target's "
+            f"z = 0 is the middle of the light sheet, which was {1e3 * height:+.2f} mm from the target's "
             "plane",
             values={"height_m": height},
         )
@@ -117,7 +117,7 @@ def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
         "rig",
         "light sheet",
         "remark",
-        "z = 0 is the target's plane: where the light sheet lies has not been looked for",
+        "z = 0 is the target's plane: the position of the light sheet has not been determined",
         "the cameras' displacements at one place of the sheet",
         f"run `wavefield rig sheet {experiment.path.name} -o sheet.yaml`, and use that rig",
     )

@@ -1,4 +1,4 @@
-"""Do the cameras take their frames at the same moment? What misses across the sight lines says it.
+"""Delays between cameras, from the epipolar errors of moving water.
 
 A camera that is late by tau sees every bead tau times its velocity further on. Along the parallax of two
 cameras that is taken for height; across it no height does that, and the miss (eps_y) is tau times the
@@ -33,7 +33,7 @@ from wavefield.store.verdict import Remark
 
 _FEWEST = 12  # patches of an instant
 _CELLS = 4  # matched ones of a patch
-_BESIDE = 16  # px: how far a patch is looked for around where its motion in another frame takes it
+_BESIDE = 16  # px: search radius around the place to which a patch's motion takes it
 _SLOPE = {3: {1: 1 / 2}, 5: {1: 2 / 3, 2: -1 / 12}}  # by how many frames: of x(k) - x(-k), px per frame
 _SURE = 4.0  # standard deviations
 _SHORTEST = 2e-5  # s: less is noted nowhere
@@ -50,7 +50,7 @@ class Delay:
 
 @dataclass(frozen=True)
 class Sample:
-    """What two cameras say of one instant, patch by patch."""
+    """Matches of two cameras at one instant, patch by patch."""
 
     miss: Array  # (m,): Mean eps_y, px on the water
     velocity: Array  # (m,): Of the beads across the sight lines, px per frame
@@ -153,8 +153,8 @@ def _moved(patch_matcher: PatchMatcher, name: str, frame: int, furthest: int) ->
 
 
 def _over_patches(patch_matcher: PatchMatcher, at: Sequence[Array], values: Sequence[Array]) -> Array:
-    """Means over the middle of each patch, (n, values); NaN where little is known."""
-    pitch = SIDE * patch_matcher.pixel  # patches lie side by side
+    """Means over the middle of each patch, (n, values); NaN where little was matched."""
+    pitch = SIDE * patch_matcher.pixel  # patches are adjacent
     column, row = (
         np.floor((v - places.min()) / pitch + 0.5).astype(np.int64)
         for v, places in zip(at, (patch_matcher.x, patch_matcher.y))
@@ -254,7 +254,7 @@ def delays(
     if not rows or np.linalg.matrix_rank(rows) < len(names) - 1:
         return {}, 0.0
     design = np.array(rows) / np.array(spreads)[:, None]
-    # only differences are known: the middle of the cameras, or the first of two, is taken for right
+    # only differences are measured: the median of the cameras, or the first of two, is the reference
     design = np.vstack([design, np.eye(len(names))[:1] * 1e9])
     requested = np.append(np.array(values) / spreads, 0.0)
     inverse = np.linalg.inv(design.T @ design)
@@ -269,7 +269,7 @@ def delays(
 
 
 def remarks(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
-    """What to say of delays."""
+    """Remarks on delays."""
     for name, one in found.items():
         if abs(one.seconds) < max(_SURE * one.std, _SHORTEST):
             continue
@@ -300,4 +300,4 @@ def sentence(found: Mapping[str, Delay]) -> str:
         for name, one in found.items()
         if name != first
     ]
-    return "; ".join(words) or "too little moves, or matches, to tell"
+    return "; ".join(words) or "not determined: too little moves or matches"

@@ -1,4 +1,4 @@
-"""Which camera contradicts the others, and why: mirrored, swapped, late, reversed, blurred, covered, knocked.
+"""Cameras that are inconsistent with the others, and why: mirrored, swapped, late, blurred, covered, knocked.
 
 Every camera is compared with every other at some instants of the record. One that agrees with none while the
 others agree among themselves is looked at again as if its images were mirrored, another camera's, of another
@@ -22,8 +22,8 @@ from wavefield.rig.resolution import pixel_at
 from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark, Weight
 
-_FEWEST = 6  # patches: with fewer nothing is said
-_MATTERS = 0.1  # px: what the mending of a rig is worth
+_FEWEST = 6  # patches: with fewer no camera is judged
+_MATTERS = 0.1  # px: smallest improvement for which correcting a rig is advised
 _BLURRED = 1.6  # times the blur of the other cameras, in px and on the water
 _COVERED = 0.08  # of the patches
 _FLIPS = ("mirrored", "upside down", "turned by 180 degrees")
@@ -53,7 +53,7 @@ def find_camera_faults(
     remarks = [*_covered(table), *_blurred(table)]
     inconsistent, explained = _inconsistent(table, count)
     seen = {remark.subject: remark for remark in remarks}
-    explained = [  # what is so blurred or covered that nothing matches is no contradiction
+    explained = [  # cameras that are too blurred or covered to match are not inconsistent
         replace(seen[one.subject], weight="grave")
         if one.kind == "contradicts" and one.subject in seen
         else one
@@ -77,7 +77,8 @@ def _covered(table: ConsistencyTable) -> Iterator[Remark]:
                 "grave" if fraction > 0.6 else "remark",
                 f"it shows nothing in {100 * fraction:.0f} % of the field where the others do",
                 f"less than {100 * _COVERED:.0f} %",
-                "look for what stands before it or for missing light; what it does not see is not measured",
+                "check for objects in front of it and for missing light; what it does not "
+                "show is not measured",
                 {"fraction": fraction},
             )
 
@@ -212,7 +213,7 @@ _WORDS = {
         name,
         "mirrored",
         f"it agrees with the others when its images are {what}",
-        "mend its images, or calibrate it with target images that are turned alike",
+        "correct its images, or calibrate it with target images that are oriented alike",
     ),
     "late": lambda name, what: _grave(
         name,
@@ -281,7 +282,7 @@ def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
         weight,
         f"the sight lines of {between} miss each other by {most:.2f} px on the water",
         f"less than {_MATTERS} px",
-        "mend the rig by a record of water at rest (`rest:`, or `wavefield refine`), or calibrate again",
+        "correct the rig with a still-water record (`rest:`, or `wavefield refine`), or calibrate again",
         {f"eps_y {'-'.join(pair)}": value for pair, value in missed.items()},
     )
     return [remark]
@@ -290,13 +291,13 @@ def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
 def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
     """Pairs of cameras that see the same water at different heights: one has moved along the parallax.
 
-    Which one cannot be told: heights of two pairs are one number more than there is water.
+    Which one cannot be determined: two pairs give one height more than there are unknowns.
     """
     worst, sure = 0.0, 0.0
     which: tuple[Pair, ...] = ()
     for first, second in combinations(table.pairs, 2):
         if first[0] != second[0] or inconsistent & {*first, *second}:
-            continue  # both look for the same camera's patches
+            continue  # both search the same camera's patches
         apart = [_apart(table, first, second, k) for k in range(len(table.frames))]
         values = np.concatenate(apart)
         if len(values) < _FEWEST * 4:
@@ -316,7 +317,7 @@ def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
             f"{names} see the same water at different heights, as if a camera had moved "
             f"{abs(worst):.2f} px along the parallax",
             f"less than {_MATTERS} px",
-            "mend the rig by a record of water at rest (`rest:`, or `wavefield refine`), or calibrate again",
+            "correct the rig with a still-water record (`rest:`, or `wavefield refine`), or calibrate again",
             {"height": worst},
         )
     ]

@@ -1,4 +1,4 @@
-"""Do the cameras stand still? The low-order part of eps_y, step by step, says it.
+"""Motion of cameras during a record, from the low-order part of eps_y at every step.
 
 Water makes no eps_y whatever its shape, so what is constant or linear in it over the field belongs to the
 cameras: one that shakes makes it vary from step to step (tilt, roll), one that is knocked makes it jump once.
@@ -24,12 +24,12 @@ Array = NDArray[np.float64]
 
 _SAMPLE_STEPS = 600  # steps that are read, evenly over the record
 _NODES = 2000  # of each
-_FEWEST = 50  # nodes of a step, to say anything
+_FEWEST = 50  # nodes of a step: fewer are not used
 _SIDE = 3  # steps on either side of a jump, at least
-_JUMP = 0.05  # px: a smaller one is not told from what shakes
+_JUMP = 0.05  # px: a smaller one is not separated from jitter
 _MATTERS = 0.1  # px
 _MIN_JITTER = 0.02  # px: noise makes .006 of it in poor light
-_MOST = 3  # knocks that are looked for
+_MOST = 3  # knocks that are searched for
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ def who(plan: Any, patch_matcher: PatchMatcher, frame: int, count: int) -> tuple
 
 
 def remarks(store: Path, plan: Any, patch_matcher: PatchMatcher, first_frame: int) -> Iterator[Remark]:
-    """What to say of cameras that do not stand still."""
+    """Remarks on cameras that move."""
     yield from _turned_back(store, first_frame)
     yield from camera_jitter(plan)
     found = camera_motion(store)
@@ -209,7 +209,7 @@ def remarks(store: Path, plan: Any, patch_matcher: PatchMatcher, first_frame: in
             f"it moved between frames {first_frame + one.frame - 1} and {first_frame + one.frame}: since "
             f"then sight lines miss each other by {off:.2f} px more",
             f"less than {_JUMP} px",
-            "run the two parts by themselves (`frames: {first, last}`), the second with a rig mended by "
+            "run the two parts by themselves (`frames: {first, last}`), the second with a rig corrected by "
             "`wavefield refine`",
             {"frame": first_frame + one.frame, "px": off},
         )
@@ -228,9 +228,9 @@ def remarks(store: Path, plan: Any, patch_matcher: PatchMatcher, first_frame: in
 
 
 def camera_jitter(plan: Any) -> Iterator[Remark]:
-    """What to say of cameras that move against each other along the line on which they stand.
+    """Remarks on cameras that move against each other along the line on which they are placed.
 
-    Of that eps_y knows nothing; the cameras' displacements do, if there are three.
+    eps_y does not show this; the displacements of three cameras do.
     """
     along = plan.record.camera_jitter[0] if plan.record else 0.0
     if along > _MIN_JITTER:
@@ -238,8 +238,9 @@ def camera_jitter(plan: Any) -> Iterator[Remark]:
             "cameras",
             "trembling",
             "remark" if along > _MATTERS else "note",
-            f"their pictures move by {along:.3f} px from frame to frame along the line on which they stand; "
-            "which of them does cannot be told: z, u, v and w are stated less certain by what it may do",
+            f"their pictures move by {along:.3f} px from frame to frame along the line on which they are "
+            f"placed; "
+            "which of them moves cannot be determined: the uncertainties of z, u, v and w include it",
             f"less than {_MIN_JITTER} px",
             "stiffen their mounts, or let no carriage, pump or person move while they record",
             {"px": along},

@@ -154,7 +154,7 @@ def _present(series: Mapping[str, FrameSeries]) -> NDArray[np.bool_]:
 
 def remark_on_absent_frames(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
     """Report cameras with many missing frames, and cameras that have few steps in common."""
-    for name, one in series.items():  # those with a clock of their own say themselves what was dropped
+    for name, one in series.items():  # recordings with a clock report dropped images themselves
         missing = one.missing
         if one.times is not None or len(missing) <= _MAX_BAD_SHARE * len(one):
             continue

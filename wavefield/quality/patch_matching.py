@@ -1,4 +1,4 @@
-"""What the cameras' images say of each other, by other means than the measurement: patches and correlation.
+"""Compare the cameras' images by matching patches, independently of the measurement.
 
 Patches of the images are laid on the plane of the water at rest and compared by normalised correlation, every
 camera with every other and with itself a frame later. A point at height z appears displaced along the
@@ -23,7 +23,7 @@ Read = Callable[[str, int], NDArray[np.generic] | None]  # of camera and frame
 Pair = tuple[str, str]
 
 SIDE = 32  # px of a patch
-REACH = 40  # px that it is looked for around its place
+REACH = 40  # px: search radius of a patch
 _MOST = 120  # patches
 ALIKE = 0.5  # correlation of patches that show the same water
 _FLIPS: dict[str, Any] = {
@@ -31,7 +31,7 @@ _FLIPS: dict[str, Any] = {
     "upside down": np.s_[::-1],
     "turned by 180 degrees": np.s_[::-1, ::-1],
 }
-_NEAR = 1.5  # px of eps_y beside the smooth part of it
+_NEAR = 1.5  # px of eps_y from its smooth part
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class PatchMatcher:
 
     read: Read  # From camera and frame to the image, or None
     rig: Rig  # The cameras
-    grid: Grid  # Where to look
+    grid: Grid  # Area that is compared
     _maps: dict[str, tuple[NDArray[np.float32], NDArray[np.float32]]] = field(default_factory=dict)
     _patches: dict[tuple[str, int, str, str], NDArray[np.float32] | None] = field(default_factory=dict)
 
@@ -225,7 +225,7 @@ def agreement(
         return nothing
     design = np.stack([np.ones(n), *(_scaled(v) for v in (patch_matcher.x, patch_matcher.y))], axis=-1)
     smooth = np.array([np.median(eps_y[good]), 0.0, 0.0])
-    for _ in range(4):  # what lies near the smooth part makes it anew
+    for _ in range(4):  # refit the smooth part to what is near it
         near = good & (np.abs(eps_y - design @ smooth) < _NEAR)
         if near.sum() < 8:
             break

@@ -1,4 +1,4 @@
-"""The probes beside the cube: what does not fit is said with what to write into the experiment file."""
+"""Compare probes with the cube, and state what to write into the experiment file where they differ."""
 
 from collections.abc import Iterator
 from pathlib import Path

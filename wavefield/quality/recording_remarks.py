@@ -1,4 +1,4 @@
-"""What recordings say of their own: their frame rate, images that were dropped, clocks that drift apart."""
+"""Remarks on recordings: their frame rate, images that were dropped, clocks that drift apart."""
 
 from collections.abc import Iterator, Mapping
 
@@ -11,17 +11,17 @@ from wavefield.series.rates import is_alike, recorded_rates
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
 
-_UNEVEN = 0.5  # of an interval, by which two frames may be further apart than their numbers say
+_UNEVEN = 0.5  # of an interval, by which two frames may be further apart than their numbers state
 _DRIFT = 0.1  # of an interval, by which cameras may drift apart
 _PIECES = 16  # of a record: over each the jitter of two clocks is averaged
-_FEW = 64  # frames that two cameras share: of fewer nothing is said
+_FEW = 64  # frames that two cameras share: fewer are not compared
 _ENDS = 0.02  # of the record: more frames of one camera beyond its ends are remarked upon
 _MAX_HOURS = 24.0  # of a record
 _SURE = 4.0  # standard deviations of a piece's mean
 
 
 def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Say where recordings contradict the experiment file, one another, or an even clock."""
+    """Report where recordings differ from the experiment file, from each other, or from an even clock."""
     measuring = {name: series[name] for name in experiment.measuring_cameras if name in series}
     yield from remark_on_absent_frames(measuring)
     yield from _ends(experiment, measuring)
@@ -42,7 +42,7 @@ def _ends(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator
                 name,
                 "longer",
                 "remark",
-                f"{sum(ends)} of its frames lie before or after the record, where another camera has none",
+                f"{sum(ends)} of its frames are before or after the record, where another camera has none",
                 f"{100 * _ENDS:.0f} % of the record at most",
                 "are the other cameras' images all there? do the frames of one moment have one number "
                 "(`offset`)?",
@@ -142,6 +142,6 @@ def _drifts(series: Mapping[str, FrameSeries], rate: float) -> Iterator[Remark]:
                 f"{drift * rate:.2f} of an interval",
                 f"{_DRIFT} of an interval at most",
                 "trigger all cameras by one signal; if one triggers them, their clocks alone differ, and all "
-                "is well where no camera is said to be delayed",
+                "is harmless where no camera is reported as delayed",
                 {"drift": drift, "intervals": drift * rate},
             )

@@ -41,7 +41,8 @@ def refuse_unless_in_a_row(plan: Any) -> None:
             raise ExperimentError(
                 f"`vibration: correct` is for cameras in a row: the sight lines of {'-'.join(first)} and of "
                 f"{'-'.join(pair)} part in directions {np.degrees(np.arccos(cosine)):.0f} degrees apart, and "
-                "which camera shakes cannot be told; leave `vibration` out of the settings, or measure z "
+                "which camera shakes cannot be determined; leave `vibration` out of the settings, or "
+                "measure z "
                 "with two cameras (`surface: {pairs: ...}`)"
             )
 

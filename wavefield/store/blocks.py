@@ -21,7 +21,7 @@ def read_blocks(path: Path, group: Any, name: str, layout: StoreLayout) -> np.nd
     if array.compressors:  # stores of earlier versions
         return np.asarray(array[:])
     out = np.zeros(array.shape, array.dtype)
-    chunks, dtype = array.chunks, array.dtype  # Zarr works these out at every look
+    chunks, dtype = array.chunks, array.dtype  # Zarr computes these at every access
     folder = str(chunk_path(path, name, 0).parent)  # many files: plain words are quicker than paths
     for start in range(0, array.shape[-1], layout.block):
         try:

@@ -58,7 +58,7 @@ _STEPS = Product(
 
 
 def export(store: str | Path, path: str | Path, steps: slice | None = None) -> None:
-    """Write a cube for other programs; the ending of the name says which.
+    """Write a cube for other programs; the suffix of the name chooses the format.
 
     Parameters
     ----------
@@ -93,11 +93,12 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
 
     >>> import tempfile
     >>> import xarray as xr
-    >>> from wavefield.store.layout import Layout, create_store
+    >>> from wavefield.store.layout import StoreLayout, create_store
     >>> from wavefield.store.recipe import Recipe
     >>> from wavefield.store.write_cube import write_block
     >>> from wavefield.variables import CUBE_FIELDS, FrameStatus
-    >>> recipe, layout = Recipe("basin", {}, (0, 2), 20.0, {}, {}, {}), Layout(2, 2, ("left", "right"), 0)
+    >>> recipe, layout = Recipe("basin", {}, (0, 2), 20.0, {}, {}, {}), StoreLayout(2, 2, ("left",
+    ... "right"), 0)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     store, file = Path(folder) / "cube.zarr", Path(folder) / "cube.nc"
     ...     create_store(store, recipe, np.arange(4) * 0.1, np.arange(3) * 0.1, layout, {})

@@ -20,7 +20,7 @@ _VELOCITY = ("u", "v", "w")
 def write_paraview(blocks: Iterator[xr.Dataset], draft: Path, folder: str) -> str:
     """Write every step as a structured grid (.vts); returns the text of the series of them (.pvd).
 
-    Points lie on the surface, (x, y, z); ``velocity`` is the vector (u, v, w). Nodes where z is unknown are
+    Points are on the surface, (x, y, z); ``velocity`` is the vector (u, v, w). Nodes where z is unknown are
     marked as hidden points (``vtkGhostType``).
     """
     draft.mkdir()

@@ -1,4 +1,4 @@
-"""A cube for UVMAT: one NetCDF file per step, with the roles that it looks for."""
+"""A cube for UVMAT: one NetCDF file per step, with the roles that it requires."""
 
 from collections.abc import Iterator
 from pathlib import Path

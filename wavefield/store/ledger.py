@@ -15,7 +15,7 @@ from wavefield.store.verdict import Verdict, read_verdict
 from wavefield.text import spell_ranges
 from wavefield.variables import FrameFault, FrameStatus
 
-_LEDGER = ("failed steps", "bad frames")  # remarks that the ledger's own lines say
+_LEDGER = ("failed steps", "bad frames")  # remarks that the ledger's own lines contain
 _WORDS = {
     FrameFault.MISSING: "missing",
     FrameFault.UNREADABLE: "corrupt or truncated",
@@ -156,9 +156,10 @@ def status(store: str | Path) -> Status:
     The empty store that a run of ten steps begins with.
 
     >>> import tempfile
-    >>> from wavefield.store.layout import Layout, create_store
+    >>> from wavefield.store.layout import StoreLayout, create_store
     >>> from wavefield.store.recipe import Recipe
-    >>> recipe, layout = Recipe("basin", {}, (0, 10), 20.0, {}, {}, {}), Layout(10, 4, ("left", "right"), 0)
+    >>> recipe, layout = Recipe("basin", {}, (0, 10), 20.0, {}, {}, {}), StoreLayout(10, 4, ("left",
+    ... "right"), 0)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     store = Path(folder) / "cube.zarr"
     ...     create_store(store, recipe, np.arange(4) * 0.1, np.arange(3) * 0.1, layout, {})
@@ -175,7 +176,7 @@ def status(store: str | Path) -> Status:
         faults = read_blocks(path, group, "frame_fault", layout)
     except Exception as error:  # whatever a codec makes of damaged bytes
         raise StoreError(
-            f"the ledger of {path} is damaged ({error}); the command that measured it mends it"
+            f"the ledger of {path} is damaged ({error}); the command that measured it repairs it"
         ) from None
     bad = []
     for camera, codes in zip(layout.cameras, faults):
@@ -200,7 +201,7 @@ def status(store: str | Path) -> Status:
 
 
 def unfinished_note(store: str | Path) -> str:
-    """What to say before something is made from a cube that is not finished."""
+    """Warning before something is made from a cube that is not finished."""
     found = status(store)
     if found.complete and not found.failed:
         return ""

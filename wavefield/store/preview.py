@@ -1,4 +1,4 @@
-"""The thinned preview beside a cube: every fourth node in 16 bits, long in time, written as the run goes.
+"""The thinned preview next to a cube: every fourth node in 16 bits, long in time, written as the run goes.
 
 ``cube_preview.zarr`` beside ``cube.zarr`` holds one array ``fields`` (variable, y, x, time), one chunk per
 block of steps, so that no two blocks touch the same file; its ledger ``done`` (time) is written last. It can
@@ -38,7 +38,7 @@ class Thinning:
 
 
 def preview_path(cube: str | Path) -> Path:
-    """Where the preview of a cube lies.
+    """Path of the preview of a cube.
 
     Examples
     --------
@@ -54,13 +54,13 @@ def thinning(group: Any) -> Thinning:
     names = tuple(name for name in CUBE_FIELDS if name in group)
     steps, ny, nx = group[names[0]].shape
     most = min(_NODES, max(1, _VALUES // max(steps, 1)))
-    rate = float(group.attrs["frame_rate"]) / measured_rate(group)  # a mended clock leaves what is stored
+    rate = float(group.attrs["frame_rate"]) / measured_rate(group)  # a corrected clock leaves what is stored
     scales = tuple(PACKING.get(name, 1.0) * (rate if TABLE[name].units == "m s-1" else 1.0) for name in names)
     return Thinning(math.ceil(math.sqrt(ny * nx / most)), names, scales)
 
 
 def create_preview(cube: Path, group: Any) -> None:
-    """Make an empty preview beside a new cube, in place of any that lies there."""
+    """Make an empty preview next to a new cube, in place of an old one."""
     path, layout, thin = preview_path(cube), read_layout(group), thinning(group)
     shape = _shape(group, thin)
     with atomic(path, PREVIEW) as draft:

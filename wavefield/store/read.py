@@ -1,4 +1,4 @@
-"""Opening a store and reading what it says of itself."""
+"""Opening a store and reading its description."""
 
 import json
 from pathlib import Path
@@ -49,7 +49,7 @@ def read_layout(group: Any) -> StoreLayout:
 
 
 def measured_rate(group: Any) -> float:
-    """Frame rate that velocities are stored for; the cube's own may have been mended since."""
+    """Frame rate that velocities are stored for; the cube's own may have been corrected since."""
     return float(group.attrs.get("measured_frame_rate", group.attrs["frame_rate"]))
 
 

@@ -29,7 +29,7 @@ class Recipe:
     # What does not count as water, as plain data; empty if all does
     mask: Mapping[str, Any] = field(default_factory=dict)
     algorithm: int = 0  # Version of the measurement, raised when its values change
-    # What sample frames of the whole record said: beads, spectra, noise (`wavefield.measurement.Record`). Not
+    # What was learned from sample frames of the whole record: beads, spectra, noise. Not
     # part of the hash: it follows from the rest
     record: Mapping[str, Any] = field(default_factory=dict)
     # Versions of this program and of what it rests on; not part of the hash
@@ -70,7 +70,7 @@ def _software() -> dict[str, str]:
 
 
 def differences(old: str, new: str) -> list[str]:
-    """What tells two recipes apart."""
+    """Entries in which two recipes differ."""
     a, b = dict(_leaves(json.loads(old))), dict(_leaves(json.loads(new)))
     ignored = ("software.", "record.")
     keys = [key for key in {**a, **b} if not key.startswith(ignored) and a.get(key) != b.get(key)]
@@ -89,7 +89,7 @@ _LABELS = ("experiment:", "frame_rate:")
 
 
 def _hash_of(recipe: str) -> str:
-    """Of a recipe as text: not what its store says, for what is a label may have changed since."""
+    """A recipe as text, without labels, which may have changed since."""
     try:
         return Recipe(**json.loads(recipe)).hash
     except (TypeError, ValueError):  # another version's

@@ -1,10 +1,10 @@
-"""Where what is made from a cube lies."""
+"""Paths of what is made from a cube."""
 
 from pathlib import Path
 
 
 def beside(store: Path, kind: str, ending: str) -> Path:
-    """Where something made from a cube goes, unless said otherwise.
+    """Default path of something that is made from a cube.
 
     Examples
     --------

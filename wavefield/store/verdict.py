@@ -1,4 +1,4 @@
-"""Whether a measurement can be trusted, in one line and in remarks that say what to do."""
+"""The verdict on a measurement: one line, and remarks with what to do."""
 
 import json
 import zlib
@@ -20,11 +20,11 @@ _RANK = {"note": 0, "remark": 1, "grave": 2}
 
 @dataclass(frozen=True)
 class Remark:
-    """Something that a person should know of a measurement."""
+    """One finding about a measurement."""
 
     subject: str  # What it is about: a camera, the probes, the record
     kind: str  # One word for scripts, such as "mirrored"
-    weight: Weight  # Worth knowing; to be weighed; nothing that follows from it can be believed
+    weight: Weight  # note: for information; remark: to be considered; grave: results are not usable
     sentence: str  # What was measured
     expected: str = ""  # What was expected
     remedy: str = ""  # What to do
@@ -98,7 +98,7 @@ class Verdict:
         }
 
     def save(self, store: Path) -> None:
-        """Write the verdict beside a cube."""
+        """Write the verdict next to a cube."""
         data = self.to_dict()
         text = json.dumps(data | {"checksum": _checksum(data)}, indent=1) + "\n"
         write_text(beside(store, "verdict", ".json"), text, VERDICT)

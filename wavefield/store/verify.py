@@ -1,4 +1,4 @@
-"""Whether a store holds what its ledger says: every block there, and as it was written."""
+"""Verify that a store holds what its ledger lists: every chunk present, and as it was written."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -36,7 +36,7 @@ class Verification:
     steps: int  # Steps of the whole run
     done: int  # Steps that the ledger calls done
     damages: tuple[Damage, ...]  # Blocks that the ledger calls done and that are not as they were written
-    read: bool = True  # Whether data were read; else only sizes of files were looked at
+    read: bool = True  # Whether data were read; else only sizes of files were compared
 
     @property
     def sound(self) -> bool:
@@ -86,12 +86,12 @@ def verify(
     Raises
     ------
     StoreError
-        If it is not there, is not a cube, or is damaged beyond mending: a variable is gone as a whole.
+        If it is not there, is not a cube, or is damaged beyond repair: a whole variable is missing.
 
     Notes
     -----
-    What is damaged is noted beside the store (``cube.zarr``: ``damaged.json``): the next run, which itself
-    looks at the sizes of files only, measures it again.
+    What is damaged is noted next to the store (``cube.zarr``: ``damaged.json``): the next run, which itself
+    compares the sizes of files only, measures it again.
 
     Examples
     --------
@@ -99,11 +99,12 @@ def verify(
 
     >>> import tempfile
     >>> from wavefield.store.checked import chunk_path
-    >>> from wavefield.store.layout import Layout, create_store
+    >>> from wavefield.store.layout import StoreLayout, create_store
     >>> from wavefield.store.recipe import Recipe
     >>> from wavefield.store.write_cube import write_block
     >>> from wavefield.variables import CUBE_FIELDS
-    >>> recipe, layout = Recipe("basin", {}, (0, 2), 20.0, {}, {}, {}), Layout(2, 2, ("left", "right"), 0)
+    >>> recipe, layout = Recipe("basin", {}, (0, 2), 20.0, {}, {}, {}), StoreLayout(2, 2, ("left",
+    ... "right"), 0)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     store = Path(folder) / "cube.zarr"
     ...     create_store(store, recipe, np.arange(4) * 0.1, np.arange(3) * 0.1, layout, {})
@@ -141,7 +142,7 @@ def verify(
 
 
 def suspicious(store: Path) -> list[int]:
-    """Blocks that are not what the ledger says, without reading all of the store."""
+    """Chunks that differ from the ledger, without reading all of the store."""
     found = verify(store, read=False)
     if found.read:  # all of it was
         return found.starts
@@ -159,7 +160,7 @@ def _check_variable(path: Path, group: Any, name: str) -> None:
             raise ValueError("it has no values")
     except Exception as error:
         raise StoreError(
-            f"{path}: {name} cannot be read ({error}); this store cannot be mended: remove it and run again"
+            f"{path}: {name} cannot be read ({error}); this store cannot be repaired: remove it and run again"
         ) from None
 
 

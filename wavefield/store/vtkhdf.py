@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wavefield.store.export_paraview import points_and_fields
 
 _QUAD = 9  # VTK_QUAD
-_CHUNK = 1 << 14  # values of a list whose length is not known before
+_CHUNK = 1 << 14  # values of a list whose length is not known in advance
 _LISTS = {
     "NumberOfPoints": "i8",
     "NumberOfCells": "i8",

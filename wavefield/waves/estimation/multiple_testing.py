@@ -26,7 +26,7 @@ def significant_tests(p: Array, false: float) -> Array:
 
     Examples
     --------
-    >>> discoveries(np.array([0.001, 0.5, 0.02, 0.9]), 0.05).tolist()
+    >>> significant_tests(np.array([0.001, 0.5, 0.02, 0.9]), 0.05).tolist()
     [True, False, True, False]
     """
     order = np.argsort(p)

@@ -30,8 +30,8 @@ def expected_segment_correlation(power: Array, count: int, furthest: int = 2) ->
     --------
     An even spectrum, and the flank of a single wave between two lines.
 
-    >>> flat = expected_likeness(np.ones((1, 64)), 9)[0, 32]
-    >>> wave = expected_likeness(hann_power(np.arange(64.0) - 30.5)[None], 9)[0, 32]
+    >>> flat = expected_segment_correlation(np.ones((1, 64)), 9)[0, 32]
+    >>> wave = expected_segment_correlation(hann_power(np.arange(64.0) - 30.5)[None], 9)[0, 32]
     >>> round(float(flat), 2), bool(wave > 2)
     (1.05, True)
     """
