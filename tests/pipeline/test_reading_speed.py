@@ -43,7 +43,8 @@ def test_the_disk_is_the_limit_where_the_workers_want_more_than_a_reader_gets():
     enough = ReadingSpeed(6e6, 50e6, 4, 400e6)
     assert not enough.limited
     assert str(enough) == (
-        "reading: each worker reads 50 MB/s, 4 workers 200 MB/s; one reader gets 400 MB/s from the disk of the "
+        "reading: each worker reads 50 MB/s, 4 workers 200 MB/s; one reader gets 400 MB/s from the disk of "
+        "the "
         "images"
     )
     short = ReadingSpeed(6e6, 50e6, 40, 400e6)
