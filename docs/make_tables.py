@@ -51,6 +51,7 @@ def cube() -> str:
         "x",
         *CUBE_FIELDS,
         "path_frames",
+        "z_level_std",
         "frame_status",
         "frame",
         "frame_fault",

@@ -48,7 +48,7 @@ def test_nothing_is_computed_before_it_is_asked_for(tank, rig, grid):
         repr(cube)
         cube.w.isel(time=3).mean("x")
         repr(wf.kinematics(cube))
-    assert set(cube.data_vars) == {*CUBE_FIELDS, "frame_status", *GAINS}
+    assert set(cube.data_vars) == {*CUBE_FIELDS, "z_level_std", "frame_status", *GAINS}
     validate(cube, *CUBE_FIELDS, "frame_status", "time", "x", "y")
     with pytest.raises(AssertionError, match="something was computed"), dask.config.set(scheduler=no_compute):
         cube.z.compute()
@@ -80,6 +80,7 @@ def test_values_are_those_of_the_run_whatever_the_block(frames, rig, grid, refer
         == int(wf.open_cube(reference).path_frames)
         == record_of(reference)["path_frames"]
     )
+    assert 0 < float(part.z_level_std) == float(wf.open_cube(reference).z_level_std)
     for name in GAINS:
         xr.testing.assert_identical(part[name], wf.open_cube(reference)[name].compute())
     np.testing.assert_allclose(cube.time, (np.arange(16) + 0.5) / 20.0)

@@ -1,15 +1,22 @@
-"""Beads stand above the water: what is seen of them swings as the surface tilts."""
+"""Beads stand above the water: what is seen of them is too high, and swings as the surface tilts."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.rig.resolution import pixel_at
+
+if TYPE_CHECKING:
+    from wavefield.measurement.plan import Plan
+
 Float = NDArray[Any]
 
 _UNKNOWN = 0.2  # of a height: what is seen of a bead changes with light and view
+HEIGHT_PER_WIDTH = 0.2  # of beads on still water, by their width in the images: 0.17 to 0.20 when path-traced
 
 
 def bead_tilt(rise: Float, step: float, height: float) -> tuple[Float, Float]:
@@ -33,3 +40,24 @@ def bead_tilt(rise: Float, step: float, height: float) -> tuple[Float, Float]:
     along_y, along_x = np.gradient(rise, step)
     moved = np.nan_to_num(-height * np.stack([along_x, along_y]))
     return moved, _UNKNOWN * np.abs(moved)
+
+
+def level_std(plan: Plan) -> float:
+    """Standard uncertainty of z = 0, metres, the same for all nodes and times; NaN where nothing was learned.
+
+    A rig that is levelled on still water contains the height of the beads. Otherwise z is too high by it: by
+    the stated `bead_height`, or by about a fifth of the width of the beads' images on the water, which is
+    taken from the camera that resolves most.
+    """
+    levelled = plan.rig.provenance.get("levelled")
+    if plan.settings.sheet_thickness is not None:
+        return 0.0  # that of z contains it
+    if isinstance(levelled, Mapping) and "rms_m" in levelled:
+        return float(levelled["rms_m"])
+    if plan.settings.bead_height:
+        return plan.settings.bead_height
+    if plan.record is None:
+        return float("nan")
+    x, y = float(np.mean(plan.grid.x)), float(np.mean(plan.grid.y))
+    widths = [width * pixel_at(plan.rig[name], x, y) for name, width in plan.record.beads]
+    return HEIGHT_PER_WIDTH * min(widths)

@@ -128,6 +128,7 @@ def reconstruct(
     0.025
     """
     from wavefield.measurement import Plan, Settings
+    from wavefield.measurement.bead_tilt import level_std
 
     settings = Settings() if settings is None else settings
     arrays, attributes = _arrays(frames)
@@ -158,9 +159,10 @@ def reconstruct(
     }
     gain, axes = _gain(known, plan)
     path_frames = da.from_delayed(dask.delayed(_path_frames, pure=False)(known), (), np.uint8)
+    level = da.from_delayed(dask.delayed(level_std, pure=False)(known), (), np.float64)
     mid = 0.5 * (times[:-1] + times[1:])
     coords = {"time": mid, "y": grid.y_nodes, "x": grid.x_nodes, "path_frames": path_frames} | axes
-    out = xr.Dataset(variables | gain, coords=coords)
+    out = xr.Dataset(variables | gain | {"z_level_std": ((), level)}, coords=coords)
     used = replace(rig, cameras={name: rig[name] for name in plan.cameras})
     out.attrs = {"frame_rate": frame_rate, "pixel_size": pixel_size(used, grid)} | {
         name: attributes[name]

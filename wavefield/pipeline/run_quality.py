@@ -72,7 +72,7 @@ def assess_run(prepared: PreparedRun, status: Status, seen: CameraFaults | None 
     remarks = [
         *seen.remarks,
         *([] if any(one.weight == "grave" for one in seen.remarks) else _clocks_and_mounts(prepared, status)),
-        remark_on_rest(prepared.experiment, prepared.rig),
+        remark_on_rest(prepared.experiment, prepared.rig, _level_std(status.store)),
         *remark_on_recordings(prepared.experiment, prepared.series),
         *remark_on_probes(prepared.experiment, status.store),
         *_steps(status),
@@ -80,6 +80,12 @@ def assess_run(prepared: PreparedRun, status: Status, seen: CameraFaults | None 
         *_stored_values(prepared, status),
     ]
     return Verdict.of(remarks, seen.cameras, seen.pairs, seen.frames)
+
+
+def _level_std(store: Path) -> float:
+    """Standard uncertainty of z = 0 of a cube, metres; NaN in cubes of earlier versions."""
+    group = open_group(store)
+    return float(group["z_level_std"][()]) if "z_level_std" in group else float("nan")
 
 
 def _clocks_and_mounts(prepared: PreparedRun, status: Status) -> Iterator[Remark]:

@@ -222,10 +222,11 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
         **_labels(prepared.experiment),
     }
     remove_leftovers(path)
+    from wavefield.measurement.bead_tilt import level_std
     from wavefield.measurement.response import tabulated
 
-    gain = tabulated(prepared.plan)
-    create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes, gain)
+    once = tabulated(prepared.plan) | {"z_level_std": np.float64(level_std(prepared.plan))}
+    create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes, once)
     create_preview(path, open_group(path))
     return prepared, layout
 

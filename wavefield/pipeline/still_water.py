@@ -48,8 +48,8 @@ def plane_sentence(plane: WaterPlane) -> str:
     )
 
 
-def remark_on_rest(experiment: Experiment, rig: Rig) -> Remark:
-    """Report whether z = 0 is the still water, and how that was determined."""
+def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("nan")) -> Remark:
+    """Report whether z = 0 is the still water; ``level_std`` is the uncertainty of z = 0, metres."""
     found = rig.provenance.get("levelled")
     if experiment.settings.get("sheet_thickness") is not None:
         return _remark_on_sheet(experiment, rig)
@@ -82,10 +82,16 @@ def remark_on_rest(experiment: Experiment, rig: Rig) -> Remark:
         "rig",
         "no rest",
         "note",
-        "no still-water record: z = 0 is the target's plane; visible beads are about 0.4 mm higher, which "
-        "lowers u and v of 12 cm waves by about 2 %",
+        "no still-water record: z = 0 is the target's plane, and visible beads are above the water "
+        + (
+            f"(z = 0 is uncertain by {1e3 * level_std:.2g} mm, `z_level_std`, which z_std does not contain)"
+            if level_std > 0
+            else "(beads of 3 to 5 mm by about 0.4 mm, which z_std does not contain)"
+        )
+        + ", which lowers u and v of 12 cm waves by about 2 %",
         "z = 0 on the still water",
         "record some twenty frames of still, seeded water and name them as `rest:` in the experiment file",
+        {"level_std_m": level_std} if level_std > 0 else {},
     )
 
 

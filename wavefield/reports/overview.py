@@ -42,6 +42,11 @@ def summary(sources: Sources) -> ReportSection:
             if "path_frames" in cube.coords
             else []
         ),
+        *(
+            [("uncertainty of z = 0, common to all nodes", number(1e3 * float(cube.z_level_std), "mm"))]
+            if "z_level_std" in cube
+            else []
+        ),
         ("measured nodes in view", f"{100 * float(measured):.2f} %"),
         *_left_out(part.quality, seen, cube.attrs.get("cameras", ())),
         ("rms of z about its mean", number(100 * float(part.z.std()), "cm")),

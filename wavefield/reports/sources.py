@@ -161,7 +161,8 @@ def gather(
     """
     from wavefield.pipeline import open_cube, status
 
-    cube = open_cube(store)[[*CUBE_FIELDS, "frame_status"]]
+    cube = open_cube(store)
+    cube = cube[[name for name in (*CUBE_FIELDS, "z_level_std", "frame_status") if name in cube]]
     kept = {*cube.dims, "path_frames"}
     cube = cube.drop_vars([name for name in cube.coords if name not in kept])
     out = Sources(cube, bad_frames=tuple(str(bad) for bad in status(store).bad_frames))

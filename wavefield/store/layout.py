@@ -90,15 +90,15 @@ def create_store(
     y: np.ndarray,
     layout: StoreLayout,
     attributes: Mapping[str, Any],
-    gain: Mapping[str, np.ndarray] | None = None,
+    once: Mapping[str, np.ndarray | np.floating] | None = None,
 ) -> None:
     """Make an empty store: metadata, coordinates, attributes. It appears whole or not at all.
 
-    With x, y, metres.
+    With x, y, metres; once: variables that are known before the run, such as the gain.
     """
     with atomic(path, CUBE) as draft:
         _fill_in(draft, recipe, x, y, layout, attributes)
-        _put(draft, gain or {})
+        _put(draft, once or {})
         gather_metadata(draft)
         keep_metadata(draft)
 
@@ -198,9 +198,9 @@ def _fill_in(
         )
 
 
-def _put(path: Path, gain: Mapping[str, np.ndarray]) -> None:
+def _put(path: Path, once: Mapping[str, np.ndarray | np.floating]) -> None:
     group = zarr.open_group(path, mode="r+")
-    for name, values in gain.items():
+    for name, values in once.items():
         row = find(name, "gain")
         assert row is not None
         array = group.create_array(
@@ -212,7 +212,7 @@ def _put(path: Path, gain: Mapping[str, np.ndarray]) -> None:
             dimension_names=row.dims,
             attributes=row.attrs,
         )
-        array[:] = values
+        array[...] = values
 
 
 def gather_metadata(path: Path) -> None:
