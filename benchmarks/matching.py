@@ -26,7 +26,6 @@ from wavefield.matching import (
     Displacement,
     MatchSettings,
     PreparedImage,
-    correlate,
     match,
     matching_kernels,
     prepare,
@@ -102,23 +101,14 @@ def peers() -> None:
         print("\nThe cases of other programs are not here: set WAVEFIELD_SHARED to their folder.")
         return
     title("Cases of other programs: rms at nodes 64 px from the border (anchored at mid-path)")
-    asked = {
-        "piv": (0.003, 0.006, 0.028, 0.033),
-        "fast": (0.003, 0.009, None, None),
-        "correlate": (None,) * 4,
-    }
-    for preset, limits in asked.items():
-        settings = MatchSettings.fast() if preset == "fast" else MatchSettings.piv()
-        method = correlate if preset == "correlate" else match
-        for (name, case), limit in zip(cases.items(), limits):
-            d = method(case["A"], case["B"], settings).at_midpoint()
-            s = Scores(d, middle_truth(case), margin=64)
-            one, two = s.coverage
-            note = f"{s.outliers} outliers of {s.total}, {one:.0f} % within one, {two:.0f} % within two std"
-            # figures are asked to three decimals
-            row(f"{preset}, case {name}", None if limit is None else limit + 0.0005, s.rms, note=note)
-            if limit is not None:
-                row(f"{preset}, case {name}: outliers", 0, s.outliers, "")
+    for (name, case), limit in zip(cases.items(), (0.003, 0.006, 0.028, 0.033)):
+        d = match(case["A"], case["B"], MatchSettings.piv()).at_midpoint()
+        s = Scores(d, middle_truth(case), margin=64)
+        one, two = s.coverage
+        note = f"{s.outliers} outliers of {s.total}, {one:.0f} % within one, {two:.0f} % within two std"
+        # figures are asked to three decimals
+        row(f"piv, case {name}", limit + 0.0005, s.rms, note=note)
+        row(f"piv, case {name}: outliers", 0, s.outliers, "")
     other_programs(cases)
 
 
@@ -216,7 +206,6 @@ def speed() -> None:
     runs = {
         "DIS": lambda: dis.calc(a, b, None),
         "piv": series(MatchSettings.piv()),
-        "fast": series(MatchSettings.fast()),
     }
     runs["stereo"] = series(MatchSettings.stereo())
     took: dict[str, list[float]] = {name: [] for name in runs}
@@ -229,7 +218,7 @@ def speed() -> None:
             took[name].append((time.process_time() - start) * 1e3)
     best = {name: min(times) for name, times in took.items()}
     vectors = (images.N // 5) ** 2
-    for name, asked in (("piv", 0.45), ("fast", 0.18), ("stereo", None)):
+    for name, asked in (("piv", 0.45), ("stereo", None)):
         rate = vectors / best[name] / 1e3
         row(
             f"{name}",
@@ -315,20 +304,14 @@ def stereo() -> None:
 def hard() -> None:
     title("Bias, resolution, steep and dirty displacement fields (PIV)")
     for sigma, limit in ((0.675, 0.002), (0.35, 0.005)):
-        for name, settings in (("piv", MatchSettings.piv()), ("fast", MatchSettings.fast())):
-            worst = 0.0
-            for fraction in (0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9):
-                a, b = images.particles(images.uniform(fraction, fraction / 2), sigma=sigma)
-                s = Scores(match(a, b, settings), images.uniform(fraction, fraction / 2))
-                worst = max(worst, abs(s.u.mean()), abs(s.v.mean()))
-            row(
-                f"{name}: largest mean bias, particles of {4 * sigma:.1f} px",
-                limit if name == "piv" else None,
-                worst,
-            )
+        worst = 0.0
+        for fraction in (0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9):
+            a, b = images.particles(images.uniform(fraction, fraction / 2), sigma=sigma)
+            s = Scores(match(a, b, MatchSettings.piv()), images.uniform(fraction, fraction / 2))
+            worst = max(worst, abs(s.u.mean()), abs(s.v.mean()))
+        row(f"piv: largest mean bias, particles of {4 * sigma:.1f} px", limit, worst)
     for name, settings in (
         ("piv", MatchSettings.piv()),
-        ("fast", MatchSettings.fast()),
         ("stereo", MatchSettings.stereo()),
     ):
         for windows, least in ((2, 0.84), (4, 0.97)):
@@ -360,24 +343,23 @@ def hard() -> None:
     for name, options, amplitude in tests:
         field = images.cellular(amplitude)
         a, b = images.particles(field, **options)
-        for method in (match, correlate):
-            s = Scores(method(a, b), field)
-            one, two = s.coverage
-            note = f"{s.outliers} outliers of {s.total}, {one:.0f} % within one, {two:.0f} % within two std"
-            row(f"{method.__name__}: {name}", None, s.rms, note=note)
-            if method is match and amplitude == 10:
-                row(f"{method.__name__}: {name}: outliers", 0, s.outliers, "")
+        s = Scores(match(a, b), field)
+        one, two = s.coverage
+        note = f"{s.outliers} outliers of {s.total}, {one:.0f} % within one, {two:.0f} % within two std"
+        row(f"match: {name}", None, s.rms, note=note)
+        if amplitude == 10:
+            row(f"match: {name}: outliers", 0, s.outliers, "")
 
 
 _MEMORY = """
 import re, numpy as np, cv2
-from wavefield.matching import Settings, match
+from wavefield.matching import MatchSettings, match
 def peak():  # not getrusage: that counts what the parent held when this process was made
     return int(re.search(r"VmHWM:\\s*(\\d+)", open("/proc/self/status").read())[1]) / 1024
 noise = np.random.default_rng(0).integers(0, 255, (1728, 2432), dtype=np.uint8)
-match(noise[:200, :200], noise[:200, :200], Settings.{0}())
+match(noise[:200, :200], noise[:200, :200], MatchSettings.{0}())
 a = cv2.GaussianBlur(noise, (0, 0), 1.0); b = np.roll(a, 3, 1)
-before = peak(); match(a, b, Settings.{0}()); print(before, peak())
+before = peak(); match(a, b, MatchSettings.{0}()); print(before, peak())
 """
 
 
@@ -386,7 +368,7 @@ def memory() -> None:
     if not Path("/proc/self/status").exists():
         print("  Only Linux tells the peak of a process: skipped.")
         return
-    for preset in ("piv", "fast", "stereo"):
+    for preset in ("piv", "stereo"):
         done = subprocess.run(
             [sys.executable, "-c", _MEMORY.format(preset)], capture_output=True, text=True, check=True
         )
@@ -418,7 +400,7 @@ def profile() -> None:
         "prepare: normalise": (prepared, ("_normalize",)),
         "prepare: saturation": (prepared, ("_saturated",)),
     }
-    for preset in ("piv", "fast", "stereo"):
+    for preset in ("piv", "stereo"):
         settings = getattr(MatchSettings, preset)()
         spent: dict[str, float] = dict.fromkeys(stages, 0.0)
         saved = []
@@ -535,29 +517,17 @@ def real(pictures: Path | None = None) -> None:
     }
     for name, (folder, first, second, vectors, stages) in pairs.items():
         a, b = read_image(folder / first), read_image(folder / second)
-        fields = {"match": match(a, b), "correlate": correlate(a, b)}
-        for method, d in fields.items():
-            for stage in stages:
-                x, y, u, v, flag = _uvmat(folder / vectors, stage)
-                # UVMAT: pixel centres at half integers, y upwards
-                got_u, got_v, valid = _at(d, x - 0.5, a.shape[0] - 0.5 - y)
-                good = valid & (flag == 0)
-                error = np.hypot(got_u - u, got_v + v)[good]
-                note = f"{good.sum()} of {len(x)} vectors, 90th percentile {np.percentile(error, 90):.3f}"
-                row(
-                    f"{name}, {method}: median difference from civ{stage}",
-                    None,
-                    float(np.median(error)),
-                    note=note,
-                )
-        d, c = fields["match"], fields["correlate"]
-        both = d.valid & c.valid
-        error = np.hypot(d.u - c.u, d.v - c.v)[both]
-        note = f"90th percentile {np.percentile(error, 90):.3f}; valid {100 * d.valid.mean():.1f} % and "
-        note += f"{100 * c.valid.mean():.1f} %"
-        row(f"{name}: match against correlate, median", None, float(np.median(error)), note=note)
+        d = match(a, b)
+        for stage in stages:
+            x, y, u, v, flag = _uvmat(folder / vectors, stage)
+            # UVMAT: pixel centres at half integers, y upwards
+            got_u, got_v, valid = _at(d, x - 0.5, a.shape[0] - 0.5 - y)
+            good = valid & (flag == 0)
+            error = np.hypot(got_u - u, got_v + v)[good]
+            note = f"{good.sum()} of {len(x)} vectors, 90th percentile {np.percentile(error, 90):.3f}"
+            row(f"{name}: median difference from civ{stage}", None, float(np.median(error)), note=note)
         if pictures:
-            _picture(pictures / f"{name.replace(' ', '_')}.png", name, a, d, c)
+            _picture(pictures / f"{name.replace(' ', '_')}.png", name, a, d)
     title("D-specimen: a loaded speckled plate against a public code's reference points")
     specimen(data / "d_specimen")
 
@@ -607,33 +577,26 @@ def _medians(du: np.ndarray, dv: np.ndarray, good: np.ndarray) -> str:
     return f"u {u:.4f}, v {v:.4f}, {len(du)} of {good.sum()} points"
 
 
-def _picture(path: Path, name: str, a: np.ndarray, d: Displacement, c: Displacement) -> None:
+def _picture(path: Path, name: str, a: np.ndarray, d: Displacement) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure, axes = plt.subplots(2, 3, figsize=(15, 9), layout="constrained")
+    figure, axes = plt.subplots(2, 2, figsize=(10, 9), layout="constrained")
     axes[0, 0].imshow(a, cmap="gray", vmax=np.percentile(a, 99.5))
     axes[0, 0].set_title(name)
     box = (d.x[0], d.x[-1], d.y[-1], d.y[0])
-    for axis, what, field in (
-        (axes[0, 1], "match: u", d.u),
-        (axes[0, 2], "match: v", d.v),
-        (axes[1, 1], "correlate: u", c.u),
-        (axes[1, 2], "correlate: v", c.v),
-    ):
-        shown = d if what.startswith("match") else c
-        reference = d.u if what.endswith("u") else d.v
-        low, high = np.percentile(reference[d.valid], (1, 99)) if d.valid.any() else (-1, 1)
+    for axis, what, field in ((axes[0, 1], "u", d.u), (axes[1, 1], "v", d.v)):
+        low, high = np.percentile(field[d.valid], (1, 99)) if d.valid.any() else (-1, 1)
         picture = axis.imshow(
-            np.where(shown.valid, field, np.nan), extent=box, vmin=low, vmax=high, cmap="RdBu_r"
+            np.where(d.valid, field, np.nan), extent=box, vmin=low, vmax=high, cmap="RdBu_r"
         )
         axis.set_title(f"{what}, px (blank: invalid)")
         figure.colorbar(picture, ax=axis)
     picture = axes[1, 0].imshow(np.where(d.valid, d.u_std, np.nan), extent=box, vmin=0, vmax=0.3)
-    axes[1, 0].set_title("match: standard uncertainty of u, px")
+    axes[1, 0].set_title("standard uncertainty of u, px")
     figure.colorbar(picture, ax=axes[1, 0])
     figure.savefig(path, dpi=60)
     plt.close(figure)

@@ -32,7 +32,7 @@ def main() -> int:
         from wavefield.matching import MatchSettings, match, matching_kernels
 
         image = np.random.default_rng(0).normal(size=(100, 100)).astype(np.float32)
-        for settings in (MatchSettings.piv(), MatchSettings.fast()):
+        for settings in (MatchSettings.piv(), MatchSettings.stereo()):
             match(image, image, settings)
     lost = 0
     print(f"{'kernel':20} {'asked':>6} {'found':>6}")

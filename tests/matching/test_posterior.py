@@ -228,11 +228,6 @@ def test_waves_have_a_direction_and_components_a_spectrum_of_their_own():
     np.testing.assert_allclose(stated, true, rtol=0.25)
 
 
-def test_a_recipe_with_one_spectrum_for_all_directions_is_read():
-    flat = Prior.from_dict({"k": [0.1, 3.0], "power": [2.0, 1.0], "information": 4.0, "noise": 1.0})
-    assert flat == Prior.isotropic((0.1, 3.0), (2.0, 1.0), 4.0)
-
-
 def test_noise_that_is_thought_too_small_is_not_taken_for_waves():
     rng = np.random.default_rng(7)
     shape, noise = (60, 70), 0.05

@@ -249,10 +249,3 @@ def test_water_at_rest_leaves_nothing_out():
     assert hash(found) == hash(TemporalTruncation.from_dict(found.to_dict())), "plans are looked up by it"
     line = np.zeros((1, 50))  # too few nodes to tell waves
     assert temporal_truncation([(line, line)], 0.01) == NOTHING
-
-
-def test_a_recipe_with_one_number_for_all_displacements_is_read():
-    old = {"z": {"2": 1e-3, "3": 1e-3, "4": 1e-4, "6": 1e-5}, "d": {"2": 0.02, "4": 0.002}}
-    across, _, up, _ = dict(TemporalTruncation.from_dict(old).d)[4]
-    assert up == 0.002
-    assert across == pytest.approx(0.002 / np.sqrt(2))

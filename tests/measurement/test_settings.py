@@ -12,7 +12,7 @@ def test_settings_survive_a_recipe():
         pairs=(("cam3", "cam1"),),
         velocity_cameras=("cam1", "cam2"),
         z_range=(-0.02, 0.03),
-        piv=matching.MatchSettings.fast(),
+        piv=matching.MatchSettings.stereo(),
     )
     assert Settings.from_dict(json.loads(json.dumps(settings.to_dict()))) == settings
     assert Settings.from_dict({}) == Settings()
@@ -35,7 +35,6 @@ def test_part_of_a_matching_is_enough():
         ({"pairs": "cam1"}, "settings.pairs should be a valid tuple, not 'cam1'"),
         ({"velocity_cameras": ["cam1"]}, "at least two"),
         ({"z_range": [0.1, -0.1]}, "lowest elevation comes first"),
-        ({"preset": "fast"}, "`fast` is gone: .* take the line out"),
         ({"preset": "slow"}, "choose one of floating, sheet, texture, not 'slow'"),
         ({"pixel": 0.0}, "above 0 m"),
         ({"smoothing": -1.0}, "smoothing must be 0 or more"),

@@ -1,4 +1,4 @@
-"""What matching leaves of a wave, by linear theory, and the filter that gives it back."""
+"""Amplitude gain of matching for waves of displacement, by linear theory."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from wavefield.matching.matching_settings import MatchSettings
 _N = 128  # blocks: period of the Fourier transforms below
 _FOOTPRINT = 6.0  # px^2: variance of the area that a block's value stands for, beads' own images included
 _TAKEN = 4.0  # px^2: variance of the area over which blocks and beads' images average displacements
-_NOISE = 0.4  # how much of a wave that is half lost is given up for being noise
 
 
 def transfer_function(
@@ -57,31 +56,6 @@ def transfer_function(
     return total
 
 
-def restoring(settings: MatchSettings, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
-    """Filter that gives back to a displacement field what matching took from its short waves.
-
-    Parameters
-    ----------
-    settings : Settings
-        Those of the match.
-    kx, ky : ndarray, shapes that broadcast
-        Wavenumbers along columns and rows, rad per block.
-
-    Returns
-    -------
-    ndarray
-        Factor on each wave.
-
-    Notes
-    -----
-    G / (G^2 + 0.4 (1 - G)^2): Wiener's filter where noise grows as waves are lost, for the gain G of
-    `transfer_function` times exp(-4 px^2 k^2), which stands for the size of blocks and of beads' images.
-    """
-    lost = transfer_function(settings, kx, ky).clip(0.0, 1.0) * footprint(kx, ky)
-    out: np.ndarray = lost / (lost**2 + _NOISE * (1 - lost) ** 2)
-    return out
-
-
 def footprint(kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
     """Gain of the area that a block's value stands for.
 
@@ -122,7 +96,7 @@ def raised(k: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=32)
-def transfer_kernel(settings: MatchSettings, gain: float = 1.0, restored: bool = False) -> np.ndarray:
+def transfer_kernel(settings: MatchSettings, gain: float = 1.0) -> np.ndarray:
     """Weight of each block's own displacement in the final vector, linear theory.
 
     Returns (2 r + 1, 2 r + 1): The kernel, its centre at [r, r]; it sums to nearly 1..
@@ -130,8 +104,6 @@ def transfer_kernel(settings: MatchSettings, gain: float = 1.0, restored: bool =
     kx = 2 * np.pi * np.fft.fftfreq(_N)
     ky = kx[:, None]
     total = transfer_function(settings, kx, ky, gain)
-    if restored:
-        total = total * footprint(kx, ky) * restoring(settings, kx, ky)
     kernel = np.fft.fftshift(np.fft.ifft2(total).real)
     reach = min(_N // 2 - 1, int(3 * settings.window / BLOCK) + 3)
     middle = slice(_N // 2 - reach, _N // 2 + reach + 1)

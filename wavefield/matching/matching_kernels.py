@@ -80,16 +80,6 @@ def _spline_row(image: Array, y: int, s: Array, d: Array, a: Array, gx: Array, g
 
 
 @njit
-def spline_image(image: Array, rows: Array, out: Array) -> None:
-    """Smooth an image with the quintic B-spline, and take its derivatives.
-
-    With image (h + 2 PAD, w + 2 PAD); rows (2, w + 4); out (3, h, w).
-    """
-    for y in range(out.shape[1]):
-        _spline_row(image, y, rows[0], rows[1], out[0, y], out[1, y], out[2, y])
-
-
-@njit
 def _fold(row: Array, out: Array) -> None:
     """Sum BLOCK neighbours of `row` into each element of `out`."""
     for b in range(len(out)):

@@ -12,7 +12,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """How two images are matched. Start from a preset: `piv`, `fast`, `stereo`.
+    """How two images are matched. Start from a preset: `piv` or `stereo`.
 
     Parameters
     ----------
@@ -109,23 +109,6 @@ class MatchSettings:
     def piv(cls, **changes: Any) -> MatchSettings:
         """One camera, one frame to the next: robust weights against particles that appear and vanish."""
         return replace(cls(), **changes)
-
-    @classmethod
-    def fast(cls, **changes: Any) -> MatchSettings:
-        """One camera, one frame to the next, good images: a third of the time of `piv`."""
-        return replace(
-            cls(
-                iterations=(4, 3, 1),
-                smoother_sigma=1.5,
-                coarse_smoother_sigma=1.5,
-                smoother_order=2,
-                robust=0.0,
-                normalization=0.0,
-                search_x=None,
-                search_y=None,
-            ),
-            **changes,
-        )
 
     @classmethod
     def stereo(cls, **changes: Any) -> MatchSettings:

@@ -235,18 +235,15 @@ class Prior:
         Parameters
         ----------
         data : mapping
-            As given by `to_dict`; a plain list for ``power`` is alike in all directions and components.
+            As given by `to_dict`.
 
         Returns
         -------
         Prior
         """
-        power = data["power"]
-        if not isinstance(power[0], list | tuple):
-            power = [[power]]
-        table = tuple(tuple(tuple(map(float, ring)) for ring in turns) for turns in power)
-        weight_sum, noise, waves = (float(data.get(name, 1.0)) for name in ("information", "noise", "waves"))
-        return cls(tuple(map(float, data["k"])), table, weight_sum, noise, waves)
+        power = tuple(tuple(tuple(map(float, ring)) for ring in turns) for turns in data["power"])
+        information, noise, waves = (float(data[name]) for name in ("information", "noise", "waves"))
+        return cls(tuple(map(float, data["k"])), power, information, noise, waves)
 
 
 def _all_around(k: Float) -> tuple[Float, Float]:

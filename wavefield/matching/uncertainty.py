@@ -1,4 +1,7 @@
-"""How uncertain a displacement is: from the influence of each block to a standard deviation."""
+"""Standard uncertainty of a match (`Displacement.u_std`, `v_std`) from the influence of each block.
+
+Uncertainties of a cube come from the posterior instead (`posterior_variance`).
+"""
 
 from __future__ import annotations
 
@@ -15,11 +18,9 @@ from wavefield.matching.noise import CLUSTER
 
 
 @lru_cache(maxsize=32)
-def _separable(
-    settings: MatchSettings, gain: float, restored: bool
-) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+def _separable(settings: MatchSettings, gain: float) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """Transfer kernel as a short sum of separable ones: rows and columns of its singular vectors."""
-    left, size, right = np.linalg.svd(transfer_kernel(settings, gain, restored).astype(float))
+    left, size, right = np.linalg.svd(transfer_kernel(settings, gain).astype(float))
     keep = int(np.sum(size > 1e-4 * size[0]))
     return tuple(
         ((left[:, n] * size[n]).astype(np.float32), right[n].astype(np.float32)) for n in range(keep)
@@ -27,13 +28,13 @@ def _separable(
 
 
 @lru_cache(maxsize=32)
-def _squared(settings: MatchSettings, gain: float, restored: bool) -> tuple[np.ndarray, float]:
+def _squared(settings: MatchSettings, gain: float) -> tuple[np.ndarray, float]:
     """Square of the transfer kernel as one separable kernel: weights along either axis, and its sum.
 
     The square of a round hump is nearly a Gaussian, and that is separable: its first singular vector, with
     the sum of all, gives the uncertainty of a block within 5 %, of most within 1 %.
     """
-    kernel = _middle(transfer_kernel(settings, gain, restored).astype(float) ** 2, 1e-3)
+    kernel = _middle(transfer_kernel(settings, gain).astype(float) ** 2, 1e-3)
     along = np.abs(np.linalg.svd(kernel)[2][0])
     return (along / along.sum()).astype(np.float32), float(kernel.sum())
 
@@ -58,7 +59,6 @@ def std_from_influence(
     settings: MatchSettings,
     field: np.ndarray | None = None,
     gain: float = 1.0,
-    restored: bool = False,
 ) -> np.ndarray:
     """Standard uncertainty of a field from the influences of its blocks.
 
@@ -73,8 +73,6 @@ def std_from_influence(
         The measured field itself: adds what window and smoother take away from its short waves.
     gain : float
         As for `transfer_kernel`.
-    restored : bool
-        The field has been, or will be, through `restoring`.
 
     Returns
     -------
@@ -89,19 +87,19 @@ def std_from_influence(
     is added.
     """
     gain = round(float(gain), 2)
-    kernel = transfer_kernel(settings, gain, restored).astype(float)
+    kernel = transfer_kernel(settings, gain).astype(float)
     side = min(CLUSTER, (int(settings.window / BLOCK) - 1) // 2 * 2 + 1)
     r = len(kernel) // 2
     near = slice(r - side // 2, r + side // 2 + 1)
     freedom = max(1 - 2 * kernel[near, near].sum() + side**2 * (kernel**2).sum(), 0.25)
     clusters = filtered(np.ascontiguousarray(influence, np.float32), np.ones(side, np.float32))
-    weights, total = _squared(settings, gain, restored)
+    weights, total = _squared(settings, gain)
     variance = filtered(clusters * clusters, weights)
     variance *= np.float32(total / (side**2 * freedom))
     if field is not None:
-        lost = field - _convolved(
-            np.ascontiguousarray(field, np.float32), _separable(settings, gain, restored)
-        ) / (np.float32(kernel.sum()))
+        lost = field - _convolved(np.ascontiguousarray(field, np.float32), _separable(settings, gain)) / (
+            np.float32(kernel.sum())
+        )
         variance += lost * lost
     out: np.ndarray = np.sqrt(np.maximum(variance, 0))
     return out

@@ -84,16 +84,14 @@ class LearnedRecord:
         Record
         """
         x, y, z = map(float, data["moved"])
-        along, across = map(float, data.get("camera_jitter", (0.0, 0.0)))
+        along, across = map(float, data["camera_jitter"])
         return cls(
             tuple((str(name), float(width)) for name, width in data["beads"].items()),
             Prior.from_dict(data["elevation"]),
             tuple((str(name), Prior.from_dict(p)) for name, p in data["displacement"].items()),
             (x, y, z),
-            TemporalTruncation.from_dict(data["temporal_truncation"])
-            if "temporal_truncation" in data
-            else NOTHING,
-            tuple((str(name), float(factor)) for name, factor in data.get("noise", {}).items()),
+            TemporalTruncation.from_dict(data["temporal_truncation"]),
+            tuple((str(name), float(factor)) for name, factor in data["noise"].items()),
             (along, across),
-            int(data.get("path_frames", 4)),
+            int(data["path_frames"]),
         )

@@ -11,7 +11,6 @@ from wavefield import matching
 from wavefield.config_files import CHECKED, make, place_of
 from wavefield.errors import ExperimentError
 
-_NOT_FAST = "`fast` is gone: it saved a few per cent of a step and erred by a third more; take the line out"
 # what differs from the defaults, which are for floating beads
 _PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "floating": {},
@@ -211,8 +210,9 @@ class Settings:
         preset = values.pop("preset", "floating")
         if not isinstance(preset, str) or preset not in _PRESETS:
             where = f"{place_of(path, ('settings', 'preset'))}: " if path else ""
-            why = _NOT_FAST if preset == "fast" else f"choose one of {', '.join(_PRESETS)}, not {preset!r}"
-            raise ExperimentError(f"{where}settings.preset: {why}")
+            raise ExperimentError(
+                f"{where}settings.preset: choose one of {', '.join(_PRESETS)}, not {preset!r}"
+            )
         base = cls().adjusted(preset)
         for name, default in (("stereo", base.stereo), ("piv", base.piv)):
             if isinstance(values.get(name, {}), Mapping):

@@ -78,10 +78,7 @@ class TemporalTruncation:
         return cls(z, tuple((int(n), _parts(value)) for n, value in data["d"].items()))
 
 
-def _parts(value: Any) -> Parts:
-    """Four parts; of a recipe that holds one number for them, as it was meant."""
-    if isinstance(value, float | int):
-        return value / np.sqrt(2.0), 0.0, float(value), 0.0
+def _parts(value: Sequence[float]) -> Parts:
     across, more, up, more_up = map(float, value)
     return across, more, up, more_up
 
