@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from wavefield.matching import Modes, Spread, better_prior
+from wavefield.matching import Modes, PosteriorVariance, better_prior
 from wavefield.matching.matching_gain import footprint
 from wavefield.matching.prior import FIRST_SIGNAL_TO_NOISE, SHORTEST_WAVENUMBER, Prior
 
@@ -54,7 +54,7 @@ def learned(blocks, thought=3.0):
     """The prior learned from blocks; at first the noise is thought several times too small."""
     prior = Prior.isotropic(K, np.full(K.size, 1e-6 * NOISE**2), thought / NOISE**2)
     for ratio in (FIRST_SIGNAL_TO_NOISE, 1.0, 1.0):
-        prior = prior.opened(ratio)
+        prior = prior.with_min_signal_to_noise(ratio)
         modes = Modes(prior, SHAPE)
         waves = most_probable(modes, blocks)
         prior = better_prior(prior, modes.kx, modes.ky, modes.foot, waves, 1 / NOISE**2)
@@ -87,7 +87,7 @@ def test_stated_uncertainties_hold_for_bands_anywhere():
         prior = learned(blocks)
         modes = Modes(prior, SHAPE)
         found = np.array([modes.field(waves) for waves in most_probable(modes, blocks)])
-        noise, missing = Spread(prior, SHAPE)(np.full(SHAPE, 1 / NOISE**2, np.float32))
+        noise, missing = PosteriorVariance(prior, SHAPE)(np.full(SHAPE, 1 / NOISE**2, np.float32))
         error = np.abs(found - exact)[(slice(None), *INSIDE)] / np.sqrt(noise + missing)[INSIDE]
         within.append(np.mean(error < 1))
         beyond.append(np.mean(error > 4))

@@ -8,13 +8,13 @@ import scipy.fft
 
 from wavefield.matching import (
     Modes,
+    PosteriorVariance,
     Prior,
-    Spread,
-    along_each,
-    around_holes,
     better_prior,
+    component_variance_factors,
     edge_slopes,
     first_prior,
+    noise_factor_near_holes,
     noise_of_scores,
     shrinkage,
 )
@@ -71,7 +71,7 @@ def test_a_gap_is_filled_as_well_as_its_uncertainty_says_and_better_than_by_noth
     rng = np.random.default_rng(2)
     shape, noise = (60, 70), 0.05
     prior = prior_of(steep_law, information=1 / noise**2)
-    modes, spread = Modes(prior, shape), Spread(prior, shape)
+    modes, spread = Modes(prior, shape), PosteriorVariance(prior, shape)
     known = np.ones(shape, np.float32)
     y, x = np.mgrid[: shape[0], : shape[1]]
     hole = np.hypot(y - 30, x - 35) < 5
@@ -100,10 +100,12 @@ def test_a_slope_at_the_edge_is_kept():
     truth = (0.2 * x - 6.0)[None]
     a = np.full(shape, 1 / noise**2, np.float32)
     factor = modes.factor(a)
-    mean, beyond, slopes = modes.mean(truth)
-    all_waves = modes.edge.field(slopes, modes.edge.beyond(modes.shape, (np.ones(50), np.ones(60))))
+    mean, truncated_profiles, slopes = modes.mean(truth)
+    all_waves = modes.edge.field(
+        slopes, modes.edge.truncated_profiles(modes.shape, (np.ones(50), np.ones(60)))
+    )
     left = []
-    for rest, whole, m in ((beyond, all_waves, mean), (0, 0, mean), (0, 0, 0 * mean)):
+    for rest, whole, m in ((truncated_profiles, all_waves, mean), (0, 0, mean), (0, 0, 0 * mean)):
         waves = modes.solve(a[None], a * (truth - rest), modes.waves(truth), 1e-3, m, factor)
         left.append(np.abs(modes.field(waves) + whole - truth))
     near = [float(one[:, :, :2].max()) for one in left]
@@ -135,11 +137,14 @@ def test_a_corner_that_does_not_match_leaves_the_noise_of_the_rest_alone():
     trace, counts = np.full((80, 100), 200.0, np.float32), np.ones((80, 100), np.float32)
     hessian = np.stack([0.5 * trace, 0 * trace, 0.5 * trace])
     score = (rng.standard_normal((2, 80, 100)) * np.sqrt(0.5 * trace)).astype(np.float32)
-    torn = score.copy()
-    torn[0, :6, :6] += 300.0
-    sound, found = (noise_of_scores(s, trace, counts, 1.0, torn=True)[35:, 35:] for s in (score, torn))
+    mismatched = score.copy()
+    mismatched[0, :6, :6] += 300.0
+    sound, found = (
+        noise_of_scores(s, trace, counts, 1.0, with_mismatches=True)[35:, 35:]
+        for s in (score, mismatched)
+    )
     assert np.abs(found / sound - 1.0).max() < 0.1
-    x, y = along_each(torn, hessian, counts)
+    x, y = component_variance_factors(mismatched, hessian, counts)
     assert (x, y) == pytest.approx((1.0, 1.0), abs=0.1)
 
 
@@ -184,7 +189,7 @@ def learned(said, a, prior, rounds=4):
         return [modes.solve(h, a * f, modes.waves(f), 1e-3, 0 * modes.waves(f), factor) for f in said]
 
     for _ in range(rounds):
-        prior = prior.opened()
+        prior = prior.with_min_signal_to_noise()
         modes = Modes(prior, a.shape)
         prior = better_prior(prior, modes.kx, modes.ky, modes.foot, most_probable(modes), float(a.mean()))
     modes = Modes(prior, a.shape)
@@ -220,7 +225,7 @@ def test_waves_have_a_direction_and_components_a_spectrum_of_their_own():
     own, radial_error = np.sqrt(np.mean(errors, axis=0))
     assert own < 0.95 * radial_error
     # and each component's uncertainty is its own
-    noise_part, missing = Spread(prior, shape)(a)
+    noise_part, missing = PosteriorVariance(prior, shape)(a)
     stated = np.sqrt((noise_part + missing)[:, 30:50, 30:50].mean(axis=(1, 2)))
     true = np.sqrt(
         np.mean([np.square(g - f)[:, 8:-8, 8:-8].mean(axis=(1, 2)) for g, f in zip(found, fields)], axis=0)
@@ -257,9 +262,9 @@ def test_a_hole_is_solved_more_closely_but_not_some_blocks_of_which_little_is_kn
 def test_noise_is_thought_larger_around_a_hole_only():
     information = np.ones((60, 80), np.float32)
     information[:3] = 0  # the lattice's edge is no hole
-    assert (around_holes(information, 3.0) == 1).all()
+    assert (noise_factor_near_holes(information, 3.0) == 1).all()
     information[25:37, 30:42] = 0
-    factor = around_holes(information, 3.0)
+    factor = noise_factor_near_holes(information, 3.0)
     assert factor[31, 28] > 2.5
     assert factor[31, 8] == pytest.approx(1.0, abs=1e-3)
     assert (np.diff(factor[31, 8:28]) >= -1e-6).all()
@@ -278,7 +283,7 @@ def test_a_field_goes_on_into_a_hole_better_where_neighbours_that_err_alike_are_
         shared = sea(shape, lambda k: np.exp(-0.5 * (2.5 * k) ** 2), rng)[0]
         said = modes.seen(modes.waves(field[None].astype(np.float32)))[0] + 0.1 * shared / shared.std()
         for factor, found in error.items():
-            told = (a / around_holes(a, factor))[None]
+            told = (a / noise_factor_near_holes(a, factor))[None]
             start = np.zeros((1, *modes.shape), np.float32)
             right = told * said[None].astype(np.float32)
             waves = modes.solve(told, right, start, 1e-4, start, modes.factor(told[0]))
@@ -292,10 +297,10 @@ def test_the_component_that_is_told_less_of_is_the_more_uncertain_one():
     hessian = np.zeros((3, 60, 80), np.float32)
     hessian[0], hessian[2] = 100.0, 150.0
     score = np.sqrt(hessian[::2]) * rng.standard_normal((2, 60, 80)).astype(np.float32)
-    x, y = along_each(score, hessian, counts)
+    x, y = component_variance_factors(score, hessian, counts)
     assert x + y == pytest.approx(2.0)
     assert x == pytest.approx(1.2, abs=0.06)
-    assert along_each(score, hessian, 0 * counts) == (1.0, 1.0)
+    assert component_variance_factors(score, hessian, 0 * counts) == (1.0, 1.0)
 
 
 def test_what_fields_have_not_in_common_is_no_wave():
@@ -309,7 +314,7 @@ def test_what_fields_have_not_in_common_is_no_wave():
 def test_what_is_missing_counts_as_far_as_the_spectrum_is_waves():
     prior = prior_of(steep_law, information=100.0)
     a = np.full((40, 50), 100.0, np.float32)
-    noise, missing = Spread(prior, a.shape)(a)
-    same, less = Spread(replace(prior, waves=0.1), a.shape)(a)
+    noise, missing = PosteriorVariance(prior, a.shape)(a)
+    same, less = PosteriorVariance(replace(prior, waves=0.1), a.shape)(a)
     np.testing.assert_array_equal(same, noise)
     np.testing.assert_allclose(less, 0.1 * missing, rtol=1e-5)

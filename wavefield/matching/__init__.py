@@ -1,13 +1,13 @@
-"""Where a patch of one image went in another: displacements on a lattice of blocks, from arrays alone."""
+"""Displacement of image A to image B on a lattice of blocks, from arrays alone."""
 
 from wavefield.matching.displacement import Displacement, Reason
 from wavefield.matching.edges import Slopes, edge_slopes
 from wavefield.matching.gauss_newton import match, reevaluate, scores_at
-from wavefield.matching.matching_gain import footprint, raised, transfer_function
+from wavefield.matching.matching_gain import footprint, footprint_excess, transfer_function
 from wavefield.matching.matching_settings import MatchSettings
-from wavefield.matching.noise import along_each, around_holes, noise_of_scores
+from wavefield.matching.noise import component_variance_factors, noise_factor_near_holes, noise_of_scores
 from wavefield.matching.posterior import Modes
-from wavefield.matching.posterior_variance import Spread
+from wavefield.matching.posterior_variance import PosteriorVariance
 from wavefield.matching.prepared import PreparedImage, prepare
 from wavefield.matching.prior import Prior, better_prior, first_prior, shrinkage
 
@@ -15,21 +15,21 @@ __all__ = [
     "Displacement",
     "MatchSettings",
     "Modes",
+    "PosteriorVariance",
     "PreparedImage",
     "Prior",
     "Reason",
     "Slopes",
-    "Spread",
-    "along_each",
-    "around_holes",
     "better_prior",
+    "component_variance_factors",
     "edge_slopes",
     "first_prior",
     "footprint",
+    "footprint_excess",
     "match",
+    "noise_factor_near_holes",
     "noise_of_scores",
     "prepare",
-    "raised",
     "reevaluate",
     "scores_at",
     "shrinkage",

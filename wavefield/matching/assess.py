@@ -1,4 +1,4 @@
-"""What a displacement is worth: correlation, influence of each block, reasons to reject."""
+"""Quality of a displacement: correlation, influence of each block, reasons to reject it."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.prepared import Level
 
 F = np.float32
-# `Reason` in numbers that the compiler knows
+# `Reason` as integers for compiled code
 MASKED, EDGE, TEXTURE, CORRELATION, NEIGHBOURS = (
     int(r) for r in (Reason.MASKED, Reason.EDGE, Reason.TEXTURE, Reason.CORRELATION, Reason.NEIGHBOURS)
 )
-_ALIKE = 0.3  # correlation of windows below which a block says nothing
+MIN_CORRELATION = 0.3  # of windows: below, a block has no score and no Hessian
 
 njit = compiled(error_model="numpy")
 
 
 @njit
-def _measures(
+def _block_measures(
     sums: np.ndarray,
     windowed: np.ndarray,
-    share: np.ndarray,
+    coverage: np.ndarray,
     du: np.ndarray,
     dv: np.ndarray,
     least: np.float32,
@@ -38,27 +38,27 @@ def _measures(
     """Correlation, gain, matched gradient energy and the two influences of every block; score and Hessian.
 
     The Hessian in ``sums`` is that of a alone, the gain that of the mean of both images: what they share of
-    the gradients is gain / (2 - gain). Where the images hardly look alike they share nothing.
+    the gradients is gain / (2 - gain), and 0 where their correlation is below `MIN_CORRELATION`.
 
     sums, windowed (12, ny, nx) are those of `final_sums`, per block and over windows; share (ny, nx) is the
-    seen share of each window; du, dv (ny, nx) the step taken since the sums were made; out (5, ny, nx),
+    usable fraction of each window; du, dv (ny, nx) the step taken since the sums were made; out (5, ny, nx),
     score (2, ny, nx) and hessian (3, ny, nx) output.
     """
     work = np.empty((4, du.shape[1]), np.float32)
     for j in range(len(du)):
-        _alike(j, windowed, share[j], F(block * block), least, out, work)
-        _influences(j, sums, windowed, du[j], dv[j], ridge, out, work)
-        _shared(j, sums, windowed, du[j], dv[j], out[0, j], score, hessian, work)
+        _correlation_row(j, windowed, coverage[j], F(block * block), least, out, work)
+        _influence_row(j, sums, windowed, du[j], dv[j], ridge, out, work)
+        _score_row(j, sums, windowed, du[j], dv[j], out[0, j], score, hessian, work)
 
 
-# Loops of one output and few inputs: LLVM makes vector code of them, as more would have to be told apart.
+# Loops with one output and few inputs, which LLVM vectorizes.
 
 
 @njit
-def _alike(
+def _correlation_row(
     j: int,
     windowed: np.ndarray,
-    share: np.ndarray,
+    coverage: np.ndarray,
     area: np.float32,
     least: np.float32,
     out: np.ndarray,
@@ -67,9 +67,9 @@ def _alike(
     """Correlation, gain and energy of a row of blocks."""
     rr, sa, aa, sr, ar = windowed[5, j], windowed[6, j], windowed[7, j], windowed[8, j], windowed[9, j]
     ab, mm, scale = windowed[10, j], windowed[11, j], work[0]
-    alike, gain, energy = out[0, j], out[1, j], out[2, j]
+    correlation, gain, energy = out[0, j], out[1, j], out[2, j]
     for i in range(len(scale)):
-        scale[i] = F(1) / (max(share[i], F(1e-3)) * area)
+        scale[i] = F(1) / (max(coverage[i], F(1e-3)) * area)
     for i in range(len(scale)):
         n = scale[i]
         a, r = sa[i] * n, sr[i] * n
@@ -77,7 +77,7 @@ def _alike(
         var_r = rr[i] * n - r * r
         cov = ar[i] * n - a * r
         var_b = max(var_a - F(2) * cov + var_r, F(0))
-        alike[i] = min(max((var_a - cov) / np.sqrt(max(var_a * var_b, least)), F(-1)), F(1))
+        correlation[i] = min(max((var_a - cov) / np.sqrt(max(var_a * var_b, least)), F(-1)), F(1))
     for i in range(len(scale)):
         gain[i] = min(max(ab[i] / max(mm[i], F(1e-12)), F(0.3)), F(1.05))
     for i in range(len(scale)):
@@ -85,7 +85,7 @@ def _alike(
 
 
 @njit
-def _influences(
+def _influence_row(
     j: int,
     sums: np.ndarray,
     windowed: np.ndarray,
@@ -113,34 +113,34 @@ def _influences(
 
 
 @njit
-def _shared(
+def _score_row(
     j: int,
     sums: np.ndarray,
     windowed: np.ndarray,
     du: np.ndarray,
     dv: np.ndarray,
-    alike: np.ndarray,
+    correlation: np.ndarray,
     score: np.ndarray,
     hessian: np.ndarray,
     work: np.ndarray,
 ) -> None:
     """Score and Hessian of a row of blocks."""
     s0, s1, s2, s3, s4 = sums[0, j], sums[1, j], sums[2, j], sums[3, j], sums[4, j]
-    ab, mm, common = windowed[10, j], windowed[11, j], work[3]
+    ab, mm, shared = windowed[10, j], windowed[11, j], work[3]
     xx, xy, yy, sx, sy = hessian[0, j], hessian[1, j], hessian[2, j], score[0, j], score[1, j]
-    for i in range(len(common)):
+    for i in range(len(shared)):
         part = min(max(ab[i] / max(mm[i], F(1e-12)), F(0)), F(1))
-        part = F(0) if alike[i] <= F(_ALIKE) else part
-        common[i] = part / (F(2) - part)
-    for i in range(len(common)):
-        xx[i] = s2[i] * common[i]
-    for i in range(len(common)):
-        xy[i] = s3[i] * common[i]
-    for i in range(len(common)):
-        yy[i] = s4[i] * common[i]
-    for i in range(len(common)):
+        part = F(0) if correlation[i] <= F(MIN_CORRELATION) else part
+        shared[i] = part / (F(2) - part)
+    for i in range(len(shared)):
+        xx[i] = s2[i] * shared[i]
+    for i in range(len(shared)):
+        xy[i] = s3[i] * shared[i]
+    for i in range(len(shared)):
+        yy[i] = s4[i] * shared[i]
+    for i in range(len(shared)):
         sx[i] = s0[i] - (xx[i] * du[i] + xy[i] * dv[i])
-    for i in range(len(common)):
+    for i in range(len(shared)):
         sy[i] = s1[i] - (xy[i] * du[i] + yy[i] * dv[i])
 
 
@@ -151,8 +151,8 @@ def assess(
     v: np.ndarray,
     sums: np.ndarray,
     windowed: np.ndarray,
-    share: np.ndarray,
-    moved: tuple[np.ndarray, np.ndarray],
+    coverage: np.ndarray,
+    last_step: tuple[np.ndarray, np.ndarray],
     outlier: np.ndarray,
     settings: MatchSettings,
 ) -> Displacement:
@@ -166,7 +166,7 @@ def assess(
     least = F((1e-4 * power + 1e-12) ** 2)
     ridge = F(1e-4 * float((windowed[2] + windowed[4]).mean()) + 1e-12)
     score, hessian = np.empty((2, *u.shape), np.float32), np.empty((3, *u.shape), np.float32)
-    _measures(sums, windowed, share, *moved, least, ridge, measures, score, hessian)
+    _block_measures(sums, windowed, coverage, *last_step, least, ridge, measures, score, hessian)
     correlation, gain, energy = measures[:3]
     reason = _reasons(a, b, u, v, outlier, correlation, energy, settings)
     valid = reason == 0
@@ -180,7 +180,7 @@ def assess(
         reason=reason,
         influence_u=measures[3],
         influence_v=measures[4],
-        gain=_typical(gain, valid, 1.0),
+        gain=_sparse_median(gain, valid, 1.0),
         settings=settings,
         score=score,
         hessian=hessian,
@@ -188,13 +188,13 @@ def assess(
 
 
 @njit
-def _why(
+def _reason_bits(
     inside: np.ndarray,
     weight: np.ndarray,
     energy: np.ndarray,
     least: np.float32,
     correlation: np.ndarray,
-    smallest: np.float32,
+    min_correlation: np.float32,
     outlier: np.ndarray,
     out: np.ndarray,
 ) -> None:
@@ -207,17 +207,17 @@ def _why(
                 bits |= MASKED
             if energy[j, i] <= least:
                 bits |= TEXTURE
-            if correlation[j, i] < smallest:
+            if correlation[j, i] < min_correlation:
                 bits |= CORRELATION
             if outlier[j, i]:
                 bits |= NEIGHBOURS
             out[j, i] = bits
 
 
-def _typical(field: np.ndarray, known: np.ndarray, otherwise: float) -> float:
+def _sparse_median(field: np.ndarray, known: np.ndarray, otherwise: float) -> float:
     """Median of a field where it is known, of every third block each way: windows overlap that much."""
-    some = field[::3, ::3][known[::3, ::3]]
-    return float(np.median(some)) if some.size else otherwise
+    every_third = field[::3, ::3][known[::3, ::3]]
+    return float(np.median(every_third)) if every_third.size else otherwise
 
 
 def _reasons(
@@ -238,9 +238,9 @@ def _reasons(
         block_weights(a.good, b.good, u, v, *b.shape, weight)
     else:
         weight = inside
-    least = max(settings.min_gradient_energy * _typical(energy, weight > 0, 0.0), 1e-12)
+    least = max(settings.min_gradient_energy * _sparse_median(energy, weight > 0, 0.0), 1e-12)
     reason = np.empty(u.shape, np.uint8)
-    _why(inside, weight, energy, F(least), correlation, F(settings.min_correlation), outlier, reason)
+    _reason_bits(inside, weight, energy, F(least), correlation, F(settings.min_correlation), outlier, reason)
     if settings.search_x is not None and settings.search_y is not None:
         slack = 2.0 ** (settings.levels - 1)  # px: one of the coarsest level
         for field, (low, high) in ((u, settings.search_x), (v, settings.search_y)):

@@ -41,44 +41,44 @@ def filtered(field: np.ndarray, weights: np.ndarray, out: np.ndarray | None = No
 
 
 def smoothed(
-    field: np.ndarray, sigma: float, order: int, trust: tuple[np.ndarray, np.ndarray] | None = None
+    field: np.ndarray, sigma: float, order: int, weighting: tuple[np.ndarray, np.ndarray] | None = None
 ) -> np.ndarray:
-    """The flat smoother 1 - (1 - G)^order, G a Gaussian of `sigma` blocks.
+    """A field (ny, nx) after the flat smoother 1 - (1 - G)^order, G a Gaussian of `sigma` blocks.
 
-    With field (ny, nx); trust (ny, nx); returns (ny, nx).
+    `weighting`, as given by `smoother_weights`, replaces G f by G(w f) / G(w).
     """
     if sigma == 0:
         return field
     g = gaussian(sigma)
     part = np.empty_like(field)
-    if trust is None:
+    if weighting is None:
         rest = field - filtered(field, g, part)
         for _ in range(order - 1):
             rest -= filtered(rest, g, part)
     else:
-        weight, norm = trust
+        weight, norm = weighting
         rest, product = field.copy(), field * weight
         for _ in range(order):
-            _take_off(rest, product, filtered(product, g, part), weight, norm)
+            _subtract_smoothed(rest, product, filtered(product, g, part), weight, norm)
     out: np.ndarray = np.subtract(field, rest, out=rest)
     return out
 
 
-def trusted(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
-    """Trust in each block (ny, nx) as `smoothed` wants it: G becomes G(weight f) / G(weight)."""
+def smoother_weights(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
+    """Weights of the blocks (ny, nx) and their norm, for `smoothed`: G becomes G(weight f) / G(weight)."""
     return weight, F(1) / np.maximum(filtered(weight, gaussian(sigma)), F(1e-3))
 
 
 @njit
-def _take_off(
+def _subtract_smoothed(
     rest: np.ndarray, product: np.ndarray, part: np.ndarray, weight: np.ndarray, norm: np.ndarray
 ) -> None:
     """rest -= norm part; product = weight rest."""
     for j in range(len(rest)):
-        here, to, off, w, n = rest[j], product[j], part[j], weight[j], norm[j]
-        for i in range(len(here)):
-            value = here[i] - n[i] * off[i]
-            here[i] = value
+        row_here, to, off, w, n = rest[j], product[j], part[j], weight[j], norm[j]
+        for i in range(len(row_here)):
+            value = row_here[i] - n[i] * off[i]
+            row_here[i] = value
             to[i] = w[i] * value
 
 
@@ -92,18 +92,18 @@ def slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 @njit
 def _slopes(f: np.ndarray, fx: np.ndarray, fy: np.ndarray, block: int = BLOCK) -> None:
-    # block is given, not read from elsewhere: numba keeps what it compiled by its arguments
+    # block is an argument, not a global: numba's cache distinguishes arguments only
     ny, nx = f.shape
     for j in range(ny):
-        up, here, down = f[max(j - 1, 0)], f[j], f[min(j + 1, ny - 1)]
+        up, row_here, down = f[max(j - 1, 0)], f[j], f[min(j + 1, ny - 1)]
         scale_y = F(1 / block) / F(max(min(j + 1, ny - 1) - max(j - 1, 0), 1))
         for i in range(nx):
             fy[j, i] = (down[i] - up[i]) * scale_y
         for i in range(1, nx - 1):
-            fx[j, i] = (here[i + 1] - here[i - 1]) * F(0.5 / block)
+            fx[j, i] = (row_here[i + 1] - row_here[i - 1]) * F(0.5 / block)
         last = max(nx - 2, 0)
-        fx[j, 0] = (here[min(1, nx - 1)] - here[0]) * F(1 / block)
-        fx[j, nx - 1] = (here[nx - 1] - here[last]) * F(1 / block)
+        fx[j, 0] = (row_here[min(1, nx - 1)] - row_here[0]) * F(1 / block)
+        fx[j, nx - 1] = (row_here[nx - 1] - row_here[last]) * F(1 / block)
 
 
 @njit
@@ -127,30 +127,29 @@ def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) ->
 def subtract_strain(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float]:
-    """Take off what reading b through a displacement with slopes adds where images are not strained.
+    """Subtract what sampling b at a displacement with slopes adds where images are not strained.
 
-    sums (2, ny, nx), those of blocks that count (1 in count, else 0), are changed in place; moments
-    (8, ny, nx) are those of `strain_moments`. Returns the factors c and s^2 of `look_again` that leave least
-    of the sums, as they were taken off.
+    sums (2, ny, nx) of usable blocks (1 in count, else 0) are changed in place; moments (8, ny, nx) are those
+    of `strain_moments`. Returns the factors c and s^2 of `reevaluate`, by least squares of the sums.
     """
     _, ny, nx = sums.shape
     aa = ab = bb = ra = rb = 0.0
     c = s2 = 0.0
     row = np.empty((4, nx), np.float32)
     ax, ay, bx, by = row[0], row[1], row[2], row[3]
-    for taken in range(2):
+    for subtracting in range(2):
         for j in range(ny):
             sx, sy, weight = sums[0, j], sums[1, j], count[j]
             ux, uy, vx, vy = slope[0, j], slope[1, j], slope[2, j], slope[3, j]
             x, y, xxx, xxy, xyy = moments[0, j], moments[1, j], moments[2, j], moments[3, j], moments[4, j]
             yxx, yxy, yyy = moments[5, j], moments[6, j], moments[7, j]
             for i in range(nx):
-                wider, shear = weight[i] * (ux[i] + vy[i]), uy[i] + vx[i]
-                ax[i] = wider * x[i]
-                ay[i] = wider * y[i]
+                divergence, shear = weight[i] * (ux[i] + vy[i]), uy[i] + vx[i]
+                ax[i] = divergence * x[i]
+                ay[i] = divergence * y[i]
                 bx[i] = weight[i] * (xxx[i] * ux[i] + xxy[i] * shear + xyy[i] * vy[i])
                 by[i] = weight[i] * (yxx[i] * ux[i] + yxy[i] * shear + yyy[i] * vy[i])
-            if taken:
+            if subtracting:
                 for i in range(nx):
                     sx[i] -= F(c) * ax[i] + F(s2) * bx[i]
                     sy[i] -= F(c) * ay[i] + F(s2) * by[i]
@@ -161,9 +160,9 @@ def subtract_strain(
                     bb += bx[i] * bx[i] + by[i] * by[i]
                     ra += sx[i] * ax[i] + sy[i] * ay[i]
                     rb += sx[i] * bx[i] + sy[i] * by[i]
-        if not taken:
-            whole = max(aa * bb - ab * ab, 1e-6 * aa * bb + 1e-30)
-            c = min(max((ra * bb - rb * ab) / whole, 0.0), 1.0)
+        if not subtracting:
+            determinant = max(aa * bb - ab * ab, 1e-6 * aa * bb + 1e-30)
+            c = min(max((ra * bb - rb * ab) / determinant, 0.0), 1.0)
             s2 = max((rb - c * ab) / max(bb, 1e-30), 0.0)
     return c, s2
 
@@ -196,7 +195,7 @@ def step(
 def replace_outliers(u: np.ndarray, v: np.ndarray, limit: float) -> np.ndarray:
     """Replace vectors further than `limit` px from the median of their 5 x 5 neighbours by it, in place.
 
-    Returns (ny, nx): Where.
+    Returns a mask (ny, nx), True where vectors were replaced.
     """
     outlier = np.empty(u.shape, np.bool_)
     _replace(u, v, cv2.medianBlur(u, 5), cv2.medianBlur(v, 5), F(limit), outlier)
@@ -214,10 +213,10 @@ def _replace(
 ) -> None:
     for j in range(u.shape[0]):
         for i in range(u.shape[1]):
-            wrong = abs(u[j, i] - median_u[j, i]) + abs(v[j, i] - median_v[j, i]) > limit
-            outlier[j, i] = wrong
-            u[j, i] = median_u[j, i] if wrong else u[j, i]
-            v[j, i] = median_v[j, i] if wrong else v[j, i]
+            far = abs(u[j, i] - median_u[j, i]) + abs(v[j, i] - median_v[j, i]) > limit
+            outlier[j, i] = far
+            u[j, i] = median_u[j, i] if far else u[j, i]
+            v[j, i] = median_v[j, i] if far else v[j, i]
 
 
 @lru_cache(maxsize=32)
@@ -238,8 +237,8 @@ def to_coarser(field: np.ndarray, levels: int, shape: tuple[int, int]) -> np.nda
     if levels == 0:
         return np.ascontiguousarray(field, np.float32)
     q = 2**levels
-    need = [(0, max(n * q - m, 0)) for n, m in zip(shape, field.shape)]
-    field = np.pad(np.asarray(field, np.float32), need, mode="edge")[: shape[0] * q, : shape[1] * q]
+    padding = [(0, max(n * q - m, 0)) for n, m in zip(shape, field.shape)]
+    field = np.pad(np.asarray(field, np.float32), padding, mode="edge")[: shape[0] * q, : shape[1] * q]
     return cv2.resize(field, shape[::-1], interpolation=cv2.INTER_AREA) / F(q)
 
 
@@ -254,21 +253,21 @@ def block_weights(
     out: np.ndarray,
     block: int = BLOCK,
 ) -> None:
-    """Weight 1 of the blocks that lie inside b and touch no masked pixel, 0 of the others, into `out`.
+    """Write weight 1 for blocks inside b without masked pixels, 0 for the others, into `out`.
 
-    mask_a, mask_b (h, w) uint8 are 1 where a whole block around the pixel is good; of size 0 where nothing is
-    masked.
+    mask_a, mask_b (h, w) uint8 are 1 where all of the block around the pixel is usable; of size 0 where
+    nothing is masked.
     """
     ny, nx = u.shape
     for j in range(ny):
         for i in range(nx):
             x, y = F(i * block + 2) + u[j, i], F(j * block + 2) + v[j, i]
-            good = x >= F(1) and y >= F(1) and x <= F(width - 2) and y <= F(height - 2)
-            if good and mask_b.size > 0:
-                good = mask_b[int(y + F(0.5)), int(x + F(0.5))] != 0
-            if good and mask_a.size > 0:
-                good = mask_a[j * block + 2, i * block + 2] != 0
-            out[j, i] = F(1) if good else F(0)
+            usable = x >= F(1) and y >= F(1) and x <= F(width - 2) and y <= F(height - 2)
+            if usable and mask_b.size > 0:
+                usable = mask_b[int(y + F(0.5)), int(x + F(0.5))] != 0
+            if usable and mask_a.size > 0:
+                usable = mask_a[j * block + 2, i * block + 2] != 0
+            out[j, i] = F(1) if usable else F(0)
 
 
 @njit
@@ -302,10 +301,7 @@ def _sample(field: np.ndarray, x: np.ndarray, y: np.ndarray, out: np.ndarray) ->
 
 
 def sample(field: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Read a lattice field between its blocks by cubic convolution.
-
-    With field (ny, nx).
-    """
+    """Interpolate a lattice field (ny, nx) at x, y, in blocks, by cubic convolution."""
     x, y = np.broadcast_arrays(x, y)
     out = np.empty(x.size, np.float32)
     flat_x, flat_y = (np.ascontiguousarray(q, np.float32).ravel() for q in (x, y))

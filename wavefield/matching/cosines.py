@@ -1,9 +1,9 @@
-"""Cosines on a lattice of blocks, a quarter of it at a time.
+"""Cosine transforms on a lattice of blocks, by parity.
 
-A cosine is even or odd about the middle of its lattice. What is even along both sides, along either or along
-none is told by a quarter of the lattice, so that the four kinds of products, transformed apart, cost half of
-what all together do. Coefficients *by kind* are (2, my / 2, 2, c, mx / 2), the parities along y and x before
-what they belong to; *quarters* are (2, hy, 2, c, hx) with hy = ceil(ny / 2).
+A cosine is even or odd about the middle of its lattice, so a quarter of the lattice determines each of the
+four combinations of parities; transforming these separately halves the cost. Coefficients *by parity* are
+(2, my / 2, 2, c, mx / 2), the parities along y and x each before their index; *quarters* are
+(2, hy, 2, c, hx) with hy = ceil(ny / 2).
 """
 
 from __future__ import annotations
@@ -19,15 +19,12 @@ Float = NDArray[Any]
 
 F = np.float32
 
-# sums may be taken in any order, and are always taken in the same
+# sums may be reordered by the compiler, but in the same way on every call
 njit = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 
 
 def cosines(n: int, count: int) -> NDArray[np.float64]:
-    """The first orthonormal cosines on n blocks.
-
-    Returns (count, n).
-    """
+    """The first orthonormal cosines on n blocks, (count, n)."""
     phase = np.pi * np.arange(count)[:, None] * (np.arange(n) + 0.5) / n
     out: NDArray[np.float64] = np.cos(phase) * np.sqrt(2.0 / n)
     out[0] /= np.sqrt(2.0)
@@ -41,8 +38,8 @@ class Cosines:
     --------
     >>> waves = np.zeros((1, 4, 6), np.float32)
     >>> waves[0, 1, 2] = 1.0
-    >>> some = Cosines((7, 10), (4, 6))
-    >>> bool(np.allclose(some.waves(some.field(waves)), waves, atol=1e-6))
+    >>> transforms = Cosines((7, 10), (4, 6))
+    >>> bool(np.allclose(transforms.waves(transforms.field(waves)), waves, atol=1e-6))
     True
     """
 
@@ -60,38 +57,38 @@ class Cosines:
 
     def waves(self, field: Float) -> Float:
         """Coefficients (c, my, mx) of a field (c, ny, nx)."""
-        return self.joined(self.by_kind(self.quarters(field)))
+        return self.merge_parities(self.coefficients_of(self.quarters(field)))
 
     def field(self, waves: Float) -> Float:
         """Field (c, ny, nx) of coefficients (c, my, mx)."""
         ny, nx = self.lattice
-        quarters = self.of_kind(self.split(waves))
+        quarters = self.quarters_of(self.split_parities(waves))
         out = np.empty((len(waves), ny, nx), F)
         _unfold(quarters, out)
         return out
 
-    def split(self, waves: Float) -> Float:
-        """Coefficients by kind of (c, my, mx)."""
+    def split_parities(self, waves: Float) -> Float:
+        """Coefficients (c, my, mx) by parity."""
         c, (my, mx) = len(waves), self.shape
         parts = waves.reshape(c, my // 2, 2, mx // 2, 2).transpose(2, 1, 4, 0, 3)
         return np.ascontiguousarray(parts, F)
 
-    def joined(self, kinds: Float) -> Float:
-        """Coefficients (c, my, mx) of those by kind."""
-        c = kinds.shape[3]
-        return np.ascontiguousarray(kinds.transpose(3, 1, 0, 4, 2)).reshape(c, *self.shape)
+    def merge_parities(self, by_parity: Float) -> Float:
+        """Coefficients (c, my, mx) from those by parity."""
+        c = by_parity.shape[3]
+        return np.ascontiguousarray(by_parity.transpose(3, 1, 0, 4, 2)).reshape(c, *self.shape)
 
     def quarters(self, field: Float) -> Float:
-        """Quarters of a field (c, ny, nx): what of it is even and odd."""
+        """Quarters of a field (c, ny, nx): its even and odd parts."""
         hy, hx = self._half
         out = np.empty((2, hy, 2, len(field), hx), F)
         _fold(np.ascontiguousarray(field, F), out)
         return out
 
     def mirrored(self, field: Float) -> Float:
-        """A field (c, ny, nx) by places that mirror each other, (2, 2, c, hy, hx).
+        """A field (c, ny, nx) at the four mirrored positions, (2, 2, c, hy, hx).
 
-        The middle of an odd number of blocks mirrors itself: it counts once.
+        The middle of an odd number of blocks is its own mirror image and is counted once.
         """
         (ny, nx), (hy, hx) = self.lattice, self._half
         out = np.zeros((2, 2, len(field), hy, hx), F)
@@ -101,19 +98,19 @@ class Cosines:
         out[1, 1, :, : ny - hy, : nx - hx] = field[:, : hy - 1 : -1, : hx - 1 : -1]
         return out
 
-    def of_kind(self, kinds: Float) -> Float:
-        """Quarters of coefficients by kind."""
-        _, my, _, c, mx = kinds.shape
+    def quarters_of(self, by_parity: Float) -> Float:
+        """Quarters from coefficients by parity."""
+        _, my, _, c, mx = by_parity.shape
         hy, hx = self._half
-        part = np.matmul(self._rows_t, kinds.reshape(2, my, 2 * c * mx)).reshape(2 * hy, 2, c, mx)
+        part = np.matmul(self._rows_t, by_parity.reshape(2, my, 2 * c * mx)).reshape(2 * hy, 2, c, mx)
         out = np.empty((2 * hy, 2, c, hx), F)
         for parity in range(2):
             for n in range(c):
                 np.matmul(part[:, parity, n], self._columns[parity], out=out[:, parity, n])
         return out.reshape(2, hy, 2, c, hx)
 
-    def by_kind(self, quarters: Float) -> Float:
-        """Coefficients by kind of quarters."""
+    def coefficients_of(self, quarters: Float) -> Float:
+        """Coefficients by parity from quarters."""
         _, hy, _, c, hx = quarters.shape
         my, mx = self.shape[0] // 2, self.shape[1] // 2
         flat = quarters.reshape(2 * hy, 2, c, hx)
@@ -165,47 +162,44 @@ def _unfold(quarters: Float, out: Float) -> None:
 
 
 @njit
-def weigh(a: Float, quarters: Float) -> None:
-    """A times a field, in its quarters and in place.
-
-    With a (2, 2, 1 or 3, hy, hx); quarters (2, hy, 2, 1 or 2, hx).
-    """
+def multiply(a: Float, quarters: Float) -> None:
+    """Multiply a field, given as quarters (2, hy, 2, 1 or 2, hx), by A (2, 2, 1 or 3, hy, hx), in place."""
     _, hy, _, c, _ = quarters.shape
     for j in range(hy):
         top, bottom = quarters[0, j], quarters[1, j]
         if c == 1:
-            _weigh_one(a[0, 0, 0, j], a[0, 1, 0, j], a[1, 0, 0, j], a[1, 1, 0, j], top, bottom)
+            _multiply_one(a[0, 0, 0, j], a[0, 1, 0, j], a[1, 0, 0, j], a[1, 1, 0, j], top, bottom)
         else:
-            _weigh_two(a[0, 0, :, j], a[0, 1, :, j], a[1, 0, :, j], a[1, 1, :, j], top, bottom)
+            _multiply_two(a[0, 0, :, j], a[0, 1, :, j], a[1, 0, :, j], a[1, 1, :, j], top, bottom)
 
 
 @njit
-def _apart(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
-    """From what is even and odd to the four places; and back, but for a factor that `weigh` does not want."""
+def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
+    """Values at the four mirrored positions from the four parities, and back but for a factor."""
     p, q, r, s = ee + oe, eo + oo, ee - oe, eo - oo
     return p + q, p - q, r + s, r - s
 
 
 @njit
-def _weigh_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
+def _multiply_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
     ee, eo, oe, oo = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
     for i in range(len(a0)):
-        f0, f1, f2, f3 = _apart(ee[i], eo[i], oe[i], oo[i])
+        f0, f1, f2, f3 = _four_places(ee[i], eo[i], oe[i], oo[i])
         f0, f1, f2, f3 = a0[i] * f0, a1[i] * f1, a2[i] * f2, a3[i] * f3
         ee[i], eo[i] = (f0 + f2) + (f1 + f3), (f0 + f2) - (f1 + f3)
         oe[i], oo[i] = (f0 - f2) + (f1 - f3), (f0 - f2) - (f1 - f3)
 
 
 @njit
-def _weigh_two(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
+def _multiply_two(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
     ue, uo, pe, po = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
     ve, vo, qe, qo = top[0, 1], top[1, 1], bottom[0, 1], bottom[1, 1]
     x0, x1, x2, x3 = a0[0], a1[0], a2[0], a3[0]
     m0, m1, m2, m3 = a0[1], a1[1], a2[1], a3[1]
     y0, y1, y2, y3 = a0[2], a1[2], a2[2], a3[2]
     for i in range(len(x0)):
-        u0, u1, u2, u3 = _apart(ue[i], uo[i], pe[i], po[i])
-        v0, v1, v2, v3 = _apart(ve[i], vo[i], qe[i], qo[i])
+        u0, u1, u2, u3 = _four_places(ue[i], uo[i], pe[i], po[i])
+        v0, v1, v2, v3 = _four_places(ve[i], vo[i], qe[i], qo[i])
         f0, f1, f2, f3 = (
             x0[i] * u0 + m0[i] * v0,
             x1[i] * u1 + m1[i] * v1,

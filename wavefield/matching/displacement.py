@@ -1,4 +1,4 @@
-"""What matching gives back."""
+"""Result of a match."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ class Reason(IntFlag):
     """Why a block is not valid: bits of `Displacement.reason`."""
 
     VALID = 0
-    MASKED = 1  # masked, saturated or not-a-number pixels in a or where it went in b
-    EDGE = 2  # the block went out of image b
-    TEXTURE = 4  # nothing to match: uniform area
-    CORRELATION = 8  # the two patches do not look alike
+    MASKED = 1  # masked, saturated or NaN pixels in the block in a, or at its position in b
+    EDGE = 2  # the block leaves image b
+    TEXTURE = 4  # uniform area: gradients too weak to match
+    CORRELATION = 8  # the correlation of the two patches is too low
     NEIGHBOURS = 16  # far from the median of the neighbours
     RANGE = 32  # no maximum inside the search range
 
@@ -40,19 +40,19 @@ class Displacement:
     reason : (ny, nx) uint8
         Bits of `Reason`; 0 where valid.
     influence_u, influence_v : (ny, nx) float32
-        What the block alone would add to the displacement if its window looked like it, px: the
-        uncertainty is made of these, and combined measurements (stereo) combine them before squaring.
+        Contribution of the block's own residual to the displacement of its window, px; `u_std` and `v_std`
+        follow from them.
     gain : float
-        Share of the way to the solution that a step goes: less than 1 where noise or unmatched particles
-        swell the gradients. See `transfer_kernel`.
-    settings : Settings
+        Fraction of the distance to the solution that one step covers: less than 1 where noise or unmatched
+        particles increase the gradients. See `transfer_kernel`.
+    settings : MatchSettings
         The settings used.
     score : (2, ny, nx) float32
-        What every block alone says about u and v here: sums of gx r and gy r, with r what is left between the
-        images. Zero where the block is content.
+        Score of every block for u and v: sums of gx r and gy r, with r the residual between the images. Zero
+        where the displacement minimizes the block's own residual.
     hessian : (3, ny, nx) float32
-        How firmly it says so: sums of gx gx, gx gy, gy gy of what the two images share; the block alone would
-        move by the inverse of it times the score.
+        Sums of gx gx, gx gy, gy gy of the gradients that the two images have in common. The inverse times the
+        score is the block's own correction of the displacement.
     """
 
     x: np.ndarray
@@ -70,7 +70,7 @@ class Displacement:
 
     @property
     def valid(self) -> np.ndarray:
-        """(ny, nx) bool: blocks to be trusted."""
+        """(ny, nx) bool: blocks whose displacement is valid."""
         out: np.ndarray = self.reason == 0
         return out
 

@@ -1,4 +1,4 @@
-"""Slopes that a field has at the edges of its lattice, which cosines cannot have."""
+"""Slopes of a field at the edges of its lattice, which a cosine basis cannot represent."""
 
 from typing import Any
 
@@ -12,23 +12,20 @@ Float = NDArray[Any]
 Profiles = tuple[Float, Float]
 Slopes = tuple[Float, Float, Float, Float]
 
-REACH = 6.0  # blocks: reach of a slope at the edge, and width over which it is taken
-_ALONG = 3.0  # blocks along the edge over which it is smoothed
+EDGE_REACH = 6.0  # blocks: decay length of the smooth field, and width over which slopes are fitted
+ALONG_EDGE_SIGMA = 3.0  # blocks: smoothing of the slopes along the edge
 
 
 class Edge:
-    """A smooth field with the slopes that a field has at the edges of its lattice.
-
-    With shape (int, int).
-    """
+    """Smooth fields on a lattice (ny, nx) that have given slopes at its edges."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
-        near = int(REACH)
-        t = np.arange(near, dtype=np.float32) - F((near - 1) / 2)
+        width = int(EDGE_REACH)
+        t = np.arange(width, dtype=np.float32) - F((width - 1) / 2)
         self.slope = t / (t * t).sum()
-        self.near = near
+        self.width = width
         along_y, along_x = (
-            (REACH * np.exp((np.arange(n) + 0.5 - n) / REACH)).astype(np.float32) for n in shape
+            (EDGE_REACH * np.exp((np.arange(n) + 0.5 - n) / EDGE_REACH)).astype(np.float32) for n in shape
         )
         self.profiles: Profiles = along_y, along_x
         self.smooth_y, self.smooth_x = (_smoother(n) for n in shape)
@@ -36,19 +33,19 @@ class Edge:
     def slopes(self, field: Float) -> Slopes:
         """Slopes of fields (c, ny, nx) at the first and last column (c, ny), the first and last row (c, nx).
 
-        Those of the rows are what the columns' leave.
+        Those of the rows are fitted after the field of the columns' slopes is subtracted.
         """
-        near, (ny, nx) = self.near, field.shape[-2:]
-        left = field[..., :near] @ self.slope @ self.smooth_y
-        right = field[..., nx - near :] @ self.slope @ self.smooth_y
+        width, (ny, nx) = self.width, field.shape[-2:]
+        left = field[..., :width] @ self.slope @ self.smooth_y
+        right = field[..., nx - width :] @ self.slope @ self.smooth_y
         out = _along_x(left, right, self.profiles[1])
-        first, last = field[:, :near] - out[:, :near], field[:, ny - near :] - out[:, ny - near :]
+        first, last = field[:, :width] - out[:, :width], field[:, ny - width :] - out[:, ny - width :]
         low = np.einsum("cyx,y->cx", first, self.slope) @ self.smooth_x
         high = np.einsum("cyx,y->cx", last, self.slope) @ self.smooth_x
         return left, right, low, high
 
     def field(self, slopes: Slopes, profiles: Profiles | None = None) -> Float:
-        """The smooth field (c, ny, nx) with these slopes, or that part of it whose profiles are given."""
+        """The smooth field (c, ny, nx) with these slopes, or its part with the given profiles."""
         along_y, along_x = profiles or self.profiles
         left, right, low, high = slopes
         out = _along_x(left, right, along_x)
@@ -56,12 +53,10 @@ class Edge:
         out -= low[:, None] * along_y[::-1, None]
         return out
 
-    def beyond(self, counts: tuple[int, int], gains: Profiles) -> Profiles:
-        """Profiles of what the first so many cosines along y and x leave of the smooth field.
+    def truncated_profiles(self, counts: tuple[int, int], gains: Profiles) -> Profiles:
+        """Part of the profiles that the first `counts` cosines along y and x do not represent, for `field`.
 
-        However smooth inside, with a slope at its edge it has waves of all lengths.
-
-        With counts (int, int); gains (ny,); returns (ny,): For `field`..
+        `gains` (ny,) and (nx,) multiply the cosines.
         """
         out = []
         for profile, count, gain in zip(self.profiles, counts, gains, strict=True):
@@ -79,7 +74,7 @@ def _along_x(left: Float, right: Float, profile: Float) -> Float:
 
 def _smoother(n: int) -> Float:
     modes = cosines(n, n)
-    gain = np.exp(-0.5 * np.square(_ALONG * np.pi * np.arange(n) / n))
+    gain = np.exp(-0.5 * np.square(ALONG_EDGE_SIGMA * np.pi * np.arange(n) / n))
     out: Float = ((modes.T * gain) @ modes).astype(np.float32)
     return out
 

@@ -14,12 +14,12 @@ from wavefield.matching.block_lattice import (
     replace_outliers,
     slopes,
     smoothed,
+    smoother_weights,
     step,
     subtract_slopes,
     subtract_strain,
     to_coarser,
     to_finer,
-    trusted,
     window_weights,
 )
 from wavefield.matching.displacement import Displacement, Reason
@@ -33,18 +33,19 @@ from wavefield.matching.matching_kernels import (
     unweighted_sums,
 )
 from wavefield.matching.matching_settings import MatchSettings
-from wavefield.matching.prepared import Level, PreparedImage, depth, prepare
+from wavefield.matching.prepared import Level, PreparedImage, level_count, prepare
 from wavefield.matching.search import search
 
-_RIDGE = 0.01  # of the mean trace of the windowed Hessians: keeps steps small where there is little to see
-_LONGEST_STEP = 1.5  # px
-_ENOUGH = 0.5  # of the blocks: less, and larger windows are tried
-_MUCH_MORE = 2.0  # times as many blocks: what larger windows must tell
-_WIDE = {
+# of the mean trace of the windowed Hessians: keeps steps small where images have little contrast
+RIDGE_FRACTION = 0.01
+MAX_STEP = 1.5  # px
+MIN_VALID_FRACTION = 0.5  # of the blocks: below, larger windows are tried
+MIN_VALID_RATIO = 2.0  # valid blocks of larger windows over those of the usual ones, to use them
+WIDE_WINDOWS = {
     "window": 64.0,
     "search_window": 40.0,
     "min_correlation": 0.15,
-}  # 3 std of unlike images' correlation
+}  # the correlation is three standard deviations of that of unrelated images
 
 Initial = Displacement | tuple[np.ndarray | float, np.ndarray | float] | None
 
@@ -56,15 +57,15 @@ def match(
     mask: np.ndarray | None = None,
     initial: Initial = None,
 ) -> Displacement:
-    """Find where each block of image a went in image b.
+    """Find the displacement of each block of image a to image b.
 
     Parameters
     ----------
-    a, b : (h, w) array, or Prepared
+    a, b : (h, w) array, or PreparedImage
         The two images; prepare an image that is used in several matches once.
-    settings : Settings, optional
-        Default `Settings.piv()`; where that says nothing of most blocks, as of few and weak particles,
-        windows of 64 px that content themselves with a correlation of .15, if they say much more.
+    settings : MatchSettings, optional
+        Default `MatchSettings.piv()`; where most blocks are then invalid, as with few and weak particles,
+        windows of 64 px that accept a correlation of 0.15, if at least twice as many blocks are valid.
     mask : (h, w) bool, optional
         True where pixels of both images may be used; for images that are not prepared.
     initial : Displacement, or (u, v), optional
@@ -99,37 +100,39 @@ def match(
     (3.0, 2.0)
     """
     if settings is None:
-        return _by_themselves(a, b, mask, initial)
+        return _match_with_defaults(a, b, mask, initial)
     a, b = prepared_pair(a, b, settings, mask)
     top = min(len(a.levels), settings.levels) - 1
     u, v = _start(a.levels[top], b.levels[top], top, a.levels[0].blocks, settings, initial)
     for number in range(top, -1, -1):
-        here, there = a.levels[number], b.levels[number]
+        level_a, level_b = a.levels[number], b.levels[number]
         if number < top:
-            u, v = to_finer(u, here.blocks), to_finer(v, here.blocks)
+            u, v = to_finer(u, level_a.blocks), to_finer(v, level_a.blocks)
         count = settings.iterations[settings.levels - 1 - number]
         if number == 0:
-            return _finest(_View(here, there, settings.smoother_sigma, settings), u, v, count)
-        u, v = _plain_steps(_View(here, there, settings.coarse_smoother_sigma, settings), u, v, count)
+            return _finest(_LevelPair(level_a, level_b, settings.smoother_sigma, settings), u, v, count)
+        u, v = _plain_steps(
+            _LevelPair(level_a, level_b, settings.coarse_smoother_sigma, settings), u, v, count
+        )
     raise AssertionError("a prepared image has at least one level")
 
 
-def _by_themselves(
+def _match_with_defaults(
     a: np.ndarray | PreparedImage, b: np.ndarray | PreparedImage, mask: np.ndarray | None, initial: Initial
 ) -> Displacement:
-    """Match with settings that the images choose."""
+    """Match with the default settings, or with wide windows where these give many more valid blocks."""
     usual = MatchSettings.piv()
     a, b = prepared_pair(a, b, usual, mask)
     found = match(a, b, usual, initial=initial)
-    first = _information_weight(found)
-    if first >= _ENOUGH:
+    valid_fraction = _valid_fraction(found)
+    if valid_fraction >= MIN_VALID_FRACTION:
         return found
-    wide = match(a, b, MatchSettings.piv(**_WIDE), initial=initial)
-    return wide if _information_weight(wide) > _MUCH_MORE * first else found
+    wide = match(a, b, MatchSettings.piv(**WIDE_WINDOWS), initial=initial)
+    return wide if _valid_fraction(wide) > MIN_VALID_RATIO * valid_fraction else found
 
 
-def _information_weight(found: Displacement) -> float:
-    """Fraction of the blocks that are not masked of which a match tells something."""
+def _valid_fraction(found: Displacement) -> float:
+    """Fraction of the blocks that are not masked whose displacement is valid."""
     used_blocks = (found.reason & Reason.MASKED) == 0
     return float(found.valid[used_blocks].mean()) if used_blocks.any() else 1.0
 
@@ -160,7 +163,7 @@ def _prepared(
             f"the image was prepared with normalization {image.normalization} px but the settings ask for "
             f"{settings.normalization}: prepare it with the settings of the match"
         )
-    if len(image.levels) < depth(image.shape, settings.levels):
+    if len(image.levels) < level_count(image.shape, settings.levels):
         raise ValueError(
             f"the image was prepared with {len(image.levels)} levels but the settings ask for "
             f"{settings.levels}: prepare it with the settings of the match"
@@ -176,9 +179,10 @@ def _start(
         u, v = (to_coarser(field, levels, a.blocks) for field in initial_fields(initial, finest))
         return u, v
     if settings.search_x is not None and settings.search_y is not None:
-        q = 2**levels
+        factor = 2**levels
         x_range, y_range = (
-            (int(np.floor(lo / q)), int(np.ceil(hi / q))) for lo, hi in (settings.search_x, settings.search_y)
+            (int(np.floor(lo / factor)), int(np.ceil(hi / factor)))
+            for lo, hi in (settings.search_x, settings.search_y)
         )
         return search(a, b, x_range, y_range, settings)
     return np.zeros(a.blocks, np.float32), np.zeros(a.blocks, np.float32)
@@ -203,8 +207,8 @@ def initial_fields(
     return fields[0], fields[1]
 
 
-class _View:
-    """What a level of two images shows of each other: which blocks count, windows and steps over them."""
+class _LevelPair:
+    """One pyramid level of two images: weights of the blocks, their windows, and steps with them."""
 
     def __init__(self, a: Level, b: Level, sigma: float, settings: MatchSettings) -> None:
         self.a, self.b, self.sigma, self.settings = a, b, sigma, settings
@@ -212,22 +216,22 @@ class _View:
         self.weights = window_weights(settings.window)
         self.work = scratch(a.blocks[1])
         self.count: np.ndarray = np.zeros(a.blocks, np.float32)
-        self.share: np.ndarray = self.count
-        self.trust: tuple[np.ndarray, np.ndarray] | None = None
+        self.coverage: np.ndarray = self.count
+        self.weighting: tuple[np.ndarray, np.ndarray] | None = None
         self._hessian: np.ndarray | None = None
 
-    def look(self, u: np.ndarray, v: np.ndarray) -> None:
-        """Update `count` (1 for blocks that count, else 0), `share` (of windows seen) and what follows.
+    def update_weights(self, u: np.ndarray, v: np.ndarray) -> None:
+        """Update `count` (1 for usable blocks, else 0), `coverage` (usable fraction of windows) and weights.
 
-        Large holes must not be smoothed into their surroundings: with masks the smoother has weights.
+        With masks the smoother is weighted, so that large holes do not change their surroundings.
         """
         count = np.empty(u.shape, np.float32)
         block_weights(self.a.good, self.b.good, u, v, *self.b.shape, count)
         if np.array_equal(count, self.count):
             return
-        self.count, self.share, self._hessian = count, filtered(count, self.weights), None
+        self.count, self.coverage, self._hessian = count, filtered(count, self.weights), None
         if self.masked and self.sigma > 0:
-            self.trust = trusted(np.maximum(self.share, F(1e-3)), self.sigma)
+            self.weighting = smoother_weights(np.maximum(self.coverage, F(1e-3)), self.sigma)
 
     @property
     def hessian(self) -> np.ndarray:
@@ -249,11 +253,11 @@ class _View:
         """One step, outliers replaced, smoothed; returns new u, v and where outliers were."""
         settings = self.settings
         u, v = u.copy(), v.copy()
-        ridge = F(_RIDGE) * F(hessian[0].mean() + hessian[2].mean()) + F(1e-12)
-        step(hessian, score, ridge, F(settings.relaxation), F(_LONGEST_STEP), u, v)
-        # the first step of a level may still be wild
+        ridge = F(RIDGE_FRACTION) * F(hessian[0].mean() + hessian[2].mean()) + F(1e-12)
+        step(hessian, score, ridge, F(settings.relaxation), F(MAX_STEP), u, v)
+        # the first step of a level may still be far off
         outlier = replace_outliers(u, v, settings.max_deviation * (2 if number == 0 else 1))
-        u, v = (smoothed(f, self.sigma, settings.smoother_order, self.trust) for f in (u, v))
+        u, v = (smoothed(f, self.sigma, settings.smoother_order, self.weighting) for f in (u, v))
         return u, v, outlier
 
 
@@ -265,57 +269,57 @@ def last_sums(a: Level, b: Level, u: np.ndarray, v: np.ndarray, work: dict[str, 
     return sums
 
 
-def _plain_steps(view: _View, u: np.ndarray, v: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Steps without weights per pixel: the Hessian is that of a alone."""
     for number in range(count):
-        view.look(u, v)
-        score = view.windows(_plain_scores(view, u, v))
-        u, v, _ = view.advance(u, v, view.hessian, score, number)
+        pair.update_weights(u, v)
+        score = pair.windows(_plain_scores(pair, u, v))
+        u, v, _ = pair.advance(u, v, pair.hessian, score, number)
     return u, v
 
 
-def _plain_scores(view: _View, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """(2, ny, nx): sums of gx r and gy r of the blocks that count."""
+def _plain_scores(pair: _LevelPair, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(2, ny, nx): sums of gx r and gy r of the usable blocks."""
     sums = np.empty((2, *u.shape), np.float32)
-    plain_sums(view.a.padded, view.b.padded, u, v, out=sums, **view.work)
-    subtract_slopes(sums, view.a.moments, slopes(u, v))
-    sums *= view.count
+    plain_sums(pair.a.padded, pair.b.padded, u, v, out=sums, **pair.work)
+    subtract_slopes(sums, pair.a.moments, slopes(u, v))
+    sums *= pair.count
     return sums
 
 
-def _without_strain(view: _View, u: np.ndarray, v: np.ndarray, score: np.ndarray) -> None:
-    """Take strain that images do not have off the scores (2, ny, nx) of the blocks that count, in place."""
-    subtract_strain(score, view.a.strain, slopes(u, v), view.count)
+def _subtract_strain(pair: _LevelPair, u: np.ndarray, v: np.ndarray, score: np.ndarray) -> None:
+    """Subtract the effect of strain that the images do not have from the scores (2, ny, nx), in place."""
+    subtract_strain(score, pair.a.strain, slopes(u, v), pair.count)
 
 
-def _finest(view: _View, u: np.ndarray, v: np.ndarray, count: int) -> Displacement:
+def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displacement:
     """Steps of the finest level; the last one also measures correlation and uncertainty."""
-    a, b, settings = view.a, view.b, view.settings
-    plain = 0 if settings.robust else count - 1
-    u, v = _plain_steps(view, u, v, plain)
+    a, b, settings = pair.a, pair.b, pair.settings
+    unweighted = 0 if settings.robust else count - 1
+    u, v = _plain_steps(pair, u, v, unweighted)
     c2b2 = F(settings.robust**2 * settings.robust_beta**2 / 4)
     c2 = np.zeros(u.shape, np.float32)
-    for number in range(plain, count):
-        view.look(u, v)
+    for number in range(unweighted, count):
+        pair.update_weights(u, v)
         if settings.robust:
             kernel, fields = (robust_sums, 6) if number < count - 1 else (final_sums, 12)
             sums = np.empty((fields, *u.shape), np.float32)
-            kernel(a.padded, b.padded, u, v, slopes(u, v), c2, c2b2, out=sums, **view.work)
+            kernel(a.padded, b.padded, u, v, slopes(u, v), c2, c2b2, out=sums, **pair.work)
         else:
-            sums = last_sums(a, b, u, v, view.work)
-        sums *= view.count
-        windowed = view.windows(sums)
+            sums = last_sums(a, b, u, v, pair.work)
+        sums *= pair.count
+        windowed = pair.windows(sums)
         before = u, v
-        u, v, outlier = view.advance(u, v, windowed[2:5], windowed[:2], number)
+        u, v, outlier = pair.advance(u, v, windowed[2:5], windowed[:2], number)
         if settings.robust:
-            c2 = _sharpness(windowed[5], view.share, settings)
-    moved = u - before[0], v - before[1]
-    return assess(a, b, u, v, sums, windowed, view.share, moved, outlier, settings)
+            c2 = _robust_scale(windowed[5], pair.coverage, settings)
+    last_step = u - before[0], v - before[1]
+    return assess(a, b, u, v, sums, windowed, pair.coverage, last_step, outlier, settings)
 
 
-def _sharpness(rr: np.ndarray, share: np.ndarray, settings: MatchSettings) -> np.ndarray:
+def _robust_scale(rr: np.ndarray, coverage: np.ndarray, settings: MatchSettings) -> np.ndarray:
     """1 / (c s)^2 of the robust weights from the windowed sums of squared residuals."""
-    variance = rr / (F(BLOCK * BLOCK) * np.maximum(share, F(1e-3)))
+    variance = rr / (F(BLOCK * BLOCK) * np.maximum(coverage, F(1e-3)))
     least = F(1e-6) * F(variance.mean()) + F(1e-12)
     out: np.ndarray = 1 / (F(settings.robust**2) * np.maximum(variance, least))
     return out
@@ -324,16 +328,16 @@ def _sharpness(rr: np.ndarray, share: np.ndarray, settings: MatchSettings) -> np
 def reevaluate(
     a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray, settings: MatchSettings
 ) -> Displacement:
-    """What every block says about a given displacement, without a step.
+    """Evaluate the blocks of two images at a given displacement, without a step.
 
     Parameters
     ----------
-    a, b : Prepared
+    a, b : PreparedImage
         The two images.
     u, v : (ny, nx) array
         Displacement of every block, px.
-    settings : Settings
-        Those of the match that led there.
+    settings : MatchSettings
+        Those of the match that gave the displacement.
 
     Returns
     -------
@@ -347,11 +351,11 @@ def reevaluate(
 
     Notes
     -----
-    b read through a displacement with slopes e_jk = dd_j/dx_k is strained. The images of beads, which only
-    moved, were not: the residual holds e_jk (delta_jk a + s^2 a_jk), s^2 the variance of a bead's image. Nor
-    is what blurs a texture, s^2 alone. That is even around every bead, so that a bead by itself gets no score
-    of it; those that a block's edge cuts do. c e_jj a + s^2 e_jk a_jk is taken off the scores, here and in
-    `scores_at`, with c from 0 to 1 and s^2 such that least of them is left.
+    b sampled at a displacement with slopes e_jk = dd_j/dx_k is strained. The images of beads only move and
+    are not strained: the residual contains e_jk (delta_jk a + s^2 a_jk), with s^2 the variance of a bead's
+    image; of a blurred texture s^2 e_jk a_jk alone. That is even around every bead, so that a complete bead
+    contributes no score; beads cut by a block's edge do. So c e_jj a + s^2 e_jk a_jk is subtracted from the
+    scores, here and in `scores_at`, with c from 0 to 1 and s^2 by least squares.
 
     Examples
     --------
@@ -359,38 +363,40 @@ def reevaluate(
     >>> noise = np.random.default_rng(1).normal(128, 40, (200, 240)).astype(np.float32)
     >>> image = cv2.GaussianBlur(noise, (0, 0), 1.2)
     >>> a, b = (prepare(f, MatchSettings.piv()) for f in (image, np.roll(image, 3, 1)))
-    >>> off = np.full(a.levels[0].blocks, 2.9)
-    >>> seen = reevaluate(a, b, off, 0 * off, MatchSettings.piv())
-    >>> round(float((seen.score[0] / seen.hessian[0].clip(1e-9))[seen.valid].mean()), 1)
+    >>> offset = np.full(a.levels[0].blocks, 2.9)
+    >>> evaluated = reevaluate(a, b, offset, 0 * offset, MatchSettings.piv())
+    >>> round(float((evaluated.score[0] / evaluated.hessian[0].clip(1e-9))[evaluated.valid].mean()), 1)
     0.1
     """
     a, b = prepared_pair(a, b, settings, None)
-    view = _View(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
-    u, v = initial_fields((u, v), view.a.blocks)
-    view.look(u, v)
-    sums = last_sums(view.a, view.b, u, v, view.work)
-    sums *= view.count
-    _without_strain(view, u, v, sums[:2])
-    still = np.zeros(u.shape, np.float32)
-    none = np.zeros(u.shape, bool)
+    pair = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
+    u, v = initial_fields((u, v), pair.a.blocks)
+    pair.update_weights(u, v)
+    sums = last_sums(pair.a, pair.b, u, v, pair.work)
+    sums *= pair.count
+    _subtract_strain(pair, u, v, sums[:2])
+    no_step = np.zeros(u.shape, np.float32)
+    no_outlier = np.zeros(u.shape, bool)
     windowed = np.empty_like(sums)
     windowed[:2] = 0  # no step is taken
-    view.windows(sums[2:], windowed[2:])
-    return assess(view.a, view.b, u, v, sums, windowed, view.share, (still, still), none, settings)
+    pair.windows(sums[2:], windowed[2:])
+    return assess(
+        pair.a, pair.b, u, v, sums, windowed, pair.coverage, (no_step, no_step), no_outlier, settings
+    )
 
 
 def scores_at(
     found: Displacement, a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray
 ) -> Displacement:
-    """What every block that counts says about a displacement near the one that was found.
+    """Scores of the usable blocks at a displacement near the one that was found.
 
-    Half of what `reevaluate` takes: it wins no block back that the match has lost.
+    Half of the cost of `reevaluate`; blocks that the match has rejected stay rejected.
 
     Parameters
     ----------
     found : Displacement
-        The match that led there: what the images share, and which blocks count, is known from it.
-    a, b : Prepared
+        The match: its Hessians and valid blocks are used again.
+    a, b : PreparedImage
         Its two images.
     u, v : (ny, nx) array
         Displacement of every block, px.
@@ -398,8 +404,8 @@ def scores_at(
     Returns
     -------
     Displacement
-        The match at the given displacement, with the blocks' scores there, and no Hessian where a block does
-        not count there; all else as it was.
+        The match at the given displacement, with the blocks' scores there and a Hessian of 0 where a block is
+        not usable; the rest is unchanged.
 
     Raises
     ------
@@ -413,14 +419,14 @@ def scores_at(
     >>> image = cv2.GaussianBlur(noise, (0, 0), 1.2)
     >>> a, b = (prepare(f, MatchSettings.piv()) for f in (image, np.roll(image, 3, 1)))
     >>> found = match(a, b)
-    >>> seen = scores_at(found, a, b, found.u - 0.1, found.v)
-    >>> round(float((seen.score[0] / seen.hessian[0].clip(1e-9))[seen.valid].mean()), 1)
+    >>> evaluated = scores_at(found, a, b, found.u - 0.1, found.v)
+    >>> round(float((evaluated.score[0] / evaluated.hessian[0].clip(1e-9))[evaluated.valid].mean()), 1)
     0.1
     """
     a, b = prepared_pair(a, b, found.settings, None)
-    view = _View(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
-    u, v = initial_fields((u, v), view.a.blocks)
-    view.look(u, v)
-    score = _plain_scores(view, u, v)
-    _without_strain(view, u, v, score)
-    return replace(found, u=u, v=v, score=score, hessian=found.hessian * view.count)
+    pair = _LevelPair(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
+    u, v = initial_fields((u, v), pair.a.blocks)
+    pair.update_weights(u, v)
+    score = _plain_scores(pair, u, v)
+    _subtract_strain(pair, u, v, score)
+    return replace(found, u=u, v=v, score=score, hessian=found.hessian * pair.count)

@@ -10,9 +10,13 @@ from wavefield.matching.block_lattice import gaussian, window_sigma
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.matching_settings import MatchSettings
 
-_N = 128  # blocks: period of the Fourier transforms below
-_FOOTPRINT = 6.0  # px^2: variance of the area that a block's value stands for, beads' own images included
-_TAKEN = 4.0  # px^2: variance of the area over which blocks and beads' images average displacements
+PERIOD = 128  # blocks: period of the Fourier transforms below
+FOOTPRINT_VARIANCE = (
+    6.0  # px^2: variance of the area that a block's value stands for, beads' own images included
+)
+AVERAGED_VARIANCE = (
+    4.0  # px^2: variance of the area over which blocks and beads' images average displacements
+)
 
 
 def transfer_function(
@@ -69,11 +73,11 @@ def footprint(kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
     ndarray
         Amplitude gain.
     """
-    out: np.ndarray = np.exp(-0.5 * _FOOTPRINT * (np.square(kx) + np.square(ky)) / BLOCK**2)
+    out: np.ndarray = np.exp(-0.5 * FOOTPRINT_VARIANCE * (np.square(kx) + np.square(ky)) / BLOCK**2)
     return out
 
 
-def raised(k: np.ndarray) -> np.ndarray:
+def footprint_excess(k: np.ndarray) -> np.ndarray:
     """By how much displacements are raised because a block is thought to stand for more than it averages.
 
     Parameters
@@ -88,10 +92,10 @@ def raised(k: np.ndarray) -> np.ndarray:
 
     Examples
     --------
-    >>> raised(np.array([0.0, 0.8])).round(3).tolist()
+    >>> footprint_excess(np.array([0.0, 0.8])).round(3).tolist()
     [1.0, 1.026]
     """
-    out: np.ndarray = np.exp(0.5 * (_FOOTPRINT - _TAKEN) * np.square(k) / BLOCK**2)
+    out: np.ndarray = np.exp(0.5 * (FOOTPRINT_VARIANCE - AVERAGED_VARIANCE) * np.square(k) / BLOCK**2)
     return out
 
 
@@ -101,10 +105,10 @@ def transfer_kernel(settings: MatchSettings, gain: float = 1.0) -> np.ndarray:
 
     Returns (2 r + 1, 2 r + 1): The kernel, its centre at [r, r]; it sums to nearly 1..
     """
-    kx = 2 * np.pi * np.fft.fftfreq(_N)
+    kx = 2 * np.pi * np.fft.fftfreq(PERIOD)
     ky = kx[:, None]
     total = transfer_function(settings, kx, ky, gain)
     kernel = np.fft.fftshift(np.fft.ifft2(total).real)
-    reach = min(_N // 2 - 1, int(3 * settings.window / BLOCK) + 3)
-    middle = slice(_N // 2 - reach, _N // 2 + reach + 1)
+    reach = min(PERIOD // 2 - 1, int(3 * settings.window / BLOCK) + 3)
+    middle = slice(PERIOD // 2 - reach, PERIOD // 2 + reach + 1)
     return kernel[middle, middle].astype(np.float32)

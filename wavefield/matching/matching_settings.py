@@ -1,4 +1,4 @@
-"""What a user may choose about matching."""
+"""Settings of matching."""
 
 from __future__ import annotations
 

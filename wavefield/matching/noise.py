@@ -1,4 +1,4 @@
-"""How noisy the scores of blocks are, from how clusters of them scatter, and where blocks tell nothing."""
+"""Noise of the blocks' scores, from the variance of clusters of blocks, and holes without information."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ Mask = NDArray[np.bool_]
 
 F = np.float32
 CLUSTER = 5  # blocks: neighbours closer than this share pixels, gradients and noise
-_AROUND = 6.0  # blocks over which noise is taken as alike
-_BARE = 0.15  # of the typical information, over 7 x 7 blocks: less is a hole
-_UNEVEN = 0.25  # between the noise of both components: more is no noise, as of images that do not match
-_RIM, _SOFT = 6, 2.0  # blocks: how far the surroundings of a hole reach, and how softly they end
+SMOOTHING_RADIUS = 6.0  # blocks over which noise is averaged
+HOLE_INFORMATION = 0.15  # of the typical information, mean of 7 x 7 blocks: below is a hole
+MAX_EXCESS = 0.25  # of one component's noise over the mean: more is a mismatch, not noise
+RIM_WIDTH, RIM_SIGMA = 6, 2.0  # blocks: reach of the surroundings of a hole, and smoothing of their edge
 
 
-def noise_of_scores(score: Float, trace: Float, counts: Float, freedom: float, torn: bool = False) -> Float:
-    """The noise nu that scores have, from how clusters of them scatter.
+def noise_of_scores(
+    score: Float, trace: Float, counts: Float, freedom: float, with_mismatches: bool = False
+) -> Float:
+    """Noise nu of the scores, from the variance of clusters of scores.
 
     Parameters
     ----------
@@ -29,11 +31,11 @@ def noise_of_scores(score: Float, trace: Float, counts: Float, freedom: float, t
     trace : ndarray of float32, (ny, nx)
         Sum of the Hessian's diagonal.
     counts : ndarray of float32, (ny, nx)
-        1 for blocks that count, else 0.
+        1 for usable blocks, else 0.
     freedom : float
-        Fraction of the scores' variance that the fit itself has left in them (`Modes.freedom`).
-    torn : bool, default False
-        Some places may not match at all, as where beads leave the picture between two frames.
+        Fraction of the scores' variance that remains after the fit (`Modes.freedom`).
+    with_mismatches : bool, default False
+        Whether parts of the images may not match at all, as where beads leave the image between two frames.
 
     Returns
     -------
@@ -42,31 +44,31 @@ def noise_of_scores(score: Float, trace: Float, counts: Float, freedom: float, t
 
     Notes
     -----
-    Clusters are of 5 x 5 blocks, all of which count; their squares and Hessians are smoothed over 6 blocks. A
-    tenth of the usual belongs to every place: few residuals say little. The usual is the mean; the median
-    where some places do not match, which must not make the rest of them noisy.
+    Clusters are of 5 x 5 usable blocks; their squares and Hessians are smoothed over 6 blocks. A fifth of the
+    mean information, with the typical noise, is added everywhere to regularize the ratio. The typical noise
+    is the mean, or the median where parts of the images may not match.
     """
-    full = (_clusters(counts) > CLUSTER**2 - 0.5).astype(np.float32)
+    complete = (_clusters(counts) > CLUSTER**2 - 0.5).astype(np.float32)
     square = np.zeros_like(trace)
     for part in score:
         square += np.square(_clusters(part * counts))
-    square *= full
-    expected = _clusters(trace * counts) * full
+    square *= complete
+    expected = _clusters(trace * counts) * complete
     total = float(square.sum(dtype=np.float64)) / max(float(expected.sum(dtype=np.float64)), 1e-30)
-    if not full.any():  # single blocks must do
+    if not complete.any():  # fall back to single blocks
         total = float(np.square(score * counts).sum()) / max(float((trace * counts).sum()), 1e-30)
-    few = F(max(0.2 * float(expected.mean()), 1e-20))
-    square, expected = _around(square), _around(expected)
-    known = expected > few
-    if torn and known.any():
+    least_information = F(max(0.2 * float(expected.mean()), 1e-20))
+    square, expected = _smoothed(square), _smoothed(expected)
+    known = expected > least_information
+    if with_mismatches and known.any():
         total = float(np.median(square[known] / expected[known]))
-    out = (square + few * F(total)) / ((expected + few) * F(freedom))
+    out = (square + least_information * F(total)) / ((expected + least_information) * F(freedom))
     ny, nx = trace.shape
     return cv2.resize(np.maximum(out, F(1e-12)), (nx, ny), interpolation=cv2.INTER_LINEAR)
 
 
-def along_each(score: Float, hessian: Float, counts: Float) -> tuple[float, float]:
-    """How much more uncertain one component of a displacement is than the mean of both.
+def component_variance_factors(score: Float, hessian: Float, counts: Float) -> tuple[float, float]:
+    """Variance of each component of a displacement over the mean of both.
 
     Parameters
     ----------
@@ -75,39 +77,38 @@ def along_each(score: Float, hessian: Float, counts: Float) -> tuple[float, floa
     hessian : ndarray of float32, (3, ny, nx)
         H_xx, H_xy, H_yy.
     counts : ndarray of float32, (ny, nx)
-        1 for blocks that count, else 0.
+        1 for usable blocks, else 0.
 
     Returns
     -------
     float, float
-        Factors on the variance along columns and along rows, .75 to 1.25; their mean is 1.
+        Factors on the variance along columns and along rows, 0.75 to 1.25; their mean is 1.
 
     Notes
     -----
-    A component's variance goes as med s^2 / (sum H)^2, s of clusters of 5 x 5 blocks, over the whole lattice:
-    in a sum a corner where images do not match would outweigh all others.
+    A component's variance is proportional to med s^2 / (sum H)^2, with s the sums over clusters of 5 x 5
+    blocks. The median limits the weight of parts of the images that do not match.
     """
-    full = _clusters(counts)[::2, ::2] > CLUSTER**2 - 0.5  # neighbours tell the same
-    if not full.any():
+    complete = _clusters(counts)[::2, ::2] > CLUSTER**2 - 0.5
+    if not complete.any():
         return 1.0, 1.0
-    square = [float(np.median(np.square(_clusters(part * counts)[::2, ::2][full]))) for part in score]
+    square = [float(np.median(np.square(_clusters(part * counts)[::2, ::2][complete]))) for part in score]
     hessian_sums = [float((part * counts).sum(dtype=np.float64)) for part in hessian[::2]]
     if not all(value > 0 for value in (*square, *hessian_sums)):
         return 1.0, 1.0
-    x, y = (noise / much**2 for noise, much in zip(square, hessian_sums, strict=True))
-    more = min(max((x - y) / (x + y), -_UNEVEN), _UNEVEN)
-    return 1.0 + more, 1.0 - more
+    x, y = (noise / information**2 for noise, information in zip(square, hessian_sums, strict=True))
+    excess = min(max((x - y) / (x + y), -MAX_EXCESS), MAX_EXCESS)
+    return 1.0 + excess, 1.0 - excess
 
 
-def bare(information: Float, usual: float) -> Mask:
-    """Blocks around which next to nothing is known.
+def hole_mask(information: Float, typical_information: float) -> Mask:
+    """Mask (ny, nx) of blocks whose surroundings have nearly no information (ny, nx)."""
+    return np.asarray(
+        cv2.blur(np.asarray(information, np.float32), (7, 7)) <= HOLE_INFORMATION * typical_information
+    )
 
-    With information (ny, nx); returns (ny, nx).
-    """
-    return np.asarray(cv2.blur(np.asarray(information, np.float32), (7, 7)) <= _BARE * usual)
 
-
-def around_holes(information: Float, factor: float) -> Float:
+def noise_factor_near_holes(information: Float, factor: float) -> Float:
     """Factor on the noise of the scores that is larger around holes.
 
     Parameters
@@ -120,21 +121,20 @@ def around_holes(information: Float, factor: float) -> Float:
     Returns
     -------
     ndarray of float32, (ny, nx)
-        1 where there is no hole near; the lattice's edge is none.
+        1 far from holes; the lattice's edge is not a hole.
 
     Notes
     -----
-    Errors of blocks that show the same beads go together, but A thinks each block to err on its own. Inside a
-    sea of blocks that matters little; a field that goes on into a hole goes on with such errors, and they
-    grow with the distance.
+    Errors of blocks that contain the same beads are correlated, but A is diagonal. That matters at holes,
+    where the field is extrapolated from the blocks at the rim, and errors grow with the distance.
     """
-    hole = bare(information, float(information.mean())).view(np.uint8)
-    hole[:_RIM] = hole[-_RIM:] = 0
-    hole[:, :_RIM] = hole[:, -_RIM:] = 0
+    hole = hole_mask(information, float(information.mean())).view(np.uint8)
+    hole[:RIM_WIDTH] = hole[-RIM_WIDTH:] = 0
+    hole[:, :RIM_WIDTH] = hole[:, -RIM_WIDTH:] = 0
     if not hole.any():
         return np.ones_like(information)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _RIM + 3, 2 * _RIM + 3))
-    rim = cv2.GaussianBlur(cv2.dilate(hole, disc).astype(np.float32), (0, 0), _SOFT)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * RIM_WIDTH + 3, 2 * RIM_WIDTH + 3))
+    rim = cv2.GaussianBlur(cv2.dilate(hole, disc).astype(np.float32), (0, 0), RIM_SIGMA)
     return np.asarray(F(1) + F(factor - 1) * rim)
 
 
@@ -143,7 +143,7 @@ def _clusters(field: Float) -> Float:
     return cv2.boxFilter(field, cv2.CV_32F, size, normalize=False, borderType=cv2.BORDER_REFLECT)
 
 
-def _around(field: Float) -> Float:
-    ny, nx = field.shape  # every second block tells as much
+def _smoothed(field: Float) -> Float:
+    ny, nx = field.shape  # neighbouring blocks are correlated: every second one suffices
     half = cv2.resize(field, ((nx + 1) // 2, (ny + 1) // 2), interpolation=cv2.INTER_AREA)
-    return cv2.GaussianBlur(half, (0, 0), 0.5 * _AROUND, borderType=cv2.BORDER_REFLECT)
+    return cv2.GaussianBlur(half, (0, 0), 0.5 * SMOOTHING_RADIUS, borderType=cv2.BORDER_REFLECT)

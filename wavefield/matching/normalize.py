@@ -15,10 +15,12 @@ from wavefield.compiled import compiled
 
 F = np.float32
 
-_LARGEST = 8  # px: side of the cells
-_UNIFORM = F(0.05)  # of the image's median local standard deviation: less contrast is not amplified
-_FEW = F(1e-3)  # share of usable pixels below which there is no telling
-_NOTHING = np.empty((0, 0), np.uint8)
+MAX_CELL_SIDE = 8  # px: side of the cells
+MIN_RELATIVE_CONTRAST = F(
+    0.05
+)  # of the image's median local standard deviation: less contrast is not amplified
+MIN_USABLE_SHARE = F(1e-3)  # share of usable pixels below which there is no telling
+NO_MASK = np.empty((0, 0), np.uint8)
 
 # pixels that are not finite must reach the sums as they are: no fast-math but fused multiply-adds
 njit = compiled(fastmath={"contract"}, error_model="numpy")
@@ -52,16 +54,18 @@ def _add_row(row: np.ndarray, s: np.ndarray, t: np.ndarray, top: np.ndarray) -> 
 
 
 @njit
-def _add_masked_row(row: np.ndarray, good: np.ndarray, s: np.ndarray, t: np.ndarray, top: np.ndarray) -> None:
+def _add_masked_row(
+    row: np.ndarray, usable: np.ndarray, s: np.ndarray, t: np.ndarray, top: np.ndarray
+) -> None:
     for x in range(len(row)):
-        v = F(row[x]) if good[x] != 0 else F(0)
+        v = F(row[x]) if usable[x] != 0 else F(0)
         s[x] += v
         t[x] += v * v
         top[x] = max(top[x], v)
 
 
 @njit
-def _cell_sums(image: np.ndarray, good: np.ndarray, side: int, rows: np.ndarray, out: np.ndarray) -> None:
+def _cell_sums(image: np.ndarray, usable: np.ndarray, side: int, rows: np.ndarray, out: np.ndarray) -> None:
     h, w = image.shape
     ny = out.shape[1]
     s, t, top = rows[0], rows[1], rows[2]
@@ -70,8 +74,8 @@ def _cell_sums(image: np.ndarray, good: np.ndarray, side: int, rows: np.ndarray,
         s[:] = F(0)
         t[:] = F(0)
         for y in range(j * side, j * side + side if j < ny - 1 else h):
-            if good.size > 0:
-                _add_masked_row(image[y], good[y], s, t, top)
+            if usable.size > 0:
+                _add_masked_row(image[y], usable[y], s, t, top)
             else:
                 _add_row(image[y], s, t, top)
         _fold(s, w, side, out[0, j])
@@ -95,14 +99,14 @@ def _normalize_row(
 
 
 @njit
-def _clear_row(good: np.ndarray, out: np.ndarray) -> None:
+def _clear_row(usable: np.ndarray, out: np.ndarray) -> None:
     for x in range(len(out)):
-        out[x] = out[x] if good[x] != 0 else F(0)
+        out[x] = out[x] if usable[x] != 0 else F(0)
 
 
 @njit
 def _normalize(
-    image: np.ndarray, good: np.ndarray, mean: np.ndarray, scale: np.ndarray, side: int, out: np.ndarray
+    image: np.ndarray, usable: np.ndarray, mean: np.ndarray, scale: np.ndarray, side: int, out: np.ndarray
 ) -> None:
     ny = len(mean)
     for y in range(len(image)):
@@ -110,8 +114,8 @@ def _normalize(
         j = int(place)
         k = min(j + 1, ny - 1)
         _normalize_row(image[y], mean[j], mean[k], scale[j], scale[k], place - F(j), out[y])
-        if good.size > 0:
-            _clear_row(good[y], out[y])
+        if usable.size > 0:
+            _clear_row(usable[y], out[y])
 
 
 class NormalizationCells:
@@ -120,14 +124,14 @@ class NormalizationCells:
     With image (h, w); width, px; good (h, w).
     """
 
-    def __init__(self, image: np.ndarray, width: float, good: np.ndarray | None = None) -> None:
+    def __init__(self, image: np.ndarray, width: float, usable: np.ndarray | None = None) -> None:
         self.image, self.width = np.ascontiguousarray(image), max(width, 1.0)
-        self.good = _NOTHING if good is None else good
+        self.usable = NO_MASK if usable is None else usable
         h, w = self.image.shape
         self.side = _side(h, w, self.width)
         self.sums = np.empty((2, h // self.side, w // self.side), F)
         rows = np.empty((3, w + (48 - w) % 256), F)  # never a page apart, as in `kernels.scratch`
-        _cell_sums(self.image, self.good, self.side, rows, self.sums)
+        _cell_sums(self.image, self.usable, self.side, rows, self.sums)
         top = rows[2, :w]
         self.largest = float(top.max())
         self.brightest = np.flatnonzero(top == self.largest)
@@ -152,19 +156,19 @@ class NormalizationCells:
             square /= share
         std = np.sqrt(np.maximum(square - mean * mean, 0))
         # neighbouring cells hardly differ: one of four tells as much
-        some = std[::2, ::2]
+        every_second = std[::2, ::2]
         if share is not None:
-            some = some[share[::2, ::2] > 0.5]
-        typical = F(np.median(some)) if some.size else F(0)
-        scale = F(1) / np.maximum(std, max(_UNIFORM * typical, F(1e-6)))
-        _normalize(self.image, self.good, self._spread(mean), self._spread(scale), self.side, out)
+            every_second = every_second[share[::2, ::2] > 0.5]
+        typical = F(np.median(every_second)) if every_second.size else F(0)
+        scale = F(1) / np.maximum(std, max(MIN_RELATIVE_CONTRAST * typical, F(1e-6)))
+        _normalize(self.image, self.usable, self._spread(mean), self._spread(scale), self.side, out)
 
     def filled(self, share: np.ndarray, out: np.ndarray) -> None:
         """Write the image with the mean of their surroundings in pixels that are not usable."""
         h, w = out.shape
         np.copyto(out, self.image, casting="unsafe")
         mean = cv2.resize(self.local(0) / share, (w, h), interpolation=cv2.INTER_LINEAR)
-        np.copyto(out, mean, where=self.good == 0)
+        np.copyto(out, mean, where=self.usable == 0)
 
     def _spread(self, field: np.ndarray) -> np.ndarray:
         """(ny, w) float32: a field of cells interpolated along its rows."""
@@ -178,15 +182,15 @@ class NormalizationCells:
         return out
 
 
-def share_of(good: np.ndarray, width: float) -> np.ndarray:
+def usable_share(usable: np.ndarray, width: float) -> np.ndarray:
     """(ny, nx) float32: share of usable pixels around each cell, never quite 0."""
-    out: np.ndarray = np.maximum(NormalizationCells(good, width).local(0), _FEW)
+    out: np.ndarray = np.maximum(NormalizationCells(usable, width).local(0), MIN_USABLE_SHARE)
     return out
 
 
 def _side(h: int, w: int, width: float) -> int:
     """Side of the cells: small against the width and the image."""
-    side = _LARGEST
+    side = MAX_CELL_SIDE
     while side > 1 and (width < side or min(h, w) < 8 * side):
         side //= 2
     return side

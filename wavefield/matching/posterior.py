@@ -19,10 +19,10 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
-from wavefield.matching.cosines import Cosines, weigh
-from wavefield.matching.edges import REACH, Edge, Slopes
+from wavefield.matching.cosines import Cosines, multiply
+from wavefield.matching.edges import EDGE_REACH, Edge, Slopes
 from wavefield.matching.matching_gain import footprint
-from wavefield.matching.noise import CLUSTER, bare
+from wavefield.matching.noise import CLUSTER, hole_mask
 from wavefield.matching.prior import Prior, wavenumbers
 
 Float = NDArray[Any]
@@ -30,16 +30,20 @@ Mask = NDArray[np.bool_]
 Factor = tuple[Float, Float]
 
 F = np.float32
-_FAINT = 2e-2  # signal over noise below which a mode is left out: it would keep no more of itself
-_EXACT = 300  # modes of the highest signal over noise that the preconditioner solves exactly
-_STEPS = 200  # at most; some ten are usual
-_HOLE = np.ones((5, 5), np.uint8)  # blocks, bare all of them: smaller holes are as soon solved as the rest
-_CLOSE = 0.03, 0.007  # tolerances of the solver at the first and the second look
-_LOOSE = 0.1, 0.025  # the same without holes: only what lies far from any block converges late
+MIN_SIGNAL_TO_NOISE = (
+    2e-2  # signal over noise below which a mode is left out: it would keep no more of itself
+)
+EXACT_MODES = 300  # modes of the highest signal over noise that the preconditioner solves exactly
+MAX_ITERATIONS = 200  # at most; some ten are usual
+HOLE_KERNEL = np.ones(
+    (5, 5), np.uint8
+)  # blocks, bare all of them: smaller holes are as soon solved as the rest
+TOLERANCES_WITH_HOLES = 0.03, 0.007  # tolerances of the solver at the first and the second look
+TOLERANCES = 0.1, 0.025  # the same without holes: only what lies far from any block converges late
 
 njit = compiled(error_model="numpy")
 # sums may be taken in any order, and are always taken in the same
-loose = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
+reassociating = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 
 
 class Modes:
@@ -69,14 +73,14 @@ class Modes:
     def __init__(self, prior: Prior, shape: tuple[int, int], requested: Mask | None = None) -> None:
         self.prior, self.lattice = prior, shape
         self._requested = np.ones(shape, np.bool_) if requested is None else requested.copy()
-        edge = int(REACH)  # so near to it little is known anyway: that is no hole
+        edge = int(EDGE_REACH)  # so near to it little is known anyway: that is no hole
         inside = np.zeros(shape, np.bool_)
         inside[edge:-edge, edge:-edge] = True
         self._requested &= inside
         kx, ky = wavenumbers(shape)
         foot, spectrum = footprint(kx, ky), prior.spectrum(kx, ky)
         ratio = foot**2 * prior.information * spectrum
-        rows, columns = np.nonzero((ratio > _FAINT).any(axis=0))
+        rows, columns = np.nonzero((ratio > MIN_SIGNAL_TO_NOISE).any(axis=0))
         # whole vectors, and as many even as odd ones
         my, mx = (
             min(n // 2 * 2, (int(i.max(initial=3)) + 8) // 8 * 8)
@@ -88,16 +92,18 @@ class Modes:
         self.foot = np.ascontiguousarray(foot[band], np.float32)
         self.inverse = np.ascontiguousarray(1.0 / spectrum[band], np.float32)
         self._cosines = Cosines(shape, self.shape)
-        self._foot, self._inverse = (self._cosines.split(f) for f in (self.foot[None], self.inverse))
+        self._foot, self._inverse = (self._cosines.split_parities(f) for f in (self.foot[None], self.inverse))
         self.freedom = float(np.mean([_freedom(one / (one + 1.0)) for one in ratio]))
         self.edge = Edge(shape)
         none = np.zeros(1)
-        self._beyond = self.edge.beyond(self.shape, (footprint(none, ky[:, 0]), footprint(kx, none)))
-        self._strongest(ratio[band].mean(axis=0), 1.0 / spectrum[band].mean(axis=0))
+        self._truncated = self.edge.truncated_profiles(
+            self.shape, (footprint(none, ky[:, 0]), footprint(kx, none))
+        )
+        self._prepare_preconditioner(ratio[band].mean(axis=0), 1.0 / spectrum[band].mean(axis=0))
 
-    def _strongest(self, ratio: Float, inverse: Float) -> None:
+    def _prepare_preconditioner(self, ratio: Float, inverse: Float) -> None:
         """What the exact block of the preconditioner needs: one for all components."""
-        count = min(_EXACT, ratio.size)
+        count = min(EXACT_MODES, ratio.size)
         order = np.sort(np.argsort(-ratio.ravel(), kind="stable")[:count])
         self._index = order
         self._iy, self._ix = (i.astype(np.int64) for i in np.divmod(order, ratio.shape[1]))
@@ -110,11 +116,11 @@ class Modes:
         for n, i in zip(self.lattice, (self._iy, self._ix), strict=True):
             norm *= np.where(i == 0, np.sqrt(1.0 / n), np.sqrt(2.0 / n))
         self._norm = norm.astype(np.float32)
-        self._own = inverse.ravel()[order].astype(np.float32)
+        self._own_inverse = inverse.ravel()[order].astype(np.float32)
         self._square = np.square(self.foot.ravel()[order])
         half = self.shape[1] // 2  # where they stand among coefficients by kind
         line = (self._iy % 2 * (self.shape[0] // 2) + self._iy // 2) * 2 + self._ix % 2
-        self._places = {c: (line * c + np.arange(c)[:, None]) * half + self._ix // 2 for c in (1, 2)}
+        self._positions = {c: (line * c + np.arange(c)[:, None]) * half + self._ix // 2 for c in (1, 2)}
 
     def waves(self, field: Float) -> Float:
         """Coefficients (c, my, mx) of a field (c, ny, nx)."""
@@ -147,7 +153,7 @@ class Modes:
             The slopes, for `edge`.
         """
         slopes = self.edge.slopes(np.asarray(field, np.float32))
-        return self.waves(self.edge.field(slopes)), self.edge.field(slopes, self._beyond), slopes
+        return self.waves(self.edge.field(slopes)), self.edge.field(slopes, self._truncated), slopes
 
     def factor(self, information: Float) -> Factor:
         """Preconditioner for some information: the strongest modes as they really couple.
@@ -163,10 +169,10 @@ class Modes:
             For `solve`.
         """
         table = self._sum_rows @ information @ self._sum_columns
-        scale = 1.0 / np.sqrt(self._own + self._square * F(information.mean()))
+        scale = 1.0 / np.sqrt(self._own_inverse + self._square * F(information.mean()))
         count = self._index.size
         matrix = np.zeros((count, count), np.float32)
-        _assemble(table, self._iy, self._ix, self._norm * scale, self._own * scale * scale, matrix)
+        _assemble(table, self._iy, self._ix, self._norm * scale, self._own_inverse * scale * scale, matrix)
         lower, failed = scipy.linalg.lapack.spotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
         if failed:  # by rounding: scaled as it is, its diagonal is about 1
             lower = np.eye(count, dtype=np.float32, order="F")
@@ -185,8 +191,8 @@ class Modes:
         float, float
             For `solve`: closer where there are holes, in which the field follows last.
         """
-        hole = bare(information, self.prior.information) & self._requested
-        return _CLOSE if cv2.erode(hole.view(np.uint8), _HOLE).any() else _LOOSE
+        hole = hole_mask(information, self.prior.information) & self._requested
+        return TOLERANCES_WITH_HOLES if cv2.erode(hole.view(np.uint8), HOLE_KERNEL).any() else TOLERANCES
 
     def solve(
         self,
@@ -224,40 +230,42 @@ class Modes:
         """
         a, c = information, len(right)
         seen = self.seen(start) if seen is None else seen
-        rest = self.foot * self.waves(right - _through(a, seen)) + self.inverse * (mean - start)
-        waves, rest = self._cosines.split(start), self._cosines.split(rest)
+        residual = self.foot * self.waves(right - _apply_information(a, seen)) + self.inverse * (mean - start)
+        waves, residual = self._cosines.split_parities(start), self._cosines.split_parities(residual)
         foot, inverse = (np.repeat(f, c // f.shape[3], axis=3) for f in (self._foot, self._inverse))
         typical = np.array([a[0].mean(), a[-1].mean()], np.float32)[:c, None]
         diagonal = 1 / (foot**2 * typical + inverse)
         a = self._cosines.mirrored(a)
-        step = np.empty_like(rest)
-        size = self._precondition(rest, diagonal, factor, step)
-        direction, image = step.copy(), np.empty_like(rest)
-        for _ in range(_STEPS):
+        step = np.empty_like(residual)
+        size = self._precondition(residual, diagonal, factor, step)
+        direction, image = step.copy(), np.empty_like(residual)
+        for _ in range(MAX_ITERATIONS):
             if size <= tolerance * tolerance * waves.size:
                 break
             np.multiply(foot, direction, out=image)
-            quarters = self._cosines.of_kind(image)
-            weigh(a, quarters)
-            image = self._cosines.by_kind(quarters)
+            quarters = self._cosines.quarters_of(image)
+            multiply(a, quarters)
+            image = self._cosines.coefficients_of(quarters)
             flat = direction.ravel(), image.ravel()
-            length = F(size / _finish(foot.ravel(), inverse.ravel(), *flat))
-            _advance(length, *flat, waves.ravel(), rest.ravel())
-            size, before = self._precondition(rest, diagonal, factor, step), size
-            _turn(F(size / before), step.ravel(), direction.ravel())
-        return self._cosines.joined(waves)
+            length = F(size / _apply_prior(foot.ravel(), inverse.ravel(), *flat))
+            _advance(length, *flat, waves.ravel(), residual.ravel())
+            size, before = self._precondition(residual, diagonal, factor, step), size
+            _update_direction(F(size / before), step.ravel(), direction.ravel())
+        return self._cosines.merge_parities(waves)
 
-    def _precondition(self, rest: Float, diagonal: Float, factor: Factor, out: Float) -> float:
+    def _precondition(self, residual: Float, diagonal: Float, factor: Factor, out: Float) -> float:
         """Write the next step; return its product with what is left."""
         lower, scale = factor
-        places = self._places[rest.shape[3]]
-        some = np.empty(places.shape, F)
-        _take(rest.ravel(), places, scale, some)
-        exact, _ = scipy.linalg.lapack.spotrs(lower, some.T, lower=0, overwrite_b=1)
-        return float(_next(diagonal.ravel(), rest.ravel(), exact.T, places, scale, out.ravel()))
+        positions = self._positions[residual.shape[3]]
+        gathered = np.empty(positions.shape, F)
+        _gather(residual.ravel(), positions, scale, gathered)
+        exact, _ = scipy.linalg.lapack.spotrs(lower, gathered.T, lower=0, overwrite_b=1)
+        return float(
+            _preconditioned(diagonal.ravel(), residual.ravel(), exact.T, positions, scale, out.ravel())
+        )
 
 
-def _through(a: Float, field: Float) -> Float:
+def _apply_information(a: Float, field: Float) -> Float:
     """A times a field, (c, ny, nx)."""
     if len(field) == 1:
         return a * field
@@ -265,29 +273,31 @@ def _through(a: Float, field: Float) -> Float:
     return np.stack([a[0] * u + a[1] * v, a[1] * u + a[2] * v])
 
 
-@loose
-def _take(rest: Float, places: Float, scale: Float, out: Float) -> None:
-    for n in range(len(places)):
+@reassociating
+def _gather(residual: Float, positions: Float, scale: Float, out: Float) -> None:
+    for n in range(len(positions)):
         for k in range(len(scale)):
-            out[n, k] = rest[places[n, k]] * scale[k]
+            out[n, k] = residual[positions[n, k]] * scale[k]
 
 
-@loose
-def _next(diagonal: Float, rest: Float, exact: Float, places: Float, scale: Float, out: Float) -> F:
-    """Write what diagonal and exact part of the preconditioner make of ``rest``; return their product."""
+@reassociating
+def _preconditioned(
+    diagonal: Float, residual: Float, exact: Float, positions: Float, scale: Float, out: Float
+) -> F:
+    """Write what diagonal and exact part of the preconditioner make of ``residual``; return their product."""
     for i in range(len(out)):
-        out[i] = diagonal[i] * rest[i]
-    for n in range(len(places)):
+        out[i] = diagonal[i] * residual[i]
+    for n in range(len(positions)):
         for k in range(len(scale)):
-            out[places[n, k]] = exact[n, k] * scale[k]
+            out[positions[n, k]] = exact[n, k] * scale[k]
     total = F(0)
     for i in range(len(out)):
-        total += rest[i] * out[i]
+        total += residual[i] * out[i]
     return total
 
 
-@loose
-def _finish(foot: Float, inverse: Float, direction: Float, image: Float) -> F:
+@reassociating
+def _apply_prior(foot: Float, inverse: Float, direction: Float, image: Float) -> F:
     """Make F A F direction, and 1/S of it, of A F direction; return its product with the direction."""
     total = F(0)
     for i in range(len(image)):
@@ -297,17 +307,17 @@ def _finish(foot: Float, inverse: Float, direction: Float, image: Float) -> F:
     return total
 
 
-@loose
-def _advance(length: F, direction: Float, image: Float, waves: Float, rest: Float) -> None:
+@reassociating
+def _advance(length: F, direction: Float, image: Float, waves: Float, residual: Float) -> None:
     for i in range(len(waves)):
         waves[i] += length * direction[i]
-        rest[i] -= length * image[i]
+        residual[i] -= length * image[i]
 
 
-@loose
-def _turn(kept: F, step: Float, direction: Float) -> None:
+@reassociating
+def _update_direction(ratio: F, step: Float, direction: Float) -> None:
     for i in range(len(step)):
-        direction[i] = kept * direction[i] + step[i]
+        direction[i] = ratio * direction[i] + step[i]
 
 
 @njit

@@ -15,21 +15,21 @@ from scipy.ndimage import map_coordinates, spline_filter1d
 from wavefield.compiled import compiled
 from wavefield.matching.cosines import cosines
 from wavefield.matching.matching_gain import footprint
-from wavefield.matching.noise import bare
+from wavefield.matching.noise import hole_mask
 from wavefield.matching.prior import Prior, wavenumbers
 
 Float = NDArray[Any]
 F = np.float32
 
-_LEVELS = 3.0 * 4.0 ** np.arange(0.0, -7.0, -1.0)  # of information over the typical one
-_SMALL = 1e-3  # of a kernel's transform is left out
-_RADII = (1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0)  # of holes, blocks
-_DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the way from a hole's rim to its middle
-_HARDLY = 1e-3  # of a spectrum: there may always be so many waves
-_RIM = 5  # blocks around a hole that are thought known
+INFORMATION_LEVELS = 3.0 * 4.0 ** np.arange(0.0, -7.0, -1.0)  # of information over the typical one
+KERNEL_CUTOFF = 1e-3  # of a kernel's transform is left out
+HOLE_RADII = (1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0)  # of holes, blocks
+HOLE_DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the way from a hole's rim to its middle
+MIN_WAVE_FRACTION = 1e-3  # of a spectrum: there may always be so many waves
+RIM_WIDTH = 5  # blocks around a hole that are thought known
 
 
-class Spread:
+class PosteriorVariance:
     """Variance of the most probable field, split into noise and what the prior takes from waves.
 
     Parameters
@@ -51,29 +51,34 @@ class Spread:
         kx, ky = wavenumbers(shape)
         square, inverse = footprint(kx, ky) ** 2, 1.0 / prior.spectrum(kx, ky)
         self.shape = shape
-        self.usual = prior.information
-        self._waves = max(prior.waves, _HARDLY)
-        levels = _LEVELS * prior.information
-        certain = [square * a + inverse for a in levels]
-        noise = [np.mean(square * a / c**2, axis=(1, 2)) for a, c in zip(levels, certain)]
-        missing = [self._waves * np.mean(inverse / c**2, axis=(1, 2)) for c in certain]
+        self.typical_information = prior.information
+        self._waves = max(prior.waves, MIN_WAVE_FRACTION)
+        levels = INFORMATION_LEVELS * prior.information
+        precision = [square * a + inverse for a in levels]
+        noise = [np.mean(square * a / c**2, axis=(1, 2)) for a, c in zip(levels, precision)]
+        missing = [self._waves * np.mean(inverse / c**2, axis=(1, 2)) for c in precision]
         self._log = np.log(levels).astype(np.float32)
         # (2 c, levels): noise of every component, then what is missing of it
         self._variance = np.log(np.concatenate([np.transpose(noise), np.transpose(missing)])).astype(
             np.float32
         )
-        kernels = np.array([_around((square * a / c).mean(axis=0)) for a, c in zip(levels, certain)])
-        rows, columns = np.nonzero((kernels > _SMALL).any(axis=0))
+        kernels = np.array(
+            [_squared_response((square * a / c).mean(axis=0)) for a, c in zip(levels, precision)]
+        )
+        rows, columns = np.nonzero((kernels > KERNEL_CUTOFF).any(axis=0))
         my, mx = rows.max() + 1, columns.max() + 1
         self._kernels = np.ascontiguousarray(kernels[:, :my, :mx], np.float32)
         down, along = (cosines(n, m).astype(np.float32) for n, m in zip(shape, (my, mx)))
-        self._to = down, np.ascontiguousarray(along.T)
-        self._back = np.ascontiguousarray(down[:, ::2].T), np.ascontiguousarray(along[:, ::2])
+        self._forward = down, np.ascontiguousarray(along.T)
+        self._inverse = np.ascontiguousarray(down[:, ::2].T), np.ascontiguousarray(along[:, ::2])
         self._spectrum = 1.0 / inverse
 
     @cached_property
     def _holes(self) -> list[Float]:
-        return [self._waves * hole_variance(one, 1.0 / self.usual) for one in self._spectrum]
+        return [
+            self._waves * hole_variance(variance, 1.0 / self.typical_information)
+            for variance in self._spectrum
+        ]
 
     def __call__(self, information: Float) -> tuple[Float, Float]:
         """Variance of every block.
@@ -81,18 +86,20 @@ class Spread:
         With information (ny, nx); returns noise, missing (1 or c, ny, nx): Variance by noise, and by what the
         prior takes away or makes up, in the field's unit squared.
         """
-        waves = self._to[0] @ (information @ self._to[1])
-        x = self._back[0] @ ((self._kernels * waves) @ self._back[1])
-        both = np.empty((len(self._variance), *x.shape[1:]), np.float32)
-        _at_level(x, self._log, self._variance, both)
-        noise, missing = np.array([self._whole(f) for f in both]).reshape(2, -1, *self.shape)
-        hole = bare(information, self.usual)
+        waves = self._forward[0] @ (information @ self._forward[1])
+        x = self._inverse[0] @ ((self._kernels * waves) @ self._inverse[1])
+        log_variances = np.empty((len(self._variance), *x.shape[1:]), np.float32)
+        _at_level(x, self._log, self._variance, log_variances)
+        noise, missing = np.array([self._to_full_lattice(f) for f in log_variances]).reshape(
+            2, -1, *self.shape
+        )
+        hole = hole_mask(information, self.typical_information)
         if hole.any():
             hole = cv2.dilate(hole.view(np.uint8), np.ones((7, 7), np.uint8)) > 0
             missing += _in_holes(~hole, self._holes)
         return noise, missing
 
-    def _whole(self, half: Float) -> Float:
+    def _to_full_lattice(self, half: Float) -> Float:
         """From every second block to all."""
         ny, nx = self.shape
         twice = np.array([[2.0, 0, 0], [0, 2.0, 0]])
@@ -109,13 +116,13 @@ def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
     """
     for j in range(x.shape[1]):
         for i in range(x.shape[2]):
-            before = np.log(max(x[0, j, i], F(1e-30))) - log[0]
+            previous = np.log(max(x[0, j, i], F(1e-30))) - log[0]
             n, t = 0, F(0)
-            while before < F(0) and n < x.shape[0] - 1:
+            while previous < F(0) and n < x.shape[0] - 1:
                 n += 1
-                here = np.log(max(x[n, j, i], F(1e-30))) - log[n]
-                t = min(max(here / max(here - before, F(1e-6)), F(0)), F(1))
-                before = here
+                current = np.log(max(x[n, j, i], F(1e-30))) - log[n]
+                t = min(max(current / max(current - previous, F(1e-6)), F(0)), F(1))
+                previous = current
             for k in range(len(variance)):
                 low, high = variance[k, n], variance[k, max(n - 1, 0)]
                 out[k, j, i] = np.exp(low + t * (high - low))
@@ -130,7 +137,7 @@ def _impulse(gain: Float) -> Float:
     return out
 
 
-def _around(gain: Float) -> Float:
+def _squared_response(gain: Float) -> Float:
     """Response of the squared impulse response of a filter, made to have the sum 1."""
     out: Float = scipy.fft.dctn(_impulse(gain) ** 2, type=1)[:-1, :-1]
     out /= out[0, 0]
@@ -145,41 +152,43 @@ def hole_variance(spectrum: Float, noise: float) -> Float:
     """
     ny, nx = spectrum.shape
     covariance = _impulse(spectrum)
-    most = min(ny, nx)
-    along = 0.5 * (covariance[0, :most] + covariance[:most, 0])
+    side = min(ny, nx)
+    along = 0.5 * (covariance[0, :side] + covariance[:side, 0])
     curve = spline_filter1d(along, mode="mirror")
 
     def between(p: Float, q: Float) -> Float:
-        far = np.minimum(np.hypot(*np.moveaxis(p[:, None] - q, -1, 0)), most - 1)
-        out: Float = map_coordinates(curve, far[None], mode="mirror", prefilter=False)
+        distance = np.minimum(np.hypot(*np.moveaxis(p[:, None] - q, -1, 0)), side - 1)
+        out: Float = map_coordinates(curve, distance[None], mode="mirror", prefilter=False)
         return out
 
-    out = np.zeros((len(_RADII), len(_DEPTHS)))
-    for i, radius in enumerate(_RADII):
-        g = np.arange(-np.ceil(radius + _RIM), np.ceil(radius + _RIM) + 1)
+    out = np.zeros((len(HOLE_RADII), len(HOLE_DEPTHS)))
+    for i, radius in enumerate(HOLE_RADII):
+        g = np.arange(-np.ceil(radius + RIM_WIDTH), np.ceil(radius + RIM_WIDTH) + 1)
         x, y = np.meshgrid(g, g)
         d = np.hypot(x, y)
-        near = (d < radius + 2) | ((x + y) % 2 == 0)  # further out every second block tells as much
-        rim = (d >= radius) & (d < radius + _RIM) & near
+        sampled = (d < radius + 2) | ((x + y) % 2 == 0)  # further out every second block tells as much
+        rim = (d >= radius) & (d < radius + RIM_WIDTH) & sampled
         p = np.stack([x[rim], y[rim]], axis=1)
-        q = np.stack([radius * (1 - np.array(_DEPTHS)), np.zeros(len(_DEPTHS))], axis=1)
-        known = between(p, p) + noise * np.eye(len(p))
-        to = between(p, q)
-        out[i] = np.maximum(along[0] - np.sum(to * np.linalg.solve(known, to), axis=0), 0.0)
+        q = np.stack([radius * (1 - np.array(HOLE_DEPTHS)), np.zeros(len(HOLE_DEPTHS))], axis=1)
+        measured = between(p, p) + noise * np.eye(len(p))
+        rim_to_inside = between(p, q)
+        out[i] = np.maximum(
+            along[0] - np.sum(rim_to_inside * np.linalg.solve(measured, rim_to_inside), axis=0), 0.0
+        )
     return out
 
 
-def _in_holes(known: Float, tables: Sequence[Float]) -> Float:
+def _in_holes(measured: Float, tables: Sequence[Float]) -> Float:
     """Variance inside holes from how wide they are and how far the rim is, (tables, ny, nx)."""
-    depth = cv2.distanceTransform((~known).astype(np.uint8), cv2.DIST_L2, 5)
-    out = np.zeros((len(tables), *known.shape), np.float32)
-    at = depth > 0
+    depth = cv2.distanceTransform((~measured).astype(np.uint8), cv2.DIST_L2, 5)
+    out = np.zeros((len(tables), *measured.shape), np.float32)
+    inside = depth > 0
     radius = depth.copy()
     for _ in range(3):
-        radius = np.where(at, cv2.dilate(radius, np.ones((9, 9), np.uint8)), np.float32(0))
-    wide = np.maximum(radius[at], 1.0)
-    i = np.interp(wide, _RADII, np.arange(len(_RADII)))
-    j = np.interp(depth[at] / wide, _DEPTHS, np.arange(len(_DEPTHS)))
-    for one, table in zip(out, tables):
-        one[at] = np.exp(map_coordinates(np.log(table + 1e-30), [i, j], order=1, mode="nearest"))
+        radius = np.where(inside, cv2.dilate(radius, np.ones((9, 9), np.uint8)), np.float32(0))
+    width = np.maximum(radius[inside], 1.0)
+    i = np.interp(width, HOLE_RADII, np.arange(len(HOLE_RADII)))
+    j = np.interp(depth[inside] / width, HOLE_DEPTHS, np.arange(len(HOLE_DEPTHS)))
+    for variance, table in zip(out, tables):
+        variance[inside] = np.exp(map_coordinates(np.log(table + 1e-30), [i, j], order=1, mode="nearest"))
     return out

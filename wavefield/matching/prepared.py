@@ -11,12 +11,12 @@ import numpy as np
 from wavefield.errors import FrameError
 from wavefield.matching.matching_kernels import BLOCK, PAD, gradient_moments, scratch, strain_moments
 from wavefield.matching.matching_settings import MatchSettings
-from wavefield.matching.normalize import NormalizationCells, share_of
+from wavefield.matching.normalize import NormalizationCells, usable_share
 
-_FILLED = 16.0  # px: masked pixels of an image that is not normalised get the mean of so wide surroundings
-_FLAT = 5  # px: side of the smallest patch at the image's largest value that counts as saturated
-_SMALLEST = 8 * BLOCK  # px: pyramid levels with a smaller side are left out
-_NO_MASK = np.empty((0, 0), np.uint8)
+FILL_SIGMA = 16.0  # px: masked pixels of an image that is not normalised get the mean of so wide surroundings
+SATURATED_SIDE = 5  # px: side of the smallest patch at the image's largest value that counts as saturated
+MIN_LEVEL_SIDE = 8 * BLOCK  # px: pyramid levels with a smaller side are left out
+NO_MASK = np.empty((0, 0), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -94,14 +94,14 @@ class Mask:
 
         With good (h, w).
         """
-        here = good = np.array(good, bool, order="C").view(np.uint8)
-        levels = [_whole_blocks(good, 0)]
-        for number in range(1, depth(good.shape, settings.levels)):
-            h, w = here.shape[0] // 2, here.shape[1] // 2
-            part = cv2.resize(here[: 2 * h, : 2 * w] * np.uint8(255), (w, h), interpolation=cv2.INTER_AREA)
-            here = (part > 250).astype(np.uint8)
-            levels.append(_whole_blocks(here, number))
-        return Mask(good, tuple(levels), share_of(good, settings.normalization or _FILLED))
+        usable = good = np.array(good, bool, order="C").view(np.uint8)
+        levels = [_usable_blocks(good, 0)]
+        for number in range(1, level_count(good.shape, settings.levels)):
+            h, w = usable.shape[0] // 2, usable.shape[1] // 2
+            part = cv2.resize(usable[: 2 * h, : 2 * w] * np.uint8(255), (w, h), interpolation=cv2.INTER_AREA)
+            usable = (part > 250).astype(np.uint8)
+            levels.append(_usable_blocks(usable, number))
+        return Mask(good, tuple(levels), usable_share(good, settings.normalization or FILL_SIGMA))
 
 
 def prepare(
@@ -155,34 +155,34 @@ def prepare(
     padded = _padded(h, w)
     mask = _normalize(image, mask, settings, padded[PAD:-PAD, PAD:-PAD])
     levels: list[Level] = []
-    for number in range(depth(image.shape, settings.levels)):
+    for number in range(level_count(image.shape, settings.levels)):
         if number:
             even = levels[-1].image[: h // 2 * 2, : w // 2 * 2]
             h, w = h // 2, w // 2
             padded = _padded(h, w)
             cv2.resize(even, (w, h), dst=padded[PAD:-PAD, PAD:-PAD], interpolation=cv2.INTER_AREA)
         _replicate_border(padded)
-        levels.append(Level(padded, _NO_MASK if mask is None else mask.levels[number]))
+        levels.append(Level(padded, NO_MASK if mask is None else mask.levels[number]))
     return PreparedImage(tuple(levels), settings.normalization)
 
 
-def depth(shape: tuple[int, ...], levels: int) -> int:
+def level_count(shape: tuple[int, ...], levels: int) -> int:
     """Number of pyramid levels, at most `levels`, that an image of this shape is good for."""
     side = min(shape)
-    while levels > 1 and side >> (levels - 1) < _SMALLEST:
+    while levels > 1 and side >> (levels - 1) < MIN_LEVEL_SIDE:
         levels -= 1
     return levels
 
 
 def _normalize(image: np.ndarray, mask: Mask | None, settings: MatchSettings, out: np.ndarray) -> Mask | None:
     """Write the normalised image; return the mask less what cannot be used of this image."""
-    width = settings.normalization or _FILLED
+    width = settings.normalization or FILL_SIGMA
     cells = NormalizationCells(image, width, None if mask is None else mask.good)
     if not cells.finite and not (finite := np.isfinite(image)).all():
-        mask = _without(~finite, mask, settings)
+        mask = _excluding(~finite, mask, settings)
         cells = NormalizationCells(image, width, mask.good)
-    if (flat := _saturated(image, cells.largest, cells.brightest)) is not None:
-        mask = _without(flat, mask, settings)
+    if (saturated := _saturated(image, cells.largest, cells.brightest)) is not None:
+        mask = _excluding(saturated, mask, settings)
         cells = NormalizationCells(image, width, mask.good)
     if settings.normalization > 0:
         cells.normalized(None if mask is None else mask.share, out)
@@ -193,26 +193,26 @@ def _normalize(image: np.ndarray, mask: Mask | None, settings: MatchSettings, ou
     return mask
 
 
-def _without(bad: np.ndarray, mask: Mask | None, settings: MatchSettings) -> Mask:
+def _excluding(bad: np.ndarray, mask: Mask | None, settings: MatchSettings) -> Mask:
     return Mask.of(~bad if mask is None else (mask.good != 0) & ~bad, settings)
 
 
 def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.ndarray | None:
     """(h, w) bool, True in patches at the largest value, which these columns hold; None if there are none."""
     # every patch holds one pixel of a grid as wide as the patch
-    columns = columns[columns % _FLAT == _FLAT - 1]
-    if largest <= 0 or not (image[_FLAT - 1 :: _FLAT, columns] == largest).any():
+    columns = columns[columns % SATURATED_SIDE == SATURATED_SIDE - 1]
+    if largest <= 0 or not (image[SATURATED_SIDE - 1 :: SATURATED_SIDE, columns] == largest).any():
         return None
     bright = cv2.inRange(image, largest, largest)
-    flat = cv2.morphologyEx(bright, cv2.MORPH_OPEN, np.ones((_FLAT, _FLAT), np.uint8))
-    return flat > 0 if cv2.countNonZero(flat) else None
+    saturated = cv2.morphologyEx(bright, cv2.MORPH_OPEN, np.ones((SATURATED_SIDE, SATURATED_SIDE), np.uint8))
+    return saturated > 0 if cv2.countNonZero(saturated) else None
 
 
 def _padded(h: int, w: int) -> np.ndarray:
     return np.empty((h + 2 * PAD, w + 2 * PAD), np.float32)
 
 
-def _whole_blocks(good: np.ndarray, level: int) -> np.ndarray:
+def _usable_blocks(good: np.ndarray, level: int) -> np.ndarray:
     """1 where the block around a pixel, and at the finest level the reach of its spline, is good."""
     side = BLOCK + 4 if level == 0 else BLOCK
     return cv2.erode(good, np.ones((side, side), np.uint8), borderType=cv2.BORDER_REPLICATE)

@@ -18,14 +18,18 @@ from wavefield.matching.matching_gain import footprint
 
 Float = NDArray[np.floating[Any]]
 
-_BINS = 40  # of wavenumber, from 0 to pi per block
-_SECTORS = 6  # of direction, from along columns to along rows
-_OWN = 2.0  # modes: a sector of a ring in which so many were looked at is believed by half beside its ring
-_ALIKE = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0  # rings in which waves are thought to have like directions
-_LEAST = 0.01  # of a ring: no sector of it is thought to be less
-_SEEN = 0.15  # squared gain of the windows below which their field says nothing of a wave
-_MIN_PEAK_TO_NOISE = 3.0  # times the plateau of noise: what a windowed field shows there is signal
-_DETECTED_SNR = 0.3  # of the noise: what the posterior tells apart of a spectrum
+RINGS = 40  # of wavenumber, from 0 to pi per block
+SECTORS = 6  # of direction, from along columns to along rows
+SHRINKAGE_MODES = (
+    2.0  # modes: a sector of a ring in which so many were looked at is believed by half beside its ring
+)
+RING_SMOOTHING = (
+    np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0
+)  # rings in which waves are thought to have like directions
+MIN_SECTOR_FRACTION = 0.01  # of a ring: no sector of it is thought to be less
+MIN_SQUARED_WINDOW_GAIN = 0.15  # squared gain of the windows below which their field says nothing of a wave
+MIN_POWER_TO_PLATEAU = 3.0  # times the plateau of noise: what a windowed field shows there is signal
+DETECTED_SIGNAL_TO_NOISE = 0.3  # of the noise: what the posterior tells apart of a spectrum
 SHORTEST_WAVENUMBER = 2.0  # rad per block: shorter waves are not searched for in gaps of a spectrum
 OPEN_SIGNAL_TO_NOISE = 1.0  # while a spectrum is learned, every wave may have so much at least
 FIRST_SIGNAL_TO_NOISE = 6.0  # the same at first, when the noise is thought several times too small
@@ -34,14 +38,14 @@ MIN_SIGNAL_TO_NOISE = 1.5  # of a ring beyond one without waves: the noise of ri
 FIRST_NOISE_RING = 4  # longer waves across the sight lines are the calibration's fault, no noise
 NOISE_RINGS = 5  # over which the level of noise is averaged
 LIMIT_STANDARD_DEVIATIONS = 2.0  # above its power: what a ring may have without being significant
-_NOTHING = 0.01  # of the noise: no spectrum is thought to be less before it drowns
-_SURE = 0.9  # noise is known to a tenth
-_ENOUGH = 0.5  # of the waves that a spectrum would bring: who finds so much believes in all
-_ABOVE = 3.0  # times the noise: what stands so far above it is waves
-_SLOPES = -9.0, -3.0  # of the power law by which a spectrum goes on
-_FEW = 6  # bins from which its slope is taken
+MIN_POWER_TO_NOISE = 0.01  # of the noise: no spectrum is thought to be less before it drowns
+CERTAIN_NOISE_FRACTION = 0.9  # noise is known to a tenth
+FULL_WAVE_FRACTION = 0.5  # of the waves that a spectrum would bring: who finds so much believes in all
+FULL_SIGNAL_TO_NOISE = 3.0  # times the noise: what stands so far above it is waves
+SLOPE_RANGE = -9.0, -3.0  # of the power law by which a spectrum goes on
+SLOPE_RINGS = 6  # bins from which its slope is taken
 
-_TURN = (np.arange(_SECTORS) + 0.5) * np.pi / (2 * _SECTORS)  # middle of every sector, rad
+SECTOR_ANGLES = (np.arange(SECTORS) + 0.5) * np.pi / (2 * SECTORS)  # middle of every sector, rad
 
 Power = tuple[tuple[tuple[float, ...], ...], ...]
 
@@ -102,7 +106,7 @@ class Prior:
         """
         return cls(tuple(map(float, k)), ((tuple(map(float, power)),),), float(information))
 
-    def opened(self, ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
+    def with_min_signal_to_noise(self, ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
         """Prior that hides no resolved wave: its signal is nowhere less than a part of the noise.
 
         Parameters
@@ -122,7 +126,7 @@ class Prior:
         k = np.array(self.k)
         least = ratio / (footprint(k, np.zeros(1)) ** 2 * self.information)
         table = np.maximum(self.power, np.where(k < SHORTEST_WAVENUMBER, least, 0.0))
-        power = tuple(tuple(tuple(map(float, ring)) for ring in turns) for turns in table)
+        power = tuple(tuple(tuple(map(float, ring)) for ring in directions) for directions in table)
         return replace(self, power=power)
 
     def spectrum(self, kx: Float, ky: Float) -> NDArray[np.float64]:
@@ -139,13 +143,16 @@ class Prior:
             Of every component, or one for all, in the field's unit squared.
         """
         table = np.log(np.array(self.power))
-        turns = table.shape[1]
+        directions = table.shape[1]
         at = np.interp(np.hypot(kx, ky), self.k, np.arange(len(self.k)))
-        turn = np.arctan2(np.abs(ky), np.abs(kx)) * (turns / (0.5 * np.pi)) - 0.5
-        turn = np.clip(np.broadcast_to(turn, at.shape), 0, turns - 1)
-        i, j = (np.minimum(np.floor(v).astype(int), n - 2) for v, n in ((at, len(self.k)), (turn, turns)))
-        j, s, t = np.maximum(j, 0), turn - np.maximum(j, 0), at - i
-        after = np.minimum(j + 1, turns - 1)
+        direction = np.arctan2(np.abs(ky), np.abs(kx)) * (directions / (0.5 * np.pi)) - 0.5
+        direction = np.clip(np.broadcast_to(direction, at.shape), 0, directions - 1)
+        i, j = (
+            np.minimum(np.floor(v).astype(int), n - 2)
+            for v, n in ((at, len(self.k)), (direction, directions))
+        )
+        j, s, t = np.maximum(j, 0), direction - np.maximum(j, 0), at - i
+        after = np.minimum(j + 1, directions - 1)
         out = (1 - s) * ((1 - t) * table[:, j, i] + t * table[:, j, i + 1])
         out += s * ((1 - t) * table[:, after, i] + t * table[:, after, i + 1])
         return np.asarray(np.exp(out))
@@ -178,7 +185,7 @@ class Prior:
         -------
         ndarray of float64, S
         """
-        return np.asarray(self.gain(*_all_around(k)).mean(axis=(0, 1)))
+        return np.asarray(self.gain(*_in_all_directions(k)).mean(axis=(0, 1)))
 
     def variances(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Variance of the most probable field, where all blocks tell the typical, by waves and by noise.
@@ -195,12 +202,12 @@ class Prior:
             the mean over the field not counted.
         """
         kx, ky = wavenumbers(shape)
-        kept = np.square(self.gain(kx, ky))
-        kept[:, 0, 0] = 0.0
-        noise = kept / (footprint(kx, ky) ** 2 * self.information)
-        return (kept * self.spectrum(kx, ky)).mean(axis=(1, 2)), noise.mean(axis=(1, 2))
+        squared_gain = np.square(self.gain(kx, ky))
+        squared_gain[:, 0, 0] = 0.0
+        noise = squared_gain / (footprint(kx, ky) ** 2 * self.information)
+        return (squared_gain * self.spectrum(kx, ky)).mean(axis=(1, 2)), noise.mean(axis=(1, 2))
 
-    def noise_kept(self, k: Float) -> NDArray[np.float64]:
+    def noise_power(self, k: Float) -> NDArray[np.float64]:
         """Noise in the power of the most probable field's cosines, mean over directions and components.
 
         Parameters
@@ -213,9 +220,9 @@ class Prior:
         ndarray of float64, S
             G^2 / (F^2 A), in the field's unit squared; 0 beyond the shortest wave of the lattice.
         """
-        weight_sum = footprint(k, np.zeros(1)) ** 2 * self.information
-        kept = np.square(self.gain(*_all_around(k))).mean(axis=(0, 1))
-        return np.where(k < np.pi, kept / np.maximum(weight_sum, 1e-30), 0.0)
+        total_weight = footprint(k, np.zeros(1)) ** 2 * self.information
+        squared_gain = np.square(self.gain(*_in_all_directions(k))).mean(axis=(0, 1))
+        return np.where(k < np.pi, squared_gain / np.maximum(total_weight, 1e-30), 0.0)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe.
@@ -224,7 +231,7 @@ class Prior:
         -------
         dict
         """
-        power = [[list(ring) for ring in turns] for turns in self.power]
+        power = [[list(ring) for ring in directions] for directions in self.power]
         numbers = {"information": self.information, "noise": self.noise, "waves": self.waves}
         return {"k": list(self.k), "power": power} | numbers
 
@@ -241,15 +248,15 @@ class Prior:
         -------
         Prior
         """
-        power = tuple(tuple(tuple(map(float, ring)) for ring in turns) for turns in data["power"])
+        power = tuple(tuple(tuple(map(float, ring)) for ring in directions) for directions in data["power"])
         information, noise, waves = (float(data[name]) for name in ("information", "noise", "waves"))
         return cls(tuple(map(float, data["k"])), power, information, noise, waves)
 
 
-def _all_around(k: Float) -> tuple[Float, Float]:
+def _in_all_directions(k: Float) -> tuple[Float, Float]:
     """Wavenumbers (directions,) + S of waves in all directions."""
-    turn = _TURN.reshape(-1, *(1,) * np.ndim(k))
-    return k * np.cos(turn), k * np.sin(turn)
+    direction = SECTOR_ANGLES.reshape(-1, *(1,) * np.ndim(k))
+    return k * np.cos(direction), k * np.sin(direction)
 
 
 def wavenumbers(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -280,14 +287,16 @@ def first_prior(fields: Sequence[Float], window: Float, information: float) -> P
     law from where it no longer stands three times above.
     """
     kx, ky = wavenumbers(window.shape)
-    power = np.mean([np.square(_waves(f)).mean(axis=0) for f in fields], axis=0)
-    bins = _Bins(kx, ky)
-    seen, gain = bins.mean(window**2), bins.mean(footprint(kx, ky) ** 2)
-    raw = bins.mean(power) / np.maximum(seen, 1e-9)
-    plateau = float(raw[seen > _SEEN].min())
+    power = np.mean([np.square(_cosine_coefficients(f)).mean(axis=0) for f in fields], axis=0)
+    binning = _Rings(kx, ky)
+    window_power, gain = binning.mean(window**2), binning.mean(footprint(kx, ky) ** 2)
+    raw = binning.mean(power) / np.maximum(window_power, 1e-9)
+    plateau = float(raw[window_power > MIN_SQUARED_WINDOW_GAIN].min())
     signal = np.maximum(raw - plateau, 0.0) / gain
-    last = bins.until((seen > _SEEN) & (raw > _MIN_PEAK_TO_NOISE * plateau))
-    return Prior.isotropic(bins.k, _continued(bins.middle, signal, last, plateau), information)
+    last = binning.count_until_false(
+        (window_power > MIN_SQUARED_WINDOW_GAIN) & (raw > MIN_POWER_TO_PLATEAU * plateau)
+    )
+    return Prior.isotropic(binning.k, _extrapolated(binning.middle, signal, last, plateau), information)
 
 
 def better_prior(
@@ -333,60 +342,72 @@ def better_prior(
     if information == 0.0:  # nothing was seen: there is nothing to learn
         return prior
     noise = 1.0 / (np.square(foot, dtype=np.float64) * information)
-    bins = _Bins(kx, ky)
+    binning = _Rings(kx, ky)
 
-    def parts(fields: Sequence[Float], noise: Float, mean: Callable[[Float], Float]) -> tuple[Float, Float]:
+    def estimate(
+        fields: Sequence[Float], noise: Float, mean: Callable[[Float], Float]
+    ) -> tuple[Float, Float]:
         power = np.mean([np.square(f, dtype=np.float64) for f in fields], axis=0)
         spectrum = np.broadcast_to(prior.spectrum(kx, ky), power.shape)
-        kept = np.square(spectrum / (spectrum + noise))
-        weight = np.maximum(mean(kept), 1e-30)
-        return mean(power) / weight, np.maximum(mean(kept * noise) / weight, 1e-30)
+        squared_gain = np.square(spectrum / (spectrum + noise))
+        weight = np.maximum(mean(squared_gain), 1e-30)
+        return mean(power) / weight, np.maximum(mean(squared_gain * noise) / weight, 1e-30)
 
-    whole, noise_power = parts(waves, noise, bins.rings)
-    apart, sector_noise_power = parts(waves, noise, bins.sectors)
-    there = bins.count > 0
-    shape = np.ones_like(whole)
+    ring_power, noise_power = estimate(waves, noise, binning.rings)
+    sector_power, sector_noise_power = estimate(waves, noise, binning.sectors)
+    occupied = binning.count > 0
+    shape = np.ones_like(ring_power)
     if noise_alone:
-        alone = [
-            np.divide(*parts([field], 1.0 / (np.square(foot, dtype=np.float64) * own), bins.rings))
+        noise_ratios = [
+            np.divide(*estimate([field], 1.0 / (np.square(foot, dtype=np.float64) * own), binning.rings))
             for field, own in noise_alone
         ]
-        shape = np.array([bins.level(one) for one in np.mean(alone, axis=0)])
-    resolved = there & (bins.middle < SHORTEST_WAVENUMBER)
-    level = [_plateau(one, bins.count[resolved]) for one in (whole / (shape * noise_power))[:, resolved]]
+        shape = np.array([binning.level(one) for one in np.mean(noise_ratios, axis=0)])
+    resolved = occupied & (binning.middle < SHORTEST_WAVENUMBER)
+    level = [
+        _plateau(one, binning.count[resolved]) for one in (ring_power / (shape * noise_power))[:, resolved]
+    ]
     plateau = shape * np.reshape(level, (-1, 1))
     noise_power, sector_noise_power = plateau * noise_power, plateau[:, None] * sector_noise_power
-    signal = whole - noise_power
+    signal = ring_power - noise_power
     significant = [
-        bins.significant(one / np.maximum(own, 1e-30), len(waves)) for one, own in zip(signal, noise_power)
+        binning.significant(one / np.maximum(own, 1e-30), len(waves)) for one, own in zip(signal, noise_power)
     ]
-    lasts = [max(int(np.flatnonzero(good).max(initial=-1)) + 1, 3) for good in significant]
-    scatter = np.sqrt(2.0 / np.maximum(bins.count * len(waves), 1))
-    limit = np.maximum(signal, 0.0) + LIMIT_STANDARD_DEVIATIONS * scatter * noise_power
+    lasts = [max(int(np.flatnonzero(flags).max(initial=-1)) + 1, 3) for flags in significant]
+    relative_std = np.sqrt(2.0 / np.maximum(binning.count * len(waves), 1))
+    limit = np.maximum(signal, 0.0) + LIMIT_STANDARD_DEVIATIONS * relative_std * noise_power
     signal = np.where(significant, signal, limit)
     least = float(noise.min())
-    most = np.where(there, np.minimum(limit, _DETECTED_SNR * noise_power), np.inf)
+    upper_limit = np.where(occupied, np.minimum(limit, DETECTED_SIGNAL_TO_NOISE * noise_power), np.inf)
     rings = np.array(
-        [_continued(bins.middle, one, last, least, top) for one, last, top in zip(signal, lasts, most)]
+        [
+            _extrapolated(binning.middle, one, last, least, limit_of_component)
+            for one, last, limit_of_component in zip(signal, lasts, upper_limit)
+        ]
     )
-    weight = bins.used_blocks * len(waves) * np.square(rings / (rings + noise_power))[:, None]
-    shapes = _shapes((apart - sector_noise_power) / rings[:, None], weight, lasts)
+    weight = binning.sector_count * len(waves) * np.square(rings / (rings + noise_power))[:, None]
+    shapes = _shapes((sector_power - sector_noise_power) / rings[:, None], weight, lasts)
     table = tuple(
-        tuple(tuple(float(f"{v:.4g}") for v in ring) for ring in turns) for turns in shapes * rings[:, None]
+        tuple(tuple(float(f"{v:.4g}") for v in ring) for ring in directions)
+        for directions in shapes * rings[:, None]
     )
-    return Prior(bins.k, table, information, prior.noise, prior.waves)
+    return Prior(binning.k, table, information, prior.noise, prior.waves)
 
 
-def _shapes(parts: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
+def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
     """Sectors over their rings, (c, sectors, rings), as neighbouring rings have it, and drawn to 1.
 
     Beyond the last ring of each component that is heard they stay as they are.
     """
     for one, last in zip(weight, lasts):
         one[:, last:] = 0.0
-    weight_sum = convolve1d(weight, _ALIKE, axis=-1, mode="constant")
-    mean = convolve1d(parts * weight, _ALIKE, axis=-1, mode="constant") / np.maximum(weight_sum, 1e-30)
-    out: NDArray[np.float64] = np.maximum((weight_sum * mean + _OWN) / (weight_sum + _OWN), _LEAST)
+    total_weight = convolve1d(weight, RING_SMOOTHING, axis=-1, mode="constant")
+    mean = convolve1d(estimate * weight, RING_SMOOTHING, axis=-1, mode="constant") / np.maximum(
+        total_weight, 1e-30
+    )
+    out: NDArray[np.float64] = np.maximum(
+        (total_weight * mean + SHRINKAGE_MODES) / (total_weight + SHRINKAGE_MODES), MIN_SECTOR_FRACTION
+    )
     for one, last in zip(out, lasts):
         one[:, last:] = one[:, last - 1 : last]
     return out
@@ -415,36 +436,36 @@ def shrinkage(variance: float, noise: float, waves: float) -> float:
     >>> shrinkage(4.0, 1.0, 3.0), round(shrinkage(1.0, 1.0, 3.0), 3)
     (1.0, 0.067)
     """
-    found = variance - _SURE * noise
-    enough = min(_ENOUGH * waves, _ABOVE * noise)
-    return float(np.clip(found / max(enough, 1e-30), 0.0, 1.0))
+    signal = variance - CERTAIN_NOISE_FRACTION * noise
+    needed = min(FULL_WAVE_FRACTION * waves, FULL_SIGNAL_TO_NOISE * noise)
+    return float(np.clip(signal / max(needed, 1e-30), 0.0, 1.0))
 
 
 def _plateau(ratio: NDArray[np.float64], count: NDArray[np.integer[Any]]) -> float:
     """What power over noise falls to without waves: its least, of the mean of neighbouring rings."""
     if ratio.size < NOISE_RINGS:
         return 1.0
-    over = np.ones(NOISE_RINGS)
-    total, modes = (np.convolve(f, over, mode="valid") for f in (ratio * count, count))
+    box = np.ones(NOISE_RINGS)
+    total, modes = (np.convolve(f, box, mode="valid") for f in (ratio * count, count))
     return float(np.min(total / modes))
 
 
-class _Bins:
+class _Rings:
     """Rings of wavenumber, and their sectors."""
 
     def __init__(self, kx: Float, ky: Float) -> None:
-        edges = np.linspace(0, np.pi, _BINS + 1)
+        edges = np.linspace(0, np.pi, RINGS + 1)
         self.middle = 0.5 * (edges[1:] + edges[:-1])
         self.k = tuple(map(float, self.middle))
-        self._which = np.clip(np.digitize(np.hypot(kx, ky).ravel(), edges) - 1, 0, _BINS - 1)
-        turn = np.arctan2(ky, kx).ravel() * (_SECTORS / (0.5 * np.pi))
-        self._sector = np.minimum(turn.astype(int), _SECTORS - 1) * _BINS + self._which
-        self.count = np.bincount(self._which, minlength=_BINS)
-        self.used_blocks = np.bincount(self._sector, minlength=_SECTORS * _BINS).reshape(_SECTORS, _BINS)
+        self._which = np.clip(np.digitize(np.hypot(kx, ky).ravel(), edges) - 1, 0, RINGS - 1)
+        direction = np.arctan2(ky, kx).ravel() * (SECTORS / (0.5 * np.pi))
+        self._sector = np.minimum(direction.astype(int), SECTORS - 1) * RINGS + self._which
+        self.count = np.bincount(self._which, minlength=RINGS)
+        self.sector_count = np.bincount(self._sector, minlength=SECTORS * RINGS).reshape(SECTORS, RINGS)
 
     def mean(self, field: NDArray[Any]) -> NDArray[np.float64]:
         """Of a field over rings, (rings,)."""
-        total = np.bincount(self._which, field.ravel(), minlength=_BINS)
+        total = np.bincount(self._which, field.ravel(), minlength=RINGS)
         return np.asarray(total / np.maximum(self.count, 1))
 
     def rings(self, fields: Float) -> NDArray[np.float64]:
@@ -453,9 +474,9 @@ class _Bins:
 
     def sectors(self, fields: Float) -> NDArray[np.float64]:
         """Mean of fields (c, my, mx) over the sectors of rings, (c, sectors, rings)."""
-        size = self.used_blocks.size
+        size = self.sector_count.size
         total = np.array([np.bincount(self._sector, field.ravel(), minlength=size) for field in fields])
-        return np.asarray(total.reshape(-1, _SECTORS, _BINS) / np.maximum(self.used_blocks, 1))
+        return np.asarray(total.reshape(-1, SECTORS, RINGS) / np.maximum(self.sector_count, 1))
 
     def significant(self, ratio: Float, samples: int) -> NDArray[np.bool_]:
         """Rings (rings,) whose signal over noise is no chance.
@@ -463,53 +484,63 @@ class _Bins:
         Rings up to the first without waves have to stand out from the noise as it is known from theirs; waves
         beyond such a gap have to do so by more, together with both neighbouring rings.
         """
-        contiguous = np.arange(_BINS) < self.until((self.count > 0) & (ratio > _DETECTED_SNR))
+        contiguous = np.arange(RINGS) < self.count_until_false(
+            (self.count > 0) & (ratio > DETECTED_SIGNAL_TO_NOISE)
+        )
         count = self.count * samples
         sum_of_three = np.convolve(ratio * count, np.ones(3), mode="same")
         count_of_three = np.convolve(count, np.ones(3), mode="same")
         mean = sum_of_three / np.maximum(count_of_three, 1)
         chance = MIN_STANDARD_DEVIATIONS * np.sqrt(2.0 / np.maximum(count_of_three, 1))
-        apart = (mean > np.maximum(chance, MIN_SIGNAL_TO_NOISE)) & (ratio > _DETECTED_SNR) & (self.count > 0)
-        apart &= ~contiguous & (self.middle < SHORTEST_WAVENUMBER)
-        if apart.any():  # the first three rings may belong to the gap
-            contiguous &= ratio > _DETECTED_SNR
-        return np.asarray(contiguous | apart)
+        sector_power = (
+            (mean > np.maximum(chance, MIN_SIGNAL_TO_NOISE))
+            & (ratio > DETECTED_SIGNAL_TO_NOISE)
+            & (self.count > 0)
+        )
+        sector_power &= ~contiguous & (self.middle < SHORTEST_WAVENUMBER)
+        if sector_power.any():  # the first three rings may belong to the gap
+            contiguous &= ratio > DETECTED_SIGNAL_TO_NOISE
+        return np.asarray(contiguous | sector_power)
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
         """Level of noise (rings,) from that of single rings; long waves are the calibration's, no noise."""
-        count = np.where((np.arange(_BINS) < FIRST_NOISE_RING), 0, self.count)
+        count = np.where((np.arange(RINGS) < FIRST_NOISE_RING), 0, self.count)
         weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
         total = np.convolve(ratio * count, np.ones(NOISE_RINGS), mode="same")
         known = np.flatnonzero(weight)
         if not known.size:
-            return np.ones(_BINS)
-        return np.asarray(np.interp(np.arange(_BINS), known, total[known] / weight[known]))
+            return np.ones(RINGS)
+        return np.asarray(np.interp(np.arange(RINGS), known, total[known] / weight[known]))
 
     @staticmethod
-    def until(good: NDArray[np.bool_]) -> int:
+    def count_until_false(flags: NDArray[np.bool_]) -> int:
         """Number of rings before the first that is not good, at least three."""
-        return max(int(np.argmin(good)) if not good.all() else len(good), 3)
+        return max(int(np.argmin(flags)) if not flags.all() else len(flags), 3)
 
 
-def _continued(
-    k: NDArray[np.float64], power: NDArray[np.float64], last: int, noise: float, most: Float | float = np.inf
+def _extrapolated(
+    k: NDArray[np.float64],
+    power: NDArray[np.float64],
+    last: int,
+    noise: float,
+    upper_limit: Float | float = np.inf,
 ) -> tuple[float, ...]:
     """The spectrum with what lies beyond the first ``last`` rings replaced by a power law.
 
     Where it is far below the noise, as of water at rest, nothing can be said of it but that; nor is it there
     more than what would be heard.
     """
-    out = np.maximum(power, _NOTHING * noise)
-    first = max(last - _FEW, 1)
-    slope = _SLOPES[1]
+    out = np.maximum(power, MIN_POWER_TO_NOISE * noise)
+    first = max(last - SLOPE_RINGS, 1)
+    slope = SLOPE_RANGE[1]
     if last - first > 2:
         slope = float(np.polyfit(np.log(k[first:last]), np.log(out[first:last]), 1)[0])
-    slope = float(np.clip(slope, *_SLOPES))
+    slope = float(np.clip(slope, *SLOPE_RANGE))
     out[last:] = out[last - 1] * (k[last:] / k[last - 1]) ** slope
-    out[last:] = np.minimum.accumulate(np.minimum(out, most)[last:])
+    out[last:] = np.minimum.accumulate(np.minimum(out, upper_limit)[last:])
     return tuple(map(float, out))
 
 
-def _waves(field: Float) -> NDArray[Any]:
+def _cosine_coefficients(field: Float) -> NDArray[Any]:
     out: NDArray[Any] = scipy.fft.dctn(np.asarray(field, np.float64), axes=(-2, -1), norm="ortho", workers=1)
     return out

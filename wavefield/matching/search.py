@@ -13,7 +13,7 @@ from wavefield.matching.prepared import Level
 
 njit = compiled(error_model="numpy")
 
-_LOCAL = 41  # px of the level: side of the box of its local normalisation
+NORMALIZATION_SIDE = 41  # px of the level: side of the box of its local normalisation
 
 
 def search(
@@ -49,7 +49,7 @@ def search(
 
 def _locally_normalized(image: np.ndarray) -> np.ndarray:
     def mean(f: np.ndarray) -> np.ndarray:
-        return cv2.blur(f, (_LOCAL, _LOCAL), borderType=cv2.BORDER_REPLICATE)
+        return cv2.blur(f, (NORMALIZATION_SIDE, NORMALIZATION_SIDE), borderType=cv2.BORDER_REPLICATE)
 
     image = image - mean(image)
     variance = mean(image * image)
@@ -66,17 +66,17 @@ def _largest(score: np.ndarray, j: int, border: int, top: np.ndarray, best: np.n
         top[i], best[i] = score[0, j, 0, border + i], np.int32(0)
     for dy in range(rows):
         for k in range(n):
-            here = score[dy, j, k, border : border + nx]
+            middle = score[dy, j, k, border : border + nx]
             for i in range(nx):
-                larger = here[i] > top[i]
+                larger = middle[i] > top[i]
                 best[i] = np.int32(dy * n + k) if larger else best[i]
-                top[i] = here[i] if larger else top[i]
+                top[i] = middle[i] if larger else top[i]
 
 
 @njit
-def _vertex(before: np.float32, here: np.float32, after: np.float32) -> np.float32:
+def _vertex(before: np.float32, middle: np.float32, after: np.float32) -> np.float32:
     """Where the parabola through three neighbours is highest, at most half a step from the middle one."""
-    curvature = before - F(2) * here + after
+    curvature = before - F(2) * middle + after
     if curvature >= F(-1e-6):
         return F(0)
     return min(max((before - after) / (F(2) * curvature), F(-0.5)), F(0.5))

@@ -34,12 +34,12 @@ def _squared(settings: MatchSettings, gain: float) -> tuple[np.ndarray, float]:
     The square of a round hump is nearly a Gaussian, and that is separable: its first singular vector, with
     the sum of all, gives the uncertainty of a block within 5 %, of most within 1 %.
     """
-    kernel = _middle(transfer_kernel(settings, gain).astype(float) ** 2, 1e-3)
+    kernel = _trimmed(transfer_kernel(settings, gain).astype(float) ** 2, 1e-3)
     along = np.abs(np.linalg.svd(kernel)[2][0])
     return (along / along.sum()).astype(np.float32), float(kernel.sum())
 
 
-def _middle(kernel: np.ndarray, lost: float) -> np.ndarray:
+def _trimmed(kernel: np.ndarray, lost: float) -> np.ndarray:
     """The smallest square in the middle of a positive kernel that leaves out no more than this share."""
     while len(kernel) > 3 and kernel[1:-1, 1:-1].sum() >= (1 - lost) * kernel.sum():
         lost -= 1 - kernel[1:-1, 1:-1].sum() / kernel.sum()
@@ -48,10 +48,10 @@ def _middle(kernel: np.ndarray, lost: float) -> np.ndarray:
 
 
 def _convolved(field: np.ndarray, parts: tuple[tuple[np.ndarray, np.ndarray], ...]) -> np.ndarray:
-    total = np.zeros_like(field)
+    kernel_sum = np.zeros_like(field)
     for column, row in parts:
-        total += cv2.sepFilter2D(field, -1, row, column, borderType=BORDER)
-    return total
+        kernel_sum += cv2.sepFilter2D(field, -1, row, column, borderType=BORDER)
+    return kernel_sum
 
 
 def std_from_influence(
@@ -90,12 +90,12 @@ def std_from_influence(
     kernel = transfer_kernel(settings, gain).astype(float)
     side = min(CLUSTER, (int(settings.window / BLOCK) - 1) // 2 * 2 + 1)
     r = len(kernel) // 2
-    near = slice(r - side // 2, r + side // 2 + 1)
-    freedom = max(1 - 2 * kernel[near, near].sum() + side**2 * (kernel**2).sum(), 0.25)
+    centre = slice(r - side // 2, r + side // 2 + 1)
+    freedom = max(1 - 2 * kernel[centre, centre].sum() + side**2 * (kernel**2).sum(), 0.25)
     clusters = filtered(np.ascontiguousarray(influence, np.float32), np.ones(side, np.float32))
-    weights, total = _squared(settings, gain)
+    weights, kernel_sum = _squared(settings, gain)
     variance = filtered(clusters * clusters, weights)
-    variance *= np.float32(total / (side**2 * freedom))
+    variance *= np.float32(kernel_sum / (side**2 * freedom))
     if field is not None:
         lost = field - _convolved(np.ascontiguousarray(field, np.float32), _separable(settings, gain)) / (
             np.float32(kernel.sum())

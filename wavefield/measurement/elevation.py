@@ -191,7 +191,7 @@ def _noise_across(instants_used: Sequence[_PairScores], smooth: Float) -> Float:
     score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     out: Float = np.float32(_CAREFUL) * _noise(score, hessian, 1.0)
     information = np.sum([one.hessian for one in instants_used], axis=0) / out
-    return out * matching.around_holes(information, _AT_RIMS)
+    return out * matching.noise_factor_near_holes(information, _AT_RIMS)
 
 
 def _smooth(matches: Sequence[PairMatch], modes: Modes) -> Float:

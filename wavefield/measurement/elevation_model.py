@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.matching import Modes, Prior, Slopes, Spread
+from wavefield.matching import Modes, PosteriorVariance, Prior, Slopes
 from wavefield.matching.one_thread import one_thread
 from wavefield.measurement.regrid import thin_plate
 
@@ -35,10 +35,10 @@ class FieldModel:
             return Modes(self.prior, self._shape, self._requested)
 
     @cached_property
-    def spread(self) -> Spread:
+    def spread(self) -> PosteriorVariance:
         """Variance of the field."""
         with one_thread():
-            return Spread(self.prior, self._shape)
+            return PosteriorVariance(self.prior, self._shape)
 
     @cached_property
     def spline(self) -> NDArray[Any]:
@@ -49,7 +49,7 @@ class FieldModel:
     @cached_property
     def _beyond(self) -> tuple[NDArray[Any], NDArray[Any]]:
         gain = thin_plate(self._shape, self._smoothing)
-        return self.modes.edge.beyond(self.modes.shape, (gain[:, 0], gain[0]))
+        return self.modes.edge.truncated_profiles(self.modes.shape, (gain[:, 0], gain[0]))
 
     def splined(self, waves: NDArray[Any], slopes: Slopes) -> NDArray[Any]:
         """Spline coefficients of the field.

@@ -52,7 +52,7 @@ class FlowEstimate:
     # (ny, nx): Mean of the two diagonal parts of every block's A, px^-2
     information: Float = field(repr=False)
     reason: NDArray[np.uint8] = field(repr=False)  # (ny, nx): Bits of `Reason` at the last look
-    # (float, float): Factors on the variance of either component (`along_each`)
+    # (float, float): Factors on the variance of either component (`component_variance_factors`)
     along: tuple[float, float] = (1.0, 1.0)
 
 
@@ -76,7 +76,7 @@ def most_probable(
             found = matching.reevaluate(one, other, u[0], u[1], found.settings)
         counts = found.valid.astype(np.float32)
         trace = found.hessian[0] + found.hessian[2]
-        nu = matching.noise_of_scores(found.score, trace, counts, freedom, torn=True)
+        nu = matching.noise_of_scores(found.score, trace, counts, freedom, with_mismatches=True)
         counts /= nu * np.float32(modes.prior.noise)
         a = found.hessian * counts
         right = found.score * counts
@@ -90,7 +90,7 @@ def most_probable(
         waves, seen = progress.next(modes, waves, solved, seen)
         if progress.converged:
             break
-    along = matching.along_each(found.score, found.hessian, found.valid.astype(np.float32))
+    along = matching.component_variance_factors(found.score, found.hessian, found.valid.astype(np.float32))
     return FlowEstimate(waves, mean, slopes, information, found.reason, along)
 
 

@@ -310,7 +310,7 @@ class _Shift(_Sample):
         self.field = flow.whole(found)
         counts = found.valid.astype(np.float32)
         trace = found.hessian[0] + found.hessian[2]
-        nu = matching.noise_of_scores(found.score, trace, counts, _FREEDOM, torn=True)
+        nu = matching.noise_of_scores(found.score, trace, counts, _FREEDOM, with_mismatches=True)
         self.information = 0.5 * float((trace * counts / nu).mean()) / bare
 
     def estimate(self, modes: Modes) -> flow.FlowEstimate:
@@ -341,7 +341,7 @@ class _Samples:
 
     def better(self, prior: Prior, open_ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
         """The prior that follows from the fields that this one gives where it suppresses no wave."""
-        prior = prior.opened(open_ratio)
+        prior = prior.with_min_signal_to_noise(open_ratio)
         modes = Modes(prior, self.samples[0].field.shape[-2:])
         found = list(self.pool.map(lambda sample: sample.estimate(modes), self.samples))
         information = float(np.mean([f.information.mean() / s.bare for f, s in zip(found, self.samples)]))
@@ -353,7 +353,7 @@ class _Samples:
 def _noise_of_waves(prior: Prior, plan: Plan, k: Float) -> Float:
     """Noise in the power of every wave on the grid, by its wavenumber, rad per node."""
     blocks = BLOCK * plan.pixel / plan.grid.step  # from node to node of the lattice
-    out: Float = prior.noise_kept(k * blocks) * blocks**2 / np.prod(plan.grid.shape)
+    out: Float = prior.noise_power(k * blocks) * blocks**2 / np.prod(plan.grid.shape)
     return out
 
 
@@ -361,7 +361,7 @@ def _matched(record: LearnedRecord, plan: Plan, k: Float) -> tuple[Float, Float]
     """What priors leave of waves' displacements, and by how much these are raised; k in rad per node."""
     blocks = k * BLOCK * plan.pixel / plan.grid.step
     gain = np.mean([prior.mean_gain(blocks) for _, prior in record.displacement], axis=0)
-    return gain, matching.raised(blocks)
+    return gain, matching.footprint_excess(blocks)
 
 
 def _elevations(step: tuple[Images, Images], near: _Near, plan: Plan) -> tuple[Float, Float] | None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
-from wavefield.matching import Modes, Spread
+from wavefield.matching import Modes, PosteriorVariance
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.prepared import Mask
 from wavefield.measurement.elevation_model import FieldModel
@@ -171,7 +171,7 @@ class Plan:
         return self.field_model.modes
 
     @property
-    def spread(self) -> Spread:
+    def spread(self) -> PosteriorVariance:
         """Variance of the elevation."""
         return self.field_model.spread
 

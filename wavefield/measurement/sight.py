@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.matching import Modes, Prior, Slopes, Spread
+from wavefield.matching import Modes, PosteriorVariance, Prior, Slopes
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.measurement.elevation_model import FieldModel
 from wavefield.measurement.regrid import BlockLattice
@@ -55,7 +55,7 @@ class Sight:
         return self.field_model.modes
 
     @property
-    def spread(self) -> Spread:
+    def spread(self) -> PosteriorVariance:
         """Variance of the displacements."""
         assert self.field_model is not None
         return self.field_model.spread
