@@ -140,8 +140,7 @@ def test_a_corner_that_does_not_match_leaves_the_noise_of_the_rest_alone():
     mismatched = score.copy()
     mismatched[0, :6, :6] += 300.0
     sound, found = (
-        noise_of_scores(s, trace, counts, 1.0, with_mismatches=True)[35:, 35:]
-        for s in (score, mismatched)
+        noise_of_scores(s, trace, counts, 1.0, with_mismatches=True)[35:, 35:] for s in (score, mismatched)
     )
     assert np.abs(found / sound - 1.0).max() < 0.1
     x, y = component_variance_factors(mismatched, hessian, counts)

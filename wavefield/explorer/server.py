@@ -111,7 +111,7 @@ def session_server(session: LookSession, port: int | None = None) -> Server:
         first = record.first_step()
         Page(session, Place.read(query, record.names, record.layout.steps, first)).attach(document)
 
-    return make_server(make_page, port, [(r"/save/([\w.]+)", SaveHandler, {"looked": session})])
+    return make_server(make_page, port, [(r"/save/([\w.]+)", SaveHandler, {"session": session})])
 
 
 class Served:
