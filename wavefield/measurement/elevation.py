@@ -101,7 +101,7 @@ class ElevationEstimate:
     apart: Mask = field(repr=False)  # (ny, nx): Where pairs contradict each other (`scores_apart`)
 
 
-class Progress:
+class Convergence:
     """How solutions change from look to look.
 
     With scale, px.
@@ -156,7 +156,7 @@ def most_probable(
     smooth = _smooth(matches, modes)
     seen, scores = None, [z[0]]
     information = z[:1]
-    progress = Progress(float(np.sqrt(np.mean([np.square(one.D).sum(axis=0) for one in instants_used]))))
+    progress = Convergence(float(np.sqrt(np.mean([np.square(one.D).sum(axis=0) for one in instants_used]))))
     for number in range(MAX_LOOKS):
         if number:
             z = seen + beyond

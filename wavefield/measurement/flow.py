@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.matching import Modes
-from wavefield.measurement.elevation import MAX_LOOKS, Progress
+from wavefield.measurement.elevation import MAX_LOOKS, Convergence
 from wavefield.measurement.pair_surface import why_rejected
 from wavefield.measurement.plan import Plan
 from wavefield.measurement.regrid import push_pull
@@ -69,7 +69,7 @@ def most_probable(
     waves, (mean, beyond, slopes) = modes.waves(u), modes.mean(u)
     freedom, seen = modes.freedom, None
     a = found.hessian
-    progress = Progress()
+    progress = Convergence()
     for number in range(MAX_LOOKS):
         if number:
             u = seen + beyond
