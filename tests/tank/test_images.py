@@ -187,6 +187,46 @@ def test_a_late_shutter_sees_the_same_beads_a_moment_later():
     assert np.array_equal(seen["cam1"], tank.render(1)["cam1"])
 
 
+def test_jitter_takes_all_cameras_at_another_moment_and_truth_stays_on_the_frame_rate():
+    even = Tank(small(light=QUIET, surface={"renewal": 0.0}))
+    uneven = Tank(small(light=QUIET, surface={"renewal": 0.0}, timing={"jitter": 0.004}))
+    departures = np.array([uneven.frame_time(k) - uneven.time(k) for k in range(200)])
+    assert departures.std() == pytest.approx(0.004, rel=0.15)
+    assert even.frame_time(7) == even.time(7)
+    start = uneven.population.frame(0)
+    x, _ = carry(uneven.basin, start.x, start.y, uneven.frame_time(0), uneven.frame_time(1))
+    moved = uneven.population.frame(1).x
+    stayed = np.abs(moved - x) < 0.3  # the others left the rectangle and came back on its other side
+    assert stayed.mean() > 0.99
+    assert moved[stayed] == pytest.approx(x[stayed], abs=1e-9)
+    assert np.array_equal(even.truth(1).z, uneven.truth(1).z)
+
+
+def test_a_rolling_shutter_takes_lower_rows_later():
+    still = small(light=QUIET, surface={"renewal": 0.0}, sea={"current": (0.4, 0.0)})
+    rows = still.build_rig()["cam3"].size[1]
+    rolling = still.with_(faults={"cam3": {"row_time": 0.02 / rows}})
+    beads = Tank(still).population.frame(0)
+    here = np.stack(Tank(still).rig["cam3"].project(beads.x, beads.y, beads.z))
+    tank = Tank(rolling)
+    there = np.stack(tank._rolling(tank.rig["cam3"], beads, 0, 0.02 / rows))
+    inside = (here[1] > 5) & (here[1] < rows - 5) & (here[0] > 5)
+    expected = 0.4 * 0.02 * (here[1] - (rows - 1) / 2) / rows / rigs.pixel_footprint(tank.rig["cam3"])[0]
+    moved = (there - here)[0][inside]
+    # waves move the beads, too: the mean motion is the current's
+    assert np.polyfit(expected[inside], moved, 1)[0] == pytest.approx(1.0, abs=0.3)
+    assert not np.array_equal(tank.render(0)["cam3"], Tank(still).render(0)["cam3"])
+
+
+def test_submerged_beads_float_at_their_depths():
+    beads = Tank(small(surface={"submerged": 0.3})).population.frame(0)
+    surface = Tank(small()).population.frame(0)
+    below = surface.z - beads.z
+    assert np.mean(below > 0) == pytest.approx(0.3, abs=0.05)
+    assert (below[below > 0] >= 2e-3).all()
+    assert (below <= 1e-2).all()
+
+
 def test_a_camera_turns_when_it_is_knocked_and_not_before():
     knocked = Tank(small(light=QUIET, faults={"cam3": {"turned": (0.05, 0.0, 0.0), "since": 1}}))
     sound = Tank(small(light=QUIET))

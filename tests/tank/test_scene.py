@@ -87,6 +87,7 @@ def test_rig_file_is_found_beside_the_scene(tmp_path):
         ({"surface": {"kind": "oil"}}, "oil"),
         ({"surface": {"kind": "sheet"}, "sea": {"kind": "still", "current": [0.1, 0]}}, "a flow of its own"),
         ({"surface": {"kind": "sheet"}, "faults": {"cam1": {"delay": 0.001}}}, "a delay is not simulated"),
+        ({"surface": {"kind": "sheet"}, "timing": {"jitter": 0.001}}, "jitter is not simulated"),
         ({"surface": {"kind": "sheet", "thickness": 0}}, "surface.thickness"),
         ({"rig": {"angle": 90}}, ": rig.angle "),
         ({"calibration": {"target": {"kind": "strings", "mesh": "wide"}}}, "calibration.target.mesh"),

@@ -1,5 +1,6 @@
 """Beads carried by the water: where they are in every frame."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,12 +86,13 @@ class Population:
         spread: float,
         spread_between: float,
         cameras: int,
-        start: float,
+        submerged: tuple[float, tuple[float, float]],
+        time: Callable[[float], float],
         frame_rate: float,
         seed: int,
     ):
         self._basin, self._x, self._y = basin, x, y
-        self._renewal, self._start, self._rate, self._seed = renewal, start, frame_rate, seed
+        self._renewal, self.time, self._rate, self._seed = renewal, time, frame_rate, seed
         rng = np.random.default_rng([seed, 1])
         number = round(density * (x[1] - x[0]) * (y[1] - y[0]))
         grouped = int(clustered * number) // 6 * 6
@@ -109,14 +111,15 @@ class Population:
         only = rng.integers(0, cameras, count)
         hidden = (rng.uniform(size=count) < one_camera) & (np.arange(cameras)[:, None] != only)
         self._brightness = np.where(hidden, 0.0, own * each)
+        share, depths = submerged
+        draws = np.random.default_rng([seed, 12]) if share else None
+        self._below = np.zeros(count)  # m under the surface
+        if draws is not None:
+            self._below = np.where(draws.random(count) < share, draws.uniform(*depths, count), 0.0)
 
     def __len__(self) -> int:
         out: int = self._brightness.shape[1]
         return out
-
-    def time(self, frame: float) -> float:
-        """Time of a frame, s."""
-        return self._start + frame / self._rate
 
     def frame(self, frame: int) -> BeadField:
         """Beads in one frame."""
@@ -132,7 +135,7 @@ class Population:
             self._positions = {f: p for f, p in self._positions.items() if f in kept}
         px, py = self._positions[frame]
         (pz,) = self._basin.snapshot(self.time(frame), ("z",))(px, py)
-        return BeadField(px, py, pz, self._brightness)
+        return BeadField(px, py, pz - self._below, self._brightness)
 
     def _advance(self, px: Array, py: Array, frame: int) -> tuple[Array, Array]:
         px, py = carry(self._basin, px, py, self.time(frame), self.time(frame + 1))

@@ -28,6 +28,7 @@ from wavefield.tank.scene_parts import (
     SingleWave,
     StillSea,
     Texture,
+    Timing,
 )
 from wavefield.tank.sea import Sea
 
@@ -78,6 +79,7 @@ class Scene(Part):
         Discriminator(_kind_of_surface),
     ] = Beads()
     light: Light = Light()
+    timing: Timing = Timing()
     faults: dict[str, Fault] = Field(default_factory=dict, description="camera: what goes wrong with it")
     calibration: CalibrationScene = CalibrationScene()
     probes: Probes = Probes()
@@ -94,8 +96,10 @@ class Scene(Part):
         if isinstance(self.surface, Sheet):
             if not isinstance(self.sea, StillSea) or any(self.sea.current):
                 raise ValueError("sea: a light sheet has a flow of its own: take `sea: {kind: still}`")
-            if any(fault.delay for fault in self.faults.values()):
+            if any(fault.delay or fault.row_time for fault in self.faults.values()):
                 raise ValueError("faults: a delay is not simulated for a light sheet")
+            if self.timing.jitter:
+                raise ValueError("timing: jitter is not simulated for a light sheet")
         return self
 
     @model_validator(mode="after")

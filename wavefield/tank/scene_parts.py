@@ -212,6 +212,10 @@ class Beads(Part):
         default=0.10, description="m; two values: drawn evenly between them"
     )
     renewal: Share = Field(default=0.005, description="share of beads laid anew per second")
+    submerged: Share = Field(default=0.0, description="share of beads that float below the surface")
+    submerged_depth: Annotated[tuple[Positive, Positive], AfterValidator(_rising)] = Field(
+        default=(2e-3, 1e-2), description="their depths, drawn evenly between, m (without refraction)"
+    )
 
 
 class Texture(Part):
@@ -262,6 +266,15 @@ class Light(Part):
     bits: Literal[8, 16] = 8
 
 
+class Timing(Part):
+    """When the cameras take their frames."""
+
+    jitter: NotNegative = Field(
+        default=0.0,
+        description="rms error of a frame's time, common to all cameras, s (beads only)",
+    )
+
+
 class Fault(Part):
     """What goes wrong with a camera while it records; its target images are right."""
 
@@ -275,6 +288,10 @@ class Fault(Part):
     )
     defocus: NotNegative = Field(default=0.0, description="standard deviation added to the blur, px")
     delay: float = Field(default=0.0, description="s by which its frames are taken later (beads only)")
+    row_time: NotNegative = Field(
+        default=0.0,
+        description="s from row to row of a rolling shutter; the middle row is on time (beads only)",
+    )
     turned: tuple[float, float, float] = Field(
         default=(0.0, 0.0, 0.0), description="rotation vector in its own axes, degrees (beads only)"
     )

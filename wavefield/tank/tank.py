@@ -55,8 +55,17 @@ class Tank:
         self._drift: tuple[int, list[RectBivariateSpline]] = (-1, [])
 
     def time(self, frame: float) -> float:
-        """Time of the sea at a frame (or between two), s."""
+        """Time of the sea at a frame (or between two), as the frame rate has it, s."""
         return self.scene.start + frame / self.scene.frame_rate
+
+    def frame_time(self, frame: float) -> float:
+        """Time of the sea when a frame is taken, s."""
+        jitter = self.scene.timing.jitter
+        if not jitter:
+            return self.time(frame)
+        return self.time(frame) + jitter * float(
+            np.random.default_rng([self.scene.seed, 11, int(frame)]).normal()
+        )
 
     @cached_property
     def population(self) -> floating.Population | light_sheet_scene.Particles:
@@ -89,7 +98,8 @@ class Tank:
             spread=settings.spread,
             spread_between=settings.spread_between,
             cameras=len(self.rig),
-            start=self.scene.start,
+            submerged=(settings.submerged, settings.submerged_depth),
+            time=self.frame_time,
             frame_rate=self.scene.frame_rate,
             seed=self.scene.seed,
         )
@@ -201,8 +211,10 @@ class Tank:
         if any(fault.turned) and frame >= fault.since:
             camera = _turned(camera, fault.turned)
         if fault.delay:
-            beads = self._later(beads, self.time(frame), fault.delay)
+            beads = self._later(beads, self.frame_time(frame), fault.delay)
         X, Y = camera.project(beads.x, beads.y, beads.z)
+        if fault.row_time:
+            X, Y = self._rolling(camera, beads, frame, fault.row_time)
         sharp = self.spot_width(self.rig[name])
         image = np.zeros(camera.size[::-1], np.float32)
         flux = settings.brightness * 2 * np.pi * sharp**2 * beads.brightness[list(self.rig).index(name)]
@@ -215,6 +227,21 @@ class Tank:
         x, y = np.where(np.isnan(x), beads.x, x), np.where(np.isnan(y), beads.y, y)
         (z,) = self.basin.snapshot(time + delay, ("z",))(x, y)
         return replace(beads, x=x, y=y, z=z)
+
+    def _rolling(
+        self, camera: Camera, beads: floating.BeadField, frame: int, row_time: float
+    ) -> tuple[Array, Array]:
+        """Columns and rows of beads where each row is read `row_time` after the one above it, px."""
+        middle = (camera.size[1] - 1) / 2
+        half = row_time * middle
+        at = [beads, self._later(beads, self.frame_time(frame), half)]
+        at.insert(0, self._later(beads, self.frame_time(frame), -half))
+        before, here, after = (np.stack(camera.project(b.x, b.y, b.z)) for b in at)
+        image = here
+        for _ in range(4):  # the row is read when it is; a bead moves by a few rows at most
+            s = np.clip((image[1] - middle) / middle, -1.5, 1.5)
+            image = here + 0.5 * s * (after - before) + 0.5 * s * s * (after - 2 * here + before)
+        return image[0], image[1]
 
     @cached_property
     def target_poses(self) -> dict[str, rendered_targets.Pose]:
