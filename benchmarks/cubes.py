@@ -46,11 +46,11 @@ PLAIN_LOOP = """
 import sys
 import cv2
 cv2.setNumThreads(1)
-from wavefield.measurement import Plan, Settings, measure
+from wavefield.measurement import GridGeometry, Settings, measure
 from wavefield.series import Experiment
 note = Experiment.load(sys.argv[1])
 rig = note.load_rig()
-plan = Plan(rig, note.choose_grid(rig), Settings())
+geometry = GridGeometry(rig, note.choose_grid(rig), Settings())
 series = note.open_frames()
 class Frames:
     def __init__(self, one): self.one = one
@@ -58,7 +58,7 @@ class Frames:
     def __getitem__(self, i):
         inside = 1 < i < len(self.one) + 2
         return cv2.imread(self.one.entries[i - 2].path, cv2.IMREAD_UNCHANGED) if inside else None
-measure({name: Frames(one) for name, one in series.items()}, plan, note.frame_rate)
+measure({name: Frames(one) for name, one in series.items()}, geometry, note.frame_rate)
 """
 
 

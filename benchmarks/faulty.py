@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scenes import HALF
-from wavefield.measurement import Plan, Settings
+from wavefield.measurement import GridGeometry, Settings
 from wavefield.quality.camera_delay import delays, remarks
 from wavefield.quality.camera_faults import CameraFaults, find_camera_faults
 from wavefield.quality.patch_matching import PatchMatcher
@@ -45,8 +45,11 @@ def look(tank: Tank, read: Read) -> CameraFaults:
 
 def clocks(tank: Tank, read: Read) -> list[Remark]:
     """As `wavefield check` looks at their clocks."""
-    witness, plan = PatchMatcher(read, tank.rig, tank.scene.grid), Plan(tank.rig, tank.scene.grid, Settings())
-    return list(remarks(*delays(plan, witness, (2, 3, 4, 5), tank.scene.frame_rate)))
+    witness, geometry = (
+        PatchMatcher(read, tank.rig, tank.scene.grid),
+        GridGeometry(tank.rig, tank.scene.grid, Settings()),
+    )
+    return list(remarks(*delays(geometry, None, witness, (2, 3, 4, 5), tank.scene.frame_rate)))
 
 
 def sound(options: argparse.Namespace) -> None:
@@ -107,8 +110,8 @@ def delay(options: argparse.Namespace) -> None:
     for seed, late in ((FIRST + 60, 2e-4), (FIRST + 61, 2e-4), (FIRST + 62, 0.0)):
         tank, read = shots(seed, max(INSTANTS) + 3, cam2={"delay": late})
         witness = PatchMatcher(read, tank.rig, tank.scene.grid)
-        plan = Plan(tank.rig, tank.scene.grid, Settings())
-        found, _ = delays(plan, witness, tuple(INSTANTS), tank.scene.frame_rate)
+        geometry = GridGeometry(tank.rig, tank.scene.grid, Settings())
+        found, _ = delays(geometry, None, witness, tuple(INSTANTS), tank.scene.frame_rate)
         words = ", ".join(f"{n} {1e3 * d.seconds:+.4f} +- {1e3 * d.std:.4f}" for n, d in found.items())
         print(f"    cam2 late by {1e3 * late:g} ms, found (ms): {words or 'nothing'}", flush=True)
 

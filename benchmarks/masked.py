@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from benchmarks.cubes import say
 from benchmarks.scenes import HALF
-from wavefield.measurement import Plan, learn, measure, sample_steps
+from wavefield.measurement import GridGeometry, Model, learn, measure, sample_steps
 from wavefield.measurement.learn import SAMPLES
 from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.masked import covered_in
@@ -54,27 +54,31 @@ def with_cylinder(images: Images, where: Mapping[str, NDArray[np.bool_]], seed: 
     return out
 
 
-def learned(images: Images, plan: Plan, masks: Mapping[str, Any] | None) -> LearnedRecord:
+def learned(images: Images, geometry: GridGeometry, masks: Mapping[str, Any] | None) -> LearnedRecord:
     """What a run would learn of the record."""
     instants = [{name: frames[k] for name, frames in images.items()} for k in range(2 * SAMPLES)]
     pairs = list(zip(instants[::2], instants[1::2], strict=True))
-    record = learn(pairs, plan, [(masks, masks)] * len(pairs) if masks else None)
+    record = learn(pairs, geometry, [(masks, masks)] * len(pairs) if masks else None)
     assert record is not None
     return record
 
 
 def one_step(
-    images: Images, plan: Plan, record: LearnedRecord, masks: Mapping[str, Any] | None, rate: float
+    images: Images,
+    geometry: GridGeometry,
+    record: LearnedRecord,
+    masks: Mapping[str, Any] | None,
+    rate: float,
 ) -> dict[str, Any]:
     """A step measured as a run does."""
     every = {name: [pixels] * FRAMES for name, pixels in masks.items()} if masks else None
-    return measure(images, plan.with_prior(record), rate, every)
+    return measure(images, geometry, rate, Model(geometry, record), every)
 
 
-def hidden_from_any(z: NDArray[Any], masks: Mapping[str, Any], plan: Plan) -> NDArray[np.bool_]:
+def hidden_from_any(z: NDArray[Any], masks: Mapping[str, Any], geometry: GridGeometry) -> NDArray[np.bool_]:
     """Nodes that one camera at least does not see for its mask."""
-    covered = covered_in(masks, plan)
-    seen = [one.at(*plan.sights[name].position(z)) for name, one in covered.items()]
+    covered = covered_in(masks, geometry)
+    seen = [one.at(*geometry.sights[name].position(z)) for name, one in covered.items()]
     return np.asarray(np.logical_or.reduce(seen))
 
 
@@ -89,20 +93,20 @@ def change(seed: int, across: float) -> dict[str, Any]:
     size = {"x": 0.0, "y": 0.0, "radius": across / 2}
     standing = MaskSection(cylinder=size | {"top": 0.05, "bottom": -0.02})  # type: ignore[arg-type]
     masked = MaskSection(cylinder=size | {"top": 0.05})  # type: ignore[arg-type]
-    free_plan = Plan(tank.rig, grid)
-    plan = Plan(tank.rig, grid, covered=footprints({"water": [masked]}))
-    masks = covered(tank, masked, -plan.z_range[0])
+    free_plan = GridGeometry(tank.rig, grid)
+    geometry = GridGeometry(tank.rig, grid, covered=footprints({"water": [masked]}))
+    masks = covered(tank, masked, -geometry.z_range[0])
     hides = covered(tank, standing, 0.02)
     painted, painted_record = with_cylinder(images, hides, seed), with_cylinder(record, hides, seed)
     whole = learned(record, free_plan, None)
     free = one_step(images, free_plan, whole, None, rate)
-    beside = one_step(painted, plan, learned(painted_record, plan, masks), masks, rate)
-    given = one_step(painted, plan, whole, masks, rate)
+    beside = one_step(painted, geometry, learned(painted_record, geometry, masks), masks, rate)
+    given = one_step(painted, geometry, whole, masks, rate)
     unmasked = one_step(painted, free_plan, learned(painted_record, free_plan, None), None, rate)
     hidden = (beside["quality"][0] & MASKED) != 0
-    hidden |= hidden_from_any(np.nan_to_num(free["z"][0]).astype(np.float32), masks, plan)
+    hidden |= hidden_from_any(np.nan_to_num(free["z"][0]).astype(np.float32), masks, geometry)
     distance = cv2.distanceTransform((~hidden).astype(np.uint8), cv2.DIST_L2, 5) * grid.step
-    window = max(plan.settings.piv.window, plan.settings.stereo.window) * plan.pixel
+    window = max(geometry.settings.piv.window, geometry.settings.stereo.window) * geometry.pixel
 
     def apart(found: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
         return {n: np.abs(found[n][0] - free[n][0]) / free[f"{n}_std"][0] for n in FIELDS}

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from benchmarks.scenes import SEEDS, Case, calibrated, draw, inside, reconstruct, scene
 from benchmarks.scores import Score
-from wavefield.measurement import Plan, Settings, learn, measure, sample_steps
+from wavefield.measurement import GridGeometry, LearnedRecord, Model, Settings, learn, measure, sample_steps
 from wavefield.measurement.response import gains as theory
 
 SLOPE = 0.03
@@ -43,16 +43,15 @@ def wave_vectors() -> tuple[NDArray[Any], NDArray[Any]]:
     return k * np.cos(angle), k * np.sin(angle)
 
 
-def known(case: Case) -> tuple[Plan, dict[str, NDArray[Any]]]:
-    """The plan with what is learned of a case's frames, and the cube that it gives."""
-    plan = Plan(case.rig, case.grid, Settings())
+def known(case: Case) -> tuple[GridGeometry, LearnedRecord, dict[str, NDArray[Any]]]:
+    """The geometry, what is learned of a case's frames, and the cube that they give."""
+    geometry = GridGeometry(case.rig, case.grid, Settings())
     steps = sample_steps(len(next(iter(case.frames.values()))) - 1)
     pairs = [tuple({n: f[k + i] for n, f in case.frames.items()} for i in (0, 1)) for k in steps]
-    record = learn(pairs, plan)
+    record = learn(pairs, geometry)
     if record is None:
         raise SystemExit("nothing of these frames can be measured")
-    plan = plan.with_prior(record)
-    return plan, measure(case.frames, plan, case.frame_rate)
+    return geometry, record, measure(case.frames, geometry, case.frame_rate, Model(geometry, record))
 
 
 def amplitudes(field: NDArray[Any], case: Case, window: NDArray[Any]) -> NDArray[np.complex128]:
@@ -89,8 +88,8 @@ def waves(options: argparse.Namespace) -> None:
         undone: dict[str, list[Any]] = {"z": [], "w": []}
         for seed in options.seeds:
             case = draw(scene(name, seed, sea={"added": added()}), calibrated(False))
-            plan, cube = known(case)
-            predicted = theory(plan, *wave_vectors())
+            geometry, record, cube = known(case)
+            predicted = theory(geometry, record, *wave_vectors())
             for key, parts in gains(case, cube).items():
                 sums[key] = [total + part for total, part in zip(sums[key], parts, strict=True)]
                 undone[key].append(parts[0].real / parts[1] / predicted[key])

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 import wavefield
 from wavefield.calibration import Target, calibrate, find_target
 from wavefield.grid import Grid
-from wavefield.measurement import Plan, Settings, measure
+from wavefield.measurement import GridGeometry, Settings, measure
 from wavefield.rig import Rig
 from wavefield.tank import Scene, Tank
 
@@ -124,7 +124,7 @@ def _calibrate(full: bool) -> Rig:
 
 def reconstruct(case: Case, settings: Settings) -> dict[str, NDArray[Any]]:
     """The cube of a case, every step with two frames, or None, on either side; fields (steps, ny, nx)."""
-    return measure(case.frames, Plan(case.rig, case.grid, settings), case.frame_rate)
+    return measure(case.frames, GridGeometry(case.rig, case.grid, settings), case.frame_rate)
 
 
 def inside(case: Case, z: NDArray[Any], margin: float = MARGIN) -> NDArray[np.bool_]:

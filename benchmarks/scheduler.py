@@ -159,14 +159,14 @@ def count(folder: Path) -> int:
 def message() -> None:
     """Print how large a task is that a worker is sent: rig, grid and settings, and a block's frames."""
     from wavefield.images import write_image
-    from wavefield.measurement import Plan
+    from wavefield.measurement import GridGeometry
     from wavefield.pipeline.chunk import make_block
     from wavefield.pipeline.chunk_worker import Work
     from wavefield.series import Experiment
     from wavefield.tank import Scene, Tank
 
     tank = Tank(Scene.load("full"))
-    work = Work(Path("cube.zarr"), Plan(tank.rig, tank.scene.grid), tank.scene.frame_rate)
+    work = Work(Path("cube.zarr"), GridGeometry(tank.rig, tank.scene.grid), None, tank.scene.frame_rate)
     with tempfile.TemporaryDirectory() as folder:
         for name in tank.rig:
             first = Path(folder) / name / "img_000000.tif"

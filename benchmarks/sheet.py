@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.calibration.light_sheet import sheet_of
-from wavefield.measurement import Plan, Settings, measure
+from wavefield.measurement import GridGeometry, Settings, measure
 from wavefield.rig import Rig
 from wavefield.tank import Scene, Tank
 from wavefield.tank.light_sheet_scene import plane
@@ -51,7 +51,7 @@ def errors(
     settings = Settings.from_dict({"preset": "sheet", "sheet_thickness": 1e-3})
     rate = tank.scene.frame_rate
     frames = {name: [None, *(image[name] for image in images), None] for name in rig}
-    cube = measure(frames, Plan(rig, tank.scene.grid, settings), rate)
+    cube = measure(frames, GridGeometry(rig, tank.scene.grid, settings), rate)
     measured = (cube["quality"] & Quality.MEASURED) != 0
     if not measured.any():
         return "0 % | |"

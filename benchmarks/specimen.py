@@ -22,7 +22,7 @@ from scipy.ndimage import map_coordinates
 
 from wavefield.grid import Grid
 from wavefield.images import read_image
-from wavefield.measurement import Plan, measure
+from wavefield.measurement import GridGeometry, measure
 from wavefield.rig import Rig
 from wavefield.rig.formats import load_rig
 from wavefield.rig.stereo import triangulate as nearest_point
@@ -59,7 +59,7 @@ class Difference:
     fields: dict[str, np.ndarray]
 
 
-def differences(folder: Path, loads: Sequence[int] = range(1, 6)) -> tuple[Plan, list[Difference]]:
+def differences(folder: Path, loads: Sequence[int] = range(1, 6)) -> tuple[GridGeometry, list[Difference]]:
     """Measure the specimen under the given loads; read the results at the reference's points."""
     names = ("left", "right")
     rig = load_rig(folder / "cal.xml", names=list(names))
@@ -81,7 +81,7 @@ def differences(folder: Path, loads: Sequence[int] = range(1, 6)) -> tuple[Plan,
     x, y, z, _ = nearest_point(seen, sight, [1e-2, 1.0])  # DICe's points are exact in the left image
     good = (rest["MATCH"] >= 0) & np.isfinite(z)
     grid = Grid((x[good].min(), x[good].max() + 5e-4), (y[good].min(), y[good].max() + 5e-4), 5e-4)
-    plan = Plan(rig, grid)
+    geometry = GridGeometry(rig, grid)
 
     def read(field, px, py):
         return map_coordinates(
@@ -91,7 +91,7 @@ def differences(folder: Path, loads: Sequence[int] = range(1, 6)) -> tuple[Plan,
     found = []
     for n in loads:
         frames = {name: [None, None, images[name][0], images[name][n], None, None] for name in names}
-        out = {name: field[0] for name, field in measure(frames, plan, 1.0).items()}
+        out = {name: field[0] for name, field in measure(frames, geometry, 1.0).items()}
         measured = ((out["quality"] & Quality.MEASURED) > 0).astype(float)
         ok = good & (tables[n]["MATCH"] >= 0) & (read(measured, x, y) > 0.99)
         moved = left[0] + tables[n]["DISPLACEMENT_X"], left[1] + tables[n]["DISPLACEMENT_Y"]
@@ -112,14 +112,18 @@ def differences(folder: Path, loads: Sequence[int] = range(1, 6)) -> tuple[Plan,
                 fields=out,
             )
         )
-    return plan, found
+    return geometry, found
 
 
 def compare(folder: Path, pictures: Path | None = None) -> list[tuple[str, str, str]]:
     """Median differences, as (test, asked, reached)."""
-    plan, found = differences(folder)
+    geometry, found = differences(folder)
     rows = [
-        ("specimen: rectified pixel, um; lattice", "", f"{plan.pixel / MICRON:.1f}; {plan.lattice.shape}")
+        (
+            "specimen: rectified pixel, um; lattice",
+            "",
+            f"{geometry.pixel / MICRON:.1f}; {geometry.lattice.shape}",
+        )
     ]
     for each in found:
         moved = ", ".join(f"{d / MICRON:.1f}" for d in each.moved)
@@ -132,7 +136,7 @@ def compare(folder: Path, pictures: Path | None = None) -> list[tuple[str, str, 
             )
         )
         if pictures:
-            draw(each.fields, plan.grid, pictures / f"specimen_{each.load}.png")
+            draw(each.fields, geometry.grid, pictures / f"specimen_{each.load}.png")
     return rows
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 
 from benchmarks.scenes import Case, draw, scene
-from wavefield.measurement import Plan, Settings, learn, measure
+from wavefield.measurement import GridGeometry, Model, Settings, learn, measure
 from wavefield.tank import Tank
 
 STEPS = 3  # steps whose time is the difference between a long block and a short one
@@ -31,9 +31,9 @@ def block(case: Case, steps: int) -> Case:
     return Case(case.rig, case.grid, case.frame_rate, frames, ())
 
 
-def seconds(case: Case, plan: Plan) -> float:
+def seconds(case: Case, geometry: GridGeometry, model: Model) -> float:
     began = time.process_time()
-    measure(case.frames, plan, case.frame_rate)
+    measure(case.frames, geometry, case.frame_rate, model)
     return time.process_time() - began
 
 
@@ -49,19 +49,19 @@ def main(words: Sequence[str]) -> int:
     described = scene("random", 71, not options.half)
     case = draw(described.with_(frames=4), Tank(described).rig)
     short, long = block(case, 1), block(case, 1 + STEPS)
-    plan = Plan(case.rig, case.grid, settings)
+    geometry = GridGeometry(case.rig, case.grid, settings)
     began = time.process_time()
     sample = tuple({name: images[k] for name, images in case.frames.items()} for k in (1, 2))
-    plan = plan.with_prior(learn([sample], plan))
+    model = Model(geometry, learn([sample], geometry))
     learned = time.process_time() - began
     full = draw(scene("random", 71, True).with_(frames=4), case.rig) if options.half else case
     first, second = (np.asarray(image) for image in full.frames["cam1"][1:3])
     flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     flow.calc(first, second, None)
-    seconds(short, plan)  # compiles
+    seconds(short, geometry)  # compiles
     steps, pairs = [], []
     for _ in range(options.repeats):
-        steps.append((seconds(long, plan), seconds(short, plan)))
+        steps.append((seconds(long, geometry, model), seconds(short, geometry, model)))
         began = time.process_time()
         flow.calc(first, second, None)
         flow.calc(second, first, None)
@@ -73,7 +73,7 @@ def main(words: Sequence[str]) -> int:
     print(f"learning from one sample step, once per run (four there): {1e3 * learned:.0f} ms")
     if options.profile:
         profile = cProfile.Profile()
-        profile.runcall(measure, long.frames, plan, case.frame_rate)
+        profile.runcall(measure, long.frames, geometry, case.frame_rate, model)
         pstats.Stats(profile).sort_stats("tottime").print_stats(45)
     return 0
 

@@ -24,11 +24,11 @@ def learned_once():
     learn = wavefield.measurement.learn
 
     @functools.wraps(learn)
-    def remembered(steps, plan, masks=None, threads=1):
-        asked = pickle.dumps((steps, masks, plan.rig, plan.grid, plan.settings, plan.record, plan.covered))
+    def remembered(steps, geometry, masks=None, threads=1):
+        asked = pickle.dumps((steps, masks, geometry.rig, geometry.grid, geometry.settings, geometry.covered))
         key = hashlib.sha256(asked).digest()
         if key not in LEARNED:
-            LEARNED[key] = learn(steps, plan, masks, threads)
+            LEARNED[key] = learn(steps, geometry, masks, threads)
         return LEARNED[key]
 
     with pytest.MonkeyPatch.context() as patch:

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from wavefield.calibration.light_sheet import sheet_of
 from wavefield.commands.cli import cli
 from wavefield.errors import CalibrationError, ExperimentError
-from wavefield.measurement import Plan, Settings, measure
+from wavefield.measurement import GridGeometry, Settings, measure
 from wavefield.rig import Rig
 from wavefield.series import Experiment
 from wavefield.tank import Scene, Tank, simulate
@@ -37,7 +37,7 @@ def beside():
 def velocities(tank, images, rig):
     settings = Settings.from_dict({"preset": "sheet", "sheet_thickness": 1e-3})
     frames = {name: [None, *(image[name] for image in images), None] for name in rig}
-    cube = measure(frames, Plan(rig, tank.scene.grid, settings), tank.scene.frame_rate)
+    cube = measure(frames, GridGeometry(rig, tank.scene.grid, settings), tank.scene.frame_rate)
     measured = (cube["quality"] & Quality.MEASURED) != 0
     truth = [tank.truth(step) for step in range(1, len(images) - 2)]
     scale = 1.0 / tank.scene.frame_rate / PIXEL
@@ -142,8 +142,8 @@ def test_pairs_of_cameras_are_not_compared_in_a_sheet(beside):
     from wavefield.measurement.diagnostics import diagnose_around
 
     tank, images, found = beside
-    plan = Plan(found.rig, tank.scene.grid, Settings(sheet_thickness=1e-3))
-    assert diagnose_around(lambda name, k: images[k][name], 2, plan, 1, PIXEL) is None
+    geometry = GridGeometry(found.rig, tank.scene.grid, Settings(sheet_thickness=1e-3))
+    assert diagnose_around(lambda name, k: images[k][name], 2, geometry, None, 1, PIXEL) is None
 
 
 def test_images_that_show_nothing_in_common_are_told():

@@ -33,10 +33,10 @@ def at_sea(folder, noise):
 
 
 def measured(prepared, settings=None):
-    from wavefield.measurement import Plan
+    from wavefield.measurement import GridGeometry
 
-    plan = prepared.plan if settings is None else Plan(prepared.rig, prepared.grid, settings)
-    return measure_block(make_block(prepared.series, 1, 2), plan, 10.0).fields
+    geometry = prepared.geometry if settings is None else GridGeometry(prepared.rig, prepared.grid, settings)
+    return measure_block(make_block(prepared.series, 1, 2), geometry, 10.0).fields
 
 
 def test_the_elevation_of_a_sea_of_natural_texture(tmp_path):
@@ -56,7 +56,7 @@ def test_the_elevation_of_a_sea_of_natural_texture(tmp_path):
 def test_settings_that_measure_more_of_poor_images_are_found_and_said(tmp_path):
     sea = at_sea(tmp_path / "sea", 25.0)
     plain = fraction_measured(measured(sea)["quality"])
-    better = fraction_measured(measured(sea, sea.plan.settings.adjusted("sheet"))["quality"])
+    better = fraction_measured(measured(sea, sea.geometry.settings.adjusted("sheet"))["quality"])
     assert better > plain + 0.3
     found = check(tmp_path / "sea" / "experiment.yaml")
     assert f"only {100 * plain:.0f} % measured; with `settings: {{preset: sheet}}`" in str(found)

@@ -309,14 +309,14 @@ def test_what_a_record_is_like_is_learned_anew_while_it_is_followed(small_tank, 
         write(path.parent, number, frames[number])
     follower.look()
     learner = follower._plan
-    first = learner.plan
+    first = learner.model
     assert first.record is not None
     learner._next = 0.0  # its time has come
     write(path.parent, 2, frames[2])
     follower.look()
     learner.wait()
-    assert learner.plan is not first
-    assert learner.plan.record != first.record
+    assert learner.model is not first
+    assert learner.model.record != first.record
 
 
 def test_a_program_that_ends_while_it_learns_says_nothing_of_it(monkeypatch):

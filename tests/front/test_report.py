@@ -12,7 +12,7 @@ import xarray as xr
 
 from wavefield.figures import rest_distributions
 from wavefield.grid import Grid
-from wavefield.measurement import Plan
+from wavefield.measurement import GridGeometry
 from wavefield.reports import Sources, write_report
 from wavefield.reports.calibration_page import _with_std
 from wavefield.reports.html_page import Picture, Table
@@ -228,7 +228,7 @@ def test_the_pairs_told_are_those_measured_when_the_origin_lies_aside(cube, tmp_
     sources = Sources(cube.assign_attrs(recipe=json.dumps({"settings": {}})), rig=rig)
     pictures = Page(write_report(sources, tmp_path / "aside.html").read_text(encoding="utf-8")).all("img")
     diagram = next(p["alt"] for p in pictures if p["alt"].startswith("Diagram."))
-    measured = Plan(rig, Grid((-2.2, -1.8), (-0.2, 0.2), 0.01)).pairs
+    measured = GridGeometry(rig, Grid((-2.2, -1.8), (-0.2, 0.2), 0.01)).pairs
     assert "Stereo pairs " + ", ".join(f"{a} with {b}" for a, b in measured) in diagram
 
 

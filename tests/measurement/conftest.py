@@ -5,7 +5,7 @@ import pytest
 from measurement_cases import Series
 
 from wavefield.grid import Grid
-from wavefield.measurement import Plan, learn
+from wavefield.measurement import GridGeometry, Model, learn
 from wavefield.tank import Scene, Tank
 
 
@@ -31,9 +31,13 @@ def series() -> Series:
 
 
 @pytest.fixture(scope="session")
-def plan(series: Series) -> Plan:
-    plan = Plan(series.rig, series.grid)
+def geometry(series: Series) -> GridGeometry:
+    return GridGeometry(series.rig, series.grid)
+
+
+@pytest.fixture(scope="session")
+def model(series: Series, geometry: GridGeometry) -> Model:
     steps = [tuple({n: f[k + i] for n, f in series.frames.items()} for i in (0, 1)) for k in range(4)]
-    record = learn(steps, plan)
+    record = learn(steps, geometry)
     assert record is not None
-    return plan.with_prior(record)
+    return Model(geometry, record)

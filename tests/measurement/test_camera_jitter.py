@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from measurement_cases import RATE
 
-from wavefield.measurement import Plan, measure
+from wavefield.measurement import GridGeometry, Model, measure
 from wavefield.measurement.camera_jitter import (
     left_over,
     line_of,
@@ -80,7 +80,7 @@ def test_a_level_that_no_water_has_is_unsteady_and_a_tank_that_sloshes_is_not():
     assert of_elevation(np.zeros(2), lengths, motion_for(0.3, lengths) ** 2) == pytest.approx(0.09)
 
 
-def test_two_cameras_of_which_one_trembles_along_their_line_are_not_believed_either(series, plan):
+def test_two_cameras_of_which_one_trembles_along_their_line_are_not_believed_either(series, geometry, model):
     rng = np.random.default_rng(6)
     rig = type(series.rig)({name: series.rig[name] for name in ("cam1", "cam2")})
     steady = {name: series.block(1)[name] for name in rig}
@@ -88,9 +88,10 @@ def test_two_cameras_of_which_one_trembles_along_their_line_are_not_believed_eit
     for k, image in enumerate(frames["cam1"]):
         moved = np.array([[1.0, 0.0, rng.normal(0, 0.2)], [0.0, 1.0, 0.0]])
         frames["cam1"][k] = cv2.warpAffine(image, moved, image.shape[::-1], flags=cv2.INTER_LANCZOS4)
-    known = tuple(prior for prior in plan.record.displacement if prior[0] in frames)
-    two = Plan(rig, series.grid).with_prior(replace(plan.record, displacement=known))
-    still, out = (measure(f, two, RATE) for f in (steady, frames))
+    known = tuple(prior for prior in model.record.displacement if prior[0] in frames)
+    two = GridGeometry(rig, series.grid)
+    learned = Model(two, replace(model.record, displacement=known))
+    still, out = (measure(f, two, RATE, learned) for f in (steady, frames))
     measured = series.inside & ((out["quality"][0] & Quality.MEASURED) > 0)
     assert measured.sum() > 0.5 * series.inside.sum()
     for name in ("z", "w"):
@@ -99,13 +100,15 @@ def test_two_cameras_of_which_one_trembles_along_their_line_are_not_believed_eit
         assert (error > 5 * out[f"{name}_std"][0][measured]).mean() < 0.01
 
 
-def test_a_camera_that_trembles_along_the_line_is_not_believed_to_a_hundredth_of_a_pixel(series, plan):
+def test_a_camera_that_trembles_along_the_line_is_not_believed_to_a_hundredth_of_a_pixel(
+    series, geometry, model
+):
     frames = {name: list(images) for name, images in series.block(1).items()}
     moved = np.array([[1.0, 0.0, 0.05], [0.0, 1.0, 0.0]])
     for k in (2, 4):
         image = frames["cam1"][k]
         frames["cam1"][k] = cv2.warpAffine(image, moved, image.shape[::-1], flags=cv2.INTER_LANCZOS4)
-    steady, out = (measure(f, plan, RATE) for f in (series.block(1), frames))
+    steady, out = (measure(f, geometry, RATE, model) for f in (series.block(1), frames))
     measured = series.inside & ((out["quality"][0] & Quality.MEASURED) > 0)
     assert measured.sum() > 0.95 * series.inside.sum()
     truth = series.truth[1]

@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 from measurement_cases import PIXEL
 
-from wavefield.measurement import Plan, Settings, diagnose, pooled
+from wavefield.measurement import GridGeometry, Settings, diagnose, pooled
 
 
 @pytest.fixture(scope="module")
-def diagnosis(series, plan):
-    return diagnose({name: images[1:3] for name, images in series.frames.items()}, plan, PIXEL)
+def diagnosis(series, geometry, model):
+    return diagnose({name: images[1:3] for name, images in series.frames.items()}, geometry, model, PIXEL)
 
 
 def test_every_pair_gives_the_same_surface(series, diagnosis):
@@ -61,10 +61,10 @@ def test_every_pair_gives_the_same_displacement(series, diagnosis):
         assert 0 < np.sqrt(np.nanmean(values[:, series.inside] ** 2)) < 0.2 * PIXEL
 
 
-def test_steps_are_pooled_into_one_table(series, plan, diagnosis):
-    later = diagnose({name: images[2:4] for name, images in series.frames.items()}, plan, PIXEL)
+def test_steps_are_pooled_into_one_table(series, geometry, model, diagnosis):
+    later = diagnose({name: images[2:4] for name, images in series.frames.items()}, geometry, model, PIXEL)
     both = pooled([diagnosis, later])
-    assert both.z["cam3", "cam1"].shape == (2, *plan.grid.shape)
+    assert both.z["cam3", "cam1"].shape == (2, *geometry.grid.shape)
     assert both.eps_y["cam1", "cam2"].size == sum(d.eps_y["cam1", "cam2"].size for d in (diagnosis, later))
     one, other, pool = ({r["name"]: r["px"] for r in d.table()} for d in (diagnosis, later, both))
     assert set(pool) == set(one)
@@ -72,16 +72,16 @@ def test_steps_are_pooled_into_one_table(series, plan, diagnosis):
         assert 0.9 * min(one[name], other[name]) < value < 1.1 * max(one[name], other[name]), name
 
 
-def test_a_missing_frame_leaves_nothing_to_compare(series, plan):
+def test_a_missing_frame_leaves_nothing_to_compare(series, geometry, model):
     frames = {name: images[1:3] for name, images in series.frames.items()}
     frames["cam2"] = [None, frames["cam2"][1]]
     with pytest.raises(ValueError, match="cam2"):
-        diagnose(frames, plan)
+        diagnose(frames, geometry, model)
 
 
 def test_two_cameras_have_no_second_opinion(series):
-    plan = Plan(series.rig, series.grid, Settings(pairs=(("cam3", "cam1"),)))
-    result = diagnose({name: images[1:3] for name, images in series.frames.items()}, plan)
+    geometry = GridGeometry(series.rig, series.grid, Settings(pairs=(("cam3", "cam1"),)))
+    result = diagnose({name: images[1:3] for name, images in series.frames.items()}, geometry)
     assert list(result.z) == [("cam3", "cam1")]
     assert not result.difference
     assert not result.recombined

@@ -8,7 +8,7 @@ import pytest
 
 from wavefield.measurement.each_camera import noise_of_each, own_noise
 from wavefield.measurement.learned_record import LearnedRecord
-from wavefield.measurement.velocity import CameraDisplacements, _solved
+from wavefield.measurement.velocity import CameraDisplacements, _solved, shares
 
 OBLIQUE = np.array(
     [[450.0, 0, 450], [0, 640, 0], [450, 0, -450], [0, 640, 0], [540, 0, 0], [0, 540, 0]]
@@ -64,17 +64,15 @@ def test_what_cameras_miss_alike_does_not_make_one_certain():
     assert found == pytest.approx({"cam1": 1.2, "cam2": 1.0, "cam3": 1.0})
 
 
-def plan_of(moved, sheet=None):
-    return SimpleNamespace(
-        record=SimpleNamespace(moved=moved, camera_jitter=(0.0, 0.0)),
-        settings=SimpleNamespace(sheet_thickness=sheet),
-    )
+def learned_of(moved, sheet=None):
+    record = SimpleNamespace(moved=moved, camera_jitter=(0.0, 0.0))
+    return shares(SimpleNamespace(sheet_thickness=sheet), record), record
 
 
 def test_a_cameras_own_noise_changes_uncertainties_and_no_values():
-    seen, plan = seen_by_three(4e-4, 1e-12), plan_of((1.0, 1.0, 1.0))
-    noisy = _solved(replace(seen, own=np.array([4.0, 4, 4, 4, 1, 1])), plan)
-    alike = _solved(seen, plan)
+    seen, learned = seen_by_three(4e-4, 1e-12), learned_of((1.0, 1.0, 1.0))
+    noisy = _solved(replace(seen, own=np.array([4.0, 4, 4, 4, 1, 1])), *learned)
+    alike = _solved(seen, *learned)
     np.testing.assert_array_equal(noisy.d, alike.d)
     np.testing.assert_array_equal(noisy.misfit, alike.misfit)  # nor who contradicts whom
     assert noisy.d_std[2] == pytest.approx(2.0 * alike.d_std[2], rel=1e-3)  # w rests on the oblique ones
@@ -84,14 +82,14 @@ def test_a_cameras_own_noise_changes_uncertainties_and_no_values():
 
 def test_what_the_prior_takes_is_shared_as_short_waves_move_the_water():
     seen = seen_by_three(1e-12, 4e-4)
-    u, v, w = (float(std.mean()) for std in _solved(seen, plan_of((1.0, 2.0, 1.0))).d_std)
+    u, v, w = (float(std.mean()) for std in _solved(seen, *learned_of((1.0, 2.0, 1.0))).d_std)
     assert (u, w) == pytest.approx((v, np.sqrt(2.0) * v), rel=1e-3)  # whatever way the long ones go
-    u, v, w = (float(std.mean()) for std in _solved(seen, plan_of((1.0, 2.0, 0.1), sheet=1e-3)).d_std)
+    u, v, w = (float(std.mean()) for std in _solved(seen, *learned_of((1.0, 2.0, 0.1), sheet=1e-3)).d_std)
     assert (v, w) == pytest.approx((2.0 * u, 0.1 * u), rel=1e-3)
 
 
-def test_a_record_keeps_the_noise_of_each_camera(plan):
-    record = replace(plan.record, noise=(("cam1", 1.25), ("cam2", 0.5)))
+def test_a_record_keeps_the_noise_of_each_camera(model):
+    record = replace(model.record, noise=(("cam1", 1.25), ("cam2", 0.5)))
     again = LearnedRecord.from_dict(record.to_dict())
     assert again == record
     assert (again.own_noise("cam2"), again.own_noise("cam9")) == (0.5, 1.0)

@@ -4,26 +4,26 @@ import numpy as np
 from measurement_cases import around
 
 from wavefield.grid import Grid
-from wavefield.measurement import Plan, learn, measure
+from wavefield.measurement import GridGeometry, Model, learn, measure
 from wavefield.tank import Scene, Tank
 
 
-def test_water_at_rest_has_no_waves_and_its_uncertainty_is_that_of_noise(plan):
+def test_water_at_rest_has_no_waves_and_its_uncertainty_is_that_of_noise(model):
     scene = Scene.load("rest").with_(rig={"crop": 0.22}, frames=6, surface={"brightness": 110.0})
     tank = Tank(scene)
     images = [tank.render(k) for k in range(6)]
     grid = Grid(x=(-0.18, 0.18), y=(-0.14, 0.14), step=0.01)
-    still = Plan(tank.rig, grid)
+    still = GridGeometry(tank.rig, grid)
     record = learn([(images[k], images[k + 1]) for k in (1, 3)], still)
     assert record is not None
     assert record.elevation.waves < 0.5
     assert max(prior.waves for _, prior in record.displacement) < 0.3
     frames = {name: [image[name] for image in images] for name in tank.rig}
-    found = measure(around(frames), still.with_prior(record), 20.0)
+    found = measure(around(frames), still, 20.0, Model(still, record))
     inside = np.s_[0, 6:-6, 6:-6]
     for name in "uvw":
         off, std = found[name][inside], found[f"{name}_std"][inside]
         assert 0.5 < np.mean(np.abs(off) < std) < 0.9, name
         assert np.mean(np.abs(off) > 3 * std) < 0.02, name
-    sea = plan.record
+    sea = model.record
     assert [sea.elevation.waves, *(prior.waves for _, prior in sea.displacement)] == [1.0] * 4

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from measurement_cases import RATE, around
 
-from wavefield.measurement import LearnedRecord, Plan, diagnose, learn, measure
+from wavefield.measurement import GridGeometry, LearnedRecord, Model, diagnose, learn, measure
 from wavefield.series.camera_mask import CameraMask
 from wavefield.series.masks import MaskSection, _seen, footprints
 from wavefield.variables import Quality
@@ -34,8 +34,8 @@ def drawn(series):
 
 
 @pytest.fixture(scope="module")
-def free(series, plan):
-    return measure(series.block(), plan, RATE)
+def free(series, geometry, model):
+    return measure(series.block(), geometry, RATE, model)
 
 
 def far(series, quality, metres):
@@ -43,16 +43,16 @@ def far(series, quality, metres):
     return cv2.distanceTransform((~covered).astype(np.uint8), cv2.DIST_L2, 5) * series.grid.step > metres
 
 
-def test_a_masked_cylinder_changes_little_beyond_a_window(series, plan, drawn, free):
+def test_a_masked_cylinder_changes_little_beyond_a_window(series, geometry, model, drawn, free):
     outlines = footprints({"water": [CYLINDER]})
-    with_mask = Plan(series.rig, series.grid, covered=outlines).with_prior(plan.record)
-    found = measure(around(drawn[0]), with_mask, RATE, around(drawn[1]))
+    with_mask = GridGeometry(series.rig, series.grid, covered=outlines)
+    found = measure(around(drawn[0]), with_mask, RATE, Model(with_mask, model.record), around(drawn[1]))
     window = max(with_mask.settings.piv.window, with_mask.settings.stereo.window) * with_mask.pixel
     away = far(series, found["quality"][0], window)
     assert away.sum() > 100
     change = {n: np.abs(found[n][0] - free[n][0])[away] / free[f"{n}_std"][0][away] for n in FIELDS}
     assert {n: c for n, c in ((n, float(np.sqrt(np.mean(c**2)))) for n, c in change.items()) if c > 0.1} == {}
-    without = measure(around(drawn[0]), plan, RATE)
+    without = measure(around(drawn[0]), geometry, RATE, model)
     unmasked = {n: np.abs(without[n][0] - free[n][0])[away] / free[f"{n}_std"][0][away] for n in FIELDS}
     worse = {n: float(np.sqrt(np.mean(unmasked[n] ** 2) / np.mean(change[n] ** 2))) for n in FIELDS}
     assert min(worse.values()) > 1.1
@@ -60,12 +60,12 @@ def test_a_masked_cylinder_changes_little_beyond_a_window(series, plan, drawn, f
 
 def test_what_is_learned_of_the_water_depends_little_on_how_much_of_it_is_masked(series):
     """Blocks tell as much, and waves are as high, beneath a mask as beside it."""
-    plan = Plan(series.rig, series.grid)
+    geometry = GridGeometry(series.rig, series.grid)
     steps = [({n: f[0] for n, f in series.frames.items()}, {n: f[1] for n, f in series.frames.items()})]
     masks = {name: np.zeros(camera.size[::-1], bool) for name, camera in series.rig.cameras.items()}
     for mask in masks.values():
         mask[:, : mask.shape[1] // 2] = True
-    whole, beside = learn(steps, plan), learn(steps, plan, [(masks, masks)])
+    whole, beside = learn(steps, geometry), learn(steps, geometry, [(masks, masks)])
     pairs = [(whole.elevation, beside.elevation)]
     pairs += [
         (one, other) for (_, one), (_, other) in zip(whole.displacement, beside.displacement, strict=True)
@@ -77,11 +77,9 @@ def test_what_is_learned_of_the_water_depends_little_on_how_much_of_it_is_masked
     assert 0.75 < np.mean(high) < 1.3, high
 
 
-def test_masked_nodes_hold_nothing_and_say_so(series, plan, drawn):
-    with_mask = Plan(series.rig, series.grid, covered=footprints({"water": [CYLINDER]})).with_prior(
-        plan.record
-    )
-    found = measure(around(drawn[0]), with_mask, RATE, around(drawn[1]))
+def test_masked_nodes_hold_nothing_and_say_so(series, geometry, model, drawn):
+    with_mask = GridGeometry(series.rig, series.grid, covered=footprints({"water": [CYLINDER]}))
+    found = measure(around(drawn[0]), with_mask, RATE, Model(with_mask, model.record), around(drawn[1]))
     masked = (found["quality"][0] & MASKED) != 0
     x, y = np.meshgrid(series.grid.x_nodes, series.grid.y_nodes)
     assert masked[np.hypot(x, y) < 0.03].all()
@@ -92,30 +90,30 @@ def test_masked_nodes_hold_nothing_and_say_so(series, plan, drawn):
     assert not ((found["quality"][0] & int(Quality.FILLED)) != 0)[masked].any()
 
 
-def test_a_mask_in_one_camera_leaves_its_nodes_to_the_others(series, plan, drawn, free):
+def test_a_mask_in_one_camera_leaves_its_nodes_to_the_others(series, geometry, model, drawn, free):
     masks = {"cam1": drawn[1]["cam1"]}
     frames = {n: [*images[:4]] for n, images in series.frames.items()} | {"cam1": drawn[0]["cam1"]}
-    found = measure(around(frames), plan, RATE, around(masks))
+    found = measure(around(frames), geometry, RATE, model, around(masks))
     assert not (found["quality"] & MASKED).any()
     x, y = np.meshgrid(series.grid.x_nodes, series.grid.y_nodes)
     here = np.hypot(x, y) < 0.03
     for name in FIELDS:
         apart = (found[name][0] - free[name][0])[here] / found[f"{name}_std"][0][here]
         assert np.sqrt(np.mean(apart**2)) < 2.0, name
-    blind = measure(around(frames), plan, RATE, around(masks | {"cam2": drawn[1]["cam2"]}))
+    blind = measure(around(frames), geometry, RATE, model, around(masks | {"cam2": drawn[1]["cam2"]}))
     assert ((blind["quality"][0] & MASKED) != 0)[here].all()
 
 
-def test_what_a_mask_covers_changes_no_bit(series, plan, drawn):
+def test_what_a_mask_covers_changes_no_bit(series, geometry, model, drawn):
     frames, masks = drawn
-    one = measure(around(frames), plan, RATE, around(masks))
+    one = measure(around(frames), geometry, RATE, model, around(masks))
     noise = np.random.default_rng(0)
     other = {
         n: [np.where(m, noise.integers(0, 255, i.shape).astype(i.dtype), i) for i, m in zip(f, masks[n])]
         for n, f in frames.items()
     }
     copies = {n: [m.copy() for m in ms] for n, ms in masks.items()}
-    again = measure(around(other), plan, RATE, around(copies))
+    again = measure(around(other), geometry, RATE, model, around(copies))
     for name, field in one.items():
         np.testing.assert_array_equal(field, again[name], err_msg=name)
 
@@ -127,17 +125,17 @@ def test_pairs_are_compared_without_what_is_covered(series, drawn):
         n: [np.where(m, noise.integers(0, 255, i.shape).astype(i.dtype), i) for i, m in zip(f, masks[n])]
         for n, f in frames.items()
     }
-    plan = Plan(series.rig, series.grid, covered=footprints({"water": [CYLINDER]}))
+    geometry = GridGeometry(series.rig, series.grid, covered=footprints({"water": [CYLINDER]}))
     hidden = {n: m[:2] for n, m in masks.items()}
     one, again = (
-        diagnose({n: f[1:3] for n, f in some.items()}, plan, masks=hidden) for some in (frames, other)
+        diagnose({n: f[1:3] for n, f in some.items()}, geometry, masks=hidden) for some in (frames, other)
     )
     for pair, eps in one.eps_y.items():
         np.testing.assert_array_equal(eps, again.eps_y[pair])
 
 
 def test_a_record_is_learned_without_what_is_covered(series, drawn):
-    plan = Plan(series.rig, series.grid)
+    geometry = GridGeometry(series.rig, series.grid)
     frames, masks = drawn
     noise = np.random.default_rng(0)
     other = {
@@ -147,7 +145,7 @@ def test_a_record_is_learned_without_what_is_covered(series, drawn):
     known = [
         learn(
             [tuple({n: f[k] for n, f in some.items()} for k in (1, 2))],
-            plan,
+            geometry,
             [tuple({n: m[k] for n, m in masks.items()} for k in (1, 2))],
         )
         for some in (frames, other)

@@ -8,7 +8,7 @@ from measurement_cases import PIXEL, RATE, around
 
 from wavefield.errors import ExperimentError
 from wavefield.grid import Grid
-from wavefield.measurement import LearnedRecord, Plan, Settings, learn, measure
+from wavefield.measurement import GridGeometry, LearnedRecord, Model, Settings, learn, measure
 from wavefield.measurement.midtime import slope
 from wavefield.rig import Rig
 from wavefield.variables import CUBE_FIELDS, TABLE, FrameStatus, Quality
@@ -19,8 +19,8 @@ def rms(values):
 
 
 @pytest.fixture(scope="module")
-def cube(series, plan):
-    return measure(series.block(steps=3), plan, RATE)
+def cube(series, geometry, model):
+    return measure(series.block(steps=3), geometry, RATE, model)
 
 
 def same(a, b):
@@ -55,21 +55,22 @@ def test_uncertainties_tell_the_truth(series, cube):
         assert 0.4 < share < 0.95, name
 
 
-def test_sight_lines_that_miss_each_other_make_z_less_certain(series, plan, cube):
+def test_sight_lines_that_miss_each_other_make_z_less_certain(series, geometry, model, cube):
     bent = series.rig.cameras | {"cam1": replace(series.rig["cam1"], cy=series.rig["cam1"].cy + 0.1)}
-    out = measure(series.block(1), Plan(Rig(bent), series.grid, record=plan.record), RATE)
+    other = GridGeometry(Rig(bent), series.grid)
+    out = measure(series.block(1), other, RATE, Model(other, model.record))
     more = out["z_std"][0] ** 2 - cube["z_std"][1] ** 2
     assert 0.02 * PIXEL < np.sqrt(np.median(more[series.inside])) < 0.15 * PIXEL
 
 
 def test_where_the_water_moves_further_than_is_searched_the_run_goes_on_and_says_so(series):
     piv = replace(Settings().piv, search_x=(40.0, 48.0), search_y=(40.0, 48.0))
-    out = measure(series.block(steps=3), Plan(series.rig, series.grid, Settings(piv=piv)), RATE)
+    out = measure(series.block(steps=3), GridGeometry(series.rig, series.grid, Settings(piv=piv)), RATE)
     assert not ((out["quality"] & Quality.MEASURED) > 0).any()
 
 
 def test_water_above_the_elevations_searched_is_marked_as_that(series):
-    searched = Plan(series.rig, series.grid, Settings(z_range=(-0.05, 0.004)))
+    searched = GridGeometry(series.rig, series.grid, Settings(z_range=(-0.05, 0.004)))
     quality = measure(series.block(steps=1), searched, RATE)["quality"][0]
     z = series.truth[0]["z"]
     marked = (quality & Quality.REJECTED_RANGE) > 0
@@ -78,10 +79,12 @@ def test_water_above_the_elevations_searched_is_marked_as_that(series):
     assert not (quality[marked] & Quality.MEASURED).any()
 
 
-def test_a_record_survives_as_plain_data_and_learning_from_the_frames_at_hand_serves(series, plan, cube):
-    again = LearnedRecord.from_dict(json.loads(json.dumps(plan.record.to_dict())))
-    assert again == plan.record
-    alone = measure(series.block(steps=3), Plan(series.rig, series.grid), RATE)
+def test_a_record_survives_as_plain_data_and_learning_from_the_frames_at_hand_serves(
+    series, geometry, model, cube
+):
+    again = LearnedRecord.from_dict(json.loads(json.dumps(model.record.to_dict())))
+    assert again == model.record
+    alone = measure(series.block(steps=3), GridGeometry(series.rig, series.grid), RATE)
     assert rms((alone["u"] - cube["u"])[:, series.inside]) < 0.01 * PIXEL * RATE
 
 
@@ -92,25 +95,25 @@ def test_water_rises_as_its_velocity_says(series, cube):
     assert rms(residual[:, series.inside]) < 0.25 * rms(carried[:, series.inside])
 
 
-def test_a_step_is_the_same_to_the_bit_in_any_block(series, plan, cube):
+def test_a_step_is_the_same_to_the_bit_in_any_block(series, geometry, model, cube):
     for first in range(3):
-        alone = measure(series.block(first), plan, RATE)
+        alone = measure(series.block(first), geometry, RATE, model)
         same(alone, {name: field[first : first + 1] for name, field in cube.items()})
 
 
-def test_the_number_of_threads_changes_no_bit(series, plan, cube):
+def test_the_number_of_threads_changes_no_bit(series, geometry, model, cube):
     before = cv2.getNumThreads()
     cv2.setNumThreads(4)
     try:
-        again = measure(series.block(), plan, RATE)
+        again = measure(series.block(), geometry, RATE, model)
     finally:
         cv2.setNumThreads(before)
     same(again, {name: field[:1] for name, field in cube.items()})
 
 
-def test_without_a_neighbour_a_parabola_serves_and_is_marked(series, plan, cube):
+def test_without_a_neighbour_a_parabola_serves_and_is_marked(series, geometry, model, cube):
     frames = series.without(*((name, 0) for name in series.rig))
-    out = measure(frames, plan, RATE)
+    out = measure(frames, geometry, RATE, model)
     seen = np.isfinite(out["z"][0])
     assert (out["quality"][0] & Quality.TWO_FRAME_MEAN).all()
     assert not (out["quality"][1:] & Quality.TWO_FRAME_MEAN).any()
@@ -125,9 +128,9 @@ def test_without_a_neighbour_a_parabola_serves_and_is_marked(series, plan, cube)
 
 
 @pytest.mark.parametrize("lost", ["cam1", "cam2", "cam3"])
-def test_a_missing_frame_costs_that_camera_only(series, plan, lost):
+def test_a_missing_frame_costs_that_camera_only(series, geometry, model, lost):
     # frame 4 belongs to steps 2 and 3 (from 1), and is the neighbour of step 1
-    out = measure(series.without((lost, 3)), plan, RATE)
+    out = measure(series.without((lost, 3)), geometry, RATE, model)
     assert list(out["frame_status"]) == [FrameStatus.DONE] + [FrameStatus.DONE_WITH_FAULTS] * 2
     assert not (out["quality"][0] & Quality.FEWER_CAMERAS).any()
     assert (out["quality"][1:] & Quality.FEWER_CAMERAS).all()
@@ -151,28 +154,28 @@ def test_a_missing_frame_costs_that_camera_only(series, plan, lost):
     ],
     ids=["black", "white", "wrong size", "colour", "nan"],
 )
-def test_a_bad_frame_is_as_good_as_none(series, plan, bad):
+def test_a_bad_frame_is_as_good_as_none(series, geometry, model, bad):
     frames = {name: list(images[:4]) for name, images in series.frames.items()}
     frames["cam2"][1] = bad(frames["cam2"][1])
     absent = {name: list(images[:4]) for name, images in series.frames.items()}
     absent["cam2"][1] = None
-    same(measure(around(frames), plan, RATE), measure(around(absent), plan, RATE))
+    same(measure(around(frames), geometry, RATE, model), measure(around(absent), geometry, RATE, model))
 
 
-def test_gain_and_offset_of_a_camera_change_nothing(series, plan):
+def test_gain_and_offset_of_a_camera_change_nothing(series, geometry, model):
     frames = {name: list(images[:4]) for name, images in series.frames.items()}
-    usual = measure(around(frames), plan, RATE)
+    usual = measure(around(frames), geometry, RATE, model)
     frames["cam1"] = [100 + 40 * image.astype(np.uint16) for image in frames["cam1"]]
-    same(measure(around(frames), plan, RATE), usual)
+    same(measure(around(frames), geometry, RATE, model), usual)
 
 
-def test_a_frame_of_noise_does_not_mislead(series, plan):
+def test_a_frame_of_noise_does_not_mislead(series, geometry, model):
     rng = np.random.default_rng(0)
     frames = {name: list(images[:4]) for name, images in series.frames.items()}
     for camera in series.rig:
         noise = {**frames, camera: list(frames[camera])}
         noise[camera][1] = rng.integers(8, 16, frames[camera][1].shape, dtype=np.uint8)
-        out = measure(around(noise), plan, RATE)
+        out = measure(around(noise), geometry, RATE, model)
         measured = series.inside & ((out["quality"][0] & Quality.MEASURED) > 0)
         error = np.abs(out["z"][0] - series.truth[0]["z"])
         assert (error[measured] < np.maximum(3 * out["z_std"][0][measured], 0.3 * PIXEL)).mean() > 0.98, (
@@ -180,8 +183,8 @@ def test_a_frame_of_noise_does_not_mislead(series, plan):
         )
 
 
-def test_with_one_camera_left_the_step_fails_and_the_others_do_not(series, plan, cube):
-    out = measure(series.without(("cam1", 4), ("cam2", 4)), plan, RATE)
+def test_with_one_camera_left_the_step_fails_and_the_others_do_not(series, geometry, model, cube):
+    out = measure(series.without(("cam1", 4), ("cam2", 4)), geometry, RATE, model)
     assert list(out["frame_status"]) == [FrameStatus.DONE, FrameStatus.DONE, FrameStatus.FAILED]
     assert np.isnan(out["z"][2]).all()
     assert np.isnan(out["u"][2]).all()
@@ -193,7 +196,7 @@ def test_with_one_camera_left_the_step_fails_and_the_others_do_not(series, plan,
 def test_two_cameras_are_enough(series):
     pair = Rig({name: series.rig[name] for name in ("cam1", "cam3")})
     frames = around({name: series.frames[name] for name in pair})
-    out = measure(frames, Plan(pair, series.grid), RATE)
+    out = measure(frames, GridGeometry(pair, series.grid), RATE)
     assert rms((out["z"][0] - series.truth[0]["z"])[series.inside]) / PIXEL < 0.15
     assert rms((out["w"][0] - series.truth[0]["w"])[series.inside]) / PIXEL / RATE < 0.15
 
@@ -202,8 +205,8 @@ def test_two_cameras_far_apart_are_half_as_uncertain_again_as_three_at_most(seri
     pair = Rig({name: series.rig[name] for name in ("cam1", "cam2")})
     frames = {name: images for name, images in series.block(steps=3).items() if name in pair}
     steps = [tuple({n: series.frames[n][k + i] for n in pair} for i in (0, 1)) for k in range(4)]
-    plain = Plan(pair, series.grid)
-    two = measure(frames, plain.with_prior(learn(steps, plain)), RATE)
+    plain = GridGeometry(pair, series.grid)
+    two = measure(frames, plain, RATE, Model(plain, learn(steps, plain)))
     for name in ("z", "u", "v", "w"):
         errors = [
             np.stack([(out[name][k] - series.truth[k][name])[series.inside] for k in range(3)])
@@ -213,31 +216,31 @@ def test_two_cameras_far_apart_are_half_as_uncertain_again_as_three_at_most(seri
     assert np.mean((two["quality"] & Quality.MEASURED) != 0) > 0.97
 
 
-def test_sixteen_bit_images_measure_the_same_water(series, plan, cube):
+def test_sixteen_bit_images_measure_the_same_water(series, geometry, model, cube):
     wide = {
         name: [image.astype(np.uint16) * 257 for image in images[:4]]
         for name, images in series.frames.items()
     }
-    out = measure(around(wide), plan, RATE)
+    out = measure(around(wide), geometry, RATE, model)
     assert np.nanmax(np.abs(out["z"] - cube["z"][:1])) < 0.01 * PIXEL
     floats = {name: [image.astype(np.float32) for image in images] for name, images in wide.items()}
-    out = measure(around(floats), plan, RATE)
+    out = measure(around(floats), geometry, RATE, model)
     assert np.nanmax(np.abs(out["z"] - cube["z"][:1])) < 0.01 * PIXEL
 
 
-def test_gains_and_flicker_change_little(series, plan, cube):
+def test_gains_and_flicker_change_little(series, geometry, model, cube):
     gain = {"cam1": (0.4, 0.3, 0.5, 0.35), "cam2": (0.9, 1.0, 0.7, 1.0), "cam3": (1.0, 0.8, 1.0, 0.6)}
     dim = {
         name: [np.round(image * g).astype(np.uint8) for image, g in zip(series.frames[name], gain[name])]
         for name in series.rig
     }
-    out = measure(around(dim), plan, RATE)
+    out = measure(around(dim), geometry, RATE, model)
     assert rms((out["z"] - cube["z"][:1])[0, series.inside]) / PIXEL < 0.02
 
 
 def test_nodes_outside_the_common_view_are_nan_and_marked(series):
     wide = Grid(x=(-0.5, 0.5), y=(-0.14, 0.14), step=0.02)
-    out = measure(series.block(), Plan(series.rig, wide), RATE)
+    out = measure(series.block(), GridGeometry(series.rig, wide), RATE)
     x, y = np.meshgrid(wide.x_nodes, wide.y_nodes)
     seen = np.all([camera.sees(x, y, 0.0) for camera in series.rig.cameras.values()], axis=0)
     outside = (out["quality"][0] & Quality.OUTSIDE) > 0
@@ -249,24 +252,24 @@ def test_nodes_outside_the_common_view_are_nan_and_marked(series):
     assert (outside != ~seen).mean() < 0.06
 
 
-def test_frames_must_be_as_many_for_every_camera(series, plan):
+def test_frames_must_be_as_many_for_every_camera(series, geometry, model):
     frames = dict(series.frames)
     frames["cam1"] = frames["cam1"][:-1]
     with pytest.raises(ValueError, match="same number of frames"):
-        measure(frames, plan, RATE)
+        measure(frames, geometry, RATE, model)
     with pytest.raises(ValueError, match="at least 6"):
-        measure({name: images[:5] for name, images in series.frames.items()}, plan, RATE)
+        measure({name: images[:5] for name, images in series.frames.items()}, geometry, RATE, model)
 
 
-def test_a_coarse_grid_reads_the_same_surface(series, plan, cube):
+def test_a_coarse_grid_reads_the_same_surface(series, geometry, model, cube):
     coarse = Grid(x=(-0.18, 0.18), y=(-0.14, 0.14), step=0.02)
-    out = measure(series.block(), Plan(series.rig, coarse, Settings()), RATE)
+    out = measure(series.block(), GridGeometry(series.rig, coarse, Settings()), RATE)
     np.testing.assert_allclose(
         out["z"][0], cube["z"][0][::2, ::2], atol=4e-5
     )  # each has learned from its own frames
 
 
-def test_z_is_as_certain_as_sight_lines_meet(series, plan, cube):
+def test_z_is_as_certain_as_sight_lines_meet(series, geometry, model, cube):
     """The noise of z comes from across the sight lines, where no wave hides in it."""
     frames, more = series.block(1), {}
     for along, across in ((0.3, 0.0), (0.0, 0.3)):
@@ -280,15 +283,15 @@ def test_z_is_as_certain_as_sight_lines_meet(series, plan, cube):
                 + shift / shift.std() * (np.float32([across, along])[:, None, None])
             )
             shaken.append(cv2.remap(image, x, y, cv2.INTER_CUBIC))
-        out = measure(frames | {"cam1": shaken}, plan, RATE)
+        out = measure(frames | {"cam1": shaken}, geometry, RATE, model)
         more[along > 0] = np.median((out["z_std"][0] / cube["z_std"][1])[series.inside])
     assert more[False] > 1.2 * more[True]
 
 
-def test_the_swinging_of_beads_that_stand_above_the_water_is_taken_off(series, plan, cube):
+def test_the_swinging_of_beads_that_stand_above_the_water_is_taken_off(series, geometry, model, cube):
     height = 4e-4
-    standing = Plan(series.rig, series.grid, Settings(bead_height=height), plan.record)
-    out = measure(series.block(steps=3), standing, RATE)
+    standing = GridGeometry(series.rig, series.grid, Settings(bead_height=height))
+    out = measure(series.block(steps=3), standing, RATE, Model(standing, model.record))
     inside = np.s_[:, 4:-4, 4:-4]
     # of the surface at the water, not at the node
     slopes = (slope(cube["z"], series.grid.step, axis) for axis in (2, 1))

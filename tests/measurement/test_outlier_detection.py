@@ -26,8 +26,8 @@ def lying(series, kind):
 
 
 @pytest.mark.parametrize("kind", ["mirrored", "swapped", "late", "shifted"])
-def test_what_a_lying_camera_spoils_is_not_called_measured(series, plan, kind):
-    out = measure(lying(series, kind), plan, RATE)
+def test_what_a_lying_camera_spoils_is_not_called_measured(series, geometry, model, kind):
+    out = measure(lying(series, kind), geometry, RATE, model)
     truth = series.truth[1]
     measured = series.inside & ((out["quality"][0] & Quality.MEASURED) > 0)
     wrong = np.zeros(measured.shape, bool)
@@ -39,15 +39,17 @@ def test_what_a_lying_camera_spoils_is_not_called_measured(series, plan, kind):
         assert measured[series.inside].mean() > 0.8
 
 
-def test_a_camera_is_left_out_only_where_it_contradicts(series, plan):
+def test_a_camera_is_left_out_only_where_it_contradicts(series, geometry, model):
     """Half of its picture stands still while the water moves on: as behind a drop on the window."""
     frames = {name: list(images) for name, images in series.frames.items()}
     width = frames["cam1"][0].shape[1] // 2
     for k, image in enumerate(frames["cam1"][1:], 1):
         frames["cam1"][k] = np.hstack([frames["cam1"][0][:, :width], image[:, width:]])
-    out = measure(around(frames, 1), plan, RATE)
+    out = measure(around(frames, 1), geometry, RATE, model)
     quality, truth = out["quality"][0], series.truth[1]
-    place = plan.rig["cam1"].project(*np.meshgrid(plan.grid.x_nodes, plan.grid.y_nodes), truth["z"])
+    place = geometry.rig["cam1"].project(
+        *np.meshgrid(geometry.grid.x_nodes, geometry.grid.y_nodes), truth["z"]
+    )
     spoiled = series.inside & (place[0] < width - 25)
     sound = series.inside & (place[0] > width + 60)
     alone = (quality & Quality.WITHOUT_1) > 0
@@ -61,22 +63,24 @@ def test_a_camera_is_left_out_only_where_it_contradicts(series, plan):
         error = np.abs(out[name][0] - truth[name])
         assert (error > 5 * out[f"{name}_std"][0])[series.inside & measured].mean() < 0.01
     # where it tells the truth the result is that of all cameras
-    same = measure(series.block(1), plan, RATE)
+    same = measure(series.block(1), geometry, RATE, model)
     for name, close in (("z", 1e-4), ("u", 1e-3), ("w", 1e-3)):
         np.testing.assert_allclose(out[name][0][sound], same[name][0][sound], atol=close)
 
 
-def test_cameras_that_tell_the_truth_are_not_accused(series, plan):
-    out = measure(series.block(1), plan, RATE)
+def test_cameras_that_tell_the_truth_are_not_accused(series, geometry, model):
+    out = measure(series.block(1), geometry, RATE, model)
     assert not (out["quality"][0] & Quality.FEWER_CAMERAS).any()
     assert ((out["quality"][0] & Quality.MEASURED) > 0)[series.inside].mean() > 0.99
 
 
-def test_water_that_stands_where_none_was_searched_is_not_called_measured(series, plan, monkeypatch):
+def test_water_that_stands_where_none_was_searched_is_not_called_measured(
+    series, geometry, model, monkeypatch
+):
     """Not even where it is only the frame before the step, which has a say in z at mid-time."""
 
-    def look_up(frames, plan, masks=None):
-        found = measure_instant(frames, plan, masks)
+    def look_up(frames, geometry, model, masks=None):
+        found = measure_instant(frames, geometry, model, masks)
         first = frames["cam1"] is series.frames["cam1"][1]
         more = np.zeros_like(found.surface.z)
         more[10, 12] = 0.5 if first else 0.0
@@ -84,7 +88,7 @@ def test_water_that_stands_where_none_was_searched_is_not_called_measured(series
         return replace(found, surface=replace(found.surface, z=z, read=lambda x, y: read(x, y) + more))
 
     monkeypatch.setattr(sys.modules["wavefield.measurement.measure"], "measure_instant", look_up)
-    out = measure(series.block(1), plan, RATE)
+    out = measure(series.block(1), geometry, RATE, model)
     measured = (out["quality"][0] & Quality.MEASURED) > 0
     assert series.inside[10, 12]
     assert not measured[10, 12]
@@ -94,11 +98,11 @@ def test_water_that_stands_where_none_was_searched_is_not_called_measured(series
 
 
 @pytest.mark.parametrize("axis", [1, 0])
-def test_no_camera_is_accused_where_any_two_of_three_agree(series, plan, axis):
+def test_no_camera_is_accused_where_any_two_of_three_agree(series, geometry, model, axis):
     """Moved by a pixel along the line on which the cameras stand, from one frame on: not so across it."""
     frames = {name: list(images) for name, images in series.frames.items()}
     frames["cam1"] = [np.roll(image, int(k >= 3), axis=axis) for k, image in enumerate(frames["cam1"])]
-    quality = measure(around(frames, 1), plan, RATE)["quality"][0][series.inside]
+    quality = measure(around(frames, 1), geometry, RATE, model)["quality"][0][series.inside]
     accused = (quality & (Quality.WITHOUT_1 | Quality.WITHOUT_2 | Quality.WITHOUT_3)) > 0
     if axis == 1:
         assert not accused.any()

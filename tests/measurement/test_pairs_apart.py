@@ -42,11 +42,11 @@ def test_what_windows_pull_along_is_widened_by_two_blocks():
     assert widened(where).sum() == 25
 
 
-def test_a_camera_moved_by_one_pixel_in_half_its_picture_is_not_believed_there(series, plan):
+def test_a_camera_moved_by_one_pixel_in_half_its_picture_is_not_believed_there(series, geometry, model):
     frames = series.block(1)
     half = frames["cam1"][0].shape[1] // 2
     moved = [np.hstack([np.roll(image, 1, axis=1)[:, :half], image[:, half:]]) for image in frames["cam1"]]
-    out = measure(frames | {"cam1": moved}, plan, RATE)
+    out = measure(frames | {"cam1": moved}, geometry, RATE, model)
     believed = (out["quality"][0] & Quality.MEASURED) > 0
     wrong = np.abs(out["z"][0] - series.truth[1]["z"]) > 5 * out["z_std"][0]
     assert 0.3 < believed[series.inside].mean() < 0.7

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from wavefield.grid import Grid
-from wavefield.measurement import LearnedRecord, Plan, learn, measure
+from wavefield.measurement import GridGeometry, LearnedRecord, Model, learn, measure
 from wavefield.tank import Scene, Tank
 from wavefield.variables import Quality
 
@@ -20,10 +20,15 @@ def taken(rate, frames):
     grid = {"x": (-0.18, 0.18), "y": (-0.14, 0.14), "step": 0.01}
     tank = Tank(Scene.load("demo").with_(rig={"crop": 0.22}, grid=grid, frames=frames, frame_rate=rate))
     images = [tank.render(k) for k in range(frames)]
-    plan = Plan(tank.rig, Grid(**grid))
-    record = learn([(images[k], images[k + 1]) for k in range(4)], plan)
+    geometry = GridGeometry(tank.rig, Grid(**grid))
+    record = learn([(images[k], images[k + 1]) for k in range(4)], geometry)
     assert record is not None
-    return tank, {name: [image[name] for image in images] for name in tank.rig}, plan.with_prior(record)
+    return (
+        tank,
+        {name: [image[name] for image in images] for name in tank.rig},
+        geometry,
+        Model(geometry, record),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +38,8 @@ def fast():
 
 @pytest.fixture(scope="module")
 def cube(fast):
-    _, frames, plan = fast
-    return measure(frames, plan, RATE)
+    _, frames, geometry, model = fast
+    return measure(frames, geometry, RATE, model)
 
 
 def errors(cube, tank):
@@ -48,31 +53,33 @@ def errors(cube, tank):
 
 
 def test_six_frames_are_taken_where_waves_turn_slowly_only(fast, cube):
-    tank, frames, plan = fast
-    assert plan.record.path_frames == 6
-    assert LearnedRecord.from_dict(plan.record.to_dict()) == plan.record
-    four = measure(frames, plan.with_prior(replace(plan.record, path_frames=4)), RATE)
+    tank, frames, geometry, model = fast
+    assert model.record.path_frames == 6
+    assert LearnedRecord.from_dict(model.record.to_dict()) == model.record
+    four = measure(frames, geometry, RATE, Model(geometry, replace(model.record, path_frames=4)))
     six, other = errors(cube, tank), errors(four, tank)
     for name in six:
         assert six[name] < 0.85 * other[name], name
         assert np.median(cube[f"{name}_std"]) < 0.9 * np.median(four[f"{name}_std"]), name
     np.testing.assert_allclose(cube["z"], four["z"], atol=1e-7)
-    assert taken(20.0, 5)[2].record.path_frames == 4
+    assert taken(20.0, 5)[3].record.path_frames == 4
 
 
 def test_paths_of_six_frames_are_the_same_whatever_the_block(fast, cube):
-    _, frames, plan = fast
+    _, frames, geometry, model = fast
     for step in range(STEPS):
-        alone = measure({name: images[step : step + 6] for name, images in frames.items()}, plan, RATE)
+        alone = measure(
+            {name: images[step : step + 6] for name, images in frames.items()}, geometry, RATE, model
+        )
         for name, field in alone.items():
             np.testing.assert_array_equal(field[0], cube[name][step], err_msg=name)
 
 
 def test_beside_a_lost_frame_paths_have_four(fast, cube):
-    _, frames, plan = fast
+    _, frames, geometry, model = fast
     lost = {name: [None, *images[1:]] for name, images in frames.items()}
-    out = measure(lost, plan, RATE)
-    four = measure(lost, plan.with_prior(replace(plan.record, path_frames=4)), RATE)
+    out = measure(lost, geometry, RATE, model)
+    four = measure(lost, geometry, RATE, Model(geometry, replace(model.record, path_frames=4)))
     for name in (*NAMES, "w_std"):
         np.testing.assert_array_equal(out[name][0], four[name][0])
         np.testing.assert_array_equal(out[name][1:], cube[name][1:])
@@ -81,13 +88,13 @@ def test_beside_a_lost_frame_paths_have_four(fast, cube):
 
 def test_a_knock_is_not_spread_along_paths(fast):
     """One camera's picture jumps between the last two frames of a step's six: four do not know of it."""
-    _, frames, plan = fast
+    _, frames, geometry, model = fast
     moved = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.4]])
     knocked = {name: list(images) for name, images in frames.items()}
     image = knocked["cam1"][5]
     knocked["cam1"][5] = cv2.warpAffine(image, moved, image.shape[::-1], flags=cv2.INTER_LANCZOS4)
     six = {name: images[:6] for name, images in knocked.items()}
-    out = measure(six, plan, RATE)
-    four = measure(six, plan.with_prior(replace(plan.record, path_frames=4)), RATE)
+    out = measure(six, geometry, RATE, model)
+    four = measure(six, geometry, RATE, Model(geometry, replace(model.record, path_frames=4)))
     for name in (*NAMES, "z", "quality"):
         np.testing.assert_array_equal(out[name], four[name])

@@ -9,7 +9,7 @@ import wavefield.waves as wv
 from wavefield.errors import CubeError
 from wavefield.grid import Grid
 from wavefield.matching import Prior
-from wavefield.measurement import LearnedRecord, Plan, Settings
+from wavefield.measurement import GridGeometry, LearnedRecord, Settings
 from wavefield.measurement.response import in_focus, shortest_carried
 from wavefield.pipeline import predicted_gain
 from wavefield.tank import Scene
@@ -39,11 +39,11 @@ def test_the_gain_is_what_the_posterior_keeps_of_a_wave():
     for name in ("gain_z", "gain_u", "gain_v", "gain_w"):
         np.testing.assert_allclose(gain[name][:, 0], 1, atol=0.01)
         assert float(gain[name][:, -1].max()) < 0.05
-    plan = Plan(scene.build_rig(), Grid(scene.grid.x, scene.grid.y, scene.grid.step))
-    half = gain.gain_z.sel(k=0.5 / plan.lattice.step, method="nearest")
+    geometry = GridGeometry(scene.build_rig(), Grid(scene.grid.x, scene.grid.y, scene.grid.step))
+    half = gain.gain_z.sel(k=0.5 / geometry.lattice.step, method="nearest")
     np.testing.assert_allclose(half, 0.5, atol=0.08)  # the footprint of a block takes some
     # oblique cameras have pixels that are longer along x on the water
-    short = gain.gain_w.sel(k=0.5 / plan.lattice.step, method="nearest")
+    short = gain.gain_w.sel(k=0.5 / geometry.lattice.step, method="nearest")
     assert float(short.sel(direction=0)) < float(short.sel(direction=np.pi / 2)) - 0.05
 
 
@@ -54,10 +54,10 @@ def test_what_is_carried_grows_shorter_with_less_noise_and_more_beads():
     record = LearnedRecord(
         (), steep, tuple((name, steep) for name in ("cam1", "cam2", "cam3")), (1.0, 1.0, 1.0)
     )
-    plan = Plan(scene.build_rig(), Grid(scene.grid.x, scene.grid.y, scene.grid.step), record=record)
-    now, denser, quieter = (shortest_carried(plan, better) for better in (1.0, 2.0, 4.0))
+    geometry = GridGeometry(scene.build_rig(), Grid(scene.grid.x, scene.grid.y, scene.grid.step))
+    now, denser, quieter = (shortest_carried(geometry, record, better) for better in (1.0, 2.0, 4.0))
     # signal over noise falls as k^-5: four times the information carries waves 4^(1/5) shorter
-    assert now["z"] == pytest.approx(2 * np.pi / (0.5 / plan.lattice.step), rel=0.1)
+    assert now["z"] == pytest.approx(2 * np.pi / (0.5 / geometry.lattice.step), rel=0.1)
     assert now["z"] / quieter["z"] == pytest.approx(4**0.2, rel=0.1)
     for name in "zuvw":
         assert quieter[name] < denser[name] < now[name]
@@ -79,12 +79,12 @@ def test_beads_out_of_focus_would_carry_shorter_waves_in_focus():
     names = ("cam1", "cam2", "cam3")
     widths = (("cam1", 4.0), ("cam2", 1.5), ("cam3", 0.0))
     record = LearnedRecord(widths, steep, tuple((name, steep) for name in names), (1.0, 1.0, 1.0))
-    plan = Plan(scene.build_rig(), Grid(scene.grid.x, scene.grid.y, scene.grid.step), record=record)
-    assert in_focus(plan) == {"cam1": 16.0, "cam2": 1.0, "cam3": 1.0}
-    now, sharp = shortest_carried(plan), shortest_carried(plan, in_focus(plan))
+    geometry = GridGeometry(scene.build_rig(), Grid(scene.grid.x, scene.grid.y, scene.grid.step))
+    assert in_focus(record) == {"cam1": 16.0, "cam2": 1.0, "cam3": 1.0}
+    now, sharp = shortest_carried(geometry, record), shortest_carried(geometry, record, in_focus(record))
     for name in "zuvw":
         assert sharp[name] < now[name]
-    sound = shortest_carried(plan, dict.fromkeys(names, 1.0))
+    sound = shortest_carried(geometry, record, dict.fromkeys(names, 1.0))
     assert sound == now
 
 

@@ -35,9 +35,9 @@ def measured(monkeypatch):
     """First steps of the blocks that are measured."""
     starts = []
 
-    def counting(block, plan, frame_rate):
+    def counting(block, geometry, frame_rate, model):
         starts.append(block.start)
-        return real(block, plan, frame_rate)
+        return real(block, geometry, frame_rate, model)
 
     real = chunk_worker.measure_block
     monkeypatch.setattr(chunk_worker, "measure_block", counting)
@@ -149,7 +149,7 @@ def test_signals_stop_as_ctrl_c_does(tank, tmp_path, name):
 
 
 def test_a_time_limit_stops_the_run(tank, tmp_path, monkeypatch):
-    def alarm_rings(block, plan, frame_rate):
+    def alarm_rings(block, geometry, frame_rate, model):
         left.append(signal.getitimer(signal.ITIMER_REAL)[0])
         signal.raise_signal(signal.SIGALRM)
 
@@ -339,10 +339,10 @@ def test_what_cannot_work_is_refused_first(own_tank, tmp_path):
 def test_a_measurement_that_breaks_is_reported_and_tried_again(tank, reference, tmp_path, monkeypatch):
     out = tmp_path / "cube.zarr"
 
-    def breaking(block, plan, frame_rate):
+    def breaking(block, geometry, frame_rate, model):
         if block.start == 4:
             raise ZeroDivisionError("deep inside")
-        return real(block, plan, frame_rate)
+        return real(block, geometry, frame_rate, model)
 
     real = chunk_worker.measure_block
     with monkeypatch.context() as patch:
@@ -360,7 +360,7 @@ def test_a_measurement_that_breaks_is_reported_and_tried_again(tank, reference, 
 def test_when_every_block_breaks_the_run_gives_up(tank, tmp_path, monkeypatch):
     calls = []
 
-    def breaking(block, plan, frame_rate):
+    def breaking(block, geometry, frame_rate, model):
         calls.append(block.start)
         raise ZeroDivisionError("always")
 

@@ -7,7 +7,7 @@ import pytest
 from cube_cases import HERE
 
 from wavefield.images import read_image, write_image
-from wavefield.measurement import Plan, Settings
+from wavefield.measurement import GridGeometry, Settings
 from wavefield.measurement.first_heights import first_heights, high_enough
 from wavefield.measurement.frame import ready
 from wavefield.pipeline import check
@@ -31,8 +31,10 @@ def test_water_is_found_however_high_it_stands(level):
         name: replace(camera, translation=camera.T - camera.R @ [0.0, 0.0, level])
         for name, camera in tank.rig.cameras.items()
     }
-    plan = Plan(Rig(lower), tank.scene.grid, Settings())
-    found = first_heights(lambda name, frame: ready(images[name], plan.binning[name]), plan, [0])
+    geometry = GridGeometry(Rig(lower), tank.scene.grid, Settings())
+    found = first_heights(
+        lambda name, frame: ready(images[name], geometry.sights[name].binning), geometry, [0]
+    )
     truth = tank.truth(0).z + level
     settings, found = high_enough(Settings(), found)
     assert found.found > 20
@@ -60,18 +62,18 @@ def marks(demo, level=0.0, shift=0, status=FrameStatus.FAILED, z=0.0):
     """What is marked of a step of which too little was measured."""
     tank, images = demo
     lower = {n: replace(c, translation=c.T - c.R @ [0.0, 0.0, level]) for n, c in tank.rig.cameras.items()}
-    plan = Plan(Rig(lower), tank.scene.grid, Settings())
+    geometry = GridGeometry(Rig(lower), tank.scene.grid, Settings())
     frames = {n: Frames([None, None, i, np.roll(i, shift, 1), None, None]) for n, i in images.items()}
     fields = {"z": np.full((1, 4, 5), z), "quality": np.zeros((1, 4, 5), np.uint8)}
     state = np.array([status], np.uint8)
-    _find_ranges(frames, fields, state, Block(7, 8, {}, 6), plan)
-    return {n: f.faults for n, f in frames.items() if f.faults}, state[0], plan
+    _find_ranges(frames, fields, state, Block(7, 8, {}, 6), geometry)
+    return {n: f.faults for n, f in frames.items() if f.faults}, state[0], geometry
 
 
 def test_a_step_whose_water_stands_beyond_the_range_is_marked(demo):
     assert marks(demo)[0] == {}
-    found, state, plan = marks(demo, level=0.2)
-    assert found == {plan.reference: {7: FrameFault.RANGE}}
+    found, state, geometry = marks(demo, level=0.2)
+    assert found == {geometry.reference: {7: FrameFault.RANGE}}
     assert state == FrameStatus.FAILED
 
 
@@ -81,8 +83,8 @@ def test_a_step_whose_water_moves_beyond_the_range_is_marked(demo):
 
 
 def test_a_step_whose_surface_touches_the_border_has_faults(demo):
-    found, state, plan = marks(demo, status=FrameStatus.DONE, z=0.0869)
-    assert found == {plan.reference: {7: FrameFault.RANGE}}
+    found, state, geometry = marks(demo, status=FrameStatus.DONE, z=0.0869)
+    assert found == {geometry.reference: {7: FrameFault.RANGE}}
     assert state == FrameStatus.DONE_WITH_FAULTS
 
 

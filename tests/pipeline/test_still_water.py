@@ -116,19 +116,19 @@ def test_the_level_is_as_uncertain_as_the_height_of_beads_where_no_still_water_g
     rig = Scene.load("rest").build_rig()
     fine = {name: 2.0 * pixel_at(rig["cam1"], 0.0, 0.0) / pixel_at(rig[name], 0.0, 0.0) for name in rig}
     beads = [(name, width * (1.0 if name == "cam1" else 1.5)) for name, width in fine.items()]
-    plan = SimpleNamespace(
+    geometry = SimpleNamespace(
         rig=replace(rig, provenance=changes.get("provenance", {})),
         grid=grid,
         settings=changes.get("settings", Settings()),
-        record=SimpleNamespace(beads=beads),
     )
+    record = SimpleNamespace(beads=beads)
     pixel = 1e3 * pixel_at(rig["cam1"], 0.0, 0.0) if not changes else 1.0
-    assert 1e3 * level_std(plan) == pytest.approx(expected * pixel)
+    assert 1e3 * level_std(geometry, record) == pytest.approx(expected * pixel)
 
 
 def test_the_level_is_unknown_where_nothing_was_learned():
-    plan = SimpleNamespace(rig=Scene.load("rest").build_rig(), settings=Settings(), record=None)
-    assert np.isnan(level_std(plan))
+    geometry = SimpleNamespace(rig=Scene.load("rest").build_rig(), settings=Settings())
+    assert np.isnan(level_std(geometry, None))
 
 
 def test_the_note_on_missing_still_water_gives_the_uncertainty_of_the_level(lab, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 import zarr
 
 from wavefield.grid import Grid
-from wavefield.measurement import Plan, Settings
+from wavefield.measurement import GridGeometry, Settings
 from wavefield.quality.camera_delay import Delay, Sample, delays, regress, remarks
 from wavefield.quality.camera_motion import camera_jitter, camera_motion, jump, knocks, shaking, size
 from wavefield.quality.patch_matching import PatchMatcher
@@ -110,7 +110,9 @@ def test_a_delay_is_seen_in_images_by_check_without_bias():
     drawn = [tank.render(k) for k in range(8)]
     grid = Grid((-0.2, 0.2), (-0.15, 0.15), 0.01)
     witness = PatchMatcher(lambda name, k: drawn[k][name], tank.rig, grid)
-    found, _ = delays(Plan(tank.rig, grid, Settings()), witness, (2, 3, 4, 5), tank.scene.frame_rate)
+    found, _ = delays(
+        GridGeometry(tank.rig, grid, Settings()), None, witness, (2, 3, 4, 5), tank.scene.frame_rate
+    )
     late = found["cam2"]
     assert late.seconds == pytest.approx(2e-3, abs=3 * late.std)
     assert late.std < 2e-4

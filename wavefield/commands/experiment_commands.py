@@ -140,8 +140,8 @@ def _pairs_table(prepared: PreparedRun) -> str:
 
     pixel = pixel_size(prepared.rig, prepared.grid)
     middle = len(next(iter(prepared.series.values()))) // 2
-    steps = min(len(prepared.series[name]) for name in prepared.plan.cameras) - 1
-    found = diagnose_around(_reader(prepared), steps, prepared.plan, middle, pixel)
+    steps = min(len(prepared.series[name]) for name in prepared.geometry.cameras) - 1
+    found = diagnose_around(_reader(prepared), steps, prepared.geometry, prepared.model, middle, pixel)
     if found is None:
         return "  pairs: no step around the middle of the record has a usable frame of every camera"
     lines = [f"  pairs, {len(next(iter(found.z.values())))} steps, rms; 1 px is {1e3 * pixel:.2g} mm"]

@@ -78,9 +78,9 @@ class Follower:
     @property
     def nodes(self) -> tuple[NDArray[Any], NDArray[Any]]:
         """Nodes along x and y, metres; empty without a rig."""
-        if self._plan is None:
+        if self._learner is None:
             return np.empty(0), np.empty(0)
-        grid = self._plan.plan.grid
+        grid = self._learner.geometry.grid
         return grid.x_nodes, grid.y_nodes
 
     def start(self) -> None:
@@ -92,8 +92,8 @@ class Follower:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(20)
-        if self._plan is not None:
-            self._plan.wait()
+        if self._learner is not None:
+            self._learner.wait()
 
     def _work(self) -> None:
         while not self._stop.is_set():
@@ -128,7 +128,7 @@ class Follower:
         if self._first is None:
             self._first = found.number
         now = {name: features(both[1]) for name, both in found.images.items()}
-        if self._plan is None and not self._trouble:  # a minute, the very first time: show what can be shown
+        if self._learner is None and not self._trouble:  # the first time this takes a minute
             self._publish(found, {}, self._assess(now, {}, None), "getting ready to measure")
         fields, summary = self._measure(found)
         pairs = self._pair_consistencies(found)
@@ -167,59 +167,59 @@ class Follower:
     # -- measuring -------------------------------------------------------------------------------------
 
     def _measure(self, found: FrameSet) -> tuple[dict[str, NDArray[Any]], Quantities | None]:
-        """Measure a step, as far as there is a rig; the plan is made with the first frames."""
+        """Measure a step, as far as there is a rig; the geometry is computed with the first frames."""
         from wavefield.measurement import measure
         from wavefield.variables import AROUND
 
         sizes = {name: (both[0].shape[1], both[0].shape[0]) for name, both in found.images.items()}
-        if self._plan is None or (self._trouble and sizes != self._sizes):
-            self._plan_for(sizes)
-        if self._plan is None:
+        if self._learner is None or (self._trouble and sizes != self._sizes):
+            self._set_up(sizes)
+        if self._learner is None:
             return {}, None
-        cameras, beside = self._plan.plan.cameras, [None] * AROUND
+        cameras, beside = self._learner.geometry.cameras, [None] * AROUND
         pairs = {name: found.images.get(name, (None, None)) for name in cameras}
         first, second = self._masks.of(found.number) if self._masks else ({}, {})
         try:
-            self._plan.take(({n: p[0] for n, p in pairs.items()}, {n: p[1] for n, p in pairs.items()}),
+            self._learner.take(({n: p[0] for n, p in pairs.items()}, {n: p[1] for n, p in pairs.items()}),
                             (first, second))  # fmt: skip
-            plan = self._plan.plan
+            geometry = self._learner.geometry
             frames = {name: [*beside, *both, *beside] for name, both in pairs.items()}
             masks = {n: [first[n]] * (AROUND + 1) + [second[n]] * (AROUND + 1) for n in first}
-            block = measure(frames, plan, self.experiment.frame_rate, masks)
+            block = measure(frames, geometry, self.experiment.frame_rate, self._learner.model, masks)
         except (WavefieldError, ValueError) as error:
             self._trouble = str(error)
             return {}, None
         self._trouble = self._masks.absent if self._masks else ""
         fields = {name: values[0] for name, values in block.items() if np.ndim(values) == 3}
-        return fields, quantities(fields, plan.x, plan.y, plan.z_range)
+        return fields, quantities(fields, geometry.x, geometry.y, geometry.z_range)
 
     def _pair_consistencies(self, found: FrameSet) -> dict[str, PairMisfit]:
         """How each pair of cameras agrees on the second frame; nothing without a rig."""
         from wavefield.measurement import pair_surface
         from wavefield.measurement.frame import ready, usable
 
-        if self._plan is None:
+        if self._learner is None:
             return {}
-        plan = self._plan.plan
+        geometry = self._learner.geometry
         good = {
-            name: pair_surface.prepare(ready(both[1], plan.binning[name]), name, plan)
+            name: pair_surface.prepare(ready(both[1], geometry.sights[name].binning), name, geometry)
             for name, both in found.images.items()
-            if name in plan.surface_cameras and usable(both[1], plan.rig[name].size)
+            if name in geometry.surface_cameras and usable(both[1], geometry.rig[name].size)
         }
         out = {}
-        for a, b in plan.pairs:
+        for a, b in geometry.pairs:
             if a in good and b in good:
-                match = pair_surface.match_pair(good[a], good[b], (a, b), plan)
-                seen = (plan.seen_blocks[a] > 0.5) & (plan.seen_blocks[b] > 0.5)
-                eps = match.eps_y[match.matched] / plan.pixel
+                match = pair_surface.match_pair(good[a], good[b], (a, b), geometry)
+                seen = (geometry.views[a].visible_blocks > 0.5) & (geometry.views[b].visible_blocks > 0.5)
+                eps = match.eps_y[match.matched] / geometry.pixel
                 rms = float(np.sqrt(np.mean(np.square(eps)))) if eps.size else float("nan")
                 out[f"{a}-{b}"] = PairMisfit(rms, float(match.valid.sum() / max(seen.sum(), 1)))
         return out
 
-    def _plan_for(self, sizes: dict[str, tuple[int, int]]) -> None:
+    def _set_up(self, sizes: dict[str, tuple[int, int]]) -> None:
         from wavefield.execution.workflow import Workflow
         from wavefield.explorer.learner import Learner
-        from wavefield.measurement import Plan
+        from wavefield.measurement import GridGeometry
         from wavefield.pipeline.prepare import make_settings
 
         self._sizes = sizes
@@ -236,9 +236,9 @@ class Follower:
                     return
             settings = make_settings(self.experiment, Workflow())
             covered = footprints(self.experiment.mask)
-            plan = Plan(used, self.experiment.choose_grid(used), settings, covered=covered)
-            self._masks = LiveMasks(self.experiment, used, -plan.z_range[0])
-            self._plan = Learner(plan)
+            geometry = GridGeometry(used, self.experiment.choose_grid(used), settings, covered)
+            self._masks = LiveMasks(self.experiment, used, -geometry.z_range[0])
+            self._learner = Learner(geometry)
             self._trouble = ""
         except WavefieldError as error:
             self._trouble = f"nothing is measured: {error}"

@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
-from wavefield.measurement import Plan, learn
+from wavefield.measurement import GridGeometry, Model, learn
 
 log = logging.getLogger("wavefield.follow")
 _SETS = 2  # of the newest, that are learned from
@@ -21,10 +21,11 @@ Frames = Mapping[str, NDArray[Any] | None]
 
 
 class Learner:
-    """A plan that knows the record as it is now."""
+    """What is learned of a record as it is now; `model` is None before the first frames."""
 
-    def __init__(self, plan: Plan) -> None:
-        self.plan = self._bare = plan
+    def __init__(self, geometry: GridGeometry) -> None:
+        self.geometry = geometry
+        self.model: Model | None = None
         self._sets: deque[tuple[tuple[Frames, Frames], tuple[Any, Any]]] = deque(maxlen=_SETS)
         self._next = 0.0
         self._thread: threading.Thread | None = None
@@ -35,7 +36,7 @@ class Learner:
         With step (mapping, mapping); masks (mapping, mapping).
         """
         self._sets.append((step, masks))
-        if self.plan.record is None:
+        if self.model is None:
             self._learn()
         elif time.monotonic() >= self._next and not self._busy:
             self._thread = threading.Thread(target=self._learn, daemon=True, name="learn")
@@ -49,9 +50,9 @@ class Learner:
         begun = time.monotonic()
         sets = list(self._sets)
         try:
-            record = learn([step for step, _ in sets], self._bare, [masks for _, masks in sets])
+            record = learn([step for step, _ in sets], self.geometry, [masks for _, masks in sets])
             if record is not None:
-                self.plan = self._bare.with_prior(record)
+                self.model = Model(self.geometry, record)
         except (WavefieldError, ValueError) as error:  # what was known stays
             log.warning("these frames taught nothing: %s", error)
         except RuntimeError as error:

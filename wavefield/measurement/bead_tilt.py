@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from wavefield.rig.resolution import pixel_at
 
 if TYPE_CHECKING:
-    from wavefield.measurement.plan import Plan
+    from wavefield.measurement.geometry import GridGeometry
+    from wavefield.measurement.learned_record import LearnedRecord
 
 Float = NDArray[Any]
 
@@ -42,22 +43,22 @@ def bead_tilt(rise: Float, step: float, height: float) -> tuple[Float, Float]:
     return moved, _UNKNOWN * np.abs(moved)
 
 
-def level_std(plan: Plan) -> float:
+def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
     """Standard uncertainty of z = 0, metres, the same for all nodes and times; NaN where nothing was learned.
 
     A rig that is levelled on still water contains the height of the beads. Otherwise z is too high by it: by
     the stated `bead_height`, or by about a fifth of the width of the beads' images on the water, which is
     taken from the camera that resolves most.
     """
-    levelled = plan.rig.provenance.get("levelled")
-    if plan.settings.sheet_thickness is not None:
+    levelled = geometry.rig.provenance.get("levelled")
+    if geometry.settings.sheet_thickness is not None:
         return 0.0  # that of z contains it
     if isinstance(levelled, Mapping) and "rms_m" in levelled:
         return float(levelled["rms_m"])
-    if plan.settings.bead_height:
-        return plan.settings.bead_height
-    if plan.record is None:
+    if geometry.settings.bead_height:
+        return geometry.settings.bead_height
+    if record is None:
         return float("nan")
-    x, y = float(np.mean(plan.grid.x)), float(np.mean(plan.grid.y))
-    widths = [width * pixel_at(plan.rig[name], x, y) for name, width in plan.record.beads]
+    x, y = float(np.mean(geometry.grid.x)), float(np.mean(geometry.grid.y))
+    widths = [width * pixel_at(geometry.rig[name], x, y) for name, width in record.beads]
     return HEIGHT_PER_WIDTH * min(widths)

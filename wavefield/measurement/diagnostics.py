@@ -14,9 +14,10 @@ from wavefield.matching.one_thread import one_thread
 from wavefield.measurement import pair_surface as stereo
 from wavefield.measurement.elevation import surface, windowed
 from wavefield.measurement.flow import flows
+from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.instant import Images, images_of
 from wavefield.measurement.learn import learn
-from wavefield.measurement.plan import Plan
+from wavefield.measurement.model import Model
 from wavefield.measurement.response import in_focus, shortest_carried
 from wavefield.measurement.velocity import velocity
 from wavefield.variables import Quality
@@ -49,7 +50,7 @@ class Diagnosis:
         Displacement dx, dy, dz from the first frame to the second by each pair alone, metres.
     eps_piv : dict of tuple of str to ndarray, (..., ny, nx)
         Misfit of the cameras' displacements, px of the binned images: of each pair alone, and of all the
-        cameras that the plan takes for the velocity.
+        cameras that the geometry takes for the velocity.
     carried : dict of str to dict of str to float
         Wavelength of which these images keep half in z, u, v, w, metres (`shortest_carried`): ``now``, with
         ``half the noise``, with ``twice the beads``, with beads ``in focus`` (`in_focus`).
@@ -169,7 +170,11 @@ def rms_within(values: NDArray[Any]) -> tuple[float, float]:
 
 @one_thread()
 def diagnose(
-    frames: Frames, plan: Plan, pixel: float | None = None, masks: Frames | None = None
+    frames: Frames,
+    geometry: GridGeometry,
+    model: Model | None = None,
+    pixel: float | None = None,
+    masks: Frames | None = None,
 ) -> Diagnosis:
     """Compare what pairs of cameras say about the same surface, and cameras about the same motion.
 
@@ -177,8 +182,10 @@ def diagnose(
     ----------
     frames : mapping of str to sequence of 2 ndarray
         Per camera the two frames of one step.
-    plan : Plan
+    geometry : GridGeometry
         Rig, grid and settings.
+    model : Model, optional
+        What was learned of the record; learned from these frames if left out.
     pixel : float, optional
         Length that counts as one pixel, metres; that of the rectified images if left out.
     masks : mapping of str to sequence of 2 ndarray of bool, optional
@@ -197,30 +204,37 @@ def diagnose(
     -----
     Recombined: (x_1 - x_2) = (x_1 - x_3) - (x_2 - x_3), with the middle camera 3 as reference.
     """
-    if plan.settings.sheet_thickness is not None:
+    if geometry.settings.sheet_thickness is not None:
         raise ValueError("cameras of a light sheet are not matched with each other: no pairs to compare")
-    plan, first, second = _learned(frames, plan, masks or {})
-    surfaces = [surface(view.flat, plan) for view in (first, second)]
+    geometry, model, first, second = _learned(frames, geometry, model, masks or {})
+    record = model.record
+    surfaces = [surface(view.flat, geometry, model) for view in (first, second)]
     if surfaces[0] is None or surfaces[1] is None:
         raise ValueError("the frames cannot be matched: nothing to compare with")
-    matches = _matched(first, plan)
+    matches = _matched(first, geometry)
     eps_y = {pair: match.eps_y[match.matched] for pair, match in matches.items()}
     lengths = {pair: np.hypot(*match.parallax)[match.matched] for pair, match in matches.items()}
     z_std = {pair: rms_within(eps_y[pair] / lengths[pair])[0] for pair in matches}
-    z = {pair: windowed([match], plan) for pair, match in matches.items()}
+    z = {pair: windowed([match], geometry) for pair, match in matches.items()}
     recombined = {}
-    for a, b in (pair for pair in matches if pair not in plan.pairs):
-        both = stereo.difference_of(matches[plan.reference, b], matches[plan.reference, a])
-        recombined[a, b] = windowed([both], plan) - z[a, b]
-    moved, eps_piv, d_std = _moved((first, second), 0.5 * (surfaces[0].z + surfaces[1].z), matches, plan)
+    for a, b in (pair for pair in matches if pair not in geometry.pairs):
+        both = stereo.difference_of(matches[geometry.reference, b], matches[geometry.reference, a])
+        recombined[a, b] = windowed([both], geometry) - z[a, b]
+    moved, eps_piv, d_std = _moved(
+        (first, second), 0.5 * (surfaces[0].z + surfaces[1].z), matches, geometry, model
+    )
     better: dict[str, float | dict[str, float]]
-    better = {"now": 1.0, "half the noise": 4.0, "twice the beads": 2.0, "in focus": in_focus(plan)}
-    lengths_by = {what: shortest_carried(plan, factor) for what, factor in better.items()}
+    better = {
+        "now": 1.0,
+        "half the noise": 4.0,
+        "twice the beads": 2.0,
+        "in focus": in_focus(record),
+    }
+    lengths_by = {what: shortest_carried(geometry, record, factor) for what, factor in better.items()}
     carried = {name: {what: by[name] for what, by in lengths_by.items()} for name in "zuvw"}
     noise = {"z": float(np.median(surfaces[0].std))} | dict(zip(("dx", "dy", "dz"), d_std))
-    assert plan.record is not None
     return Diagnosis(
-        pixel or plan.pixel,
+        pixel or geometry.pixel,
         z,
         eps_y,
         z_std,
@@ -229,51 +243,57 @@ def diagnose(
         eps_piv,
         carried,
         noise,
-        dict(plan.record.beads),
+        dict(record.beads),
     )
 
 
-def _learned(frames: Frames, plan: Plan, masks: Frames) -> tuple[Plan, Images, Images]:
-    """The images of both frames, with what is learned of them where the plan does not know the record."""
+def _learned(
+    frames: Frames, geometry: GridGeometry, model: Model | None, masks: Frames
+) -> tuple[GridGeometry, Model, Images, Images]:
+    """The images of both frames, with what is learned of them where the geometry does not know the record."""
     instants = [{n: frames[n][k] for n in frames} for k in (0, 1)]
     covered = [{n: masks[n][k] for n in masks} for k in (0, 1)]
-    if plan.record is None:
-        every = Plan(plan.rig, plan.grid, replace(plan.settings, velocity_cameras=plan.cameras))
-        record = learn([(instants[0], instants[1])], every, [(covered[0], covered[1])])
+    if model is None:
+        settings = replace(geometry.settings, velocity_cameras=geometry.cameras)
+        geometry = GridGeometry(geometry.rig, geometry.grid, settings)
+        record = learn([(instants[0], instants[1])], geometry, [(covered[0], covered[1])])
         if record is None:
             raise ValueError("the frames cannot be matched: nothing to compare with")
-        plan = every.with_prior(record)
-    assert plan.record is not None
-    beads = dict(plan.record.beads)
-    first, second = (images_of(frame, plan, beads, hidden) for frame, hidden in zip(instants, covered))
+        model = Model(geometry, record)
+    beads = dict(model.record.beads)
+    first, second = (images_of(frame, geometry, beads, hidden) for frame, hidden in zip(instants, covered))
     for view in (first, second):
         if view.missing:
             raise ValueError(f"camera {sorted(view.missing)[0]} has no usable frame: nothing to compare with")
-    return plan, first, second
+    return geometry, model, first, second
 
 
-def _matched(view: Images, plan: Plan) -> dict[Pair, stereo.PairMatch]:
+def _matched(view: Images, geometry: GridGeometry) -> dict[Pair, stereo.PairMatch]:
     """Each planned pair, and the direct pairs among their partners."""
-    pairs = [*plan.pairs, *combinations([b for _, b in plan.pairs], 2)]
-    return {(a, b): stereo.match_pair(view.flat[a], view.flat[b], (a, b), plan) for a, b in pairs}
+    pairs = [*geometry.pairs, *combinations([b for _, b in geometry.pairs], 2)]
+    return {(a, b): stereo.match_pair(view.flat[a], view.flat[b], (a, b), geometry) for a, b in pairs}
 
 
 def _moved(
-    views: tuple[Images, Images], middle: NDArray[Any], pairs: Collection[Any], plan: Plan
+    views: tuple[Images, Images],
+    middle: NDArray[Any],
+    pairs: Collection[Any],
+    geometry: GridGeometry,
+    model: Model,
 ) -> tuple[dict[Pair, NDArray[Any]], dict[tuple[str, ...], NDArray[Any]], list[float]]:
     """Displacement by each pair alone, the misfit of each pair and of all, and the uncertainty by all."""
     moved: dict[Pair, NDArray[Any]] = {}
     eps_piv: dict[tuple[str, ...], NDArray[Any]] = {}
-    moves = flows(views[0].raw, views[1].raw, plan)
+    moves = flows(views[0].raw, views[1].raw, geometry.settings.piv, model)
     d_std = [float("nan")] * 3
-    for cameras in dict.fromkeys((*pairs, plan.velocity_cameras)):
-        step = velocity((None, {name: moves[name] for name in cameras}, None), middle, plan)
+    for cameras in dict.fromkeys((*pairs, geometry.velocity_cameras)):
+        step = velocity((None, {name: moves[name] for name in cameras}, None), middle, geometry, model.record)
         assert step is not None  # every camera has both frames
         measured = (step.quality & Quality.FILLED) == 0
         eps_piv[cameras] = np.where(measured, step.eps_piv, np.nan)
         if cameras in pairs:
             moved[cameras[0], cameras[1]] = np.where(measured, step.d, np.nan)
-        if cameras == plan.velocity_cameras and measured.any():
+        if cameras == geometry.velocity_cameras and measured.any():
             d_std = [float(np.nanmedian(std[measured])) for std in step.d_std]
     return moved, eps_piv, d_std
 
@@ -281,7 +301,8 @@ def _moved(
 def diagnose_around(
     read: Callable[[str, int], NDArray[Any] | None],
     steps: int,
-    plan: Plan,
+    geometry: GridGeometry,
+    model: Model | None,
     middle: int,
     pixel: float,
     covered: Callable[[str, int], NDArray[Any] | None] | None = None,
@@ -292,10 +313,10 @@ def diagnose_around(
     """
     found: list[Diagnosis] = []
     for step in sorted(range(steps), key=lambda step: abs(step - middle))[:_TRIED]:
-        frames = {name: [read(name, step + k) for k in (0, 1)] for name in plan.cameras}
-        masks = {n: [covered(n, step + k) for k in (0, 1)] for n in plan.cameras} if covered else None
+        frames = {name: [read(name, step + k) for k in (0, 1)] for name in geometry.cameras}
+        masks = {n: [covered(n, step + k) for k in (0, 1)] for n in geometry.cameras} if covered else None
         try:
-            found.append(diagnose(frames, plan, pixel, masks))
+            found.append(diagnose(frames, geometry, model, pixel, masks))
         except ValueError:  # a frame is missing or bad
             continue
         if len(found) == _STEPS:

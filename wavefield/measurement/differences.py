@@ -13,7 +13,8 @@ from scipy.special import gammaincinv
 from wavefield import matching
 from wavefield.measurement.each_camera import noise_of_each, own_noise
 from wavefield.measurement.flow import Flows
-from wavefield.measurement.plan import Plan
+from wavefield.measurement.geometry import GridGeometry
+from wavefield.measurement.model import Model
 from wavefield.measurement.velocity import (
     CameraDisplacements,
     displacements_at_nodes,
@@ -46,17 +47,17 @@ class Differences:
     scatter: float = 0.0  # Variance by noise of dx, dy and dz of the water together, m^2
 
 
-def differences(flows: Flows, z: Float, plan: Plan) -> Differences | None:
+def differences(flows: Flows, z: Float, geometry: GridGeometry, model: Model) -> Differences | None:
     """What the cameras' differences say of one step.
 
     With z (ny, nx), metres.
     """
     steps = (None, flows, None)
-    motion = velocity(steps, z, plan)
+    motion = velocity(steps, z, geometry, model.record)
     if motion is None:
         return None
     names = [name for name in flows if name != motion.left_out]
-    seen = displacements_at_nodes(names, steps, z, plan)
+    seen = displacements_at_nodes(names, steps, z, geometry, model.record)
     left, camera_jitter = seen.camera_jitter()
     seen = seen.stabilized(left)
     good = np.isfinite(motion.misfit) & ((motion.quality & Quality.FILLED) == 0)
@@ -75,7 +76,7 @@ def differences(flows: Flows, z: Float, plan: Plan) -> Differences | None:
     J = np.moveaxis(seen.jacobian[:, :, good], -1, 0)
     rows = (f[:, good].T for f in (seen.moved, seen.noise_of_each, 1.0 / seen.variance))
     own = dict(zip(names, noise_of_each(J, *rows) / noise, strict=True))
-    waves, scatter = _in_common(J, seen, names, good, noise, plan)
+    waves, scatter = _in_common(J, seen, names, good, noise, shares(geometry.settings, model.record), model)
     return replace(found, own=own, waves=waves, scatter=scatter)
 
 
@@ -85,7 +86,8 @@ def _in_common(
     names: Sequence[str],
     good: NDArray[np.bool_],
     noise: float,
-    plan: Plan,
+    parts: Float,
+    model: Model,
 ) -> tuple[float, float]:
     """Fraction of the displacements' spectra that is waves: noise of the cameras is smaller in their mean.
 
@@ -93,10 +95,9 @@ def _in_common(
     """
     rows = (np.sqrt(f[:, good].T) for f in (seen.variance, noise * seen.noise_of_each))
     d, _, d_std = solve_displacement(J, seen.moved[:, good].T, *rows)
-    parts = np.asarray(shares(plan))
     each = signal(seen, parts)[:, good].mean(axis=1)
     brought = [
-        plan.sights[name].modes.prior.variances(plan.sights[name].modes.lattice)[0].mean() / one
+        model.displacement[name].prior.variances(model.displacement[name].modes.lattice)[0].mean() / one
         for name, one in zip(names, each, strict=True)
     ]
     waves = float(np.mean(brought) * parts.sum())

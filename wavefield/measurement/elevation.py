@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.matching import Modes
 from wavefield.measurement.camera_jitter import of_elevation
+from wavefield.measurement.geometry import GridGeometry
+from wavefield.measurement.model import Model
 from wavefield.measurement.outlier_detection import pairs_apart, scores_apart
 from wavefield.measurement.pair_surface import PairMatch, match_pair
-from wavefield.measurement.plan import Plan
 from wavefield.measurement.regrid import coefficients, push_pull, read_surface
 from wavefield.variables import Quality
 
@@ -270,44 +271,49 @@ def _height(parallax: Float, difference: Float) -> Float:
     return out
 
 
-def surface(prepared: Mapping[str, matching.PreparedImage], plan: Plan) -> Surface | None:
+def surface(
+    prepared: Mapping[str, matching.PreparedImage], geometry: GridGeometry, model: Model
+) -> Surface | None:
     """Elevation at the nodes from the frames of one instant."""
-    if plan.settings.sheet_thickness is not None:
-        return _sheet(plan.settings.sheet_thickness, plan.grid.shape)
-    found = match_pairs(prepared, plan)
-    return None if found is None else surface_of(*found, prepared, plan)
+    if geometry.settings.sheet_thickness is not None:
+        return _sheet(geometry.settings.sheet_thickness, geometry.grid.shape)
+    found = match_pairs(prepared, geometry)
+    return None if found is None else surface_of(*found, prepared, geometry, model)
 
 
 def surface_of(
-    blocks: Blocks, matches: Sequence[PairMatch], prepared: Mapping[str, matching.PreparedImage], plan: Plan
+    blocks: Blocks,
+    matches: Sequence[PairMatch],
+    prepared: Mapping[str, matching.PreparedImage],
+    geometry: GridGeometry,
+    model: Model,
 ) -> Surface:
     """Elevation at the nodes from matched pairs."""
-    estimate = most_probable(blocks, matches, prepared, plan.modes, plan.pixel)
-    spline = plan.field_model.splined(estimate.waves, estimate.slopes)
-    (noise,), (missing,) = plan.spread(estimate.information)
-    centre = plan.rig[matches[0].pair[0]].centre
+    estimate = most_probable(blocks, matches, prepared, model.elevation.modes, geometry.pixel)
+    spline = model.elevation.splined(estimate.waves, estimate.slopes)
+    (noise,), (missing,) = model.elevation.spread(estimate.information)
+    centre = geometry.rig[matches[0].pair[0]].centre
 
     def read(x: Float, y: Float) -> Float:
-        out: Float = read_surface(spline, plan.lattice, centre, x, y)[0][0]
+        out: Float = read_surface(spline, geometry.lattice, centre, x, y)[0][0]
         return out
 
-    z, block = _read(spline, matches, plan)
+    z, block = _read(spline, matches, geometry)
     variance = np.float32(_LONGER / _CAREFUL) * noise + missing
-    variance += np.float32(estimate.miss**2 + _shaken(matches, plan))
+    variance += np.float32(estimate.miss**2 + _shaken(matches, geometry, model.record.camera_jitter[0]))
     std = np.sqrt(variance).ravel()[block]
-    apart = (pairs_apart(matches, plan.pixel) | estimate.apart).ravel()[block]
+    apart = (pairs_apart(matches, geometry.pixel) | estimate.apart).ravel()[block]
     return Surface(z, blocks.eps_y.ravel()[block], std, _quality(blocks, block), apart, read)
 
 
-def _shaken(matches: Sequence[PairMatch], plan: Plan) -> float:
+def _shaken(matches: Sequence[PairMatch], geometry: GridGeometry, jitter: float) -> float:
     """Variance of the elevation from cameras that move (`of_elevation`), square metres."""
     usable = np.logical_and.reduce([m.valid for m in matches])
     if usable.sum() < _FEW:
         usable = np.logical_or.reduce([m.valid for m in matches])
     heights = [np.median(_height(m.parallax, m.difference)[usable]) for m in matches]
-    assert plan.record is not None
-    between = plan.record.camera_jitter[0] * plan.pixel  # two frames, each of which has moved
-    return of_elevation(np.array(heights), plan.parallaxes([m.pair for m in matches]), 0.5 * between**2)
+    between = jitter * geometry.pixel  # two frames, each of which has moved
+    return of_elevation(np.array(heights), geometry.parallaxes([m.pair for m in matches]), 0.5 * between**2)
 
 
 def _sheet(thickness: float, shape: tuple[int, int]) -> Surface:
@@ -319,7 +325,7 @@ def _sheet(thickness: float, shape: tuple[int, int]) -> Surface:
 
 
 def match_pairs(
-    prepared: Mapping[str, matching.PreparedImage], plan: Plan
+    prepared: Mapping[str, matching.PreparedImage], geometry: GridGeometry
 ) -> tuple[Blocks, list[PairMatch]] | None:
     """Match the pairs of one instant.
 
@@ -327,10 +333,10 @@ def match_pairs(
     be matched.
     """
     present = tuple(prepared)
-    while pairs := plan.pairs_for(present):
+    while pairs := geometry.pairs_for(present):
         reference = pairs[0][0]
-        least = plan.settings.min_valid * np.sum(plan.seen_blocks[reference] > 0.5)
-        matches = [match_pair(prepared[a], prepared[b], (a, b), plan) for a, b in pairs]
+        least = geometry.settings.min_valid * np.sum(geometry.views[reference].visible_blocks > 0.5)
+        matches = [match_pair(prepared[a], prepared[b], (a, b), geometry) for a, b in pairs]
         matches = [m for m in matches if m.valid.sum() >= least] or matches
         blocks = combine(matches)
         if blocks.valid.sum() >= least:
@@ -340,22 +346,24 @@ def match_pairs(
     return None
 
 
-def windowed(matches: Sequence[PairMatch], plan: Plan) -> NDArray[Any]:
+def windowed(matches: Sequence[PairMatch], geometry: GridGeometry) -> NDArray[Any]:
     """Elevation at the nodes as windows have it, without the posterior: to compare pairs with each other.
 
     Returns (ny, nx): Metres.
     """
     blocks = combine(matches)
     if not blocks.valid.any():
-        return np.full(plan.grid.shape, np.nan, np.float32)
-    z, block = _read(coefficients(np.moveaxis(blocks.whole, 0, -1)), matches, plan)
+        return np.full(geometry.grid.shape, np.nan, np.float32)
+    z, block = _read(coefficients(np.moveaxis(blocks.whole, 0, -1)), matches, geometry)
     return np.where(blocks.valid.ravel()[block], z, np.float32(np.nan))
 
 
-def _read(spline: Float, matches: Sequence[PairMatch], plan: Plan) -> tuple[Float, NDArray[np.int64]]:
+def _read(
+    spline: Float, matches: Sequence[PairMatch], geometry: GridGeometry
+) -> tuple[Float, NDArray[np.int64]]:
     """Elevation at the nodes and the block nearest to each, from spline coefficients (ny, nx, 1)."""
-    centre = plan.rig[matches[0].pair[0]].centre
-    values, block = read_surface(spline, plan.lattice, centre, plan.x, plan.y)
+    centre = geometry.rig[matches[0].pair[0]].centre
+    values, block = read_surface(spline, geometry.lattice, centre, geometry.x, geometry.y)
     return values[0], block
 
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.measurement.first_guess import shifts
+from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.measurement_settings import Settings
-from wavefield.measurement.plan import Plan
 from wavefield.measurement.rectify import rectify
 
 _COARSE = 2  # px averaged along each side: what the cameras see differently of a bead matters less
@@ -58,7 +58,7 @@ class FirstHeights:
         )
 
 
-def first_heights(read: Read, plan: Plan, frames: Sequence[int]) -> FirstHeights:
+def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> FirstHeights:
     """Look at some instants of a record.
 
     Pieces of one camera's image rectified to z = 0 are looked for in another's; their parallax is that of
@@ -68,34 +68,34 @@ def first_heights(read: Read, plan: Plan, frames: Sequence[int]) -> FirstHeights
     tried = 0
     for frame in frames:
         flat: dict[str, NDArray[np.float32]] = {}
-        for name in plan.surface_cameras:
+        for name in geometry.surface_cameras:
             image = read(name, frame)
             if image is not None:
-                flat[name] = _coarse(rectify(np.asarray(image), *plan.maps[name]))
-        for a, b in plan.pairs:
+                flat[name] = _coarse(rectify(np.asarray(image), *geometry.views[name].maps))
+        for a, b in geometry.pairs:
             if a in flat and b in flat:
-                moved = shifts(flat[a], flat[b], _PIECE, _reach((a, b), plan))
+                moved = shifts(flat[a], flat[b], _PIECE, _reach((a, b), geometry))
                 tried += len(moved)
-                z = _heights(moved[np.isfinite(moved[:, 0])], (a, b), plan)
-                apart = np.abs(z[:, None] - z) < _near(plan)
+                z = _heights(moved[np.isfinite(moved[:, 0])], (a, b), geometry)
+                apart = np.abs(z[:, None] - z) < _near(geometry)
                 kept.append(z[apart.sum(axis=0) > 1])
     found = np.concatenate(kept) if kept else np.zeros(0)
     ends = (float(found.min()), float(found.max())) if len(found) else (0.0, 0.0)
-    return FirstHeights(ends, len(found), tried, plan.z_range)
+    return FirstHeights(ends, len(found), tried, geometry.z_range)
 
 
-def _reach(pair: tuple[str, str], plan: Plan) -> tuple[int, int]:
+def _reach(pair: tuple[str, str], geometry: GridGeometry) -> tuple[int, int]:
     """Largest parallax along x and along y of elevations that are looked for, coarse px."""
-    x, y = np.meshgrid(plan.lattice.x[[0, -1]], plan.lattice.y[[0, -1]])
-    (Ax, Ay), (Bx, By) = (plan.rig[name].sight_line(x, y) for name in pair)
-    height = _FAR * max(abs(z) for z in plan.z_range) / (_COARSE * plan.pixel)
+    x, y = np.meshgrid(geometry.lattice.x[[0, -1]], geometry.lattice.y[[0, -1]])
+    (Ax, Ay), (Bx, By) = (geometry.rig[name].sight_line(x, y) for name in pair)
+    height = _FAR * max(abs(z) for z in geometry.z_range) / (_COARSE * geometry.pixel)
     along = (int(height * np.abs(b - a).max() + 2 * _ACROSS) for a, b in ((Ax, Bx), (Ay, By)))
     return next(along), next(along)
 
 
-def _near(plan: Plan) -> float:
+def _near(geometry: GridGeometry) -> float:
     """Elevations closer than this bear each other out, metres."""
-    return max(0.25 * (plan.z_range[1] - plan.z_range[0]), 12 * plan.pixel)
+    return max(0.25 * (geometry.z_range[1] - geometry.z_range[0]), 12 * geometry.pixel)
 
 
 def _coarse(image: NDArray[Any]) -> NDArray[np.float32]:
@@ -105,14 +105,16 @@ def _coarse(image: NDArray[Any]) -> NDArray[np.float32]:
     return np.asarray(small, np.float32)
 
 
-def _heights(moved: NDArray[np.float64], pair: tuple[str, str], plan: Plan) -> NDArray[np.float64]:
+def _heights(
+    moved: NDArray[np.float64], pair: tuple[str, str], geometry: GridGeometry
+) -> NDArray[np.float64]:
     """Elevations of pieces (n, 5) as from `shifts`, metres; those whose sight lines miss are left out."""
-    step = _COARSE * plan.pixel
-    half = 0.5 * (_COARSE - 1) * plan.pixel
-    x, y = (origin + half + step * at for origin, at in zip(plan.origin, moved[:, 3:].T))
+    step = _COARSE * geometry.pixel
+    half = 0.5 * (_COARSE - 1) * geometry.pixel
+    x, y = (origin + half + step * at for origin, at in zip(geometry.plane.origin, moved[:, 3:].T))
     dx, dy = step * moved[:, 0], step * moved[:, 1]
-    Ax, Ay = plan.rig[pair[0]].sight_line(x, y)
-    Bx, By = plan.rig[pair[1]].sight_line(x + dx, y + dy)
+    Ax, Ay = geometry.rig[pair[0]].sight_line(x, y)
+    Bx, By = geometry.rig[pair[1]].sight_line(x + dx, y + dy)
     px, py = Bx - Ax, By - Ay
     square = px * px + py * py
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.matching import Modes
 from wavefield.measurement.elevation import MAX_LOOKS, Convergence
+from wavefield.measurement.model import FieldModel, Model
 from wavefield.measurement.pair_surface import why_rejected
-from wavefield.measurement.plan import Plan
 from wavefield.measurement.regrid import push_pull
 
 Float = NDArray[Any]
@@ -95,11 +95,16 @@ def most_probable(
 
 
 def flows(
-    first: Mapping[str, matching.PreparedImage], second: Mapping[str, matching.PreparedImage], plan: Plan
+    first: Mapping[str, matching.PreparedImage],
+    second: Mapping[str, matching.PreparedImage],
+    settings: matching.MatchSettings,
+    model: Model,
 ) -> dict[str, CameraFlow]:
     """Displacements of every camera that has a usable frame at both instants."""
     return {
-        n: flow_near(matching.match(first[n], second[n], plan.settings.piv), first[n], second[n], plan, n)
+        n: flow_near(
+            matching.match(first[n], second[n], settings), first[n], second[n], model.displacement[n]
+        )
         for n in first
         if n in second
     }
@@ -109,15 +114,13 @@ def flow_near(
     near: matching.Displacement,
     one: matching.PreparedImage,
     other: matching.PreparedImage,
-    plan: Plan,
-    name: str,
+    model: FieldModel,
 ) -> CameraFlow:
     """Displacement of one camera from what matching found."""
-    sight = plan.sights[name]
-    found = most_probable(near, one, other, sight.modes)
-    noise, missing = sight.spread(found.information)
+    found = most_probable(near, one, other, model.modes)
+    noise, missing = model.spread(found.information)
     return CameraFlow(
-        sight.splined(found.waves, found.slopes),
+        model.splined(found.waves, found.slopes),
         noise,
         missing,
         found.along,

@@ -21,12 +21,13 @@ from wavefield.measurement import elevation, flow
 from wavefield.measurement.background import bead_width
 from wavefield.measurement.differences import Differences, differences, typical
 from wavefield.measurement.frame import usable
+from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.instant import Images, images_of
 from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.masked import Masks, bare_of_camera, bare_of_pairs
+from wavefield.measurement.model import Model
 from wavefield.measurement.pair_surface import PairMatch
 from wavefield.measurement.paths import noise_weights
-from wavefield.measurement.plan import Plan
 from wavefield.measurement.temporal_truncation import TemporalTruncation, temporal_truncation
 
 Frames = Mapping[str, NDArray[Any] | None]
@@ -68,7 +69,7 @@ def sample_steps(count: int, number: int = 0) -> list[int]:
 @one_thread()
 def learn(
     steps: Sequence[tuple[Frames, Frames]],
-    plan: Plan,
+    geometry: GridGeometry,
     masks: Sequence[tuple[Masks, Masks]] | None = None,
     threads: int = 1,
 ) -> LearnedRecord | None:
@@ -78,7 +79,7 @@ def learn(
     ----------
     steps : sequence of (mapping, mapping)
         First and second frame of some steps, per camera; None where absent. `sample_steps` says which.
-    plan : Plan
+    geometry : GridGeometry
         Rig, grid and settings.
     masks : sequence of (mapping, mapping), optional
         True where pixels of these frames do not count, per camera; None where all do.
@@ -87,8 +88,8 @@ def learn(
 
     Returns
     -------
-    Record or None
-        For `Plan.knowing`; None if none of the frames can be measured.
+    LearnedRecord or None
+        For a `Model`; None if none of the frames can be measured.
 
     Notes
     -----
@@ -97,53 +98,55 @@ def learn(
     should be: the median of chi^2.
     """
     with ThreadPoolExecutor(threads) as pool:
-        return _learned(steps, plan, masks or [({}, {})] * len(steps), pool)
+        return _learned(steps, geometry, masks or [({}, {})] * len(steps), pool)
 
 
 def _learned(
     steps: Sequence[tuple[Frames, Frames]],
-    plan: Plan,
+    geometry: GridGeometry,
     covered: Sequence[tuple[Masks, Masks]],
     pool: ThreadPoolExecutor,
 ) -> LearnedRecord | None:
-    beads = _beads(steps, covered, plan, pool)
+    beads = _beads(steps, covered, geometry, pool)
 
     def view(step: tuple[Frames, Frames], masked: tuple[Masks, Masks]) -> tuple[Images, Images]:
         (one, other), (m, n) = step, masked
-        return images_of(one, plan, beads, m), images_of(other, plan, beads, n)
+        return images_of(one, geometry, beads, m), images_of(other, geometry, beads, n)
 
     def match(view: tuple[Images, Images]) -> _Near:
         one, other = (images.raw for images in view)
-        found = {n: matching.match(one[n], other[n], plan.settings.piv) for n in one if n in other}
-        return _Near(elevation.match_pairs(view[0].flat, plan), found)
+        found = {n: matching.match(one[n], other[n], geometry.settings.piv) for n in one if n in other}
+        return _Near(elevation.match_pairs(view[0].flat, geometry), found)
 
     views = list(pool.map(view, steps, covered))
     near = list(pool.map(match, views))
-    height = _learn_elevation(views, near, plan, pool)
-    moves = {name: _learn_displacement(name, views, near, plan, pool) for name in plan.velocity_cameras}
+    height = _learn_elevation(views, near, geometry, pool)
+    moves = {
+        name: _learn_displacement(name, views, near, geometry, pool) for name in geometry.velocity_cameras
+    }
     known = {name: samples for name, samples in moves.items() if samples is not None}
     if height is None or len(known) < 2:
         return None
     some = next(iter(known.values()))
-    priors = {name: known.get(name, some).prior for name in plan.velocity_cameras}
+    priors = {name: known.get(name, some).prior for name in geometry.velocity_cameras}
     record = LearnedRecord(tuple(beads.items()), height, tuple(priors.items()), (1.0, 1.0, 1.0))
-    known_plan = plan = plan.with_prior(record)
-    pairs = list(pool.map(lambda step, found: _elevations(step, found, known_plan), views, near))
+    model = Model(geometry, record)
+    pairs = list(pool.map(partial(_elevations, geometry, model), views, near))
     heights = [None if pair is None else np.float32(0.5) * (pair[0] + pair[1]) for pair in pairs]
     known_pairs = [pair for pair in pairs if pair is not None]
     record = replace(
         record,
         temporal_truncation=temporal_truncation(
             known_pairs,
-            plan.grid.step,
-            partial(_noise_of_waves, height, plan),
-            partial(_matched, record, plan),
+            geometry.grid.step,
+            partial(_noise_of_waves, height, geometry),
+            partial(_matched, record, geometry),
         ),
     )
     for number in range(2):
         if number:
-            plan = plan.with_prior(record)
-        found = _differences(views, near, heights, plan, pool)
+            model = Model(geometry, record, model)
+        found = _differences(views, near, heights, geometry, model, pool)
         priors = {}
         for name, prior in record.displacement:
             factor = float(np.clip(prior.noise * found.noise, *_NOISE))
@@ -185,17 +188,17 @@ class _Near:
 def _beads(
     steps: Sequence[tuple[Frames, Frames]],
     masks: Sequence[tuple[Masks, Masks]],
-    plan: Plan,
+    geometry: GridGeometry,
     pool: ThreadPoolExecutor,
 ) -> dict[str, float]:
     """Median width of every camera's beads, raw px."""
     out = {}
-    for name in plan.cameras:
+    for name in geometry.cameras:
         images = [(first.get(name), mask.get(name)) for (first, _), (mask, _) in zip(steps, masks)]
         even = [
             image if mask is None else made_even(image, mask)
             for image, mask in images
-            if image is not None and usable(image, plan.rig[name].size)
+            if image is not None and usable(image, geometry.rig[name].size)
         ]
         widths = list(pool.map(bead_width, even))
         out[name] = float(np.median(widths)) if widths else 0.0
@@ -203,25 +206,28 @@ def _beads(
 
 
 def _learn_elevation(
-    views: Sequence[tuple[Images, Images]], near: Sequence[_Near], plan: Plan, pool: ThreadPoolExecutor
+    views: Sequence[tuple[Images, Images]],
+    near: Sequence[_Near],
+    geometry: GridGeometry,
+    pool: ThreadPoolExecutor,
 ) -> Prior | None:
-    if plan.settings.sheet_thickness is not None:
+    if geometry.settings.sheet_thickness is not None:
         return _FLAT
 
     def sample_of(view: tuple[Images, Images], found: _Near) -> _Height | None:
         if found.pairs is None:
             return None
-        return _Height(*found.pairs, view[0].flat, plan.pixel, bare_of_pairs(view[0].covered, plan))
+        return _Height(*found.pairs, view[0].flat, geometry.pixel, bare_of_pairs(view[0].covered, geometry))
 
     samples = [sample for sample in pool.map(sample_of, views, near) if sample is not None]
     if not samples:
         return None
-    prior = _Samples.of(samples, plan.settings.stereo, pool).prior
-    modes = Modes(prior, plan.lattice.shape)
+    prior = _Samples.of(samples, geometry.settings.stereo, pool).prior
+    modes = Modes(prior, geometry.lattice.shape)
 
     def summarize(sample: _Height) -> tuple[float, float, float]:
         """Information of a block, variance of z, and of what is smooth across sight lines."""
-        estimate = elevation.most_probable(*sample.parts, modes, plan.pixel)
+        estimate = elevation.most_probable(*sample.parts, modes, geometry.pixel)
         z = modes.field(estimate.waves - estimate.mean)[0][estimate.information > 0]
         apart = float(np.median(np.abs(z - np.median(z)))) / _HALF if z.size else 0.0
         return float(estimate.information.mean()) / sample.bare, apart**2, estimate.miss**2
@@ -236,7 +242,7 @@ def _learn_displacement(
     name: str,
     views: Sequence[tuple[Images, Images]],
     near: Sequence[_Near],
-    plan: Plan,
+    geometry: GridGeometry,
     pool: ThreadPoolExecutor,
 ) -> _Samples | None:
     def sample_of(step: tuple[tuple[Images, Images], _Near]) -> _Shift:
@@ -248,7 +254,7 @@ def _learn_displacement(
     samples = list(pool.map(sample_of, there))
     if not any(sample.information > 0 for sample in samples):
         return None
-    return _Samples.of(samples, plan.settings.piv, pool)
+    return _Samples.of(samples, geometry.settings.piv, pool)
 
 
 class _Sample:
@@ -350,28 +356,30 @@ class _Samples:
         return matching.better_prior(prior, modes.kx, modes.ky, modes.foot, waves, information, alone)
 
 
-def _noise_of_waves(prior: Prior, plan: Plan, k: Float) -> Float:
+def _noise_of_waves(prior: Prior, geometry: GridGeometry, k: Float) -> Float:
     """Noise in the power of every wave on the grid, by its wavenumber, rad per node."""
-    blocks = BLOCK * plan.pixel / plan.grid.step  # from node to node of the lattice
-    out: Float = prior.noise_power(k * blocks) * blocks**2 / np.prod(plan.grid.shape)
+    blocks = BLOCK * geometry.pixel / geometry.grid.step  # from node to node of the lattice
+    out: Float = prior.noise_power(k * blocks) * blocks**2 / np.prod(geometry.grid.shape)
     return out
 
 
-def _matched(record: LearnedRecord, plan: Plan, k: Float) -> tuple[Float, Float]:
+def _matched(record: LearnedRecord, geometry: GridGeometry, k: Float) -> tuple[Float, Float]:
     """What priors leave of waves' displacements, and by how much these are raised; k in rad per node."""
-    blocks = k * BLOCK * plan.pixel / plan.grid.step
+    blocks = k * BLOCK * geometry.pixel / geometry.grid.step
     gain = np.mean([prior.mean_gain(blocks) for _, prior in record.displacement], axis=0)
     return gain, matching.footprint_excess(blocks)
 
 
-def _elevations(step: tuple[Images, Images], near: _Near, plan: Plan) -> tuple[Float, Float] | None:
+def _elevations(
+    geometry: GridGeometry, model: Model, step: tuple[Images, Images], near: _Near
+) -> tuple[Float, Float] | None:
     """Elevation at the nodes at two frames, metres."""
     flat, later = (view.flat for view in step)
     if near.pairs is None:
-        one = elevation.surface(flat, plan)
+        one = elevation.surface(flat, geometry, model)
     else:
-        one = elevation.surface_of(*near.pairs, flat, plan)
-    other = elevation.surface(later, plan)
+        one = elevation.surface_of(*near.pairs, flat, geometry, model)
+    other = elevation.surface(later, geometry, model)
     return None if one is None or other is None else (one.z, other.z)
 
 
@@ -379,7 +387,8 @@ def _differences(
     views: Sequence[tuple[Images, Images]],
     near: Sequence[_Near],
     heights: Sequence[Float | None],
-    plan: Plan,
+    geometry: GridGeometry,
+    model: Model,
     pool: ThreadPoolExecutor,
 ) -> Differences:
     """What the cameras' differences say, of all samples."""
@@ -388,7 +397,10 @@ def _differences(
         if z is None:
             return None
         one, other = (images.raw for images in view)
-        flows = {n: flow.flow_near(d, one[n], other[n], plan, n) for n, d in found.displacements.items()}
-        return differences(flows, z, plan)
+        flows = {
+            n: flow.flow_near(d, one[n], other[n], model.displacement[n])
+            for n, d in found.displacements.items()
+        }
+        return differences(flows, z, geometry, model)
 
-    return typical([one for one in pool.map(move, views, near, heights) if one is not None], plan.pixel)
+    return typical([one for one in pool.map(move, views, near, heights) if one is not None], geometry.pixel)

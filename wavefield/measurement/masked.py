@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching.prepared import Mask
-from wavefield.measurement.plan import Plan
+from wavefield.measurement.geometry import GridGeometry
 
 Pixels = NDArray[np.bool_]
 Masks = Mapping[str, Pixels | None]
@@ -35,35 +35,35 @@ class Covered:
         return np.asarray(inside & (whole[row, column] == 0))
 
 
-def covered_in(masks: Masks, plan: Plan) -> dict[str, Covered]:
+def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
     """Masks of one instant, made ready; one that stays the same is worked out once.
 
     With masks (row, column).
     """
     out = {}
-    for name in plan.cameras:
+    for name in geometry.cameras:
         pixels = masks.get(name)
         if pixels is None:
             continue
-        known = plan.covered_before.get(name)
+        known = geometry.prepared_masks.get(name)
         if known is None or known[0] is not pixels:
-            known = pixels, _ready(pixels, name, plan)
-            plan.covered_before[name] = known
+            known = pixels, _ready(pixels, name, geometry)
+            geometry.prepared_masks[name] = known
         out[name] = known[1]
     return out
 
 
-def _ready(pixels: Pixels, name: str, plan: Plan) -> Covered:
-    w, h = plan.sights[name].camera.size
-    count = plan.binning[name]
+def _ready(pixels: Pixels, name: str, geometry: GridGeometry) -> Covered:
+    w, h = geometry.sights[name].camera.size
+    count = geometry.sights[name].binning
     good = np.where(pixels[: h * count, : w * count], np.uint8(0), np.uint8(255))
     good = cv2.resize(good, (w, h), interpolation=cv2.INTER_AREA) if count > 1 else good
     flat = None
-    if name in plan.maps:
-        X, Y = (np.float32(0.5) * place for place in plan.maps[name])
+    if name in geometry.views:
+        X, Y = (np.float32(0.5) * place for place in geometry.views[name].maps)
         seen = cv2.remap(good, X, Y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-        flat = Mask.of(plan.seen[name] & (seen > 250), plan.settings.stereo)
-    return Covered(Mask.of(good > 250, plan.settings.piv), flat)
+        flat = Mask.of(geometry.views[name].visible & (seen > 250), geometry.settings.stereo)
+    return Covered(Mask.of(good > 250, geometry.settings.piv), flat)
 
 
 _LEAST = 0.1  # what is less than this bare tells nothing of the rest
@@ -75,17 +75,17 @@ def bare_of_camera(covered: Sequence[Covered | None]) -> float:
     return max(float(np.logical_and.reduce(levels).mean()), _LEAST) if levels else 1.0
 
 
-def bare_of_pairs(covered: Mapping[str, Covered], plan: Plan) -> float:
+def bare_of_pairs(covered: Mapping[str, Covered], geometry: GridGeometry) -> float:
     """Fraction of what pairs of cameras both see that is masked in neither, mean over the pairs."""
 
     def level(name: str, mask: Mask | None) -> Pixels:
-        return (plan.masks[name] if mask is None else mask).levels[0] > 0
+        return (geometry.views[name].mask if mask is None else mask).levels[0] > 0
 
     flat = {name: one.flat for name, one in covered.items() if one.flat is not None}
     if not flat:
         return 1.0
     bare, seen = 0.0, 0.0
-    for a, b in plan.pairs:
+    for a, b in geometry.pairs:
         bare += float((level(a, flat.get(a)) & level(b, flat.get(b))).sum())
         seen += float((level(a, None) & level(b, None)).sum())
     return max(bare / max(seen, 1.0), _LEAST)
@@ -95,7 +95,7 @@ def masked_nodes(
     covered: tuple[Mapping[str, Covered], Mapping[str, Covered]],
     missing: frozenset[str],
     z: NDArray[Any],
-    plan: Plan,
+    geometry: GridGeometry,
 ) -> Pixels:
     """Nodes that are masked: by an outline on the water, or for too many cameras.
 
@@ -104,12 +104,12 @@ def masked_nodes(
     """
     hidden = {}
     for name in {*covered[0], *covered[1]}:
-        X, Y = plan.sights[name].position(z)
+        X, Y = geometry.sights[name].position(z)
         hidden[name] = np.any([one[name].at(X, Y) for one in covered if name in one], axis=0)
     nowhere = np.zeros(z.shape, bool)
-    present = [name for name in plan.cameras if name not in missing]
-    pairs = plan.pairs_for([n for n in plan.surface_cameras if n in present])
+    present = [name for name in geometry.cameras if name not in missing]
+    pairs = geometry.pairs_for([n for n in geometry.surface_cameras if n in present])
     no_pair = np.all([hidden.get(a, nowhere) | hidden.get(b, nowhere) for a, b in pairs], axis=0)
-    velocity = [name for name in plan.velocity_cameras if name in present]
+    velocity = [name for name in geometry.velocity_cameras if name in present]
     seeing = np.sum([~hidden.get(name, nowhere) for name in velocity], axis=0)
-    return np.asarray(plan.covered_nodes | no_pair | (seeing < 2))
+    return np.asarray(geometry.covered_nodes | no_pair | (seeing < 2))

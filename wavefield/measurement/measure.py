@@ -14,11 +14,13 @@ from wavefield.measurement.bead_tilt import bead_tilt
 from wavefield.measurement.camera_jitter import motion_for, unsteady
 from wavefield.measurement.elevation import Surface
 from wavefield.measurement.flow import Flows, flows
+from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.instant import Instant, measure_instant
 from wavefield.measurement.learn import learn, sample_steps
+from wavefield.measurement.learned_record import LearnedRecord
 from wavefield.measurement.masked import masked_nodes
 from wavefield.measurement.midtime import MidTime, at_mid_time, frames_used, slope
-from wavefield.measurement.plan import Plan
+from wavefield.measurement.model import Model
 from wavefield.measurement.temporal_truncation import TemporalTruncation, typical
 from wavefield.measurement.velocity import Motion, motion_at, velocity
 from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality
@@ -32,7 +34,11 @@ _SIX = 0.84  # root of the sum of squares of the weights of six frames in z at m
 
 @one_thread()
 def measure(
-    frames: Frames, plan: Plan, frame_rate: float, masks: Frames | None = None
+    frames: Frames,
+    geometry: GridGeometry,
+    frame_rate: float,
+    model: Model | None = None,
+    masks: Frames | None = None,
 ) -> dict[str, NDArray[Any]]:
     """Turn a block of frames into a block of the cube.
 
@@ -41,11 +47,13 @@ def measure(
     frames : mapping of str to sequence of n + 5 (ndarray or None)
         Per camera, consecutive frames: two before the first step, the n + 1 frames of the n steps, two after
         the last. None where a frame is absent, as at the ends of a record.
-    plan : Plan
-        Rig, grid, settings and what is known of the record (`learn`); without that it is learned from these
-        frames, and another block of the record would be weighed a little differently.
+    geometry : GridGeometry
+        Rig, grid and settings.
     frame_rate : float
         Frames per second, Hz.
+    model : Model, optional
+        What was learned of the record. If left out, it is learned from these frames, and another chunk of the
+        record would be weighted slightly differently.
     masks : mapping of str to sequence of n + 5 (ndarray of bool or None), optional
         Per camera, for every frame, True where its pixels do not count.
 
@@ -68,35 +76,36 @@ def measure(
     without u . grad z, so that the residual z_t - w + u . grad z is what surfaces and displacements disagree
     by, whatever the current.
     """
-    lengths = {len(frames[n]) for n in plan.cameras if n in frames}
+    lengths = {len(frames[n]) for n in geometry.cameras if n in frames}
     if len(lengths) != 1 or min(lengths) < 2 * AROUND + 2:
         raise ValueError(
             f"every camera needs the same number of frames, at least {2 * AROUND + 2}; got {sorted(lengths)}"
         )
     steps = lengths.pop() - 2 * AROUND - 1
-    out = _empty(steps, plan)
-    if plan.record is None:
+    out = _empty(steps, geometry)
+    if model is None:
         samples = [1 + k for k in sample_steps(steps + 2)]
         pairs = [_pair(frames, k) for k in samples]
-        record = learn(pairs, plan, [_pair(masks, k) for k in samples] if masks else None)
+        record = learn(pairs, geometry, [_pair(masks, k) for k in samples] if masks else None)
         if record is None:
             return out
-        plan = plan.with_prior(record)
-    assert plan.record is not None
-    beside = plan.record.path_frames // 2 - 1  # steps either way whose displacements are wanted
+        model = Model(geometry, record)
+    beside = model.record.path_frames // 2 - 1  # steps either way whose displacements are wanted
     window: list[Instant] = []
     moves: list[Flows] = []
     for number in range(steps + 2 * AROUND + 1):
         covered = {name: masks[name][number] for name in masks} if masks else None
-        window.append(measure_instant({name: frames[name][number] for name in frames}, plan, covered))
+        window.append(
+            measure_instant({name: frames[name][number] for name in frames}, geometry, model, covered)
+        )
         if AROUND - beside < number <= steps + AROUND + beside:
-            moves.append(flows(window[-2].images, window[-1].images, plan))
+            moves.append(flows(window[-2].images, window[-1].images, geometry.settings.piv, model))
         if number:  # not wanted any more, or a neighbour of neighbours whose z alone is
             window[-2] = window[-2].followed()
         if len(window) == 2 * AROUND + 2:
             step = number - 2 * AROUND - 1
             row = {name: field[step : step + 1] for name, field in out.items()}
-            _step(window, moves[: 2 * beside + 1], plan, frame_rate, row)
+            _step(window, moves[: 2 * beside + 1], geometry, model, frame_rate, row)
             window.pop(0)
             moves.pop(0)
     return out
@@ -106,11 +115,11 @@ def _pair(frames: Frames, k: int) -> tuple[dict[str, NDArray[Any] | None], dict[
     return {n: f[k] for n, f in frames.items()}, {n: f[k + 1] for n, f in frames.items()}
 
 
-def _empty(steps: int, plan: Plan) -> dict[str, NDArray[Any]]:
+def _empty(steps: int, geometry: GridGeometry) -> dict[str, NDArray[Any]]:
     out: dict[str, NDArray[Any]] = {}
     for name in CUBE_FIELDS:
         dtype = np.dtype(TABLE[name].dtype)
-        out[name] = np.full((steps, *plan.grid.shape), np.nan if dtype.kind == "f" else 0, dtype)
+        out[name] = np.full((steps, *geometry.grid.shape), np.nan if dtype.kind == "f" else 0, dtype)
     out["frame_status"] = np.full(steps, FrameStatus.FAILED, np.dtype(TABLE["frame_status"].dtype))
     return out
 
@@ -118,38 +127,39 @@ def _empty(steps: int, plan: Plan) -> dict[str, NDArray[Any]]:
 def _step(
     window: Sequence[Instant],
     moves: Sequence[Flows],
-    plan: Plan,
+    geometry: GridGeometry,
+    model: Model,
     frame_rate: float,
     out: dict[str, NDArray[Any]],
 ) -> None:
     """Fill one step, the only row of ``out``; what cannot be measured stays NaN."""
     _, before, first, second, after, _ = window
     missing = first.missing | second.missing
-    out["quality"][:] = _without(missing, plan)
+    out["quality"][:] = _without(missing, geometry)
     if first.surface is None or second.surface is None:
         return
     if before.surface is None or after.surface is None:
         out["quality"][:] |= np.uint16(Quality.TWO_FRAME_MEAN)
-    seen = _measure_sample(window, moves, plan, frame_rate)
+    seen = _measure_sample(window, moves, geometry, model, frame_rate)
     if seen is None:
         return
     surfaces, moved = seen.surfaces, seen.moved
     z, z_std, rise = seen.at.z, seen.at.std, seen.at.rise
     missing |= seen.left_out
-    out["quality"][:] |= _without(seen.left_out, plan)
+    out["quality"][:] |= _without(seen.left_out, geometry)
     for name, where in moved.regions.items():
-        out["quality"][0][where] |= _without({name}, plan)
+        out["quality"][0][where] |= _without({name}, geometry)
     inside = np.ones(z.shape, bool)
-    for name in plan.cameras:
+    for name in geometry.cameras:
         if name not in missing:
-            inside &= plan.sights[name].sees(*plan.sights[name].position(seen.height))
-    masked = inside & masked_nodes((first.covered, second.covered), missing, z, plan)
+            inside &= geometry.sights[name].sees(*geometry.sights[name].position(seen.height))
+    masked = inside & masked_nodes((first.covered, second.covered), missing, z, geometry)
     inside &= ~masked
     first_surface, second_surface = surfaces[2], surfaces[3]
     assert first_surface is not None
     assert second_surface is not None
     quality = first_surface.quality | second_surface.quality | moved.quality
-    beyond = _beyond(surfaces[1:5], plan)
+    beyond = _beyond(surfaces[1:5], geometry)
     quality[beyond] |= np.uint16(Quality.REJECTED_RANGE | Quality.FILLED)
     apart = np.uint16(Quality.REJECTED_EPS | Quality.FILLED)
     quality = np.where(first_surface.apart | second_surface.apart, quality | apart, quality)
@@ -158,17 +168,16 @@ def _step(
     nothing = np.where(masked, np.uint16(Quality.MASKED), np.uint16(Quality.OUTSIDE))
     out["quality"][:] |= np.where(inside, quality, nothing)
     known = inside & ~filled  # what is made up in holes says nothing of the rest
-    assert plan.record is not None
-    temporal_truncation = plan.record.temporal_truncation
+    temporal_truncation = model.record.temporal_truncation
     left_out = np.zeros_like(moved.d)
     for places in np.unique(moved.frames[inside]):
         parts = temporal_truncation.of_displacement(int(places), moved.d, known)
         left_out = np.where(moved.frames == places, parts, left_out)
     d, d_std = moved.d.copy(), np.hypot(moved.d_std, left_out)
-    beyond_water, its_std = bead_tilt(rise, plan.grid.step, plan.settings.bead_height)
+    beyond_water, its_std = bead_tilt(rise, geometry.grid.step, geometry.settings.bead_height)
     d[:2] -= beyond_water
     d_std[:2] = np.hypot(d_std[:2], its_std)
-    z_y, z_x = (slope(z, plan.grid.step, axis) for axis in (0, 1))
+    z_y, z_x = (slope(z, geometry.grid.step, axis) for axis in (0, 1))
     fields = {
         "z": z,
         "z_t": (rise - d[0] * z_x - d[1] * z_y) * frame_rate,
@@ -201,7 +210,11 @@ class _Seen:
 
 
 def _measure_sample(
-    window: Sequence[Instant], moves: Sequence[Flows], plan: Plan, frame_rate: float
+    window: Sequence[Instant],
+    moves: Sequence[Flows],
+    geometry: GridGeometry,
+    model: Model,
+    frame_rate: float,
 ) -> _Seen | None:
     """Surfaces and motion of a step; None if nothing can be said of it.
 
@@ -209,31 +222,32 @@ def _measure_sample(
     cameras contradict each other along paths of six frames, those of four are looked at.
     """
     surfaces: list[Surface | None] = [instant.surface for instant in window]
-    seen = _follow(surfaces, moves, plan, frame_rate)
+    seen = _follow(surfaces, moves, geometry, model.record, frame_rate)
     if seen is None:
         return None
     moved = seen.moved
     if moved.inconsistent and len(moves) > 3:
-        return _measure_sample(window, moves[1:-1], plan, frame_rate)
+        return _measure_sample(window, moves[1:-1], geometry, model, frame_rate)
     if not (moved.left_out or moved.regions):
         return seen
     left_out: frozenset[str] = frozenset()
     if moved.left_out:
         left_out = frozenset({moved.left_out})
-        surfaces = [instant.without(moved.left_out, plan) for instant in window]
+        surfaces = [instant.without(moved.left_out, geometry, model) for instant in window]
         if surfaces[2] is None or surfaces[3] is None:
             return None
         moves = [{n: f for n, f in flow.items() if n not in left_out} for flow in moves]
     else:
-        surfaces = [_repaired(instant, moved.regions, plan) for instant in window]
-    seen = _follow(surfaces, moves, plan, frame_rate, moved.regions)
+        surfaces = [_repaired(instant, moved.regions, geometry, model) for instant in window]
+    seen = _follow(surfaces, moves, geometry, model.record, frame_rate, moved.regions)
     return None if seen is None else replace(seen, left_out=left_out)
 
 
 def _follow(
     surfaces: Sequence[Surface | None],
     moves: Sequence[Flows],
-    plan: Plan,
+    geometry: GridGeometry,
+    record: LearnedRecord,
     frame_rate: float,
     without: Mapping[str, NDArray[np.bool_]] | None = None,
 ) -> _Seen | None:
@@ -241,51 +255,55 @@ def _follow(
     first, second = surfaces[AROUND : AROUND + 2]
     assert first is not None
     assert second is not None
-    level, jitters = _unsteady(surfaces, plan, frame_rate)
-    moved = motion_at(moves, np.float32(0.5) * (first.z + second.z), plan)
+    level, jitters = _unsteady(surfaces, geometry, frame_rate)
+    moved = motion_at(moves, np.float32(0.5) * (first.z + second.z), geometry, record)
     if moved is None:
         return None
-    height = at_mid_time(surfaces, moved, plan.x, plan.y).z
-    moved = velocity(moves, height, plan, without, jitters)
+    height = at_mid_time(surfaces, moved, geometry.x, geometry.y).z
+    moved = velocity(moves, height, geometry, record, without, jitters)
     if moved is None:
         return None
-    at = at_mid_time(surfaces, moved, plan.x, plan.y)
-    if plan.settings.sheet_thickness is not None:  # it does not rise
+    at = at_mid_time(surfaces, moved, geometry.x, geometry.y)
+    if geometry.settings.sheet_thickness is not None:  # it does not rise
         at = replace(at, rise=np.zeros_like(at.rise))
     return _Seen(surfaces, height, moved, replace(at, std=np.hypot(at.std, np.float32(_SIX * level))))
 
 
-def _unsteady(surfaces: Sequence[Surface | None], plan: Plan, frame_rate: float) -> tuple[float, float]:
+def _unsteady(
+    surfaces: Sequence[Surface | None], geometry: GridGeometry, frame_rate: float
+) -> tuple[float, float]:
     """How far the level of z moves as no water does, metres; motion of the pictures that explains it, px."""
     known = [one for one in surfaces if one is not None]
     usable = np.logical_and.reduce([(one.quality & Quality.MEASURED) > 0 for one in known])
-    if len(known) < len(surfaces) or usable.sum() < _FEW or plan.settings.sheet_thickness is not None:
+    if len(known) < len(surfaces) or usable.sum() < _FEW or geometry.settings.sheet_thickness is not None:
         return 0.0, 0.0
     # waves of half the field's width and more move its mean
-    shortest = 0.5 * max(min(np.ptp(plan.x), np.ptp(plan.y)), plan.grid.step)
+    shortest = 0.5 * max(min(float(np.ptp(geometry.x)), float(np.ptp(geometry.y))), geometry.grid.step)
     turn = float(np.sqrt(2.0 * np.pi * GRAVITY / shortest)) / frame_rate
     level = unsteady([float(one.z[usable].mean(dtype=np.float64)) for one in known], turn)
-    motion = np.sqrt(2.0) * motion_for(level, plan.parallaxes(plan.pairs)) / plan.pixel
+    motion = np.sqrt(2.0) * motion_for(level, geometry.parallaxes(geometry.pairs)) / geometry.pixel
     return level, float(motion)
 
 
-def _without(cameras: Collection[str], plan: Plan) -> np.uint16:
+def _without(cameras: Collection[str], geometry: GridGeometry) -> np.uint16:
     """Bits of `Quality` for nodes that the other cameras measured."""
     bits = Quality(0)
     for name in cameras:
-        bits |= Quality.without(plan.cameras.index(name))
+        bits |= Quality.without(geometry.cameras.index(name))
     return np.uint16(bits)
 
 
-def _repaired(instant: Instant, regions: Mapping[str, NDArray[np.bool_]], plan: Plan) -> Surface | None:
+def _repaired(
+    instant: Instant, regions: Mapping[str, NDArray[np.bool_]], geometry: GridGeometry, model: Model
+) -> Surface | None:
     """An instant's surface with that of the other cameras where one contradicts them."""
     surface = instant.surface
-    if plan.settings.sheet_thickness is not None:
+    if geometry.settings.sheet_thickness is not None:
         return surface
     for name, where in regions.items():
-        if surface is None or name in instant.missing or name not in plan.surface_cameras:
+        if surface is None or name in instant.missing or name not in geometry.surface_cameras:
             continue
-        other = instant.without(name, plan)
+        other = instant.without(name, geometry, model)
         if other is None:  # nobody else is there: what is made of it is not to be trusted
             surface = replace(surface, apart=surface.apart | where)
             continue
@@ -315,8 +333,8 @@ def _left_out_of_z(
     return out * typical(rise, known) / max(float(np.sqrt(np.mean(np.square(rise[known])))), 1e-12)
 
 
-def _beyond(surfaces: Sequence[Surface | None], plan: Plan) -> NDArray[np.bool_]:
+def _beyond(surfaces: Sequence[Surface | None], geometry: GridGeometry) -> NDArray[np.bool_]:
     """Nodes at which a surface with much to say of z at mid-time stands where none was searched, (ny, nx)."""
-    lowest, highest = plan.z_range
+    lowest, highest = geometry.z_range
     found = [(one.z < lowest) | (one.z > highest) for one in surfaces if one is not None]
     return np.asarray(np.logical_or.reduce(found))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.matching import Reason
 from wavefield.measurement.frame import BETWEEN_CAMERAS, sharpened
-from wavefield.measurement.plan import Plan
+from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.rectify import rectify, widen
 from wavefield.robust import robust_std
 from wavefield.variables import Quality
@@ -42,41 +42,42 @@ class PairMatch:
 
 
 def prepare(
-    image: NDArray[Any], camera: str, plan: Plan, mask: matching.prepared.Mask | None = None
+    image: NDArray[Any], camera: str, geometry: GridGeometry, mask: matching.prepared.Mask | None = None
 ) -> matching.PreparedImage:
     """Rectify a raw image and make it ready for matching.
 
     With image (row, column).
     """
     sharp = sharpened(image, BETWEEN_CAMERAS)
-    flat = widen(rectify(sharp, *plan.maps[camera]), *plan.blur[camera])
-    return matching.prepare(flat, plan.settings.stereo, mask=mask or plan.masks[camera])
+    flat = widen(rectify(sharp, *geometry.views[camera].maps), *geometry.views[camera].blur)
+    return matching.prepare(flat, geometry.settings.stereo, mask=mask or geometry.views[camera].mask)
 
 
 def match_pair(
-    a: matching.PreparedImage, b: matching.PreparedImage, pair: tuple[str, str], plan: Plan
+    a: matching.PreparedImage, b: matching.PreparedImage, pair: tuple[str, str], geometry: GridGeometry
 ) -> PairMatch:
     """Match two rectified images of one instant.
 
     x_a, x_b: apparent positions; d = x_b - x_a = -(D_b - D_a) z, so z = -(dD . d) / |dD|^2 and
     eps_Y = (dD_y d_x - dD_x d_y) / |dD|.
     """
-    settings = plan.stereo_settings(pair)
+    settings = geometry.stereo_settings(pair)
     found = matching.match(a, b, settings)
-    pixel = np.float32(plan.pixel)
+    pixel = np.float32(geometry.pixel)
+    x, y = (v.astype(np.float32) for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))
     d = np.stack([found.u, found.v]) * pixel
-    parallax = np.stack(
-        _sight(plan.rig[pair[1]].centre, plan.block_x + d[0], plan.block_y + d[1])
-    ) - np.stack(_sight(plan.rig[pair[0]].centre, plan.block_x, plan.block_y))
+    parallax = np.stack(_sight(geometry.rig[pair[1]].centre, x + d[0], y + d[1])) - np.stack(
+        _sight(geometry.rig[pair[0]].centre, x, y)
+    )
     length = np.sqrt(parallax[0] ** 2 + parallax[1] ** 2)
     eps_y = (parallax[1] * d[0] - parallax[0] * d[1]) / length
     z = -(parallax[0] * d[0] + parallax[1] * d[1]) / length**2
     rejected = why_rejected(found.reason)
-    rejected[(z < plan.z_range[0]) | (z > plan.z_range[1])] |= np.uint16(Quality.REJECTED_RANGE)
+    rejected[(z < geometry.z_range[0]) | (z > geometry.z_range[1])] |= np.uint16(Quality.REJECTED_RANGE)
     matched = rejected == 0
     if matched.any():
         spread = robust_std(eps_y[matched])
-        limit = max(plan.settings.eps_limit * spread, plan.settings.eps_floor * plan.pixel)
+        limit = max(geometry.settings.eps_limit * spread, geometry.settings.eps_floor * geometry.pixel)
         rejected[np.abs(eps_y) > limit] |= np.uint16(Quality.REJECTED_EPS)
     return PairMatch(pair, d, parallax, eps_y, rejected, matched, settings, found)
 

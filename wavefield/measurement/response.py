@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.prior import Prior
+from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.learned_record import LearnedRecord
-from wavefield.measurement.plan import Plan
 
 Float = NDArray[np.floating[Any]]
 
@@ -21,29 +21,31 @@ DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
 _NUMBERS = 200  # of wavenumber, up to the corner of what the grid resolves
 
 
-def tabulated(plan: Plan) -> dict[str, Float]:
-    """Gains of a plan as they are stored with a cube.
+def tabulated(geometry: GridGeometry, record: LearnedRecord | None) -> dict[str, Float]:
+    """Gains of a geometry as they are stored with a cube.
 
     Returns ``direction`` (8,), rad, over half a turn.
     """
-    k = np.linspace(0, np.sqrt(2) * np.pi / plan.grid.step, _NUMBERS)
+    k = np.linspace(0, np.sqrt(2) * np.pi / geometry.grid.step, _NUMBERS)
     direction = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
     unknown = np.full((DIRECTIONS, _NUMBERS), np.nan)
     found = dict.fromkeys("zuvw", unknown)
-    if plan.record is not None:
-        found = gains(plan, k * np.cos(direction[:, None]), k * np.sin(direction[:, None]))
-        if plan.settings.sheet_thickness is not None:
+    if record is not None:
+        found = gains(geometry, record, k * np.cos(direction[:, None]), k * np.sin(direction[:, None]))
+        if geometry.settings.sheet_thickness is not None:
             found["z"] = unknown
     return {"direction": direction, "k": k} | {f"gain_{name}": values for name, values in found.items()}
 
 
-def gains(plan: Plan, kx: Float, ky: Float) -> dict[str, Float]:
-    """Amplitude gains of what a plan measures.
+def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> dict[str, Float]:
+    """Amplitude gains of what a geometry measures.
 
     Parameters
     ----------
-    plan : Plan
-        Of a measurement, its record learned.
+    geometry : GridGeometry
+        Of the measurement.
+    record : LearnedRecord
+        What was learned of its record.
     kx, ky : ndarray
         Wavenumbers, rad/m.
 
@@ -58,74 +60,70 @@ def gains(plan: Plan, kx: Float, ky: Float) -> dict[str, Float]:
     that were learned from sample frames; for velocities each camera's displacement in its own pixels at the
     middle of the grid, then the least squares of all.
     """
-    velocity = gain_of_velocity(plan, kx, ky)
+    velocity = gain_of_velocity(geometry, record, kx, ky)
     out = {name: velocity[..., i, i] for i, name in enumerate("uvw")}
-    return {"z": gain_of_elevation(plan, kx, ky)} | out
+    return {"z": gain_of_elevation(geometry, record, kx, ky)} | out
 
 
-def shortest_carried(plan: Plan, better: float | Mapping[str, float] = 1.0) -> dict[str, float]:
+def shortest_carried(
+    geometry: GridGeometry, record: LearnedRecord, better: float | Mapping[str, float] = 1.0
+) -> dict[str, float]:
     """Wavelengths of which the measurement keeps half, by linear theory."""
-    assert plan.record is not None
-    each = better if isinstance(better, Mapping) else dict.fromkeys(plan.cameras, better)
-    both = 1.0 / float(np.mean([1.0 / each[name] for name in plan.surface_cameras]))  # noises add
+    each = better if isinstance(better, Mapping) else dict.fromkeys(geometry.cameras, better)
+    both = 1.0 / float(np.mean([1.0 / each[name] for name in geometry.surface_cameras]))  # noises add
     record = replace(
-        plan.record,
-        elevation=_information_weight(plan.record.elevation, both),
+        record,
+        elevation=_information_weight(record.elevation, both),
         displacement=tuple(
-            (name, _information_weight(prior, each[name])) for name, prior in plan.record.displacement
+            (name, _information_weight(prior, each[name])) for name, prior in record.displacement
         ),
     )
-    k = np.linspace(0.0, np.pi / plan.grid.step, 600)
+    k = np.linspace(0.0, np.pi / geometry.grid.step, 600)
     angle = np.arange(8)[:, None] * np.pi / 8
     kx, ky = k * np.cos(angle), k * np.sin(angle)
-    velocity = gain_of_velocity(plan, kx, ky, record)
-    fields = {"z": gain_of_elevation(plan, kx, ky, record)}
+    velocity = gain_of_velocity(geometry, record, kx, ky)
+    fields = {"z": gain_of_elevation(geometry, record, kx, ky)}
     fields |= {name: velocity[..., i, i] for i, name in enumerate("uvw")}
     out = {}
     for name, gain in fields.items():
         below = np.flatnonzero(gain.mean(axis=0) < 0.5)
-        out[name] = float(2 * np.pi / k[max(below[0], 1)]) if below.size else 2.0 * plan.grid.step
+        out[name] = float(2 * np.pi / k[max(below[0], 1)]) if below.size else 2.0 * geometry.grid.step
     return out
 
 
-def in_focus(plan: Plan) -> dict[str, float]:
+def in_focus(record: LearnedRecord) -> dict[str, float]:
     """What every block of a camera would tell more if its beads' images were two pixels wide.
 
     The same light in a spot of width s has gradients whose squares sum up to s^-4.
     """
-    assert plan.record is not None
-    return {name: max(plan.record.width(name) / _SHARP, 1.0) ** 4 for name in plan.cameras}
+    return {name: max(record.width(name) / _SHARP, 1.0) ** 4 for name, _ in record.beads}
 
 
 def _information_weight(prior: Prior, factor: float) -> Prior:
     return replace(prior, information=prior.information * factor)
 
 
-def gain_of_elevation(plan: Plan, kx: Float, ky: Float, record: LearnedRecord | None = None) -> Float:
+def gain_of_elevation(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> Float:
     """Gain of z.
 
     With kx, ky, rad/m.
     """
-    record = record or plan.record
-    assert record is not None
-    step = BLOCK * plan.pixel
+    step = BLOCK * geometry.pixel
     gain: Float = _between_blocks(record.elevation, kx * step, ky * step)[0]
-    gain /= 1.0 + plan.settings.smoothing * (np.square(kx * step) + np.square(ky * step)) ** 2
+    gain /= 1.0 + geometry.settings.smoothing * (np.square(kx * step) + np.square(ky * step)) ** 2
     return gain
 
 
-def gain_of_velocity(plan: Plan, kx: Float, ky: Float, record: LearnedRecord | None = None) -> Float:
+def gain_of_velocity(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> Float:
     """Displacement measured for one that is there, at the middle of the grid.
 
     With kx, ky S, rad/m; returns S + (3, 3): Measured (dx, dy, dz) by true (dx, dy, dz): each camera's gain
     in its own pixels, then the least squares of all.
     """
-    record = record or plan.record
-    assert record is not None
-    grid = plan.grid
+    grid = geometry.grid
     middle = 0.5 * (grid.x[0] + grid.x[1]), 0.5 * (grid.y[0] + grid.y[1])
     priors = dict(record.displacement)
-    jacobians: list[Any] = [plan.binned[name].jacobian(*middle, 0.0) for name in priors]
+    jacobians: list[Any] = [geometry.sights[name].camera.jacobian(*middle, 0.0) for name in priors]
     inverse = np.linalg.pinv(np.concatenate(jacobians))
     out = np.zeros((*np.broadcast_shapes(np.shape(kx), np.shape(ky)), 3, 3))
     for i, (prior, jacobian) in enumerate(zip(priors.values(), jacobians)):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wavefield.measurement.first_guess import beyond, borne_out, shifts
 from wavefield.measurement.first_heights import first_heights
 from wavefield.measurement.frame import ready, usable
-from wavefield.measurement.plan import Plan
+from wavefield.measurement.geometry import GridGeometry
 from wavefield.variables import Quality
 
 _BORDER = 0.03  # of the range of elevations: nearer to an end, what lies beyond is not seen
@@ -47,7 +47,7 @@ def few_measured(quality: NDArray[np.uint8]) -> bool:
     return bool(measured.size) and bool(measured.mean() < _FEW)
 
 
-def rose_beyond(images: Mapping[str, NDArray[Any] | None], plan: Plan) -> bool:
+def rose_beyond(images: Mapping[str, NDArray[Any] | None], geometry: GridGeometry) -> bool:
     """Whether the water of an instant stands higher or lower than is searched, by a look far beyond.
 
     With images (row, column).
@@ -55,22 +55,24 @@ def rose_beyond(images: Mapping[str, NDArray[Any] | None], plan: Plan) -> bool:
 
     def read(name: str, _: int) -> NDArray[Any] | None:
         image = images.get(name)
-        if image is None or not usable(image, plan.rig[name].size):
+        if image is None or not usable(image, geometry.rig[name].size):
             return None
-        return ready(image, plan.binning[name])
+        return ready(image, geometry.sights[name].binning)
 
-    found = first_heights(read, plan, [0])
-    return bool(found.found) and (found.z[0] < plan.z_range[0] or found.z[1] > plan.z_range[1])
+    found = first_heights(read, geometry, [0])
+    return bool(found.found) and (found.z[0] < geometry.z_range[0] or found.z[1] > geometry.z_range[1])
 
 
-def moved_beyond(one: NDArray[Any] | None, other: NDArray[Any] | None, name: str, plan: Plan) -> bool:
+def moved_beyond(
+    one: NDArray[Any] | None, other: NDArray[Any] | None, name: str, geometry: GridGeometry
+) -> bool:
     """Whether a camera's image moved further than is searched, by a look far beyond.
 
     With one, other (row, column).
     """
-    size, count = plan.rig[name].size, plan.binning[name]
+    size, count = geometry.rig[name].size, geometry.sights[name].binning
     if one is None or other is None or not usable(one, size) or not usable(other, size):
         return False
     a, b = (np.asarray(ready(image, count), np.float32) for image in (one, other))
     moved = shifts(a, b)
-    return beyond(plan.settings, borne_out(moved[:, :2]))
+    return beyond(geometry.settings, borne_out(moved[:, :2]))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from wavefield.errors import CalibrationError
 from wavefield.measurement import pair_surface
 from wavefield.measurement.frame import ready, usable
-from wavefield.measurement.plan import Plan
+from wavefield.measurement.geometry import GridGeometry
 
 _APART = 5  # blocks: nearer ones share their window, and say the same
 
@@ -17,32 +17,34 @@ _APART = 5  # blocks: nearer ones share their window, and say the same
 def matched_pixels(
     read: Callable[[str, int], NDArray[Any] | None],
     frames: Sequence[int],
-    plan: Plan,
+    geometry: GridGeometry,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, NDArray[np.float64]]:
     """Match the cameras' images of some instants.
 
     Returns (n, 2): Pixels (column, row) of the same pieces of surface in each camera.
     """
-    rig = plan.rig
+    rig = geometry.rig
     cells = np.s_[::_APART, ::_APART]
-    x, y = (v[cells] for v in np.meshgrid(plan.lattice.x, plan.lattice.y))
-    parts: dict[str, list[NDArray[np.float64]]] = {name: [] for name in plan.surface_cameras}
+    x, y = (v[cells] for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))
+    parts: dict[str, list[NDArray[np.float64]]] = {name: [] for name in geometry.surface_cameras}
     for done, index in enumerate(frames, 1):
-        images = {name: read(name, index) for name in plan.surface_cameras}
+        images = {name: read(name, index) for name in geometry.surface_cameras}
         if all(usable(image, rig[name].size) for name, image in images.items()):
             flat = {
-                name: pair_surface.prepare(ready(np.asarray(image), plan.binning[name]), name, plan)
+                name: pair_surface.prepare(
+                    ready(np.asarray(image), geometry.sights[name].binning), name, geometry
+                )
                 for name, image in images.items()
             }
             valid = np.zeros(x.shape, bool)
             found = {}
-            for a, b in plan.pairs:
-                match = pair_surface.match_pair(flat[a], flat[b], (a, b), plan)
+            for a, b in geometry.pairs:
+                match = pair_surface.match_pair(flat[a], flat[b], (a, b), geometry)
                 dx, dy = (np.where(match.matched, d, np.nan)[cells] for d in match.difference)
                 found[b] = np.stack(rig[b].project(x + dx, y + dy, 0.0), axis=-1)
                 valid |= match.matched[cells]
-            found[plan.reference] = np.stack(rig[plan.reference].project(x, y, 0.0), axis=-1)
+            found[geometry.reference] = np.stack(rig[geometry.reference].project(x, y, 0.0), axis=-1)
             for name, pixels in found.items():
                 parts[name].append(pixels[valid])
         if progress:

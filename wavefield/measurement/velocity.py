@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from wavefield.measurement.camera_jitter import left_over, line_of, of_the_water
 from wavefield.measurement.flow import CameraFlow, Flows
+from wavefield.measurement.geometry import GridGeometry
+from wavefield.measurement.learned_record import LearnedRecord
+from wavefield.measurement.measurement_settings import Settings
 from wavefield.measurement.outlier_detection import MISFIT, NODE, median_misfit, outlier_camera, regions
 from wavefield.measurement.paths import five, noise_weights, read_path
-from wavefield.measurement.plan import Plan
 from wavefield.measurement.sight import Sight
 from wavefield.rig.stereo import solve_displacement
 from wavefield.variables import Quality
@@ -114,7 +116,8 @@ class CameraDisplacements:
 def velocity(
     steps: Sequence[Flows | None],
     z: NDArray[Any],
-    plan: Plan,
+    geometry: GridGeometry,
+    record: LearnedRecord,
     without: Mapping[str, NDArray[np.bool_]] | None = None,
     unsteady: float = 0.0,
 ) -> Motion | None:
@@ -134,20 +137,21 @@ def velocity(
     names = _cameras(steps)
     if len(names) < 2:
         return None
-    seen = displacements_at_nodes(names, steps, z, plan)
-    motion = _solved(seen, plan, unsteady)
+    seen = displacements_at_nodes(names, steps, z, geometry, record)
+    parts = shares(geometry.settings, record)
+    motion = _solved(seen, parts, record, unsteady)
     known = (seen.rejected == 0).all(axis=0)
 
     @cache
     def by_others(n: int) -> Motion:
-        return _solved(_others(seen, n), plan, unsteady)
+        return _solved(_others(seen, n), parts, record, unsteady)
 
     def misfit_without(n: int) -> Float:
         return by_others(n).misfit
 
     outlier = None
     if without is None:
-        reach = max(1, round(_REACH * plan.pixel / plan.grid.step))
+        reach = max(1, round(_REACH * geometry.pixel / geometry.grid.step))
         found = regions(motion.misfit, known, len(names), misfit_without, reach)
         typical = median_misfit(motion.misfit, known)
         outlier = outlier_camera(len(names), typical, lambda n: median_misfit(misfit_without(n), known))
@@ -166,10 +170,15 @@ def velocity(
     return replace(motion, quality=motion.quality | against)
 
 
-def motion_at(steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan) -> Motion | None:
+def motion_at(
+    steps: Sequence[Flows | None], z: NDArray[Any], geometry: GridGeometry, record: LearnedRecord
+) -> Motion | None:
     """As `velocity`, by all cameras, whether they contradict each other or not."""
     names = _cameras(steps)
-    return None if len(names) < 2 else _solved(displacements_at_nodes(names, steps, z, plan), plan)
+    if len(names) < 2:
+        return None
+    seen = displacements_at_nodes(names, steps, z, geometry, record)
+    return _solved(seen, shares(geometry.settings, record), record)
 
 
 def _cameras(steps: Sequence[Flows | None]) -> list[str]:
@@ -192,7 +201,11 @@ def _others(seen: CameraDisplacements, n: int) -> CameraDisplacements:
 
 
 def displacements_at_nodes(
-    names: Sequence[str], steps: Sequence[Flows | None], z: NDArray[Any], plan: Plan
+    names: Sequence[str],
+    steps: Sequence[Flows | None],
+    z: NDArray[Any],
+    geometry: GridGeometry,
+    record: LearnedRecord,
 ) -> CameraDisplacements:
     """What each camera has at the nodes."""
     count, shape = len(names), z.shape
@@ -203,9 +216,9 @@ def displacements_at_nodes(
     along, own = np.ones((2, 2 * count))
     frames = np.full(shape, 6, np.uint8)
     axes = np.empty((count, 3))
-    middle = np.array([np.mean(plan.x), np.mean(plan.y), 0.0])
+    middle = np.array([np.mean(geometry.x), np.mean(geometry.y), 0.0])
     for n, name in enumerate(names):
-        sight = plan.sights[name]
+        sight = geometry.sights[name]
         at = sight.at(z)
         X, Y = at[0], at[1]
         inside = sight.sees(X, Y)
@@ -219,10 +232,10 @@ def displacements_at_nodes(
         here = path[len(path) // 2]
         assert here is not None
         along[rows] = here.along
-        own[rows] = 1.0 if plan.record is None else plan.record.own_noise(name)
+        own[rows] = record.own_noise(name)
         rejected[n] = np.where(inside, here.rejected.ravel()[block[2]], np.uint16(Quality.OUTSIDE))
         frames = np.where(inside, np.minimum(frames, _frames_of(block)), frames)
-    line = line_of([plan.rig[name].centre for name in names])
+    line = line_of([geometry.rig[name].centre for name in names])
     return CameraDisplacements(
         jacobian, moved, noise, missing, along, own, rejected, frames, line, chord, bend, axes
     )
@@ -261,10 +274,8 @@ def _at_blocks(field: Float, block: NDArray[np.int64]) -> Float:
     return np.asarray(np.take(field.reshape(len(field), -1), block, axis=1))
 
 
-def _solved(seen: CameraDisplacements, plan: Plan, unsteady: float = 0.0) -> Motion:
+def _solved(seen: CameraDisplacements, parts: Float, record: LearnedRecord, unsteady: float = 0.0) -> Motion:
     """Least squares over the cameras."""
-    record = plan.record
-    assert record is not None
     rows = np.sqrt(seen.variance), np.sqrt(seen.noise_of_each)
     J, std, noise = np.moveaxis(seen.jacobian, (0, 1), (-2, -1)), *(np.moveaxis(row, 0, -1) for row in rows)
 
@@ -279,11 +290,10 @@ def _solved(seen: CameraDisplacements, plan: Plan, unsteady: float = 0.0) -> Mot
     trusted = seen.rejected == 0
     weight = np.isfinite(seen.moved[::2]).astype(np.float64)
     weight /= np.maximum(weight.sum(axis=0), 1.0)
-    parts = shares(plan)
     taken = 0.5 * (seen.missing[::2] + seen.missing[1::2])
     missing = (weight * taken / signal(seen, parts)).sum(axis=0)
     variance = np.moveaxis(np.square(d_std), -1, 0)
-    variance += missing * np.asarray(parts)[:, None, None]
+    variance += missing * parts[:, None, None]
     along, across = np.maximum(seen.camera_jitter()[1], record.camera_jitter)
     size = max(along, unsteady), across
     shaken = of_the_water(seen.jacobian, 1.0 / seen.variance, seen.determined, seen.line, size)
@@ -296,13 +306,12 @@ def _solved(seen: CameraDisplacements, plan: Plan, unsteady: float = 0.0) -> Mot
     return Motion(*found, chord, bend)
 
 
-def shares(plan: Plan) -> Sequence[float] | Float:
+def shares(settings: Settings, record: LearnedRecord) -> Float:
     """Relative variances of u, v, w by what the prior removes from waves: of water, or in a light sheet."""
-    assert plan.record is not None
-    return _SHORT_WAVES if plan.settings.sheet_thickness is None else np.square(plan.record.moved)
+    return np.asarray(_SHORT_WAVES if settings.sheet_thickness is None else np.square(record.moved))
 
 
-def signal(seen: CameraDisplacements, parts: Sequence[float] | Float) -> Float:
+def signal(seen: CameraDisplacements, parts: Float) -> Float:
     """Variance in each camera's image, mean of both components, of water that moves so.
 
     Returns (N, ny, nx): Px^2 for metres squared.

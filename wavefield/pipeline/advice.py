@@ -29,7 +29,7 @@ def advise(prepared: PreparedRun, measured: float) -> str:
     """Say what would help, after trying it on the step that was tried."""
     if measured >= ENOUGH or not has_step(prepared.series):
         return ""
-    settings = prepared.plan.settings
+    settings = prepared.geometry.settings
     tried = {name: fraction_measured(_quality(prepared, settings.adjusted(name))) for name in _OTHERS}
     best = max(tried, key=lambda name: tried[name])
     if tried[best] > measured + _GAIN:
@@ -50,10 +50,10 @@ def _why(quality: np.ndarray) -> str:
 
 def _quality(prepared: PreparedRun, settings: Any) -> np.ndarray:
     """Of the step that was tried, measured with some settings."""
-    from wavefield.measurement import Plan
+    from wavefield.measurement import GridGeometry
 
     start = whole_step(prepared.series)
-    plan = Plan(prepared.rig, prepared.grid, settings, covered=prepared.plan.covered)
+    geometry = GridGeometry(prepared.rig, prepared.grid, settings, prepared.geometry.covered)
     rate = prepared.experiment.frame_rate
-    block = measure_block(make_block(prepared.series, start, start + 1), plan, rate)
+    block = measure_block(make_block(prepared.series, start, start + 1), geometry, rate)
     return np.asarray(block.fields["quality"])

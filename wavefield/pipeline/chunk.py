@@ -6,12 +6,15 @@ mid-time. Blocks do not depend on each other, so they can be measured in any ord
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from wavefield.series import Frame
 from wavefield.variables import AROUND, FrameFault, FrameStatus
+
+if TYPE_CHECKING:
+    from wavefield.measurement import GridGeometry, Model
 
 
 class Source(Protocol):
@@ -121,7 +124,9 @@ class BlockMasks(Sequence[np.ndarray | None]):
         return self._source.covered(inside) if 0 <= inside < len(self._source) else None
 
 
-def measure_block(block: Block, plan: Any, frame_rate: float) -> Measured:
+def measure_block(
+    block: Block, geometry: "GridGeometry", frame_rate: float, model: "Model | None" = None
+) -> Measured:
     """Measure all steps of a block."""
     from wavefield.measurement.measure import measure
 
@@ -129,22 +134,24 @@ def measure_block(block: Block, plan: Any, frame_rate: float) -> Measured:
     masks = {name: BlockMasks(source, block) for name, source in block.sources.items()}
     given: Mapping[str, Sequence[np.ndarray | None]] = frames
     stabilizer = None
-    if plan.settings.vibration == "correct":
+    if geometry.settings.vibration == "correct":
         from wavefield.quality.stabilized import Stabilizer
 
-        stabilizer = Stabilizer(frames, plan)
+        stabilizer = Stabilizer(frames, geometry)
         given = stabilizer.sequences()
-    fields = dict(measure(given, plan, frame_rate, masks))
+    fields = dict(measure(given, geometry, frame_rate, model, masks))
     status = np.asarray(fields.pop("frame_status"), np.uint8)
-    _find_dim_frames(frames, status, block, plan)
-    _find_ranges(frames, fields, status, block, plan)
+    _find_dim_frames(frames, status, block, geometry)
+    _find_ranges(frames, fields, status, block, geometry)
     faults = {name: dict(lazy.faults) for name, lazy in frames.items()}
     messages = [lazy.messages[i] for lazy in frames.values() for i in sorted(lazy.messages)]
     shifts = {block.start - AROUND + k: found for k, found in stabilizer.shifts.items()} if stabilizer else {}
     return Measured(fields, status, faults, messages, shifts)
 
 
-def _find_dim_frames(frames: Mapping[str, BlockFrames], status: np.ndarray, block: Block, plan: Any) -> None:
+def _find_dim_frames(
+    frames: Mapping[str, BlockFrames], status: np.ndarray, block: Block, geometry: "GridGeometry"
+) -> None:
     """Name the frames that the measurement found to show next to nothing, though they are not quite blank."""
     from wavefield.measurement.frame import usable
 
@@ -154,7 +161,7 @@ def _find_dim_frames(frames: Mapping[str, BlockFrames], status: np.ndarray, bloc
         for name, lazy in frames.items():
             if index not in lazy.faults:
                 image = lazy[position]
-                if image is not None and not usable(image, plan.rig[name].size):
+                if image is not None and not usable(image, geometry.rig[name].size):
                     lazy.faults[index] = FrameFault.BLANK
                     lazy.messages[index] = f"{name} frame at index {index} shows next to nothing"
 
@@ -164,7 +171,7 @@ def _find_ranges(
     fields: Mapping[str, np.ndarray],
     status: np.ndarray,
     block: Block,
-    plan: Any,
+    geometry: "GridGeometry",
 ) -> None:
     """Mark the frames from which the water went further than is searched; their steps have faults."""
     from wavefield.measurement.search_limits import at_border, few_measured, moved_beyond, rose_beyond
@@ -177,15 +184,15 @@ def _find_ranges(
 
     for step in range(len(status)):
         quality = fields["quality"][step]
-        if status[step] != FrameStatus.FAILED and at_border(fields["z"][step], plan.z_range):
-            mark(plan.reference, step, "the water reaches the border of the elevations searched")
+        if status[step] != FrameStatus.FAILED and at_border(fields["z"][step], geometry.z_range):
+            mark(geometry.reference, step, "the water reaches the border of the elevations searched")
         if status[step] == FrameStatus.FAILED and rose_beyond(
-            {name: lazy[step + AROUND] for name, lazy in frames.items()}, plan
+            {name: lazy[step + AROUND] for name, lazy in frames.items()}, geometry
         ):
-            mark(plan.reference, step, "the water is beyond the elevations that are searched")
+            mark(geometry.reference, step, "the water is beyond the elevations that are searched")
         if few_measured(quality) or status[step] == FrameStatus.FAILED:
-            for name in plan.velocity_cameras:
+            for name in geometry.velocity_cameras:
                 if name in frames and moved_beyond(
-                    frames[name][step + AROUND], frames[name][step + AROUND + 1], name, plan
+                    frames[name][step + AROUND], frames[name][step + AROUND + 1], name, geometry
                 ):
                     mark(name, step, "the water moves further than is searched")

@@ -2,13 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wavefield.pipeline.chunk import Block, measure_block
 from wavefield.store.write_cube import write_block
 from wavefield.variables import FrameStatus
+
+if TYPE_CHECKING:
+    from wavefield.measurement import GridGeometry, Model
 
 
 @dataclass(frozen=True)
@@ -26,12 +29,13 @@ class Work:
     """Measures one block and writes it: what a worker is sent."""
 
     store: Path  # Where to write
-    plan: Any  # Pickles as rig, grid and settings; computed once per process
+    geometry: "GridGeometry"  # Pickles as rig, grid and settings; computed once per process
+    model: "Model | None"  # What was learned of the record
     frame_rate: float  # Hz
 
     def __call__(self, block: Block) -> Report:
         """Measure and write."""
-        measured = measure_block(block, self.plan, self.frame_rate)
+        measured = measure_block(block, self.geometry, self.frame_rate, self.model)
         write_block(
             self.store,
             block.start,

@@ -51,7 +51,7 @@ def measure_cost(prepared: PreparedRun) -> tuple[Cost, float]:
     start = whole_step(prepared.series)
     stop = min(start + 3, prepared.steps)
     pair = {name: one.window(start, start + 2) for name, one in prepared.series.items()}
-    prepared = prepared.with_prior(learn_from([pair], prepared.plan))  # as a run learns; and compiles
+    prepared = prepared.with_prior(learn_from([pair], prepared.geometry))  # as a run learns; and compiles
     one, step = _measured(prepared, start, stop)
     if (one.frame_status == FrameStatus.FAILED).all():
         raise ExperimentError(
@@ -98,7 +98,9 @@ def _measured(prepared: PreparedRun, start: int, stop: int) -> tuple[Measured, f
     block = make_block(prepared.series, start, stop)
     clocked = {name: _Clocked(source) for name, source in block.sources.items()}
     since = time.perf_counter()
-    measured = measure_block(replace(block, sources=clocked), prepared.plan, prepared.experiment.frame_rate)
+    measured = measure_block(
+        replace(block, sources=clocked), prepared.geometry, prepared.experiment.frame_rate, prepared.model
+    )
     whole = time.perf_counter() - since
     frames = block.steps + 2 * AROUND + 1
     gaps = np.diff(next(iter(clocked.values())).asked[:frames])

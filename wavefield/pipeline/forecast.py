@@ -245,7 +245,7 @@ def check(
     prepared, cost, coverage, measured, advice = None, None, None, None, ""
     try:
         prepared = prepare(experiment, rig, workflow)
-        refuse_small_fields(prepared.plan, str(prepared.experiment.path))
+        refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
         if experiment.rest:
             experiment.at_rest().open_frames()  # are they there?
     except (RigError, ExperimentError) as error:

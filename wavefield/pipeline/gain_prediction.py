@@ -6,7 +6,7 @@ import xarray as xr
 
 from wavefield.errors import CubeError
 from wavefield.grid import Grid
-from wavefield.measurement import LearnedRecord, Plan, Settings
+from wavefield.measurement import GridGeometry, LearnedRecord, Settings
 from wavefield.measurement.response import tabulated
 from wavefield.rig import Camera, Rig
 from wavefield.waves.estimation.window_gain import label
@@ -57,5 +57,5 @@ def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
         raise CubeError(
             f"the cube does not state how it was made ({error}): measure the gain of its windows, window_gain"
         ) from None
-    table = tabulated(Plan(rig, grid, settings, record))
+    table = tabulated(GridGeometry(rig, grid, settings), record)
     return label({name: table[f"gain_{name}"] for name in "zuvw"}, table["k"], "linear theory")

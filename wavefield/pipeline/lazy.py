@@ -4,7 +4,7 @@ import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import getitem
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import dask
 import dask.array as da
@@ -22,6 +22,9 @@ from wavefield.rig.resolution import pixel_size
 from wavefield.series import Frame
 from wavefield.series.frames import check_content
 from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, FrameFault, annotate
+
+if TYPE_CHECKING:
+    from wavefield.measurement import GridGeometry, Model
 
 # One task measures a block and one more per variable hands it on: with fewer steps per block the graph of a
 # long series would grow beyond one task for five steps.
@@ -127,16 +130,15 @@ def reconstruct(
     >>> round(float(cube.time[0]), 3)
     0.025
     """
-    from wavefield.measurement import Plan, Settings
-    from wavefield.measurement.bead_tilt import level_std
+    from wavefield.measurement import GridGeometry, Settings
 
     settings = Settings() if settings is None else settings
     arrays, attributes = _arrays(frames)
-    plan = Plan(rig, grid, settings)
-    absent = [name for name in plan.cameras if name not in arrays]
+    geometry = GridGeometry(rig, grid, settings)
+    absent = [name for name in geometry.cameras if name not in arrays]
     if absent:
         raise ExperimentError(f"the frames have no camera {', '.join(absent)}; there are {', '.join(arrays)}")
-    arrays = {name: arrays[name] for name in plan.cameras}
+    arrays = {name: arrays[name] for name in geometry.cameras}
     times, frame_rate = _times(arrays, attributes)
     _check_sizes(arrays, rig)
 
@@ -146,24 +148,24 @@ def reconstruct(
     edges = [(i, min(i + steps_per_task, steps)) for i in range(0, steps, steps_per_task)]
     token = uuid.uuid4().hex
     known = dask.delayed(_known, pure=False, traverse=True)(
-        samples(sources, steps), plan, record, dask_key_name=f"learn-{token}"
+        samples(sources, steps), geometry, record, dask_key_name=f"learn-{token}"
     )
     measure = dask.delayed(_measure, pure=False, traverse=True)
     tasks = [
-        measure(make_block(sources, *edge), known, frame_rate, dask_key_name=f"measure-{token}-{k}")
+        measure(make_block(sources, *edge), geometry, known, frame_rate, dask_key_name=f"measure-{token}-{k}")
         for k, edge in enumerate(edges)
     ]
     variables = {
         name: (TABLE[name].dims, _assemble(name, tasks, token, edges, grid.shape))
         for name in (*CUBE_FIELDS, "frame_status")
     }
-    gain, axes = _gain(known, plan)
+    gain, axes = _gain(known, geometry)
     path_frames = da.from_delayed(dask.delayed(_path_frames, pure=False)(known), (), np.uint8)
-    level = da.from_delayed(dask.delayed(level_std, pure=False)(known), (), np.float64)
+    level = da.from_delayed(dask.delayed(_level_std, pure=False)(geometry, known), (), np.float64)
     mid = 0.5 * (times[:-1] + times[1:])
     coords = {"time": mid, "y": grid.y_nodes, "x": grid.x_nodes, "path_frames": path_frames} | axes
     out = xr.Dataset(variables | gain | {"z_level_std": ((), level)}, coords=coords)
-    used = replace(rig, cameras={name: rig[name] for name in plan.cameras})
+    used = replace(rig, cameras={name: rig[name] for name in geometry.cameras})
     out.attrs = {"frame_rate": frame_rate, "pixel_size": pixel_size(used, grid)} | {
         name: attributes[name]
         for name in ("experiment", "water_depth", "surface_tension_over_density")
@@ -172,12 +174,12 @@ def reconstruct(
     return annotate(out, "gain")
 
 
-def _gain(known: Delayed, plan: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _gain(known: Delayed, geometry: "GridGeometry") -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """The response of the measurement to waves, once its record was learned, and its axes."""
     from wavefield.measurement.response import tabulated
 
-    table = tabulated(plan)
-    found = dask.delayed(tabulated, pure=False)(known)
+    table = tabulated(geometry, None)
+    found = dask.delayed(_tabulated, pure=False)(geometry, known)
     dims = TABLE["gain/gain_z"].dims
     shape = tuple(table[name].size for name in dims)
     gain = {
@@ -186,20 +188,36 @@ def _gain(known: Delayed, plan: Any) -> tuple[dict[str, Any], dict[str, np.ndarr
     return gain, {name: table[name] for name in dims}
 
 
-def _known(pairs: Sequence[Mapping[str, Any]], plan: Any, record: Mapping[str, Any] | None) -> Any:
-    """The plan with what was learned from the record."""
-    from wavefield.measurement import LearnedRecord
+def _known(
+    pairs: Sequence[Mapping[str, Any]], geometry: "GridGeometry", record: Mapping[str, Any] | None
+) -> "Model | None":
+    """What was learned from the record."""
+    from wavefield.measurement import LearnedRecord, Model
 
-    learned = learn_from(pairs, plan) if record is None else record
-    return plan.with_prior(LearnedRecord.from_dict(learned)) if learned else plan
-
-
-def _path_frames(plan: Any) -> np.ndarray:
-    return np.asarray(plan.record.path_frames if plan.record else 4, np.uint8)
+    learned = learn_from(pairs, geometry) if record is None else record
+    return Model(geometry, LearnedRecord.from_dict(learned)) if learned else None
 
 
-def _measure(block: Block, plan: Any, frame_rate: float) -> dict[str, np.ndarray]:
-    measured = measure_block(block, plan, frame_rate)
+def _tabulated(geometry: "GridGeometry", model: "Model | None") -> dict[str, np.ndarray]:
+    from wavefield.measurement.response import tabulated
+
+    return tabulated(geometry, model.record if model else None)
+
+
+def _level_std(geometry: "GridGeometry", model: "Model | None") -> float:
+    from wavefield.measurement.bead_tilt import level_std
+
+    return level_std(geometry, model.record if model else None)
+
+
+def _path_frames(model: "Model | None") -> np.ndarray:
+    return np.asarray(model.record.path_frames if model else 4, np.uint8)
+
+
+def _measure(
+    block: Block, geometry: "GridGeometry", model: "Model | None", frame_rate: float
+) -> dict[str, np.ndarray]:
+    measured = measure_block(block, geometry, frame_rate, model)
     return {**measured.fields, "frame_status": measured.frame_status}
 
 

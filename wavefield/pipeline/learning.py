@@ -1,18 +1,23 @@
 """Learning beads, spectra and noise from sample frames of a whole record, before its first block."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from wavefield.execution.worker_settings import one_thread
 from wavefield.pipeline.chunk import Source
 
+if TYPE_CHECKING:
+    from wavefield.measurement import GridGeometry
+
 _TRIES = 3  # sets of samples, where frames are missing or bad
 
 
-def learn_record(sources: Mapping[str, Source], steps: int, plan: Any, threads: int = 1) -> dict[str, Any]:
+def learn_record(
+    sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", threads: int = 1
+) -> dict[str, Any]:
     """Learn from sample frames of a record."""
     for number in range(_TRIES):
-        if found := learn_from(samples(sources, steps, number), plan, threads):
+        if found := learn_from(samples(sources, steps, number), geometry, threads):
             return found
     return {}
 
@@ -24,19 +29,21 @@ def samples(sources: Mapping[str, Source], steps: int, number: int = 0) -> list[
     return [{n: s.window(k, k + 2) for n, s in sources.items()} for k in sample_steps(steps, number)]
 
 
-def learn_from(pairs: Sequence[Mapping[str, Source]], plan: Any, threads: int = 1) -> dict[str, Any]:
+def learn_from(
+    pairs: Sequence[Mapping[str, Source]], geometry: "GridGeometry", threads: int = 1
+) -> dict[str, Any]:
     """Learn from some steps."""
     from wavefield.measurement import learn
     from wavefield.quality.stabilized import corrected
 
     def frames(pair: Mapping[str, Source], k: int) -> dict[str, Any]:
         images = {name: source.read(k).image for name, source in pair.items()}
-        return corrected(images, plan)[0] if plan.settings.vibration == "correct" else images
+        return corrected(images, geometry)[0] if geometry.settings.vibration == "correct" else images
 
     def masks(pair: Mapping[str, Source], k: int) -> dict[str, Any]:
         return {name: source.covered(k) for name, source in pair.items()}
 
     steps = [(frames(pair, 0), frames(pair, 1)) for pair in pairs]
     with one_thread():  # each of them
-        record = learn(steps, plan, [(masks(pair, 0), masks(pair, 1)) for pair in pairs], threads)
+        record = learn(steps, geometry, [(masks(pair, 0), masks(pair, 1)) for pair in pairs], threads)
     return {} if record is None else record.to_dict()

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from wavefield.grid import Grid
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_sides
 from wavefield.series import Experiment
+
+if TYPE_CHECKING:
+    from wavefield.measurement import GridGeometry
 
 _UNITS = {"centimetres": 0.01, "millimetres": 0.001}
 _CAMERA_DISTANCES = (0.02, 200.0)  # m from the water: nearer or farther ones are given in another unit
@@ -82,10 +85,12 @@ def refuse_high_water(settings: Any, rig: Rig, source: str) -> None:
             )
 
 
-def refuse_small_fields(plan: Any, source: str) -> None:
+def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
     """Refuse a field of too few blocks of pixels: its spectrum has gaps, and nothing is learned from it."""
-    shapes = {"the grid": plan.lattice.shape}
-    shapes |= {f"what {name} sees of the grid": plan.sights[name].lattice.shape for name in plan.sights}
+    shapes = {"the grid": geometry.lattice.shape}
+    shapes |= {
+        f"what {name} sees of the grid": geometry.sights[name].lattice.shape for name in geometry.sights
+    }
     for name, (rows, columns) in shapes.items():
         if max(rows, columns) < _MIN_BLOCKS:
             raise ExperimentError(

@@ -5,7 +5,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from wavefield.series import Experiment, FrameSeries, masks
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_FIELDS, TABLE
 
+if TYPE_CHECKING:
+    from wavefield.measurement import GridGeometry, LearnedRecord, Model
+
 _SAMPLE_STEPS = 4  # steps over the record by which the range of displacements is found
 _LONGEST_BLOCK = 100  # steps; a block costs one to two steps more for its five extra frames
 
@@ -40,9 +43,10 @@ class PreparedRun:
     series: Mapping[str, FrameSeries]  # Frames of the cameras that measure
     rig: Rig  # Those cameras
     grid: Grid  # The nodes
-    plan: Any  # The measurement
+    geometry: "GridGeometry"  # What follows from them
     recipe: Recipe  # All of it as plain data
     workflow: Workflow  # How to process
+    model: "Model | None" = None  # What was learned of the record
     # How far the water moves from frame to frame; None where the settings state the range to search
     motion: FirstGuess | None = None
     # Range of elevations and of the rise; None where the settings state ``z_range``
@@ -50,10 +54,15 @@ class PreparedRun:
 
     def with_prior(self, record: Mapping[str, Any]) -> "PreparedRun":
         """The same with what sample frames of the record give."""
-        from wavefield.measurement import LearnedRecord
+        from wavefield.measurement import LearnedRecord, Model
 
-        plan = self.plan.with_prior(LearnedRecord.from_dict(record)) if record else self.plan
-        return replace(self, plan=plan, recipe=replace(self.recipe, record=record))
+        model = Model(self.geometry, LearnedRecord.from_dict(record)) if record else self.model
+        return replace(self, model=model, recipe=replace(self.recipe, record=record))
+
+    @property
+    def record(self) -> "LearnedRecord | None":
+        """What was learned of the record, as plain data."""
+        return None if self.model is None else self.model.record
 
     @property
     def steps(self) -> int:
@@ -63,7 +72,7 @@ class PreparedRun:
     @property
     def step_bytes(self) -> int:
         """Bytes of the results of one step."""
-        return int(self.plan.x.size) * sum(np.dtype(TABLE[name].dtype).itemsize for name in CUBE_FIELDS)
+        return int(self.geometry.x.size) * sum(np.dtype(TABLE[name].dtype).itemsize for name in CUBE_FIELDS)
 
     @property
     def block(self) -> int:
@@ -81,7 +90,7 @@ def prepare(
     workflow: str | Path | Workflow | None = None,
 ) -> PreparedRun:
     """Read and check everything that a run needs."""
-    from wavefield.measurement import Plan
+    from wavefield.measurement import GridGeometry
 
     experiment, workflow = load_files(experiment, workflow)
     series = experiment.open_frames()
@@ -109,23 +118,25 @@ def prepare(
     )
     series = {name: series[name] for name in used}
     covered = masks.footprints(experiment.mask)
-    plan = Plan(rig, grid, settings, covered=covered)
+    geometry = GridGeometry(rig, grid, settings, covered)
     if settings.vibration == "correct":
-        refuse_unless_in_a_row(plan)
+        refuse_unless_in_a_row(geometry)
     bare, folder = series, experiment.path.parent
-    series = masks.covered_series(experiment.mask, bare, rig, folder, -plan.z_range[0])
-    look = _SampleImages(series, plan)
+    series = masks.covered_series(experiment.mask, bare, rig, folder, -geometry.z_range[0])
+    look = _SampleImages(series, geometry)
     motion, heights = None, None
     if not _states_search(experiment, workflow):
-        motion = first_guess(look.read, plan.velocity_cameras, look.steps)
+        motion = first_guess(look.read, geometry.velocity_cameras, look.steps)
         settings = wide_enough(settings, motion)
     if settings.z_range is None:
-        settings, heights = high_enough(settings, first_heights(look.read, plan, look.steps))
-    if settings != plan.settings:
-        plan = Plan(rig, grid, settings, covered=covered)
-        series = masks.covered_series(experiment.mask, bare, rig, folder, -plan.z_range[0])
+        settings, heights = high_enough(settings, first_heights(look.read, geometry, look.steps))
+    if settings != geometry.settings:
+        geometry = GridGeometry(rig, grid, settings, covered)
+        series = masks.covered_series(experiment.mask, bare, rig, folder, -geometry.z_range[0])
     recipe = make_recipe(experiment, series, rig, grid, settings, workflow.packing)
-    return PreparedRun(experiment, series, rig, grid, plan, recipe, workflow, motion, heights)
+    return PreparedRun(
+        experiment, series, rig, grid, geometry, recipe, workflow, motion=motion, heights=heights
+    )
 
 
 def _states_search(experiment: Experiment, workflow: Workflow) -> bool:
@@ -137,9 +148,9 @@ def _states_search(experiment: Experiment, workflow: Workflow) -> bool:
 class _SampleImages:
     """Some steps over the whole record, their images as they are matched."""
 
-    def __init__(self, series: Mapping[str, FrameSeries], plan: Any) -> None:
-        self.series, self.plan = series, plan
-        count = min(len(series[name]) for name in plan.cameras) - 1
+    def __init__(self, series: Mapping[str, FrameSeries], geometry: "GridGeometry") -> None:
+        self.series, self.geometry = series, geometry
+        count = min(len(series[name]) for name in geometry.cameras) - 1
         self.steps = sorted({int((i + 0.5) * count / _SAMPLE_STEPS) for i in range(_SAMPLE_STEPS)})
         self._widths: dict[str, float] = {}  # of the beads, measured in the first image of a camera
         self._twice: dict[tuple[str, int], Any] = {}  # images that motion and elevation are both seen in
@@ -157,11 +168,11 @@ class _SampleImages:
         from wavefield.measurement.frame import ready, usable
 
         image = self.series[name].read_uncovered(frame)
-        if not usable(image, self.plan.rig[name].size):
+        if not usable(image, self.geometry.rig[name].size):
             return None
         if name not in self._widths:
             self._widths[name] = bead_width(np.asarray(image))
-        return ready(np.asarray(image), self.plan.binning[name], self._widths[name])
+        return ready(np.asarray(image), self.geometry.sights[name].binning, self._widths[name])
 
 
 def load_files(

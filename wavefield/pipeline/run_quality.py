@@ -52,7 +52,12 @@ def synchrony_of(prepared: PreparedRun, instants: int = _SYNCHRONY) -> tuple[dic
     rate = prepared.experiment.frame_rate
     with one_thread():  # each of them
         return camera_delay.delays(
-            prepared.plan, _patch_matcher(prepared), frames, rate, threads_here(prepared.workflow)
+            prepared.geometry,
+            prepared.record,
+            _patch_matcher(prepared),
+            frames,
+            rate,
+            threads_here(prepared.workflow),
         )
 
 
@@ -93,7 +98,9 @@ def _clocks_and_mounts(prepared: PreparedRun, status: Status) -> Iterator[Remark
     instants = min(_SYNCHRONY, max(_INSTANTS, prepared.steps // 6))  # of a short record, not most of its cost
     yield from camera_delay.remarks(*synchrony_of(prepared, instants))
     first = next(iter(prepared.series.values())).first
-    yield from camera_motion.remarks(status.store, prepared.plan, _patch_matcher(prepared), first)
+    yield from camera_motion.remarks(
+        status.store, prepared.geometry, prepared.record, _patch_matcher(prepared), first
+    )
 
 
 def _steps(status: Status) -> Iterator[Remark]:
@@ -123,7 +130,7 @@ def _steps(status: Status) -> Iterator[Remark]:
 
 def _stored_values(prepared: PreparedRun, status: Status) -> Iterator[Remark]:
     """What the stored fields show when they are compared with each other."""
-    if status.done < MIN_STEPS_COMPARED or prepared.plan.settings.sheet_thickness is not None:
+    if status.done < MIN_STEPS_COMPARED or prepared.geometry.settings.sheet_thickness is not None:
         return
     first = next(iter(prepared.series.values())).first
     yield from remark_on_stored_values(status.store, _some(status.steps), first)

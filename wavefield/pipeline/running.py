@@ -134,7 +134,7 @@ def run(
         with deferred_signals():  # Ctrl-C inside an import may be lost
             map_unordered = stack.enter_context(open_cluster(workflow, jobs_folder(path), not path.exists()))
             prepared = prepare(experiment, rig, workflow)
-            refuse_small_fields(prepared.plan, str(prepared.experiment.path))
+            refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
         return process(prepared, lock, map_unordered, progress)
 
 
@@ -210,7 +210,7 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
         return prepared, read_layout(open_group(path))
     log.info("learning beads, spectra and noise from sample frames")
     threads = threads_here(prepared.workflow)
-    prepared = prepared.with_prior(learn_record(prepared.series, prepared.steps, prepared.plan, threads))
+    prepared = prepared.with_prior(learn_record(prepared.series, prepared.steps, prepared.geometry, threads))
     if prepared.recipe.record:
         log.info("velocities along paths of %d frames", prepared.recipe.record["path_frames"])
     grid = prepared.grid
@@ -225,7 +225,8 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
     from wavefield.measurement.bead_tilt import level_std
     from wavefield.measurement.response import tabulated
 
-    once = tabulated(prepared.plan) | {"z_level_std": np.float64(level_std(prepared.plan))}
+    level = np.float64(level_std(prepared.geometry, prepared.record))
+    once = tabulated(prepared.geometry, prepared.record) | {"z_level_std": level}
     create_store(path, prepared.recipe, grid.x_nodes, grid.y_nodes, layout, attributes, once)
     create_preview(path, open_group(path))
     return prepared, layout
@@ -278,7 +279,7 @@ def _work_off(
     tracker: "_Tracker",
 ) -> None:
     path = lock.store
-    work = Work(path, prepared.plan, measured_rate(open_group(path)))
+    work = Work(path, prepared.geometry, prepared.model, measured_rate(open_group(path)))
     failures: list[tuple[Block, BaseException]] = []
     message_log = _MessageLog()
     succeeded = 0

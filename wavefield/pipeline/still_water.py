@@ -36,7 +36,7 @@ def level_at_rest(
         return series[camera].read(frame).image
 
     count = len(next(iter(series.values())))
-    matches = matched_pixels(read, spread(count, frames), prepared.plan, progress)
+    matches = matched_pixels(read, spread(count, frames), prepared.geometry, progress)
     return refine_and_level(prepared.rig, matches)
 
 

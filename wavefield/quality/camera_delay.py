@@ -13,7 +13,7 @@ velocity is that of five frames (of three it is 7 % low for 2 Hz waves at 20 fra
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,9 @@ from wavefield.quality.patch_matching import (
 )
 from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark
+
+if TYPE_CHECKING:
+    from wavefield.measurement import GridGeometry, LearnedRecord
 
 _FEWEST = 12  # patches of an instant
 _CELLS = 4  # matched ones of a patch
@@ -59,22 +62,24 @@ class Sample:
 
 
 def prepared(
-    plan: Any, patch_matcher: PatchMatcher, frame: int, widths: Mapping[str, float]
+    geometry: "GridGeometry", patch_matcher: PatchMatcher, frame: int, widths: Mapping[str, float]
 ) -> dict[str, Any]:
     """Images of an instant, ready for matching between cameras; those that cannot be used are left out."""
     from wavefield.measurement import pair_surface
     from wavefield.measurement.frame import ready, usable
 
-    images = {name: patch_matcher.read(name, frame) for name in plan.surface_cameras}
+    images = {name: patch_matcher.read(name, frame) for name in geometry.surface_cameras}
     return {
-        name: pair_surface.prepare(ready(np.asarray(image), plan.binning[name], widths[name]), name, plan)
+        name: pair_surface.prepare(
+            ready(np.asarray(image), geometry.sights[name].binning, widths[name]), name, geometry
+        )
         for name, image in images.items()
-        if usable(image, plan.rig[name].size)
+        if usable(image, geometry.rig[name].size)
     }
 
 
 def sample(
-    plan: Any, patch_matcher: PatchMatcher, pair: Pair, frame: int, flat: Mapping[str, Any]
+    geometry: "GridGeometry", patch_matcher: PatchMatcher, pair: Pair, frame: int, flat: Mapping[str, Any]
 ) -> Sample | None:
     """Miss and velocity all over what two cameras share at an instant.
 
@@ -84,13 +89,13 @@ def sample(
 
     if not all(name in flat for name in pair):
         return None
-    moved = _moved(patch_matcher, pair[1], frame, _furthest(plan, pair[1]))
+    moved = _moved(patch_matcher, pair[1], frame, _furthest(geometry, pair[1]))
     if moved is None:
         return None
-    match = pair_surface.match_pair(flat[pair[0]], flat[pair[1]], pair, plan)
+    match = pair_surface.match_pair(flat[pair[0]], flat[pair[1]], pair, geometry)
     length = np.maximum(np.hypot(*match.parallax), 1e-12)
     p, q = (part / length for part in match.parallax)
-    x, y = np.meshgrid(plan.lattice.x, plan.lattice.y)
+    x, y = np.meshgrid(geometry.lattice.x, geometry.lattice.y)
     good = match.matched & np.isfinite(match.eps_y)
     shown = [(v + d)[good] for v, d in zip((x, y), match.difference)]  # where the second camera shows it
     means = _over_patches(patch_matcher, shown, [v[good] for v in (match.eps_y, p, q)])
@@ -101,15 +106,15 @@ def sample(
     low = np.stack(
         [np.ones(known.sum()), _scaled(patch_matcher.x[known]), _scaled(patch_matcher.y[known])], axis=-1
     )
-    speed = float(np.sqrt((dx**2 + dy**2).mean())) / plan.pixel
-    return Sample(miss / plan.pixel, (q * dx - p * dy) / plan.pixel, low, speed)
+    speed = float(np.sqrt((dx**2 + dy**2).mean())) / geometry.pixel
+    return Sample(miss / geometry.pixel, (q * dx - p * dy) / geometry.pixel, low, speed)
 
 
-def _furthest(plan: Any, name: str) -> int:
+def _furthest(geometry: "GridGeometry", name: str) -> int:
     """How far a camera's beads go from frame to frame, raw px: as far as the measurement searches."""
-    ranges = (plan.settings.piv.search_x, plan.settings.piv.search_y)
+    ranges = (geometry.settings.piv.search_x, geometry.settings.piv.search_y)
     ends = [abs(end) for one in ranges if one is not None for end in one]
-    return min(int(np.ceil(max(ends, default=REACH) * plan.binning[name])), REACH)
+    return min(int(np.ceil(max(ends, default=REACH) * geometry.sights[name].binning)), REACH)
 
 
 def _moved(patch_matcher: PatchMatcher, name: str, frame: int, furthest: int) -> Array | None:
@@ -213,37 +218,40 @@ def _cleared(one: Sample, weight: Array) -> tuple[Array, Array]:
     return rest[:, 0], rest[:, 1]
 
 
-def _widths(plan: Any, patch_matcher: PatchMatcher, frames: Sequence[int]) -> dict[str, float]:
-    """Widths of the beads: those of the record, or of the first image that can be used."""
+def _widths(geometry: "GridGeometry", patch_matcher: PatchMatcher, frames: Sequence[int]) -> dict[str, float]:
+    """Widths of the beads of the first image that can be used."""
     from wavefield.measurement.background import bead_width
     from wavefield.measurement.frame import usable
 
-    if plan.record is not None:
-        return dict(plan.record.beads)
-    out = dict.fromkeys(plan.surface_cameras, 0.0)
+    out = dict.fromkeys(geometry.surface_cameras, 0.0)
     for name in out:
         images = (patch_matcher.read(name, k) for k in frames)
-        one = next((image for image in images if usable(image, plan.rig[name].size)), None)
+        one = next((image for image in images if usable(image, geometry.rig[name].size)), None)
         out[name] = 0.0 if one is None else bead_width(np.asarray(one))
     return out
 
 
 def delays(
-    plan: Any, patch_matcher: PatchMatcher, frames: Sequence[int], rate: float, threads: int = 1
+    geometry: "GridGeometry",
+    record: "LearnedRecord | None",
+    patch_matcher: PatchMatcher,
+    frames: Sequence[int],
+    rate: float,
+    threads: int = 1,
 ) -> tuple[dict[str, Delay], float]:
     """By how much each camera's frames are taken later than those of most."""
-    names = list(plan.surface_cameras)
+    names = list(geometry.surface_cameras)
     rows, values, spreads = [], [], []
     speeds: list[float] = []
-    widths = _widths(plan, patch_matcher, frames)
+    widths = dict(record.beads) if record else _widths(geometry, patch_matcher, frames)
 
     def sample_at(frame: int) -> list[Sample | None]:
-        flat = prepared(plan, patch_matcher, frame, widths)
-        return [sample(plan, patch_matcher, pair, frame, flat) for pair in plan.pairs]
+        flat = prepared(geometry, patch_matcher, frame, widths)
+        return [sample(geometry, patch_matcher, pair, frame, flat) for pair in geometry.pairs]
 
     with ThreadPoolExecutor(threads) as pool:
         found_at = list(pool.map(sample_at, frames))
-    for (a, b), of_pair in zip(plan.pairs, zip(*found_at)):
+    for (a, b), of_pair in zip(geometry.pairs, zip(*found_at)):
         samples = [s for s in of_pair if s is not None]
         speeds += [s.speed for s in samples]
         found = regress(samples)

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from wavefield.robust import PER_MEDIAN
 from wavefield.store.preview import read_steps
 from wavefield.store.read import open_group, read_layout
 from wavefield.store.verdict import Remark
+
+if TYPE_CHECKING:
+    from wavefield.measurement import GridGeometry, LearnedRecord
 
 Array = NDArray[np.float64]
 
@@ -171,14 +174,16 @@ def shaking(found: CameraMotion, cuts: Sequence[int]) -> tuple[float, float]:
     return float(np.sqrt(power)), float(np.sqrt(noise / (2 * freedom)))
 
 
-def who(plan: Any, patch_matcher: PatchMatcher, frame: int, count: int) -> tuple[str, float]:
+def who(geometry: "GridGeometry", patch_matcher: PatchMatcher, frame: int, count: int) -> tuple[str, float]:
     """The camera that a knock moved: its picture alone has moved since.
 
     Returns size By how much its sight lines miss the others' more, px.
     """
     sides = []
     for frames in (range(max(frame - _SIDE, 0), frame), range(frame, min(frame + _SIDE, count))):
-        found = [shifts({name: patch_matcher.read(name, k) for name in plan.cameras}, plan) for k in frames]
+        found = [
+            shifts({name: patch_matcher.read(name, k) for name in geometry.cameras}, geometry) for k in frames
+        ]
         sides.append([one for one in found if one])
     if not all(sides):
         return "rig", 0.0
@@ -190,17 +195,23 @@ def who(plan: Any, patch_matcher: PatchMatcher, frame: int, count: int) -> tuple
     return first, moved[first]
 
 
-def remarks(store: Path, plan: Any, patch_matcher: PatchMatcher, first_frame: int) -> Iterator[Remark]:
+def remarks(
+    store: Path,
+    geometry: "GridGeometry",
+    record: "LearnedRecord | None",
+    patch_matcher: PatchMatcher,
+    first_frame: int,
+) -> Iterator[Remark]:
     """Remarks on cameras that move."""
     yield from _turned_back(store, first_frame)
-    yield from camera_jitter(plan)
+    yield from camera_jitter(record)
     found = camera_motion(store)
     if len(found.steps) < 2 * _SIDE:
         return
     jumps = knocks(store, found)
     count = int(open_group(store)["frame"].shape[0])
     for one in jumps:
-        name, alone = who(plan, patch_matcher, one.frame, count)
+        name, alone = who(geometry, patch_matcher, one.frame, count)
         off = max(one.size, alone)  # eps_y of a cube is the mean of its pairs
         yield Remark(
             name,
@@ -227,12 +238,12 @@ def remarks(store: Path, plan: Any, patch_matcher: PatchMatcher, first_frame: in
         )
 
 
-def camera_jitter(plan: Any) -> Iterator[Remark]:
+def camera_jitter(record: "LearnedRecord | None") -> Iterator[Remark]:
     """Remarks on cameras that move against each other along the line on which they are placed.
 
     eps_y does not show this; the displacements of three cameras do.
     """
-    along = plan.record.camera_jitter[0] if plan.record else 0.0
+    along = record.camera_jitter[0] if record else 0.0
     if along > _MIN_JITTER:
         yield Remark(
             "cameras",

@@ -7,7 +7,7 @@ alone, so that neither blocks nor workers matter; it is kept in the cube as ``ca
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from wavefield.errors import ExperimentError
 from wavefield.robust import PER_MEDIAN
 from wavefield.variables import AROUND
+
+if TYPE_CHECKING:
+    from wavefield.measurement import GridGeometry
 
 Array = NDArray[np.float64]
 Image = NDArray[Any]
@@ -26,12 +29,12 @@ _KEPT = 2 * AROUND + 2  # frames
 _ALONG = 0.9  # cosine: cameras in one line share the direction across their sight lines
 
 
-def refuse_unless_in_a_row(plan: Any) -> None:
+def refuse_unless_in_a_row(geometry: "GridGeometry") -> None:
     """Make sure that the pairs of cameras share the direction across their sight lines."""
-    middle = np.array([float(np.mean(plan.grid.x)), float(np.mean(plan.grid.y))])
+    middle = np.array([float(np.mean(geometry.grid.x)), float(np.mean(geometry.grid.y))])
     along = {}
-    for a, b in plan.pairs:
-        one, other = plan.rig[a].centre, plan.rig[b].centre
+    for a, b in geometry.pairs:
+        one, other = geometry.rig[a].centre, geometry.rig[b].centre
         rise = (middle - other[:2]) / other[2] - (middle - one[:2]) / one[2]
         along[a, b] = rise / max(float(np.hypot(*rise)), 1e-12)
     (first, of_first), *others = along.items()
@@ -50,8 +53,8 @@ def refuse_unless_in_a_row(plan: Any) -> None:
 class Stabilizer:
     """Corrected frames of a block, and by how much each was corrected."""
 
-    def __init__(self, frames: Mapping[str, Sequence[Image | None]], plan: Any) -> None:
-        self.frames, self.plan = frames, plan
+    def __init__(self, frames: Mapping[str, Sequence[Image | None]], geometry: "GridGeometry") -> None:
+        self.frames, self.geometry = frames, geometry
         self.shifts: dict[int, dict[str, Array]] = {}
         self._kept: dict[int, dict[str, Image | None]] = {}
 
@@ -59,7 +62,7 @@ class Stabilizer:
         """Images of all cameras at a position of the block, corrected."""
         if position not in self._kept:
             raw = {name: one[position] for name, one in self.frames.items()}
-            self._kept[position], self.shifts[position] = corrected(raw, self.plan)
+            self._kept[position], self.shifts[position] = corrected(raw, self.geometry)
             while len(self._kept) > _KEPT:
                 del self._kept[next(iter(self._kept))]
         return self._kept[position]
@@ -85,22 +88,22 @@ class StabilizedFrames(Sequence[Image | None]):
 
 
 def corrected(
-    images: Mapping[str, Image | None], plan: Any
+    images: Mapping[str, Image | None], geometry: "GridGeometry"
 ) -> tuple[dict[str, Image | None], dict[str, Array]]:
     """Images of one moment turned back, and by how much.
 
     Returns shifts (3,): As from `shifts`..
     """
-    found = shifts(images, plan)
+    found = shifts(images, geometry)
     out: dict[str, Image | None] = dict(images)
     for name, low in found.items():
         image = images[name]
         if image is not None:
-            out[name] = moved(image, low, name, plan)
+            out[name] = moved(image, low, name, geometry)
     return out, found
 
 
-def shifts(images: Mapping[str, Image | None], plan: Any) -> dict[str, Array]:
+def shifts(images: Mapping[str, Image | None], geometry: "GridGeometry") -> dict[str, Array]:
     """By how much each camera's picture has moved across the sight lines, in one frame.
 
     Returns (3,): px on the water: in the middle of the lattice, and what is added at its right and upper
@@ -109,20 +112,22 @@ def shifts(images: Mapping[str, Image | None], plan: Any) -> dict[str, Array]:
     from wavefield.measurement import pair_surface
     from wavefield.measurement.frame import ready, usable
 
-    names = plan.surface_cameras
-    if not all(usable(images.get(name), plan.rig[name].size) for name in names):
+    names = geometry.surface_cameras
+    if not all(usable(images.get(name), geometry.rig[name].size) for name in names):
         return {}
     flat = {
-        name: pair_surface.prepare(ready(np.asarray(images[name]), plan.binning[name]), name, plan)
+        name: pair_surface.prepare(
+            ready(np.asarray(images[name]), geometry.sights[name].binning), name, geometry
+        )
         for name in names
     }
-    found: dict[str, Array] = {plan.reference: np.zeros(3)}
+    found: dict[str, Array] = {geometry.reference: np.zeros(3)}
     first: Array | None = None
     cells = np.s_[::_APART, ::_APART]
-    design = np.stack([part[cells] for part in _scaled(plan)], axis=-1)
-    for a, b in plan.pairs:
-        match = pair_surface.match_pair(flat[a], flat[b], (a, b), plan)
-        low = _fit(design[match.matched[cells]], match.eps_y[cells][match.matched[cells]] / plan.pixel)
+    design = np.stack([part[cells] for part in _scaled(geometry)], axis=-1)
+    for a, b in geometry.pairs:
+        match = pair_surface.match_pair(flat[a], flat[b], (a, b), geometry)
+        low = _fit(design[match.matched[cells]], match.eps_y[cells][match.matched[cells]] / geometry.pixel)
         if low is None:
             return {}
         normal = _across(match.parallax)
@@ -135,9 +140,9 @@ def shifts(images: Mapping[str, Image | None], plan: Any) -> dict[str, Array]:
     return {name: low - usual for name, low in found.items()}
 
 
-def _scaled(plan: Any) -> tuple[Array, Array, Array]:
+def _scaled(geometry: "GridGeometry") -> tuple[Array, Array, Array]:
     """1, and places on the lattice from -1 to 1 along x and y."""
-    x, y = np.meshgrid(*(np.linspace(-1.0, 1.0, len(v)) for v in (plan.lattice.x, plan.lattice.y)))
+    x, y = np.meshgrid(*(np.linspace(-1.0, 1.0, len(v)) for v in (geometry.lattice.x, geometry.lattice.y)))
     return np.ones_like(x), x, y
 
 
@@ -161,22 +166,22 @@ def _across(parallax: Array) -> Array:
     return np.array([along[1], -along[0]])
 
 
-def moved(image: Image, low: Array, name: str, plan: Any) -> NDArray[np.float32]:
+def moved(image: Image, low: Array, name: str, geometry: "GridGeometry") -> NDArray[np.float32]:
     """A raw image moved back by what its camera has moved.
 
     With image (row, column); low (3,); returns (row, column).
     """
-    centre, other = plan.rig[plan.pairs[0][0]].centre, plan.rig[plan.pairs[0][1]].centre
-    x, y = (v[::8, ::8].ravel() for v in np.meshgrid(plan.lattice.x, plan.lattice.y))
-    design = np.stack([part[::8, ::8].ravel() for part in _scaled(plan)], axis=-1)
+    centre, other = geometry.rig[geometry.pairs[0][0]].centre, geometry.rig[geometry.pairs[0][1]].centre
+    x, y = (v[::8, ::8].ravel() for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))
+    design = np.stack([part[::8, ::8].ravel() for part in _scaled(geometry)], axis=-1)
     along = (np.stack([x, y]) - other[:2, None]) / other[2] - (np.stack([x, y]) - centre[:2, None]) / centre[
         2
     ]
     along /= np.maximum(np.hypot(*along), 1e-12)
     # eps_y is the part of x_b - x_a along (dD_y, -dD_x) / |dD|, and dD = D_b - D_a points against `along`
-    size = -(design @ low) * plan.pixel
+    size = -(design @ low) * geometry.pixel
     dx, dy = -along[1] * size, along[0] * size
-    camera = plan.rig[name]
+    camera = geometry.rig[name]
     before = np.stack(camera.project(x, y, 0.0), axis=-1)
     after = np.stack(camera.project(x + dx, y + dy, 0.0), axis=-1)
     A = np.column_stack([before, np.ones(len(before))])

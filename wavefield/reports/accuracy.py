@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wavefield import figures
 from wavefield.errors import ExperimentError
-from wavefield.measurement import Plan, Settings
+from wavefield.measurement import GridGeometry, Settings
 from wavefield.measurement.diagnostics import diagnose_around
 from wavefield.reports.html_page import Picture, ReportSection, Table, Text
 from wavefield.reports.number_text import number, rms_of
@@ -113,17 +113,17 @@ def _pairs(sources: Sources) -> list[Picture | Table | Text]:
         return []
     settings = Settings.from_dict(sources.recipe.get("settings", {}))
     masks = sources.experiment.mask if sources.experiment else {}
-    plan = Plan(sources.rig, sources.grid, settings, covered=footprints(masks))
+    geometry = GridGeometry(sources.rig, sources.grid, settings, footprints(masks))
     pixel = pixel_size(sources.rig, sources.grid)
     series = sources.frames
     if sources.experiment:
         folder = sources.experiment.path.parent
-        known = {name: series[name] for name in plan.cameras}
+        known = {name: series[name] for name in geometry.cameras}
         try:
-            series = covered_series(masks, known, sources.rig, folder, -plan.z_range[0])
+            series = covered_series(masks, known, sources.rig, folder, -geometry.z_range[0])
         except ExperimentError as error:
             return [Text(f"Pairs of cameras were not compared: {error}.")]
-    steps = min(len(series[name]) for name in plan.cameras) - 1
+    steps = min(len(series[name]) for name in geometry.cameras) - 1
     middle = sources.cube.sizes["time"] // 2
 
     def covered(name: str, frame: int) -> NDArray[np.bool_] | None:
@@ -131,7 +131,7 @@ def _pairs(sources: Sources) -> list[Picture | Table | Text]:
         return None if mask is None else mask.covered(frame)
 
     found = diagnose_around(
-        lambda name, frame: series[name].read(frame).image, steps, plan, middle, pixel, covered
+        lambda name, frame: series[name].read(frame).image, steps, geometry, None, middle, pixel, covered
     )
     if found is None:
         return []

@@ -9,7 +9,7 @@ import xarray as xr
 from wavefield import figures
 from wavefield.atomic_write import PAGE, check_writable, write_text
 from wavefield.errors import StoreError, WavefieldError
-from wavefield.measurement import Plan, Settings
+from wavefield.measurement import GridGeometry, Settings
 from wavefield.measurement.diagnostics import Diagnosis, diagnose, joined, pooled
 from wavefield.reports.html_page import Head, Picture, ReportSection, Table, Text, render
 from wavefield.reports.number_text import number, rms_of
@@ -259,14 +259,15 @@ def _pairs(sources: Sources) -> Diagnosis | None:
     # every pair of cameras on its own, at steps spread over the whole record
     if not sources.frames or sources.rig is None:
         return None
-    plan = Plan(sources.rig, sources.grid, Settings.from_dict(sources.recipe.get("settings", {})))
+    settings = Settings.from_dict(sources.recipe.get("settings", {}))
+    geometry = GridGeometry(sources.rig, sources.grid, settings)
     series, pixel = sources.frames, _pixel(sources)
-    steps = min(len(series[name]) for name in plan.cameras) - 1
+    steps = min(len(series[name]) for name in geometry.cameras) - 1
     found = []
     for step in np.unique(np.linspace(0, steps - 1, _PAIR_STEPS).round().astype(int)):
         try:
-            frames = {n: [series[n].read(int(step) + k).image for k in (0, 1)] for n in plan.cameras}
-            found.append(diagnose(frames, plan, pixel))
+            frames = {n: [series[n].read(int(step) + k).image for k in (0, 1)] for n in geometry.cameras}
+            found.append(diagnose(frames, geometry, pixel=pixel))
         except (ValueError, WavefieldError):  # a frame is missing or bad
             continue
     return pooled(found) if found else None

@@ -1,0 +1,162 @@
+import pickle
+
+import numpy as np
+import pytest
+
+from wavefield.errors import ExperimentError, RigError
+from wavefield.grid import Grid
+from wavefield.measurement import GridGeometry, Settings
+from wavefield.rig import Rig
+from wavefield.tank import paper_rig
+
+GRID = Grid(x=(-0.1, 0.1), y=(-0.08, 0.08), step=0.01)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return paper_rig(0.5, crop=0.4)
+
+
+def renamed(rig, **names):
+    return Rig({new: rig[old] for new, old in names.items()})
+
+
+def test_the_middle_camera_is_the_reference_whatever_its_name(rig):
+    geometry = GridGeometry(renamed(rig, left="cam1", top="cam3", right="cam2"), GRID)
+    assert geometry.pairs == (("top", "left"), ("top", "right"))
+    assert geometry.velocity_cameras == ("left", "top", "right")
+
+
+def test_two_cameras_make_one_direct_pair(rig):
+    assert GridGeometry(Rig({n: rig[n] for n in ("cam1", "cam2")}), GRID).pairs == (("cam1", "cam2"),)
+
+
+def test_the_camera_common_to_all_pairs_comes_first(rig):
+    geometry = GridGeometry(rig, GRID, Settings(pairs=(("cam1", "cam3"), ("cam3", "cam2"))))
+    assert geometry.pairs == (("cam3", "cam1"), ("cam3", "cam2"))
+    assert geometry.reference == "cam3"
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (Settings(pairs=(("cam1", "cam9"),)), "no camera 'cam9'"),
+        (Settings(velocity_cameras=("cam1", "cam7")), "no camera 'cam7'"),
+        (Settings(pairs=(("cam1", "cam2"), ("cam1", "cam2"))), "share one camera"),
+        (Settings(pairs=(("cam1", "cam2"), ("cam2", "cam3"), ("cam3", "cam1"))), "share one camera"),
+    ],
+)
+def test_wrong_cameras_are_named(rig, settings, message):
+    with pytest.raises(ExperimentError, match=message):
+        GridGeometry(rig, GRID, settings)
+
+
+def test_a_grid_that_no_two_cameras_see_is_refused(rig):
+    with pytest.raises(RigError, match="view"):
+        GridGeometry(rig, Grid(x=(5.0, 5.2), y=(-0.1, 0.1), step=0.01))
+    with pytest.raises(RigError, match="at least two"):
+        GridGeometry(Rig({"cam1": rig["cam1"]}), GRID)
+
+
+@pytest.mark.parametrize("place", [(2.0, 0.0), (50.0, 0.0), (20.0, 20.0), (0.0, 50.0), (-1e6, 1e6)])
+def test_a_grid_far_outside_the_view_is_refused_in_a_sentence(rig, place):
+    x, y = place
+    with pytest.raises(RigError, match="does the grid lie in"):
+        GridGeometry(rig, Grid(x=(x, x + 0.2), y=(y - 0.1, y + 0.1), step=0.01))
+
+
+def test_cameras_left_over_pair_up_when_the_reference_is_missing(rig):
+    geometry = GridGeometry(rig, GRID)
+    assert geometry.pairs_for(("cam3", "cam1")) == (("cam3", "cam1"),)
+    assert geometry.pairs_for(("cam1", "cam2")) == (("cam1", "cam2"),)
+    assert geometry.pairs_for(("cam2",)) == ()
+
+
+def test_the_search_covers_the_parallax_of_all_heights(rig):
+    geometry = GridGeometry(rig, GRID, Settings(z_range=(-0.07, 0.09)))
+    x, y = np.meshgrid(geometry.grid.x_nodes, geometry.grid.y_nodes)
+    for a, b in geometry.pairs:
+        settings = geometry.stereo_settings((a, b))
+        for z in geometry.z_range:
+            xa, ya = rig[a].unproject(*rig[a].project(x, y, z))
+            xb, yb = rig[b].unproject(*rig[b].project(x, y, z))
+            for difference, limits in ((xb - xa, settings.search_x), (yb - ya, settings.search_y)):
+                assert (difference / geometry.pixel > limits[0]).all()
+                assert (difference / geometry.pixel < limits[1]).all()
+
+
+def test_the_rectified_plane_holds_every_node_at_any_height_for_the_reference_and_a_partner(rig):
+    small = Grid(x=(-0.05, 0.05), y=(-0.05, 0.05), step=0.01)
+    for cameras in (rig, Rig({n: rig[n] for n in ("cam1", "cam3")})):
+        geometry = GridGeometry(cameras, small, Settings(z_range=(-0.02, 0.02)))
+        lattice = geometry.lattice
+        for z in geometry.z_range:
+            inside = {}
+            for name, camera in cameras.cameras.items():
+                x, y = camera.unproject(*camera.project(geometry.x, geometry.y, z))
+                inside[name] = (
+                    (x > lattice.x[3]) & (x < lattice.x[-4]) & (y > lattice.y[3]) & (y < lattice.y[-4])
+                )
+            partners = [inside[b] for _, b in geometry.pairs]
+            assert (inside[geometry.reference] & np.any(partners, axis=0)).all()
+
+
+def test_polynomials_in_z_are_the_cameras(rig):
+    geometry = GridGeometry(rig, GRID)
+    rng = np.random.default_rng(0)
+    z = rng.uniform(*geometry.z_range, geometry.grid.shape).astype(np.float32)
+    for name, sight in geometry.sights.items():
+        camera = geometry.sights[name].camera
+        at = sight.at(z)
+        X, Y = camera.project(geometry.x, geometry.y, z)
+        assert np.abs(at[0] - X).max() < 1e-3
+        assert np.abs(at[1] - Y).max() < 1e-3
+        exact = camera.jacobian(geometry.x, geometry.y, z)
+        assert (
+            np.abs(np.moveaxis(at[2:].reshape(2, 3, *z.shape), (0, 1), (-2, -1)) / exact - 1)[
+                np.abs(exact) > 10
+            ].max()
+            < 1e-4
+        )
+
+
+def test_a_plan_travels_as_its_parameters(rig):
+    geometry = GridGeometry(rig, GRID, Settings(z_range=(-0.05, 0.05)))
+    data = pickle.dumps(geometry)
+    assert len(data) < 10_000
+    copy = pickle.loads(data)
+    assert copy.settings == geometry.settings
+    np.testing.assert_array_equal(copy.views["cam1"].maps[0], geometry.views["cam1"].maps[0])
+    assert pickle.loads(data) is copy  # computed once per process
+
+
+def test_lengths_follow_from_the_rig(rig):
+    small = Rig({n: _shrunk(camera, 0.01) for n, camera in rig.cameras.items()})
+    big = GridGeometry(rig, GRID)
+    geometry = GridGeometry(small, Grid(x=(-0.001, 0.001), y=(-0.0008, 0.0008), step=0.0001))
+    assert geometry.pixel == pytest.approx(0.01 * big.pixel, rel=1e-6)
+    assert geometry.z_range == pytest.approx(tuple(0.01 * z for z in big.z_range), rel=1e-6)
+    assert geometry.lattice.shape == big.lattice.shape
+
+
+def _shrunk(camera, factor):
+    from dataclasses import replace
+
+    return replace(camera, translation=tuple(factor * t for t in camera.translation))
+
+
+def test_a_sharper_camera_is_binned_and_blurred_until_beads_look_alike():
+    geometry = GridGeometry(paper_rig(1.0, crop=0.3), GRID)
+    assert {name: sight.binning for name, sight in geometry.sights.items()} == {
+        "cam1": 1,
+        "cam2": 1,
+        "cam3": 2,
+    }
+    assert geometry.views["cam3"].blur[0] == pytest.approx(
+        0.8, abs=0.2
+    )  # along x, where the others look obliquely
+    assert geometry.views["cam3"].blur[1] < 0.3
+    assert geometry.views["cam1"].blur[0] < 0.3
+    assert geometry.views["cam1"].blur[1] == pytest.approx(
+        0.6, abs=0.2
+    )  # along y binned pixels are the widest
