@@ -192,7 +192,7 @@ def test_a_field_that_ends_before_the_elevation_ends_the_record(sea, steps):
 def test_still_water_does_not_break_it():
     still = linear_cube(random_waves(n=5), 64, 20, 24, dx=0.02) * 0
     out = wv.analyze(still)
-    assert "No ridge was fitted" in out.attrs["notes"]
+    assert "The dispersion relation was not fitted" in out.attrs["notes"]
 
 
 def test_noise_has_no_current_and_what_rests_on_one_is_left_out():
@@ -204,7 +204,7 @@ def test_noise_has_no_current_and_what_rests_on_one_is_left_out():
     axes = {"time": np.arange(128) * 0.05, "y": np.arange(24) * 0.03, "x": np.arange(30) * 0.03}
     cube = xr.Dataset(noise, axes, {"water_depth": 0.7})
     waves = wv.analyze(cube, segment=64)
-    assert "No ridge was fitted: no ridge stands out" in waves.attrs["notes"]
+    assert "The dispersion relation was not fitted: no dispersion relation was found" in waves.attrs["notes"]
     assert not {"directional", "bound", "resonances", "shear"} & set(waves.children)
     assert "current_x" not in waves["dispersion"]
     assert "nan" not in waves.attrs["notes"]

@@ -7,7 +7,7 @@ from independent_seas import Sea, family
 import wavefield.waves as wv
 from wavefield.errors import CubeError
 from wavefield.waves.dispersion_relation.current_used import current_used
-from wavefield.waves.dispersion_relation.dispersion_fit import fit_settings
+from wavefield.waves.dispersion_relation.fit_settings import fit_settings
 
 
 def fitted(sea, **settings):

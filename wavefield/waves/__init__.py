@@ -9,7 +9,8 @@ from wavefield.waves.analyze import analyze
 from wavefield.waves.dispersion_relation.current_by_depth import ShearSettings, current_by_depth
 from wavefield.waves.dispersion_relation.direction import directions
 from wavefield.waves.dispersion_relation.directional_spectrum import directional_spectrum
-from wavefield.waves.dispersion_relation.dispersion_fit import FitSettings, fit_dispersion
+from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
+from wavefield.waves.dispersion_relation.fit_settings import FitSettings
 from wavefield.waves.estimation.transfer_functions import (
     elevation_from_w,
     gain_box,

@@ -37,8 +37,9 @@ from wavefield.waves.dispersion_relation.current_used import (
 )
 from wavefield.waves.dispersion_relation.direction import direction_group
 from wavefield.waves.dispersion_relation.directional_spectrum import from_density
-from wavefield.waves.dispersion_relation.dispersion_fit import FitSettings, dispersion_group, fit_settings
+from wavefield.waves.dispersion_relation.dispersion_fit import dispersion_group
 from wavefield.waves.dispersion_relation.doppler_correction import Moving
+from wavefield.waves.dispersion_relation.fit_settings import FitSettings, fit_settings
 from wavefield.waves.estimation import segment_variance, segments, transfer_functions
 from wavefield.waves.estimation.mean_current import delayed_current
 from wavefield.waves.estimation.record_limits import leave_out_unknown

@@ -1,82 +1,55 @@
-"""Which current a spectrum speaks for: every cell votes."""
+"""First estimate of the current from a spectrum: a histogram of the Doppler velocities of its cells."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from wavefield.water import dispersion
+from wavefield.waves.dispersion_relation.plane_spectrum import MIN_CELLS_FROM_ZERO, PlaneSpectrum
 
 Array = NDArray[Any]
 
-LONGEST = 2.5  # cells of the k plane: longer waves lie within the window's reach of those that come back
-_FASTEST, _SCAN_STEP, _SCAN_SECTORS = 0.8, 0.02, 48  # m/s
+MAX_SPEED = 0.8  # m/s
+SPEED_STEP = 0.02  # m/s
+SECTORS = 48
 
 
-@dataclass(frozen=True)
-class WavenumberPlane:
-    """Cells of the k plane, flat."""
+def scan_current(spectrum: PlaneSpectrum, gamma: float) -> Array:
+    """Current along x and y, (2,), to 0.02 m/s, whose dispersion relation holds most energy.
 
-    kx: Array  # (cells,)
-    ky: Array
-    k: Array
-    angle: Array
-    cell: float  # larger side of a cell, rad/m
-    spread: float  # variance along k that the window lends to a single wave, (rad/m)^2
-
-
-def plane_of(density: xr.DataArray) -> WavenumberPlane:
-    """The plane of E(ky, kx, omega)."""
-    ky, kx = np.meshgrid(density["ky"].values, density["kx"].values, indexing="ij")
-    cells = [float(density[name][1] - density[name][0]) for name in ("ky", "kx")]
-    # second moment of a Hann line |W|^2 (weights 1, 4, 1 over 6) is a third of a cell squared; across the ray
-    # it lengthens |k| on average by spread / 2k
-    spread = float(np.mean(np.square(cells))) / 3
-    return WavenumberPlane(
-        kx.ravel(), ky.ravel(), np.hypot(kx, ky).ravel(), np.arctan2(ky, kx).ravel(), max(cells), spread
-    )
-
-
-def scan_current(
-    energy: Array, omega: Array, noise: Array, plane: WavenumberPlane, depth: float, gamma: float
-) -> Array:
-    """Current that gathers most energy on the ridge, to start the fit from.
-
-    Each cell asks for a current (omega - sigma(k)) / k along its direction, or, if its waves run against one
-    that carries them back, for (omega + sigma(k)) / k. All votes are counted, each line's energy as its
-    part above the noise and short waves, which know it better, more; those of a current U lie on
-    U cos(theta - phi).
-
-    With energy (lines, cells); omega (lines,), rad/s; noise (lines, cells); returns (2,): Along x and y, m/s,
-    to .02 m/s.
+    Each cell gives a current (omega - sigma(k)) / k along its direction, and (omega + sigma(k)) / k for waves
+    that a current carries backwards. The histogram of these is weighted by the energy above the noise, each
+    line over its total, and by k, since short waves determine the current better. A current U appears in the
+    sector theta at U cos(theta - phi).
     """
-    kept = (plane.k > LONGEST * plane.cell) & (plane.k < 0.9 * plane.k[plane.ky == 0].max())
-    k, angle = plane.k[kept], plane.angle[kept]
-    sector = np.rint(angle / (2 * np.pi) * _SCAN_SECTORS).astype(int) % _SCAN_SECTORS
-    slots = round(2 * _FASTEST / _SCAN_STEP) + 1
-    votes = np.zeros(_SCAN_SECTORS * slots)
-    sigma = dispersion(k, depth, gamma)
-    for o, line, floor in zip(omega, energy, noise):
-        weight = np.maximum(line[kept] - 3 * floor[kept], 0.0)
-        total = weight.sum() + floor[kept].sum()
+    plane, omega = spectrum.plane, spectrum.omega
+    used = plane.k > MIN_CELLS_FROM_ZERO * plane.cell
+    used &= plane.k < 0.9 * plane.k[plane.ky == 0].max()
+    k = plane.k[used]
+    sector = np.rint(plane.angle[used] / (2 * np.pi) * SECTORS).astype(int) % SECTORS
+    bins = round(2 * MAX_SPEED / SPEED_STEP) + 1
+    histogram = np.zeros(SECTORS * bins)
+    sigma = dispersion(k, spectrum.depth, gamma)
+    for line_omega, energy, noise in zip(omega, spectrum.energy, spectrum.noise):
+        weight = np.maximum(energy[used] - 3 * noise[used], 0.0)
+        total = weight.sum() + noise[used].sum()
+        if not total > 0:
+            continue
         for free in (sigma, -sigma):
-            requested = np.rint(((o - free) / k + _FASTEST) / _SCAN_STEP).astype(int)
-            inside = (requested >= 0) & (requested < slots) & (weight > 0)
-            if total > 0:
-                place = sector[inside] * slots + requested[inside]
-                votes += np.bincount(place, weight[inside] * k[inside] / total, votes.size)
-    votes = ndimage.gaussian_filter1d(votes.reshape(_SCAN_SECTORS, slots), 1.0, axis=1)
-    speeds = np.arange(-(slots // 2), slots // 2 + 1) * _SCAN_STEP
+            speed_bin = np.rint(((line_omega - free) / k + MAX_SPEED) / SPEED_STEP).astype(int)
+            inside = (speed_bin >= 0) & (speed_bin < bins) & (weight > 0)
+            place = sector[inside] * bins + speed_bin[inside]
+            histogram += np.bincount(place, weight[inside] * k[inside] / total, histogram.size)
+    histogram = ndimage.gaussian_filter1d(histogram.reshape(SECTORS, bins), 1.0, axis=1)
+    speeds = np.arange(-(bins // 2), bins // 2 + 1) * SPEED_STEP
     ux, uy = np.meshgrid(speeds, speeds, indexing="ij")
-    theta = np.arange(_SCAN_SECTORS) * 2 * np.pi / _SCAN_SECTORS
     score = np.zeros(ux.shape)
-    for t, row in zip(theta, votes):
-        along = (ux * np.cos(t) + uy * np.sin(t) + _FASTEST) / _SCAN_STEP
-        score += np.interp(along, np.arange(slots), row, left=0.0, right=0.0)
+    for theta, row in zip(np.arange(SECTORS) * 2 * np.pi / SECTORS, histogram):
+        place = (ux * np.cos(theta) + uy * np.sin(theta) + MAX_SPEED) / SPEED_STEP
+        score += np.interp(place, np.arange(bins), row, left=0.0, right=0.0)
     speed = np.hypot(ux, uy)
-    alike = score >= 0.98 * score[speed <= _FASTEST].max()
-    best = np.argmin(np.where(alike, speed, np.inf))
-    return np.array([ux.flat[best], uy.flat[best]])
+    nearly_best = score >= 0.98 * score[speed <= MAX_SPEED].max()
+    slowest = np.argmin(np.where(nearly_best, speed, np.inf))
+    return np.array([ux.flat[slowest], uy.flat[slowest]])

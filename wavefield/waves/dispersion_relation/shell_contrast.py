@@ -1,18 +1,20 @@
-"""How far a ridge stands out of what lies beside it."""
+"""Energy near a dispersion relation compared with the energy elsewhere."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.water import dispersion, group_velocity
-from wavefield.waves.dispersion_relation.current_scan import LONGEST, WavenumberPlane
+from wavefield.waves.dispersion_relation.plane_spectrum import MIN_CELLS_FROM_ZERO, PlaneSpectrum
 
 Array = NDArray[Any]
 
 
-def _near_ridge(omega: Array, plane: WavenumberPlane, depth: float, fit: Array) -> Array:
-    # within two cells in k and two lines in omega of the fitted relation, (lines, cells)
+def _near_relation(spectrum: PlaneSpectrum, fit: Array) -> Array:
+    """Cells within two cells in k and two lines in omega of the relation `fit`, (lines, cells)."""
+    omega, plane, depth = spectrum.omega, spectrum.plane, spectrum.depth
     free = dispersion(plane.k, depth, fit[2]) + fit[0] * plane.kx + fit[1] * plane.ky
     slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), depth, fit[2]))
     slope += np.hypot(fit[0], fit[1])
@@ -20,46 +22,35 @@ def _near_ridge(omega: Array, plane: WavenumberPlane, depth: float, fit: Array) 
     return np.asarray(np.abs(omega[:, None] - free) < reach)
 
 
-def contrast(
-    energy: Array, omega: Array, lines: Array, plane: WavenumberPlane, depth: float, fit: Array
-) -> float:
-    """Energy on the ridge over what the same cells of the k plane would hold there if all lines were alike.
-
-    With energy (lines, cells); omega (lines,); lines (lines,); fit (3,), m/s.
-    """
-    near = _near_ridge(omega, plane, depth, fit)[lines]
-    near[:, plane.k < LONGEST * plane.cell] = False
-    energy = energy[lines]
+def contrast(spectrum: PlaneSpectrum, lines: Array, fit: Array) -> float:
+    """Energy near the relation over the energy there if each cell had the same energy on all lines."""
+    near = _near_relation(spectrum, fit)[lines]
+    near[:, spectrum.plane.k < MIN_CELLS_FROM_ZERO * spectrum.plane.cell] = False
+    energy = spectrum.energy[lines]
     on, count = (energy * near).sum(axis=0, dtype=float), near.sum(axis=0)
-    there = (count > 0) & (count < near.shape[0])
-    rest = (energy.sum(axis=0, dtype=float) - on)[there] / (near.shape[0] - count[there])
-    expected = float((rest * count[there]).sum())
+    on_both = (count > 0) & (count < near.shape[0])
+    off = (energy.sum(axis=0, dtype=float) - on)[on_both] / (near.shape[0] - count[on_both])
+    expected = float((off * count[on_both]).sum())
     if expected > 0:
-        return float(on[there].sum()) / expected
-    return np.inf if there.any() else 1.0
+        return float(on[on_both].sum()) / expected
+    return np.inf if on_both.any() else 1.0
 
 
-def fraction(energy: Array, omega: Array, plane: WavenumberPlane, depth: float, fit: Array) -> float:
-    """Fraction of the energy that lies within the ridge.
+def fraction(spectrum: PlaneSpectrum, fit: Array) -> float:
+    """Fraction of the energy near the relation."""
+    near = _near_relation(spectrum, fit)
+    total = float(spectrum.energy.sum(dtype=float))
+    return float((spectrum.energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
 
-    With energy (lines, cells); omega (lines,); fit (3,), m/s.
+
+def explained(spectrum: PlaneSpectrum, lines: Array, fit: Array) -> float:
+    """Fraction of the energy above the noise near the relation, of waves carried backwards as well.
+
+    Waves that a current carries backwards appear at the opposite wave vector: omega = k.U - sigma(k).
     """
-    near = _near_ridge(omega, plane, depth, fit)
-    total = float(energy.sum(dtype=float))
-    return float((energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
-
-
-def explained(
-    energy: Array, omega: Array, noise: Array, lines: Array, plane: WavenumberPlane, depth: float, fit: Array
-) -> float:
-    """Fraction of the energy above the noise that lies within the ridge, whichever way waves are seen to go.
-
-    Waves that a current carries back are seen with the opposite wave vector: omega = k.U - sigma(k).
-
-    With energy (lines, cells); omega (lines,); noise (lines, cells); lines (lines,); fit (3,), m/s.
-    """
-    counted = plane.k > LONGEST * plane.cell
-    above = np.maximum(energy[lines] - 3 * noise[lines], 0.0)[:, counted]
-    near = _near_ridge(omega, plane, depth, fit) | _near_ridge(-omega, plane, depth, fit * [-1, -1, 1])
+    counted = spectrum.plane.k > MIN_CELLS_FROM_ZERO * spectrum.plane.cell
+    above = np.maximum(spectrum.energy[lines] - 3 * spectrum.noise[lines], 0.0)[:, counted]
+    backwards = replace(spectrum, omega=-spectrum.omega)
+    near = _near_relation(spectrum, fit) | _near_relation(backwards, fit * [-1, -1, 1])
     total = float(above.sum(dtype=float))
     return float((above * near[lines][:, counted]).sum(dtype=float)) / total if total > 0 else 1.0

@@ -1,4 +1,4 @@
-"""The measured ridge against the theory with the fitted current and the water's surface tension."""
+"""The measured points against the theory with the fitted current and the water's surface tension."""
 
 from typing import Any
 
@@ -6,38 +6,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.water import dispersion, group_velocity
+from wavefield.waves.dispersion_relation.relation_points import RelationPoints
+from wavefield.waves.dispersion_relation.relation_solution import MIN_SLOPE
 
 Array = NDArray[Any]
 
-_SLOWEST = 0.15  # of the free group velocity: waves that a current slows more are not followed
+BAND_WIDTH = 0.5  # Hz
+_NEWTON_ROUNDS = 20
 
 
-def against_theory(points: Array, depth: float, fit: Array, gamma: float) -> dict[str, Any]:
-    """Compare the ridge with theory by bands of half a hertz.
+def against_theory(points: RelationPoints, depth: float, fit: Array, gamma: float) -> dict[str, Any]:
+    """Variables ``ridge_error`` and ``band_frequency``, Hz, (band,): points against theory by bands.
 
-    With points (points, 4 or more), rad/s; fit (3,), m/s; returns ``ridge_error``, the energy-weighted mean
-    of k over the theory's k for that omega and direction, less 1, and ``band_frequency``, Hz, (band).
+    The error is the energy-weighted mean of k over the theory's k for that omega and direction, less 1.
     """
-    omega, k, angle, weight = points.T[:4]
-    along = fit[0] * np.cos(angle) + fit[1] * np.sin(angle)
-    theory = k.copy()
-    for _ in range(20):
-        beside = dispersion(theory, depth, gamma) + theory * along - omega
+    along = points.along(fit)
+    theory = points.k.copy()
+    for _ in range(_NEWTON_ROUNDS):
+        off = dispersion(theory, depth, gamma) + theory * along - points.omega
         speed = group_velocity(theory, depth, gamma)
-        slope = np.maximum(speed + along, _SLOWEST * speed)
-        theory = np.clip(theory - beside / slope, 0.5 * theory, 2 * theory)
-    frequency = omega / (2 * np.pi)
-    band = np.floor(frequency / 0.5)
+        slope = np.maximum(speed + along, MIN_SLOPE * speed)
+        theory = np.clip(theory - off / slope, 0.5 * theory, 2 * theory)
+    relative = points.k / theory - 1
+    band = np.floor(points.omega / (2 * np.pi) / BAND_WIDTH)
     centres, errors = [], []
-    for b in np.unique(band):
-        inside = band == b
+    for number in np.unique(band):
+        inside = band == number
         # each line on its own scale: energy falls by decades within a band
-        scale = weight[inside] / np.interp(omega[inside], *_line_means(omega[inside], weight[inside]))
-        centres.append((b + 0.5) * 0.5)
-        errors.append(float(np.average(k[inside] / theory[inside] - 1, weights=scale)))
+        omega, energy = points.omega[inside], points.energy[inside]
+        lines = np.unique(omega)
+        means = np.array([energy[omega == line].mean() for line in lines])
+        centres.append((number + 0.5) * BAND_WIDTH)
+        errors.append(float(np.average(relative[inside], weights=energy / np.interp(omega, lines, means))))
     return {"ridge_error": ("band", np.array(errors)), "band_frequency": ("band", np.array(centres))}
-
-
-def _line_means(omega: Array, weight: Array) -> tuple[Array, Array]:
-    lines = np.unique(omega)
-    return lines, np.array([weight[omega == line].mean() for line in lines])
