@@ -38,7 +38,7 @@ from wavefield.waves.dispersion_relation.current_used import (
 from wavefield.waves.dispersion_relation.direction import direction_group
 from wavefield.waves.dispersion_relation.directional_spectrum import from_density
 from wavefield.waves.dispersion_relation.dispersion_fit import dispersion_group
-from wavefield.waves.dispersion_relation.doppler_correction import Moving
+from wavefield.waves.dispersion_relation.doppler_correction import SpectraOnCurrent
 from wavefield.waves.dispersion_relation.fit_settings import FitSettings, fit_settings
 from wavefield.waves.estimation import segment_variance, segments, transfer_functions
 from wavefield.waves.estimation.mean_current import delayed_current
@@ -376,12 +376,12 @@ def _currents(
     return subjects
 
 
-def _moving(used: CurrentUsed, w: xr.DataArray, power: np.ndarray, welch: Welch) -> Moving | None:
+def _moving(used: CurrentUsed, w: xr.DataArray, power: np.ndarray, welch: Welch) -> SpectraOnCurrent | None:
     # what takes w to the elevation on the current; None on still water and where none is known
     if used.source == NO_CURRENT:
         return None
     zw = xr.DataArray(field_spectra.density(power, welch), w.coords, w.dims)
-    return Moving(used.velocity, w, zw)
+    return SpectraOnCurrent(used.velocity, w, zw)
 
 
 def _map_lines(omega: np.ndarray, requested: Sequence[float]) -> list[int]:

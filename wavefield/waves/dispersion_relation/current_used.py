@@ -1,8 +1,9 @@
-"""Which current an estimate used, and where it came from."""
+"""Which current an estimate used, and its origin."""
 
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 FITTED, GIVEN, NO_CURRENT = "fit", "given", "none"
@@ -12,10 +13,10 @@ FITTED, GIVEN, NO_CURRENT = "fit", "given", "none"
 class CurrentUsed:
     """A current and its origin."""
 
-    velocity: tuple[float, float]  # Along x and y, m/s
-    std: tuple[float, float]  # Standard uncertainty, m/s; NaN if it is not known
+    velocity: tuple[float, float]  # along x and y, m/s
+    std: tuple[float, float]  # standard uncertainty, m/s; NaN where it was not estimated
     source: str  # ``fit``, ``given``, or ``none`` where still water is assumed
-    reason: str = ""  # Why the fit was refused; empty where it was not
+    reason: str = ""  # why the fit was refused
 
     @property
     def attrs(self) -> dict[str, Any]:
@@ -25,13 +26,9 @@ class CurrentUsed:
 
 
 def current_used(dispersion: xr.Dataset, given: tuple[float, float] | None) -> CurrentUsed:
-    """The fitted current where there is one, else that given, else none.
-
-    With given, m/s.
-    """
+    """The fitted current of a dispersion group, else the given one, m/s, else none."""
     if "current_x" in dispersion:
         velocity, std = ([float(dispersion[f"current_{a}{end}"]) for a in "xy"] for end in ("", "_std"))
         return CurrentUsed((velocity[0], velocity[1]), (std[0], std[1]), FITTED)
     reason = str(dispersion.attrs.get("refused", ""))
-    unknown = (float("nan"), float("nan"))
-    return CurrentUsed(given or (0.0, 0.0), unknown, GIVEN if given else NO_CURRENT, reason)
+    return CurrentUsed(given or (0.0, 0.0), (np.nan, np.nan), GIVEN if given else NO_CURRENT, reason)

@@ -1,4 +1,4 @@
-"""Where the waves go: the directional spectrum on the ridge, and how isotropic the sea is."""
+"""Directions of the waves near the dispersion relation, and how isotropic the sea is."""
 
 from typing import Any
 
@@ -15,42 +15,40 @@ from wavefield.waves.estimation.windows import interval
 
 Array = NDArray[Any]
 
-_HALF_WIDTH, _LEAST_CELLS = 0.22, 2.2  # of the ring around the ridge: relative, and in cells
+HALF_WIDTH, MIN_HALF_WIDTH = 0.22, 2.2  # of the ring around the relation: relative to k, and in cells
 _HANN = np.array([1 / 36, 4 / 9, 1, 4 / 9, 1 / 36])  # squared correlation of neighbouring lines or cells
-_LIKE = 4 / 7  # variance of these five, cells squared
-_WINDOW = 1 / 3  # of the power that a Hann window leaves of one wave
+_HANN_VARIANCE = 4 / 7  # of these five, cells squared
+_LINE_VARIANCE = 1 / 3  # of the power that a Hann window leaves of one wave, cells squared
 
 
 def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, float]) -> Array:
-    """Spectrum as somebody sees it who drifts with the water.
+    """E(k, omega + k . U) on some lines of E(omega, ky, kx), (lines, ky, kx): in the frame of the water.
 
-    With density (omega, ky, kx); lines (lines,); current, m/s; returns (lines, ky, kx): E(k, omega + k . U),
-    between lines by straight lines.
+    Between lines by linear interpolation; current U in m/s.
     """
     values = density.values
     if not any(current):
         return np.asarray(values[lines], float)
     omega, ky, kx = (density[name].values for name in ("omega", "ky", "kx"))
-    step = omega[1] - omega[0]
-    shift = (current[1] * ky[:, None] + current[0] * kx) / step
+    shift = (current[1] * ky[:, None] + current[0] * kx) / (omega[1] - omega[0])
     row, column = np.meshgrid(np.arange(ky.size), np.arange(kx.size), indexing="ij")
     mirror_row, mirror_column = (np.abs(k[:, None] + k).argmin(axis=1) for k in (ky, kx))
     out = np.empty((lines.size, *shift.shape))
     for i, line in enumerate(lines):
         place = line + shift
-        back = place < 0
+        backwards = place < 0  # E(-k, -omega) = E(k, omega)
         place = np.abs(place)
         low = np.minimum(np.floor(place).astype(int), omega.size - 1)
         high = np.minimum(low + 1, omega.size - 1)
-        y = np.where(back, mirror_row[row], row)
-        x = np.where(back, mirror_column[column], column)
+        y = np.where(backwards, mirror_row[row], row)
+        x = np.where(backwards, mirror_column[column], column)
         part = place - low
         out[i] = (1 - part) * values[low, y, x] + part * values[high, y, x]
         out[i][place > omega.size - 1] = 0
     return out
 
 
-class _Sectors:
+class _RingSectors:
     """Fractions of the cells of a k plane in sectors of a ring."""
 
     def __init__(self, ky: Array, kx: Array, count: int) -> None:
@@ -59,33 +57,34 @@ class _Sectors:
         sub_y = ky[:, None, None, None] + (part * (ky[1] - ky[0]))[:, None, None]
         sub_x = kx[:, None] + part * (kx[1] - kx[0])
         self.count, self.width = count, 2 * np.pi / count
-        self.shape = ky.size, kx.size
-        self.cell = float((ky[1] - ky[0]) * (kx[1] - kx[0]))
+        self.cells = ky.size * kx.size
+        self.cell_area = float((ky[1] - ky[0]) * (kx[1] - kx[0]))
         radius = np.hypot(sub_y, sub_x)  # (ky, part, kx, part)
         turn = np.arctan2(sub_y, sub_x) % (2 * np.pi)
         sector = np.floor(turn / self.width).astype(int) % count
-        cells = np.arange(ky.size * kx.size).reshape(ky.size, 1, kx.size, 1)
-        rising = np.argsort(radius, axis=None)  # a ring is a piece of what is sorted
-        self.radius = radius.ravel()[rising]
-        self.place = (sector * cells.size + cells).ravel()[rising]  # in sectors times cells
+        cell = np.arange(self.cells).reshape(ky.size, 1, kx.size, 1)
+        by_radius = np.argsort(radius, axis=None)  # a ring is a slice of the sorted parts
+        self.radius = radius.ravel()[by_radius]
+        self.place = (sector * self.cells + cell).ravel()[by_radius]  # in (sectors, cells)
 
-    def of_ring(self, centre: float, half: float) -> tuple[Array, Array]:
-        """Fractions (sectors, cells) and how much of each sector the plane holds, (sectors,)."""
-        inner = np.searchsorted(self.radius, centre - half, "right")
-        ring = slice(inner, np.searchsorted(self.radius, centre + half, "left"))
-        size = self.shape[0] * self.shape[1]
-        found = np.bincount(self.place[ring], minlength=self.count * size).reshape(self.count, size)
-        out = found / rings.SUPERSAMPLING**2
-        whole = self.width / 2 * ((centre + half) ** 2 - max(centre - half, 0.0) ** 2)
-        return out, out.sum(axis=1) * self.cell / whole
+    def shares(self, centre: float, half: float) -> tuple[Array, Array]:
+        """Fractions of a ring, (sectors, cells), and how much of each sector the plane holds, (sectors,)."""
+        first = np.searchsorted(self.radius, centre - half, "right")
+        ring = slice(first, np.searchsorted(self.radius, centre + half, "left"))
+        parts = np.bincount(self.place[ring], minlength=self.count * self.cells)
+        out = parts.reshape(self.count, self.cells) / rings.SUPERSAMPLING**2
+        area = self.width / 2 * ((centre + half) ** 2 - max(centre - half, 0.0) ** 2)
+        return out, out.sum(axis=1) * self.cell_area / area
 
 
 def _covariances(shares: Array, energy: Array, dof: float) -> Array:
-    # of the energies of sectors, (sectors, sectors): neighbouring cells and lines are correlated, and sectors
-    # share cells
+    """Covariances of the energies of sectors, (sectors, sectors).
+
+    Neighbouring cells and lines are correlated, and sectors share cells.
+    """
     lines, ny, nx = energy.shape
     reach = min(2, lines - 1)
-    across = ndimage.convolve1d(energy, _HANN[2 - reach : 3 + reach], axis=0, mode="constant")
+    over_lines = ndimage.convolve1d(energy, _HANN[2 - reach : 3 + reach], axis=0, mode="constant")
     planes = shares.reshape(-1, ny, nx)
     out = np.zeros((shares.shape[0],) * 2)
     for s, part in enumerate(planes):
@@ -93,36 +92,36 @@ def _covariances(shares: Array, energy: Array, dof: float) -> Array:
         if not used[0].size:
             continue
         box = tuple(slice(max(int(some[0]) - 2, 0), int(some[-1]) + 3) for some in used)
-        felt = part[box] * across[:, *box]
+        smoothed = part[box] * over_lines[:, *box]
         for axis in (1, 2):
-            felt = ndimage.convolve1d(felt, _HANN, axis=axis, mode="constant")
-        felt = (felt * energy[:, *box]).sum(axis=0)
-        out[s] = 2 / dof * (planes[:, *box] * felt).sum(axis=(1, 2))
+            smoothed = ndimage.convolve1d(smoothed, _HANN, axis=axis, mode="constant")
+        product = (smoothed * energy[:, *box]).sum(axis=0)
+        out[s] = 2 / dof * (planes[:, *box] * product).sum(axis=(1, 2))
     return out
 
 
-def _alike(weight: Array, off: Array) -> float:
-    """How many times fewer independent waves lie across a ridge than the windows' own correlation counts.
+def _correlation_across(weight: Array, off: Array) -> float:
+    """By what factor waves across the relation are fewer than the windows' correlation gives.
 
-    `weight` is the energy of the cells of a ring, (lines, cells), `off` how far they lie from the ridge, in
-    cells. Cells are taken to be correlated as for even energy; where waves are narrower than the window all
-    cells across them hold the same: of Gaussian shapes the number is that of the width without the window's.
+    With the energy of the cells of a ring as `weight`, (lines, cells), and their distance from the relation
+    in cells. Cells count as correlated for even energy; where the relation is narrower than the window all
+    cells across it are one sample: for Gaussian shapes the number is that of the width without the window's.
     """
-    whole = weight.sum()
-    if not whole > 0:
+    total = weight.sum()
+    if not total > 0:
         return 1.0
     mean = (weight * off).sum(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
-    seen = 2 * float((weight * (off - mean) ** 2).sum() / whole)
-    own = max(seen - 2 * _WINDOW, 0.0)
-    return float(np.sqrt((seen + _LIKE) / (own + _LIKE)))
+    measured = 2 * float((weight * (off - mean) ** 2).sum() / total)
+    own = max(measured - 2 * _LINE_VARIANCE, 0.0)
+    return float(np.sqrt((measured + _HANN_VARIANCE) / (own + _HANN_VARIANCE)))
 
 
 def _freedom(levels: Array, covariances: Array) -> Array:
-    # degrees of freedom of each sector's part of the sum over all, (sectors,)
+    """Degrees of freedom of each sector's part of the sum over all, (sectors,)."""
     total = max(levels.sum(), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
-        mine = np.diag(covariances) / levels**2 - 2 * covariances.sum(axis=1) / (levels * total)
-    return np.asarray(2 / np.maximum(mine + covariances.sum() / total**2, 1e-12))
+        own = np.diag(covariances) / levels**2 - 2 * covariances.sum(axis=1) / (levels * total)
+    return np.asarray(2 / np.maximum(own + covariances.sum() / total**2, 1e-12))
 
 
 def directions(
@@ -136,14 +135,14 @@ def directions(
     gamma: float = GAMMA,
     bandwidth: float = 0.2,
 ) -> xr.Dataset:
-    """Directional spectrum of the waves on the ridge at some frequencies.
+    """Directional spectrum of the waves near the dispersion relation at some frequencies.
 
     Parameters
     ----------
     density : DataArray, (omega, ky, kx)
         Spectrum of z or w.
     frequency : array_like
-        Frequencies as the water sees them, Hz: without a current those of the cameras.
+        Frequencies in the frame of the water, Hz: without a current those of the cameras.
     depth : float
         Depth of the water, m.
     current : tuple of float
@@ -161,7 +160,7 @@ def directions(
     -------
     Dataset
         ``D`` (frequency, theta): density over the direction of propagation, its integral over theta is 1;
-        ``dof``, ``low``, ``high`` (frequency, theta); ``energy`` (frequency), the ridge's spectrum per Hz;
+        ``dof``, ``low``, ``high`` (frequency, theta); ``energy`` (frequency), their spectrum per Hz;
         ``direction``, ``spread`` (frequency): mean direction and directional spread, rad; ``r1``, ``r2``
         (frequency), moduli of the first two harmonics; ``isotropy`` (frequency): 1 - the larger of them,
         1 for an isotropic sea, 0 for a single direction.
@@ -173,13 +172,13 @@ def directions(
 
     Notes
     -----
-    The spectrum is taken to still water first, E(k, omega + k . U). Cells near the ridge are shared between
-    sectors by area (8 x 8 parts); the k plane's own coverage of each sector is divided out, so a rectangle of
-    nodes does not look like a direction. The spread is sqrt(2 (1 - r1)), the resolution taken off: a Hann
-    window of length L blurs k by (2 pi / L) / sqrt(3), cells and sectors by their width over sqrt(12). D and
-    the harmonics keep that blur. The degrees of freedom are those of the energy found in a sector, its cells
-    and lines correlated as Hann windows have it, fewer the narrower the ridge is beside the window, and of
-    the sum over all sectors, which share cells, that D is a fraction of.
+    The spectrum is first taken to still water, E(k, omega + k . U). Cells near the dispersion relation are
+    shared between sectors by area (8 x 8 parts); the k plane's own coverage of each sector is divided out,
+    so that a rectangle of nodes does not appear as a direction. The spread is sqrt(2 (1 - r1)) less the
+    resolution: a Hann window of length L blurs k by (2 pi / L) / sqrt(3), cells and sectors by their width
+    over sqrt(12). D and the harmonics keep that blur. The degrees of freedom are those of the energy of a
+    sector, its cells and lines correlated by the Hann windows, fewer where the relation is narrower than the
+    window, and of the sum over all sectors, which share cells, that D is a fraction of.
     """
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
@@ -189,24 +188,25 @@ def directions(
         raise CubeError(f"{frequency.max():g} Hz is outside the spectrum, which ends at {lines[-1]:g} Hz")
     ky, kx = density["ky"].values, density["kx"].values
     cells = float(ky[1] - ky[0]), float(kx[1] - kx[0])
-    plane = _Sectors(ky, kx, sectors)
+    plane = _RingSectors(ky, kx, sectors)
     radius, angle = np.hypot(ky[:, None], kx).ravel(), np.arctan2(ky[:, None], kx).ravel()
-    across = np.hypot(cells[0] * np.sin(angle), cells[1] * np.cos(angle))  # of a cell, along its wave vector
+    cell_along = np.hypot(cells[0] * np.sin(angle), cells[1] * np.cos(angle))  # along the wave vector
     centres = wavenumber(2 * np.pi * frequency, depth, gamma)
     levels, degrees = np.empty((frequency.size, sectors)), np.full((frequency.size, sectors), np.nan)
     for i, (f, centre) in enumerate(zip(frequency, centres)):
-        chosen = np.flatnonzero(np.abs(lines - f) <= bandwidth / 2 + 1e-9)
-        if not chosen.size:
-            chosen = np.array([np.abs(lines - f).argmin()])
-        energy = in_still_water(density, chosen, current)
-        shares, held = plane.of_ring(float(centre), max(_HALF_WIDTH * centre, _LEAST_CELLS * max(cells)))
-        to_level = np.divide(plane.cell / chosen.size, held, out=np.zeros(sectors), where=held > 0)
+        band = np.flatnonzero(np.abs(lines - f) <= bandwidth / 2 + 1e-9)
+        if not band.size:
+            band = np.array([np.abs(lines - f).argmin()])
+        energy = in_still_water(density, band, current)
+        half_width = max(HALF_WIDTH * centre, MIN_HALF_WIDTH * max(cells))
+        shares, coverage = plane.shares(float(centre), half_width)
+        to_level = np.divide(plane.cell_area / band.size, coverage, out=np.zeros(sectors), where=coverage > 0)
         levels[i] = shares @ energy.sum(axis=0).ravel() * to_level
         if dof is not None:
-            on_line = wavenumber(2 * np.pi * lines[chosen], depth, gamma)
-            off = (radius - on_line[:, None]) / across
-            weight = shares.sum(axis=0) * energy.reshape(chosen.size, -1)
-            covariances = _covariances(shares, energy, dof / _alike(weight, off))
+            on_line = wavenumber(2 * np.pi * lines[band], depth, gamma)
+            off = (radius - on_line[:, None]) / cell_along
+            weight = shares.sum(axis=0) * energy.reshape(band.size, -1)
+            covariances = _covariances(shares, energy, dof / _correlation_across(weight, off))
             degrees[i] = _freedom(levels[i], covariances * np.outer(to_level, to_level))
     return _label(frequency, centres, levels, degrees, cells)
 
@@ -252,10 +252,7 @@ def direction_group(
     gamma: float,
     dof: float,
 ) -> xr.Dataset:
-    """Directions at the frequencies of the maps, isotropy at all.
-
-    With density (omega, ky, kx); current, m/s.
-    """
+    """Directions at the frequencies of the maps, isotropy at all; current in m/s."""
     lines = density["omega"].values / (2 * np.pi)
     out = directions(density, lines[chosen], depth, current=current, dof=dof, gamma=gamma)
     out = out[["D", "dof", "low", "high", "direction", "spread"]]

@@ -1,4 +1,4 @@
-"""Directional spectra as oceanographers have them: E(f, theta) that wavespectra takes as its own."""
+"""Directional spectra E(f, theta) in the convention of oceanographers, which wavespectra reads."""
 
 from typing import Any
 
@@ -19,8 +19,8 @@ from wavefield.waves.spectra.field_spectra import spectrum
 Array = NDArray[Any]
 
 SECTORS = 36
-_STEP = 0.1  # Hz between the frequencies, or a line where lines lie further apart
-_LOWEST = 0.5  # Hz: the integrated w holds little but drift below
+STEP_HZ = 0.1  # between the frequencies, or a line of the spectrum where that is more
+LOWEST_HZ = 0.5  # the integrated w holds little but drift below
 
 
 def from_density(
@@ -31,22 +31,19 @@ def from_density(
     dof: float,
     frames: int,
 ) -> xr.Dataset:
-    """Directional spectrum of the elevation from E(ky, kx, omega) of w.
-
-    With density (omega, ky, kx); current, m/s.
-    """
+    """Directional spectrum of the elevation from E(omega, ky, kx) of w; current in m/s."""
     omega = density["omega"].values
     dt = np.pi / float(omega[-1])
-    # the water sees omega - k . U, and w is the rise of a particle that the current carries
-    still = density["omega"] - density["kx"] * current[0] - density["ky"] * current[1]
-    still = abs(still.transpose(*density.dims))
-    factor = elevation_from_w(still.clip(min=omega[1]), dt, frames)
-    elevation = density * factor.where(still > omega[1] / 2, 0.0)
+    # w is the rise of a particle that the current carries: it is integrated at omega - k . U
+    intrinsic = density["omega"] - density["kx"] * current[0] - density["ky"] * current[1]
+    intrinsic = abs(intrinsic.transpose(*density.dims))
+    factor = elevation_from_w(intrinsic.clip(min=omega[1]), dt, frames)
+    elevation = density * factor.where(intrinsic > omega[1] / 2, 0.0)
     line = float(omega[1]) / (2 * np.pi)
     shortest = dispersion(0.8 * float(density["kx"].max()), depth, gamma) / (2 * np.pi)
-    step = max(_STEP, line)
-    frequency = np.arange(max(_LOWEST, 3 * line), min(shortest, 0.9 * omega[-1] / (2 * np.pi)), step)
-    found = directions(
+    step = max(STEP_HZ, line)
+    frequency = np.arange(max(LOWEST_HZ, 3 * line), min(shortest, 0.9 * omega[-1] / (2 * np.pi)), step)
+    by_direction = directions(
         elevation,
         frequency,
         depth,
@@ -57,17 +54,17 @@ def from_density(
         bandwidth=step * (1 - 1e-9),
     )
     # where waves come from, clockwise from the y axis
-    compass = (270 - np.degrees(found["theta"].values)) % 360
+    compass = (270 - np.degrees(by_direction["theta"].values)) % 360
     order = np.argsort(compass)
-    energy = (found["energy"] * found["D"] * np.pi / 180).values[:, order]
+    energy = (by_direction["energy"] * by_direction["D"] * np.pi / 180).values[:, order]
     out = xr.Dataset(
         {
             "efth": (("freq", "dir"), energy),
-            "dof": (("freq", "dir"), found["dof"].values[:, order]),
-            "mean_direction": ("freq", (270 - np.degrees(found["direction"].values)) % 360),
-            "directional_spread": ("freq", np.degrees(found["spread"].values)),
-            "r1": ("freq", found["r1"].values),
-            "r2": ("freq", found["r2"].values),
+            "dof": (("freq", "dir"), by_direction["dof"].values[:, order]),
+            "mean_direction": ("freq", (270 - np.degrees(by_direction["direction"].values)) % 360),
+            "directional_spread": ("freq", np.degrees(by_direction["spread"].values)),
+            "r1": ("freq", by_direction["r1"].values),
+            "r2": ("freq", by_direction["r2"].values),
         },
         {"freq": ("freq", frequency), "dir": ("dir", compass[order])},
         {"current_x": current[0], "current_y": current[1]},
@@ -92,7 +89,7 @@ def directional_spectrum(
     depth : float, optional
         Depth of the water, m; the attribute ``water_depth`` of the cube, or deep, if not given.
     current : tuple of float, optional
-        Velocity of the water, m/s; fitted to the ridge if not given.
+        Velocity of the water, m/s; fitted to the dispersion relation if not given.
     segment : int, optional
         Steps of a Welch segment; chosen from the record if not given.
     record : Record, optional
@@ -102,20 +99,19 @@ def directional_spectrum(
     -------
     Dataset
         ``efth`` (freq, dir), m2 s degree-1; its ``dof``; ``mean_direction`` and ``directional_spread``
-        (degrees), ``r1``, ``r2`` (freq). ``freq`` is in Hz as the water sees it, ``dir`` in degrees where
-        waves come from, clockwise from the y axis. Computed at once.
+        (degrees), ``r1``, ``r2`` (freq). ``freq`` is in Hz in the frame of the water, ``dir`` in
+        degrees, where waves come from, clockwise from the y axis. Computed at once.
 
     Raises
     ------
     CubeError
-        If w is missing, the record is shorter than a segment, or no ridge can be followed and no current is
-        given.
+        If w is missing, the record is shorter than a segment, or the fit is refused and no current is given.
 
     Notes
     -----
-    From w, whose ridge is the clearest, over its transfer function; waves near the ridge alone
-    (`directions`). With wavespectra installed, ``import wavespectra`` gives the result ``.spec``, and
-    ``to_netcdf`` writes what its readers open.
+    From w, which shows the dispersion relation most clearly, over its transfer function; of waves near the
+    relation alone (`directions`). With wavespectra installed, ``import wavespectra`` gives the result
+    ``.spec``, and ``to_netcdf`` writes what its readers open.
 
     Examples
     --------
@@ -128,11 +124,11 @@ def directional_spectrum(
     """
     fields = validate(cube, "w")
     depth, gamma = water_of(cube.attrs, depth)
-    found = spectrum(fields["w"], segment=segment, record=record).compute()
+    of_w = spectrum(fields["w"], segment=segment, record=record).compute()
     if current is None:
         try:
-            fit = fit_dispersion(found["E"], depth, gamma=gamma)
+            fit = fit_dispersion(of_w["E"], depth, gamma=gamma)
         except CubeError as error:
             raise CubeError(f"{error}; or give the current") from None
         current = float(fit["current_x"]), float(fit["current_y"])
-    return from_density(found["E"], depth, gamma, current, float(found["dof"]), frames_of(fields))
+    return from_density(of_w["E"], depth, gamma, current, float(of_w["dof"]), frames_of(fields))

@@ -14,7 +14,11 @@ from numpy.typing import NDArray
 
 from wavefield.variables import annotate
 from wavefield.water import dispersion, water_of, wavenumber
-from wavefield.waves.dispersion_relation.doppler_correction import Moving, longest, moving_of, shortest
+from wavefield.waves.dispersion_relation.doppler_correction import (
+    SpectraOnCurrent,
+    longest_waves,
+    shortest_waves,
+)
 from wavefield.waves.estimation.degrees_of_freedom import with_interval
 from wavefield.waves.estimation.leakage import leakage
 from wavefield.waves.estimation.transfer_functions import LEAST_SIGNAL, elevation_from_w, path_factor
@@ -118,7 +122,7 @@ class _Elevations:
         return np.asarray(array.sum(axis=1) * self.step)
 
 
-def _elevations(ring: xr.Dataset, water: Water, moving: Moving | None) -> _Elevations:
+def _elevations(ring: xr.Dataset, water: Water, moving: SpectraOnCurrent | None) -> _Elevations:
     dt, omega = float(ring.attrs["dt"]), ring["omega"].values
     frames = int(ring.attrs.get("frames", 2))
     given = omega, ring["k"].values, dt, ring["E_z"].values
@@ -148,7 +152,7 @@ def _wavenumber(spectra: _Elevations, water: Water) -> Array:
         return np.asarray(wavenumber(omega, *water))
     energy = np.maximum(spectra.zw, 0.0)
     middle = (energy * spectra.k).sum(axis=1) / np.maximum(energy.sum(axis=1), _tiny(spectra))
-    reach = longest(omega, water, spectra.speed), shortest(omega, water, spectra.speed)
+    reach = longest_waves(omega, water, spectra.speed), shortest_waves(omega, water, spectra.speed)
     return np.asarray(np.clip(_smooth(middle), *reach))
 
 
@@ -227,7 +231,7 @@ def _by_method(
 
 
 def from_spectra(
-    ring: xr.Dataset, water: Water, gain: xr.Dataset | None = None, moving: Moving | None = None
+    ring: xr.Dataset, water: Water, gain: xr.Dataset | None = None, moving: SpectraOnCurrent | None = None
 ) -> xr.Dataset:
     """Fusion from the power and cross spectra of z and w."""
     ring = ring.compute()
@@ -295,7 +299,7 @@ def _freedom(ring: xr.Dataset) -> dict[str, Array]:
 def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
     # whether a line holds energy where waves of its frequency are, not where the peak is: what a window
     # lets through of a peak decades above keeps the peak's wavenumber
-    shorter = spectra.k > _LONGER * longest(spectra.omega, water, spectra.speed)[:, None]
+    shorter = spectra.k > _LONGER * longest_waves(spectra.omega, water, spectra.speed)[:, None]
     there = np.maximum(energy, 0.0)
     total = _smooth(there.sum(axis=1))
     return np.asarray(_smooth((there * shorter).sum(axis=1)) > 0.5 * total)
@@ -403,5 +407,5 @@ def fused_spectra(
     cube = door(cube, NAMES)
     welch = Welch.of(cube, segment, record)
     (sums,) = dask.compute(lazy_sums(cube, NAMES, PAIRS, ("w", *PLANES), welch))
-    moving = moving_of(sums, welch, water, current)
+    moving = SpectraOnCurrent.of(sums, welch, water, current)
     return from_spectra(label(sums, NAMES, PAIRS, welch), water, gain, moving)
