@@ -61,9 +61,9 @@ def current_by_depth(
     Returns
     -------
     Dataset
-        ``doppler_x``, ``doppler_y`` and their ``_std`` (k_band), m/s, the current that shifts the waves of a band;
-        ``effective_depth`` (k_band), m; ``current_x``, ``current_y`` and their ``_std`` (z), m/s, over the
-        depths that the waves reach; attribute ``degree``.
+        ``doppler_x``, ``doppler_y`` and their ``_std`` (k_band), m/s, the current that shifts the waves of a
+        band; ``effective_depth`` (k_band), m; ``current_x``, ``current_y`` and their ``_std`` (z), m/s, over
+        the depths that the waves reach; attribute ``degree``.
 
     Raises
     ------
