@@ -28,7 +28,6 @@ from wavefield.store.read import open_cube
 from wavefield.store.verify import verify
 from wavefield.tank.scene import Scene
 from wavefield.tank.write_experiment import simulate
-from wavefield.waves.analyze import analyze
 from wavefield.waves.dispersion_relation.current_by_depth import current_by_depth
 from wavefield.waves.dispersion_relation.directional_spectrum import directional_spectrum
 from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
@@ -43,6 +42,7 @@ from wavefield.waves.surface.drift import stokes_drift, surface_paths
 from wavefield.waves.surface.energy_budget import energy_budget
 from wavefield.waves.surface.increments import structure_functions
 from wavefield.waves.surface.vortices import waves_and_vortices
+from wavefield.waves.wave_analysis import analyze
 
 __version__: str
 

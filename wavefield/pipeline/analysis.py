@@ -75,7 +75,7 @@ def analyze_on_workers(
     with place as folder, log_file(target), stop_signals(workflow.time_limit_seconds):
         try:
             with open_cluster(workflow, jobs_folder(target), True, True, _PRELOADED) as map_unordered:
-                from wavefield.waves.analyze import analyze  # while the workers start
+                from wavefield.waves.wave_analysis import analyze  # while the workers start
 
                 return analyze(source, target, each=_InOrder(map_unordered, Path(folder)), **asked)
         except KeyboardInterrupt as stop:

@@ -10,4 +10,4 @@ from wavefield.execution.worker_settings import THREAD_VARIABLES
 os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
 
 import wavefield.pipeline.analysis
-import wavefield.waves.analyze  # noqa: F401
+import wavefield.waves.wave_analysis  # noqa: F401

@@ -5,7 +5,6 @@ objects; lazy input gives lazy results, reduced in one pass over Welch segments.
 """
 
 from wavefield.water import dispersion, group_velocity, wavenumber
-from wavefield.waves.analyze import analyze
 from wavefield.waves.dispersion_relation.current_by_depth import ShearSettings, current_by_depth
 from wavefield.waves.dispersion_relation.direction import directions
 from wavefield.waves.dispersion_relation.directional_spectrum import directional_spectrum
@@ -47,6 +46,7 @@ from wavefield.waves.surface.energy_budget import energy_budget
 from wavefield.waves.surface.increments import structure_functions
 from wavefield.waves.surface.statistics import statistics
 from wavefield.waves.surface.vortices import waves_and_vortices
+from wavefield.waves.wave_analysis import analyze
 
 __all__ = [
     "FitSettings",

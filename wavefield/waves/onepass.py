@@ -1,9 +1,11 @@
-"""One pass over a cube in bounded memory: all sums that the analysis is made of."""
+"""One pass over a cube in bounded memory: all sums that the products of an analysis need."""
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial, reduce
+from operator import add
 from typing import Any
 
 import dask
@@ -14,20 +16,16 @@ from numpy.typing import NDArray
 from wavefield.waves.estimation import segments
 from wavefield.waves.estimation.wave_record import Each
 from wavefield.waves.estimation.welch import Welch
-from wavefield.waves.fused import fused_spectra
-from wavefield.waves.nonlinear import coherence, kinematics
+from wavefield.waves.nonlinear import kinematics
 from wavefield.waves.spectra import cross_spectra
 from wavefield.waves.surface import statistics
 
 Array = NDArray[Any]
+Pairs = Sequence[tuple[str, str]]
 
 FIELDS = ("z", "z_t", "u", "v", "w")
-NAMES = ("z", "z_t", "rise", "u", "v", "w", "nl")
-PAIRS = (*coherence.PAIRS, *fused_spectra.PAIRS)
-MAPS = ("z", "w")
-PLANES = (*MAPS, *fused_spectra.PLANES)
-_KINEMATIC_STEPS = 200  # steps at which the kinematic balance is drawn up
-_POINT_DISTANCE = 0.08  # m between the points of the higher-order spectra
+BALANCE_STEPS = 200  # at which the kinematic balance is taken
+POINT_DISTANCE = 0.08  # m, between the points of the higher-order spectra
 
 Progress = Callable[[int, int], None]
 
@@ -36,167 +34,130 @@ Progress = Callable[[int, int], None]
 class Sums:
     """What one pass over a cube gives."""
 
-    rings: dict[str, Array]  # As `crosses.combine` gives it, over all segments
-    survey: dict[str, Array]  # As `statistics.survey` gives it, and "slopes"
-    # Rows of the kinematic balance (`kinematics.balance`), each with its "step"
-    balance: list[dict[str, float]]
-    points: Array  # (time, points): w at points far apart
+    scale: dict[str, tuple[float, float]]  # rough mean and standard deviation of each field
+    ring_sums: dict[str, Array]  # as `cross_spectra.combine` gives it, over all segments
+    survey_sums: dict[str, Array]  # as `statistics.sums_of` gives it
+    balance_rows: list[dict[str, float]]  # of `kinematics.balance`, each with its "step"
+    point_series: Array  # (time, points), w at points far apart
 
 
-@dataclass(frozen=True)
-class _Step:
-    """Takes in half a segment: sums of transforms, counts, the balance at some steps, time series."""
+@dataclass
+class _Partial:
+    """Sums of one chain, or of several."""
 
-    read: segments.Reader
-    scale: dict[str, tuple[float, float]]
-    welch: Welch
-    every: int
-    apart: tuple[int, int]
+    ring_sums: dict[str, Array] = field(default_factory=dict)
+    survey_sums: dict[str, Array] = field(default_factory=dict)
+    balance_rows: list[dict[str, float]] = field(default_factory=list)
+    points: list[Array] = field(default_factory=list)
 
-    def __call__(
-        self, state: dict[str, Any] | None, a: int, b: int, run: tuple[int, int], new: bool
-    ) -> dict[str, Any]:
-        state = {"survey": None, "sums": None, "balance": [], "points": []} if state is None else {**state}
-        fields = dict(zip(FIELDS, self.read(a, b, run)))
-        if new:
-            survey = self._survey(fields)
-            state["survey"] = survey if state["survey"] is None else segments.add(state["survey"], survey)
-            state["balance"] = state["balance"] + self._balance(fields, a)
-            points = fields["w"][:, :: self.apart[0], :: self.apart[1]]
-            state["points"] = [*state["points"], points.reshape(points.shape[0], -1).copy()]
-        # transforms come last: the rest needs room too
-        half = cross_spectra.transforms(fields, NAMES, self.welch, state.get("old"))
-        if "half" in state:
-            if state["sums"] is None:
-                state["sums"] = cross_spectra.empty_sums(half["z"], NAMES, PAIRS, PLANES, self.welch.table)
-            cross_spectra.add_segment(
-                state["sums"], state["half"], half, NAMES, PAIRS, PLANES, self.welch, a - self.welch.half
-            )
-        return state | {"half": half, "old": state.get("half")}
-
-    def _survey(self, fields: dict[str, Array]) -> dict[str, Array]:
-        sums = statistics.survey({name: fields[name] for name in self.scale}, self.scale)
-        record = self.welch.record
-        sums |= statistics.time_sums({name: fields[name] for name in self.scale}, self.scale)
-        return sums | {"slopes": statistics.slope_square(fields["z"], record.dy, record.dx)}
-
-    def _balance(self, fields: dict[str, Array], first: int) -> list[dict[str, float]]:
-        record, frames = self.welch.record, self.welch.frames
-        distances = record.dt, record.dy, record.dx
-        return [
-            {"step": float(first + i)} | kinematics.balance(fields, i, *distances, frames, self.welch.current)
-            for i in range(1, fields["z"].shape[0] - 1)
-            if (first + i) % self.every == 0
-        ]
+    def __add__(self, other: "_Partial") -> "_Partial":
+        return _Partial(
+            segments.add(self.ring_sums, other.ring_sums),
+            segments.add(self.survey_sums, other.survey_sums),
+            self.balance_rows + other.balance_rows,
+            self.points + other.points,
+        )
 
 
 @dataclass(frozen=True)
 class _Chain:
-    """Takes in the half segments of a chain, one after the other."""
+    """Sums over the half segments of a chain, one after the other."""
 
-    step: _Step
+    read: segments.Reader
+    welch: Welch
+    scale: dict[str, tuple[float, float]]
+    pairs: Pairs
+    planes: Sequence[str]
+    every: int  # steps from one kinematic balance to the next
     report_progress: Callable[[], None] | None = None
 
-    def __call__(self, links: Sequence[segments.Link]) -> dict[str, Any]:
-        state: dict[str, Any] | None = None
-        for link in links:
-            state = self.step(state, *link)
+    def __call__(self, links: Sequence[segments.Link]) -> _Partial:
+        out = _Partial()
+        names, wanted = cross_spectra.NAMES, (cross_spectra.NAMES, self.pairs, self.planes, self.welch)
+        previous: dict[str, Array] = {}
+        oldest: dict[str, Array] = {}  # its memory is used again
+        for start, stop, run, new in links:
+            fields = dict(zip(FIELDS, self.read(start, stop, run)))
+            if new:
+                self._survey(fields, start, out)
+            # transforms come last: they release the fields
+            half = cross_spectra.transforms(fields, names, self.welch, oldest)
+            if previous:
+                if not out.ring_sums:
+                    out.ring_sums = cross_spectra.empty_sums(half["z"], *wanted[:3], self.welch.table)
+                cross_spectra.add_segment(out.ring_sums, previous, half, *wanted, start - self.welch.half)
+            previous, oldest = half, previous
             if self.report_progress:
                 self.report_progress()
-        assert state is not None
-        return {name: part for name, part in state.items() if name not in ("half", "old")}
+        return out
 
-
-class _Count:
-    """Tells how many parts are done; parts end in any thread."""
-
-    def __init__(self, report_progress: Progress, total: int) -> None:
-        self._report_progress, self._total, self._done, self._lock = (
-            report_progress,
-            total,
-            0,
-            threading.Lock(),
+    def _survey(self, fields: dict[str, Array], start: int, out: _Partial) -> None:
+        record, welch = self.welch.record, self.welch
+        surveyed = {name: fields[name] for name in self.scale}
+        out.survey_sums = segments.add(
+            out.survey_sums, statistics.sums_of(surveyed, self.scale, record.dy, record.dx)
         )
+        out.balance_rows += [
+            {"step": float(start + i)}
+            | kinematics.balance(fields, i, record.dt, record.dy, record.dx, welch.frames, welch.current)
+            for i in range(1, fields["z"].shape[0] - 1)
+            if (start + i) % self.every == 0
+        ]
+        apart = [max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx)]
+        points = fields["w"][:, :: apart[0], :: apart[1]]
+        out.points.append(points.reshape(points.shape[0], -1).copy())
+
+
+class _Counter:
+    """Reports how many parts are done; parts end in any thread."""
+
+    def __init__(self, progress: Progress, total: int) -> None:
+        self._progress, self._total, self._done, self._lock = progress, total, 0, threading.Lock()
 
     def __call__(self) -> None:
         with self._lock:
             self._done += 1
-            self._report_progress(self._done, self._total)
+            self._progress(self._done, self._total)
 
 
-@dataclass(frozen=True)
-class _ReadPiece:
-    """Reads a piece, which complains if a field lacks values there."""
-
-    read: segments.Reader
-
-    def __call__(self, rest: tuple[int, int, tuple[int, int]]) -> None:
-        self.read(*rest)
-
-
-def _sum_here(chain: _Chain, chains: list[list[segments.Link]]) -> list[Any]:
-    """Chains as tasks of this process; sums, survey, and what is put together of each chain."""
-    task = dask.delayed(chain, pure=False)
-    states = [task(links) for links in chains]
-    return list(
-        dask.compute(
-            segments.in_order([state["sums"] for state in states]),
-            segments.in_order([state["survey"] for state in states]),
-            [state["balance"] for state in states],
-            [state["points"] for state in states],
-        )
-    )
-
-
-def _sum_of(states: Iterable[dict[str, Any]]) -> list[Any]:
-    """The same from chains that are done elsewhere, as they come in."""
-    out: list[Any] = []
-    for state in states:
-        if not out:
-            out = [state["sums"], state["survey"], [state["balance"]], [state["points"]]]
-            continue
-        out[:2] = segments.add(out[0], state["sums"]), segments.add(out[1], state["survey"])
-        out[2].append(state["balance"])
-        out[3].append(state["points"])
-    return out
+def _check_piece(read: segments.Reader, piece: tuple[int, int, tuple[int, int]]) -> None:
+    read(*piece)  # raises `UnlikeFirst` if a field lacks values there
 
 
 def one_pass(
     cube: xr.Dataset,
     welch: Welch,
     alike: bool,
-    scale: dict[str, tuple[float, float]],
+    pairs: Pairs,
+    planes: Sequence[str],
     progress: Progress | None,
     each: Each | None = None,
 ) -> Sums:
-    """Read a cube once.
-
-    With scale (float, float).
-    """
+    """Read a cube once; with ``alike`` all fields are taken to have values where the first one has them."""
     record = welch.record
-    used = sum(b - a for a, b in record.runs)
-    apart = tuple(max(1, round(_POINT_DISTANCE / step)) for step in (record.dy, record.dx))
+    scale = statistics.pilot(cube, record, list(statistics.QUANTITIES.values()))
     read = segments.Reader([cube[name] for name in FIELDS], record, alike)
-    step = _Step(read, scale, welch, max(1, used // _KINEMATIC_STEPS), (apart[0], apart[1]))
+    chain = partial(
+        _Chain, read, welch, scale, pairs, planes, max(1, record.steps_in_runs() // BALANCE_STEPS)
+    )
     chains = segments.chains(record, welch.segment)
-    # what lies in no segment has a say in where the runs end
-    rests = segments.remainders(record, welch.segment) if alike else []
-    parts = len(chains) if each else sum(len(links) for links in chains)
-    report_progress = None if progress is None else _Count(progress, parts)
+    # steps that no segment holds could end a run as well
+    remainders = segments.remainders(record, welch.segment) if alike else []
+    check = partial(_check_piece, read)
     if each is None:
-        dask.compute(*(dask.delayed(_ReadPiece(read), pure=False)(rest) for rest in rests))
-        sums, survey, balance, points = _sum_here(_Chain(step, report_progress), chains)
+        count = None if progress is None else _Counter(progress, sum(len(links) for links in chains))
+        dask.compute(*(dask.delayed(check, pure=False)(piece) for piece in remainders))
+        task = dask.delayed(chain(count), pure=False)
+        (total,) = dask.compute(reduce(dask.delayed(add, pure=False), [task(links) for links in chains]))
     else:
-        deque(each(_ReadPiece(read), rests), maxlen=0)
-        sums, survey, balance, points = _sum_of(_with_progress(each(_Chain(step), chains), report_progress))
-    series = np.concatenate([np.concatenate(run) for run in points])
-    return Sums(sums, survey, [row for rows in balance for row in rows], series)
+        deque(each(check, remainders), maxlen=0)
+        count = None if progress is None else _Counter(progress, len(chains))
+        total = reduce(add, _counted(each(chain(), chains), count))
+    return Sums(scale, total.ring_sums, total.survey_sums, total.balance_rows, np.concatenate(total.points))
 
 
-def _with_progress(
-    states: Iterable[dict[str, Any]], report_progress: Callable[[], None] | None
-) -> Iterator[dict[str, Any]]:
-    for state in states:
-        yield state
-        if report_progress:
-            report_progress()
+def _counted(results: Iterator[_Partial], count: _Counter | None) -> Iterator[_Partial]:
+    for result in results:
+        yield result
+        if count:
+            count()

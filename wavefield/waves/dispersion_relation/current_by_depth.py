@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.water import GAMMA, dispersion
+from wavefield.waves.dispersion_relation.current_used import CurrentUsed
+from wavefield.waves.estimation.welch import Welch
+from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]
 
@@ -195,3 +198,21 @@ def _polynomials(
         fits.append((np.stack(columns, axis=1), covariances))
         criteria.append(misfit + 2 * 2 * (degree + 1))
     return fits, int(np.argmin(criteria[:-1]))
+
+
+def _group(fit: xr.Dataset, moments: xr.Dataset, used: CurrentUsed, gamma: float, welch: Welch) -> xr.Dataset:
+    drift = moments["mean"] / welch.record.dt
+    surface = float(drift.sel(quantity="dx")), float(drift.sel(quantity="dy"))
+    return current_by_depth(fit, surface=surface, gamma=gamma).assign_attrs(used.attrs)
+
+
+register(
+    Product(
+        "shear",
+        ("dispersion_fit", "moments", "fitted_current", "gamma", "welch"),
+        _group,
+        group="shear",
+        without="No current by depth",
+        cost=2,
+    )
+)

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from wavefield.waves.products import Product, register
+
 FITTED, GIVEN, NO_CURRENT = "fit", "given", "none"
 
 
@@ -32,3 +34,22 @@ def current_used(dispersion: xr.Dataset, given: tuple[float, float] | None) -> C
         return CurrentUsed((velocity[0], velocity[1]), (std[0], std[1]), FITTED)
     reason = str(dispersion.attrs.get("refused", ""))
     return CurrentUsed(given or (0.0, 0.0), (np.nan, np.nan), GIVEN if given else NO_CURRENT, reason)
+
+
+def _current(dispersion: xr.Dataset, fit_settings: tuple[object, tuple[float, float] | None]) -> CurrentUsed:
+    return current_used(dispersion, fit_settings[1])
+
+
+def _fitted_or_given(current: CurrentUsed) -> CurrentUsed | None:
+    return None if current.source == NO_CURRENT else current
+
+
+def _fitted(current: CurrentUsed) -> CurrentUsed | None:
+    return current if current.source == FITTED else None
+
+
+register(
+    Product("current", ("dispersion_fit", "fit_settings"), _current),
+    Product("fitted_or_given_current", ("current",), _fitted_or_given),
+    Product("fitted_current", ("current",), _fitted),
+)

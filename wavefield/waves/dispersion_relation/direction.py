@@ -10,8 +10,10 @@ from scipy import ndimage
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
 from wavefield.water import GAMMA, dispersion, wavenumber
+from wavefield.waves.dispersion_relation.current_used import CurrentUsed
 from wavefield.waves.estimation import rings
 from wavefield.waves.estimation.windows import interval
+from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]
 
@@ -247,12 +249,13 @@ def _label(
 def direction_group(
     density: xr.DataArray,
     chosen: list[int],
-    current: tuple[float, float],
+    used: CurrentUsed,
     depth: float,
     gamma: float,
     dof: float,
 ) -> xr.Dataset:
-    """Directions at the frequencies of the maps, isotropy at all; current in m/s."""
+    """Directions at the frequencies of the maps, isotropy at all."""
+    current = used.velocity
     lines = density["omega"].values / (2 * np.pi)
     out = directions(density, lines[chosen], depth, current=current, dof=dof, gamma=gamma)
     out = out[["D", "dof", "low", "high", "direction", "spread"]]
@@ -263,4 +266,15 @@ def direction_group(
     if frequencies.size:
         isotropy = directions(density, frequencies, depth, current=current, gamma=gamma)["isotropy"].values
         out = out.assign_coords(omega=2 * np.pi * frequencies).assign(isotropy=("omega", isotropy))
-    return annotate(out, "direction")
+    return annotate(out, "direction").assign_attrs(used.attrs)
+
+
+register(
+    Product(
+        "direction",
+        ("density_w", "map_lines", "current", "depth", "gamma", "cell_dof"),
+        direction_group,
+        group="direction",
+        cost=1,
+    )
+)

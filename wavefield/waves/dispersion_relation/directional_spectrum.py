@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.water import dispersion, water_of
+from wavefield.waves.dispersion_relation.current_used import CurrentUsed
 from wavefield.waves.dispersion_relation.direction import directions
 from wavefield.waves.dispersion_relation.dispersion_fit import fit_dispersion
 from wavefield.waves.estimation.transfer_functions import elevation_from_w
 from wavefield.waves.estimation.wave_record import Record
-from wavefield.waves.estimation.welch import frames_of
+from wavefield.waves.estimation.welch import Welch, frames_of
+from wavefield.waves.products import Product, register
 from wavefield.waves.spectra.field_spectra import spectrum
 
 Array = NDArray[Any]
@@ -132,3 +134,21 @@ def directional_spectrum(
             raise CubeError(f"{error}; or give the current") from None
         current = float(fit["current_x"]), float(fit["current_y"])
     return from_density(of_w["E"], depth, gamma, current, float(of_w["dof"]), frames_of(fields))
+
+
+def _group(
+    density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, dof: float, welch: Welch
+) -> xr.Dataset:
+    return from_density(density, depth, gamma, used.velocity, dof, welch.frames).assign_attrs(used.attrs)
+
+
+register(
+    Product(
+        "directional",
+        ("density_w", "depth", "gamma", "fitted_or_given_current", "cell_dof", "welch"),
+        _group,
+        group="directional",
+        without="No directional spectrum",
+        cost=3,
+    )
+)

@@ -12,7 +12,7 @@ from wavefield.variables import annotate
 from wavefield.water import GAMMA, dispersion, wavenumber
 from wavefield.waves.dispersion_relation import relation_solution
 from wavefield.waves.dispersion_relation.current_scan import scan_current
-from wavefield.waves.dispersion_relation.fit_settings import FitSettings
+from wavefield.waves.dispersion_relation.fit_settings import FitSettings, fit_settings
 from wavefield.waves.dispersion_relation.plane_spectrum import MIN_CELLS_FROM_ZERO, PlaneSpectrum
 from wavefield.waves.dispersion_relation.relation_points import (
     RelationPoints,
@@ -22,8 +22,9 @@ from wavefield.waves.dispersion_relation.relation_points import (
 )
 from wavefield.waves.dispersion_relation.shell_contrast import contrast, explained, fraction
 from wavefield.waves.dispersion_relation.shell_error import against_theory
-from wavefield.waves.estimation.welch import k_coords
+from wavefield.waves.estimation.welch import Welch, k_coords
 from wavefield.waves.estimation.windowed_dispersion import SpectralCells
+from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]
 
@@ -277,14 +278,29 @@ def _refuse_uncertain(std: float, limits: tuple[float, float]) -> None:
 
 def dispersion_group(
     density: xr.DataArray, k: Array, depth: float, gamma: float, settings: FitSettings | None = None
-) -> tuple[xr.Dataset, str]:
-    """The theory over k (rad/m) and the fit, with a note where the fit was refused."""
+) -> xr.Dataset:
+    """The theory over k (rad/m) and the fit, or why it was refused."""
     theory = xr.Dataset({"omega_theory": ("k", dispersion(k, depth, gamma))}, k_coords(k))
     try:
         out = fit_dispersion(density, depth, gamma=gamma, settings=settings)
     except CubeError as error:
-        theory = annotate(theory, "dispersion").assign_attrs(refused=str(error))
-        return theory, f"The dispersion relation was not fitted: {error}."
+        return annotate(theory, "dispersion").assign_attrs(refused=str(error))
     fitted = ("k", dispersion(k, depth, float(out["gamma"])))
     out = out.assign(theory.data_vars).assign_coords(theory.coords).assign(omega_fit=fitted)
-    return annotate(out, "dispersion"), ""
+    return annotate(out, "dispersion")
+
+
+def _product(
+    density: xr.DataArray,
+    welch: Welch,
+    depth: float,
+    gamma: float,
+    settings: tuple[FitSettings, tuple[float, float] | None],
+) -> xr.Dataset:
+    return dispersion_group(density, welch.table.k, depth, gamma, settings[0])
+
+
+register(
+    Product("fit_settings", ("fit",), fit_settings),
+    Product("dispersion_fit", ("density_w", "welch", "depth", "gamma", "fit_settings"), _product, cost=3),
+)

@@ -1,46 +1,90 @@
-"""What a record is too short to say is not said."""
+"""Results that a record is too short for are left out, with a note."""
 
 import numpy as np
 import xarray as xr
 
-_PERIODS = 10  # of a wave: fewer do not tell it from its neighbours, nor its height from chance
-_SEGMENTS = 4  # independent ones, before a fitted surface tension is more than their noise
-_SPREAD = 0.05  # of the surface tension: its uncertainty must be less
+from wavefield.waves.estimation.welch import Welch
+from wavefield.waves.products import Noted, Product, register
 
-Groups = tuple[xr.Dataset, xr.Dataset, list[str]]
+FEW_SEGMENTS = 7  # with fewer, single cells of a spectrum are uncertain
+MIN_PERIODS = (
+    10  # of the strongest wave: fewer do not separate it from its neighbours, nor its height from chance
+)
+MIN_SEGMENTS_FOR_TENSION = 4  # before a fitted surface tension is more than noise
+MAX_TENSION_STD = 0.05  # standard uncertainty of the surface tension, relative
 
 
-def leave_out_unknown(
-    statistics: xr.Dataset, dispersion: xr.Dataset, seconds: float, segments: int
-) -> Groups:
-    """Take away what a record does not last long enough for.
+def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
+    """Notes on what of a cube was used, and how much it can show."""
+    record, count, sizes = welch.record, welch.count, cube.sizes
+    used = record.steps_in_runs(welch.segment)
+    out = []
+    if count < FEW_SEGMENTS:
+        out.append(
+            f"The record holds {count} segment{'s' if count > 1 else ''} of"
+            f" {welch.segment * record.dt:.3g} s: a single cell has {welch.dof:.1f} degrees of freedom,"
+            " so trust averages over rings and bands, not single values."
+        )
+    if used < record.steps:
+        out.append(
+            f"{record.steps - used} of {record.steps} steps are missing or lie in pieces too short for a"
+            " segment."
+        )
+    if record.bridged:
+        out.append(
+            f"{len(record.bridged)} missing steps in short gaps were bridged by interpolation in time."
+        )
+    if record.holes:
+        out.append(f"{record.holes} missing nodes were filled from their neighbours.")
+    if record.shape != (sizes["y"], sizes["x"]):
+        out.append(
+            f"Of {sizes['y']} x {sizes['x']} nodes (y, x) the largest full rectangle was used,"
+            f" {record.shape[0]} x {record.shape[1]}."
+        )
+    if not np.isfinite(depth):
+        out.append("The depth of the water is not known to the cube: deep water was assumed.")
+    return out
+
+
+def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
+    """Statistics without spectral peak and steepness where the record holds too few of its periods.
 
     Examples
     --------
     >>> peak = xr.Dataset({"peak_frequency": 1.3, "peak_k": 6.8, "steepness": 0.1})
-    >>> leave_out_unknown(peak, xr.Dataset(), 1.15, 1)[2][0]
+    >>> without_short_peak(peak, 1.15).notes[0]
     'No spectral peak, no steepness: the record lasts 1.15 s, 1.5 periods of its strongest wave (of ten).'
-    >>> "steepness" in leave_out_unknown(peak, xr.Dataset(), 60.0, 9)[0]
+    >>> "steepness" in without_short_peak(peak, 60.0).value
     True
     """
-    notes = []
     periods = seconds * float(statistics["peak_frequency"])
-    if periods < _PERIODS:
-        statistics = statistics.drop_vars(["peak_frequency", "peak_k", "steepness"])
-        notes.append(
+    if periods >= MIN_PERIODS:
+        return Noted(statistics, [])
+    return Noted(
+        statistics.drop_vars(["peak_frequency", "peak_k", "steepness"]),
+        [
             f"No spectral peak, no steepness: the record lasts {seconds:.3g} s, {periods:.2g} periods of its "
             "strongest wave (of ten)."
-        )
-    if "gamma" in dispersion:
-        fitted, spread = float(dispersion["gamma"]), float(dispersion["gamma_std"])
-        why = ""
-        if segments < _SEGMENTS:
-            why = f"the record holds {segments} segment{'s' if segments > 1 else ''}; four are needed"
-        elif not np.isfinite(spread):
-            why = "the ridge does not tell it"
-        elif not spread < _SPREAD * fitted:
-            why = f"its uncertainty is {1e6 * spread:.2g}e-6 of {1e6 * fitted:.2g}e-6 m3/s2"
-        if why:
-            dispersion = dispersion.drop_vars(["gamma", "gamma_std", "omega_fit"], errors="ignore")
-            notes.append(f"No surface tension was fitted: {why}.")
-    return statistics, dispersion, notes
+        ],
+    )
+
+
+def without_uncertain_tension(fit: xr.Dataset, welch: Welch) -> Noted:
+    """A dispersion fit, without its surface tension where that is not determined."""
+    if "refused" in fit.attrs:
+        return Noted(fit, [f"The dispersion relation was not fitted: {fit.attrs['refused']}."])
+    gamma, std = float(fit["gamma"]), float(fit["gamma_std"])
+    if welch.count < MIN_SEGMENTS_FOR_TENSION:
+        count = welch.count
+        reason = f"the record holds {count} segment{'s' if count > 1 else ''}; four are needed"
+    elif not np.isfinite(std):
+        reason = "the ridge does not tell it"
+    elif not std < MAX_TENSION_STD * gamma:
+        reason = f"its uncertainty is {1e6 * std:.2g}e-6 of {1e6 * gamma:.2g}e-6 m3/s2"
+    else:
+        return Noted(fit, [])
+    fit = fit.drop_vars(["gamma", "gamma_std", "omega_fit"], errors="ignore")
+    return Noted(fit, [f"No surface tension was fitted: {reason}."])
+
+
+register(Product("dispersion", ("dispersion_fit", "welch"), without_uncertain_tension, group="dispersion"))

@@ -15,6 +15,7 @@ from scipy import ndimage
 from wavefield.waves.estimation.degrees_of_freedom import HANN_LINES, hann_correlation, sum_freedom
 from wavefield.waves.estimation.segment_correlation import expected_segment_correlation
 from wavefield.waves.estimation.welch import LEAST_COUNT, Welch
+from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]
 
@@ -172,3 +173,10 @@ def _smooth(values: Array, size: int | tuple[int, int]) -> Array:
     weight = ndimage.uniform_filter(known.astype(float), size, mode="nearest")
     mean = ndimage.uniform_filter(np.where(known, values, 0.0), size, mode="nearest")
     return np.where(weight > 1e-9, mean / np.maximum(weight, 1e-9), 1.0)
+
+
+def _cell_dof(sums: Mapping[str, Any], welch: Welch) -> float:
+    return cell_freedom(sums, "w", welch)
+
+
+register(Product("cell_dof", ("ring_sums", "welch"), _cell_dof))

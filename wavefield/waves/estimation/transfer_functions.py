@@ -226,10 +226,3 @@ def undo(energy: xr.DataArray, gain: xr.DataArray, noise: xr.DataArray | float =
     corrected = (signal / gain).where(valid)
     corrected.attrs = dict(energy.attrs)
     return annotate(xr.Dataset({"E": corrected, "valid": valid}))
-
-
-def gains(omega: Any, dt: float, frames: int) -> dict[str, tuple[str, Any]]:
-    """The gains in time as variables: ``gain_`` of two, four and six frames, ``gain_displacement``."""
-    means = gain_two_frames, gain_four_frames, gain_six_frames
-    out = {gain.__name__: ("omega", gain(omega, dt)) for gain in means}
-    return out | {"gain_displacement": ("omega", gain_displacement(omega, dt, frames))}

@@ -65,6 +65,10 @@ class Record:
         """Steps of the longest run."""
         return max((b - a for a, b in self.runs), default=0)
 
+    def steps_in_runs(self, shortest: int = 1) -> int:
+        """Steps of all runs that have so many steps at least."""
+        return sum(b - a for a, b in self.runs if b - a >= shortest)
+
 
 def _spacing(array: Any, name: str) -> float:
     values = np.asarray(array[name].values, float)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from wavefield.variables import annotate
 from wavefield.water import dispersion, water_of, wavenumber
+from wavefield.waves.dispersion_relation.current_used import NO_CURRENT, CurrentUsed
 from wavefield.waves.dispersion_relation.doppler_correction import (
     SpectraOnCurrent,
     longest_waves,
@@ -25,8 +26,9 @@ from wavefield.waves.estimation.transfer_functions import LEAST_SIGNAL, elevatio
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, inner, k_coords, omega_coords
 from wavefield.waves.estimation.window_gain import LEAST, read_gain, ring_gain
+from wavefield.waves.products import Product, register
 from wavefield.waves.spectra.cross_spectra import door, label, lazy_sums
-from wavefield.waves.spectra.field_spectra import frequency_spectrum
+from wavefield.waves.spectra.field_spectra import density, frequency_spectrum
 
 Array = NDArray[Any]
 Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
@@ -409,3 +411,48 @@ def fused_spectra(
     (sums,) = dask.compute(lazy_sums(cube, NAMES, PAIRS, ("w", *PLANES), welch))
     moving = SpectraOnCurrent.of(sums, welch, water, current)
     return from_spectra(label(sums, NAMES, PAIRS, welch), water, gain, moving)
+
+
+def _fused(
+    ring: xr.Dataset,
+    ring_sums: dict[str, Array],
+    welch: Welch,
+    density_w: xr.DataArray,
+    used: CurrentUsed,
+    gain: xr.Dataset | None,
+    depth: float,
+    gamma: float,
+) -> xr.Dataset:
+    cross = ring_sums.pop("map z*w")  # large, and of no further use
+    moving = None
+    if used.source != NO_CURRENT:
+        zw = xr.DataArray(density(cross, welch), density_w.coords, density_w.dims)
+        moving = SpectraOnCurrent(used.velocity, density_w, zw)
+    out = from_spectra(ring, (depth, gamma), gain, moving).assign_attrs(used.attrs)
+    for method in METHODS:
+        out[f"Ez_{method}"].attrs |= used.attrs
+    return out
+
+
+_BY_METHOD = [f"{name}_{method}" for method in METHODS for name in ("Ez", "dof", "low", "high", "valid")]
+
+
+def _elevation_spectra(fused: xr.Dataset) -> xr.Dataset:
+    return fused[_BY_METHOD]
+
+
+def _fusion_group(fused: xr.Dataset) -> xr.Dataset:
+    return fused.drop_vars(_BY_METHOD)
+
+
+register(
+    Product(
+        "fused",
+        ("ring", "ring_sums", "welch", "density_w", "current", "gain", "depth", "gamma"),
+        _fused,
+        pairs=PAIRS,
+        planes=PLANES,
+    ),
+    Product("elevation_spectra", ("fused",), _elevation_spectra, group="spectra"),
+    Product("fusion", ("fused",), _fusion_group, group="fusion"),
+)

@@ -13,10 +13,12 @@ from scipy import fft
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.water import GAMMA, dispersion, group_velocity
+from wavefield.waves.dispersion_relation.current_used import CurrentUsed
 from wavefield.waves.estimation.segments import Reader, segment_length, spatial_window
 from wavefield.waves.estimation.wave_record import Record, find_record
 from wavefield.waves.estimation.welch import LOWEST
 from wavefield.waves.estimation.windows import hann
+from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]
 
@@ -402,3 +404,20 @@ def free_and_bound_fields(
     axes = {"time": field["time"], "y": field["y"][slice(*record.y)], "x": field["x"][slice(*record.x)]}
     data = {name: (("time", "y", "x"), values) for name, values in out.items()}
     return annotate(xr.Dataset(data, axes))
+
+
+def _group(density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, dof: float) -> xr.Dataset:
+    split = free_and_bound(density, depth, gamma=gamma, current=used.velocity, dof=dof)
+    return split.assign_attrs(used.attrs)
+
+
+register(
+    Product(
+        "bound",
+        ("density_z", "depth", "gamma", "fitted_or_given_current", "cell_dof"),
+        _group,
+        group="bound",
+        without="No bound waves",
+        cost=4,
+    )
+)

@@ -10,6 +10,7 @@ from wavefield.waves.estimation.degrees_of_freedom import samples_in_time
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch
 from wavefield.waves.estimation.windows import effective_duration
+from wavefield.waves.products import Product, register
 from wavefield.waves.spectra.cross_spectra import door, lazy_cross_spectra
 from wavefield.waves.spectra.field_spectra import finish
 
@@ -130,3 +131,6 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     cube = door(cube, NAMES)
     ring = lazy_cross_spectra(cube, NAMES, PAIRS, Welch.of(cube, segment, record))
     return finish(from_spectra(ring), cube["z_t"])
+
+
+register(Product("coherence", ("ring",), from_spectra, group="coherence", pairs=PAIRS))

@@ -11,8 +11,10 @@ from scipy import fft
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate
+from wavefield.waves.estimation.welch import LEAST_COUNT, Welch
 from wavefield.waves.estimation.windows import hann, segment_count
 from wavefield.waves.nonlinear.coherence import significance_level
+from wavefield.waves.products import Noted, Product, register
 
 
 def lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
@@ -193,3 +195,12 @@ def higher_order(
     out["bicoherence_samples"] = ((), z.shape[1])
     out.attrs = {"segment": segment, "surrogates": settings.surrogates}
     return annotate(out, "higher_order")
+
+
+def _group(series: np.ndarray, welch: Welch) -> xr.Dataset | Noted:
+    if welch.count < LEAST_COUNT:
+        return Noted(None, ["Bicoherence and tricoherence were left out: they need four segments at least."])
+    return higher_order(series, welch.record.dt, welch.segment)
+
+
+register(Product("higher_order", ("point_series", "welch"), _group, group="higher_order", cost=1))

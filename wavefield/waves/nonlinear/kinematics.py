@@ -12,6 +12,7 @@ from wavefield.variables import annotate, validate
 from wavefield.waves.estimation import wave_kernels
 from wavefield.waves.estimation.wave_record import check_axes
 from wavefield.waves.estimation.welch import along_paths
+from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]
 
@@ -294,16 +295,14 @@ def balance(
     return {name: float(np.sqrt(np.mean(np.square(v)))) if v.size else np.nan for name, v in values.items()}
 
 
-def balance_group(rows: list[dict[str, float]], time: Array) -> xr.Dataset:
-    """The balance over a record.
-
-    With time (steps,).
-    """
+def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
+    """The balance over a record, from its rows at some steps of a cube."""
+    time = cube["time"].values.astype(float)
     steps = np.array([row["step"] for row in rows], int)
     names = [name for name in rows[0] if name != "step"] if rows else []
     out = xr.Dataset(
         {name: ("step", np.array([row[name] for row in rows])) for name in names},
-        {"step": ("step", steps), "time": ("step", time[steps].astype(float))},
+        {"step": ("step", steps), "time": ("step", time[steps])},
     )
     mean = {name: float(np.sqrt((out[name] ** 2).mean())) for name in names}
     for name, part, whole in (
@@ -313,3 +312,6 @@ def balance_group(rows: list[dict[str, float]], time: Array) -> xr.Dataset:
     ):
         out[name] = ((), mean[part] / mean[whole] if mean.get(whole, 0) > 0 else np.nan)
     return annotate(out, "kinematics")
+
+
+register(Product("kinematics", ("balance_rows", "cube"), balance_group, group="kinematics"))

@@ -6,13 +6,14 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from wavefield.variables import annotate
+from wavefield.waves.products import Product, register
 
 _CHANCE = 0.05
 
 
-def mean_current(mean: NDArray[np.float64], std: NDArray[np.float64]) -> xr.Dataset:
+def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float64]]) -> xr.Dataset:
     """The record's mean velocity (2,) and its standard uncertainty, m/s, as the wave store names them."""
-    out = {}
+    out, (mean, std) = {}, mean_and_std
     for i, axis in enumerate(("x", "y")):
         out[f"mean_current_{axis}"] = ((), float(mean[i]))
         out[f"mean_current_{axis}_std"] = ((), float(std[i]))
@@ -32,3 +33,9 @@ def from_spectra(spectra: xr.Dataset) -> xr.Dataset:
         out[f"low_{name}"] = (power / upper[0]) ** 0.5
         out[f"high_{name}"] = (power * upper[1]) ** 0.5
     return annotate(xr.Dataset(out), "kinematics")
+
+
+register(
+    Product("record_current", ("mean_current",), mean_current_group, group="kinematics"),
+    Product("nonlinear_ratio", ("spectra",), from_spectra, group="kinematics"),
+)

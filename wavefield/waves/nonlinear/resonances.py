@@ -16,10 +16,13 @@ from scipy import fft
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.water import GAMMA, dispersion
+from wavefield.waves.dispersion_relation.current_used import CurrentUsed
 from wavefield.waves.estimation.multiple_testing import probabilities, significant_tests
 from wavefield.waves.estimation.segments import Reader, spatial_window
 from wavefield.waves.estimation.wave_record import Record, find_record
+from wavefield.waves.estimation.welch import Welch
 from wavefield.waves.estimation.windows import hann
+from wavefield.waves.products import Product, register
 from wavefield.waves.spectra.field_spectra import spectrum
 
 Array = NDArray[Any]
@@ -421,3 +424,23 @@ def _listed(
         f"{kind}_significant": (kind, significant[first]),
         f"{kind}_mismatch": (kind, which.mismatch * width),
     }
+
+
+def _group(
+    cube: xr.Dataset, depth: float, gamma: float, used: CurrentUsed, density: xr.DataArray, welch: Welch
+) -> xr.Dataset:
+    current, record = used.velocity, welch.record
+    out = resonances(cube["w"], depth, gamma=gamma, current=current, density=density, record=record)
+    return out.assign_attrs(used.attrs)
+
+
+register(
+    Product(
+        "resonances",
+        ("cube", "depth", "gamma", "fitted_or_given_current", "density_w", "welch"),
+        _group,
+        group="resonances",
+        without="No coherence of wave vectors",
+        cost=5,
+    )
+)

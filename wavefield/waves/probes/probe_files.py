@@ -14,8 +14,9 @@ from scipy import fft, ndimage
 
 from wavefield.errors import CubeError, ExperimentError
 from wavefield.variables import annotate
-from wavefield.waves.estimation.welch import LOWEST
+from wavefield.waves.estimation.welch import LOWEST, Welch, omega_coords
 from wavefield.waves.estimation.windows import degrees_of_freedom, hann, interval, segment_count
+from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]
 LONGEST_GAP = 3  # samples that are bridged
@@ -375,3 +376,16 @@ def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array,
     density = power / (count * (window**2).sum() * rate * 2 * np.pi)
     density[:, 1:-1] *= 2
     return 2 * np.pi * np.arange(n // 2 + 1) * rate / n, density, count, peak_correlation
+
+
+def _group(probes: str | Path | xr.Dataset | None, welch: Welch, cube: xr.Dataset) -> xr.Dataset | None:
+    if probes is None:
+        return None
+    if not isinstance(probes, xr.Dataset):
+        probes = read_probes(probes)
+    time, runs = cube["time"].values.astype(float), welch.record.runs
+    axis = annotate(xr.Dataset(coords=omega_coords(welch.omega)))["omega"].drop_vars("frequency")
+    return probe_spectra(probes, axis, (float(time[runs[0][0]]), float(time[runs[-1][1] - 1])))
+
+
+register(Product("probe_spectra", ("probes", "welch", "cube"), _group, group="spectra"))

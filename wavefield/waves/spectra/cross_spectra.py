@@ -32,6 +32,7 @@ from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, k_coords, omega_coords
 from wavefield.waves.estimation.window_gain import kept
 from wavefield.waves.estimation.windows import effective_duration
+from wavefield.waves.products import Product, register
 from wavefield.waves.spectra import field_spectra
 
 Array = NDArray[Any]
@@ -41,12 +42,13 @@ _MEASURED = {"z_t": "z"}  # rises from frame to frame keep what elevations keep
 SOURCES = {
     "z": ("z", "z_t"),
     "z_t": ("z_t",),
+    "rise": ("z", "z_t", "u", "v"),
     "u": ("u",),
     "v": ("v",),
     "w": ("w",),
     "nl": ("z", "z_t", "u", "v"),
-    "rise": ("z", "z_t", "u", "v"),
 }
+NAMES = tuple(SOURCES)
 
 
 def sources(names: Sequence[str]) -> list[str]:
@@ -353,12 +355,12 @@ def lazy_cross_spectra(
     return label(sums, names, pairs, welch, freedom)
 
 
-def by_field(ring: xr.Dataset, names: Sequence[str], gain: xr.Dataset | None = None) -> xr.Dataset:
+def by_field(ring: xr.Dataset, gain: xr.Dataset | None = None) -> xr.Dataset:
     """E(k, omega), E(k) and E(omega) of each field with their intervals, as the wave store names them."""
     step = float(ring["omega"][1] - ring["omega"][0])
     duration = effective_duration(ring.attrs["segments"], ring.attrs["segment"] * ring.attrs["dt"])
     out = xr.Dataset(attrs=ring.attrs)
-    for name in names:
+    for name in NAMES:
         energy, dof = ring[f"E_{name}"], ring[f"dof_{name}"]
         if gain is not None and name not in ("rise", "nl"):
             factor, there = kept(gain, _MEASURED.get(name, name), ring["k"].values)
@@ -379,3 +381,13 @@ def by_field(ring: xr.Dataset, names: Sequence[str], gain: xr.Dataset | None = N
             out = out.assign(part.drop_vars("valid", errors="ignore").rename(names_there).data_vars)
     out = out.assign(coverage=ring["coverage"], cells=ring["cells"], valid_komega=ring["valid"])
     return annotate(out, "spectra")
+
+
+def _ring(sums: Mapping[str, Array], pairs: Sequence[tuple[str, str]], welch: Welch) -> xr.Dataset:
+    return label(sums, NAMES, pairs, welch)
+
+
+register(
+    Product("ring", ("ring_sums", "pairs", "welch"), _ring),
+    Product("spectra", ("ring", "gain"), by_field, group="spectra", cost=2),
+)

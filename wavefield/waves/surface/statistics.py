@@ -15,7 +15,10 @@ from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.water import wavenumber
 from wavefield.waves.estimation import segments, wave_kernels
+from wavefield.waves.estimation.record_limits import without_short_peak
 from wavefield.waves.estimation.wave_record import Each, Record, find_record, piece
+from wavefield.waves.estimation.welch import Welch
+from wavefield.waves.products import Noted, Product, register
 
 Array = NDArray[Any]
 
@@ -189,14 +192,10 @@ def label(
     return annotate(xr.Dataset(out, coords), "statistics")
 
 
-def _measure(
-    blocks: Sequence[Array],
-    names: Sequence[str],
-    scale: Mapping[str, tuple[float, float]],
-    dy: float,
-    dx: float,
+def sums_of(
+    fields: Mapping[str, Array], scale: Mapping[str, tuple[float, float]], dy: float, dx: float
 ) -> dict[str, Array]:
-    fields = dict(zip(names, blocks))
+    """All sums over a piece of a record (steps, ny, nx): `survey`, `time_sums` and, of z, `slope_square`."""
     out = survey(fields, scale) | time_sums(fields, scale)
     if "z" in fields:
         out["slopes"] = slope_square(fields["z"], dy, dx)
@@ -245,7 +244,7 @@ def statistics(
     scale = pilot(cube, record, names)
 
     def make(blocks: list[Array], first: int) -> dict[str, Array]:
-        return _measure(blocks, names, scale, record.dy, record.dx)
+        return sums_of(dict(zip(names, blocks)), scale, record.dy, record.dx)
 
     parts = segments.pieces([cube[name] for name in names], record, _PIECE, make)
     (sums,) = dask.compute(segments.in_order(parts))
@@ -318,3 +317,44 @@ def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma
     steepness = k_peak * float(statistics["std"].sel(quantity="z"))
     peaks = {"peak_frequency": peak / (2 * np.pi), "peak_k": k_peak, "steepness": steepness}
     return annotate(statistics.assign(peaks), "statistics")
+
+
+def _moments(
+    sums: Mapping[str, Array],
+    scale: Mapping[str, tuple[float, float]],
+    welch: Welch,
+    pixel_size: float | None,
+) -> xr.Dataset:
+    return label(sums, scale, welch.record.dt, pixel_size)
+
+
+def _error_group(cube: xr.Dataset, welch: Welch, each: Each | None) -> xr.Dataset:
+    return error_statistics(cube, welch.record, each)
+
+
+def _statistics_group(
+    moments: xr.Dataset, errors: xr.Dataset, fused: xr.Dataset, welch: Welch, depth: float, gamma: float
+) -> Noted:
+    notes = []
+    wild = {str(q): int(n) for q, n in zip(moments["quantity"].values, moments["wild"].values) if n}
+    if wild:
+        counts = ", ".join(f"{n} of {q}" for q, n in wild.items())
+        notes.append(
+            f"Values beyond six standard deviations: {counts}. A single wild value lifts the floor of its"
+            " spectra: look at them before you trust what lies decades below the peak."
+        )
+    out = spectral_peak(moments.assign(errors.data_vars), fused, depth, gamma)
+    limited = without_short_peak(out, welch.record.steps_in_runs() * welch.record.dt)
+    return Noted(limited.value, [*notes, *limited.notes])
+
+
+register(
+    Product("moments", ("survey_sums", "scale", "welch", "pixel_size"), _moments),
+    Product("error_statistics", ("complete_cube", "welch", "each"), _error_group),
+    Product(
+        "statistics",
+        ("moments", "error_statistics", "fused", "welch", "depth", "gamma"),
+        _statistics_group,
+        group="statistics",
+    ),
+)

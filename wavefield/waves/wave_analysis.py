@@ -1,0 +1,239 @@
+"""The analysis of one cube: all registered products in one store.
+
+The store that :func:`analyze` writes is a Zarr hierarchy; ``xarray.open_datatree(path, engine="zarr")`` reads
+it without this package. Its groups and variables are those of `wavefield.variables`, listed in the
+documentation's page on formats.
+
+Conventions. k points where the wave goes: f = Re sum F exp(i (k . x - omega t)), omega > 0. Spectra are
+densities in rad/m and rad/s, one-sided in omega, so that the sum of E over its axes times the cell is the
+variance. Coordinates: ``omega`` (rad s-1) with ``frequency`` (Hz), ``k`` (rad m-1, centres of rings) with
+``cycles`` (m-1), ``kx`` and ``ky`` (rad m-1). Intervals are factors: the truth is in [low E, high E] with
+95 % confidence. ``valid`` masks show where a spectrum can be trusted.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, TypedDict, Unpack
+
+import dask
+import numpy as np
+import xarray as xr
+
+import wavefield
+from wavefield.atomic_write import check_writable, refuse_input
+from wavefield.errors import CubeError, StoreError
+from wavefield.store.wave_store import WAVES, write_waves
+from wavefield.variables import GROUPS, annotate, validate
+from wavefield.water import water_of
+from wavefield.waves import products
+from wavefield.waves.estimation import segments
+from wavefield.waves.estimation.mean_current import delayed_current
+from wavefield.waves.estimation.record_limits import record_notes
+from wavefield.waves.estimation.wave_record import Each, Record, find_record
+from wavefield.waves.estimation.welch import Welch
+from wavefield.waves.estimation.window_gain import gain_of
+from wavefield.waves.onepass import FIELDS, Progress, one_pass
+
+MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz; 2.8 is the paper's
+
+
+class AnalysisOptions(TypedDict, total=False):
+    """What of an analysis can be chosen; all of it is optional."""
+
+    probes: str | Path | xr.Dataset | None
+    segment: int | None
+    depth: float | None
+    pixel_size: float | None
+    gain: str | Path | xr.Dataset | Literal[False] | None
+    fit: object
+    maps: Sequence[float]
+
+
+def _open(cube: str | Path | xr.Dataset) -> xr.Dataset:
+    if isinstance(cube, xr.Dataset):
+        return cube
+    if (Path(cube) / "checksum").is_dir():  # written by a run
+        from wavefield.store.read import open_stored
+
+        return open_stored(cube, chunks=None)
+    try:
+        out: xr.Dataset = xr.open_zarr(cube, chunks=None, consolidated=False)
+        return out
+    except Exception as error:  # whatever a library makes of damaged or foreign files
+        raise StoreError(f"{cube} cannot be read as a cube: {error}") from None
+
+
+def analyze(
+    cube: str | Path | xr.Dataset,
+    out: str | Path | None = None,
+    *,
+    progress: Progress | None = None,
+    each: Each | None = None,
+    **options: Unpack[AnalysisOptions],
+) -> xr.DataTree:
+    """Compute the waves of a cube: spectra, coherence, kinematics, statistics, dispersion, fusion and more.
+
+    Parameters
+    ----------
+    cube : path or Dataset
+        A cube's store, or z, z_t, u, v, w over (time, y, x), m and m/s.
+    out : path, optional
+        Zarr store to write; one that is there is replaced once the new one is complete.
+    progress : callable, optional
+        Called with the parts done and all parts.
+    each : callable, optional
+        ``each(work, items)`` does work for every item elsewhere and gives the results in the order of the
+        items; for a cube in a store (`wavefield.analyze_on_workers` gives one).
+    **options
+        Any of the following:
+
+        ``probes`` : path or Dataset
+            Wave probes (`read_probes`).
+        ``segment`` : int
+            Steps of a Welch segment; by default chosen from the record.
+        ``depth`` : float
+            Depth of the water, m; by default the attribute ``water_depth`` of the cube, or deep.
+        ``pixel_size`` : float
+            Size of a pixel on the water, m; by default the attribute ``pixel_size`` of the cube.
+        ``gain`` : path, Dataset or False
+            Response of the measurement to waves, undone in the spectra where it is half or more; shorter
+            waves are not valid. By default that stored with the cube; `window_gain` measures one on a
+            simulated experiment; False leaves the spectra as they were measured.
+        ``fit`` : FitSettings or mapping
+            How the current is fitted, such as ``{"lowest": 1.5, "highest": 4.0}``, Hz; by default the band
+            follows from the spectrum. ``current_x`` and ``current_y``, m/s, are used where the fit is
+            refused.
+        ``maps`` : sequence of float
+            Frequencies of the maps E(ky, kx), Hz; by default 1.5, 2, 2.8 and 4.
+
+    Returns
+    -------
+    DataTree
+        One group for each subject; its variables are listed in the documentation's page on formats.
+
+    Raises
+    ------
+    CubeError
+        If the cube lacks a variable, is shorter than a segment, has uneven steps or no full rectangle, or if
+        the probes were not recording while the cameras were.
+    StoreError
+        If the cube or the gain cannot be read or the store cannot be written.
+
+    Notes
+    -----
+    One pass over the cube in bounded memory; the result does not depend on how the cube is chunked.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> t, y, x = np.arange(64) * 0.05, np.arange(16) * 0.05, np.arange(20) * 0.05
+    >>> noise = np.random.default_rng(0).standard_normal((5, 64, 16, 20))
+    >>> wave = 0.01 * np.cos(12.3 * x - 10.98 * t[:, None, None] + 0 * y[:, None])
+    >>> names, axes = ("z", "z_t", "u", "v", "w"), {"time": t, "y": y, "x": x}
+    >>> fields = {
+    ...     name: (tuple(axes), wave + 1e-3 * n, {"units": "m" if name == "z" else "m s-1"})
+    ...     for name, n in zip(names, noise)
+    ... }
+    >>> waves = analyze(xr.Dataset(fields, axes), segment=16)
+    >>> sorted({"coherence", "spectra", "statistics"} & set(waves))
+    ['coherence', 'spectra', 'statistics']
+    >>> waves["spectra"].E_komega_w.dims
+    ('omega', 'k')
+    """
+    unknown = options.keys() - AnalysisOptions.__annotations__
+    if unknown:
+        raise TypeError(f"analyze() has no option {', '.join(sorted(unknown))}")
+    gain = options.get("gain")
+    if out is not None:
+        refuse_input(Path(out), cube, gain)
+        check_writable(out, WAVES)
+    complete = _open(cube)
+    for name in FIELDS:
+        if name not in complete:
+            raise CubeError(
+                f"the cube has no {name!r}: the analysis needs {', '.join(FIELDS)} over time, y and x"
+            )
+    fields = validate(complete, *FIELDS)
+    with np.errstate(all="ignore"):
+        depth, gamma = water_of(complete.attrs, options.get("depth"))
+        given = {
+            "cube": fields,
+            "complete_cube": complete,
+            "each": each,
+            "depth": depth,
+            "gamma": gamma,
+            "pixel_size": options.get("pixel_size") or complete.attrs.get("pixel_size"),
+            "gain": gain_of(complete, gain),
+            "probes": options.get("probes"),
+            "fit": options.get("fit"),
+            "map_frequencies": options.get("maps", MAP_FREQUENCIES),
+        }
+        status = {name: complete[name] for name in ("frame_status", "quality") if name in complete}
+        # a cube has all fields where it has z: the pass checks that, so the others need not be read twice
+        try:
+            record = find_record(fields[["z"]].assign(status), each=each)
+            tree = _analyze(given, record, options.get("segment"), True, progress)
+        except segments.UnlikeFirst:
+            record = find_record(fields.assign(status), each=each)
+            tree = _analyze(given, record, options.get("segment"), False, progress)
+    if out is not None:
+        write_waves(tree, Path(out))
+    return tree
+
+
+def _analyze(
+    given: Mapping[str, Any], record: Record, segment: int | None, alike: bool, progress: Progress | None
+) -> xr.DataTree:
+    cube, each = given["cube"], given["each"]
+    welch = Welch.of(cube, segment, record)
+    mean, mean_std = dask.compute(delayed_current(cube, record))[0]
+    welch = replace(welch, current=(float(mean[0]), float(mean[1])))
+    registered = products.registered()
+    pairs = tuple(dict.fromkeys(pair for product in registered for pair in product.pairs))
+    planes = tuple(dict.fromkeys(plane for product in registered for plane in product.planes))
+    values = {**given, "welch": welch, "mean_current": (mean, mean_std), "pairs": pairs}
+    waiting = list(registered)
+    notes = products.compute_ready(waiting, values, each)  # mistakes are found before the long pass
+    values |= vars(one_pass(cube, welch, alike, pairs, planes, progress, each))
+    notes |= products.compute_ready(waiting, values, each)
+
+    order = list(GROUPS)
+    stored = [product for product in registered if product.group]
+    stored.sort(key=lambda p: (order.index(p.group) if p.group in order else len(order), p.name != p.group))
+    groups: dict[str, xr.Dataset] = {}
+    text = record_notes(welch, cube, given["depth"])
+    for product in stored:
+        text += notes.get(product.name, [])
+        if product.name in values:
+            value, group = values[product.name], product.group
+            groups[group] = groups[group].assign(value.data_vars) if group in groups else value
+    attrs = _attributes(given, welch) | {"notes": "\n".join(text)}
+    return xr.DataTree.from_dict(
+        {"/": xr.Dataset(attrs=attrs)} | {f"/{name}": annotate(group, name) for name, group in groups.items()}
+    )
+
+
+def _attributes(given: Mapping[str, Any], welch: Welch) -> dict[str, Any]:
+    cube, complete, record = given["cube"], given["complete_cube"], welch.record
+    depth, gain = given["depth"], given["gain"]
+    return {
+        "title": "waves of a cube",
+        "source": str(complete.attrs.get("experiment", complete.encoding.get("source", ""))),
+        "frame_rate": 1 / record.dt,
+        "water_depth": depth if np.isfinite(depth) else "deep",
+        "surface_tension_over_density": given["gamma"],
+        "windows_undone": "no" if gain is None else str(gain.attrs.get("origin", "yes")),
+        "segment": welch.segment,
+        "segments": welch.count,
+        "frames_of_velocities": welch.frames,
+        "degrees_of_freedom": welch.dof,
+        "steps": record.steps,
+        "steps_used": record.steps_in_runs(welch.segment),
+        "steps_bridged": len(record.bridged),
+        "nodes_filled": record.holes,
+        "runs": len(record.runs),
+        "x": [float(cube["x"][record.x[0]]), float(cube["x"][record.x[1] - 1])],
+        "y": [float(cube["y"][record.y[0]]), float(cube["y"][record.y[1] - 1])],
+        "wavefield_version": wavefield.__version__,
+    }
