@@ -87,12 +87,13 @@ def test_readme_prints_exactly_two_lines():
         assert "python3 -m venv" in line
 
 
-def test_tables_of_the_formats_are_those_of_the_package():
-    spec = importlib.util.spec_from_file_location("make_tables", ROOT / "docs" / "make_tables.py")
+@pytest.mark.parametrize("script", ["make_tables", "make_validation"])
+def test_tables_of_the_pages_are_made_from_package_and_results(script):
+    spec = importlib.util.spec_from_file_location(script, ROOT / "docs" / f"{script}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     text = module.PAGE.read_text(encoding="utf-8")
-    assert module.filled(text) == text, "run `python docs/make_tables.py`"
+    assert module.filled(text) == text, f"run `python docs/{script}.py`"
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.name)
