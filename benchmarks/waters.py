@@ -329,7 +329,7 @@ def run_draws(
 ) -> list[Outcome]:
     """Outcomes of some draws, in order."""
     outcomes = []
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), max_tasks_per_child=20) as pool:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         for outcome in pool.map(one_draw, [seed] * len(numbers), numbers):
             show(outcome)
             outcomes.append(outcome)
