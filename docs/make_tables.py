@@ -84,6 +84,22 @@ def frames() -> str:
     return rows_to_table(("variable", "dims", "units", "type", "meaning"), rows)
 
 
+def pairs() -> str:
+    """Variables of the group of camera pairs."""
+    importlib.import_module("wavefield.store.camera_pairs")  # registers them
+    rows = [
+        (
+            f"`{v.name}`",
+            ", ".join(v.dims),
+            v.units or "as the error's",
+            v.dtype,
+            v.long_name + (f"; {v.meaning}" if v.meaning else ""),
+        )
+        for v in rows_of("pair_statistics")
+    ]
+    return rows_to_table(("variable", "dims", "units", "type", "meaning"), rows)
+
+
 def flags(meanings: dict, name: str) -> str:
     """Values of an enumeration."""
 
@@ -123,6 +139,7 @@ def waves() -> str:
 TABLES = {
     "frames": frames,
     "cube": cube,
+    "pairs": pairs,
     "quality": lambda: flags(QUALITY, "bit"),
     "status": lambda: flags(STATUS, "value"),
     "waves": waves,

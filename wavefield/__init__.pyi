@@ -13,6 +13,7 @@ from wavefield.pipeline.catalog import run_catalog
 from wavefield.pipeline.forecast import check
 from wavefield.pipeline.gain_prediction import predicted_gain
 from wavefield.pipeline.lazy import reconstruct
+from wavefield.pipeline.opened_run import Run, open_run
 from wavefield.pipeline.running import run
 from wavefield.reports.compose import report
 from wavefield.reports.paper_page import paper
@@ -51,6 +52,7 @@ __all__ = [
     "Experiment",
     "Grid",
     "Rig",
+    "Run",
     "Scene",
     "Settings",
     "Target",
@@ -78,6 +80,7 @@ __all__ = [
     "look",
     "match",
     "open_cube",
+    "open_run",
     "paper",
     "predicted_gain",
     "propose",

@@ -46,16 +46,16 @@ def run_demo(
 
 def comparison(store: Path, directory: Path) -> str:
     """Errors of a cube against the truth of its simulated experiment, beside the paper's."""
-    from wavefield.pipeline import open_cube
+    from wavefield.pipeline import open_run
     from wavefield.reports import errors_against
-    from wavefield.reports.sources import grid_of
     from wavefield.rig import Rig
     from wavefield.rig.resolution import pixel_size
 
-    cube = open_cube(store)
-    truth = xr.open_zarr(directory / "truth" / "truth.zarr", consolidated=False)
-    errors = inside(errors_against(cube, truth), MARGIN)
-    pixel = pixel_size(Rig.load(directory / "truth" / "rig.yaml"), grid_of(cube))
+    run = open_run(store, experiment=directory / "experiment.yaml")
+    cube = run.cube
+    assert run.truth is not None  # the demo wrote it
+    errors = inside(errors_against(cube, run.truth), MARGIN)
+    pixel = pixel_size(Rig.load(directory / "truth" / "rig.yaml"), run.grid)
     rate = float(cube.attrs["frame_rate"])
     lines = [
         f"rms error against the truth, {MARGIN * 100:g} cm inside the edge, 1 px = {1e3 * pixel:.2f} mm",

@@ -83,19 +83,22 @@ def analyze(
 
 
 def _analyze(store: Path, output: Path | None, workflow: Path | None, asked: dict[str, Any]) -> int:
-    from wavefield.pipeline import open_cube, predicted_gain
+    from wavefield.pipeline import open_run, predicted_gain
     from wavefield.store.ledger import unfinished_note
 
     note = unfinished_note(store)
     if note:
         click.echo(f"note: {note}", err=True)
     output = output or beside(store, "waves", ".zarr")
-    known = asked["probes"] or _probes_of(store)
+    run = open_run(store)
+    probes = asked["probes"] or run.probes
+    if probes is None and run.experiment is not None and run.experiment.probes:
+        click.echo(f"note: without the probes {run.reason('probes')}", err=True)
     undone: Any = False if asked["gain"] == "none" else asked["gain"]
     if undone == "theory":
-        undone = predicted_gain(open_cube(store))
+        undone = predicted_gain(run.cube)
     with Progress(f"Analysing {store}") as progress:
-        asked = asked | {"probes": known, "gain": undone, "progress": progress}
+        asked = asked | {"probes": probes, "gain": undone, "progress": progress}
         if workflow:
             from wavefield.pipeline import analyze_on_workers
 
@@ -106,27 +109,6 @@ def _analyze(store: Path, output: Path | None, workflow: Path | None, asked: dic
             analyze_cube(store, output, **asked)
     click.echo(f"Wrote {output}.")
     return 3 if note else 0
-
-
-def _probes_of(store: Path) -> Any:
-    """Probes that the experiment of a cube names, if its file is still there."""
-    from wavefield.errors import ExperimentError
-    from wavefield.pipeline import open_cube
-    from wavefield.series import Experiment
-
-    try:
-        experiment = Experiment.load(str(open_cube(store).attrs.get("experiment_file", "")))
-    except ExperimentError:
-        return None
-    if not experiment.probes:
-        return None
-    path = experiment.resolve(experiment.probes.file)
-    if path.is_file():
-        return experiment.read_probes()
-    click.echo(
-        f"note: without the probes {path}, which {experiment.path} names: there is no such file", err=True
-    )
-    return None
 
 
 @click.command(epilog="\b\nExample:\n  wavefield report cube.zarr      # writes report.html beside it")

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from wavefield.pipeline.forecast import Check, check
     from wavefield.pipeline.gain_prediction import predicted_gain
     from wavefield.pipeline.lazy import reconstruct
+    from wavefield.pipeline.opened_run import Run, open_run
     from wavefield.pipeline.running import run
     from wavefield.store.export import export
     from wavefield.store.ledger import Status, status
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 # public name -> where it lives; imported on first use, so that worker processes start quickly
 _PUBLIC = {
     "Check": "pipeline.forecast",
+    "Run": "pipeline.opened_run",
     "Status": "store.ledger",
     "Workflow": "execution.workflow",
     "analyze_on_workers": "pipeline.analysis",
@@ -27,6 +29,7 @@ _PUBLIC = {
     "check": "pipeline.forecast",
     "export": "store.export",
     "open_cube": "store.read",
+    "open_run": "pipeline.opened_run",
     "predicted_gain": "pipeline.gain_prediction",
     "reconstruct": "pipeline.lazy",
     "run": "pipeline.running",
@@ -35,6 +38,7 @@ _PUBLIC = {
 
 __all__ = [
     "Check",
+    "Run",
     "Status",
     "Workflow",
     "analyze_on_workers",
@@ -43,6 +47,7 @@ __all__ = [
     "export",
     "is_catalog",
     "open_cube",
+    "open_run",
     "predicted_gain",
     "reconstruct",
     "run",

@@ -1,14 +1,11 @@
 """The gain of a cube's measurement, predicted from its recipe."""
 
-import json
-
 import xarray as xr
 
 from wavefield.errors import CubeError
-from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, LearnedRecord, Settings
 from wavefield.measurement.response import tabulated
-from wavefield.rig import Camera, Rig
+from wavefield.pipeline.opened_run import Run
 from wavefield.waves.estimation.window_gain import label
 
 
@@ -47,15 +44,15 @@ def predicted_gain(cube: xr.Dataset) -> xr.Dataset:
         ...
     wavefield.errors.CubeError: the cube does not state how it was made ...
     """
+    run = Run(cube)
     try:
-        recipe = json.loads(cube.attrs["recipe"])
-        rig = Rig({name: Camera.from_dict(camera) for name, camera in recipe["rig"].items()})
-        grid = Grid(**recipe["grid"])
-        settings = Settings.from_dict(recipe["settings"])
-        record = LearnedRecord.from_dict(recipe["record"])
+        if run.rig is None:
+            raise KeyError("rig")
+        settings = Settings.from_dict(run.recipe["settings"])
+        record = LearnedRecord.from_dict(run.recipe["record"])
     except (KeyError, TypeError, ValueError) as error:
         raise CubeError(
             f"the cube does not state how it was made ({error}): measure the gain of its windows, window_gain"
         ) from None
-    table = tabulated(GridGeometry(rig, grid, settings), record)
+    table = tabulated(GridGeometry(run.rig, run.grid, settings), record)
     return label({name: table[f"gain_{name}"] for name in "zuvw"}, table["k"], "linear theory")

@@ -151,8 +151,11 @@ def process(
                 f"stopped{_why(stop)}{_how_far(path)}; nothing is lost, and the same command goes on"
             ) from None
     with deferred_signals():  # what only the end needs comes when the rest is done
+        from wavefield.pipeline.pair_statistics import store_pair_statistics
         from wavefield.pipeline.run_quality import assess_run
     found = status(path)
+    if found.complete:
+        store_pair_statistics(prepared, path)
     assess_run(prepared, found).save(path)
     if found.complete:
         mark_complete(path, ledger_checksum(path, read_layout(open_group(path))))

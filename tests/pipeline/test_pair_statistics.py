@@ -1,0 +1,93 @@
+"""Errors of camera pairs, stored when a run ends."""
+
+import shutil
+
+import numpy as np
+import pytest
+from cube_cases import FOURS, write_tank
+
+import wavefield as wf
+from wavefield.pipeline import pair_statistics as module
+from wavefield.store.camera_pairs import GROUP
+
+
+def stored(store):
+    return wf.open_run(store).pair_statistics
+
+
+def files(store):
+    found = [path for path in (store / GROUP).rglob("*") if path.is_file()]
+    return {str(path.relative_to(store)): path.read_bytes() for path in found}
+
+
+def test_errors_of_every_pair_are_stored_at_the_end_of_a_run(measured):
+    found = stored(measured / "cube.zarr")
+    pairs = {"cam3-cam1", "cam3-cam2", "cam1-cam2"}
+    for quantity in ("eps_y", "sigma_z"):
+        assert set(found.cameras.values[found.quantity == quantity]) == pairs
+    assert set(found.quantity.values) >= {"z", "z_recombined", "eps_piv", "dx", "dy", "dz"}
+    np.testing.assert_array_equal(found.units == "pixel", found.quantity == "eps_piv")
+    measured_rms = found.rms.values / np.where(found.units == "pixel", 1, found.attrs["pixel_size"])
+    assert (measured_rms > 0).all()
+    assert (measured_rms < 0.2).all()  # px
+    assert (found.rms_all >= 0.999 * found.rms).all()
+    share = (found.density.sum("bin") * 0.1)[found.quantity != "sigma_z"]
+    np.testing.assert_allclose(share, 1, atol=0.05)
+
+
+def test_statistics_are_those_of_the_diagnosis(measured):
+    from wavefield.measurement.diagnostics import joined, rms_within
+    from wavefield.pipeline.prepare import prepare
+
+    prepared = prepare(measured / "experiment.yaml")
+    found, again = stored(measured / "cube.zarr"), module.pair_statistics(prepared)
+    np.testing.assert_array_equal(found.rms, again.rms.astype("float32"))
+    model = module._learned_for_all_cameras(prepared)
+    frames = {n: [one.read(k).image for k in (0, 1)] for n, one in prepared.series.items()}
+    one = wf.measurement.diagnose(frames, model.geometry, model)
+    for pair, values in one.eps_y.items():
+        row = (again.quantity == "eps_y") & (again.cameras == joined(pair))
+        assert float(again.rms[row.values].item()) == rms_within(values)[0]
+
+
+def test_a_run_that_has_nothing_to_do_leaves_them(measured, tmp_path, monkeypatch):
+    shutil.copytree(measured, tmp_path, dirs_exist_ok=True)
+    monkeypatch.setattr(module, "pair_statistics", lambda prepared: pytest.fail("computed again"))
+    wf.run(tmp_path / "experiment.yaml", workflow=FOURS)
+    assert files(tmp_path / "cube.zarr") == files(measured / "cube.zarr")
+
+
+def test_they_follow_frames_that_are_repaired(tmp_path):
+    experiment = write_tank(tmp_path, 10)
+    store = tmp_path / "cube.zarr"
+    first = tmp_path / "cam1" / "img_00001.tif"
+    first.rename(tmp_path / "kept.tif")
+    wf.run(experiment, workflow=FOURS)
+    without = stored(store)
+    (tmp_path / "kept.tif").rename(first)
+    wf.run(experiment, workflow=FOURS)
+    assert without is None or without.attrs["ledger_checksum"] != stored(store).attrs["ledger_checksum"]
+    assert stored(store).attrs["steps"] == [0]
+
+
+def test_a_run_that_was_killed_while_they_were_written_writes_them_again(measured, tmp_path):
+    shutil.copytree(measured, tmp_path, dirs_exist_ok=True)
+    store = tmp_path / "cube.zarr"
+    expected = files(store)
+    draft = store / f".{GROUP}.0123abcd.partial"
+    (store / GROUP).rename(draft)  # the old one was put aside, the new one is not complete
+    (draft / "zarr.json").unlink()
+    wf.run(tmp_path / "experiment.yaml", workflow=FOURS)
+    assert files(store) == expected
+    wf.verify(store)
+
+
+def test_cubes_without_them_open(measured, tmp_path):
+    from wavefield.store.metadata import keep_metadata
+
+    shutil.copytree(measured / "cube.zarr", tmp_path / "cube.zarr")
+    shutil.rmtree(tmp_path / "cube.zarr" / GROUP)
+    keep_metadata(tmp_path / "cube.zarr")
+    found = wf.open_run(tmp_path / "cube.zarr")
+    assert found.pair_statistics is None
+    assert "earlier version" in found.reason("pair_statistics")

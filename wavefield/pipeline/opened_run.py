@@ -1,0 +1,259 @@
+"""A cube with everything that belongs to it: recipe, rig, experiment, images, probes, waves, truth."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+import xarray as xr
+
+from wavefield.errors import WavefieldError
+from wavefield.grid import Grid
+from wavefield.rig import Camera, Rig
+from wavefield.series import Experiment, FrameSeries
+from wavefield.series.camera_mask import CameraMask
+from wavefield.series.masks import covered_series
+from wavefield.store.camera_pairs import read_pair_statistics
+from wavefield.store.read import open_cube
+from wavefield.store.store_paths import beside
+from wavefield.store.wave_store import open_waves
+
+T = TypeVar("T")
+
+DEFAULT_TROUGH_M = 0.05  # below z = 0: where a cylinder in the water ends if the settings give no z_range
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A cube and what belongs to it, each read when it is first used.
+
+    What is absent is None (or empty); `reason` says why.
+
+    Parameters
+    ----------
+    cube : Dataset, (time, y, x)
+        The cube, lazy.
+    store : path
+        Its store.
+    waves_path, experiment_path, truth_path : path
+        Where its waves, its experiment file and the exact fields of a simulated experiment are expected.
+    """
+
+    cube: xr.Dataset
+    store: Path = Path()
+    waves_path: Path = Path()
+    experiment_path: Path = Path()
+    truth_path: Path | None = None
+    _reasons: dict[str, str] = field(default_factory=dict, init=False, repr=False)
+
+    def reason(self, name: str) -> str:
+        """Why something of the run is absent.
+
+        Parameters
+        ----------
+        name : str
+            Such as "experiment" or "waves".
+
+        Returns
+        -------
+        str
+            A sentence; empty where nothing is absent.
+        """
+        getattr(self, name)
+        return self._reasons.get(name, "")
+
+    @cached_property
+    def recipe(self) -> dict[str, Any]:
+        """What the cube was made from, as plain data; empty if it does not state it."""
+        try:
+            return dict(json.loads(self.cube.attrs["recipe"]))
+        except (KeyError, TypeError, ValueError):
+            self._reasons["recipe"] = "the cube does not state how it was made"
+            return {}
+
+    @cached_property
+    def rig(self) -> Rig | None:
+        """The cameras that measured."""
+        cameras = self.recipe.get("rig")
+        if not cameras:
+            self._reasons["rig"] = "the cube's recipe has no rig"
+            return None
+        return Rig({name: Camera.from_dict(camera) for name, camera in cameras.items()})
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The nodes."""
+        if grid := self.recipe.get("grid"):
+            return Grid(**grid)
+        x, y = self.cube.x.values, self.cube.y.values
+        return Grid((x[0], x[-1]), (y[0], y[-1]), float((x[-1] - x[0]) / (x.size - 1)))
+
+    @cached_property
+    def experiment(self) -> Experiment | None:
+        """The experiment, if its file is still there and can be read."""
+        folder = self.cube.attrs.get("image_folder")
+
+        def load() -> Experiment | None:
+            return Experiment.load(self.experiment_path, folder)
+
+        return self._try("experiment", load, None)
+
+    @cached_property
+    def _bare_frames(self) -> dict[str, FrameSeries]:
+        experiment = self.experiment
+        if experiment is None:
+            self._reasons["frames"] = f"the experiment file cannot be read: {self._reasons['experiment']}"
+            return {}
+        return self._try("frames", experiment.open_frames, {})
+
+    @cached_property
+    def frames(self) -> dict[str, FrameSeries]:
+        """The images of every camera with what is masked in them, if they are still there."""
+        frames, experiment, rig = self._bare_frames, self.experiment, self.rig
+        if not frames or experiment is None or rig is None:
+            return frames
+        trough = -(self.recipe.get("settings", {}).get("z_range") or (-DEFAULT_TROUGH_M,))[0]
+        measuring = {name: one for name, one in frames.items() if name in rig.cameras}
+        folder = experiment.path.parent
+        masked: dict[str, FrameSeries] = self._try(
+            "masks", lambda: covered_series(experiment.mask, measuring, rig, folder, trough), {}
+        )
+        return frames | masked
+
+    @cached_property
+    def masks(self) -> dict[str, CameraMask]:
+        """What is masked in the images of the cameras; empty where nothing is."""
+        return {name: one.mask for name, one in self.frames.items() if one.mask is not None}
+
+    @cached_property
+    def probes(self) -> xr.Dataset | None:
+        """The wave probes of the experiment, if it has any and their file is there.
+
+        Raises
+        ------
+        ExperimentError
+            If that file is wrong.
+        """
+        experiment = self.experiment
+        if experiment is None or experiment.probes is None:
+            self._reasons["probes"] = self._reasons.get("experiment", "the experiment names no probes")
+            return None
+        file = experiment.resolve(experiment.probes.file)
+        if not file.is_file():
+            self._reasons["probes"] = f"{file}, which {experiment.path} names: there is no such file"
+            return None
+        probes: xr.Dataset = experiment.read_probes()
+        return probes
+
+    @cached_property
+    def waves(self) -> xr.DataTree | None:
+        """The wave store next to the cube, lazy, if it belongs to the cube as it is.
+
+        Raises
+        ------
+        StoreError
+            If it is damaged.
+        """
+        if not self.waves_path.is_dir():
+            self._reasons["waves"] = f"no waves yet: run `wavefield analyze {self.store}`"
+            return None
+        waves = open_waves(self.waves_path)
+        rate = float(self.cube.attrs.get("frame_rate", 1.0))
+        if abs(float(waves.attrs.get("frame_rate", rate)) / rate - 1) > 1e-3:
+            self._reasons["waves"] = (
+                f"the cube has another frame rate since: run `wavefield analyze {self.store}` again"
+            )
+            return None
+        return waves
+
+    @cached_property
+    def truth(self) -> xr.Dataset | None:
+        """The exact fields of a simulated experiment, lazy."""
+        path = self.truth_path or self.experiment_path.parent / "truth" / "truth.zarr"
+        if not path.is_dir():
+            self._reasons["truth"] = "the experiment is not a simulated one, or its truth is not there"
+            return None
+        truth: xr.Dataset = xr.open_zarr(path, consolidated=False)
+        return truth
+
+    @cached_property
+    def pair_statistics(self) -> xr.Dataset | None:
+        """Errors of every pair of cameras on its own: `wavefield.pipeline.pair_statistics`."""
+        found = read_pair_statistics(self.store)
+        if found is None:
+            self._reasons["pair_statistics"] = (
+                "the cube has none: its run has not ended, no sampled step has usable frames of all cameras, "
+                "or it was measured by an earlier version or in a light sheet"
+            )
+        return found
+
+    def _try(self, name: str, load: Callable[[], T], absent: T) -> T:
+        try:
+            return load()
+        except (WavefieldError, OSError) as error:
+            self._reasons[name] = str(error)
+            return absent
+
+
+def open_run(
+    store: str | Path,
+    *,
+    waves: str | Path | None = None,
+    experiment: str | Path | None = None,
+    truth: str | Path | None = None,
+) -> Run:
+    """Open a cube with everything that belongs to it.
+
+    Parameters
+    ----------
+    store : path
+        Cube written by `run`.
+    waves : path, optional
+        Its waves; by default where `wavefield analyze` writes them, next to the cube.
+    experiment : path, optional
+        Its experiment file; by default the one that it was made from.
+    truth : path, optional
+        Exact fields of a simulated experiment; by default ``truth/truth.zarr`` next to the experiment file.
+
+    Returns
+    -------
+    Run
+        With ``cube``, ``recipe``, ``rig``, ``grid``, ``experiment``, ``frames``, ``masks``, ``probes``,
+        ``waves``, ``truth`` and ``pair_statistics``, each read when it is first used; what is absent is None
+        or empty, and ``run.reason("probes")`` gives the reason.
+
+    Raises
+    ------
+    StoreError
+        If the cube is not there, is not a cube, or is damaged.
+
+    Examples
+    --------
+    The empty store that a run of ten steps begins with.
+
+    >>> import tempfile
+    >>> import numpy as np
+    >>> from wavefield.store.layout import StoreLayout, create_store
+    >>> from wavefield.store.recipe import Recipe
+    >>> recipe = Recipe("basin", {}, (0, 10), 20.0, {}, {}, {})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     store, layout = Path(folder) / "cube.zarr", StoreLayout(10, 4, ("left", "right"), 0)
+    ...     create_store(store, recipe, np.arange(4) * 0.1, np.arange(3) * 0.1, layout, {})
+    ...     run = open_run(store)
+    ...     run.waves, run.reason("waves").replace(folder, "")
+    (None, 'no waves yet: run `wavefield analyze /cube.zarr`')
+    >>> run.grid.shape, run.recipe["experiment"]
+    ((3, 4), 'basin')
+    """
+    store = Path(str(store).removeprefix("file://"))
+    cube = open_cube(store)
+    experiment = Path(experiment or str(cube.attrs.get("experiment_file", "")))
+    return Run(
+        cube,
+        store,
+        Path(waves) if waves is not None else beside(store, "waves", ".zarr"),
+        store.parent / experiment,
+        Path(truth) if truth is not None else None,
+    )

@@ -1,0 +1,76 @@
+"""The group of a cube's store that holds the errors of every pair of cameras on its own."""
+
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+import zarr
+
+from wavefield.atomic_write import Product, atomic, remove_leftovers, zarr_store
+from wavefield.errors import StoreError
+from wavefield.store.layout import gather_metadata
+from wavefield.store.metadata import keep_metadata
+from wavefield.store.read import open_group
+from wavefield.variables import Variable, annotate, register, rows_of
+
+GROUP = "pair_statistics"
+_TITLE = "errors of pairs of cameras"
+_PRODUCT = Product("statistics of camera pairs", zarr_store(_TITLE), folder=True)
+_TEXTS = ("quantity", "cameras", "units")  # text coordinates, kept as attributes: Zarr 3 has no fixed strings
+
+register(
+    Variable("rms", ("error",), "", "rms of an error, without what exceeds three times it", group=GROUP),
+    Variable("rms_all", ("error",), "", "rms of an error", group=GROUP),
+    Variable("beyond", ("error",), "1", "fraction that exceeds three times the rms", group=GROUP),
+    Variable(
+        "density",
+        ("error", "bin"),
+        "1",
+        "probability density of an error over its rms",
+        group=GROUP,
+        meaning="times the rms; bins are multiples of the rms",
+    ),
+    Variable("bin", ("bin",), "1", "centre of a bin, over the rms", dtype="float64", group=GROUP),
+)
+
+
+def write_pair_statistics(path: Path, statistics: xr.Dataset, ledger_checksum: int) -> None:
+    """Put the statistics into a cube, complete or not at all; they belong to a ledger of this checksum."""
+    remove_leftovers(path / GROUP)
+    with atomic(path / GROUP, _PRODUCT) as draft:
+        attributes = statistics.attrs | {name: statistics[name].values.tolist() for name in _TEXTS}
+        attributes |= {"title": _TITLE, "ledger_checksum": ledger_checksum}
+        group = zarr.open_group(draft, mode="w", zarr_format=3, attributes=attributes)
+        for row in rows_of(GROUP):
+            values = statistics[row.name].values.astype(row.dtype)
+            array = group.create_array(
+                row.name,
+                shape=values.shape,
+                chunks=values.shape,
+                dtype=row.dtype,
+                fill_value=np.nan,
+                dimension_names=row.dims,
+                attributes=row.attrs,
+            )
+            array[...] = values
+    gather_metadata(path)
+    keep_metadata(path)
+
+
+def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
+    """The statistics in a cube, loaded; None if there are none.
+
+    Returns (error, bin) with the coordinates quantity, cameras, units (error).
+    """
+    path = Path(store)
+    open_group(path)  # compares all small files with their copies
+    if not (path / GROUP).is_dir():
+        return None
+    try:
+        out = xr.open_zarr(path / GROUP, consolidated=False, chunks=None).load()
+    except Exception as error:  # whatever a library makes of damaged bytes
+        raise StoreError(
+            f"{path / GROUP} cannot be read ({error}); `wavefield run EXPERIMENT` writes it again"
+        ) from None
+    texts = {name: ("error", np.array(out.attrs.pop(name))) for name in _TEXTS}
+    return annotate(out.assign_coords(texts), GROUP)
