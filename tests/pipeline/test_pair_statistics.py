@@ -4,11 +4,13 @@ import shutil
 
 import numpy as np
 import pytest
+import zarr
 from cube_cases import FOURS, write_tank
 
 import wavefield as wf
 from wavefield.pipeline import pair_statistics as module
 from wavefield.store.camera_pairs import GROUP
+from wavefield.store.metadata import keep_metadata
 
 
 def stored(store):
@@ -42,9 +44,10 @@ def test_statistics_are_those_of_the_diagnosis(measured):
     prepared = prepare(measured / "experiment.yaml")
     found, again = stored(measured / "cube.zarr"), module.pair_statistics(prepared)
     np.testing.assert_array_equal(found.rms, again.rms.astype("float32"))
-    model = module._learned_for_all_cameras(prepared)
+    geometry = module._with_every_motion(prepared.geometry)
+    model = module._learned(prepared, geometry)
     frames = {n: [one.read(k).image for k in (0, 1)] for n, one in prepared.series.items()}
-    one = wf.measurement.diagnose(frames, model.geometry, model)
+    one = wf.measurement.diagnose(frames, geometry, model)
     for pair, values in one.eps_y.items():
         row = (again.quantity == "eps_y") & (again.cameras == joined(pair))
         assert float(again.rms[row.values].item()) == rms_within(values)[0]
@@ -74,17 +77,31 @@ def test_a_run_that_was_killed_while_they_were_written_writes_them_again(measure
     shutil.copytree(measured, tmp_path, dirs_exist_ok=True)
     store = tmp_path / "cube.zarr"
     expected = files(store)
-    draft = store / f".{GROUP}.0123abcd.partial"
-    (store / GROUP).rename(draft)  # the old one was put aside, the new one is not complete
-    (draft / "zarr.json").unlink()
+    shutil.rmtree(store / GROUP)
+    keep_metadata(store)
+    group = zarr.open_group(store / GROUP, mode="w")  # as it was when its second array was begun
+    group.create_array("rms", shape=(23,), chunks=(23,), dtype="float32", dimension_names=("error",))
+    assert stored(store) is None
     wf.run(tmp_path / "experiment.yaml", workflow=FOURS)
     assert files(store) == expected
-    wf.verify(store)
+    assert wf.verify(store).sound
+
+
+def test_a_run_that_was_killed_while_it_replaced_them_replaces_them(measured, tmp_path):
+    shutil.copytree(measured, tmp_path, dirs_exist_ok=True)
+    store = tmp_path / "cube.zarr"
+    expected = files(store)
+    group = zarr.open_group(store / GROUP, mode="r+")
+    group.attrs["ledger_checksum"] = 1
+    keep_metadata(store)
+    group.attrs.put({})
+    group["rms"][:] = 1.0
+    wf.run(tmp_path / "experiment.yaml", workflow=FOURS)
+    assert files(store) == expected
+    assert wf.verify(store).sound
 
 
 def test_cubes_without_them_open(measured, tmp_path):
-    from wavefield.store.metadata import keep_metadata
-
     shutil.copytree(measured / "cube.zarr", tmp_path / "cube.zarr")
     shutil.rmtree(tmp_path / "cube.zarr" / GROUP)
     keep_metadata(tmp_path / "cube.zarr")

@@ -36,7 +36,8 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
     """
     if prepared.geometry.settings.sheet_thickness is not None:  # its cameras are not matched with each other
         return None
-    model = _learned_for_all_cameras(prepared)
+    geometry = _with_every_motion(prepared.geometry)
+    model = _learned(prepared, geometry)
     if model is None:
         return None
     pixel = pixel_size(prepared.rig, prepared.grid)
@@ -49,7 +50,7 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
             for n, one in prepared.series.items()
         }
         try:
-            return diagnose(frames, model.geometry, model, pixel, masks)
+            return diagnose(frames, geometry, model, pixel, masks)
         except ValueError:  # a frame is missing or bad
             return None
 
@@ -78,13 +79,16 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
     )
 
 
-def _learned_for_all_cameras(prepared: PreparedRun) -> Model | None:
-    """What sample frames give of the motion of every camera: a run learns of those that give the velocity."""
-    geometry, threads = prepared.geometry, threads_here(prepared.workflow)
+def _with_every_motion(geometry: GridGeometry) -> GridGeometry:
+    """The same with the motion in every camera's images, not only in those that give the velocity."""
     settings = replace(geometry.settings, velocity_cameras=geometry.cameras)
-    geometry = GridGeometry(prepared.rig, prepared.grid, settings, geometry.covered)
+    return GridGeometry(geometry.rig, geometry.grid, settings, geometry.covered)
+
+
+def _learned(prepared: PreparedRun, geometry: GridGeometry) -> Model | None:
+    """What one sampled step gives of the record; a run learns without cameras that give no velocity."""
     for pair in samples(prepared.series, prepared.steps):
-        if record := learn_from([pair], geometry, threads):
+        if record := learn_from([pair], geometry, threads_here(prepared.workflow)):
             return Model(geometry, LearnedRecord.from_dict(record))
     return None
 

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 import zarr
 
-from wavefield.atomic_write import Product, atomic, remove_leftovers, zarr_store
+from wavefield.atomic_write import write_error
 from wavefield.errors import StoreError
 from wavefield.store.layout import gather_metadata
 from wavefield.store.metadata import keep_metadata
@@ -14,8 +14,6 @@ from wavefield.store.read import open_group
 from wavefield.variables import Variable, annotate, register, rows_of
 
 GROUP = "pair_statistics"
-_TITLE = "errors of pairs of cameras"
-_PRODUCT = Product("statistics of camera pairs", zarr_store(_TITLE), folder=True)
 _TEXTS = ("quantity", "cameras", "units")  # text coordinates, kept as attributes: Zarr 3 has no fixed strings
 
 register(
@@ -35,12 +33,11 @@ register(
 
 
 def write_pair_statistics(path: Path, statistics: xr.Dataset, ledger_checksum: int) -> None:
-    """Put the statistics into a cube, complete or not at all; they belong to a ledger of this checksum."""
-    remove_leftovers(path / GROUP)
-    with atomic(path / GROUP, _PRODUCT) as draft:
-        attributes = statistics.attrs | {name: statistics[name].values.tolist() for name in _TEXTS}
-        attributes |= {"title": _TITLE, "ledger_checksum": ledger_checksum}
-        group = zarr.open_group(draft, mode="w", zarr_format=3, attributes=attributes)
+    """Put the statistics into a cube; they belong to a ledger of this checksum, which is written last."""
+    attributes = statistics.attrs | {name: statistics[name].values.tolist() for name in _TEXTS}
+    try:
+        group = zarr.open_group(path / GROUP, mode="a", zarr_format=3)
+        group.attrs.put({})
         for row in rows_of(GROUP):
             values = statistics[row.name].values.astype(row.dtype)
             array = group.create_array(
@@ -51,10 +48,14 @@ def write_pair_statistics(path: Path, statistics: xr.Dataset, ledger_checksum: i
                 fill_value=np.nan,
                 dimension_names=row.dims,
                 attributes=row.attrs,
+                overwrite=True,
             )
             array[...] = values
-    gather_metadata(path)
-    keep_metadata(path)
+        group.attrs.put(attributes | {"ledger_checksum": ledger_checksum})
+        gather_metadata(path)
+        keep_metadata(path)
+    except OSError as error:
+        raise write_error(path / GROUP, error) from None
 
 
 def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
@@ -64,7 +65,7 @@ def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
     """
     path = Path(store)
     open_group(path)  # compares all small files with their copies
-    if not (path / GROUP).is_dir():
+    if not (path / GROUP / "zarr.json").is_file():
         return None
     try:
         out = xr.open_zarr(path / GROUP, consolidated=False, chunks=None).load()
@@ -72,5 +73,7 @@ def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
         raise StoreError(
             f"{path / GROUP} cannot be read ({error}); `wavefield run EXPERIMENT` writes it again"
         ) from None
+    if "ledger_checksum" not in out.attrs:  # being written
+        return None
     texts = {name: ("error", np.array(out.attrs.pop(name))) for name in _TEXTS}
     return annotate(out.assign_coords(texts), GROUP)
