@@ -14,7 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefield.tank import Scene, Tank, carry, displacement, simulate
+from wavefield.tank import Scene, Tank, simulate
+from wavefield.tank.beads import carry
+from wavefield.tank.truth import displacement
 
 
 def least(function, *rounds):

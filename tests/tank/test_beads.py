@@ -5,7 +5,10 @@ import pytest
 
 from wavefield.grid import Grid
 from wavefield.rig import Rig
-from wavefield.tank import Basin, Scene, Sea, Tank, carry, displacement, rigs, truth
+from wavefield.tank import Scene, Sea, Tank, rigs
+from wavefield.tank.basin import Basin
+from wavefield.tank.beads import carry
+from wavefield.tank.truth import displacement, truth
 
 SMALL = {"rig": {"crop": 0.2}, "grid": {"x": (-0.1, 0.1), "y": (-0.1, 0.1), "step": 0.02}}
 
@@ -89,13 +92,13 @@ def test_beads_drift_with_the_current_and_with_the_waves():
     assert (x[0] / (4 * period) - 0.1) == pytest.approx(stokes, rel=0.2)
 
 
-def test_density_is_as_asked_and_beads_fill_every_view():
+def test_density_is_as_set_and_beads_fill_every_view():
     tank = Tank(small(frames=30))
     for frame in (0, 12):
         beads = tank.population.frame(frame)
         for name, camera in tank.rig.cameras.items():
-            seen = camera.sees(beads.x, beads.y, beads.z)
-            X, Y = camera.project(beads.x[seen], beads.y[seen], beads.z[seen])
+            visible = camera.sees(beads.x, beads.y, beads.z)
+            X, Y = camera.project(beads.x[visible], beads.y[visible], beads.z[visible])
             w, h = camera.size
             counts, *_ = np.histogram2d(X, Y, bins=3, range=[(0, w), (0, h)])
             assert counts.min() > 0.5 * counts.mean(), name
@@ -120,7 +123,7 @@ def test_holes_have_no_beads_and_clusters_have_more_neighbours():
     assert neighbours(crowded) > 2 * neighbours(plain)
 
 
-def test_share_of_beads_seen_by_one_camera_only():
+def test_share_of_beads_visible_in_one_camera_only():
     beads = Tank(small(surface={"one_camera": 0.3})).population.frame(0)
     cameras = (beads.brightness > 0).sum(axis=0)
     assert set(cameras) == {1, 3}
@@ -135,7 +138,7 @@ def test_long_records_stay_seeded_under_a_current():
     assert inside.sum() / 0.06 == pytest.approx(1.1e4, rel=0.2)
 
 
-def test_bounds_hold_all_that_cameras_see_of_high_and_low_water():
+def test_bounds_contain_the_views_of_high_and_low_water():
     rig: Rig = rigs.paper_rig()
     x, y = rigs.bounds(rig, -0.06, 0.07, 0.0)
     for camera in rig.cameras.values():

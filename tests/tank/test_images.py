@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from wavefield.tank import Scene, Tank, carry, paper_rig, rigs, sensor, texture
+from wavefield.tank import Scene, Tank, paper_rig, rigs, sensor, texture
+from wavefield.tank.beads import carry
 
 QUIET = {"read_noise": 0.0, "shot_noise": 0.0, "unevenness": 0.0, "background": 0.0, "bits": 16}
 
@@ -57,7 +58,7 @@ def test_beads_appear_where_the_camera_projects_them():
 def test_same_seed_same_images_and_another_seed_others():
     scene = small()
     first, again = Tank(scene), Tank(scene)
-    again.render(0)  # what was asked before does not matter
+    again.render(0)  # what was drawn before does not matter
     a, b, c = first.render(3), again.render(3), Tank(scene.with_(seed=2)).render(3)
     for name in a:
         assert np.array_equal(a[name], b[name])

@@ -1,38 +1,36 @@
 """Scenes are read from YAML, and wrong ones are refused in a sentence."""
 
+import numpy as np
 import pytest
 import yaml
 
 from wavefield.errors import ExperimentError
 from wavefield.tank import Scene, Tank
-from wavefield.tank.camera_plan import summary
+from wavefield.tank.rigs import pixel_footprint
 
 
 @pytest.mark.parametrize("name", sorted(Scene.presets()))
-def test_presets_load_and_say_what_to_expect(name):
+def test_presets_have_resolution_seeding_and_a_grid_in_view(name):
     scene = Scene.load(name)
     assert scene.name == name
-    expected = summary(scene)
-    assert expected["coverage"] > 0.97
-    largest = max(max(c["mm_per_px"]) for c in expected["cameras"].values())
+    rig, (x, y) = scene.build_rig(), np.meshgrid(scene.grid.x_nodes, scene.grid.y_nodes)
+    visible = np.logical_and.reduce([rig[camera].sees(x, y, 0.0) for camera in rig])
+    assert visible.mean() > 0.97
+    largest = 1e3 * max(max(pixel_footprint(rig[camera])) for camera in rig)  # mm
     assert 0.2 < largest < 0.3 if scene.surface.kind == "sheet" else 1.0 < largest < 5
     if scene.surface.kind == "beads":
-        assert 15 <= expected["beads_per_block"] <= 20
+        assert 15 <= scene.surface.density * 0.04**2 <= 20  # per 4 x 4 cm, the paper's finest block
 
 
-def test_demo_has_the_paper_s_pixels_on_a_smaller_field():
-    demo, full = summary(Scene.load("demo")), summary(Scene.load("full"))
-    for name in full["cameras"]:
-        assert demo["cameras"][name]["mm_per_px"] == full["cameras"][name]["mm_per_px"]
-    assert demo["pairs"]["cam1-cam3"]["parallax"] == pytest.approx(
-        full["pairs"]["cam1-cam3"]["parallax"], rel=0.06
-    )
-    assert demo["megabytes"] < full["megabytes"] / 5
+def test_demo_has_the_paper_s_pixels_and_angles_on_a_smaller_field():
+    demo, full = (Scene.load(name).build_rig() for name in ("demo", "full"))
+    for name in full:
+        assert pixel_footprint(demo[name]) == pytest.approx(pixel_footprint(full[name]), abs=5e-7)
+        assert np.prod(demo[name].size) < np.prod(full[name].size) / 4
+        assert demo[name].R[2] == pytest.approx(full[name].R[2], abs=1e-9)
 
 
 def test_random_and_steep_seas_are_as_their_presets_promise():
-    import numpy as np
-
     tank = Tank(Scene.load("steep"))
     x, y = tank.scene.grid.x_nodes[::2], tank.scene.grid.y_nodes[::2]
     lowest = highest = steepest = 0.0

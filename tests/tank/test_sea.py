@@ -5,25 +5,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavefield.tank import Scene, Sea, spectrum
+from wavefield.tank import Scene, Sea
+from wavefield.tank.sea_models import PowerLaw, RandomSea
 from wavefield.water import GAMMA, dispersion
 
 DEEP = 10.0
 
 
-def random_sea(seed=0, rms=0.014, peak=1.2, **more):
-    waves = spectrum.random_waves(
-        lambda f: spectrum.power_law(f, peak, 6.0),
+def random_sea(seed=0, rms=0.014, peak=1.2, bound=0, **settings):
+    model = RandomSea(
+        kind="random",
         rms=rms,
-        direction=0.0,
-        spread=more.pop("spread", 0.0),
-        shortest=more.pop("shortest", 0.08),
-        period=more.pop("period", 4.0),
-        depth=0.7,
-        surface_tension=7.2e-5,
-        seed=seed,
+        spectrum={"kind": "power", "peak": peak},
+        order=2 if bound else 1,
+        interacting=bound or 300,
+        **{"shortest": 0.08, "period": 4.0, "depth": 0.7, "surface_tension": 7.2e-5, **settings},
     )
-    return Sea(*waves, depth=0.7, **more)
+    return model.build(seed)
 
 
 def numerical_rate(sea, name, x, y, t, h=1e-3):
@@ -133,12 +131,12 @@ def test_second_order_solution_satisfies_the_dynamic_condition_in_finite_depth()
         along_y = dv + f["z_y"] * (9.81 + dw) - tension_y
         return np.sqrt(np.mean(along_x**2 + along_y**2))
 
-    # a linear sea is wrong at second order of the amplitude, ours at third
+    # a linear sea is wrong at second order of the amplitude, this one at third
     assert residual(1.0, 0) / residual(0.5, 0) == pytest.approx(4, rel=0.1)
     assert residual(1.0, 2) / residual(0.5, 2) == pytest.approx(8, rel=0.1)
 
 
-def test_second_order_sea_is_skewed_as_stokes_theory_says(rng):
+def test_second_order_sea_has_the_skewness_of_stokes_theory(rng):
     # narrow deep-water sea: skewness 3 k sigma (waves.md, test 11)
     k, sigma, n = 8.0, 0.0125, 60
     kx = k + np.linspace(-0.05, 0.05, n)
@@ -169,12 +167,12 @@ def test_random_sea_has_its_rms_and_its_spectrum():
         power = np.abs(s.amplitude) ** 2
         shares.append(power[s.k > k_two].sum() / power.sum())
     f = np.linspace(0.35, dispersion(2 * np.pi / 0.08, 0.7) / (2 * np.pi), 4000)
-    density = spectrum.power_law(f, 1.2, 6.0)
+    density = PowerLaw(kind="power", peak=1.2)(f)
     above = f > dispersion(k_two, 0.7) / (2 * np.pi)
     assert np.mean(shares) == pytest.approx(density[above].sum() / density.sum(), rel=0.15)
 
 
-def test_spreading_sends_the_waves_where_it_says():
+def test_spreading_sends_the_waves_in_the_main_direction():
     sea = random_sea(spread=20.0)
     power = np.abs(sea.amplitude) ** 2
     assert np.sum(power * sea.kx / sea.k) / power.sum() > 0.9

@@ -18,23 +18,25 @@ from wavefield.tank.sea import Sea
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_WIDTH = 8  # lattice points under the kernel along each axis
-_BETA = 2.30 * _WIDTH  # kernel exp(beta (sqrt(1 - s^2) - 1)), for a lattice twice as fine as Nyquist's
-_KEPT = 24  # snapshots remembered
-_COARSEST = 0.04  # lattice step where the sea has no short waves, metres
+KERNEL_WIDTH = 8  # lattice points under the kernel along each axis
+KERNEL_BETA = (
+    2.30 * KERNEL_WIDTH
+)  # kernel exp(beta (sqrt(1 - s^2) - 1)), for a lattice twice as fine as Nyquist's
+MAX_SNAPSHOTS = 24  # remembered
+MAX_STEP = 0.04  # m, of the lattice where the sea has no short waves
 
 
 def _kernel(r: Array) -> Array:
     """Kernel at r lattice steps from its centre."""
-    s = 2.0 * r / _WIDTH
-    return np.exp(_BETA * (np.sqrt(np.maximum(1.0 - s * s, 0.0)) - 1.0)) * (np.abs(s) < 1)
+    s = 2.0 * r / KERNEL_WIDTH
+    return np.exp(KERNEL_BETA * (np.sqrt(np.maximum(1.0 - s * s, 0.0)) - 1.0)) * (np.abs(s) < 1)
 
 
 def _transform(phase: Array) -> Array:
     """Fourier transform of the kernel at phases per lattice step, by Gauss-Legendre quadrature."""
     nodes, weights = np.polynomial.legendre.leggauss(60)
-    r = nodes * _WIDTH / 2
-    return np.cos(np.outer(phase, r)) @ (weights * _kernel(r)) * _WIDTH / 2
+    r = nodes * KERNEL_WIDTH / 2
+    return np.cos(np.outer(phase, r)) @ (weights * _kernel(r)) * KERNEL_WIDTH / 2
 
 
 def _waves(a: ArrayLike, b: ArrayLike) -> Complex:
@@ -42,20 +44,12 @@ def _waves(a: ArrayLike, b: ArrayLike) -> Complex:
 
 
 class Basin:
-    """Rectangle of a sea.
-
-    Parameters
-    ----------
-    sea : Sea
-        The sea.
-    x, y : tuple of float
-        Limits, metres.
-    """
+    """A rectangle of a sea with limits x and y, metres."""
 
     def __init__(self, sea: Sea, x: tuple[float, float], y: tuple[float, float]) -> None:
         self.sea, self.x, self.y = sea, x, y
-        step = min(sea.shortest / 4.0, _COARSEST)
-        margin = _WIDTH // 2
+        step = min(sea.shortest / 4.0, MAX_STEP)
+        margin = KERNEL_WIDTH // 2
         self._step = step
         self._recent: OrderedDict[tuple[float, tuple[str, ...]], Snapshot] = OrderedDict()
         self._lock = Lock()
@@ -67,21 +61,9 @@ class Basin:
         self._ey = _waves(gy, ky) / _transform(ky * step)
 
     def snapshot(self, time: float, names: Sequence[str] = ("z",)) -> "Snapshot":
-        """The sea at one time.
-
-        Parameters
-        ----------
-        time : float
-            Seconds.
-        names : sequence of str, default ("z",)
-            Any of z, z_x, z_y, z_t, u, v (w is a product: make it from these).
-
-        Returns
-        -------
-        Snapshot
-        """
+        """The sea at one time, s: any of z, z_x, z_y, z_t, u, v (w is a product: make it from these)."""
         key = (round(time, 12), tuple(names))
-        with self._lock:  # following beads asks for the same instants again and again
+        with self._lock:  # following beads needs the same instants again and again
             if key in self._recent:
                 self._recent.move_to_end(key)
                 return self._recent[key]
@@ -91,7 +73,7 @@ class Basin:
         made = Snapshot(stacked, np.array(offset), self._origin, self._step)
         with self._lock:
             self._recent[key] = made
-            while len(self._recent) > _KEPT:
+            while len(self._recent) > MAX_SNAPSHOTS:
                 self._recent.popitem(last=False)
         return made
 
@@ -103,10 +85,7 @@ class Snapshot:
         self._values, self._offset, self._origin, self._step = values, offset, origin, step
 
     def __call__(self, x: Array, y: Array) -> Array:
-        """Fields at scattered points.
-
-        With x, y, metres; returns (number of names,) + S: Metres, slopes or m/s.
-        """
+        """Fields at points of any shape, (names, ...), in metres, slopes or m/s; NaN outside the basin."""
         out = np.empty((self._values.shape[0], x.size))
         _gather(x.ravel(), y.ravel(), self._values, *self._origin, self._step, out)
         return (out + self._offset[:, None]).reshape(-1, *x.shape)
@@ -114,23 +93,24 @@ class Snapshot:
 
 @compiled(fastmath=True)
 def _gather(x: Array, y: Array, values: Array, x0: float, y0: float, step: float, out: Array) -> None:
+    # constants of the module, so that the loops are unrolled; compiled code is renewed when they change
     nf, ny, nx = values.shape
-    wx, wy = np.empty(_WIDTH), np.empty(_WIDTH)
+    wx, wy = np.empty(KERNEL_WIDTH), np.empty(KERNEL_WIDTH)
     for p in range(x.size):
         rx, ry = (x[p] - x0) / step, (y[p] - y0) / step
-        jx, jy = int(np.floor(rx)) - _WIDTH // 2 + 1, int(np.floor(ry)) - _WIDTH // 2 + 1
-        if jx < 0 or jy < 0 or jx + _WIDTH > nx or jy + _WIDTH > ny:
+        jx, jy = int(np.floor(rx)) - KERNEL_WIDTH // 2 + 1, int(np.floor(ry)) - KERNEL_WIDTH // 2 + 1
+        if jx < 0 or jy < 0 or jx + KERNEL_WIDTH > nx or jy + KERNEL_WIDTH > ny:
             out[:, p] = np.nan
             continue
-        for g in range(_WIDTH):
-            sx, sy = 2.0 * (rx - jx - g) / _WIDTH, 2.0 * (ry - jy - g) / _WIDTH
-            wx[g] = np.exp(_BETA * (np.sqrt(max(1.0 - sx * sx, 0.0)) - 1.0))
-            wy[g] = np.exp(_BETA * (np.sqrt(max(1.0 - sy * sy, 0.0)) - 1.0))
+        for g in range(KERNEL_WIDTH):
+            sx, sy = 2.0 * (rx - jx - g) / KERNEL_WIDTH, 2.0 * (ry - jy - g) / KERNEL_WIDTH
+            wx[g] = np.exp(KERNEL_BETA * (np.sqrt(max(1.0 - sx * sx, 0.0)) - 1.0))
+            wy[g] = np.exp(KERNEL_BETA * (np.sqrt(max(1.0 - sy * sy, 0.0)) - 1.0))
         for f in range(nf):
             total = 0.0
-            for i in range(_WIDTH):
+            for i in range(KERNEL_WIDTH):
                 row = 0.0
-                for j in range(_WIDTH):
+                for j in range(KERNEL_WIDTH):
                     row += wx[j] * values[f, jy + i, jx + j]
                 total += wy[i] * row
             out[f, p] = total

@@ -1,4 +1,4 @@
-"""Beads carried by the water: where they are in every frame."""
+"""Beads carried by the water: their positions in every frame."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,49 +7,59 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.tank.basin import Basin
+from wavefield.tank.scene import Scene
+from wavefield.tank.scene_parts import Beads
 
 Array = NDArray[np.float64]
+Velocity = Callable[[Array, Array], Array]  # x, y to u, v (and w), (2 or 3, ...), m/s
 
-_LONGEST_SUBSTEP = 0.025  # seconds
+MAX_SUBSTEP_S = 0.025
+GROUP_SIZE = 6  # beads of a cluster
+GROUP_SPREAD = 0.002  # m, standard deviation of their positions
+KEPT_FRAMES = 8  # before the latest one
+
+
+def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, end: Velocity) -> Array:
+    """Positions (2 or 3, ...) after a time h, of fourth order, from velocities at three instants."""
+    k1 = start(position[0], position[1])
+    p2 = position + h / 2 * k1
+    k2 = middle(p2[0], p2[1])
+    p3 = position + h / 2 * k2
+    k3 = middle(p3[0], p3[1])
+    p4 = position + h * k3
+    k4 = end(p4[0], p4[1])
+    return position + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
 def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[Array, Array]:
-    """Move points with the surface water, forwards or backwards in time.
+    """Move points of any shape with the surface water from one time to another, either way, s.
 
-    Parameters
-    ----------
-    basin : Basin
-        The sea around the points.
-    x, y : ndarray, S
-        Positions at the start, metres.
-    start, end : float
-        Seconds.
-
-    Returns
-    -------
-    x, y : ndarray, S
-        Positions at the end, metres; NaN for points that left the basin.
-
-    Notes
-    -----
-    Classical Runge-Kutta of fourth order in sub-steps of at most 25 ms: over a step of 50 ms of a
-    random sea with waves down to 5 cm a bead is misplaced by less than 0.1 um, in a steep
-    one by 0.4 um.
+    NaN for points that leave the basin. Sub-steps of at most 25 ms: over a step of 50 ms of a random sea with
+    waves down to 5 cm a bead is misplaced by less than 0.1 um, in a steep one by 0.4 um.
     """
-    steps = max(1, int(np.ceil(abs(end - start) / _LONGEST_SUBSTEP - 1e-9)))
+    steps = max(1, int(np.ceil(abs(end - start) / MAX_SUBSTEP_S - 1e-9)))
     h = (end - start) / steps
     names = ("u", "v")
+    position = np.stack([x, y])
     after = basin.snapshot(start, names)
     for step in range(steps):
         t = start + step * h
         before, middle, after = after, basin.snapshot(t + h / 2, names), basin.snapshot(t + h, names)
-        u1, v1 = before(x, y)
-        u2, v2 = middle(x + h / 2 * u1, y + h / 2 * v1)
-        u3, v3 = middle(x + h / 2 * u2, y + h / 2 * v2)
-        u4, v4 = after(x + h * u3, y + h * v3)
-        x = x + h / 6 * (u1 + 2 * u2 + 2 * u3 + u4)
-        y = y + h / 6 * (v1 + 2 * v2 + 2 * v3 + v4)
-    return x, y
+        position = runge_kutta(position, h, before, middle, after)
+    return position[0], position[1]
+
+
+def centred_path(carried: Callable[[Array, Array, float], Array], x: Array, y: Array, half: float) -> Array:
+    """Start and end, (2, 2 or more, ...), of the paths from -half to +half whose mid-points are (x, y).
+
+    ``carried(x, y, t)`` gives where the water at (x, y) is after a time t; its place at mid-time is corrected
+    until the mean of both ends is the point.
+    """
+    px, py = x, y
+    for _ in range(3):
+        start, end = carried(px, py, -half), carried(px, py, half)
+        px, py = px + x - (start[0] + end[0]) / 2, py + y - (start[1] + end[1]) / 2
+    return np.stack([start, end])
 
 
 @dataclass(frozen=True)
@@ -59,90 +69,86 @@ class BeadField:
     x: Array  # (n,): Positions, metres
     y: Array
     z: Array
-    brightness: Array  # (cameras, n): Relative brightness as each camera sees it; 0 where it does not
+    brightness: Array  # (cameras, n): Relative brightness in each camera; 0 where it is not visible
 
 
 class Population:
     """Beads on a rectangle of water, frame after frame.
 
-    A bead that leaves the rectangle (which is larger than what the cameras see) comes back on the other side;
-    each second a small share of the beads is laid anew somewhere, as in a tank that is seeded all the time,
+    A bead that leaves the rectangle, which is larger than the cameras' view, comes back on the other side.
+    Each second a small share of the beads is laid anew somewhere, as in a tank that is seeded continuously,
     so that the density stays even over long records.
-
-    With x, y, metres; holes (h, 3), metres.
     """
 
     def __init__(
-        self,
-        basin: Basin,
-        x: tuple[float, float],
-        y: tuple[float, float],
-        *,
-        density: float,
-        clustered: float,
-        holes: Array,
-        renewal: float,
-        one_camera: float,
-        spread: float,
-        spread_between: float,
-        cameras: int,
-        submerged: tuple[float, tuple[float, float]],
-        time: Callable[[float], float],
-        frame_rate: float,
-        seed: int,
-    ):
-        self._basin, self._x, self._y = basin, x, y
-        self._renewal, self.time, self._rate, self._seed = renewal, time, frame_rate, seed
-        rng = np.random.default_rng([seed, 1])
-        number = round(density * (x[1] - x[0]) * (y[1] - y[0]))
-        grouped = int(clustered * number) // 6 * 6
+        self, scene: Scene, basin: Basin, x: tuple[float, float], y: tuple[float, float], cameras: int
+    ) -> None:
+        if not isinstance(scene.surface, Beads):
+            raise ValueError("this scene has a painted surface, no beads")
+        settings = scene.surface
+        self._scene, self._basin, self._x, self._y = scene, basin, x, y
+        self._renewal = settings.renewal / scene.frame_rate  # share per frame
+        rng = np.random.default_rng([scene.seed, 1])
+        number = round(settings.density * (x[1] - x[0]) * (y[1] - y[0]))
+        grouped = int(settings.clustered * number) // GROUP_SIZE * GROUP_SIZE
         px, py = rng.uniform(*x, number), rng.uniform(*y, number)
-        centre = np.repeat(np.arange(0, grouped, 6), 6)
-        px[:grouped] = px[centre] + rng.normal(0.0, 0.002, grouped)
-        py[:grouped] = py[centre] + rng.normal(0.0, 0.002, grouped)
+        centre = np.repeat(np.arange(0, grouped, GROUP_SIZE), GROUP_SIZE)
+        px[:grouped] = px[centre] + rng.normal(0.0, GROUP_SPREAD, grouped)
+        py[:grouped] = py[centre] + rng.normal(0.0, GROUP_SPREAD, grouped)
         empty = np.zeros(number, bool)
-        for hx, hy, diameter in np.reshape(holes, (-1, 3)):
-            empty |= (px - hx) ** 2 + (py - hy) ** 2 < (diameter / 2) ** 2
-        self._positions = {0: (px[~empty], py[~empty])}
+        for hole_x, hole_y, diameter in _holes(scene, settings):
+            empty |= (px - hole_x) ** 2 + (py - hole_y) ** 2 < (diameter / 2) ** 2
         count = int(np.sum(~empty))
         # a gamma law: most beads alike, a few bright ones, none negative
+        spread = settings.spread
         own = rng.gamma(spread**-2, spread**2, count) if spread else np.ones(count)
-        each = np.exp(rng.normal(0.0, spread_between, (cameras, count)))
+        each = np.exp(rng.normal(0.0, settings.spread_between, (cameras, count)))
         only = rng.integers(0, cameras, count)
-        hidden = (rng.uniform(size=count) < one_camera) & (np.arange(cameras)[:, None] != only)
+        hidden = (rng.uniform(size=count) < settings.one_camera) & (np.arange(cameras)[:, None] != only)
         self._brightness = np.where(hidden, 0.0, own * each)
-        share, depths = submerged
-        draws = np.random.default_rng([seed, 12]) if share else None
         self._below = np.zeros(count)  # m under the surface
-        if draws is not None:
-            self._below = np.where(draws.random(count) < share, draws.uniform(*depths, count), 0.0)
+        if settings.submerged:
+            rng = np.random.default_rng([scene.seed, 12])
+            below = rng.random(count) < settings.submerged
+            self._below = np.where(below, rng.uniform(*settings.submerged_depth, count), 0.0)
+        self._frames = {0: self._field(px[~empty], py[~empty], 0)}
 
     def __len__(self) -> int:
-        out: int = self._brightness.shape[1]
-        return out
+        return len(self._frames[0].x)
 
     def frame(self, frame: int) -> BeadField:
-        """Beads in one frame."""
-        if frame not in self._positions:
-            known = max((f for f in self._positions if f <= frame), default=None)
-            if known is None:
-                raise ValueError(f"frame {frame} is before the first one")
-            px, py = self._positions[known]
-            for f in range(known, frame):
-                px, py = self._advance(px, py, f)
-                self._positions[f + 1] = (px, py)
-            kept = {0, *range(frame - 8, frame + 1)}
-            self._positions = {f: p for f, p in self._positions.items() if f in kept}
-        px, py = self._positions[frame]
-        (pz,) = self._basin.snapshot(self.time(frame), ("z",))(px, py)
-        return BeadField(px, py, pz - self._below, self._brightness)
+        """Beads in one frame, from 0; the first and the latest frames are remembered."""
+        if frame not in self._frames:
+            last = max(number for number in self._frames if number <= frame)
+            for number in range(last, frame):
+                self._frames[number + 1] = self._advance(self._frames[number], number)
+            kept = {0, *range(frame - KEPT_FRAMES, frame + 1)}
+            self._frames = {number: beads for number, beads in self._frames.items() if number in kept}
+        return self._frames[frame]
 
-    def _advance(self, px: Array, py: Array, frame: int) -> tuple[Array, Array]:
-        px, py = carry(self._basin, px, py, self.time(frame), self.time(frame + 1))
-        for p, (lo, hi) in ((px, self._x), (py, self._y)):
-            p[:] = lo + np.mod(p - lo, hi - lo)
+    def _field(self, x: Array, y: Array, frame: int) -> BeadField:
+        (z,) = self._basin.snapshot(self._scene.frame_time(frame), ("z",))(x, y)
+        return BeadField(x, y, z - self._below, self._brightness)
+
+    def _advance(self, beads: BeadField, frame: int) -> BeadField:
+        """Beads of the frame after this one."""
+        time = self._scene.frame_time
+        x, y = carry(self._basin, beads.x, beads.y, time(frame), time(frame + 1))
+        for p, (low, high) in ((x, self._x), (y, self._y)):
+            p[:] = low + np.mod(p - low, high - low)
         if self._renewal:
-            rng = np.random.default_rng([self._seed, 2, frame])
-            anew = rng.integers(0, px.size, rng.poisson(self._renewal / self._rate * px.size))
-            px[anew], py[anew] = rng.uniform(*self._x, anew.size), rng.uniform(*self._y, anew.size)
-        return px, py
+            rng = np.random.default_rng([self._scene.seed, 2, frame])
+            anew = rng.integers(0, x.size, rng.poisson(self._renewal * x.size))
+            x[anew], y[anew] = rng.uniform(*self._x, anew.size), rng.uniform(*self._y, anew.size)
+        return self._field(x, y, frame + 1)
+
+
+def _holes(scene: Scene, settings: Beads) -> Array:
+    """Round places without beads: x, y and diameter of each, (n, 3), m; inside the view of all cameras."""
+    rng = np.random.default_rng([scene.seed, 6])
+    places = [
+        rng.uniform(0.9 * low + 0.1 * high, 0.1 * low + 0.9 * high, settings.holes)
+        for low, high in (scene.grid.x, scene.grid.y)
+    ]
+    smallest, largest = np.broadcast_to(np.array(settings.hole_diameter), 2)
+    return np.stack([*places, rng.uniform(smallest, largest, settings.holes)], axis=1)

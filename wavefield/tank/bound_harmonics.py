@@ -24,19 +24,19 @@ from wavefield.water import GRAVITY
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_RESONANT = 0.1  # pairs nearer to resonance than this share of q g' are left to higher orders
+MIN_DETUNING = 0.1  # share of q g': pairs closer to resonance are left to higher orders
 
 
 @dataclass(frozen=True)
 class BoundWaves:
-    """Second-order waves, gathered by wave vector."""
+    """Second-order waves, summed by wave vector."""
 
     kx: Array  # (m,): Wave vectors, rad/m
     ky: Array
     z: Complex  # (p,): Contributions of each pair at time zero, metres and m/s
     u: Complex
     v: Complex
-    frequency: Array  # (p,): Frequency of each contribution as seen by the water, rad/s
+    frequency: Array  # (p,): Frequency of each contribution relative to the water, rad/s
     target: NDArray[np.int64]  # (p,): Which wave vector each contribution belongs to
 
     def at(self, time: float, current: tuple[float, float]) -> dict[str, Complex]:
@@ -46,10 +46,8 @@ class BoundWaves:
         carried = np.exp(-1j * drift * time)
 
         def gather(values: Complex) -> Complex:
-            size = self.kx.size
-            real = np.bincount(self.target, values.real, size)
-            out: Complex = (real + 1j * np.bincount(self.target, values.imag, size)) * carried
-            return out
+            real, imag = (np.bincount(self.target, part, self.kx.size) for part in (values.real, values.imag))
+            return np.asarray((real + 1j * imag) * carried)
 
         z = gather(self.z * turn)
         return {
@@ -69,10 +67,7 @@ def bound_waves(
     surface_tension: float,
     number: int,
 ) -> BoundWaves:
-    """Second-order waves of the steepest free waves.
-
-    With kx, ky, amplitude, sigma (n,), rad/s; depth, metres.
-    """
+    """Waves bound to the steepest of the free waves, (n,), given in rad/m, m and rad/s."""
     steep = np.argsort(-np.hypot(kx, ky) * np.abs(amplitude), kind="stable")[:number]
     kx, ky, a, s = kx[steep], ky[steep], amplitude[steep], sigma[steep]
     k = np.hypot(kx, ky)
@@ -93,15 +88,15 @@ def bound_waves(
             q = length * np.tanh(length * depth)
         stiffness = GRAVITY + surface_tension * length**2
         det = q * stiffness - frequency**2
-        good = (length > 1e-9) & (np.abs(det) > _RESONANT * q * stiffness)
-        det = np.where(good, det, np.inf)
+        bound = (length > 1e-9) & (np.abs(det) > MIN_DETUNING * q * stiffness)
+        det = np.where(bound, det, np.inf)
         z = (q * g + 1j * frequency * f) / det
         phi = (stiffness * f - 1j * frequency * g) / det
         lift = 0.5 * si * ai * aj  # z1 grad phi1_z
         u, v = kx[:, None] * lift + 1j * sum_x * phi, ky[:, None] * lift + 1j * sum_y * phi
-        # K = 0 (a wave with itself) is no wave: the mean level stays, the mean drift is kept
-        keep = good | (length <= 1e-9)
-        parts.append([part[keep] for part in (sum_x, sum_y, z, u, v, frequency)])
+        # K = 0 (a wave with itself) is no wave: the mean level stays, the mean drift remains
+        used = bound | (length <= 1e-9)
+        parts.append([part[used] for part in (sum_x, sum_y, z, u, v, frequency)])
     sum_x, sum_y, z, u, v, frequency = (np.concatenate(p) for p in zip(*parts, strict=True))
     quantum = 1e-9 * max(float(np.abs(k).max(initial=1.0)), 1.0)
     keys = np.stack([np.round(sum_x / quantum), np.round(sum_y / quantum)], axis=1)

@@ -1,4 +1,4 @@
-"""Particles in a light sheet, carried by a flow with three components: where they are in every frame."""
+"""Particles in a light sheet, carried by a flow with three components."""
 
 import math
 from dataclasses import dataclass
@@ -7,66 +7,61 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
-from wavefield.tank import scene_parts
-from wavefield.tank.beads import BeadField
+from wavefield.tank.beads import KEPT_FRAMES, BeadField, centred_path, runge_kutta
+from wavefield.tank.scene import Scene
+from wavefield.tank.scene_parts import Sheet
 from wavefield.tank.truth import Truth
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
-_WAVES = 48  # of the flow
-_SAMPLES = 128  # along each side of a period: where its strength is looked at
-_SLAB = 2.0  # thicknesses: height of the layer that holds the particles; light is 3e-4 at its faces
-_LONGEST_TURN = 0.2  # rad: that a wave of the flow may turn in a sub-step
+WAVES_OF_FLOW = 48
+STRENGTH_SAMPLES = 128  # along each side of a period, for the strength of the flow
+SLAB_THICKNESS = 2.0  # of the layer of particles over that of the sheet; the light at its faces is 3e-4
+MAX_TURN = 0.2  # rad, of a wave of the flow in a sub-step
 
 
 @dataclass(frozen=True)
 class SheetFlow:
-    """A steady flow that repeats itself in x and y and is alike across the sheet; free of divergence."""
+    """A steady flow without divergence that repeats itself in x and y and is uniform across the sheet."""
 
     k: Array  # (n, 2): Wave vectors, rad/m
     # (n,): Amplitudes of the velocity in the sheet, at right angles to k, and across it, m/s
-    along: NDArray[np.complex128]
-    across: NDArray[np.complex128]
+    along: Complex
+    across: Complex
 
     @classmethod
-    def random(cls, settings: scene_parts.Sheet, period: tuple[float, float], seed: int) -> "SheetFlow":
+    def random(cls, settings: Sheet, period: tuple[float, float], seed: int) -> "SheetFlow":
         """Draw a flow: as much of it at every wavelength from half the period down to the shortest."""
         rng = np.random.default_rng([seed, 11])
         longest = 0.5 * min(period)
-        k = 2 * np.pi / longest * (longest / settings.shortest) ** rng.uniform(0.0, 1.0, _WAVES)
-        angle = rng.uniform(0.0, 2 * np.pi, _WAVES)
+        k = 2 * np.pi / longest * (longest / settings.shortest) ** rng.uniform(0.0, 1.0, WAVES_OF_FLOW)
+        angle = rng.uniform(0.0, 2 * np.pi, WAVES_OF_FLOW)
         unit = 2 * np.pi / np.array(period)
         vector = unit * np.round(np.stack([k * np.cos(angle), k * np.sin(angle)], axis=1) / unit)
         vector[np.all(vector == 0, axis=1)] = unit
-        along, across = np.exp(1j * rng.uniform(0.0, 2 * np.pi, (2, _WAVES)))
-        # as strong as wanted in every flow, however waves of one place meet
-        x, y = np.meshgrid(*(np.linspace(0.0, side, _SAMPLES, endpoint=False) for side in period))
+        along, across = np.exp(1j * rng.uniform(0.0, 2 * np.pi, (2, WAVES_OF_FLOW)))
+        # every flow has the strength that is set, however waves of one vector add up
+        x, y = np.meshgrid(*(np.linspace(0.0, side, STRENGTH_SAMPLES, endpoint=False) for side in period))
         u, v, w = cls(vector, along, across)(x, y)
         along *= settings.speed / np.sqrt(0.5 * np.mean(u**2 + v**2))
         return cls(vector, along, across * (settings.speed_across / np.sqrt(np.mean(w**2))))
 
-    def __call__(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Velocity at points of any shape, m/s."""
+    def __call__(self, x: Array, y: Array) -> Array:
+        """Velocity u, v, w at points of any shape, (3, ...), m/s."""
         out = np.empty((3, np.size(x)))
         unit = self.k / np.hypot(*self.k.T)[:, None]
         _velocity(np.ravel(x), np.ravel(y), self.k, unit, self.along, self.across, out)
-        u, v, w = out.reshape(3, *np.shape(x))
-        return u, v, w
+        return out.reshape(3, *np.shape(x))
 
-    def carry(self, x: Array, y: Array, time: float) -> tuple[Array, Array, Array]:
-        """Where the fluid at (x, y) is after a time, and by how much it has risen: x, y, dz, metres."""
+    def carry(self, x: Array, y: Array, time: float) -> Array:
+        """Position x, y and rise of the fluid at (x, y) after a time, (3, ...), metres."""
         fastest = np.hypot(*self.k.T).max() * 2.0 * np.sqrt(np.sum(np.abs(self.along) ** 2))
-        steps = max(1, int(np.ceil(abs(time) * fastest / _LONGEST_TURN)))
-        h, rise = time / steps, np.zeros(np.shape(x))
+        steps = max(1, int(np.ceil(abs(time) * fastest / MAX_TURN)))
+        position = np.stack([x, y, np.zeros(np.shape(x))])
         for _ in range(steps):
-            u1, v1, w1 = self(x, y)
-            u2, v2, w2 = self(x + h / 2 * u1, y + h / 2 * v1)
-            u3, v3, w3 = self(x + h / 2 * u2, y + h / 2 * v2)
-            u4, v4, w4 = self(x + h * u3, y + h * v3)
-            x = x + h / 6 * (u1 + 2 * u2 + 2 * u3 + u4)
-            y = y + h / 6 * (v1 + 2 * v2 + 2 * v3 + v4)
-            rise = rise + h / 6 * (w1 + 2 * w2 + 2 * w3 + w4)
-        return x, y, rise
+            position = runge_kutta(position, time / steps, self, self, self)
+        return position
 
 
 @compiled(fastmath=True)
@@ -92,71 +87,56 @@ def _velocity(
 
 
 class Particles:
-    """Particles in and beside a light sheet, frame after frame.
+    """Particles in a light sheet and next to it, frame after frame.
 
-    They fill a layer twice as thick as the sheet evenly; what leaves it comes back on the other side, dark
-    there, so that particles enter the light and leave it as they do in a flow.
-
-    With x, y, metres.
+    They fill a layer twice as thick as the sheet evenly. What leaves the layer comes back on the other side,
+    where it is dark, so that particles enter the light and leave it as they do in a flow.
     """
 
     def __init__(
-        self,
-        settings: scene_parts.Sheet,
-        x: tuple[float, float],
-        y: tuple[float, float],
-        cameras: int,
-        frame_rate: float,
-        seed: int,
+        self, scene: Scene, settings: Sheet, x: tuple[float, float], y: tuple[float, float], cameras: int
     ) -> None:
-        self.settings, self._x, self._y, self._step = settings, x, y, 1.0 / frame_rate
-        self.flow = SheetFlow.random(settings, (x[1] - x[0], y[1] - y[0]), seed)
+        self._settings, self._x, self._y, self._step = settings, x, y, 1.0 / scene.frame_rate
+        self.flow = SheetFlow.random(settings, (x[1] - x[0], y[1] - y[0]), scene.seed)
         self._axes, self._origin = plane(settings)
-        rng = np.random.default_rng([seed, 12])
+        rng = np.random.default_rng([scene.seed, 12])
         # density counts those whose light is above 1/e^2: in the middle half of the layer
-        count = round(_SLAB * settings.density * (x[1] - x[0]) * (y[1] - y[0]))
-        self._own = rng.gamma(settings.spread**-2, settings.spread**2, count)
-        self._own = self._own * np.exp(rng.normal(0.0, settings.spread_between, (cameras, count)))
+        count = round(SLAB_THICKNESS * settings.density * (x[1] - x[0]) * (y[1] - y[0]))
+        own = rng.gamma(settings.spread**-2, settings.spread**2, count)
+        self._brightness = own * np.exp(rng.normal(0.0, settings.spread_between, (cameras, count)))
         self._places = {0: np.stack([rng.uniform(*x, count), rng.uniform(*y, count), rng.random(count)])}
 
     def frame(self, frame: int) -> BeadField:
-        """Particles in one frame, from 0; ask in rising order: the last places are kept."""
+        """Particles in one frame, from 0; the first and the latest frames are remembered."""
         if frame not in self._places:
             last = max(number for number in self._places if number <= frame)
             for number in range(last, frame):
                 self._places[number + 1] = self._advance(self._places[number])
-            kept = {0, *range(frame - 8, frame + 1)}
+            kept = {0, *range(frame - KEPT_FRAMES, frame + 1)}
             self._places = {number: p for number, p in self._places.items() if number in kept}
         x, y, height = self._places[frame]
-        n = (height - 0.5) * _SLAB * self.settings.thickness
-        light = np.exp(-8.0 * (n / self.settings.thickness) ** 2)
+        n = (height - 0.5) * SLAB_THICKNESS * self._settings.thickness
+        light = np.exp(-8.0 * (n / self._settings.thickness) ** 2)
         px, py, pz = self._axes @ np.stack([x, y, n]) + self._origin[:, None]
-        return BeadField(px, py, pz, self._own * light)
+        return BeadField(px, py, pz, self._brightness * light)
 
     def _advance(self, places: Array) -> Array:
         x, y, rise = self.flow.carry(places[0], places[1], self._step)
         (x0, x1), (y0, y1) = self._x, self._y
-        height = places[2] + rise / (_SLAB * self.settings.thickness)
+        height = places[2] + rise / (SLAB_THICKNESS * self._settings.thickness)
         return np.stack([x0 + np.mod(x - x0, x1 - x0), y0 + np.mod(y - y0, y1 - y0), np.mod(height, 1.0)])
 
     def truth(self, x: Array, y: Array, time: float) -> Truth:
-        """Exact fields of one step at nodes in the sheet, in its own frame.
-
-        With x, y (ny, nx), metres.
-        """
-        u, v, w = self.flow(x, y)
+        """Exact fields of one step at nodes (ny, nx) in the sheet, in its own frame."""
+        start, end = centred_path(self.flow.carry, x, y, self._step / 2)
         zero = np.zeros(np.shape(x))
-        px, py = x, y
-        for _ in range(3):
-            ax, ay, below = self.flow.carry(px, py, -self._step / 2)
-            bx, by, above = self.flow.carry(px, py, self._step / 2)
-            px, py = px + x - (ax + bx) / 2, py + y - (ay + by) / 2
-        moved = bx - ax, by - ay, above - below
-        return Truth(time, zero, zero, zero, u, v, w, zero, zero, *moved)
+        u, v, w = self.flow(x, y)
+        dx, dy, dz = end - start
+        return Truth(time, zero, zero, zero, u, v, w, zero, zero, dx, dy, dz)
 
 
-def plane(settings: scene_parts.Sheet) -> tuple[Array, Array]:
-    """Where the sheet lies: its axes as columns, x above the rig's own x, and its origin, metres."""
+def plane(settings: Sheet) -> tuple[Array, Array]:
+    """Axes of the sheet as columns, x above the rig's own x, and its origin, metres."""
     bx, by = np.tan(np.radians(settings.tilt))
     normal = np.array([-bx, -by, 1.0]) / np.sqrt(1.0 + bx * bx + by * by)
     x = np.array([1.0, 0.0, bx]) / np.sqrt(1.0 + bx * bx)

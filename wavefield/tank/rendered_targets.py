@@ -13,27 +13,28 @@ from wavefield.tank.scene_parts import Chessboard, Dots, Strings
 
 Array = NDArray[np.float64]
 
-# Gauss-Legendre points over a pixel; at each the blurred edge nearby has its exact value
-_POINTS = (-0.3872983346207417, 0.0, 0.3872983346207417)
-_WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
-_BAND = 128  # rows drawn at a time
-_FRAME = 0.04  # width of the frame that holds the strings, metres
-_FRAME_SHADE = 0.35  # its brightness relative to the strings
+BAND_ROWS = 128  # drawn at a time, to keep the memory small
+FRAME_WIDTH = 0.04  # m, of the frame that holds the strings
+FRAME_SHADE = 0.35  # its brightness relative to the strings
+
+# Gauss-Legendre points over a pixel, (9, 3): column, row, weight; at each the blurred edge nearby is exact
+_POINTS = np.array([-0.3872983346207417, 0.0, 0.3872983346207417])
+_WEIGHTS = np.array([5 / 18, 8 / 18, 5 / 18])
+_QUADRATURE = np.stack(
+    [np.repeat(_POINTS, 3), np.tile(_POINTS, 3), np.multiply.outer(_WEIGHTS, _WEIGHTS).ravel()], axis=1
+)
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a target is held: a point p of the target is at ``rotation @ p + origin``."""
+    """Position of a target: a point p of the target is at ``rotation @ p + origin``."""
 
     rotation: Array  # (3, 3): Target to physical frame
     origin: Array  # (3,): Position of the target's origin, metres
 
 
 def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, float], seed: int) -> list[Pose]:
-    """Poses of a target held by hand in the field of view.
-
-    With tilt, degrees.
-    """
+    """Poses of a target held by hand in the field of view, tilted by degrees."""
     rng = np.random.default_rng([seed, 8])
     size = min(x[1] - x[0], y[1] - y[0])
     out = []
@@ -44,11 +45,12 @@ def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, floa
         turn = np.radians(rng.uniform(-8, 8))
         centre = np.array([rng.uniform(-0.08, 0.08) * size, rng.uniform(-0.08, 0.08) * size, 0.0])
         centre += [0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1]), (0.02 + 0.22 * i / max(number - 1, 1)) * size]
-        out.append(Pose(_about(0, about_x) @ _about(1, about_y) @ _about(2, turn), centre))
+        out.append(Pose(_rotation(0, about_x) @ _rotation(1, about_y) @ _rotation(2, turn), centre))
     return out
 
 
-def _about(axis: int, angle: float) -> Array:
+def _rotation(axis: int, angle: float) -> Array:
+    """Rotation about a coordinate axis."""
     c, s = np.cos(angle), np.sin(angle)
     i, j = [(1, 2), (2, 0), (0, 1)][axis]
     out = np.eye(3)
@@ -58,10 +60,7 @@ def _about(axis: int, angle: float) -> Array:
 
 
 def node_offsets(target: Strings, seed: int) -> Array:
-    """Errors of the target's crossings.
-
-    Returns (n, n, 3): Offset of node (i, j) at [j + half, i + half], metres.
-    """
+    """Errors of the target's crossings, (n, n, 3), m: that of node (i, j) at [j + half, i + half]."""
     count = 2 * target.half + 1
     offsets = target.node_offset * np.random.default_rng([seed, 9]).standard_normal((count, count, 3))
     offsets[target.half, target.half : target.half + 2] = 0.0
@@ -75,47 +74,42 @@ def draw(
     blur: float,
     offsets: Array | None = None,
 ) -> NDArray[np.float32]:
-    """Light of a target on a camera's pixels, before background, lighting and noise.
+    """Light of a target on a camera's pixels, grey levels of 255, before background, lighting and noise.
 
-    With blur, px; offsets (n, n, 3), metres; returns (row, column): Grey levels of 255..
+    The blur is in px; offsets are the errors of the crossings of strings, (n, n, 3), m.
     """
     # the target's own plane is z = 0 of a camera that moves with it
     own = replace(camera, rotation=camera.R @ pose.rotation, translation=camera.R @ pose.origin + camera.T)
     width, height = camera.size
+    columns = np.arange(-1.0, width + 1)  # the outermost columns and rows only give slopes
     bands = []
-    for top in range(0, height, _BAND):  # bands keep the memory small
-        rows = np.arange(top - 1.0, min(top + _BAND, height) + 1)
-        bands.append(_draw_rows(own, target, np.arange(-1.0, width + 1), rows, blur, offsets))
+    for top in range(0, height, BAND_ROWS):
+        rows = np.arange(top - 1.0, min(top + BAND_ROWS, height) + 1)
+        s, t = (a / target.mesh for a in own.unproject(columns, rows[:, None]))
+        if isinstance(target, Strings):
+            if offsets is not None and np.any(offsets):
+                s, t = _undo_offsets(own, target.mesh, s, t, offsets / target.mesh)
+            bands.append(_draw_strings(target, s, t, blur))
+        else:
+            nx, ny = target.shape
+            s, t = s + (nx - 1) / 2, t + (ny - 1) / 2
+            if isinstance(target, Dots):
+                radius = target.diameter / 2 / target.mesh
+                bands.append(_dots(s, t, nx, ny, radius, blur, _QUADRATURE))
+            else:
+                bands.append(_chessboard(s, t, nx, ny, blur, _QUADRATURE))
     return np.concatenate(bands) * np.float32(target.brightness)
 
 
-def _draw_rows(
-    own: Camera,
-    target: Strings | Chessboard | Dots,
-    columns: Array,
-    rows: Array,
-    blur: float,
-    offsets: Array | None,
-) -> NDArray[np.float32]:
-    """Coverage of the pixels inside the given columns and rows, of which the outermost only give slopes."""
-    s, t = own.unproject(columns, rows[:, None])
-    s, t = s / target.mesh, t / target.mesh
-    if isinstance(target, Strings):
-        if offsets is not None and np.any(offsets):
-            s, t = _undo(own, target.mesh, s, t, offsets / target.mesh)
-        marks = np.array([[0.0, 0.0, target.origin_disc / 2], [1.0, 0.0, target.x_disc / 2]])
-        marks[:, 2] /= target.mesh
-        size = np.array([target.half + 0.5, _FRAME / target.mesh, _FRAME_SHADE])
-        return _strings(s, t, target.width / target.mesh, marks, size, blur)
-    nx, ny = target.shape
-    s, t = s + (nx - 1) / 2, t + (ny - 1) / 2
-    if isinstance(target, Dots):
-        return _dots(s, t, nx, ny, target.diameter / 2 / target.mesh, blur)
-    return _chessboard(s, t, nx, ny, blur)
+def _draw_strings(target: Strings, s: Array, t: Array, blur: float) -> NDArray[np.float32]:
+    marks = np.array([[0.0, 0.0, target.origin_disc / 2], [1.0, 0.0, target.x_disc / 2]])
+    marks[:, 2] /= target.mesh
+    frame = np.array([target.half + 0.5, FRAME_WIDTH / target.mesh, FRAME_SHADE])
+    return _strings(s, t, target.width / target.mesh, marks, frame, blur, _QUADRATURE)
 
 
-def _undo(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) -> tuple[Array, Array]:
-    """Where pixels that look at (x, y) on the plane would look on a perfect target; all in meshes."""
+def _undo_offsets(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) -> tuple[Array, Array]:
+    """Points of a perfect target in place of (x, y) on the plane of one with offsets; all in meshes."""
     half = offsets.shape[0] // 2
     lean_x, lean_y = own.sight_line(x * mesh, y * mesh)
     s, t = x, y
@@ -142,7 +136,7 @@ def _step(d: float, blur: float) -> float:
 def _disc(
     ds: float, dt: float, radius: float, sx: float, sy: float, tx: float, ty: float, blur: float
 ) -> float:
-    """Blurred disc; its edge lies (r - radius) / |grad r| pixels away."""
+    """Blurred disc; its edge is (r - radius) / |grad r| pixels away."""
     r = math.hypot(ds, dt)
     if r < 1e-12:
         return 1.0
@@ -152,8 +146,14 @@ def _disc(
 
 
 @compiled()
+def _slopes(a: Array, i: int, j: int) -> tuple[float, float]:
+    """Derivatives by column and row at pixel (i, j), with a border of one pixel around it."""
+    return 0.5 * (a[i + 1, j + 2] - a[i + 1, j]), 0.5 * (a[i + 2, j + 1] - a[i, j + 1])
+
+
+@compiled()
 def _strings(
-    s: Array, t: Array, width: float, marks: Array, frame: Array, blur: float
+    s: Array, t: Array, width: float, marks: Array, frame: Array, blur: float, quadrature: Array
 ) -> NDArray[np.float32]:
     rows, columns = s.shape[0] - 2, s.shape[1] - 2
     out = np.zeros((rows, columns), np.float32)
@@ -161,8 +161,8 @@ def _strings(
     for i in range(rows):
         for j in range(columns):
             s0, t0 = s[i + 1, j + 1], t[i + 1, j + 1]
-            sx, sy = 0.5 * (s[i + 1, j + 2] - s[i + 1, j]), 0.5 * (s[i + 2, j + 1] - s[i, j + 1])
-            tx, ty = 0.5 * (t[i + 1, j + 2] - t[i + 1, j]), 0.5 * (t[i + 2, j + 1] - t[i, j + 1])
+            sx, sy = _slopes(s, i, j)
+            tx, ty = _slopes(t, i, j)
             gs, gt = math.hypot(sx, sy), math.hypot(tx, ty)
             near = 4.5 * blur + 1.0
             outer = max(abs(s0), abs(t0))
@@ -178,29 +178,27 @@ def _strings(
             if not on:
                 continue
             total = 0.0
-            for a in range(3):
-                for b in range(3):
-                    p, q, weight = _POINTS[a], _POINTS[b], _WEIGHTS[a] * _WEIGHTS[b]
-                    u, v = s0 + p * sx + q * sy, t0 + p * tx + q * ty
-                    du, dv = abs(u - round(u)) / gs, abs(v - round(v)) / gt
-                    hu, hv = 0.5 * width / gs, 0.5 * width / gt
-                    dark = 1.0 - (_step(hu - du, blur) - _step(-hu - du, blur))
-                    dark *= 1.0 - (_step(hv - dv, blur) - _step(-hv - dv, blur))
-                    inside = _step((edge - abs(u)) / gs, blur) * _step((edge - abs(v)) / gt, blur)
-                    dark = 1.0 - inside * (1.0 - dark)
-                    for m in range(marks.shape[0]):
-                        dark *= 1.0 - _disc(
-                            u - marks[m, 0], v - marks[m, 1], marks[m, 2], sx, sy, tx, ty, blur
-                        )
-                    far = edge + thickness
-                    whole = _step((far - abs(u)) / gs, blur) * _step((far - abs(v)) / gt, blur)
-                    total += weight * (1.0 - dark + shade * (whole - inside))
+            for p, q, weight in quadrature:
+                u, v = s0 + p * sx + q * sy, t0 + p * tx + q * ty
+                du, dv = abs(u - round(u)) / gs, abs(v - round(v)) / gt
+                hu, hv = 0.5 * width / gs, 0.5 * width / gt
+                dark = 1.0 - (_step(hu - du, blur) - _step(-hu - du, blur))
+                dark *= 1.0 - (_step(hv - dv, blur) - _step(-hv - dv, blur))
+                inside = _step((edge - abs(u)) / gs, blur) * _step((edge - abs(v)) / gt, blur)
+                dark = 1.0 - inside * (1.0 - dark)
+                for m in range(marks.shape[0]):
+                    dark *= 1.0 - _disc(u - marks[m, 0], v - marks[m, 1], marks[m, 2], sx, sy, tx, ty, blur)
+                far = edge + thickness
+                with_frame = _step((far - abs(u)) / gs, blur) * _step((far - abs(v)) / gt, blur)
+                total += weight * (1.0 - dark + shade * (with_frame - inside))
             out[i, j] = total
     return out
 
 
 @compiled()
-def _dots(s: Array, t: Array, nx: int, ny: int, radius: float, blur: float) -> NDArray[np.float32]:
+def _dots(
+    s: Array, t: Array, nx: int, ny: int, radius: float, blur: float, quadrature: Array
+) -> NDArray[np.float32]:
     rows, columns = s.shape[0] - 2, s.shape[1] - 2
     out = np.zeros((rows, columns), np.float32)
     for i in range(rows):
@@ -209,23 +207,21 @@ def _dots(s: Array, t: Array, nx: int, ny: int, radius: float, blur: float) -> N
             if not (-1.0 < s0 < nx and -1.0 < t0 < ny):
                 continue
             cs, ct = min(max(round(s0), 0), nx - 1), min(max(round(t0), 0), ny - 1)
-            sx, sy = 0.5 * (s[i + 1, j + 2] - s[i + 1, j]), 0.5 * (s[i + 2, j + 1] - s[i, j + 1])
-            tx, ty = 0.5 * (t[i + 1, j + 2] - t[i + 1, j]), 0.5 * (t[i + 2, j + 1] - t[i, j + 1])
+            sx, sy = _slopes(s, i, j)
+            tx, ty = _slopes(t, i, j)
             near = radius + (4.5 * blur + 1.0) * (math.hypot(sx, sy) + math.hypot(tx, ty))
             if math.hypot(s0 - cs, t0 - ct) > near:
                 continue
             total = 0.0
-            for a in range(3):
-                for b in range(3):
-                    p, q, weight = _POINTS[a], _POINTS[b], _WEIGHTS[a] * _WEIGHTS[b]
-                    u, v = s0 + p * sx + q * sy, t0 + p * tx + q * ty
-                    total += weight * _disc(u - cs, v - ct, radius, sx, sy, tx, ty, blur)
+            for p, q, weight in quadrature:
+                u, v = s0 + p * sx + q * sy, t0 + p * tx + q * ty
+                total += weight * _disc(u - cs, v - ct, radius, sx, sy, tx, ty, blur)
             out[i, j] = total
     return out
 
 
 @compiled()
-def _chessboard(s: Array, t: Array, nx: int, ny: int, blur: float) -> NDArray[np.float32]:
+def _chessboard(s: Array, t: Array, nx: int, ny: int, blur: float, quadrature: Array) -> NDArray[np.float32]:
     rows, columns = s.shape[0] - 2, s.shape[1] - 2
     out = np.zeros((rows, columns), np.float32)
     for i in range(rows):
@@ -233,25 +229,23 @@ def _chessboard(s: Array, t: Array, nx: int, ny: int, blur: float) -> NDArray[np
             s0, t0 = s[i + 1, j + 1], t[i + 1, j + 1]
             if not (-3.0 < s0 < nx + 2 and -3.0 < t0 < ny + 2):
                 continue
-            sx, sy = 0.5 * (s[i + 1, j + 2] - s[i + 1, j]), 0.5 * (s[i + 2, j + 1] - s[i, j + 1])
-            tx, ty = 0.5 * (t[i + 1, j + 2] - t[i + 1, j]), 0.5 * (t[i + 2, j + 1] - t[i, j + 1])
+            sx, sy = _slopes(s, i, j)
+            tx, ty = _slopes(t, i, j)
             gs, gt = math.hypot(sx, sy), math.hypot(tx, ty)
             total = 0.0
-            for a in range(3):
-                for b in range(3):
-                    p, q, weight = _POINTS[a], _POINTS[b], _WEIGHTS[a] * _WEIGHTS[b]
-                    u, v = s0 + p * sx + q * sy, t0 + p * tx + q * ty
-                    # +1 on dark squares, -1 on light ones; the sign turns at each inner corner line
-                    signs = 1.0
-                    for w, g, last in ((u, gs, nx - 1), (v, gt, ny - 1)):
-                        line = min(max(round(w), 0), last)
-                        side = 2.0 * _step((w - line) / g, blur) - 1.0
-                        signs *= side if int(line) % 2 == 0 else -side
-                    # squares end one beyond the inner corners; a white margin of half a square follows
-                    board = _step((u + 1) / gs, blur) * _step((nx - u) / gs, blur)
-                    board *= _step((v + 1) / gt, blur) * _step((ny - v) / gt, blur)
-                    plate = _step((u + 1.5) / gs, blur) * _step((nx + 0.5 - u) / gs, blur)
-                    plate *= _step((v + 1.5) / gt, blur) * _step((ny + 0.5 - v) / gt, blur)
-                    total += weight * plate * (1.0 - board * (0.5 + 0.5 * signs) * 0.95)
+            for p, q, weight in quadrature:
+                u, v = s0 + p * sx + q * sy, t0 + p * tx + q * ty
+                # +1 on dark squares, -1 on light ones; the sign turns at each inner corner line
+                signs = 1.0
+                for w, g, last in ((u, gs, nx - 1), (v, gt, ny - 1)):
+                    line = min(max(round(w), 0), last)
+                    side = 2.0 * _step((w - line) / g, blur) - 1.0
+                    signs *= side if int(line) % 2 == 0 else -side
+                # squares end one beyond the inner corners; a white margin of half a square follows
+                board = _step((u + 1) / gs, blur) * _step((nx - u) / gs, blur)
+                board *= _step((v + 1) / gt, blur) * _step((ny - v) / gt, blur)
+                plate = _step((u + 1.5) / gs, blur) * _step((nx + 0.5 - u) / gs, blur)
+                plate *= _step((v + 1.5) / gt, blur) * _step((ny + 0.5 - v) / gt, blur)
+                total += weight * plate * (1.0 - board * (0.5 + 0.5 * signs) * 0.95)
             out[i, j] = total
     return out

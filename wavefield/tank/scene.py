@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, cast
 
+import numpy as np
 import yaml
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -18,35 +19,32 @@ from wavefield.tank.scene_parts import (
     Fault,
     Light,
     PaperRig,
-    Part,
-    Positive,
     Probes,
-    RandomSea,
     RigFile,
+    SceneRecord,
     Sheet,
     SheetRig,
-    SingleWave,
-    StillSea,
     Texture,
     Timing,
 )
 from wavefield.tank.sea import Sea
+from wavefield.tank.sea_models import RandomSea, SingleWave, StillSea
 
 
-def _kind_of_rig(value: Any) -> str:
-    if isinstance(value, Mapping):
-        around = any(name in value for name in set(SheetRig.model_fields) - set(PaperRig.model_fields))
-        return "rig-file" if "file" in value else "sheet-rig" if around else "paper-rig"
-    if isinstance(value, RigFile):
+def _kind_of_rig(value: object) -> str:
+    if isinstance(value, RigFile) or (isinstance(value, Mapping) and "file" in value):
         return "rig-file"
+    if isinstance(value, Mapping):
+        only_of_sheets = set(SheetRig.model_fields) - set(PaperRig.model_fields)
+        return "sheet-rig" if only_of_sheets & set(value) else "paper-rig"
     return "sheet-rig" if isinstance(value, SheetRig) else "paper-rig"
 
 
-def _kind_of_surface(value: Any) -> str:
+def _kind_of_surface(value: object) -> str:
     return value.get("kind", "beads") if isinstance(value, Mapping) else getattr(value, "kind", "")
 
 
-class Scene(Part):
+class Scene(SceneRecord):
     """A simulated experiment.
 
     Made from YAML with `Scene.load`; every setting and its unit is in the class of its part. Presets: see
@@ -59,11 +57,6 @@ class Scene(Part):
     ['cam1', 'cam2', 'cam3']
     """
 
-    name: str = "tank"
-    seed: Annotated[int, Field(ge=0)] = 1
-    frames: Annotated[int, Field(ge=1)] = Field(default=42, description="number of frames")
-    frame_rate: Positive = Field(default=20.0, description="Hz")
-    start: float = Field(default=0.0, description="time of the sea at the first frame, s")
     rig: Annotated[
         Annotated[PaperRig, Tag("paper-rig")]
         | Annotated[SheetRig, Tag("sheet-rig")]
@@ -103,19 +96,25 @@ class Scene(Part):
         return self
 
     @model_validator(mode="after")
-    def _cameras_known(self) -> "Scene":
-        shown = {fault.shows for fault in self.faults.values() if fault.shows is not None}
-        for setting, named in (
-            ("light.gain", set(self.light.gain)),
-            ("faults", set(self.faults)),
-            ("shows", shown),
-        ):
-            if not isinstance(self.rig, PaperRig):
-                continue
-            unknown = named - {f"cam{n + 1}" for n in range(self.rig.cameras)}
-            if unknown:
-                raise ValueError(f"{setting} names {sorted(unknown)[0]!r}, which is no camera of the rig")
+    def _cameras_exist(self) -> "Scene":
+        if isinstance(self.rig, PaperRig):
+            cameras = {f"cam{n + 1}" for n in range(self.rig.cameras)}
+            shown = {fault.shows for fault in self.faults.values() if fault.shows is not None}
+            for setting, named in (
+                ("light.gain", self.light.gain),
+                ("faults", self.faults),
+                ("shows", shown),
+            ):
+                if unknown := set(named) - cameras:
+                    raise ValueError(f"{setting} names {min(unknown)!r}, which is no camera of the rig")
         return self
+
+    def frame_time(self, frame: float) -> float:
+        """Time of the sea when a frame is taken, with the jitter of the cameras' common clock, s."""
+        jitter = self.timing.jitter
+        if not jitter:
+            return self.time(frame)
+        return self.time(frame) + jitter * float(np.random.default_rng([self.seed, 11, int(frame)]).normal())
 
     @classmethod
     def load(cls, source: str | Path) -> "Scene":
@@ -148,7 +147,7 @@ class Scene(Part):
         return make(cls, data, path=path)
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> "Scene":
+    def from_dict(cls, data: Mapping[str, object]) -> "Scene":
         """Make a scene from plain data.
 
         Parameters
@@ -188,7 +187,7 @@ class Scene(Part):
         data = self.model_dump(mode="json")
         return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)
 
-    def with_(self, **parts: Any) -> "Scene":
+    def with_(self, **parts: object) -> "Scene":
         """A copy with some settings replaced; parts are merged.
 
         Parameters
@@ -209,9 +208,9 @@ class Scene(Part):
         data = self.model_dump()
         for name, value in parts.items():
             old = data.get(name)
-            merges = isinstance(value, Mapping) and isinstance(old, dict) and set(value) <= set(old)
-            if merges and old is not None and value.get("kind", old.get("kind")) == old.get("kind"):
-                value = {**old, **value}
+            if isinstance(value, Mapping) and isinstance(old, dict) and set(value) <= set(old):
+                same_kind = value.get("kind", old.get("kind")) == old.get("kind")
+                value = {**old, **value} if same_kind else value
             data[name] = value
         return type(self).from_dict(data)
 

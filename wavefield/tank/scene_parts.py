@@ -1,15 +1,12 @@
 """The parts of a scene: every setting of a simulated experiment, with its unit and its limits."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-import numpy as np
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field
 
 from wavefield.config_files import ConfigSection
 from wavefield.rig import Rig
-from wavefield.tank import rigs, spectrum
-from wavefield.tank.sea import Sea
-from wavefield.water import GAMMA
+from wavefield.tank import rigs
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -29,131 +26,18 @@ class Part(ConfigSection):
     model_config = ConfigDict(allow_inf_nan=True)  # deep water
 
 
-class AddedWave(Part):
-    """A wave added to a sea, for instance to see what is left of it after the measurement."""
+class SceneRecord(Part):
+    """Name, random numbers and times of a simulated record."""
 
-    amplitude: Positive = Field(description="m")
-    wavelength: Positive = Field(description="m")
-    direction: float = Field(default=0.0, description="where it goes, degrees anticlockwise from +x")
-    phase: float = Field(default=0.0, description="degrees")
+    name: str = "tank"
+    seed: Annotated[int, Field(ge=0)] = 1
+    frames: Annotated[int, Field(ge=1)] = Field(default=42, description="number of frames")
+    frame_rate: Positive = Field(default=20.0, description="Hz")
+    start: float = Field(default=0.0, description="time of the sea at the first frame, s")
 
-    @property
-    def vector(self) -> tuple[float, float]:
-        """Wave vector, rad/m."""
-        k, angle = 2 * np.pi / self.wavelength, np.radians(self.direction)
-        return float(k * np.cos(angle)), float(k * np.sin(angle))
-
-
-class _TankWater(Part):
-    depth: Positive = Field(default=0.7, description="depth of the water, m; .inf for deep water")
-    surface_tension: NotNegative = Field(default=GAMMA, description="surface tension over density, m3 s-2")
-    current: tuple[float, float] = Field(
-        default=(0.0, 0.0), description="velocity of the water as a whole, m/s"
-    )
-
-    added: tuple[AddedWave, ...] = Field(default=(), description="free waves besides")
-
-    def _sea(self, kx: Any, ky: Any, amplitude: Any, bound: int) -> Sea:
-        for wave in self.added:
-            (x, y), height = wave.vector, wave.amplitude * np.exp(1j * np.radians(wave.phase))
-            kx, ky, amplitude = np.append(kx, x), np.append(ky, y), np.append(amplitude, height)
-        return Sea(kx, ky, amplitude, self.depth, self.surface_tension, self.current, bound)
-
-
-class StillSea(_TankWater):
-    """Water at rest (but for its current)."""
-
-    kind: Literal["still"]
-
-    def build(self, seed: int) -> Sea:
-        """Make the sea."""
-        return self._sea([1.0], [0.0], [0.0], 0)
-
-
-class SingleWave(_TankWater):
-    """One wave."""
-
-    kind: Literal["single"]
-    amplitude: NotNegative = Field(description="m")
-    wavelength: Positive = Field(description="m")
-    direction: float = Field(default=0.0, description="where it goes, degrees anticlockwise from +x")
-    phase: float = Field(default=0.0, description="degrees")
-    order: Literal[1, 2] = Field(default=1, description="2 adds the bound second harmonic")
-
-    def build(self, seed: int) -> Sea:
-        """Make the sea."""
-        k, angle = 2 * np.pi / self.wavelength, np.radians(self.direction)
-        amplitude = self.amplitude * np.exp(1j * np.radians(self.phase))
-        return self._sea([k * np.cos(angle)], [k * np.sin(angle)], [amplitude], int(self.order == 2))
-
-
-class Jonswap(Part):
-    """JONSWAP spectrum."""
-
-    kind: Literal["jonswap"]
-    peak: Positive = Field(description="frequency of the peak, Hz")
-    enhancement: Positive = 3.3
-
-    def __call__(self, frequency: np.ndarray) -> np.ndarray:
-        """Spectrum at frequencies in Hz, to within a factor."""
-        return spectrum.jonswap(frequency, self.peak, self.enhancement)
-
-
-class PowerLaw(Part):
-    """Spectrum that falls as a power of the frequency."""
-
-    kind: Literal["power"]
-    peak: Positive = Field(description="frequency of the peak, Hz")
-    exponent: Positive = 6.0
-
-    def __call__(self, frequency: np.ndarray) -> np.ndarray:
-        """Spectrum at frequencies in Hz, to within a factor."""
-        return spectrum.power_law(frequency, self.peak, self.exponent)
-
-
-class RandomSea(_TankWater):
-    """A random sea with a given spectrum."""
-
-    kind: Literal["random"]
-    rms: NotNegative = Field(description="standard deviation of the elevation, m")
-    spectrum: Annotated[Jonswap | PowerLaw, Field(discriminator="kind")]
-    direction: float = Field(default=0.0, description="main direction, degrees anticlockwise from +x")
-    spread: NotNegative = Field(
-        default=0.0, description="exponent s of cos^2s of half the angle; 0 is isotropic"
-    )
-    shortest: Positive = Field(default=0.05, description="shortest free wave, m")
-    longest: Positive = Field(default=np.inf, description="longest free wave, m")
-    period: Positive = Field(
-        default=6.0, description="the sea repeats itself in x and y after this distance, m"
-    )
-    order: Literal[1, 2] = Field(default=1, description="2 adds the waves bound to the steepest free ones")
-    interacting: Annotated[int, Field(ge=2, le=2000)] = Field(
-        default=300, description="free waves with bound ones"
-    )
-
-    @model_validator(mode="after")
-    def _check(self) -> "RandomSea":
-        if self.shortest * 4 > self.period:
-            raise ValueError("period must be at least four times the shortest wave")
-        if self.longest <= self.shortest:
-            raise ValueError("longest must be larger than shortest")
-        return self
-
-    def build(self, seed: int) -> Sea:
-        """Make the sea."""
-        kx, ky, amplitude = spectrum.random_waves(
-            self.spectrum,
-            rms=self.rms,
-            direction=np.radians(self.direction),
-            spread=self.spread,
-            shortest=self.shortest,
-            longest=self.longest,
-            period=self.period,
-            depth=self.depth,
-            surface_tension=self.surface_tension,
-            seed=seed,
-        )
-        return self._sea(kx, ky, amplitude, self.interacting if self.order == 2 else 0)
+    def time(self, frame: float) -> float:
+        """Time of the sea at a frame (or between two) by the frame rate, s."""
+        return self.start + frame / self.frame_rate
 
 
 class PaperRig(Part):
@@ -254,7 +138,7 @@ class Sheet(Part):
 
 
 class Light(Part):
-    """How the cameras see."""
+    """Light and sensors of the cameras."""
 
     blur: Positive = Field(default=0.62, description="standard deviation of a point's image, px")
     background: NotNegative = Field(default=12.0, description="grey levels of 255")

@@ -9,7 +9,7 @@ so that water which moves with (u, v) and sits at z stays on the surface exactly
 Every field is Re sum_j C_j(t) exp(i k_j . x): its derivatives are exact too.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FIELDS = ("z", "z_x", "z_y", "z_t", "u", "v", "w")
-_PRIMARY = ("z", "z_t", "u", "v")
+POINTS_AT_A_TIME = 2048  # of scattered points
 
 
 @dataclass(frozen=True)
@@ -74,23 +74,22 @@ class Sea:
 
     @cached_property
     def k(self) -> Array:
-        """Wave numbers of the free waves, (n,), rad/m."""
+        """Wavenumbers of the free waves, (n,), rad/m."""
         return np.hypot(self.kx, self.ky)
 
     @cached_property
     def sigma(self) -> Array:
-        """Angular frequencies of the free waves as seen by the water, (n,), rad/s."""
-        out: Array = dispersion(self.k, self.depth, self.surface_tension)
-        return out
+        """Angular frequencies of the free waves relative to the water, (n,), rad/s."""
+        return np.asarray(dispersion(self.k, self.depth, self.surface_tension))
 
     @cached_property
     def omega(self) -> Array:
-        """Angular frequencies of the free waves as seen by the cameras, (n,), rad/s."""
+        """Angular frequencies of the free waves in the cameras' frame, (n,), rad/s."""
         return self.sigma + self.kx * self.current[0] + self.ky * self.current[1]
 
     @property
     def axes(self) -> tuple[Array, Array]:
-        """Wave numbers along x (nkx,) and along y (nky,) that occur in the sea, rad/m."""
+        """Wavenumbers along x (nkx,) and along y (nky,) that occur in the sea, rad/m."""
         return self._layout.kx, self._layout.ky
 
     @property
@@ -102,9 +101,8 @@ class Sea:
     @property
     def reach(self) -> float:
         """Bound on the elevation that is hardly ever passed (4.5 standard deviations), metres."""
-        power = 0.5 * float(np.sum(np.abs(self.amplitude) ** 2))
-        out: float = min(float(np.sum(np.abs(self.amplitude))) * 1.1, 4.5 * np.sqrt(power))
-        return out
+        height = np.abs(self.amplitude)
+        return float(min(np.sum(height) * 1.1, 4.5 * np.sqrt(0.5 * np.sum(height**2))))
 
     @cached_property
     def _bound(self) -> BoundWaves | None:
@@ -114,32 +112,23 @@ class Sea:
             self.kx, self.ky, self.amplitude, self.sigma, self.depth, self.surface_tension, self.bound
         )
 
-    # -- coefficients at one instant ------------------------------------------------------------------
-
     def _coefficients(self, time: float) -> dict[str, Complex]:
-        """Matrices (nky, nkx) of z, z_t, u, v on the layout's axes."""
+        """Matrices (nky, nkx) of all fields but w on the layout's axes."""
         turned = self.amplitude * np.exp(-1j * self.omega * time)
-        slip = self.sigma / (self.k * np.tanh(self.k * self.depth))  # velocity over elevation
-        parts = {
+        velocity_over_elevation = self.sigma / (self.k * np.tanh(self.k * self.depth))
+        waves = {
             "z": turned,
             "z_t": -1j * self.omega * turned,
-            "u": self.kx * slip * turned,
-            "v": self.ky * slip * turned,
+            "u": self.kx * velocity_over_elevation * turned,
+            "v": self.ky * velocity_over_elevation * turned,
         }
         if self._bound is not None:
-            more = self._bound.at(time, self.current)
-            parts = {name: np.concatenate([parts[name], more[name]]) for name in _PRIMARY}
-        return {name: self._layout.place(values) for name, values in parts.items()}
-
-    def _matrices(self, time: float, names: Iterable[str]) -> list[Complex]:
-        primary = self._coefficients(time)
-        grad = {
-            "z_x": lambda: 1j * self._layout.kx * primary["z"],
-            "z_y": lambda: 1j * self._layout.ky[:, None] * primary["z"],
-        }
-        return [primary[name] if name in primary else grad[name]() for name in names]
-
-    # -- fields ---------------------------------------------------------------------------------------
+            bound = self._bound.at(time, self.current)
+            waves = {name: np.concatenate([values, bound[name]]) for name, values in waves.items()}
+        out = {name: self._layout.place(values) for name, values in waves.items()}
+        out["z_x"] = 1j * self._layout.kx * out["z"]
+        out["z_y"] = 1j * self._layout.ky[:, None] * out["z"]
+        return out
 
     def on_grid(self, x: Array, y: Array, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
         """Exact fields at the nodes of a regular grid.
@@ -162,25 +151,16 @@ class Sea:
         return self._finish(self.sums(ex, ey, time, _needed(names)), names)
 
     def sums(self, ex: Complex, ey: Complex, time: float, names: Sequence[str]) -> dict[str, Array]:
-        """Sums over waves without the current, for given values of the waves along the axes.
+        """Sums over waves, (ny, nx), of fields other than w, without the current.
 
-        Parameters
-        ----------
-        ex, ey : ndarray of complex, (nkx, nx) and (ny, nky)
-            exp(i k . x) along each axis, times any weight of the wave numbers `axes`.
-        time : float
-            Seconds.
-        names : sequence of str
-            Any of z, z_x, z_y, z_t, u, v.
-
-        Returns
-        -------
-        dict of str to ndarray, (ny, nx)
+        exp(i k . x) along the axes, (nkx, nx) and (ny, nky), may have any weight of the wavenumbers `axes`.
         """
         along_x = np.concatenate([ex.real, -ex.imag])
         along_y = np.concatenate([ey.real, ey.imag], axis=1)
+        coefficients = self._coefficients(time)
         out = {}
-        for name, matrix in zip(names, self._matrices(time, names), strict=True):
+        for name in names:
+            matrix = coefficients[name]
             # complex products written as real ones: [Re, Im] of ey @ matrix, then the real part of that @ ex
             both = np.block([[matrix.real, matrix.imag], [-matrix.imag, matrix.real]])
             out[name] = _product(_product(along_y, both), along_x)
@@ -205,18 +185,18 @@ class Sea:
         """
         x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         shape, x, y = x.shape, x.ravel(), y.ravel()
-        requested = _needed(names)
-        matrices = self._matrices(time, requested)
-        out = {name: np.empty(x.size) for name in requested}
-        for start in range(0, x.size, 2048):
-            part = slice(start, start + 2048)
+        coefficients = self._coefficients(time)
+        out = {name: np.empty(x.size) for name in _needed(names)}
+        for start in range(0, x.size, POINTS_AT_A_TIME):
+            part = slice(start, start + POINTS_AT_A_TIME)
             ex = np.exp(1j * np.outer(x[part], self._layout.kx))
             ey = np.exp(1j * np.outer(y[part], self._layout.ky))
-            for name, matrix in zip(requested, matrices, strict=True):
-                out[name][part] = np.einsum("pk,pk->p", ey @ matrix, ex).real
+            for name, values in out.items():
+                values[part] = np.einsum("pk,pk->p", ey @ coefficients[name], ex).real
         return {name: values.reshape(shape) for name, values in self._finish(out, names).items()}
 
     def _finish(self, out: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
+        """The named fields, with the current and w = z_t + u z_x + v z_y."""
         for name, speed in zip(("u", "v"), self.current, strict=True):
             if name in out and speed:
                 out[name] = out[name] + speed
@@ -245,12 +225,12 @@ def _product(a: Array, b: Array) -> Array:
 
 
 class _WaveLayout:
-    """Where each wave stands in a matrix (ky, kx) with kx >= 0: sums over waves become matrix products."""
+    """Place of each wave in a matrix (ky, kx) with kx >= 0: sums over waves become matrix products."""
 
     def __init__(self, kx: Array, ky: Array) -> None:
         self._mirror = kx < 0  # Re(C e^{ikx}) = Re(C* e^{-ikx})
         kx, ky = np.where(self._mirror, -kx, kx), np.where(self._mirror, -ky, ky)
-        # equal wave numbers must meet in one row whatever the rounding of their making
+        # equal wavenumbers share one row, whatever their rounding errors
         quantum = 1e-9 * max(float(np.max(np.abs(np.concatenate([kx, ky])), initial=0.0)), 1.0)
         rows, self._row = np.unique(np.round(ky / quantum), return_inverse=True)
         columns, self._column = np.unique(np.round(kx / quantum), return_inverse=True)

@@ -1,7 +1,6 @@
 """From light to grey levels: spots integrated over pixels, uneven light, noise, quantisation."""
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +11,9 @@ Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 
-def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
-    """Add Gaussian spots to an image, each integrated exactly over every pixel.
-
-    With image (row, column); X, Y (n,), px; flux (n,); sigma, px.
-    """
-    _splat(image, X, Y, flux, sigma)
-
-
 @compiled(fastmath=True)
-def _splat(image: NDArray[np.float32], X: Array, Y: Array, flux: Array, sigma: float) -> None:
+def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
+    """Add Gaussian spots at (X, Y), px, to an image (row, column), integrated exactly over every pixel."""
     height, width = image.shape
     reach = math.ceil(4.5 * sigma) + 1
     size = 2 * reach + 1
@@ -45,51 +37,24 @@ def _splat(image: NDArray[np.float32], X: Array, Y: Array, flux: Array, sigma: f
 
 
 def uneven(size: tuple[int, int], unevenness: float, seed: int) -> Image:
-    """Light over an image: a slope and a fall towards the edges that differ from camera to camera.
+    """Factor of the light over an image of a size in px, (row, column), with a mean of about 1.
 
-    With size, px; returns (row, column): Factor with mean about 1..
+    A slope and a fall towards the edges, which differ from camera to camera.
     """
-    rng = np.random.default_rng([seed, 3])
-    angle = rng.uniform(0, 2 * np.pi)
+    angle = np.random.default_rng([seed, 3]).uniform(0, 2 * np.pi)
     x = np.linspace(-1, 1, size[0], dtype=np.float32)
     y = np.linspace(-1, 1, size[1], dtype=np.float32)[:, None]
     slope = (np.cos(angle) * x + np.sin(angle) * y) / 2.8
-    out: Image = (1.0 + unevenness * (slope - 0.15 * (x * x + y * y - 0.67))).astype(np.float32)
-    return out
+    return np.asarray(1.0 + unevenness * (slope - 0.15 * (x * x + y * y - 0.67)), np.float32)
 
 
-def expose(light: Image, read: float, shot: float, bits: int, rng: np.random.Generator) -> NDArray[Any]:
-    """Turn light into the numbers of an image file.
-
-    With light (row, column); returns (row, column): The image, clipped at full scale.
-    """
+def expose(
+    light: Image, read: float, shot: float, bits: int, rng: np.random.Generator
+) -> NDArray[np.unsignedinteger]:
+    """Turn light, (row, column), into the numbers of an image file, clipped at full scale."""
+    value = light.astype(np.float64)
     if read or shot:
         noise = rng.standard_normal(light.shape, np.float32)
-    else:
-        noise = np.zeros((1, 1), np.float32)
-    if bits == 8:
-        out: NDArray[Any] = np.empty(light.shape, np.uint8)
-        _quantise(light, noise, read * read, shot, 1.0, 255.0, out)
-    else:
-        out = np.empty(light.shape, np.uint16)
-        _quantise(light, noise, read * read, shot, 257.0, 65535.0, out)
-    return out
-
-
-@compiled(fastmath=True)
-def _quantise(
-    light: NDArray[np.float32],
-    noise: NDArray[np.float32],
-    variance: float,
-    shot: float,
-    scale: float,
-    top: float,
-    out: NDArray[Any],
-) -> None:
-    noisy = noise.size > 1
-    for i in range(light.shape[0]):
-        for j in range(light.shape[1]):
-            value = light[i, j]
-            if noisy:
-                value += noise[i, j] * math.sqrt(variance + shot * max(value, np.float32(0.0)))
-            out[i, j] = int(min(max(value * scale + 0.5, 0.0), top))
+        value += noise * np.sqrt(read * read + shot * np.maximum(value, 0.0))
+    scale, top, kind = (1.0, 255.0, np.uint8) if bits == 8 else (257.0, 65535.0, np.uint16)
+    return np.clip(value * scale + 0.5, 0.0, top).astype(kind)

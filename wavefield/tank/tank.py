@@ -3,7 +3,6 @@
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import cv2
 import numpy as np
@@ -12,16 +11,24 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import gaussian_filter
 
 from wavefield.rig import Camera, Rig
-from wavefield.tank import beads as floating
-from wavefield.tank import light_sheet_scene, rendered_targets, rigs, scene_parts, sensor, texture
+from wavefield.tank import rendered_targets, rigs, sensor, texture
 from wavefield.tank.basin import Basin
+from wavefield.tank.beads import BeadField, Population, carry
+from wavefield.tank.light_sheet_scene import Particles
 from wavefield.tank.scene import Scene
+from wavefield.tank.scene_parts import Fault, Sheet, Strings, Texture
 from wavefield.tank.sea import Sea
 from wavefield.tank.truth import Truth, truth
 
 Array = NDArray[np.float64]
+GreyImage = NDArray[np.unsignedinteger]
 
-_SOUND = scene_parts.Fault()
+MIN_REACH = 0.01  # m: height of the water that the cameras' field is computed for, at least
+MARGIN = 0.05  # m, around what the cameras see
+SHEET_MARGIN = 0.01
+DRIFT_STEP = 0.01  # m: lattice on which painted water is followed back
+
+_NO_FAULT = Fault()
 
 
 class Tank:
@@ -41,83 +48,26 @@ class Tank:
     (102, 102)
     """
 
-    def __init__(self, scene: Scene):
+    def __init__(self, scene: Scene) -> None:
         self.scene = scene
+        self.time = scene.time
+        self.frame_time = scene.frame_time
         self.rig: Rig = scene.build_rig()
         self.sea: Sea = scene.build_sea()
-        reach = max(self.sea.reach, 0.01)
-        margin = 0.01 if isinstance(scene.surface, scene_parts.Sheet) else 0.05
+        reach = max(self.sea.reach, MIN_REACH)
+        margin = SHEET_MARGIN if isinstance(scene.surface, Sheet) else MARGIN
         self.x, self.y = rigs.bounds(self.rig, -reach, reach, margin)
         # what moves between two frames must stay inside the basin
-        air = 0.15 + 2.0 * max(np.hypot(*self.sea.current) / scene.frame_rate, 0.0)
+        air = 0.15 + 2.0 * np.hypot(*self.sea.current) / scene.frame_rate
         self.basin = Basin(self.sea, (self.x[0] - air, self.x[1] + air), (self.y[0] - air, self.y[1] + air))
-
         self._drift: tuple[int, list[RectBivariateSpline]] = (-1, [])
 
-    def time(self, frame: float) -> float:
-        """Time of the sea at a frame (or between two), as the frame rate has it, s."""
-        return self.scene.start + frame / self.scene.frame_rate
-
-    def frame_time(self, frame: float) -> float:
-        """Time of the sea when a frame is taken, s."""
-        jitter = self.scene.timing.jitter
-        if not jitter:
-            return self.time(frame)
-        return self.time(frame) + jitter * float(
-            np.random.default_rng([self.scene.seed, 11, int(frame)]).normal()
-        )
-
     @cached_property
-    def population(self) -> floating.Population | light_sheet_scene.Particles:
+    def population(self) -> Population | Particles:
         """The beads, or the particles of a light sheet."""
-        settings = self.scene.surface
-        if isinstance(settings, scene_parts.Sheet):
-            return light_sheet_scene.Particles(
-                settings, self.x, self.y, len(self.rig), self.scene.frame_rate, self.scene.seed
-            )
-        if not isinstance(settings, scene_parts.Beads):
-            raise ValueError("this scene has a painted surface, no beads")
-        rng = np.random.default_rng([self.scene.seed, 6])
-        # holes where all cameras look, so that a scene has as many as it says
-        number = settings.holes
-        places = [
-            rng.uniform(0.9 * lo + 0.1 * hi, 0.1 * lo + 0.9 * hi, number)
-            for lo, hi in (self.scene.grid.x, self.scene.grid.y)
-        ]
-        low, high = np.broadcast_to(np.array(settings.hole_diameter), 2)
-        holes = np.stack([*places, rng.uniform(low, high, number)], axis=1)
-        return floating.Population(
-            self.basin,
-            self.x,
-            self.y,
-            density=settings.density,
-            clustered=settings.clustered,
-            holes=holes,
-            renewal=settings.renewal,
-            one_camera=settings.one_camera,
-            spread=settings.spread,
-            spread_between=settings.spread_between,
-            cameras=len(self.rig),
-            submerged=(settings.submerged, settings.submerged_depth),
-            time=self.frame_time,
-            frame_rate=self.scene.frame_rate,
-            seed=self.scene.seed,
-        )
-
-    @cached_property
-    def _light(self) -> dict[str, NDArray[np.float32]]:
-        light = self.scene.light
-        return {
-            name: sensor.uneven(self.rig[name].size, light.unevenness, self.scene.seed * 97 + number)
-            for number, name in enumerate(self.rig)
-        }
-
-    @cached_property
-    def _paint(self) -> texture.Paint:
-        settings = self.scene.surface
-        assert isinstance(settings, scene_parts.Texture)
-        mesh = settings.mesh or 1.5 * max(max(rigs.pixel_footprint(self.rig[name])) for name in self.rig)
-        return texture.Paint(self.basin.x, self.basin.y, mesh, self.scene.seed)
+        if isinstance(self.scene.surface, Sheet):
+            return Particles(self.scene, self.scene.surface, self.x, self.y, len(self.rig))
+        return Population(self.scene, self.basin, self.x, self.y, len(self.rig))
 
     def truth(self, step: int) -> Truth:
         """Exact answer for the step from a frame to the next.
@@ -131,12 +81,12 @@ class Tank:
         -------
         Truth
         """
-        if isinstance(self.scene.surface, scene_parts.Sheet):
-            particles = self.population
-            assert isinstance(particles, light_sheet_scene.Particles)
-            nodes = np.meshgrid(self.scene.grid.x_nodes, self.scene.grid.y_nodes)
-            return particles.truth(nodes[0], nodes[1], self.time(step + 0.5))
-        return truth(self.basin, self.scene.grid, self.time(step + 0.5), 1.0 / self.scene.frame_rate)
+        grid, time = self.scene.grid, self.time(step + 0.5)
+        if isinstance(self.scene.surface, Sheet):
+            assert isinstance(self.population, Particles)
+            node_x, node_y = np.meshgrid(grid.x_nodes, grid.y_nodes)
+            return self.population.truth(node_x, node_y, time)
+        return truth(self.basin, grid, time, 1.0 / self.scene.frame_rate)
 
     def spot_width(self, camera: Camera) -> float:
         """Standard deviation of a bead's image before the pixels integrate it.
@@ -151,17 +101,17 @@ class Tank:
         float
             px: the blur and the bead's own size (variance of a disc: a quarter of its radius squared).
         """
-        size = 0.0 if isinstance(self.scene.surface, scene_parts.Texture) else self.scene.surface.diameter
+        size = 0.0 if isinstance(self.scene.surface, Texture) else self.scene.surface.diameter
         pixel = float(np.sqrt(np.prod(rigs.pixel_footprint(camera))))
         return float(np.hypot(self.scene.light.blur, size / 4 / pixel))
 
-    def render(self, frame: int, cameras: Iterable[str] | None = None) -> dict[str, NDArray[Any]]:
+    def render(self, frame: int, cameras: Iterable[str] | None = None) -> dict[str, GreyImage]:
         """Images that the cameras take at one frame.
 
         Parameters
         ----------
         frame : int
-            Frame number, from 0; ask in rising order (beads are followed from frame to frame).
+            Frame number, from 0, in rising order (beads are followed from frame to frame).
         cameras : iterable of str, optional
             Which cameras; all by default.
 
@@ -169,79 +119,94 @@ class Tank:
         -------
         dict of str to ndarray, (row, column), uint8 or uint16
         """
-        out = {}
-        for name in self.rig if cameras is None else cameras:
-            fault = self.scene.faults.get(name, _SOUND)
-            taken, source = max(frame - fault.late, 0), fault.shows or name
-            if not isinstance(self.scene.surface, scene_parts.Texture):
-                image = self._beads(self.population.frame(taken), taken, source, fault)
-            else:
-                image = self._painted(taken, source, fault)
-            out[name] = np.ascontiguousarray(image[:, ::-1]) if fault.mirrored else image
-        return out
+        names = self.rig if cameras is None else cameras
+        return {name: self.draw(name, frame, self.beads(name, frame)) for name in names}
 
-    def photograph(
-        self, beads: floating.BeadField, frame: int, cameras: Iterable[str] | None = None
-    ) -> dict[str, NDArray[Any]]:
-        """Images of given beads.
+    def beads(self, name: str, frame: int) -> BeadField | None:
+        """Beads in the image that a camera gives at a frame; None for a painted surface."""
+        if isinstance(self.scene.surface, Texture):
+            return None
+        return self.population.frame(self._frame_taken(name, frame))
 
-        Parameters
-        ----------
-        beads : Beads
-            Positions and brightness.
-        frame : int
-            Frame number: it chooses the noise and the flicker.
-        cameras : iterable of str, optional
-            Which cameras; all by default.
+    def draw(self, name: str, frame: int, beads: BeadField | None) -> GreyImage:
+        """Image that a camera gives at a frame, with its fault; may be called by several threads."""
+        fault = self.scene.faults.get(name, _NO_FAULT)
+        frame, source = self._frame_taken(name, frame), fault.shows or name
+        if beads is None:
+            light = self._painted(frame, source, fault)
+        else:
+            light = self._beads(beads, frame, source, fault)
+        image = self._expose(light, source, frame)
+        return np.ascontiguousarray(image[:, ::-1]) if fault.mirrored else image
 
-        Returns
-        -------
-        dict of str to ndarray, (row, column), uint8 or uint16
-        """
-        return {
-            name: self._beads(beads, frame, name, _SOUND)
-            for name in (self.rig if cameras is None else cameras)
-        }
+    def _frame_taken(self, name: str, frame: int) -> int:
+        return max(frame - self.scene.faults.get(name, _NO_FAULT).late, 0)
 
-    def _beads(
-        self, beads: floating.BeadField, frame: int, name: str, fault: scene_parts.Fault
-    ) -> NDArray[Any]:
-        settings, camera = self.scene.surface, _shifted(self.rig[name], fault.shift)
-        assert not isinstance(settings, scene_parts.Texture)
+    def _beads(self, beads: BeadField, frame: int, name: str, fault: Fault) -> NDArray[np.float32]:
+        """Light of beads on the pixels of a camera."""
+        assert not isinstance(self.scene.surface, Texture)
+        camera = _shifted(self.rig[name], fault.shift)
         if any(fault.turned) and frame >= fault.since:
             camera = _turned(camera, fault.turned)
         if fault.delay:
-            beads = self._later(beads, self.frame_time(frame), fault.delay)
+            beads = self._delayed(beads, self.frame_time(frame), fault.delay)
         X, Y = camera.project(beads.x, beads.y, beads.z)
         if fault.row_time:
             X, Y = self._rolling(camera, beads, frame, fault.row_time)
-        sharp = self.spot_width(self.rig[name])
+        width = self.spot_width(self.rig[name])
+        spot_flux = self.scene.surface.brightness * 2 * np.pi * width**2
+        flux = spot_flux * beads.brightness[list(self.rig).index(name)]
         image = np.zeros(camera.size[::-1], np.float32)
-        flux = settings.brightness * 2 * np.pi * sharp**2 * beads.brightness[list(self.rig).index(name)]
-        sensor.splat(image, X, Y, flux, float(np.hypot(sharp, fault.defocus)))
-        return self._expose(image, name, frame)
+        sensor.splat(image, X, Y, flux, float(np.hypot(width, fault.defocus)))
+        return image
 
-    def _later(self, beads: floating.BeadField, time: float, delay: float) -> floating.BeadField:
-        """The same beads a moment later."""
-        x, y = floating.carry(self.basin, beads.x, beads.y, time, time + delay)
+    def _delayed(self, beads: BeadField, time: float, delay: float) -> BeadField:
+        x, y = carry(self.basin, beads.x, beads.y, time, time + delay)
         x, y = np.where(np.isnan(x), beads.x, x), np.where(np.isnan(y), beads.y, y)
         (z,) = self.basin.snapshot(time + delay, ("z",))(x, y)
         return replace(beads, x=x, y=y, z=z)
 
-    def _rolling(
-        self, camera: Camera, beads: floating.BeadField, frame: int, row_time: float
-    ) -> tuple[Array, Array]:
-        """Columns and rows of beads where each row is read `row_time` after the one above it, px."""
+    def _rolling(self, camera: Camera, beads: BeadField, frame: int, row_time: float) -> tuple[Array, Array]:
+        """Columns and rows of beads, px, where each row is read `row_time` after the one above it."""
         middle = (camera.size[1] - 1) / 2
-        half = row_time * middle
-        at = [beads, self._later(beads, self.frame_time(frame), half)]
-        at.insert(0, self._later(beads, self.frame_time(frame), -half))
-        before, here, after = (np.stack(camera.project(b.x, b.y, b.z)) for b in at)
+        time, half = self.frame_time(frame), row_time * middle
+        moments = (self._delayed(beads, time, -half), beads, self._delayed(beads, time, half))
+        before, here, after = (np.stack(camera.project(b.x, b.y, b.z)) for b in moments)
         image = here
-        for _ in range(4):  # the row is read when it is; a bead moves by a few rows at most
+        for _ in range(4):  # a bead moves by a few rows at most while the image is read
             s = np.clip((image[1] - middle) / middle, -1.5, 1.5)
             image = here + 0.5 * s * (after - before) + 0.5 * s * s * (after - 2 * here + before)
         return image[0], image[1]
+
+    @cached_property
+    def _paint(self) -> texture.Paint:
+        assert isinstance(self.scene.surface, Texture)
+        coarsest = max(max(rigs.pixel_footprint(self.rig[name])) for name in self.rig)
+        mesh = self.scene.surface.mesh or 1.5 * coarsest
+        return texture.Paint(self.basin.x, self.basin.y, mesh, self.scene.seed)
+
+    def _painted(self, frame: int, name: str, fault: Fault) -> NDArray[np.float32]:
+        """Light of a painted surface on the pixels of a camera."""
+        settings = self.scene.surface
+        assert isinstance(settings, Texture)
+        snapshot = self.basin.snapshot(self.time(frame), ("z",))
+        x, y = texture.cast(_shifted(self.rig[name], fault.shift), snapshot)
+        if settings.carried and frame:
+            x, y = self._origin(x, y, frame)
+        image = settings.mean + settings.contrast * self._paint(x, y)
+        return gaussian_filter(image, fault.defocus, mode="nearest") if fault.defocus else image
+
+    def _origin(self, x: Array, y: Array, frame: int) -> tuple[Array, Array]:
+        """Position at the first frame of the water now at (x, y): followed backwards from a lattice."""
+        drift = self._drift  # one name for it: other threads may be drawing other frames
+        if drift[0] != frame:
+            axes = [np.arange(low, high, DRIFT_STEP) for low, high in (self.x, self.y)]
+            lattice_x, lattice_y = np.meshgrid(*axes)
+            first_x, first_y = carry(self.basin, lattice_x, lattice_y, self.time(frame), self.time(0))
+            moved = np.stack([first_x - lattice_x, first_y - lattice_y])
+            moved[:, np.isnan(moved).any(axis=0)] = 0.0
+            self._drift = drift = (frame, [RectBivariateSpline(axes[1], axes[0], d) for d in moved])
+        return x + drift[1][0].ev(y, x), y + drift[1][1].ev(y, x)
 
     @cached_property
     def target_poses(self) -> dict[str, rendered_targets.Pose]:
@@ -255,13 +220,9 @@ class Tank:
     def target_offsets(self) -> Array | None:
         """Errors of the target's crossings, (n, n, 3), metres; None for other targets than strings."""
         target = self.scene.calibration.target
-        return (
-            rendered_targets.node_offsets(target, self.scene.seed)
-            if isinstance(target, scene_parts.Strings)
-            else None
-        )
+        return rendered_targets.node_offsets(target, self.scene.seed) if isinstance(target, Strings) else None
 
-    def target_image(self, name: str, camera: str) -> NDArray[Any]:
+    def target_image(self, name: str, camera: str) -> GreyImage:
         """Image of the calibration target.
 
         Parameters
@@ -275,40 +236,22 @@ class Tank:
         -------
         ndarray, (row, column), uint8 or uint16
         """
-        image = rendered_targets.draw(
-            self.rig[camera],
-            self.scene.calibration.target,
-            self.target_poses[name],
-            self.scene.light.blur,
-            self.target_offsets,
+        target, pose = self.scene.calibration.target, self.target_poses[name]
+        light = rendered_targets.draw(
+            self.rig[camera], target, pose, self.scene.light.blur, self.target_offsets
         )
-        return self._expose(image, camera, -1 - list(self.target_poses).index(name))
+        return self._expose(light, camera, -1 - list(self.target_poses).index(name))
 
-    def _painted(self, frame: int, name: str, fault: scene_parts.Fault) -> NDArray[Any]:
-        settings = self.scene.surface
-        assert isinstance(settings, scene_parts.Texture)
-        snapshot = self.basin.snapshot(self.time(frame), ("z",))
-        x, y = texture.cast(_shifted(self.rig[name], fault.shift), snapshot)
-        if settings.carried and frame:
-            x, y = self._origin(x, y, frame)
-        image = settings.mean + settings.contrast * self._paint(x, y)
-        if fault.defocus:
-            image = gaussian_filter(image, fault.defocus, mode="nearest")
-        return self._expose(image, name, frame)
+    @cached_property
+    def _light(self) -> dict[str, NDArray[np.float32]]:
+        """Factor of the uneven light on the pixels of each camera."""
+        unevenness, seed = self.scene.light.unevenness, self.scene.seed * 97
+        return {
+            name: sensor.uneven(self.rig[name].size, unevenness, seed + number)
+            for number, name in enumerate(self.rig)
+        }
 
-    def _origin(self, x: Array, y: Array, frame: int) -> tuple[Array, Array]:
-        """Where the water now at (x, y) was at the first frame: followed backwards from a lattice."""
-        drift = self._drift  # one name for it: other threads may be drawing other frames
-        if drift[0] != frame:
-            axes = [np.arange(lo, hi, 0.01) for lo, hi in (self.x, self.y)]
-            px, py = np.meshgrid(*axes)
-            ax, ay = floating.carry(self.basin, px, py, self.time(frame), self.time(0))
-            lost = np.isnan(ax) | np.isnan(ay)
-            back = [np.where(lost, 0.0, a - p) for a, p in ((ax, px), (ay, py))]
-            self._drift = drift = (frame, [RectBivariateSpline(axes[1], axes[0], b) for b in back])
-        return x + drift[1][0].ev(y, x), y + drift[1][1].ev(y, x)
-
-    def _expose(self, image: NDArray[np.float32], name: str, frame: int) -> NDArray[Any]:
+    def _expose(self, image: NDArray[np.float32], name: str, frame: int) -> GreyImage:
         light, number = self.scene.light, list(self.rig).index(name)
         rng = np.random.Generator(np.random.SFC64([self.scene.seed, 7, number, frame + 1000]))
         factor = light.gain.get(name, 1.0) * max(0.05, 1.0 + light.flicker * rng.standard_normal())
@@ -325,22 +268,3 @@ def _turned(camera: Camera, degrees: tuple[float, float, float]) -> Camera:
     """A camera turned about its own centre."""
     turn = cv2.Rodrigues(np.radians(degrees))[0]
     return replace(camera, rotation=turn @ camera.R, translation=turn @ camera.T)
-
-
-def render(scene: Scene, frame: int) -> dict[str, NDArray[Any]]:
-    """Images of one frame of a scene.
-
-    For several frames make a `Tank` and use its `render`, which remembers the beads.
-
-    Parameters
-    ----------
-    scene : Scene
-        What to simulate.
-    frame : int
-        Frame number, from 0.
-
-    Returns
-    -------
-    dict of str to ndarray, (row, column), uint8 or uint16
-    """
-    return Tank(scene).render(frame)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wavefield.grid import Grid
 from wavefield.tank.basin import Basin
-from wavefield.tank.beads import carry
+from wavefield.tank.beads import carry, centred_path
 
 Array = NDArray[np.float64]
 
@@ -48,74 +48,23 @@ class Truth:
 
 
 def truth(basin: Basin, grid: Grid, time: float, dt: float) -> Truth:
-    """Exact fields for one step.
-
-    Parameters
-    ----------
-    basin : Basin
-        The sea around the grid.
-    grid : Grid
-        The nodes.
-    time : float
-        Mid-time of the step, s.
-    dt : float
-        Length of the step, s.
-
-    Returns
-    -------
-    Truth
-    """
+    """Exact fields at the nodes for one step of length dt around a mid-time, s."""
     x, y = grid.x_nodes, grid.y_nodes
-    nodes = np.meshgrid(x, y)
     fields = basin.sea.on_grid(x, y, time)
-    start = basin.sea.on_grid(x, y, time - dt / 2, ("z",))["z"]
-    end = basin.sea.on_grid(x, y, time + dt / 2, ("z",))["z"]
-    dx, dy, dz = displacement(basin, nodes[0], nodes[1], time, dt)
-    return Truth(
-        time=time,
-        z=fields["z"],
-        z_t=(end - start) / dt,
-        z_rate=fields["z_t"],
-        u=fields["u"],
-        v=fields["v"],
-        w=fields["w"],
-        z_start=start,
-        z_end=end,
-        dx=dx,
-        dy=dy,
-        dz=dz,
-    )
+    start, end = (basin.sea.on_grid(x, y, t, ("z",))["z"] for t in (time - dt / 2, time + dt / 2))
+    node_x, node_y = np.meshgrid(x, y)
+    dx, dy, dz = displacement(basin, node_x, node_y, time, dt)
+    z, u, v, w = (fields[name] for name in ("z", "u", "v", "w"))
+    return Truth(time, z, (end - start) / dt, fields["z_t"], u, v, w, start, end, dx, dy, dz)
 
 
 def displacement(basin: Basin, x: Array, y: Array, time: float, dt: float) -> tuple[Array, Array, Array]:
-    """Displacement over a step of the water whose path has its mid-point above given points.
+    """Displacement over a step, m, of the water whose path has its mid-point above given points."""
 
-    Parameters
-    ----------
-    basin : Basin
-        The sea around the points.
-    x, y : ndarray, S
-        Points, metres.
-    time : float
-        Mid-time of the step, s.
-    dt : float
-        Length of the step, s.
+    def carried(px: Array, py: Array, after: float) -> Array:
+        return np.stack(carry(basin, px, py, time, time + after))
 
-    Returns
-    -------
-    dx, dy, dz : ndarray, S
-        Metres.
-
-    Notes
-    -----
-    The water is followed from mid-time both ways; its place at mid-time is corrected until the mean of both
-    ends is the point.
-    """
-    px, py = x, y
-    for _ in range(3):
-        ax, ay = carry(basin, px, py, time, time - dt / 2)
-        bx, by = carry(basin, px, py, time, time + dt / 2)
-        px, py = px + x - (ax + bx) / 2, py + y - (ay + by) / 2
-    (za,) = basin.snapshot(time - dt / 2, ("z",))(ax, ay)
-    (zb,) = basin.snapshot(time + dt / 2, ("z",))(bx, by)
-    return bx - ax, by - ay, zb - za
+    start, end = centred_path(carried, x, y, dt / 2)
+    (z_start,) = basin.snapshot(time - dt / 2, ("z",))(*start)
+    (z_end,) = basin.snapshot(time + dt / 2, ("z",))(*end)
+    return end[0] - start[0], end[1] - start[1], z_end - z_start

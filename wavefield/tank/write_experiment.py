@@ -1,12 +1,12 @@
-"""Write a simulated experiment as a laboratory would have it, with the exact truth apart."""
+"""Write a simulated experiment as a laboratory would have it, with the exact truth in a folder of its own."""
 
 import itertools
 import os
 import warnings
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -17,17 +17,18 @@ import zarr
 from wavefield.atomic_write import NEW_FILE, write_text
 from wavefield.errors import ExperimentError
 from wavefield.images import write_image
-from wavefield.tank import beads as floating
-from wavefield.tank import simulated_probes
+from wavefield.tank.beads import BeadField
 from wavefield.tank.scene import Scene
-from wavefield.tank.scene_parts import Texture
+from wavefield.tank.simulated_probes import write_probes
 from wavefield.tank.tank import Tank
 from wavefield.tank.truth import Truth
 from wavefield.variables import CUBE_DIMS, annotate
 
 Progress = Callable[[int, int], None]
+Task = tuple[Callable[..., None], *tuple[object, ...]]
 
-_FIELDS = ("z", "z_t", "u", "v", "w", "z_rate", "z_start", "z_end", "dx", "dy", "dz")
+CHUNK_STEPS = 32  # of the truth: a long record needs little memory
+TASKS_PER_WORKER = 4  # that wait at once: beads of many frames would fill the memory
 
 
 def simulate(
@@ -49,7 +50,7 @@ def simulate(
     Returns
     -------
     Path
-        The experiment file: ``experiment.yaml`` beside ``cam1/img_00000.tif`` ..., ``calib/cam1/tilt_0.tif``
+        The experiment file: ``experiment.yaml`` next to ``cam1/img_00000.tif`` ..., ``calib/cam1/tilt_0.tif``
         ..., ``calib/cam1/flat.tif``, ``probes.csv`` and ``scene.yaml``; and, apart, ``truth/rig.yaml`` (exact
         cameras), ``truth/truth.zarr`` (exact fields, one per step at mid-time) and ``truth/target.yaml``.
 
@@ -86,75 +87,64 @@ def simulate(
 
     _write_notes(scene, tank, directory)
     with ThreadPoolExecutor(max(1, workers)) as pool:
-        queue = _Queue(pool, 4 * max(1, workers), report_progress)
-        for pose in tank.target_poses:
-            for camera in names:
-                queue.give(_draw_target, tank, directory, camera, pose)
-        with_beads = not isinstance(scene.surface, Texture)
-        for frame in range(scene.frames):
-            beads = tank.population.frame(frame) if with_beads else None
-            for camera in names:
-                queue.give(_draw_frame, tank, directory, camera, frame, beads)
-        queue.finish()
+        _draw(_drawings(tank, directory), pool, TASKS_PER_WORKER * max(1, workers), report_progress)
         if steps:
             _write_truth(tank, steps, directory / "truth" / "truth.zarr", pool, report_progress)
     return directory / "experiment.yaml"
 
 
-@dataclass
-class _Queue:
-    """Images to be drawn by a pool, few at a time: beads of many frames would fill the memory."""
+def _drawings(tank: Tank, directory: Path) -> Iterator[Task]:
+    """One task per image; the beads of a frame are moved when its first image is due."""
+    for pose in tank.target_poses:
+        for camera in tank.rig:
+            yield _draw_target, tank, directory, camera, pose
+    for frame in range(tank.scene.frames):
+        for camera in tank.rig:
+            yield _draw_frame, tank, directory, camera, frame, tank.beads(camera, frame)
 
-    pool: ThreadPoolExecutor
-    most: int
-    report_progress: Callable[[], None]
-    waiting: deque[Future[None]] = field(default_factory=deque)
 
-    def give(self, draw: Callable[..., None], *arguments: object) -> None:
-        self.finish(leave=self.most - 1)
-        self.waiting.append(self.pool.submit(draw, *arguments))
-
-    def finish(self, leave: int = 0) -> None:
-        while len(self.waiting) > leave:
-            self.waiting.popleft().result()
-            self.report_progress()
+def _draw(
+    tasks: Iterable[Task], pool: ThreadPoolExecutor, most: int, report_progress: Callable[[], None]
+) -> None:
+    """Run tasks in order, at most so many at once."""
+    waiting: deque[Future[None]] = deque()
+    for function, *arguments in tasks:
+        if len(waiting) == most:
+            waiting.popleft().result()
+            report_progress()
+        waiting.append(pool.submit(function, *arguments))
+    for drawn in waiting:
+        drawn.result()
+        report_progress()
 
 
 def _draw_target(tank: Tank, directory: Path, camera: str, pose: str) -> None:
     write_image(directory / "calib" / camera / f"{pose}.tif", tank.target_image(pose, camera))
 
 
-def _draw_frame(
-    tank: Tank, directory: Path, camera: str, frame: int, beads: floating.BeadField | None
-) -> None:
-    if beads is None:
-        image = tank.render(frame, [camera])[camera]
-    else:
-        image = tank.photograph(beads, frame, [camera])[camera]
-    write_image(directory / camera / f"img_{frame:05d}.tif", image)
+def _draw_frame(tank: Tank, directory: Path, camera: str, frame: int, beads: BeadField | None) -> None:
+    write_image(directory / camera / f"img_{frame:05d}.tif", tank.draw(camera, frame, beads))
 
 
 def _write_truth(
     tank: Tank, steps: int, path: Path, pool: ThreadPoolExecutor, report_progress: Callable[[], None]
 ) -> None:
-    """Write the exact fields in pieces of time, so that a long record needs little memory."""
+    """Write the exact fields, one chunk of steps after the other."""
     grid, rate = tank.scene.grid, tank.scene.frame_rate
-    piece = 32
-    for first in range(0, steps, piece):
+    names = [field.name for field in fields(Truth) if field.name != "time"]
+    for first in range(0, steps, CHUNK_STEPS):
         parts: list[Truth] = []
-        for part in pool.map(tank.truth, range(first, min(first + piece, steps))):
+        for part in pool.map(tank.truth, range(first, min(first + CHUNK_STEPS, steps))):
             parts.append(part)
             report_progress()
-        fields = {
-            name: (CUBE_DIMS, np.stack([getattr(part, name) for part in parts]).astype(np.float32))
-            for name in _FIELDS
-        }
-        coords = {
-            "time": (np.arange(first, first + len(parts)) + 0.5) / rate,
-            "y": grid.y_nodes,
-            "x": grid.x_nodes,
-        }
-        dataset = annotate(xr.Dataset(fields, coords))
+        arrays = {name: np.stack([getattr(part, name) for part in parts]) for name in names}
+        time = (np.arange(first, first + len(parts)) + 0.5) / rate
+        dataset = annotate(
+            xr.Dataset(
+                {name: (CUBE_DIMS, values.astype(np.float32)) for name, values in arrays.items()},
+                {"time": time, "y": grid.y_nodes, "x": grid.x_nodes},
+            )
+        )
         for name in ("z", "z_t", "u", "v", "w"):
             dataset[name].attrs.pop("frames", None)  # z_t is one difference here, the others are exact
         if first == 0:
@@ -163,12 +153,12 @@ def _write_truth(
                 "frame_rate": rate,
                 "water_depth": tank.scene.sea.depth,
             }
-            chunks = {name: {"chunks": (min(piece, steps), *grid.shape)} for name in _FIELDS}
+            chunks = {name: {"chunks": (min(CHUNK_STEPS, steps), *grid.shape)} for name in names}
             dataset.to_zarr(path, mode="w", encoding=chunks, consolidated=False, zarr_format=3)
         else:
             dataset.to_zarr(path, append_dim="time", consolidated=False)
     with warnings.catch_warnings():
-        # one small file tells a reader everything; that it is an extension of Zarr 3 harms nobody
+        # readers then need one small file only; that this extends Zarr 3 does no harm
         warnings.simplefilter("ignore")
         zarr.consolidate_metadata(path)
 
@@ -193,17 +183,17 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
     if not scene.probes.positions:
         del experiment["probes"]
     note = f"# A simulated experiment (scene {scene.name}). The exact answer is in truth/.\n"
-    text = yaml.safe_dump(experiment, sort_keys=False, default_flow_style=None, width=100)
-    write_text(directory / "experiment.yaml", note + text, NEW_FILE)
+    write_text(directory / "experiment.yaml", note + _yaml(experiment, 100), NEW_FILE)
     write_text(directory / "scene.yaml", scene.to_yaml(), NEW_FILE)
     tank.rig.save(directory / "truth" / "rig.yaml")
-    write_text(directory / "truth" / "target.yaml", _target_truth(tank), NEW_FILE)
+    write_text(directory / "truth" / "target.yaml", _yaml(_target_truth(tank), 110), NEW_FILE)
     if scene.probes.positions:
-        settings = scene.probes
-        times = np.arange(int(scene.frames / scene.frame_rate * settings.rate) + 1) / settings.rate
-        z = simulated_probes.record(tank.sea, settings.positions, times + scene.start)
-        z += settings.noise * np.random.default_rng([scene.seed, 10]).standard_normal(z.shape)
-        simulated_probes.write(directory / "probes.csv", times, settings.positions, z)
+        write_probes(directory / "probes.csv", scene, tank.sea)
+
+
+def _yaml(data: dict[str, object], width: int) -> str:
+    text: str = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=width)
+    return text
 
 
 def _describe_water(scene: Scene) -> dict[str, float]:
@@ -219,7 +209,7 @@ def _describe_target(scene: Scene) -> dict[str, object]:
     if target.kind == "strings":
         return {"kind": "strings", "mesh": target.mesh, "origin_mark": "disc", "x_mark": "small disc"}
     described: dict[str, object] = {"kind": target.kind, "mesh": target.mesh, "shape": list(target.shape)}
-    # its middle lies at the tank's origin
+    # its middle is at the tank's origin
     described["origin"] = [round(-0.5 * (n - 1) * target.mesh, 9) for n in target.shape]
     if target.kind == "dots":
         described["diameter"] = target.diameter
@@ -239,16 +229,17 @@ def _pairing(tank: Tank) -> dict[str, object]:
     }
 
 
-def _target_truth(tank: Tank) -> str:
+def _target_truth(tank: Tank) -> dict[str, object]:
     """Poses of the target, and the errors of its crossings."""
+    poses = {
+        name: {"rotation": pose.rotation.tolist(), "origin": [float(v) for v in pose.origin]}
+        for name, pose in tank.target_poses.items()
+    }
     data: dict[str, object] = {
         "meaning": "a point p of the target is at rotation p + origin, metres",
-        "poses": {
-            name: {"rotation": pose.rotation.tolist(), "origin": [float(v) for v in pose.origin]}
-            for name, pose in tank.target_poses.items()
-        },
+        "poses": poses,
     }
     offsets = tank.target_offsets
     if offsets is not None and np.any(offsets):
         data["node_offsets"] = offsets.round(7).tolist()
-    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)
+    return data
