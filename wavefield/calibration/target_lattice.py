@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from wavefield.compiled import compiled
+from wavefield.parabola import parabola_vertex
 from wavefield.robust import robust_std
 
 Array = NDArray[np.float64]
@@ -61,8 +62,8 @@ def crossings(image: NDArray[np.float32], scale: float) -> Candidates:
     x, y, strength = x[keep], y[keep], strength[keep]
     pixel = np.stack(
         [
-            x + _vertex(weaker[y, x - 1], strength, weaker[y, x + 1]),
-            y + _vertex(weaker[y - 1, x], strength, weaker[y + 1, x]),
+            x + np.clip(parabola_vertex(weaker[y, x - 1], strength, weaker[y, x + 1]), -0.5, 0.5),
+            y + np.clip(parabola_vertex(weaker[y - 1, x], strength, weaker[y + 1, x]), -0.5, 0.5),
         ],
         -1,
     )
@@ -79,12 +80,6 @@ def _weaker(xx: NDArray[np.float32], yy: NDArray[np.float32], xy: NDArray[np.flo
             mean, apart = half * (xx[i, k] + yy[i, k]), half * (xx[i, k] - yy[i, k])
             out[i, k] = -(mean + np.sqrt(apart * apart + xy[i, k] * xy[i, k]))
     return out
-
-
-def _vertex(before: Array, at: Array, after: Array) -> Array:
-    """Offset of the vertex of the parabola through three neighbours, at most half a pixel."""
-    bend = before - 2 * at + after
-    return np.clip(0.5 * (before - after) / np.where(bend < 0, bend, -np.inf), -0.5, 0.5)
 
 
 def _windows(table: Array, node: NDArray[np.int64]) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.grid import Grid
+from wavefield.parabola import parabola_vertex
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
 
@@ -180,15 +181,10 @@ def compare(
         _, _, _, (column, row) = cv2.minMaxLoc(score)
         peak_correlation[k] = score[row, column]
         if 0 < row < score.shape[0] - 1 and 0 < column < score.shape[1] - 1:
-            dx = _vertex(*score[row, column - 1 : column + 2])
-            dy = _vertex(*score[row - 1 : row + 2, column])
+            dx = parabola_vertex(*score[row, column - 1 : column + 2].astype(float))
+            dy = parabola_vertex(*score[row - 1 : row + 2, column].astype(float))
             moved[k] = column + dx - reach, row + dy - reach
     return Comparison(moved if near is None else moved + near, peak_correlation)
-
-
-def _vertex(before: float, at: float, after: float) -> float:
-    bend = float(before) - 2 * float(at) + float(after)
-    return 0.0 if bend >= 0 else 0.5 * (float(before) - float(after)) / bend
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,26 @@
+"""Public names of a package that are imported on first use: `import wavefield` and its rooms stay quick."""
+
+import ast
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+
+def lazy_names(package: str, init_file: str) -> tuple[list[str], Callable[[str], Any]]:
+    """Sorted names of the stub (.pyi) next to an `__init__.py`, and the `__getattr__` that imports them."""
+    stub = ast.parse(Path(init_file).with_suffix(".pyi").read_text(encoding="utf-8"))
+    places = {
+        alias.asname or alias.name: (statement.module or "", alias.name)
+        for statement in stub.body
+        if isinstance(statement, ast.ImportFrom)
+        for alias in statement.names
+    }
+
+    def get(name: str) -> Any:
+        if name not in places:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        module, name_there = places[name]
+        return getattr(import_module(module), name_there)
+
+    return sorted(places), get
