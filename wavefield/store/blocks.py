@@ -1,28 +1,36 @@
-"""Arrays of which every block has a small file of its own: the ledger."""
+"""The ledger: arrays of which every chunk of steps has a small, uncompressed file of its own."""
 
 import zlib
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import zarr
 
-from wavefield.store.checked import checksum, chunk_path, damaged_block, kept_row, read_chunk, stored_bytes
+from wavefield.store.checked import (
+    DESCRIPTIONS,
+    checksum,
+    chunk_path,
+    damaged_chunk,
+    description,
+    read_chunk,
+    stored_bytes,
+)
 from wavefield.store.layout import WATCHED, StoreLayout
 from wavefield.store.metadata import is_as_completed
 
+LEDGER = ("frame_status", "frame_fault")
 
-def read_blocks(path: Path, group: Any, name: str, layout: StoreLayout) -> np.ndarray:
-    """Read the whole of an array of the ledger, file by file: many times as fast as through Zarr.
 
-    Returns (steps,): 0 where nothing is stored.
-    """
+def read_blocks(path: Path, group: zarr.Group, name: str, layout: StoreLayout) -> np.ndarray:
+    """An array of the ledger, file by file: many times as fast as through Zarr; 0 where nothing is stored."""
     array = group[name]
-    if array.compressors:  # stores of earlier versions
+    assert isinstance(array, zarr.Array)
+    if array.compressors:  # of version 0.1.0
         return np.asarray(array[:])
     out = np.zeros(array.shape, array.dtype)
     chunks, dtype = array.chunks, array.dtype  # Zarr computes these at every access
-    folder = str(chunk_path(path, name, 0).parent)  # many files: plain words are quicker than paths
+    folder = str(chunk_path(path, name, 0).parent)  # many files: text is quicker than paths
     for start in range(0, array.shape[-1], layout.block):
         try:
             with open(f"{folder}/{start // layout.block}", "rb", buffering=0) as stream:
@@ -35,40 +43,38 @@ def read_blocks(path: Path, group: Any, name: str, layout: StoreLayout) -> np.nd
     return out
 
 
-LEDGER = ("frame_status", "frame_fault")
-
-
-def check_blocks(path: Path, group: Any, layout: StoreLayout, names: Collection[str] = WATCHED) -> None:
-    """Refuse a cube of which a finished block is not as long as it was written, or whose ledger changed."""
-    if "stored_bytes" not in group or group["frame_status"].compressors:
-        return  # begun before there were such records
-    ledger = 0
-    missing = 0
-    for block in reversed(range(len(layout.blocks()))):
-        stored = read_chunk(str(path), "frame_status", block)
+def check_blocks(
+    path: Path, group: zarr.Group, layout: StoreLayout, names: Collection[str] = WATCHED
+) -> None:
+    """Refuse a cube of which a finished chunk has another length than when written, or whose ledger changed."""
+    if DESCRIPTIONS[1] not in group:
+        return  # of version 0.1.0
+    ledger, missing = 0, 0
+    for number in reversed(range(len(layout.blocks()))):
+        stored = read_chunk(str(path), "frame_status", number)
         ledger = zlib.crc32(stored, ledger)
         if not any(stored):
-            missing = block
+            missing = number
             continue
-        sizes, checksums = (kept_row(path, name, block) for name in ("stored_bytes", "checksum"))
-        for name, row in (("stored_bytes", sizes), ("checksum", checksums)):
+        checksums, sizes = (description(path, kind, number) for kind in DESCRIPTIONS)
+        for kind, row in zip(DESCRIPTIONS, (checksums, sizes)):
             if row is None:
-                raise damaged_block(path, name, block, "missing or damaged")
-        for name, size, kept in zip(WATCHED, sizes or (), checksums or ()):
+                raise damaged_chunk(path, kind, number, "missing or damaged")
+        for name, expected_sum, expected_size in zip(WATCHED, checksums or (), sizes or ()):
             if name not in names:
                 continue
-            found = stored_bytes(path, name, block)
-            if found != size:
-                raise damaged_block(path, name, block, "cut off or another" if found else "missing")
-            if name in LEDGER and checksum(path, name, block) != kept:
-                raise damaged_block(path, name, block, "not as it was written")
+            size = stored_bytes(path, name, number)
+            if size != expected_size:
+                raise damaged_chunk(path, name, number, "cut off or another" if size else "missing")
+            if name in LEDGER and checksum(path, name, number) != expected_sum:
+                raise damaged_chunk(path, name, number, "not as it was written")
     if not is_as_completed(path, ledger):
-        raise damaged_block(path, "frame_status", missing, "not as it was when the run ended")
+        raise damaged_chunk(path, "frame_status", missing, "not as it was when the run ended")
 
 
 def ledger_checksum(path: Path, layout: StoreLayout) -> int:
-    """CRC-32 of the ledger's files, the last block's first."""
+    """CRC-32 of the ledger's files, the last one first."""
     out = 0
-    for block in reversed(range(len(layout.blocks()))):
-        out = zlib.crc32(read_chunk(str(path), "frame_status", block), out)
+    for number in reversed(range(len(layout.blocks()))):
+        out = zlib.crc32(read_chunk(str(path), "frame_status", number), out)
     return out

@@ -16,15 +16,17 @@ from wavefield.errors import StoreError
 from wavefield.store.layout import WATCHED
 from wavefield.store.store_paths import beside
 
-NOTE = Product("a list of damaged blocks", marked(start=b'{"damaged blocks begin at steps": ['))
+DAMAGE_NOTE = Product("a list of damaged blocks", marked(start=b'{"damaged blocks begin at steps": ['))
+DESCRIPTIONS = ("checksum", "stored_bytes")  # arrays that describe the files of every chunk of steps
+_NUMBER_BYTES = {"checksum": 4, "stored_bytes": 8}
 
 
 class CheckedStore(LocalStore):
-    """The files of a cube for Zarr; each block is compared with its checksum when it is first read."""
+    """The files of a cube for Zarr; each chunk is compared with its checksum when it is first read."""
 
     def __init__(self, root: Path | str, *, read_only: bool = True) -> None:
         super().__init__(root, read_only=read_only)
-        self._found_sound: set[tuple[str, int, int]] = set()
+        self._intact: set[tuple[str, int, int]] = set()
 
     async def get(self, key: str, *arguments: Any, **keywords: Any) -> Any:
         """Read a file or a part of it, as every store of Zarr does."""
@@ -47,102 +49,64 @@ class CheckedStore(LocalStore):
         name, _, place = key.partition("/c/")
         if not place or name not in WATCHED:
             return
-        block = block_of(name, place)
-        file = self.root / key
         try:
-            state = file.stat()
-            now = (key, state.st_mtime_ns, state.st_size)
+            state = (self.root / key).stat()
+            version = (key, state.st_mtime_ns, state.st_size)
         except OSError:
-            now = (key, 0, 0)
-        if now in self._found_sound:
+            version = (key, 0, 0)
+        if version in self._intact:
             return
-        requested = kept_row(self.root, "checksum", block)
-        if requested is not None and len(requested) > WATCHED.index(name):
-            found = checksum(self.root, name, block)
-            if found != requested[WATCHED.index(name)] and _is_done(self.root, block):
-                raise damaged_block(self.root, name, block, "not as it was written" if found else "missing")
-        self._found_sound.add(now)
+        # "3/0/0" of "z" is chunk 3, "0/3" of "frame_fault" as well
+        number = int(place.split("/")[1 if name in ("frame_fault", "camera_shift") else 0])
+        expected = description(self.root, "checksum", number)
+        if expected is not None:
+            found = checksum(self.root, name, number)
+            if found != expected[WATCHED.index(name)] and _is_done(self.root, number):
+                raise damaged_chunk(self.root, name, number, "not as it was written" if found else "missing")
+        self._intact.add(version)
 
 
-def block_of(name: str, place: str) -> int:
-    """Which block a chunk of a variable is: "3/0/0" of "z" is block 3, "0/3" of "frame_fault" as well."""
-    return int(place.split("/")[1 if name in ("frame_fault", "camera_shift") else 0])
+def _is_done(path: Path, number: int) -> bool:
+    """Whether the ledger calls steps of a chunk done; until then it may be being written."""
+    with suppress(OSError):
+        return any(read_chunk(str(path), "frame_status", number))
+    return False
 
 
-def kept_row(path: Path, name: str, block: int) -> list[int] | None:
-    """What was kept of a block by "checksum" or "stored_bytes"; None where that cannot be read."""
-    content = read_chunk(str(path), name, block)
-    size = {"checksum": 4, "stored_bytes": 8}[name]
-    if len(content) not in (size * len(WATCHED), size * (len(WATCHED) - 2)):
-        return None  # of a version that compressed them, or damaged: opening the cube finds that
+def description(path: Path, kind: str, number: int) -> list[int] | None:
+    """Checksums or sizes of a chunk's files when it was written, by `WATCHED`; None where unreadable."""
+    content, size = read_chunk(str(path), kind, number), _NUMBER_BYTES[kind]
+    if len(content) != size * len(WATCHED):
+        return None
     return [int.from_bytes(content[k : k + size], "little") for k in range(0, len(content), size)]
 
 
-def read_chunk(root: str, name: str, block: int) -> bytes:
-    """All that is stored of one block of a variable; many files: plain words are quicker than paths."""
+def checksum(path: Path, name: str, number: int) -> int:
+    """CRC-32 of what is stored of one chunk of a variable; 0 where nothing is."""
+    content = read_chunk(str(path), name, number)
+    return (zlib.crc32(content) or 1) if content or chunk_path(path, name, number).exists() else 0
+
+
+def stored_bytes(path: Path, name: str, number: int) -> int:
+    """Size of what is stored of one chunk of a variable."""
     try:
-        with open(f"{root}/{chunk_name(name, block)}", "rb", buffering=0) as stream:
+        return os.stat(f"{path}/{_chunk_name(name, number)}").st_size
+    except (FileNotFoundError, NotADirectoryError):
+        return 0
+
+
+def read_chunk(root: str, name: str, number: int) -> bytes:
+    """All that is stored of one chunk of a variable; many files: text is quicker than paths."""
+    try:
+        with open(f"{root}/{_chunk_name(name, number)}", "rb", buffering=0) as stream:
             return stream.readall()
     except (FileNotFoundError, NotADirectoryError):
         return b""
 
 
-def _is_done(path: Path, block: int) -> bool:
-    """Whether the ledger calls steps of a block done; until then it may be being written."""
-    with suppress(OSError):
-        return any(read_chunk(str(path), "frame_status", block))
-    return False
-
-
-def damaged_block(path: Path, name: str, block: int, what: str) -> StoreError:
-    """The sentence on a damaged block; the next run measures it again."""
-    start, stop = block, block + 1
-    with suppress(Exception):
-        steps = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]["steps_per_block"]
-        start, stop = block * steps, (block + 1) * steps
-        note_damaged(path, {start, *noted_damaged(path)})
-    return StoreError(
-        f"{chunk_path(path, name, block)} is {what}: {name} of steps {start} to {stop - 1} is lost; "
-        "`wavefield run EXPERIMENT` measures these steps again"
-    )
-
-
-def note_damaged(store: Path, starts: Iterable[int]) -> None:
-    """Leave for the next run which blocks are damaged, where that can be written."""
-    path, listed = beside(store, "damaged", ".json"), sorted(starts)
-    with suppress(StoreError, OSError):
-        if listed:
-            write_text(path, json.dumps({"damaged blocks begin at steps": listed}) + "\n", NOTE)
-        elif path.exists() and not path.is_symlink() and NOTE.recognize(path):
-            path.unlink()
-
-
-def noted_damaged(store: Path) -> set[int]:
-    """First steps of blocks that were found damaged."""
-    try:
-        data = json.loads(beside(store, "damaged", ".json").read_text(encoding="utf-8"))
-        return {int(start) for start in data["damaged blocks begin at steps"]}
-    except (OSError, ValueError, TypeError, KeyError):
-        return set()
-
-
-def checksum(path: Path, name: str, block: int) -> int:
-    """CRC-32 of what is stored of one block of a variable."""
-    content = read_chunk(str(path), name, block)
-    return (zlib.crc32(content) or 1) if content or chunk_path(path, name, block).exists() else 0
-
-
-def stored_bytes(path: Path, name: str, block: int) -> int:
-    """Size of what is stored of one block of a variable."""
-    try:
-        return os.stat(f"{path}/{chunk_name(name, block)}").st_size
-    except (FileNotFoundError, NotADirectoryError):
-        return 0
-
-
-def chunk_path(path: Path, name: str, block: int) -> Path:
-    """The file of one block of a variable."""
-    return path / chunk_name(name, block)
+def chunk_path(path: Path, name: str, number: int) -> Path:
+    """The file of one chunk of a variable."""
+    return path / _chunk_name(name, number)
 
 
 _PLACES = {
@@ -154,6 +118,37 @@ _PLACES = {
 }
 
 
-def chunk_name(name: str, block: int) -> str:
-    """The file of one block of a variable, relative to the store."""
-    return f"{name}/{_PLACES.get(name, 'c/{}/0/0').format(block)}"
+def _chunk_name(name: str, number: int) -> str:
+    return f"{name}/{_PLACES.get(name, 'c/{}/0/0').format(number)}"
+
+
+def damaged_chunk(path: Path, name: str, number: int, what: str) -> StoreError:
+    """The sentence on a damaged chunk; it is noted for the next run, which measures it again."""
+    start, stop = number, number + 1
+    with suppress(Exception):
+        steps = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]["steps_per_block"]
+        start, stop = number * steps, (number + 1) * steps
+        note_damaged(path, {start, *noted_damaged(path)})
+    return StoreError(
+        f"{chunk_path(path, name, number)} is {what}: {name} of steps {start} to {stop - 1} is lost; "
+        "`wavefield run EXPERIMENT` measures these steps again"
+    )
+
+
+def note_damaged(store: Path, starts: Iterable[int]) -> None:
+    """Leave for the next run which chunks are damaged, where that can be written."""
+    path, listed = beside(store, "damaged", ".json"), sorted(starts)
+    with suppress(StoreError, OSError):
+        if listed:
+            write_text(path, json.dumps({"damaged blocks begin at steps": listed}) + "\n", DAMAGE_NOTE)
+        elif path.exists() and not path.is_symlink() and DAMAGE_NOTE.recognize(path):
+            path.unlink()
+
+
+def noted_damaged(store: Path) -> set[int]:
+    """First steps of chunks that were found damaged."""
+    try:
+        data = json.loads(beside(store, "damaged", ".json").read_text(encoding="utf-8"))
+        return {int(start) for start in data["damaged blocks begin at steps"]}
+    except (OSError, ValueError, TypeError, KeyError):
+        return set()

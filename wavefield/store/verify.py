@@ -1,16 +1,20 @@
 """Verify that a store holds what its ledger lists: every chunk present, and as it was written."""
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from wavefield.errors import StoreError
 from wavefield.store.blocks import ledger_checksum
-from wavefield.store.checked import checksum, note_damaged, noted_damaged, stored_bytes
+from wavefield.store.checked import (
+    checksum,
+    chunk_path,
+    description,
+    note_damaged,
+    noted_damaged,
+    read_chunk,
+    stored_bytes,
+)
 from wavefield.store.layout import WATCHED
 from wavefield.store.metadata import is_as_completed
 from wavefield.store.read import open_group, read_layout
@@ -74,7 +78,7 @@ def verify(
     store : path
         Written by `run`, finished or not.
     progress : callable, optional
-        Told (blocks done, all blocks).
+        Called with (chunks done, all chunks).
     read : bool
         Whether to read the data. If not, what is compared is the size of every file: seconds, whatever the
         cube, but bytes that changed in place are not seen.
@@ -86,7 +90,7 @@ def verify(
     Raises
     ------
     StoreError
-        If it is not there, is not a cube, or is damaged beyond repair: a whole variable is missing.
+        If it is not there, is not a cube, has no checksums, or its metadata are damaged.
 
     Notes
     -----
@@ -98,6 +102,7 @@ def verify(
     A store of two steps, of which a file is lost.
 
     >>> import tempfile
+    >>> import numpy as np
     >>> from wavefield.store.checked import chunk_path
     >>> from wavefield.store.layout import StoreLayout, create_store
     >>> from wavefield.store.recipe import Recipe
@@ -119,22 +124,25 @@ def verify(
     [('z', 'missing')]
     """
     path = Path(store)
-    group = _whole_group(path)
+    group = open_group(path)
+    if "stored_bytes" not in group:
+        raise StoreError(f"{path} was written by version 0.1.0, without checksums; run the experiment again")
     layout = read_layout(group)
-    blocks = layout.blocks()
-    read = read or "stored_bytes" not in group  # begun before sizes were kept
-    ledger, damages = _ledger(group, blocks)
-    sizes = None if read else _sizes(group, len(blocks))
-    for k, (start, stop) in enumerate(blocks):
-        if (ledger[start:stop] != FrameStatus.NOT_STARTED).any():
-            found = _compared(path, group, k) if sizes is None else _sized(path, sizes[k], k)
-            damages += [Damage(name, start, stop, what) for name, what in found.items()]
+    blocks, damages, done = layout.blocks(), list[Damage](), 0
+    for number, (start, stop) in enumerate(blocks):
+        ledger = read_chunk(str(path), "frame_status", number)
+        if ledger or chunk_path(path, "frame_status", number).exists():
+            if len(ledger) != layout.block:
+                damages.append(Damage("frame_status", start, stop, "unreadable"))
+            elif any(ledger):
+                done += len(ledger[: stop - start]) - ledger[: stop - start].count(FrameStatus.NOT_STARTED)
+                damages += _damages(path, number, (start, stop), read)
         if progress:
-            progress(k + 1, len(blocks))
+            progress(number + 1, len(blocks))
     if not is_as_completed(path, ledger_checksum(path, layout)):
-        lost = [(a, b) for a, b in blocks if not ledger[a:b].any()]
-        damages += [Damage("frame_status", a, b, "missing") for a, b in lost or blocks]
-    done = int(np.count_nonzero(ledger != FrameStatus.NOT_STARTED))
+        started = [any(read_chunk(str(path), "frame_status", k)) for k in range(len(blocks))]
+        lost = [ends for ends, any_step in zip(blocks, started) if not any_step]
+        damages += [Damage("frame_status", *ends, "missing") for ends in lost or blocks]
     out = Verification(path, layout.steps, done, tuple(damages), read)
     if read:
         note_damaged(path, out.starts)
@@ -142,105 +150,26 @@ def verify(
 
 
 def suspicious(store: Path) -> list[int]:
-    """Chunks that differ from the ledger, without reading all of the store."""
-    found = verify(store, read=False)
-    if found.read:  # all of it was
-        return found.starts
-    group = open_group(store)
-    noted = noted_damaged(store).difference(found.starts)
-    blocks = enumerate(read_layout(group).blocks())
-    still = [start for k, (start, _) in blocks if start in noted and _compared(store, group, k)]
-    return sorted([*found.starts, *still])
+    """First steps of chunks that differ from the ledger, without reading all of the store."""
+    found = set(verify(store, read=False).starts)
+    noted = noted_damaged(store) - found
+    for number, (start, stop) in enumerate(read_layout(open_group(store)).blocks()):
+        if start in noted and _damages(store, number, (start, stop), read=True):
+            found.add(start)
+    return sorted(found)
 
 
-def _check_variable(path: Path, group: Any, name: str) -> None:
-    try:
-        array = group[name]
-        if name in ("time", "y", "x", "frame") and not np.isfinite(array[:]).all():
-            raise ValueError("it has no values")
-    except Exception as error:
-        raise StoreError(
-            f"{path}: {name} cannot be read ({error}); this store cannot be repaired: remove it and run again"
-        ) from None
-
-
-def _ledger(group: Any, blocks: list[tuple[int, int]]) -> tuple[np.ndarray, list[Damage]]:
-    """The ledger, and the blocks of which it cannot be read."""
-    ledger = np.zeros(group["frame_status"].shape, np.uint8)
-    damages = []
-    stored = group["frame_status"]
-    try:
-        return np.asarray(stored[:]), []
-    except Exception:  # whatever a codec makes of damaged bytes: which of the blocks is it?
-        for start, stop in blocks:
-            try:
-                ledger[start:stop] = stored[start:stop]
-            except Exception:
-                damages.append(Damage("frame_status", start, stop, "unreadable"))
-    return ledger, damages
-
-
-def _whole_group(path: Path) -> Any:
-    """The store opened, with every variable there."""
-    group = open_group(path)
-    for name in ("time", "y", "x", "frame", *WATCHED):
-        if name == "camera_shift" and name not in group:  # only with `vibration: correct`
-            continue
-        _check_variable(path, group, name)
-    return group
-
-
-def _sizes(group: Any, blocks: int) -> np.ndarray:
-    """Bytes of every block by variable when it was written; -1 where that cannot be read."""
-    stored = group["stored_bytes"]
-    try:
-        return np.asarray(stored[:], np.int64)
-    except Exception:  # damaged itself
-        out = np.full(stored.shape, -1, np.int64)
-        for k in range(blocks):
-            with suppress(Exception):
-                out[k] = stored[k]
-    return out
-
-
-def _sized(path: Path, requested: np.ndarray, block: int) -> dict[str, str]:
-    """What is wrong with a block's variables by the sizes of their files."""
-    out = {}
-    for name, size in zip(WATCHED, requested):
-        found = stored_bytes(path, name, block)
-        if found != size:
-            out[name] = "not as long as it was written" if found else "missing"
-    return out
-
-
-def _compared(path: Path, group: Any, block: int) -> dict[str, str]:
-    """What is wrong with a block's variables by their checksums."""
-    requested = _requested(group, block)
-    names = [name for name in WATCHED if name in group] if requested is None else requested
-    found = {name: _compare(path, group, name, block, requested) for name in names}
-    return {name: what for name, what in found.items() if what}
-
-
-def _requested(group: Any, block: int) -> dict[str, int] | None:
-    """Checksums of a block by variable; None in stores made before there were any."""
-    if "checksum" not in group:
-        return None
-    try:
-        return dict(zip(WATCHED, (int(value) for value in group["checksum"][block])))
-    except Exception:  # damaged itself
-        return dict.fromkeys(WATCHED, 0)
-
-
-def _compare(path: Path, group: Any, name: str, block: int, requested: dict[str, int] | None) -> str:
-    if requested is None:
-        try:
-            layout = read_layout(group)
-            start, stop = layout.blocks()[block]
-            group[name][start:stop] if name != "frame_fault" else group[name][:, start:stop]
-        except Exception:
-            return "unreadable"
-        return ""
-    found = checksum(path, name, block)
-    if found == requested[name]:
-        return ""
-    return "missing" if found == 0 else "not as it was written"
+def _damages(path: Path, number: int, ends: tuple[int, int], read: bool) -> list[Damage]:
+    """What of a chunk is not as it was when its files were described: by checksum, or by size alone."""
+    kind, describe, changed = (
+        ("checksum", checksum, "not as it was written")
+        if read
+        else ("stored_bytes", stored_bytes, "not as long as it was written")
+    )
+    expected = description(path, kind, number) or [0] * len(WATCHED)  # damaged itself
+    found = [describe(path, name, number) for name in WATCHED]
+    return [
+        Damage(name, *ends, changed if one else "missing")
+        for name, one, other in zip(WATCHED, found, expected)
+        if one != other
+    ]

@@ -85,7 +85,7 @@ def _keep_checksums(path: Path, group: Any, block: int, ledger: bytes) -> None:
     ):
         if name in group:
             row = [*(of_file(path, variable, block) for variable in WATCHED[:-1]), of_ledger]
-            group[name][block] = row[: group[name].shape[1]]
+            group[name][block] = row
 
 
 def _to_disk(path: Path, block: int, names: Sequence[str]) -> None:
