@@ -39,7 +39,7 @@ def long_cube(path: Path, steps: int, shape: tuple[int, int]) -> None:
             if "c" not in parts or parts[0] in ("time", "x", "y", "frame"):
                 continue
             at = len(parts) - 1 if parts[0] == "fields" else parts.index("c") + 1
-            for block in range(1, len(layout.blocks())):
+            for block in range(1, len(layout.chunks())):
                 other = root.joinpath(*parts[:at], str(block), *parts[at + 1 :])
                 other.parent.mkdir(parents=True, exist_ok=True)
                 os.link(first, other)

@@ -127,7 +127,7 @@ def ledger(steps: int) -> None:
         group["frame_status"][:] = 1
         group["frame_fault"][:] = 1
         print(f"| store of {steps} steps | files |\n|---|---|\n| its ledger | {count(path)} |")
-        for block in range(len(layout.blocks())):  # files of one byte, and a note of their size
+        for block in range(len(layout.chunks())):  # files of one byte, and a note of their size
             for name in WATCHED:
                 file = chunk_path(path, name, block)
                 if not file.exists():
@@ -160,7 +160,7 @@ def message() -> None:
     """Print how large a task is that a worker is sent: rig, grid and settings, and a block's frames."""
     from wavefield.images import write_image
     from wavefield.measurement import GridGeometry
-    from wavefield.pipeline.chunk import make_block
+    from wavefield.pipeline.chunk import make_chunk
     from wavefield.pipeline.chunk_worker import Work
     from wavefield.series import Experiment
     from wavefield.tank import Scene, Tank
@@ -176,7 +176,7 @@ def message() -> None:
         path = Path(folder) / "experiment.yaml"
         cameras = "".join(f'  {name}: "{name}/img_{{frame:06d}}.tif"\n' for name in tank.rig)
         path.write_text(f"name: long\nframe_rate: 20\ncameras:\n{cameras}")
-        block = make_block(Experiment.load(path).open_frames(), 0, 100)
+        block = make_chunk(Experiment.load(path).open_frames(), 0, 100)
         sizes = [len(pickle.dumps(one)) for one in (work, block)]
     print(f"bytes sent to a worker: {sizes[0]} once a task, {sizes[1]} for each block of 100 steps\n")
 

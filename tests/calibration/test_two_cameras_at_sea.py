@@ -9,7 +9,7 @@ from wavefield.images import write_image
 from wavefield.measurement.measurement_settings import Settings
 from wavefield.pipeline import check
 from wavefield.pipeline.advice import advise
-from wavefield.pipeline.chunk import make_block, measure_block
+from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.cost import fraction_measured
 from wavefield.pipeline.prepare import prepare
 from wavefield.rig import Rig
@@ -36,7 +36,7 @@ def measured(prepared, settings=None):
     from wavefield.measurement import GridGeometry
 
     geometry = prepared.geometry if settings is None else GridGeometry(prepared.rig, prepared.grid, settings)
-    return measure_block(make_block(prepared.series, 1, 2), geometry, 10.0).fields
+    return measure_chunk(make_chunk(prepared.series, 1, 2), geometry, 10.0).fields
 
 
 def test_the_elevation_of_a_sea_of_natural_texture(tmp_path):

@@ -11,7 +11,7 @@ from wavefield.store.layout import StoreLayout, create_store
 from wavefield.store.preview import create_preview
 from wavefield.store.read import open_group
 from wavefield.store.recipe import Recipe
-from wavefield.store.write_cube import write_block
+from wavefield.store.write_cube import write_chunk
 from wavefield.variables import CUBE_FIELDS, FrameStatus, Quality
 
 WAVES = ((3.0, 1.0, 0.006, 0.3), (-2.0, 4.0, 0.004, 1.1), (6.0, -5.0, 0.002, 2.0))  # kx, ky, amplitude, phase
@@ -83,7 +83,7 @@ def write_cube_block(path: Path, start: int, seed: int = 0) -> dict[str, np.ndar
     time, y, x = (np.asarray(group[name][:]) for name in ("time", "y", "x"))
     stop = min(start + int(group.attrs["steps_per_block"]), time.size)
     fields = block_fields(time[start:stop], y, x, seed + start)
-    write_block(path, start, fields, np.full(stop - start, FrameStatus.DONE, np.uint8), {})
+    write_chunk(path, start, fields, np.full(stop - start, FrameStatus.DONE, np.uint8), {})
     return fields
 
 
@@ -106,5 +106,5 @@ def make_cube(path: Path, **sizes: object) -> dict[str, np.ndarray]:
 
 def _make_cube(path: Path, **sizes: object) -> dict[str, np.ndarray]:
     layout = create_cube(path, **sizes)  # type: ignore[arg-type]
-    parts = [write_cube_block(path, start) for start, _ in layout.blocks()]
+    parts = [write_cube_block(path, start) for start, _ in layout.chunks()]
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -84,7 +84,7 @@ def test_a_cube_that_is_being_written_is_read_as_far_as_it_is(tmp_path):
 
 
 def test_a_block_that_is_measured_again_is_read_again(tmp_path):
-    from wavefield.store.write_cube import reset_blocks
+    from wavefield.store.write_cube import reset_chunks
 
     path = tmp_path / "cube.zarr"
     make_cube(path)
@@ -92,7 +92,7 @@ def test_a_block_that_is_measured_again_is_read_again(tmp_path):
     record.preview.load()
     before = record.preview.series("w", 5, 5)
     field = record.field("w", 41)
-    reset_blocks(path, [40])
+    reset_chunks(path, [40])
     record.refresh()
     record.preview.load()
     write_cube_block(path, 40, seed=7)

@@ -13,7 +13,7 @@ from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.images import read_image, write_image
 from wavefield.pipeline import Workflow, catalog_add, check, export, open_cube, run, run_catalog, status
-from wavefield.pipeline.prepare import choose_block
+from wavefield.pipeline.prepare import choose_chunk_steps
 from wavefield.variables import CUBE_FIELDS, FrameStatus
 
 # -- check ------------------------------------------------------------------------------------------------
@@ -298,11 +298,11 @@ def test_time_limits_are_durations(text):
 
 def test_blocks_fit_memory_and_workers():
     step = 151 * 201 * 45
-    assert choose_block(12_000, 2, step, None) == 100
+    assert choose_chunk_steps(12_000, 2, step, None) == 100
     for steps, workers in ((200, 2), (200, 1), (40, 2), (3, 8), (1, 1), (11_999, 100)):
-        block = choose_block(steps, workers, step, None)
+        block = choose_chunk_steps(steps, workers, step, None)
         assert 1 <= block <= 100
         blocks = math.ceil(steps / block)
         # no worker sits idle while another does more than one block
         assert math.ceil(blocks / workers) * workers - blocks < workers
-    assert choose_block(12_000, 1, step, 200_000_000) < 32
+    assert choose_chunk_steps(12_000, 1, step, 200_000_000) < 32

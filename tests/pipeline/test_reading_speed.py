@@ -29,14 +29,14 @@ def series(tmp_path):
 
 def test_a_step_reads_a_frame_of_each_camera_and_a_block_five_more(series, tmp_path):
     image = (tmp_path / "a" / "000.tif").stat().st_size
-    found = measure_reading_speed(series, block=30, step_seconds=0.5, workers=4)
+    found = measure_reading_speed(series, chunk_steps=30, step_seconds=0.5, workers=4)
     assert found.step_bytes == pytest.approx(2 * image * (1 + 5 / 30))
     assert found.worker_rate == pytest.approx(2 * 2 * image * (1 + 5 / 30))
     assert found.disk_rate is None or found.disk_rate > 0
     for camera in ("a", "b"):
         for number in range(FRAMES):
             os.truncate(tmp_path / camera / f"{number:03d}.tif", 0)
-    assert measure_reading_speed(series, block=30, step_seconds=0.5, workers=4) is None
+    assert measure_reading_speed(series, chunk_steps=30, step_seconds=0.5, workers=4) is None
 
 
 def test_the_disk_is_the_limit_where_the_workers_want_more_than_a_reader_gets():

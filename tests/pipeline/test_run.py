@@ -1,4 +1,4 @@
-"""Runs: the same cube whatever the blocks, resumed after anything, never mixed, nothing lost."""
+"""Runs: the same cube whatever the chunks, resumed after anything, never mixed, nothing lost."""
 
 import os
 import shutil
@@ -20,7 +20,7 @@ from wavefield.pipeline import Workflow, chunk_worker, open_cube, run, status
 from wavefield.store import write_cube
 from wavefield.store.layout import PACKING
 from wavefield.store.read import cube_recipe
-from wavefield.store.write_cube import pack, write_block
+from wavefield.store.write_cube import pack, write_chunk
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus, Quality, validate
 
 STEPS = FRAMES - 1
@@ -32,15 +32,15 @@ def blocks_of(size, **more):
 
 @pytest.fixture
 def measured(monkeypatch):
-    """First steps of the blocks that are measured."""
+    """First steps of the chunks that are measured."""
     starts = []
 
-    def counting(block, geometry, frame_rate, model):
-        starts.append(block.start)
-        return real(block, geometry, frame_rate, model)
+    def counting(chunk, geometry, frame_rate, model):
+        starts.append(chunk.start)
+        return real(chunk, geometry, frame_rate, model)
 
-    real = chunk_worker.measure_block
-    monkeypatch.setattr(chunk_worker, "measure_block", counting)
+    real = chunk_worker.measure_chunk
+    monkeypatch.setattr(chunk_worker, "measure_chunk", counting)
     return starts
 
 
@@ -83,7 +83,7 @@ def test_plain_xarray_opens_it_without_a_warning(reference):
     assert plain.z.encoding["shards"] == (STEPS, 13, 9)
 
 
-@pytest.mark.parametrize("size", [1, 7])  # the reference is one block
+@pytest.mark.parametrize("size", [1, 7])  # the reference is one chunk
 def test_values_do_not_depend_on_the_size_of_blocks(tank, reference, tmp_path, size):
     run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(size))
     assert different(tmp_path / "cube.zarr", reference) == []
@@ -149,12 +149,12 @@ def test_signals_stop_as_ctrl_c_does(tank, tmp_path, name):
 
 
 def test_a_time_limit_stops_the_run(tank, tmp_path, monkeypatch):
-    def alarm_rings(block, geometry, frame_rate, model):
+    def alarm_rings(chunk, geometry, frame_rate, model):
         left.append(signal.getitimer(signal.ITIMER_REAL)[0])
         signal.raise_signal(signal.SIGALRM)
 
     left = []
-    monkeypatch.setattr(chunk_worker, "measure_block", alarm_rings)
+    monkeypatch.setattr(chunk_worker, "measure_chunk", alarm_rings)
     with pytest.raises(RunStopped, match="stopped by its time limit after 0 of"):
         run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(4, time_limit="1h"))
     assert 0 < left[0] <= 3600
@@ -162,7 +162,7 @@ def test_a_time_limit_stops_the_run(tank, tmp_path, monkeypatch):
 
 
 def test_a_block_is_not_done_before_all_its_data_are_there(tank, reference, tmp_path, monkeypatch):
-    """The writer dies in the middle of a block: the ledger does not know the block."""
+    """The writer dies in the middle of a chunk: the ledger does not know the chunk."""
     out = tmp_path / "cube.zarr"
 
     def dying(values, name):
@@ -217,17 +217,17 @@ def test_only_whole_blocks_are_written(reference, tmp_path):
     shutil.copytree(reference, out)
     fields = {name: np.zeros((3, 13, 9), np.float32) for name in CUBE_FIELDS}
     good = np.full(3, FrameStatus.DONE, np.uint8)
-    with pytest.raises(ValueError, match="does not begin a block"):
-        write_block(out, 3, fields, good, {})
+    with pytest.raises(ValueError, match="does not begin a chunk"):
+        write_chunk(out, 3, fields, good, {})
     with pytest.raises(ValueError, match="must hold 16 results"):
-        write_block(out, 0, fields, good, {})
+        write_chunk(out, 0, fields, good, {})
     with pytest.raises(ValueError, match="must hold 16 results"):
-        write_block(out, 0, fields, np.zeros(16, np.uint8), {})
+        write_chunk(out, 0, fields, np.zeros(16, np.uint8), {})
     full = np.full(16, FrameStatus.DONE, np.uint8)
     with pytest.raises(ValueError, match="has shape"):
-        write_block(out, 0, fields, full, {})
+        write_chunk(out, 0, fields, full, {})
     with pytest.raises(ValueError, match="gave no z_t"):
-        write_block(out, 0, {k: v for k, v in fields.items() if k != "z_t"}, full, {})
+        write_chunk(out, 0, {k: v for k, v in fields.items() if k != "z_t"}, full, {})
     assert different(out, reference) == []
 
 
@@ -339,16 +339,16 @@ def test_what_cannot_work_is_refused_first(own_tank, tmp_path):
 def test_a_measurement_that_breaks_is_reported_and_tried_again(tank, reference, tmp_path, monkeypatch):
     out = tmp_path / "cube.zarr"
 
-    def breaking(block, geometry, frame_rate, model):
-        if block.start == 4:
+    def breaking(chunk, geometry, frame_rate, model):
+        if chunk.start == 4:
             raise ZeroDivisionError("deep inside")
-        return real(block, geometry, frame_rate, model)
+        return real(chunk, geometry, frame_rate, model)
 
-    real = chunk_worker.measure_block
+    real = chunk_worker.measure_chunk
     with monkeypatch.context() as patch:
-        patch.setattr(chunk_worker, "measure_block", breaking)
+        patch.setattr(chunk_worker, "measure_chunk", breaking)
         with pytest.raises(
-            StoreError, match=r"1 of 4 blocks failed, the first \(steps 4 to 7\) with ZeroDivisionError"
+            StoreError, match=r"1 of 4 chunks failed, the first \(steps 4 to 7\) with ZeroDivisionError"
         ):
             run(tank, out=out, workflow=blocks_of(4))
     assert status(out).left == 4
@@ -360,11 +360,11 @@ def test_a_measurement_that_breaks_is_reported_and_tried_again(tank, reference, 
 def test_when_every_block_breaks_the_run_gives_up(tank, tmp_path, monkeypatch):
     calls = []
 
-    def breaking(block, geometry, frame_rate, model):
-        calls.append(block.start)
+    def breaking(chunk, geometry, frame_rate, model):
+        calls.append(chunk.start)
         raise ZeroDivisionError("always")
 
-    monkeypatch.setattr(chunk_worker, "measure_block", breaking)
+    monkeypatch.setattr(chunk_worker, "measure_chunk", breaking)
     with pytest.raises(StoreError, match="always"):
         run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(1))
     assert len(calls) == 3

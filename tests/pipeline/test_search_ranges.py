@@ -11,7 +11,7 @@ from wavefield.measurement import GridGeometry, Settings
 from wavefield.measurement.first_heights import first_heights, high_enough
 from wavefield.measurement.frame import ready
 from wavefield.pipeline import check
-from wavefield.pipeline.chunk import Block, _find_ranges
+from wavefield.pipeline.chunk import Chunk, _find_ranges
 from wavefield.rig import Rig
 from wavefield.tank import Scene, Tank
 from wavefield.variables import FrameFault, FrameStatus
@@ -45,7 +45,7 @@ def test_water_is_found_however_high_it_stands(level):
 
 
 class Frames(list):
-    """A camera's frames of a block, as `BlockFrames` has them."""
+    """A camera's frames of a block, as `ChunkFrames` has them."""
 
     def __init__(self, images):
         super().__init__(images)
@@ -66,7 +66,7 @@ def marks(demo, level=0.0, shift=0, status=FrameStatus.FAILED, z=0.0):
     frames = {n: Frames([None, None, i, np.roll(i, shift, 1), None, None]) for n, i in images.items()}
     fields = {"z": np.full((1, 4, 5), z), "quality": np.zeros((1, 4, 5), np.uint8)}
     state = np.array([status], np.uint8)
-    _find_ranges(frames, fields, state, Block(7, 8, {}, 6), geometry)
+    _find_ranges(frames, fields, state, Chunk(7, 8, {}, 6), geometry)
     return {n: f.faults for n, f in frames.items() if f.faults}, state[0], geometry
 
 

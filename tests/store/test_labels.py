@@ -27,7 +27,7 @@ def cube(own_tank, reference, monkeypatch):
     def never(*_):
         raise AssertionError("a step was measured again")
 
-    monkeypatch.setattr(chunk_worker, "measure_block", never)
+    monkeypatch.setattr(chunk_worker, "measure_chunk", never)
     return own_tank.parent / "cube.zarr"
 
 

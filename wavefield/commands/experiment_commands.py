@@ -188,7 +188,7 @@ Examples:
 def calibrate(context: click.Context, experiment: Path, output: Path | None, anyway: bool) -> None:
     """Find the rig from target images.
 
-    Reads the calibration block of EXPERIMENT, finds the target in its tilted and flat views, solves for all
+    Reads the calibration chunk of EXPERIMENT, finds the target in its tilted and flat views, solves for all
     cameras together, and writes the rig and a report with pictures. Where the experiment names a record of
     the water at rest (`rest:`), it mends the rig and brings z = 0 to the water. When the rig cannot be
     trusted the exit status is 1 and the report says what to photograph again.
@@ -376,15 +376,15 @@ def verify(
     parameters: dict[str, str],
     quick: bool,
 ) -> None:
-    """Make sure that a cube holds what its ledger says: every block there, and as it was written.
+    """Make sure that a cube holds what its ledger says: every chunk there, and as it was written.
 
     The exit status is 1 where something is damaged; the command that measured the cube then measures those
-    blocks again.
+    chunks again.
     """
     from wavefield.store.verify import verify as verify_store
 
     def work(cube: Path) -> int:
-        with Progress(f"Looking at {cube}" if quick else f"Reading {cube}", "blocks") as progress:
+        with Progress(f"Looking at {cube}" if quick else f"Reading {cube}", "chunks") as progress:
             found = verify_store(cube, progress, read=not quick)
         click.echo(str(found))
         return 0 if found.sound else 1

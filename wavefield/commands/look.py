@@ -51,11 +51,11 @@ def look(source: Path, run: str | None, waves: Path | None, port: int | None, op
     from wavefield.explorer.cube_record import CubeRecord
     from wavefield.explorer.look_page import LookSession
     from wavefield.explorer.server import session_server
-    from wavefield.store.blocks import check_blocks
+    from wavefield.store.ledger_files import check_chunks
 
     record = CubeRecord(_cube_of(source, run))
     try:
-        check_blocks(record.path, record.group, record.layout)
+        check_chunks(record.path, record.group, record.layout)
     except StoreError as error:  # the page shows the rest
         click.echo(f"note: {error}", err=True)
     give_way(record.layout.steps - record.steps_done)

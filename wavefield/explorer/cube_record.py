@@ -14,9 +14,9 @@ from wavefield.errors import StoreError, WavefieldError
 from wavefield.explorer.map_fields import DERIVED, derive
 from wavefield.explorer.selections import MISSING, decode
 from wavefield.store import preview as previews
-from wavefield.store.blocks import LEDGER, check_blocks
 from wavefield.store.checked import chunk_path
 from wavefield.store.layout import WATCHED
+from wavefield.store.ledger_files import LEDGER, check_chunks
 from wavefield.store.read import open_group, read_layout
 from wavefield.variables import CUBE_DIMS, TABLE
 
@@ -32,7 +32,7 @@ class CubeRecord:
         self.path = Path(path).absolute()
         self.group = open_group(self.path)
         self.layout = read_layout(self.group)
-        check_blocks(self.path, self.group, self.layout, LEDGER)  # of fields each is checked as it is read
+        check_chunks(self.path, self.group, self.layout, LEDGER)  # of fields each is checked as it is read
         self.time, self.y, self.x = (np.asarray(self.group[name][:]) for name in CUBE_DIMS)
         self.frame_rate = float(self.group.attrs["frame_rate"])
         self.experiment = str(self.group.attrs["experiment"])
@@ -100,10 +100,13 @@ class CubeRecord:
         """Say so where the ledger knows of a file that is not there: it would look like nothing measured."""
         if "stored_bytes" not in self.group or name not in WATCHED:
             return
-        block = step // self.layout.block
+        block = step // self.layout.chunk_steps
         size = int(self.group["stored_bytes"][block, WATCHED.index(name)])
         if size > 0 and not chunk_path(self.path, name, block).exists():
-            first, last = block * self.layout.block, min((block + 1) * self.layout.block, self.layout.steps)
+            first, last = (
+                block * self.layout.chunk_steps,
+                min((block + 1) * self.layout.chunk_steps, self.layout.steps),
+            )
             raise StoreError(
                 f"{name} of steps {first} to {last - 1} is not in {self.path.name}, though it was written: "
                 "copy the cube again, whole, or see `wavefield verify`"
@@ -131,7 +134,7 @@ class Preview:
         self._record = record
         self.thin = previews.thinning(record.group)
         self.y, self.x = record.y[:: self.thin.every], record.x[:: self.thin.every]
-        blocks = record.layout.blocks()
+        blocks = record.layout.chunks()
         shape = len(self.thin.names), self.y.size, self.x.size, record.layout.steps
         self.fields = np.full(shape, MISSING, np.int16)
         self.known = np.zeros(len(blocks), bool)
@@ -141,7 +144,7 @@ class Preview:
     @property
     def requested(self) -> NDArray[np.bool_]:
         """Which blocks the cube has."""
-        return previews.blocks_done(self._record.ledger, self._record.layout)
+        return previews.chunks_done(self._record.ledger, self._record.layout)
 
     @property
     def complete(self) -> bool:
@@ -155,7 +158,7 @@ class Preview:
 
     def _load(self, progress: Callable[[int, int], None] | None) -> None:
         record, layout = self._record, self._record.layout
-        blocks, requested = layout.blocks(), self.requested
+        blocks, requested = layout.chunks(), self.requested
         for index in np.flatnonzero(self.known & ~requested):  # measured again
             self.known[index] = False
         todo = np.flatnonzero(requested & ~self.known)
@@ -164,13 +167,13 @@ class Preview:
         on_disk = self._open()
         ready = np.zeros(len(blocks), bool)
         if on_disk is not None:
-            ready = previews.blocks_stored(on_disk, layout)
+            ready = previews.chunks_stored(on_disk, layout)
         for count, index in enumerate(todo):
             start, stop = blocks[index]
             try:
-                thinned = previews.stored_block(on_disk, start, stop) if ready[index] else None
+                thinned = previews.stored_thinned(on_disk, start, stop) if ready[index] else None
                 if thinned is None:
-                    thinned = previews.read_block(record.group, self.thin, start, stop)
+                    thinned = previews.read_thinned(record.group, self.thin, start, stop)
                     self._keep(on_disk, start, thinned)
             except (WavefieldError, OSError, ValueError) as error:
                 self.trouble = str(error)
@@ -197,7 +200,7 @@ class Preview:
             return
         try:
             writable = previews.open_preview(self._record.path, self._record.group, "r+")
-            previews.store_block(self._record.path, writable, start, thinned)
+            previews.store_thinned(self._record.path, writable, start, thinned)
         except Exception as error:  # whatever a library makes of a damaged preview: the cube has it all
             self.trouble = f"no preview is kept: {error}"
 

@@ -32,7 +32,7 @@ def derived_series(
     steps = record.layout.steps
     rows, columns = (slice(max(k - _BESIDE, 0), k + _BESIDE + 1) for k in (j, i))
     out = {name: np.full(steps, np.nan, np.float32) for name in names}
-    blocks = record.layout.blocks() if names else []
+    blocks = record.layout.chunks() if names else []
     for number, (start, stop) in enumerate(blocks):
         if record.ledger[start:stop].any():
             first, last = max(start - 1, 0), min(stop + 1, steps)

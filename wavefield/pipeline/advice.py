@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from wavefield.pipeline.chunk import make_block, measure_block
+from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.cost import fraction_measured, has_step, in_view, whole_step
 from wavefield.pipeline.prepare import PreparedRun
 from wavefield.variables import Quality
@@ -55,5 +55,5 @@ def _quality(prepared: PreparedRun, settings: Any) -> np.ndarray:
     start = whole_step(prepared.series)
     geometry = GridGeometry(prepared.rig, prepared.grid, settings, prepared.geometry.covered)
     rate = prepared.experiment.frame_rate
-    block = measure_block(make_block(prepared.series, start, start + 1), geometry, rate)
-    return np.asarray(block.fields["quality"])
+    chunk = measure_chunk(make_chunk(prepared.series, start, start + 1), geometry, rate)
+    return np.asarray(chunk.fields["quality"])

@@ -1,7 +1,7 @@
-"""Measuring one block of steps: frames in, arrays and faults out.
+"""Measuring one chunk of steps: frames in, arrays and faults out.
 
-A block of n steps reads n + 5 frames: both frames of each step, and two neighbours on either side for z at
-mid-time. Blocks do not depend on each other, so they can be measured in any order, anywhere, any time again.
+A chunk of n steps reads n + 5 frames: both frames of each step, and two neighbours on either side for z at
+mid-time. Chunks do not depend on each other, so they can be measured in any order, anywhere, any time again.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,12 +31,12 @@ class Source(Protocol):
         ...
 
     def window(self, start: int, stop: int) -> "Source":
-        """The part that a block needs."""
+        """The part that a chunk needs."""
         ...
 
 
 @dataclass(frozen=True)
-class Block:
+class Chunk:
     """Steps start to stop (not included), and the frames around them."""
 
     start: int  # Range of steps
@@ -53,7 +53,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Measured:
-    """Results of a block."""
+    """Results of a chunk."""
 
     fields: dict[str, np.ndarray]  # (n, ny, nx): The variables of `wavefield.variables.CUBE_FIELDS`
     frame_status: np.ndarray  # (n,): See `wavefield.variables.FrameStatus`
@@ -64,27 +64,27 @@ class Measured:
     shifts: dict[int, dict[str, np.ndarray]] = field(default_factory=dict)
 
 
-def make_block(sources: Mapping[str, Source], start: int, stop: int) -> Block:
-    """Cut out what a block needs."""
+def make_chunk(sources: Mapping[str, Source], start: int, stop: int) -> Chunk:
+    """Cut out what a chunk needs."""
     first = max(start - AROUND, 0)
-    return Block(
+    return Chunk(
         start, stop, {name: s.window(first, stop + 1 + AROUND) for name, s in sources.items()}, first
     )
 
 
-class BlockFrames(Sequence[np.ndarray | None]):
+class ChunkFrames(Sequence[np.ndarray | None]):
     """The n + 5 frames of one camera, read when asked for; only the last few are kept in memory."""
 
     _KEEP = 2 * AROUND + 2  # as many as a step at mid-time uses
 
-    def __init__(self, source: Source, block: Block) -> None:
-        self._source, self._block = source, block
+    def __init__(self, source: Source, chunk: Chunk) -> None:
+        self._source, self._chunk = source, chunk
         self._kept: dict[int, np.ndarray | None] = {}
         self.faults: dict[int, FrameFault] = {}
         self.messages: dict[int, str] = {}
 
     def __len__(self) -> int:
-        return self._block.steps + 2 * AROUND + 1
+        return self._chunk.steps + 2 * AROUND + 1
 
     def __getitem__(self, position: Any) -> Any:
         if isinstance(position, slice):
@@ -99,8 +99,8 @@ class BlockFrames(Sequence[np.ndarray | None]):
         return self._kept[position]
 
     def _read(self, position: int) -> np.ndarray | None:
-        index = self._block.start - AROUND + position
-        inside = index - self._block.first
+        index = self._chunk.start - AROUND + position
+        inside = index - self._chunk.first
         if not 0 <= inside < len(self._source):
             return None  # before the first or after the last frame: not a fault
         frame = self._source.read(inside)
@@ -110,28 +110,28 @@ class BlockFrames(Sequence[np.ndarray | None]):
         return frame.image
 
 
-class BlockMasks(Sequence[np.ndarray | None]):
+class ChunkMasks(Sequence[np.ndarray | None]):
     """What is masked in the n + 5 frames of one camera."""
 
-    def __init__(self, source: Source, block: Block) -> None:
-        self._source, self._block = source, block
+    def __init__(self, source: Source, chunk: Chunk) -> None:
+        self._source, self._chunk = source, chunk
 
     def __len__(self) -> int:
-        return self._block.steps + 2 * AROUND + 1
+        return self._chunk.steps + 2 * AROUND + 1
 
     def __getitem__(self, position: Any) -> Any:
-        inside = self._block.start - AROUND + position - self._block.first
+        inside = self._chunk.start - AROUND + position - self._chunk.first
         return self._source.covered(inside) if 0 <= inside < len(self._source) else None
 
 
-def measure_block(
-    block: Block, geometry: "GridGeometry", frame_rate: float, model: "Model | None" = None
+def measure_chunk(
+    chunk: Chunk, geometry: "GridGeometry", frame_rate: float, model: "Model | None" = None
 ) -> Measured:
-    """Measure all steps of a block."""
+    """Measure all steps of a chunk."""
     from wavefield.measurement.measure import measure
 
-    frames = {name: BlockFrames(source, block) for name, source in block.sources.items()}
-    masks = {name: BlockMasks(source, block) for name, source in block.sources.items()}
+    frames = {name: ChunkFrames(source, chunk) for name, source in chunk.sources.items()}
+    masks = {name: ChunkMasks(source, chunk) for name, source in chunk.sources.items()}
     given: Mapping[str, Sequence[np.ndarray | None]] = frames
     stabilizer = None
     if geometry.settings.vibration == "correct":
@@ -141,23 +141,23 @@ def measure_block(
         given = stabilizer.sequences()
     fields = dict(measure(given, geometry, frame_rate, model, masks))
     status = np.asarray(fields.pop("frame_status"), np.uint8)
-    _find_dim_frames(frames, status, block, geometry)
-    _find_ranges(frames, fields, status, block, geometry)
+    _find_dim_frames(frames, status, chunk, geometry)
+    _find_ranges(frames, fields, status, chunk, geometry)
     faults = {name: dict(lazy.faults) for name, lazy in frames.items()}
     messages = [lazy.messages[i] for lazy in frames.values() for i in sorted(lazy.messages)]
-    shifts = {block.start - AROUND + k: found for k, found in stabilizer.shifts.items()} if stabilizer else {}
+    shifts = {chunk.start - AROUND + k: found for k, found in stabilizer.shifts.items()} if stabilizer else {}
     return Measured(fields, status, faults, messages, shifts)
 
 
 def _find_dim_frames(
-    frames: Mapping[str, BlockFrames], status: np.ndarray, block: Block, geometry: "GridGeometry"
+    frames: Mapping[str, ChunkFrames], status: np.ndarray, chunk: Chunk, geometry: "GridGeometry"
 ) -> None:
     """Name the frames that the measurement found to show next to nothing, though they are not quite blank."""
     from wavefield.measurement.frame import usable
 
     suspicious = np.flatnonzero(status != FrameStatus.DONE)
     for position in sorted({int(step) + k for step in suspicious for k in (AROUND, AROUND + 1)}):
-        index = block.start - AROUND + position
+        index = chunk.start - AROUND + position
         for name, lazy in frames.items():
             if index not in lazy.faults:
                 image = lazy[position]
@@ -167,17 +167,17 @@ def _find_dim_frames(
 
 
 def _find_ranges(
-    frames: Mapping[str, BlockFrames],
+    frames: Mapping[str, ChunkFrames],
     fields: Mapping[str, np.ndarray],
     status: np.ndarray,
-    block: Block,
+    chunk: Chunk,
     geometry: "GridGeometry",
 ) -> None:
     """Mark the frames from which the water went further than is searched; their steps have faults."""
     from wavefield.measurement.search_limits import at_border, few_measured, moved_beyond, rose_beyond
 
     def mark(name: str, step: int, words: str) -> None:
-        index = block.start + step
+        index = chunk.start + step
         frames[name].faults.setdefault(index, FrameFault.RANGE)
         frames[name].messages.setdefault(index, f"{name} frame at index {index}: {words}")
         status[step] = max(status[step], FrameStatus.DONE_WITH_FAULTS)

@@ -1,4 +1,4 @@
-"""What a worker does: measure one block and write it. Imports little, so that workers start quickly."""
+"""What a worker does: measure one chunk and write it. Imports little, so that workers start quickly."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavefield.pipeline.chunk import Block, measure_block
-from wavefield.store.write_cube import write_block
+from wavefield.pipeline.chunk import Chunk, measure_chunk
+from wavefield.store.write_cube import write_chunk
 from wavefield.variables import FrameStatus
 
 if TYPE_CHECKING:
@@ -26,23 +26,23 @@ class Report:
 
 @dataclass(frozen=True)
 class Work:
-    """Measures one block and writes it: what a worker is sent."""
+    """Measures one chunk and writes it: what a worker is sent."""
 
     store: Path  # Where to write
     geometry: "GridGeometry"  # Pickles as rig, grid and settings; computed once per process
     model: "Model | None"  # What was learned of the record
     frame_rate: float  # Hz
 
-    def __call__(self, block: Block) -> Report:
+    def __call__(self, chunk: Chunk) -> Report:
         """Measure and write."""
-        measured = measure_block(block, self.geometry, self.frame_rate, self.model)
-        write_block(
+        measured = measure_chunk(chunk, self.geometry, self.frame_rate, self.model)
+        write_chunk(
             self.store,
-            block.start,
+            chunk.start,
             measured.fields,
             measured.frame_status,
             measured.faults,
             measured.shifts,
         )
         failed = int(np.count_nonzero(measured.frame_status == FrameStatus.FAILED))
-        return Report(block.start, block.stop, failed, tuple(measured.messages))
+        return Report(chunk.start, chunk.stop, failed, tuple(measured.messages))

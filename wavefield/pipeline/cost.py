@@ -11,7 +11,7 @@ import numpy as np
 
 from wavefield.errors import ExperimentError
 from wavefield.execution.cluster import count_workers
-from wavefield.pipeline.chunk import Measured, Source, make_block, measure_block
+from wavefield.pipeline.chunk import Measured, Source, make_chunk, measure_chunk
 from wavefield.pipeline.learning import learn_from
 from wavefield.pipeline.prepare import PreparedRun
 from wavefield.pipeline.reading_speed import ReadingSpeed, measure_reading_speed
@@ -59,15 +59,15 @@ def measure_cost(prepared: PreparedRun) -> tuple[Cost, float]:
             "check its images, the rig and the grid"
         )
     workers = count_workers(prepared.workflow)
-    frames_measured = prepared.steps * (1 + 5 / prepared.block)
+    frames_measured = prepared.steps * (1 + 5 / prepared.chunk_steps)
     cost = Cost(
         step_seconds=step,
         workers=workers,
         seconds=step * frames_measured / workers,
-        memory=_peak_memory() + 3 * prepared.block * prepared.step_bytes,
+        memory=_peak_memory() + 3 * prepared.chunk_steps * prepared.step_bytes,
         disk=int(_stored_bytes(one.fields) * prepared.steps / (stop - start)),
         free=shutil.disk_usage(prepared.experiment.path.parent).free,
-        reading=measure_reading_speed(prepared.series, prepared.block, step, workers),
+        reading=measure_reading_speed(prepared.series, prepared.chunk_steps, step, workers),
     )
     return cost, fraction_measured(one.fields["quality"])
 
@@ -94,15 +94,15 @@ class _Clocked:
 
 
 def _measured(prepared: PreparedRun, start: int, stop: int) -> tuple[Measured, float]:
-    """Measure a block; also the seconds that a step takes once its neighbours are there."""
-    block = make_block(prepared.series, start, stop)
-    clocked = {name: _Clocked(source) for name, source in block.sources.items()}
+    """Measure a chunk; also the seconds that a step takes once its neighbours are there."""
+    chunk = make_chunk(prepared.series, start, stop)
+    clocked = {name: _Clocked(source) for name, source in chunk.sources.items()}
     since = time.perf_counter()
-    measured = measure_block(
-        replace(block, sources=clocked), prepared.geometry, prepared.experiment.frame_rate, prepared.model
+    measured = measure_chunk(
+        replace(chunk, sources=clocked), prepared.geometry, prepared.experiment.frame_rate, prepared.model
     )
     whole = time.perf_counter() - since
-    frames = block.steps + 2 * AROUND + 1
+    frames = chunk.steps + 2 * AROUND + 1
     gaps = np.diff(next(iter(clocked.values())).asked[:frames])
     # each frame is asked for when all is done with those before: the first have no step to give yet
     whole_steps = gaps[2 * AROUND + 1 :]

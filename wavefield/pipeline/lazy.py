@@ -1,4 +1,4 @@
-"""The lazy cube: `reconstruct` maps the measurement over blocks of steps, one Dask task each."""
+"""The lazy cube: `reconstruct` maps the measurement over chunks of steps, one Dask task each."""
 
 import uuid
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ from dask.highlevelgraph import HighLevelGraph
 
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
-from wavefield.pipeline.chunk import Block, make_block, measure_block
+from wavefield.pipeline.chunk import Chunk, make_chunk, measure_chunk
 from wavefield.pipeline.learning import learn_from, samples
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
@@ -26,7 +26,7 @@ from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, FrameFault, annot
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, Model
 
-# One task measures a block and one more per variable hands it on: with fewer steps per block the graph of a
+# One task measures a chunk and one more per variable hands it on: with fewer steps per chunk the graph of a
 # long series would grow beyond one task for five steps.
 STEPS_PER_TASK = 72
 
@@ -61,7 +61,7 @@ class ArraySource:
         return np.asarray(mask.values, bool)
 
     def window(self, start: int, stop: int) -> "ArraySource":
-        """The part that a block needs."""
+        """The part that a chunk needs."""
         part = slice(max(start, 0), stop)
         mask = self.mask[part] if self.mask is not None and self.mask.ndim == 3 else self.mask
         return replace(self, variable=self.variable[part], mask=mask)
@@ -152,7 +152,7 @@ def reconstruct(
     )
     measure = dask.delayed(_measure, pure=False, traverse=True)
     tasks = [
-        measure(make_block(sources, *edge), geometry, known, frame_rate, dask_key_name=f"measure-{token}-{k}")
+        measure(make_chunk(sources, *edge), geometry, known, frame_rate, dask_key_name=f"measure-{token}-{k}")
         for k, edge in enumerate(edges)
     ]
     variables = {
@@ -215,16 +215,16 @@ def _path_frames(model: "Model | None") -> np.ndarray:
 
 
 def _measure(
-    block: Block, geometry: "GridGeometry", model: "Model | None", frame_rate: float
+    chunk: Chunk, geometry: "GridGeometry", model: "Model | None", frame_rate: float
 ) -> dict[str, np.ndarray]:
-    measured = measure_block(block, geometry, frame_rate, model)
+    measured = measure_chunk(chunk, geometry, frame_rate, model)
     return {**measured.fields, "frame_status": measured.frame_status}
 
 
 def _assemble(
     name: str, tasks: Sequence[Delayed], token: str, edges: Sequence[tuple[int, int]], shape: tuple[int, int]
 ) -> da.Array:
-    """One variable as a Dask array over the tasks that measure the blocks."""
+    """One variable as a Dask array over the tasks that measure the chunks."""
     row = TABLE[name]
     cube = row.dims == CUBE_DIMS
     key = f"{name}-{token}"

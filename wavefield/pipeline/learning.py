@@ -1,4 +1,4 @@
-"""Learning beads, spectra and noise from sample frames of a whole record, before its first block."""
+"""Learning beads, spectra and noise from sample frames of a whole record, before its first chunk."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any

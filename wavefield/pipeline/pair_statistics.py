@@ -18,8 +18,8 @@ from wavefield.pipeline.learning import learn_from, samples
 from wavefield.pipeline.prepare import PreparedRun
 from wavefield.rig.resolution import pixel_size
 from wavefield.sampling import from_first_to_last
-from wavefield.store.blocks import ledger_checksum
 from wavefield.store.camera_pairs import read_pair_statistics, write_pair_statistics
+from wavefield.store.ledger_files import ledger_checksum
 from wavefield.store.read import open_group, read_layout
 
 MAX_STEPS = 8

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, LearnedRecord, Model
 
 _SAMPLE_STEPS = 4  # steps over the record by which the range of displacements is found
-_LONGEST_BLOCK = 100  # steps; a block costs one to two steps more for its five extra frames
+MAX_CHUNK_STEPS = 100  # steps; a chunk costs one to two steps more for its five extra frames
 
 
 @dataclass(frozen=True)
@@ -75,13 +75,13 @@ class PreparedRun:
         return int(self.geometry.x.size) * sum(np.dtype(TABLE[name].dtype).itemsize for name in CUBE_FIELDS)
 
     @property
-    def block(self) -> int:
-        """Steps per block of a new store."""
+    def chunk_steps(self) -> int:
+        """Steps per chunk of a new store."""
         workflow = self.workflow
-        block = workflow.steps_per_block or choose_block(
+        chunk = workflow.steps_per_block or choose_chunk_steps(
             self.steps, count_workers(workflow), self.step_bytes, workflow.memory_bytes
         )
-        return min(block, self.steps)
+        return min(chunk, self.steps)
 
 
 def prepare(
@@ -246,18 +246,18 @@ def make_settings(experiment: Experiment, workflow: Workflow) -> Any:
     return Settings.from_dict(data)
 
 
-def choose_block(steps: int, workers: int, step_bytes: int, memory: int | None) -> int:
-    """Steps per block: long enough that its five extra frames do not matter, short enough for memory.
+def choose_chunk_steps(steps: int, workers: int, step_bytes: int, memory: int | None) -> int:
+    """Steps per chunk: long enough that its five extra frames do not matter, short enough for memory.
 
     Examples
     --------
-    >>> choose_block(12000, 2, 151 * 201 * 45, None)
+    >>> choose_chunk_steps(12000, 2, 151 * 201 * 45, None)
     100
-    >>> choose_block(40, 2, 151 * 201 * 45, None)
+    >>> choose_chunk_steps(40, 2, 151 * 201 * 45, None)
     20
     """
     # results, their stack and their compressed copy are there at once; half the memory is for the measurement
     room = int((memory or 1_500_000_000) // 2 // (4 * step_bytes))
-    longest = max(1, min(_LONGEST_BLOCK, room))
+    longest = max(1, min(MAX_CHUNK_STEPS, room))
     rounds = -(-steps // (workers * longest))
     return max(1, min(longest, -(-steps // (workers * rounds))))

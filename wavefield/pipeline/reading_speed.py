@@ -54,13 +54,13 @@ def _rate(value: float) -> str:
 
 
 def measure_reading_speed(
-    series: Mapping[str, FrameSeries], block: int, step_seconds: float, workers: int
+    series: Mapping[str, FrameSeries], chunk_steps: int, step_seconds: float, workers: int
 ) -> ReadingSpeed | None:
     """Compute the reading rate that a run needs, and measure its disk."""
     sizes = [_frame_bytes(one) for one in series.values()]
     if not all(sizes) or step_seconds <= 0:
         return None
-    step_bytes = sum(sizes) * (1 + 5 / block)
+    step_bytes = sum(sizes) * (1 + 5 / chunk_steps)
     return ReadingSpeed(step_bytes, step_bytes / step_seconds, workers, _try_disk(list(_files(series))))
 
 

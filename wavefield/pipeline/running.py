@@ -1,7 +1,7 @@
-"""Processing a whole experiment into a store, block by block, on one process or many.
+"""Processing a whole experiment into a store, chunk by chunk, on one process or many.
 
 Whatever stops a run (Ctrl-C, a time limit, a dead scheduler, a full disk), the same command goes on from the
-ledger: only blocks that are not marked done are measured.
+ledger: only chunks that are not marked done are measured.
 """
 
 import json
@@ -21,7 +21,7 @@ from wavefield.execution.deferred_signals import deferred_signals
 from wavefield.execution.lock import Lock
 from wavefield.execution.stop_signals import Stopped, jobs_folder, log_file, log_path, stop_signals
 from wavefield.execution.workflow import Workflow
-from wavefield.pipeline.chunk import Block, make_block
+from wavefield.pipeline.chunk import Chunk, make_chunk
 from wavefield.pipeline.chunk_worker import Work
 from wavefield.pipeline.fingerprint import check_images, fingerprints
 from wavefield.pipeline.learning import learn_record
@@ -30,9 +30,9 @@ from wavefield.pipeline.prepare import PreparedRun, load_files, prepare
 from wavefield.rig import Rig
 from wavefield.rig.resolution import pixel_size
 from wavefield.series import Experiment, FrameSeries
-from wavefield.store.blocks import ledger_checksum
 from wavefield.store.layout import StoreLayout, create_store
 from wavefield.store.ledger import Status, status
+from wavefield.store.ledger_files import ledger_checksum
 from wavefield.store.metadata import mark_complete, restore_metadata
 from wavefield.store.preview import create_preview
 from wavefield.store.read import measured_rate, open_group, read_layout
@@ -41,16 +41,16 @@ from wavefield.store.relabel import relabel
 from wavefield.store.store_paths import beside
 from wavefield.store.verdict import VERDICT, read_verdict
 from wavefield.store.verify import suspicious
-from wavefield.store.write_cube import discard_blocks, reset_blocks
+from wavefield.store.write_cube import discard_chunks, reset_chunks
 from wavefield.text import spell_time
 from wavefield.variables import AROUND, FrameFault, FrameStatus
 
 log = logging.getLogger("wavefield.run")
 ProgressFunction = Callable[[int, int, str], None]
-MapFunction = Callable[[Work, Sequence[Block]], Generator[tuple[Block, Any]]]
+MapFunction = Callable[[Work, Sequence[Chunk]], Generator[tuple[Chunk, Any]]]
 
 _MAX_MESSAGES = 30  # bad frames that the log names
-_ENOUGH_FAILURES = 3  # blocks that fail before any succeeds: something is wrong with all of them
+_ENOUGH_FAILURES = 3  # chunks that fail before any succeeds: something is wrong with all of them
 
 
 def run(
@@ -91,7 +91,7 @@ def run(
 
     Notes
     -----
-    Results do not depend on the workflow: neither on the number of workers nor on the size of blocks.
+    Results do not depend on the workflow: neither on the number of workers nor on the size of chunks.
 
     A store goes on with the recipe that it was begun with: settings, rig, grid, names of images, and the
     version of the measurement. Its labels may change: name, description, `offset` of all cameras, frame rate,
@@ -141,7 +141,7 @@ def run(
 def process(
     prepared: PreparedRun, lock: Lock, map_unordered: MapFunction, progress: ProgressFunction | None = None
 ) -> Status:
-    """Create the store or go on with it, until every block is done."""
+    """Create the store or go on with it, until every chunk is done."""
     path = lock.store
     with log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
         try:
@@ -169,7 +169,7 @@ def _go_on(
     prepared, layout = _open_or_create(prepared, path)
     mark_complete(path, None)
     ranges = unfinished(path, layout, prepared.series)
-    todo = [make_block(prepared.series, start, stop) for start, stop in ranges]
+    todo = [make_chunk(prepared.series, start, stop) for start, stop in ranges]
     tracker = _Tracker(layout.steps, layout.steps - sum(b.steps for b in todo), progress)
     tracker.say(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} chunks to measure")
     if todo:
@@ -178,7 +178,7 @@ def _go_on(
 
 
 def _repair(path: Path) -> None:
-    """Put damaged metadata and coordinates back; damaged blocks are measured again later."""
+    """Put damaged metadata and coordinates back; damaged chunks are measured again later."""
     for name in restore_metadata(path):
         log.warning("%s was damaged: written again", path / name)
     try:
@@ -218,7 +218,7 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
         log.info("velocities along paths of %d frames", prepared.recipe.record["path_frames"])
     grid = prepared.grid
     first = next(iter(prepared.series.values())).first
-    layout = StoreLayout(prepared.steps, prepared.block, tuple(prepared.series), first)
+    layout = StoreLayout(prepared.steps, prepared.chunk_steps, tuple(prepared.series), first)
     attributes = {
         "pixel_size": pixel_size(prepared.rig, grid),
         "fingerprints": json.dumps(fingerprints(prepared.series)),
@@ -246,14 +246,14 @@ def _labels(experiment: Experiment) -> dict[str, Any]:
 
 
 def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
-    """Blocks that are still to be measured: not done yet, or with bad frames that are good by now.
+    """Chunks that are still to be measured: not done yet, or with bad frames that are good by now.
 
     Returns (start, stop): Ranges of steps.
     """
     damaged = suspicious(path)
     if damaged:
-        log.warning("%d blocks are damaged: measuring them again", len(damaged))
-        discard_blocks(path, damaged)
+        log.warning("%d chunks are damaged: measuring them again", len(damaged))
+        discard_chunks(path, damaged)
     group = open_group(path)
     ledger = np.asarray(group["frame_status"][:])
     faults = np.asarray(group["frame_fault"][:])
@@ -262,40 +262,40 @@ def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries
         if not series[layout.cameras[camera]].read(int(index)).fault:
             repaired[index] = True
     again, todo = [], []
-    for start, stop in layout.blocks():
+    for start, stop in layout.chunks():
         if (ledger[start:stop] == FrameStatus.NOT_STARTED).any():
             todo.append((start, stop))
         elif repaired[max(start - AROUND, 0) : stop + 1 + AROUND].any():
             again.append(start)
             todo.append((start, stop))
     if again:
-        log.info("frames that were bad can be read now: measuring %d blocks again", len(again))
-        reset_blocks(path, again)
+        log.info("frames that were bad can be read now: measuring %d chunks again", len(again))
+        reset_chunks(path, again)
     return todo
 
 
 def _work_off(
     prepared: PreparedRun,
     lock: Lock,
-    todo: Sequence[Block],
+    todo: Sequence[Chunk],
     map_unordered: MapFunction,
     tracker: "_Tracker",
 ) -> None:
     path = lock.store
     work = Work(path, prepared.geometry, prepared.model, measured_rate(open_group(path)))
-    failures: list[tuple[Block, BaseException]] = []
+    failures: list[tuple[Chunk, BaseException]] = []
     message_log = _MessageLog()
     succeeded = 0
     tracker.start()
     # closed here and now: what is not done yet is called off before anything else
     with closing(map_unordered(work, todo)) as results:
-        for block, result in results:
+        for chunk, result in results:
             lock.check()
             if isinstance(result, WavefieldError):
                 raise result
             if isinstance(result, BaseException):
-                log.error("steps %d to %d failed", block.start, block.stop - 1, exc_info=result)
-                failures.append((block, result))
+                log.error("steps %d to %d failed", chunk.start, chunk.stop - 1, exc_info=result)
+                failures.append((chunk, result))
                 if not succeeded and len(failures) >= _ENOUGH_FAILURES:
                     break
                 continue
@@ -303,10 +303,10 @@ def _work_off(
             message_log.add(result.messages)
             tracker.add(result.stop - result.start)
     if failures:
-        block, error = failures[0]
+        chunk, error = failures[0]
         raise StoreError(
-            f"{len(failures)} of {len(todo)} blocks failed, the first (steps {block.start} to "
-            f"{block.stop - 1}) with {type(error).__name__}: {error}; see {log_path(path)}, and run the same "
+            f"{len(failures)} of {len(todo)} chunks failed, the first (steps {chunk.start} to "
+            f"{chunk.stop - 1}) with {type(error).__name__}: {error}; see {log_path(path)}, and run the same "
             "command again to retry"
         ) from error
 

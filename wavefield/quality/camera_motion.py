@@ -66,7 +66,7 @@ def camera_motion(store: Path, steps: Sequence[int] | None = None) -> CameraMoti
         else steps
     )
     kept, low, std = [], [], []
-    block = read_layout(group).block
+    block = read_layout(group).chunk_steps
     for first in range(0, count, block):
         inside = [k for k in requested if first <= k < first + block]
         if not inside:

@@ -1,4 +1,4 @@
-"""The cube's store: a Zarr v3 group, made whole before the first step is measured, filled block by block."""
+"""The cube's store: a Zarr v3 group, made whole before the first step is measured, filled chunk by chunk."""
 
 import warnings
 from collections.abc import Mapping
@@ -15,8 +15,8 @@ from wavefield.store.metadata import keep_metadata
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, Variable, find, register
 
-# variables whose blocks have a checksum; those after frame_fault since the ledger has one
-WATCHED = (*CUBE_FIELDS, "frame_fault", "camera_shift", "frame_status")
+# variables whose chunks have a checksum; those after frame_fault since the ledger has one
+WATCHED: tuple[str, ...] = (*CUBE_FIELDS, "frame_fault", "camera_shift", "frame_status")
 CUBE = Product("a cube", lambda path: False, folder=True)  # never replaced
 
 register(
@@ -24,7 +24,7 @@ register(
         "checksum",
         ("block", "variable"),
         "1",
-        "CRC-32 of what is stored of a block",
+        "CRC-32 of what is stored of a chunk",
         dtype="uint32",
         meaning=f"0 where nothing is; variables in the order {' '.join(WATCHED)}",
     ),
@@ -40,7 +40,7 @@ register(
         "stored_bytes",
         ("block", "variable"),
         "1",
-        "bytes that are stored of a block",
+        "bytes that are stored of a chunk",
         dtype="uint64",
         meaning="variables as in `checksum`",
     ),
@@ -63,7 +63,7 @@ PACKING = {
 MISSING = -32768
 # a quarter of zstd's time, writing and reading, and files 4 % larger
 COMPRESSION: dict[str, Any] = {"cname": "lz4", "clevel": 1}
-_CHUNK_STEPS = 8  # steps that a reader must decode to see one
+INNER_CHUNK_STEPS = 8  # steps that a reader must decode to see one
 
 
 @dataclass(frozen=True)
@@ -71,16 +71,16 @@ class StoreLayout:
     """Sizes of a store."""
 
     steps: int  # Number of steps; there is one frame more
-    block: int  # Steps per block (shard)
+    chunk_steps: int  # Steps per chunk (shard)
     cameras: tuple[str, ...]  # Cameras whose frames are watched
     first_frame: int  # Number of the first frame
 
-    def blocks(self) -> list[tuple[int, int]]:
-        """Ranges of steps of all blocks, in order.
+    def chunks(self) -> list[tuple[int, int]]:
+        """Ranges of steps of all chunks, in order.
 
         Returns (start, stop).
         """
-        return [(i, min(i + self.block, self.steps)) for i in range(0, self.steps, self.block)]
+        return [(i, min(i + self.chunk_steps, self.steps)) for i in range(0, self.steps, self.chunk_steps)]
 
 
 def create_store(
@@ -111,7 +111,7 @@ def _fill_in(
     layout: StoreLayout,
     attributes: Mapping[str, Any],
 ) -> None:
-    n, block = layout.steps, layout.block
+    n, steps = layout.steps, layout.chunk_steps
     group = zarr.open_group(
         path,
         mode="w",
@@ -123,7 +123,7 @@ def _fill_in(
             "frame_rate": recipe.frame_rate,
             "measured_frame_rate": recipe.frame_rate,
             "cameras": list(layout.cameras),
-            "steps_per_block": block,
+            "steps_per_block": steps,
             "recipe": recipe.to_json(),
             "recipe_hash": recipe.hash,
             "wavefield_version": recipe.software.get("wavefield", ""),
@@ -149,7 +149,7 @@ def _fill_in(
             attributes=row.attrs,
         )
         array[...] = values
-    chunk = max(k for k in range(1, _CHUNK_STEPS + 1) if block % k == 0)
+    inner = max(k for k in range(1, INNER_CHUNK_STEPS + 1) if steps % k == 0)
     for name in CUBE_FIELDS:
         row = TABLE[name]
         packed = recipe.packing == "int16" and name in PACKING
@@ -159,31 +159,31 @@ def _fill_in(
         group.create_array(
             name,
             shape=(n, y.size, x.size),
-            chunks=(chunk, y.size, x.size),
-            shards=(block, y.size, x.size),
+            chunks=(inner, y.size, x.size),
+            shards=(steps, y.size, x.size),
             dtype=dtype,
             fill_value=fill,
             compressors=BloscCodec(**COMPRESSION, shuffle="shuffle"),
             dimension_names=CUBE_DIMS,
             attributes=row.attrs | encoding,
         )
-    blocks, watched = len(layout.blocks()), len(WATCHED)
+    count, watched = len(layout.chunks()), len(WATCHED)
     if recipe.settings.get("vibration") == "correct":
         row = TABLE["camera_shift"]
         group.create_array(
             row.name,
             shape=(len(layout.cameras), n + 1, 3),
-            chunks=(len(layout.cameras), block, 3),
+            chunks=(len(layout.cameras), steps, 3),
             dtype=row.dtype,
             fill_value=np.nan,
             dimension_names=row.dims,
             attributes=row.attrs,
         )
     for name, shape, chunks in (
-        ("checksum", (blocks, watched), (1, watched)),
-        ("stored_bytes", (blocks, watched), (1, watched)),
-        ("frame_status", (n,), (block,)),
-        ("frame_fault", (len(layout.cameras), n + 1), (len(layout.cameras), block)),
+        ("checksum", (count, watched), (1, watched)),
+        ("stored_bytes", (count, watched), (1, watched)),
+        ("frame_status", (n,), (steps,)),
+        ("frame_fault", (len(layout.cameras), n + 1), (len(layout.cameras), steps)),
     ):
         row = TABLE[name]
         group.create_array(
@@ -192,7 +192,7 @@ def _fill_in(
             chunks=chunks,
             dtype=row.dtype,
             fill_value=0,
-            compressors=None,  # read file by file: `blocks.read_blocks`
+            compressors=None,  # read file by file: `read_ledger`
             dimension_names=row.dims,
             attributes=row.attrs,
         )

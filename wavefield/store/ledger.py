@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from wavefield.errors import StoreError
-from wavefield.store.blocks import check_blocks, read_blocks
+from wavefield.store.ledger_files import check_chunks, read_ledger
 from wavefield.store.metadata import is_complete
 from wavefield.store.read import open_group, read_layout
 from wavefield.store.store_paths import beside
@@ -170,10 +170,10 @@ def status(store: str | Path) -> Status:
     path = Path(store)
     group = open_group(path)
     layout = read_layout(group)
-    check_blocks(path, group, layout)
+    check_chunks(path, group, layout)
     try:
-        ledger = read_blocks(path, group, "frame_status", layout)
-        faults = read_blocks(path, group, "frame_fault", layout)
+        ledger = read_ledger(path, group, "frame_status", layout)
+        faults = read_ledger(path, group, "frame_fault", layout)
     except Exception as error:  # whatever a codec makes of damaged bytes
         raise StoreError(
             f"the ledger of {path} is damaged ({error}); the command that measured it repairs it"

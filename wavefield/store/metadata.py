@@ -1,6 +1,6 @@
 """A copy of a cube's small files, by which damage of its metadata and coordinates is found and undone.
 
-What a run writes block by block has a checksum for each block. Everything else in a cube (metadata,
+What a run writes chunk by chunk has a checksum for each chunk. Everything else in a cube (metadata,
 coordinates, the table of the gain) is small, and is kept a second time in ``checksum/metadata.zip``.
 """
 

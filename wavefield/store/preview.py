@@ -1,8 +1,8 @@
 """The thinned preview next to a cube: every fourth node in 16 bits, long in time, written as the run goes.
 
 ``cube_preview.zarr`` beside ``cube.zarr`` holds one array ``fields`` (variable, y, x, time), one chunk per
-block of steps, so that no two blocks touch the same file; its ledger ``done`` (time) is written last. It can
-be removed at any time: `read_block` thins the cube itself, and `wavefield look` writes it again.
+chunk of steps, so that no two chunks touch the same file; its ledger ``done`` (time) is written last. It can
+be removed at any time: `read_thinned` thins the cube itself, and `wavefield look` writes it again.
 """
 
 import math
@@ -80,7 +80,7 @@ def create_preview(cube: Path, group: Any) -> None:
         preview.create_array(
             "fields",
             shape=(len(thin.names), *shape, layout.steps),
-            chunks=(len(thin.names), *shape, layout.block),
+            chunks=(len(thin.names), *shape, layout.chunk_steps),
             dtype="int16",
             fill_value=MISSING,
             compressors=BloscCodec(**COMPRESSION, shuffle="shuffle"),
@@ -89,13 +89,13 @@ def create_preview(cube: Path, group: Any) -> None:
         preview.create_array(
             "done",
             shape=(layout.steps,),
-            chunks=(layout.block,),
+            chunks=(layout.chunk_steps,),
             dtype="uint8",
             fill_value=0,
             dimension_names=("time",),
         )
         preview.create_array(
-            "checksum", shape=(len(layout.blocks()),), chunks=(1,), dtype="uint32", fill_value=0
+            "checksum", shape=(len(layout.chunks()),), chunks=(1,), dtype="uint32", fill_value=0
         )
 
 
@@ -107,7 +107,7 @@ def _shape(group: Any, thin: Thinning) -> tuple[int, int]:
 def _mark(group: Any) -> str:
     """What a preview must share with its cube: recipe and size."""
     layout = read_layout(group)
-    return f"{group.attrs['recipe_hash']} {layout.steps} {layout.block}"
+    return f"{group.attrs['recipe_hash']} {layout.steps} {layout.chunk_steps}"
 
 
 def open_preview(cube: Path, group: Any, mode: Any = "r") -> Any | None:
@@ -128,8 +128,8 @@ def open_preview(cube: Path, group: Any, mode: Any = "r") -> Any | None:
         return None
 
 
-def thin_block(fields: Mapping[str, NDArray[Any]], thin: Thinning) -> NDArray[np.int16]:
-    """Every so-many-th node of a block in 16 bits.
+def thin_chunk(fields: Mapping[str, NDArray[Any]], thin: Thinning) -> NDArray[np.int16]:
+    """Every so-many-th node of a chunk in 16 bits.
 
     With fields (n, ny, nx); returns (variable, y, x, n): Round(value / scale).
     """
@@ -143,7 +143,7 @@ def thin_block(fields: Mapping[str, NDArray[Any]], thin: Thinning) -> NDArray[np
 
 
 def write_preview(cube: Path, group: Any, start: int, fields: Mapping[str, NDArray[Any]]) -> None:
-    """Write one block of the preview, if the cube has one.
+    """Write one chunk of the preview, if the cube has one.
 
     With fields (n, ny, nx).
     """
@@ -151,11 +151,11 @@ def write_preview(cube: Path, group: Any, start: int, fields: Mapping[str, NDArr
     if preview is not None:
         thin = thinning(group)
         thin = replace(thin, scales=tuple(PACKING.get(name, 1.0) for name in thin.names))
-        store_block(cube, preview, start, thin_block(fields, thin))
+        store_thinned(cube, preview, start, thin_chunk(fields, thin))
 
 
-def store_block(cube: Path, preview: Any, start: int, thinned: NDArray[np.int16]) -> None:
-    """Put a thinned block into the preview, its ledger last.
+def store_thinned(cube: Path, preview: Any, start: int, thinned: NDArray[np.int16]) -> None:
+    """Put a thinned chunk into the preview, its ledger last.
 
     With thinned (variable, y, x, n).
     """
@@ -168,8 +168,8 @@ def store_block(cube: Path, preview: Any, start: int, thinned: NDArray[np.int16]
         raise write_error(preview_path(cube), error) from None
 
 
-def stored_block(preview: Any, start: int, stop: int) -> NDArray[np.int16] | None:
-    """A block as the preview holds it, (variable, y, x, n); None where it is not as it was written."""
+def stored_thinned(preview: Any, start: int, stop: int) -> NDArray[np.int16] | None:
+    """A chunk as the preview holds it, (variable, y, x, n); None where it is not as it was written."""
     try:
         thinned = np.ascontiguousarray(preview["fields"][..., start:stop])
         kept = int(preview["checksum"][start // preview["done"].chunks[0]])
@@ -178,21 +178,21 @@ def stored_block(preview: Any, start: int, stop: int) -> NDArray[np.int16] | Non
     return thinned if zlib.crc32(thinned.tobytes()) == kept else None
 
 
-def blocks_stored(preview: Any, layout: StoreLayout) -> NDArray[np.bool_]:
-    """Which blocks the preview's ledger calls done; none where it cannot be read."""
+def chunks_stored(preview: Any, layout: StoreLayout) -> NDArray[np.bool_]:
+    """Which chunks the preview's ledger calls done; none where it cannot be read."""
     try:
-        return blocks_done(np.asarray(preview["done"][:]), layout)
+        return chunks_done(np.asarray(preview["done"][:]), layout)
     except Exception:  # as above
-        return np.zeros(len(layout.blocks()), bool)
+        return np.zeros(len(layout.chunks()), bool)
 
 
-def read_block(group: Any, thin: Thinning, start: int, stop: int) -> NDArray[np.int16]:
-    """Thin a block of the cube itself.
+def read_thinned(group: Any, thin: Thinning, start: int, stop: int) -> NDArray[np.int16]:
+    """Thin a chunk of the cube itself.
 
     Returns (variable, y, x, n).
     """
     fields = {name: read_steps(group, name, start, stop) for name in thin.names}
-    return thin_block(fields, thin)
+    return thin_chunk(fields, thin)
 
 
 def read_steps(
@@ -225,14 +225,14 @@ def read_steps(
     return out
 
 
-def blocks_done(ledger: NDArray[Any], layout: StoreLayout) -> NDArray[np.bool_]:
-    """Which blocks have no step left.
+def chunks_done(ledger: NDArray[Any], layout: StoreLayout) -> NDArray[np.bool_]:
+    """Which chunks have no step left.
 
-    With ledger (steps,); returns (blocks,).
+    With ledger (steps,); returns (chunks,).
 
     Examples
     --------
-    >>> blocks_done(np.array([1, 1, 1, 0], np.uint8), StoreLayout(4, 2, (), 0)).tolist()
+    >>> chunks_done(np.array([1, 1, 1, 0], np.uint8), StoreLayout(4, 2, (), 0)).tolist()
     [True, False]
     """
-    return np.array([bool(ledger[a:b].all()) for a, b in layout.blocks()])
+    return np.array([bool(ledger[a:b].all()) for a, b in layout.chunks()])

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import zarr
 
 from wavefield.errors import StoreError
-from wavefield.store.blocks import check_blocks
 from wavefield.store.checked import CheckedStore
 from wavefield.store.layout import PACKING, StoreLayout
+from wavefield.store.ledger_files import check_chunks
 from wavefield.store.metadata import check_metadata
 
 if TYPE_CHECKING:  # not needed by workers, and slow to import
@@ -42,7 +42,7 @@ def read_layout(group: Any) -> StoreLayout:
     frames = group["frame"]
     return StoreLayout(
         steps=group["frame_status"].shape[0],
-        block=int(group.attrs["steps_per_block"]),
+        chunk_steps=int(group.attrs["steps_per_block"]),
         cameras=tuple(group.attrs["cameras"]),
         first_frame=int(frames[0]),
     )
@@ -61,7 +61,7 @@ def open_cube(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
     path : path
         Store written by `run`.
     chunks : optional
-        As in `xarray.open_zarr`; by default one Dask chunk per block.
+        As in `xarray.open_zarr`; by default one Dask chunk per chunk.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def open_cube(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
 
     Examples
     --------
-    The empty store that a run of ten steps begins with, in blocks of four.
+    The empty store that a run of ten steps begins with, in chunks of four.
 
     >>> import tempfile
     >>> import numpy as np
@@ -108,9 +108,9 @@ def open_stored(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
     path = Path(str(path).removeprefix("file://"))
     group = open_group(path)
     layout = read_layout(group)
-    check_blocks(path, group, layout)
+    check_chunks(path, group, layout)
     if chunks == "auto":
-        chunks = {"time": layout.block}
+        chunks = {"time": layout.chunk_steps}
     try:
         out: xr.Dataset = xr.open_zarr(CheckedStore(path), chunks=chunks, consolidated=False)
     except StoreError:

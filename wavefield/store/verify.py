@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wavefield.errors import StoreError
-from wavefield.store.blocks import ledger_checksum
 from wavefield.store.checked import (
     checksum,
     chunk_path,
@@ -16,6 +15,7 @@ from wavefield.store.checked import (
     stored_bytes,
 )
 from wavefield.store.layout import WATCHED
+from wavefield.store.ledger_files import ledger_checksum
 from wavefield.store.metadata import is_as_completed
 from wavefield.store.read import open_group, read_layout
 from wavefield.text import spell_ranges
@@ -24,7 +24,7 @@ from wavefield.variables import FrameStatus
 
 @dataclass(frozen=True)
 class Damage:
-    """What is wrong with one block of one variable."""
+    """What is wrong with one chunk of one variable."""
 
     variable: str  # The variable
     start: int  # Range of steps
@@ -39,7 +39,7 @@ class Verification:
     store: Path  # The store
     steps: int  # Steps of the whole run
     done: int  # Steps that the ledger calls done
-    damages: tuple[Damage, ...]  # Blocks that the ledger calls done and that are not as they were written
+    damages: tuple[Damage, ...]  # Chunks that the ledger calls done and that are not as they were written
     read: bool = True  # Whether data were read; else only sizes of files were compared
 
     @property
@@ -49,7 +49,7 @@ class Verification:
 
     @property
     def starts(self) -> list[int]:
-        """First steps of the damaged blocks, in order."""
+        """First steps of the damaged chunks, in order."""
         return sorted({damage.start for damage in self.damages})
 
     def __str__(self) -> str:
@@ -58,20 +58,20 @@ class Verification:
                 "as written" if self.read else "there, as long as when they were written (no data were read)"
             )
             return f"{self.store}: {self.done} of {self.steps} steps are done, and all of them are {how}"
-        lines = [f"{self.store}: {len(self.starts)} blocks are damaged"]
+        lines = [f"{self.store}: {len(self.starts)} chunks are damaged"]
         for what in dict.fromkeys(damage.what for damage in self.damages):
             of = [damage for damage in self.damages if damage.what == what]
             steps = sorted({step for damage in of for step in range(damage.start, damage.stop)})
             names = ", ".join(dict.fromkeys(damage.variable for damage in of))
             lines.append(f"  {what}: {names}, steps {spell_ranges(steps)}")
-        lines.append("  run the same command as before: these blocks are measured again")
+        lines.append("  run the same command as before: these chunks are measured again")
         return "\n".join(lines)
 
 
 def verify(
     store: str | Path, progress: Callable[[int, int], None] | None = None, read: bool = True
 ) -> Verification:
-    """Compare every block that a store calls done with the checksums taken when it was written.
+    """Compare every chunk that a store calls done with the checksums taken when it was written.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def verify(
     >>> from wavefield.store.checked import chunk_path
     >>> from wavefield.store.layout import StoreLayout, create_store
     >>> from wavefield.store.recipe import Recipe
-    >>> from wavefield.store.write_cube import write_block
+    >>> from wavefield.store.write_cube import write_chunk
     >>> from wavefield.variables import CUBE_FIELDS
     >>> recipe, layout = Recipe("basin", {}, (0, 2), 20.0, {}, {}, {}), StoreLayout(2, 2, ("left",
     ... "right"), 0)
@@ -114,7 +114,7 @@ def verify(
     ...     store = Path(folder) / "cube.zarr"
     ...     create_store(store, recipe, np.arange(4) * 0.1, np.arange(3) * 0.1, layout, {})
     ...     fields = {name: np.ones((2, 3, 4), np.float32) for name in CUBE_FIELDS}
-    ...     write_block(store, 0, fields, np.full(2, FrameStatus.DONE), {})
+    ...     write_chunk(store, 0, fields, np.full(2, FrameStatus.DONE), {})
     ...     before = verify(store)
     ...     chunk_path(store, "z", 0).unlink()
     ...     after = verify(store)
@@ -128,21 +128,21 @@ def verify(
     if "stored_bytes" not in group:
         raise StoreError(f"{path} was written by version 0.1.0, without checksums; run the experiment again")
     layout = read_layout(group)
-    blocks, damages, done = layout.blocks(), list[Damage](), 0
-    for number, (start, stop) in enumerate(blocks):
+    chunks, damages, done = layout.chunks(), list[Damage](), 0
+    for number, (start, stop) in enumerate(chunks):
         ledger = read_chunk(str(path), "frame_status", number)
         if ledger or chunk_path(path, "frame_status", number).exists():
-            if len(ledger) != layout.block:
+            if len(ledger) != layout.chunk_steps:
                 damages.append(Damage("frame_status", start, stop, "unreadable"))
             elif any(ledger):
                 done += len(ledger[: stop - start]) - ledger[: stop - start].count(FrameStatus.NOT_STARTED)
                 damages += _damages(path, number, (start, stop), read)
         if progress:
-            progress(number + 1, len(blocks))
+            progress(number + 1, len(chunks))
     if not is_as_completed(path, ledger_checksum(path, layout)):
-        started = [any(read_chunk(str(path), "frame_status", k)) for k in range(len(blocks))]
-        lost = [ends for ends, any_step in zip(blocks, started) if not any_step]
-        damages += [Damage("frame_status", *ends, "missing") for ends in lost or blocks]
+        started = [any(read_chunk(str(path), "frame_status", k)) for k in range(len(chunks))]
+        lost = [ends for ends, any_step in zip(chunks, started) if not any_step]
+        damages += [Damage("frame_status", *ends, "missing") for ends in lost or chunks]
     out = Verification(path, layout.steps, done, tuple(damages), read)
     if read:
         note_damaged(path, out.starts)
@@ -153,7 +153,7 @@ def suspicious(store: Path) -> list[int]:
     """First steps of chunks that differ from the ledger, without reading all of the store."""
     found = set(verify(store, read=False).starts)
     noted = noted_damaged(store) - found
-    for number, (start, stop) in enumerate(read_layout(open_group(store)).blocks()):
+    for number, (start, stop) in enumerate(read_layout(open_group(store)).chunks()):
         if start in noted and _damages(store, number, (start, stop), read=True):
             found.add(start)
     return sorted(found)

@@ -1,6 +1,6 @@
-"""Writing results: the one function that does, block by block, and the ledger last.
+"""Writing results: the one function that does, chunk by chunk, and the ledger last.
 
-Each block is one shard of every variable, and one chunk of the ledger; no two blocks ever touch the same
+Each chunk is one shard of every variable, and one chunk of the ledger; no two chunks ever touch the same
 file, so any number of processes may write at once. Whole files are renamed into place, so a killed writer
 never leaves half a shard. The ledger ``frame_status(time)`` is written last: a step that is marked done has
 all its data.
@@ -21,7 +21,7 @@ from wavefield.store.read import open_group, read_layout
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus
 
 
-def write_block(
+def write_chunk(
     path: Path,
     start: int,
     fields: Mapping[str, np.ndarray],
@@ -29,15 +29,15 @@ def write_block(
     faults: Mapping[str, Mapping[int, FrameFault]],
     shifts: Mapping[int, Mapping[str, np.ndarray]] | None = None,
 ) -> None:
-    """Write all results of one block, the ledger last. The only function that writes results.
+    """Write all results of one chunk, the ledger last. The only function that writes results.
 
     With fields (n, ny, nx); frame_status (n,); shifts (3,), px.
     """
     group = open_group(path, "r+")
     layout = read_layout(group)
-    stop = min(start + layout.block, layout.steps)
-    if start % layout.block or not 0 <= start < layout.steps:
-        raise ValueError(f"step {start} does not begin a block of {layout.block}")
+    stop = min(start + layout.chunk_steps, layout.steps)
+    if start % layout.chunk_steps or not 0 <= start < layout.steps:
+        raise ValueError(f"step {start} does not begin a chunk of {layout.chunk_steps}")
     if frame_status.shape != (stop - start,) or not frame_status.all():
         raise ValueError(f"the ledger of steps {start} to {stop} must hold {stop - start} results")
     absent = [name for name in CUBE_FIELDS if name not in fields]
@@ -52,7 +52,7 @@ def write_block(
                     f"{name} has shape {values.shape}, expected {(stop - start, *array.shape[1:])}"
                 )
             array[start:stop] = pack(values, name) if array.dtype == np.int16 else values
-        last = layout.steps + 1 if stop == layout.steps else stop  # the last block owns the last frame
+        last = layout.steps + 1 if stop == layout.steps else stop  # the last chunk owns the last frame
         codes = np.zeros((len(layout.cameras), last - start), np.uint8)
         for k, camera in enumerate(layout.cameras):
             for index, fault in faults.get(camera, {}).items():
@@ -62,37 +62,37 @@ def write_block(
         if "camera_shift" in group:
             group["camera_shift"][:, start:last] = _shifts(shifts or {}, layout.cameras, start, last)
         write_preview(path, group, start, fields)
-        block = start // layout.block
-        _to_disk(path, block, WATCHED[:-1])
-        _keep_checksums(path, group, block, _ledger_file(frame_status, layout.block))
-        _to_disk(path, block, ("checksum", "stored_bytes"))
+        chunk = start // layout.chunk_steps
+        _to_disk(path, chunk, WATCHED[:-1])
+        _keep_checksums(path, group, chunk, _ledger_file(frame_status, layout.chunk_steps))
+        _to_disk(path, chunk, ("checksum", "stored_bytes"))
         group["frame_status"][start:stop] = frame_status
-        _to_disk(path, block, ("frame_status",))
+        _to_disk(path, chunk, ("frame_status",))
     except OSError as error:
         raise write_error(path, error) from None
 
 
-def _ledger_file(frame_status: np.ndarray, block: int) -> bytes:
-    """The file that the ledger of a block will be."""
-    return bytes(frame_status.astype(np.uint8)) + bytes(block - frame_status.size)
+def _ledger_file(frame_status: np.ndarray, chunk: int) -> bytes:
+    """The file that the ledger of a chunk will be."""
+    return bytes(frame_status.astype(np.uint8)) + bytes(chunk - frame_status.size)
 
 
-def _keep_checksums(path: Path, group: Any, block: int, ledger: bytes) -> None:
-    """Keep what a block's files must be later; cubes begun before there were such records have none."""
+def _keep_checksums(path: Path, group: Any, chunk: int, ledger: bytes) -> None:
+    """Keep what a chunk's files must be later; cubes begun before there were such records have none."""
     for name, of_file, of_ledger in (
         ("checksum", checksum, zlib.crc32(ledger) or 1),
         ("stored_bytes", stored_bytes, len(ledger)),
     ):
         if name in group:
-            row = [*(of_file(path, variable, block) for variable in WATCHED[:-1]), of_ledger]
-            group[name][block] = row
+            row = [*(of_file(path, variable, chunk) for variable in WATCHED[:-1]), of_ledger]
+            group[name][chunk] = row
 
 
-def _to_disk(path: Path, block: int, names: Sequence[str]) -> None:
-    """Have a block's files, and the folders that name them, written to the disk before going on."""
+def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
+    """Have a chunk's files, and the folders that name them, written to the disk before going on."""
     folders: dict[Path, None] = {}
     for name in names:
-        file = chunk_path(path, name, block)
+        file = chunk_path(path, name, chunk)
         make_durable([file])
         folders |= dict.fromkeys(
             parent for parent in file.parents if parent.is_relative_to(path / name / "c")
@@ -111,22 +111,22 @@ def _shifts(
     return out
 
 
-def reset_blocks(path: Path, starts: Sequence[int]) -> None:
-    """Mark blocks as not started, before they are measured again."""
+def reset_chunks(path: Path, starts: Sequence[int]) -> None:
+    """Mark chunks as not started, before they are measured again."""
     group = open_group(path, "r+")
     layout = read_layout(group)
     for start in starts:
-        stop = min(start + layout.block, layout.steps)
+        stop = min(start + layout.chunk_steps, layout.steps)
         group["frame_status"][start:stop] = np.uint8(FrameStatus.NOT_STARTED)
 
 
-def discard_blocks(path: Path, starts: Sequence[int]) -> None:
-    """Remove what is stored of damaged blocks; the ledger then calls them not started."""
-    size = read_layout(open_group(path)).block
+def discard_chunks(path: Path, starts: Sequence[int]) -> None:
+    """Remove what is stored of damaged chunks; the ledger then calls them not started."""
+    size = read_layout(open_group(path)).chunk_steps
     try:
-        for block in (start // size for start in starts):
+        for chunk in (start // size for start in starts):
             for name in ("frame_status", *WATCHED):  # the ledger first: nothing done is ever without its data
-                chunk_path(path, name, block).unlink(missing_ok=True)
+                chunk_path(path, name, chunk).unlink(missing_ok=True)
     except OSError as error:
         raise write_error(path, error) from None
 

@@ -22,7 +22,7 @@ from wavefield.store.metadata import is_as_completed
 LEDGER = ("frame_status", "frame_fault")
 
 
-def read_blocks(path: Path, group: zarr.Group, name: str, layout: StoreLayout) -> np.ndarray:
+def read_ledger(path: Path, group: zarr.Group, name: str, layout: StoreLayout) -> np.ndarray:
     """An array of the ledger, file by file: many times as fast as through Zarr; 0 where nothing is stored."""
     array = group[name]
     assert isinstance(array, zarr.Array)
@@ -31,26 +31,26 @@ def read_blocks(path: Path, group: zarr.Group, name: str, layout: StoreLayout) -
     out = np.zeros(array.shape, array.dtype)
     chunks, dtype = array.chunks, array.dtype  # Zarr computes these at every access
     folder = str(chunk_path(path, name, 0).parent)  # many files: text is quicker than paths
-    for start in range(0, array.shape[-1], layout.block):
+    for start in range(0, array.shape[-1], layout.chunk_steps):
         try:
-            with open(f"{folder}/{start // layout.block}", "rb", buffering=0) as stream:
+            with open(f"{folder}/{start // layout.chunk_steps}", "rb", buffering=0) as stream:
                 stored = stream.read()
         except FileNotFoundError:
             continue
         values = np.frombuffer(stored, dtype).reshape(chunks)
-        part = out[..., start : start + layout.block]
+        part = out[..., start : start + layout.chunk_steps]
         part[...] = values[..., : part.shape[-1]]
     return out
 
 
-def check_blocks(
+def check_chunks(
     path: Path, group: zarr.Group, layout: StoreLayout, names: Collection[str] = WATCHED
 ) -> None:
-    """Refuse a cube of which a finished chunk has another length than when written, or whose ledger changed."""
+    """Refuse a cube whose ledger changed or of which a finished chunk has another length than it had."""
     if DESCRIPTIONS[1] not in group:
         return  # of version 0.1.0
     ledger, missing = 0, 0
-    for number in reversed(range(len(layout.blocks()))):
+    for number in reversed(range(len(layout.chunks()))):
         stored = read_chunk(str(path), "frame_status", number)
         ledger = zlib.crc32(stored, ledger)
         if not any(stored):
@@ -75,6 +75,6 @@ def check_blocks(
 def ledger_checksum(path: Path, layout: StoreLayout) -> int:
     """CRC-32 of the ledger's files, the last one first."""
     out = 0
-    for number in reversed(range(len(layout.blocks()))):
+    for number in reversed(range(len(layout.chunks()))):
         out = zlib.crc32(read_chunk(str(path), "frame_status", number), out)
     return out
