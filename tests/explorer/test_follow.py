@@ -308,7 +308,7 @@ def test_what_a_record_is_like_is_learned_anew_while_it_is_followed(small_tank, 
     for number in range(2):
         write(path.parent, number, frames[number])
     follower.look()
-    learner = follower._plan
+    learner = follower._learner
     first = learner.model
     assert first.record is not None
     learner._next = 0.0  # its time has come

@@ -9,12 +9,12 @@ from measurement_cases import RATE
 
 from wavefield.measurement import GridGeometry, Model, measure
 from wavefield.measurement.camera_jitter import (
-    left_over,
-    line_of,
-    motion_for,
-    of_elevation,
-    of_the_water,
-    unsteady,
+    displacement_variance,
+    elevation_variance,
+    level_jitter,
+    mean_residuals,
+    motion_for_level,
+    row_direction,
 )
 from wavefield.variables import Quality
 
@@ -36,25 +36,27 @@ def test_how_far_cameras_move_is_told_by_what_they_leave():
     back = np.linalg.pinv(J[..., 0, 0])
     for _ in range(400):
         moves = rng.normal(0, [0.3, 0.1] * 3)
-        _, size = left_over(J, water + moves[:, None, None], weight, good, LINE)
+        _, size = mean_residuals(J, water + moves[:, None, None], weight, good, LINE)
         found.append(size)
         off.append(back @ moves)
     assert np.sqrt(np.mean(np.square(found), axis=0)) == pytest.approx([0.3, 0.1], rel=0.1)
-    said = of_the_water(J, weight, good, LINE, (0.3, 0.1))
+    said = displacement_variance(J, weight, good, LINE, (0.3, 0.1))
     assert np.mean(np.square(off), axis=0) == pytest.approx(said, rel=0.15)
 
 
 def test_two_cameras_are_thought_to_move_along_their_line_as_across_it():
     moved = np.zeros((4, 12, 15))
     moved[0], moved[1] = 5.0, 0.2  # the first passes for a rise
-    _, (along, across) = left_over(rows(0.6, -0.6), moved, np.ones_like(moved), np.ones((12, 15), bool), LINE)
+    _, (along, across) = mean_residuals(
+        rows(0.6, -0.6), moved, np.ones_like(moved), np.ones((12, 15), bool), LINE
+    )
     assert across == pytest.approx(0.2 / np.sqrt(2))
     assert along == across
 
 
 def test_the_line_of_cameras_is_that_along_which_they_stand():
     centres = [np.array([2.0, 1.0, 4.0]), np.array([0.0, 0.1, 4.0]), np.array([-2.0, -1.0, 4.0])]
-    assert line_of(centres) == pytest.approx([0.894, 0.447], abs=0.01)
+    assert row_direction(centres) == pytest.approx([0.894, 0.447], abs=0.01)
 
 
 def test_elevation_is_as_uncertain_as_moving_pictures_make_it():
@@ -63,21 +65,23 @@ def test_elevation_is_as_uncertain_as_moving_pictures_make_it():
     moves = rng.normal(0, 1, (4000, 3))
     z = (moves[:, 1:] - moves[:, :1]) / lengths
     off = z @ (lengths**2 / np.sum(lengths**2))
-    said = np.mean([of_elevation(one, lengths) for one in z])
+    said = np.mean([elevation_variance(one, lengths) for one in z])
     assert said == pytest.approx(np.mean(off**2), rel=0.06)
-    assert of_elevation(z[0, :1], lengths[:1]) == 0.0
-    assert of_elevation(z[0, :1], lengths[:1], 0.5) > 0.5
+    assert elevation_variance(z[0, :1], lengths[:1]) == 0.0
+    assert elevation_variance(z[0, :1], lengths[:1], 0.5) > 0.5
 
 
 def test_a_level_that_no_water_has_is_unsteady_and_a_tank_that_sloshes_is_not():
     rng = np.random.default_rng(4)
     t = np.arange(6)
-    jumps = [unsteady(rng.normal(0, 0.1, 6) + np.sin(0.2 * t + p), 0.5) for p in np.linspace(0, 6, 900)]
+    jumps = [level_jitter(rng.normal(0, 0.1, 6) + np.sin(0.2 * t + p), 0.5) for p in np.linspace(0, 6, 900)]
     assert np.sqrt(np.mean(np.square(jumps))) == pytest.approx(0.1, rel=0.1)
     for turn in (0.1, 0.5, 1.0):
-        assert max(unsteady(np.sin(turn * t + p), 1.2 * turn) for p in np.linspace(0, 6, 50)) < 0.03
+        assert max(level_jitter(np.sin(turn * t + p), 1.2 * turn) for p in np.linspace(0, 6, 50)) < 0.03
     lengths = np.array([1.1, -0.9])
-    assert of_elevation(np.zeros(2), lengths, motion_for(0.3, lengths) ** 2) == pytest.approx(0.09)
+    assert elevation_variance(np.zeros(2), lengths, motion_for_level(0.3, lengths) ** 2) == pytest.approx(
+        0.09
+    )
 
 
 def test_two_cameras_of_which_one_trembles_along_their_line_are_not_believed_either(series, geometry, model):

@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from wavefield.measurement.camera_displacements import CameraDisplacements
 from wavefield.measurement.each_camera import noise_of_each, own_noise
 from wavefield.measurement.learned_record import LearnedRecord
-from wavefield.measurement.velocity import CameraDisplacements, _solved, shares
+from wavefield.measurement.velocity import shares, solve_motion
 
 OBLIQUE = np.array(
     [[450.0, 0, 450], [0, 640, 0], [450, 0, -450], [0, 640, 0], [540, 0, 0], [0, 540, 0]]
@@ -71,8 +72,8 @@ def learned_of(moved, sheet=None):
 
 def test_a_cameras_own_noise_changes_uncertainties_and_no_values():
     seen, learned = seen_by_three(4e-4, 1e-12), learned_of((1.0, 1.0, 1.0))
-    noisy = _solved(replace(seen, own=np.array([4.0, 4, 4, 4, 1, 1])), *learned)
-    alike = _solved(seen, *learned)
+    noisy = solve_motion(replace(seen, own=np.array([4.0, 4, 4, 4, 1, 1])), *learned)
+    alike = solve_motion(seen, *learned)
     np.testing.assert_array_equal(noisy.d, alike.d)
     np.testing.assert_array_equal(noisy.misfit, alike.misfit)  # nor who contradicts whom
     assert noisy.d_std[2] == pytest.approx(2.0 * alike.d_std[2], rel=1e-3)  # w rests on the oblique ones
@@ -82,9 +83,11 @@ def test_a_cameras_own_noise_changes_uncertainties_and_no_values():
 
 def test_what_the_prior_takes_is_shared_as_short_waves_move_the_water():
     seen = seen_by_three(1e-12, 4e-4)
-    u, v, w = (float(std.mean()) for std in _solved(seen, *learned_of((1.0, 2.0, 1.0))).d_std)
+    u, v, w = (float(std.mean()) for std in solve_motion(seen, *learned_of((1.0, 2.0, 1.0))).d_std)
     assert (u, w) == pytest.approx((v, np.sqrt(2.0) * v), rel=1e-3)  # whatever way the long ones go
-    u, v, w = (float(std.mean()) for std in _solved(seen, *learned_of((1.0, 2.0, 0.1), sheet=1e-3)).d_std)
+    u, v, w = (
+        float(std.mean()) for std in solve_motion(seen, *learned_of((1.0, 2.0, 0.1), sheet=1e-3)).d_std
+    )
     assert (v, w) == pytest.approx((2.0 * u, 0.1 * u), rel=1e-3)
 
 

@@ -8,10 +8,9 @@ from wavefield.measurement.midtime import at_mid_time, frames_used, slope
 from wavefield.measurement.temporal_truncation import (
     NOTHING,
     TemporalTruncation,
-    kept_of_displacement,
-    kept_of_z,
     temporal_truncation,
 )
+from wavefield.measurement.time_weights import elevation_gain, path_gain
 from wavefield.measurement.velocity import Motion
 from wavefield.tank import Scene
 from wavefield.tank.basin import Basin
@@ -66,7 +65,7 @@ def test_a_wave_keeps_what_theory_says_of_how_it_turns_beside_the_mean_flow(fram
     for phase in (0.3, 1.0, 2.0):
         kept = z_of(lambda t, p=phase: np.cos(p * t), lost, speed)  # it passes the node with its crest
         turns = phase * (1 - speed)
-        assert kept == pytest.approx(float(kept_of_z(np.array([turns]), frames)[0]), abs=1e-6)
+        assert kept == pytest.approx(float(elevation_gain(np.array([turns]), frames)[0]), abs=1e-6)
 
 
 def test_the_rise_is_that_of_the_surface_along_the_path_of_the_water():
@@ -236,8 +235,8 @@ def test_paths_lose_more_of_short_waves_where_long_ones_carry_the_water_fast(rat
 
 def test_a_displacement_keeps_what_theory_says():
     p = np.array([0.5, 1.0])
-    np.testing.assert_allclose(kept_of_displacement(p, 2), 2 * np.sin(p / 2) / p)
-    np.testing.assert_allclose(1 - kept_of_displacement(p[:1], 4), 3 / 640 * p[:1] ** 4, rtol=0.1)
+    np.testing.assert_allclose(path_gain(p, 2), 2 * np.sin(p / 2) / p)
+    np.testing.assert_allclose(1 - path_gain(p[:1], 4), 3 / 640 * p[:1] ** 4, rtol=0.1)
 
 
 def test_water_at_rest_leaves_nothing_out():

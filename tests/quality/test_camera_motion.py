@@ -51,13 +51,13 @@ def test_a_shaking_camera_is_measured_tilt_and_roll_alike(cube):
 
 def test_cameras_that_tremble_along_their_line_are_said():
     def said(px):
-        return list(camera_jitter(SimpleNamespace(record=SimpleNamespace(camera_jitter=(px, 0.0)))))
+        return list(camera_jitter(SimpleNamespace(camera_jitter=(px, 0.0))))
 
     assert said(0.006) == []
     (one,) = said(0.15)
     assert (one.kind, one.weight) == ("trembling", "remark")
     assert "0.150 px" in one.sentence
-    assert list(camera_jitter(SimpleNamespace(record=None))) == []
+    assert list(camera_jitter(None)) == []
 
 
 def test_a_steady_record_has_no_knock(reference):

@@ -61,7 +61,7 @@ class Follower:
     rig: Any = None  # In place of the one that the experiment names
     seen: FollowedSet | None = None
     count: int = 0
-    _plan: "Learner | None" = None
+    _learner: "Learner | None" = None
     _trouble: str = ""
     _sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
 

@@ -1,35 +1,32 @@
 """How far cameras move against each other from frame to frame, and how uncertain that makes the water.
 
-A camera that shakes moves its whole picture: an error that all nodes share, of which noise that is measured
-from place to place knows nothing. Part of it shows, in what is left of the cameras' displacements on the mean
-over the field: across the line on which they stand for each of them, along it for three or more in one
-combination; another one lifts all of the water in one frame and lets it down in the next. Nothing says whose
-it is; so all are thought to move alike, as far as explains what shows.
+A camera that shakes moves its whole picture: an error common to all nodes, which noise that is measured from
+place to place does not contain. Part of it shows in the mean residuals of the cameras' displacements over the
+field: across the row of cameras for each of them, along it for three or more in one combination; another one
+lifts all of the water in one frame and lowers it in the next. Which camera it is cannot be determined; so all
+are assumed to move alike, as far as explains what shows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Float = NDArray[Any]
+Float = NDArray[np.floating]
 
-_NODES = 400  # evenly over the field: motion that all share needs no more
-_MIN_FREEDOM = 0.05  # of the variance of what moves: less is left over of it where the cameras cannot tell it
-_FEW = 50  # nodes: less tell nothing
+_SAMPLED_NODES = 400  # evenly over the field: enough for motion that is common to all
+_MIN_FREEDOM = 0.05  # of the variance of the motion that residuals must show
+_MIN_NODES = 50  # for a mean over the field
 
 
-def line_of(centres: Sequence[Float]) -> Float:
-    """Direction of the line along which cameras stand.
-
-    With centres (3,), metres; returns (2,): Horizontal unit vector.
+def row_direction(centres: Sequence[Float]) -> Float:
+    """Horizontal unit vector (2,) along a row of cameras with these centres (3,), metres.
 
     Examples
     --------
-    >>> line_of([np.array([-2.0, 0, 4]), np.array([2.0, 0.0, 4]), np.array([0.0, 0, 4])]).tolist()
+    >>> row_direction([np.array([-2.0, 0, 4]), np.array([2.0, 0.0, 4]), np.array([0.0, 0, 4])]).tolist()
     [1.0, 0.0]
     """
     place = np.array([c[:2] for c in centres])
@@ -38,119 +35,108 @@ def line_of(centres: Sequence[Float]) -> Float:
     return np.array([x, y]) * sign + 0.0
 
 
-def left_over(
-    jacobian: Float, moved: Float, weight: Float, good: NDArray[np.bool_], line: Float
+def mean_residuals(
+    jacobian: Float, moved: Float, weight: Float, measured: NDArray[np.bool_], line: Float
 ) -> tuple[Float, tuple[float, float]]:
-    """What the cameras' displacements leave on the mean over the field, and how far cameras move for it.
+    """Mean residuals of the cameras' displacements over the field, and the camera motion that explains them.
 
     A motion m of the pictures leaves M m, M = 1 - J (J^T W J)^-1 J^T W. Of motions of variance s^2 along one
     direction e of each picture, E|e^T M m|^2 = s^2 tr(P P^T) with P = e^T M e: s^2 follows from one step, and
     where a direction leaves nothing (two cameras, along the line) from the other.
 
-    With jacobian (2N, 3, ny, nx), px per metre; moved, weight (2N, ny, nx), px; good (ny, nx); line (2,);
-    returns left (2N,): Median of the residuals over the field, px.
+    With jacobian (2N, 3, ny, nx), px per metre; moved, px, and its weight (2N, ny, nx); measured (ny, nx);
+    line (2,). Returns the median residuals (2N,), px, and the motion along the line and across it, px.
     """
     rows = len(moved)
-    places = np.flatnonzero(good.ravel())
-    if len(places) < _FEW or rows < 4:
+    places = np.flatnonzero(measured.ravel())
+    if len(places) < _MIN_NODES or rows < 4:
         return np.zeros(rows), (0.0, 0.0)
-    some = places[:: max(1, len(places) // _NODES)]
-    J = np.moveaxis(jacobian.reshape(rows, 3, -1)[:, :, some], -1, 0)
-    back = np.swapaxes(J, 1, 2) * weight.reshape(rows, -1)[:, some].T[:, None, :]
+    sample = places[:: max(1, len(places) // _SAMPLED_NODES)]
+    J = np.moveaxis(jacobian.reshape(rows, 3, -1)[:, :, sample], -1, 0)
+    back = np.swapaxes(J, 1, 2) * weight.reshape(rows, -1)[:, sample].T[:, None, :]
     leaves = np.eye(rows) - J @ np.linalg.solve(back @ J, back)
-    left = np.median(np.einsum("nij,nj->ni", leaves, moved.reshape(rows, -1)[:, some].T), axis=0)
-    M, J = leaves.mean(axis=0), J.mean(axis=0)
-    found = []
-    for e in _directions(J, line):
+    left = np.median(np.einsum("nij,nj->ni", leaves, moved.reshape(rows, -1)[:, sample].T), axis=0)
+    M = leaves.mean(axis=0)
+    size = [0.0, 0.0]
+    determined = [False, False]
+    for k, e in enumerate(_directions(J.mean(axis=0), line)):
         P = e.T @ M @ e
         freedom = float(np.trace(P @ P.T))
-        found.append((float(np.sum(np.square(e.T @ left))), freedom))
-    enough = [freedom > _MIN_FREEDOM * rows / 2 for _, freedom in found]
-    size = [
-        np.sqrt(square / freedom) if ok else 0.0 for (square, freedom), ok in zip(found, enough, strict=True)
-    ]
-    if not enough[0]:
-        size[0] = size[1]
-    return left, (float(size[0]), float(size[1]))
+        determined[k] = freedom > _MIN_FREEDOM * rows / 2
+        if determined[k]:
+            size[k] = float(np.sqrt(float(np.sum(np.square(e.T @ left))) / freedom))
+    return left, (size[0] if determined[0] else size[1], size[1])
 
 
-def of_the_water(
-    jacobian: Float, weight: Float, good: NDArray[np.bool_], line: Float, size: tuple[float, float]
+def displacement_variance(
+    jacobian: Float, weight: Float, measured: NDArray[np.bool_], line: Float, size: tuple[float, float]
 ) -> Float:
-    """Variance of the water's displacement from pictures that move.
+    """Variance of dx, dy, dz of the water, (3,), square metres, from pictures that move by size, px.
 
-    With size (float, float), px; returns (3,): Of dx, dy, dz, square metres, in the middle of the nodes that
-    count.
+    In the middle of the measured nodes; other arguments as in `mean_residuals`.
     """
-    places = np.flatnonzero(good.ravel())
+    places = np.flatnonzero(measured.ravel())
     if not len(places) or not any(size):
         return np.zeros(3)
-    some = places[:: max(1, len(places) // _NODES)]
-    J = jacobian.reshape(len(jacobian), 3, -1)[:, :, some].mean(axis=2)
-    W = weight.reshape(len(weight), -1)[:, some].mean(axis=1)
+    sample = places[:: max(1, len(places) // _SAMPLED_NODES)]
+    J = jacobian.reshape(len(jacobian), 3, -1)[:, :, sample].mean(axis=2)
+    W = weight.reshape(len(weight), -1)[:, sample].mean(axis=1)
     G = np.linalg.solve((J.T * W) @ J, J.T * W)
-    parts = [np.square(s) * np.square(G @ e).sum(axis=1) for s, e in zip(size, _directions(J, line))]
-    return np.asarray(parts[0] + parts[1])
+    along, across = (np.square(s) * np.square(G @ e).sum(axis=1) for s, e in zip(size, _directions(J, line)))
+    return np.asarray(along + across)
 
 
-def of_elevation(heights: Float, lengths: Float, least: float = 0.0) -> float:
+def elevation_variance(heights: Float, lengths: Float, least: float = 0.0) -> float:
     """Variance of the elevation of all pairs of cameras, from how it differs between them over the field.
 
     With the pictures of P + 1 cameras moved alike along the line, pair p is off by (m_p - m_0) / L_p; all
-    pairs together, weighed by L^2, by sum h_p (m_p - m_0) / L_p.
-
-    With heights (P,), metres; lengths (P,).
+    pairs together, weighted by L^2, by sum h_p (m_p - m_0) / L_p. With heights (P,), metres; lengths of the
+    parallax (P,); the least variance of the motion, square metres.
 
     Examples
     --------
-    >>> of_elevation(np.array([6.0, 0.0]), np.array([1.0, -1.0]))
+    >>> elevation_variance(np.array([6.0, 0.0]), np.array([1.0, -1.0]))
     3.0
     """
-    of, all_pairs = _of_pairs(lengths)
-    rest = np.eye(len(of)) - all_pairs
-    shows = float(np.sum(np.square(rest @ heights)) / max(np.sum(np.square(rest @ of)), 1e-30))
-    return max(shows, least) * float(np.sum(np.square(all_pairs @ of)))
+    by_pair, by_all = _elevation_errors(lengths)
+    rest = np.eye(len(by_pair)) - by_all
+    variance = float(np.sum(np.square(rest @ heights)) / max(np.sum(np.square(rest @ by_pair)), 1e-30))
+    return max(variance, least) * float(np.sum(np.square(by_all @ by_pair)))
 
 
-def _of_pairs(lengths: Float) -> tuple[Float, Float]:
-    """What motion of the pictures along the line makes of each pair's elevation, (P, P + 1), the reference
-    first, and the weights of the pairs."""
+def _elevation_errors(lengths: Float) -> tuple[Float, Float]:
+    """Elevation of each pair per motion of each picture along the line, (P, P + 1); weights of the pairs."""
     L = np.asarray(lengths, float)
     return np.column_stack([-1.0 / L, np.diag(1.0 / L)]), np.square(L) / np.sum(np.square(L))
 
 
-def motion_for(level: float, lengths: Float) -> float:
-    """Motion of every camera's picture on the water along the line that moves the level of z by so much.
-
-    With level, metres; lengths (P,); returns Standard deviation, metres.
+def motion_for_level(level: float, lengths: Float) -> float:
+    """Std of each camera's picture on the water along the line that gives the level of z this std; metres.
 
     Examples
     --------
-    >>> round(motion_for(1.0, np.array([1.0, -1.0])), 3)
+    >>> round(motion_for_level(1.0, np.array([1.0, -1.0])), 3)
     1.414
     """
-    of, all_pairs = _of_pairs(lengths)
-    return level / float(np.sqrt(np.sum(np.square(all_pairs @ of))))
+    by_pair, by_all = _elevation_errors(lengths)
+    return level / float(np.sqrt(np.sum(np.square(by_all @ by_pair))))
 
 
-def unsteady(levels: Sequence[float], turn: float) -> float:
-    """How far the mean level of the water moves as no water does, from frame to frame.
+def level_jitter(levels: Sequence[float], phase: float) -> float:
+    """Std of six mean levels of the water that no wave explains, metres.
 
-    Of levels that err by s each, the fifth difference errs by sqrt(252) s; of a wave whose phase turns by p
-    from frame to frame it keeps (2 sin(p/2))^5, a hundredth at p = .4: so much of the levels' own amplitude
-    is taken off.
-
-    With levels, metres; turn, rad; returns Standard deviation of each, metres, that explains their fifth
-    difference.
+    With levels that have an error of s each, the fifth difference has one of sqrt(252) s; of a wave whose
+    phase per frame is p it keeps (2 sin(p/2))^5, a hundredth at p = 0.4: so much of the levels' own amplitude
+    is subtracted.
 
     Examples
     --------
-    >>> unsteady([0, 1, 4, 9, 16, 25], 0.5)
+    >>> level_jitter([0, 1, 4, 9, 16, 25], 0.5)
     0.0
-    >>> round(unsteady([0, 0, 1, 0, 0, 0], 0.5), 2)
+    >>> round(level_jitter([0, 0, 1, 0, 0, 0], 0.5), 2)
     0.63
     """
-    waves = 2.0 * float(np.var(levels)) * (2.0 * np.sin(0.5 * min(turn, np.pi))) ** 10
+    waves = 2.0 * float(np.var(levels)) * (2.0 * np.sin(0.5 * min(phase, np.pi))) ** 10
     return float(np.sqrt(max(float(np.diff(levels, 5)[0]) ** 2 - waves, 0.0) / 252.0))
 
 

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.matching.one_thread import one_thread
-from wavefield.measurement import pair_surface as stereo
 from wavefield.measurement.elevation import surface, windowed
 from wavefield.measurement.flow import flows
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.instant import Images, images_of
 from wavefield.measurement.learn import learn
 from wavefield.measurement.model import Model
+from wavefield.measurement.pair_surface import PairMatch, match_pair
 from wavefield.measurement.response import in_focus, shortest_carried
 from wavefield.measurement.velocity import velocity
 from wavefield.variables import Quality
@@ -218,7 +218,7 @@ def diagnose(
     z = {pair: windowed([match], geometry) for pair, match in matches.items()}
     recombined = {}
     for a, b in (pair for pair in matches if pair not in geometry.pairs):
-        both = stereo.difference_of(matches[geometry.reference, b], matches[geometry.reference, a])
+        both = _difference_of(matches[geometry.reference, b], matches[geometry.reference, a])
         recombined[a, b] = windowed([both], geometry) - z[a, b]
     moved, eps_piv, d_std = _moved(
         (first, second), 0.5 * (surfaces[0].z + surfaces[1].z), matches, geometry, model
@@ -268,10 +268,18 @@ def _learned(
     return geometry, model, first, second
 
 
-def _matched(view: Images, geometry: GridGeometry) -> dict[Pair, stereo.PairMatch]:
+def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
+    """Displacement between the partners of two pairs of one reference."""
+    d, parallax = one.difference - other.difference, one.parallax - other.parallax
+    eps_y = (parallax[1] * d[0] - parallax[0] * d[1]) / np.hypot(*parallax)
+    rejected, matched = one.rejected | other.rejected, one.matched & other.matched
+    return PairMatch((other.pair[1], one.pair[1]), d, parallax, eps_y, rejected, matched, one.found)
+
+
+def _matched(view: Images, geometry: GridGeometry) -> dict[Pair, PairMatch]:
     """Each planned pair, and the direct pairs among their partners."""
     pairs = [*geometry.pairs, *combinations([b for _, b in geometry.pairs], 2)]
-    return {(a, b): stereo.match_pair(view.flat[a], view.flat[b], (a, b), geometry) for a, b in pairs}
+    return {(a, b): match_pair(view.flat[a], view.flat[b], (a, b), geometry) for a, b in pairs}
 
 
 def _moved(

@@ -1,37 +1,35 @@
-"""One camera's displacement from one frame to the next: the most probable one."""
+"""The MAP displacement of one camera's image from one frame to the next."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefield import matching
 from wavefield.matching import Modes
-from wavefield.measurement.elevation import MAX_LOOKS, Convergence
+from wavefield.measurement.convergence import MAX_EVALUATIONS, Convergence
 from wavefield.measurement.model import FieldModel, Model
 from wavefield.measurement.pair_surface import why_rejected
 from wavefield.measurement.regrid import push_pull
 
-Float = NDArray[Any]
+Float = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class CameraFlow:
     """One camera's displacement from one frame to the next, ready to be read anywhere."""
 
-    # (ny, nx, 2): Spline coefficients of the displacement on the lattice of blocks, px of the binned image
-    spline: Float
-    # (1 or 2, ny, nx): Variance by noise, and by what the prior takes away or makes up, px^2; of each
-    # component or of both
+    spline: Float  # (ny, nx, 2): spline coefficients on the lattice of blocks, px of the binned image
+    # (1 or 2, ny, nx): variance by noise, and by what the prior removes or adds, px^2; of each component or
+    # of both
     noise: Float
     missing: Float
-    along: tuple[float, float]  # (float, float): Factors on the noise along columns and along rows
-    rejected: NDArray[np.uint16]  # (ny, nx): Bits of `Quality`; 0 where measured
+    along: tuple[float, float]  # factors on the noise along columns and along rows
+    rejected: NDArray[np.uint16]  # (ny, nx): bits of `Quality`; 0 where measured
 
     @cached_property
     def valid(self) -> NDArray[np.bool_]:
@@ -44,39 +42,38 @@ Flows = Mapping[str, CameraFlow]
 
 @dataclass
 class FlowEstimate:
-    """The most probable displacement between two frames, and what it rests on."""
+    """The MAP displacement between two frames, and what it is based on."""
 
-    waves: Float  # (2, my, mx): Cosine coefficients of the displacement and of its prior mean, px
+    waves: Float  # (2, my, mx): cosine coefficients of the displacement and of its prior mean, px
     mean: Float
-    slopes: matching.Slopes = field(repr=False)  # At the edges of the lattice
-    # (ny, nx): Mean of the two diagonal parts of every block's A, px^-2
-    information: Float = field(repr=False)
-    reason: NDArray[np.uint8] = field(repr=False)  # (ny, nx): Bits of `Reason` at the last look
-    # (float, float): Factors on the variance of either component (`component_variance_factors`)
-    along: tuple[float, float] = (1.0, 1.0)
+    slopes: matching.Slopes = field(repr=False)  # at the edges of the lattice
+    information: Float = field(
+        repr=False
+    )  # (ny, nx): mean of the two diagonal parts of every block's A, px^-2
+    reason: NDArray[np.uint8] = field(repr=False)  # (ny, nx): bits of `Reason` at the last evaluation
+    along: tuple[float, float] = (1.0, 1.0)  # factors on the variance of either component
 
 
-def whole(found: matching.Displacement) -> Float:
+def filled(found: matching.Displacement) -> Float:
     """Displacement without holes, (2, ny, nx), px: filled by coarser and coarser means."""
     return np.moveaxis(push_pull(np.stack([found.u, found.v], axis=-1), found.valid), -1, 0)
 
 
-def most_probable(
+def map_displacement(
     found: matching.Displacement, one: matching.PreparedImage, other: matching.PreparedImage, modes: Modes
 ) -> FlowEstimate:
-    """Displacement as all blocks together have it."""
-    u = whole(found)
+    """Displacement by all blocks together, from what matching found."""
+    u = filled(found)
     waves, (mean, beyond, slopes) = modes.waves(u), modes.mean(u)
-    freedom, seen = modes.freedom, None
-    a = found.hessian
-    progress = Convergence()
-    for number in range(MAX_LOOKS):
+    seen, information = None, u[0]
+    convergence = Convergence()
+    for number in range(MAX_EVALUATIONS):
         if number:
             u = seen + beyond
             found = matching.reevaluate(one, other, u[0], u[1], found.settings)
         counts = found.valid.astype(np.float32)
         trace = found.hessian[0] + found.hessian[2]
-        nu = matching.noise_of_scores(found.score, trace, counts, freedom, with_mismatches=True)
+        nu = matching.noise_of_scores(found.score, trace, counts, modes.freedom, with_mismatches=True)
         counts /= nu * np.float32(modes.prior.noise)
         a = found.hessian * counts
         right = found.score * counts
@@ -87,8 +84,8 @@ def most_probable(
         if not number:
             factor, tolerances = modes.factor(information), modes.tolerances(information)
         solved = modes.solve(a, right, waves, tolerances[min(number, 1)], mean, factor, seen)
-        waves, seen = progress.next(modes, waves, solved, seen)
-        if progress.converged:
+        waves, seen = convergence.next(modes, waves, solved, seen)
+        if convergence.converged:
             break
     along = matching.component_variance_factors(found.score, found.hessian, found.valid.astype(np.float32))
     return FlowEstimate(waves, mean, slopes, information, found.reason, along)
@@ -117,12 +114,7 @@ def flow_near(
     model: FieldModel,
 ) -> CameraFlow:
     """Displacement of one camera from what matching found."""
-    found = most_probable(near, one, other, model.modes)
+    found = map_displacement(near, one, other, model.modes)
     noise, missing = model.spread(found.information)
-    return CameraFlow(
-        model.splined(found.waves, found.slopes),
-        noise,
-        missing,
-        found.along,
-        why_rejected(found.reason),
-    )
+    spline = model.splined(found.waves, found.slopes)
+    return CameraFlow(spline, noise, missing, found.along, why_rejected(found.reason))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,9 +11,9 @@ from wavefield import matching
 from wavefield.config_files import CHECKED, make, place_of
 from wavefield.errors import ExperimentError
 
-# what differs from the defaults, which are for floating beads
+# What differs from the defaults, which are for floating beads.
 _PRESETS: dict[str, dict[str, dict[str, Any]]] = {
-    "floating": {},
+    "floating": {"stereo": {}, "piv": {}},
     "sheet": {
         "stereo": {"window": 32.0, "min_correlation": 0.2},
         "piv": {"window": 24.0, "min_correlation": 0.2, "robust": 1.5},
@@ -23,33 +23,30 @@ _PRESETS: dict[str, dict[str, dict[str, Any]]] = {
         "piv": {"window": 24.0, "min_correlation": 0.3},
     },
 }
-
-
-def _stereo() -> matching.MatchSettings:
-    return matching.MatchSettings.stereo(
-        iterations=(2, 1, 2),
-        window=21.0,
-        smoother_sigma=1.8,
-        coarse_smoother_sigma=1.5,
-        relaxation=1.25,
-        normalization=10.0,
-        search_window=24.0,
-        min_correlation=0.5,
-        min_gradient_energy=0.1,
-    )
-
-
-def _piv() -> matching.MatchSettings:
-    return matching.MatchSettings.piv(
-        iterations=(2, 1, 2),
-        window=12.0,
-        smoother_sigma=1.3,
-        coarse_smoother_sigma=1.0,
-        relaxation=1.25,
-        robust=0.0,
-        normalization=10.0,
-        min_correlation=0.5,
-    )
+_STEREO = matching.MatchSettings(
+    iterations=(2, 1, 2),
+    window=21.0,
+    smoother_sigma=1.8,
+    coarse_smoother_sigma=1.5,
+    robust=0.0,
+    relaxation=1.25,
+    normalization=10.0,
+    search_x=(-48.0, 48.0),
+    search_y=(-8.0, 8.0),
+    search_window=24.0,
+    min_correlation=0.5,
+    min_gradient_energy=0.1,
+)
+_PIV = matching.MatchSettings(
+    iterations=(2, 1, 2),
+    window=12.0,
+    smoother_sigma=1.3,
+    coarse_smoother_sigma=1.0,
+    robust=0.0,
+    relaxation=1.25,
+    normalization=10.0,
+    min_correlation=0.5,
+)
 
 
 @dataclass(frozen=True)
@@ -67,11 +64,13 @@ class Settings:
         Lowest and highest elevation to search, metres. None: 2 % of the reference camera's distance up and
         down (9 cm at 4.4 m).
     sheet_thickness : float or None
-        Thickness of a light sheet on z = 0, metres: particles in it are measured, and no surface; z is 0,
-        known to a quarter of the thickness, and no cameras are matched with each other. None: a surface.
+        Thickness of a light sheet on z = 0, metres: particles in it are measured, and no surface; z is 0 with
+        an uncertainty of a quarter of the thickness, and no cameras are matched with each other. None: a
+        surface.
     bead_height : float
-        How far what is seen of a floating bead stands above the water, metres, as a record at rest says where
-        z = 0 of the calibration is the water's level: its swinging is taken off u and v. z is not changed.
+        Height above the water of the visible part of a floating bead, metres, as a still-water record gives
+        it where z = 0 of the calibration is the water's level: its tilt is corrected in u and v. z is not
+        changed.
     pixel : float or None
         Pixel of the rectified images, metres. None: the finest side of a pixel of the camera that resolves
         least, or down to half of it where blocks of five would be wider than 0.8 grid steps.
@@ -85,11 +84,11 @@ class Settings:
     min_valid : float
         Smallest share of the common view that a frame must measure; below, it counts as missing.
     vibration : {"leave", "correct"}
-        Whether each frame of each camera is turned back by what its sight lines miss those of the others
-        (constant, tilt, roll), before it is measured; the cube keeps by how much (``camera_shift``).
-    stereo : matching.Settings
+        Whether each frame of each camera is turned back by its epipolar error (constant, tilt, roll) before
+        it is measured; the cube stores by how much (``camera_shift``).
+    stereo : matching.MatchSettings
         Matching between cameras; its search range is set from z_range.
-    piv : matching.Settings
+    piv : matching.MatchSettings
         Matching between frames. Floating beads stay in view; where particles come and go, set its ``robust``
         to 1.5: a third more time.
 
@@ -112,8 +111,8 @@ class Settings:
     eps_floor: float = 0.3
     min_valid: float = 0.2
     vibration: Literal["leave", "correct"] = "leave"
-    stereo: matching.MatchSettings = field(default_factory=_stereo)
-    piv: matching.MatchSettings = field(default_factory=_piv)
+    stereo: matching.MatchSettings = _STEREO
+    piv: matching.MatchSettings = _PIV
 
     def __post_init__(self) -> None:
         for name in ("pairs", "velocity_cameras"):
@@ -148,12 +147,12 @@ class Settings:
                 raise ExperimentError("bead_height: particles in a light sheet do not float; leave it out")
             if self.vibration != "leave":
                 raise ExperimentError(
-                    "vibration: correct wants cameras that are matched with each other: those of a light "
-                    "sheet are not; take one of the two out"
+                    "vibration: correct needs cameras that are matched with each other: those of a light "
+                    "sheet are not; leave one of the two out"
                 )
 
     def adjusted(self, preset: str) -> Settings:
-        """The same, fit for other images.
+        """These settings for other images.
 
         Parameters
         ----------
@@ -171,8 +170,11 @@ class Settings:
         36.0
         """
         changes = _PRESETS[preset]
-        stereo, piv = (replace(getattr(self, name), **changes.get(name, {})) for name in ("stereo", "piv"))
-        return replace(self, stereo=stereo, piv=piv)
+        return replace(
+            self,
+            stereo=replace(self.stereo, **changes["stereo"]),
+            piv=replace(self.piv, **changes["piv"]),
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe.

@@ -1,10 +1,9 @@
-"""Cameras and pairs that contradict each other: who is left out, and which nodes are not to be trusted."""
+"""Cameras and pairs that contradict each other: which to leave out, and which nodes not to trust."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any
 
 import cv2
 import numpy as np
@@ -12,26 +11,26 @@ from numpy.typing import NDArray
 
 from wavefield.measurement.pair_surface import PairMatch
 
-Float = NDArray[Any]
+Float = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
-MISFIT = 12.0  # chi^2 per degree of freedom, median over the nodes: more, and a camera lies
-NODE = 36.0  # the same of a single node
-APART = 1.5  # px: two pairs' parallax for one surface
-_AROUND = (5, 5)  # blocks
-_WIDE = (9, 9)  # blocks: over so many the pairs' own noise is below a third of what follows
-_ASK = 0.75  # px: what pairs ask of one surface, in parallax
-_TELLING = 0.3  # of the mean Hessian: less says nothing
-_FELT = np.ones((5, 5), np.uint8)  # blocks: what windows pull along
-_FEW = 50  # nodes: less tell nothing
-_MOST = 0.5  # of the nodes around must contradict
+MAX_MISFIT = 12.0  # chi^2 per degree of freedom, median over the nodes: more, and a camera is an outlier
+MAX_NODE_MISFIT = 36.0  # the same of a single node
+MAX_PAIR_DIFFERENCE_PX = 1.5  # of two pairs' parallax for one surface
+_PAIR_MEAN_BLOCKS = (5, 5)
+_SCORE_MEAN_BLOCKS = (9, 9)  # over so many the pairs' own noise is below a third of the following limit
+_MAX_SCORE_DIFFERENCE_PX = 0.75  # between the corrections of parallax by two pairs to one surface
+_MIN_RELATIVE_HESSIAN = 0.3  # of the mean: blocks with less determine nothing
+_WINDOW_REACH = np.ones((5, 5), np.uint8)  # blocks affected by one
+_MIN_NODES = 50  # for a median misfit
+_MIN_MISFIT_FRACTION = 0.5  # of the nodes around that must contradict
 
 
-def outlier_camera(count: int, typical: float, without: Callable[[int], float]) -> int | None:
+def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int], float]) -> int | None:
     """The camera without which the others agree.
 
-    Three cameras have but one displacement over along the line on which they stand: whichever is left out,
-    the other two agree, and who trembles that way cannot be told.
+    Along the line of three cameras there is only one redundant displacement: whichever is left out, the other
+    two agree, and which of them moves that way cannot be determined.
 
     Examples
     --------
@@ -40,96 +39,86 @@ def outlier_camera(count: int, typical: float, without: Callable[[int], float]) 
     >>> outlier_camera(3, 500.0, lambda n: 400.0 if n == 1 else 1.0) is None
     True
     """
-    if count < 3 or not typical > MISFIT:
+    if n_cameras < 3 or not misfit > MAX_MISFIT:
         return None
-    rest = [without(n) for n in range(count)]
-    explain = [n for n, left in enumerate(rest) if left < min(MISFIT, 0.1 * typical)]
+    limit = min(MAX_MISFIT, 0.1 * misfit)
+    explain = [n for n in range(n_cameras) if misfit_without(n) < limit]
     return explain[0] if len(explain) == 1 else None
 
 
-def median_misfit(misfit: Float, known: Mask) -> float:
-    """Median misfit over the nodes that all cameras measured.
-
-    With misfit (ny, nx); known (ny, nx).
-    """
-    good = known & np.isfinite(misfit)
-    return float(np.median(misfit[good])) if good.sum() >= _FEW else 0.0
+def median_misfit(misfit: Float, measured: Mask) -> float:
+    """Median misfit (ny, nx) over the nodes that all cameras measured; 0 if there are few."""
+    good = measured & np.isfinite(misfit)
+    return float(np.median(misfit[good])) if good.sum() >= _MIN_NODES else 0.0
 
 
-def regions(
-    misfit: Float, known: Mask, count: int, without: Callable[[int], Float], reach: int
+def outlier_regions(
+    misfit: Float, measured: Mask, n_cameras: int, misfit_without: Callable[[int], Float], reach: int
 ) -> dict[int, Mask]:
-    """Where one camera contradicts the others, which agree without it.
+    """Where one camera contradicts the others, which agree there without it, (ny, nx), by its number.
 
-    With misfit (ny, nx); known (ny, nx); returns (ny, nx): Nodes by the number of the camera to be left out
-    there.
+    With the misfit (ny, nx) of all cameras and without each; reach, nodes.
     """
     side = (2 * reach + 1, 2 * reach + 1)
-    bad = (known & (misfit > MISFIT)).astype(np.float32)
-    if count < 3 or bad.sum() < _FEW:
+    bad = (measured & (misfit > MAX_MISFIT)).astype(np.float32)
+    if n_cameras < 3 or bad.sum() < _MIN_NODES:
         return {}
-    most = cv2.blur(bad, side) > np.float32(_MOST) * cv2.blur(known.astype(np.float32), side)
-    number, labels = cv2.connectedComponents((most & known).view(np.uint8))
+    limit = np.float32(_MIN_MISFIT_FRACTION) * cv2.blur(measured.astype(np.float32), side)
+    number, labels = cv2.connectedComponents(((cv2.blur(bad, side) > limit) & measured).view(np.uint8))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, side)
-    others: dict[int, Float] = {}
     out: dict[int, Mask] = {}
     for label in range(1, number):
         here = labels == label
 
-        def misfit_without(n: int, here: Mask = here) -> float:
-            if n not in others:
-                others[n] = without(n)
-            return median_misfit(others[n], here)
+        def median_without(n: int, here: Mask = here) -> float:
+            return median_misfit(misfit_without(n), here)
 
-        outlier = outlier_camera(count, median_misfit(misfit, here), misfit_without)
+        outlier = outlier_camera(n_cameras, median_misfit(misfit, here), median_without)
         if outlier is not None:
             wide = cv2.dilate(here.view(np.uint8), disc) > 0
-            out[outlier] = out.get(outlier, np.zeros_like(known)) | wide
+            out[outlier] = out.get(outlier, np.zeros_like(measured)) | wide
     return out
 
 
-def pairs_apart(matches: Sequence[PairMatch], pixel: float) -> Mask:
-    """Blocks at which pairs of cameras see different surfaces.
+def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
+    """Blocks at which pairs of cameras see different surfaces, (ny, nx); pixel in metres.
 
-    With pixel, metres; returns (ny, nx): Where their elevations differ by more than 1.5 px of parallax, on
-    the mean of 5 x 5 blocks, and two blocks around.
+    Where their elevations differ by more than 1.5 px of parallax, on the mean of 5 x 5 blocks, and two blocks
+    around.
     """
     out = np.zeros(matches[0].eps_y.shape, bool)
     for one, other in pairwise(matches):
-        z, length = zip(*(_along(m) for m in (one, other)), strict=True)
+        lengths = (np.sqrt(np.sum(np.square(m.parallax), axis=0)) for m in (one, other))
         both = (one.valid & other.valid).astype(np.float32)
-        apart = (z[0] - z[1]) * np.minimum(*length) / np.float32(pixel)
-        mean = cv2.blur(np.where(both > 0, apart, np.float32(0)), _AROUND)
-        out |= np.abs(mean) > np.float32(APART) * np.maximum(cv2.blur(both, _AROUND), np.float32(0.2))
+        difference = (one.height - other.height) * np.minimum(*lengths) / np.float32(pixel)
+        mean = cv2.blur(np.where(both > 0, difference, np.float32(0)), _PAIR_MEAN_BLOCKS)
+        limit = np.float32(MAX_PAIR_DIFFERENCE_PX)
+        out |= np.abs(mean) > limit * np.maximum(cv2.blur(both, _PAIR_MEAN_BLOCKS), np.float32(0.2))
     return widened(out)
 
 
-def scores_apart(scores: Sequence[Float], hessians: Sequence[Float], lengths: Sequence[Float]) -> Mask:
-    """Blocks around which pairs of cameras, asked about one surface, want it moved to different heights.
+def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], lengths: Sequence[Float]) -> Mask:
+    """Blocks around which the scores of pairs at one surface move it to different heights, (ny, nx).
 
-    Whole matches may differ by much more and yet a bead's width hides it; at the surface that both have been
-    brought to nothing but noise should be left: .02 to .07 px (standard deviation) on bright and on dark
-    images, .36 px at most.
-
-    With scores, hessians (ny, nx); lengths (ny, nx), px per metre; returns (ny, nx): Where sum s / sum H over
-    9 x 9 blocks differs by more than .75 px of parallax, and two blocks around.
+    Complete matches may differ by much more and yet a bead's width hides it; at the surface to which both
+    have been brought, only noise should be left: 0.02 to 0.07 px (standard deviation) on bright and on dark
+    images, 0.36 px at most. Here sum s / sum H over 9 x 9 blocks differs by more than 0.75 px of parallax, or
+    does so two blocks away. With scores, hessians (ny, nx); lengths of the parallax (ny, nx), px per metre.
     """
-    wide = [(cv2.blur(s, _WIDE), cv2.blur(h, _WIDE)) for s, h in zip(scores, hessians, strict=True)]
+    means = [
+        (cv2.blur(s, _SCORE_MEAN_BLOCKS), cv2.blur(h, _SCORE_MEAN_BLOCKS))
+        for s, h in zip(scores, hessians, strict=True)
+    ]
     out = np.zeros(scores[0].shape, bool)
-    for ((s, h), a), ((t, g), b) in pairwise(zip(wide, lengths, strict=True)):
-        usable = (h > np.float32(_TELLING) * h.mean()) & (g > np.float32(_TELLING) * g.mean())
+    for ((s, h), a), ((t, g), b) in pairwise(zip(means, lengths, strict=True)):
+        least = np.float32(_MIN_RELATIVE_HESSIAN)
+        usable = (h > least * h.mean()) & (g > least * g.mean())
         tiny = np.float32(1e-30)
-        apart = (s / np.maximum(h, tiny) - t / np.maximum(g, tiny)) * np.minimum(a, b)
-        out |= usable & (np.abs(apart) > np.float32(_ASK))
+        difference = (s / np.maximum(h, tiny) - t / np.maximum(g, tiny)) * np.minimum(a, b)
+        out |= usable & (np.abs(difference) > np.float32(_MAX_SCORE_DIFFERENCE_PX))
     return widened(out)
 
 
 def widened(where: Mask) -> Mask:
-    """Blocks and those that feel what is there, two to every side."""
-    return np.asarray(cv2.dilate(where.view(np.uint8), _FELT) > 0)
-
-
-def _along(match: PairMatch) -> tuple[Float, Float]:
-    """Elevation by one pair, metres, and the length of its parallax."""
-    square = np.sum(np.square(match.parallax), axis=0)
-    return -np.sum(match.parallax * match.difference, axis=0) / square, np.sqrt(square)
+    """Blocks and those that their windows reach, two to every side."""
+    return np.asarray(cv2.dilate(where.view(np.uint8), _WINDOW_REACH) > 0)

@@ -22,15 +22,13 @@ from wavefield.variables import PATH_WEIGHTS
 Float = NDArray[Any]
 Mask = NDArray[np.bool_]
 
-Real = Any  # np.float32
+Real = Any  # np.float32: mypy does not follow numba's arithmetic
 Step = TypeVar("Step")
 
 F = np.float32
 
-_SHARED = -0.2  # correlation of noise of successive displacements: they have a frame in common
-_NEXT, _FAR = (F(weight) for weight in PATH_WEIGHTS[6][1:])
 
-# NaN must stay what it is; sums may be taken in any order
+# NaN must propagate; sums may be taken in any order
 _LOOSE = {"contract", "reassoc"}
 
 
@@ -96,8 +94,8 @@ def _solve_near(
 
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
-def _gone_on(after: bool, before: bool, u: Real, v: Real, ua: Real, va: Real, ub: Real, vb: Real) -> Weights:
-    """What was not measured at one end: the path goes on as it came."""
+def _extended(after: bool, before: bool, u: Real, v: Real, ua: Real, va: Real, ub: Real, vb: Real) -> Weights:
+    """Displacements after and before; where one was not measured, the path is extrapolated."""
     if not after:
         ua, va = (F(2) * u - ub, F(2) * v - vb) if before else (u, v)
     if not before:
@@ -107,25 +105,22 @@ def _gone_on(after: bool, before: bool, u: Real, v: Real, ua: Real, va: Real, ub
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _read_path(
-    bb: Float,
-    b: Float,
-    c: Float,
-    a: Float,
-    aa: Float,
-    has_bb: Mask,
-    has_b: Mask,
-    has_a: Mask,
-    has_aa: Mask,
-    nx: int,
-    ny: int,
+    splines: tuple[Float, Float, Float, Float, Float],
+    measured: tuple[Mask, Mask, Mask, Mask],
+    shape: tuple[int, int],
+    lattice: tuple[Real, Real, Real],
     x: Float,
     y: Float,
-    x0: Real,
-    y0: Real,
-    step: Real,
+    outer_weights: tuple[Real, Real],
     out: Float,
     block: NDArray[np.int64],
 ) -> None:
+    """Fill out (6, n) and block (5, n); fields of five steps in time order, empty where there is none."""
+    bb, b, c, a, aa = splines
+    has_bb, has_b, has_a, has_aa = measured
+    ny, nx = shape
+    x0, y0, step = lattice
+    near, far = outer_weights
     across, half, bend = F(1) / step, F(0.5), F(1 / 16)
     for k in range(x.size):
         if not (np.isfinite(x[k]) and np.isfinite(y[k])):
@@ -145,7 +140,7 @@ def _read_path(
             for _ in range(2):
                 ub, vb, nb = _nearest(b, nx, ny, px - across * (half * u + ub), py - across * (half * v + vb))
         after, before = has_a.size > 0 and has_a[na], has_b.size > 0 and has_b[nb]
-        ua, va, ub, vb = _gone_on(after, before, u, v, ua, va, ub, vb)
+        ua, va, ub, vb = _extended(after, before, u, v, ua, va, ub, vb)
         kx, ky = bend * across * (ua - ub), bend * across * (va - vb)
         # in blocks from here on: the fields' unit is px
         sx, sy, u, v, g = _solve_near(c, nx, ny, half * across, px + kx, py + ky, u, v)
@@ -161,7 +156,7 @@ def _read_path(
             bx, by, ub, vb, _ = _solve_near(b, nx, ny, across, sx, sy, wb, zb)
             nb = _nearest(b, nx, ny, bx, by)[2]
         after, before = has_a.size > 0 and has_a[na], has_b.size > 0 and has_b[nb]
-        ua, va, ub, vb = _gone_on(after, before, u, v, ua, va, ub, vb)
+        ua, va, ub, vb = _extended(after, before, u, v, ua, va, ub, vb)
         # the bend as it is now moves the place of departure a little, and with it all places
         kx, ky = bend * across * (ua - ub) - kx, bend * across * (va - vb) - ky
         us, vs = _at(c, nx, ny, sx + g[0] * kx + g[1] * ky, sy + g[2] * kx + g[3] * ky)
@@ -180,42 +175,23 @@ def _read_path(
             na, nb = _nearest(aa, nx, ny, ax, ay)[2], _nearest(bb, nx, ny, bx, by)[2]
             if has_aa[na] and has_bb[nb]:
                 wa, za = _at(aa, nx, ny, ax, ay)
-                out[0, k] = us + _NEXT * (ua - F(2) * u + ub) + _FAR * (wa - F(2) * u + wb)
-                out[1, k] = vs + _NEXT * (va - F(2) * v + vb) + _FAR * (za - F(2) * v + zb)
+                out[0, k] = us + near * (ua - F(2) * u + ub) + far * (wa - F(2) * u + wb)
+                out[1, k] = vs + near * (va - F(2) * v + vb) + far * (za - F(2) * v + zb)
                 block[0, k], block[4, k] = nb, na
-
-
-def noise_weights(frames: int) -> tuple[float, ...]:
-    """What variances by noise of displacements weigh in that of the one at mid-time.
-
-    Noise of a frame enters the displacements before and after it with opposite signs. Were it all, successive
-    displacements had a correlation of -1/2; what the beads' places make in every pair of frames has none.
-    By errors of chords and of paths through four and six places at 80 frames/s it is -.14 to -.21 in good
-    light.
-
-    Examples
-    --------
-    >>> [round(a + 2 * sum(b), 2) for a, *b in map(noise_weights, (2, 4, 6))]
-    [1.0, 1.21, 0.49]
-    """
-    half = PATH_WEIGHTS[frames]
-    w = np.array([0.0, *half[:0:-1], *half, 0.0])
-    out = w[1:-1] * (w[1:-1] + _SHARED * (w[:-2] + w[2:]))
-    return tuple(float(part) for part in out[len(half) - 1 :])
 
 
 def five(steps: Sequence[Step | None]) -> Sequence[Step | None]:
     """Five steps, None where none is given on either side."""
-    beside = [None] * (2 - len(steps) // 2)
-    return [*beside, *steps, *beside]
+    missing = [None] * (2 - len(steps) // 2)
+    return [*missing, *steps, *missing]
 
 
 def read_path(
     splines: Sequence[Float | None],
     valid: Sequence[Mask | None],
     lattice: BlockLattice,
-    X: NDArray[Any],
-    Y: NDArray[Any],
+    X: Float,
+    Y: Float,
 ) -> tuple[Float, NDArray[np.int64]]:
     """Displacement per step, at mid-time, of what is then at given pixels, and its path around.
 
@@ -223,17 +199,17 @@ def read_path(
 
         X0 = X - d01/2 + (d12 - d-10)/16,    dX/dt dt = (26 d01 - d-10 - d12)/24.
 
-    The particle is at X at mid-time; the middle of its chord lies (d12 - d-10)/16 beside. What is missing at
-    one end is extrapolated: the path is then a parabola, and a straight line if both ends are missing. Where
-    the steps beyond are there as well,
+    The particle is at X at mid-time, the middle of its chord (d12 - d-10)/16 (the bend) from there. What is
+    missing at one end is extrapolated: the path is then a parabola, and a straight line if both ends are
+    missing. Where the steps beyond were measured as well,
 
         dX/dt dt = (34 d01 + 10 (d-10 + d12) - 3 (d-2-1 + d23))/48:
 
-    as exact for a cubic path, with .4 of the variance by noise (`noise_weights`), and less left of fast
-    waves (`wavefield.variables.PATH_WEIGHTS`). The bend is (d12 - d-10)/16.
+    as exact for a cubic path, with 0.4 of the variance by noise and a smaller error for fast waves.
 
-    With splines (ny, nx, 2), px; valid (ny, nx); lattice, px; X, Y S, px; returns d (6,) + S: dX/dt dt at
-    mid-time; block (5,) + S: Flat index of the block read in each of five steps.
+    With splines (ny, nx, 2), px, and valid (ny, nx) of an odd number of steps; lattice, px; X, Y S, px.
+    Returns (6,) + S: dX/dt dt at mid-time, displacement over the step, bend, px; and (5,) + S: flat index of
+    the block read in each of five steps, -1 where none was.
 
     Examples
     --------
@@ -251,11 +227,9 @@ def read_path(
     bb, b, c, a, aa = (
         none if f is None else np.ascontiguousarray(f, np.float32).ravel() for f in five(splines)
     )
-    has_bb, has_b, _, has_a, has_aa = (
-        nothing if f is None else np.ascontiguousarray(f).ravel() for f in five(valid)
-    )
-    ny, nx = lattice.shape
-    x0, y0, step = F(lattice.x0), F(lattice.y0), F(lattice.step)
-    measured = has_bb, has_b, has_a, has_aa
-    _read_path(bb, b, c, a, aa, *measured, nx, ny, xs, ys, x0, y0, step, out, block)
+    has = [nothing if f is None else np.ascontiguousarray(f).ravel() for f in five(valid)]
+    place = F(lattice.x0), F(lattice.y0), F(lattice.step)
+    near, far = (F(weight) for weight in PATH_WEIGHTS[6][1:])
+    measured = has[0], has[1], has[3], has[4]
+    _read_path((bb, b, c, a, aa), measured, lattice.shape, place, xs, ys, (near, far), out, block)
     return out.reshape(6, *nodes), block.reshape(5, *nodes)

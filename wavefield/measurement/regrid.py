@@ -1,8 +1,4 @@
-"""From a lattice of blocks to the nodes of the physical grid.
-
-Nodes are read from a cubic spline, its coefficients made of the field's cosines, where their sight line
-meets the surface.
-"""
+"""From a lattice of blocks to nodes: cubic splines, read where sight lines meet the surface."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -72,10 +68,7 @@ def _push(coarse: Float, sums: Float, weight: Float, out: Float) -> None:
 
 
 def push_pull(fields: Float, valid: Mask) -> Float:
-    """Fill gaps from coarser and coarser means.
-
-    With fields (ny, nx, F); valid (ny, nx); returns (ny, nx, F): The same with gaps filled.
-    """
+    """Fields (ny, nx, F) with the gaps of valid (ny, nx) filled from coarser and coarser means."""
     levels: list[tuple[Float, Float]] = [(fields, valid.astype(np.float32))]
     while min(levels[-1][1].shape) > 1 and not levels[-1][1].all():
         ny, nx = ((n + 1) // 2 for n in levels[-1][1].shape)
@@ -90,20 +83,23 @@ def push_pull(fields: Float, valid: Mask) -> Float:
 
 
 def thin_plate(shape: tuple[int, int], smoothing: float) -> Float:
-    """Response of the smoothing thin plate and of the spline prefilter to each cosine.
+    """Gain of the smoothing thin plate and of the spline prefilter for each cosine, (ny, nx).
 
-    Returns (ny, nx): 1 / ((1 + smoothing k^4) b_x b_y), b the sampled cubic B-spline.
+    1 / ((1 + smoothing k^4) b_x b_y), with b the sampled cubic B-spline.
     """
     ky, kx = (np.pi * np.arange(n) / n for n in shape)
     spline = ((2.0 + np.cos(ky)) / 3.0)[:, None] * ((2.0 + np.cos(kx)) / 3.0)
     return (1.0 / ((1.0 + smoothing * (ky[:, None] ** 2 + kx**2) ** 2) * spline)).astype(np.float32)
 
 
-def coefficients(fields: Float) -> Float:
-    """Cubic-spline coefficients of fields.
+def interpolation_gain(q: Float) -> Float:
+    """Gain of reading a field between its blocks from a cubic spline; q along one axis, rad per block."""
+    spline = np.sinc(q / (2 * np.pi)) ** 4 * 3.0 / (2.0 + np.cos(q))
+    return np.where(np.abs(q) < np.pi, spline, 0.0)
 
-    With fields (ny, nx, F); returns (ny, nx, F).
-    """
+
+def coefficients(fields: Float) -> Float:
+    """Cubic-spline coefficients of fields (ny, nx, F)."""
     stack = np.ascontiguousarray(np.moveaxis(fields, -1, 0))
     waves = scipy.fft.dctn(stack, axes=(1, 2), norm="ortho", workers=1)
     waves *= thin_plate(stack.shape[1:], 0.0)
@@ -164,17 +160,16 @@ def _read_surface(
     shape: tuple[int, int, int],
     x: Float,
     y: Float,
-    x0: float,
-    y0: float,
-    step: float,
-    cx: float,
-    cy: float,
-    cz: float,
+    lattice: tuple[float, float, float],
+    centre: tuple[float, float, float],
     out: Float,
-    p: Float,
-    q: Float,
+    p: NDArray[np.int64],
+    q: NDArray[np.int64],
 ) -> None:
+    """Fill out (F, n), and block indices p along x and q along y (n,)."""
     ny, nx, fields = shape
+    x0, y0, step = lattice
+    cx, cy, cz = centre
     across = 1.0 / step
     step_x, step_y = np.uintp(fields), np.uintp(nx * fields)
     shrink = 1.0
@@ -210,15 +205,16 @@ def read_surface(
 
     Solves x = x_a + D_a(x_a) z(x_a) by fixed point: with straight rays, x_a = c + (x - c) / (1 - z / c_z).
 
-    With spline (ny, nx, F); lattice, metres; centre (3,), metres; x, y S, metres; returns values (F,) + S:
-    The fields at (x, y).
+    With spline (ny, nx, F); lattice, metres; centre of the camera (3,), metres; x, y S, metres. Returns the
+    fields at (x, y), (F,) + S, and the flat index of the block read, S.
     """
     nodes = np.broadcast_shapes(np.shape(x), np.shape(y))
     xs, ys = (np.ascontiguousarray(np.broadcast_to(v, nodes), dtype=np.float64).ravel() for v in (x, y))
     out = np.empty((spline.shape[2], xs.size), np.float32)
     p, q = np.empty(xs.size, np.int64), np.empty(xs.size, np.int64)
-    cx, cy, cz = (float(c) for c in centre)
-    _read_surface(
-        spline.ravel(), spline.shape, xs, ys, lattice.x0, lattice.y0, lattice.step, cx, cy, cz, out, p, q
+    place, camera = (
+        (lattice.x0, lattice.y0, lattice.step),
+        (float(centre[0]), float(centre[1]), float(centre[2])),
     )
+    _read_surface(spline.ravel(), spline.shape, xs, ys, place, camera, out, p, q)
     return out.reshape(-1, *nodes), (q * lattice.shape[1] + p).reshape(nodes)

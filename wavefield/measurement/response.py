@@ -13,6 +13,7 @@ from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.prior import Prior
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.learned_record import LearnedRecord
+from wavefield.measurement.regrid import interpolation_gain
 
 Float = NDArray[np.floating[Any]]
 
@@ -109,7 +110,7 @@ def gain_of_elevation(geometry: GridGeometry, record: LearnedRecord, kx: Float, 
     With kx, ky, rad/m.
     """
     step = BLOCK * geometry.pixel
-    gain: Float = _between_blocks(record.elevation, kx * step, ky * step)[0]
+    gain: Float = _gain_between_blocks(record.elevation, kx * step, ky * step)[0]
     gain /= 1.0 + geometry.settings.smoothing * (np.square(kx * step) + np.square(ky * step)) ** 2
     return gain
 
@@ -128,19 +129,13 @@ def gain_of_velocity(geometry: GridGeometry, record: LearnedRecord, kx: Float, k
     out = np.zeros((*np.broadcast_shapes(np.shape(kx), np.shape(ky)), 3, 3))
     for i, (prior, jacobian) in enumerate(zip(priors.values(), jacobians)):
         q = np.stack([kx, ky], axis=-1) @ (BLOCK * np.linalg.inv(jacobian[:, :2]))
-        gain = _between_blocks(prior, q[..., 0], q[..., 1])
+        gain = _gain_between_blocks(prior, q[..., 0], q[..., 1])
         both = np.moveaxis(np.broadcast_to(gain, (2, *out.shape[:-2])), 0, -1)
         out += inverse[:, 2 * i : 2 * i + 2] @ (both[..., None] * jacobian)
     return out
 
 
-def _between_blocks(prior: Prior, qx: Float, qy: Float) -> Float:
-    """Gain of the most probable field, (1 or c,) + S, read between the blocks from a cubic spline.
-
-    Wavenumbers in rad per block.
-    """
-    gain = prior.gain(qx, qy)
-    for q in (qx, qy):
-        spline = np.sinc(q / (2 * np.pi)) ** 4 * 3.0 / (2.0 + np.cos(q))
-        gain = np.where(np.abs(q) < np.pi, gain * spline, 0.0)
-    return gain
+def _gain_between_blocks(prior: Prior, qx: Float, qy: Float) -> Float:
+    """Gain of the MAP field, (1 or c,) + S, read between the blocks; wavenumbers S in rad per block."""
+    gain: Float = prior.gain(qx, qy)
+    return gain * interpolation_gain(qx) * interpolation_gain(qy)

@@ -1,4 +1,4 @@
-"""What frames so far apart cannot follow: how fast the waves of a record turn, and what that leaves out."""
+"""Error of a finite time step: what the frames leave out of waves whose phase turns fast."""
 
 from __future__ import annotations
 
@@ -10,61 +10,73 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from wavefield.variables import PATH_WEIGHTS
+from wavefield.measurement.time_weights import elevation_gain, noise_weights, path_gain, place_weights
 from wavefield.water import dispersion
 
 Float = NDArray[Any]
 Parts = tuple[float, float, float, float]
 
-_DETECTED_SNR = 6.0  # times its noise: what the power of a ring must be to tell of its waves
-_LEAKED = 0.5  # of a ring, by Hann window, so many rings further to the power of -6
-_MAIN = 3  # rings: nearer than that a window mixes them
-_TURNS = 16  # directions of waves to the water's own
-_SMALLEST = 6  # nodes along either side, to tell waves
-_PER_WAVE = 4.5  # lines of a windowed transform that tell the same
-_FEW = 20.0  # waves: a ring of so many is believed by half
-_ENOUGH = 100.0  # waves: so many tell to a tenth how fast they turn, and to half of it what six frames lose
-_BESIDE = 1.1  # a chord lies beside the path as well: the more, the steeper the waves
+_DETECTED_SNR = 6.0  # of the power of a ring whose waves are used
+_LEAKAGE = 0.5  # of a ring's power through a Hann window, over the distance in rings to the power of 6
+_MAIN_LOBE_RINGS = 3  # nearer rings are mixed by the window
+_DIRECTIONS = 16  # of waves, relative to the motion of the water
+_MIN_NODES = 6  # along either side of a field
+_LINES_PER_WAVE = 4.5  # lines of a windowed transform that are not independent
+_HALF_TRUSTED_WAVES = 20.0  # in a ring: its own phase then counts by half
+_MIN_WAVES_OF_SIX_FRAMES = 100.0  # give phases to a tenth, and to half of it what six frames leave out
+_TRUNCATION_MARGIN = 1.5  # on the error of waves along a path
+_CHORD_FACTOR = 1.1  # a chord is not on the path either, the less so the steeper the waves
 
 
 @dataclass(frozen=True)
 class TemporalTruncation:
-    """Standard deviation of what the finite time step leaves out, over the field."""
+    """Standard deviation over the field of what the finite time step leaves out; pairs are hashable."""
 
-    z: tuple[tuple[int, float], ...]  # pairs, for a plan is looked up by what it was learned from
-    # (float, float, float, float): Of the water's displacement per step from 2, 4 and, where enough waves
-    # tell it, 6 frames, over the rms of its rise: along either axis, where the water stands still and by how
-    # much more where it moves as far as it does on the average (squares add), then the same of its rise
+    z: tuple[tuple[int, float], ...]  # of z at mid-time by number of frames (2, 3, 4, 6), metres
+    # Of the displacement per step by number of frames (2, 4 and, with enough waves, 6), over the rms of its
+    # rise: along either axis in water without mean motion, and in addition where it moves as far as on
+    # average (squares add); then the same of its rise.
     d: tuple[tuple[int, Parts], ...]
 
     def of_z(self, frames: int) -> float:
         """Of z at mid-time from so many frames, metres."""
         return dict(self.z)[frames]
 
-    def of_displacement(self, frames: int, d: Float, known: NDArray[np.bool_]) -> Float:
-        """Of the displacement per step from so many frames.
+    def of_displacement(self, frames: int, d: Float, measured: NDArray[np.bool_]) -> Float:
+        """Of displacements per step from so many frames, (3, ny, nx), metres, as d.
 
-        Half of what is left out along the axes is shared as the motion itself is, half evenly: short waves
-        come from more sides than long ones.
-
-        With d (3, ny, nx), metres; known (ny, nx); returns (3, ny, nx): Metres.
+        Half of the error along the axes is shared as the motion itself, half evenly: short waves come from
+        more sides than long ones.
         """
         still, moving, still_up, moving_up = np.square(dict(self.d)[frames])
-        if not known.any():
+        if not measured.any():
             return np.zeros_like(d)
-        x, y = (float(np.var(part[known])) for part in d[:2])
+        x, y = (float(np.var(part[measured])) for part in d[:2])
         share = 0.5 + 0.5 * np.array([x, y]) * 2.0 / max(x + y, 1e-30)
         speed = np.square(d[0]) + np.square(d[1])
-        speed /= max(float(np.mean(speed[known])), 1e-30)
+        speed /= max(float(np.mean(speed[measured])), 1e-30)
         up = still_up + moving_up * speed
         along = still + moving * speed
-        rise = np.float32(np.sqrt(np.mean(np.square(d[2][known]))))
+        rise = np.float32(np.sqrt(np.mean(np.square(d[2][measured]))))
         return np.asarray(rise * np.sqrt(np.stack([share[0] * along, share[1] * along, up])))
 
     def total(self, frames: int) -> float:
         """Variance of the displacement per step from so many frames, over that of the rise."""
         still, moving, still_up, moving_up = np.square(dict(self.d)[frames])
         return float(2.0 * (still + moving) + still_up + moving_up)
+
+    def best_frames(self, rise: float, noise_variance: float) -> int:
+        """Number of frames, 4 or 6, with the smallest error, for the rms rise and the noise of displacements.
+
+        Four where few waves determine the phase; six have to be better by more than its uncertainty.
+        """
+
+        def error(frames: int) -> float:
+            own, *neighbours = noise_weights(frames)
+            lost = _TRUNCATION_MARGIN**2 * (rise**2 * self.total(frames))
+            return noise_variance * (own + 2.0 * sum(neighbours)) + lost
+
+        return 6 if 6 in dict(self.d) and error(6) < error(4) else 4
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a recipe."""
@@ -78,9 +90,9 @@ class TemporalTruncation:
         return cls(z, tuple((int(n), _parts(value)) for n, value in data["d"].items()))
 
 
-def _parts(value: Sequence[float]) -> Parts:
-    across, more, up, more_up = map(float, value)
-    return across, more, up, more_up
+def _parts(values: Sequence[float]) -> Parts:
+    still, moving, still_up, moving_up = map(float, values)
+    return still, moving, still_up, moving_up
 
 
 NOTHING = TemporalTruncation(
@@ -88,127 +100,110 @@ NOTHING = TemporalTruncation(
 )
 
 
-def kept_of_z(phase: Float, frames: int) -> Float:
-    """Fraction of a wave's elevation at mid-time that an interpolation in time keeps.
-
-    Examples
-    --------
-    >>> kept_of_z(np.array([1.0]), 6).round(4).tolist(), kept_of_z(np.array([1.0]), 4).round(4).tolist()
-    ([0.9958], [0.9784])
-    """
-    weights = {2: (1.0,), 4: (9 / 8, -1 / 8), 6: (150 / 128, -25 / 128, 3 / 128)}[frames]
-    return np.asarray(sum(w * np.cos((n + 0.5) * phase) for n, w in enumerate(weights)))
-
-
-def kept_of_displacement(phase: Float, frames: int) -> Float:
-    """Fraction of a wave's velocity at mid-time that displacements keep.
-
-    With phase, rad.
-    """
-    here, *beside = PATH_WEIGHTS[frames]
-    path = here + 2.0 * sum(w * np.cos(n * phase) for n, w in enumerate(beside, 1))
-    return np.asarray(np.sinc(phase / (2.0 * np.pi)) * path)
-
-
 def temporal_truncation(
     pairs: Sequence[tuple[Float, Float]],
     step: float,
     noise: Callable[[Float], Float] | None = None,
-    matched: Callable[[Float], tuple[Float, Float]] | None = None,
+    matching_gain: Callable[[Float], tuple[Float, Float]] | None = None,
 ) -> TemporalTruncation:
-    """What the finite time step leaves out, from elevations at two consecutive frames.
+    """Error of the finite time step, from elevations at two consecutive frames (ny, nx), metres.
 
     In every ring of wavenumber the power of the difference over that of the sum is tan^2(p/2), with p = omega
-    dt the phase by which its waves turn in a step; the power P of the waves is the sum of both, over four. A
-    ring of few waves says little of its own: its phase is drawn to c times that of the dispersion relation,
-    with c the mean of all rings, weighed by their waves. A window in space keeps the long waves out of the
-    rings of the short ones, but for what falls off with the sixth power of the distance: rings that this may
-    fill are drawn altogether. All this of the curvature of z: waves as long as the field and longer would
-    fill the first rings with their own slow turning. What z has there beyond its curvature is theirs, a ring
-    of its own. Of z sum P (1 - K)^2 is left out (`kept_of_z`); three frames leave out p^3/16.
+    dt the phase per step of its waves; the power P of the waves is the sum of both, over four. The phase of a
+    ring of few waves is shrunk to c times that of the dispersion relation, with c the mean of all rings,
+    weighted by their waves. A window in space keeps the long waves out of the rings of the short ones, except
+    for what falls off with the sixth power of the distance: rings that this may fill are replaced completely.
+    All this is computed of the curvature of z: waves as long as the field and longer would fill the first
+    rings with their own slow phase. The part of z beyond its curvature is theirs, as a ring of its own. Of z,
+    sum P (1 - K)^2 is left out (`elevation_gain`); three frames leave out p^3/16.
 
-    A path sees a wave turn by q = p - k d cos(theta) in a step, with d how far the water moves in it, theta
-    the direction of the wave beside that of the water; along the path its rise is q of the amplitude, its
-    motion along the wave p of it. Of its displacement B G is left by matching, B G K(q) by the path as well
-    (`kept_of_displacement`); what the prior takes, (1 - G)^2, is stated apart. So half of sum P p^2 L of the
-    motion along either axis is left out, L = (1 - B G K(q))^2 - (1 - G)^2, averaged over theta. Of the rise
-    sum P q^2 L is, but for how much the path bends: its places are Gaussian, given d, and the expectation of
+    A path sees a wave with phase q = p - k d cos(theta) per step, where d is the motion of the water in it
+    and theta the direction of the wave relative to that; along the path its rise is q of the amplitude, its
+    motion along the wave p of it. Matching leaves B G of its displacement, the path K(q) of that
+    (`path_gain`); what the prior removes, (1 - G)^2, is stated separately. So half of sum P p^2 L of the
+    motion along either axis is left out, L = (1 - B G K(q))^2 - (1 - G)^2, averaged over theta. Of the rise,
+    sum P q^2 L is, except for the bend of the path: its places are Gaussian, given d, and the expectation of
     the squared error follows from their covariances. Both grow nearly with d^2. d is that of deep water: as
     far as it rises.
 
-    With pairs (ndarray, ndarray), metres; step, metres; noise, rad per node; matched, rad per node.
+    With step, metres; noise variance and matching_gain (G, B) as functions of wavenumber, rad per node.
     """
-    if not pairs or min(pairs[0][0].shape) < _SMALLEST:
+    if not pairs or min(pairs[0][0].shape) < _MIN_NODES:
         return NOTHING
+    k, power, phase, waves = _wave_rings(pairs, step, noise)
+    z = {n: float(np.sqrt(np.sum(power * (1.0 - elevation_gain(phase, n)) ** 2))) for n in (2, 4, 6)}
+    z[3] = float(np.sqrt(np.sum(power * np.minimum(phase**3 / 16.0, 1.0) ** 2)))
+    gains = (np.ones_like(k), np.ones_like(k)) if matching_gain is None else matching_gain(k * step)
+    rise = float(np.mean([np.mean(np.square(b - a)) for a, b in pairs]))
+    d = []
+    factors = {2: _CHORD_FACTOR, 4: 1.0} | ({6: 1.0} if waves > _MIN_WAVES_OF_SIX_FRAMES else {})
+    for n, factor in factors.items():
+        still, moving = (_left_out_of_paths(power, phase, k, far, gains, n) for far in (0.0, np.sqrt(rise)))
+        added = np.maximum(moving - still, 0.0)
+        across, up = factor * np.sqrt(np.stack([still, added], axis=1) / max(rise, 1e-30))
+        d.append((n, (float(across[0]), float(across[1]), float(up[0]), float(up[1]))))
+    return TemporalTruncation(tuple(sorted(z.items())), tuple(d))
+
+
+def _wave_rings(
+    pairs: Sequence[tuple[Float, Float]], step: float, noise: Callable[[Float], Float] | None
+) -> tuple[Float, Float, Float, float]:
+    """Wavenumber, rad/m, power, m^2, and phase per step of the waves in rings; number of all waves."""
     shape = pairs[0][0].shape
     inner = shape[0] - 2, shape[1] - 2
     ring, k, square = _rings(inner)
     count = np.bincount(ring)
     noise_power = np.zeros(count.size)
-    if noise is not None:  # in the power of every wave of a smaller field there is more of it
+    if noise is not None:  # there is more of it in every wave of a smaller field
         noise_power = 2.0 * np.bincount(ring, noise(k)) * np.prod(shape) / np.prod(inner)
 
-    def in_rings(combine: Callable[[Float], Float], sign: float, weight: Float) -> Float:
-        powers = [np.bincount(ring, weight * _power(combine(a + sign * b))) for a, b in pairs]
+    def ring_power(filtered: Callable[[Float], Float], sign: float, weight: Float) -> Float:
+        powers = [np.bincount(ring, weight * _power(filtered(a + sign * b))) for a, b in pairs]
         return np.asarray(np.maximum(np.mean(powers, axis=0) - noise_power, 0.0))
 
-    flat = np.ones_like(k)
-    curved = [in_rings(_curvature, sign, 1.0 / square) for sign in (1.0, -1.0)]
-    whole = [in_rings(_inner, sign, flat) for sign in (1.0, -1.0)]
-    plus, minus = np.minimum(curved, whole)
-    own = _turned(*curved)
-    power, curvature = (
-        0.25 * (plus + minus),
-        0.25 * np.sum(curved, axis=0) * np.bincount(ring, square) / count,
-    )
+    curved = [ring_power(_curvature, sign, 1.0 / square) for sign in (1.0, -1.0)]
+    total = [ring_power(_inner, sign, np.ones_like(k)) for sign in (1.0, -1.0)]
+    plus, minus = np.minimum(curved, total)
+    own_phase = _phase(*curved)
+    power = 0.25 * (plus + minus)
+    curvature = 0.25 * np.sum(curved, axis=0) * np.bincount(ring, square) / count
     detected = (
         (power > 0.25 * _DETECTED_SNR * noise_power)
         & (curvature > _DETECTED_SNR * _leaked(curvature))
-        & (own > 0)
+        & (own_phase > 0)
     )
     detected[0] = False
-    peak = 1 + int(np.argmax(power[1:]))  # what is heard again beyond a ring that is not is noise
+    peak = 1 + int(np.argmax(power[1:]))  # beyond it, what follows a ring without waves is noise
     detected[peak:] = np.logical_and.accumulate(detected[peak:])
-    waves = np.where(detected, count * len(pairs) / _PER_WAVE, 0.0)
+    waves = np.where(detected, count * len(pairs) / _LINES_PER_WAVE, 0.0)
     k = np.bincount(ring, k) / count / step
-    phase = _drawn(own, waves, dispersion(k))
-    longer = np.sum(whole, axis=1) - [plus[1:].sum(), minus[1:].sum()]
-    power[0], phase[0] = 0.25 * longer.sum(), _turned(*longer)
-    z = {n: float(np.sqrt(np.sum(power * (1.0 - kept_of_z(phase, n)) ** 2))) for n in (2, 4, 6)}
-    z[3] = float(np.sqrt(np.sum(power * np.minimum(phase**3 / 16.0, 1.0) ** 2)))
-    left = (np.ones_like(k), np.ones_like(k)) if matched is None else matched(k * step)
-    rise = float(np.mean([np.mean(np.square(b - a)) for a, b in pairs]))
-    d = []
-    factors = {2: _BESIDE, 4: 1.0} | ({6: 1.0} if waves.sum() > _ENOUGH else {})
-    for n, factor in factors.items():
-        still, moving = (_of_paths(power, phase, k, far, left, n) for far in (0.0, np.sqrt(rise)))
-        faster = np.maximum(moving - still, 0.0)
-        across, up = factor * np.sqrt(np.stack([still, faster], axis=1) / max(rise, 1e-30))
-        d.append((n, (float(across[0]), float(across[1]), float(up[0]), float(up[1]))))
-    return TemporalTruncation(tuple(sorted(z.items())), tuple(d))
+    phase = _shrunk_phases(own_phase, waves, dispersion(k))
+    longer = np.sum(total, axis=1) - [plus[1:].sum(), minus[1:].sum()]
+    power[0], phase[0] = 0.25 * longer.sum(), _phase(*longer)
+    return k, power, phase, float(waves.sum())
 
 
-def _of_paths(
-    power: Float, phase: Float, k: Float, far: float, left: tuple[Float, Float], frames: int
+def _left_out_of_paths(
+    power: Float, phase: Float, k: Float, far: float, gains: tuple[Float, Float], frames: int
 ) -> Float:
     """Variance that paths leave out along either axis and of the rise, (2,), where water moves so far."""
-    theta = np.pi * (np.arange(_TURNS) + 0.5) / _TURNS
+    theta = np.pi * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
     moved = far * k * np.cos(theta)[:, None]
-    gain, raised = left
+    gain, raised = gains
     q = phase - moved
-    lost = np.square(1.0 - raised * gain * kept_of_displacement(q, frames)) - np.square(1.0 - gain)
+    lost = np.square(1.0 - raised * gain * path_gain(q, frames)) - np.square(1.0 - gain)
     along = 0.5 * np.sum(power * phase**2 * np.maximum(lost, 0.0))
-    risen = _of_rises(power, phase, k, moved, raised * gain, frames) - np.square((1.0 - gain) * q)
-    return np.array([along, np.sum(power * np.maximum(risen, 0.0))]) / _TURNS
+    rise = _rise_error(power, phase, k, moved, raised * gain, frames) - np.square((1.0 - gain) * q)
+    return np.array([along, np.sum(power * np.maximum(rise, 0.0))]) / _DIRECTIONS
 
 
-def _of_rises(power: Float, phase: Float, k: Float, moved: Float, left: Float, frames: int) -> Float:
-    """Squared error of the rise along a path, over the power of each wave, (turns, rings).
+def _rise_error(power: Float, phase: Float, k: Float, moved: Float, gain: Float, frames: int) -> Float:
+    """Squared error of the rise along a path, over the power of each wave, (directions, rings).
 
-    Where the path leads is a Gaussian process: known is how far it goes in a step at mid-time, what is left
-    of it turns the wave as well.
+    The path is a Gaussian process: its motion per step at mid-time is given, the rest of it turns the wave
+    too.
     """
-    t, weights = _places(frames)
+    t, weights = place_weights(frames)
     apart, each = np.subtract.outer(t, t)[..., None], np.multiply.outer(t, phase)
     still = 1.0 - np.cos(each)
     # covariances of the places, from mid-time on, and with the motion there; along one axis
@@ -218,41 +213,34 @@ def _of_rises(power: Float, phase: Float, k: Float, moved: Float, left: Float, f
     rest = places - np.outer(with_motion, rho)
     own = np.diag(rest)
     between = own[:, None] + own - 2.0 * rest
-    seen = left * weights[:, None] * np.exp(1j * (each - moved[:, None] * rho[:, None]))
+    seen = gain * weights[:, None] * np.exp(1j * (each - moved[:, None] * rho[:, None]))
     exact = phase - moved
     mean = np.sum(seen * np.exp(-0.5 * np.multiply.outer(own, k**2)), axis=1)
     pairs = np.real(seen[:, :, None] * seen[:, None].conj()) * np.exp(-0.5 * np.multiply.outer(between, k**2))
     return np.asarray(np.square(exact) - 2.0 * exact * np.imag(mean) + pairs.sum(axis=(1, 2)))
 
 
-def _places(frames: int) -> tuple[Float, Float]:
-    """When a path is seen, steps from mid-time, and what its places weigh in the displacement there."""
-    t = np.arange(frames) - 0.5 * (frames - 1)
-    later = -np.diff(PATH_WEIGHTS[frames], append=0.0)
-    return t, np.concatenate([-later[::-1], later])
-
-
 def _leaked(power: Float) -> Float:
-    """Power that the window brings into every ring from those that are not beside it."""
+    """Power that the window brings into every ring from those that are not next to it."""
     apart = np.abs(np.subtract.outer(np.arange(power.size), np.arange(power.size)))
-    reach = np.where(apart >= _MAIN, _LEAKED / np.maximum(apart, 1.0) ** 6, 0.0)
+    reach = np.where(apart >= _MAIN_LOBE_RINGS, _LEAKAGE / np.maximum(apart, 1.0) ** 6, 0.0)
     return np.asarray(reach @ power)
 
 
-def _drawn(own: Float, waves: Float, shape: Float) -> Float:
-    """Phases of rings as they and all others together have them, in proportion to a shape."""
+def _shrunk_phases(own: Float, waves: Float, shape: Float) -> Float:
+    """Phases of rings, shrunk by their number of waves to a common multiple of a shape."""
     if not waves.any():
         return np.zeros_like(own)
     detected = waves > 0
     ratio = np.zeros_like(own)
     ratio[detected] = np.log(own[detected] / shape[detected])
     mean = np.sum(waves * ratio) / np.sum(waves)
-    share = waves / (waves + _FEW)
+    share = waves / (waves + _HALF_TRUSTED_WAVES)
     return np.asarray(np.minimum(shape * np.exp(share * ratio + (1.0 - share) * mean), np.pi))
 
 
 def _rings(shape: tuple[int, ...]) -> tuple[NDArray[np.int64], Float, Float]:
-    """Ring of every wave of the discrete Fourier transform, its wavenumber, rad per node.
+    """Ring of every line of the discrete Fourier transform, its wavenumber, rad per node.
 
     And the square of its curvature (`_curvature`) over its height; 1 where it has none.
     """
@@ -273,8 +261,8 @@ def _inner(field: Float) -> Float:
     return field[1:-1, 1:-1]
 
 
-def _turned(plus: Float, minus: Float) -> Float:
-    """Phase by which waves turn in a step, from the power of the sum and of the difference of two."""
+def _phase(plus: Float, minus: Float) -> Float:
+    """Phase per step of waves, rad, from the power of the sum and of the difference of two frames."""
     return np.asarray(2.0 * np.arctan2(np.sqrt(minus), np.sqrt(plus)))
 
 
@@ -287,10 +275,7 @@ def _power(field: Float) -> Float:
     return np.asarray(power.ravel())
 
 
-def typical(field: Float, inside: NDArray[np.bool_]) -> Float:
-    """Half what is here, half what is elsewhere: errors do not vanish where a field passes through zero.
-
-    With field (ny, nx); inside (ny, nx); returns (ny, nx).
-    """
-    elsewhere = np.nanmean(np.square(field[inside])) if inside.any() else 0.0
+def typical_size(field: Float, measured: NDArray[np.bool_]) -> Float:
+    """Rms of a field (ny, nx), half here, half elsewhere: errors do not vanish where the field is zero."""
+    elsewhere = np.nanmean(np.square(field[measured])) if measured.any() else 0.0
     return np.asarray(np.sqrt(0.5 * (np.square(field) + elsewhere)))

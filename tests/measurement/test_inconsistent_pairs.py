@@ -4,7 +4,7 @@ import numpy as np
 from measurement_cases import RATE
 
 from wavefield.measurement import measure
-from wavefield.measurement.outlier_detection import scores_apart, widened
+from wavefield.measurement.outlier_detection import inconsistent_scores, widened
 from wavefield.variables import Quality
 
 SHAPE = 60, 80
@@ -20,20 +20,20 @@ def said(shift: float, rng: np.random.Generator) -> list[list[np.ndarray]]:
 
 
 def test_pairs_that_want_the_surface_elsewhere_are_found_where_they_do():
-    apart = scores_apart(*said(1.3, np.random.default_rng(1)))
+    apart = inconsistent_scores(*said(1.3, np.random.default_rng(1)))
     assert apart[:, :36].all()
     assert not apart[:, 48:].any()
 
 
 def test_pairs_that_differ_by_noise_do_not_contradict():
-    assert not scores_apart(*said(0.0, np.random.default_rng(2))).any()
+    assert not inconsistent_scores(*said(0.0, np.random.default_rng(2))).any()
 
 
 def test_one_pair_and_pairs_without_beads_contradict_nobody():
     scores, hessians, lengths = said(1.3, np.random.default_rng(3))
-    assert not scores_apart(scores[:1], hessians[:1], lengths[:1]).any()
+    assert not inconsistent_scores(scores[:1], hessians[:1], lengths[:1]).any()
     empty = [0 * h for h in hessians]
-    assert not scores_apart([0 * s for s in scores], empty, lengths).any()
+    assert not inconsistent_scores([0 * s for s in scores], empty, lengths).any()
 
 
 def test_what_windows_pull_along_is_widened_by_two_blocks():

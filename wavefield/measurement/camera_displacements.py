@@ -1,0 +1,148 @@
+"""Each camera's displacement at the nodes, read along the path of the water in its images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.measurement.camera_jitter import mean_residuals, row_direction
+from wavefield.measurement.flow import CameraFlow, Flows
+from wavefield.measurement.geometry import GridGeometry
+from wavefield.measurement.learned_record import LearnedRecord
+from wavefield.measurement.paths import five, read_path
+from wavefield.measurement.sight import Sight
+from wavefield.measurement.time_weights import noise_weights
+from wavefield.variables import Quality
+
+Float = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class CameraDisplacements:
+    """Displacements of each of N cameras at the nodes."""
+
+    jacobian: Float  # (2N, 3, ny, nx): px per metre
+    moved: Float  # (2N, ny, nx): per step at mid-time, px; NaN where the camera does not see the node
+    noise: Float  # (2N, ny, nx): variance by noise, and by what the prior removes or adds, px^2
+    missing: Float
+    # (2N,): factors on the noise of every component: within its camera, of the camera relative to the others
+    along: Float
+    own: Float
+    rejected: NDArray[np.uint16]  # (N, ny, nx): why not measured: bits of `Quality`; `OUTSIDE` where not seen
+    frames: NDArray[np.uint8]  # (ny, nx): places of the paths: 2, 4 or 6, the fewest of all cameras'
+    line: Float  # (2,): direction of the row of cameras
+    chord: (
+        Float  # (2N, ny, nx): displacement over the step, and the mean of the places in its two frames less
+    )
+    bend: Float  # that at mid-time, px
+    axes: (
+        Float  # (N, 3): viewing direction of each camera over its distance from the middle of the field, 1/m
+    )
+
+    @property
+    def measured_by_all(self) -> NDArray[np.bool_]:
+        """Nodes that all cameras measured, (ny, nx)."""
+        return np.asarray((self.rejected == 0).all(axis=0) & np.isfinite(self.moved).all(axis=0))
+
+    def camera_jitter(self) -> tuple[Float, tuple[float, float]]:
+        """Mean residuals of the cameras over the field, px, and how far they move (`mean_residuals`)."""
+        return mean_residuals(self.jacobian, self.moved, 1.0 / self.variance, self.measured_by_all, self.line)
+
+    def stabilized(self, residuals: Float) -> CameraDisplacements:
+        """The same with the mean residuals over the field subtracted."""
+        return replace(self, moved=self.moved - residuals[:, None, None])
+
+    def without(self, n: int) -> CameraDisplacements:
+        """The same without one camera."""
+        rows, cameras = [2 * n, 2 * n + 1], n
+        of_rows = ("jacobian", "moved", "noise", "missing", "along", "own", "chord", "bend")
+        parts = {name: np.delete(getattr(self, name), rows, axis=0) for name in of_rows}
+        parts |= {name: np.delete(getattr(self, name), cameras, axis=0) for name in ("rejected", "axes")}
+        return replace(self, **parts)
+
+    @property
+    def noise_of_each(self) -> Float:
+        """Variance by noise of every component, (2N, ny, nx)."""
+        return np.asarray(self.noise * (self.along * self.own)[:, None, None])
+
+    @property
+    def variance(self) -> Float:
+        """Inverse weight of every component, (2N, ny, nx): the mean of the variances of its camera's two.
+
+        Without the factors on the noise: those are for the stated uncertainty.
+        """
+        both = 0.5 * (self.noise[::2] + self.noise[1::2] + self.missing[::2] + self.missing[1::2])
+        return np.repeat(both, 2, axis=0)
+
+
+def displacements_at_nodes(
+    names: Sequence[str],
+    steps: Sequence[Flows | None],
+    z: Float,
+    geometry: GridGeometry,
+    record: LearnedRecord,
+) -> CameraDisplacements:
+    """Displacements of the named cameras at the nodes on the surface z (ny, nx), metres."""
+    count, shape = len(names), z.shape
+    jacobian = np.empty((2 * count, 3, *shape), np.float64)
+    moved, chord, bend, noise, missing = np.empty((5, 2 * count, *shape), np.float64)
+    rejected = np.empty((count, *shape), np.uint16)
+    along, own = np.ones((2, 2 * count))
+    frames = np.full(shape, 6, np.uint8)
+    axes = np.empty((count, 3))
+    middle = np.array([np.mean(geometry.x), np.mean(geometry.y), 0.0])
+    for n, name in enumerate(names):
+        sight = geometry.sights[name]
+        at = sight.at(z)
+        visible = sight.sees(at[0], at[1])
+        X, Y = np.where(visible, at[:2], np.float32(np.nan))
+        path = [None if f is None else f.get(name) for f in steps]
+        rows = slice(2 * n, 2 * n + 2)
+        jacobian[rows] = at[2:].reshape(2, 3, *shape)
+        found, block, noise[rows], missing[rows] = _along_path(path, sight, X, Y)
+        moved[rows], chord[rows], bend[rows] = found[:2], found[2:4], found[4:]
+        axes[n] = sight.camera.R[2] / (sight.camera.R[2] @ middle + sight.camera.T[2])
+        here = path[len(path) // 2]
+        assert here is not None
+        along[rows], own[rows] = here.along, record.own_noise(name)
+        rejected[n] = np.where(visible, here.rejected.ravel()[block[2]], np.uint16(Quality.OUTSIDE))
+        frames = np.where(visible, np.minimum(frames, _places_read(block)), frames)
+    line = row_direction([geometry.rig[name].centre for name in names])
+    return CameraDisplacements(
+        jacobian, moved, noise, missing, along, own, rejected, frames, line, chord, bend, axes
+    )
+
+
+def _along_path(
+    path: Sequence[CameraFlow | None], sight: Sight, X: Float, Y: Float
+) -> tuple[Float, NDArray[np.int64], Float, Float]:
+    """Path of one camera at given pixels (`read_path`), blocks read, variances by noise and by the prior."""
+    here = path[len(path) // 2]
+    assert here is not None
+    splines = [None if f is None else f.spline for f in path]
+    valid = [None if f is None else f.valid for f in path]
+    d, block = read_path(splines, valid, sight.lattice, X, Y)
+    each = {
+        at: _at_blocks(flow.noise, np.maximum(block[at], 0)) for at, flow in zip(range(5), five(path)) if flow
+    }
+    places, noise = _places_read(block), each[2]
+    for count in (4, 6):
+        if (places == count).any():
+            own, *neighbours = noise_weights(count)
+            both = sum(np.float32(w) * (each[2 - n] + each[2 + n]) for n, w in enumerate(neighbours, 1))
+            noise = np.where(places == count, np.float32(own) * each[2] + both, noise)
+    return d, block, noise, _at_blocks(here.missing, block[2])
+
+
+def _places_read(block: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Number of places of paths, from the blocks read for them: 2, 4 or 6."""
+    near, far = (block[[2 - n, 2 + n]] >= 0 for n in (1, 2))
+    return np.asarray(2 + 2 * near.all(axis=0) + 2 * far.all(axis=0), np.uint8)
+
+
+def _at_blocks(field: Float, block: NDArray[np.int64]) -> Float:
+    """A field (c, ny, nx) at flat indices of blocks, (c,) + their shape."""
+    return np.asarray(np.take(field.reshape(len(field), -1), block, axis=1))

@@ -1,0 +1,144 @@
+"""Sample fields of a record, and the prior spectrum that they share: each follows from the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield import matching
+from wavefield.matching import Modes, Prior
+from wavefield.matching.prior import FIRST_SIGNAL_TO_NOISE, OPEN_SIGNAL_TO_NOISE
+from wavefield.measurement.flow import FlowEstimate, filled, map_displacement
+from wavefield.measurement.map_elevation import (
+    Blocks,
+    ElevationEstimate,
+    PreparedImages,
+    combine,
+    first_information,
+    map_elevation,
+)
+from wavefield.measurement.pair_surface import PairMatch
+
+Float = NDArray[np.floating]
+
+_ROUNDS = 2  # of spectrum and field in turn
+_FREEDOM = 0.6  # fraction of the scores' noise that windows leave in them, about
+
+
+class FieldSample(Protocol):
+    """One field: as windows give it, and as a prior makes it.
+
+    `information` is the mean of the blocks that are not masked, `bare` their fraction: the water below a mask
+    is assumed to be as rough and as visible as elsewhere.
+    """
+
+    field: Float
+    information: float
+    bare: float
+
+    def estimate(self, modes: Modes) -> ElevationEstimate | FlowEstimate:
+        """The MAP field."""
+
+    def noise(self, modes: Modes) -> tuple[Float, float] | None:
+        """Coefficients of a field of noise alone and its information, where the cameras show one."""
+
+
+class ElevationSample:
+    """Elevation of one instant from matched pairs; pixel in metres."""
+
+    def __init__(
+        self,
+        blocks: Blocks,
+        matches: Sequence[PairMatch],
+        prepared: PreparedImages,
+        pixel: float,
+        bare: float,
+    ) -> None:
+        self.blocks, self.matches, self.prepared, self.pixel, self.bare = (
+            blocks,
+            matches,
+            prepared,
+            pixel,
+            bare,
+        )
+        self.field = blocks.filled
+        self.information = first_information(blocks, matches, pixel, _FREEDOM) / bare
+
+    def estimate(self, modes: Modes) -> ElevationEstimate:
+        """The MAP elevation.
+
+        Noise is taken from the same scores as the field: with that across, an excess along would count as
+        waves.
+        """
+        return map_elevation(self.blocks, self.matches, self.prepared, modes, self.pixel, noise_across=False)
+
+    def noise(self, modes: Modes) -> tuple[Float, float] | None:
+        """As if the sight lines were turned by a quarter: no wave moves anything across them."""
+        turned = [m.turned for m in self.matches]
+        found = map_elevation(combine(turned), turned, self.prepared, modes, self.pixel, noise_across=False)
+        information = float(found.information.mean()) / self.bare
+        return ((found.waves - found.mean) / np.sqrt(self.bare), information) if information > 0 else None
+
+
+class DisplacementSample:
+    """Displacement of one camera's image between two frames."""
+
+    def __init__(
+        self,
+        found: matching.Displacement,
+        one: matching.PreparedImage,
+        other: matching.PreparedImage,
+        bare: float,
+    ) -> None:
+        self._parts, self.bare = (found, one, other), bare
+        self.field = filled(found)
+        counts = found.valid.astype(np.float32)
+        trace = found.hessian[0] + found.hessian[2]
+        nu = matching.noise_of_scores(found.score, trace, counts, _FREEDOM, with_mismatches=True)
+        self.information = 0.5 * float((trace * counts / nu).mean()) / bare
+
+    def estimate(self, modes: Modes) -> FlowEstimate:
+        """The MAP displacement."""
+        return map_displacement(*self._parts, modes)
+
+    def noise(self, modes: Modes) -> tuple[Float, float] | None:
+        """None: one camera alone shows no noise without waves."""
+        return None
+
+
+@dataclass
+class FieldSamples:
+    """Fields of one kind, and the prior that they share."""
+
+    samples: Sequence[FieldSample]
+    prior: Prior
+    pool: ThreadPoolExecutor
+
+    @classmethod
+    def of(
+        cls, samples: Sequence[FieldSample], settings: matching.MatchSettings, pool: ThreadPoolExecutor
+    ) -> FieldSamples:
+        """Start from the spectrum of the windowed fields over the windows' gain."""
+        kx, ky = (np.pi * np.arange(n) / n for n in samples[0].field.shape[:-3:-1])
+        window = matching.transfer_function(settings, kx, ky[:, None]).clip(0, 1)
+        fields = [s.field - matching.edge_slopes(s.field) for s in samples]
+        typical = float(np.mean([s.information for s in samples]))
+        out = cls(samples, matching.first_prior(fields, window, typical), pool)
+        for number in range(_ROUNDS):
+            out.prior = out.better(out.prior, OPEN_SIGNAL_TO_NOISE if number else FIRST_SIGNAL_TO_NOISE)
+        return out
+
+    def better(self, prior: Prior, open_ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
+        """The prior that follows from the fields that this one gives where it suppresses no wave."""
+        prior = prior.with_min_signal_to_noise(open_ratio)
+        modes = Modes(prior, self.samples[0].field.shape[-2:])
+        found = list(self.pool.map(lambda sample: sample.estimate(modes), self.samples))
+        information = float(np.mean([f.information.mean() / s.bare for f, s in zip(found, self.samples)]))
+        waves = [(f.waves - f.mean) / np.sqrt(s.bare) for f, s in zip(found, self.samples)]
+        noise = [part for part in self.pool.map(lambda sample: sample.noise(modes), self.samples) if part]
+        return matching.better_prior(prior, modes.kx, modes.ky, modes.foot, waves, information, noise)

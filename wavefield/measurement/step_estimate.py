@@ -1,0 +1,139 @@
+"""Surfaces and motion of one step, from the cameras that are consistent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.measurement.camera_jitter import level_jitter, motion_for_level
+from wavefield.measurement.elevation import Surface
+from wavefield.measurement.flow import Flows
+from wavefield.measurement.geometry import GridGeometry
+from wavefield.measurement.instant import Instant
+from wavefield.measurement.learned_record import LearnedRecord
+from wavefield.measurement.midtime import MidTime, at_mid_time
+from wavefield.measurement.model import Model
+from wavefield.measurement.velocity import Motion, Regions, motion_of_all_cameras, velocity
+from wavefield.variables import AROUND, Quality
+from wavefield.water import GRAVITY
+
+Surfaces = Sequence[Surface | None]
+
+_MIN_NODES_FOR_MEAN_LEVEL = 50
+_SIX_FRAME_NOISE = 0.84  # root of the sum of squares of the weights of six frames in z at mid-time
+
+
+@dataclass(frozen=True)
+class StepEstimate:
+    """Elevation and motion of one step, from the cameras that are consistent."""
+
+    surfaces: Surfaces  # of six frames
+    height: NDArray[np.floating]  # (ny, nx): at which the cameras' displacements are read, metres
+    motion: Motion
+    mid_time: MidTime
+    left_out: frozenset[str] = frozenset()  # cameras that contradict the others
+
+
+def estimate_step(
+    window: Sequence[Instant],
+    moves: Sequence[Flows],
+    geometry: GridGeometry,
+    model: Model,
+    frame_rate: float,
+) -> StepEstimate | None:
+    """Surfaces and motion of a step; None if nothing can be measured.
+
+    A knock between two frames spoils one displacement, and in part every path that contains it: where cameras
+    contradict each other along paths of six frames, those of four are used.
+    """
+    surfaces: Surfaces = [instant.surface for instant in window]
+    estimate = _estimate(surfaces, moves, geometry, model.record, frame_rate)
+    if estimate is None:
+        return None
+    motion = estimate.motion
+    if motion.inconsistent and len(moves) > 3:
+        return estimate_step(window, moves[1:-1], geometry, model, frame_rate)
+    if not (motion.left_out or motion.regions):
+        return estimate
+    left_out: frozenset[str] = frozenset()
+    if motion.left_out:
+        left_out = frozenset({motion.left_out})
+        surfaces = [instant.without(motion.left_out, geometry, model) for instant in window]
+        if surfaces[AROUND] is None or surfaces[AROUND + 1] is None:
+            return None
+        moves = [{name: flow for name, flow in one.items() if name not in left_out} for one in moves]
+    else:
+        surfaces = [_repaired(instant, motion.regions, geometry, model) for instant in window]
+    estimate = _estimate(surfaces, moves, geometry, model.record, frame_rate, motion.regions)
+    return None if estimate is None else replace(estimate, left_out=left_out)
+
+
+def _estimate(
+    surfaces: Surfaces,
+    moves: Sequence[Flows],
+    geometry: GridGeometry,
+    record: LearnedRecord,
+    frame_rate: float,
+    regions: Regions | None = None,
+) -> StepEstimate | None:
+    """Motion and surface at mid-time: where water is in an image depends on its height, that on its path."""
+    first, second = surfaces[AROUND : AROUND + 2]
+    assert first is not None
+    assert second is not None
+    level_std, jitter_px = _level_jitter(surfaces, geometry, frame_rate)
+    motion = motion_of_all_cameras(moves, np.float32(0.5) * (first.z + second.z), geometry, record)
+    if motion is None:
+        return None
+    height = at_mid_time(surfaces, motion, geometry.x, geometry.y).z
+    motion = velocity(moves, height, geometry, record, regions, jitter_px)
+    if motion is None:
+        return None
+    mid_time = at_mid_time(surfaces, motion, geometry.x, geometry.y)
+    mid_time = replace(mid_time, std=np.hypot(mid_time.std, np.float32(_SIX_FRAME_NOISE * level_std)))
+    if geometry.settings.sheet_thickness is not None:  # it does not rise
+        mid_time = replace(mid_time, rise=np.zeros_like(mid_time.rise))
+    return StepEstimate(surfaces, height, motion, mid_time)
+
+
+def _level_jitter(surfaces: Surfaces, geometry: GridGeometry, frame_rate: float) -> tuple[float, float]:
+    """Std of the level of z that no wave explains, metres, and of picture motion that explains it, px."""
+    present = [one for one in surfaces if one is not None]
+    usable = np.logical_and.reduce([(one.quality & Quality.MEASURED) > 0 for one in present])
+    if len(present) < len(surfaces) or usable.sum() < _MIN_NODES_FOR_MEAN_LEVEL:
+        return 0.0, 0.0
+    if geometry.settings.sheet_thickness is not None:
+        return 0.0, 0.0
+    # waves of half the field's width and more move its mean
+    width = min(float(np.ptp(geometry.x)), float(np.ptp(geometry.y)))
+    phase = float(np.sqrt(2.0 * np.pi * GRAVITY / (0.5 * max(width, geometry.grid.step)))) / frame_rate
+    level = level_jitter([float(one.z[usable].mean(dtype=np.float64)) for one in present], phase)
+    motion = np.sqrt(2.0) * motion_for_level(level, geometry.parallaxes(geometry.pairs)) / geometry.pixel
+    return level, float(motion)
+
+
+def _repaired(
+    instant: Instant, regions: Mapping[str, NDArray[np.bool_]], geometry: GridGeometry, model: Model
+) -> Surface | None:
+    """An instant's surface with that of the other cameras where one contradicts them."""
+    surface = instant.surface
+    if geometry.settings.sheet_thickness is not None:
+        return surface
+    for name, where in regions.items():
+        if surface is None or name in instant.images.missing or name not in geometry.surface_cameras:
+            continue
+        other = instant.without(name, geometry, model)
+        if other is None:  # no other pair of cameras: the surface is not trusted
+            surface = replace(surface, inconsistent=surface.inconsistent | where)
+        else:
+            surface = _joined(surface, other, where)
+    return surface
+
+
+def _joined(surface: Surface, other: Surface, where: NDArray[np.bool_]) -> Surface:
+    """One surface with another in a part of the field."""
+    names = ("z", "eps_y", "std", "quality", "inconsistent")
+    parts = {n: np.where(where, getattr(other, n), getattr(surface, n)) for n in names}
+    return Surface(**parts, read=lambda x, y: np.where(where, other.read(x, y), surface.read(x, y)))
