@@ -35,7 +35,7 @@ from browser import FLAGS, chromium
 from benchmarks.cubes import say
 from benchmarks.scenes import FULL, HALF
 from wavefield.explorer.follower import Follower
-from wavefield.explorer.lights import verdict
+from wavefield.explorer.lights import worst_light
 from wavefield.images import write_image
 from wavefield.series import Experiment
 from wavefield.tank import Scene, Tank
@@ -255,11 +255,11 @@ def lights(folder: Path, options: argparse.Namespace) -> None:
         cameras.start()
 
         def first(follower: Follower = follower) -> str:
-            light = verdict(follower.seen.lights) if follower.seen else None
+            light = worst_light(follower.latest.lights) if follower.latest else None
             return f"{light.name} {light.camera}".strip() if light else ""
 
         def settled(follower: Follower = follower) -> bool:
-            return follower.seen is not None and follower.seen.measured >= 8
+            return follower.latest is not None and follower.latest.measured >= 8
 
         _wait(settled, 120)
         for name, (expected, _) in FAULTS.items():

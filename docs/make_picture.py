@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 
 from wavefield import figures
-from wavefield.reports import gather
+from wavefield.pipeline import open_cube
+from wavefield.reports.run_data import snapshot
 
 PAGE = Path(__file__).with_name("surface.jpg")
 
@@ -19,8 +20,8 @@ def drawn(figure: object) -> np.ndarray:
 
 def main(demo: Path) -> None:
     """Put the surface and its velocity side by side."""
-    snapshot = gather(demo / "cube.zarr").snapshot()
-    panels = [drawn(figures.surface_3d(snapshot)), drawn(figures.velocity_map(snapshot))]
+    moment = snapshot(open_cube(demo / "cube.zarr"))
+    panels = [drawn(figures.surface_3d(moment)), drawn(figures.velocity_map(moment))]
     height = min(panel.shape[0] for panel in panels)
     sized = [
         cv2.resize(p, (round(p.shape[1] * height / p.shape[0]), height), interpolation=cv2.INTER_AREA)

@@ -9,7 +9,6 @@ import xarray as xr
 
 from wavefield.explorer import selections
 from wavefield.explorer.map_fields import arrows, relief
-from wavefield.explorer.surface_panel import project
 from wavefield.figures.quality import KINDS, quality_kind
 from wavefield.figures.style import limit
 
@@ -30,6 +29,13 @@ def usual(page):
     page.set("show", "value", "'w'")
     page.set("step", "value", str(STEP))
     page.wait(f"{shown('w')} && {at_step(STEP)}")
+
+
+def project(x, y, height, turn, tilt):
+    """Parallel projection of points onto the screen, as the page's script does it."""
+    across = np.cos(turn) * x - np.sin(turn) * y
+    away = np.sin(turn) * x + np.cos(turn) * y
+    return across, away * np.sin(tilt) + height * np.cos(tilt)
 
 
 def model(name):
@@ -267,7 +273,7 @@ def test_the_surface_is_projected_and_turned(page, fields):
 
     def expected(turn, tilt):
         gx, gy = np.meshgrid(x - x.mean(), y - y.mean())
-        across, up, _ = project(gx, gy, z * lift, turn, tilt)
+        across, up = project(gx, gy, z * lift, turn, tilt)
         whole = np.isfinite(up)
         there = whole[:-1, :-1] & whole[1:, :-1] & whole[:-1, 1:] & whole[1:, 1:]
         return np.array([across[:-1, :-1][there], up[:-1, :-1][there]])
@@ -508,7 +514,7 @@ def test_masks_are_drawn_with_the_mouse_and_saved_as_polygons(page, whole):
     for number, corner in enumerate(corners, 1):
         page.click("map", *corner)
         page.wait(f"{model('map_mask')}.data.x.length == {number + 1}")
-    page.page.get_by_role("button", name="Take back a corner").click()
+    page.page.get_by_role("button", name="Remove the last corner").click()
     page.wait(f"{model('map_mask')}.data.x.length == 4")
     page.page.keyboard.press("3")
     page.wait(f"{model('views')}.active == 2 && {model('camera_image')}.data.image.length == 1")

@@ -9,10 +9,10 @@ from explorer_cases import create_cube, make_cube, write_cube_block
 from wavefield.errors import StoreError
 from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.derived_series import derived_series
-from wavefield.explorer.map_fields import DERIVED
 from wavefield.explorer.place import Place
 from wavefield.explorer.save import as_csv, node_series, step_fields
 from wavefield.explorer.server import make_server
+from wavefield.figures.display import DERIVED
 from wavefield.pipeline import open_cube
 from wavefield.waves import kinematics
 
@@ -27,12 +27,12 @@ def cube(tmp_path_factory):
 @pytest.mark.parametrize("node", [(8, 9), (0, 19), (2, 4)])
 def test_a_derived_series_is_that_of_the_analysis(cube, node):
     expected = kinematics(open_cube(cube).load())
-    told = []
-    found = derived_series(CubeRecord(cube), *node, told.append)
+    reported = []
+    found = derived_series(CubeRecord(cube), *node, reported.append)
     assert set(found) == set(DERIVED)
     for name, series in found.items():
         np.testing.assert_allclose(series, expected[name].values[:, *node], rtol=1e-4, atol=1e-6)
-    assert told[-1] == 1.0
+    assert reported[-1] == 1.0
 
 
 def test_saved_series_and_steps_hold_what_is_derived(cube):
@@ -74,7 +74,9 @@ def test_half_a_cube_is_a_sentence_that_names_what_is_missing(cube, tmp_path):
     shutil.rmtree(half / "u" / "c" / "1")
     record = CubeRecord(half)
     assert np.isfinite(record.field("u", 3)).any()
-    with pytest.raises(StoreError, match=r"u of steps 40 to 79 is not in cube\.zarr.*copy the cube again"):
+    with pytest.raises(
+        StoreError, match=r"u of steps 40 to 79 is not in cube\.zarr.*copy the complete cube again"
+    ):
         record.field("u", 50)
 
 

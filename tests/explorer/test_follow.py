@@ -12,10 +12,10 @@ import pytest
 import xarray as xr
 
 from wavefield.explorer import learner as learning
-from wavefield.explorer.features import bead_size, features
+from wavefield.explorer.features import bead_size, frame_features
 from wavefield.explorer.follower import Follower
 from wavefield.explorer.learner import Learner
-from wavefield.explorer.lights import verdict
+from wavefield.explorer.lights import worst_light
 from wavefield.explorer.watch import FolderWatch
 from wavefield.images import write_image
 from wavefield.series import Experiment
@@ -87,20 +87,20 @@ def followed(small_tank, tmp_path_factory):
     rig, frames = small_tank
     folder = tmp_path_factory.mktemp("live")
     follower = Follower(Experiment.load(record(folder, rig)))
-    assert not follower.look()
+    assert not follower.poll()
     for number, images in enumerate(frames[:6]):
         write(folder, number, images)
-        follower.look()
+        follower.poll()
     return follower, folder
 
 
 def test_good_frames_turn_no_light(followed):
     follower, _ = followed
-    assert follower.seen.number == 4
-    assert follower.seen.measured == 5
-    assert verdict(follower.seen.lights) is None
-    assert np.isfinite(follower.seen.fields["z"]).mean() > 0.8
-    assert 0 <= follower.seen.delay < 60
+    assert follower.latest.number == 4
+    assert follower.latest.measured == 5
+    assert worst_light(follower.latest.lights) is None
+    assert np.isfinite(follower.latest.fields["z"]).mean() > 0.8
+    assert 0 <= follower.latest.delay < 60
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -114,18 +114,18 @@ def test_the_right_light_turns(followed, small_tank, tmp_path, fault):
     shutil.copytree(folder, tmp_path / "live")
     later.experiment = Experiment.load(tmp_path / "live" / "experiment.yaml")
     later.watch = FolderWatch(later.experiment)
-    later._start = copy.deepcopy(follower._start)
+    later._baseline = copy.deepcopy(follower._baseline)
     for number in (6, 7):
         images = dict(frames[6])
         images["cam2"] = spoil(images["cam2"])
         if name == "brightness":  # a lamp lights all of them
             images = {camera: spoil(image) for camera, image in frames[6].items()}
         write(tmp_path / "live", number, images)
-    assert later.look()
-    first = verdict(later.seen.lights)
-    said = "\n".join(map(str, later.seen.lights))
-    assert first is not None, said
-    assert first.name == name, said
+    assert later.poll()
+    first = worst_light(later.latest.lights)
+    lights = "\n".join(map(str, later.latest.lights))
+    assert first is not None, lights
+    assert first.name == name, lights
     if name != "brightness":
         assert "cam2" in first.camera
 
@@ -138,7 +138,7 @@ def test_a_cable_pulled_turns_its_cameras_light_and_the_others_go_on(followed, s
     shutil.copytree(folder, tmp_path / "live")
     later.experiment = Experiment.load(tmp_path / "live" / "experiment.yaml")
     later.watch = FolderWatch(later.experiment)
-    later._start = copy.deepcopy(follower._start)
+    later._baseline = copy.deepcopy(follower._baseline)
     now = time.time()
     for name in CAMERAS:
         for number in range(6):
@@ -146,10 +146,10 @@ def test_a_cable_pulled_turns_its_cameras_light_and_the_others_go_on(followed, s
             os.utime(path, (now - 3, now - 3))
     for number in (6, 7):
         write(tmp_path / "live", number, {n: i for n, i in small_tank[1][6].items() if n != "cam1"})
-    assert later.look()
-    first = verdict(later.seen.lights)
+    assert later.poll()
+    first = worst_light(later.latest.lights)
     assert (first.name, first.camera) == ("synchronisation", "cam1")
-    assert later.seen.number == 6
+    assert later.latest.number == 6
 
 
 def test_frames_that_come_too_fast_are_skipped_and_counted(small_tank, tmp_path):
@@ -157,11 +157,11 @@ def test_frames_that_come_too_fast_are_skipped_and_counted(small_tank, tmp_path)
     follower = Follower(Experiment.load(record(folder)))
     for number in range(3):
         write(folder, number, small_tank[1][number])
-    follower.look()
+    follower.poll()
     for number in range(3, 7):
         write(folder, number, small_tank[1][number])
-    follower.look()
-    assert (follower.seen.number, follower.seen.measured, follower.seen.skipped) == (5, 2, 3)
+    follower.poll()
+    assert (follower.latest.number, follower.latest.measured, follower.latest.skipped) == (5, 2, 3)
 
 
 def test_a_frame_that_is_not_written_to_its_end_waits(small_tank, tmp_path):
@@ -172,11 +172,11 @@ def test_a_frame_that_is_not_written_to_its_end_waits(small_tank, tmp_path):
     path = folder / "cam2" / "img_00002.tif"
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    follower.look()
-    assert follower.seen.number == 0
+    follower.poll()
+    assert follower.latest.number == 0
     path.write_bytes(whole)
-    follower.look()
-    assert follower.seen.number == 1
+    follower.poll()
+    assert follower.latest.number == 1
 
 
 def test_without_a_rig_each_camera_is_judged_and_the_reason_is_said(small_tank, tmp_path):
@@ -184,10 +184,10 @@ def test_without_a_rig_each_camera_is_judged_and_the_reason_is_said(small_tank, 
     follower = Follower(Experiment.load(record(folder)))
     write(folder, 0, small_tank[1][0])
     write(folder, 1, small_tank[1][1])
-    follower.look()
-    assert "rig" in follower.seen.trouble
-    assert follower.seen.fields == {}
-    assert {light.name for light in follower.seen.lights} == {
+    follower.poll()
+    assert "rig" in follower.latest.trouble
+    assert follower.latest.fields == {}
+    assert {light.name for light in follower.latest.lights} == {
         "synchronisation", "brightness", "saturation", "seeding", "focus",
     }  # fmt: skip
 
@@ -210,7 +210,7 @@ def test_a_run_after_following_was_interrupted_is_the_run_that_was_never_followe
         for number, images in enumerate(frames[:5]):
             write(tmp_path / name, number, images)
             if name == "followed" and number < 3:  # then it is stopped
-                follower.look()
+                follower.poll()
         out = tmp_path / name / "cube.zarr"
         run(experiment.path, out=out, workflow=Workflow(cluster="none"))
         cubes.append(xr.open_zarr(out, chunks=None, consolidated=False).load())
@@ -232,8 +232,8 @@ def test_the_size_of_beads_is_found_in_noise(size):
 def test_saturation_is_the_fraction_of_white_pixels():
     image = np.full((120, 120), 20, np.uint8)
     image[:, :30] = 255
-    assert features(image).saturated == pytest.approx(0.25)
-    assert features((image // 2).astype(np.uint8)).saturated == 0.0
+    assert frame_features(image).saturated == pytest.approx(0.25)
+    assert frame_features((image // 2).astype(np.uint8)).saturated == 0.0
 
 
 def test_the_page_shows_map_lights_and_cameras(followed):
@@ -246,11 +246,11 @@ def test_the_page_shows_map_lights_and_cameras(followed):
     page, document = FollowPage(follower, TargetWatch(follower.experiment)), Document()
     assert page.map.sizing_mode == "scale_width"  # else a phone shows a map of 600 px, mostly empty
     page.attach(document)
-    expected = 100 * follower.seen.fields["w"]
-    np.testing.assert_allclose(page.image.data["image"][0], expected, rtol=1e-6)
-    assert "frame 4; measured 5, skipped 0" in page.state.text
-    assert page.lights.text.count("<tr>") == 12
-    assert page.cameras["cam1"][1].data["image"]
+    expected = 100 * follower.latest.fields["w"]
+    np.testing.assert_allclose(page.sources["image"].data["image"][0], expected, rtol=1e-6)
+    assert "frame 4; measured 5, skipped 0" in page.words["state"].text
+    assert page.words["lights"].text.count("<tr>") == 12
+    assert page.cameras["cam1"].sources["image"].data["image"]
     document.to_json()
 
 
@@ -263,11 +263,11 @@ def test_what_is_masked_is_masked_while_following(small_tank, tmp_path):
     follower = Follower(Experiment.load(path))
     for number in range(3):
         write(path.parent, number, frames[number])
-    follower.look()
-    assert follower.seen.trouble == ""
-    masked = (follower.seen.fields["quality"] & int(Quality.MASKED)) != 0
+    follower.poll()
+    assert follower.latest.trouble == ""
+    masked = (follower.latest.fields["quality"] & int(Quality.MASKED)) != 0
     assert 0 < masked.sum() < masked.size / 2
-    np.testing.assert_array_equal(np.isnan(follower.seen.fields["w"]), masked)
+    np.testing.assert_array_equal(np.isnan(follower.latest.fields["w"]), masked)
 
 
 def test_a_mask_that_moves_with_the_frames_is_followed(small_tank, tmp_path):
@@ -291,10 +291,10 @@ def test_a_mask_that_moves_with_the_frames_is_followed(small_tank, tmp_path):
     masked = []
     for number in range(4):
         write(path.parent, number, frames[number])
-        if follower.look():
-            quality = follower.seen.fields["quality"]
+        if follower.poll():
+            quality = follower.latest.fields["quality"]
             masked.append((quality & int(Quality.MASKED)) != 0)
-            words = follower.seen.trouble
+            words = follower.latest.trouble
             assert ("for frame 3 yet" in words) == (number == 3), words
     x_nodes = follower.nodes[0]
     middle = [float(x_nodes[np.nonzero(m)[1]].mean()) for m in masked[:2]]
@@ -307,13 +307,13 @@ def test_what_a_record_is_like_is_learned_anew_while_it_is_followed(small_tank, 
     follower = Follower(Experiment.load(path))
     for number in range(2):
         write(path.parent, number, frames[number])
-    follower.look()
-    learner = follower._learner
+    follower.poll()
+    learner = follower._measurer.learner
     first = learner.model
     assert first.record is not None
-    learner._next = 0.0  # its time has come
+    learner._next_s = 0.0  # its time has come
     write(path.parent, 2, frames[2])
-    follower.look()
+    follower.poll()
     learner.wait()
     assert learner.model is not first
     assert learner.model.record != first.record

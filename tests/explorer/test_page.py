@@ -8,16 +8,15 @@ from bokeh.core.validation import check_integrity
 from bokeh.document import Document
 from explorer_cases import create_cube, make_cube, write_cube_block
 
-from wavefield.explorer.context import find_context
-from wavefield.explorer.cube_record import CubeRecord
-from wavefield.explorer.look_page import LookSession, Page
+from wavefield.explorer.look_page import LookPage
 from wavefield.explorer.place import TABS, Place
+from wavefield.explorer.session import LookSession
 
 
 def build(path, place=None):
-    record = CubeRecord(path)
-    record.preview.load()
-    page, document = Page(LookSession(record, find_context(record)), place or Place()), Document()
+    session = LookSession.open(path)
+    session.record.preview.load()
+    page, document = LookPage(session, place or Place()), Document()
     page.attach(document)
     return page, document
 
@@ -40,7 +39,7 @@ def test_every_variable_and_view_can_be_shown(cube):
         for tab in TABS:
             page.change(show=name, tab=tab)
             page.redraw()
-        assert page.map.figure.title.text.startswith(f"{name}: ")
+        assert page.panels.map.figure.title.text.startswith(f"{name}: ")
     document.to_json()
 
 
@@ -53,16 +52,16 @@ def test_models_can_be_told_apart_by_name(cube):
 def test_a_place_is_shown_at_once(cube):
     place = Place("z", 17, node=(0.1, 0.1), line=(-0.2, 0, 0.2, 0), area=(-0.1, -0.1, 0.1, 0.1))
     page, _ = build(cube, place)
-    assert page.step.value == 17
-    assert page.link.text == place.query()
-    assert len(page.map.node.data["x"]) == 1
+    assert page.controls.step.value == 17
+    assert page.controls.link.text == place.query()
+    assert len(page.panels.map.sources["node"].data["x"]) == 1
 
 
 def test_fitted_colours_are_nobodys_wish(cube):
     page, _ = build(cube)
     page.redraw()
     assert page.place.limits is None
-    page.low.value, page.high.value = -3.0, 4.0
+    page.controls.low.value, page.controls.high.value = -3.0, 4.0
     assert page.place.limits == (-3.0, 4.0)
 
 
@@ -70,27 +69,26 @@ def test_a_damaged_step_is_a_sentence_and_the_others_are_shown(cube, tmp_path):
     path = tmp_path / "cube.zarr"
     make_cube(path)
     next((path / "w" / "c").glob("0/0/0")).write_bytes(b"nonsense")
-    record = CubeRecord(path)
-    page, document = Page(LookSession(record, find_context(record)), Place(step=1)), Document()
+    page, document = LookPage(LookSession.open(path), Place(step=1)), Document()
     page.attach(document)
     assert "w of steps 0 to 39 is lost" in page.state.text
     page.change(step=50)
     page.redraw()
-    assert np.isfinite(page.map.image.data["image"][0]).any()
+    assert np.isfinite(page.panels.map.sources["image"].data["image"][0]).any()
 
 
 def test_an_empty_cube_is_shown_as_such(tmp_path):
     path = tmp_path / "cube.zarr"
     create_cube(path)
     page, _ = build(path, Place(node=(0.0, 0.0), tab="surface"))
-    assert "not measured yet" in page.map.figure.title.text
+    assert "not measured yet" in page.panels.map.figure.title.text
     assert "measured so far: 0 (0 %)" in page.state.text
     write_cube_block(path, 0)
-    page._recheck()
+    page.recheck()
     assert "measured so far: 40" in page.state.text
 
 
 def test_what_is_missing_beside_a_cube_is_a_sentence(cube):
     page, _ = build(cube)
-    assert "no waves yet" in page.session.beside.notes["waves"]
-    assert "no images" in page.session.beside.notes["cameras"]
+    assert "no waves yet" in page.session.run.reason("waves")
+    assert "no images" in page.panels.cameras.words.text

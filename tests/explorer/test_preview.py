@@ -54,12 +54,12 @@ def test_a_cube_without_a_preview_gets_the_same_one_on_first_look(cube, tmp_path
     path, _ = cube
     bare = tmp_path / "bare" / "cube.zarr"
     shutil.copytree(path, bare)
-    told = []
+    reported = []
     record = CubeRecord(bare)
-    record.preview.load(lambda done, total: told.append((done, total)))
+    record.preview.load(lambda done, total: reported.append((done, total)))
     written = CubeRecord(path)
     written.preview.load()
-    assert told == [(1, 3), (2, 3), (3, 3)]
+    assert reported == [(1, 3), (2, 3), (3, 3)]
     assert np.array_equal(record.preview.fields, written.preview.fields)
     again = CubeRecord(bare)
     preview = open_preview(bare, again.group)
@@ -74,7 +74,7 @@ def test_a_cube_that_is_being_written_is_read_as_far_as_it_is(tmp_path):
     record = CubeRecord(path)
     record.preview.load()
     assert record.first_step() == 40
-    assert record.preview.known.tolist() == [False, True, False]
+    assert record.preview.loaded.tolist() == [False, True, False]
     assert np.isnan(record.preview.series("z", 5, 5)[:40]).all()
     assert not record.refresh()
     write_cube_block(path, 0)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from wavefield.explorer import selections
-from wavefield.explorer.map_fields import arrows, colour_limits, derive
+from wavefield.explorer.map_fields import arrows
 from wavefield.explorer.place import Place
 from wavefield.explorer.plot_parts import envelope, image_data
-from wavefield.explorer.surface_panel import project
+from wavefield.figures.display import display
 from wavefield.figures.quality import KINDS, quality_kind
 
 DT = 0.05
@@ -108,25 +108,6 @@ def test_the_gravest_bit_names_a_node():
     assert quality_kind(np.array(0)) == len(KINDS)
 
 
-def test_derived_maps_are_those_of_the_analysis():
-    import xarray as xr
-
-    x, y, t = np.linspace(-1, 1, 41), np.linspace(-1, 1, 31), DT * np.arange(3)
-    u = np.broadcast_to(-0.3 * y[:, None], (3, 31, 41)).copy()
-    v = np.broadcast_to(0.5 * x[None, :], (3, 31, 41)).copy()
-    zero = np.zeros_like(u)
-    steps = xr.Dataset(
-        {
-            n: (("time", "y", "x"), f)
-            for n, f in {"z": zero, "z_t": zero + 0.2, "u": u, "v": v, "w": zero}.items()
-        },
-        coords={"time": t, "y": y, "x": x},
-    )
-    np.testing.assert_allclose(derive(steps, "vorticity", 1), 0.8, atol=1e-9)
-    np.testing.assert_allclose(derive(steps, "divergence", 1), 0.0, atol=1e-9)
-    np.testing.assert_allclose(derive(steps, "residual", 1), 0.2, atol=1e-9)
-
-
 def test_arrows_point_where_the_water_goes_and_are_as_long_as_it_is_fast():
     x, y = np.linspace(0, 1, 25), np.linspace(0, 1, 25)
     u, v = np.full((25, 25), 0.3), np.full((25, 25), -0.4)
@@ -142,22 +123,15 @@ def test_arrows_point_where_the_water_goes_and_are_as_long_as_it_is_fast():
 
 def test_colours_are_balanced_where_there_is_a_sign():
     values = np.linspace(-1, 3, 1000)
-    low, high = colour_limits(values, "w")
+    low, high = display("w").limits(values)
     assert low == -high
-    assert colour_limits(np.abs(values), "z_std")[0] == 0.0
+    assert display("z_std").limits(np.abs(values))[0] == 0.0
 
 
 def test_images_are_centred_on_their_nodes():
     data = image_data(np.zeros((3, 5)), np.linspace(-1, 1, 5), np.linspace(0, 1, 3))
     assert (data["x"], data["dw"]) == ([-1.25], [2.5])
     assert (data["y"], data["dh"]) == ([-0.25], [1.5])
-
-
-def test_seen_from_above_the_surface_is_a_map():
-    x, y = np.array([0.0, 1.0]), np.array([0.0, 2.0])
-    across, up, _ = project(x, y, np.array([5.0, 6.0]), 0.0, np.pi / 2)
-    np.testing.assert_allclose(across, x)
-    np.testing.assert_allclose(up, y, atol=1e-12)
 
 
 def test_a_link_shows_the_same_place_again():

@@ -5,10 +5,9 @@ import pytest
 from bokeh.document import Document
 from explorer_cases import make_cube
 
-from wavefield.explorer.context import find_context
-from wavefield.explorer.cube_record import CubeRecord
-from wavefield.explorer.look_page import LookSession, Page
+from wavefield.explorer.look_page import LookPage
 from wavefield.explorer.place import Place
+from wavefield.explorer.session import LookSession
 from wavefield.images import write_image
 
 SQUARE, SHAPE = 24, (7, 5)  # px; inner corners along a row, and rows
@@ -39,19 +38,19 @@ def page(tmp_path, tank_rig):
     )
     rig = {name: tank_rig[name].to_dict() for name in ("cam1", "cam2")}
     make_cube(tmp_path / "cube.zarr", rig=rig, experiment_file=str(tmp_path / "experiment.yaml"))
-    record = CubeRecord(tmp_path / "cube.zarr")
-    out, document = Page(LookSession(record, find_context(record)), Place(tab="cameras")), Document()
+    session = LookSession.open(tmp_path / "cube.zarr")
+    out, document = LookPage(session, Place(tab="cameras")), Document()
     out.attach(document)
     return out
 
 
 def test_the_nodes_that_are_found_are_drawn_over_the_image(page):
-    cameras = page.cameras
+    cameras = page.panels.cameras
     assert cameras.frame.options == ["first frame", "second frame", "target: target_a", "target: target_b"]
     cameras.frame.value = "target: target_a"
     cameras.show(page.place)
     corners = 3 * SQUARE - 0.5 + SQUARE * np.mgrid[: SHAPE[1], : SHAPE[0]][::-1].reshape(2, -1).T
-    found = np.column_stack([cameras.target.data["X"], cameras.target.data["Y"]])
+    found = np.column_stack([cameras.sources["target"].data["X"], cameras.sources["target"].data["Y"]])
     for corner in corners:
         assert np.hypot(*(found - corner).T).min() < 0.1
     assert len(found) == len(corners)
@@ -60,11 +59,11 @@ def test_the_nodes_that_are_found_are_drawn_over_the_image(page):
 
 
 def test_an_image_without_a_target_is_shown_with_a_sentence(page):
-    cameras = page.cameras
+    cameras = page.panels.cameras
     cameras.frame.value = "target: target_b"
     cameras.show(page.place)
-    assert len(cameras.image.data["image"]) == 1
-    assert len(cameras.target.data["X"]) == 0
+    assert len(cameras.sources["image"].data["image"]) == 1
+    assert len(cameras.sources["target"].data["X"]) == 0
     assert "target_b" in cameras.words.text or "no " in cameras.words.text
     cameras.frame.value = "first frame"
     cameras.show(page.place)

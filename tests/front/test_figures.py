@@ -128,37 +128,36 @@ def test_rig_is_drawn_with_its_cameras():
 
 
 def test_pairs_of_cameras_are_compared_in_pixels():
-    from wavefield.measurement import Diagnosis
-    from wavefield.reports.pair_pictures import pair_differences, pair_misfits
+    from wavefield.reports.pair_section import pair_differences, pair_misfits, pair_rows
 
-    field = 1e-3 * np.random.default_rng(3).standard_normal((8, 9))
-    pairs = ("3", "1"), ("3", "2"), ("1", "2")
-    z = {pair: scale * field for pair, scale in zip(pairs, (1.0, 1.02, 0.98), strict=True)}
-    found = Diagnosis(
-        pixel=1.8e-3,
-        z=z,
-        eps_y={pair: field.ravel() for pair in pairs},
-        z_std=dict.fromkeys(pairs, 1e-3),
-        recombined={pairs[2]: 0.5 * field},
-        moved={pair: np.stack([values, 2 * values, 3 * values]) for pair, values in z.items()},
-        eps_piv={pair: np.abs(field) for pair in (*pairs, ("1", "2", "3"))},
+    pixel, centres = 1.8e-3, np.linspace(-4.95, 4.95, 100)
+    errors = (  # quantity, cameras, units, rms
+        ("eps_y", "3-1", "m", 0.5e-3),
+        ("eps_piv", "1-2-3", "pixel", 0.2),
+        ("z", "3-1 minus 3-2", "m", 0.9e-3),
+        ("z_recombined", "1-2", "m", 0.09e-3),
+        ("dz", "3-2 minus 1-2", "m", 0.36e-3),
+    )
+    quantities, cameras, units, rms = zip(*errors)
+    normal = np.exp(-(centres**2) / 2) / np.sqrt(2 * np.pi)
+    found = xr.Dataset(
+        {"rms": ("error", list(rms)), "beyond": ("error", [0.01] * 5)}
+        | {"density": (("error", "bin"), [normal] * 5)},
+        {"bin": centres, "quantity": ("error", list(quantities)), "cameras": ("error", list(cameras))}
+        | {"units": ("error", list(units))},
+        {"pixel_size": pixel, "steps": [0, 4]},
     )
     text = labels(pair_misfits(found))
-    assert f"3-1, rms {1e3 * _rms(field):.2g} mm" in text
-    assert "1-2-3, rms" in text
+    assert "3-1, rms 0.5 mm" in text
+    assert "1-2-3, rms 0.2 px" in text
+    curve = pair_misfits(found).axes[0].lines[0]
+    assert np.trapezoid(curve.get_ydata(), curve.get_xdata()) == pytest.approx(1.0, abs=1e-3)
     text = labels(pair_differences(found))
-    for name, scale in (
-        ("3-1 minus 3-2", 0.02),
-        ("3-2 minus 1-2", 0.04),
-        ("1-2 recombined minus direct", 0.5),
-        ("3-2 minus 1-2", 0.12),  # dz
-    ):
-        assert f"{name}, rms {scale * _rms(field) / 1.8e-3:.2g} px" in text
-
-
-def _rms(values):
-    within = values[np.abs(values) <= 3 * np.sqrt(np.mean(values**2))]
-    return float(np.sqrt(np.mean(within**2)))
+    assert "3-1 minus 3-2, rms 0.5 px" in text
+    assert "1-2 recombined minus direct, rms 0.05 px" in text
+    assert "3-2 minus 1-2, rms 0.2 px" in text
+    assert ("(z 3-1 − z 3-2) / √2", "0.064", "0.35", "1.0 %") in pair_rows(found)
+    assert ("displacements differ (eps'), 1-2-3", "", "0.2", "1.0 %") in pair_rows(found)
 
 
 def test_found_nodes_are_drawn_in_pixels_and_on_the_plane():

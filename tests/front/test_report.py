@@ -3,7 +3,9 @@
 import base64
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,14 +15,23 @@ import xarray as xr
 from wavefield.figures import rest_distributions
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry
-from wavefield.reports import Sources, write_report
-from wavefield.reports.calibration_page import _with_std
-from wavefield.reports.html_page import Picture, Table
+from wavefield.pipeline import Run
+from wavefield.reports import write_report
+from wavefield.reports.calibration_page import with_std
+from wavefield.reports.html_page import Head, Picture, ReportSection, Table, render
 from wavefield.reports.number_text import median_of, number
-from wavefield.reports.overview import _left_out
+from wavefield.reports.overview import without_cameras
 from wavefield.reports.player import pack
+from wavefield.reports.run_data import snapshot
 from wavefield.tank import paper_rig
 from wavefield.variables import CUBE_FIELDS, Quality
+
+
+def run_of(cube, **parts):
+    """A cube that is not in a store, and what belongs to it: nothing but what is given."""
+    run = Run(cube, *(Path("nowhere") / name for name in ("cube.zarr", "waves.zarr", "experiment.yaml")))
+    vars(run).update({"pair_statistics": None} | parts)
+    return run
 
 
 class Page(HTMLParser):
@@ -45,19 +56,18 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def page_text(cube, tmp_path_factory):
-    sources = Sources(
-        cube.assign_attrs(recipe=json.dumps({"settings": {}})), rig=paper_rig(), truth=0.98 * cube
-    )
-    path = write_report(sources, tmp_path_factory.mktemp("report") / "report.html")
+    cube = cube.assign_attrs(recipe=json.dumps({"settings": {}}))
+    run = run_of(cube, rig=paper_rig(), truth=0.98 * cube)
+    path = write_report(run, tmp_path_factory.mktemp("report") / "report.html")
     return path.read_text(encoding="utf-8")
 
 
 def test_the_report_says_without_which_camera_nodes_were_measured():
     quality = xr.DataArray(np.full((1, 10, 10), int(Quality.MEASURED), np.uint16))
     quality[0, :2] |= np.uint16(Quality.without(2))
-    found = _left_out(quality, quality != 0, ["left", "middle", "right"])
+    found = without_cameras(quality, 100, ["left", "middle", "right"])
     assert found == [("nodes measured without", "right 20.00 %")]
-    assert _left_out(quality[:, 5:], quality[:, 5:] != 0, ["left", "middle", "right"]) == []
+    assert without_cameras(quality[:, 5:], 50, ["left", "middle", "right"]) == []
 
 
 def test_nothing_comes_from_a_network(page_text):
@@ -108,16 +118,16 @@ def test_numbers_of_the_summary_are_those_of_the_cube(page_text, cube):
     assert "along paths of 6 frames" in page_text
 
 
-def test_what_is_missing_is_said(cube, tmp_path, undrawn):
-    sources = Sources(cube, notes=["spectra and coherence (run `wavefield analyze` first)"])
-    text = write_report(sources, tmp_path / "bare.html").read_text(encoding="utf-8")
-    assert "Not in this report: spectra and coherence" in text
+def test_what_is_missing_is_reported(cube, tmp_path, undrawn):
+    text = write_report(run_of(cube), tmp_path / "bare.html").read_text(encoding="utf-8")
+    assert "Not in this report: spectra and coherence (no waves yet: run <code>wavefield analyze" in text
+    assert "Pairs of cameras are not compared: " in text
     assert '<section id="spectra">' not in text
 
 
 def test_text_from_outside_is_escaped(cube, tmp_path, undrawn):
-    sources = Sources(cube.assign_attrs(experiment="<script>alert(1)</script>"))
-    text = write_report(sources, tmp_path / "bad.html").read_text(encoding="utf-8")
+    run = run_of(cube.assign_attrs(experiment="<script>alert(1)</script>"))
+    text = write_report(run, tmp_path / "bad.html").read_text(encoding="utf-8")
     assert "<script>alert" not in text
 
 
@@ -165,9 +175,12 @@ def test_the_verdict_with_description_and_dates_stands_first(cube, tmp_path):
     from wavefield.store.verdict import Remark, Verdict
 
     experiment = Experiment.model_construct(description="Waves of a paddle, 12 cm of water", mask={})
-    sources = Sources(cube, experiment=experiment, dates={"measured": "2026-03-01 10:12 UTC"})
+    (tmp_path / "frame_status" / "c").mkdir(parents=True)
+    (tmp_path / "frame_status" / "c" / "0").touch()
+    run = replace(run_of(cube), store=tmp_path)
+    vars(run).update(experiment=experiment, frames={})
     verdict = Verdict.of([Remark("cam1", "focus", "grave", "its images are blurred")])
-    found = head_of(sources, verdict).html()
+    found = render(head_of(run, verdict), []).split("<header>")[1]
     words = [
         found.index(w) for w in ("Verdict: not to be trusted: cam1 focus", "Waves of a paddle", "Measured 20")
     ]
@@ -177,11 +190,11 @@ def test_the_verdict_with_description_and_dates_stands_first(cube, tmp_path):
     assert f"{cube.sizes['time']} steps at 20 Hz" in found
 
 
-def test_no_folder_of_this_machine_is_told(cube, tmp_path, undrawn):
+def test_no_folder_of_this_machine_is_reported(cube, tmp_path, undrawn):
     attrs = {"experiment_file": "/home/somebody/tank/experiment.yaml"}
     recipe = json.dumps({"images": {"cam1": "/home/somebody/tank/cam1/*.tif"}, "settings": {}})
-    sources = Sources(cube.assign_attrs(attrs | {"recipe": recipe}))
-    text = write_report(sources, tmp_path / "report.html").read_text(encoding="utf-8")
+    run = run_of(cube.assign_attrs(attrs | {"recipe": recipe}))
+    text = write_report(run, tmp_path / "report.html").read_text(encoding="utf-8")
     assert "/home/" not in text
     assert "experiment.yaml" in text
 
@@ -196,10 +209,10 @@ def test_cameras_are_shown_over_time(cube, tmp_path, undrawn):
         {"cam1-cam2": {"agreement": [0.9, 0.8], "eps_y": [0.1, 0.3]}},
         [0, 40],
     )
-    text = write_report(Sources(cube), tmp_path / "report.html", verdict=verdict).read_text(encoding="utf-8")
+    text = write_report(run_of(cube), tmp_path / "report.html", verdict=verdict).read_text(encoding="utf-8")
     assert '<section id="cameras-over-time">' in text
     assert "cam1: details of 1.2 px, brightness 20.5, at least 90 % in view" in text
-    without = write_report(Sources(cube), tmp_path / "none.html", verdict=Verdict()).read_text(
+    without = write_report(run_of(cube), tmp_path / "none.html", verdict=Verdict()).read_text(
         encoding="utf-8"
     )
     assert "cameras-over-time" not in without
@@ -215,7 +228,7 @@ def test_a_long_cube_is_thinned_to_fit(cube):
 def test_the_nonlinear_term_and_its_residual_are_those_of_the_store(cube, page_text):
     from wavefield.waves import kinematics
 
-    snap = Sources(cube).snapshot()
+    snap = snapshot(cube)
     stored = kinematics(cube).sel(time=snap.time)
     picture = next(p["alt"] for p in Page(page_text).all("img") if p["alt"].startswith("Four maps."))
     for name, words in (("nonlinear", "nonlinear term"), ("residual", "residual")):
@@ -223,25 +236,28 @@ def test_the_nonlinear_term_and_its_residual_are_those_of_the_store(cube, page_t
         assert f"{words} {rms:.3g} cm/s" in picture
 
 
-def test_the_pairs_told_are_those_measured_when_the_origin_lies_aside(cube, tmp_path, undrawn):
+def test_the_pairs_reported_are_those_measured_when_the_origin_lies_aside(cube, tmp_path, undrawn):
     rig = paper_rig().moved(np.eye(3), (2.0, 0.0, 0.0))  # the origin below the outer camera, or beyond it
-    sources = Sources(cube.assign_attrs(recipe=json.dumps({"settings": {}})), rig=rig)
-    pictures = Page(write_report(sources, tmp_path / "aside.html").read_text(encoding="utf-8")).all("img")
+    run = run_of(cube.assign_attrs(recipe=json.dumps({"settings": {}})), rig=rig)
+    pictures = Page(write_report(run, tmp_path / "aside.html").read_text(encoding="utf-8")).all("img")
     diagram = next(p["alt"] for p in pictures if p["alt"].startswith("Diagram."))
     measured = GridGeometry(rig, Grid((-2.2, -1.8), (-0.2, 0.2), 0.01)).pairs
     assert "Stereo pairs " + ", ".join(f"{a} with {b}" for a, b in measured) in diagram
 
 
 def test_on_a_phone_rows_of_sentences_stand_below_each_other_and_wide_pictures_are_not_shrunk():
+    def html(item):
+        return render(Head(""), [ReportSection("", [item])])
+
     long = "photograph some twenty frames of still, seeded water; name them in the experiment file"
-    assert 'class="table told"' in Table("", ("remark", "what to do"), [("rest", long)]).html()
-    assert '<td data-of="what to do">' in Table("", ("remark", "what to do"), [("rest", long)]).html()
-    assert 'class="table"' in Table("", ("camera", "rms"), [("cam1", "0.1")]).html()
+    assert 'class="table sentences"' in html(Table("", ("remark", "what to do"), [("rest", long)]))
+    assert '<td data-column="what to do">' in html(Table("", ("remark", "what to do"), [("rest", long)]))
+    assert 'class="table"' in html(Table("", ("camera", "rms"), [("cam1", "0.1")]))
     wide, small = (
         cv2.imencode(".png", np.zeros(shape, np.uint8))[1].tobytes() for shape in ((10, 1400), (30, 900))
     )
-    assert 'class="wide"' in Picture(wide, "", "").html()
-    assert 'class="wide"' not in Picture(small, "", "").html()
+    assert 'class="wide"' in html(Picture(wide, "", ""))
+    assert 'class="wide"' not in html(Picture(small, "", ""))
 
 
 @pytest.mark.parametrize(
@@ -253,7 +269,7 @@ def test_on_a_phone_rows_of_sentences_stand_below_each_other_and_wide_pictures_a
     ],
 )
 def test_parameters_have_the_digits_that_their_uncertainty_leaves(value, std, words):
-    assert _with_std(value, std) == words
+    assert with_std(value, std) == words
 
 
 def test_a_variable_without_any_value_is_a_dash_and_no_warning():

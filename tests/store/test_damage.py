@@ -20,8 +20,7 @@ from hypothesis import strategies as st
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError, WavefieldError
 from wavefield.explorer.cube_record import CubeRecord
-from wavefield.pipeline import open_cube, run, status
-from wavefield.reports.sources import gather
+from wavefield.pipeline import open_cube, open_run, run, status
 from wavefield.store.wave_store import open_waves
 
 DRAWS = int(os.environ.get("WAVEFIELD_DRAWS", "120"))
@@ -83,9 +82,9 @@ def by_analyze(folder):
 
 
 def by_report(folder):
-    sources = gather(folder / "cube.zarr", folder / "waves.zarr")
-    groups = [sources.group(name) for name in sorted(sources.waves.children)]
-    return digest(sources.cube.load(), *groups) + str(sources.bad_frames)
+    found = open_run(folder / "cube.zarr")
+    groups = [found.wave_group(name) for name in sorted(found.waves.children)]
+    return digest(found.cube.load(), *groups) + str(status(found.store).bad_frames)
 
 
 def by_look(folder):

@@ -10,8 +10,7 @@ from cube_cases import HERE, different
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError
 from wavefield.images import read_image, write_image
-from wavefield.pipeline import chunk_worker, open_cube, run
-from wavefield.reports.sources import gather
+from wavefield.pipeline import chunk_worker, open_cube, open_run, run
 from wavefield.store.preview import open_preview, read_steps, thinning
 from wavefield.store.read import cube_recipe, open_group
 from wavefield.store.relabel import RATES
@@ -77,12 +76,12 @@ def test_what_reads_the_cube_by_itself_sees_the_new_rate(own_tank, cube, referen
 
 def test_a_report_does_not_show_waves_of_another_rate(own_tank, cube, undrawn):
     assert main(["-q", "analyze", str(cube), "--segment", "8"]) == 0
-    assert gather(cube, cube.with_name("waves.zarr")).waves is not None
+    assert open_run(cube).waves is not None
     change(own_tank, ("frame_rate: 20.0", "frame_rate: 25.0"))
     run(own_tank, workflow=HERE)
-    found = gather(cube, cube.with_name("waves.zarr"))
+    found = open_run(cube)
     assert found.waves is None
-    assert "another frame rate since" in "".join(found.notes)
+    assert "another frame rate since" in found.reason("waves")
 
 
 def test_labels_go_there_and_back_bit_for_bit(own_tank, cube, reference):

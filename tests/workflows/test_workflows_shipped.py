@@ -23,7 +23,7 @@ from wavefield.execution.dask_settings import dask_settings, temporary_credentia
 from wavefield.execution.slurm import count_jobs, slurm_cluster
 from wavefield.pipeline import Workflow, open_cube, run, run_catalog
 from wavefield.pipeline.catalog import find_experiment
-from wavefield.reports import errors_against, gather
+from wavefield.reports import errors_against
 from wavefield.variables import FrameStatus
 
 ROOT = Path(__file__).parents[2]
@@ -139,7 +139,7 @@ def test_real_images_run_from_the_catalog_with_their_place_as_a_parameter(shared
     assert abs(float(cube.z.median())) < 1e-3
     assert float(abs(cube.eps_piv).median()) < 0.1
     # its report finds the images where the parameter said
-    assert set(gather(state.store).frames) == {"left", "right"}
+    assert set(wf.open_run(state.store).frames) == {"left", "right"}
 
 
 def test_two_cameras_run_from_the_catalog_that_is_shipped(tmp_path):

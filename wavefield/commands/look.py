@@ -47,19 +47,17 @@ def look(source: Path, run: str | None, waves: Path | None, port: int | None, op
     Of a catalog name the RUN, unless only one has a cube.
     """
     from wavefield.errors import StoreError
-    from wavefield.explorer.context import find_context
-    from wavefield.explorer.cube_record import CubeRecord
-    from wavefield.explorer.look_page import LookSession
     from wavefield.explorer.server import session_server
+    from wavefield.explorer.session import LookSession
     from wavefield.store.ledger_files import check_chunks
 
-    record = CubeRecord(_cube_of(source, run))
+    session = LookSession.open(_cube_of(source, run), waves)
+    record = session.record
     try:
         check_chunks(record.path, record.group, record.layout)
     except StoreError as error:  # the page shows the rest
         click.echo(f"note: {error}", err=True)
     give_way(record.layout.steps - record.steps_done)
-    session = LookSession(record, find_context(record, waves))
     server = session_server(session, port)
     session.load()
     server.start()

@@ -1,70 +1,71 @@
-"""What the pages look at: a cube, its preview in memory, and whatever else lies beside it."""
+"""The cube behind a page: any variable at any step, and its thinned preview in memory."""
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
+import zarr
 from numpy.typing import NDArray
 
 from wavefield.errors import StoreError, WavefieldError
-from wavefield.explorer.map_fields import DERIVED, derive
 from wavefield.explorer.selections import MISSING, decode
+from wavefield.figures.display import BALANCE, DERIVED
 from wavefield.store import preview as previews
 from wavefield.store.checked import chunk_path
 from wavefield.store.layout import WATCHED
 from wavefield.store.ledger_files import LEDGER, check_chunks
 from wavefield.store.read import open_group, read_layout
-from wavefield.variables import CUBE_DIMS, TABLE
+from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, annotate
+from wavefield.waves.nonlinear.kinematics import kinematics
 
-_KEPT = 160  # steps of single variables in memory
-_TOGETHER = 8  # steps that are decoded together anyway
-_BALANCE = ("z", "z_t", "u", "v", "w")
+_CACHED_FIELDS = 160  # steps of single variables in memory
+_STEPS_PER_READ = 8  # a chunk of the store holds so many or more
+_ALL = slice(None)
 
 
 class CubeRecord:
-    """A cube for looking at: any variable at any step at once, everything at a node as soon as it is read."""
+    """A cube, finished or not: any variable at any step, and series from its preview."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path).absolute()
         self.group = open_group(self.path)
         self.layout = read_layout(self.group)
-        check_chunks(self.path, self.group, self.layout, LEDGER)  # of fields each is checked as it is read
+        check_chunks(self.path, self.group, self.layout, LEDGER)  # fields are checked when they are read
         self.time, self.y, self.x = (np.asarray(self.group[name][:]) for name in CUBE_DIMS)
-        self.frame_rate = float(self.group.attrs["frame_rate"])
-        self.experiment = str(self.group.attrs["experiment"])
-        self.stored = tuple(n for n, a in self.group.arrays() if a.metadata.dimension_names == CUBE_DIMS)
-        self.stored = tuple(sorted(self.stored, key=_in_order))
-        self.names = (*self.stored, *(DERIVED if set(_BALANCE) <= set(self.stored) else ()))
-        there = "path_frames" in self.group
-        self.paths = {"path_frames": np.uint8(self.group["path_frames"][()])} if there else {}
-        self._attrs = {name: dict(self.group[name].attrs) for name in self.stored}
-        self._kept: OrderedDict[tuple[str, int], NDArray[Any]] = OrderedDict()
+        fields = {n for n, array in self.group.arrays() if array.metadata.dimension_names == CUBE_DIMS}
+        self.stored = tuple(name for name in TABLE if name in fields)
+        self._cache: OrderedDict[tuple[str, int], NDArray[np.float32]] = OrderedDict()
         self._lock = threading.Lock()
         self.ledger = np.zeros(self.layout.steps, np.uint8)
         self.refresh()
         self.preview = Preview(self)
 
-    def units(self, name: str) -> str:
-        """CF unit of a variable."""
-        return "m s-1" if name == "residual" else "s-1" if name in DERIVED else self._attrs[name]["units"]
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Stored variables, and those derived from them."""
+        return self.stored + (DERIVED if set(BALANCE) <= set(self.stored) else ())
 
-    def long_name(self, name: str) -> str:
-        """What a variable is, in words."""
-        return DERIVED[name][0] if name in DERIVED else str(self._attrs[name]["long_name"])
+    @property
+    def frame_rate(self) -> float:
+        """Frames per second, Hz."""
+        return float(self.group.attrs["frame_rate"])
+
+    @property
+    def experiment(self) -> str:
+        """Name of the experiment."""
+        return str(self.group.attrs["experiment"])
 
     def refresh(self) -> bool:
-        """Look at the ledger again."""
+        """Read the ledger again; returns whether it has changed."""
         ledger = np.asarray(self.group["frame_status"][:])
-        changed = not np.array_equal(ledger, self.ledger)
-        if changed:
-            for key in [k for k in self._kept if self.ledger[k[1]] != ledger[k[1]]]:
-                self._kept.pop(key, None)
+        changed = ledger != self.ledger
+        for key in [key for key in self._cache if changed[key[1]]]:
+            self._cache.pop(key, None)
         self.ledger = ledger
-        return changed
+        return bool(changed.any())
 
     @property
     def steps_done(self) -> int:
@@ -72,144 +73,150 @@ class CubeRecord:
         return int(np.count_nonzero(self.ledger))
 
     def first_step(self) -> int:
-        """A step to begin with: the first that was measured."""
-        done = np.flatnonzero((self.ledger == 1) | (self.ledger == 2))
-        return int(done[0]) if done.size else 0
+        """The first step that was measured, or 0."""
+        measured = np.isin(self.ledger, (FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS))
+        return int(np.argmax(measured))
 
-    def field(self, name: str, step: int) -> NDArray[Any]:
-        """A variable at one step, at every node.
-
-        Returns (ny, nx): In stored units.
-        """
+    def field(self, name: str, step: int) -> NDArray[np.float32]:
+        """A variable at one step, (ny, nx), in stored units."""
         if name in DERIVED:
             return self._derived(name, step)
         with self._lock:
-            if (name, step) not in self._kept:
-                self._refuse_half(name, step)
-                start = step - step % _TOGETHER
-                stop = min(start + _TOGETHER, self.layout.steps)
+            if (name, step) not in self._cache:
+                self._check_chunk(name, step)
+                start = step - step % _STEPS_PER_READ
+                stop = min(start + _STEPS_PER_READ, self.layout.steps)
                 for k, values in enumerate(previews.read_steps(self.group, name, start, stop)):
-                    self._kept[name, start + k] = values
-            self._kept.move_to_end((name, step))
-            out = self._kept[name, step]
-            while len(self._kept) > _KEPT:
-                self._kept.popitem(last=False)
+                    self._cache[name, start + k] = values
+            self._cache.move_to_end((name, step))
+            out = self._cache[name, step]
+            while len(self._cache) > _CACHED_FIELDS:
+                self._cache.popitem(last=False)
         return out
 
-    def _refuse_half(self, name: str, step: int) -> None:
-        """Say so where the ledger knows of a file that is not there: it would look like nothing measured."""
+    def _check_chunk(self, name: str, step: int) -> None:
+        """Raise if a file of the ledger is absent: Zarr would take its steps as not measured."""
         if "stored_bytes" not in self.group or name not in WATCHED:
             return
-        block = step // self.layout.chunk_steps
-        size = int(self.group["stored_bytes"][block, WATCHED.index(name)])
-        if size > 0 and not chunk_path(self.path, name, block).exists():
-            first, last = (
-                block * self.layout.chunk_steps,
-                min((block + 1) * self.layout.chunk_steps, self.layout.steps),
-            )
+        steps = self.layout.chunk_steps
+        chunk = step // steps
+        size = int(self.group["stored_bytes"][chunk, WATCHED.index(name)])
+        if size > 0 and not chunk_path(self.path, name, chunk).exists():
+            first, last = chunk * steps, min((chunk + 1) * steps, self.layout.steps)
             raise StoreError(
                 f"{name} of steps {first} to {last - 1} is not in {self.path.name}, though it was written: "
-                "copy the cube again, whole, or see `wavefield verify`"
+                "copy the complete cube again, or see `wavefield verify`"
             )
 
-    def _derived(self, name: str, step: int) -> NDArray[Any]:
-        around = [k for k in (step - 1, step, step + 1) if 0 <= k < self.layout.steps]
-        steps = xr.Dataset(
-            {n: (CUBE_DIMS, np.array([self.field(n, k) for k in around]), self._attrs[n]) for n in _BALANCE},
-            coords={"time": self.time[around], "y": self.y, "x": self.x} | self.paths,
-        )
-        if len(around) < 2:
+    def _derived(self, name: str, step: int) -> NDArray[np.float32]:
+        around = slice(max(step - 1, 0), min(step + 2, self.layout.steps))
+        if around.stop - around.start < 2:
             return np.full((self.y.size, self.x.size), np.nan, np.float32)
-        return derive(steps, name, around.index(step))
+        steps = range(around.start, around.stop)
+        fields = {n: np.array([self.field(n, k) for k in steps]) for n in BALANCE}
+        return np.asarray(kinematics(self.dataset(fields, around))[name].values[step - around.start])
 
+    def dataset(
+        self,
+        fields: Mapping[str, NDArray[np.float32]],
+        steps: slice,
+        rows: slice = _ALL,
+        columns: slice = _ALL,
+    ) -> xr.Dataset:
+        """Fields (time, y, x) of a part of the cube with their coordinates, units and names."""
+        coords = {"time": self.time[steps], "y": self.y[rows], "x": self.x[columns]}
+        return self.annotated(xr.Dataset({n: (CUBE_DIMS, values) for n, values in fields.items()}, coords))
 
-def _in_order(name: str) -> int:
-    return list(TABLE).index(name) if name in TABLE else len(TABLE)
+    def annotated(self, dataset: xr.Dataset) -> xr.Dataset:
+        """Values of this cube with units, names and the length of its paths."""
+        if "path_frames" in self.group:
+            dataset = dataset.assign_coords(path_frames=np.uint8(self.group["path_frames"][()]))
+        out: xr.Dataset = annotate(dataset)
+        return out
 
 
 class Preview:
-    """The thinned cube in memory; read once, in the background."""
+    """The thinned cube in memory, read once in the background."""
 
     def __init__(self, record: CubeRecord) -> None:
         self._record = record
         self.thin = previews.thinning(record.group)
         self.y, self.x = record.y[:: self.thin.every], record.x[:: self.thin.every]
-        blocks = record.layout.chunks()
         shape = len(self.thin.names), self.y.size, self.x.size, record.layout.steps
         self.fields = np.full(shape, MISSING, np.int16)
-        self.known = np.zeros(len(blocks), bool)
+        self.loaded = np.zeros(len(record.layout.chunks()), bool)  # chunks in memory
         self.trouble = ""
         self._lock = threading.Lock()
 
     @property
-    def requested(self) -> NDArray[np.bool_]:
-        """Which blocks the cube has."""
+    def measured(self) -> NDArray[np.bool_]:
+        """Which chunks the cube has."""
         return previews.chunks_done(self._record.ledger, self._record.layout)
 
     @property
     def complete(self) -> bool:
         """Whether all that is measured is in memory."""
-        return bool((self.known | ~self.requested).all())
+        return bool((self.loaded | ~self.measured).all())
 
     def load(self, progress: Callable[[int, int], None] | None = None) -> None:
-        """Read what the cube has and memory has not; writes what the preview on disk lacks."""
+        """Read the chunks that are not in memory, and write those that the stored preview lacks."""
         with self._lock:
-            self._load(progress)
+            measured = self.measured
+            self.loaded &= measured  # the others are measured again
+            chunks = np.flatnonzero(measured & ~self.loaded)
+            if chunks.size:
+                self._load(chunks, progress)
 
-    def _load(self, progress: Callable[[int, int], None] | None) -> None:
-        record, layout = self._record, self._record.layout
-        blocks, requested = layout.chunks(), self.requested
-        for index in np.flatnonzero(self.known & ~requested):  # measured again
-            self.known[index] = False
-        todo = np.flatnonzero(requested & ~self.known)
-        if not todo.size:
-            return
-        on_disk = self._open()
-        ready = np.zeros(len(blocks), bool)
-        if on_disk is not None:
-            ready = previews.chunks_stored(on_disk, layout)
-        for count, index in enumerate(todo):
-            start, stop = blocks[index]
+    def _load(self, chunks: NDArray[np.intp], progress: Callable[[int, int], None] | None) -> None:
+        record, bounds = self._record, self._record.layout.chunks()
+        preview = self._open()
+        ready = np.zeros_like(self.loaded)
+        if preview is not None:
+            ready = previews.chunks_stored(preview, record.layout)
+        for count, index in enumerate(chunks, 1):
+            start, stop = bounds[index]
             try:
-                thinned = previews.stored_thinned(on_disk, start, stop) if ready[index] else None
+                thinned = previews.stored_thinned(preview, start, stop) if ready[index] else None
                 if thinned is None:
                     thinned = previews.read_thinned(record.group, self.thin, start, stop)
-                    self._keep(on_disk, start, thinned)
+                    if preview is not None:
+                        self._store(start, thinned)
             except (WavefieldError, OSError, ValueError) as error:
                 self.trouble = str(error)
                 continue
             self.fields[..., start:stop] = thinned
-            self.known[index] = True
+            self.loaded[index] = True
             if progress:
-                progress(count + 1, int(todo.size))
+                progress(count, chunks.size)
 
-    def _open(self) -> Any | None:
+    def _open(self) -> zarr.Group | None:
+        """The stored preview; it is made if there is none."""
         record = self._record
-        found = previews.open_preview(record.path, record.group)
-        if found is None:
+        preview = previews.open_preview(record.path, record.group)
+        if preview is None:
             try:
                 previews.create_preview(record.path, record.group)
             except StoreError as error:
-                self.trouble = f"no preview is kept: {error}"
+                self.trouble = f"the preview cannot be stored: {error}"
                 return None
-            found = previews.open_preview(record.path, record.group)
-        return found
+            preview = previews.open_preview(record.path, record.group)
+        return preview
 
-    def _keep(self, on_disk: Any | None, start: int, thinned: NDArray[np.int16]) -> None:
-        if on_disk is None or self.trouble:
+    def _store(self, start: int, thinned: NDArray[np.int16]) -> None:
+        if self.trouble:
             return
         try:
             writable = previews.open_preview(self._record.path, self._record.group, "r+")
             previews.store_thinned(self._record.path, writable, start, thinned)
-        except Exception as error:  # whatever a library makes of a damaged preview: the cube has it all
-            self.trouble = f"no preview is kept: {error}"
+        except Exception as error:  # of any library that reads a damaged preview: the cube has all of it
+            self.trouble = f"the preview cannot be stored: {error}"
 
     def scale(self, name: str) -> float:
         """Value = scale * stored."""
         return self.thin.scales[self.thin.names.index(name)]
 
     def stored(self, name: str) -> NDArray[np.int16]:
-        """One variable, (y, x, time), as stored; what is not read yet is missing."""
+        """One variable, (y, x, time), as stored; missing where it is not read yet."""
         return np.asarray(self.fields[self.thin.names.index(name)])
 
     def series(self, name: str, j: int, i: int) -> NDArray[np.float32]:

@@ -1,263 +1,222 @@
-"""The page of `wavefield follow`: map, cameras, lights, while the cameras write."""
+"""The page of `wavefield follow`: map, cameras and lights while the cameras write."""
 
+from contextlib import suppress
+from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 import numpy as np
+import xarray as xr
+from bokeh.document import Document
 from bokeh.layouts import column, row
-from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Select
-from bokeh.server.server import BaseServer as Server
+from bokeh.models import ColumnDataSource, LinearColorMapper, Select
+from bokeh.plotting import figure
+from bokeh.server.server import BaseServer
+from jinja2 import Environment
+from numpy.typing import NDArray
 
-from wavefield.explorer.camera_panel import shrink
-from wavefield.explorer.context import CubeContext
+from wavefield.errors import WavefieldError
+from wavefield.explorer.camera_panel import frame_columns, shrink
 from wavefield.explorer.follower import FollowedSet, Follower
-from wavefield.explorer.lights import StatusLight, verdict
-from wavefield.explorer.map_fields import arrows, colour_limits, colour_map, palette, shown_as
-from wavefield.explorer.plot_parts import GREY, INK, colour_bar, image_data, image_source, make_figure
+from wavefield.explorer.lights import StatusLight, worst_light
+from wavefield.explorer.map_fields import arrows, palette, top_speed
+from wavefield.explorer.plot_parts import (
+    GREY,
+    IMAGE,
+    INK,
+    SKY,
+    colour_bar,
+    draw_probes,
+    grey_mapper,
+    image_data,
+    make_figure,
+    make_sources,
+    words_of,
+)
 from wavefield.explorer.server import make_server
 from wavefield.explorer.target_watch import TargetWatch
-from wavefield.explorer.template import dress
-from wavefield.figures.style import limit
+from wavefield.explorer.template import apply_template, asset
+from wavefield.figures.display import display
 from wavefield.text import spell_time
-from wavefield.variables import TABLE
 
-_OFTEN = 200  # ms between looks for something new
-_SHOWN = ("z", "w", "u", "v", "z_t", "eps_y", "eps_piv", "z_std")
-
-# sign and word beside each colour: nobody needs to tell the colours apart
-_SIGNS = {
-    "good": ("\u2714", "#009E73", "good"),
-    "doubtful": ("!", "#E69F00", "look at it"),
-    "bad": ("\u2716", "#D55E00", "mend it"),
-    "unknown": ("?", "#8b949e", "not known"),
-}
-
-
-_LEFT = "style='text-align: left; font-weight: 600; padding-right: 10px'"
+_REFRESH_MS = 200
+_MAX_CAMERA_PX = 400  # three images next to each other
+_VARIABLES = ("z", "w", "u", "v", "z_t", "eps_y", "eps_piv", "z_std")
 
 
 def lights_table(lights: tuple[StatusLight, ...]) -> str:
-    """Lights as a table: a row per thing judged, a column per camera."""
-    frames = [light for light in lights if light.camera and "-" not in light.camera]
-    cameras = list(dict.fromkeys(light.camera for light in frames))
-    rows = ["<tr><th></th>" + "".join(f"<th>{camera}</th>" for camera in cameras) + "</tr>"]
-    for name in dict.fromkeys(light.name for light in frames):
-        found = {light.camera: light for light in frames if light.name == name}
-        cells = "".join(_cell(found[c], 1) if c in found else "<td></td>" for c in cameras)
-        rows.append(f"<tr><th {_LEFT}>{name}</th>{cells}</tr>")
-    for light in lights:
-        if light not in frames:
-            label = f"{light.name} {light.camera}".strip()
-            rows.append(f"<tr><th {_LEFT}>{label}</th>{_cell(light, len(cameras) or 1)}</tr>")
-    return f"<table>{''.join(rows)}</table>"
+    """Lights as a table: a row per quantity, a column per camera; those of pairs and of the rig below."""
+    of_cameras = [light for light in lights if light.camera and "-" not in light.camera]
+    cameras = list(dict.fromkeys(light.camera for light in of_cameras))
+    cells = {(light.name, light.camera): light for light in of_cameras}
+    names = list(dict.fromkeys(light.name for light in of_cameras))
+    others = [light for light in lights if light not in of_cameras]
+    template = Environment(autoescape=True).from_string(asset("lights.html"))
+    return template.render(cameras=cameras, names=names, cells=cells, others=others)
 
 
-def _cell(light: StatusLight, columns: int) -> str:
-    sign, colour, word = _SIGNS[light.state]
-    return (
-        f"<td colspan='{columns}' style='padding: 2px 10px 2px 0'><b style='display: inline-block; "
-        f"width: 1.4em; text-align: center; color: white; background: {colour}; border-radius: 4px' "
-        f"title='{word}'>{sign}</b> {light.words}</td>"
-    )
+@dataclass
+class CameraView:
+    """The newest image of one camera, with the nodes of the target in it."""
 
+    figure: figure
+    sources: dict[str, ColumnDataSource]
 
-class FollowPage:
-    """One person's page."""
-
-    def __init__(self, follower: Follower, targets: TargetWatch, probes: Any = None) -> None:
-        self._follower, self._targets = follower, targets
-        self._count = -1
-        self._grid: tuple[np.ndarray, np.ndarray] | None = None
-        self.state = Div(text="", name="state_words", sizing_mode="stretch_width")
-        self.verdict = Div(text="Waiting for frames.", name="verdict", sizing_mode="stretch_width")
-        self.lights = Div(text="", name="lights", sizing_mode="stretch_width")
-        self.target = Div(text="", name="target_words", sizing_mode="stretch_width")
-        self.show = Select(title="Map of", value="w", options=list(_SHOWN), name="show", width=110)
-        self.show.on_change("value", lambda attr, old, new: self._again())
-        self.mapper = LinearColorMapper(palette=palette(colour_map("w")), nan_color=GREY, low=-1, high=1)
-        self.image, self.shafts = (
-            image_source("map_image"),
-            ColumnDataSource({"x": [], "y": []}, name="map_arrows"),
-        )
-        self.map = self._draw_map(probes)
-        self.cameras = {name: self._draw_camera(name) for name in follower.experiment.cameras}
-        self._lights_shown: tuple[StatusLight, ...] = ()
-
-    def _draw_map(self, probes: Any) -> Any:
-        made = make_figure(
-            "map", tools="pan,wheel_zoom,reset,save", toolbar_location="above", match_aspect=True,
-            aspect_ratio=1.3, sizing_mode="scale_width", x_axis_label="x (m)", y_axis_label="y (m)",
-        )  # fmt: skip
-        made.grid.grid_line_color = None
-        shown = made.image("image", source=self.image, color_mapper=self.mapper)
-        made.x_range.renderers = made.y_range.renderers = [shown]
-        made.line("x", "y", source=self.shafts, color=INK, line_width=1.1)
-        if probes is not None:
-            places = {"x": probes.probe_x.values, "y": probes.probe_y.values}
-            source = ColumnDataSource(places | {"name": [str(n) for n in probes.probe.values]})
-            made.scatter(
-                "x", "y", source=source, marker="triangle", size=11, fill_color="#F0E442", line_color=INK
-            )
-            made.text("x", "y", "name", source=source, x_offset=8, text_font_size="11px")
-        made.add_layout(colour_bar(self.mapper), "right")
-        return made
-
-    def _draw_camera(self, name: str) -> Any:
+    @classmethod
+    def of(cls, name: str) -> "CameraView":
+        """An empty view."""
+        sources = make_sources(name, image=IMAGE, nodes="x y")
         made = make_figure(
             f"{name}_view", tools="pan,wheel_zoom,reset", x_range=(0, 100), y_range=(100, 0),
             aspect_ratio=1.25, min_border_left=34, min_width=150, title=name,
         )  # fmt: skip
         made.grid.grid_line_color = None
-        grey = LinearColorMapper(palette=[f"#{k:02x}{k:02x}{k:02x}" for k in range(256)], low=0, high=255)
-        source = image_source(f"{name}_image")
-        made.image("image", source=source, color_mapper=grey)
-        nodes = ColumnDataSource({"x": [], "y": []}, name=f"{name}_nodes")
-        made.scatter("x", "y", source=nodes, marker="cross", size=8, line_color="#56B4E9", line_width=1.6)
-        return made, source, nodes
+        made.image("image", source=sources["image"], color_mapper=grey_mapper())
+        made.scatter(
+            "x", "y", source=sources["nodes"], marker="cross", size=8, line_color=SKY, line_width=1.6
+        )
+        return cls(made, sources)
 
-    def attach(self, document: Any) -> None:
-        """Put the page into a document."""
-        views = [made for made, _, _ in self.cameras.values()]
-        places = (
-            (column(self.state, sizing_mode="stretch_width"), "state"),
-            (column(self.verdict, sizing_mode="stretch_width"), "controls"),
-            (column(self.show, self.map, sizing_mode="stretch_width"), "views"),
-            (
-                column(
-                    self.lights,
-                    row(*views, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"}),
-                    self.target,
-                    sizing_mode="stretch_width",
-                ),
-                "picked",
-            ),
+    def show(self, image: NDArray[Any], nodes: NDArray[np.float64] | None = None) -> None:
+        """Show an image, with nodes (n, 2) in its pixels."""
+        self.sources["image"].data = frame_columns(*shrink(image, _MAX_CAMERA_PX))
+        x, y = ([], []) if nodes is None else nodes.T
+        if len(x) or len(self.sources["nodes"].data["x"]):
+            self.sources["nodes"].data = {"x": x, "y": y}
+        height, width = image.shape
+        if self.figure.x_range.end != width:
+            self.figure.x_range.update(start=0, end=width)
+            self.figure.y_range.update(start=height, end=0)
+
+
+class FollowPage:
+    """One reader's page."""
+
+    def __init__(self, follower: Follower, targets: TargetWatch, probes: xr.Dataset | None = None) -> None:
+        self._follower, self._targets = follower, targets
+        self._count = -1  # of the sets that were published, when the page was drawn
+        self._lights: tuple[StatusLight, ...] = ()
+        names = {"state": "state_words", "verdict": "verdict", "lights": "lights", "target": "target_words"}
+        self.words = {key: words_of(name) for key, name in names.items()}
+        self.variable = Select(title="Map of", value="w", options=list(_VARIABLES), name="show", width=110)
+        self.variable.on_change("value", lambda attr, old, new: self._redraw())
+        self.mapper = LinearColorMapper(
+            palette=palette(display("w").colour_map), nan_color=GREY, low=-1, high=1
+        )
+        self.sources = make_sources("map", image=IMAGE, arrows="x y", probes="x y name")
+        if probes is not None:
+            positions = {"x": probes.probe_x.values, "y": probes.probe_y.values}
+            self.sources["probes"].data = positions | {"name": [str(name) for name in probes.probe.values]}
+        self.map = self._draw_map()
+        self.cameras = {name: CameraView.of(name) for name in follower.experiment.cameras}
+
+    def _draw_map(self) -> figure:
+        made = make_figure(
+            "map", tools="pan,wheel_zoom,reset,save", toolbar_location="above", match_aspect=True,
+            aspect_ratio=1.3, sizing_mode="scale_width", x_axis_label="x (m)", y_axis_label="y (m)",
         )  # fmt: skip
-        for root, name in places:
-            root.name = name
-            document.add_root(root)
-        dress(document, self._follower.experiment.name, "follow", ("controls", "views", "picked"), keys=False)
-        document.add_periodic_callback(self.look, _OFTEN)
-        self.look()
+        made.grid.grid_line_color = None
+        image = made.image("image", source=self.sources["image"], color_mapper=self.mapper)
+        made.x_range.renderers = made.y_range.renderers = [image]
+        made.line("x", "y", source=self.sources["arrows"], color=INK, line_width=1.1)
+        draw_probes(made, self.sources["probes"])
+        made.add_layout(colour_bar(self.mapper), "right")
+        return made
+
+    def attach(self, document: Document) -> None:
+        """Put the page into a document."""
+        views = [view.figure for view in self.cameras.values()]
+        camera_row = row(*views, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})
+        roots = {
+            "state": [self.words["state"]],
+            "controls": [self.words["verdict"]],
+            "views": [self.variable, self.map],
+            "picked": [self.words["lights"], camera_row, self.words["target"]],
+        }
+        for name, children in roots.items():
+            document.add_root(column(*children, sizing_mode="stretch_width", name=name))
+        title = self._follower.experiment.name
+        apply_template(document, title, "follow", ("controls", "views", "picked"), keys=False)
+        document.add_periodic_callback(self.refresh, _REFRESH_MS)
+        self.refresh()
 
     # -- showing ---------------------------------------------------------------------------------------
 
-    def _again(self) -> None:
+    def _redraw(self) -> None:
         self._count = -1
-        self.look()
+        self.refresh()
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Show what is new."""
-        seen = self._follower.seen
-        self._show_target()
-        if seen is None:
-            self._wait()
+        latest = self._follower.latest
+        self.words["target"].text = self._targets.words
+        if latest is None:
+            for name, found in self._targets.found.items():
+                if name in self.cameras and found.image is not None:
+                    self.cameras[name].show(found.image, found.pixel)
+            trouble = "<br>".join(map(_plain, self._follower.watch.trouble.values()))
+            self.words["verdict"].text = _large("Waiting for frames", "#57606a", trouble)
             return
-        if seen.lights != self._lights_shown:
-            self._show_lights(seen)
+        if latest.lights != self._lights:
+            self._show_lights(latest.lights)
         if self._follower.count != self._count:
             self._count = self._follower.count
-            self._show_set(seen)
+            self._show_set(latest)
 
-    def _wait(self) -> None:
-        trouble = list(self._follower.watch.trouble.values())
-        self.verdict.text = _large("Waiting for frames", "#57606a", "<br>".join(map(_plain, trouble)))
-
-    def _show_lights(self, seen: FollowedSet) -> None:
-        self._lights_shown = seen.lights
-        self.lights.text = lights_table(seen.lights)
-        first = verdict(seen.lights)
-        if first is None:
-            doubtful = [f"{one.name} {one.camera}".strip() for one in seen.lights if one.state == "doubtful"]
-            words = f"to look at: {', '.join(doubtful)}" if doubtful else "all lights are good"
-            colour = "#B07800" if doubtful else "#007a5a"
-            self.verdict.text = _large("Sound" if not doubtful else "Sound with remarks", colour, words)
+    def _show_lights(self, lights: tuple[StatusLight, ...]) -> None:
+        self._lights = lights
+        self.words["lights"].text = lights_table(lights)
+        worst = worst_light(lights)
+        doubtful = [f"{light.name} {light.camera}".strip() for light in lights if light.state == "doubtful"]
+        if worst is not None:
+            verdict = _large(f"{worst.name} {worst.camera}".strip(), "#B34700", _plain(worst.words))
+        elif doubtful:
+            verdict = _large("Sound with remarks", "#B07800", f"check {', '.join(doubtful)}")
         else:
-            self.verdict.text = _large(f"{first.name} {first.camera}".strip(), "#B34700", first.words)
+            verdict = _large("Sound", "#007a5a", "all lights are good")
+        self.words["verdict"].text = verdict
 
-    def _show_set(self, seen: FollowedSet) -> None:
-        self.state.text = (
-            f"frame {seen.number}; measured {seen.measured}, skipped {seen.skipped}; "
-            f"{_spell_delay(seen.delay)} after its last byte"
-            + (f". {_plain(seen.trouble)}" if seen.trouble else "")
+    def _show_set(self, latest: FollowedSet) -> None:
+        delay = f"{latest.delay:.1f} s" if latest.delay < 60 else spell_time(latest.delay)
+        self.words["state"].text = (
+            f"frame {latest.number}; measured {latest.measured}, skipped {latest.skipped}; {delay} after its "
+            f"last byte{f'. {_plain(latest.trouble)}' if latest.trouble else ''}"
         )
-        for name, image in seen.images.items():
-            _show_image(self.cameras[name], image)
-        if seen.fields:
-            self._show_map(seen)
+        for name, image in latest.images.items():
+            self.cameras[name].show(image)
+        if latest.fields:
+            self._show_map(latest)
 
-    def _show_map(self, seen: FollowedSet) -> None:
+    def _show_map(self, latest: FollowedSet) -> None:
         x, y = self._follower.nodes
-        name = self.show.value
-        shown = shown_as(name, TABLE[name].units)
-        values = seen.fields[name] * np.float32(shown.factor)
-        low, high = colour_limits(values, name)
-        half = max(high, self.mapper.high) if self.map.title.text.startswith(f"{name}:") else high
-        self.mapper.update(palette=palette(colour_map(name)), low=-half if low < 0 else 0.0, high=half)
-        self.image.data = image_data(values, x, y)
-        u, v = seen.fields["u"], seen.fields["v"]
-        speed = limit(np.hypot(u, v), 98) if np.isfinite(u).any() else 0.0
-        xs, ys, _ = arrows(u, v, x, y, speed)
-        self.shafts.data = {"x": xs, "y": ys}
-        self.map.title.text = f"{name}: {TABLE[name].long_name}{shown.suffix}, frame {seen.number}"
-
-    def _show_target(self) -> None:
-        found = self._targets.found
-        self.target.text = self._targets.words
-        if self._follower.seen is not None:
-            return
-        for name, (image, points) in found.items():
-            if name in self.cameras:
-                _show_image(self.cameras[name], image)
-                self.cameras[name][2].data = {"x": points[:, 0], "y": points[:, 1]}
-
-
-def _show_image(view: Any, image: np.ndarray) -> None:
-    made, source, nodes = view
-    small, factor = shrink(image)
-    step = max(1, max(small.shape) // 400)  # three of them beside each other
-    small = np.ascontiguousarray(small[::step, ::step])
-    h, w = small.shape
-    source.data = {
-        "image": [small],
-        "x": [-0.5],
-        "y": [-0.5],
-        "dw": [w * factor * step],
-        "dh": [h * factor * step],
-    }
-    if nodes.data["x"] is not None and len(nodes.data["x"]):
-        nodes.data = {"x": [], "y": []}
-    if made.x_range.end != image.shape[1]:
-        made.x_range.update(start=0, end=image.shape[1])
-        made.y_range.update(start=image.shape[0], end=0)
+        shown = display(self.variable.value)
+        values = latest.fields[shown.name].astype(np.float32) * np.float32(shown.factor)
+        low, high = shown.limits(values)
+        if self.map.title.text.startswith(f"{shown.name}:"):  # the scale grows only
+            high = max(high, self.mapper.high)
+        self.mapper.update(palette=palette(shown.colour_map), low=-high if low < 0 else 0.0, high=high)
+        self.sources["image"].data = image_data(values, x, y)
+        u, v = (np.asarray(latest.fields[name], float) for name in "uv")
+        xs, ys, _ = arrows(u, v, x, y, top_speed(u, v))
+        self.sources["arrows"].data = {"x": xs, "y": ys}
+        self.map.title.text = f"{shown.name}: {shown.long_name}{shown.in_unit}, frame {latest.number}"
 
 
 def _large(heading: str, colour: str, words: str) -> str:
+    """A heading in a colour, and words (HTML) after it."""
     return f"<b style='font-size: 19px; color: {colour}'>{_plain(heading)}</b> &nbsp; {words}"
 
 
 def _plain(words: str) -> str:
-    return words.replace("&", "&amp;").replace("<", "&lt;")
+    return escape(words, quote=False)
 
 
-def follow_server(follower: Follower, port: int | None = None) -> Server:
+def follow_server(follower: Follower, port: int | None = None) -> BaseServer:
     """A server of the page of an experiment that is being recorded."""
-    probes = _probes(follower)
+    probes = None
+    with suppress(WavefieldError):  # they are only marked on the map
+        if follower.experiment.probes:
+            probes = follower.experiment.read_probes()
     targets = TargetWatch(follower.experiment)
     targets.start()
     return make_server(lambda document: FollowPage(follower, targets, probes).attach(document), port)
-
-
-def _probes(follower: Follower) -> Any:
-    from wavefield.errors import WavefieldError
-
-    beside = CubeContext()
-    if follower.experiment.probes:
-        try:
-            beside.probes = follower.experiment.read_probes()
-        except WavefieldError as error:
-            beside.notes["probes"] = str(error)
-    return beside.probes
-
-
-def _spell_delay(seconds: float) -> str:
-    """To a tenth of a second while cameras write; of frames that lie there for long, as people say it."""
-    return f"{seconds:.1f} s" if seconds < 60 else spell_time(seconds)

@@ -1,28 +1,30 @@
-"""The work behind `wavefield follow`: the newest set of frames measured and judged, the others counted."""
+"""The work behind `wavefield follow`: the newest frames measured and assessed, the others counted."""
 
 import logging
 import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
-from wavefield.explorer.features import Features, features
+from wavefield.explorer.features import FrameFeatures, frame_features
+from wavefield.explorer.learner import Learner
 from wavefield.explorer.lights import (
-    PairMisfit,
-    Quantities,
-    Start,
+    Baseline,
+    PairSummary,
     StatusLight,
+    StepSummary,
     arrival_lights,
     frame_lights,
     pair_light,
-    quantities,
     step_lights,
+    summarize_step,
     tilt_light,
 )
 from wavefield.explorer.live_masks import LiveMasks
@@ -30,215 +32,219 @@ from wavefield.explorer.watch import FolderWatch, FrameSet
 from wavefield.rig import Rig
 from wavefield.series import Experiment
 from wavefield.series.masks import footprints
-
-if TYPE_CHECKING:
-    from wavefield.explorer.learner import Learner
+from wavefield.variables import AROUND
 
 log = logging.getLogger("wavefield.follow")
-_AVERAGED = 200  # steps over which the tilt is averaged
-_PAUSE = 0.15  # s between looks at the folders
+_TILT_STEPS = 200  # over which the tilt is averaged
+_PAUSE_S = 0.15  # between polls of the folders
+Fields = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class FollowedSet:
-    """What was made of one set of frames."""
+    """The newest frames and what was measured in them."""
 
-    number: int  # Of its first frame
-    images: dict[str, NDArray[Any]]  # The second frame
-    fields: dict[str, NDArray[Any]]  # (ny, nx): The measured step; empty without a rig
-    lights: tuple[StatusLight, ...]  # The judgement
-    delay: float  # From the last byte of the set until it was measured, s
-    measured: int  # Steps so far
-    skipped: int
-    trouble: str  # Why nothing is measured, a sentence
+    number: int  # of the first frame
+    images: Mapping[str, NDArray[Any]]  # the second frame, by camera
+    fields: Fields  # (ny, nx): the measured step; empty without a rig
+    lights: tuple[StatusLight, ...]
+    delay: float  # from the last byte of the frames until they were measured, s
+    measured: int  # steps so far
+    skipped: int  # steps so far
+    trouble: str  # why nothing is measured, a sentence
 
 
-@dataclass
 class Follower:
     """Follows an experiment in a thread of its own."""
 
-    experiment: Experiment  # The experiment
-    rig: Any = None  # In place of the one that the experiment names
-    seen: FollowedSet | None = None
-    count: int = 0
-    _learner: "Learner | None" = None
-    _trouble: str = ""
-    _sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.watch = FolderWatch(self.experiment)
-        self._start = Start()
-        self._steps: deque[Quantities] = deque(maxlen=_AVERAGED)
+    def __init__(self, experiment: Experiment, rig: Rig | Path | None = None) -> None:
+        self.experiment = experiment
+        self.latest: FollowedSet | None = None
+        self.count = 0  # of the sets that were published
+        self.watch = FolderWatch(experiment)
+        self._measurer = LiveMeasurement(experiment, rig)
+        self._baseline = Baseline()
+        self._summaries: deque[StepSummary] = deque(maxlen=_TILT_STEPS)
         self._stop = threading.Event()
-        self._first: int | None = None
+        self._first: int | None = None  # number of the first frame that was taken
         self._measured = 0
-        self._masks: LiveMasks | None = None
         self._thread = threading.Thread(target=self._work, daemon=True, name="follow")
 
     @property
-    def nodes(self) -> tuple[NDArray[Any], NDArray[Any]]:
+    def nodes(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """Nodes along x and y, metres; empty without a rig."""
-        if self._learner is None:
+        learner = self._measurer.learner
+        if learner is None:
             return np.empty(0), np.empty(0)
-        grid = self._learner.geometry.grid
-        return grid.x_nodes, grid.y_nodes
+        return learner.geometry.grid.x_nodes, learner.geometry.grid.y_nodes
 
     def start(self) -> None:
         """Begin."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End; a set that is being measured is finished first."""
+        """End; a step that is being measured is finished first."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(20)
-        if self._learner is not None:
-            self._learner.wait()
+        if self._measurer.learner is not None:
+            self._measurer.learner.wait()
 
     def _work(self) -> None:
         while not self._stop.is_set():
             try:
-                new = self.look()
-            except Exception as error:  # the watch goes on, whatever one set of frames does to it
+                new = self.poll()
+            except Exception as error:  # whatever happens with one set of frames, the next ones are measured
                 log.warning("a set of frames was passed over", exc_info=True)
-                new, words = False, f"a set of frames was passed over: {error}"
-                if self.seen is not None:
-                    self.seen = replace(self.seen, trouble=words)
+                new = False
+                if self.latest is not None:
+                    words = f"a set of frames was passed over: {error}"
+                    self.latest = replace(self.latest, trouble=words)
                     self.count += 1
             if not new:
-                self._stop.wait(_PAUSE)
+                self._stop.wait(_PAUSE_S)
 
-    def look(self) -> bool:
-        """Look once; measure what is new."""
-        self.watch.look()
-        found = self.watch.newest_set(after=self.seen.number if self.seen else -1)
-        if found is None:
-            if self.seen is not None:  # a camera that has gone silent shows without a new set
-                arrivals = self._arrivals()
-                others = tuple(one for one in self.seen.lights if one.name != "synchronisation")
-                self.seen = replace(self.seen, lights=(*arrivals, *others))
-            return False
-        self._take(found)
-        return True
+    def poll(self) -> bool:
+        """List the folders once, and measure the newest frames if they are new."""
+        self.watch.poll()
+        frames = self.watch.newest_set(after=self.latest.number if self.latest else -1)
+        if frames is not None:
+            self._take(frames)
+            return True
+        if self.latest is not None:  # a camera that has stopped shows without a new set
+            others = tuple(light for light in self.latest.lights if light.name != "synchronisation")
+            arrivals = arrival_lights(self.watch.written, self.watch.newest)
+            self.latest = replace(self.latest, lights=(*arrivals, *others))
+        return False
 
-    def _arrivals(self) -> list[StatusLight]:
-        return arrival_lights(self.watch.last, self.watch.newest, time.time())
-
-    def _take(self, found: FrameSet) -> None:
+    def _take(self, frames: FrameSet) -> None:
         if self._first is None:
-            self._first = found.number
-        now = {name: features(both[1]) for name, both in found.images.items()}
-        if self._learner is None and not self._trouble:  # the first time this takes a minute
-            self._publish(found, {}, self._assess(now, {}, None), "getting ready to measure")
-        fields, summary = self._measure(found)
-        pairs = self._pair_consistencies(found)
-        self._start.take(now, pairs, summary)
+            self._first = frames.number
+        found = {name: frame_features(both[1]) for name, both in frames.images.items()}
+        measurer = self._measurer
+        if (
+            measurer.learner is None and not measurer.trouble
+        ):  # preparing takes a minute: show the images first
+            self._publish(frames, {}, self._assess(found, {}, None), "getting ready to measure")
+        fields, summary = measurer.measure(frames)
+        pairs = measurer.pairs(frames)
+        for values in (found, pairs, {} if summary is None else {"": summary}):
+            for name, numbers in values.items():
+                self._baseline.add(name, numbers)
         self._measured += 1
-        self._publish(found, fields, self._assess(now, pairs, summary), self._trouble)
+        self._publish(frames, fields, self._assess(found, pairs, summary), measurer.trouble)
 
-    def _publish(
-        self, found: FrameSet, fields: dict[str, NDArray[Any]], lights: list[StatusLight], trouble: str
-    ) -> None:
+    def _publish(self, frames: FrameSet, fields: Fields, lights: list[StatusLight], trouble: str) -> None:
         assert self._first is not None
-        self.seen = FollowedSet(
-            number=found.number,
-            images={name: both[1] for name, both in found.images.items()},
+        self.latest = FollowedSet(
+            number=frames.number,
+            images={name: both[1] for name, both in frames.images.items()},
             fields=fields,
             lights=tuple(lights),
-            delay=time.time() - found.written,
+            delay=time.time() - frames.written,
             measured=self._measured,
-            skipped=max(found.number - self._first + 1 - self._measured, 0),
+            skipped=max(frames.number - self._first + 1 - self._measured, 0),
             trouble=trouble,
         )
         self.count += 1
 
     def _assess(
-        self, now: Mapping[str, Features], pairs: Mapping[str, PairMisfit], summary: Quantities | None
+        self, frames: Mapping[str, FrameFeatures], pairs: Mapping[str, PairSummary], step: StepSummary | None
     ) -> list[StatusLight]:
-        lights = self._arrivals()
-        for name, found in now.items():
-            lights += frame_lights(name, found, self._start.of(name))
-        lights += [pair_light(pair, found, self._start.of_pair(pair)) for pair, found in pairs.items()]
-        if summary is None:
-            return lights
-        self._steps.append(summary)
-        return [*lights, *step_lights(summary, self._start.step), tilt_light(self._steps)]
+        first = self._baseline
+        lights = arrival_lights(self.watch.written, self.watch.newest)
+        for name, found in frames.items():
+            lights += frame_lights(name, found, first.of(FrameFeatures, name))
+        lights += [pair_light(name, found, first.of(PairSummary, name)) for name, found in pairs.items()]
+        if step is not None:
+            self._summaries.append(step)
+            lights += [*step_lights(step, first.of(StepSummary)), tilt_light(self._summaries)]
+        return lights
 
-    # -- measuring -------------------------------------------------------------------------------------
 
-    def _measure(self, found: FrameSet) -> tuple[dict[str, NDArray[Any]], Quantities | None]:
-        """Measure a step, as far as there is a rig; the geometry is computed with the first frames."""
+class LiveMeasurement:
+    """Measures single steps as they arrive, once it has a rig for them."""
+
+    def __init__(self, experiment: Experiment, rig: Rig | Path | None) -> None:
+        self._experiment, self._rig = experiment, rig
+        self._sizes: dict[str, tuple[int, int]] = {}  # of the images that the geometry was tried for
+        self._masks: LiveMasks | None = None
+        self.learner: Learner | None = None
+        self.trouble = ""  # why nothing is measured
+
+    def measure(self, frames: FrameSet) -> tuple[Fields, StepSummary | None]:
+        """Fields (ny, nx) of a step and their summary; nothing without a rig, which `trouble` explains."""
         from wavefield.measurement import measure
-        from wavefield.variables import AROUND
 
-        sizes = {name: (both[0].shape[1], both[0].shape[0]) for name, both in found.images.items()}
-        if self._learner is None or (self._trouble and sizes != self._sizes):
-            self._set_up(sizes)
-        if self._learner is None:
+        sizes = {name: (both[0].shape[1], both[0].shape[0]) for name, both in frames.images.items()}
+        if self.learner is None or (self.trouble and sizes != self._sizes):
+            self._prepare(sizes)
+        if self.learner is None:
             return {}, None
-        cameras, beside = self._learner.geometry.cameras, [None] * AROUND
-        pairs = {name: found.images.get(name, (None, None)) for name in cameras}
-        first, second = self._masks.of(found.number) if self._masks else ({}, {})
+        pairs = {name: frames.images.get(name, (None, None)) for name in self.learner.geometry.cameras}
+        first, second = self._masks.of(frames.number) if self._masks else ({}, {})
         try:
-            self._learner.take(({n: p[0] for n, p in pairs.items()}, {n: p[1] for n, p in pairs.items()}),
-                            (first, second))  # fmt: skip
-            geometry = self._learner.geometry
-            frames = {name: [*beside, *both, *beside] for name, both in pairs.items()}
+            instants = {n: p[0] for n, p in pairs.items()}, {n: p[1] for n, p in pairs.items()}
+            self.learner.add(instants, (first, second))
+            geometry = self.learner.geometry
+            around = [None] * AROUND
+            images = {name: [*around, *both, *around] for name, both in pairs.items()}
             masks = {n: [first[n]] * (AROUND + 1) + [second[n]] * (AROUND + 1) for n in first}
-            block = measure(frames, geometry, self.experiment.frame_rate, self._learner.model, masks)
+            rate, model = self._experiment.frame_rate, self.learner.model
+            block = measure(images, geometry, rate, model, masks)
         except (WavefieldError, ValueError) as error:
-            self._trouble = str(error)
+            self.trouble = str(error)
             return {}, None
-        self._trouble = self._masks.absent if self._masks else ""
+        self.trouble = self._masks.absent if self._masks else ""
         fields = {name: values[0] for name, values in block.items() if np.ndim(values) == 3}
-        return fields, quantities(fields, geometry.x, geometry.y, geometry.z_range)
+        return fields, summarize_step(fields, geometry.x, geometry.y, geometry.z_range)
 
-    def _pair_consistencies(self, found: FrameSet) -> dict[str, PairMisfit]:
-        """How each pair of cameras agrees on the second frame; nothing without a rig."""
+    def pairs(self, frames: FrameSet) -> dict[str, PairSummary]:
+        """Consistency of each pair of cameras on the second frame; nothing without a rig."""
         from wavefield.measurement import pair_surface
         from wavefield.measurement.frame import ready, usable
 
-        if self._learner is None:
+        if self.learner is None:
             return {}
-        geometry = self._learner.geometry
-        good = {
+        geometry = self.learner.geometry
+        flat = {
             name: pair_surface.prepare(ready(both[1], geometry.sights[name].binning), name, geometry)
-            for name, both in found.images.items()
+            for name, both in frames.images.items()
             if name in geometry.surface_cameras and usable(both[1], geometry.rig[name].size)
         }
         out = {}
         for a, b in geometry.pairs:
-            if a in good and b in good:
-                match = pair_surface.match_pair(good[a], good[b], (a, b), geometry)
-                seen = (geometry.views[a].visible_blocks > 0.5) & (geometry.views[b].visible_blocks > 0.5)
-                eps = match.eps_y[match.matched] / geometry.pixel
-                rms = float(np.sqrt(np.mean(np.square(eps)))) if eps.size else float("nan")
-                out[f"{a}-{b}"] = PairMisfit(rms, float(match.valid.sum() / max(seen.sum(), 1)))
+            if a in flat and b in flat:
+                match = pair_surface.match_pair(flat[a], flat[b], (a, b), geometry)
+                visible = (geometry.views[a].visible_blocks > 0.5) & (geometry.views[b].visible_blocks > 0.5)
+                eps_y = match.eps_y[match.matched] / geometry.pixel
+                rms = float(np.sqrt(np.mean(np.square(eps_y)))) if eps_y.size else float("nan")
+                out[f"{a}-{b}"] = PairSummary(rms, float(match.valid.sum() / max(visible.sum(), 1)))
         return out
 
-    def _set_up(self, sizes: dict[str, tuple[int, int]]) -> None:
+    def _prepare(self, sizes: dict[str, tuple[int, int]]) -> None:
+        """Compute the geometry for images of these sizes."""
         from wavefield.execution.workflow import Workflow
-        from wavefield.explorer.learner import Learner
         from wavefield.measurement import GridGeometry
         from wavefield.pipeline.prepare import make_settings
 
         self._sizes = sizes
+        experiment = self._experiment
         try:
-            rig = self.rig if isinstance(self.rig, Rig) else self.experiment.load_rig(self.rig)
-            used = replace(rig, cameras={name: rig[name] for name in self.experiment.measuring_cameras})
-            for name, size in sizes.items():
-                if name in used.cameras and used[name].size != size:
-                    requested = "{} x {}".format(*used[name].size)
-                    self._trouble = (
-                        f"nothing is measured: the rig was made for images of {name} of {requested} px, but "
-                        f"these have {size[0]} x {size[1]}; use the rig of these images"
+            rig = self._rig if isinstance(self._rig, Rig) else experiment.load_rig(self._rig)
+            rig = replace(rig, cameras={name: rig[name] for name in experiment.measuring_cameras})
+            for name, (width, height) in sizes.items():
+                if name in rig.cameras and rig[name].size != (width, height):
+                    expected = "{} x {}".format(*rig[name].size)
+                    self.trouble = (
+                        f"nothing is measured: the rig was made for images of {name} of {expected} px, but "
+                        f"these have {width} x {height}; use the rig of these images"
                     )
                     return
-            settings = make_settings(self.experiment, Workflow())
-            covered = footprints(self.experiment.mask)
-            geometry = GridGeometry(used, self.experiment.choose_grid(used), settings, covered)
-            self._masks = LiveMasks(self.experiment, used, -geometry.z_range[0])
-            self._learner = Learner(geometry)
-            self._trouble = ""
+            settings, covered = make_settings(experiment, Workflow()), footprints(experiment.mask)
+            geometry = GridGeometry(rig, experiment.choose_grid(rig), settings, covered)
+            self._masks = LiveMasks(experiment, rig, -geometry.z_range[0])
+            self.learner = Learner(geometry)
+            self.trouble = ""
         except WavefieldError as error:
-            self._trouble = f"nothing is measured: {error}"
+            self.trouble = f"nothing is measured: {error}"

@@ -1,4 +1,4 @@
-"""Learning beads, spectra and noise anew while frames come, beside the measurement, not before it."""
+"""Learning beads, spectra and noise again while frames arrive, in parallel to the measurement."""
 
 import logging
 import threading
@@ -7,17 +7,19 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
 from wavefield.measurement import GridGeometry, Model, learn
 
 log = logging.getLogger("wavefield.follow")
-_SETS = 2  # of the newest, that are learned from
-_LEAST = 5.0  # s from one learning to the next
-_IDLE = 3.0  # times as long as it took, so that the measurement has the machine to itself
+_STEPS = 2  # the newest ones, that are learned from
+_MIN_PAUSE_S = 5.0  # from one learning to the next
+_PAUSE_PER_DURATION = 3.0  # of the learning, so that the measurement has the machine to itself
 
 Frames = Mapping[str, NDArray[Any] | None]
+Masks = Mapping[str, NDArray[np.bool_]]
 
 
 class Learner:
@@ -26,41 +28,35 @@ class Learner:
     def __init__(self, geometry: GridGeometry) -> None:
         self.geometry = geometry
         self.model: Model | None = None
-        self._sets: deque[tuple[tuple[Frames, Frames], tuple[Any, Any]]] = deque(maxlen=_SETS)
-        self._next = 0.0
+        self._steps: deque[tuple[tuple[Frames, Frames], tuple[Masks, Masks]]] = deque(maxlen=_STEPS)
+        self._next_s = 0.0
         self._thread: threading.Thread | None = None
 
-    def take(self, step: tuple[Frames, Frames], masks: tuple[Any, Any]) -> None:
-        """Take in both frames of a step: the first at once, later ones in a thread of its own.
-
-        With step (mapping, mapping); masks (mapping, mapping).
-        """
-        self._sets.append((step, masks))
+    def add(self, frames: tuple[Frames, Frames], masks: tuple[Masks, Masks]) -> None:
+        """Learn from both frames of a step: the first time at once, later in a thread of its own."""
+        self._steps.append((frames, masks))
         if self.model is None:
             self._learn()
-        elif time.monotonic() >= self._next and not self._busy:
+        elif time.monotonic() >= self._next_s and not (self._thread and self._thread.is_alive()):
             self._thread = threading.Thread(target=self._learn, daemon=True, name="learn")
             self._thread.start()
 
-    @property
-    def _busy(self) -> bool:
-        return self._thread is not None and self._thread.is_alive()
-
     def _learn(self) -> None:
         begun = time.monotonic()
-        sets = list(self._sets)
+        steps = list(self._steps)
         try:
-            record = learn([step for step, _ in sets], self.geometry, [masks for _, masks in sets])
+            record = learn([frames for frames, _ in steps], self.geometry, [masks for _, masks in steps])
             if record is not None:
                 self.model = Model(self.geometry, record)
-        except (WavefieldError, ValueError) as error:  # what was known stays
-            log.warning("these frames taught nothing: %s", error)
+        except (WavefieldError, ValueError) as error:  # the model stays
+            log.warning("nothing was learned from these frames: %s", error)
         except RuntimeError as error:
             if not str(error).startswith("cannot schedule"):  # the program ends, and its pools before it
                 raise
-        self._next = time.monotonic() + max(_LEAST, _IDLE * (time.monotonic() - begun))
+        pause = max(_MIN_PAUSE_S, _PAUSE_PER_DURATION * (time.monotonic() - begun))
+        self._next_s = time.monotonic() + pause
 
     def wait(self) -> None:
-        """Wait until what is being learned is known."""
+        """Wait until the learning that goes on has ended."""
         if self._thread is not None:
             self._thread.join(20)

@@ -1,262 +1,231 @@
-"""Lights: what a set of frames says of lamps, lenses, beads and cameras. Arrays and numbers in, words out."""
+"""Status lights of lamps, lenses, beads, cameras and rig. Numbers of the arriving frames in, words out."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import astuple, dataclass, field
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.explorer.features import Features
+from wavefield.explorer.features import FrameFeatures
 from wavefield.variables import Quality
 
 State = Literal["good", "doubtful", "bad", "unknown"]
+Limits = tuple[float, float]  # for doubtful, for bad
+Array = NDArray[np.floating]
+T = TypeVar("T")
+_RANK: dict[State, int] = {"good": 0, "unknown": 1, "doubtful": 2, "bad": 3}
+# the order in which bad lights are named: causes before their consequences
+_ORDER = ("synchronisation", "brightness", "saturation", "seeding", "focus", "eps_y", "eps'", "range of z",
+          "coverage", "tilt")  # fmt: skip
 
-_DIM = 0.5  # of the light at the start: less is a lamp switched off
-_FEW_BEADS = (0.7, 0.4)  # of the cells with beads at the start: doubtful, bad
-_SPARSE = (0.6, 0.3)  # cells with beads, as a fraction: doubtful, bad whatever there was at the start
-_BLURRED = (1.2, 1.4)  # times the bead size at the start
-_LARGE_BEADS = 2.5  # px, standard deviation: doubtful at any time
-_SATURATED = (0.01, 0.05)  # of the pixels
-_LATE = (0.5, 1.0)  # s behind the other cameras
-_RISE = (1.6, 2.2)  # times the mismatch at the start
-_EPS = (0.5, 1.0)  # px: mismatch of sight lines, whatever there was at the start
-_EPS_PIV = (0.3, 0.6)  # px
-_COVERAGE = (0.9, 0.7)  # of what was measured at the start
-_RANGE = (0.8, 0.95)  # of the range of z that is searched
-_TILT = (3e-3, 1e-2)  # rad: slope of the plane through the water, beyond what waves make uncertain
-_ENOUGH = 20  # steps
+
+@dataclass(frozen=True)
+class LightLimits:
+    """Limits of the lights, for doubtful and for bad."""
+
+    saturated: Limits = (0.01, 0.05)  # fraction of pixels
+    cells: Limits = (0.6, 0.3)  # fraction of cells with beads
+    bead_size: Limits = (2.5, np.inf)  # standard deviation, px
+    delay: Limits = (0.5, 1.0)  # behind the other cameras, s
+    eps_y: Limits = (0.5, 1.0)  # mismatch of sight lines, px
+    matched: Limits = (0.5, 0.2)  # fraction of the visible blocks
+    eps_piv: Limits = (0.3, 0.6)  # misfit of displacements, px
+    coverage: Limits = (0.6, 0.3)  # fraction of measured nodes
+    range_used: Limits = (0.8, 0.95)  # largest elevation, as a fraction of the searched range
+    tilt: Limits = (3e-3, 1e-2)  # slope of the mean surface in excess of twice its uncertainty, rad
+
+
+@dataclass(frozen=True)
+class RelativeLimits:
+    """Limits of the lights relative to the first steps."""
+
+    brightness: Limits = (0.5, 0.5)  # of beads and of background: a lamp is off
+    cells: Limits = (0.7, 0.4)
+    bead_size: Limits = (1.2, 1.4)
+    eps_y: Limits = (1.6, 2.2)
+    matched: Limits = (0.8, 0.6)
+    coverage: Limits = (0.9, 0.7)
+
+
+LIMITS, RELATIVE = LightLimits(), RelativeLimits()
+MIN_STEPS_FOR_TILT = 20
+MIN_EPS_Y_PX = 0.15  # of the first steps, where the mismatch is compared with it
 
 
 @dataclass(frozen=True)
 class StatusLight:
     """One light."""
 
-    name: str  # What is judged, such as "focus"
-    camera: str  # Which camera; empty for all together
-    state: State  # "good", "doubtful", "bad", or "unknown" where something else must be mended first
-    words: str  # What was found
+    name: str  # what is assessed, such as "focus"
+    camera: str  # a camera or a pair "a-b"; empty for all together
+    state: State  # "unknown" where something else must be fixed first
+    words: str  # what was found
 
 
 @dataclass(frozen=True)
-class Quantities:
-    """What one measured step says of the rig and the water."""
+class StepSummary:
+    """Numbers of one measured step on the rig and the water."""
 
-    eps_piv: float  # Misfit of the cameras' displacements, rms, px
-    coverage: float  # Fraction of the nodes with a value
-    range_used: float  # Largest elevation as a fraction of what is searched
-    slope_x: float  # Plane through the water: slopes, and elevation at the origin, m
+    eps_piv: float  # misfit of the cameras' displacements, rms, px
+    coverage: float  # fraction of measured nodes
+    range_used: float  # largest elevation as a fraction of the searched range
+    slope_x: float  # of the plane through the water
     slope_y: float
-    height: float
-
-
-def quantities(
-    fields: Mapping[str, NDArray[Any]],
-    x: NDArray[Any],
-    y: NDArray[Any],
-    z_range: tuple[float, float],
-) -> Quantities:
-    """Sum up a step.
-
-    With fields (ny, nx); x, y (ny, nx); z_range (float, float).
-    """
-    z, quality = fields["z"], fields["quality"].astype(int)
-    there = np.isfinite(z)
-    if not there.any():
-        nan = float("nan")
-        return Quantities(nan, 0.0, nan, nan, nan, nan)
-    measured = there & ((quality & int(Quality.FILLED)) == 0)
-    chosen = measured if measured.any() else there
-    middle, half = 0.5 * (z_range[0] + z_range[1]), 0.5 * (z_range[1] - z_range[0])
-    plane, *_ = np.linalg.lstsq(
-        np.stack([x[there], y[there], np.ones(there.sum())], axis=1), z[there].astype(float), rcond=None
-    )
-    return Quantities(
-        eps_piv=_rms(fields["eps_piv"][chosen]),
-        coverage=float(np.mean(measured)),
-        range_used=float(np.percentile(np.abs(z[there] - middle), 99.5) / half),
-        slope_x=float(plane[0]),
-        slope_y=float(plane[1]),
-        height=float(plane[2]),
-    )
-
-
-def _rms(values: NDArray[Any]) -> float:
-    finite = values[np.isfinite(values)].astype(float)
-    return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
+    height: float  # of that plane at the origin, m
 
 
 @dataclass(frozen=True)
-class PairMisfit:
-    """How two cameras agree on the same instant, before anything is rejected."""
+class PairSummary:
+    """Consistency of a pair of cameras on one frame."""
 
-    eps_y: float  # Mismatch of sight lines, rms, in pixels on the water
-    agreed: float  # Fraction of the blocks seen by both that count
+    eps_y: float  # mismatch of sight lines, rms, px
+    matched: float  # fraction of the visible blocks that match
 
 
-def pair_light(pair: str, now: PairMisfit, start: PairMisfit | None) -> StatusLight:
-    """Whether a camera was knocked: sight lines of a pair miss each other, or nothing is found again."""
-    state = _worse(_over(now.eps_y, _EPS), _under(now.agreed, (0.5, 0.2)))
-    if start is not None:
-        state = _worse(state, _over(_fraction(now.eps_y, max(start.eps_y, 0.15)), _RISE))
-        state = _worse(state, _under(_fraction(now.agreed, start.agreed), (0.8, 0.6)))
-    missed = f"sight lines miss by {now.eps_y:.2f} px" if np.isfinite(now.eps_y) else "nothing is found again"
-    return StatusLight("eps_y", pair, state, f"{missed}; {100 * now.agreed:.0f} % agree")
+def summarize_step(
+    fields: Mapping[str, NDArray[Any]], x: Array, y: Array, z_range: tuple[float, float]
+) -> StepSummary:
+    """Numbers of a measured step; fields, x and y (ny, nx), metres."""
+    z = np.asarray(fields["z"], float)
+    valid = np.isfinite(z)
+    if not valid.any():
+        return StepSummary(np.nan, 0.0, np.nan, np.nan, np.nan, np.nan)
+    measured = valid & ((fields["quality"].astype(int) & int(Quality.FILLED)) == 0)
+    misfit = np.asarray(fields["eps_piv"], float)[measured if measured.any() else valid]
+    misfit = misfit[np.isfinite(misfit)]
+    middle, half = 0.5 * (z_range[0] + z_range[1]), 0.5 * (z_range[1] - z_range[0])
+    axes = np.stack([x[valid], y[valid], np.ones(valid.sum())], axis=1)
+    slope_x, slope_y, height = map(float, np.linalg.lstsq(axes, z[valid], rcond=None)[0])
+    return StepSummary(
+        eps_piv=float(np.sqrt(np.mean(misfit**2))) if misfit.size else np.nan,
+        coverage=float(np.mean(measured)),
+        range_used=float(np.percentile(np.abs(z[valid] - middle), 99.5) / half),
+        slope_x=slope_x,
+        slope_y=slope_y,
+        height=height,
+    )
 
 
 @dataclass
-class Start:
-    """How things were when the watch began: the median of the first sets."""
+class Baseline:
+    """Medians of the first steps: the state that the lights compare with."""
 
-    sets: int = 4  # How many sets make the start
-    _frames: dict[str, list[Features]] = field(default_factory=dict)
-    _steps: list[Quantities] = field(default_factory=list)
-    _pairs: dict[str, list[PairMisfit]] = field(default_factory=dict)
+    n_steps: int = 4
+    _first: dict[tuple[type, str], list[object]] = field(default_factory=dict)
 
-    def take(
-        self, frames: Mapping[str, Features], pairs: Mapping[str, PairMisfit], step: Quantities | None
-    ) -> None:
-        """Take in a set, as long as it is one of the first."""
-        for pair, agreement in pairs.items():
-            before = self._pairs.setdefault(pair, [])
-            if len(before) < self.sets:
-                before.append(agreement)
-        for camera, found in frames.items():
-            kept = self._frames.setdefault(camera, [])
-            if len(kept) < self.sets:
-                kept.append(found)
-        if step is not None and len(self._steps) < self.sets:
-            self._steps.append(step)
+    def add(self, name: str, values: object) -> None:
+        """Add the numbers (a dataclass) of a camera or pair, as long as its first steps last."""
+        first = self._first.setdefault((type(values), name), [])
+        if len(first) < self.n_steps:
+            first.append(values)
 
-    def of(self, camera: str) -> Features | None:
-        """A camera's frames at the start; None until there are enough."""
-        kept = self._frames.get(camera, [])
-        return _median(kept, Features) if len(kept) >= self.sets else None
-
-    def of_pair(self, pair: str) -> PairMisfit | None:
-        """A pair of cameras at the start; None until there are enough."""
-        kept = self._pairs.get(pair, [])
-        return _median(kept, PairMisfit) if len(kept) >= self.sets else None
-
-    @property
-    def step(self) -> Quantities | None:
-        """The measured steps at the start; None until there are enough."""
-        return _median(self._steps, Quantities) if len(self._steps) >= self.sets else None
+    def of(self, kind: type[T], name: str = "") -> T | None:
+        """The medians of the numbers of a camera or pair; None before the first steps are complete."""
+        first = self._first.get((kind, name), [])
+        if len(first) < self.n_steps:
+            return None
+        medians = np.median([astuple(one) for one in first], axis=0)  # type: ignore[call-overload]
+        return kind(*map(float, medians))
 
 
-def _median(kept: Sequence[Any], kind: type) -> Any:
-    names = vars(kept[0])
-    with np.errstate(all="ignore"):
-        return kind(**{name: float(np.median([getattr(one, name) for one in kept])) for name in names})
-
-
-def frame_lights(camera: str, now: Features, start: Features | None) -> list[StatusLight]:
+def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -> list[StatusLight]:
     """Brightness, saturation, seeding and focus of one camera."""
-    dark = False
-    beads = 1.0
-    if start is not None:
-        light = _fraction(now.background - start.dark, start.background - start.dark)
-        beads = _fraction(now.peak - start.dark, start.peak - start.dark)
-        dark = light < _DIM and beads < _DIM
-    out = [
-        StatusLight("brightness", camera, "bad" if dark else "good", _brightness(now, beads, start)),
-        StatusLight(
-            "saturation", camera, _over(now.saturated, _SATURATED), f"{100 * now.saturated:.1f} % saturated"
-        ),
-    ]
-    if dark:
-        return [
-            *out,
-            StatusLight("seeding", camera, "unknown", "too dark"),
-            StatusLight("focus", camera, "unknown", "too dark"),
-        ]
-    seeding = _under(now.cells, _SPARSE)
-    if start is not None:
-        seeding = _worse(seeding, _under(_fraction(now.cells, start.cells), _FEW_BEADS))
-    out.append(StatusLight("seeding", camera, seeding, f"{100 * now.cells:.0f} % of the cells hold beads"))
-    if seeding == "bad" or not np.isfinite(now.size):
-        return [*out, StatusLight("focus", camera, "unknown", "no beads to judge by")]
-    focus: State = "doubtful" if now.size > _LARGE_BEADS else "good"
-    if start is not None and np.isfinite(start.size):
-        focus = _worse(focus, _over(now.size / start.size, _BLURRED))
-    return [*out, StatusLight("focus", camera, focus, f"beads of {now.size:.2f} px")]
-
-
-def _brightness(now: Features, beads: float, start: Features | None) -> str:
     words = f"beads at {now.peak:.0f}, background {now.background:.0f}"
-    return words if start is None else f"{words}; {100 * min(beads, 9.99):.0f} % of the start"
+    dark = False
+    if first is not None:
+        background = _ratio(now.background - first.dark, first.background - first.dark)
+        beads = _ratio(now.peak - first.dark, first.peak - first.dark)
+        dark = max(background, beads) < RELATIVE.brightness[1]
+        words += f"; {100 * min(beads, 9.99):.0f} % of the first frames"
+    out = [
+        StatusLight("brightness", camera, "bad" if dark else "good", words),
+        StatusLight(
+            "saturation", camera, _state(now.saturated, LIMITS.saturated),
+            f"{100 * now.saturated:.1f} % saturated",
+        ),
+    ]  # fmt: skip
+    if dark:
+        return out + [StatusLight(name, camera, "unknown", "too dark") for name in ("seeding", "focus")]
+    seeding, focus = _state(now.cells, LIMITS.cells), _state(now.bead_size, LIMITS.bead_size)
+    if first is not None:
+        seeding = _worse(seeding, _state(_ratio(now.cells, first.cells), RELATIVE.cells))
+        if np.isfinite(first.bead_size):
+            focus = _worse(focus, _state(now.bead_size / first.bead_size, RELATIVE.bead_size))
+    words = f"{100 * now.cells:.0f} % of the cells contain beads"
+    out.append(StatusLight("seeding", camera, seeding, words))
+    if seeding == "bad" or not np.isfinite(now.bead_size):
+        return [*out, StatusLight("focus", camera, "unknown", "no beads to assess it")]
+    return [*out, StatusLight("focus", camera, focus, f"beads of {now.bead_size:.2f} px")]
 
 
-def arrival_lights(last: Mapping[str, float], newest: Mapping[str, int], now: float) -> list[StatusLight]:
-    """Whether every camera still sends frames, and all the same ones."""
+def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> StatusLight:
+    """Whether a camera was moved: the sight lines of a pair miss each other, or its blocks do not match."""
+    state = _worse(_state(now.eps_y, LIMITS.eps_y), _state(now.matched, LIMITS.matched))
+    if first is not None:
+        rise = _ratio(now.eps_y, max(first.eps_y, MIN_EPS_Y_PX))
+        state = _worse(state, _state(rise, RELATIVE.eps_y))
+        state = _worse(state, _state(_ratio(now.matched, first.matched), RELATIVE.matched))
+    missed = f"sight lines miss by {now.eps_y:.2f} px" if np.isfinite(now.eps_y) else "no blocks match"
+    return StatusLight("eps_y", pair, state, f"{missed}; {100 * now.matched:.0f} % of the blocks match")
+
+
+def arrival_lights(written: Mapping[str, float], newest: Mapping[str, int]) -> list[StatusLight]:
+    """Whether every camera still sends frames, and all the same ones: time and number of its newest frame."""
     out = []
-    latest = max(last.values(), default=now)
-    most = max(newest.values(), default=0)
-    for camera, when in last.items():
-        behind = latest - when
-        words = f"frame {newest[camera]}" + (
-            f", {behind:.1f} s after the others" if behind > _LATE[0] else ""
-        )
-        if most - newest[camera] > 2:
-            words += f", {most - newest[camera]} frames behind"
-        out.append(StatusLight("synchronisation", camera, _over(behind, _LATE), words))
+    for camera, when in written.items():
+        delay, behind = max(written.values()) - when, max(newest.values()) - newest[camera]
+        words = f"frame {newest[camera]}"
+        if delay > LIMITS.delay[0]:
+            words += f", {delay:.1f} s after the others"
+        if behind > 2:
+            words += f", {behind} frames behind"
+        out.append(StatusLight("synchronisation", camera, _state(delay, LIMITS.delay), words))
     return out
 
 
-def step_lights(now: Quantities | None, start: Quantities | None) -> list[StatusLight]:
-    """What a measured step says of the rig and the water."""
-    if now is None:
-        return []
-    coverage: State = _under(now.coverage, (0.6, 0.3))
-    if start is not None:
-        coverage = _worse(coverage, _under(_fraction(now.coverage, start.coverage), _COVERAGE))
+def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight]:
+    """Misfit, coverage and range of a measured step."""
+    coverage = _state(now.coverage, LIMITS.coverage)
+    if first is not None:
+        coverage = _worse(coverage, _state(_ratio(now.coverage, first.coverage), RELATIVE.coverage))
+    misfit, used = _state(now.eps_piv, LIMITS.eps_piv), _state(now.range_used, LIMITS.range_used)
     return [
-        StatusLight(
-            "eps'", "", _over(now.eps_piv, _EPS_PIV), f"displacements disagree by {now.eps_piv:.2f} px"
-        ),
+        StatusLight("eps'", "", misfit, f"displacements differ by {now.eps_piv:.2f} px"),
         StatusLight("coverage", "", coverage, f"{100 * now.coverage:.0f} % of the nodes measured"),
-        StatusLight(
-            "range of z", "", _over(now.range_used, _RANGE), f"{100 * now.range_used:.0f} % of it used"
-        ),
+        StatusLight("range of z", "", used, f"{100 * now.range_used:.0f} % of it used"),
     ]
 
 
-def tilt_light(steps: Sequence[Quantities]) -> StatusLight:
-    """Whether z = 0 lies on the water at rest: the plane through it, averaged over waves."""
+def tilt_light(steps: Sequence[StepSummary]) -> StatusLight:
+    """Whether z = 0 is the mean surface: the plane through the water, averaged over waves."""
     planes = np.array([[one.slope_x, one.slope_y, one.height] for one in steps if np.isfinite(one.height)])
-    if len(planes) < _ENOUGH:
-        return StatusLight("tilt", "", "unknown", f"after {_ENOUGH} steps")
-    mean, doubt = planes.mean(axis=0), planes.std(axis=0) / np.sqrt(len(planes) / 4)  # waves last some steps
+    if len(planes) < MIN_STEPS_FOR_TILT:
+        return StatusLight("tilt", "", "unknown", f"after {MIN_STEPS_FOR_TILT} steps")
+    mean, std = planes.mean(axis=0), planes.std(axis=0) / np.sqrt(len(planes) / 4)  # waves last some steps
     tilt = float(np.hypot(mean[0], mean[1]))
-    state = _over(tilt - 2 * float(np.hypot(doubt[0], doubt[1])), _TILT)
-    return StatusLight(
-        "tilt", "", state, f"{1e3 * tilt:.1f} mrad, mean z {1e3 * mean[2]:+.1f} mm, {len(planes)} steps"
-    )
+    state = _state(tilt - 2 * float(np.hypot(std[0], std[1])), LIMITS.tilt)
+    words = f"{1e3 * tilt:.1f} mrad, mean z {1e3 * mean[2]:+.1f} mm, {len(planes)} steps"
+    return StatusLight("tilt", "", state, words)
 
 
-# what is named first where several lights are bad: causes before their consequences
-_ORDER = ("synchronisation", "brightness", "saturation", "seeding", "focus", "eps_y", "eps'", "range of z",
-          "coverage", "tilt")  # fmt: skip
-
-
-def verdict(lights: Sequence[StatusLight]) -> StatusLight | None:
-    """The light to look at first."""
+def worst_light(lights: Sequence[StatusLight]) -> StatusLight | None:
+    """The bad light to care for first; None if none is bad."""
     bad = [light for light in lights if light.state == "bad"]
-    return min(bad, key=lambda light: _ORDER.index(light.name)) if bad else None
+    return min(bad, key=lambda light: _ORDER.index(light.name), default=None)
 
 
-def _fraction(value: float, reference: float) -> float:
+def _ratio(value: float, reference: float) -> float:
     return value / reference if abs(reference) > 1e-9 else 1.0
 
 
-def _over(value: float, limits: tuple[float, float]) -> State:
-    return "bad" if value > limits[1] else "doubtful" if value > limits[0] else "good"
-
-
-def _under(value: float, limits: tuple[float, float]) -> State:
-    return "bad" if value < limits[1] else "doubtful" if value < limits[0] else "good"
+def _state(value: float, limits: Limits) -> State:
+    """State of a value that must stay below its limits, or above them if that for bad is the lower one."""
+    doubtful, bad = limits
+    if bad < doubtful:
+        value, doubtful, bad = -value, -doubtful, -bad
+    return "bad" if value > bad else "doubtful" if value > doubtful else "good"
 
 
 def _worse(a: State, b: State) -> State:
-    rank: dict[State, int] = {"good": 0, "unknown": 1, "doubtful": 2, "bad": 3}
-    return a if rank[a] >= rank[b] else b
+    return max(a, b, key=_RANK.__getitem__)

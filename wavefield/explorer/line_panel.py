@@ -1,25 +1,30 @@
-"""Along a line: the shown variable now, and as it goes by."""
+"""Along a line: the displayed variable now, and over time."""
 
 import numpy as np
 from bokeh.layouts import column
-from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Range1d, Span
+from bokeh.models import LinearColorMapper, Range1d, Span
+from numpy.typing import NDArray
 
 from wavefield.explorer.cube_record import CubeRecord
-from wavefield.explorer.map_fields import colour_map, palette, shown_as
+from wavefield.explorer.map_fields import palette
 from wavefield.explorer.place import Place
 from wavefield.explorer.plot_parts import (
     BLUE,
     GREY,
+    IMAGE,
     INK,
+    clear,
     colour_bar,
     image_data,
-    image_source,
     make_figure,
+    make_sources,
     number,
+    words_of,
 )
 from wavefield.explorer.selections import interpolate, line_points, time_distance
+from wavefield.figures.display import display
 
-_STEPS = 400  # of the time-distance diagram, about the moment shown
+_DIAGRAM_STEPS = 400  # of the time-distance diagram, about the displayed step
 
 
 class LinePanel:
@@ -27,89 +32,69 @@ class LinePanel:
 
     def __init__(self, record: CubeRecord) -> None:
         self._record = record
-        self.words = Div(
-            text="Choose \u201cline\u201d for dragging (key L) and drag across the map.",
-            name="line_words", sizing_mode="stretch_width",
-        )  # fmt: skip
-        self.now = ColumnDataSource({"s": [], "value": []}, name="line_now")
+        self._window = (0, 0)  # steps of the diagram
+        self._drawn: tuple[object, ...] = ()
+        self.words = words_of("line_words", "Choose “line” for dragging (key L) and drag across the map.")
+        self.sources = make_sources("line", now="s value", image=IMAGE)
         self.transect = make_figure("line_transect", height=230, tools="pan,wheel_zoom,reset")
-        self.transect.line("s", "value", source=self.now, color=BLUE, line_width=1.8)
-        self.mapper = LinearColorMapper(palette=palette(colour_map("w")), nan_color=GREY)
-        self.image = image_source("line_image")
+        self.transect.line("s", "value", source=self.sources["now"], color=BLUE, line_width=1.8)
+        self.mapper = LinearColorMapper(palette=palette(display("w").colour_map), nan_color=GREY)
         self.diagram = make_figure(
-            "line_diagram",
-            height=430,
-            tools="pan,wheel_zoom,reset,save",
-            toolbar_location="above",
-            x_range=self.transect.x_range,
-            y_range=Range1d(0, 1),
-            x_axis_label="distance along the line (m)",
-            y_axis_label="t (s)",
-        )
+            "line_diagram", height=430, tools="pan,wheel_zoom,reset,save", toolbar_location="above",
+            x_range=self.transect.x_range, y_range=Range1d(0, 1),
+            x_axis_label="distance along the line (m)", y_axis_label="t (s)",
+        )  # fmt: skip
         self.diagram.grid.grid_line_color = None
-        self.diagram.image("image", source=self.image, color_mapper=self.mapper)
+        self.diagram.image("image", source=self.sources["image"], color_mapper=self.mapper)
         self.moment = Span(dimension="width", location=0, line_color=INK, line_dash="dotted")
         self.diagram.add_layout(self.moment)
-        self.bar = colour_bar(self.mapper)
-        self.diagram.add_layout(self.bar, "right")
-        self._window: tuple[int, int] | None = None
-        self._drawn: tuple[object, ...] = ()
+        self.diagram.add_layout(colour_bar(self.mapper), "right")
         self.layout = column(self.words, self.transect, self.diagram, sizing_mode="stretch_width")
 
     def show(self, place: Place, limits: tuple[float, float]) -> None:
-        """Show the line of a place.
-
-        With limits (float, float).
-        """
+        """Show the line of a place, in colours between two limits in the displayed unit."""
         if place.line is None:
             return
-        record, preview = self._record, self._record.preview
-        name = "w" if place.show == "quality" else place.show
-        shown = shown_as(name, record.units(name))
+        record, name, time = self._record, place.coloured, float(self._record.time[place.step])
+        shown = display(name)
         start, end = place.line[:2], place.line[2:]
-        spacing = float(np.mean(np.diff(record.x)))
-        distance, x, y = line_points(start, end, spacing)
+        distance, x, y = line_points(start, end, float(np.mean(np.diff(record.x))))
         values = interpolate(record.field(name, place.step), record.x, record.y, x, y) * shown.factor
-        self.now.data = {"s": distance, "value": values}
-        self.transect.yaxis.axis_label = f"{name}{shown.suffix}"
+        self.sources["now"].data = {"s": distance, "value": values}
+        self.transect.yaxis.axis_label = shown.label
         self.words.text = (
             f"<b>From ({number(start[0])}, {number(start[1])}) m to ({number(end[0])}, {number(end[1])}) m"
-            f"</b>, {number(float(distance[-1]))} m; below: as it goes by; dotted: t "
-            f"{record.time[place.step]:.3f} s."
+            f"</b>, {number(float(distance[-1]))} m. Below: space-time plot; dotted: t {time:.3f} s."
         )
-        self.moment.location = float(record.time[place.step])
-        if name not in preview.thin.names:
-            self.image.data = {key: [] for key in self.image.data}
+        self.moment.location = time
+        if name not in record.preview.thin.names:
+            clear(self.sources["image"])
             self.diagram.title.text = f"no diagram of {name}: it is computed step by step"
             return
-        self._show_diagram(place, name, limits, x, y)
+        self.mapper.update(palette=palette(shown.colour_map), low=limits[0], high=limits[1])
+        self.diagram.title.text = shown.label
+        drawn = (place.line, name, int(record.preview.loaded.sum()))
+        if self._drawn != drawn or not self._well_inside(place.step):
+            self._drawn = drawn
+            self._show_diagram(place.step, name, x, y)
 
-    def _show_diagram(
-        self, place: Place, name: str, limits: tuple[float, float], x: np.ndarray, y: np.ndarray
-    ) -> None:
+    def _show_diagram(self, step: int, name: str, x: NDArray[np.floating], y: NDArray[np.floating]) -> None:
         record, preview = self._record, self._record.preview
-        low = int(np.clip(place.step - _STEPS // 2, 0, max(0, record.layout.steps - _STEPS)))
-        steps = slice(low, min(low + _STEPS, record.layout.steps))
-        shown = shown_as(name, record.units(name))
-        self.mapper.update(palette=palette(colour_map(name)), low=limits[0], high=limits[1])
-        self.diagram.title.text = f"{name}{shown.suffix}"
-        around = self._window and self._window[0] <= place.step < self._window[1]
-        key = (place.line, name, int(preview.known.sum()))
-        if around and self._drawn == key and self._quarter(place.step):
-            return  # still well inside what is drawn
+        low = int(np.clip(step - _DIAGRAM_STEPS // 2, 0, max(0, record.layout.steps - _DIAGRAM_STEPS)))
+        steps = slice(low, min(low + _DIAGRAM_STEPS, record.layout.steps))
         values = time_distance(
             preview.stored(name)[..., steps], preview.scale(name), preview.x, preview.y, x, y
         )
-        length = float(np.hypot(x[-1] - x[0], y[-1] - y[0]))
-        along = np.linspace(0.0, length, values.shape[1])
-        self.image.data = image_data(values * np.float32(shown.factor), along, record.time[steps])
-        self.diagram.y_range.update(start=float(record.time[steps][0]), end=float(record.time[steps][-1]))
-        self._window, self._drawn = (steps.start, steps.stop), key
+        along = np.linspace(0.0, float(np.hypot(x[-1] - x[0], y[-1] - y[0])), values.shape[1])
+        time = record.time[steps]
+        self.sources["image"].data = image_data(values * np.float32(display(name).factor), along, time)
+        self.diagram.y_range.update(start=float(time[0]), end=float(time[-1]))
+        self._window = steps.start, steps.stop
 
-    def _quarter(self, step: int) -> bool:
-        assert self._window is not None
+    def _well_inside(self, step: int) -> bool:
+        """Whether a step is in the middle half of the diagram, or at an end of the record."""
         first, last = self._window
         quarter = (last - first) // 4
-        low = first == 0 or step >= first + quarter
-        high = last == self._record.layout.steps or step < last - quarter
-        return low and high
+        after_start = first == 0 or step >= first + quarter
+        before_end = last == self._record.layout.steps or step < last - quarter
+        return first <= step < last and after_start and before_end

@@ -1,106 +1,92 @@
 """Masks drawn with the mouse: corners on the map or in a camera's image, saved into the experiment file."""
 
 from collections.abc import Callable
-from typing import Any
+from html import escape
 
 import cv2
 import numpy as np
 from bokeh.layouts import column, row
-from bokeh.models import Button, Div
+from bokeh.models import Button
 from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
-from wavefield.explorer.context import CubeContext
+from wavefield.explorer.plot_parts import alert, words_of
+from wavefield.explorer.session import LookSession
+from wavefield.series.mask_file import add_polygons
 from wavefield.series.masks import WATER
 
-Point = tuple[float, float]
+Corner = tuple[float, float]
 _HOW = (
-    "Choose <b>mask</b> under <i>Dragging</i> (key M), then click corner after corner on the map (the water) "
-    "or in a camera's image. What lies inside will not be measured."
+    "Choose <b>mask</b> under <i>Drag mode</i> (key M), then click corner after corner on the map (the "
+    "water) or in a camera's image. What is inside will not be measured."
 )
 
 
 def outlines_of(covered: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
-    """Outlines of what is covered in an image.
-
-    With covered (row, column); returns (n, 2): Columns and rows, px.
-    """
+    """Outlines (n, 2), columns and rows in px, of what is masked in an image (row, column)."""
     found, _ = cv2.findContours(covered.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    return [np.asarray(one[:, 0], np.int32) for one in found if len(one) > 2]
+    return [np.asarray(outline[:, 0], np.int32) for outline in found if len(outline) > 2]
 
 
 class MaskPanel:
-    """Corners that were clicked, by camera or on the water."""
+    """The clicked corners, by camera or on the water."""
 
-    def __init__(self, beside: CubeContext, drawn: Callable[[], None]) -> None:
-        self._beside, self._drawn = beside, drawn
-        self.corners: dict[str, list[Point]] = {}
-        self._order: list[str] = []
-        self.words = Div(text=_HOW, name="mask_words", sizing_mode="stretch_width")
-        self.undo = Button(label="Take back a corner", name="mask_undo", disabled=True)
+    def __init__(self, session: LookSession, changed: Callable[[], None]) -> None:
+        self._session, self._changed = session, changed
+        self._corners: list[tuple[str, Corner]] = []  # camera or WATER, corner; in the order of the clicks
+        self.words = words_of("mask_words", _HOW)
+        self.undo = Button(label="Remove the last corner", name="mask_undo", disabled=True)
         self.clear = Button(label="Clear", name="mask_clear", disabled=True)
         self.save = Button(label="Save", name="mask_save", button_type="primary", disabled=True)
-        self.undo.on_click(self._take_back)
-        self.clear.on_click(self._forget)
+        self.undo.on_click(lambda: self._keep(self._corners[:-1]))
+        self.clear.on_click(lambda: self._keep([]))
         self.save.on_click(self._save)
         buttons = row(self.undo, self.clear, self.save, styles={"flex-wrap": "wrap"})
         self.layout = column(self.words, buttons, sizing_mode="stretch_width")
 
-    def add(self, where: str, corner: Point) -> None:
-        """Add a corner.
+    def add(self, image: str, corner: Corner) -> None:
+        """Add a corner: px in the image of a camera, or metres on the water."""
+        self._keep([*self._corners, (image, corner)])
 
-        With corner (float, float), px.
-        """
-        self.corners.setdefault(where, []).append(corner)
-        self._order.append(where)
-        self._changed()
+    def polygon(self, image: str) -> list[Corner]:
+        """The corners in the image of a camera or on the water."""
+        return [corner for name, corner in self._corners if name == image]
 
-    def _take_back(self) -> None:
-        if self._order:
-            self.corners[self._order.pop()].pop()
-            self._changed()
+    def closed_line(self, image: str) -> dict[str, list[float]]:
+        """Those corners as columns x and y of a closed line."""
+        corners = self.polygon(image)
+        line = [*corners, *corners[:1]]
+        return {"x": [float(x) for x, _ in line], "y": [float(y) for _, y in line]}
 
-    def _forget(self) -> None:
-        self.corners, self._order = {}, []
-        self._changed()
+    def _polygons(self) -> dict[str, list[Corner]]:
+        return {name: self.polygon(name) for name in dict.fromkeys(name for name, _ in self._corners)}
 
-    def _changed(self) -> None:
-        whole = {name: c for name, c in self.corners.items() if c}
-        words = "; ".join(
+    def _keep(self, corners: list[tuple[str, Corner]]) -> None:
+        self._corners = corners
+        polygons = self._polygons()
+        counts = "; ".join(
             f"{'the water' if name == WATER else name}: {len(c)} corner{'s' if len(c) > 1 else ''}"
-            for name, c in whole.items()
+            for name, c in polygons.items()
         )
-        self.words.text = f"{words}. The last corner joins the first." if words else _HOW
-        self.undo.disabled = self.clear.disabled = not whole
-        self.save.disabled = not whole or any(len(c) < 3 for c in whole.values())
-        self._drawn()
+        self.words.text = f"{counts}. The last corner joins the first." if counts else _HOW
+        self.undo.disabled = self.clear.disabled = not corners
+        self.save.disabled = not corners or any(len(c) < 3 for c in polygons.values())
+        self._changed()
 
     def _save(self) -> None:
-        from wavefield.series.mask_file import add_polygons
-
-        experiment = self._beside.experiment
+        experiment = self._session.run.experiment
         if experiment is None:
-            self.words.text = "There is no experiment file beside this cube to save masks in."
+            self.words.text = "There is no experiment file next to this cube to save masks in."
             return
         try:
-            add_polygons(experiment, {name: c for name, c in self.corners.items() if c})
-            folder = experiment.image_folder if experiment.folder else None
-            self._beside.take(type(experiment).load(experiment.path, folder))
+            add_polygons(experiment, self._polygons())
         except WavefieldError as error:
-            self.words.text = f'<span role="alert">{_plain(str(error))}</span>'
+            self.words.text = alert(error)
             return
-        self._forget()
+        self._session.reopen()
+        self._keep([])
+        file = escape(experiment.path.name, quote=False)
         self.words.text = (
-            f"Saved in {_plain(experiment.path.name)}. This cube was measured without it: "
-            f"<code>wavefield run {_plain(experiment.path.name)} -o masked.zarr</code> measures again."
+            f"Saved in {file}. This cube was measured without the mask: "
+            f"<code>wavefield run {file} -o masked.zarr</code> measures again."
         )
-
-    def closed(self, where: str) -> tuple[list[float], list[float]]:
-        """Corners as a closed line."""
-        corners = self.corners.get(where, [])
-        line: list[Any] = [*corners, *corners[:1]]
-        return [float(p[0]) for p in line], [float(p[1]) for p in line]
-
-
-def _plain(words: str) -> str:
-    return words.replace("&", "&amp;").replace("<", "&lt;")

@@ -1,19 +1,23 @@
-"""Looking at a cube in a notebook."""
+"""A cube's interactive page in a notebook."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from wavefield.explorer.server import Served
+    import xarray as xr
+
+    from wavefield.explorer.server import ServedPage
 
 
-def look(cube: Any, *, waves: str | Path | None = None, port: int | None = 0) -> "Served":
+def look(
+    cube: "str | Path | xr.Dataset", *, waves: str | Path | None = None, port: int | None = 0
+) -> "ServedPage":
     """Look at a cube in a notebook: maps, the surface, series, spectra, camera images, waves.
 
     Parameters
     ----------
     cube : path or Dataset
-        Store written by `run`, finished or not, or what `open_cube` gave.
+        Store written by `run`, finished or not, or the Dataset that `open_cube` returns.
     waves : path, optional
         Its wave store; by default where `wavefield analyze` writes it.
     port : int, optional
@@ -21,7 +25,7 @@ def look(cube: Any, *, waves: str | Path | None = None, port: int | None = 0) ->
 
     Returns
     -------
-    Served
+    ServedPage
         Shows itself in a notebook; ``.url`` opens in a browser, ``.stop()`` closes it.
 
     Raises
@@ -38,15 +42,12 @@ def look(cube: Any, *, waves: str | Path | None = None, port: int | None = 0) ->
     wavefield.errors.StoreError: ...: no such store; make one with `wavefield run`
     """
     from wavefield.errors import StoreError
-    from wavefield.explorer.context import find_context
-    from wavefield.explorer.cube_record import CubeRecord
-    from wavefield.explorer.look_page import LookSession
-    from wavefield.explorer.server import Served, session_server
+    from wavefield.explorer.server import ServedPage, session_server
+    from wavefield.explorer.session import LookSession
 
-    path = cube if isinstance(cube, str | Path) else getattr(cube, "encoding", {}).get("source")
+    path = cube if isinstance(cube, str | Path) else cube.encoding.get("source")
     if path is None:
-        raise StoreError("only cubes in a store can be looked at: give its path, or what open_cube gave")
-    record = CubeRecord(path)
-    session = LookSession(record, find_context(record, waves))
+        raise StoreError("only cubes in a store can be shown: give its path, or the result of open_cube")
+    session = LookSession.open(path, waves)
     session.load()
-    return Served(lambda: session_server(session, port))
+    return ServedPage(lambda: session_server(session, port))

@@ -1,12 +1,13 @@
-"""What somebody looks at, as the link that shows it again."""
+"""What a page shows, as the link that shows it again."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import asdict, dataclass, replace
 from urllib.parse import urlencode
 
 TABS = ("map", "surface", "cameras", "waves")
-DRAGS = ("move", "line", "rectangle", "mask")
+DRAGS = {"move": "pan", "line": "line", "rectangle": "rectangle", "mask": "mask"}  # as they are called
+_COUNTS = {"limits": 2, "node": 2, "line": 4, "area": 4}  # of numbers
+Value = str | int | bool | tuple[float, ...] | None
 
 
 @dataclass(frozen=True)
@@ -21,70 +22,61 @@ class Place:
     (0.1, -0.2)
     """
 
-    show: str = "w"  # Variable of the map
-    step: int = 0  # Index of the step
-    tab: str = "map"  # One of `TABS`
-    drag: str = "move"  # What dragging does, one of `DRAGS`
-    # (float, float): Ends of the colour scale in the shown unit; None for those that fit
-    limits: tuple[float, float] | None = None
-    arrows: bool = True  # Whether velocity arrows are drawn
-    node: tuple[float, float] | None = None  # (float, float): The clicked node, x and y in metres
-    # (float, float, float, float): Ends of the line, corners of the rectangle: x0, y0, x1, y1 in metres
-    line: tuple[float, float, float, float] | None = None
-    area: tuple[float, float, float, float] | None = None
-    camera: str = ""  # Camera whose frame is shown
+    show: str = "w"  # variable of the map
+    step: int = 0  # index of the step
+    tab: str = "map"  # one of `TABS`
+    drag: str = "move"  # what dragging does, one of `DRAGS`
+    limits: tuple[float, float] | None = None  # of the colour scale, in the displayed unit; None: fitted
+    arrows: bool = True  # whether velocity arrows are drawn
+    node: tuple[float, float] | None = None  # x and y of the clicked node, metres
+    line: tuple[float, float, float, float] | None = None  # its ends x0, y0, x1, y1, metres
+    area: tuple[float, float, float, float] | None = None  # opposite corners of the rectangle, metres
+    camera: str = ""  # camera whose frame is shown
+
+    @property
+    def coloured(self) -> str:
+        """The variable where one with a scale is needed: w in place of the quality."""
+        return "w" if self.show == "quality" else self.show
 
     def query(self) -> str:
-        """The part of a link after the question mark; what is as usual is left out."""
-        pairs: list[tuple[str, str]] = []
-        for name, usual in vars(Place()).items():
+        """The part of a link after the question mark, without the defaults."""
+        pairs = {}
+        for name, default in asdict(Place()).items():
             value = getattr(self, name)
-            if value is None or (value == usual and name not in ("show", "step")):
+            if value is None or (value == default and name not in ("show", "step")):
                 continue
             if isinstance(value, tuple):
-                pairs.append((name, ",".join(f"{number:.6g}" for number in value)))
+                pairs[name] = ",".join(f"{number:.6g}" for number in value)
             else:
-                pairs.append((name, str(int(value)) if isinstance(value, bool) else str(value)))
+                pairs[name] = str(int(value)) if isinstance(value, bool) else str(value)
         return urlencode(pairs, safe=",")
 
     @classmethod
     def read(
-        cls, query: Mapping[str, Any], names: Sequence[str] = (), steps: int = 0, first: int = 0
+        cls, query: Mapping[str, str], names: Sequence[str] = (), steps: int = 0, first: int = 0
     ) -> "Place":
-        """Inverse of `query`; what makes no sense is passed over."""
-        out = cls(step=first)
-        if names:
-            out = replace(out, show="w" if "w" in names else names[0])
+        """Inverse of `query` for a cube with these variables and steps; ignores what is not valid."""
+        out = cls(step=first, show="w" if "w" in names or not names else names[0])
+        allowed = {"show": names, "tab": TABS, "drag": tuple(DRAGS)}
         for name, text in query.items():
-            if not isinstance(text, str):
-                continue
             value = _parse(name, text)
-            if value is not None and _fits(name, value, names):
-                out = replace(out, **{name: value})
-        last = max(steps - 1, 0)
-        return replace(out, step=min(max(out.step, 0), last) if steps else out.step)
+            if value is not None and (not allowed.get(name) or value in allowed[name]):
+                out = replace(out, **{name: value})  # type: ignore[arg-type]  # _parse gives each its type
+        return replace(out, step=min(max(out.step, 0), steps - 1)) if steps else out
 
 
-_NUMBERS = {"limits": 2, "node": 2, "line": 4, "area": 4}
-
-
-def _parse(name: str, text: str) -> Any:
+def _parse(name: str, text: str) -> Value:
+    """A part of a query as a value of its field; None if it is not valid."""
     try:
-        if name in _NUMBERS:
+        if name in _COUNTS:
             numbers = tuple(float(part) for part in text.split(","))
-            sound = len(numbers) == _NUMBERS[name] and all(abs(n) < 1e6 for n in numbers)
-            return numbers if sound else None
+            valid = len(numbers) == _COUNTS[name] and all(abs(number) < 1e6 for number in numbers)
+            valid = valid and (name != "limits" or numbers[0] < numbers[1])
+            return numbers if valid else None
         if name == "step":
             return int(text)
-        if name == "arrows":
-            return text != "0"
     except ValueError:
         return None
+    if name == "arrows":
+        return text != "0"
     return text if name in ("show", "tab", "drag", "camera") else None
-
-
-def _fits(name: str, value: Any, names: Sequence[str]) -> bool:
-    allowed = {"show": names, "tab": TABS, "drag": DRAGS}.get(name, ())
-    if name == "limits":
-        return bool(value[0] < value[1])
-    return not allowed or value in allowed

@@ -1,76 +1,106 @@
-"""What all panels share: figures of one look, colour bars, thinning of long series for a screen."""
+"""What all panels share: figures of one look, data sources, colour bars, long series thinned for a screen."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, Generic, Protocol, TypeVar
+from html import escape
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
+from bokeh.events import DoubleTap, Tap
 from bokeh.layouts import column
 from bokeh.models import (
     BasicTicker,
     ColorBar,
     ColumnDataSource,
     CustomJS,
+    Div,
     FixedTicker,
     LinearColorMapper,
     NumeralTickFormatter,
     Spacer,
     TabPanel,
     Tabs,
+    UIElement,
 )
 from bokeh.plotting import figure
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-INK, GREY, BLUE, VERMILION, GREEN, PINK = "#1b1f24", "#d9d9d9", "#0072B2", "#D55E00", "#009E73", "#CC79A7"
-MOST_POINTS = 1000  # of one line on a screen: two a pixel of half a page
+from wavefield.figures.quality import KINDS
 
-
-def make_figure(name: str, **settings: Any) -> Any:
-    """A figure as all are: wide as its place, light grid, tools out of the way."""
-    usual: dict[str, Any] = {
-        "sizing_mode": "stretch_width",
-        "toolbar_location": None,
-        "tools": "xpan,xwheel_zoom,reset",
-        "min_border_left": 62,
-        "min_border_right": 12,
-        "min_border_top": 4,
-        "output_backend": "canvas",
-        "lod_threshold": None,
-    }
-    settings = usual | settings
-    tools = settings["tools"]
-    if isinstance(tools, str):
-        wheels = [tool for tool in tools.split(",") if tool.endswith("wheel_zoom")]
-        settings["active_scroll"] = wheels[0] if wheels else None
-    made = figure(name=name, **settings)
-    made.grid.grid_line_color = "#e4e7ea"
-    made.outline_line_color = "#8b949e"
-    made.axis.axis_label_text_font_style = "normal"
-    made.axis.axis_label_text_font_size = "12px"
-    made.axis.major_label_text_font_size = "11px"
-    made.axis.axis_label_standoff = 4
-    made.title.text_font_size = "13px"
-    made.title.text_font_style = "normal"
-    made.title.text_color = INK
-    return made
+INK, GREY, BLUE, VERMILION, GREEN = "#1b1f24", "#d9d9d9", "#0072B2", "#D55E00", "#009E73"
+SKY, YELLOW = "#56B4E9", "#F0E442"
+MOST_POINTS = 1000  # of one line: two per pixel of half a page
+IMAGE = "image x y dw dh"  # columns of a source of an image
+Series = NDArray[np.floating]
 
 
 class Panel(Protocol):
     """What fills a tab."""
 
-    @property
-    def layout(self) -> Any:
-        """Its figures and widgets."""
+    layout: UIElement  # its figures and widgets
 
 
 P = TypeVar("P", bound=Panel)
+_DEFAULTS: dict[str, object] = {
+    "sizing_mode": "stretch_width", "toolbar_location": None, "tools": "xpan,xwheel_zoom,reset",
+    "min_border_left": 62, "min_border_right": 12, "min_border_top": 4,
+    "output_backend": "canvas", "lod_threshold": None,
+}  # fmt: skip
 
 
-class Later(Generic[P]):
-    """A panel that is made when its tab is first opened: a page is seen before what nobody has asked for."""
+def make_figure(name: str, **settings: object) -> figure:
+    """A figure in the style of the pages: as wide as its place, light grid, no toolbar."""
+    settings = _DEFAULTS | settings
+    if isinstance(settings["tools"], str):
+        wheels = [tool for tool in settings["tools"].split(",") if tool.endswith("wheel_zoom")]
+        settings["active_scroll"] = wheels[0] if wheels else None
+    made = figure(name=name, **settings)
+    made.grid.grid_line_color = "#e4e7ea"
+    made.outline_line_color = "#8b949e"
+    made.axis.axis_label_text_font_style = made.title.text_font_style = "normal"
+    made.axis.axis_label_text_font_size = "12px"
+    made.axis.major_label_text_font_size = "11px"
+    made.axis.axis_label_standoff = 4
+    made.title.text_font_size = "13px"
+    made.title.text_color = INK
+    return made
+
+
+def make_sources(prefix: str, **columns: str) -> dict[str, ColumnDataSource]:
+    """Empty data sources called `prefix_key`; the names of their columns are separated by spaces.
+
+    Examples
+    --------
+    >>> make_sources("map", node="x y")["node"].name
+    'map_node'
+    """
+    return {
+        key: ColumnDataSource({name: [] for name in names.split()}, name=f"{prefix}_{key}")
+        for key, names in columns.items()
+    }
+
+
+def clear(*sources: ColumnDataSource) -> None:
+    """Empty data sources."""
+    for source in sources:
+        source.data = {name: [] for name in source.data}
+
+
+def words_of(name: str, text: str = "") -> Div:
+    """A line of text as wide as its place."""
+    return Div(text=text, name=name, sizing_mode="stretch_width")
+
+
+def alert(error: Exception) -> str:
+    """An error as HTML that screen readers announce."""
+    return f'<span role="alert">{escape(str(error), quote=False)}</span>'
+
+
+class LazyPanel(Generic[P]):
+    """A panel that is made when its tab is first opened, so that the page appears sooner."""
 
     def __init__(self, make: Callable[[], P]) -> None:
-        self.body = column(Spacer(height=1), sizing_mode="stretch_width")  # of nothing at all Bokeh warns
+        self.body = column(Spacer(height=1), sizing_mode="stretch_width")  # Bokeh warns of an empty column
         self._make = make
         self._made: P | None = None
 
@@ -82,26 +112,47 @@ class Later(Generic[P]):
         return self._made
 
 
-def make_tabs(name: str, active: int, panels: Sequence[tuple[str, Any]]) -> Tabs:
-    """Tabs that are never wider than their place.
-
-    With panels (str, layout).
-    """
+def make_tabs(name: str, active: int, panels: Sequence[tuple[str, UIElement]]) -> Tabs:
+    """Tabs with titles, never wider than their place; hidden ones take neither room nor time."""
     tabs = [TabPanel(child=body, title=title) for title, body in panels]
     narrow = {"grid-template-columns": "minmax(0, 1fr)", "min-width": "0"}
     made = Tabs(tabs=tabs, active=active, name=name, sizing_mode="stretch_width", styles=narrow)
     bodies = [body for _, body in panels]
-    for k, body in enumerate(bodies):  # what is hidden takes neither room nor time
+    for k, body in enumerate(bodies):
         body.visible = k == active
     code = "bodies.forEach((body, k) => { body.visible = k == cb_obj.active })"
     made.js_on_change("active", CustomJS(args={"bodies": bodies}, code=code))
     return made
 
 
-def draw_masks(made: Any, drawn: ColumnDataSource, there: ColumnDataSource) -> None:
-    """Draw what is masked, and the corners of what is being drawn."""
+def on_click(made: figure, handle: Callable[[Tap], None]) -> None:
+    """Call a function with each click: a second click within 0.3 s, wherever it is, is no tap for Bokeh."""
+    for event in (Tap, DoubleTap):
+        made.on_event(event, handle)
+
+
+def draw_band(made: figure, source: ColumnDataSource, x: str, y: str, **line: object) -> None:
+    """Draw a line with the band between the columns `low` and `high`."""
+    made.varea(x, "low", "high", source=source, fill_color=BLUE, fill_alpha=0.22)
+    made.line(x, y, source=source, **({"line_color": BLUE, "line_width": 1.6} | line))
+
+
+def draw_ring(made: figure, source: ColumnDataSource, x: str, y: str, colour: str, size: int) -> None:
+    """Draw a ring on a white ground around a point."""
+    for ring, width in (("white", 5.0), (colour, 2.3)):
+        made.scatter(x, y, source=source, size=size, fill_color=None, line_color=ring, line_width=width)
+
+
+def draw_probes(made: figure, source: ColumnDataSource) -> None:
+    """Draw probes with their names, from the columns `x`, `y` and `name`."""
+    made.scatter("x", "y", source=source, marker="triangle", size=11, fill_color=YELLOW, line_color=INK)
+    made.text("x", "y", "name", source=source, x_offset=8, y_offset=4, text_font_size="11px")
+
+
+def draw_masks(made: figure, drawn: ColumnDataSource, saved: ColumnDataSource) -> None:
+    """Draw what is masked, and the corners of the mask that is being drawn."""
     made.patches(
-        "xs", "ys", source=there, fill_alpha=0.15, fill_color=INK, hatch_pattern="/", hatch_alpha=0.5,
+        "xs", "ys", source=saved, fill_alpha=0.15, fill_color=INK, hatch_pattern="/", hatch_alpha=0.5,
         hatch_color="white", line_color=INK, line_width=1.5,
     )  # fmt: skip
     made.patch("x", "y", source=drawn, fill_alpha=0.25, fill_color=VERMILION, line_color=None)
@@ -110,33 +161,32 @@ def draw_masks(made: Any, drawn: ColumnDataSource, there: ColumnDataSource) -> N
     made.scatter("x", "y", source=drawn, size=8, fill_color="white", line_color=VERMILION, line_width=2)
 
 
-def colour_bar(mapper: LinearColorMapper, title: str = "") -> ColorBar:
-    """A colour bar beside a map."""
+def grey_mapper() -> LinearColorMapper:
+    """Grey levels from 0 to 255."""
+    return LinearColorMapper(palette=[f"#{k:02x}{k:02x}{k:02x}" for k in range(256)], low=0, high=255)
+
+
+def quality_mapper() -> LinearColorMapper:
+    """Colours of the kinds of quality."""
+    return LinearColorMapper(palette=[colour for _, _, colour in KINDS], low=-0.5, high=len(KINDS) - 0.5)
+
+
+def colour_bar(mapper: LinearColorMapper) -> ColorBar:
+    """A colour bar for the right side of a figure."""
     return ColorBar(
-        color_mapper=mapper,
-        title=title,
-        width=14,
-        padding=8,
-        margin=0,
-        title_text_font_style="normal",
-        title_text_font_size="12px",
-        major_label_text_font_size="11px",
-        ticker=BasicTicker(desired_num_ticks=7),
-        formatter=NumeralTickFormatter(format="0.[000]"),
-    )
+        color_mapper=mapper, width=14, padding=8, margin=0, major_label_text_font_size="11px",
+        ticker=BasicTicker(desired_num_ticks=7), formatter=NumeralTickFormatter(format="0.[000]"),
+    )  # fmt: skip
 
 
-def fixed_labels(bar: ColorBar, labels: list[str]) -> None:
-    """Name the colours of a bar of kinds."""
-    bar.ticker = FixedTicker(ticks=list(range(len(labels))))
-    bar.major_label_overrides = dict(enumerate(labels))
+def label_kinds(bar: ColorBar) -> None:
+    """Name the kinds of quality on a colour bar."""
+    bar.ticker = FixedTicker(ticks=list(range(len(KINDS))))
+    bar.major_label_overrides = dict(enumerate(words for _, words, _ in KINDS))
 
 
-def image_data(values: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> dict[str, list[Any]]:
-    """Columns of an image whose pixels are centred on nodes.
-
-    With values (ny, nx); x, y (nx,).
-    """
+def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
+    """Columns of an image (ny, nx) whose pixels are centred on nodes."""
     dx, dy = (float(v[-1] - v[0]) / max(len(v) - 1, 1) or 1.0 for v in (x, y))
     return {
         "image": [np.ascontiguousarray(values, np.float32)],
@@ -147,15 +197,10 @@ def image_data(values: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> dict[s
     }
 
 
-def image_source(name: str) -> ColumnDataSource:
-    """An empty source of an image."""
-    return ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []}, name=name)
+def envelope(x: Series, *series: Series, most: int = MOST_POINTS) -> tuple[Series, ...]:
+    """Series (n,) thinned for a screen to the lowest and the highest value of each bin, in their order.
 
-
-def envelope(x: NDArray[Any], *series: NDArray[Any], most: int = MOST_POINTS) -> tuple[NDArray[Any], ...]:
-    """Thin long series for a screen: of each bin the lowest and the highest value, in their order.
-
-    With x (n,); *series (n,); returns (m,): x and the series at the kept samples.
+    Returns x and the series at the samples where the first of them has these extremes, (m,).
 
     Examples
     --------
@@ -168,29 +213,22 @@ def envelope(x: NDArray[Any], *series: NDArray[Any], most: int = MOST_POINTS) ->
     """
     if x.size <= most:
         return (x, *series)
-    lead = series[0]
     width = -(-2 * x.size // most)
-    whole = x.size - x.size % width
-    bins = np.where(np.isfinite(lead[:whole]), lead[:whole], np.nan).reshape(-1, width)
-    empty = ~np.isfinite(bins).any(axis=1)
-    lowest = np.where(np.isfinite(bins), bins, np.inf).argmin(axis=1)
-    highest = np.where(np.isfinite(bins), bins, -np.inf).argmax(axis=1)
+    binned = x.size - x.size % width
+    bins = series[0][:binned].reshape(-1, width)
+    finite = np.isfinite(bins)
     start = np.arange(bins.shape[0]) * width
-    keep = np.unique(
-        np.concatenate([start + lowest, start + highest, start[empty], np.arange(whole, x.size)])
-    )
+    lowest = start + np.where(finite, bins, np.inf).argmin(axis=1)
+    highest = start + np.where(finite, bins, -np.inf).argmax(axis=1)  # both the first sample of an empty bin
+    keep = np.unique(np.concatenate([lowest, highest, np.arange(binned, x.size)]))
     return tuple(part[keep] for part in (x, *series))
 
 
-def band(
-    value: NDArray[Any], std: NDArray[Any], thinned: bool
-) -> tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]]:
-    """Edges of the band of uncertainty around a series.
+def band(value: Series, std: Series, thinned: bool) -> tuple[Series, Series]:
+    """Lower and upper edge (n,) of the band of uncertainty around a series (n,); NaN in gaps.
 
-    Of a thinned series, which leaps between crests and troughs, they enclose neighbours too: a band that
-    leaps with it hides the line, and takes a browser seven times as long to fill.
-
-    With value, std (n,); returns low, high (n,): NaN in gaps.
+    A thinned series alternates between crests and troughs: its band encloses the neighbours, too, because a
+    band that alternates with it would hide the line, and takes a browser seven times as long to fill.
 
     Examples
     --------
@@ -208,5 +246,5 @@ def band(
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number for people, with a real minus sign."""
+    """A number with so many digits and a typographic minus sign."""
     return f"{value:.{digits}g}".replace("-", "\u2212")

@@ -1,10 +1,18 @@
-"""Links to what is seen: picture, movie, selection, the view itself."""
+"""Links to files of what is shown: picture, movie, selection, the view itself."""
 
 from bokeh.layouts import column
-from bokeh.models import Div, Spinner
+from bokeh.models import Spinner
+from jinja2 import Environment
 
-from wavefield.explorer.cube_record import CubeRecord
 from wavefield.explorer.place import Place
+from wavefield.explorer.plot_parts import words_of
+from wavefield.explorer.save import MAX_MOVIE_FRAMES
+
+_TABLE = Environment(autoescape=True).from_string(
+    """<table>{% for title, links in rows %}<tr><td style="padding: 3px 12px 3px 0">{{ title }}</td><td>
+{%- for words, href in links %} <a style="padding: 0 6px" href="{{ href }}"
+{%- if words != "link" %} download{% endif %}>{{ words }}</a>{% endfor %}</td></tr>{% endfor %}</table>"""
+)
 
 
 class SavePanel:
@@ -12,21 +20,26 @@ class SavePanel:
 
     def __init__(self) -> None:
         self.frames = Spinner(
-            title="Steps of the movie, from here", low=2, high=2000, value=100, step=10, name="frames"
+            title="Steps of the movie, from here",
+            low=2,
+            high=MAX_MOVIE_FRAMES,
+            value=100,
+            step=10,
+            name="frames",
         )
-        self.words = Div(text="", name="save_words", sizing_mode="stretch_width")
+        self.words = words_of("save_words")
         self.layout = column(self.words, self.frames, sizing_mode="stretch_width")
-        self._last: tuple[Place, CubeRecord] | None = None
-        self.frames.on_change("value", lambda attr, old, new: self._last and self.show(*self._last))
+        self._place = Place()
+        self.frames.on_change("value", lambda attr, old, new: self.show(self._place))
 
-    def show(self, place: Place, record: CubeRecord) -> None:
-        """Offer what can be saved of a place."""
-        self._last = (place, record)
+    def show(self, place: Place) -> None:
+        """List what can be saved of a place."""
+        self._place = place
         query = place.query()
         movie = f"{query}&frames={int(self.frames.value or 100)}"
         rows = [
             ("This map", [("PNG", f"save/map.png?{query}"), ("SVG", f"save/map.svg?{query}")]),
-            ("The play from here", [("MP4", f"save/play.mp4?{movie}"), ("GIF", f"save/play.gif?{movie}")]),
+            ("Playback from here", [("MP4", f"save/play.mp4?{movie}"), ("GIF", f"save/play.gif?{movie}")]),
             ("This step, all variables", [("NetCDF", f"save/step.nc?{query}")]),
         ]
         if place.node:
@@ -37,16 +50,4 @@ class SavePanel:
         if place.area:
             rows.append(("The rectangle, all steps, thinned", [("NetCDF", f"save/area.nc?{query}")]))
         rows.append(("This view", [("link", f"?{query}")]))
-        self.words.text = "<table>" + "".join(_row(*entry) for entry in rows) + "</table>"
-
-
-def _row(what: str, links: list[tuple[str, str]]) -> str:
-    cells = " ".join(
-        f'<a style="padding: 0 6px" href="{href.replace("&", "&amp;")}"{_download(word)}>{word}</a>'
-        for word, href in links
-    )
-    return f'<tr><td style="padding: 3px 12px 3px 0">{what}</td><td>{cells}</td></tr>'
-
-
-def _download(word: str) -> str:
-    return "" if word == "link" else " download"
+        self.words.text = _TABLE.render(rows=rows)

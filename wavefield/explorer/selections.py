@@ -1,19 +1,23 @@
-"""What is asked of the thinned preview: series at a node, line, rectangle. Arrays in, arrays out.
+"""Values of the thinned preview at a node, along a line, in a rectangle. Arrays in, arrays out.
 
 The preview is int16 (variable, y, x, time): value = scale * stored, -32768 is missing.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal, stats
+from scipy.interpolate import interpn
 
 MISSING = -32768
-_LONGEST_BRIDGE = 2  # steps: as in the analysis, longer gaps split a record
-_SHORTEST = 32  # steps from which a spectrum is taken
+LONGEST_BRIDGED_GAP = 2  # steps: as in the analysis, longer gaps split a record
+MIN_STEPS_OF_SPECTRUM = 32
+MAX_SPECTRA_OF_AREA = 64
 _CONFIDENCE = 0.95
+_BINS = 60
+Array = NDArray[np.floating]
+Point = tuple[float, float]
 
 
 def decode(stored: NDArray[np.int16], scale: float) -> NDArray[np.float32]:
@@ -29,147 +33,119 @@ def decode(stored: NDArray[np.int16], scale: float) -> NDArray[np.float32]:
     return values
 
 
-def nearest(positions: NDArray[Any], requested: float) -> int:
-    """Index of the nearest of some positions.
-
-    With positions (n,), metres.
+def nearest(positions: Array, requested: float) -> int:
+    """Index of the position nearest to the requested one.
 
     Examples
     --------
     >>> nearest(np.array([0.0, 0.5, 1.0]), 0.7)
     1
     """
-    return int(np.argmin(np.abs(np.asarray(positions) - requested)))
+    return int(np.argmin(np.abs(positions - requested)))
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """A one-sided spectrum."""
+    """A one-sided spectrum with its confidence interval."""
 
-    frequency: NDArray[Any]  # (n,): Hz; without 0
-    density: NDArray[Any]  # (n,): Unit of the values squared, per Hz; its sum times the step is the variance
-    low: float  # The truth lies in [low, high] times the density with 95 % confidence
+    frequency: Array  # (n,): Hz; without 0
+    density: Array  # (n,): unit of the values squared, per Hz; its sum times the step is the variance
+    low: float  # the true density is in [low, high] times the density with 95 % confidence
     high: float
 
 
-def longest_run(values: NDArray[Any]) -> NDArray[Any]:
-    """Longest stretch without a gap of more than two steps; shorter gaps are bridged by lines.
+def spectrum_columns(found: Spectrum | None) -> dict[str, Array]:
+    """Columns `f`, `e`, `low`, `high` for drawing; empty without a spectrum."""
+    if found is None:
+        return dict.fromkeys(("f", "e", "low", "high"), np.empty(0))
+    e = found.density
+    return {"f": found.frequency, "e": e, "low": e * found.low, "high": e * found.high}
 
-    With values (n,); returns (m,): Empty if there is no value.
+
+def longest_run(values: Array) -> Array:
+    """Longest stretch of a series (n,) without a gap of more than two steps; shorter gaps are interpolated.
 
     Examples
     --------
     >>> longest_run(np.array([1.0, np.nan, 3.0, np.nan, np.nan, np.nan, 5.0])).tolist()
     [1.0, 2.0, 3.0]
     """
-    there = np.flatnonzero(np.isfinite(values))
-    if not there.size:
+    finite = np.flatnonzero(np.isfinite(values))
+    if not finite.size:
         return np.empty(0)
-    pieces = np.split(there, np.flatnonzero(np.diff(there) > _LONGEST_BRIDGE + 1) + 1)
+    pieces = np.split(finite, np.flatnonzero(np.diff(finite) > LONGEST_BRIDGED_GAP + 1) + 1)
     longest = max(pieces, key=lambda piece: int(piece[-1] - piece[0]))
     steps = np.arange(longest[0], longest[-1] + 1)
-    return np.asarray(np.interp(steps, longest, np.asarray(values, float)[longest]))
+    return np.asarray(np.interp(steps, longest, values[longest]))
 
 
-def spectrum(values: NDArray[Any], dt: float, lasting: float | None = None) -> Spectrum | None:
-    """Welch's spectrum of the longest run of a series, with its interval.
+def spectrum(values: Array, dt: float, segment_s: float | None = None) -> Spectrum | None:
+    """Welch spectrum of the longest run of a series (n,), or the mean spectrum of several (n, m).
 
-    Hann windows that overlap by half, eight at least where the record allows it. Neighbouring nodes see the
-    same waves, so that the interval counts the segments of one node only.
-
-    With values (n,).
+    Hann windows with half overlap, at least eight where the record allows it. Neighbouring nodes measure the
+    same waves: the interval counts the segments of one node only. None for less than 32 steps without a gap.
     """
     columns = np.asarray(values, float).reshape(len(values), -1).T
-    runs = [run for run in map(longest_run, columns) if run.size >= _SHORTEST]
+    runs = [run for run in map(longest_run, columns) if run.size >= MIN_STEPS_OF_SPECTRUM]
     if not runs:
         return None
     length = min(run.size for run in runs)
-    requested = min(1024, 1 << int(np.log2(max(_SHORTEST, 2 * length / 9))))
-    segment = min(requested if lasting is None else max(round(lasting / dt), 2), length)
+    segment = min(1024, 1 << int(np.log2(max(MIN_STEPS_OF_SPECTRUM, 2 * length / 9))))
+    if segment_s is not None:
+        segment = max(round(segment_s / dt), 2)
+    segment = min(segment, length)
     frequency, density = signal.welch(
         np.array([run[:length] for run in runs]), fs=1.0 / dt, nperseg=segment, detrend="constant"
     )
     count = max(1, (length - segment // 2) // (segment - segment // 2))
-    dof = 2.0 * count * 18.0 / 19.0 if count > 1 else 2.0  # Hann, half overlapping
+    dof = 2.0 * count * 18.0 / 19.0 if count > 1 else 2.0  # Hann windows with half overlap
     low, high = dof / stats.chi2.ppf([0.5 + _CONFIDENCE / 2, 0.5 - _CONFIDENCE / 2], dof)
     return Spectrum(frequency[1:], density.mean(axis=0)[1:], float(low), float(high))
 
 
-def line_points(start: tuple[float, float], end: tuple[float, float], spacing: float) -> tuple[Any, Any, Any]:
-    """Points along a line.
-
-    With start, end (x, y), metres; spacing, metres; returns distance, x, y (n,): Metres.
-    """
+def line_points(start: Point, end: Point, spacing: float) -> tuple[Array, Array, Array]:
+    """Distance, x and y (n,) of points along a line, about `spacing` apart, metres."""
     length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
-    count = int(np.clip(round(length / spacing) + 1, 2, 400))
-    along = np.linspace(0.0, 1.0, count)
+    along = np.linspace(0.0, 1.0, int(np.clip(round(length / spacing) + 1, 2, 400)))
     x, y = (a + along * (b - a) for a, b in zip(start, end))
     return along * length, x, y
 
 
-def interpolate(
-    field: NDArray[Any], x: NDArray[Any], y: NDArray[Any], at_x: NDArray[Any], at_y: NDArray[Any]
-) -> NDArray[Any]:
-    """Values between nodes, bilinear.
-
-    With field (ny, nx); x, y (nx,), metres; at_x, at_y (n,), metres; returns (n,): NaN outside and beside
-    what is missing.
-    """
-    i, fx = _cell(x, at_x)
-    j, fy = _cell(y, at_y)
-    more = (slice(None),) + (None,) * (field.ndim - 2)
-    fx, fy = fx[more], fy[more]
-    lower = field[j, i] * (1 - fx) + field[j, i + 1] * fx
-    upper = field[j + 1, i] * (1 - fx) + field[j + 1, i + 1] * fx
-    out = lower * (1 - fy) + upper * fy
-    outside = (at_x < x[0]) | (at_x > x[-1]) | (at_y < y[0]) | (at_y > y[-1])
-    out[outside] = np.nan
-    return np.asarray(out)
-
-
-def _cell(nodes: NDArray[Any], at: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    place = (np.asarray(at, float) - nodes[0]) / ((nodes[-1] - nodes[0]) / (len(nodes) - 1))
-    index = np.clip(np.floor(place).astype(int), 0, len(nodes) - 2)
-    return index, place - index
+def interpolate(field: Array, x: Array, y: Array, at_x: Array, at_y: Array) -> Array:
+    """Bilinear values of a field (ny, nx, ...) at points, (n, ...); NaN outside and next to gaps."""
+    return np.asarray(interpn((y, x), field, (at_y, at_x), bounds_error=False))
 
 
 def time_distance(
-    stored: NDArray[np.int16],
-    scale: float,
-    x: NDArray[Any],
-    y: NDArray[Any],
-    at_x: NDArray[Any],
-    at_y: NDArray[Any],
-) -> NDArray[Any]:
-    """A variable along a line as it goes by.
+    stored: NDArray[np.int16], scale: float, x: Array, y: Array, at_x: Array, at_y: Array
+) -> Array:
+    """A stored variable (ny, nx, time) along a line of n points at all its steps, (time, n)."""
+    rows, columns = _cells(y, at_y), _cells(x, at_x)
+    values = decode(stored[rows, columns], scale)
+    return interpolate(values, x[columns], y[rows], at_x, at_y).T
 
-    With stored (ny, nx, time); x, y (nx,), metres; at_x, at_y (n,), metres; returns (time, n).
-    """
-    i = np.unique(np.clip(np.r_[_cell(x, at_x)[0], _cell(x, at_x)[0] + 1], 0, len(x) - 1))
-    j = np.unique(np.clip(np.r_[_cell(y, at_y)[0], _cell(y, at_y)[0] + 1], 0, len(y) - 1))
-    columns, rows = slice(i[0], i[-1] + 1), slice(j[0], j[-1] + 1)  # what the line touches
-    part = decode(stored[rows, columns], scale)
-    return interpolate(part, x[columns], y[rows], at_x, at_y).T
+
+def _cells(nodes: Array, at: Array) -> slice:
+    """Nodes of the cells that some positions are in."""
+    start = int(np.clip(np.searchsorted(nodes, at.min()) - 1, 0, len(nodes) - 2))
+    return slice(start, max(int(np.searchsorted(nodes, at.max())) + 1, start + 2))
 
 
 @dataclass(frozen=True)
 class Area:
-    """What a rectangle holds."""
+    """Statistics of a variable over a rectangle."""
 
-    mean: NDArray[Any]  # (time,): Over its nodes, at each step; NaN where there is none
-    std: NDArray[Any]
-    edges: NDArray[Any]  # (n + 1,): Histogram of all its values, a probability density
-    density: NDArray[Any]
-    spectrum: Spectrum | None  # E(omega), mean over its nodes
-    nodes: int  # Nodes of the preview in it
-    count: int  # Values in it
+    mean: Array  # (time,): over its nodes, at each step; NaN where nothing was measured
+    std: Array  # (time,)
+    edges: Array  # (n + 1,): bins of the histogram of all values
+    density: Array  # (n,): their probability density
+    spectrum: Spectrum | None  # mean over nodes
+    nodes: int  # nodes of the preview in the rectangle
+    count: int  # values in it
 
 
-def span(nodes: NDArray[Any], first: float, last: float) -> slice:
-    """Nodes between two positions; the nearest one if there is none between.
-
-    With nodes (n,).
-    """
+def span(nodes: Array, first: float, last: float) -> slice:
+    """Nodes between two positions; the nearest node if there is none between."""
     low, high = sorted((first, last))
     inside = np.flatnonzero((nodes >= low) & (nodes <= high))
     if not inside.size:
@@ -177,35 +153,29 @@ def span(nodes: NDArray[Any], first: float, last: float) -> slice:
     return slice(int(inside[0]), int(inside[-1]) + 1)
 
 
-def area(stored: NDArray[np.int16], scale: float, dt: float, most_spectra: int = 64) -> Area:
-    """Means, histogram and spectrum of a variable over a rectangle.
-
-    With stored (ny, nx, time).
-    """
+def area(stored: NDArray[np.int16], scale: float, dt: float) -> Area:
+    """Means, histogram and spectrum of a stored variable (ny, nx, time) over a rectangle."""
     flat = stored.reshape(-1, stored.shape[-1])
-    there = flat != MISSING
-    count = np.maximum(there.sum(axis=0), 1)
-    clean = np.where(there, flat, np.int16(0))
-    total = clean.sum(axis=0, dtype=np.int64)
+    measured = flat != MISSING
+    count = np.maximum(measured.sum(axis=0), 1)
+    clean = np.where(measured, flat, np.int16(0))
+    mean = scale * clean.sum(axis=0, dtype=np.int64) / count
     squares = np.einsum("nt,nt->t", clean, clean, dtype=np.float64)
-    mean = scale * total / count
     std = np.sqrt(np.maximum(scale**2 * squares / count - mean**2, 0.0))
-    empty = ~there.any(axis=0)
+    empty = ~measured.any(axis=0)
     mean[empty] = std[empty] = np.nan
-    values = flat[there]
+    values = flat[measured]
     bins = _bins(values)
-    counts, _ = np.histogram(values, bins)
-    edges = bins * scale
-    density = counts / (max(values.size, 1) * np.diff(edges))
-    every = -(-len(flat) // most_spectra)
+    density = np.histogram(values, bins)[0] / (max(values.size, 1) * np.diff(bins * scale))
+    every = -(-len(flat) // MAX_SPECTRA_OF_AREA)
     found = spectrum(decode(flat[::every], scale).T, dt)
-    return Area(mean, std, edges, density, found, len(flat), int(values.size))
+    return Area(mean, std, bins * scale, density, found, len(flat), int(values.size))
 
 
-def _bins(values: NDArray[np.int16]) -> NDArray[Any]:
-    """Edges of bins between the stored integers: none is counted in a bin of another."""
+def _bins(values: NDArray[np.int16]) -> Array:
+    """Edges of bins halfway between stored integers, so that none is on an edge."""
     if not values.size:
         return np.array([-0.5, 0.5])
     low, high = int(values.min()), int(values.max())
-    width = max(1, -(-(high - low + 1) // 60))
+    width = max(1, -(-(high - low + 1) // _BINS))
     return np.arange(low, high + width + 1, width) - 0.5

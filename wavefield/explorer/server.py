@@ -4,25 +4,26 @@ import asyncio
 import errno
 import socket
 import threading
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
 
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
-from bokeh.server.server import BaseServer as Server
+from bokeh.document import Document
+from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 from tornado.web import HTTPError, RequestHandler
 
 from wavefield.errors import WavefieldError
-from wavefield.explorer.look_page import LookSession, Page
+from wavefield.explorer.look_page import LookPage
 from wavefield.explorer.place import Place
 from wavefield.explorer.save import FILES
+from wavefield.explorer.session import LookSession
 
-PORT = 5006
-_MORE_PORTS = 20
+DEFAULT_PORTS = range(5006, 5026)
 _HOSTS = ("localhost", "127.0.0.1")
+Route = tuple[str, type[RequestHandler], dict[str, object]]
 
 
 class SaveHandler(RequestHandler):
@@ -31,103 +32,95 @@ class SaveHandler(RequestHandler):
     session: LookSession
 
     def initialize(self, session: LookSession) -> None:
-        """Take what the pages look at."""
+        """Take the session whose cube is saved."""
         self.session = session
 
     async def get(self, name: str) -> None:
-        """Make a file of what is seen; a sentence where that cannot be."""
+        """Make a file of what is shown; a sentence where that is not possible."""
         if self.request.host_name not in _HOSTS:
             raise HTTPError(403)
-        kind = FILES.get(name)
-        if kind is None:
+        if name not in FILES:
             raise HTTPError(404)
-        record = self.session.record
+        content_type, make = FILES[name]
         query = {key: self.get_query_argument(key) for key in self.request.query_arguments}
-        place = Place.read(query, record.names, record.layout.steps, record.first_step())
         frames = int(query["frames"]) if query.get("frames", "").isdecimal() else 100
+        record = self.session.record
         try:
-            loop = asyncio.get_running_loop()
-            content = await loop.run_in_executor(None, kind[1], record, place, frames)
+            content = await asyncio.to_thread(make, record, record_place(self.session, query), frames)
         except WavefieldError as error:
             self.set_status(409)
             self.finish(str(error))
             return
-        self.set_header("Content-Type", kind[0])
+        self.set_header("Content-Type", content_type)
         self.set_header("Content-Disposition", f'attachment; filename="{name}"')
         self.finish(content)
 
 
+def record_place(session: LookSession, query: dict[str, str]) -> Place:
+    """The place of a link to a cube."""
+    record = session.record
+    return Place.read(query, record.names, record.layout.steps, record.first_step())
+
+
 def make_server(
-    make_page: Callable[[Any], None], port: int | None, routes: list[Any] | None = None
-) -> Server:
-    """A server on the loopback."""
-    requested = range(PORT, PORT + _MORE_PORTS) if port is None else (port,)
-    for number in requested:
+    make_page: Callable[[Document], None], port: int | None, routes: Sequence[Route] = ()
+) -> BaseServer:
+    """A server on the loopback, at the first free port of the default ones if none is given.
+
+    Unlike `bokeh.server.server.Server` it accepts pages from any port of this machine: the near end of an
+    SSH tunnel has its own.
+    """
+    ports = DEFAULT_PORTS if port is None else range(port, port + 1)
+    for number in ports:
         try:
-            listening = _listen(number)
+            listening = socket.create_server(("127.0.0.1", number), backlog=128)
         except OSError as error:
             if error.errno not in (errno.EADDRINUSE, errno.EACCES):
                 raise
             continue
         application = BokehTornado(
             {"/": Application(FunctionHandler(make_page))},
-            extra_websocket_origins=list(_HOSTS),  # on any port: the near end of an ssh tunnel has its own
-            extra_patterns=routes or [],
+            extra_websocket_origins=list(_HOSTS),
+            extra_patterns=list(routes),
             check_unused_sessions_milliseconds=5000,
             unused_session_lifetime_milliseconds=60_000,
         )
+        listening.setblocking(False)
         http = HTTPServer(application)
         http.add_sockets([listening])
-        return Server(IOLoop.current(), application, http)
+        return BaseServer(IOLoop.current(), application, http)
     raise WavefieldError(
-        f"port {requested[0]} is taken; choose another with --port"
-        if len(requested) == 1
-        else f"the ports {requested[0]} to {requested[-1]} are all taken; name a free one with --port"
+        f"port {port} is taken; choose another with --port"
+        if port is not None
+        else f"the ports {ports[0]} to {ports[-1]} are all taken; name a free one with --port"
     )
 
 
-def _listen(port: int) -> socket.socket:
-    made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    try:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        made.setblocking(False)
-        made.bind(("127.0.0.1", port))
-        made.listen(128)
-    except OSError:
-        made.close()
-        raise
-    return made
-
-
-def session_server(session: LookSession, port: int | None = None) -> Server:
+def session_server(session: LookSession, port: int | None = None) -> BaseServer:
     """A server of the page of a cube."""
 
-    def make_page(document: Any) -> None:
-        record = session.record
-        query = {
-            key: values[0].decode(errors="replace")
-            for key, values in (document.session_context.request.arguments or {}).items()
-        }
-        first = record.first_step()
-        Page(session, Place.read(query, record.names, record.layout.steps, first)).attach(document)
+    def make_page(document: Document) -> None:
+        arguments = document.session_context.request.arguments or {}
+        query = {key: values[0].decode(errors="replace") for key, values in arguments.items()}
+        LookPage(session, record_place(session, query)).attach(document)
 
     return make_server(make_page, port, [(r"/save/([\w.]+)", SaveHandler, {"session": session})])
 
 
-class Served:
-    """A server in a thread of its own, for notebooks: shows itself as a frame of the page."""
+class ServedPage:
+    """A page and its server in a thread of its own, for notebooks, which show it as a frame."""
 
-    def __init__(self, make: Callable[[], Server]) -> None:
+    def __init__(self, make: Callable[[], BaseServer]) -> None:
         self._ready = threading.Event()
         self._error: BaseException | None = None
-        self._server: Server | None = None
+        self._server: BaseServer | None = None
         self._thread = threading.Thread(target=self._run, args=(make,), daemon=True, name="wavefield-look")
         self._thread.start()
         self._ready.wait()
         if self._error is not None:
             raise self._error
 
-    def _run(self, make: Callable[[], Server]) -> None:
+    def _run(self, make: Callable[[], BaseServer]) -> None:
         asyncio.set_event_loop(asyncio.new_event_loop())
         try:
             self._server = make()
@@ -138,7 +131,7 @@ class Served:
         finally:
             self._ready.set()
         self._server.io_loop.start()
-        self._server.io_loop.close(all_fds=True)  # pages notice
+        self._server.io_loop.close(all_fds=True)  # the pages show that the connection is lost
 
     @property
     def url(self) -> str:

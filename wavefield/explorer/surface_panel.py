@@ -1,100 +1,77 @@
-"""The surface in three dimensions, turned with the mouse: projected in the browser, no round trip."""
-
-from importlib.resources import files
-from typing import Any
+"""The surface in three dimensions, turned with the mouse: projected in the browser, without a round trip."""
 
 import numpy as np
-from bokeh.models import ColumnDataSource, CustomJS, Label, LinearColorMapper
-from numpy.typing import NDArray
+from bokeh.models import CustomJS, Label, LinearColorMapper
 
 from wavefield.explorer.cube_record import CubeRecord
-from wavefield.explorer.map_fields import colour_map, palette, relief, shown_as
+from wavefield.explorer.map_fields import palette, relief
 from wavefield.explorer.place import Place
-from wavefield.explorer.plot_parts import INK, colour_bar, make_figure, number
+from wavefield.explorer.plot_parts import GREY, INK, colour_bar, make_figure, make_sources, number
+from wavefield.explorer.template import asset
+from wavefield.figures.display import display
 from wavefield.figures.style import limit
 
-TURN, TILT = -0.7, 0.62  # radians, to begin with
-_LIFT = 0.1  # the highest water stands so many diagonals above rest
-
-
-def project(
-    x: NDArray[Any], y: NDArray[Any], height: NDArray[Any], turn: float, tilt: float
-) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Parallel projection of points onto the screen.
-
-    With x, y, height, metres; turn, rad; tilt, rad.
-    """
-    across = np.cos(turn) * x - np.sin(turn) * y
-    away = np.sin(turn) * x + np.cos(turn) * y
-    return across, away * np.sin(tilt) + height * np.cos(tilt), away
+INITIAL_VIEW = {"turn": [-0.7], "tilt": [0.62]}  # radians
+_LIFT = 0.1  # height of the highest water, in diagonals of the grid
 
 
 class SurfacePanel:
-    """The relief of z, coloured by the shown variable."""
+    """The relief of z, coloured by the displayed variable."""
 
     def __init__(self, record: CubeRecord) -> None:
         self._record = record
-        self._half = 0.0
-        self.field = ColumnDataSource({"x": [], "y": [], "height": [], "value": []}, name="surface_field")
-        self.quads = ColumnDataSource({"xs": [], "ys": [], "value": []}, name="surface_quads")
-        self.frame = ColumnDataSource({"x": [], "y": []}, name="surface_frame")
-        self.words = ColumnDataSource({"x": [], "y": [], "text": []}, name="surface_words")
-        self.view = ColumnDataSource({"turn": [TURN], "tilt": [TILT]}, name="surface_view")
-        self.mapper = LinearColorMapper(palette=palette(colour_map("w")), low=-1, high=1, nan_color="#d9d9d9")
-        size = 0.56 * float(np.hypot(np.ptp(record.x), np.ptp(record.y)))
+        self._highest = 0.0  # of z at the first step that is shown, m
+        self._diagonal = float(np.hypot(np.ptp(record.x), np.ptp(record.y)))
+        self.sources = make_sources(
+            "surface", field="x y height value", quads="xs ys value", frame="x y", words="x y text",
+            view="turn tilt",
+        )  # fmt: skip
+        self.sources["view"].data = INITIAL_VIEW
+        self.mapper = LinearColorMapper(
+            palette=palette(display("w").colour_map), low=-1, high=1, nan_color=GREY
+        )
+        size = 0.56 * self._diagonal
         made = make_figure(
-            "surface",
-            tools="wheel_zoom,reset,save",
-            toolbar_location="above",
-            x_range=(-size, size),
-            y_range=(-0.72 * size, 0.72 * size),
-            aspect_ratio=1.4,
-            x_axis_type=None,
-            y_axis_type=None,
-            min_border_left=4,
-        )
+            "surface", tools="wheel_zoom,reset,save", toolbar_location="above", aspect_ratio=1.4,
+            x_range=(-size, size), y_range=(-0.72 * size, 0.72 * size),
+            x_axis_type=None, y_axis_type=None, min_border_left=4,
+        )  # fmt: skip
         made.grid.grid_line_color = None
-        made.line("x", "y", source=self.frame, color="#8b949e", line_dash=[5, 4], line_width=1.3)
+        made.line("x", "y", source=self.sources["frame"], color="#8b949e", line_dash=[5, 4], line_width=1.3)
         colour = {"field": "value", "transform": self.mapper}
-        made.patches("xs", "ys", source=self.quads, fill_color=colour, line_color=colour, line_width=0.6)
-        made.text(
-            "x", "y", "text", source=self.words, text_align="center", text_baseline="middle", text_color=INK
+        made.patches(
+            "xs", "ys", source=self.sources["quads"], fill_color=colour, line_color=colour, line_width=0.6
         )
-        self.bar = colour_bar(self.mapper)
-        made.add_layout(self.bar, "right")
+        made.text(
+            "x", "y", "text", source=self.sources["words"], text_align="center", text_baseline="middle",
+            text_color=INK,
+        )  # fmt: skip
+        made.add_layout(colour_bar(self.mapper), "right")
         self.note = Label(x=8, y=8, x_units="screen", y_units="screen", text="", text_font_size="12px")
         made.add_layout(self.note)
-        code = files("wavefield.explorer").joinpath("assets/relief.js").read_text()
-        arguments: dict[str, Any] = {"field": self.field, "quads": self.quads, "frame": self.frame}
-        turn = CustomJS(args=arguments | {"words": self.words, "view": self.view}, code=code)
-        self.field.js_on_change("data", turn)
-        self.view.js_on_change("data", turn)
+        project = CustomJS(args=self.sources, code=asset("relief.js"))
+        for changed in (self.sources["field"], self.sources["view"]):
+            changed.js_on_change("data", project)
         for event in ("panstart", "pan"):
-            made.js_on_event(event, turn)
-        self.figure = self.layout = made
+            made.js_on_event(event, project)
+        self.layout = made
 
     def show(self, place: Place, limits: tuple[float, float]) -> None:
-        """Draw a step.
-
-        With limits (float, float).
-        """
-        record = self._record
-        shown = shown_as(place.show, record.units(place.show))
+        """Draw a step, in colours between two limits in the displayed unit."""
+        record, shown = self._record, display(place.coloured)
         z, x, y = relief(record.field("z", place.step), record.x, record.y)
-        name = "w" if place.show == "quality" else place.show
-        values, _, _ = relief(record.field(name, place.step) * np.float32(shown.factor), record.x, record.y)
-        if not self._half and np.isfinite(z).any():
-            self._half = limit(z)
-        diagonal = float(np.hypot(np.ptp(record.x), np.ptp(record.y)))
-        lift = _LIFT * diagonal / self._half if self._half else 0.0
-        self.mapper.update(palette=palette(colour_map(name)), low=limits[0], high=limits[1])
-        self.figure.title.text = (
-            f"elevation z, coloured by {name}{shown.suffix}, t = {record.time[place.step]:.3f} s"
+        values, _, _ = relief(record.field(shown.name, place.step), record.x, record.y)
+        if not self._highest and np.isfinite(z).any():
+            self._highest = limit(z)
+        lift = _LIFT * self._diagonal / self._highest if self._highest else 0.0
+        self.mapper.update(palette=palette(shown.colour_map), low=limits[0], high=limits[1])
+        self.layout.title.text = (
+            f"elevation z, coloured by {shown.label}, t = {record.time[place.step]:.3f} s"
         )
-        self.note.text = f"height \u00d7 {number(lift, 2)}; drag to turn" if lift else "nothing measured here"
-        self.field.data = {
+        self.note.text = f"height × {number(lift, 2)}; drag to turn" if lift else "nothing measured here"
+        self.sources["field"].data = {
             "x": [np.asarray(x - x.mean(), np.float32)],
             "y": [np.asarray(y - y.mean(), np.float32)],
             "height": [np.ascontiguousarray(z * np.float32(lift))],
-            "value": [np.ascontiguousarray(values, np.float32)],
+            "value": [np.ascontiguousarray(values * np.float32(shown.factor), np.float32)],
         }

@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
-from typing import Any
 
+from bokeh.document import Document
 from bokeh.events import ConnectionLost
 from bokeh.models import CustomJS
 from jinja2 import Environment
 
 _KEYS = (
-    ("\u2190 \u2192", "step"), ("space", "play"), ("1\u20134", "views"),
-    ("P L R M", "move, line, rectangle, mask"), ("A", "arrows"), ("Home End", "first, last step"),
+    ("← →", "step"), ("space", "play"), ("1–4", "views"), ("P L R M", "pan, line, rectangle, mask"),
+    ("A", "arrows"), ("Home End", "first, last step"),
 )  # fmt: skip
 
 
@@ -21,17 +21,14 @@ def asset(name: str) -> str:
     return files("wavefield.explorer").joinpath(f"assets/{name}").read_text(encoding="utf-8")
 
 
-def dress(document: Any, heading: str, command: str, places: Sequence[str], keys: bool = True) -> None:
-    """Give a document its frame."""
-    words = "".join(f" <kbd>{key}</kbd> {what}" for key, what in _KEYS) if keys else ""
-    document.title = f"{heading} \u2013 wavefield {command}"
-    document.template = Environment(autoescape=False).from_string(asset("page.html"))
+def apply_template(
+    document: Document, heading: str, command: str, places: Sequence[str], keys: bool = True
+) -> None:
+    """Give a document its frame: the roots named in `places` below a heading, with the list of the keys."""
+    document.title = f"{heading} – wavefield {command}"
+    document.template = Environment(autoescape=True).from_string(asset("page.html"))
     document.template_variables.update(
-        heading=heading.replace("&", "&amp;").replace("<", "&lt;"),
-        command=command,
-        places=list(places),
-        css=asset("page.css"),
-        script=asset("page.js"),
-        footer=f'<span class="keys">Keys:{words}</span>' if keys else "",
-    )
+        heading=heading, command=command, places=list(places), css=asset("page.css"), script=asset("page.js"),
+        keys=_KEYS if keys else (),
+    )  # fmt: skip
     document.js_on_event(ConnectionLost, CustomJS(code='document.getElementById("lost").hidden = false'))

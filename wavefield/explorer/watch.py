@@ -2,7 +2,6 @@
 
 import os
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,57 +13,53 @@ from wavefield.series import Experiment
 from wavefield.series.listing import newest_frames
 from wavefield.series.readers import FrameEntry, read_entry
 
-_BACK = 3  # frames to go back where the newest cannot be read yet
-_KEPT = 1000  # frames that are known: no camera that still sends is as many behind the others
+_STEPS_BACK = 3  # tried if the newest frames cannot be read yet
+_LISTED_FRAMES = 1000  # the newest ones: no camera that still sends is so many behind the others
+_MAX_DELAY_S = 1.0  # behind the newest frame of the others, of a camera that still sends
 
 
 @dataclass(frozen=True)
 class FrameSet:
-    """The newest frames that every camera has written whole."""
+    """The newest two frames of every camera that still sends."""
 
-    number: int  # Number of the first frame of the step
-    # (first, second): Both frames of a step; one camera's are absent where it sends none any more
-    images: dict[str, tuple[NDArray[Any], NDArray[Any]]]
-    written: float  # When the last of them was written, s since the epoch
+    number: int  # of the first frame
+    images: dict[str, tuple[NDArray[Any], NDArray[Any]]]  # both frames, by camera
+    written: float  # when the last of them was written, s since the epoch
 
 
 class FolderWatch:
-    """The frames of an experiment as they come."""
+    """The frames of an experiment as they arrive."""
 
     def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment
-        self.newest: dict[str, int] = {}
-        self.last: dict[str, float] = {}
+        self.newest: dict[str, int] = {}  # number of the newest frame of each camera
+        self.written: dict[str, float] = {}  # when that was written, s since the epoch
         self.trouble: dict[str, str] = {}
         self._frames: dict[str, dict[int, FrameEntry]] = {}
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """List the folders."""
         for name, section in self.experiment.cameras.items():
             try:
-                found = newest_frames(section.images, self.experiment.image_folder, name, _KEPT)
+                listed = newest_frames(section.images, self.experiment.image_folder, name, _LISTED_FRAMES)
             except WavefieldError as error:
                 self.trouble[name] = str(error)
                 continue
             self.trouble.pop(name, None)
-            self._frames[name] = {number + section.offset: entry for number, entry in found.items()}
+            self._frames[name] = {number + section.offset: entry for number, entry in listed.items()}
             number = max(self._frames[name])
             if number != self.newest.get(name):
                 self.newest[name] = number
-                self.last[name] = _written(self._frames[name][number])
-
-    def cameras_sending(self, within: float = 1.0) -> list[str]:
-        """Cameras whose newest frame is hardly older than that of the others."""
-        latest = max(self.last.values(), default=0.0)
-        return [name for name, when in self.last.items() if latest - when <= within]
+                self.written[name] = _written(self._frames[name][number])
 
     def newest_set(self, after: int = -1) -> FrameSet | None:
-        """The newest step of which all cameras that still send have both frames."""
-        sending = self.cameras_sending()
+        """The newest step after a number of which all cameras that still send have both frames."""
+        latest = max(self.written.values(), default=0.0)
+        sending = [name for name, when in self.written.items() if latest - when <= _MAX_DELAY_S]
         if not sending:
             return None
         top = min(self.newest[name] for name in sending) - 1
-        for number in range(top, max(top - _BACK, after), -1):
+        for number in range(top, max(top - _STEPS_BACK, after), -1):
             images = {name: both for name in sending if (both := self._read(name, number)) is not None}
             if len(images) == len(sending):
                 written = max(_written(self._frames[name][number + 1]) for name in sending)
@@ -72,7 +67,7 @@ class FolderWatch:
         return None
 
     def _read(self, name: str, number: int) -> tuple[NDArray[Any], NDArray[Any]] | None:
-        frames: Mapping[int, FrameEntry] = self._frames[name]
+        frames = self._frames[name]
         if number not in frames or number + 1 not in frames:
             return None
         try:

@@ -1,170 +1,157 @@
-"""Waves: E(k, omega) with a ruler for the dispersion relation, maps at a frequency, coherence, directions."""
-
-from typing import Any
+"""Waves: E(k, omega) with a curve of the dispersion relation, maps at a frequency, coherence, directions."""
 
 import numpy as np
 import xarray as xr
-from bokeh.events import DoubleTap, Tap
 from bokeh.layouts import column, row
-from bokeh.models import ColumnDataSource, Div, LinearColorMapper, Range1d, Select, Slider, Span
+from bokeh.models import LinearColorMapper, Range1d, Select, Slider, Span
+from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from wavefield import water
-from wavefield.explorer.context import CubeContext, open_waves
+from wavefield.errors import StoreError
 from wavefield.explorer.map_fields import palette
 from wavefield.explorer.plot_parts import (
     BLUE,
     GREEN,
+    IMAGE,
     INK,
     VERMILION,
     colour_bar,
     image_data,
-    image_source,
     make_figure,
+    make_sources,
     number,
+    on_click,
+    words_of,
+)
+from wavefield.explorer.session import LookSession
+from wavefield.figures.style import POSITIVE
+
+DECADES = 6.0  # of the colour scale, below the largest density
+DEEP_WATER_M = 5.0  # in place of an unknown depth
+_SPECTRUM, _MAP = "E_komega_", "E_kxky_"  # before the name of a variable
+_WRAP = {"flex-wrap": "wrap"}
+# coherence of z_t with ...: column, variable, label, colour, dash
+_CURVES = (
+    ("w", "gamma2_w", "z_t with w", BLUE, "solid"),
+    ("nl", "gamma2_nl", "z_t with −u·∇z", VERMILION, "dashed"),
+    ("tot", "gamma2_tot", "z_t with both", INK, "dotdash"),
+    ("level", "level_w", "chance, 5 %", GREEN, "dotted"),
 )
 
-_DECADES = 6.0  # shown below the largest
-_PREFIX, _MAP_PREFIX = "E_komega_", "E_kxky_"
 
-
-def log_density(density: NDArray[Any], decades: float = _DECADES) -> NDArray[np.float32]:
-    """Decimal logarithm of a density relative to its largest value."""
+def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Decimal logarithm of a density relative to its largest value, cut off below."""
     top = float(np.nanmax(density)) if np.isfinite(density).any() else 0.0
     if top <= 0:
         return np.full(density.shape, np.nan, np.float32)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.maximum(np.log10(density / top), -decades).astype(np.float32)
+        return np.asarray(np.maximum(np.log10(density / top), -DECADES), np.float32)
 
 
-def ruler(k: NDArray[Any], current: float, depth: float) -> NDArray[Any]:
-    """Frequency of waves of given length that run with a current.
-
-    With k (n,), rad/m; current, m/s; returns (n,): Hz, as a camera at rest sees it: (omega(k) + k U) / 2 pi.
-    """
+def doppler_relation(k: NDArray[np.floating], current: float, depth: float) -> NDArray[np.floating]:
+    """Frequency in Hz, (omega(k) + k U) / 2 pi, of waves k (rad/m) along a current U (m/s), at rest."""
     return np.asarray((water.dispersion(k, depth) + k * current) / (2 * np.pi))
 
 
 class WavePanel:
-    """What `wavefield analyze` found."""
+    """The results of `wavefield analyze`."""
 
-    def __init__(self, beside: CubeContext, depth: float) -> None:
-        self._beside = beside
-        self._depth = depth if np.isfinite(depth) else 5.0
-        self.words = Div(text=beside.notes.get("waves", ""), name="wave_words", sizing_mode="stretch_width")
-        self.variable = Select(title="E(k, \u03c9) of", value="", options=[], name="wave_variable")
+    def __init__(self, session: LookSession) -> None:
+        self._session = session
+        depth = float(session.record.group.attrs.get("water_depth", np.inf))
+        self._depth = depth if np.isfinite(depth) else DEEP_WATER_M
+        self._spectra: xr.Dataset | None = None
+        self._chosen = 0  # index of the frequency of the map
+        self.words = words_of("wave_words")
+        self.variable = Select(title="E(k, ω) of", value="", options=[], name="wave_variable")
         self.current = Slider(
-            title="Current along the waves (m/s)",
-            start=-0.5,
-            end=0.5,
-            step=0.01,
-            value=0.0,
-            name="wave_current",
-        )
+            title="Current along the waves (m/s)", start=-0.5, end=0.5, step=0.01, value=0.0,
+            name="wave_current", width=230,
+        )  # fmt: skip
         top = max(1.0, float(f"{2 * self._depth:.1g}"))
         self.depth = Slider(
-            title="Depth (m)", start=0.01, end=top, step=0.01, value=min(self._depth, top), name="wave_depth"
-        )
-        self.image, self.plane = image_source("wave_image"), image_source("wave_plane")
-        self.ruler = ColumnDataSource({"k": [], "f": []}, name="wave_ruler")
-        self.circle = ColumnDataSource({"kx": [], "ky": []}, name="wave_circle")
-        self.coherence = ColumnDataSource(
-            {"k": [], "w": [], "nl": [], "tot": [], "level": []}, name="wave_coherence"
-        )
-        self.direction = ColumnDataSource({"angle": [], "density": []}, name="wave_direction")
-        self._spectra: xr.Dataset | None = None
-        self._chosen = 0
-        self._draw()
-        for widget in (self.variable,):
-            widget.on_change("value", lambda attr, old, new: self._show_spectrum())
-        for slider in (self.current, self.depth):
-            slider.on_change("value", lambda attr, old, new: self._show_ruler())
-        wrap = {"flex-wrap": "wrap"}
-        for slider in (self.current, self.depth):
-            slider.update(width=230)
-        controls = row(self.variable, self.current, self.depth, sizing_mode="stretch_width", styles=wrap)
-        below = row(self.map, self.directions, sizing_mode="stretch_width", styles=wrap)
-        self.layout = column(
-            self.words, controls, self.figure, below, self.curves, sizing_mode="stretch_width"
-        )
-        self._loaded = False
-
-    def _draw(self) -> None:
-        self.mapper = LinearColorMapper(
-            palette=palette("cividis"), low=-_DECADES, high=0, nan_color="#00224e"
-        )
-        self.figure = make_figure(
-            "wave_spectrum", height=340, tools="pan,wheel_zoom,box_zoom,reset,save", toolbar_location="above",
-            x_axis_label="k / 2\u03c0 (1/m)", y_axis_label="\u03c9 / 2\u03c0 (Hz)",
-            x_range=Range1d(0, 1), y_range=Range1d(0, 1),
+            title="Depth (m)", start=0.01, end=top, step=0.01, value=min(self._depth, top),
+            name="wave_depth", width=230,
         )  # fmt: skip
-        self.figure.image("image", source=self.image, color_mapper=self.mapper)
-        self.figure.line("k", "f", source=self.ruler, color="white", line_width=4)
-        self.figure.line("k", "f", source=self.ruler, color=INK, line_width=1.8, line_dash=[7, 4])
+        self.sources = make_sources(
+            "wave", image=IMAGE, plane=IMAGE, ruler="k f", circle="kx ky",
+            coherence="k w nl tot level", direction="angle density",
+        )  # fmt: skip
         self.picked = Span(
             dimension="width", location=0, line_color="white", line_dash="dotted", line_width=1.5
         )
-        self.figure.add_layout(self.picked)
-        self.figure.add_layout(colour_bar(self.mapper), "right")
-        for tap in (Tap, DoubleTap):  # a second click within .3 s is no tap, wherever it is
-            self.figure.on_event(tap, lambda event: self.choose(event.y))
-        self.map = make_figure(
+        self.figures = self._draw()
+        self.variable.on_change("value", lambda attr, old, new: self._show_spectrum())
+        for slider in (self.current, self.depth):
+            slider.on_change("value", lambda attr, old, new: self._show_relation())
+        top_row = row(self.variable, self.current, self.depth, sizing_mode="stretch_width", styles=_WRAP)
+        below = row(
+            self.figures["map"], self.figures["directions"], sizing_mode="stretch_width", styles=_WRAP
+        )
+        self.layout = column(
+            self.words, top_row, self.figures["spectrum"], below, self.figures["coherence"],
+            sizing_mode="stretch_width",
+        )  # fmt: skip
+
+    def _draw(self) -> dict[str, figure]:
+        source = self.sources
+        mapper = LinearColorMapper(palette=palette(POSITIVE), low=-DECADES, high=0, nan_color="#00224e")
+        spectrum = make_figure(
+            "wave_spectrum", height=340, tools="pan,wheel_zoom,box_zoom,reset,save", toolbar_location="above",
+            x_axis_label="k / 2π (1/m)", y_axis_label="ω / 2π (Hz)", x_range=Range1d(0, 1),
+            y_range=Range1d(0, 1),
+        )  # fmt: skip
+        spectrum.image("image", source=source["image"], color_mapper=mapper)
+        spectrum.line("k", "f", source=source["ruler"], color="white", line_width=4)
+        spectrum.line("k", "f", source=source["ruler"], color=INK, line_width=1.8, line_dash=[7, 4])
+        spectrum.add_layout(self.picked)
+        spectrum.add_layout(colour_bar(mapper), "right")
+        on_click(spectrum, lambda event: self.choose(event.y))
+        plane = make_figure(
             "wave_map", height=300, min_width=280, match_aspect=True, tools="pan,wheel_zoom,reset,save",
-            x_axis_label="kx / 2\u03c0 (1/m)", y_axis_label="ky / 2\u03c0 (1/m)",
+            x_axis_label="kx / 2π (1/m)", y_axis_label="ky / 2π (1/m)",
             x_range=Range1d(-1, 1), y_range=Range1d(-1, 1),
         )  # fmt: skip
-        self.map.image("image", source=self.plane, color_mapper=self.mapper)
-        self.map.line("kx", "ky", source=self.circle, color="white", line_dash=[6, 4], line_width=1.6)
-        self.directions = make_figure(
-            "wave_directions",
-            height=300,
-            min_width=280,
-            x_axis_label="direction (degrees)",
-            y_axis_label="D (1/rad)",
-            tools="reset",
-        )
-        self.directions.line("angle", "density", source=self.direction, color=BLUE, line_width=1.8)
-        self.curves = make_figure(
-            "wave_coherence_figure", height=240,
-            x_axis_label="k / 2\u03c0 (1/m)", y_axis_label="coherence \u03b3\u00b2",
+        plane.image("image", source=source["plane"], color_mapper=mapper)
+        plane.line("kx", "ky", source=source["circle"], color="white", line_dash=[6, 4], line_width=1.6)
+        directions = make_figure(
+            "wave_directions", height=300, min_width=280, x_axis_label="direction (degrees)",
+            y_axis_label="D (1/rad)", tools="reset",
+        )  # fmt: skip
+        directions.line("angle", "density", source=source["direction"], color=BLUE, line_width=1.8)
+        curves = make_figure(
+            "wave_coherence_figure", height=240, x_axis_label="k / 2π (1/m)", y_axis_label="coherence γ²",
             x_range=Range1d(0, 1), y_range=Range1d(0, 1.02), tools="xpan,xwheel_zoom,reset",
         )  # fmt: skip
-        styles = (
-            ("w", "z_t with w", BLUE, "solid"),
-            ("nl", "z_t with \u2212u\u00b7\u2207z", VERMILION, "dashed"),
-            ("tot", "z_t with both", INK, "dotdash"),
-            ("level", "chance, 5 %", GREEN, "dotted"),
-        )
-        for name, label, colour, dash in styles:
-            self.curves.line(
-                "k",
-                name,
-                source=self.coherence,
-                color=colour,
-                line_dash=dash,
-                line_width=1.8,
+        for name, _, label, colour, dash in _CURVES:
+            curves.line(
+                "k", name, source=source["coherence"], color=colour, line_dash=dash, line_width=1.8,
                 legend_label=label,
-            )
-        self.curves.legend.label_text_font_size = "11px"
-        self.curves.legend.background_fill_alpha = 0.7
+            )  # fmt: skip
+        curves.legend.update(label_text_font_size="11px", background_fill_alpha=0.7)
+        return {"spectrum": spectrum, "map": plane, "directions": directions, "coherence": curves}
 
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self) -> None:
-        """Show the waves; looks for them first, if they were not there before."""
-        if self._loaded:
+        """Show the waves, as soon as there are some."""
+        if self._spectra is not None:
             return
-        if self._beside.waves is None:
-            open_waves(self._beside)
-            self.words.text = self._beside.notes.get("waves", "")
-        self._spectra = self._beside.group("spectra")
+        session = self._session
+        try:
+            if session.run.waves is None and session.run.waves_path.is_dir():  # since they were sought
+                session.reopen()
+            self._spectra = session.run.wave_group("spectra")
+        except StoreError as error:
+            self.words.text = str(error)
+            return
         if self._spectra is None:
+            self.words.text = f"{session.run.reason('waves')}; they appear here by themselves"
             return
-        self._loaded = True
-        options = [
-            str(n).removeprefix(_PREFIX) for n in self._spectra.data_vars if str(n).startswith(_PREFIX)
-        ]
-        self.words.text = "Click E(k, \u03c9) to choose a frequency for the map and the directions."
+        names = [str(name) for name in self._spectra.data_vars]
+        options = [name.removeprefix(_SPECTRUM) for name in names if name.startswith(_SPECTRUM)]
+        self.words.text = "Click E(k, ω) to choose a frequency for the map and the directions."
         self._show_coherence()
         self.variable.update(options=options, value="w" if "w" in options else options[0])
         self._show_spectrum()
@@ -172,30 +159,29 @@ class WavePanel:
     def _show_spectrum(self) -> None:
         if self._spectra is None or not self.variable.value:
             return
-        energy = self._spectra[_PREFIX + self.variable.value].transpose("omega", "k")
+        energy = self._spectra[_SPECTRUM + self.variable.value].transpose("omega", "k")
         hertz, cycles = energy.omega.values / (2 * np.pi), energy.k.values / (2 * np.pi)
-        self.image.data = image_data(log_density(energy.values), cycles, hertz)
-        right = float(cycles[-1])
-        fastest = float(water.wavenumber(2 * np.pi * hertz[-1], self._depth)) / (2 * np.pi)
-        for drawn in (self.figure, self.curves):
-            drawn.x_range.update(start=0, end=min(right, 1.25 * fastest))
-        self.figure.y_range.update(start=0, end=float(hertz[-1]))
-        self.figure.title.text = (
-            f"log\u2081\u2080 of E(k, \u03c9) of {self.variable.value}, relative to its largest"
-        )
-        self._show_ruler()
+        self.sources["image"].data = image_data(log_density(energy.values), cycles, hertz)
+        shortest = float(water.wavenumber(2 * np.pi * hertz[-1], self._depth)) / (2 * np.pi)
+        for key in ("spectrum", "coherence"):
+            self.figures[key].x_range.update(start=0, end=min(float(cycles[-1]), 1.25 * shortest))
+        self.figures["spectrum"].y_range.update(start=0, end=float(hertz[-1]))
+        self.figures[
+            "spectrum"
+        ].title.text = f"log₁₀ of E(k, ω) of {self.variable.value}, relative to its largest"
+        self._show_relation()
         self._show_map()
 
-    def _show_ruler(self) -> None:
+    def _show_relation(self) -> None:
         if self._spectra is None:
             return
         k = np.linspace(1e-3, float(self._spectra.k.values[-1]), 400)
-        f = ruler(k, self.current.value, self.depth.value)
-        self.ruler.data = {"k": k / (2 * np.pi), "f": f}
+        frequency = doppler_relation(k, self.current.value, self.depth.value)
+        self.sources["ruler"].data = {"k": k / (2 * np.pi), "f": frequency}
         self._show_circle()
 
     def choose(self, frequency: float) -> None:
-        """Show the map and the directions nearest a frequency."""
+        """Show the map and the directions nearest to a frequency, Hz."""
         if self._spectra is None or "omega_map" not in self._spectra.coords:
             return
         hertz = self._spectra.omega_map.values / (2 * np.pi)
@@ -204,19 +190,19 @@ class WavePanel:
 
     def _show_map(self) -> None:
         spectra = self._spectra
-        if spectra is None or "omega_map" not in spectra.coords:
+        names = [
+            name for name in (self.variable.value, "w") if spectra is not None and _MAP + name in spectra
+        ]
+        if spectra is None or not names:
             return
-        name = self.variable.value if _MAP_PREFIX + self.variable.value in spectra else "w"
-        if _MAP_PREFIX + name not in spectra:
-            return
-        energy = spectra[_MAP_PREFIX + name].isel(omega_map=self._chosen).transpose("ky", "kx")
+        energy = spectra[_MAP + names[0]].isel(omega_map=self._chosen).transpose("ky", "kx")
         kx, ky = energy.kx.values / (2 * np.pi), energy.ky.values / (2 * np.pi)
-        self.plane.data = image_data(log_density(energy.values), kx, ky)
+        self.sources["plane"].data = image_data(log_density(energy.values), kx, ky)
         hertz = float(energy.omega_map) / (2 * np.pi)
         self.picked.location = hertz
-        self.map.title.text = f"E(kx, ky) of {name} at {number(hertz)} Hz, the nearest stored"
+        self.figures["map"].title.text = f"E(kx, ky) of {names[0]} at {number(hertz)} Hz, the nearest stored"
         self._show_circle()
-        self._show_directions()
+        self._show_directions(float(energy.omega_map))
 
     def _show_circle(self) -> None:
         spectra = self._spectra
@@ -225,31 +211,23 @@ class WavePanel:
         omega = float(spectra.omega_map.values[self._chosen])
         radius = float(water.wavenumber(omega, self.depth.value)) / (2 * np.pi)
         turn = np.linspace(0, 2 * np.pi, 181)
-        self.circle.data = {"kx": radius * np.cos(turn), "ky": radius * np.sin(turn)}
-        largest = float(np.abs(spectra.kx.values).max()) / (2 * np.pi)
-        half = min(3 * radius, largest)
-        self.map.x_range.update(start=-half, end=half)
-        self.map.y_range.update(start=-half, end=half)
+        self.sources["circle"].data = {"kx": radius * np.cos(turn), "ky": radius * np.sin(turn)}
+        half = min(3 * radius, float(np.abs(spectra.kx.values).max()) / (2 * np.pi))
+        self.figures["map"].x_range.update(start=-half, end=half)
+        self.figures["map"].y_range.update(start=-half, end=half)
 
-    def _show_directions(self) -> None:
-        found = self._beside.group("direction")
+    def _show_directions(self, omega: float) -> None:
+        found = self._session.run.wave_group("direction")
         if found is None or "D" not in found:
             return
-        omega = float(self._spectra.omega_map.values[self._chosen])  # type: ignore[union-attr]
-        at = found.D.sel(omega_map=omega, method="nearest")
-        angle = np.degrees(at.theta.values)
-        self.direction.data = {"angle": angle, "density": at.values}
-        hertz = float(at.omega_map) / (2 * np.pi)
-        self.directions.title.text = f"where the waves of {number(hertz)} Hz go"
+        density = found.D.sel(omega_map=omega, method="nearest")
+        angle = np.degrees(density.theta.values)
+        self.sources["direction"].data = {"angle": angle, "density": density.values}
+        hertz = float(density.omega_map) / (2 * np.pi)
+        self.figures["directions"].title.text = f"directions of the waves of {number(hertz)} Hz"
 
     def _show_coherence(self) -> None:
-        found: Any = self._beside.group("coherence")
-        if found is None or "gamma2_w" not in found:
-            return
-        self.coherence.data = {
-            "k": found.k.values / (2 * np.pi),
-            "w": found.gamma2_w.values,
-            "nl": found.gamma2_nl.values,
-            "tot": found.gamma2_tot.values,
-            "level": found.level_w.values,
-        }
+        found = self._session.run.wave_group("coherence")
+        if found is not None and "gamma2_w" in found:
+            curves = {column: found[variable].values for column, variable, *_ in _CURVES}
+            self.sources["coherence"].data = {"k": found.k.values / (2 * np.pi)} | curves

@@ -168,6 +168,23 @@ class Run:
             return None
         return waves
 
+    def wave_group(self, name: str) -> xr.Dataset | None:
+        """One group of the waves.
+
+        Parameters
+        ----------
+        name : str
+            Such as "spectra".
+
+        Returns
+        -------
+        Dataset or None
+            Loaded; None if there are no waves or they have no such group.
+        """
+        if self.waves is None or name not in self.waves.children:
+            return None
+        return self.waves[name].to_dataset().load()
+
     @cached_property
     def truth(self) -> xr.Dataset | None:
         """The exact fields of a simulated experiment, lazy."""

@@ -6,18 +6,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from wavefield.reports.accuracy import errors_against
     from wavefield.reports.compose import report, write_report
-    from wavefield.reports.sources import Sources, gather
 
-# name -> where it lives; imported on first use: a page of a calibration needs nothing of the waves
-_PUBLIC = {
-    "Sources": "sources",
-    "errors_against": "accuracy",
-    "gather": "sources",
-    "report": "compose",
-    "write_report": "compose",
-}
+# name -> its module; imported on first use: the page of a calibration needs nothing of the waves
+_PUBLIC = {"errors_against": "accuracy", "report": "compose", "write_report": "compose"}
 
-__all__ = ["Sources", "errors_against", "gather", "report", "write_report"]
+__all__ = ["errors_against", "report", "write_report"]
 
 
 def __getattr__(name: str) -> Any:

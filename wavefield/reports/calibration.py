@@ -10,26 +10,25 @@ import yaml
 from matplotlib.figure import Figure
 
 from wavefield.atomic_write import PAGE, Product, atomic, marked, write_text
+from wavefield.calibration.bundle import Fit
 from wavefield.calibration.numbers import FlatSurface, numbers
+from wavefield.calibration.observations import Observations
 from wavefield.calibration.result import Calibration
 from wavefield.reports import calibration_pictures as pictures
-from wavefield.reports.calibration_page import Drawn, calibration_page
+from wavefield.reports.calibration_page import CalibrationPicture, calibration_page
 
 NUMBERS = Product("the numbers of a calibration", marked(b"\nproblems:", start=b"usable: "))
-_marked = marked(b"Software\0wavefield", start=b"\x89PNG")
-PICTURE = Product("a picture of a calibration", lambda path: _marked(path) or _marked_before(path))
-
-
-def _marked_before(path: Path) -> bool:
-    """Of versions that did not mark them: drawn with Matplotlib, beside the numbers of a calibration."""
-    drawn = marked(b"Software\0Matplotlib", start=b"\x89PNG")
-    return drawn(path) and NUMBERS.recognize(path.with_name("numbers.yaml"))
+PICTURE = Product("a picture of a calibration", marked(b"Software\0wavefield", start=b"\x89PNG"))
+_LENS_TERMS = {
+    "cx": "_px", "cy": "_px", "k1": "", "k2": "", "p1": "", "p2": "", "k3": "", "tau_x": "_rad",
+    "tau_y": "_rad",
+}  # fmt: skip
 
 
 def write_calibration(
     calibration: Calibration, directory: str | Path, target: Callable[[], bytes | None] | None = None
 ) -> Path:
-    """Write the report of a calibration."""
+    """Write the report of a calibration into a folder; `target` draws the target in the images as a PNG."""
     directory = Path(directory)
     content: dict[str, Any] = {
         "usable": calibration.usable,
@@ -37,38 +36,35 @@ def write_calibration(
         "notes": list(calibration.notes),
         "left_out_points": dict(calibration.left_out),
     }
-    drawn: list[Drawn] = []
-    if None not in (calibration.observations, calibration.fit, calibration.derived):
-        surface = _add_numbers(content, calibration)
-        drawn += [
-            Drawn(f"{stem}.png", title, _png(figure))
-            for stem, title, figure in _figures(calibration, surface)
-        ]
+    drawn: list[CalibrationPicture] = []
     found = target() if target is not None else None
     if found is not None:
-        drawn.insert(0, Drawn("target.png", "The target as it was found in an image of each camera", found))
+        title = "The target as it was found in an image of each camera"
+        drawn.append(CalibrationPicture("target.png", title, found))
+    observations, fit = calibration.observations, calibration.fit
+    if observations is not None and fit is not None and calibration.derived is not None:
+        fitted, surface = numbers(observations, fit, calibration.rig, calibration.reference)
+        content |= fitted | _predicted(calibration)
+        content["parameters"] = _parameters(calibration, observations, fit)
+        for stem, title, figure in _figures(calibration, observations, fit, surface):
+            buffer = io.BytesIO()
+            figure.savefig(buffer, format="png", metadata={"Software": "wavefield"})
+            drawn.append(CalibrationPicture(f"{stem}.png", title, buffer.getvalue()))
     for picture in drawn:
         with atomic(directory / picture.file, PICTURE) as draft:
             draft.write_bytes(picture.png)
-    write_text(
-        directory / "numbers.yaml",
-        yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110),
-        NUMBERS,
-    )
+    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110)
+    write_text(directory / "numbers.yaml", text, NUMBERS)
     page = directory / "index.html"
     write_text(page, calibration_page(content, drawn), PAGE)
     return page
 
 
-def _add_numbers(content: dict[str, Any], calibration: Calibration) -> FlatSurface | None:
-    """Add what was fitted and predicted; gives the triangulated target where there is a flat view."""
-    o, fit, derived = calibration.observations, calibration.fit, calibration.derived
-    assert o is not None
-    assert fit is not None
+def _predicted(calibration: Calibration) -> dict[str, Any]:
+    """The models that were compared, and the uncertainties predicted from the fit."""
+    derived = calibration.derived
     assert derived is not None
-    found, surface = numbers(o, fit, calibration.rig, calibration.reference)
-    content |= found
-    content |= {
+    return {
         "model": calibration.model,
         "models_compared": [
             {
@@ -88,60 +84,44 @@ def _add_numbers(content: dict[str, Any], calibration: Calibration) -> FlatSurfa
             "condition_number": derived.condition,
             "strongest_correlations": [[a, b, round(r, 6)] for a, b, r in derived.correlation],
         },
-        "parameters": _parameters(calibration),
     }
-    return surface
 
 
-def _figures(calibration: Calibration, surface: FlatSurface | None) -> Iterator[tuple[str, str, Figure]]:
-    o, fit = calibration.observations, calibration.fit
-    assert o is not None
-    assert fit is not None
-    cameras = [calibration.rig[name] for name in o.cameras]
-    yield "rig", "The rig and the target's poses", pictures.rig_drawing(o, fit, cameras)
-    yield "coverage", "Where the target was seen", pictures.coverage(o)
+def _figures(
+    calibration: Calibration, observations: Observations, fit: Fit, surface: FlatSurface | None
+) -> Iterator[tuple[str, str, Figure]]:
+    cameras = [calibration.rig[name] for name in observations.cameras]
+    yield "rig", "The rig and the target's poses", pictures.rig_drawing(observations, fit, cameras)
+    yield "coverage", "Positions of the target in the images", pictures.coverage(observations)
     if surface is not None:
         title = f"z of the target in view {calibration.reference}, triangulated"
-        yield "flat_target", title, pictures.flat_target(surface, o.mesh)
-    for c, name in enumerate(o.cameras):
-        yield f"residuals_{name}", f"Residuals of {name}", pictures.residual_map(o, fit, c)
+        yield "flat_target", title, pictures.flat_target(surface, observations.mesh)
+    for c, name in enumerate(observations.cameras):
+        yield f"residuals_{name}", f"Residuals of {name}", pictures.residual_map(observations, fit, c)
 
 
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": "wavefield"})
-    return buffer.getvalue()
-
-
-def _parameters(calibration: Calibration) -> dict[str, Any]:
-    """Values of each camera's lens with their standard uncertainty."""
-    o, fit = calibration.observations, calibration.fit
-    assert o is not None
-    assert fit is not None
-    std = np.sqrt(np.diag(fit.covariance))
+def _parameters(calibration: Calibration, observations: Observations, fit: Fit) -> dict[str, Any]:
+    """Values of each camera's lens and pose with their standard uncertainty."""
+    std, covariance = np.sqrt(np.diag(fit.covariance)), fit.covariance
     out: dict[str, Any] = {}
-    for c, name in enumerate(o.cameras):
-        camera = calibration.rig[name]
-        sigma = {column: float(std[k]) for k, column in fit.layout.lens[c]}
-        first = fit.layout.camera[c]
-        k = {column: k for k, column in fit.layout.lens[c]}
-        rows: dict[str, Any] = {}
-        cov = fit.covariance
-        f, a = k.get("f"), k.get("aspect")
-        var_fy = cov[f, f] if f is not None else 0.0
+    for c, name in enumerate(observations.cameras):
+        camera, index = calibration.rig[name], {term: k for k, term in fit.layout.lens[c]}
+        f, aspect = index.get("f"), index.get("aspect")
+        var_fy = covariance[f, f] if f is not None else 0.0
         var_fx = var_fy
-        if f is not None and a is not None:
-            var_fx = cov[f, f] + 2.0 * cov[f, a] + cov[a, a]
-        rows["fx_px"] = [camera.fx, float(camera.fx * np.sqrt(var_fx))]
-        rows["fy_px"] = [camera.fy, float(camera.fy * np.sqrt(var_fy))]
-        for term, unit in (
-            *(("cx", "_px"), ("cy", "_px"), ("k1", ""), ("k2", ""), ("p1", ""), ("p2", ""), ("k3", "")),
-            *(("tau_x", "_rad"), ("tau_y", "_rad")),
-        ):
-            if getattr(camera, term) != 0.0 or term in sigma:
-                rows[term + unit] = [float(getattr(camera, term)), sigma.get(term, 0.0)]
-        rows["rotation_std_rad"] = [float(v) for v in std[first : first + 3]]
+        if f is not None and aspect is not None:
+            var_fx = covariance[f, f] + 2.0 * covariance[f, aspect] + covariance[aspect, aspect]
+        rows: dict[str, Any] = {
+            "fx_px": [camera.fx, float(camera.fx * np.sqrt(var_fx))],
+            "fy_px": [camera.fy, float(camera.fy * np.sqrt(var_fy))],
+        }
+        for term, unit in _LENS_TERMS.items():
+            value = float(getattr(camera, term))
+            if value != 0.0 or term in index:
+                rows[term + unit] = [value, float(std[index[term]]) if term in index else 0.0]
+        first = fit.layout.camera[c]
+        rows["rotation_std_rad"] = std[first : first + 3].tolist()
         rows["translation_m"] = [float(v) for v in camera.T]
-        rows["translation_std_m"] = [float(v) for v in std[first + 3 : first + 6]]
+        rows["translation_std_m"] = std[first + 3 : first + 6].tolist()
         out[name] = rows
     return out

@@ -1,6 +1,6 @@
 """The page of a calibration, from its numbers and pictures."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,39 +8,40 @@ import numpy as np
 
 from wavefield.reports.html_page import Head, Listing, Picture, ReportSection, Table, Text, render
 
+Content = Mapping[str, Any]
+_PREDICTED = (
+    "rms: of the fitted points. Predicted: standard uncertainty of a pixel within 5 cm of z = 0, from the "
+    "covariance of the fit; judge the rig by it, not by the rms."
+)
+_CORRELATED = "Parameters are correlated with the pose: judge the rig by the predicted errors above."
+
 
 @dataclass(frozen=True)
-class Drawn:
+class CalibrationPicture:
     """A picture of the page."""
 
-    file: str  # Name of the file beside the page that holds it too
-    title: str  # What it shows
-    png: bytes  # The picture
+    file: str  # name of the file next to the page that contains it, too
+    title: str
+    png: bytes
 
 
-def calibration_page(content: dict[str, Any], drawn: Sequence[Drawn]) -> str:
-    """Put the page together."""
+def calibration_page(content: Content, drawn: Sequence[CalibrationPicture]) -> str:
+    """The page, from the content of the file of numbers and the pictures."""
     sections = list(_sections(content))
-    if drawn:
-        shown = [Picture(one.png, f"{one.title} ({one.file})", one.title) for one in drawn]
-        sections.append(ReportSection("Pictures", list(shown)))
+    pictures = [Picture(one.png, f"{one.title} ({one.file})", one.title) for one in drawn]
+    sections.append(ReportSection("Pictures", list(pictures)))
     usable = content["usable"]
+    verdict = "the rig can be used" if usable else "the rig cannot be used"
     weight = "grave" if not usable else "remark" if content["notes"] else "note"
-    head = Head(
-        "Calibration of the rig",
-        verdict="the rig can be used" if usable else "the rig cannot be used",
-        weight=weight,
-    )
-    return render(head, [(section, section.html()) for section in sections], {})
+    return render(Head("Calibration of the rig", verdict=verdict, weight=weight), sections)
 
 
-def _sections(content: dict[str, Any]) -> Iterator[ReportSection]:
-    if content["problems"] or content["notes"]:
-        rows = [("problem", words) for words in content["problems"]]
-        rows += [("note", words) for words in content["notes"]]
-        yield ReportSection(
-            "Remarks", [Table("Problems must be mended before the rig can be used", ("", "remark"), rows)]
-        )
+def _sections(content: Content) -> Iterator[ReportSection]:
+    rows = [("problem", words) for words in content["problems"]]
+    rows += [("note", words) for words in content["notes"]]
+    if rows:
+        table = Table("Problems must be solved before the rig can be used", ("", "remark"), rows)
+        yield ReportSection("Remarks", [table])
     if "cameras" not in content:
         return
     yield ReportSection("Cameras", [_cameras(content), Text(_PREDICTED)])
@@ -50,35 +51,20 @@ def _sections(content: dict[str, Any]) -> Iterator[ReportSection]:
     if "flat_target" in content:
         between.items.append(Text(_flat(content)))
     yield between
-    yield ReportSection(
-        f"Camera model: {content['model']}", [*_models(content), _lens(content), Text(_CORRELATED)]
-    )
+    title = f"Camera model: {content['model']}"
+    yield ReportSection(title, [*_models(content), _lens(content), Text(_CORRELATED)])
     strongest = content["predicted"]["strongest_correlations"]
     words = "\n".join(f"{a} with {b}: {r:.4f}" for a, b, r in strongest)
     if words:
         yield ReportSection("Covariance", [Listing("strongest correlations of the parameters", words)])
 
 
-_PREDICTED = (
-    "rms: of the fitted points. Predicted: standard uncertainty of a pixel within 5 cm of z = 0, from the "
-    "covariance of the fit; it, and not the rms, measures the rig."
-)
-_CORRELATED = "Parameters are correlated with the pose: judge the rig by the predicted errors above."
-
-
-def _cameras(content: dict[str, Any]) -> Table:
+def _cameras(content: Content) -> Table:
     predicted = content["predicted"]
     head = (
-        "camera",
-        "views",
-        "points",
-        "rms px",
-        "rms mm",
-        "largest px",
-        "predicted px",
-        "covered",
+        "camera", "views", "points", "rms px", "rms mm", "largest px", "predicted px", "covered",
         "position m",
-    )
+    )  # fmt: skip
     rows = [
         (
             name,
@@ -93,10 +79,10 @@ def _cameras(content: dict[str, Any]) -> Table:
         )
         for name, c in content["cameras"].items()
     ]
-    return Table("What each camera saw of the target, and how well the fit explains it", head, rows)
+    return Table("The target in the images of each camera, and residuals of the fit", head, rows)
 
 
-def _epipolar(content: dict[str, Any]) -> Table:
+def _epipolar(content: Content) -> Table:
     rows = [
         (pair, str(e["points"]), f"{e['rms_px']:.3f}", f"{e['median_px']:.3f}", f"{e['max_px']:.2f}")
         for pair, e in content["epipolar"].items()
@@ -105,7 +91,7 @@ def _epipolar(content: dict[str, Any]) -> Table:
     return Table("Distance of the points from the epipolar line", head, rows)
 
 
-def _flat(content: dict[str, Any]) -> str:
+def _flat(content: Content) -> str:
     flat, predicted = content["flat_target"], content["predicted"]
     return (
         f"z of the {flat['nodes']} nodes of view {flat['view']}, triangulated: rms "
@@ -116,7 +102,7 @@ def _flat(content: dict[str, Any]) -> str:
     )
 
 
-def _models(content: dict[str, Any]) -> list[Table]:
+def _models(content: Content) -> list[Table]:
     rows = [
         (
             m["model"],
@@ -131,24 +117,20 @@ def _models(content: dict[str, Any]) -> list[Table]:
     return [Table("Models that were compared", head, rows)] if rows else []
 
 
-def _with_std(value: float, std: float) -> str:
-    """A value to the digits that its uncertainty leaves it; one that was not fitted is held."""
+def with_std(value: float, std: float) -> str:
+    """A value and its uncertainty to the digits that are certain; one that was not fitted is held."""
     if not std > 0:
         return f"{value:.6g} (held)"
     digits = max(0, 1 - int(np.floor(np.log10(std))))
-    if digits > 7:
-        return f"{value:.2g} ± {std:.2g}"
-    return f"{value:.{digits}f} ± {std:.{digits}f}"
+    form = f".{digits}f" if digits <= 7 else ".2g"
+    return f"{value:{form}} ± {std:{form}}"
 
 
-def _lens(content: dict[str, Any]) -> Table:
+def _lens(content: Content) -> Table:
     cameras = content["parameters"]
     terms = dict.fromkeys(term for values in cameras.values() for term in values)
     rows = [
-        (
-            term.replace("_", " "),
-            *(_with_std(*v[term]) if term in v else "" for v in cameras.values()),
-        )
+        (term.replace("_", " "), *(with_std(*v[term]) if term in v else "" for v in cameras.values()))
         for term in terms
         if not term.startswith(("rotation", "translation"))
     ]

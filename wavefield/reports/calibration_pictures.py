@@ -14,8 +14,9 @@ from wavefield.calibration.observations import Observations
 from wavefield.rig.camera import Camera
 from wavefield.rig.lens import Array
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # told apart by all eyes
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # distinct for all eyes
 GREY, PALE = "#555555", "#dddddd"
+_MIN_POINTS_PER_CELL = 4  # for an arrow of the mean residual
 
 
 def _figure(width: float, height: float) -> Figure:
@@ -38,6 +39,16 @@ def _image_frame(axes: Axes, size: tuple[int, int]) -> None:
     axes.tick_params(labelsize=8)
 
 
+def _draw_arrows(axes: Axes, pixel: Array, residual: Array, length: float, width: float, colour: str) -> None:
+    """Residuals (n, 2) at pixels (n, 2) as arrows; the 90 % quantile is `length` px of the image long."""
+    large = float(np.percentile(np.hypot(*residual.T), 90)) or 1e-9
+    arrows = axes.quiver(
+        *pixel.T, *residual.T, angles="xy", scale_units="xy", scale=large / length, width=width, color=colour
+    )
+    key = _round_down(large)
+    axes.quiverkey(arrows, 0.93, 1.03, key, f"{key:g} px", labelpos="W", fontproperties={"size": 9})
+
+
 def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
     """Residuals of one camera: every point, and their mean over cells of the image."""
     o = observations
@@ -47,13 +58,7 @@ def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
     axes: Sequence[Axes] = figure.subplots(1, 2)
     rms = float(np.sqrt(np.mean(miss**2)))
 
-    typical = float(np.percentile(np.hypot(*miss.T), 90)) or 1e-9
-    scale = typical / (0.035 * size[0])  # px of residual per px of picture
-    arrows = axes[0].quiver(
-        *pixel.T, *miss.T, angles="xy", scale_units="xy", scale=scale, width=0.0016, color=COLOURS[0]
-    )
-    key = _round_down(typical)
-    axes[0].quiverkey(arrows, 0.93, 1.03, key, f"{key:g} px", labelpos="W", fontproperties={"size": 9})
+    _draw_arrows(axes[0], pixel, miss, 0.035 * size[0], 0.0016, COLOURS[0])
     _image_frame(axes[0], size)
     axes[0].set_title("every point", fontsize=10, loc="left")
 
@@ -64,30 +69,15 @@ def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.stack([np.bincount(flat, miss[:, k], cells[0] * cells[1]) / count for k in range(2)])
         spread = np.sqrt(np.bincount(flat, np.sum(miss**2, axis=1) / 2, cells[0] * cells[1]) / count)
-    picture = axes[1].imshow(
-        spread.reshape(cells[::-1]),
-        extent=(-0.5, size[0] - 0.5, size[1] - 0.5, -0.5),
-        cmap="Greys",
-        vmin=0.0,
-        vmax=2.0 * max(rms, 1e-9),
-        alpha=0.8,
-    )
+    extent = (-0.5, size[0] - 0.5, size[1] - 0.5, -0.5)
+    darkest = 2.0 * max(rms, 1e-9)
+    spread = spread.reshape(cells[::-1])
+    picture = axes[1].imshow(spread, extent=extent, cmap="Greys", vmin=0.0, vmax=darkest, alpha=0.8)
     middle = (np.stack(np.meshgrid(np.arange(cells[0]), np.arange(cells[1]))) + 0.5).reshape(2, -1)
     middle = middle * (np.array(size) / cells)[:, None] - 0.5
-    some = count >= 4
-    if some.any():
-        usual = float(np.percentile(np.hypot(*mean[:, some]), 90)) or 1e-9
-        means = axes[1].quiver(
-            *middle[:, some],
-            *mean[:, some],
-            angles="xy",
-            scale_units="xy",
-            scale=usual / (0.06 * size[0]),
-            width=0.005,
-            color=COLOURS[1],
-        )
-        key = _round_down(usual)
-        axes[1].quiverkey(means, 0.93, 1.03, key, f"{key:g} px", labelpos="W", fontproperties={"size": 9})
+    enough = count >= _MIN_POINTS_PER_CELL
+    if enough.any():
+        _draw_arrows(axes[1], middle[:, enough].T, mean[:, enough].T, 0.06 * size[0], 0.005, COLOURS[1])
     _image_frame(axes[1], size)
     axes[1].set_title("means over cells: what is systematic", fontsize=10, loc="left")
     figure.colorbar(picture, ax=axes[1], label="rms (px)", shrink=0.8, pad=0.02)
@@ -99,7 +89,7 @@ def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
 
 
 def coverage(observations: Observations) -> Figure:
-    """Where in each image the target was seen."""
+    """Positions of the target in each camera's images."""
     o = observations
     count = len(o.cameras)
     figure = _figure(3.9 * count + 0.3, 4.6)
@@ -117,39 +107,22 @@ def coverage(observations: Observations) -> Figure:
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             handles[label] = handle
-    figure.legend(
-        handles.values(),
-        handles.keys(),
-        loc="outside lower center",
-        ncols=8,
-        fontsize=8,
-        markerscale=4,
-        frameon=False,
-    )
+    style = {"ncols": 8, "fontsize": 8, "markerscale": 4, "frameon": False}
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", **style)
     return figure
 
 
 def flat_target(surface: FlatSurface, mesh: float) -> Figure:
-    """z of the flat target's nodes, as the rig measures it.
-
-    With mesh, metres.
-    """
+    """z of the flat target's nodes as the rig measures it; mesh of the target in metres."""
     figure = _figure(7.6, 5.2)
     axes = figure.subplots()
     kept = surface.plane.kept
     limit = float(np.percentile(np.abs(surface.z[kept]), 98)) * 1e3 or 1e-6
     wide = max(np.ptp(surface.x), np.ptp(surface.y), mesh)
     dots = axes.scatter(
-        surface.x,
-        surface.y,
-        c=1e3 * surface.z,
-        cmap="RdBu_r",
-        vmin=-limit,
-        vmax=limit,
-        s=(0.55 * 360 * mesh / wide) ** 2,
-        edgecolors=PALE,
-        linewidths=0.5,
-    )
+        surface.x, surface.y, s=(0.55 * 360 * mesh / wide) ** 2, edgecolors=PALE, linewidths=0.5,
+        c=1e3 * surface.z, cmap="RdBu_r", vmin=-limit, vmax=limit,
+    )  # fmt: skip
     axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
     axes.margins(0.06)
     figure.colorbar(dots, label="z (mm)", shrink=0.85)
@@ -160,12 +133,6 @@ def flat_target(surface: FlatSurface, mesh: float) -> Figure:
         loc="left",
     )
     return figure
-
-
-def _frustum(camera: Camera, z: float) -> Array:
-    """Corners of what a camera sees on a plane, (4, 3)."""
-    corners = camera.corners(z)
-    return np.column_stack([corners, np.full(4, z)])
 
 
 def rig_drawing(observations: Observations, fit: Fit, cameras: Sequence[Camera]) -> Figure:
@@ -184,7 +151,7 @@ def rig_drawing(observations: Observations, fit: Fit, cameras: Sequence[Camera])
             ax.plot(outline[:, i], outline[:, j], color=GREY, lw=0.6, alpha=0.8, zorder=2)
         for c, camera in enumerate(cameras):
             colour, centre = COLOURS[c % 6], camera.centre
-            foot = _frustum(camera, 0.0)
+            foot = np.column_stack([camera.corners(0.0), np.zeros(4)])  # of its view on z = 0
             if np.isfinite(foot).all():
                 for corner in foot:
                     ax.plot([centre[i], corner[i]], [centre[j], corner[j]], color=colour, lw=0.7, alpha=0.6)
@@ -193,13 +160,9 @@ def rig_drawing(observations: Observations, fit: Fit, cameras: Sequence[Camera])
                 ax.plot(closed[:, i], closed[:, j], color=colour, lw=1.0)
             ax.plot(centre[i], centre[j], "o", color=colour, ms=7, zorder=4)
             ax.annotate(
-                o.cameras[c],
-                (centre[i], centre[j]),
-                (0, 8),
-                textcoords="offset points",
-                ha="center",
+                o.cameras[c], (centre[i], centre[j]), (0, 8), textcoords="offset points", ha="center",
                 fontsize=9,
-            )
+            )  # fmt: skip
         ax.set(xlabel="x (m)", ylabel=("x (m)", "y (m)", "z (m)")[j], aspect="equal")
         ax.set_title(title, fontsize=10, loc="left")
         ax.margins(0.1)

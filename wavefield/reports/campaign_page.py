@@ -1,124 +1,104 @@
 """One page that compares the runs of a campaign, with links to the report of each."""
 
-import html
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
+from markupsafe import Markup
+from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from wavefield.atomic_write import PAGE, write_text
 from wavefield.figures.style import LINES, panels
-from wavefield.reports.html_page import Head, Markup, Picture, ReportSection, render
+from wavefield.pipeline import open_run
+from wavefield.reports.html_page import Head, Picture, ReportSection, Table, render
 from wavefield.reports.number_text import number
 from wavefield.store.ledger import status
 from wavefield.store.store_paths import beside
-from wavefield.store.wave_store import open_waves
 
-_MOST_LINES = 12  # spectra in one picture
+MAX_SPECTRA = 12  # in the picture
+# group, variable, heading, factor
 _COLUMNS = (
-    ("significant_height", "Hs, cm", 100.0),
-    ("peak_frequency", "peak, Hz", 1.0),
-    ("steepness", "steepness k_p σ", 1.0),
-    ("nonlinear_fraction", "nonlinear fraction of w", 1.0),
+    ("statistics", "significant_height", "Hs, cm", 100.0),
+    ("statistics", "peak_frequency", "peak, Hz", 1.0),
+    ("statistics", "steepness", "steepness k_p σ", 1.0),
+    ("kinematics", "nonlinear_fraction", "nonlinear fraction of w", 1.0),
 )
+_CAPTION = "A dash: not measured, not analysed, or the record is too short"
 
 
 @dataclass(frozen=True)
 class CampaignEntry:
     """One run of a campaign."""
 
-    run: str  # Its name
-    cube: Path  # Its cube; it need not be there yet
+    run: str  # its name
+    cube: Path  # where its cube is, or will be
 
     @property
-    def there(self) -> bool:
-        """Whether the run was begun."""
+    def begun(self) -> bool:
+        """Whether the cube is there."""
         return self.cube.is_dir()
 
-    def numbers(self) -> dict[str, float]:
-        """What its waves say; without what they do not."""
-        waves = beside(self.cube, "waves", ".zarr")
-        out: dict[str, float] = {}
-        for group in ("statistics", "kinematics"):
-            found = _group(waves, group)
-            names = [name for name, _, _ in _COLUMNS if found is not None and name in found]
-            out |= {name: float(found[name]) for name in names if found is not None}
-        return out
-
-    def spectrum(self) -> xr.DataArray | None:
-        """Of its elevation over frequency, if it was analysed."""
-        found = _group(beside(self.cube, "waves", ".zarr"), "spectra")
-        return None if found is None else found["Ez_fusion"].where(found["valid_fusion"]).load()
-
-
-def _group(waves: Path, name: str) -> xr.Dataset | None:
-    if not waves.is_dir():
-        return None
-    found = open_waves(waves)
-    return found[name].to_dataset() if name in found.children else None
+    def groups(self) -> dict[str, xr.Dataset]:
+        """Groups of its waves by name; empty without waves."""
+        run = open_run(self.cube)
+        names = ("statistics", "kinematics", "spectra")
+        return {name: group for name in names if (group := run.wave_group(name)) is not None}
 
 
 def compare(title: str, entries: Sequence[CampaignEntry], output: str | Path) -> Path:
     """Write the page."""
     output = Path(output)
-    table = ReportSection("The runs", [Markup(_table(entries, output))])
-    sections = [(table, table.html())]
-    spectra = {e.run: found for e in entries if e.there and (found := e.spectrum()) is not None}
+    groups = {entry.run: entry.groups() for entry in entries if entry.begun}
+    head = ("run", "verdict", "steps", *(heading for _, _, heading, _ in _COLUMNS), "report")
+    rows = [_row(entry, groups.get(entry.run, {}), output) for entry in entries]
+    sections = [ReportSection("The runs", [Table(_CAPTION, head, rows)])]
+    spectra = {
+        run: found["spectra"]["Ez_fusion"].where(found["spectra"]["valid_fusion"])
+        for run, found in groups.items()
+        if "spectra" in found
+    }
     if spectra:
         picture = Picture(
-            _figure(dict(list(spectra.items())[:_MOST_LINES])),
-            "Spectra of the elevation, where they can be trusted.",
+            _figure(dict(list(spectra.items())[:MAX_SPECTRA])),
+            "Spectra of the elevation, where they are reliable.",
             f"Curves of E(omega) of {', '.join(spectra)}.",
         )
-        part = ReportSection("Spectra", [picture])
-        sections.append((part, part.html()))
-    begun = sum(e.there for e in entries)
-    write_text(output, render(Head(title, (f"{begun} of {len(entries)} runs measured",)), sections, {}), PAGE)
+        sections.append(ReportSection("Spectra", [picture]))
+    lines = (f"{len(groups)} of {len(entries)} runs measured",)
+    write_text(output, render(Head(title, lines), sections), PAGE)
     return output
 
 
-def _table(entries: Sequence[CampaignEntry], output: Path) -> str:
-    head = ("run", "verdict", "steps", *(label for _, label, _ in _COLUMNS), "report")
-    rows = "".join(f"<tr>{''.join(_cells(entry, output))}</tr>" for entry in entries)
-    cells = "".join(f'<th scope="col">{html.escape(cell)}</th>' for cell in head)
-    return (
-        '<div class="table"><table><caption>A dash: not measured, not analysed, or not to be said of '
-        f"so short a record</caption><thead><tr>{cells}</tr></thead><tbody>{rows}</tbody></table></div>"
-    )
-
-
-def _cells(entry: CampaignEntry, output: Path) -> list[str]:
-    first = f'<th scope="row">{html.escape(entry.run)}</th>'
-    if not entry.there:
-        return [first, *(f"<td>{word}</td>" for word in ("not run yet", *"–" * (len(_COLUMNS) + 2)))]
-    state, numbers = status(entry.cube), entry.numbers()
-    verdict = "not finished"
+def _row(entry: CampaignEntry, groups: Mapping[str, xr.Dataset], output: Path) -> list[str]:
+    if not entry.begun:
+        return [entry.run, "not run yet", *["–"] * (len(_COLUMNS) + 2)]
+    state, verdict = status(entry.cube), "not finished"
     if state.complete:
         verdict = state.verdict.line if state.verdict else "none yet: run it once more"
-    words = [verdict, f"{state.steps - state.left} of {state.steps}"]
-    words += [number(factor * numbers.get(name, np.nan)) for name, _, factor in _COLUMNS]
-    report = beside(entry.cube, "report", ".html")
-    link = "–"
+    values = [
+        number(factor * float(groups[group][name])) if name in groups.get(group, ()) else "–"
+        for group, name, _, factor in _COLUMNS
+    ]
+    report, link = beside(entry.cube, "report", ".html"), "–"
     if report.exists():
-        place = html.escape(Path(os.path.relpath(report, output.absolute().parent)).as_posix(), quote=True)
-        link = f'<a href="{place}">report</a>'
-    return [first, *(f"<td>{html.escape(word)}</td>" for word in words), f"<td>{link}</td>"]
+        path = Path(os.path.relpath(report, output.absolute().parent)).as_posix()
+        link = Markup('<a href="{}">report</a>').format(path)
+    return [entry.run, verdict, f"{state.steps - state.left} of {state.steps}", *values, link]
 
 
-def _figure(spectra: Mapping[str, xr.DataArray]) -> Any:
+def _figure(spectra: Mapping[str, xr.DataArray]) -> Figure:
     figure, axes = panels(1, width=8.0, height=4.5)
+    ax = axes[0, 0]
     for k, (run, one) in enumerate(spectra.items()):
         style = {**LINES[k % len(LINES)], "linewidth": 1.0 + 0.8 * (k // len(LINES))}
-        positive = one.where(one > 0)
-        axes[0, 0].loglog(one["omega"].values / (2 * np.pi), positive.values, label=run, **style)
-    axes[0, 0].set(xlabel="ω / 2π (Hz)", ylabel="E(ω) of z (m² s rad⁻¹)")
-    axes[0, 0].xaxis.set_major_formatter("{x:g}")  # powers of ten over a decade or two run into each other
-    axes[0, 0].xaxis.set_minor_formatter(NullFormatter())
-    axes[0, 0].xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes[0, 0].legend(frameon=False, fontsize=9)
+        ax.loglog(one["omega"].values / (2 * np.pi), one.where(one > 0).values, label=run, **style)
+    ax.set(xlabel="ω / 2π (Hz)", ylabel="E(ω) of z (m² s rad⁻¹)")
+    ax.xaxis.set_major_formatter("{x:g}")  # powers of ten over a decade or two run into each other
+    ax.xaxis.set_minor_formatter(NullFormatter())
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.legend(frameon=False, fontsize=9)
     return figure

@@ -1,87 +1,88 @@
-"""The surface and its velocity, their distributions, and where they were measured."""
+"""Sections on the surface and its velocity, their distributions, coverage, and the cameras over time."""
 
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from wavefield import figures
-from wavefield.figures.style import moment_title
-from wavefield.reports.html_page import Listing, Markup, Picture, ReportSection, Table
-from wavefield.reports.number_text import number
-from wavefield.reports.player import markup
-from wavefield.reports.sources import Sources
+from wavefield.figures.style import LINES, moment_title, panels, plain_axes
+from wavefield.pipeline import Run
+from wavefield.reports.html_page import Item, Listing, Picture, ReportSection, Table
+from wavefield.reports.number_text import median_of, number
+from wavefield.reports.player import player
+from wavefield.reports.run_data import snapshot, thinned
+from wavefield.store.ledger import status
+from wavefield.store.verdict import Numbers, Verdict
 from wavefield.variables import FrameStatus
 
+_MAX_FAULTS = 500  # listed
+_MARKERS = "os^Dv*"
 
-def surface(sources: Sources) -> ReportSection:
-    """Build the part on the surface and its velocity."""
-    snap = sources.snapshot()
+
+def snapshot_pictures(snap: xr.Dataset) -> list[Item]:
+    """The surface and its velocity at one step (y, x)."""
     z, w = 100 * snap.z, 100 * snap.w
-    numbers = (
-        f"At {moment_title(snap)} z runs from {float(z.min()):.2g} to {float(z.max()):.2g} cm and "
-        f"w from "
-        f"{float(w.min()):.2g} to {float(w.max()):.2g} cm/s."
+    ranges = (
+        f"At {moment_title(snap)} z is between {float(z.min()):.2g} and {float(z.max()):.2g} cm and w "
+        f"between {float(w.min()):.2g} and {float(w.max()):.2g} cm/s."
     )
-    return ReportSection(
-        "Surface and velocity",
-        [
-            Markup(markup(sources.cube)),
-            Picture(
-                figures.surface_3d(snap),
-                "The surface at one moment; heights are exaggerated, colour is the vertical velocity.",
-                f"Three-dimensional view of the surface. {numbers}",
-            ),
-            Picture(
-                figures.velocity_map(snap),
-                "Velocity of the surface water at the same moment: w in colour, u and v as arrows.",
-                f"Map of the vertical velocity with arrows of the horizontal velocity. {numbers}",
-            ),
-        ],
-    )
-
-
-def distributions(sources: Sources) -> ReportSection:
-    """Build the part on distributions."""
-    part = sources.thinned("z", "u", "v", "w")
-    rate = float(sources.cube.attrs["frame_rate"])
-    spread = ", ".join(
-        f"d{a} {100 / rate * float(part[n].std()):.3g} cm" for a, n in zip("xyz", "uvw", strict=True)
-    )
-    items: list[Any] = [
+    return [
         Picture(
-            figures.distributions(part),
-            "Probability densities of the elevation and of the displacements in one step, beside the "
-            "Gaussian of the "
-            "same spread.",
-            f"Densities on a logarithmic scale. Standard deviations: z {100 * float(part.z.std()):.3g} cm, "
-            f"{spread}.",
-        )
+            figures.surface_3d(snap),
+            "The surface at one moment; heights are exaggerated, colour is the vertical velocity.",
+            f"Three-dimensional view of the surface. {ranges}",
+        ),
+        Picture(
+            figures.velocity_map(snap),
+            "Velocity of the surface water at the same moment: w in colour, u and v as arrows.",
+            f"Map of the vertical velocity with arrows of the horizontal velocity. {ranges}",
+        ),
     ]
-    statistics = sources.group("statistics")
+
+
+def surface(run: Run) -> ReportSection:
+    """The surface and its velocity, moving and at one moment."""
+    return ReportSection("Surface and velocity", [player(run.cube), *snapshot_pictures(snapshot(run.cube))])
+
+
+def distribution_picture(part: xr.Dataset, rate: float) -> Picture:
+    """Distributions of z, u, v, w (time, y, x) measured so many times per second."""
+    stds = [f"z {100 * float(part.z.std()):.3g} cm"]
+    stds += [f"d{axis} {100 / rate * float(part[n].std()):.3g} cm" for axis, n in zip("xyz", "uvw")]
+    return Picture(
+        figures.distributions(part),
+        "Probability densities of the elevation and of the displacements in one step, with Gaussians of the "
+        "same standard deviation.",
+        f"Densities on a logarithmic scale. Standard deviations: {', '.join(stds)}.",
+    )
+
+
+def distributions(run: Run) -> ReportSection:
+    """Distributions of the fields and their moments."""
+    part = thinned(run.cube, "z", "u", "v", "w")
+    section = ReportSection(
+        "Distributions", [distribution_picture(part, float(run.cube.attrs["frame_rate"]))]
+    )
+    statistics = run.wave_group("statistics")
     if statistics is not None and "skewness" in statistics:
-        items.append(
-            Table(
-                "Moments, over the rectangle and the steps of the spectra",
-                ("quantity", "std (cm)", "skewness", "excess kurtosis"),
-                [
-                    (
-                        str(q),
-                        number(100 * float(statistics["std"].sel(quantity=q))),
-                        number(float(statistics.skewness.sel(quantity=q))),
-                        number(float(statistics.kurtosis.sel(quantity=q))),
-                    )
-                    for q in statistics.quantity.values
-                ],
-            )
-        )
-    return ReportSection("Distributions", items)
+        rows = []
+        for quantity in statistics.quantity.values:
+            moments = statistics.sel(quantity=quantity)
+            values = 100 * float(moments["std"]), float(moments.skewness), float(moments.kurtosis)
+            rows.append((str(quantity), *map(number, values)))
+        head = ("quantity", "std (cm)", "skewness", "excess kurtosis")
+        section.items.append(Table("Moments, over the rectangle and the steps of the spectra", head, rows))
+    return section
 
 
-def coverage(sources: Sources) -> ReportSection:
-    """Build the part on coverage and faults."""
-    cube = sources.cube
-    status = cube.frame_status.values
-    faulty = np.flatnonzero(status != int(FrameStatus.DONE))
+def coverage(run: Run) -> ReportSection:
+    """Where and when the surface was measured, and which steps have faults."""
+    cube = run.cube
+    step_status = cube.frame_status.values
+    faulty = np.flatnonzero(step_status != int(FrameStatus.DONE))
     section = ReportSection(
         "Coverage and faults",
         [
@@ -93,21 +94,73 @@ def coverage(sources: Sources) -> ReportSection:
             ),
             Picture(
                 figures.fault_history(cube),
-                "Course of the measured, filled and rejected fractions of the nodes in view, and how each "
-                "step ended.",
-                f"Curves in percent against time; {faulty.size} of {status.size} steps are not simply done.",
+                "Measured, filled and rejected fractions of the nodes in view over time, and the status of "
+                "each step.",
+                f"Curves in percent over time; {faulty.size} of {step_status.size} steps have faults.",
             ),
         ],
     )
     if faulty.size:
         lines = [
             f"step {i}, t = {float(cube.time[i]):.4g} s: "
-            f"{FrameStatus(int(status[i])).name.lower().replace('_', ' ')}"
-            for i in faulty[:500]
+            f"{FrameStatus(int(step_status[i])).name.lower().replace('_', ' ')}"
+            for i in faulty[:_MAX_FAULTS]
         ]
-        if faulty.size > 500:
-            lines.append(f"... and {faulty.size - 500} more")
+        if faulty.size > _MAX_FAULTS:
+            lines.append(f"... and {faulty.size - _MAX_FAULTS} more")
         section.items.append(Listing(f"The {faulty.size} steps with faults", "\n".join(lines)))
-    if sources.bad_frames:
-        section.items.append(Listing("Frames that were missing or bad", "\n".join(sources.bad_frames)))
+    bad_frames = [str(bad) for bad in status(run.store).bad_frames] if run.store.is_dir() else []
+    if bad_frames:
+        section.items.append(Listing("Frames that were missing or bad", "\n".join(bad_frames)))
     return section
+
+
+def cameras_over_time(run: Run, verdict: Verdict) -> ReportSection:
+    """Every camera and pair at some instants of the record, as the run checked them."""
+    section = ReportSection("Cameras over time")
+    if not verdict.cameras or not verdict.frames:
+        return section
+    rate = float(run.cube.attrs["frame_rate"])
+    time = float(run.cube.time[0]) + (np.array(verdict.frames) - 0.5) / rate
+    each = "; ".join(
+        f"{name}: details of {number(median_of(c['blur']), 'px', 2)}, brightness "
+        f"{number(median_of(c['brightness']))}, at least {100 * np.nanmin(c['coverage']):.0f} % in view"
+        for name, c in verdict.cameras.items()
+    )
+    section.items.append(
+        Picture(
+            _camera_history(time, verdict.cameras, verdict.pairs),
+            f"Every camera at {len(time)} instants of the record: details that become wider show a loss of "
+            "focus, decreasing brightness a loss of light; what is missing from 100 % of the view is "
+            "covered. Below, each pair of cameras alone, before anything is rejected: sight lines that miss "
+            "each other more and more show that a camera has been moved.",
+            f"Curves. {each}.",
+        )
+    )
+    return section
+
+
+def _camera_history(time: np.ndarray, cameras: Numbers, pairs: Numbers) -> Figure:
+    """Sharpness, brightness and free view of every camera, consistency of every pair, over the record."""
+    figure, axes = panels(3, 2 if pairs else 1, width=3.8, height=2.7)
+
+    def draw(ax: Axes, numbers: Numbers, key: str, factor: float, label: str) -> None:
+        _draw_history(ax, time, {name: [factor * v for v in n[key]] for name, n in numbers.items()}, label)
+
+    draw(axes[0, 0], cameras, "blur", 1, "width of the finest details (px)")
+    draw(axes[0, 1], cameras, "brightness", 1, "mean brightness (grey levels)")
+    draw(axes[0, 2], cameras, "coverage", 100, "view not covered (%)")
+    if pairs:
+        draw(axes[1, 0], pairs, "agreement", 100, "patches matched (%)")
+        draw(axes[1, 1], pairs, "eps_y", 1, "sight lines miss by (px)")
+        axes[1, 2].set_axis_off()
+    return figure
+
+
+def _draw_history(axes: Axes, time: np.ndarray, curves: Mapping[str, Sequence[float]], label: str) -> None:
+    for k, (name, values) in enumerate(curves.items()):
+        style = LINES[1 + k % (len(LINES) - 1)]
+        axes.plot(time, values, marker=_MARKERS[k % len(_MARKERS)], markersize=4, label=name, **style)
+    most = max((float(np.nanmax(v)) for v in curves.values() if np.isfinite(v).any()), default=1.0)
+    axes.set(xlabel="time (s)", ylabel=label, ylim=(0.0, 1.12 * most or 1.0))
+    plain_axes(axes, loc="best", fontsize=8.5)

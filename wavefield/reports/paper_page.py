@@ -1,6 +1,7 @@
-"""Every figure and number of the paper on one page, from one cube, its waves and a record at rest."""
+"""Every figure and number of the paper on one page, from one cube, its waves and a still-water record."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -8,19 +9,21 @@ import xarray as xr
 
 from wavefield import figures
 from wavefield.atomic_write import PAGE, check_writable, write_text
-from wavefield.errors import StoreError, WavefieldError
-from wavefield.measurement import GridGeometry, Settings
-from wavefield.measurement.diagnostics import Diagnosis, diagnose, joined, pooled
-from wavefield.reports.html_page import Head, Picture, ReportSection, Table, Text, render
+from wavefield.errors import StoreError
+from wavefield.pipeline import Run
+from wavefield.reports.accuracy import elevation_pictures
+from wavefield.reports.compose import build_all, experiment_name, measured_run
+from wavefield.reports.field_sections import distribution_picture, snapshot_pictures
+from wavefield.reports.html_page import Head, Item, Picture, ReportSection, Table, Text, render
 from wavefield.reports.number_text import number, rms_of
-from wavefield.reports.pair_pictures import pair_differences, pair_misfits
-from wavefield.reports.sources import Sources, gather
+from wavefield.reports.pair_section import pair_items
+from wavefield.reports.run_data import snapshot, thinned
+from wavefield.reports.wave_sections import coherence_picture, kinematics_picture, spectrum_pictures
 from wavefield.rig.resolution import pixel_size
 from wavefield.store.store_paths import beside
 from wavefield.waves import analyze, kinematics, plane_coherence
 
-_PAIR_STEPS = 8  # spread over the record: each is matched again, pair by pair
-_SOURCES = {"stereo": "stereo z", "w": "integrated w", "cross": "cross-spectrum", "fusion": "fusion"}
+_METHODS = {"stereo": "stereo z", "w": "integrated w", "cross": "cross-spectrum", "fusion": "fusion"}
 
 
 def paper(
@@ -38,13 +41,13 @@ def paper(
     store : path
         The cube.
     output : path, optional
-        File to write; by default ``..._paper.html`` beside the cube.
+        File to write; by default ``..._paper.html`` next to the cube.
     rest : path, optional
-        Cube of the water at rest, by the same cameras; without it there is no figure at rest.
+        Cube of still water, by the same cameras; without it there is no figure of still water.
     waves : path, optional
-        Waves of the cube; by default those that lie beside it, which are made first if there are none.
+        Waves of the cube; by default those next to it, which are made first if there are none.
     progress : callable, optional
-        Told (parts done, all parts).
+        Called with (sections drawn, all sections).
 
     Returns
     -------
@@ -71,270 +74,158 @@ def paper(
     waves = Path(waves) if waves is not None else beside(store, "waves", ".zarr")
     if not waves.is_dir():
         analyze(store, waves)
-    sources = gather(store, waves)
-    still = None if rest is None else gather(rest).cube
-    builders = (_snapshot, _distributions, _spectrum, _nonlinear, _probes)
-    total = len(builders) + 3
-    sections = []
-    for i, build in enumerate(builders):
-        if progress:
-            progress(i, total)
-        sections.append(build(sources))
-    sections.append(_rest(sources, still))
-    if progress:
-        progress(total - 2, total)
-    found = _pairs(sources)
-    sections.append(_consistency(sources, found))
-    sections.append(_numbers(sources, still, found))
-    name = str(sources.cube.attrs.get("experiment", "")) or "unnamed experiment"
-    subtitle = f"The figures of Aubourg et al. for {sources.cube.sizes['time']} steps"
-    parts = [(section, section.html()) for section in sections if section.items]
-    write_text(output, render(Head(f"{name}: the paper's figures", (subtitle,)), parts, {}), PAGE)
-    if progress:
-        progress(total, total)
+    run = measured_run(store, waves)
+    still = None if rest is None else measured_run(rest).cube
+    builders: list[Callable[[], ReportSection]] = [
+        partial(build, run) for build in (_snapshot, _distributions, _spectrum, _nonlinear, _elevation)
+    ]
+    builders += [partial(_still_water, run, still), partial(_pairs, run), partial(_numbers, run, still)]
+    head = Head(
+        f"{experiment_name(run)}: the paper's figures",
+        (f"The figures of Aubourg et al. for {run.cube.sizes['time']} steps",),
+    )
+    write_text(output, render(head, build_all(builders, progress)), PAGE)
     return output
 
 
-def _group(sources: Sources, name: str) -> xr.Dataset:
-    found = sources.group(name)
-    if found is None:
+def _group(run: Run, name: str) -> xr.Dataset:
+    group = run.wave_group(name)
+    if group is None:
         raise StoreError(f"the wave store has no group {name!r}: run `wavefield analyze` again")
-    return found
+    return group
 
 
-def _pixel(sources: Sources) -> float:
-    return pixel_size(sources.rig, sources.grid) if sources.rig is not None else float("nan")
+def _pixel(run: Run) -> float:
+    return pixel_size(run.rig, run.grid) if run.rig is not None else float("nan")
 
 
-def _snapshot(sources: Sources) -> ReportSection:
-    snap = sources.snapshot()
-    alt = f"Elevation from {100 * float(snap.z.min()):.2g} to {100 * float(snap.z.max()):.2g} cm"
-    return ReportSection(
-        "Surface and velocity",
-        [
-            Picture(figures.surface_3d(snap), "The surface at one moment, heights exaggerated.", alt + "."),
-            Picture(
-                figures.velocity_map(snap),
-                "Its velocity: w in colour, u and v as arrows.",
-                f"Map of the velocity. Rms of w {100 * rms_of(snap.w):.3g} cm/s.",
-            ),
-        ],
-    )
+def _snapshot(run: Run) -> ReportSection:
+    return ReportSection("Surface and velocity", snapshot_pictures(snapshot(run.cube)))
 
 
-def _distributions(sources: Sources) -> ReportSection:
-    part = sources.thinned("z", "u", "v", "w")
+def _distributions(run: Run) -> ReportSection:
+    part, rate = thinned(run.cube, "z", "u", "v", "w"), float(run.cube.attrs["frame_rate"])
     rows = []
-    rate = float(sources.cube.attrs["frame_rate"])
-    for name, scale in (("z", 100.0), ("u", 100 / rate), ("v", 100 / rate), ("w", 100 / rate)):
+    for name, label, scale in (("z", "z", 100.0), *((n, f"d{a}", 100 / rate) for n, a in zip("uvw", "xyz"))):
         values = scale * part[name]
-        label = name if name == "z" else f"d{dict(zip('uvw', 'xyz'))[name]}"
         rows.append((label, number(float(values.std())), number(float(np.abs(values).max()))))
-    return ReportSection(
-        "Distributions",
-        [
-            Picture(
-                figures.distributions(part),
-                "Distributions of z and of the displacements in one step, with Gaussians.",
-                "Densities of z, dx, dy and dz on a logarithmic axis.",
-            ),
-            Table("Standard deviation and largest magnitude, cm", ("", "σ", "largest"), rows),
-        ],
-    )
+    table = Table("Standard deviation and largest magnitude, cm", ("", "σ", "largest"), rows)
+    return ReportSection("Distributions", [distribution_picture(part, rate), table])
 
 
-def _spectrum(sources: Sources) -> ReportSection:
-    group, dispersion = _group(sources, "spectra"), sources.group("dispersion")
-    energy = group.E_komega_w.values
-    decades = float(np.log10(energy.max() / np.median(energy[energy > 0])))
-    return ReportSection(
-        "Spectrum of the vertical velocity",
-        [
-            Picture(
-                figures.komega_map(group, dispersion),
-                "E(k, ω) of w; dispersion relation of gravity-capillary waves and, dashed, ω = √(gk).",
-                f"Map of E(k, omega); its peak is {decades:.1f} decades above the median.",
-            ),
-            Picture(
-                figures.wavevector_map(group, dispersion),
-                "E(kx, ky) at chosen frequencies; the dashed circle is the dispersion relation.",
-                "Maps of the spectrum over the direction of travel.",
-            ),
-        ],
-    )
+def _spectrum(run: Run) -> ReportSection:
+    pictures = spectrum_pictures(_group(run, "spectra"), run.wave_group("dispersion"))
+    return ReportSection("Spectrum of the vertical velocity", pictures)
 
 
-def _nonlinear(sources: Sources) -> ReportSection:
-    snap = sources.snapshot()
-    at = int(np.argmin(np.abs(sources.cube.time.values - float(snap.time))))
-    first = min(max(at - 1, 0), max(sources.cube.sizes["time"] - 3, 0))
-    around = sources.cube[["z", "z_t", "u", "v", "w"]].isel(time=slice(first, first + 3)).load()
-    terms = kinematics(around.assign_attrs(sources.cube.attrs)).isel(time=at - first)
-    plane = plane_coherence(sources.cube)
-    coherence = _group(sources, "coherence")
-    last = f"mean {float(plane.mean_C_tot[: plane.sizes['k'] // 4].mean()):.3f} over the lowest quarter"
+def _nonlinear(run: Run) -> ReportSection:
+    snap, cube = snapshot(run.cube), run.cube
+    at = int(np.argmin(np.abs(cube.time.values - float(snap.time))))
+    first = min(max(at - 1, 0), max(cube.sizes["time"] - 3, 0))
+    around = cube[["z", "z_t", "u", "v", "w"]].isel(time=slice(first, first + 3)).load()
+    terms = kinematics(around.assign_attrs(cube.attrs)).isel(time=at - first)
+    plane = plane_coherence(cube)
+    low_k = float(plane.mean_C_tot[: plane.sizes["k"] // 4].mean())
     return ReportSection(
         "Nonlinear term",
         [
-            Picture(
-                figures.kinematics_maps(snap, sources.cube),
-                "η, w, u·∇η and the error ∂η/∂t − w + u·∇η at one moment.",
-                f"Four maps. Rms of u·∇η {100 * rms_of(terms.nonlinear):.3g} cm/s, of the error"
-                f" {100 * rms_of(terms.residual):.3g} cm/s.",
-            ),
+            kinematics_picture(snap, cube),
             Picture(
                 figures.vorticity_map(terms),
                 "Vertical vorticity and divergence of the surface water at the same moment.",
-                f"Two maps. Rms of the vorticity {rms_of(terms.vorticity):.3g} 1/s, of the divergence"
-                f" {rms_of(terms.divergence):.3g} 1/s.",
+                f"Two maps. Rms of the vorticity {rms_of(terms.vorticity):.3g} 1/s, of the divergence "
+                f"{rms_of(terms.divergence):.3g} 1/s.",
             ),
             Picture(
                 figures.plane_coherence_maps(plane),
-                "Coherence at each wave vector, averaged over time; and the three curves averaged over angle"
-                " after the ratio, as the paper has them.",
-                f"Map of the coherence over kx, ky, and curves over k; with the sum {last} of k.",
+                "Coherence at each wave vector, averaged over time; and the three curves averaged over angle "
+                "after the ratio, as in the paper.",
+                "Map of the coherence over kx, ky, and curves over k; with the sum it is on average "
+                f"{low_k:.3f} over the lowest quarter of k.",
             ),
-            Picture(
-                figures.coherence_curves(coherence),
-                "The same curves averaged over angle before the ratio, which leaves no bias, and the standard"
-                " coherence.",
-                "Curves of coherence over k with the level of chance.",
-            ),
+            coherence_picture(_group(run, "coherence")),
         ],
     )
 
 
-def _probes(sources: Sources) -> ReportSection:
-    group, fusion = _group(sources, "spectra"), _group(sources, "fusion")
-    rows = [
-        (
-            _SOURCES.get(str(name), str(name)),
-            number(float(fusion.range_decades.sel(source=name)), digits=2),
-            number(float(fusion.range_frequency.sel(source=name)), "Hz", 2),
-        )
-        for name in fusion.source.values
-    ]
-    without = "" if "Ez_probes" in group else " The experiment has no wave probes."
-    return ReportSection(
-        "Spectrum of the elevation",
-        [
-            Picture(
-                figures.elevation_spectra(group),
-                "Spectrum of the elevation by each method, and of the wave probes." + without,
-                "Curves on logarithmic axes.",
-            ),
-            Table("Right within a factor 2", ("method", "decades below the peak", "up to"), rows),
-        ],
-    )
+def _elevation(run: Run) -> ReportSection:
+    fusion = _group(run, "fusion")
+    rows = []
+    for method in fusion.source.values:
+        reach = fusion.sel(source=method)
+        decades = number(float(reach.range_decades), digits=2)
+        name = _METHODS.get(str(method), str(method))
+        rows.append((name, decades, number(float(reach.range_frequency), "Hz", 2)))
+    table = Table("Correct within a factor 2", ("method", "decades below the peak", "up to"), rows)
+    return ReportSection("Spectrum of the elevation", [*elevation_pictures(run)[:1], table])
 
 
-def _rest(sources: Sources, still: xr.Dataset | None) -> ReportSection:
-    section = ReportSection("Water at rest")
+def _still_water(run: Run, still: xr.Dataset | None) -> ReportSection:
+    section = ReportSection("Still water")
     if still is None:
-        section.items.append(Text("No record at rest was given (--rest): the paper's figure needs one."))
+        section.items.append(Text("No still-water record was given (--rest): the paper's figure needs one."))
         return section
     fields = still[["z", "u", "v", "w"]].load().assign_attrs(still.attrs)
-    rate, pixel = float(still.attrs["frame_rate"]), _pixel(sources)
-    centred = fields.z - fields.z.mean("time")
-    sizes = {
-        "z − z_rest": rms_of(fields.z),
-        "z − ⟨z⟩ − z_rest": rms_of(centred),
-        **{f"d{a}": rms_of(fields[n]) / rate for a, n in zip("xyz", "uvw")},
-    }
+    rate, pixel = float(still.attrs["frame_rate"]), _pixel(run)
+    z, about_mean = rms_of(fields.z), rms_of(fields.z - fields.z.mean("time"))
+    sizes = {"z − z_rest": z, "z − ⟨z⟩ − z_rest": about_mean}
+    sizes |= {f"d{axis}": rms_of(fields[name]) / rate for axis, name in zip("xyz", "uvw")}
     rows = [(name, number(100 * v, "cm", 2), number(v / pixel, "px", 2)) for name, v in sizes.items()]
     section.items += [
         Picture(
             figures.rest_distributions(fields),
-            "z − z_rest, with and without each node's mean over time, and the displacements, which should be"
-            " zero.",
-            f"Densities. Rms of z {1e3 * sizes['z − z_rest']:.2g} mm, about the mean"
-            f" {1e3 * sizes['z − ⟨z⟩ − z_rest']:.2g} mm.",
+            "z − z_rest, with and without each node's mean over time, and the displacements, which should be "
+            "zero.",
+            f"Densities. Rms of z {1e3 * z:.2g} mm, about the mean {1e3 * about_mean:.2g} mm.",
         ),
-        Table(f"Rms over {still.sizes['time']} steps at rest", ("", "", ""), rows),
+        Table(f"Rms over {still.sizes['time']} steps of still water", ("", "", ""), rows),
     ]
     return section
 
 
-def _pairs(sources: Sources) -> Diagnosis | None:
-    # every pair of cameras on its own, at steps spread over the whole record
-    if not sources.frames or sources.rig is None:
-        return None
-    settings = Settings.from_dict(sources.recipe.get("settings", {}))
-    geometry = GridGeometry(sources.rig, sources.grid, settings)
-    series, pixel = sources.frames, _pixel(sources)
-    steps = min(len(series[name]) for name in geometry.cameras) - 1
-    found = []
-    for step in np.unique(np.linspace(0, steps - 1, _PAIR_STEPS).round().astype(int)):
-        try:
-            frames = {n: [series[n].read(int(step) + k).image for k in (0, 1)] for n in geometry.cameras}
-            found.append(diagnose(frames, geometry, pixel=pixel))
-        except (ValueError, WavefieldError):  # a frame is missing or bad
-            continue
-    return pooled(found) if found else None
+def _pairs(run: Run) -> ReportSection:
+    items: list[Item] = [item for item in pair_items(run) if not isinstance(item, Table)]
+    return ReportSection("Pairs of cameras against one another", items)
 
 
-def _consistency(sources: Sources, found: Diagnosis | None) -> ReportSection:
-    section = ReportSection("Pairs of cameras against one another")
-    if found is None:
-        section.items.append(
-            Text("The images are not there any more: pairs cannot be measured on their own.")
-        )
-        return section
-    count = len(next(iter(found.z.values())))
-    section.items.append(
-        Picture(
-            pair_misfits(found),
-            f"eps_Y of each pair of cameras and eps' of each camera pair, at {count} steps spread over the"
-            " record.",
-            "Densities of the errors of each pair.",
-        )
-    )
-    if found.difference:
-        section.items.append(
-            Picture(
-                pair_differences(found),
-                "Differences of z between pairs, over √2.",
-                "Densities of the differences.",
-            )
-        )
-    return section
-
-
-def _numbers(sources: Sources, still: xr.Dataset | None, found: Diagnosis | None) -> ReportSection:
-    pixel = _pixel(sources)
+def _numbers(run: Run, still: xr.Dataset | None) -> ReportSection:
     rows: list[tuple[str, str, str]] = []
     if still is not None:
         z = still.z.load()
-        rows.append(("z at rest, rms", "0.07 cm", number(100 * rms_of(z), "cm", 2)))
-        rows.append(
-            ("the same, means taken off", "0.05 cm", number(100 * rms_of(z - z.mean("time")), "cm", 2))
-        )
-    if found is not None:
-        for pair, values in found.eps_y.items():
-            rows.append(
-                (f"eps_Y, pair {joined(pair)}", "0.04 to 0.08 cm", number(100 * rms_of(values), "cm", 2))
-            )
-            z_std = number(100 * found.z_std[pair], "cm", 2)
-            rows.append((f"σ_z from it, pair {joined(pair)}", "0.048 to 0.058 cm", z_std))
-        for pairs, values in found.difference.items():
-            names = " − ".join(joined(p) for p in pairs)
-            rows.append((f"z {names}, over √2", "0.057 cm", number(100 * rms_of(values) / 2**0.5, "cm", 2)))
-        for cameras, values in found.eps_piv.items():
-            rows.append(
-                (f"eps', cameras {joined(cameras)}", "0.34 to 0.37 px", number(rms_of(values), "px", 2))
-            )
-    fusion, dispersion = _group(sources, "fusion"), sources.group("dispersion")
-    rows.append(("noise of z without a rest record", "–", number(100 * float(fusion.sigma_z), "cm", 2)))
-    rows.append(("noise of dz without a rest record", "–", number(100 * float(fusion.sigma_dz), "cm", 2)))
+        without_means = rms_of(z - z.mean("time"))
+        rows.append(("z of still water, rms", "0.07 cm", number(100 * rms_of(z), "cm", 2)))
+        rows.append(("the same without means over time", "0.05 cm", number(100 * without_means, "cm", 2)))
+    if run.pair_statistics is not None:
+        rows += _pair_numbers(run.pair_statistics)
+    fusion, dispersion = _group(run, "fusion"), run.wave_group("dispersion")
+    for name, sigma in (("z", fusion.sigma_z), ("dz", fusion.sigma_dz)):
+        here = number(100 * float(sigma), "cm", 2)
+        rows.append((f"noise of {name} without a still-water record", "–", here))
     if dispersion is not None and "ridge_error" in dispersion:
-        worst = 100 * float(np.abs(dispersion.ridge_error).max())
-        rows.append(("ridge against linear theory, largest", "to 5 Hz by eye", number(worst, "% of k", 2)))
-    kinetic = sources.group("kinematics")
+        largest = number(100 * float(np.abs(dispersion.ridge_error).max()), "% of k", 2)
+        rows.append(("deviation from the linear dispersion relation, largest", "to 5 Hz by eye", largest))
+    kinetic = run.wave_group("kinematics")
     if kinetic is not None:
-        rows.append(
-            ("u·∇η over w, rms", "about 10 %", number(100 * float(kinetic.nonlinear_fraction), "%", 2))
-        )
-    caption = "Numbers of the paper and of this experiment" + (
-        f"; 1 px is {1e3 * pixel:.2g} mm" if np.isfinite(pixel) else ""
-    )
+        fraction = number(100 * float(kinetic.nonlinear_fraction), "%", 2)
+        rows.append(("u·∇η over w, rms", "about 10 %", fraction))
+    caption, pixel = "Numbers of the paper and of this experiment", _pixel(run)
+    if np.isfinite(pixel):
+        caption += f"; 1 px is {1e3 * pixel:.2g} mm"
     return ReportSection("Numbers", [Table(caption, ("", "paper", "here"), rows)])
+
+
+def _pair_numbers(found: xr.Dataset) -> list[tuple[str, str, str]]:
+    """The rms of the errors of the pairs, next to those of the paper."""
+    published = {
+        "eps_y": ("eps_Y, pair {}", "0.04 to 0.08 cm", 100.0, "cm"),
+        "sigma_z": ("σ_z from it, pair {}", "0.048 to 0.058 cm", 100.0, "cm"),
+        "z": ("z {}, over √2", "0.057 cm", 100.0 / 2**0.5, "cm"),
+        "eps_piv": ("eps', cameras {}", "0.34 to 0.37 px", 1.0, "px"),
+    }
+    rows = []
+    for quantity, (name, paper_value, factor, unit) in published.items():
+        for k in np.flatnonzero(found.quantity.values == quantity):
+            error = found.isel(error=k)
+            cameras = str(error.cameras.item()).replace(" minus ", " − ")
+            rows.append((name.format(cameras), paper_value, number(factor * float(error.rms_all), unit, 2)))
+    return rows

@@ -1,0 +1,74 @@
+"""How a variable is displayed: its unit, its colour map and the ends of its colour scale."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.figures.style import POSITIVE, SIGNED, limit
+from wavefield.variables import TABLE
+
+BALANCE = ("z", "z_t", "u", "v", "w")  # the variables of the kinematic condition
+DERIVED = ("vorticity", "divergence", "residual")  # computed from those
+
+# stored unit: factor to the displayed unit, displayed unit
+_UNITS = {
+    "m": (100.0, "cm"),
+    "m s-1": (100.0, "cm/s"),
+    "s-1": (1.0, "1/s"),
+    "pixel": (1.0, "px"),
+    "1": (1.0, ""),
+}
+
+
+@dataclass(frozen=True)
+class Display:
+    """Unit, colours and name of one variable for readers."""
+
+    name: str
+    factor: float  # from the stored unit to the displayed one
+    unit: str  # the displayed unit; empty for pure numbers
+
+    @property
+    def in_unit(self) -> str:
+        """The unit in brackets, after a space; empty for pure numbers."""
+        return f" ({self.unit})" if self.unit else ""
+
+    @property
+    def label(self) -> str:
+        """Name and unit, as on an axis."""
+        return self.name + self.in_unit
+
+    @property
+    def long_name(self) -> str:
+        """What the variable is."""
+        return TABLE[self.name].long_name
+
+    @property
+    def signed(self) -> bool:
+        """Whether it has a sign, so that its colours are balanced about zero."""
+        return not self.name.endswith("_std") and self.name not in ("eps_piv", "quality")
+
+    @property
+    def colour_map(self) -> str:
+        """Its matplotlib colour map, whose order colour-blind readers keep."""
+        return SIGNED if self.signed else POSITIVE
+
+    def limits(self, values: NDArray[np.floating]) -> tuple[float, float]:
+        """Ends of a colour scale for displayed values, without the largest half percent; two digits."""
+        half = float(f"{limit(values):.2g}")
+        return (-half if self.signed else 0.0), half
+
+
+def display(name: str) -> Display:
+    """How a variable of the table is displayed.
+
+    Examples
+    --------
+    >>> display("z"), display("z_std").label
+    (Display(name='z', factor=100.0, unit='cm'), 'z_std (mm)')
+    """
+    units = TABLE[name].units
+    if units == "m" and name != "z":  # uncertainties and mismatches are small
+        return Display(name, 1000.0, "mm")
+    return Display(name, *_UNITS[units])
