@@ -7,7 +7,7 @@ from measurement_cases import RATE, around
 
 from wavefield.measurement import GridGeometry, LearnedRecord, Model, diagnose, learn, measure
 from wavefield.series.camera_mask import CameraMask
-from wavefield.series.masks import MaskSection, _seen, footprints
+from wavefield.series.masks import MaskSection, footprints, outline_in_image
 from wavefield.variables import Quality
 
 CYLINDER = MaskSection(cylinder={"x": 0.0, "y": 0.0, "radius": 0.03, "top": 0.02, "bottom": -0.02})
@@ -17,7 +17,7 @@ MASKED = int(Quality.MASKED)
 
 def masks_of(rig):
     return {
-        name: CameraMask(camera.size[::-1], (_seen(CYLINDER, camera, 0.08),)).covered(0)
+        name: CameraMask(camera.size[::-1], (outline_in_image(CYLINDER, camera, 0.08),)).covered(0)
         for name, camera in rig.cameras.items()
     }
 

@@ -83,7 +83,7 @@ def test_a_cylinder_hides_itself_in_every_camera(height):
     angle = np.linspace(0, 2 * np.pi, 100)
     x, y = 0.03 + 0.04 * np.cos(angle), -0.02 + 0.04 * np.sin(angle)
     for camera in rig.cameras.values():
-        outline = np.array(masks._seen(cylinder, camera, 0.05), np.float32)
+        outline = np.array(masks.outline_in_image(cylinder, camera, 0.05), np.float32)
         X, Y = camera.project(x, y, height)
         inside = [cv2.pointPolygonTest(outline, (float(a), float(b)), True) for a, b in zip(X, Y)]
         assert min(inside) > -0.1

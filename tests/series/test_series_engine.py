@@ -79,7 +79,7 @@ def test_missing_frames_are_zeros_and_a_warning(experiment):
     (experiment.parent / "cam1" / "img_00007.tif").unlink()
     tree = xr.open_datatree(experiment, engine="wavefield")
     np.testing.assert_array_equal(tree["cam1"].present, np.arange(3, 13) != 7)
-    with pytest.warns(engine.FrameWarning, match="cam1 frame 7 is missing; zeros stand in its place"):
+    with pytest.warns(engine.FrameWarning, match="cam1 frame 7 is missing; zeros take its place"):
         image = tree["cam1"].image[4].values
     assert not image.any()
     assert int(tree["cam1"].image[5, 0, 0]) == 8

@@ -16,16 +16,14 @@ from wavefield.images.davis_image import read_buffer
 from wavefield.images.dng import read_dng
 from wavefield.images.plain_tiff import read_plain_tiff
 
-logging.getLogger("tifffile").addHandler(logging.NullHandler())  # what is wrong with a file is said here
-_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_LAST = {".png": b"IEND", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}  # ends every whole file
-_TAIL = 4096  # bytes at the end of a file in which that stands
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # damage is reported here
+TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+FILE_ENDS = {".png": b"IEND", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
+TAIL_BYTES = 4096  # at the end of a complete file, which contain these
 
 
 def read_image(path: str | Path, page: int = 0) -> np.ndarray:
-    """Read one grey image: TIFF, PNG, BMP, JPEG, DNG, LaVision's IM7.
-
-    Returns (row, column): The image as stored (12 bits in 16 stay 12 bits).
+    """Read one grey image, (row, column), as stored: TIFF, PNG, BMP, JPEG, DNG, LaVision's IM7.
 
     Examples
     --------
@@ -49,23 +47,20 @@ def read_image(path: str | Path, page: int = 0) -> np.ndarray:
 
 
 def _checked(image: np.ndarray, name: str) -> np.ndarray:
-    """The image in grey; a damaged header may make of it something that is none."""
+    """The image in grey, refused if a damaged header gave it another number of dimensions."""
     if image.ndim not in (2, 3) or not image.size:
         raise FrameError(f"{name} is corrupt: its header is that of no image; copy it again from the camera")
     return grey(image)
 
 
 def decode_image(data: bytes, name: str) -> np.ndarray:
-    """Read one grey image from the bytes of a file: what `read_image` reads, DNG and IM7 apart.
-
-    Returns (row, column).
-    """
+    """Read one grey image, (row, column), from the bytes of a file that is neither DNG nor IM7."""
     image = None
-    last = _LAST.get(Path(name).suffix.lower(), b"")
-    if data and last in data[-_TAIL:]:
+    last = FILE_ENDS.get(Path(name).suffix.lower(), b"")
+    if data and last in data[-TAIL_BYTES:]:
         with _quiet(), suppress(cv2.error):
             image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None and data[:4] in _TIFF:
+    if image is None and data[:4] in TIFF_STARTS:
         try:
             with tifffile.TiffFile(BytesIO(data)) as tiff:
                 image = np.asarray(tiff.pages.first.asarray())
@@ -78,10 +73,7 @@ def decode_image(data: bytes, name: str) -> np.ndarray:
 
 
 def grey(image: np.ndarray) -> np.ndarray:
-    """Turn a colour image, blue first as OpenCV reads it, to grey.
-
-    With image (row, column); returns (row, column): The same image, or its luminance.
-    """
+    """Luminance of a colour image, blue first as OpenCV reads it; a grey one is returned as it is."""
     if image.ndim == 2:
         return image
     if image.shape[2] < 3:
@@ -91,7 +83,7 @@ def grey(image: np.ndarray) -> np.ndarray:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep OpenCV from printing what is wrong with a file that it does not name."""
+    """Keep OpenCV from printing about damage of a file that it does not name."""
     before = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         yield
@@ -100,20 +92,22 @@ def _quiet() -> Iterator[None]:
             cv2.utils.logging.setLogLevel(before)
 
 
-def _is_whole(path: str | Path, last: bytes) -> bool:
+def _is_complete(path: str | Path, end: bytes) -> bool:
     with open(path, "rb") as stream:
         size = stream.seek(0, 2)
-        stream.seek(max(0, size - _TAIL))
-        return last in stream.read()
+        stream.seek(max(0, size - TAIL_BYTES))
+        return end in stream.read()
 
 
 def _read_file(path: str | Path) -> np.ndarray | None:
-    # OpenCV gives nothing at all for a truncated file, which is what we want; but of a truncated JPEG it
-    # gives what there is, unless it decodes from memory, and libpng and libjpeg complain where nothing keeps
-    # them from it: so such files do not get that far
+    """Read an image with OpenCV; None if it is damaged or of another kind.
+
+    OpenCV decodes the rest of a truncated JPEG unless it reads from memory, and libpng and libjpeg print
+    their complaints: truncated files are therefore found beforehand.
+    """
+    ending = Path(path).suffix.lower()
     try:
-        ending = Path(path).suffix.lower()
-        if ending in _LAST and not _is_whole(path, _LAST[ending]):
+        if ending in FILE_ENDS and not _is_complete(path, FILE_ENDS[ending]):
             return None
         if ending in (".jpg", ".jpeg"):
             return cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -133,7 +127,7 @@ def _read_page(path: str | Path, page: int) -> np.ndarray | None:
 
 
 def _read_otherwise(path: Path, page: int) -> np.ndarray:
-    """Read what OpenCV cannot, or say what is wrong with the file."""
+    """Read what OpenCV cannot, or report what is wrong with the file."""
     try:
         with path.open("rb") as stream:
             start = stream.read(4)
@@ -141,7 +135,7 @@ def _read_otherwise(path: Path, page: int) -> np.ndarray:
         raise FrameError(f"{path}: no such image") from None
     except OSError as error:
         raise FrameError(f"{path} cannot be read: {error.strerror}") from None
-    if start in _TIFF:
+    if start in TIFF_STARTS:
         try:
             with tifffile.TiffFile(path) as tiff:
                 if page >= len(tiff.pages):
@@ -156,10 +150,7 @@ def _read_otherwise(path: Path, page: int) -> np.ndarray:
 
 
 def write_image(path: str | Path, image: np.ndarray) -> None:
-    """Write one grey image, whole or not at all; the name's ending chooses TIFF (uncompressed) or PNG.
-
-    With image (row, column).
-    """
+    """Write one grey image atomically, as uncompressed TIFF or as PNG by the name's ending."""
     path = Path(path)
     try:
         with atomic(path, ANY_FILE) as draft:
@@ -176,16 +167,14 @@ def write_image(path: str | Path, image: np.ndarray) -> None:
 
 
 def made_even(image: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """An image in which nothing stands out where it is covered.
-
-    With image (row, column); covered (row, column); returns (row, column): A copy.
+    """A copy of an image, (row, column), with an even grey where it is covered.
 
     Examples
     --------
     >>> made_even(np.array([[1, 1, 9, 9]]), np.array([[False, False, True, True]]))
     array([[1, 1, 1, 1]])
     """
-    rest = image[::8, ::8][~covered[::8, ::8]]
+    free = image[::8, ::8][~covered[::8, ::8]]
     out = image.copy()
-    out[covered] = np.partition(rest, rest.size // 2)[rest.size // 2] if rest.size else 0
+    out[covered] = np.partition(free, free.size // 2)[free.size // 2] if free.size else 0
     return out

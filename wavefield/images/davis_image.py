@@ -10,14 +10,11 @@ from numpy.typing import NDArray
 from wavefield.errors import FrameError
 
 _HEAD = struct.Struct("<hhhh4i")  # version, packing, kind, sparse; columns, rows, depth, frames
-_MOST = 2000  # times that zlib makes bytes fewer
+MAX_COMPRESSION = 2000  # by zlib
 
 
 def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
-    """Read one image of a buffer.
-
-    Returns (row, column): Counts as the camera gave them.
-    """
+    """Read one image of a buffer, (row, column), in counts."""
     path = Path(path)
     try:
         import lvpyio
@@ -33,13 +30,13 @@ def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
         raise FrameError(f"{path} has {count} images: there is no image {frame}")
     try:
         return np.asarray(lvpyio.read_buffer(str(path))[frame].components["PIXEL"].planes[0])
-    except Exception as error:  # whatever a damaged file leads to
+    except Exception as error:  # of many kinds, by the damage
         words = " ".join(str(error).split()).rstrip("!.")
         raise FrameError(f"{path} is damaged or truncated ({words}); copy it again") from None
 
 
 def count_frames(path: Path) -> int:
-    """Images in a buffer, by its header: LaVision's reader may look for ever at a damaged one."""
+    """Images in a buffer, by its header: LaVision's reader may never return from a damaged one."""
     try:
         size = path.stat().st_size
         with path.open("rb") as stream:
@@ -52,6 +49,6 @@ def count_frames(path: Path) -> int:
         raise FrameError(f"{path} is empty or truncated; copy it again")
     columns, rows, depth, frames = (int(number) for number in _HEAD.unpack(head)[4:])
     sound = 0 < columns <= 65536 and 0 < rows <= 65536 and depth == 1 and 0 < frames <= 1000
-    if not sound or columns * rows * frames > _MOST * size:
+    if not sound or columns * rows * frames > MAX_COMPRESSION * size:
         raise FrameError(f"{path} is no image of DaVis, or its header is damaged; copy it again")
     return frames

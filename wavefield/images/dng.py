@@ -1,4 +1,4 @@
-"""Digital negatives: the sensor's own values in a TIFF, not the small picture that stands before them."""
+"""Digital negatives: the sensor's own values in a TIFF, not the preview before them."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,7 +27,7 @@ def read_dng(path: str | Path) -> NDArray[Any]:
         raise
     except FileNotFoundError:
         raise FrameError(f"{path}: no such image") from None
-    except Exception as error:  # whatever a damaged file leads to
+    except Exception as error:  # of many kinds, by the damage
         words = " ".join(str(error).split())
         if "imagecodecs" in words:
             raise FrameError(

@@ -1,6 +1,6 @@
-"""Grey TIFF files that are not compressed: those of a series are laid out alike, which is found out once."""
+"""Grey TIFF files that are not compressed: the layout of a series is parsed once."""
 
-from io import FileIO
+from io import BytesIO, FileIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -8,15 +8,15 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-_HEAD = 8  # bytes: order and kind; in a plain TIFF also where its directory is, in a BigTIFF the next eight
-_SPREAD = ("StripOffsets", "StripByteCounts", "BitsPerSample", "SampleFormat")  # lists beside the directory
-_MOST = 64  # layouts kept in mind
+HEADER_BYTES = 8  # order and kind; the place of the directory in a plain TIFF, before it in a BigTIFF
+MAX_LAYOUTS = 64  # remembered
+_TAGS_WITH_LISTS = ("StripOffsets", "StripByteCounts", "BitsPerSample", "SampleFormat")
 
 
 class _TiffLayout(NamedTuple):
-    """Where the pixels are, in every file of this size in which these bytes stand in these places."""
+    """Place of the pixels in every file of one size that has these bytes at these places."""
 
-    known: tuple[tuple[int, bytes], ...]
+    directory: tuple[tuple[int, bytes], ...]
     start: int
     shape: tuple[int, int]
     dtype: np.dtype[Any]
@@ -26,12 +26,10 @@ _layouts: dict[tuple[int, bytes], _TiffLayout] = {}
 
 
 def read_plain_tiff(path: str | Path) -> NDArray[Any] | None:
-    """Read a whole grey TIFF of 8 or 16 bits that is not compressed, at the cost of its bytes.
+    """Read a grey TIFF of 8 or 16 bits that is not compressed, (row, column), at the cost of its bytes.
 
     The directory of the first file of a series is parsed; of the others only size and directory are compared
-    with it.
-
-    Returns (row, column): None if it is anything else, or damaged: other readers say better what.
+    with it. None if it is anything else, or damaged: other readers report better what.
 
     Examples
     --------
@@ -46,29 +44,29 @@ def read_plain_tiff(path: str | Path) -> NDArray[Any] | None:
         with FileIO(str(path)) as stream:
             size = stream.seek(0, 2)
             stream.seek(0)
-            key = size, stream.read(_HEAD)
+            key = size, stream.read(HEADER_BYTES)
             layout = _layouts.get(key)
-            if layout is None or not _is_at(stream, layout):
-                layout = _found(stream, size)
+            if layout is None or not _has_layout(stream, layout):
+                layout = _parsed(stream, size)
                 if layout is None:
                     return None
-                if len(_layouts) >= _MOST:
+                if len(_layouts) >= MAX_LAYOUTS:
                     _layouts.clear()
                 _layouts[key] = layout
             return _pixels(stream, layout)
-    except Exception:  # whatever is wrong with it, others say it better
+    except Exception:  # whatever is wrong with it, other readers report it better
         return None
 
 
-def _is_at(stream: FileIO, layout: _TiffLayout) -> bool:
-    for place, expected in layout.known:
+def _has_layout(stream: FileIO, layout: _TiffLayout) -> bool:
+    for place, expected in layout.directory:
         stream.seek(place)
         if stream.read(len(expected)) != expected:
             return False
     return True
 
 
-def _found(stream: FileIO, size: int) -> _TiffLayout | None:
+def _parsed(stream: FileIO, size: int) -> _TiffLayout | None:
     stream.seek(0)
     with tifffile.TiffFile(stream) as tiff:
         page: Any = tiff.pages.first
@@ -79,26 +77,31 @@ def _found(stream: FileIO, size: int) -> _TiffLayout | None:
             return None
         kind = tiff.tiff
         directory = kind.tagnosize + kind.tagsize * len(page.tags)
-        spans = [(_HEAD, kind.offsetsize if kind.is_bigtiff else 0), (page.offset, directory)]
+        spans = [(HEADER_BYTES, kind.offsetsize if kind.is_bigtiff else 0), (page.offset, directory)]
         for tag in page.tags:
-            beside = not page.offset <= tag.valueoffset < page.offset + directory
-            if beside and tag.name in _SPREAD:
+            outside = not page.offset <= tag.valueoffset < page.offset + directory
+            if outside and tag.name in _TAGS_WITH_LISTS:
                 spans.append((tag.valueoffset, tag.valuebytecount))
-        known = []
+        compared = []
         for place, count in spans:
             stream.seek(place)
-            known.append((place, stream.read(count)))
+            compared.append((place, stream.read(count)))
         dtype = page.dtype.newbyteorder(tiff.byteorder)
-        return _TiffLayout(tuple(known), int(page.dataoffsets[0]), page.shape, dtype)
+        return _TiffLayout(tuple(compared), int(page.dataoffsets[0]), page.shape, dtype)
 
 
-def _pixels(stream: FileIO, layout: _TiffLayout) -> NDArray[Any] | None:
+def _pixels(stream: FileIO, layout: _TiffLayout) -> NDArray[Any]:
     out = np.empty(layout.shape, layout.dtype)
-    rest = memoryview(out.reshape(-1).view(np.uint8))  # type: ignore[arg-type]  # which is a buffer
     stream.seek(layout.start)
+    fill(out, stream)
+    return out if out.dtype.isnative else out.byteswap(inplace=True).view(out.dtype.newbyteorder("="))
+
+
+def fill(out: NDArray[Any], stream: FileIO | BytesIO) -> None:
+    """Read bytes until an array is full; `EOFError` where there are too few."""
+    rest = memoryview(out.reshape(-1).view(np.uint8))  # type: ignore[arg-type]  # which is a buffer
     while rest:
         count = stream.readinto(rest)
         if not count:
-            return None
+            raise EOFError
         rest = rest[count:]
-    return out if out.dtype.isnative else out.byteswap(inplace=True).view(out.dtype.newbyteorder("="))

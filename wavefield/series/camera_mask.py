@@ -12,7 +12,7 @@ from wavefield.errors import FrameError
 from wavefield.series.readers import FrameEntry, read_entry
 
 Outline = tuple[tuple[float, float], ...]
-_SHIFT = 6  # bits behind the point of a corner's coordinates, for OpenCV
+FRACTION_BITS = 6  # of a corner's coordinates, for OpenCV
 
 
 @dataclass(frozen=True)
@@ -20,18 +20,19 @@ class CameraMask:
     """Pixels of one camera that do not count."""
 
     shape: tuple[int, int]  # (rows, columns) of its images
-    outlines: tuple[Outline, ...] = ()  # (column, row): Closed outlines, px; what lies inside is covered
+    outlines: tuple[Outline, ...] = ()  # (column, row): Closed outlines, px; their inside is covered
     images: tuple[FrameEntry, ...] = ()  # Images of the same size: what is not black is covered
     # One such image for every frame of the series that the mask belongs to; empty if nothing moves
     moving: Sequence[FrameEntry] = field(default=(), repr=False)
 
     def covered(self, index: int) -> NDArray[np.bool_]:
-        """What is covered in one frame.
-
-        Returns (row, column): True where covered.
-        """
+        """Pixels that are covered in one frame, (row, column)."""
         still = _still(self.shape, self.outlines, self.images)
-        return _with_image(still, self.moving[index]) if self.moving else still
+        if not self.moving:
+            return still
+        out = still | _covered_by(self.moving[index], self.shape)
+        out.flags.writeable = False
+        return out
 
     def window(self, start: int, stop: int) -> "CameraMask":
         """The mask of some of the frames."""
@@ -44,35 +45,22 @@ def _still(
 ) -> NDArray[np.bool_]:
     covered = np.zeros(shape, np.uint8)
     for outline in outlines:
-        corners = np.rint(np.array(outline) * (1 << _SHIFT)).astype(np.int32)
-        cv2.fillPoly(covered, [corners], 1, shift=_SHIFT)
+        corners = np.rint(np.array(outline) * (1 << FRACTION_BITS)).astype(np.int32)
+        cv2.fillPoly(covered, [corners], 1, shift=FRACTION_BITS)
     out = covered.astype(bool)
     for entry in images:
-        out = out | (read_mask(entry, shape) != 0)
+        out |= _covered_by(entry, shape)
     out.flags.writeable = False
     return out
 
 
 @lru_cache(maxsize=1)
-def _last(entry: FrameEntry, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    return np.asarray(read_mask(entry, shape) != 0)
-
-
-def _with_image(still: NDArray[np.bool_], entry: FrameEntry) -> NDArray[np.bool_]:
-    out = still | _last(entry, still.shape)
-    out.flags.writeable = False
-    return out
-
-
-def read_mask(entry: FrameEntry, shape: tuple[int, int]) -> NDArray[np.generic]:
-    """Read an image of a mask.
-
-    Returns (row, column): Grey levels.
-    """
+def _covered_by(entry: FrameEntry, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Pixels, (row, column), that are not black in an image of a mask."""
     image = read_entry(entry)
     if image.shape != shape:
         raise FrameError(
             f"{entry} is {image.shape[1]} x {image.shape[0]} px, but the camera's images are "
             f"{shape[1]} x {shape[0]}; draw the mask on one of them"
         )
-    return image
+    return np.asarray(image != 0)

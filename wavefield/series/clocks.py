@@ -1,7 +1,7 @@
-"""When the images of a camera were taken, by its own clock, and their places in the record by that."""
+"""Times of a camera's images by its own clock, and their places in the record by these."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,25 +11,24 @@ from wavefield.series.formats import open_recording
 from wavefield.series.listing import Numbered
 from wavefield.series.rates import recordings_of
 
+Times = NDArray[np.float64]
+Images = str | Sequence[str | None]
+
 RECORDED = "recorded"  # in place of a file of times: those in the recording
-_OFF = 0.25  # of an interval: an image further from its place has none
-_ROUNDED = 1e-3  # of a rate, by which clocks differ
-_MOST = 10  # places for each image: what has more is several records in one file
+MAX_OFFSET = 0.25  # intervals between an image's time and its place
+RATE_ERROR = 1e-3  # by which the rates of clocks differ
+MAX_PLACES_PER_IMAGE = 10  # more: several records in one file
 
 
-def own_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64] | None:
-    """When the images in recordings were taken, where these say so.
-
-    Returns (n,): Seconds, as they are, of one recording after the other.
-    """
+def own_times(images: Images, camera: str, folder: Path) -> Times | None:
+    """Times of a camera's images in its recordings, (n,), s, as they are; None where these hold none."""
     parts = []
     for path in recordings_of(images, camera, folder):
         try:
             recording = open_recording(path)
-        except FrameError:  # told where its images are looked for
+        except FrameError:  # reported when the images are opened
             return None
-        read = getattr(recording, "times", None)
-        parts.append(np.empty(0) if read is None else read())
+        parts.append(recording.times())
         recording.close()
         if not len(parts[-1]):
             return None
@@ -37,14 +36,11 @@ def own_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64] | N
     return times if np.ptp(times) > 0 else None
 
 
-def recorded_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64]:
-    """As `own_times`, where they are asked for.
-
-    Returns (n,): Seconds, increasing.
-    """
+def recorded_times(images: Images, camera: str, folder: Path) -> Times:
+    """As `own_times`, where the experiment file requires them: increasing times."""
     if not recordings_of(images, camera, folder):
         raise ExperimentError(
-            f"{camera}: `times: {RECORDED}` wants a recording, and {images} is none; name a file of times"
+            f"{camera}: `times: {RECORDED}` needs a recording, and {images} is none; name a file of times"
         )
     times = own_times(images, camera, folder)
     if times is None or np.any(np.diff(times) <= 0):
@@ -54,11 +50,8 @@ def recorded_times(images: Any, camera: str, folder: Path) -> NDArray[np.float64
     return times
 
 
-def read_time_stamps(path: Path, camera: str) -> np.ndarray:
-    """Times of a camera's frames, one per image in order.
-
-    Returns (n,): Times, seconds.
-    """
+def read_time_stamps(path: Path, camera: str) -> Times:
+    """Times of a camera's frames, (n,), s: one line per image, in order."""
     try:
         lines = path.read_text().splitlines()
     except OSError as error:
@@ -82,12 +75,9 @@ def read_time_stamps(path: Path, camera: str) -> np.ndarray:
 
 
 def place_by_time(
-    numbered: Numbered, times: np.ndarray, start: float, frame_rate: float, path: Path, camera: str
+    numbered: Numbered, times: Times, start: float, frame_rate: float, path: Path, camera: str
 ) -> Numbered:
-    """Renumber frames by their time stamps, so that frames dropped by the camera leave gaps.
-
-    With times (n,), seconds; start, seconds.
-    """
+    """Renumber frames by their time stamps, s, so that frames dropped by the camera leave gaps."""
     if len(times) != len(numbered):
         raise ExperimentError(
             f"{path} holds {len(times)} times, but {camera} has {len(numbered)} images; every image needs one"
@@ -95,7 +85,7 @@ def place_by_time(
     place = (times - start) * frame_rate
     numbers = np.rint(place).astype(int)
     worst = int(np.argmax(np.abs(place - numbers)))
-    if abs(place[worst] - numbers[worst]) > _OFF or np.any(np.diff(numbers) < 1):
+    if abs(place[worst] - numbers[worst]) > MAX_OFFSET or np.any(np.diff(numbers) < 1):
         raise ExperimentError(
             f"{path}: the times do not fit a frame rate of {frame_rate} Hz (image {worst} is "
             f"{abs(place[worst] - numbers[worst]):.2f} of an interval off); correct frame_rate"
@@ -103,10 +93,8 @@ def place_by_time(
     return {int(number): numbered[old] for number, old in zip(numbers, sorted(numbered))}
 
 
-def place_by_intervals(numbered: Numbered, times: NDArray[np.float64]) -> Numbered:
+def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
     """Renumber frames so that those the camera dropped leave gaps: by intervals, not by the clock's rate.
-
-    With times (n,).
 
     Examples
     --------
@@ -117,10 +105,10 @@ def place_by_intervals(numbered: Numbered, times: NDArray[np.float64]) -> Number
     if len(times) != len(numbered) or len(times) < 3 or intervals.min() <= 0:
         return numbered
     passed = intervals / np.median(intervals)
-    whole = np.rint(passed)
-    uneven = np.abs(passed - whole) > _OFF + _ROUNDED * whole
-    if uneven.any() or whole.min() < 1 or whole.sum() > _MOST * len(times):
+    steps = np.rint(passed)
+    uneven = np.abs(passed - steps) > MAX_OFFSET + RATE_ERROR * steps
+    if uneven.any() or steps.min() < 1 or steps.sum() > MAX_PLACES_PER_IMAGE * len(times):
         return numbered
     old = sorted(numbered)
-    places = old[0] + np.append(0, np.cumsum(whole)).astype(int)
+    places = old[0] + np.append(0, np.cumsum(steps)).astype(int)
     return {int(place): numbered[number] for place, number in zip(places, old)}

@@ -14,12 +14,12 @@ from wavefield.series.experiment import Experiment
 from wavefield.series.frames import FrameSeries
 from wavefield.variables import TABLE
 
-# about 100 MB of the paper's largest camera: a fair amount to read at once
-_CHUNK_BYTES = 100_000_000
+CHUNK_BYTES = 100_000_000  # read at once
+MAX_CHUNK_FRAMES = 64
 
 
 class FrameWarning(UserWarning):
-    """A frame is missing or bad; zeros stand in its place."""
+    """A frame is missing or bad; zeros take its place."""
 
 
 class FrameArray(BackendArray):
@@ -30,17 +30,15 @@ class FrameArray(BackendArray):
         self.shape = (len(series), *series.shape)
         self.dtype = np.dtype(series.dtype)
 
-    def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
-        return indexing.explicit_indexing_adapter(
-            key, self.shape, indexing.IndexingSupport.OUTER_1VECTOR, self._read
-        )
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> np.ndarray:
+        support = indexing.IndexingSupport.OUTER_1VECTOR
+        out: np.ndarray = indexing.explicit_indexing_adapter(key, self.shape, support, self._read)
+        return out
 
     def _read(self, key: tuple[Any, ...]) -> np.ndarray:
-        time, *rest = key
-        inside = tuple(rest)
+        time, inside = key[0], key[1:]
         if isinstance(time, int | np.integer):
-            out: np.ndarray = self._frame(int(time))[inside]
-            return out
+            return np.asarray(self._frame(int(time))[inside])
         indices = np.arange(len(self.series))[time]
         if indices.size == 0:
             return np.zeros((0, *self.shape[1:]), self.dtype)[(slice(None), *inside)]
@@ -50,7 +48,7 @@ class FrameArray(BackendArray):
         frame = self.series.read(index)
         if frame.image is not None:
             return frame.image
-        warnings.warn(f"{frame.message}; zeros stand in its place", FrameWarning, stacklevel=2)
+        warnings.warn(f"{frame.message}; zeros take its place", FrameWarning, stacklevel=2)
         return np.zeros(self.shape[1:], self.dtype)
 
 
@@ -61,17 +59,17 @@ class ExperimentBackend(BackendEntrypoint):
     open_dataset_parameters = ("filename_or_obj", "drop_variables", "group", "folder")
     supports_groups = True
 
-    def guess_can_open(self, filename_or_obj: Any) -> bool:
+    def guess_can_open(self, filename_or_obj: object) -> bool:
         """Whether this is an experiment file."""
         try:
-            path = Path(filename_or_obj)
+            path = Path(str(filename_or_obj))
             return path.suffix in (".yaml", ".yml") and "cameras:" in path.read_text()
-        except (TypeError, ValueError, OSError):
+        except (ValueError, OSError):
             return False
 
     def open_dataset(
         self,
-        filename_or_obj: Any,
+        filename_or_obj: object,
         *,
         drop_variables: str | Iterable[str] | None = None,
         group: str | None = None,
@@ -86,28 +84,28 @@ class ExperimentBackend(BackendEntrypoint):
         elif f"/{name}" in groups:
             out = groups[f"/{name}"]
         else:
-            there = ", ".join(path.strip("/") for path in groups)
-            raise ValueError(f"{filename_or_obj} has no camera {name!r}; it has {there}")
-        return out.assign_coords(root.coords).assign_attrs(root.attrs).drop_vars(_several(drop_variables))
+            cameras = ", ".join(path.strip("/") for path in groups)
+            raise ValueError(f"{filename_or_obj} has no camera {name!r}; it has {cameras}")
+        return out.assign_coords(root.coords).assign_attrs(root.attrs).drop_vars(_listed(drop_variables))
 
     def open_groups_as_dict(
         self,
-        filename_or_obj: Any,
+        filename_or_obj: object,
         *,
         drop_variables: str | Iterable[str] | None = None,
         folder: str | None = None,
     ) -> dict[str, xr.Dataset]:
         """Open the root (time) and one group per camera."""
-        experiment = Experiment.load(filename_or_obj, folder)
+        experiment = Experiment.load(str(filename_or_obj), folder)
         series = experiment.open_frames()
         if experiment.mask:
             warnings.warn(
                 f"{experiment.path}: what `mask` covers is not marked in frames opened like this; put it "
-                "beside a camera's image as `mask`, or measure with `wavefield run`",
+                "next to a camera's image as `mask`, or measure with `wavefield run`",
                 FrameWarning,
                 stacklevel=2,
             )
-        drop = _several(drop_variables)
+        drop = _listed(drop_variables)
         coordinates = _coordinates(experiment, next(iter(series.values())))
         groups = {"/": xr.Dataset(coords=coordinates, attrs=_attributes(experiment))}
         groups |= {f"/{name}": _camera(s) for name, s in series.items()}
@@ -115,7 +113,7 @@ class ExperimentBackend(BackendEntrypoint):
 
     def open_datatree(
         self,
-        filename_or_obj: Any,
+        filename_or_obj: object,
         *,
         drop_variables: str | Iterable[str] | None = None,
         folder: str | None = None,
@@ -125,7 +123,7 @@ class ExperimentBackend(BackendEntrypoint):
         return xr.DataTree.from_dict(groups)
 
 
-def _several(names: str | Iterable[str] | None) -> list[str]:
+def _listed(names: str | Iterable[str] | None) -> list[str]:
     return [names] if isinstance(names, str) else list(names or [])
 
 
@@ -141,7 +139,7 @@ def _camera(series: FrameSeries) -> xr.Dataset:
         TABLE["frames/image"].of(series.camera, "1"),
     )
     per_frame = int(np.prod(series.shape)) * array.dtype.itemsize
-    frames = int(np.clip(_CHUNK_BYTES // per_frame, 1, 64))
+    frames = int(np.clip(CHUNK_BYTES // per_frame, 1, MAX_CHUNK_FRAMES))
     image.encoding["preferred_chunks"] = {"time": frames, "row": series.shape[0], "column": series.shape[1]}
     present = np.ones(len(series), bool)
     present[series.missing - series.first] = False

@@ -1,8 +1,8 @@
-"""The parts of an experiment file: cameras, calibration, surface, velocity, grid, water, probes, frames."""
+"""The parts of an experiment file: record, calibration, surface, velocity, grid, water, probes."""
 
 from typing import Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from wavefield.config_files import ConfigSection
 from wavefield.grid import Grid
@@ -25,8 +25,33 @@ class CameraSection(ConfigSection):
 
     @model_validator(mode="before")
     @classmethod
-    def _shorthand(cls, data: Any) -> Any:
+    def _shorthand(cls, data: object) -> object:
         return {"images": data} if isinstance(data, str | list) else data
+
+
+class FramesSection(ConfigSection):
+    """Range of frame numbers to use, both included."""
+
+    first: int | None = Field(default=None, examples=["0"])
+    last: int | None = Field(default=None, examples=["11999"])
+
+
+class RecordSection(ConfigSection):
+    """The record of an experiment: its name, its cameras and their images."""
+
+    name: str = Field(examples=["coriolis-07"], pattern=r"^[^/\\]+$")
+    description: str = ""
+    frame_rate: float = Field(
+        gt=0, le=1e7, examples=["20.0"], description="Hz; by default what recordings state"
+    )
+    folder: str | None = Field(default=None, description="folder of the images, if not that of this file")
+    cameras: dict[str, CameraSection] = Field(min_length=1, examples=['{cam1: {images: "cam1/*.tif"}}'])
+    frames: FramesSection = FramesSection()
+
+    @field_validator("name", mode="before")
+    @classmethod
+    def _name_is_text(cls, value: object) -> object:
+        return str(value) if isinstance(value, int | float) else value  # `name: 7` is a fine name
 
 
 class CalibrationSection(ConfigSection):
@@ -67,16 +92,16 @@ class VelocitySection(ConfigSection):
 
 
 class GridSection(ConfigSection):
-    """Nodes of the grid, metres; without x and y the extent is that seen by the cameras."""
+    """Nodes of the grid, metres; without x and y the extent is the cameras' common view."""
 
     x: tuple[float, float] | None = Field(default=None, examples=["[-1.0, 1.0]"])
     y: tuple[float, float] | None = Field(default=None, examples=["[-0.75, 0.75]"])
     step: float = Field(gt=0, examples=["0.01"])
 
     @model_validator(mode="after")
-    def _whole(self) -> "GridSection":
+    def _complete(self) -> "GridSection":
         if (self.x is None) != (self.y is None):
-            raise ValueError("give both x and y, or neither for the extent seen by the cameras")
+            raise ValueError("give both x and y, or neither for the extent that the cameras see")
         if self.x is not None and self.y is not None:
             Grid(self.x, self.y, self.step)
         return self
@@ -86,14 +111,12 @@ class WaterSection(ConfigSection):
     """The water."""
 
     depth: float | None = Field(default=None, gt=0, le=12_000, examples=["0.70"], description="m")
-    level: float = Field(
-        default=0.0, description="height of the water at rest above z = 0 of the rig file, m"
-    )
+    level: float = Field(default=0.0, description="height of the still water above z = 0 of the rig file, m")
     density: float | None = Field(default=None, gt=0, le=30_000, examples=["1000"], description="kg m-3")
     surface_tension: float | None = Field(default=None, ge=0, le=5, examples=["0.073"], description="N m-1")
 
     def attributes(self) -> dict[str, float]:
-        """What cubes and frames say of the water: ``water_depth``, ``surface_tension_over_density``."""
+        """Attributes of cubes and frames on the water: ``water_depth``, ``surface_tension_over_density``."""
         out = {} if self.depth is None else {"water_depth": self.depth}
         if self.surface_tension is not None or self.density is not None:
             out["surface_tension_over_density"] = tension_over_density(self.surface_tension, self.density)
@@ -101,7 +124,7 @@ class WaterSection(ConfigSection):
 
 
 class ProbesSection(ConfigSection):
-    """A file of wave probes, and what its header does not say."""
+    """A file of wave probes, and what its header does not state."""
 
     file: str = Field(examples=["probes.csv"])
     time: str | int = Field(
@@ -110,7 +133,7 @@ class ProbesSection(ConfigSection):
     columns: dict[str, str | int] = Field(
         default_factory=dict, examples=['{p1: "WG 1", p2: 3}'], description="column of every probe, likewise"
     )
-    unit: Literal["", "m", "cm", "mm", "um"] = Field(default="", description="where the file does not say it")
+    unit: Literal["", "m", "cm", "mm", "um"] = Field(default="", description="if the file does not state it")
     factor: float = Field(
         default=1.0, description="on the values, such as -1 for gauges that count downwards"
     )
@@ -121,12 +144,5 @@ class ProbesSection(ConfigSection):
 
     @model_validator(mode="before")
     @classmethod
-    def _shorthand(cls, data: Any) -> Any:
+    def _shorthand(cls, data: object) -> object:
         return {"file": data} if isinstance(data, str) else data
-
-
-class FramesSection(ConfigSection):
-    """Range of frame numbers to use, both included."""
-
-    first: int | None = Field(default=None, examples=["0"])
-    last: int | None = Field(default=None, examples=["11999"])

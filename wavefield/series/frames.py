@@ -1,4 +1,4 @@
-"""The frames of one camera: where each one is, and reading it."""
+"""The frames of one camera: the place of each, and reading it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -42,19 +42,19 @@ class FrameSeries:
         Name of the camera.
     first : int
         Frame number of index 0.
-    entries : sequence of Entry or None
-        Where the frames are, in order of their numbers; None where one is missing.
+    entries : sequence of FrameEntry or None
+        Files of the frames, in order of their numbers; None where one is missing.
     shape : tuple of int
         (rows, columns) that every frame must have.
     dtype : str
         Type that every frame must have.
     mask : CameraMask, optional
-        What is covered in them.
+        Pixels that do not count.
     beyond : tuple of int
         Frames that this camera has before and after the record: other cameras, or ``frames`` of the
         experiment file, end it there.
     times : ndarray, (n,), optional
-        When each frame was taken by the camera's own clock, s; NaN where it is missing.
+        Time of each frame by the camera's own clock, s; NaN where it is missing.
     """
 
     camera: str
@@ -109,19 +109,22 @@ class FrameSeries:
         try:
             image = read_entry(entry)
         except FrameError as error:
-            words = str(error)  # which mostly names the file itself
-            if entry.path in words:
+            if entry.path in str(error):
                 place = f"{self.camera} frame {self.first + index}"
-            return Frame(None, FrameFault.UNREADABLE, f"{place}: {words}")
+            return Frame(None, FrameFault.UNREADABLE, f"{place}: {error}")
         if self.mask is not None and self.mask.moving:
             try:
                 self.mask.covered(index)
             except FrameError as error:
                 return Frame(None, FrameFault.UNREADABLE, f"{place}: its mask: {error}")
-        return self.judge(image, place)
+        if image.shape != self.shape or image.dtype != self.dtype:
+            size = f"{image.shape[1]} x {image.shape[0]} {image.dtype}"
+            usual = f"{self.shape[1]} x {self.shape[0]} {self.dtype}"
+            return Frame(None, FrameFault.WRONG_SIZE, f"{place} is {size}, the others are {usual}")
+        return check_content(image, place)
 
-    def covered(self, index: int) -> np.ndarray | None:
-        """What is covered in a frame that can be read.
+    def covered(self, index: int) -> NDArray[np.bool_] | None:
+        """Pixels of a frame that do not count.
 
         Parameters
         ----------
@@ -131,15 +134,15 @@ class FrameSeries:
         Returns
         -------
         ndarray of bool, (row, column), or None
-            True where pixels do not count; None if all do, or the mask cannot be read.
+            True where covered; None if nothing is, or the mask cannot be read.
         """
         try:
             return None if self.mask is None else self.mask.covered(index)
         except FrameError:
-            return None  # `read` gives no frame then, and says why
+            return None  # `read` gives no frame then, and the reason
 
     def read_uncovered(self, index: int) -> np.ndarray | None:
-        """Read a frame for a look at it as a whole: what is covered is made an even grey.
+        """Read a frame with an even grey where it is covered.
 
         Parameters
         ----------
@@ -151,32 +154,11 @@ class FrameSeries:
         ndarray, (row, column), or None
             None where there is no good frame.
         """
-        image = self.read(index).image
-        covered = None if image is None else self.covered(index)
+        image, covered = self.read(index).image, self.covered(index)
         return image if image is None or covered is None else made_even(image, covered)
 
-    def judge(self, image: np.ndarray, place: str) -> Frame:
-        """Check the size, type and content of an image.
-
-        Parameters
-        ----------
-        image : ndarray, (row, column)
-            What was read.
-        place : str
-            Which frame this is, for the message.
-
-        Returns
-        -------
-        Frame
-        """
-        if image.shape != self.shape or image.dtype != self.dtype:
-            found = f"{image.shape[1]} x {image.shape[0]} {image.dtype}"
-            requested = f"{self.shape[1]} x {self.shape[0]} {self.dtype}"
-            return Frame(None, FrameFault.WRONG_SIZE, f"{place} is {found}, the others are {requested}")
-        return check_content(image, place)
-
     def window(self, start: int, stop: int) -> "FrameSeries":
-        """The frames of one block: small enough to send to a worker.
+        """The frames of one chunk: small enough to send to a worker.
 
         Parameters
         ----------
@@ -189,20 +171,17 @@ class FrameSeries:
         """
         start = max(start, 0)
         mask = None if self.mask is None else self.mask.window(start, stop)
-        # a block is told places, not times: those are for looking at the whole
+        # the measurement of a chunk does not need times
         entries = list(self.entries[start:stop])
         return replace(self, first=self.first + start, entries=entries, mask=mask, times=None)
 
 
 def check_content(image: np.ndarray, place: str) -> Frame:
-    """Mark an image without any contrast, or with pixels that are no numbers.
-
-    With image (row, column).
-    """
+    """A frame of an image, refused without any contrast, or with pixels that are not finite."""
     if image.dtype.kind == "f" and not np.isfinite(image).all():
         bad = int(image.size - np.isfinite(image).sum())
         return Frame(None, FrameFault.UNREADABLE, f"{place} has {bad} pixels that are not finite numbers")
-    # nearly every image shows contrast in a sample of its pixels, so the full look is rare
+    # nearly every image has contrast in a sample of its pixels
     sample = image[::17, ::17]
     if sample.min() == sample.max() and image.min() == image.max():
         return Frame(None, FrameFault.BLANK, f"{place} is blank (all pixels are {image.flat[0]})")

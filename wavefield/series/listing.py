@@ -1,4 +1,4 @@
-"""From what the experiment file says of a camera's images to a place in time for every frame.
+"""From a camera's images as the experiment file names them to a place in time for every frame.
 
 A frame's place comes from its number (in its name, in its file, or from its time stamp), never from its
 rank in a listing: a missing file must not shift the rest.
@@ -16,14 +16,23 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.series.frames import FrameSeries
-from wavefield.series.readers import FrameEntry, count_images, read_entry
+from wavefield.series.readers import FrameEntry, Kind, count_images, read_entry
 from wavefield.series.remote import is_remote, list_remote
 
 Numbered = dict[int, FrameEntry]
+Images = str | Sequence[str | None]  # as in the experiment file
+
+SINGLE_IMAGE_ENDINGS = (".png", ".bmp", ".jpg", ".jpeg")
+MAX_TRIED = 20  # frames, for one that can be read
 _FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
 
 
-def number_frames(images: str | Sequence[str | None], folder: Path, camera: str) -> Numbered:
+def has_pattern(name: str) -> bool:
+    """Whether a name stands for several files: with ``{frame}`` or wildcards."""
+    return bool(_FRAME.search(name)) or any(c in name for c in "*?[")
+
+
+def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
     """Give every image of a camera its frame number."""
     if not isinstance(images, str):
         return _from_list(images, folder, camera)
@@ -31,15 +40,15 @@ def number_frames(images: str | Sequence[str | None], folder: Path, camera: str)
     if is_remote(name):
         return _from_store(name, camera)
     path = folder / name
-    if _has_pattern(path):
+    if has_pattern(path.name) or _FRAME.search(name):
         prefix = str(path.parent) + os.sep
         names = _names(path, camera)
         return {number: FrameEntry("file", prefix + name) for number, name in sorted(names.items())}
-    kind, count = _counted(path, camera)
+    kind, count = _count_images(path, camera)
     return {i: FrameEntry(kind, str(path), i) for i in range(count)}
 
 
-def newest_frames(images: str | Sequence[str | None], folder: Path, camera: str, count: int) -> Numbered:
+def newest_frames(images: Images, folder: Path, camera: str, count: int) -> Numbered:
     """Give the newest images of a camera their frame numbers, however many there are.
 
     Examples
@@ -51,18 +60,20 @@ def newest_frames(images: str | Sequence[str | None], folder: Path, camera: str,
     ...     list(newest_frames("img_{frame}.tif", Path(folder), "cam1", 2))
     [11, 10]
     """
-    path = folder / images.replace("{camera}", camera) if isinstance(images, str) else folder
-    if not isinstance(images, str) or is_remote(images) or not _has_pattern(path):
-        found = number_frames(images, folder, camera)
-        return {number: found[number] for number in nlargest(count, found)}
-    names = _names(path, camera)
-    return {number: FrameEntry("file", str(path.parent / names[number])) for number in nlargest(count, names)}
+    if isinstance(images, str) and not is_remote(images):
+        path = folder / images.replace("{camera}", camera)
+        if has_pattern(path.name) or _FRAME.search(images):
+            names = _names(path, camera)
+            newest = nlargest(count, names)
+            return {number: FrameEntry("file", str(path.parent / names[number])) for number in newest}
+    numbered = number_frames(images, folder, camera)
+    return {number: numbered[number] for number in nlargest(count, numbered)}
 
 
 def _from_store(address: str, camera: str) -> Numbered:
     folder, _, pattern = address.rpartition("/")
-    if not (_FRAME.search(pattern) or any(c in pattern for c in "*?[")):
-        kind, count = _counted(address, camera)
+    if not has_pattern(pattern):
+        kind, count = _count_images(address, camera)
         return {i: FrameEntry(kind, address, i) for i in range(count)}
     try:
         numbered = _numbered(list_remote(folder), pattern, folder, camera)
@@ -71,7 +82,7 @@ def _from_store(address: str, camera: str) -> Numbered:
     return {number: FrameEntry("remote", f"{folder}/{name}") for number, name in sorted(numbered.items())}
 
 
-def _counted(path: Path | str, camera: str):  # type: ignore[no-untyped-def]
+def _count_images(path: Path | str, camera: str) -> tuple[Kind, int]:
     try:
         return count_images(path)
     except FrameError as error:
@@ -82,19 +93,14 @@ def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbe
     out: Numbered = {}
     number = 0
     for item in images:
-        if item is not None:
-            path = folder / item.replace("{camera}", camera)
-            if path.suffix.lower() in (".png", ".bmp", ".jpg", ".jpeg"):
-                kind, count = "file", 1  # these hold one image: no need to look into each file
-            elif not path.exists():
-                number += 1  # a listed file that is not there keeps its place
-                continue
-            else:
-                kind, count = _counted(path, camera)
-            if kind != "file" or path.exists():
-                out |= {number + i: FrameEntry(kind, str(path), i) for i in range(count)}  # type: ignore[arg-type]
-            number += count - 1
-        number += 1
+        path = None if item is None else folder / item.replace("{camera}", camera)
+        kind: Kind = "file"
+        count = 1  # a gap, or a listed file that does not exist, keeps its place
+        if path is not None and path.exists():
+            if path.suffix.lower() not in SINGLE_IMAGE_ENDINGS:  # no need to open each of these
+                kind, count = _count_images(path, camera)
+            out |= {number + i: FrameEntry(kind, str(path), i) for i in range(count)}
+        number += count
     if not out:
         raise ExperimentError(f"images of {camera}: none of the {len(images)} listed files is there")
     return out
@@ -115,32 +121,27 @@ def list_folder(folder: Path, camera: str) -> list[str]:
         ) from None
 
 
-def _has_pattern(path: Path) -> bool:
-    return bool(_FRAME.search(str(path))) or any(c in path.name for c in "*?[")
-
-
 def _names(path: Path, camera: str) -> dict[int, str]:
     """Names of the files in a folder that fit a pattern, by frame number."""
-    folder, pattern = path.parent, path.name
-    if _FRAME.search(str(folder)) or any(c in str(folder) for c in "*?["):
+    if has_pattern(str(path.parent)):
         raise ExperimentError(
             f"images of {camera}: {path} has a pattern in its folder; only the file may vary"
         )
-    return _numbered(list_folder(folder, camera), pattern, folder, camera)
+    return _numbered(list_folder(path.parent, camera), path.name, path.parent, camera)
 
 
 def _numbered(names: Sequence[str], pattern: str, folder: Path | str, camera: str) -> dict[int, str]:
-    if _FRAME.search(pattern):
-        before, after = _FRAME.sub("\0", pattern).split("\0", 1)
-        if "\0" in after:
-            raise ExperimentError(f"images of {camera}: {pattern} has {{frame}} twice")
-        numbered = _numbers_by_pattern(names, before, after, camera)
+    parts = _FRAME.sub("\0", pattern).split("\0")
+    if len(parts) > 2:
+        raise ExperimentError(f"images of {camera}: {pattern} has {{frame}} twice")
+    if len(parts) == 2:
+        numbered = _numbers_by_pattern(names, parts[0], parts[1], camera)
     else:
         numbered = _numbers_by_glob(fnmatch.filter(names, pattern), pattern, camera)
     if not numbered:
-        raise ExperimentError(
-            f"images of {camera}: no file in {folder} fits {pattern!r}" + _hint(names, folder, pattern)
-        )
+        alike = sorted(name for name in names if name.endswith(Path(pattern).suffix)) or sorted(names)
+        hint = f"the folder holds {alike[0]!r} and others" if alike else f"{folder} is empty"
+        raise ExperimentError(f"images of {camera}: no file in {folder} fits {pattern!r}; {hint}")
     return numbered
 
 
@@ -191,12 +192,6 @@ def _numbers_by_glob(names: Sequence[str], pattern: str, camera: str) -> dict[in
     return out
 
 
-def _hint(names: Sequence[str], folder: Path | str, pattern: str) -> str:
-    ending = Path(pattern).suffix
-    alike = sorted(name for name in names if name.endswith(ending)) or sorted(names)
-    return f"; the folder holds {alike[0]!r} and others" if alike else f"; {folder} is empty"
-
-
 def make_series(
     numbered: Mapping[str, Numbered], first: int, last: int, clocks: Mapping[str, NDArray[np.float64]]
 ) -> dict[str, FrameSeries]:
@@ -220,11 +215,12 @@ def _file_size(entry: FrameEntry) -> int:
 
 
 def _usual_kind(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tuple[int, int], str]:
+    """Shape and type of the frames of a camera, from one of the usual size that can be read."""
     present = [entry for entry in entries if entry is not None]
-    # the first, as any, may be of another size than the record: the one tried first is of the usual size
-    some = [present[int(k * (len(present) - 1) / 4)] for k in range(5)] if present else []
-    usual = sorted(some, key=_file_size)[2:3]
-    tried = list(dict.fromkeys([*usual, *present[:20]]))
+    # any frame may be of another size than the record: the median of five comes first
+    five = [present[int(k * (len(present) - 1) / 4)] for k in range(5)] if present else []
+    usual = sorted(five, key=_file_size)[2:3]
+    tried = list(dict.fromkeys([*usual, *present[:MAX_TRIED]]))
     problem = "there are none in the range of frames"
     for entry in tried:
         try:

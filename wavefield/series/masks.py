@@ -1,10 +1,9 @@
-"""What does not count as water: outlines and images in the experiment file, and what they cover."""
+"""Masks: outlines and images in the experiment file, and the pixels and nodes that they cover."""
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -16,12 +15,15 @@ from wavefield.errors import ExperimentError, FrameError
 from wavefield.rig import Camera, Rig
 from wavefield.series.camera_mask import CameraMask, Outline
 from wavefield.series.frames import FrameSeries
-from wavefield.series.listing import number_frames
+from wavefield.series.listing import has_pattern, number_frames
 from wavefield.series.readers import FrameEntry
 
-WATER = "water"  # the key of masks that lie on the water, not in one camera's image
-_CORNERS = 64  # of a circle's outline
-_SIDE_POINTS = 16  # along an edge on the water: it is no straight line in an image
+WATER = "water"  # the key of masks on the water, not in one camera's image
+CIRCLE_CORNERS = 64  # of a circle's outline
+POINTS_PER_SIDE = 16  # of an edge on the water: it is no straight line in an image
+CYLINDER_LEVELS = 5  # heights at which a cylinder is projected
+TOP_SHARE = 0.9  # of the camera's height: top of a cylinder that is not given
+MAX_OUTSIDE = 16.0  # image sizes: only the direction of a corner further away matters
 
 
 class CylinderSection(ConfigSection):
@@ -32,7 +34,7 @@ class CylinderSection(ConfigSection):
     radius: float = Field(gt=0, examples=["0.1"])
     top: float | None = Field(default=None, description="z of its top; as high as the cameras if left out")
     bottom: float | None = Field(
-        default=None, description="z down to which it is seen; the lowest water searched if left out"
+        default=None, description="z down to which it is visible; the lowest water searched if left out"
     )
 
     @model_validator(mode="after")
@@ -78,9 +80,7 @@ class MaskSection(ConfigSection):
 
     @model_validator(mode="after")
     def _one(self) -> "MaskSection":
-        given = [
-            name for name in ("polygon", "image", "frames", "cylinder") if getattr(self, name) is not None
-        ]
+        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(
                 f"give one of polygon, image, frames, cylinder, not {' and '.join(given) or 'none'}"
@@ -89,10 +89,7 @@ class MaskSection(ConfigSection):
 
 
 def crossing(corners: Sequence[tuple[float, float]]) -> tuple[int, int] | None:
-    """Two sides of a polygon that cross.
-
-    With corners (float, float); returns (int, int): Numbers of the corners at which the sides begin, from 0;
-    None if it does not cross itself.
+    """Two sides of a polygon that cross, by the corners at which they begin, from 0; None if none do.
 
     Examples
     --------
@@ -103,24 +100,25 @@ def crossing(corners: Sequence[tuple[float, float]]) -> tuple[int, int] | None:
     p = np.asarray(corners, float)
     q = np.roll(p, -1, axis=0)
 
-    def side(a: NDArray[Any], b: NDArray[Any], c: NDArray[Any]) -> float:
-        return float(np.sign((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])))
+    def side(i: int, point: NDArray[np.float64]) -> float:
+        """On which side of the line through side i a point is."""
+        (dx, dy), (x, y) = q[i] - p[i], point - p[i]
+        return float(np.sign(dx * y - dy * x))
 
     for i in range(len(p)):
         for j in range(i + 2, len(p)):
             if i == 0 and j == len(p) - 1:
                 continue  # neighbours
-            apart = side(p[i], q[i], p[j]) * side(p[i], q[i], q[j])
-            if apart < 0 and side(p[j], q[j], p[i]) * side(p[j], q[j], q[i]) < 0:
+            if side(i, p[j]) * side(i, q[j]) < 0 and side(j, p[i]) * side(j, q[i]) < 0:
                 return i, j
     return None
 
 
-def normalized(masks: Any, cameras: Iterable[str]) -> Any:
+def normalized(masks: object, cameras: Collection[str]) -> object:
     """Write out the short forms of ``mask:`` and refuse what belongs to no camera."""
     if not isinstance(masks, Mapping):
         return masks
-    out: dict[str, Any] = {}
+    out: dict[str, list[object]] = {}
     for name, shapes in masks.items():
         if name not in (*cameras, WATER):
             raise ValueError(f"mask names {name!r}, but there are {', '.join((*cameras, WATER))}")
@@ -130,12 +128,11 @@ def normalized(masks: Any, cameras: Iterable[str]) -> Any:
 
 
 def _written_out(name: str) -> dict[str, str]:
-    moves = "{frame" in name or any(c in Path(name).name for c in "*?[")
-    return {"frames" if moves else "image": name}
+    return {"frames" if has_pattern(Path(name).name) else "image": name}
 
 
-def check(masks: Mapping[str, Sequence[MaskSection]]) -> None:
-    """Refuse what makes no sense where it stands."""
+def refuse_misplaced(masks: Mapping[str, Sequence[MaskSection]]) -> None:
+    """Refuse images on the water and cylinders in an image."""
     for name, shapes in masks.items():
         for shape in shapes:
             if name == WATER and (shape.image or shape.frames):
@@ -143,17 +140,11 @@ def check(masks: Mapping[str, Sequence[MaskSection]]) -> None:
                     "mask: an image belongs to a camera; on the water give a polygon or a cylinder"
                 )
             if name != WATER and shape.cylinder:
-                raise ValueError(f"mask: the cylinder stands under {name}; put it under `water`, in metres")
-
-
-# -- what they cover -----------------------------------------------------------------------------------------
+                raise ValueError(f"mask: the cylinder is under {name}; put it under `water`, in metres")
 
 
 def footprints(masks: Mapping[str, Sequence[MaskSection]]) -> tuple[Outline, ...]:
-    """Outlines on the water of what covers nodes, whatever the cameras see.
-
-    Returns (x, y): Metres.
-    """
+    """Outlines on the water, (x, y), m, of what covers nodes, whatever the cameras see."""
     out: list[Outline] = []
     for shape in masks.get(WATER, ()):
         if shape.cylinder is not None:
@@ -170,26 +161,28 @@ def covered_series(
     folder: Path,
     reach: float,
 ) -> dict[str, FrameSeries]:
-    """Frames that know what is covered in them."""
+    """Frames with their masks; those on the water as each camera sees them, down to -reach, m."""
     out = {}
     for name, frames in series.items():
-        own, below = masks.get(name, ()), masks.get(WATER, ())
+        own, on_water = masks.get(name, ()), masks.get(WATER, ())
+        drawn = [_in_image(name, shape.polygon, frames.shape) for shape in own if shape.polygon]
+        projected = [outline_in_image(shape, rig[name], reach) for shape in on_water]
         mask = CameraMask(
             frames.shape,
-            tuple(_in_image(name, shape, frames.shape) for shape in own if shape.polygon)
-            + tuple(o for shape in below if (o := _seen(shape, rig[name], reach))),
+            (*drawn, *(outline for outline in projected if outline)),
             tuple(_file(name, folder / shape.image) for shape in own if shape.image),
-            _for_every_frame(name, [s.frames for s in own if s.frames], frames, folder),
+            _for_every_frame(name, [shape.frames for shape in own if shape.frames], frames, folder),
         )
         if mask == CameraMask(frames.shape):
             out[name] = frames
             continue
-        _check_size(name, mask)
+        _refuse_useless(name, mask)
         out[name] = replace(frames, mask=mask)
     return out
 
 
-def _check_size(name: str, mask: CameraMask) -> None:
+def _refuse_useless(name: str, mask: CameraMask) -> None:
+    """Refuse images of another size, and a mask that covers everything."""
     try:
         covered = mask.covered(0)
     except FrameError as error:
@@ -206,48 +199,45 @@ def _file(name: str, path: Path) -> FrameEntry:
     return FrameEntry("file", str(path))
 
 
-def _in_image(name: str, shape: MaskSection, size: tuple[int, int]) -> Outline:
-    assert shape.polygon is not None
-    (left, top), (right, bottom) = np.min(shape.polygon, axis=0), np.max(shape.polygon, axis=0)
+def _in_image(name: str, polygon: Sequence[tuple[float, float]], size: tuple[int, int]) -> Outline:
+    """A polygon in an image, refused where it is outside."""
+    (left, top), (right, bottom) = np.min(polygon, axis=0), np.max(polygon, axis=0)
     if right < 0 or bottom < 0 or left > size[1] - 1 or top > size[0] - 1:
         raise ExperimentError(
             f"mask of {name}: the polygon from column {left:g}, row {top:g} to column {right:g}, row "
-            f"{bottom:g} lies outside the image of {size[1]} x {size[0]} px; give columns and rows in it"
+            f"{bottom:g} is outside the image of {size[1]} x {size[0]} px; give columns and rows in it"
         )
-    return tuple(shape.polygon)
+    return tuple(polygon)
 
 
 def _for_every_frame(
     name: str, patterns: Sequence[str], series: FrameSeries, folder: Path
 ) -> tuple[FrameEntry, ...]:
+    """Images of a mask that moves, one per frame of the series; empty without a pattern."""
     if not patterns:
         return ()
     if len(patterns) > 1:
         raise ExperimentError(f"mask of {name}: `frames` is there twice; draw both into one image per frame")
     numbered = number_frames(patterns[0], folder, f"the mask of {name}")
-    absent = [
-        number
-        for number, entry in enumerate(series.entries, series.first)
-        if entry is not None and number not in numbered
-    ]
+    present = [number for number, entry in enumerate(series.entries, series.first) if entry is not None]
+    absent = [number for number in present if number not in numbered]
     if absent:
+        others = f" and {len(absent) - 1} others" if len(absent) > 1 else ""
         raise ExperimentError(
-            f"mask of {name}: {folder / patterns[0]} has no image for frame {absent[0]}"
-            + (f" and {len(absent) - 1} others" if len(absent) > 1 else "")
-            + "; every frame needs one (black where nothing is covered), or set `frames: first, last`"
+            f"mask of {name}: {folder / patterns[0]} has no image for frame {absent[0]}{others}; every frame "
+            "needs one (black where nothing is covered), or set `frames: first, last`"
         )
-    some = next(iter(numbered.values()))  # where there is no frame, any will do
-    return tuple(numbered.get(series.first + k, some) for k in range(len(series)))
+    any_entry = next(iter(numbered.values()))  # in the place of frames that are missing
+    return tuple(numbered.get(series.first + k, any_entry) for k in range(len(series)))
 
 
-def _seen(shape: MaskSection, camera: Camera, reach: float) -> Outline:
-    """Outline in an image of what lies on the water; empty where the camera does not see it."""
+def outline_in_image(shape: MaskSection, camera: Camera, reach: float) -> Outline:
+    """Outline in an image, px, of a shape on the water; empty where the camera does not see it."""
     if shape.cylinder is not None:
         corners = _silhouette(shape.cylinder, camera, reach)
     else:
-        assert shape.polygon is not None
         p = np.array(shape.polygon)
-        t = np.arange(_SIDE_POINTS)[:, None] / _SIDE_POINTS
+        t = np.arange(POINTS_PER_SIDE)[:, None] / POINTS_PER_SIDE
         edge = np.concatenate([a + t * (b - a) for a, b in zip(p, np.roll(p, -1, axis=0))])
         corners = np.stack(camera.project(edge[:, 0], edge[:, 1], 0.0), axis=-1)
     if not np.isfinite(corners).all():
@@ -255,37 +245,37 @@ def _seen(shape: MaskSection, camera: Camera, reach: float) -> Outline:
     w, h = camera.size
     if (corners.max(axis=0) < 0).any() or (corners.min(axis=0) > (w - 1, h - 1)).any():
         return ()
-    limit = 16.0 * max(w, h)  # far outside: only its direction matters
+    limit = MAX_OUTSIDE * max(w, h)
     return tuple((float(x), float(y)) for x, y in np.clip(corners, -limit, limit))
 
 
 def _circle(cylinder: CylinderSection) -> NDArray[np.float64]:
-    angle = 2 * np.pi * np.arange(_CORNERS) / _CORNERS
-    radius = cylinder.radius / np.cos(np.pi / _CORNERS)  # around the circle
+    """Corners, (n, 2), m, of a polygon around the circle of a cylinder."""
+    angle = 2 * np.pi * np.arange(CIRCLE_CORNERS) / CIRCLE_CORNERS
+    radius = cylinder.radius / np.cos(np.pi / CIRCLE_CORNERS)
     return np.stack([cylinder.x + radius * np.cos(angle), cylinder.y + radius * np.sin(angle)], axis=-1)
 
 
 def _silhouette(cylinder: CylinderSection, camera: Camera, reach: float) -> NDArray[np.float64]:
+    """Corners, (n, 2), px, of the outline of a cylinder in an image; NaN where it is not visible."""
     ring = _circle(cylinder)
     bottom = -reach if cylinder.bottom is None else cylinder.bottom
-    top = 0.9 * float(camera.centre[2]) if cylinder.top is None else cylinder.top
-    points = [
-        np.stack(camera.project(ring[:, 0], ring[:, 1], z), axis=-1) for z in np.linspace(bottom, top, 5)
-    ]
-    seen = np.concatenate(points)
-    seen = seen[np.isfinite(seen).all(axis=1)]
-    if not len(seen):
+    top = TOP_SHARE * float(camera.centre[2]) if cylinder.top is None else cylinder.top
+    heights = np.linspace(bottom, top, CYLINDER_LEVELS)
+    points = np.concatenate([np.stack(camera.project(ring[:, 0], ring[:, 1], z), axis=-1) for z in heights])
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points):
         return np.full((1, 2), np.nan)
-    return np.asarray(cv2.convexHull(seen.astype(np.float32))[:, 0], np.float64)
+    return np.asarray(cv2.convexHull(points.astype(np.float32))[:, 0], np.float64)
 
 
-def as_data(masks: Mapping[str, Sequence[MaskSection]], folder: Path) -> dict[str, Any]:
-    """Masks as plain data for a recipe: what a cube's values follow from."""
-    out: dict[str, Any] = {}
+def as_data(masks: Mapping[str, Sequence[MaskSection]], folder: Path) -> dict[str, list[dict[str, object]]]:
+    """Masks as plain data for a recipe: all that a cube's values depend on."""
+    out: dict[str, list[dict[str, object]]] = {}
     for name, shapes in masks.items():
         out[name] = [shape.model_dump(exclude_none=True, mode="json") for shape in shapes]
-        for data in out[name]:
-            if "image" in data:
-                content = (folder / data["image"]).read_bytes()
+        for shape, data in zip(shapes, out[name]):
+            if shape.image:
+                content = (folder / shape.image).read_bytes()
                 data["content"] = hashlib.sha256(content).hexdigest()[:16]
     return out

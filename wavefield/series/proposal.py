@@ -8,14 +8,14 @@ from pathlib import Path
 
 from wavefield.errors import ExperimentError
 
-_ENDINGS = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
+IMAGE_ENDINGS = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
+MIN_IMAGES = 3  # of a record
 _TARGETS = re.compile(r"calib|target|board|grid|mire|eich", re.IGNORECASE)
 _REST = re.compile(r"rest|still|flat_water|repos|ruhe", re.IGNORECASE)
-_FEWEST = 3  # images that make a record
 
 
 @dataclass(frozen=True)
-class Numbered:
+class NumberedImages:
     """Images whose names differ in one number."""
 
     pattern: str  # Path from the folder, with ``{frame}`` for the number
@@ -28,31 +28,23 @@ class Numbered:
         return gaps[len(gaps) // 2] if gaps else 1
 
 
-def find_series(folder: Path) -> list[Numbered]:
+def find_series(folder: Path) -> list[NumberedImages]:
     """Find the numbered images in a folder and in those below."""
     if not folder.is_dir():
-        raise ExperimentError(f"{folder} is no folder; name the one that the images lie in or below")
-    found: dict[str, list[int]] = defaultdict(list)
+        raise ExperimentError(f"{folder} is no folder; name the one that contains the images")
+    numbers: dict[str, list[int]] = defaultdict(list)
     for path in folder.rglob("*"):
-        if path.suffix.lower() in _ENDINGS and path.is_file():
-            name = path.relative_to(folder)
-            match = re.fullmatch(r"(.*?)(\d+)(\D*)", name.name)
-            if match:
-                head, digits, tail = match.groups()
-                width = f":0{len(digits)}d" if digits.startswith("0") and len(digits) > 1 else ""
-                found[(name.parent / f"{head}{{frame{width}}}{tail}").as_posix()].append(int(digits))
-    merged = _one_width(found)
-    return [Numbered(pattern, tuple(sorted(numbers))) for pattern, numbers in sorted(merged.items())]
-
-
-def _one_width(found: dict[str, list[int]]) -> dict[str, list[int]]:
-    """``img_{frame}`` with the numbers that outgrew ``img_{frame:05d}`` belongs to it."""
-    merged = dict(found)
-    for pattern in found:
+        name = path.relative_to(folder)
+        match = re.fullmatch(r"(.*?)(\d+)(\D*)", name.name)
+        if match and path.suffix.lower() in IMAGE_ENDINGS and path.is_file():
+            head, digits, tail = match.groups()
+            width = f":0{len(digits)}d" if digits.startswith("0") and len(digits) > 1 else ""
+            numbers[(name.parent / f"{head}{{frame{width}}}{tail}").as_posix()].append(int(digits))
+    for pattern in list(numbers):  # numbers that outgrew `{frame:05d}` have the pattern `{frame}`
         bare = re.sub(r"\{frame:\d+d\}", "{frame}", pattern)
-        if bare != pattern and bare in merged:
-            merged[pattern] = merged[pattern] + merged.pop(bare)
-    return merged
+        if bare != pattern and bare in numbers:
+            numbers[pattern] = numbers[pattern] + numbers.pop(bare)
+    return [NumberedImages(pattern, tuple(sorted(found))) for pattern, found in sorted(numbers.items())]
 
 
 def propose(folder: str | Path) -> str:
@@ -66,7 +58,7 @@ def propose(folder: str | Path) -> str:
     Returns
     -------
     str
-        YAML, with a comment on every guess; what nobody can see in a folder is left to be filled in.
+        YAML, with a comment on every guess; what a folder does not show is left to be filled in.
 
     Raises
     ------
@@ -88,20 +80,20 @@ def propose(folder: str | Path) -> str:
     """
     folder = Path(folder).absolute()
     series = find_series(folder)
-    records = [s for s in series if not _TARGETS.search(s.pattern) and len(s.numbers) >= _FEWEST]
+    records = [s for s in series if not _TARGETS.search(s.pattern) and len(s.numbers) >= MIN_IMAGES]
     rest = [s for s in records if _REST.search(s.pattern)]
     waves = [s for s in records if s not in rest]
     if len(waves) < 2:
-        seen = ", ".join(s.pattern for s in series[:4]) or "no numbered images"
+        present = ", ".join(s.pattern for s in series[:4]) or "no numbered images"
         raise ExperimentError(
-            f"{folder}: numbered images of two cameras at least are needed, and there are {seen}; name the "
-            "folder that all cameras lie below"
+            f"{folder}: numbered images of two cameras at least are needed, and there are {present}; name "
+            "the folder that contains those of all cameras"
         )
     lines = [
         *_head(folder),
         *_cameras(waves),
         *_calibration([s for s in series if _TARGETS.search(s.pattern)]),
-        *(_rest(rest)),
+        *_rest(rest),
         "grid: auto                    # what all cameras see; or {x: [..], y: [..], step: ..} in metres",
         "water: {depth: 0.70}          # TO FILL IN: metres",
         *_probes(folder),
@@ -110,12 +102,12 @@ def propose(folder: str | Path) -> str:
 
 
 def _head(folder: Path) -> Iterator[str]:
-    yield f"# Proposed from the images in {folder.name}; look at every line, then run `wavefield check`."
+    yield f"# Proposed from the images in {folder.name}; check every line, then run `wavefield check`."
     yield f"name: {re.sub(r'[^A-Za-z0-9_.-]+', '-', folder.name) or 'experiment'}"
-    yield "frame_rate: 20.0              # TO FILL IN: Hz; no image file says it"
+    yield "frame_rate: 20.0              # TO FILL IN: Hz; image files do not state it"
 
 
-def _cameras(records: list[Numbered]) -> Iterator[str]:
+def _cameras(records: list[NumberedImages]) -> Iterator[str]:
     yield "cameras:"
     first = min(s.numbers[0] for s in records)
     for k, one in enumerate(records, 1):
@@ -132,37 +124,40 @@ def _cameras(records: list[Numbered]) -> Iterator[str]:
         yield f'  cam{k}: {{images: "{one.pattern}"{more}}}    # {remark}'
 
 
-def _calibration(targets: list[Numbered]) -> Iterator[str]:
+def _calibration(targets: list[NumberedImages]) -> Iterator[str]:
     if not targets:
         yield "# calibration: no target images were found; name them here, or a rig: `rig: rig.yaml`"
         return
     yield "calibration:"
     yield "  target: {kind: chessboard, mesh: 0.03, shape: [9, 6]}   # TO FILL IN: mesh in metres"
     names = [re.sub(r"\{frame[^}]*\}", "*", s.pattern) for s in targets]
-    general = {re.sub(r"(?i)cam(era)?[_-]?\d+", "{camera}", name) for name in names}
-    if len(general) == 1 and "{camera}" in next(iter(general)):
-        yield f'  tilted: "{general.pop()}"      # found {", ".join(names)}; the folder names the camera'
+    pattern = _common_pattern(names)
+    if pattern:
+        yield f'  tilted: "{pattern}"      # from {", ".join(names)}; the folder names the camera'
     else:
         listed = ", ".join(f'"{name}"' for name in names)
-        yield f"  tilted: [{listed}]      # put {{camera}} where a name says the camera"
+        yield f"  tilted: [{listed}]      # put {{camera}} where a name contains the camera"
 
 
-def _rest(records: list[Numbered]) -> Iterator[str]:
+def _common_pattern(names: list[str]) -> str | None:
+    """The one pattern that all names have with ``{camera}`` for the camera; None if there is none."""
+    general = {re.sub(r"(?i)cam(era)?[_-]?\d+", "{camera}", name) for name in names}
+    pattern = general.pop()
+    return pattern if not general and "{camera}" in pattern else None
+
+
+def _rest(records: list[NumberedImages]) -> Iterator[str]:
     if not records:
         yield '# rest: "rest/{camera}/img_{frame:05d}.tif"     # images of still, seeded water level the rig'
         return
     patterns = [s.pattern for s in records]
-    general = {re.sub(r"(?i)cam(era)?[_-]?\d+", "{camera}", pattern) for pattern in patterns}
-    if len(general) == 1 and "{camera}" in next(iter(general)) and _names_fit(patterns):
-        yield f'rest: "{general.pop()}"      # water at rest? `wavefield calibrate` levels the rig by it'
+    named_alike = all(f"cam{k}" in pattern for k, pattern in enumerate(patterns, 1))  # as this proposal does
+    pattern = _common_pattern(patterns)
+    if pattern and named_alike:
+        yield f'rest: "{pattern}"      # still water? `wavefield calibrate` levels the rig by it'
         return
     listed = ", ".join(f'cam{k}: "{pattern}"' for k, pattern in enumerate(patterns, 1))
-    yield f"rest: {{{listed}}}      # looks like water at rest; is each of its own camera?"
-
-
-def _names_fit(patterns: list[str]) -> bool:
-    """Whether the images themselves call the cameras cam1, cam2 and so on, in order."""
-    return all(f"cam{k}" in pattern for k, pattern in enumerate(patterns, 1))
+    yield f"rest: {{{listed}}}      # perhaps still water; is each of its own camera?"
 
 
 def _probes(folder: Path) -> Iterator[str]:

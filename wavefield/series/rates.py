@@ -2,25 +2,24 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.series.formats import file_of, open_recording
 
-_ALIKE = 1e-3  # of a rate: cameras round theirs
+RATE_TOLERANCE = 1e-3  # of a rate: cameras round theirs
 
 
-def recorded_rates(cameras: Mapping[str, Any], folder: Path) -> dict[str, float]:
-    """Frame rates that recordings state, by camera."""
+def recorded_rates(cameras: Mapping[str, object], folder: Path) -> dict[str, float]:
+    """Frame rates that recordings state, by camera; the cameras are as in the experiment file."""
     rates = {}
     for name, camera in cameras.items():
-        named = camera.get("images") if isinstance(camera, Mapping) else camera
-        paths = recordings_of(named, str(name), folder)
+        images = camera.get("images") if isinstance(camera, Mapping) else camera
+        paths = recordings_of(images, str(name), folder)
         if not paths:
             continue
         try:
             recording = open_recording(paths[0])
-        except FrameError:  # told where its images are looked for
+        except FrameError:  # reported when the images are opened
             continue
         if recording.rate:
             rates[str(name)] = recording.rate
@@ -28,20 +27,15 @@ def recorded_rates(cameras: Mapping[str, Any], folder: Path) -> dict[str, float]
     return rates
 
 
-def recordings_of(images: Any, camera: str, folder: Path) -> list[Path]:
-    """The recordings that hold a camera's images, one after the other."""
-    named = [images] if isinstance(images, str) else images or []
-    out = []
-    for one in named:
-        path = folder / one.replace("{camera}", camera) if isinstance(one, str) else None
-        if path is None or file_of(path) is None:
-            return []
-        out.append(path)
-    return out
+def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
+    """The recordings that hold a camera's images, one after the other; none if any is of another kind."""
+    names = images if isinstance(images, list) else [images]
+    paths = [folder / name.replace("{camera}", camera) for name in names if isinstance(name, str)]
+    return paths if len(paths) == len(names) and all(map(file_of, paths)) else []
 
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
-    """The rate that all recordings state."""
+    """The rate that all recordings state; None if there are none."""
     if not rates:
         return None
     first = next(iter(rates))
@@ -62,4 +56,4 @@ def is_alike(one: float, other: float) -> bool:
     >>> is_alike(500.0, 500.2), is_alike(500.0, 250.0)
     (True, False)
     """
-    return abs(one - other) <= _ALIKE * abs(other)
+    return abs(one - other) <= RATE_TOLERANCE * abs(other)

@@ -1,12 +1,11 @@
-"""Reading one frame from whatever holds it: a file, a multi-page TIFF, a recording, a video, Zarr;
-or an object store that holds such files."""
+"""Reading one frame from a file, a multi-page TIFF, a recording, a video, Zarr, or an object store."""
 
 import os
 from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, TypeVar, cast
 
 import cv2
 import numpy as np
@@ -20,15 +19,22 @@ from wavefield.series.remote import is_remote, read_remote
 if TYPE_CHECKING:
     from wavefield.series.formats.zarr_array import ZarrImages
 
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # what is wrong with a video is said here
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # damage in a video is reported here
 VIDEO_ENDINGS = (".avi", ".mp4", ".mov", ".mkv")
-
+MAX_OPEN_FILES = 8  # per process; files with many frames stay open between reads
 
 Kind = Literal["file", "page", "video", "zarr", "recording", "remote"]
 
 
+class _Closable(Protocol):
+    def close(self) -> None: ...
+
+
+Opened = TypeVar("Opened", bound=_Closable)
+
+
 class FrameEntry(NamedTuple):
-    """Where one frame is."""
+    """File and number of one frame."""
 
     kind: Kind
     path: str
@@ -39,97 +45,88 @@ class FrameEntry(NamedTuple):
 
 
 def read_entry(entry: FrameEntry) -> np.ndarray:
-    """Read one frame.
-
-    Returns (row, column).
-    """
+    """Read one frame, (row, column)."""
     if entry.kind == "file":
         return read_image(entry.path)
     if entry.kind == "remote":
         return read_remote(entry.path)
-    with _lock:  # open files keep a position, which threads would fight over
+    with _lock:  # open files keep a position, which threads must not share
         if entry.kind == "page":
             return _read_page(entry)
         if entry.kind == "video":
-            out: np.ndarray = _open(entry.path, _Video).read(entry.image)
-            return out
+            return _open(entry.path, _Video).read(entry.image)
         if entry.kind == "recording":
-            return np.asarray(_open(entry.path, open_recording).read(entry.image))
-        images: ZarrImages = _open(entry.path, _open_array)
-        return images.read(entry.image)
+            return _open(entry.path, open_recording).read(entry.image)
+        return _open(entry.path, _open_array).read(entry.image)
 
 
 def count_images(name: str | Path) -> tuple[Kind, int]:
-    """What a single file or store holds."""
+    """Kind and number of images of a single file or store."""
+    path, ending = Path(name), Path(name).suffix.lower()
     if is_remote(str(name)):
-        if str(name).rstrip("/").lower().endswith(".zarr"):
-            return "zarr", _open_array(str(name)).count
-        return "remote", 1
-    path = Path(name)
-    file = file_of(path)
-    if file is not None:
-        opened = open_recording(path)
-        opened.close()
-        return "recording", opened.count
-    if path.suffix.lower() in VIDEO_ENDINGS:
+        return ("zarr", _open_array(str(name)).count) if ending == ".zarr" else ("remote", 1)
+    if file_of(path) is not None:
+        recording = open_recording(path)
+        recording.close()
+        return "recording", recording.count
+    if ending in VIDEO_ENDINGS:
         return "video", _Video(str(path)).count
-    if path.suffix.lower() == ".zarr" or path.is_dir():
+    if ending == ".zarr" or path.is_dir():
         return "zarr", _open_array(str(path)).count
-    if path.suffix.lower() in (".tif", ".tiff"):
-        try:
-            with tifffile.TiffFile(path) as tiff:
+    if ending in (".tif", ".tiff"):
+        with _open_tiff(str(path)) as tiff:
+            try:
                 pages = len(tiff.pages)
-        except Exception as error:  # whatever a damaged header leads to
-            raise FrameError(f"{path} cannot be read: {error}") from None
+            except Exception as error:  # of many kinds, by the damage
+                raise FrameError(f"{path} cannot be read: {error}") from None
         return ("page", pages) if pages > 1 else ("file", 1)
     if not path.is_file():
         raise FrameError(f"{path}: no such image")
     return "file", 1
 
 
-# -- files that hold many frames stay open between reads, a few per process -------------------------------
-
 _lock = Lock()
-_open_files: OrderedDict[tuple[str, int], Any] = OrderedDict()
-_MAX_OPEN = 8
+_open_files: OrderedDict[tuple[str, int], _Closable] = OrderedDict()
 
 
 def close_files() -> None:
     """Close all files that were kept open for further reading."""
     with _lock:
         while _open_files:
-            _close(_open_files.popitem()[1])
+            _open_files.popitem()[1].close()
 
 
-def _close(opened: Any) -> None:
-    if hasattr(opened, "close"):
-        opened.close()
-
-
-def _open(path: str, opener: Callable[[str], Any]) -> Any:
+def _open(path: str, opener: Callable[[str], Opened]) -> Opened:
+    """The open file of a path; the one that was not used for the longest time is closed."""
     try:
         key = path, os.stat(path).st_mtime_ns  # a file that was copied again is opened again
     except OSError:
         key = path, 0
     if key not in _open_files:
         _open_files[key] = opener(path)
-        while len(_open_files) > _MAX_OPEN:
-            _close(_open_files.popitem(last=False)[1])
+        if len(_open_files) > MAX_OPEN_FILES:
+            _open_files.popitem(last=False)[1].close()
     _open_files.move_to_end(key)
-    return _open_files[key]
+    return cast(Opened, _open_files[key])
 
 
 def _open_tiff(path: str) -> tifffile.TiffFile:
     try:
         return tifffile.TiffFile(path)
-    except Exception as error:  # whatever a damaged header leads to
+    except Exception as error:  # of many kinds, by the damage
         raise FrameError(f"{path} cannot be read: {error}") from None
+
+
+def _open_array(path: str) -> "ZarrImages":
+    from wavefield.series.formats.zarr_array import ZarrImages  # Zarr takes long to import
+
+    return ZarrImages(path)
 
 
 def _read_page(entry: FrameEntry) -> np.ndarray:
     tiff = _open(entry.path, _open_tiff)
     try:
-        page = tiff.pages[entry.image]
+        page: Any = tiff.pages[entry.image]
     except IndexError:
         raise FrameError(f"{entry.path} has no image {entry.image}: is it truncated?") from None
     except Exception as error:
@@ -145,14 +142,8 @@ def _read_page(entry: FrameEntry) -> np.ndarray:
     return read_image(entry.path, entry.image)
 
 
-def _open_array(path: str) -> "ZarrImages":
-    from wavefield.series.formats.zarr_array import ZarrImages
-
-    return ZarrImages(path)
-
-
 class _Video:
-    """A video read forwards where possible; a jump seeks."""
+    """A video, read forwards where possible."""
 
     def __init__(self, path: str) -> None:
         self.path = path

@@ -1,7 +1,6 @@
 """Images in object stores (s3, gs, https ...), reached through fsspec; nothing is copied to this machine."""
 
 import re
-from typing import Any
 
 import numpy as np
 
@@ -23,9 +22,11 @@ def is_remote(name: str) -> bool:
 
 
 def list_remote(folder: str) -> list[str]:
-    """Names of what lies in a folder of an object store, in one listing."""
+    """Names of the files in a folder of an object store, in one listing."""
+    from fsspec.core import url_to_fs
+
     try:
-        files, inside = _reach(folder)
+        files, inside = url_to_fs(folder)
         listed = files.ls(inside, detail=False)
     except Exception as error:  # each kind of store has errors of its own
         raise FrameError(_unreachable(folder, error)) from None
@@ -33,23 +34,15 @@ def list_remote(folder: str) -> list[str]:
 
 
 def read_remote(address: str) -> np.ndarray:
-    """Read one image from an object store.
+    """Read one image, (row, column), from an object store."""
+    from fsspec.core import url_to_fs
 
-    Returns (row, column).
-    """
     try:
-        files, inside = _reach(address)
+        files, inside = url_to_fs(address)
         data: bytes = files.cat_file(inside)
     except Exception as error:
         raise FrameError(_unreachable(address, error)) from None
     return decode_image(data, address)
-
-
-def _reach(address: str) -> tuple[Any, str]:
-    from fsspec.core import url_to_fs
-
-    files, inside = url_to_fs(address)
-    return files, inside
 
 
 def _unreachable(address: str, error: Exception) -> str:

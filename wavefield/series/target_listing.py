@@ -11,22 +11,21 @@ from wavefield.series.experiment import Experiment
 
 
 def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
-    """Find the target images of an experiment."""
+    """Target images of an experiment, by camera and by pose; that on z = 0 is called ``flat``."""
     section = experiment.calibration
     if section is None:
         raise CalibrationError(
-            f"{experiment.path} has no calibration block; add one that says what the target is and where "
-            f"its images "
-            "are (see docs/calibration.md), or name a rig that another program made"
+            f"{experiment.path} has no calibration block; add one that states what the target is and where "
+            "its images are (see docs/calibration.md), or name a rig that another program made"
         )
-    tilted = [section.tilted] if isinstance(section.tilted, str) else list(section.tilted)
+    tilted = [section.tilted] if isinstance(section.tilted, str) else section.tilted
     out: dict[str, dict[str, Path]] = {}
     for camera in experiment.cameras:
         poses: dict[str, Path] = {}
         for pattern in tilted:
             poses |= _poses(experiment, pattern, camera)
         if not poses:
-            raise _nothing(experiment, camera, tilted)
+            raise _no_images(experiment, camera, tilted)
         if section.flat:
             flat = list(_poses(experiment, section.flat, camera).values())
             if len(flat) > 1:
@@ -37,33 +36,32 @@ def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
             poses |= dict.fromkeys(["flat"], flat[0]) if flat else {}
         out[camera] = poses
     if section.flat and not any("flat" in poses for poses in out.values()):
-        raise _nothing(experiment, "any camera", [section.flat])
+        raise _no_images(experiment, "any camera", [section.flat])
     return out
 
 
-def _nothing(experiment: Experiment, camera: str, patterns: Sequence[str]) -> CalibrationError:
-    folder = experiment.image_folder
+def _no_images(experiment: Experiment, camera: str, patterns: Sequence[str]) -> CalibrationError:
     return CalibrationError(
-        f"{experiment.path}: no target image of {camera}: nothing in {folder} is called "
+        f"{experiment.path}: no target image of {camera}: nothing in {experiment.image_folder} is called "
         f"{' or '.join(patterns)}; correct the calibration block"
     )
 
 
 def _poses(experiment: Experiment, pattern: str, camera: str) -> dict[str, Path]:
+    """Images that fit a pattern, by pose: what its wildcards stand for, the same in all cameras."""
     folder = experiment.image_folder
     named = pattern.replace("{camera}", glob.escape(camera))
-    # what the wildcards stand for names the pose, so that one pose has one name in all cameras
+    groups = {"*": "(.*?)", "?": "(.)"}
     parts = re.split(r"(\*+|\?)", named)
-    groups = [
-        ("(.)" if part == "?" else "(.*?)") if part and part[0] in "*?" else re.escape(part) for part in parts
-    ]
-    expression = re.compile("".join(groups))
+    expression = re.compile(
+        "".join(groups[part[0]] if part[:1] in groups else re.escape(part) for part in parts)
+    )
     stem = Path(pattern.replace("{camera}", "")).stem
     out = {}
-    for found in sorted(glob.glob(str(folder / named))):
-        match = expression.fullmatch(os.path.relpath(found, folder)) or expression.fullmatch(found)
+    for file in sorted(glob.glob(str(folder / named))):
+        match = expression.fullmatch(os.path.relpath(file, folder)) or expression.fullmatch(file)
         pose = stem
         for piece in match.groups() if match else ():
             pose = re.sub(r"\*+|\?", piece, pose, count=1)
-        out[pose.strip("_- ") or Path(found).stem] = Path(found)
+        out[pose.strip("_- ") or Path(file).stem] = Path(file)
     return out

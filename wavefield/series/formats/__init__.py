@@ -39,7 +39,7 @@ def open_recording(path: str | Path) -> Recording:
         return _OPENERS[file.suffix.lower()](path)
     except FrameError:
         raise
-    except Exception as error:  # whatever a damaged header leads to
+    except Exception as error:  # of many kinds, by the damage
         words = " ".join(str(error).split())
         raise FrameError(
             f"{path} cannot be read as a recording ({words}): copy it again from the camera"

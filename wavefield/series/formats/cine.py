@@ -1,7 +1,6 @@
 """Vision Research's Phantom: `.cine` files, as "The Cine File Format" describes them."""
 
 import struct
-from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -14,7 +13,8 @@ from wavefield.series.formats.recording import (
     RawRecording,
     Recording,
     checked_shape,
-    fitting,
+    complete_images,
+    no_times,
     plain,
 )
 
@@ -45,7 +45,7 @@ def open_cine(path: Path) -> Recording:
         rate = struct.unpack("<I", stream.read(4).ljust(4, b"\0"))[0]
         stream.seek(at_offsets)
         if not 0 < count < 2**28:
-            raise FrameError(f"{path} says it holds {count} images: its header is damaged")
+            raise FrameError(f"{path} holds {count} images by its header, which is damaged")
         offsets = np.frombuffer(stream.read(8 * count), "<i8")
         if not len(offsets):
             raise FrameError(f"{path} ends before its list of images: it is truncated")
@@ -63,14 +63,14 @@ def open_cine(path: Path) -> Recording:
     def start(index: int) -> int:
         return int(offsets[index])
 
-    there = fitting(path, len(offsets), start, each + 8)
-    stamps = None if len(times) < there else partial(times.__getitem__, slice(there))
+    complete = complete_images(path, len(offsets), start, each + 8)
+    stamps = no_times if len(times) < complete else lambda: times[:complete]
     rate = float(rate) if rate else None
-    return RawRecording(path, there, shape, start, take, rate, first, prefixed=True, times=stamps)
+    return RawRecording(path, complete, shape, start, take, rate, first, prefixed=True, times=stamps)
 
 
 def _times(stream: BinaryIO, at_setup: int, at_offsets: int) -> NDArray[np.float64]:
-    """When the images were taken, s; empty where the file does not say."""
+    """Times of the images, s; empty where the file does not hold them."""
     stream.seek(at_setup + _MARK)
     mark = stream.read(4)
     place = at_setup + int.from_bytes(mark[2:], "little")

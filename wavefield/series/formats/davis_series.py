@@ -5,9 +5,9 @@ from pathlib import Path
 
 from wavefield.errors import FrameError
 from wavefield.images.davis_image import count_frames, read_buffer
-from wavefield.series.formats.recording import Pixels, Recording
+from wavefield.series.formats.recording import Pixels, Recording, no_times, refuse_index
 
-_MOST = 10  # numbers for each buffer: what has more is not counted by its names
+MAX_NUMBERS_PER_BUFFER = 10  # in the names: more do not count the buffers
 
 
 class _Set:
@@ -19,11 +19,11 @@ class _Set:
         self.count, self.shape = len(buffers), (first.shape[0], first.shape[1])
         self.rate: float | None = None
         self.first = 0
+        self.times = no_times
 
     def read(self, index: int) -> Pixels:
         """Read one image."""
-        if not 0 <= index < self.count:
-            raise FrameError(f"{self.path} has {self.count} images: there is no image {index}")
+        refuse_index(index, self.count, self.path)
         return read_buffer(self._buffers[index], self._frame)
 
     def close(self) -> None:
@@ -36,7 +36,7 @@ def open_davis(path: Path) -> Recording:
     folder = name.with_suffix("")
     buffers = _in_order(list(folder.glob("*.im7")))
     if not buffers:
-        raise FrameError(f"{name} has no .im7 in the folder {folder.name} beside it: copy both")
+        raise FrameError(f"{name} has no .im7 in the folder {folder.name} next to it: copy both")
     count = count_frames(buffers[0])
     if path == name and count > 1:
         raise FrameError(f"{name} has {count} images in each buffer: name one, as {name.name}/0")
@@ -46,15 +46,15 @@ def open_davis(path: Path) -> Recording:
     return _Set(path, buffers, int(inside))
 
 
-def _in_order(found: list[Path]) -> list[Path]:
+def _in_order(buffers: list[Path]) -> list[Path]:
     """Buffers by the numbers that end their names, not by rank: one that is missing keeps its place."""
-    ends = [re.search(r"\d+$", path.stem) for path in found]
-    numbered = {int(end[0]): path for end, path in zip(ends, found) if end}
-    if not found or len(numbered) < len(found):
-        return sorted(found)
+    ends = [re.search(r"\d+$", path.stem) for path in buffers]
+    numbered = {int(end[0]): path for end, path in zip(ends, buffers) if end}
+    if not buffers or len(numbered) < len(buffers):
+        return sorted(buffers)
     first, last = min(numbered), max(numbered)
-    if last - first >= _MOST * len(found):
-        return sorted(found)
-    width = len(re.search(r"\d*$", numbered[first].stem)[0])  # type: ignore[index]  # which always fits
-    stem, folder = numbered[first].stem[:-width], found[0].parent
+    if last - first >= MAX_NUMBERS_PER_BUFFER * len(buffers):
+        return sorted(buffers)
+    stem, folder = numbered[first].stem.rstrip("0123456789"), buffers[0].parent
+    width = len(numbered[first].stem) - len(stem)
     return [numbered.get(n, folder / f"{stem}{n:0{width}d}.im7") for n in range(first, last + 1)]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
-from wavefield.series.formats.recording import Pixels, Recording
+from wavefield.series.formats.recording import Pixels, Recording, Times, refuse_index
 
 if TYPE_CHECKING:
     import h5py  # 12 MB in every worker, for the few who have such images
@@ -37,8 +36,7 @@ class _Dataset:
 
     def read(self, index: int) -> Pixels:
         """Read one image."""
-        if not 0 <= index < self.count:
-            raise FrameError(f"{self.path} has {self.count} images: there is no image {index}")
+        refuse_index(index, self.count, self.path)
         try:
             out = np.empty(self.shape, self._data.dtype)
             if not (self._plain and self._in_file_order(index, out)):
@@ -47,8 +45,8 @@ class _Dataset:
         except (OSError, RuntimeError) as error:
             raise FrameError(f"{self.path}, image {index} cannot be read: {error}") from None
 
-    def times(self) -> NDArray[np.float64]:
-        """When the images were taken, s; empty where the file does not say."""
+    def times(self) -> Times:
+        """Times of the images, s; empty where the file does not hold them."""
         return self._times
 
     def _in_file_order(self, index: int, out: Pixels) -> bool:
@@ -64,26 +62,26 @@ class _Dataset:
         self._file.close()
 
 
-def _times(data: h5py.Dataset) -> NDArray[np.float64]:
-    """Coordinate of the first dimension, as netCDF has it, or the `time` beside the images, s."""
+def _times(data: h5py.Dataset) -> Times:
+    """Coordinate of the first dimension, as netCDF has it, or the `time` next to the images, s."""
     scales = [scale for scale in data.dims[0].values() if scale.ndim == 1]
-    beside = data.parent.get("time")
-    for found in (*scales, beside):
-        units = "" if found is None else str(np.ravel(found.attrs.get("units", ""))[:1].astype(str)[0])
+    in_folder = data.parent.get("time")
+    for stored in (*scales, in_folder):
+        units = "" if stored is None else str(np.ravel(stored.attrs.get("units", ""))[:1].astype(str)[0])
         unit = _SECONDS.get(units.split(" ")[0])
-        if unit is not None and found.shape == data.shape[:1]:
-            return unit * np.asarray(found, np.float64)
+        if unit is not None and stored.shape == data.shape[:1]:
+            return unit * np.asarray(stored, np.float64)
     return np.empty(0)
 
 
-def _rate(times: NDArray[np.float64]) -> float | None:
+def _rate(times: Times) -> float | None:
     """Images per second, by most intervals."""
     usual = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     return float(f"{1 / usual:.6g}") if usual > 0 else None
 
 
 def _is_plain(data: h5py.Dataset) -> bool:
-    """Whether an image is a chunk as it is, so that it need not go through HDF5's own buffers."""
+    """Whether each image is a chunk without filters, which can be read past HDF5's own buffers."""
     filters = data.id.get_create_plist().get_nfilters()
     return bool(data.chunks == (1, *data.shape[1:]) and filters == 0)
 
@@ -91,15 +89,12 @@ def _is_plain(data: h5py.Dataset) -> bool:
 def open_hdf5(path: Path) -> Recording:
     """Open images in HDF5.
 
-    Times are the coordinate of the first dimension, as netCDF has it, or a dataset ``time`` beside the
+    Times are the coordinate of the first dimension, as netCDF has it, or a dataset ``time`` next to the
     images, with ``units`` ("s", "ms since ..."); the rate is the attribute ``frame_rate``, or theirs.
     """
-    name = (
-        path
-        if path.suffix.lower() in _ENDINGS
-        else next(p for p in path.parents if p.suffix.lower() in _ENDINGS)
-    )
     import h5py
+
+    name = next(part for part in (path, *path.parents) if part.suffix.lower() in _ENDINGS)
 
     inside = path.relative_to(name).as_posix()
     try:
@@ -118,7 +113,7 @@ def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
 
     series: list[str] = []
 
-    def visit(name: str, item: Any) -> None:
+    def visit(name: str, item: object) -> None:
         if isinstance(item, h5py.Dataset) and item.ndim == 3 and item.dtype.kind in "uif" and item.shape[0]:
             series.append(name)
 

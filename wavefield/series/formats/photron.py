@@ -1,4 +1,4 @@
-"""Photron: pixels in `.mraw`, what they are in the `.cihx` (XML) or `.cih` (text) of the same name."""
+"""Photron: pixels in `.mraw`, their format in the `.cihx` (XML) or `.cih` (text) of the same name."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -6,13 +6,7 @@ from pathlib import Path
 
 from wavefield.errors import FrameError
 from wavefield.series.formats.packed import packed, packed_bytes
-from wavefield.series.formats.recording import (
-    RawRecording,
-    Recording,
-    checked_shape,
-    fitting,
-    plain,
-)
+from wavefield.series.formats.recording import RawRecording, Recording, checked_shape, complete_images, plain
 
 _NEEDED = ("Total Frame", "Image Width", "Image Height", "Color Bit")
 _XML = {
@@ -29,23 +23,20 @@ _XML = {
 
 def open_photron(path: Path) -> Recording:
     """Open a recording of Photron's cameras."""
-    notes = [path.with_suffix(ending) for ending in (".cihx", ".cih", ".CIHX", ".CIH")]
-    note = next((file for file in notes if file.is_file()), None)
+    note = _with_ending(path, ".cihx", ".cih", ".CIHX", ".CIH")
     if note is None:
-        raise FrameError(f"{path} has no .cihx or .cih beside it, which says how large its images are")
-    pixels = next((f for f in (path.with_suffix(e) for e in (".mraw", ".MRAW")) if f.is_file()), None)
+        raise FrameError(f"{path} has no .cihx or .cih next to it, which states how large its images are")
+    pixels = _with_ending(path, ".mraw", ".MRAW")
     if pixels is None:
-        raise FrameError(f"{path} has no .mraw beside it: save the recording as MRAW")
+        raise FrameError(f"{path} has no .mraw next to it: save the recording as MRAW")
     stated = _read_xml(note) if note.suffix.lower() == ".cihx" else _read_text(note)
-    missing = [
-        name for name in ("Total Frame", "Image Width", "Image Height", "Color Bit") if name not in stated
-    ]
+    missing = [name for name in _NEEDED if name not in stated]
     if missing:
         raise FrameError(f"{note} does not state {', '.join(missing)}: it is damaged")
     try:
         count, width, height, bits = (int(stated[name]) for name in _NEEDED)
     except ValueError:
-        raise FrameError(f"{note} states sizes that are not whole numbers: it is damaged") from None
+        raise FrameError(f"{note} states sizes that are not integers: it is damaged") from None
     shape = checked_shape(note, width, height)
     if bits in (8, 16):
         take, each = plain(shape, "u1" if bits == 8 else "<u2"), shape[0] * shape[1] * bits // 8
@@ -57,9 +48,13 @@ def open_photron(path: Path) -> Recording:
     def start(index: int) -> int:
         return index * each
 
-    there = fitting(pixels, count, start, each)
+    complete = complete_images(pixels, count, start, each)
     rate, first = _number(stated.get("Record Rate(fps)")), _number(stated.get("Start Frame"))
-    return RawRecording(pixels, there, shape, start, take, rate, int(first or 0))
+    return RawRecording(pixels, complete, shape, start, take, rate, int(first or 0))
+
+
+def _with_ending(path: Path, *endings: str) -> Path | None:
+    return next((file for file in map(path.with_suffix, endings) if file.is_file()), None)
 
 
 def _number(text: str | None) -> float | None:
@@ -79,13 +74,13 @@ def _read_text(path: Path) -> dict[str, str]:
 
 
 def _read_xml(path: Path) -> dict[str, str]:
-    """The XML lies between bytes that are none."""
+    """The XML between bytes that are none."""
     data = path.read_bytes()
-    found = re.search(rb"<cih>.*</cih>", data, re.DOTALL)
-    if not found:
+    xml = re.search(rb"<cih>.*</cih>", data, re.DOTALL)
+    if not xml:
         raise FrameError(f"{path} holds no <cih>: it is damaged or truncated")
     try:
-        root = ET.fromstring(found[0])
+        root = ET.fromstring(xml[0])
     except ET.ParseError as error:
         raise FrameError(f"{path} is damaged: {error}") from None
     return {name: text for name, place in _XML.items() if (text := root.findtext(place))}

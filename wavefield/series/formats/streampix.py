@@ -4,10 +4,17 @@ import struct
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
-from wavefield.series.formats.recording import RawRecording, Recording, checked_shape, fitting, plain
+from wavefield.series.formats.recording import (
+    RawRecording,
+    Recording,
+    Times,
+    checked_shape,
+    complete_images,
+    no_times,
+    plain,
+)
 
 _MAGIC = 0xFEED
 _GREY = (100, 101)  # monochrome, and raw of a colour mosaic
@@ -35,17 +42,17 @@ def open_streampix(path: Path) -> Recording:
     def start(index: int) -> int:
         return begin + index * int(stride)
 
-    def times() -> NDArray[np.float64]:
+    def times() -> Times:
         stamp = struct.Struct("<IHH" if version >= 5 else "<IH")
-        out = np.empty(there)
+        out = np.empty(complete)
         with path.open("rb") as stream:
-            for index in range(there):
+            for index in range(complete):
                 stream.seek(start(index) + each)
                 seconds, *parts = stamp.unpack(stream.read(stamp.size).ljust(stamp.size, b"\0"))
                 out[index] = seconds + sum(part / 1e3 ** (k + 1) for k, part in enumerate(parts))
         return out
 
-    there = fitting(path, count, start, each)
+    complete = complete_images(path, count, start, each)
     take = plain(shape, "u1" if depth == 8 else "<u2")
-    stamped = times if stride >= each + 8 else None
-    return RawRecording(path, there, shape, start, take, rate if 0 < rate < 1e7 else None, times=stamped)
+    stamps = times if stride >= each + 8 else no_times
+    return RawRecording(path, complete, shape, start, take, rate if 0 < rate < 1e7 else None, times=stamps)

@@ -1,0 +1,107 @@
+"""The frames of a record: numbered, put in their places by the cameras' clocks, on one range of numbers."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefield.errors import ExperimentError
+from wavefield.series.clocks import (
+    RECORDED,
+    own_times,
+    place_by_intervals,
+    place_by_time,
+    read_time_stamps,
+    recorded_times,
+)
+from wavefield.series.experiment_parts import CameraSection, RecordSection
+from wavefield.series.frames import FrameSeries
+from wavefield.series.listing import Numbered, make_series, number_frames
+
+Times = NDArray[np.float64]
+
+MAX_FRAMES = 5_000_000  # of a record
+MAX_NUMBERS_PER_FRAME = 1000  # of the range of a record
+
+
+def open_record(
+    record: RecordSection, path: Path, folder: Path, measuring: Sequence[str]
+) -> dict[str, FrameSeries]:
+    """Frames of every camera on the range of numbers that the measuring ones share.
+
+    The path is that of the experiment file, the folder that of the images.
+    """
+    numbered = {name: number_frames(one.images, folder, name) for name, one in record.cameras.items()}
+    numbered, clocks = _place_by_clocks(record, numbered, path, folder)
+    for name, section in record.cameras.items():
+        if section.offset:
+            numbered[name] = {n + section.offset: entry for n, entry in numbered[name].items()}
+    used = {name: numbered[name] for name in measuring}
+    # a record is what all cameras saw: what one has before or after the others is no gap of theirs
+    first, last = record.frames.first, record.frames.last
+    first = max(min(frames) for frames in used.values()) if first is None else first
+    last = min(max(frames) for frames in used.values()) if last is None else last
+    if last <= first:
+        raise ExperimentError(f"{path}: {_no_common_step(used)}")
+    _refuse_sparse_numbers(path, list(used.values()), first, last)
+    return make_series(numbered, first, last, clocks)
+
+
+def _no_common_step(numbered: Mapping[str, Numbered]) -> str:
+    ranges = {name: (min(frames), max(frames)) for name, frames in numbered.items()}
+    if all(low == high for low, high in ranges.values()):
+        return "there is one frame only; a step needs two"
+    listed = ", ".join(f"{name} {low} to {high}" for name, (low, high) in ranges.items())
+    return (
+        f"the cameras share no two frames (frames of {listed}); correct `offset`, or `frames` if it is given"
+    )
+
+
+def _refuse_sparse_numbers(path: Path, numbered: Sequence[Numbered], first: int, last: int) -> None:
+    """Refuse a range of numbers with hardly any frames, before it takes any memory."""
+    lowest = min(min(frames) for frames in numbered)
+    if first < min(lowest, 0):
+        raise ExperimentError(f"{path}: frames.first is {first}, but the first frame there is {lowest}")
+    present = max(sum(first <= number <= last for number in frames) for frames in numbered)
+    count = last - first + 1
+    if count > MAX_FRAMES or count > MAX_NUMBERS_PER_FRAME * max(present, 1):
+        raise ExperimentError(
+            f"{path}: the record runs from frame {first} to {last}, but only {present} of these {count} "
+            "numbers have a file; correct `frames`, or remove files whose number leaps"
+        )
+
+
+def _place_by_clocks(
+    record: RecordSection, numbered: dict[str, Numbered], path: Path, folder: Path
+) -> tuple[dict[str, Numbered], dict[str, Times]]:
+    """Frames at their places by the cameras' clocks, and the times of these, of cameras that have one."""
+    stamped = {
+        name: _time_stamps(name, section, path, folder)
+        for name, section in record.cameras.items()
+        if section.times is not None
+    }
+    if not stamped:
+        times = {name: own_times(section.images, name, folder) for name, section in record.cameras.items()}
+        clocks = {name: t for name, t in times.items() if t is not None and len(t) == len(numbered[name])}
+        return numbered | {name: place_by_intervals(numbered[name], t) for name, t in clocks.items()}, clocks
+    without = [name for name in numbered if name not in stamped]
+    if without:
+        raise ExperimentError(
+            f"{path}: {without[0]} has no `times`, but other cameras have; give them all, or none"
+        )
+    start = min(times[0] for _, times in stamped.values())
+    placed = {
+        name: place_by_time(numbered[name], times, start, record.frame_rate, source, name)
+        for name, (source, times) in stamped.items()
+    }
+    return placed, {name: times for name, (_, times) in stamped.items()}
+
+
+def _time_stamps(name: str, section: CameraSection, path: Path, folder: Path) -> tuple[Path, Times]:
+    """The file that holds a camera's time stamps, and its times, s."""
+    if section.times == RECORDED:
+        times = recorded_times(section.images, name, folder)
+        return folder / str(section.images).replace("{camera}", name), times
+    source = path.parent / str(section.times).replace("{folder}", str(folder))
+    return source, read_time_stamps(source, name)
