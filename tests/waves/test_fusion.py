@@ -307,7 +307,7 @@ def test_what_is_missing_is_named(measured, fused):
 
 def test_a_correction_is_masked_where_it_would_blow_up_noise():
     omega = xr.DataArray(np.linspace(1, 60, 50), dims="omega", name="omega")
-    gain = wv.gain_two_frames(omega, 0.05)
+    gain = wv.gain_frame_mean(omega, 0.05, 2)
     out = wv.undo(omega**-4.0 * gain + 1e-6, gain, 1e-6)
     assert bool(out.valid[0])
     assert not bool(out.valid[-1])

@@ -146,8 +146,8 @@ def test_a_missing_field_is_named(exact):
 def test_gains_are_those_of_the_measurement():
     dt = 0.05
     hertz = 2 * np.pi * np.array([3.0, 5.0, 8.0])
-    np.testing.assert_allclose(wv.gain_two_frames(hertz, dt), [0.79, 0.50, 0.095], atol=0.005)
-    np.testing.assert_allclose(wv.gain_four_frames(hertz, dt), [0.97, 0.78, 0.20], atol=0.005)
+    np.testing.assert_allclose(wv.gain_frame_mean(hertz, dt, 2), [0.79, 0.50, 0.095], atol=0.005)
+    np.testing.assert_allclose(wv.gain_frame_mean(hertz, dt, 4), [0.97, 0.78, 0.20], atol=0.005)
     np.testing.assert_allclose(wv.gain_displacement(hertz, dt), [0.93, 0.81, 0.57], atol=0.005)
     np.testing.assert_allclose(
         wv.gain_box(2 * np.pi / np.array([0.1, 0.06]), 0.0, 0.04), [0.57, 0.17], atol=0.005
@@ -184,7 +184,7 @@ def test_averaged_elevation_loses_cos_squared_and_integrated_w_gives_it_back():
     E_z, E_w, E_mean = (e.sum("k") for e in (ring.E_z, ring.E_w, averaged.E))
     band = (E_z.frequency > 1.3) & (E_z.frequency < 4.7)
     E_mean = E_mean.assign_coords(omega=E_z.omega)
-    gain = (E_mean / E_z / wv.gain_two_frames(E_z.omega, 0.05))[band]
+    gain = (E_mean / E_z / wv.gain_frame_mean(E_z.omega, 0.05, 2))[band]
     back = (E_w * wv.elevation_from_w(E_w.omega, 0.05) / E_z)[band]
     # single lines apart: a window mixes them, and w weighs each wave by its own frequency
     for ratio, line in ((gain, 0.02), (back, 0.04)):
@@ -209,7 +209,7 @@ def test_elevation_from_six_frames_goes_to_frame_time():
     ):
         assert middle + to_frame_time(omega, dt, 4, frames) * z_t == pytest.approx(z[2], abs=1e-12)
     kept = (150 * (z[2] + z[3]) - 25 * (z[1] + z[4]) + 3 * (z[0] + z[5])) / 256
-    assert wv.gain_six_frames(omega, dt) == pytest.approx(abs(kept) ** 2)
+    assert wv.gain_frame_mean(omega, dt, 6) == pytest.approx(abs(kept) ** 2)
 
 
 @pytest.mark.parametrize("current", [(0.0, 0.0), (0.5, -0.3)])

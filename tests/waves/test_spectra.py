@@ -10,8 +10,7 @@ import wavefield.waves as wv
 from wavefield.errors import CubeError
 from wavefield.waves.estimation import rings, windows
 from wavefield.waves.estimation.segment_correlation import expected_segment_correlation
-from wavefield.waves.estimation.windowed_dispersion import hann_power
-from wavefield.waves.estimation.windows import interval
+from wavefield.waves.estimation.windows import hann_power, interval
 
 
 def field(values, dt=0.05, dx=0.03, units="m"):

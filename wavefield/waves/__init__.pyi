@@ -9,9 +9,7 @@ from wavefield.waves.estimation.transfer_functions import (
     elevation_from_w,
     gain_box,
     gain_displacement,
-    gain_four_frames,
-    gain_six_frames,
-    gain_two_frames,
+    gain_frame_mean,
     undo,
 )
 from wavefield.waves.estimation.wave_record import Record, find_record, whole_record
@@ -72,9 +70,7 @@ __all__ = [
     "fused_spectra",
     "gain_box",
     "gain_displacement",
-    "gain_four_frames",
-    "gain_six_frames",
-    "gain_two_frames",
+    "gain_frame_mean",
     "group_velocity",
     "higher_order",
     "kinematics",

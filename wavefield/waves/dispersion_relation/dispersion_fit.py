@@ -89,7 +89,7 @@ def fit_dispersion(
     noise or below 0.3 % of the strongest sector are left out. The displacement by the spectral windows
     (leakage along a falling spectrum and from strong directions into weak ones, the curvature of the
     relation) is that of simulated free waves of the measured energy on the fitted relation
-    (`windowed_dispersion.as_seen`); it is subtracted in rounds until the current converges.
+    (`windowed_dispersion.windowed_waves`); it is subtracted in rounds until the current converges.
 
     The uncertainty is the larger of two: a sandwich estimate from the misfit of the points, those of half a
     hertz and an octant of directions taken together, increased where the contrast of the relation is low; and

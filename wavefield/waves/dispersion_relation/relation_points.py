@@ -14,7 +14,7 @@ from wavefield.water import dispersion, group_velocity, wavenumber
 from wavefield.waves.dispersion_relation.fit_settings import FitSettings
 from wavefield.waves.dispersion_relation.plane_spectrum import PlaneSpectrum, WavenumberPlane
 from wavefield.waves.estimation import wave_kernels
-from wavefield.waves.estimation.windowed_dispersion import SpectralCells, as_seen
+from wavefield.waves.estimation.windowed_dispersion import SpectralCells, windowed_waves
 
 Array = NDArray[Any]
 
@@ -170,7 +170,7 @@ class WindowDisplacement:
         With the spectrum on all lines; band (lines,). Points that the windows displace far are left out:
         beyond the end of a sea all energy is leakage.
         """
-        free_waves = as_seen(spectrum.energy, spectrum.noise, cells, spectrum.depth, fit)[band]
+        free_waves = windowed_waves(spectrum.energy, spectrum.noise, cells, spectrum.depth, fit)[band]
         simulated = replace(
             spectrum, omega=spectrum.omega[band], energy=free_waves, noise=np.zeros_like(free_waves)
         )

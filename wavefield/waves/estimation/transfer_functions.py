@@ -1,23 +1,29 @@
-"""What measuring does to a spectrum: gains of averages, differences and windows, and their undoing.
+"""Gains that averages, differences and windows have in a spectrum, and their correction.
 
 All gains here are of power; b = omega dt / 2.
 """
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike, NDArray
 
 from wavefield.variables import PATH_WEIGHTS, annotate
 from wavefield.water import dispersion
 
-LEAST_GAIN = 0.1  # below it a correction would only blow up noise
-LEAST_SIGNAL = 3.0  # signal over noise
-MIN_AMPLITUDE = 0.5  # of a wave that an interpolation in time leaves: less is not undone altogether
+Array = NDArray[Any]
+Values = TypeVar("Values", float, Array, xr.DataArray)
+
+MIN_GAIN = 0.1  # below it a correction would only amplify noise
+MIN_SIGNAL_TO_NOISE = 3.0
+MIN_AMPLITUDE = 0.5  # of a wave after interpolation in time: the correction is at most twofold
+# by frames: weights of cos b, cos 3b and cos 5b in the polynomial through the frames at its middle
+MEAN_WEIGHTS = {2: (1,), 4: (9, -1), 6: (150, -25, 3)}
 
 
-def gain_two_frames(omega: Any, dt: float) -> Any:
-    """Gain of the mean of two frames, cos^2 b.
+def gain_frame_mean(omega: Values, dt: float, frames: int = 2) -> Values:
+    """Gain of the polynomial through two, four or six frames at its middle.
 
     Parameters
     ----------
@@ -25,70 +31,36 @@ def gain_two_frames(omega: Any, dt: float) -> Any:
         Angular frequency, rad/s.
     dt : float
         Time between frames, s.
+    frames : int
+        2, 4 or 6; of two it is their mean.
 
     Returns
     -------
     array_like
         Gain of power, 0 to 1.
+
+    Notes
+    -----
+    cos^2 b of two frames, ((9 cos b - cos 3b) / 8)^2 of four,
+    ((150 cos b - 25 cos 3b + 3 cos 5b) / 128)^2 of six.
 
     Examples
     --------
-    >>> round(float(gain_two_frames(2 * np.pi * 5, 0.05)), 2)
-    0.5
+    >>> [round(float(gain_frame_mean(2 * np.pi * 5, 0.05, frames)), 2) for frames in (2, 6)]
+    [0.5, 0.9]
     """
-    return np.cos(omega * dt / 2) ** 2
-
-
-def gain_four_frames(omega: Any, dt: float) -> Any:
-    """Gain of the cubic through four frames at its middle, ((9 cos b - cos 3b) / 8)^2.
-
-    Parameters
-    ----------
-    omega : array_like
-        Angular frequency, rad/s.
-    dt : float
-        Time between frames, s.
-
-    Returns
-    -------
-    array_like
-        Gain of power, 0 to 1.
-    """
+    weights = MEAN_WEIGHTS[frames]
     b = omega * dt / 2
-    return ((9 * np.cos(b) - np.cos(3 * b)) / 8) ** 2
+    total: Any = sum(weight * np.cos((2 * n + 1) * b) for n, weight in enumerate(weights))
+    gain: Values = (total / sum(weights)) ** 2
+    return gain
 
 
-def gain_six_frames(omega: Any, dt: float) -> Any:
-    """Gain of the polynomial through six frames at its middle, ((150 cos b - 25 cos 3b + 3 cos 5b) / 128)^2.
-
-    Parameters
-    ----------
-    omega : array_like
-        Angular frequency, rad/s.
-    dt : float
-        Time between frames, s.
-
-    Returns
-    -------
-    array_like
-        Gain of power, 0 to 1.
-
-    Examples
-    --------
-    >>> round(float(gain_six_frames(2 * np.pi * 5, 0.05)), 2)
-    0.9
-    """
-    b = omega * dt / 2
-    return ((150 * np.cos(b) - 25 * np.cos(3 * b) + 3 * np.cos(5 * b)) / 128) ** 2
-
-
-def path_factor(omega: Any, dt: float, frames: int) -> Any:
-    """Amplitude of a velocity along a path over that of one displacement.
+def path_factor(omega: Values, dt: float, frames: int) -> Values:
+    """Amplitude of a velocity along a path over that of one displacement; omega in rad/s.
 
     With weights w of displacements d (`wavefield.variables.PATH_WEIGHTS`), w_0 d(k) + w_1 [d(k-1) + d(k+1)]
     + ..., it is w_0 + 2 w_1 cos omega dt + 2 w_2 cos 2 omega dt: (26 - 2 cos omega dt) / 24 of four frames.
-
-    With omega, rad/s.
 
     Examples
     --------
@@ -97,42 +69,39 @@ def path_factor(omega: Any, dt: float, frames: int) -> Any:
     >>> [round(float(path_factor(2 * np.pi * 5, 0.025, frames)), 3) for frames in (4, 6)]
     [1.024, 1.003]
     """
-    own, *beside = PATH_WEIGHTS[frames]
-    out = np.full_like(omega, own, dtype=float)
-    for n, weight in enumerate(beside, 1):
+    central, *others = PATH_WEIGHTS[frames]
+    out: Any = np.full_like(omega, central, dtype=float)
+    for n, weight in enumerate(others, 1):
         out = out + 2 * weight * np.cos(n * omega * dt)
-    return out
+    factor: Values = out
+    return factor
 
 
-def to_frame_time(omega: Any, dt: float, frames: int, z_frames: int = 4) -> Any:
+def to_frame_time(omega: Array, dt: float, frames: int, z_frames: int = 4) -> Array:
     """Factor T so that z + T z_t is the elevation at a step's first frame, in numpy's signs exp(+i omega t).
 
     With d the differences over dt, the mean of the two frames is z + (dt / 16) (d(k+1) - d(k-1)) for four
-    frames, z + (dt / 256) [22 (d(k+1) - d(k-1)) - 3 (d(k+2) - d(k-2))] for six.
-
-    With omega, rad/s.
+    frames, z + (dt / 256) [22 (d(k+1) - d(k-1)) - 3 (d(k+2) - d(k-2))] for six. Omega in rad/s.
     """
     if z_frames == 6:
         mean = dt / 128 * 1j * (22 * np.sin(omega * dt) - 3 * np.sin(2 * omega * dt))
     else:
         mean = dt / 8 * 1j * np.sin(omega * dt)
-    return (mean - dt / 2) / path_factor(omega, dt, frames)
+    return np.asarray((mean - dt / 2) / path_factor(omega, dt, frames))
 
 
-def from_moving_frame(k: Any, omega: Any, dt: float) -> Any:
+def from_moving_frame(k: Array, omega: Array, dt: float) -> Array:
     """Factor from z at mid-time in a frame that moves with the mean flow to z at the step's first frame.
 
-    Beside the mean flow a free wave turns by sigma(k) dt from frame to frame, whatever the current: of its
-    amplitude six frames leave the root of `gain_six_frames` of that, which is undone, up to twofold. Half a
-    step earlier its phase is less by omega dt / 2.
-
-    With k, rad/m; omega, rad/s.
+    In that frame the phase of a free wave changes by sigma(k) dt from frame to frame, whatever the current:
+    six frames leave the root of `gain_frame_mean` of its amplitude, which is corrected, up to twofold. Half a
+    step earlier its phase is less by omega dt / 2. k in rad/m, omega in rad/s.
     """
-    kept = np.sqrt(gain_six_frames(dispersion(np.asarray(k, float)), dt))
-    return np.exp(-0.5j * omega * dt) / np.maximum(kept, MIN_AMPLITUDE)
+    amplitude = np.sqrt(gain_frame_mean(dispersion(np.asarray(k, float)), dt, 6))
+    return np.asarray(np.exp(-0.5j * omega * dt) / np.maximum(amplitude, MIN_AMPLITUDE))
 
 
-def gain_displacement(omega: Any, dt: float, frames: int = 2) -> Any:
+def gain_displacement(omega: Values, dt: float, frames: int = 2) -> Values:
     """Gain of a velocity taken from the displacement over dt, (sin b / b)^2, or along a path.
 
     Parameters
@@ -149,10 +118,12 @@ def gain_displacement(omega: Any, dt: float, frames: int = 2) -> Any:
     array_like
         Gain of power, 0 to 1.
     """
-    return (np.sinc(omega * dt / (2 * np.pi)) * path_factor(omega, dt, frames)) ** 2
+    sinc: Any = np.sinc(omega * dt / (2 * np.pi))
+    gain: Values = (sinc * path_factor(omega, dt, frames)) ** 2
+    return gain
 
 
-def elevation_from_w(omega: Any, dt: float, frames: int = 2) -> Any:
+def elevation_from_w(omega: Values, dt: float, frames: int = 2) -> Values:
     """Factor from the spectrum of w to that of the elevation, (dt / 2)^2 / sin^2 b; infinite at omega = 0.
 
     Parameters
@@ -175,10 +146,11 @@ def elevation_from_w(omega: Any, dt: float, frames: int = 2) -> Any:
     Dividing by omega^2 instead is wrong by sinc^2 b.
     """
     with np.errstate(divide="ignore"):
-        return (dt / 2) ** 2 / (np.sin(omega * dt / 2) * path_factor(omega, dt, frames)) ** 2
+        factor: Values = (dt / 2) ** 2 / (np.sin(omega * dt / 2) * path_factor(omega, dt, frames)) ** 2
+    return factor
 
 
-def gain_box(kx: Any, ky: Any, width: float) -> Any:
+def gain_box(kx: ArrayLike, ky: ArrayLike, width: float) -> Array:
     """Gain of the mean over a square box, (sin(kx a/2) / (kx a/2))^2 times the same in y.
 
     Parameters
@@ -200,7 +172,8 @@ def gain_box(kx: Any, ky: Any, width: float) -> Any:
     >>> round(float(gain_box(2 * np.pi / 0.1, 0.0, 0.04)), 2)
     0.57
     """
-    return (np.sinc(kx * width / (2 * np.pi)) * np.sinc(ky * width / (2 * np.pi))) ** 2
+    along_x, along_y = (np.sinc(np.asarray(k) * width / (2 * np.pi)) for k in (kx, ky))
+    return np.asarray((along_x * along_y) ** 2)
 
 
 def undo(energy: xr.DataArray, gain: xr.DataArray, noise: xr.DataArray | float = 0.0) -> xr.Dataset:
@@ -213,7 +186,7 @@ def undo(energy: xr.DataArray, gain: xr.DataArray, noise: xr.DataArray | float =
     gain : DataArray
         Power gain over some of its dimensions, from a calibration on simulated images or one of this module.
     noise : DataArray or float, optional
-        Noise in the spectrum; taken off first.
+        Noise in the spectrum; subtracted first.
 
     Returns
     -------
@@ -222,7 +195,7 @@ def undo(energy: xr.DataArray, gain: xr.DataArray, noise: xr.DataArray | float =
         noise.
     """
     signal = energy - noise
-    valid = (gain > LEAST_GAIN) & (signal > LEAST_SIGNAL * noise)
+    valid = (gain > MIN_GAIN) & (signal > MIN_SIGNAL_TO_NOISE * noise)
     corrected = (signal / gain).where(valid)
     corrected.attrs = dict(energy.attrs)
     return annotate(xr.Dataset({"E": corrected, "valid": valid}))

@@ -11,6 +11,20 @@ def hann(n: int) -> np.ndarray:
     return 0.5 - 0.5 * np.cos(2 * np.pi * (np.arange(n) + 0.5) / n)
 
 
+def hann_power(distance: np.ndarray) -> np.ndarray:
+    """Energy of a long Hann window's line at distances from it, in lines; 1 at none.
+
+    Examples
+    --------
+    >>> [round(float(p), 3) for p in hann_power(np.array([0.0, 1.0, 2.0, 2.5]))]
+    [1.0, 0.25, 0.0, 0.001]
+    """
+    off = np.where(np.abs(np.abs(distance) - 1) < 1e-9, 0.0, 1 - distance**2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        amplitude = np.where(off == 0, 0.5, np.sinc(distance) / off)
+    return np.asarray(amplitude**2)
+
+
 def segment_count(steps: int, segment: int) -> int:
     """Segments of length `segment`, overlapping by half, in `steps` steps."""
     half = segment // 2
@@ -18,9 +32,9 @@ def segment_count(steps: int, segment: int) -> int:
 
 
 def choose_segment(steps: int) -> int:
-    """Choose a segment length for a record."""
-    requested = min(DEFAULT_SEGMENT, max(steps // 4, min(64, steps)))
-    even = requested - requested % 2
+    """Segment length, even, for a record of so many steps."""
+    longest = min(DEFAULT_SEGMENT, max(steps // 4, min(64, steps)))
+    even = longest - longest % 2
     while even > 4 and fft.next_fast_len(even // 2, real=True) != even // 2:
         even -= 2
     return even
@@ -40,7 +54,7 @@ def degrees_of_freedom(segments: float) -> float:
 
 
 def effective_duration(segments: float, length: float) -> float:
-    """Length of a record as its Hann-windowed, half-overlapping segments weigh it.
+    """Length of a record, weighted as by its Hann-windowed, half-overlapping segments.
 
     Examples
     --------
@@ -55,7 +69,7 @@ def effective_duration(segments: float, length: float) -> float:
 def interval(dof: np.ndarray | float, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
     """Confidence interval of a spectrum as factors."""
     dof = np.asarray(dof, float)
-    some, place = np.unique(dof, return_inverse=True)  # rings of all frequencies have the same
-    ends = 0.5 + confidence / 2, 0.5 - confidence / 2
-    low, high = (some / (2 * special.gammaincinv(some / 2, at)) for at in ends)  # quantiles of chi squared
-    return low[place].reshape(dof.shape), high[place].reshape(dof.shape)
+    unique, index = np.unique(dof, return_inverse=True)  # rings of all frequencies have the same
+    tails = 0.5 + confidence / 2, 0.5 - confidence / 2
+    low, high = (unique / (2 * special.gammaincinv(unique / 2, tail)) for tail in tails)  # of chi squared
+    return low[index].reshape(dof.shape), high[index].reshape(dof.shape)

@@ -22,7 +22,7 @@ from wavefield.waves.dispersion_relation.doppler_correction import (
 )
 from wavefield.waves.estimation.degrees_of_freedom import with_interval
 from wavefield.waves.estimation.leakage import leakage
-from wavefield.waves.estimation.transfer_functions import LEAST_SIGNAL, elevation_from_w, path_factor
+from wavefield.waves.estimation.transfer_functions import MIN_SIGNAL_TO_NOISE, elevation_from_w, path_factor
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, inner, k_coords, omega_coords
 from wavefield.waves.estimation.window_gain import LEAST, read_gain, ring_gain
@@ -222,7 +222,7 @@ def _by_method(
             best,
         )
         trusted = tuple(
-            there & (energy > LEAST_SIGNAL * own)
+            there & (energy > MIN_SIGNAL_TO_NOISE * own)
             for energy, own, there in zip(
                 energies,
                 (noise.fit_z / gains.z, noise.fit_w / gains.w, left, left),
