@@ -146,7 +146,8 @@ def elevation_from_w(omega: Values, dt: float, frames: int = 2) -> Values:
     Dividing by omega^2 instead is wrong by sinc^2 b.
     """
     with np.errstate(divide="ignore"):
-        factor: Values = (dt / 2) ** 2 / (np.sin(omega * dt / 2) * path_factor(omega, dt, frames)) ** 2
+        path: Any = path_factor(omega, dt, frames)
+        factor: Values = (dt / 2) ** 2 / (np.sin(omega * dt / 2) * path) ** 2
     return factor
 
 
