@@ -257,14 +257,20 @@ def shrink(path):
     tifffile.imwrite(path, cv2.resize(tifffile.imread(path), (100, 100)))
 
 
+def repeat(path):
+    """The image of the frame before it, as recorders leave it when they lose one."""
+    path.write_bytes((path.parent / f"img_{int(path.stem[4:]) - 1:05d}.tif").read_bytes())
+
+
 @pytest.mark.parametrize(
     ("spoil", "faults"),
     [
         ((truncate, Path.unlink), (FrameFault.UNREADABLE, FrameFault.MISSING)),
         ((corrupt, blacken), (FrameFault.UNREADABLE, FrameFault.BLANK)),
         ((dim, shrink), (FrameFault.BLANK, FrameFault.WRONG_SIZE)),
+        ((repeat, Path.unlink), (FrameFault.REPEATED, FrameFault.MISSING)),
     ],
-    ids=["truncated, missing", "corrupt, black", "dim, wrong size"],
+    ids=["truncated, missing", "corrupt, black", "dim, wrong size", "repeated, missing"],
 )
 def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference, spoil, faults):
     numbers = (5, 11)
@@ -284,6 +290,19 @@ def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference, spoil,
     assert "frame 5" in str(state)
     assert "frame 11" in str(state)
     assert "cam2 frame" in (own_tank.parent / "cube.log").read_text()
+
+
+def test_repeated_frames_of_all_cameras_leave_no_values_whatever_the_chunks(own_tank, tmp_path):
+    for camera in ("cam1", "cam2", "cam3"):
+        repeat(own_tank.parent / camera / "img_00006.tif")  # the first frame that the chunk from step 8 uses
+    state = run(own_tank, workflow=blocks_of(4))
+    assert state.failed_steps == (5, 6)
+    assert {bad.fault for bad in state.bad_frames} == {FrameFault.REPEATED}
+    other = run(own_tank, tmp_path / "other.zarr", workflow=blocks_of(8))
+    assert different(other.store, state.store) == []
+    before = dict(state.bad_frames[0].__dict__)
+    again = run(own_tank, workflow=blocks_of(4))
+    assert before == dict(again.bad_frames[0].__dict__)
 
 
 def test_a_frame_that_was_copied_again_is_measured(own_tank, reference, measured):

@@ -1,7 +1,8 @@
 """Measuring one chunk of steps: frames in, arrays and faults out.
 
 A chunk of n steps reads n + 5 frames: both frames of each step, and two neighbours on either side for z at
-mid-time. Chunks do not depend on each other, so they can be measured in any order, anywhere, any time again.
+mid-time; and one before these, with which the first of them is compared. Chunks do not depend on each other:
+they can be measured in any order, anywhere, any time again.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,6 +31,10 @@ class Source(Protocol):
         """What is masked in a frame, True there; None if nothing is."""
         ...
 
+    def place(self, index: int) -> str:
+        """Which frame this is, for a message."""
+        ...
+
     def window(self, start: int, stop: int) -> "Source":
         """The part that a chunk needs."""
         ...
@@ -41,7 +46,7 @@ class Chunk:
 
     start: int  # Range of steps
     stop: int
-    # Frames start - 2 to stop + 2 of every camera, as far as there are any
+    # Frames start - 3 to stop + 2 of every camera, as far as there are any
     sources: Mapping[str, Source] = field(repr=False)
     first: int  # Index of the frame that is index 0 of the sources
 
@@ -66,10 +71,29 @@ class Measured:
 
 def make_chunk(sources: Mapping[str, Source], start: int, stop: int) -> Chunk:
     """Cut out what a chunk needs."""
-    first = max(start - AROUND, 0)
+    first = max(start - AROUND - 1, 0)
     return Chunk(
         start, stop, {name: s.window(first, stop + 1 + AROUND) for name, s in sources.items()}, first
     )
+
+
+def read_frame(source: Source, index: int) -> Frame:
+    """Read a frame; one that equals the frame before it in every pixel is no measurement of its moment."""
+    return _read(source, index)[0]
+
+
+def _read(
+    source: Source, index: int, before: np.ndarray | None = None
+) -> tuple[Frame, tuple[int, np.ndarray | None]]:
+    """The frame, and its index and image as it was read; ``before`` is the image of the frame before it."""
+    frame = source.read(index)
+    image = frame.image
+    if image is not None and index:
+        before = source.read(index - 1).image if before is None else before
+        if before is not None and np.array_equal(image, before):
+            words = "is, bit for bit, the frame before it, and counts as missing"
+            frame = Frame(None, FrameFault.REPEATED, f"{source.place(index)} {words}")
+    return frame, (index, image)
 
 
 class ChunkFrames(Sequence[np.ndarray | None]):
@@ -80,6 +104,7 @@ class ChunkFrames(Sequence[np.ndarray | None]):
     def __init__(self, source: Source, chunk: Chunk) -> None:
         self._source, self._chunk = source, chunk
         self._kept: dict[int, np.ndarray | None] = {}
+        self._latest: tuple[int, np.ndarray | None] = (-2, None)  # index in the source, image as it was read
         self.faults: dict[int, FrameFault] = {}
         self.messages: dict[int, str] = {}
 
@@ -103,7 +128,8 @@ class ChunkFrames(Sequence[np.ndarray | None]):
         inside = index - self._chunk.first
         if not 0 <= inside < len(self._source):
             return None  # before the first or after the last frame: not a fault
-        frame = self._source.read(inside)
+        before = self._latest[1] if self._latest[0] == inside - 1 else None
+        frame, self._latest = _read(self._source, inside, before)
         if frame.fault:
             self.faults[index] = frame.fault
             self.messages[index] = frame.message

@@ -89,6 +89,9 @@ class _Clocked:
     def covered(self, index: int) -> np.ndarray | None:
         return self.source.covered(index)
 
+    def place(self, index: int) -> str:
+        return self.source.place(index)
+
     def window(self, start: int, stop: int) -> Source:
         return self.source.window(start, stop)
 
@@ -103,7 +106,7 @@ def _measured(prepared: PreparedRun, start: int, stop: int) -> tuple[Measured, f
     )
     whole = time.perf_counter() - since
     frames = chunk.steps + 2 * AROUND + 1
-    gaps = np.diff(next(iter(clocked.values())).asked[:frames])
+    gaps = np.diff(next(iter(clocked.values())).asked[-frames:])
     # each frame is asked for when all is done with those before: the first have no step to give yet
     whole_steps = gaps[2 * AROUND + 1 :]
     return measured, float(whole_steps.mean()) if whole_steps.size else whole / frames

@@ -45,10 +45,14 @@ class ArraySource:
     def read(self, index: int) -> Frame:
         """Read one frame; an image without contrast counts as bad."""
         image = np.asarray(self.variable[index].values)
-        place = f"{self.camera} frame {index}"
+        place = self.place(index)
         if image.ndim != 2:
             return Frame(None, FrameFault.WRONG_SIZE, f"{place} has {image.ndim} dimensions")
         return check_content(image, place)
+
+    def place(self, index: int) -> str:
+        """Which frame this is, for a message."""
+        return f"{self.camera} frame {index}"
 
     def covered(self, index: int) -> np.ndarray | None:
         """What is masked in a frame.

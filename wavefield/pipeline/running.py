@@ -21,7 +21,7 @@ from wavefield.execution.deferred_signals import deferred_signals
 from wavefield.execution.lock import Lock
 from wavefield.execution.stop_signals import Stopped, jobs_folder, log_file, log_path, stop_signals
 from wavefield.execution.workflow import Workflow
-from wavefield.pipeline.chunk import Chunk, make_chunk
+from wavefield.pipeline.chunk import Chunk, make_chunk, read_frame
 from wavefield.pipeline.chunk_worker import Work
 from wavefield.pipeline.fingerprint import check_images, fingerprints
 from wavefield.pipeline.learning import learn_record
@@ -259,7 +259,7 @@ def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries
     faults = np.asarray(group["frame_fault"][:])
     repaired = np.zeros(layout.steps + 1, bool)
     for camera, index in np.argwhere((faults != 0) & (faults != FrameFault.RANGE)):
-        if not series[layout.cameras[camera]].read(int(index)).fault:
+        if read_frame(series[layout.cameras[camera]], int(index)).image is not None:
             repaired[index] = True
     again, todo = [], []
     for start, stop in layout.chunks():

@@ -21,6 +21,7 @@ _WORDS = {
     FrameFault.UNREADABLE: "corrupt or truncated",
     FrameFault.WRONG_SIZE: "of another size or type",
     FrameFault.BLANK: "blank",
+    FrameFault.REPEATED: "the same image as the frame before",
     FrameFault.RANGE: "the water went further than is searched",
 }
 

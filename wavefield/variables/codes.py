@@ -47,3 +47,4 @@ class FrameFault(IntEnum):
     WRONG_SIZE = 3  # other rows, columns or type than the rest
     BLANK = 4  # black, or all pixels equal
     RANGE = 5  # the water went further than is searched; the image itself is good
+    REPEATED = 6  # bit for bit the frame before it: no camera takes the same noise twice
