@@ -440,20 +440,19 @@ def profile() -> None:
 
 
 @nb.njit(nogil=True)
-def _read(image, u, v, position, whole, taps, strip):
+def _read(image, u, v, work):
     for by in range(len(u)):
-        matching_kernels._warp_strip(image, by, u[by], v[by], position, whole, taps, strip)
+        matching_kernels._warp_strip(image, by, u[by], v[by], work)
 
 
 def _reading(first: PreparedImage, second: PreparedImage) -> float:
     """Least time, ms, to read the second image once under all blocks."""
     u = np.full(first.levels[0].blocks, np.float32(1.3))
-    work = matching_kernels.scratch(u.shape[1])
-    arguments = [work[name] for name in ("position", "whole", "taps", "strip")]
+    work = matching_kernels.work_space(u.shape[1])
     times = []
     for _ in range(8):
         start = time.process_time()
-        _read(second.levels[0].padded, u, u, *arguments)
+        _read(second.levels[0].padded, u, u, work)
         times.append((time.process_time() - start) * 1e3)
     return min(times)
 

@@ -35,10 +35,10 @@ def case():
     u, v = rng.uniform(-4, 4, (2, ny, nx)).astype(F)
     slope = rng.uniform(-0.2, 0.2, (4, ny, nx)).astype(F)
     c2 = rng.uniform(0.1, 2, (ny, nx)).astype(F)
-    planes = np.empty((3, h, w), F)
+    rows = np.empty((h, 5, w + 4), F)
     for y in range(h):
-        matching_kernels._spline_row(a, y, *np.empty((2, w + 4), F), *planes[:, y])
-    smooth, gx, gy = planes
+        matching_kernels._spline_row(a, y, rows[y], w)
+    smooth, gx, gy = (rows[:, k, :w] for k in (2, 3, 4))
     return a, b, u, v, slope, c2, smooth, gx, gy
 
 
@@ -110,20 +110,20 @@ def expected_sums(case):
 def test_block_sums_are_what_they_say(case):
     a, b, u, v, slope, c2, *_ = case
     expected = expected_sums(case)
-    work = matching_kernels.scratch(u.shape[1])
+    work = matching_kernels.work_space(u.shape[1])
     for kernel, n in ((matching_kernels.robust_sums, 6), (matching_kernels.final_sums, 12)):
         out = np.full((n, *u.shape), np.nan, F)
-        kernel(a, b, u, v, slope, c2, F(0.05), out=out, **work)
+        kernel(a, b, u, v, slope, c2, F(0.05), work, out)
         for k in range(n):
             np.testing.assert_allclose(out[k], expected[k], atol=2e-5, err_msg=f"sum {k}")
 
 
 def test_unweighted_sums_are_the_last_ones_with_weights_of_one(case):
     a, b, u, v, slope, c2, *_ = case
-    work = matching_kernels.scratch(u.shape[1])
+    work = matching_kernels.work_space(u.shape[1])
     expected, out = np.full((2, 12, *u.shape), np.nan, F)
-    matching_kernels.final_sums(a, b, u, v, slope, 0 * c2, F(0.05), out=expected, **work)
-    matching_kernels.unweighted_sums(a, b, u, v, slope, out=out, **work)
+    matching_kernels.final_sums(a, b, u, v, slope, 0 * c2, F(0.05), work, expected)
+    matching_kernels.unweighted_sums(a, b, u, v, slope, work, out)
     given = [0, 1, 5, 6, 7, 8, 9, 10, 11]
     np.testing.assert_allclose(out[given], expected[given], atol=2e-5)
     assert np.isnan(out[2:5]).all()
@@ -138,7 +138,7 @@ def test_places_outside_the_image_are_read_inside_it(case):
         for move in (-1e6, -30.0, 30.0, 1e6):
             out = np.empty((2, *u.shape), F)
             matching_kernels.plain_sums(
-                a, inner, u + F(move), v + F(move), out=out, **matching_kernels.scratch(u.shape[1])
+                a, inner, u + F(move), v + F(move), matching_kernels.work_space(u.shape[1]), out
             )
             read.append(out)
     assert np.isfinite(read).all()
@@ -147,14 +147,14 @@ def test_places_outside_the_image_are_read_inside_it(case):
 
 def test_plain_sums_with_slopes_taken_off_are_the_unweighted_ones(case):
     a, b, u, v, slope, c2, *_ = case
-    work = matching_kernels.scratch(u.shape[1])
+    work = matching_kernels.work_space(u.shape[1])
     full = np.empty((6, *u.shape), F)
-    matching_kernels.robust_sums(a, b, u, v, slope, 0 * c2, F(0.05), out=full, **work)
+    matching_kernels.robust_sums(a, b, u, v, slope, 0 * c2, F(0.05), work, full)
     moments = np.empty((9, *u.shape), F)
-    matching_kernels.gradient_moments(a, work["rows"], work["sums"], moments)
+    matching_kernels.gradient_moments(a, work, moments)
     np.testing.assert_allclose(moments[:3], full[2:5], atol=1e-5)
     plain = np.empty((2, *u.shape), F)
-    matching_kernels.plain_sums(a, b, u, v, out=plain, **work)
+    matching_kernels.plain_sums(a, b, u, v, work, plain)
     block_lattice.subtract_slopes(plain, moments, slope)
     np.testing.assert_allclose(plain, full[:2], atol=2e-5)
 

@@ -86,10 +86,10 @@ def test_strain_moments_are_what_they_say():
     rng = np.random.default_rng(2)
     ny, nx = 7, 11
     image = rng.normal(0, 1, (5 * ny + 3 + 16, 5 * nx + 1 + 16)).astype(F)
-    work = matching_kernels.scratch(nx)
-    work["rows"][:] = work["sums"][:] = np.nan  # nothing is read before it is written
+    work = matching_kernels.work_space(nx)
+    work.rows[:] = work.sums[:] = np.nan  # nothing is read before it is written
     out = np.full((8, ny, nx), np.nan, F)
-    matching_kernels.strain_moments(image, work["rows"], work["sums"], out)
+    matching_kernels.strain_moments(image, work, out)
 
     def at(along_x, along_y):
         inner = image.astype(float)
@@ -108,12 +108,12 @@ def test_strain_moments_are_what_they_say():
 SUMS = """
 import hashlib
 import numpy as np
-from wavefield.matching.matching_kernels import gradient_moments, scratch, strain_moments
+from wavefield.matching.matching_kernels import gradient_moments, strain_moments, work_space
 image = np.random.default_rng(1).standard_normal((116, 136)).astype(np.float32)
-work = scratch(24)
+work = work_space(24)
 first, second = np.empty((9, 20, 24), np.float32), np.empty((8, 20, 24), np.float32)
-gradient_moments(image, work["rows"], work["sums"], first)
-strain_moments(image, work["rows"], work["sums"], second)
+gradient_moments(image, work, first)
+strain_moments(image, work, second)
 print(hashlib.sha256(first.tobytes() + second.tobytes()).hexdigest())
 """
 

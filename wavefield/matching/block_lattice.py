@@ -59,7 +59,8 @@ def smoothed(
         weight, norm = weighting
         rest, product = field.copy(), field * weight
         for _ in range(order):
-            _subtract_smoothed(rest, product, filtered(product, g, part), weight, norm)
+            rest -= norm * filtered(product, g, part)
+            np.multiply(weight, rest, out=product)
     out: np.ndarray = np.subtract(field, rest, out=rest)
     return out
 
@@ -69,41 +70,15 @@ def smoother_weights(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.n
     return weight, F(1) / np.maximum(filtered(weight, gaussian(sigma)), F(1e-3))
 
 
-@njit
-def _subtract_smoothed(
-    rest: np.ndarray, product: np.ndarray, part: np.ndarray, weight: np.ndarray, norm: np.ndarray
-) -> None:
-    """rest -= norm part; product = weight rest."""
-    for j in range(len(rest)):
-        row_here, to, off, w, n = rest[j], product[j], part[j], weight[j], norm[j]
-        for i in range(len(row_here)):
-            value = row_here[i] - n[i] * off[i]
-            row_here[i] = value
-            to[i] = w[i] * value
-
-
 def slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """(4, ny, nx) float32: du/dx, du/dy, dv/dx, dv/dy per px, by central differences."""
+    """(4, ny, nx) float32: du/dx, du/dy, dv/dx, dv/dy per px, central differences, one-sided at edges."""
     out = np.empty((4, *u.shape), np.float32)
-    _slopes(u, out[0], out[1])
-    _slopes(v, out[2], out[3])
+    for field, (along_x, along_y) in zip((u, v), (out[:2], out[2:]), strict=True):
+        for f, to in ((field, along_y), (field.T, along_x.T)):
+            np.subtract(f[2:], f[:-2], out=to[1:-1])
+            to[1:-1] *= F(0.5 / BLOCK)
+            to[0], to[-1] = (f[1] - f[0]) * F(1 / BLOCK), (f[-1] - f[-2]) * F(1 / BLOCK)
     return out
-
-
-@njit
-def _slopes(f: np.ndarray, fx: np.ndarray, fy: np.ndarray, block: int = BLOCK) -> None:
-    # block is an argument, not a global: numba's cache distinguishes arguments only
-    ny, nx = f.shape
-    for j in range(ny):
-        up, row_here, down = f[max(j - 1, 0)], f[j], f[min(j + 1, ny - 1)]
-        scale_y = F(1 / block) / F(max(min(j + 1, ny - 1) - max(j - 1, 0), 1))
-        for i in range(nx):
-            fy[j, i] = (down[i] - up[i]) * scale_y
-        for i in range(1, nx - 1):
-            fx[j, i] = (row_here[i + 1] - row_here[i - 1]) * F(0.5 / block)
-        last = max(nx - 2, 0)
-        fx[j, 0] = (row_here[min(1, nx - 1)] - row_here[0]) * F(1 / block)
-        fx[j, nx - 1] = (row_here[nx - 1] - row_here[last]) * F(1 / block)
 
 
 @njit
@@ -123,7 +98,6 @@ def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) ->
             sy[i] -= xyx[i] * ux[i] + xyy[i] * uy[i] + yyx[i] * vx[i] + yyy[i] * vy[i]
 
 
-@njit
 def subtract_strain(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float]:
@@ -132,39 +106,28 @@ def subtract_strain(
     sums (2, ny, nx) of usable blocks (1 in count, else 0) are changed in place; moments (8, ny, nx) are those
     of `strain_moments`. Returns the factors c and s^2 of `reevaluate`, by least squares of the sums.
     """
-    _, ny, nx = sums.shape
-    aa = ab = bb = ra = rb = 0.0
-    c = s2 = 0.0
-    row = np.empty((4, nx), np.float32)
-    ax, ay, bx, by = row[0], row[1], row[2], row[3]
-    for subtracting in range(2):
-        for j in range(ny):
-            sx, sy, weight = sums[0, j], sums[1, j], count[j]
-            ux, uy, vx, vy = slope[0, j], slope[1, j], slope[2, j], slope[3, j]
-            x, y, xxx, xxy, xyy = moments[0, j], moments[1, j], moments[2, j], moments[3, j], moments[4, j]
-            yxx, yxy, yyy = moments[5, j], moments[6, j], moments[7, j]
-            for i in range(nx):
-                divergence, shear = weight[i] * (ux[i] + vy[i]), uy[i] + vx[i]
-                ax[i] = divergence * x[i]
-                ay[i] = divergence * y[i]
-                bx[i] = weight[i] * (xxx[i] * ux[i] + xxy[i] * shear + xyy[i] * vy[i])
-                by[i] = weight[i] * (yxx[i] * ux[i] + yxy[i] * shear + yyy[i] * vy[i])
-            if subtracting:
-                for i in range(nx):
-                    sx[i] -= F(c) * ax[i] + F(s2) * bx[i]
-                    sy[i] -= F(c) * ay[i] + F(s2) * by[i]
-            else:
-                for i in range(nx):
-                    aa += ax[i] * ax[i] + ay[i] * ay[i]
-                    ab += ax[i] * bx[i] + ay[i] * by[i]
-                    bb += bx[i] * bx[i] + by[i] * by[i]
-                    ra += sx[i] * ax[i] + sy[i] * ay[i]
-                    rb += sx[i] * bx[i] + sy[i] * by[i]
-        if not subtracting:
-            determinant = max(aa * bb - ab * ab, 1e-6 * aa * bb + 1e-30)
-            c = min(max((ra * bb - rb * ab) / determinant, 0.0), 1.0)
-            s2 = max((rb - c * ab) / max(bb, 1e-30), 0.0)
+    ux, uy, vx, vy = slope
+    x, y, xxx, xxy, xyy, yxx, yxy, yyy = moments
+    divergence, shear = count * (ux + vy), uy + vx
+    a = np.stack([divergence * x, divergence * y])
+    b = np.stack([count * (xxx * ux + xxy * shear + xyy * vy), count * (yxx * ux + yxy * shear + yyy * vy)])
+    aa, ab, bb = _inner(a, a), _inner(a, b), _inner(b, b)
+    ra, rb = _inner(sums, a), _inner(sums, b)
+    determinant = max(aa * bb - ab * ab, 1e-6 * aa * bb + 1e-30)
+    c = min(max((ra * bb - rb * ab) / determinant, 0.0), 1.0)
+    s2 = max((rb - c * ab) / max(bb, 1e-30), 0.0)
+    sums -= F(c) * a + F(s2) * b
     return c, s2
+
+
+@njit
+def _inner(p: np.ndarray, q: np.ndarray) -> float:
+    """Inner product of two fields (2, ny, nx), summed in double precision and in a fixed order."""
+    total = 0.0
+    for j in range(p.shape[1]):
+        for i in range(p.shape[2]):
+            total += p[0, j, i] * q[0, j, i] + p[1, j, i] * q[1, j, i]
+    return total
 
 
 @njit
@@ -197,26 +160,11 @@ def replace_outliers(u: np.ndarray, v: np.ndarray, limit: float) -> np.ndarray:
 
     Returns a mask (ny, nx), True where vectors were replaced.
     """
-    outlier = np.empty(u.shape, np.bool_)
-    _replace(u, v, cv2.medianBlur(u, 5), cv2.medianBlur(v, 5), F(limit), outlier)
+    median_u, median_v = cv2.medianBlur(u, 5), cv2.medianBlur(v, 5)
+    outlier: np.ndarray = np.abs(u - median_u) + np.abs(v - median_v) > F(limit)
+    np.copyto(u, median_u, where=outlier)
+    np.copyto(v, median_v, where=outlier)
     return outlier
-
-
-@njit
-def _replace(
-    u: np.ndarray,
-    v: np.ndarray,
-    median_u: np.ndarray,
-    median_v: np.ndarray,
-    limit: np.float32,
-    outlier: np.ndarray,
-) -> None:
-    for j in range(u.shape[0]):
-        for i in range(u.shape[1]):
-            far = abs(u[j, i] - median_u[j, i]) + abs(v[j, i] - median_v[j, i]) > limit
-            outlier[j, i] = far
-            u[j, i] = median_u[j, i] if far else u[j, i]
-            v[j, i] = median_v[j, i] if far else v[j, i]
 
 
 @lru_cache(maxsize=32)

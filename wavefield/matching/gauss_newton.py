@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from wavefield.errors import FrameError
-from wavefield.matching.assess import assess
+from wavefield.matching.assess import LastStep, assess
 from wavefield.matching.block_lattice import (
     block_weights,
     filtered,
@@ -26,11 +26,12 @@ from wavefield.matching.displacement import Displacement, Reason
 from wavefield.matching.matching_kernels import (
     BLOCK,
     F,
+    WorkSpace,
     final_sums,
     plain_sums,
     robust_sums,
-    scratch,
     unweighted_sums,
+    work_space,
 )
 from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.prepared import Level, PreparedImage, level_count, prepare
@@ -214,7 +215,7 @@ class _LevelPair:
         self.a, self.b, self.sigma, self.settings = a, b, sigma, settings
         self.masked = bool(a.good.size or b.good.size)
         self.weights = window_weights(settings.window)
-        self.work = scratch(a.blocks[1])
+        self.work = work_space(a.blocks[1])
         self.count: np.ndarray = np.zeros(a.blocks, np.float32)
         self.coverage: np.ndarray = self.count
         self.weighting: tuple[np.ndarray, np.ndarray] | None = None
@@ -261,10 +262,10 @@ class _LevelPair:
         return u, v, outlier
 
 
-def last_sums(a: Level, b: Level, u: np.ndarray, v: np.ndarray, work: dict[str, np.ndarray]) -> np.ndarray:
+def last_sums(a: Level, b: Level, u: np.ndarray, v: np.ndarray, work: WorkSpace) -> np.ndarray:
     """(12, ny, nx): the sums of `final_sums` without weights."""
     sums = np.empty((12, *u.shape), np.float32)
-    unweighted_sums(a.padded, b.padded, u, v, slopes(u, v), out=sums, **work)
+    unweighted_sums(a.padded, b.padded, u, v, slopes(u, v), work, sums)
     sums[2:5] = a.moments[:3]
     return sums
 
@@ -281,7 +282,7 @@ def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> 
 def _plain_scores(pair: _LevelPair, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """(2, ny, nx): sums of gx r and gy r of the usable blocks."""
     sums = np.empty((2, *u.shape), np.float32)
-    plain_sums(pair.a.padded, pair.b.padded, u, v, out=sums, **pair.work)
+    plain_sums(pair.a.padded, pair.b.padded, u, v, pair.work, sums)
     subtract_slopes(sums, pair.a.moments, slopes(u, v))
     sums *= pair.count
     return sums
@@ -304,7 +305,7 @@ def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displ
         if settings.robust:
             kernel, fields = (robust_sums, 6) if number < count - 1 else (final_sums, 12)
             sums = np.empty((fields, *u.shape), np.float32)
-            kernel(a.padded, b.padded, u, v, slopes(u, v), c2, c2b2, out=sums, **pair.work)
+            kernel(a.padded, b.padded, u, v, slopes(u, v), c2, c2b2, pair.work, sums)
         else:
             sums = last_sums(a, b, u, v, pair.work)
         sums *= pair.count
@@ -313,8 +314,8 @@ def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displ
         u, v, outlier = pair.advance(u, v, windowed[2:5], windowed[:2], number)
         if settings.robust:
             c2 = _robust_scale(windowed[5], pair.coverage, settings)
-    last_step = u - before[0], v - before[1]
-    return assess(a, b, u, v, sums, windowed, pair.coverage, last_step, outlier, settings)
+    last = LastStep(sums, windowed, pair.coverage, u - before[0], v - before[1], outlier)
+    return assess(a, b, u, v, last, settings)
 
 
 def _robust_scale(rr: np.ndarray, coverage: np.ndarray, settings: MatchSettings) -> np.ndarray:
@@ -380,9 +381,8 @@ def reevaluate(
     windowed = np.empty_like(sums)
     windowed[:2] = 0  # no step is taken
     pair.windows(sums[2:], windowed[2:])
-    return assess(
-        pair.a, pair.b, u, v, sums, windowed, pair.coverage, (no_step, no_step), no_outlier, settings
-    )
+    last = LastStep(sums, windowed, pair.coverage, no_step, no_step, no_outlier)
+    return assess(pair.a, pair.b, u, v, last, settings)
 
 
 def scores_at(

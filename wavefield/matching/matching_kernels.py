@@ -1,21 +1,24 @@
-"""The inner loops: everything that touches pixels.
+"""The inner loops over pixels: sums over the blocks of an image.
 
 What lets LLVM turn these plain loops into vector code, and must be kept:
 
-* loops run along whole rows of the image;
-* the one loop that cannot, the reading of a block, is written in vectors of eight (`_read_block`);
-* the constants below are literals: numba's cache bakes them in and would not notice a change elsewhere;
-  loops of other files take them as the default of an argument, by which the cache tells them apart.
+* loops run along complete rows of the image;
+* the one loop that cannot, the sampling of a block, is written in vectors of eight (`_block_reader`);
+* the constants below are literals: numba's cache compiles them in and would not notice a change elsewhere;
+  loops of other files take them as the default of an argument, by which the cache distinguishes them.
 
-`tests/matching/test_kernels.py` looks into the machine code for vector multiplies.
+`benchmarks/vectors.py` counts the vector multiplications in the machine code.
 """
 
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
-import numba as nb
 import numba.extending
 import numpy as np
 from llvmlite import ir
+from numba import types
+from numba.core.base import BaseContext
+from numba.core.typing.templates import Signature
 
 from wavefield.compiled import compiled
 
@@ -25,14 +28,44 @@ Array = np.ndarray
 BLOCK = 5  # side of a block, px: the step of the lattice
 TAPS = 6  # of the quintic B-spline
 SIDE = 10  # BLOCK + TAPS - 1: side of the patch of b that one block needs
-LANES = 8  # floats in a vector: BLOCK of them are wanted
+LANES = 8  # floats in a vector, of which BLOCK are needed
 MID = F(2.0)  # (BLOCK - 1) / 2
 PAD = 8  # replicated border of b, px
 
 njit = compiled(fastmath=True, error_model="numpy")
-# a long function that is called is compiled alone and with its caller; the process that compiles runs one,
-# those that read what it kept the other, which may add in another order: not the same to the bit
+# A long function that is called is compiled alone and with its caller. The process that compiles runs one of
+# them, processes that load the cache the other; these may add in another order and differ in the last bits.
 inlined = compiled(fastmath=True, error_model="numpy", forceinline=True)
+
+
+class WorkSpace(NamedTuple):
+    """Arrays that the kernels write before they read them; one for each thread."""
+
+    position: Array  # (2, nx) float32: column and row of b at which a block begins
+    whole: Array  # (2, nx) int32: their whole part
+    taps: Array  # (2, TAPS, nx) float32: weights of their fraction
+    strip: Array  # (BLOCK, width) float32: b under a row of blocks
+    rows: Array  # (19, width) float32: rows of a, its gradients, slopes, residuals, ...
+    sums: Array  # (12, width) float32: sums over the rows of a block
+
+
+def work_space(nx: int) -> WorkSpace:
+    """Work space for `nx` blocks in a row.
+
+    Rows begin three cache lines beyond a multiple of sixteen apart: those of an image of 1024 px would else
+    begin a page apart, evict each other from the cache and seem to the processor to overlap.
+    """
+    width = nx * BLOCK + 8
+    width += (48 - width) % 256
+    lines = np.empty((BLOCK + 19 + 12, width), np.float32)
+    return WorkSpace(
+        position=np.empty((2, nx), np.float32),
+        whole=np.empty((2, nx), np.int32),
+        taps=np.empty((2, TAPS, nx), np.float32),
+        strip=lines[:BLOCK],
+        rows=lines[BLOCK:-12],
+        sums=lines[-12:],
+    )
 
 
 @njit
@@ -67,11 +100,10 @@ def _slope(s: Array, x: int) -> np.float32:
 
 
 @njit
-def _spline_row(image: Array, y: int, s: Array, d: Array, a: Array, gx: Array, gy: Array) -> None:
-    """Row y of an image smoothed with the quintic B-spline, and its exact derivatives along columns and rows.
-
-    s, d (w + 4) are work space, a, gx, gy (w) output.
-    """
+def _spline_row(image: Array, y: int, rows: Array, n: int) -> None:
+    """Row y of an image smoothed with the quintic B-spline, and its derivatives, into rows 2, 3 and 4."""
+    s, d = rows[0][: n + 4], rows[1][: n + 4]
+    a, gx, gy = rows[2][:n], rows[3], rows[4]
     _spline_columns(image, y, s, d)
     for x in range(len(a)):
         a[x] = _value(s, x)
@@ -90,14 +122,12 @@ def _fold(row: Array, out: Array) -> None:
 
 
 @njit
-def gradient_moments(image: Array, rows: Array, sums: Array, out: Array) -> None:
-    """Sums per block of products of the gradients of a, alone and times the place in the block.
-
-    With image (h + 2 PAD, w + 2 PAD); out (9, ny, nx).
-    """
+def gradient_moments(image: Array, work: WorkSpace, out: Array) -> None:
+    """Sums per block of products of a's gradients: alone, times x and times y in the block, (9, ny, nx)."""
     _, ny, nx = out.shape
     n = nx * BLOCK
-    s, d = rows[0][: n + 4], rows[1][: n + 4]
+    sums = work.sums
+    s, d = work.rows[0][: n + 4], work.rows[1][: n + 4]
     s0, s1, s2, s3, s4, s5 = sums[0][:n], sums[1], sums[2], sums[3], sums[4], sums[5]
     for by in range(ny):
         sums[:6] = F(0)
@@ -146,19 +176,8 @@ def _bend(s: Array, x: int) -> np.float32:
 
 
 @inlined
-def _strain_row(
-    s: Array,
-    d: Array,
-    e: Array,
-    s0: Array,
-    s1: Array,
-    s2: Array,
-    s3: Array,
-    s4: Array,
-    s5: Array,
-    s6: Array,
-    s7: Array,
-) -> None:
+def _strain_row(s: Array, d: Array, e: Array, totals: tuple[Array, ...]) -> None:
+    s0, s1, s2, s3, s4, s5, s6, s7 = totals  # as a tuple: slices made here would not become vector code
     for x in range(len(s0)):
         p, q, a = _slope(s, x), _value(d, x), _value(s, x)
         xx, xy, yy = _bend(s, x), _slope(d, x), _value(e, x)
@@ -173,88 +192,83 @@ def _strain_row(
 
 
 @njit
-def strain_moments(image: Array, rows: Array, sums: Array, out: Array) -> None:
-    """Sums per block of products of a's gradients with a and with its second derivatives.
-
-    With image (h + 2 PAD, w + 2 PAD); out (8, ny, nx).
-    """
+def strain_moments(image: Array, work: WorkSpace, out: Array) -> None:
+    """Sums per block of products of a's gradients with a and with its second derivatives: (8, ny, nx)."""
     _, ny, nx = out.shape
     n = nx * BLOCK
-    s, d, e = rows[0][: n + 4], rows[1][: n + 4], rows[2][: n + 4]
+    sums = work.sums
+    s, d, e = work.rows[0][: n + 4], work.rows[1][: n + 4], work.rows[2][: n + 4]
+    totals = sums[0][:n], sums[1], sums[2], sums[3], sums[4], sums[5], sums[6], sums[7]
     for by in range(ny):
         sums[:8] = F(0)
         for j in range(BLOCK):
             _spline_bends(image, by * BLOCK + j, s, d, e)
-            _strain_row(s, d, e, sums[0][:n], sums[1], sums[2], sums[3], sums[4], sums[5], sums[6], sums[7])
+            _strain_row(s, d, e, totals)
         for k in range(8):
             _fold(sums[k], out[k, by])
 
 
 def _block_reader(
-    context: Any,
-    image: Any,
-    start: Any,
-    stride: Any,
-    strip: Any,
-    to: Any,
-    width: Any,
-    along_x: Any,
-    along_y: Any,
-) -> tuple[Any, Any]:
-    """Read BLOCK rows of LANES pixels between the pixels of `image`: TAPS taps along x, then TAPS along y.
+    context: BaseContext,
+    image: types.Type,
+    start: types.Type,
+    stride: types.Type,
+    strip: types.Type,
+    to: types.Type,
+    width: types.Type,
+    along_x: types.Type,
+    along_y: types.Type,
+) -> tuple[Signature, Callable[..., ir.Value]]:
+    """Sample BLOCK rows of LANES pixels of `image` between its pixels: TAPS taps along x, then TAPS along y.
 
     image is read from its element `start` on, its rows `stride` apart; `strip` is written from its element
-    `to` on, its rows `width` apart. Plain loops take half as long again: they must first move the patch to
-    where LLVM sees that nothing overlaps.
+    `to` on, its rows `width` apart. Written in vectors, because plain loops over so few pixels do not become
+    vector code: with them a step takes 11 % longer.
     """
 
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        floats, vector = ir.FloatType(), ir.VectorType(ir.FloatType(), LANES)
+    def build(
+        context: BaseContext, builder: ir.IRBuilder, signature: Signature, arguments: Sequence[ir.Value]
+    ) -> ir.Value:
+        vector = ir.VectorType(ir.FloatType(), LANES)
+        _, at, stride, _, to, width, along_x, along_y = arguments
         source, target = (
             context.make_array(signature.args[n])(context, builder, arguments[n]).data for n in (0, 3)
         )
 
-        def place(base: Any, index: Any) -> Any:
+        def pointer(base: ir.Value, index: ir.Value) -> ir.Value:
             return builder.bitcast(builder.gep(base, [index]), vector.as_pointer())
 
-        def everywhere(value: Any) -> Any:
+        def in_all_lanes(taps: ir.Value, k: int) -> ir.Value:
+            first = ir.Constant(ir.IntType(32), 0)
             one = builder.insert_element(
-                ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0)
+                ir.Constant(vector, ir.Undefined), builder.extract_value(taps, k), first
             )
-            lanes = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
-            return builder.shuffle_vector(one, one, lanes)
+            return builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(ir.IntType(32), LANES), None))
 
-        def weighted(taps: Any, vectors: Any) -> Any:
-            total = ir.Constant(vector, [ir.Constant(floats, 0.0)] * LANES)
-            for tap, value in zip(taps, vectors):
-                product = builder.fmul(tap, value, flags=("fast",))
-                total = builder.fadd(total, product, flags=("fast",))
+        def weighted(taps: Sequence[ir.Value], vectors: Sequence[ir.Value]) -> ir.Value:
+            total = ir.Constant(vector, [ir.Constant(ir.FloatType(), 0.0)] * LANES)
+            for tap, value in zip(taps, vectors, strict=True):
+                total = builder.fadd(total, builder.fmul(tap, value, flags=("fast",)), flags=("fast",))
             return total
 
-        taps_x, taps_y = (
-            [everywhere(builder.extract_value(arguments[n], k)) for k in range(TAPS)] for n in (6, 7)
-        )
-        rows, at = [], arguments[1]
+        taps_x, taps_y = ([in_all_lanes(taps, k) for k in range(TAPS)] for taps in (along_x, along_y))
+        rows = []
         for _ in range(SIDE):
-            shifted = []
-            for k in range(TAPS):
-                value = builder.load(place(source, builder.add(at, ir.Constant(at.type, k))))
+            shifted = [builder.load(pointer(source, builder.add(at, at.type(k)))) for k in range(TAPS)]
+            for value in shifted:
                 value.align = 4
-                shifted.append(value)
             rows.append(weighted(taps_x, shifted))
-            at = builder.add(at, arguments[2])
-        at = arguments[4]
+            at = builder.add(at, stride)
         for j in range(BLOCK):
-            stored = builder.store(weighted(taps_y, rows[j : j + TAPS]), place(target, at))
-            stored.align = 4
-            at = builder.add(at, arguments[5])
+            builder.store(weighted(taps_y, rows[j : j + TAPS]), pointer(target, to)).align = 4
+            to = builder.add(to, width)
         return context.get_dummy_value()
 
-    index = nb.types.intp
-    return nb.types.void(image, index, index, strip, index, index, along_x, along_y), build
+    index = types.intp
+    return types.void(image, index, index, strip, index, index, along_x, along_y), build
 
 
-_read_block: Any = numba.extending.intrinsic(_block_reader)
+_read_block: Callable[..., None] = numba.extending.intrinsic(_block_reader)
 
 
 @njit
@@ -282,10 +296,25 @@ def _get(taps: Array, b: int) -> tuple[np.float32, ...]:
 
 
 @njit
-def _warp_strip(
-    image: Array, by: int, u: Array, v: Array, position: Array, whole: Array, taps: Array, strip: Array
-) -> None:
-    """Read b under one row of blocks, each at its own displacement, into `strip` (BLOCK, nx BLOCK + 8)."""
+def _spread(values: Array, out: Array) -> None:
+    """Spread values per block over the pixels of the blocks."""
+    for b in range(len(values)):
+        for k in range(BLOCK):
+            out[b * BLOCK + k] = values[b]
+
+
+@njit
+def _spread_ramps(slopes: Array, out: Array) -> None:
+    """In each block the line of this slope through zero at the block's middle."""
+    for b in range(len(slopes)):
+        for k in range(BLOCK):
+            out[b * BLOCK + k] = slopes[b] * (F(k) - MID)
+
+
+@njit
+def _warp_strip(image: Array, by: int, u: Array, v: Array, work: WorkSpace) -> None:
+    """Sample b under one row of blocks, each at its own displacement, into `strip`."""
+    position, whole, taps, strip = work.position, work.whole, work.taps, work.strip
     nx = len(u)
     h, w = image.shape
     for b in range(nx):
@@ -302,7 +331,9 @@ def _warp_strip(
 
 
 @njit
-def _plain_row(s: Array, d: Array, b: Array, s0: Array, s1: Array) -> None:
+def _plain_row(s: Array, d: Array, b: Array, sums: Array) -> None:
+    n = len(s) - 4
+    s0, s1 = sums[0][:n], sums[1]
     for x in range(len(s0)):
         r = _value(s, x) - b[x]
         s0[x] += _slope(s, x) * r
@@ -310,81 +341,42 @@ def _plain_row(s: Array, d: Array, b: Array, s0: Array, s1: Array) -> None:
 
 
 @njit
-def plain_sums(
-    first: Array,
-    second: Array,
-    u: Array,
-    v: Array,
-    position: Array,
-    whole: Array,
-    taps: Array,
-    strip: Array,
-    rows: Array,
-    sums: Array,
-    out: Array,
-) -> None:
-    """Sums per block of gx r and gy r, with r = a - b(x + d) and d constant over the block.
+def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace, out: Array) -> None:
+    """Sums per block of gx r and gy r, with r = a - b(x + d) and d constant over the block: (2, ny, nx).
 
-    With first, second (h + 2 PAD, w + 2 PAD); u, v (ny, nx), px; out (2, ny, nx).
+    first, second (h + 2 PAD, w + 2 PAD) have their border; u, v (ny, nx) are the displacement, px.
     """
-    ny, n = len(u), u.shape[1] * BLOCK
-    s, d = rows[0][: n + 4], rows[1][: n + 4]
-    s0, s1 = sums[0][:n], sums[1]
-    for by in range(ny):
-        _warp_strip(second, by, u[by], v[by], position, whole, taps, strip)
-        sums[:2] = F(0)
+    n = u.shape[1] * BLOCK
+    s, d = work.rows[0][: n + 4], work.rows[1][: n + 4]
+    for by in range(len(u)):
+        _warp_strip(second, by, u[by], v[by], work)
+        work.sums[:2] = F(0)
         for j in range(BLOCK):
             _spline_columns(first, by * BLOCK + j, s, d)
-            _plain_row(s, d, strip[j], s0, s1)
+            _plain_row(s, d, work.strip[j], work.sums)
         for k in range(2):
-            _fold(sums[k], out[k, by])
+            _fold(work.sums[k], out[k, by])
+
+
+# Rows of the work space in the sums below: 0, 1 splines along y; 2, 3, 4 a and its gradients along x and y;
+# 5 to 8 the slopes of the displacement, spread over the pixels; 9 the constants of the weights; 10, 11, 12
+# residuals, weights and influences.
 
 
 @njit
-def _ramp(to: Array, i: int, slope: np.float32) -> None:
-    """The line of this slope through zero at the block's middle."""
-    for k in range(BLOCK):
-        to[i + k] = slope * (F(k) - MID)
+def _spread_slopes(slopes: Array, by: int, rows: Array) -> None:
+    """Slopes of the displacement (4, ny, nx) of one row of blocks, spread over its pixels."""
+    _spread_ramps(slopes[0, by], rows[5])
+    _spread(slopes[1, by], rows[6])
+    _spread_ramps(slopes[2, by], rows[7])
+    _spread(slopes[3, by], rows[8])
 
 
 @njit
-def _level(to: Array, i: int, value: np.float32) -> None:
-    for k in range(BLOCK):
-        to[i + k] = value
-
-
-@njit
-def _spread_strip(slopes: Array, c2: Array, by: int, rows: Array) -> None:
-    """Slopes of the displacement and weight constants of one row of blocks, spread over its pixels."""
-    for b in range(slopes.shape[2]):
-        x = b * BLOCK
-        _ramp(rows[5], x, slopes[0, by, b])
-        _level(rows[6], x, slopes[1, by, b])
-        _ramp(rows[7], x, slopes[2, by, b])
-        _level(rows[8], x, slopes[3, by, b])
-        _level(rows[9], x, c2[by, b])
-
-
-@njit
-def _robust_row(
-    a: Array,
-    gx: Array,
-    gy: Array,
-    b: Array,
-    ux: Array,
-    uy: Array,
-    vx: Array,
-    vy: Array,
-    y: np.float32,
-    c2: Array,
-    c2b2: np.float32,
-    s0: Array,
-    s1: Array,
-    s2: Array,
-    s3: Array,
-    s4: Array,
-    s5: Array,
-) -> None:
+def _robust_row(rows: Array, b: Array, y: np.float32, c2b2: np.float32, sums: Array, n: int) -> None:
+    a, gx, gy, ux, uy = rows[2], rows[3], rows[4], rows[5], rows[6]
+    vx, vy, c2 = rows[7], rows[8], rows[9]
+    s0, s1, s2, s3, s4, s5 = sums[0][:n], sums[1], sums[2], sums[3], sums[4], sums[5]
     for x in range(len(s0)):
         r = a[x] - b[x] - gx[x] * (ux[x] + y * uy[x]) - gy[x] * (vx[x] + y * vy[x])
         m = a[x] + b[x]
@@ -409,66 +401,32 @@ def robust_sums(
     slopes: Array,
     c2: Array,
     c2b2: np.float32,
-    position: Array,
-    whole: Array,
-    taps: Array,
-    strip: Array,
-    rows: Array,
-    sums: Array,
+    work: WorkSpace,
     out: Array,
 ) -> None:
-    """Sums per block with a weight w = (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 per pixel.
+    """Sums per block with a weight w = (1 + r^2 / (c^2 (s^2 + beta^2 m^2)))^-2 per pixel: (6, ny, nx).
 
-    With slopes (4, ny, nx); c2 (ny, nx); out (6, ny, nx).
+    They are those of w gx r, w gy r, w gx gx, w gx gy, w gy gy and r^2. slopes (4, ny, nx) are those of the
+    displacement; c2 (ny, nx) is 1 / (c s)^2, c2b2 is (c beta)^2 / 4.
     """
-    ny, n = len(u), u.shape[1] * BLOCK
-    s, d = rows[0][: n + 4], rows[1][: n + 4]
-    for by in range(ny):
-        _warp_strip(second, by, u[by], v[by], position, whole, taps, strip)
-        _spread_strip(slopes, c2, by, rows)
+    n = u.shape[1] * BLOCK
+    rows, sums = work.rows, work.sums
+    for by in range(len(u)):
+        _warp_strip(second, by, u[by], v[by], work)
+        _spread_slopes(slopes, by, rows)
+        _spread(c2[by], rows[9])
         sums[:6] = F(0)
         for j in range(BLOCK):
-            _spline_row(first, by * BLOCK + j, s, d, rows[2][:n], rows[3][:n], rows[4][:n])
-            _robust_row(
-                rows[2],
-                rows[3],
-                rows[4],
-                strip[j],
-                rows[5],
-                rows[6],
-                rows[7],
-                rows[8],
-                F(j) - MID,
-                rows[9],
-                c2b2,
-                sums[0][:n],
-                sums[1],
-                sums[2],
-                sums[3],
-                sums[4],
-                sums[5],
-            )
+            _spline_row(first, by * BLOCK + j, rows, n)
+            _robust_row(rows, work.strip[j], F(j) - MID, c2b2, sums, n)
         for k in range(6):
             _fold(sums[k], out[k, by])
 
 
 @njit
-def _residual_row(
-    a: Array,
-    gx: Array,
-    gy: Array,
-    b: Array,
-    ux: Array,
-    uy: Array,
-    vx: Array,
-    vy: Array,
-    y: np.float32,
-    c2: Array,
-    c2b2: np.float32,
-    r: Array,
-    w: Array,
-    psi: Array,
-) -> None:
+def _residual_row(rows: Array, b: Array, y: np.float32, c2b2: np.float32, n: int) -> None:
+    a, gx, gy, ux, uy = rows[2], rows[3], rows[4], rows[5], rows[6]
+    vx, vy, c2, r, w, psi = rows[7], rows[8], rows[9], rows[10][:n], rows[11], rows[12]
     for x in range(len(r)):
         r[x] = a[x] - b[x] - gx[x] * (ux[x] + y * uy[x]) - gy[x] * (vx[x] + y * vy[x])
         m = a[x] + b[x]
@@ -479,26 +437,10 @@ def _residual_row(
 
 
 @njit
-def _final_row(
-    a: Array,
-    gx: Array,
-    gy: Array,
-    r: Array,
-    w: Array,
-    psi: Array,
-    s0: Array,
-    s1: Array,
-    s2: Array,
-    s3: Array,
-    s4: Array,
-    s5: Array,
-    s6: Array,
-    s7: Array,
-    s8: Array,
-    s9: Array,
-    s10: Array,
-    s11: Array,
-) -> None:
+def _final_row(rows: Array, sums: Array, n: int) -> None:
+    a, gx, gy, r, w, psi = rows[2], rows[3], rows[4], rows[10], rows[11], rows[12]
+    s0, s1, s2, s3, s4, s5 = sums[0][:n], sums[1], sums[2], sums[3], sums[4], sums[5]
+    s6, s7, s8, s9, s10, s11 = sums[6], sums[7], sums[8], sums[9], sums[10], sums[11]
     for x in range(len(s0)):
         wx, wy = w[x] * gx[x], w[x] * gy[x]
         s0[x] += wx * r[x]
@@ -528,99 +470,58 @@ def final_sums(
     slopes: Array,
     c2: Array,
     c2b2: np.float32,
-    position: Array,
-    whole: Array,
-    taps: Array,
-    strip: Array,
-    rows: Array,
-    sums: Array,
+    work: WorkSpace,
     out: Array,
 ) -> None:
-    """The sums of `robust_sums` and those that correlation and uncertainty are made of.
+    """The sums of `robust_sums` and those from which correlation and uncertainty follow: (12, ny, nx).
 
-    With out (12, ny, nx).
+    The others are those of a, a^2, r, a r, psi ga gb and w ((ga + gb) / 2)^2, with ga, gb the gradients along
+    x of the two images and psi the derivative of w r.
     """
-    ny, n = len(u), u.shape[1] * BLOCK
-    s, d = rows[0][: n + 4], rows[1][: n + 4]
-    for by in range(ny):
-        _warp_strip(second, by, u[by], v[by], position, whole, taps, strip)
-        _spread_strip(slopes, c2, by, rows)
+    n = u.shape[1] * BLOCK
+    rows, sums = work.rows, work.sums
+    for by in range(len(u)):
+        _warp_strip(second, by, u[by], v[by], work)
+        _spread_slopes(slopes, by, rows)
+        _spread(c2[by], rows[9])
         sums[:] = F(0)
         for j in range(BLOCK):
-            _spline_row(first, by * BLOCK + j, s, d, rows[2][:n], rows[3][:n], rows[4][:n])
-            a, p, q = rows[2], rows[3], rows[4]
-            _residual_row(
-                a,
-                p,
-                q,
-                strip[j],
-                rows[5],
-                rows[6],
-                rows[7],
-                rows[8],
-                F(j) - MID,
-                rows[9],
-                c2b2,
-                rows[10][:n],
-                rows[11],
-                rows[12],
-            )
-            _final_row(
-                a,
-                p,
-                q,
-                rows[10],
-                rows[11],
-                rows[12],
-                sums[0][:n],
-                sums[1],
-                sums[2],
-                sums[3],
-                sums[4],
-                sums[5],
-                sums[6],
-                sums[7],
-                sums[8],
-                sums[9],
-                sums[10],
-                sums[11],
-            )
+            _spline_row(first, by * BLOCK + j, rows, n)
+            _residual_row(rows, work.strip[j], F(j) - MID, c2b2, n)
+            _final_row(rows, sums, n)
         for k in range(12):
             _fold(sums[k], out[k, by])
 
 
 @njit
 def _unweighted_row(
-    s: Array,
-    d: Array,
+    splines: tuple[Array, ...],
+    slopes: tuple[Array, ...],
     b: Array,
-    ux: Array,
-    uy: Array,
-    vx: Array,
-    vy: Array,
     y: np.float32,
     a: Array,
     r: Array,
-    s0: Array,
-    s1: Array,
+    sums: tuple[Array, ...],
 ) -> None:
+    s, d = splines
+    ux, uy, vx, vy = slopes
+    s0, s1 = sums
     for x in range(len(s0)):
         gx, gy, value = _slope(s, x), _value(d, x), _value(s, x)
-        miss = value - b[x] - gx * (ux[x] + y * uy[x]) - gy * (vx[x] + y * vy[x])
+        residual = value - b[x] - gx * (ux[x] + y * uy[x]) - gy * (vx[x] + y * vy[x])
         a[x] = value
-        r[x] = miss
-        s0[x] += gx * miss
-        s1[x] += gy * miss
+        r[x] = residual
+        s0[x] += gx * residual
+        s1[x] += gy * residual
 
 
 @njit
-def _strip_sums(
-    a: Array, r: Array, s5: Array, s6: Array, s7: Array, s8: Array, s9: Array, s10: Array, s11: Array
-) -> None:
+def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
     """Sums of r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 over the rows of a strip.
 
     a, r (BLOCK, n + 4) begin one pixel before the sums (n).
     """
+    s5, s6, s7, s8, s9, s10, s11 = totals
     for x in range(len(s5)):
         rr = sa = aa = sr = ar = ab = mm = F(0)
         for j in range(BLOCK):
@@ -645,60 +546,35 @@ def _strip_sums(
 
 @njit
 def unweighted_sums(
-    first: Array,
-    second: Array,
-    u: Array,
-    v: Array,
-    slopes: Array,
-    position: Array,
-    whole: Array,
-    taps: Array,
-    strip: Array,
-    rows: Array,
-    sums: Array,
-    out: Array,
+    first: Array, second: Array, u: Array, v: Array, slopes: Array, work: WorkSpace, out: Array
 ) -> None:
-    """The sums of `final_sums` with every weight 1, but without those of a's gradients alone.
-
-    With out (12, ny, nx).
-    """
-    ny, n = len(u), u.shape[1] * BLOCK
-    s, d = rows[0][: n + 4], rows[1][: n + 4]
+    """The sums of `final_sums` with every weight 1, but those of a's gradients: 9 of (12, ny, nx)."""
+    n = u.shape[1] * BLOCK
+    rows, sums = work.rows, work.sums
+    splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])
+    scores = sums[0][:n], sums[1]
+    totals = sums[5][:n], sums[6], sums[7], sums[8], sums[9], sums[10], sums[11]
     a, r = rows[9:14], rows[14:19]  # whole rows: loops over cut ones do not become vector code
-    for by in range(ny):
-        _warp_strip(second, by, u[by], v[by], position, whole, taps, strip)
-        _spread_strip(slopes, u, by, rows)
+    for by in range(len(u)):
+        _warp_strip(second, by, u[by], v[by], work)
+        _spread_slopes(slopes, by, rows)
         sums[:2] = F(0)
         for j in range(BLOCK):
-            y = F(j) - MID
-            _spline_columns(first, by * BLOCK + j, s, d)
-            _unweighted_row(
-                s,
-                d,
-                strip[j],
-                rows[5],
-                rows[6],
-                rows[7],
-                rows[8],
-                y,
-                a[j, 1:],
-                r[j, 1:],
-                sums[0][:n],
-                sums[1],
-            )
+            _spline_columns(first, by * BLOCK + j, splines[0], splines[1])
+            _unweighted_row(splines, spread, work.strip[j], F(j) - MID, a[j, 1:], r[j, 1:], scores)
             for row in (a[j], r[j]):
                 row[0], row[n + 1] = row[2], row[n - 1]  # no slope at the edge
-        _strip_sums(a, r, sums[5][:n], sums[6], sums[7], sums[8], sums[9], sums[10], sums[11])
+        _strip_sums(a, r, totals)
         for k in (0, 1, 5, 6, 7, 8, 9, 10, 11):
             _fold(sums[k], out[k, by])
 
 
 @njit
 def shift_sums(a: Array, b: Array, margin: int, first: int, dy: int, row: Array, out: Array) -> None:
-    """Sums per block of a b, with b shifted by whole pixels: by dy rows and, one after another, more columns.
+    """Sums per block of a b for b shifted by dy rows and by `first`, `first` + 1, ... columns.
 
-    With a (h, w); b (h + 2 margin, w + 2 margin); margin, px; first, dy, px; row (nx * BLOCK,); out (ny, n,
-    nx + 2 border).
+    a (h, w); b (h + 2 margin, w + 2 margin); row (nx BLOCK,) is work space; out (ny, shifts, nx + 2 border),
+    its border replicated.
     """
     ny, n, width = out.shape
     nx = len(row) // BLOCK
@@ -717,22 +593,3 @@ def shift_sums(a: Array, b: Array, margin: int, first: int, dy: int, row: Array,
             _fold(row, to[border : border + nx])
             to[:border] = to[border]
             to[border + nx :] = to[border + nx - 1]
-
-
-def scratch(nx: int) -> dict[str, Array]:
-    """Work space for `nx` blocks in a row; every kernel writes what it reads.
-
-    Rows lie three cache lines beyond a multiple of sixteen apart: those of an image of 1024 px would else
-    begin a page apart, push each other out of the cache and look to the processor as if they overlapped.
-    """
-    width = nx * BLOCK + 8
-    width += (48 - width) % 256
-    lines = np.empty((BLOCK + 19 + 12, width), np.float32)
-    return {
-        "position": np.empty((2, nx), np.float32),
-        "whole": np.empty((2, nx), np.int32),
-        "taps": np.empty((2, TAPS, nx), np.float32),
-        "strip": lines[:BLOCK],
-        "rows": lines[BLOCK:-12],
-        "sums": lines[-12:],
-    }

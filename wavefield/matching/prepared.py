@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from wavefield.errors import FrameError
-from wavefield.matching.matching_kernels import BLOCK, PAD, gradient_moments, scratch, strain_moments
+from wavefield.matching.matching_kernels import BLOCK, PAD, gradient_moments, strain_moments, work_space
 from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.normalize import NormalizationCells, usable_share
 
@@ -46,16 +46,14 @@ class Level:
     def moments(self) -> np.ndarray:
         """(9, ny, nx) float32: the sums of `gradient_moments`, kept: an image may be matched to several."""
         out = np.empty((9, *self.blocks), np.float32)
-        work = scratch(self.blocks[1])
-        gradient_moments(self.padded, work["rows"], work["sums"], out)
+        gradient_moments(self.padded, work_space(self.blocks[1]), out)
         return out
 
     @cached_property
     def strain(self) -> np.ndarray:
         """(8, ny, nx) float32: the sums of `strain_moments`, kept like `moments`."""
         out = np.empty((8, *self.blocks), np.float32)
-        work = scratch(self.blocks[1])
-        strain_moments(self.padded, work["rows"], work["sums"], out)
+        strain_moments(self.padded, work_space(self.blocks[1]), out)
         return out
 
 

@@ -40,8 +40,7 @@ def search(
         shift_sums(first, second, margin, x_range[0], dy, row, scores)
         side_by_side = scores.reshape(ny, -1)
         filtered(side_by_side, weights, side_by_side)
-    u, v = np.empty((ny, nx), np.float32), np.empty((ny, nx), np.float32)
-    _peaks(score, border, x_range[0], y_range[0], np.empty(nx, np.float32), np.empty(nx, np.int32), u, v)
+    u, v = _peaks(score, border, x_range[0], y_range[0])
     for _ in range(2):
         replace_outliers(u, v, 2.0)
     return smoothed(u, 1.0, 1), smoothed(v, 1.0, 1)
@@ -58,53 +57,63 @@ def _locally_normalized(image: np.ndarray) -> np.ndarray:
 
 
 @njit
-def _largest(score: np.ndarray, j: int, border: int, top: np.ndarray, best: np.ndarray) -> None:
-    """Which of all shifts has the largest score, the first of equals, for each block of row j."""
-    rows, _, n, _ = score.shape
-    nx = len(top)
-    for i in range(nx):  # copied as a slice, it takes five seconds more to compile
-        top[i], best[i] = score[0, j, 0, border + i], np.int32(0)
-    for dy in range(rows):
-        for k in range(n):
-            middle = score[dy, j, k, border : border + nx]
-            for i in range(nx):
-                larger = middle[i] > top[i]
-                best[i] = np.int32(dy * n + k) if larger else best[i]
-                top[i] = middle[i] if larger else top[i]
-
-
-@njit
-def _vertex(before: np.float32, middle: np.float32, after: np.float32) -> np.float32:
-    """Where the parabola through three neighbours is highest, at most half a step from the middle one."""
-    curvature = before - F(2) * middle + after
-    if curvature >= F(-1e-6):
-        return F(0)
-    return min(max((before - after) / (F(2) * curvature), F(-0.5)), F(0.5))
-
-
-@njit
-def _peaks(
-    score: np.ndarray,
-    border: int,
-    first_x: int,
-    first_y: int,
-    top: np.ndarray,
-    best: np.ndarray,
-    u: np.ndarray,
-    v: np.ndarray,
-) -> None:
-    """Shift of the largest score of each block, with a parabola through its neighbours.
-
-    score (rows of shifts, ny, columns of shifts, nx + 2 border) begins with the shift first_x, first_y; top,
-    best (nx,) are work space, u, v (ny, nx) output.
-    """
-    rows, ny, n, _ = score.shape
+def _largest(score: np.ndarray, border: int, best: np.ndarray) -> None:
+    """Number of the shift with the largest score of each block, the first of equals, into best (ny, nx)."""
+    rows, ny, n, width = score.shape
+    nx = width - 2 * border
+    top = np.empty(nx, np.float32)
     for j in range(ny):
-        _largest(score, j, border, top, best)
-        for i in range(len(top)):
-            y, x = divmod(best[i], n)
-            u[j, i], v[j, i] = first_x + x, first_y + y
-            if 0 < x < n - 1:
-                u[j, i] += _vertex(score[y, j, x - 1, border + i], top[i], score[y, j, x + 1, border + i])
-            if 0 < y < rows - 1:
-                v[j, i] += _vertex(score[y - 1, j, x, border + i], top[i], score[y + 1, j, x, border + i])
+        for i in range(nx):  # copied as a slice, it takes five seconds more to compile
+            top[i], best[j, i] = score[0, j, 0, border + i], np.int32(0)
+        for dy in range(rows):
+            for k in range(n):
+                middle = score[dy, j, k, border : border + nx]
+                for i in range(nx):
+                    larger = middle[i] > top[i]
+                    best[j, i] = np.int32(dy * n + k) if larger else best[j, i]
+                    top[i] = middle[i] if larger else top[i]
+
+
+def _peaks(score: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[np.ndarray, np.ndarray]:
+    """Shift of the largest score of each block, (ny, nx), with parabolas through its neighbours.
+
+    score (rows of shifts, ny, columns of shifts, nx + 2 border) begins with the shift first_x, first_y.
+    """
+    rows, ny, n, width = score.shape
+    best = np.empty((ny, width - 2 * border), np.int32)
+    _largest(score, border, best)
+    y, x = np.divmod(best, n)
+    j, i = np.indices(best.shape)
+
+    def at(dy: int, dx: int) -> np.ndarray:
+        row, column = np.clip(y + dy, 0, rows - 1), np.clip(x + dx, 0, n - 1)
+        return np.asarray(score[row, j, column, border + i])
+
+    dx = parabola_vertex(at(0, -1), at(0, 0), at(0, 1))
+    dy = parabola_vertex(at(-1, 0), at(0, 0), at(1, 0))
+    inside_x, inside_y = (x > 0) & (x < n - 1), (y > 0) & (y < rows - 1)
+    u, v = (x + first_x).astype(np.float32), (y + first_y).astype(np.float32)
+    return u + np.where(inside_x, dx, F(0)), v + np.where(inside_y, dy, F(0))
+
+
+def parabola_vertex(before: np.ndarray, middle: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Offset of the vertex of the parabola through three neighbours from the middle one.
+
+    Parameters
+    ----------
+    before, middle, after : ndarray
+        Values at three neighbouring places, of which the middle one is the largest.
+
+    Returns
+    -------
+    ndarray
+        In steps between neighbours, at most half of one; 0 where the three are on a line.
+
+    Examples
+    --------
+    >>> float(parabola_vertex(np.array(0.0), np.array(3.0), np.array(2.0)))
+    0.25
+    """
+    bend = before - 2 * middle + after
+    out: np.ndarray = np.clip(0.5 * (before - after) / np.where(bend < 0, bend, -np.inf), -0.5, 0.5)
+    return out
