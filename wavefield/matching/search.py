@@ -10,6 +10,7 @@ from wavefield.matching.block_lattice import F, filtered, replace_outliers, smoo
 from wavefield.matching.matching_kernels import BLOCK, shift_sums
 from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.prepared import Level
+from wavefield.parabola import parabola_vertex
 
 njit = compiled(error_model="numpy")
 
@@ -89,31 +90,8 @@ def _peaks(score: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[
         row, column = np.clip(y + dy, 0, rows - 1), np.clip(x + dx, 0, n - 1)
         return np.asarray(score[row, j, column, border + i])
 
-    dx = parabola_vertex(at(0, -1), at(0, 0), at(0, 1))
-    dy = parabola_vertex(at(-1, 0), at(0, 0), at(1, 0))
+    dx = np.clip(parabola_vertex(at(0, -1), at(0, 0), at(0, 1)), -0.5, 0.5)
+    dy = np.clip(parabola_vertex(at(-1, 0), at(0, 0), at(1, 0)), -0.5, 0.5)
     inside_x, inside_y = (x > 0) & (x < n - 1), (y > 0) & (y < rows - 1)
     u, v = (x + first_x).astype(np.float32), (y + first_y).astype(np.float32)
     return u + np.where(inside_x, dx, F(0)), v + np.where(inside_y, dy, F(0))
-
-
-def parabola_vertex(before: np.ndarray, middle: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Offset of the vertex of the parabola through three neighbours from the middle one.
-
-    Parameters
-    ----------
-    before, middle, after : ndarray
-        Values at three neighbouring places, of which the middle one is the largest.
-
-    Returns
-    -------
-    ndarray
-        In steps between neighbours, at most half of one; 0 where the three are on a line.
-
-    Examples
-    --------
-    >>> float(parabola_vertex(np.array(0.0), np.array(3.0), np.array(2.0)))
-    0.25
-    """
-    bend = before - 2 * middle + after
-    out: np.ndarray = np.clip(0.5 * (before - after) / np.where(bend < 0, bend, -np.inf), -0.5, 0.5)
-    return out
