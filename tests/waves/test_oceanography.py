@@ -6,7 +6,7 @@ import xarray as xr
 from waves_cases import GaussianSea, Waves, axes, cube, relation, second_order_sea
 
 import wavefield.waves as wv
-from wavefield.waves.surface.breaking import crest_ratio
+from wavefield.waves.surface.breaking import CrestSettings, crest_ratio
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +17,7 @@ def directional():
     return made, wv.directional_spectrum(made, current=(0.0, 0.0), segment=128)
 
 
-def test_wavespectra_takes_a_directional_spectrum_as_its_own(directional, tmp_path):
+def test_wavespectra_reads_a_directional_spectrum(directional, tmp_path):
     wavespectra = pytest.importorskip("wavespectra")
     made, spectrum = directional
     omega = 2 * np.pi * spectrum.freq
@@ -89,9 +89,9 @@ def test_a_sheared_current_is_found_at_depth():
     assert error < np.sqrt(((plain - true) ** 2).mean()) / 3
     assert float(np.abs(found.current_y).max()) < 0.005
     assert float(found.current_x_std.max()) < 0.01
-    # what the current varies within a band is no scatter
-    felt_std = found.doppler_x_std.values
-    assert felt_std[0] < 1.3 * np.median(felt_std)  # 1.47 if it were
+    # the variation of the current within a band is no error
+    std = found.doppler_x_std.values
+    assert std[0] < 1.3 * np.median(std)  # 1.47 if it were
 
 
 def test_a_sheared_current_is_found_in_a_field():
@@ -122,9 +122,9 @@ def test_crests_of_a_steep_wave_have_its_steepness_for_ratio_whatever_the_curren
     for current in ((0.0, 0.0), (0.1, 0.0)):
         wave = Waves(np.array([k]), np.array([0.0]), np.array([0.3 / k + 0j]), current=current)
         f = wave.on_grid(t[:1], y, x, "z", "z_t", "u", "v")
-        fields = [f[name][0] for name in ("z", "z_t", "u", "v")]
-        fields[2] = fields[2] + current[0]
-        ratio, speed = crest_ratio(*fields, 0.01, 0.01, 0.05, 0.01, current)
+        fields = {name: f[name][0] for name in ("z", "z_t", "u", "v")}
+        fields["u"] = fields["u"] + current[0]
+        ratio, speed = crest_ratio(fields, CrestSettings((0.01, 0.01), 0.05, 0.01, current))
         assert np.isfinite(ratio).sum() >= 2 * 40
         # a k over tanh kh, a node beside the crest it is a little less
         np.testing.assert_allclose(ratio[np.isfinite(ratio)], 0.3 / np.tanh(k * 0.7), atol=0.01)
@@ -148,7 +148,7 @@ def test_crests_of_a_steep_random_sea_have_the_exact_ratio(seed):
     errors, ratios = [], []
     for t in (0.0, 2.0, 4.0, 6.0):
         f = sea.on_grid(x, y, t, ("z", "z_t", "u", "v"))
-        ratio, _ = crest_ratio(*(f[name] for name in ("z", "z_t", "u", "v")), step, step, 0.06, 0.02)
+        ratio, _ = crest_ratio(f, CrestSettings((step, step), 0.06, 0.02))
         rows, columns = np.nonzero(np.isfinite(ratio[8:-8, 8:-8]))
         rows, columns = rows[::9] + 8, columns[::9] + 8
         n = np.stack([f["u"][rows, columns], f["v"][rows, columns]])
@@ -191,7 +191,7 @@ def test_a_crest_that_outruns_itself_is_an_event_with_its_history():
     assert calm.sizes.get("event", 0) == 0
 
 
-def test_what_notebooks_want_is_on_the_face():
+def test_functions_for_notebooks_are_public():
     import wavefield as wf
 
     for name in ("breaking", "current_by_depth", "directional_spectrum", "fit_dispersion", "kinematics"):

@@ -118,6 +118,11 @@ class Reader:
             blocks.append(np.ascontiguousarray(fill(block, missing)[inner]))
         return blocks
 
+    def blocks(self, run: tuple[int, int], steps: int) -> Iterator[list[np.ndarray]]:
+        """Blocks of a run, some steps at a time."""
+        for a in range(run[0], run[1], steps):
+            yield self(a, min(a + steps, run[1]), run)
+
 
 def remainders(record: Record, segment: int) -> list[tuple[int, int, tuple[int, int]]]:
     """Steps (first, one past the last, run) that no segment holds, in pieces of half a segment at most."""

@@ -1,6 +1,6 @@
-"""Free and bound waves: what lies on the ridge of the dispersion relation, and what is forced beside it."""
+"""Free waves, near the dispersion relation, and bound waves, which are forced off it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 from typing import Any
@@ -16,145 +16,127 @@ from wavefield.water import GAMMA, dispersion, group_velocity
 from wavefield.waves.dispersion_relation.current_used import CurrentUsed
 from wavefield.waves.estimation.segments import Reader, segment_length, spatial_window
 from wavefield.waves.estimation.wave_record import Record, find_record
-from wavefield.waves.estimation.welch import LOWEST
+from wavefield.waves.estimation.welch import LOWEST, omega_coords
 from wavefield.waves.estimation.windows import hann
 from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]
 
-_REACH = 2.0  # cells of the k plane: a Hann window leaves 5e-4 of a wave's energy beyond
-_BESIDE = 0.5  # cells: the strip beside the ridge that tells what bound waves lie under it
-_DRAWN = 600  # waves drawn to see what the windows leave where
-_AROUND = 5  # cells to either side of a drawn wave
-_FLOOR = 0.75  # of the Nyquist frequency: noise is looked for above
-_ALIKE = 1 + 2 * (4 / 9 + 1 / 36)  # cells that a Hann window makes of one, along an axis
-_EDGE = 0.2  # of the spatial window: nearer to the edge its quotient is not given
-_SLOWEST = 0.3  # of the group velocity: a current that holds waves up more smears them over all k
+RELATION_CELLS = (
+    2.0  # half width in cells of the k plane: a Hann window leaves 5e-4 of a wave's energy beyond
+)
+STRIP_CELLS = 0.5  # width of the strip next to the relation, from which bound waves under it are estimated
+SIMULATED_WAVES = 600  # single waves whose leakage through the windows is averaged
+NEAR_CELLS = 5  # cells to either side of a simulated wave
+NOISE_LINES = 0.75  # of the Nyquist frequency: the noise is estimated from the lines above
+CORRELATED_CELLS = 1 + 2 * (4 / 9 + 1 / 36)  # along an axis under a Hann window
+MIN_WINDOW = 0.2  # of the spatial window: nearer to the edge its quotient is not given
+MIN_SPEED_ON_CURRENT = 0.3  # of the group velocity: a current that slows waves more smears them over all k
 
 
-class Kind(IntEnum):
-    """What a cell of the (k, omega) space holds."""
+class CellKind(IntEnum):
+    """Content of a cell of the (k, omega) space."""
 
     FREE = 0
-    BESIDE = 1  # the strip beside the ridge
+    STRIP = 1  # next to the relation
     HARMONIC = 2  # second harmonic of a single wave
-    SUM = 3  # shorter in time than a free wave of its length: forced by two at their sum
-    DIFFERENCE = 4  # the other side of the ridge
+    SUM = 3  # faster than a free wave of its length: forced by two at their sum
+    DIFFERENCE = 4  # the other side of the relation
 
 
 @dataclass(frozen=True)
-class Split:
-    """Where free waves are."""
+class RelationCut:
+    """Which cells of the (k, omega) space hold free waves."""
 
-    depth: float = np.inf  # Depth, m, and surface tension over density, m3/s2
-    gamma: float = GAMMA
-    current: tuple[float, float] = (0.0, 0.0)  # Along x and y, m/s
-    reach: float = 1.0  # Half the width of the ridge, rad/m
-    strip: float = 0.0  # Width of the strip beside it, rad/m
+    depth: float = np.inf  # m
+    gamma: float = GAMMA  # surface tension over density, m3/s2
+    current: tuple[float, float] = (0.0, 0.0)  # along x and y, m/s
+    reach: float = 1.0  # half width of the relation, rad/m
+    strip: float = 0.0  # width of the strip next to it, rad/m
 
-    def apart(self, omega: Array, ky: Array, kx: Array) -> tuple[Array, Array]:
-        """Distance from the ridge and from its second harmonic.
-
-        With omega, ky, kx, rad/m.
-        """
+    def distances(self, omega: Array, ky: Array, kx: Array) -> tuple[Array, Array]:
+        """Distance in k, rad/m, from the dispersion relation and from its second harmonic."""
         k = np.hypot(ky, kx)
-        drift = kx * self.current[0] + ky * self.current[1]
-        still = np.maximum(omega - drift, 0.0)
-        table, sigma, speeds = self._free
-        free = np.interp(still, sigma, table, left=0.0)
-        ridge = k - free
+        doppler_shift = kx * self.current[0] + ky * self.current[1]
+        intrinsic = np.maximum(omega - doppler_shift, 0.0)
+        k_table, sigma, speeds = self._free_waves
+        distance = k - np.interp(intrinsic, sigma, k_table, left=0.0)
         if any(self.current):
             with np.errstate(divide="ignore", invalid="ignore"):
-                along = np.nan_to_num(drift / k)
-            # the current of this cell stands for that of the ridge on its ray
-            ridge /= np.clip(1 + along / np.interp(still, sigma, speeds), _SLOWEST, 1 / _SLOWEST)
-        return ridge, k - 2 * np.interp(still / 2, sigma, table, left=0.0)
+                along = np.nan_to_num(doppler_shift / k)
+            # to first order: the current of this cell is taken for that of the relation in its direction
+            slowed = 1 + along / np.interp(intrinsic, sigma, speeds)
+            distance /= np.clip(slowed, MIN_SPEED_ON_CURRENT, 1 / MIN_SPEED_ON_CURRENT)
+        return distance, k - 2 * np.interp(intrinsic / 2, sigma, k_table, left=0.0)
 
     @cached_property
-    def _free(self) -> tuple[Array, Array, Array]:
-        # free waves: wavenumber, frequency and group velocity
+    def _free_waves(self) -> tuple[Array, Array, Array]:
+        """Wavenumber, frequency and group velocity."""
         k = np.geomspace(1e-3, 4e3, 6000)
         speed = group_velocity(np.maximum(k, 0.1), self.depth, self.gamma)
         return k, dispersion(k, self.depth, self.gamma), speed
 
-    def kind(self, omega: Array, ky: Array, kx: Array) -> NDArray[np.int8]:
-        """`Kind` of cells; arrays of one shape as in `apart`."""
-        return self.kind_at(*self.apart(omega, ky, kx))
-
-    def kind_at(self, ridge: Array, harmonic: Array) -> NDArray[np.int8]:
-        """`Kind` of cells at these distances from the ridge and its second harmonic, rad/m (`apart`)."""
-        off = np.abs(ridge)
-        out = np.where(ridge > 0, np.int8(Kind.DIFFERENCE), np.int8(Kind.SUM))
-        out[np.abs(harmonic) < self.reach] = Kind.HARMONIC
-        out[off < self.reach + self.strip] = Kind.BESIDE
-        out[off < self.reach] = Kind.FREE
+    def kind(self, from_relation: Array, from_harmonic: Array) -> NDArray[np.int8]:
+        """`CellKind` of cells at these distances."""
+        distance = np.abs(from_relation)
+        out = np.where(from_relation > 0, np.int8(CellKind.DIFFERENCE), np.int8(CellKind.SUM))
+        out[np.abs(from_harmonic) < self.reach] = CellKind.HARMONIC
+        out[distance < self.reach + self.strip] = CellKind.STRIP
+        out[distance < self.reach] = CellKind.FREE
         return out
 
 
-def _line(distance: Array, length: int) -> Array:
-    # energy of a Hann window of `length` samples at a distance in cells
+def _hann_line(distance: Array, length: int) -> Array:
+    """Energy of a Hann window of `length` samples at distances in cells."""
     turn = np.exp(-2j * np.pi * np.multiply.outer(distance, np.arange(length)) / length)
     return np.asarray(np.abs(turn @ hann(length)) ** 2)
 
 
 @dataclass(frozen=True)
-class _Grid:
+class _Axes:
+    """Axes of a spectrum, rad/s and rad/m."""
+
     omega: Array
     ky: Array
     kx: Array
-    segment: int
-
-    @classmethod
-    def of(cls, density: xr.DataArray) -> "_Grid":
-        omega, ky, kx = (density[name].values.astype(float) for name in ("omega", "ky", "kx"))
-        return cls(omega, ky, kx, 2 * (omega.size - 1))
 
     @property
     def steps(self) -> tuple[float, float, float]:
         return self.omega[1], self.ky[1] - self.ky[0], self.kx[1] - self.kx[0]
 
-    @property
-    def cell(self) -> float:
-        return float(max(self.steps[1:]))
 
-    def plane(self) -> tuple[Array, Array]:
-        ky, kx = np.meshgrid(self.ky, self.kx, indexing="ij")
-        return ky, kx
+def _leakage(energy: Array, kinds: Array, axes: _Axes, cut: RelationCut) -> tuple[Array, float]:
+    """Fraction of the energy of free waves that leaks to each kind of cell, and the windows' width squared.
 
-
-def _leaks(energy: Array, kinds: Array, grid: _Grid, split: Split) -> tuple[Array, float]:
-    """What the windows make of free waves: fraction in each kind, and variance across the ridge."""
+    Single waves are drawn from the cells of free waves and passed through the windows.
+    """
     rng = np.random.default_rng(0)
-    weight = np.where(kinds == Kind.FREE, energy, 0.0).ravel()
+    weight = np.where(kinds == CellKind.FREE, energy, 0.0).ravel()
     weight[: LOWEST * energy[0].size] = 0.0
-    chosen = np.searchsorted(np.cumsum(weight), weight.sum() * (np.arange(_DRAWN) + 0.5) / _DRAWN)
-    line, row, column = np.unravel_index(chosen, energy.shape)
-    steps = grid.steps
+    quantiles = weight.sum() * (np.arange(SIMULATED_WAVES) + 0.5) / SIMULATED_WAVES
+    cells = np.unravel_index(np.searchsorted(np.cumsum(weight), quantiles), energy.shape)
     # frequency is resolved far better than the wave vector: its length follows from that and its direction
     omega, ky, kx = (
-        axis[at] + step * rng.uniform(-0.5, 0.5, _DRAWN)
-        for axis, at, step in zip((grid.omega, grid.ky, grid.kx), (line, row, column), steps)
+        axis[cell] + step * rng.uniform(-0.5, 0.5, SIMULATED_WAVES)
+        for axis, cell, step in zip((axes.omega, axes.ky, axes.kx), cells, axes.steps)
     )
     for _ in range(4):
-        longer = split.apart(omega, ky, kx)[0] / np.maximum(np.hypot(ky, kx), 1e-9)
-        ky, kx = ky * (1 - longer), kx * (1 - longer)
-    near = np.arange(-_AROUND, _AROUND + 1)
+        relative = cut.distances(omega, ky, kx)[0] / np.maximum(np.hypot(ky, kx), 1e-9)
+        ky, kx = ky * (1 - relative), kx * (1 - relative)
+    near = np.arange(-NEAR_CELLS, NEAR_CELLS + 1)
+    sizes = 2 * (axes.omega.size - 1), axes.ky.size, axes.kx.size
     places, lines = [], []
-    for true, step, size in zip((omega, ky, kx), steps, (grid.segment, grid.ky.size, grid.kx.size)):
-        at = np.rint(true / step)[:, None] + near
-        places.append(at * step)
-        lines.append(_line(at - true[:, None] / step, size))
-    shape = _DRAWN, near.size, near.size, near.size
-    full = [
-        np.broadcast_to(p.reshape(_DRAWN, *(near.size if i == j else 1 for j in range(3))), shape)
-        for i, p in enumerate(places)
-    ]
-    power = lines[0][:, :, None, None] * lines[1][:, None, :, None] * lines[2][:, None, None, :]
-    ridge, harmonic = split.apart(*full)
-    found = split.kind_at(ridge, harmonic)
-    total = np.bincount(found.ravel(), power.ravel(), len(Kind))
-    inside = found == Kind.FREE
-    return total / total.sum(), float((power * ridge**2)[inside].sum() / power[inside].sum())
+    for axis, (true, step, size) in enumerate(zip((omega, ky, kx), axes.steps, sizes)):
+        cell = np.rint(true / step)[:, None] + near
+        shape = [near.size if axis == other else 1 for other in range(3)]
+        places.append((cell * step).reshape(-1, *shape))
+        lines.append(_hann_line(cell - true[:, None] / step, size).reshape(-1, *shape))
+    from_relation, from_harmonic = cut.distances(*np.broadcast_arrays(*places))
+    power = lines[0] * lines[1] * lines[2]
+    kind = cut.kind(from_relation, from_harmonic)
+    total = np.bincount(kind.ravel(), power.ravel(), len(CellKind))
+    free = kind == CellKind.FREE
+    return total / total.sum(), float((power * from_relation**2)[free].sum() / power[free].sum())
 
 
 def free_and_bound(
@@ -184,27 +166,27 @@ def free_and_bound(
     -------
     Dataset
         ``bound_fraction`` and ``bound_fraction_std``, of the variance; ``harmonic_fraction``,
-        ``sum_fraction``, ``difference_fraction``, its parts on the second harmonic's ridge and on either side
-        of the ridge; ``noise_fraction``; ``E_free``, ``E_bound``, ``E_harmonic`` (omega), m2 s;
-        ``ridge_reach`` and ``ridge_width``, the half width given to the ridge and its own width beyond the
-        windows', rad/m.
+        ``sum_fraction``, ``difference_fraction``, its parts near the second harmonic's relation and on either
+        side of the dispersion relation; ``noise_fraction``; ``E_free``, ``E_bound``, ``E_harmonic`` (omega),
+        m2 s; ``ridge_reach`` and ``ridge_width``, the half width used for the relation and its own width
+        beyond that of the windows, rad/m.
         Attributes ``current``, ``gamma``, ``depth`` as given.
 
     Raises
     ------
     CubeError
-        If no energy lies on the ridge.
+        If there is no energy near the dispersion relation.
 
     Notes
     -----
-    Two free waves force one at the sum of their frequencies and wave vectors and one at the difference, which
-    lie off omega = sigma(k) + k . U; a wave with itself forces 2 omega at 2 k. The ridge is two cells of the
-    k plane wide on either side, times what its measured width has over that of the windows. From what lies
-    beside it is taken off what the windows leave there of the free waves (the windows' own lines, at waves
-    drawn from the ridge) and the noise (median over the highest frequencies, cell by cell); what lies under
-    the ridge is taken to be as much as the strip of half a cell beside it holds. The uncertainty joins chance
-    with half of these two corrections. The two lowest lines are left out: taking off the trend in time leaves
-    1e-4 of the variance there. Energy that breaking or wind spreads beside the ridge counts as bound.
+    Two free waves force one at the sum of their frequencies and wave vectors and one at the difference, off
+    omega = sigma(k) + k . U; a wave with itself forces 2 omega at 2 k. The relation is taken two cells of the
+    k plane wide on either side, times its measured width over that of the windows. Subtracted from the energy
+    off it are the leakage of free waves through the windows (averaged over simulated waves) and the noise
+    (median over the highest frequencies, cell by cell). The bound energy under the relation is taken to be
+    that of the strip of half a cell next to it. The uncertainty joins chance with half of these two
+    corrections. The two lowest lines are left out: removing the trend in time leaves 1e-4 of the variance
+    there. Energy that breaking or wind spreads off the relation counts as bound.
 
     Examples
     --------
@@ -219,108 +201,107 @@ def free_and_bound(
     >>> print(f"{float(split.bound_fraction):.2f}")  # doctest: +SKIP
     0.01
     """
-    grid = _Grid.of(density)
+    axes = _Axes(*(density[name].values.astype(float) for name in ("omega", "ky", "kx")))
     values = density.values
-    ky, kx = grid.plane()
-    cell = grid.cell
-    split = Split(depth, gamma, current, _REACH * cell, _BESIDE * cell)
-    kinds, second, total = _sort(values, grid, split, ky, kx)
+    cell = float(max(axes.steps[1:]))
+    cut = RelationCut(depth, gamma, current, RELATION_CELLS * cell, STRIP_CELLS * cell)
+    kinds, second_moment, total = _sort(values, axes, cut)
     if not total > 0:
-        raise CubeError("the spectrum holds no energy on the dispersion relation: check depth and current")
-    _, window = _leaks(values, kinds, grid, split)
-    own = max(second / total - window, 0.0)
-    if own > 0.1 * window:
-        wider = split.reach * float(np.sqrt(1 + own / window))
-        split = Split(depth, gamma, current, wider, split.strip)
-        kinds, _, _ = _sort(values, grid, split, ky, kx)
-    leaks, _ = _leaks(values, kinds, grid, split)
-    high = grid.omega > _FLOOR * grid.omega[-1]
+        raise CubeError("the spectrum has no energy on the dispersion relation: check depth and current")
+    _, window_width = _leakage(values, kinds, axes, cut)
+    own_width = max(second_moment / total - window_width, 0.0)
+    if own_width > 0.1 * window_width:
+        cut = replace(cut, reach=cut.reach * float(np.sqrt(1 + own_width / window_width)))
+        kinds, _, _ = _sort(values, axes, cut)
+    leakage, _ = _leakage(values, kinds, axes, cut)
+    high = axes.omega > NOISE_LINES * axes.omega[-1]
     high[-1] = False
-    floor = np.median(values[high], axis=0) if high.sum() >= 4 else np.zeros_like(values[0])
-    return _label(_Parts.of(values, kinds, floor, leaks, dof), grid, split, float(np.sqrt(own)))
+    noise = np.median(values[high], axis=0) if high.sum() >= 4 else np.zeros_like(values[0])
+    energies = _energies(values, kinds, noise, leakage, dof)
+    return _label(energies, axes, cut, float(np.sqrt(own_width)))
 
 
-def _sort(values: Array, grid: _Grid, split: Split, ky: Array, kx: Array) -> tuple[Array, float, float]:
-    # kinds of all cells; energy on the ridge times squared distance, and energy on the ridge
+def _sort(values: Array, axes: _Axes, cut: RelationCut) -> tuple[Array, float, float]:
+    """Kinds of all cells; energy of free waves times squared distance from the relation, and that energy."""
+    ky, kx = np.meshgrid(axes.ky, axes.kx, indexing="ij")
     kinds = np.empty(values.shape, np.int8)
-    second = total = 0.0
-    for i, omega in enumerate(grid.omega):
-        ridge, harmonic = split.apart(np.full(ky.shape, omega), ky, kx)
-        kinds[i] = split.kind_at(ridge, harmonic)
+    second_moment = total = 0.0
+    for i, omega in enumerate(axes.omega):
+        from_relation, from_harmonic = cut.distances(np.full(ky.shape, omega), ky, kx)
+        kinds[i] = cut.kind(from_relation, from_harmonic)
         if i >= LOWEST:
-            inside = np.where(kinds[i] == Kind.FREE, values[i], 0.0)
-            second += float((inside * ridge**2).sum(dtype=float))
-            total += float(inside.sum(dtype=float))
-    return kinds, second, total
+            free = np.where(kinds[i] == CellKind.FREE, values[i], 0.0)
+            second_moment += float((free * from_relation**2).sum(dtype=float))
+            total += float(free.sum(dtype=float))
+    return kinds, second_moment, total
 
 
 @dataclass(frozen=True)
-class _Parts:
-    by_line: Array  # (kinds, omega), noise and leakage taken off
+class _Energies:
+    """Energies of the kinds of cells, noise and leakage subtracted."""
+
+    by_line: Array  # (kinds, omega)
     noise: float
-    leaked: float  # of the free waves, taken off the rest
-    chance: float  # relative variance of what is off the ridge
-
-    @classmethod
-    def of(cls, values: Array, kinds: Array, floor: Array, leaks: Array, dof: float | None) -> "_Parts":
-        by_line = np.zeros((len(Kind), values.shape[0]))
-        noise = squares = 0.0
-        for i in range(LOWEST, values.shape[0]):
-            line, kind = values[i].astype(float), kinds[i].ravel()
-            by_line[:, i] = np.bincount(kind, (line - floor).ravel(), len(Kind))
-            noise += float(floor.sum())
-            squares += float((line[kinds[i] > Kind.BESIDE] ** 2).sum())
-        free = by_line[Kind.FREE] / leaks[Kind.FREE]
-        # on each line as much as lies there of free waves
-        by_line[1:] -= leaks[1:, None] * free
-        by_line[0] = free
-        off = abs(float(by_line[1:].sum()))
-        chance = np.nan if dof is None else 2 / dof * _ALIKE**3 * squares / max(off**2, 1e-30)
-        return cls(by_line, noise, float(leaks[1:].sum() * free.sum()), chance)
+    leaked: float  # of the free waves, subtracted from the others
+    chance: float  # relative variance of the energy off the relation
 
 
-def _label(parts: _Parts, grid: _Grid, split: Split, own: float) -> xr.Dataset:
-    step = float(np.prod(grid.steps[1:]))
-    lines = parts.by_line
-    # under the ridge lies as much as in the strip beside it
-    under = max(float(lines[Kind.BESIDE].sum()), 0.0)
-    energies = {kind: float(lines[kind].sum()) for kind in Kind}
-    bound = sum(energies[kind] for kind in Kind if kind != Kind.FREE) + under
-    total = energies[Kind.FREE] - under + bound
-    guessed = 0.5 * np.hypot(under, parts.leaked)
-    std = np.hypot(np.sqrt(parts.chance) * bound, guessed) / total
+def _energies(values: Array, kinds: Array, noise: Array, leakage: Array, dof: float | None) -> _Energies:
+    by_line = np.zeros((len(CellKind), values.shape[0]))
+    total_noise = squares = 0.0
+    for i in range(LOWEST, values.shape[0]):
+        line = values[i].astype(float)
+        by_line[:, i] = np.bincount(kinds[i].ravel(), (line - noise).ravel(), len(CellKind))
+        total_noise += float(noise.sum())
+        squares += float((line[kinds[i] > CellKind.STRIP] ** 2).sum())
+    free = by_line[CellKind.FREE] / leakage[CellKind.FREE]
+    by_line[1:] -= leakage[1:, None] * free  # on each line in proportion to its free waves
+    by_line[0] = free
+    off = abs(float(by_line[1:].sum()))
+    chance = np.nan if dof is None else 2 / dof * CORRELATED_CELLS**3 * squares / max(off**2, 1e-30)
+    return _Energies(by_line, total_noise, float(leakage[1:].sum() * free.sum()), chance)
+
+
+def _label(energies: _Energies, axes: _Axes, cut: RelationCut, own_width: float) -> xr.Dataset:
+    cell = float(np.prod(axes.steps[1:]))
+    lines = energies.by_line
+    sums = {kind: float(lines[kind].sum()) for kind in CellKind}
+    under_relation = max(sums[CellKind.STRIP], 0.0)
+    bound = sum(sums[kind] for kind in CellKind if kind != CellKind.FREE) + under_relation
+    total = sums[CellKind.FREE] - under_relation + bound
+    corrections = 0.5 * np.hypot(under_relation, energies.leaked)
     spectra = {
-        "E_free": lines[Kind.FREE] - lines[Kind.BESIDE],
-        "E_bound": lines[1:].sum(axis=0) + lines[Kind.BESIDE],
-        "E_harmonic": lines[Kind.HARMONIC],
+        "E_free": lines[CellKind.FREE] - lines[CellKind.STRIP],
+        "E_bound": lines[1:].sum(axis=0) + lines[CellKind.STRIP],
+        "E_harmonic": lines[CellKind.HARMONIC],
     }
-    out: dict[str, Any] = {name: ("omega", values * step) for name, values in spectra.items()}
-    out |= {
-        "bound_fraction": ((), bound / total),
-        "bound_fraction_std": ((), std),
-        "harmonic_fraction": ((), energies[Kind.HARMONIC] / total),
-        "sum_fraction": ((), energies[Kind.SUM] / total),
-        "difference_fraction": ((), energies[Kind.DIFFERENCE] / total),
-        "noise_fraction": ((), parts.noise / (total + parts.noise)),
-        "ridge_reach": ((), split.reach),
-        "ridge_width": ((), own),
+    scalars = {
+        "bound_fraction": bound / total,
+        "bound_fraction_std": np.hypot(np.sqrt(energies.chance) * bound, corrections) / total,
+        "harmonic_fraction": sums[CellKind.HARMONIC] / total,
+        "sum_fraction": sums[CellKind.SUM] / total,
+        "difference_fraction": sums[CellKind.DIFFERENCE] / total,
+        "noise_fraction": energies.noise / (total + energies.noise),
+        "ridge_reach": cut.reach,
+        "ridge_width": own_width,
     }
-    coords = {"omega": ("omega", grid.omega), "frequency": ("omega", grid.omega / (2 * np.pi))}
-    attrs = {"depth": split.depth, "gamma": split.gamma, "current": list(split.current)}
-    return annotate(xr.Dataset(out, coords, attrs), "bound")
+    out = {name: xr.Variable("omega", values * cell) for name, values in spectra.items()}
+    out |= {name: xr.Variable((), value) for name, value in scalars.items()}
+    attrs = {"depth": cut.depth, "gamma": cut.gamma, "current": list(cut.current)}
+    return annotate(xr.Dataset(out, omega_coords(axes.omega), attrs), "bound")
 
 
 def free_and_bound_fields(
     cube: xr.Dataset, split: xr.Dataset, *, segment: int | None = None, record: Record | None = None
 ) -> xr.Dataset:
-    """Elevation of the free and of the bound waves over time and place.
+    """Elevation of the free and of the bound waves in time and space.
 
     Parameters
     ----------
     cube : Dataset
         With z over (time, y, x), m. Computed segment by segment.
     split : Dataset
-        As `free_and_bound` gives it.
+        The result of `free_and_bound`.
     segment : int, optional
         Steps that are filtered at a time; chosen from the record if not given.
     record : Record, optional
@@ -340,12 +321,12 @@ def free_and_bound_fields(
     Notes
     -----
     Windowed segments overlapping by half, whose Hann windows in time add up to one, are transformed and cut
-    along the ridge as the spectrum was; the Hann windows in space are divided out. Mean and trend of a
-    segment go with the bound waves, and so does noise off the ridge.
+    along the relation as the spectrum was; the Hann windows in space are divided out. Mean and trend of a
+    segment count as bound waves, and so does noise off the relation.
 
     Examples
     --------
-    A wave and its second harmonic; of the split only what is needed here.
+    A wave and its second harmonic; of the split only the variables used here.
 
     >>> axes = {"time": np.arange(128) * 0.05, "y": np.arange(24) * 0.05, "x": np.arange(32) * 0.05}
     >>> phase = 12.3 * axes["x"] - 10.98 * axes["time"][:, None, None] + 0 * axes["y"][:, None]
@@ -364,21 +345,21 @@ def free_and_bound_fields(
     omega = 2 * np.pi * np.fft.fftfreq(segment, record.dt)
     ky = 2 * np.pi * np.fft.fftfreq(ny, record.dy)[:, None]
     kx = 2 * np.pi * np.fft.rfftfreq(nx, record.dx)[None, :]
-    cut = Split(
+    cut = RelationCut(
         float(split.attrs["depth"]),
         float(split.attrs["gamma"]),
         tuple(split.attrs["current"]),
         float(split["ridge_reach"]),
     )
     shape = (ny, nx // 2 + 1)
-    # a wave that goes along k lies at -omega in numpy's signs, or at -k
-    keep = np.empty((segment, *shape), bool)
+    # in numpy's signs a wave along k is at -omega, or at -k
+    free_cells = np.empty((segment, *shape), bool)
     for i, o in enumerate(-omega):
         sign = 1.0 if o >= 0 else -1.0
-        line = np.full(shape, abs(o))
-        keep[i] = cut.kind(line, *np.broadcast_arrays(sign * ky, sign * kx)) == Kind.FREE
+        distances = cut.distances(np.full(shape, abs(o)), *np.broadcast_arrays(sign * ky, sign * kx))
+        free_cells[i] = cut.kind(*distances) == CellKind.FREE
     window = spatial_window(ny, nx)
-    there = window > _EDGE
+    divisor = np.where(window > MIN_WINDOW, window, np.nan)
     out = {name: np.full((field.sizes["time"], ny, nx), np.nan, np.float32) for name in ("z_free", "z_bound")}
     read = Reader([field], record)
     for run in record.runs:
@@ -386,21 +367,17 @@ def free_and_bound_fields(
         starts = range(run[0], run[1] - segment + 1, half)
         for a in starts:
             block = read(a, a + segment, run)[0] * window * hann(segment)[:, None, None]
-            lines = fft.rfftn(block, axes=(1, 2))
-            lines = fft.fft(lines, axis=0, overwrite_x=True)
-            lines *= keep
+            lines = fft.fft(fft.rfftn(block, axes=(1, 2)), axis=0, overwrite_x=True)
+            lines *= free_cells
             back = fft.irfft2(fft.ifft(lines, axis=0, overwrite_x=True), (ny, nx), axes=(1, 2))
             free[a - run[0] : a - run[0] + segment] += back
         if len(starts) < 2:
             continue
-        # where two segments overlap
-        inner = slice(run[0] + half, starts[-1] + half)
-        quotient = free[half : starts[-1] + half - run[0]] / np.where(there, window, np.nan)
-        out["z_free"][inner] = quotient
-        whole = np.concatenate(
-            [read(a, min(a + half, inner.stop), run)[0] for a in range(inner.start, inner.stop, half)]
-        )
-        out["z_bound"][inner] = whole - quotient
+        covered = slice(run[0] + half, starts[-1] + half)  # by two segments
+        quotient = free[half : covered.stop - run[0]] / divisor
+        out["z_free"][covered] = quotient
+        z = [read(a, min(a + half, covered.stop), run)[0] for a in range(covered.start, covered.stop, half)]
+        out["z_bound"][covered] = np.concatenate(z) - quotient
     axes = {"time": field["time"], "y": field["y"][slice(*record.y)], "x": field["x"][slice(*record.x)]}
     data = {name: (("time", "y", "x"), values) for name, values in out.items()}
     return annotate(xr.Dataset(data, axes))

@@ -1,4 +1,4 @@
-"""Coherence of the rate of rise with vertical velocity and nonlinear term: the paper's three curves."""
+"""Coherence of the rate of rise with the vertical velocity and the nonlinear term."""
 
 from typing import Any
 
@@ -30,33 +30,29 @@ def significance_level(samples: Any, chance: float = 0.05) -> Any:
     return 1 - chance ** (1 / more)
 
 
-def _terms(ring: xr.Dataset) -> dict[str, tuple[xr.DataArray, xr.DataArray]]:
-    # cross spectrum with z_t and power of each term; -u . grad z, so signs turn
+def from_spectra(ring: xr.Dataset) -> xr.Dataset:
+    """Coherences over k and over (k, omega) from the cross spectra of z_t, w and u . grad z."""
+    duration = effective_duration(ring.attrs["segments"], ring.attrs["segment"] * ring.attrs["dt"])
     total = ring["E_w"] + ring["E_nl"] - 2 * ring["S_w_nl"].real
-    return {
+    # cross spectrum with z_t and power of each term; the nonlinear term is -u . grad z
+    terms = {
         "w": (ring["S_rise_w"], ring["E_w"]),
         "nl": (-ring["S_rise_nl"], ring["E_nl"]),
         "tot": (ring["S_rise_w"] - ring["S_rise_nl"], total),
     }
-
-
-def from_spectra(ring: xr.Dataset) -> xr.Dataset:
-    """Coherences from the cross spectra of z_t, w and u . grad z."""
-    duration = effective_duration(ring.attrs["segments"], ring.attrs["segment"] * ring.attrs["dt"])
-    terms = _terms(ring)
-    total = terms["tot"][1]
+    rise = ring["E_rise"]
+    over_k = {name: (cross.sum("omega"), power.sum("omega")) for name, (cross, power) in terms.items()}
     out: dict[str, Any] = {}
-    for ending in ("", "_komega"):
-        add = _itself if ending else _over_omega
-        norm = np.sqrt(add(ring["E_rise"]) * add(total))
-        for name, (cross, power) in terms.items():
-            out[f"C_{name}{ending}"] = add(cross) / norm
-            both = add(ring["E_rise"]) * add(power)
-            out[f"gamma2_{name}{ending}"] = np.abs(add(cross)) ** 2 / both.where(both > 0)
+    for ending, sums, rise_power in (("", over_k, rise.sum("omega")), ("_komega", terms, rise)):
+        norm = np.sqrt(rise_power * sums["tot"][1])
+        for name, (cross, power) in sums.items():
+            out[f"C_{name}{ending}"] = cross / norm
+            both = rise_power * power
+            out[f"gamma2_{name}{ending}"] = np.abs(cross) ** 2 / both.where(both > 0)
             samples = _samples(ring, name)
             if not ending:
                 cells = 2 * samples / ring.attrs["degrees_of_freedom"]
-                samples = samples_in_time((ring["E_rise"] * power) ** 0.5, duration, cells)
+                samples = samples_in_time((rise * terms[name][1]) ** 0.5, duration, cells)
             samples = samples.clip(min=1)
             out[f"samples_{name}{ending}"] = samples
             out[f"bias_{name}{ending}"] = 1 / samples
@@ -66,17 +62,11 @@ def from_spectra(ring: xr.Dataset) -> xr.Dataset:
     return annotate(xr.Dataset(out, attrs=ring.attrs), "coherence")
 
 
-def _itself(array: xr.DataArray) -> xr.DataArray:
-    return array
-
-
-def _over_omega(array: xr.DataArray) -> xr.DataArray:
-    return array.sum("omega")
-
-
 def _samples(ring: xr.Dataset, name: str) -> xr.DataArray:
-    # independent samples of a product of two fields, from the degrees of freedom of both; the sum
-    # w - u . grad z has those of w, its largest part
+    """Independent samples of a product of z_t with a term, from the degrees of freedom of both.
+
+    The sum w - u . grad z has those of w, its largest part.
+    """
     other = ring["dof_w" if name == "tot" else f"dof_{name}"]
     return (ring["dof_rise"] * other) ** 0.5 / 2
 
@@ -115,7 +105,7 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
 
     Examples
     --------
-    A plane tilted by .1 that water crosses at a tenth of its rate of rise.
+    A plane tilted by 0.1 that water crosses at a tenth of its rate of rise.
 
     >>> rise = np.random.default_rng(0).standard_normal((128, 20, 24))
     >>> axes = {"time": np.arange(128) * 0.05, "y": np.arange(20) * 0.04, "x": np.arange(24) * 0.04}

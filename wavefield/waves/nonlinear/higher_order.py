@@ -17,11 +17,8 @@ from wavefield.waves.nonlinear.coherence import significance_level
 from wavefield.waves.products import Noted, Product, register
 
 
-def lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
-    """Fourier lines of time series at some points.
-
-    With series (time, points); returns (count, segments * points): Hann windows, mean removed.
-    """
+def fourier_lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
+    """Fourier lines of time series (time, points), (count, segments * points): Hann windows, mean removed."""
     half = segment // 2
     window = hann(segment).astype(series.dtype)[:, None]
     out = []
@@ -32,10 +29,9 @@ def lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
 
 
 def bicoherence_of(z: np.ndarray) -> np.ndarray:
-    """Bicoherence of Fourier lines.
+    """Bicoherence |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>) of lines (n, samples), (n, n).
 
-    With z (n, samples); returns (n, n): |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>), Z3 the line at the sum of
-    the two.
+    Z3 is the line at the sum of the frequencies of Z1 and Z2.
     """
     n = z.shape[0]
     out = np.full((n, n), np.nan)
@@ -50,7 +46,7 @@ def bicoherence_of(z: np.ndarray) -> np.ndarray:
 
 
 def tricoherence_of(z: np.ndarray, apart: int = 2) -> tuple[np.ndarray, np.ndarray]:
-    """Largest tricoherence over omega3 for each pair omega1, omega2.
+    """Largest tricoherence over omega3 for each pair omega1, omega2, and the line of that omega3.
 
     Pairs with the same sum s share one matrix product: A_s A_s^H over the pairs of s.
     """
@@ -66,31 +62,26 @@ def tricoherence_of(z: np.ndarray, apart: int = 2) -> tuple[np.ndarray, np.ndarr
         norm = np.sqrt(np.maximum(gram.diagonal().real, 1e-300))
         coherence = np.abs(gram) / (norm[:, None] * norm)
         # first <= second and third <= fourth: trivial where the pairs nearly coincide
-        trivial = np.abs(first[:, None] - first) <= apart
-        coherence[trivial] = -1
+        coherence[np.abs(first[:, None] - first) <= apart] = -1
         best = coherence.argmax(axis=1)
-        top = coherence[np.arange(first.size), best]
-        found = top >= 0
+        largest = coherence[np.arange(first.size), best]
+        defined = largest >= 0
         for a, b in ((first, second), (second, first)):
-            value[a[found], b[found]] = np.minimum(top[found], 1.0)
-            partner[a[found], b[found]] = first[best[found]]
+            value[a[defined], b[defined]] = np.minimum(largest[defined], 1.0)
+            partner[a[defined], b[defined]] = first[best[defined]]
     return value, partner
 
 
 def shuffle_phases(z: np.ndarray, points: int, rng: np.random.Generator) -> np.ndarray:
-    """Surrogate of Fourier lines: a random phase for each line and segment, the same at all points.
-
-    With z (n, segments * points).
-    """
+    """Surrogate of lines (n, segments * points): a random phase for each line and segment, at all points."""
     n, samples = z.shape
     phase = np.exp(2j * np.pi * rng.random((n, samples // points))).astype(z.dtype)
-    out: np.ndarray = z * np.repeat(phase, points, axis=1)
-    return out
+    return np.asarray(z * np.repeat(phase, points, axis=1))
 
 
 @dataclass(frozen=True)
 class HigherOrderSettings:
-    """What of the higher-order spectra is computed.
+    """Band, number of lines and surrogates of the higher-order spectra.
 
     Parameters
     ----------
@@ -113,19 +104,17 @@ class HigherOrderSettings:
     samples: int = 4000
 
 
-def _level_one(surrogates: list[np.ndarray], chance: float) -> np.ndarray:
-    # the square of one coherence without coupling: mean 1 / N, exceeded by chance as significance_level says
+def _level_of_one(surrogates: list[np.ndarray], chance: float) -> np.ndarray:
+    """Level of a coherence whose square without coupling has the mean 1 / N (`significance_level`)."""
     mean = np.mean(np.square(surrogates), axis=0)
-    out: np.ndarray = np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9), chance))
-    return out
+    return np.asarray(np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9), chance)))
 
 
-def _level_largest(surrogates: list[np.ndarray], chance: float) -> np.ndarray:
-    # the largest of many follows Gumbel's distribution
+def _level_of_largest(surrogates: list[np.ndarray], chance: float) -> np.ndarray:
+    """Level of the largest of many coherences, which follows Gumbel's distribution."""
     quantile = -np.log(-np.log(1 - chance))
-    spread = np.std(surrogates, axis=0, ddof=1) * np.sqrt(6) / np.pi
-    out: np.ndarray = np.minimum(np.mean(surrogates, axis=0) + (quantile - np.euler_gamma) * spread, 1.0)
-    return out
+    scale = np.std(surrogates, axis=0, ddof=1) * np.sqrt(6) / np.pi
+    return np.asarray(np.minimum(np.mean(surrogates, axis=0) + (quantile - np.euler_gamma) * scale, 1.0))
 
 
 def higher_order(
@@ -136,7 +125,7 @@ def higher_order(
     Parameters
     ----------
     series : ndarray, (time, points)
-        Elevation or velocity at points so far apart that they tell different things.
+        Elevation or velocity at points so far apart that they are nearly independent.
     dt : float
         Time step, s.
     segment : int
@@ -153,7 +142,7 @@ def higher_order(
     Raises
     ------
     CubeError
-        If there are fewer than two segments: every phase would then seem coupled.
+        If there are fewer than two segments: every phase would then appear coupled.
 
     Notes
     -----
@@ -170,23 +159,21 @@ def higher_order(
         raise CubeError("higher-order spectra need two segments at least: choose a shorter segment")
     allowed = max(settings.samples // segment_count(series.shape[0], segment), 1)
     series = series[:, :: -(-series.shape[1] // allowed)]
-    z = lines(series, segment, count)
-    points = series.shape[1]
+    z = fourier_lines(series, segment, count)
     rng = np.random.default_rng(0)
-    value, partner = tricoherence_of(z)
-    bicoherence = bicoherence_of(z)
+    tricoherence, partner = tricoherence_of(z)
     bi, tri = [], []
     for _ in range(settings.surrogates):
-        fake = shuffle_phases(z, points, rng)
-        bi.append(bicoherence_of(fake))
-        tri.append(tricoherence_of(fake)[0])
+        surrogate = shuffle_phases(z, series.shape[1], rng)
+        bi.append(bicoherence_of(surrogate))
+        tri.append(tricoherence_of(surrogate)[0])
     omega = 2 * np.pi * np.arange(count) / (segment * dt)
     dims = ("omega1", "omega2")
     pairs = {
-        "bicoherence": bicoherence,
-        "bicoherence_level": _level_one(bi, settings.chance),
-        "tricoherence": value,
-        "tricoherence_level": _level_largest(tri, settings.chance),
+        "bicoherence": bicoherence_of(z),
+        "bicoherence_level": _level_of_one(bi, settings.chance),
+        "tricoherence": tricoherence,
+        "tricoherence_level": _level_of_largest(tri, settings.chance),
         "tricoherence_omega3": np.where(partner >= 0, omega[np.maximum(partner, 0)], np.nan),
     }
     out = xr.Dataset(

@@ -1,4 +1,4 @@
-"""Kinematics of the surface: slopes, the nonlinear term, what is left of z_t = w - u . grad z, vorticity."""
+"""Kinematics of the surface: slopes, the nonlinear term, the residual of z_t = w - u . grad z, vorticity."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -16,24 +16,23 @@ from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]
 
-_NAMES = ("z", "z_t", "u", "v", "w")
-_STENCIL = 8  # nodes along each axis of the interpolation between nodes
+FIELDS = ("z", "z_t", "u", "v", "w")
+OUTPUTS = ("z_x", "z_y", "nonlinear", "residual", "vorticity", "divergence")
+STENCIL = 8  # nodes along each axis of the interpolation between nodes
 
 
-def _door(cube: Any) -> xr.Dataset:
-    for name in _NAMES:
+def _checked(cube: xr.Dataset) -> xr.Dataset:
+    """The fields of a cube, validated."""
+    for name in FIELDS:
         if name not in cube:
             raise CubeError(
-                f"the cube has no {name!r}: kinematics need {', '.join(_NAMES)} over time, y and x"
+                f"the cube has no {name!r}: kinematics need {', '.join(FIELDS)} over time, y and x"
             )
-    return validate(cube, *_NAMES)
+    return validate(cube, *FIELDS)
 
 
 def slopes(z: Array, dy: float, dx: float) -> tuple[Array, Array]:
-    """Slopes z_y, z_x of each step by central differences of sixth order.
-
-    With z (steps, ny, nx); returns z_y, z_x (steps, ny, nx): Slopes.
-    """
+    """Slopes z_y, z_x of fields (steps, ny, nx) by central differences of sixth order."""
     z_y, z_x = np.empty_like(z), np.empty_like(z)
     wave_kernels.gradient(z, dy, dx, z_y, z_x)
     return z_y, z_x
@@ -42,14 +41,14 @@ def slopes(z: Array, dy: float, dx: float) -> tuple[Array, Array]:
 def terms(
     fields: Mapping[str, Array], dy: float, dx: float, current: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, Array]:
-    """Slopes, nonlinear term, residual, vorticity and divergence.
+    """The `OUTPUTS`, each (..., ny, nx), from z, z_t, u, v, w and the mean of z over both frames, ``mean``.
 
-    With fields (..., ny, nx); current, m/s; returns (..., ny, nx): ``z_x``, ``z_y``, ``nonlinear``,
-    ``residual``, ``vorticity``, ``divergence``..
+    The nonlinear term is relative to a current, m/s.
     """
     shape = fields["z"].shape
-    names = (*_NAMES, "mean")
-    z, z_t, u, v, w, mean = (np.ascontiguousarray(fields[name]).reshape(-1, *shape[-2:]) for name in names)
+    z, z_t, u, v, w, mean = (
+        np.ascontiguousarray(fields[name]).reshape(-1, *shape[-2:]) for name in (*FIELDS, "mean")
+    )
     z_y, z_x = slopes(z, dy, dx)
     mean_y, mean_x = slopes(mean, dy, dx)
     u_y, u_x = slopes(u, dy, dx)
@@ -57,10 +56,7 @@ def terms(
     # the linear part U . grad z belongs to the rate of rise in the frame that moves with the water
     nonlinear = (u - z.dtype.type(current[0])) * mean_x + (v - z.dtype.type(current[1])) * mean_y
     out = (z_x, z_y, nonlinear, z_t - w + u * mean_x + v * mean_y, v_x - u_y, u_x + v_y)
-    return {name: array.reshape(shape) for name, array in zip(_OUTPUTS, out)}
-
-
-_OUTPUTS = ("z_x", "z_y", "nonlinear", "residual", "vorticity", "divergence")
+    return {name: array.reshape(shape) for name, array in zip(OUTPUTS, out)}
 
 
 def kinematics(cube: xr.Dataset, current: tuple[float, float] = (0.0, 0.0)) -> xr.Dataset:
@@ -95,7 +91,7 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] = (0.0, 0.0)) -> x
 
     Examples
     --------
-    A plane tilted by .1 that water crosses at .2 m/s: w is all nonlinear term.
+    A plane tilted by 0.1 that water crosses at 0.2 m/s: w is all nonlinear term.
 
     >>> axes = {"time": np.arange(8) * 0.05, "y": np.arange(9) * 0.01, "x": np.arange(10) * 0.01}
     >>> flat, at = np.zeros((8, 9, 10)), ("time", "y", "x")
@@ -106,39 +102,38 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] = (0.0, 0.0)) -> x
     >>> print(f"{float(terms.nonlinear.mean()):.3f}, {float(abs(terms.residual).max()):.3f}")
     0.020, 0.000
     """
-    cube = _door(cube)
+    cube = _checked(cube)
     dt, dy, dx = check_axes(cube)
-    names = (*_NAMES, "mean")
-
-    def compute(*fields: Array) -> tuple[Array, ...]:
-        return tuple(terms(dict(zip(names, fields)), dy, dx, current).values())
-
-    fields = [cube[name].transpose("time", "y", "x") for name in _NAMES]
-    z, z_t = fields[0], fields[1]
+    fields = [cube[name].transpose("time", "y", "x") for name in FIELDS]
+    z, z_t = fields[:2]
     mean = z if along_paths(cube) else _mean_of_frames(z, z_t, dt)
     fields.append(mean.astype(z.dtype))
+
+    def compute(*arrays: Array) -> tuple[Array, ...]:
+        return tuple(terms(dict(zip((*FIELDS, "mean"), arrays)), dy, dx, current).values())
+
     results = xr.apply_ufunc(
         compute,
         *fields,
-        input_core_dims=[["y", "x"]] * len(names),
-        output_core_dims=[["y", "x"]] * len(_OUTPUTS),
+        input_core_dims=[["y", "x"]] * len(fields),
+        output_core_dims=[["y", "x"]] * len(OUTPUTS),
         dask="parallelized",
-        output_dtypes=[fields[0].dtype] * len(_OUTPUTS),
+        output_dtypes=[z.dtype] * len(OUTPUTS),
         dask_gufunc_kwargs={"allow_rechunk": True},
     )
-    return annotate(xr.Dataset(dict(zip(_OUTPUTS, results))))
+    return annotate(xr.Dataset(dict(zip(OUTPUTS, results))))
 
 
 def kinematics_at(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> xr.Dataset:
-    """Nonlinear term and residual of one step, as `kinematics` has them.
+    """Nonlinear term and residual of one step, as in `kinematics`.
 
     Parameters
     ----------
     snapshot : Dataset, (y, x)
         One step of a cube with z (m) and z_t, u, v, w (m s-1).
     cube : Dataset, (time, y, x), optional
-        The cube it is taken from: its steps before and after give the mean of the step's two frames, whose
-        slopes the nonlinear term wants. Without it the slopes are those at mid-time.
+        The cube it is taken from: its steps before and after give the mean of the step's two frames, from
+        whose slopes the nonlinear term is computed. Without it the slopes are those at mid-time.
 
     Returns
     -------
@@ -146,64 +141,45 @@ def kinematics_at(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> xr.Da
         ``nonlinear`` = u . grad z and ``residual`` = z_t - w + u . grad z, m s-1.
     """
     if cube is not None and cube.sizes["time"] >= 3:
-        at = int(np.argmin(np.abs(cube.time.values - float(snapshot.time))))
-        first = min(max(at - 1, 0), cube.sizes["time"] - 3)
-        around = cube[["z", "z_t", "u", "v", "w"]].isel(time=slice(first, first + 3)).load()
-        return kinematics(around.assign_attrs(cube.attrs))[["nonlinear", "residual"]].isel(time=at - first)
-    fields = {name: snapshot[name].values for name in ("z", "z_t", "u", "v", "w")}
+        step = int(np.argmin(np.abs(cube.time.values - float(snapshot.time))))
+        first = min(max(step - 1, 0), cube.sizes["time"] - 3)
+        around = cube[list(FIELDS)].isel(time=slice(first, first + 3)).load()
+        return kinematics(around.assign_attrs(cube.attrs))[["nonlinear", "residual"]].isel(time=step - first)
+    fields = {name: snapshot[name].values for name in FIELDS}
     dy, dx = (float(np.mean(np.diff(snapshot[axis].values))) for axis in ("y", "x"))
-    found = terms(fields | {"mean": fields["z"]}, dy, dx)
-    return xr.Dataset({name: snapshot.z.copy(data=found[name]) for name in ("nonlinear", "residual")})
+    out = terms(fields | {"mean": fields["z"]}, dy, dx)
+    return xr.Dataset({name: snapshot.z.copy(data=out[name]) for name in ("nonlinear", "residual")})
 
 
 def _mean_of_frames(z: xr.DataArray, z_t: xr.DataArray, dt: float) -> xr.DataArray:
+    """Mean elevation of the two frames of each step; at the ends of the record from the neighbour."""
     after, before = z_t.shift(time=-1), z_t.shift(time=1)
     mean = z + (dt / 16) * (after - before)
-    # at the ends of the record from the neighbour
     mean = mean.fillna(mean.shift(time=-1) - (dt / 2) * (z_t + after))
     return mean.fillna(mean.shift(time=1) + (dt / 2) * (z_t + before)).fillna(z)
 
 
-def frame_elevations(z: Any, z_before: Any, z_after: Any, z_t: Any, dt: float) -> tuple[Any, Any]:
-    """Elevations of the two frames of a step from what a cube holds.
+def frame_elevations(z: Any, z_t_before: Any, z_t_after: Any, z_t: Any, dt: float) -> tuple[Any, Any]:
+    """Elevations of the two frames of a step, exact, from z and z_t of the step and its neighbours' z_t.
 
-    z = (9 (z_0 + z_1) - z_-1 - z_2) / 16 gives (z_0 + z_1) / 2 = z + (dt / 16)(z_t after - z_t before);
-    exact.
-
-    With z_before, z_after, m/s; z_t, m/s.
+    z = (9 (z_0 + z_1) - z_-1 - z_2) / 16 gives (z_0 + z_1) / 2 = z + (dt / 16)(z_t after - z_t before).
     """
-    mean = z + (dt / 16) * (z_after - z_before)
+    mean = z + (dt / 16) * (z_t_after - z_t_before)
     return mean - (dt / 2) * z_t, mean + (dt / 2) * z_t
 
 
 def finite_residual_on_grid(
-    start: Array,
-    end: Array,
-    u: Array,
-    v: Array,
-    w: Array,
-    dt: float,
-    dy: float,
-    dx: float,
+    start: Array, end: Array, u: Array, v: Array, w: Array, dt: float, dy: float, dx: float
 ) -> Array:
-    """Residual of the finite-displacement form for one step.
-
-    With start, end (ny, nx); u, v, w (ny, nx), m/s; returns (ny, nx): (z(x + d/2, t + dt) - z(x - d/2, t)) /
-    dt - w, m/s.
-    """
+    """(z(x + d/2, t + dt) - z(x - d/2, t)) / dt - w of one step, (ny, nx), m/s, d = (u, v) dt."""
     ny, nx = start.shape
     row, column = np.meshgrid(np.arange(ny, dtype=float), np.arange(nx, dtype=float), indexing="ij")
     shift_y, shift_x = v * (dt / (2 * dy)), u * (dt / (2 * dx))
     ends = []
     for field, sign in ((end, 1), (start, -1)):
         out = np.empty(ny * nx)
-        wave_kernels.sample(
-            np.ascontiguousarray(field),
-            (row + sign * shift_y).ravel(),
-            (column + sign * shift_x).ravel(),
-            out,
-            _STENCIL,
-        )
+        places = (row + sign * shift_y).ravel(), (column + sign * shift_x).ravel()
+        wave_kernels.sample(np.ascontiguousarray(field), *places, out, STENCIL)
         ends.append(out.reshape(ny, nx))
     return (ends[0] - ends[1]) / dt - w
 
@@ -220,7 +196,7 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
     -------
     DataArray, (time, y, x)
         (z(x + d/2, t + dt) - z(x - d/2, t)) / dt - w with d = (u, v) dt, m/s. NaN at the first and last step,
-        which have no neighbour, and at the edges, from where the stencil runs out.
+        which have no neighbour, and at the edges, where the stencil exceeds the field.
 
     Raises
     ------
@@ -233,19 +209,19 @@ def finite_residual(cube: xr.Dataset) -> xr.DataArray:
     while the Eulerian form z_t - w + u . grad z keeps an error of third order in dt. z between nodes by
     Lagrange polynomials through 8 x 8 nodes.
     """
-    cube = _door(cube)
+    cube = _checked(cube)
     dt, dy, dx = check_axes(cube)
     if along_paths(cube):
         raise CubeError(
-            "the cube's velocities follow paths and hold no displacements: look at the"
-            " residual of wavefield.waves.nonlinear.kinematics, which is as exact"
+            "the cube's velocities follow paths and hold no displacements: use the residual of"
+            " wavefield.waves.kinematics, which is as exact"
         )
     z_t = cube["z_t"]
     start, end = frame_elevations(cube["z"], z_t.shift(time=1), z_t.shift(time=-1), z_t, dt)
 
     def compute(*fields: Array) -> Array:
-        flat = [field.reshape(-1, *field.shape[-2:]) for field in fields]
-        out = [finite_residual_on_grid(a, b, u, v, w, dt, dy, dx) for a, b, u, v, w in zip(*flat)]
+        steps = [field.reshape(-1, *field.shape[-2:]) for field in fields]
+        out = [finite_residual_on_grid(a, b, u, v, w, dt, dy, dx) for a, b, u, v, w in zip(*steps)]
         return np.asarray(out).reshape(fields[0].shape)
 
     out = xr.apply_ufunc(
@@ -269,26 +245,22 @@ def balance(
     frames: int = 2,
     current: tuple[float, float] = (0.0, 0.0),
 ) -> dict[str, float]:
-    """Root mean squares of the terms of the kinematic condition at one step.
-
-    With fields (steps, ny, nx); current, m/s; returns ``w_rms``, ``z_t_rms``, ``nonlinear_rms``,
-    ``residual_rms``, ``finite_residual_rms``, m/s.
-    """
-    now = {name: fields[name][i].astype(float) for name in _NAMES}
-    before, after = fields["z_t"][i - 1].astype(float), fields["z_t"][i + 1].astype(float)
-    ends = frame_elevations(now["z"], before, after, now["z_t"], dt)
+    """Root mean squares, m/s and s-1, of the terms of the kinematic condition at step i of fields."""
+    step = {name: fields[name][i].astype(float) for name in FIELDS}
     if frames == 2:
-        finite = finite_residual_on_grid(*ends, now["u"], now["v"], now["w"], dt, dy, dx)
-        mean = (ends[0] + ends[1]) / 2
+        before, after = fields["z_t"][i - 1].astype(float), fields["z_t"][i + 1].astype(float)
+        start, end = frame_elevations(step["z"], before, after, step["z_t"], dt)
+        finite = finite_residual_on_grid(start, end, step["u"], step["v"], step["w"], dt, dy, dx)
+        finite, mean = finite[np.isfinite(finite)], (start + end) / 2
     else:
-        finite, mean = np.empty(0), now["z"]
-    parts = terms(now | {"mean": mean}, dy, dx, current)
+        finite, mean = np.empty(0), step["z"]
+    parts = terms(step | {"mean": mean}, dy, dx, current)
     values = {
-        "w_rms": now["w"],
-        "z_t_rms": now["z_t"],
+        "w_rms": step["w"],
+        "z_t_rms": step["z_t"],
         "nonlinear_rms": parts["nonlinear"],
         "residual_rms": parts["residual"],
-        "finite_residual_rms": finite[np.isfinite(finite)],
+        "finite_residual_rms": finite,
         "vorticity_rms": parts["vorticity"],
         "divergence_rms": parts["divergence"],
     }
@@ -305,12 +277,12 @@ def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
         {"step": ("step", steps), "time": ("step", time[steps])},
     )
     mean = {name: float(np.sqrt((out[name] ** 2).mean())) for name in names}
-    for name, part, whole in (
+    for fraction, part, reference in (
         ("nonlinear_fraction", "nonlinear_rms", "w_rms"),
         ("residual_fraction", "residual_rms", "nonlinear_rms"),
         ("finite_residual_fraction", "finite_residual_rms", "nonlinear_rms"),
     ):
-        out[name] = ((), mean[part] / mean[whole] if mean.get(whole, 0) > 0 else np.nan)
+        out[fraction] = ((), mean[part] / mean[reference] if mean.get(reference, 0) > 0 else np.nan)
     return annotate(out, "kinematics")
 
 

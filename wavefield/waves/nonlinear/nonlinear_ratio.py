@@ -8,7 +8,7 @@ from scipy import stats
 from wavefield.variables import annotate
 from wavefield.waves.products import Product, register
 
-_CHANCE = 0.05
+CHANCE = 0.05  # outside the interval
 
 
 def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float64]]) -> xr.Dataset:
@@ -27,7 +27,7 @@ def from_spectra(spectra: xr.Dataset) -> xr.Dataset:
         w, nl = spectra[f"{stem}_w"], spectra[f"{stem}_nl"]
         power = nl / w.where(w > 0)
         dof_w, dof_nl = spectra[f"dof_{stem}_w"].values, spectra[f"dof_{stem}_nl"].values
-        upper = stats.f.ppf(1 - _CHANCE / 2, dof_nl, dof_w), stats.f.ppf(1 - _CHANCE / 2, dof_w, dof_nl)
+        upper = stats.f.ppf(1 - CHANCE / 2, dof_nl, dof_w), stats.f.ppf(1 - CHANCE / 2, dof_w, dof_nl)
         name = f"nonlinear_ratio_{axis}"
         out[name] = power**0.5
         out[f"low_{name}"] = (power / upper[0]) ** 0.5

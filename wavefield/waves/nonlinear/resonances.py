@@ -1,6 +1,6 @@
 """Three- and four-wave coherence of wave vectors: which triads and quartets exchange energy or force others.
 
-Kernels take lines X (cells, segments, lines): amplitudes of exp(i (k . x - omega t)) on a lattice of k.
+Fourier lines X (cells, segments, lines) are amplitudes of exp(i (k . x - omega t)) on a lattice of k.
 """
 
 from collections import defaultdict
@@ -27,21 +27,21 @@ from wavefield.waves.spectra.field_spectra import spectrum
 
 Array = NDArray[Any]
 
-_THIN = 2  # every second cell: a Hann window makes neighbours alike
-_APART = 2  # of these cells: nearer wave vectors are the same wave to the windows, and pair trivially
-_LONGEST = 2.5  # cells
-_SHORTEST = 0.8  # of the Nyquist wavenumber
-_CELLS = 700  # wave vectors held over time
-_MIN_PEAK_TO_NOISE = 3.0  # energy on the ridge over what lies beside it
-_LEAST = 8  # segments
-_LAGS = 24  # segments over which lines may remember themselves
-_BATCH = 2048  # coherences computed at a time
-_PIECE = 256  # steps transformed in space at a time
+CELL_STRIDE = 2  # of the lattice: neighbouring cells are correlated by the Hann window
+MIN_DISTANCE = 2  # of the lattice: nearer wave vectors are one wave under the windows, and pair trivially
+MIN_CELLS_FROM_ZERO = 2.5  # of the k plane
+SHORTEST_WAVES = 0.8  # of the Nyquist wavenumber
+MAX_CELLS = 700  # wave vectors of the lattice
+MIN_PEAK_TO_NOISE = 3.0  # energy on the dispersion relation over that off it
+MIN_SEGMENTS = 8
+MAX_LAG = 24  # segments over which lines may be autocorrelated
+TESTS_AT_A_TIME, STEPS_AT_A_TIME = 2048, 256
+LEAST_NULL = 50  # scores of surrogates: fewer give no probabilities
 
 
 @dataclass(frozen=True)
 class ResonanceSettings:
-    """What of the wave-vector coherences is computed.
+    """Segments, wave vectors and significance of the coherences.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class ResonanceSettings:
     modes : int
         At most so many wave vectors of free waves, the strongest.
     mismatch : int
-        Quartets are looked at up to so many lines off resonance.
+        Quartets are tested up to so many lines off resonance.
     surrogates : int
         Phase-randomised copies of the record.
     false_discovery : float
@@ -69,73 +69,80 @@ class ResonanceSettings:
 
 @dataclass(frozen=True)
 class _Lattice:
-    """Wave vectors on every second cell, with the line of the ridge at each."""
+    """Wave vectors on every second cell, with the line of the dispersion relation at each."""
 
     n: NDArray[np.int64]  # (cells, 2), rows and columns, in units of two cells
     steps: tuple[float, float]  # of ky and kx, rad/m
-    line: NDArray[np.int64]  # (cells,), of the ridge; 0 where it is beyond the spectrum
+    line: NDArray[np.int64]  # (cells,), of the relation; 0 where it is beyond the spectrum
     free: NDArray[np.int64]  # cells that hold free waves
     cell: dict[tuple[int, int], int]
 
     def k(self, cells: Array) -> Array:
         return np.asarray(self.n[cells] * np.array(self.steps))
 
+    def distinct(self, a: Array, b: Array) -> Array:
+        """Whether the windows resolve the wave vectors of cells a and b."""
+        return np.asarray(np.abs(self.n[a] - self.n[b]).max(axis=-1) >= MIN_DISTANCE)
+
 
 def _lattice(
-    density: xr.DataArray, depth: float, gamma: float, current: tuple[float, float], dt: float, s: Any
+    density: xr.DataArray,
+    water: tuple[float, float],
+    current: tuple[float, float],
+    dt: float,
+    settings: ResonanceSettings,
 ) -> _Lattice:
+    """The lattice of a spectrum; water is its depth, m, and surface tension over density, m3/s2."""
     ky, kx = (density[name].values.astype(float) for name in ("ky", "kx"))
-    steps = _THIN * float(ky[1] - ky[0]), _THIN * float(kx[1] - kx[0])
-    limit = _SHORTEST * min(-ky.min(), -kx.min())
-    limit = min(limit, np.sqrt(_CELLS * steps[0] * steps[1] / np.pi))
+    steps = CELL_STRIDE * float(ky[1] - ky[0]), CELL_STRIDE * float(kx[1] - kx[0])
+    limit = SHORTEST_WAVES * min(-ky.min(), -kx.min())
+    limit = min(limit, np.sqrt(MAX_CELLS * steps[0] * steps[1] / np.pi))
     reach = [int(limit / step) for step in steps]
     n = np.stack(np.meshgrid(*(np.arange(-r, r + 1) for r in reach), indexing="ij"), axis=-1).reshape(-1, 2)
     k = np.hypot(*(n * np.array(steps)).T)
-    n, k = n[(k > 0) & (k <= limit)], k[(k > 0) & (k <= limit)]
+    inside = (k > 0) & (k <= limit)
+    n, k = n[inside], k[inside]
     vectors = n * np.array(steps)
-    omega = dispersion(k, depth, gamma) + vectors[:, 0] * current[1] + vectors[:, 1] * current[0]
-    width = 2 * np.pi / (s.segment * dt)
+    omega = dispersion(k, *water) + vectors[:, 0] * current[1] + vectors[:, 1] * current[0]
+    width = 2 * np.pi / (settings.segment * dt)
     line = np.rint(omega / width).astype(np.int64)
-    inside = (line >= 2) & (line < s.segment // 2 - 1)
-    # energy on the ridge beside what lies one and a half lines off and further
+    resolved = (line >= 2) & (line < settings.segment // 2 - 1)
+    # energy on the relation over that one and a half lines off it and further
     rows, columns = (np.abs(axis[:, None] - v).argmin(axis=0) for axis, v in zip((ky, kx), vectors.T))
     energy = density.values[:, rows, columns]
     off = np.abs(density["omega"].values[:, None] - omega)
-    there = np.where(off < width, energy, 0.0).sum(axis=0) / np.maximum((off < width).sum(axis=0), 1)
-    beside = np.nanmedian(np.where(off > 1.5 * width, energy, np.nan), axis=0)
-    good = inside & (k > _LONGEST * max(steps) / _THIN) & (there > _MIN_PEAK_TO_NOISE * beside)
-    free = np.flatnonzero(good)
-    free = np.sort(free[np.argsort(-there[free], kind="stable")][: s.modes])
-    cell = {(int(a), int(b)): i for i, (a, b) in enumerate(n)}
-    return _Lattice(n, steps, np.where(inside, line, 0), free, cell)
+    peak = np.where(off < width, energy, 0.0).sum(axis=0) / np.maximum((off < width).sum(axis=0), 1)
+    noise = np.nanmedian(np.where(off > 1.5 * width, energy, np.nan), axis=0)
+    free = (
+        resolved & (k > MIN_CELLS_FROM_ZERO * max(steps) / CELL_STRIDE) & (peak > MIN_PEAK_TO_NOISE * noise)
+    )
+    cells = np.flatnonzero(free)
+    cells = np.sort(cells[np.argsort(-peak[cells], kind="stable")][: settings.modes])
+    number = {(int(a), int(b)): i for i, (a, b) in enumerate(n)}
+    return _Lattice(n, steps, np.where(resolved, line, 0), cells, number)
 
 
 def _amplitudes(field: xr.DataArray, record: Record, lattice: _Lattice) -> list[Array]:
-    # (cells, steps) of each run; F(-k) = F(k)* of a real field
+    """Transforms in space at the wave vectors of the lattice, (cells, steps) of each run."""
     ny, nx = record.shape
-    window = spatial_window(ny, nx)
-    row, column = (_THIN * lattice.n).T
-    mirror = column < 0
-    row, column = np.where(mirror, -row, row) % ny, np.abs(column)
+    window = spatial_window(ny, nx).astype(np.float32)
+    row, column = (CELL_STRIDE * lattice.n).T
+    mirrored = column < 0  # F(-k) = F(k)* of a real field
+    row, column = np.where(mirrored, -row, row) % ny, np.abs(column)
     read = Reader([field], record)
     out = []
     for run in record.runs:
         parts = []
-        for a in range(run[0], run[1], _PIECE):
-            block = read(a, min(a + _PIECE, run[1]), run)[0] * window.astype(np.float32)
-            along_x = fft.rfft(block, axis=2)[:, :, : column.max() + 1]  # columns beyond hold nothing wanted
-            picked = fft.fft(along_x, axis=1)[:, row, column]
-            parts.append(np.where(mirror, picked.conj(), picked).T.astype(np.complex64))
+        for (block,) in read.blocks(run, STEPS_AT_A_TIME):
+            along_x = fft.rfft(block * window, axis=2)[:, :, : column.max() + 1]
+            transform = fft.fft(along_x, axis=1)[:, row, column]
+            parts.append(np.where(mirrored, transform.conj(), transform).T.astype(np.complex64))
         out.append(np.concatenate(parts, axis=1))
     return out
 
 
-def segment_lines(runs: list[Array], segment: int) -> Array:
-    """Fourier lines of amplitudes in time.
-
-    With runs (cells, steps); returns (cells, segments, segment // 2): Lines of waves exp(-i omega t), omega
-    from zero on, each over its rms.
-    """
+def _segment_lines(runs: list[Array], segment: int) -> Array:
+    """Fourier lines of amplitudes (cells, steps) in time, over their rms: (cells, segments, segment // 2)."""
     half, window = segment // 2, hann(segment).astype(np.float32)
     lines = []
     for run in runs:
@@ -143,22 +150,21 @@ def segment_lines(runs: list[Array], segment: int) -> Array:
             part = run[:, a : a + segment]
             part = (part - part.mean(axis=1, keepdims=True)) * window
             lines.append(fft.ifft(part, axis=1)[:, : segment // 2])
-    if len(lines) < _LEAST:
+    if len(lines) < MIN_SEGMENTS:
         raise CubeError(
             f"the record holds {len(lines)} segments of {segment} steps: coherences of wave vectors need"
-            f" {_LEAST}"
+            f" {MIN_SEGMENTS}"
         )
     x = np.stack(lines, axis=1)
-    # coherences are of any scale; products of four in single precision are not
-    size = np.sqrt((np.abs(x) ** 2).mean(axis=1, dtype=np.float64, keepdims=True))
-    return np.asarray(np.divide(x, size, out=np.zeros_like(x), where=size > 0), np.complex64)
+    # coherences do not depend on the scale; products of four in single precision do
+    rms = np.sqrt((np.abs(x) ** 2).mean(axis=1, dtype=np.float64, keepdims=True))
+    return np.asarray(np.divide(x, rms, out=np.zeros_like(x), where=rms > 0), np.complex64)
 
 
-def surrogates(lines: Array, count: int, rng: np.random.Generator) -> Iterator[Array]:
-    """Surrogates of lines: phases of each line's spectrum over the record drawn anew.
+def _surrogates(lines: Array, count: int, rng: np.random.Generator) -> Iterator[Array]:
+    """Copies of lines with random phases of each line's spectrum over the record.
 
-    With lines (cells, segments, lines); returns (cells, segments, lines): The same power and memory of each
-    line, no relation between lines.
+    They have the power and autocorrelation of each line and no relation between lines.
     """
     spectra = fft.fft(lines, axis=1)
     turn = np.empty_like(spectra)
@@ -170,45 +176,41 @@ def surrogates(lines: Array, count: int, rng: np.random.Generator) -> Iterator[A
         yield np.asarray(fft.ifft(turn, axis=1))
 
 
-def memory_of(lines: Array) -> Array:
-    """How long lines remember themselves.
-
-    With lines (cells, segments, lines); returns (cells, lines, lags): Autocorrelation at lags of 1, 2, ...
-    segments.
-    """
+def _autocorrelation(lines: Array) -> Array:
+    """Autocorrelation of lines (cells, segments, lines) at lags from 1 on, (cells, lines, lags)."""
     count = lines.shape[1]
-    lags = min(_LAGS, count // 4)
+    lags = min(MAX_LAG, count // 4)
     power = np.abs(fft.fft(lines, n=2 * count, axis=1)) ** 2
     correlation = fft.ifft(power, axis=1)[:, : lags + 1]
     return np.asarray(np.moveaxis(correlation[:, 1:] / np.maximum(correlation[:, :1].real, 1e-300), 1, 2))
 
 
 @dataclass(frozen=True)
-class _Tests:
-    """Triads or quartets: who takes part, at which line, and how far the last is off its ridge."""
+class _Groups:
+    """Triads or quartets of waves."""
 
-    who: NDArray[np.int64]  # (tests, 3) or (tests, 4) cells
+    cells: NDArray[np.int64]  # (groups, 3) or (groups, 4)
     line: NDArray[np.int64]  # the same shape
-    mismatch: NDArray[np.int64]  # (tests,) lines
+    mismatch: NDArray[np.int64]  # (groups,) lines that the last wave is off the relation
 
-    def __getitem__(self, chosen: Array) -> "_Tests":
-        return _Tests(self.who[chosen], self.line[chosen], self.mismatch[chosen])
+    def __getitem__(self, chosen: Array) -> "_Groups":
+        return _Groups(self.cells[chosen], self.line[chosen], self.mismatch[chosen])
 
 
 @dataclass(frozen=True)
-class _Found:
-    """Squared coherence, |sum|^2 over what chance gives, independent samples, each (tests,)."""
+class _Coherences:
+    """Coherences of triads or quartets, each (groups,)."""
 
     squared: Array
-    score: Array
-    samples: Array
+    score: Array  # |sum|^2 over its mean by chance
+    samples: Array  # independent ones
 
-    def __getitem__(self, chosen: Array) -> "_Found":
-        return _Found(self.squared[chosen], self.score[chosen], self.samples[chosen])
+    def __getitem__(self, chosen: Array) -> "_Coherences":
+        return _Coherences(self.squared[chosen], self.score[chosen], self.samples[chosen])
 
 
 def _pairs(lattice: _Lattice) -> dict[tuple[int, int], Array]:
-    # pairs of free waves by the sum of their wave vectors
+    """Pairs of free waves by the sum of their wave vectors, each (pairs, 2)."""
     i, j = np.triu_indices(lattice.free.size)
     first, second = lattice.free[i], lattice.free[j]
     total = lattice.n[first] + lattice.n[second]
@@ -218,56 +220,54 @@ def _pairs(lattice: _Lattice) -> dict[tuple[int, int], Array]:
     return {key: np.array(pairs) for key, pairs in sorted(groups.items())}
 
 
-def _far(lattice: _Lattice, a: Array, b: Array) -> Array:
-    # whether wave vectors are told apart by the windows
-    return np.asarray(np.abs(lattice.n[a] - lattice.n[b]).max(axis=-1) >= _APART)
-
-
-def _quartets(lattice: _Lattice, lines: int, most: int) -> _Tests:
-    who = []
+def _quartets(lattice: _Lattice, lines: int, max_mismatch: int) -> _Groups:
+    parts = []
     for pairs in _pairs(lattice).values():
         p, q = np.triu_indices(len(pairs), 1)
-        who.append(np.concatenate([pairs[p], pairs[q]], axis=1))
-    all_four = np.concatenate(who)
-    first, _, third, fourth = all_four.T
-    all_four = all_four[_far(lattice, first, third) & _far(lattice, first, fourth)]
-    line = lattice.line[all_four]
-    off = line[:, 0] + line[:, 1] - line[:, 2] - line[:, 3]  # by so much the fourth wave's line is moved
-    line[:, 3] += off
-    good = (np.abs(off) <= most) & (line[:, 3] >= 1) & (line[:, 3] < lines)
-    return _Tests(all_four[good], line[good], off[good])
+        parts.append(np.concatenate([pairs[p], pairs[q]], axis=1))
+    cells = np.concatenate(parts)
+    first, _, third, fourth = cells.T
+    cells = cells[lattice.distinct(first, third) & lattice.distinct(first, fourth)]
+    line = lattice.line[cells]
+    mismatch = line[:, 0] + line[:, 1] - line[:, 2] - line[:, 3]
+    line[:, 3] += mismatch
+    valid = (np.abs(mismatch) <= max_mismatch) & (line[:, 3] >= 1) & (line[:, 3] < lines)
+    return _Groups(cells[valid], line[valid], mismatch[valid])
 
 
-def _triads(lattice: _Lattice, lines: int) -> _Tests:
-    who = [
+def _triads(lattice: _Lattice, lines: int) -> _Groups:
+    parts = [
         np.column_stack([pairs, np.full(len(pairs), lattice.cell[total])])
         for total, pairs in _pairs(lattice).items()
         if total in lattice.cell and lattice.line[lattice.cell[total]]
     ]
-    all_three = np.concatenate(who) if who else np.zeros((0, 3), np.int64)
-    line = lattice.line[all_three]
-    off = line[:, 0] + line[:, 1] - line[:, 2]
-    line[:, 2] += off
-    good = line[:, 2] < lines
-    return _Tests(all_three[good], line[good], off[good])
+    cells = np.concatenate(parts) if parts else np.zeros((0, 3), np.int64)
+    line = lattice.line[cells]
+    mismatch = line[:, 0] + line[:, 1] - line[:, 2]
+    line[:, 2] += mismatch
+    valid = line[:, 2] < lines
+    return _Groups(cells[valid], line[valid], mismatch[valid])
 
 
-def _coherences(x: Array, memory: Array, tests: _Tests) -> _Found:
+def _coherences(x: Array, autocorrelation: Array, groups: _Groups) -> _Coherences:
     parts = []
-    for a in range(0, len(tests.who), _BATCH):
-        who, line = tests.who[a : a + _BATCH].T, tests.line[a : a + _BATCH].T
-        waves = [x[c, :, i] for c, i in zip(who, line)]
-        remembers = [memory[c, i] for c, i in zip(who, line)]
-        one, other = waves[0] * waves[1], waves[2] * waves[3] if len(waves) == 4 else waves[2]
-        of_other = remembers[2] * remembers[3] if len(waves) == 4 else remembers[2]
-        # what remembers itself for long has fewer samples
-        longer = 1 + 2 * (remembers[0] * remembers[1] * of_other.conj()).sum(axis=1).real
+    for a in range(0, len(groups.cells), TESTS_AT_A_TIME):
+        some = slice(a, a + TESTS_AT_A_TIME)
+        places = list(zip(groups.cells[some].T, groups.line[some].T))
+        waves = [x[cell, :, line] for cell, line in places]
+        memory = [autocorrelation[cell, line] for cell, line in places]
+        one, other = waves[0] * waves[1], waves[2]
+        memory_of_other = memory[2]
+        if len(waves) == 4:
+            other, memory_of_other = waves[2] * waves[3], memory[2] * memory[3]
+        # products with a long autocorrelation have fewer independent samples
+        correlated = 1 + 2 * (memory[0] * memory[1] * memory_of_other.conj()).sum(axis=1).real
         cross = np.abs((one * other.conj()).sum(axis=1)) ** 2
         powers = np.abs(one) ** 2, np.abs(other) ** 2
         norm = np.maximum(powers[0].sum(axis=1) * powers[1].sum(axis=1), 1e-300)
-        chance = np.maximum((powers[0] * powers[1]).sum(axis=1) * np.maximum(longer, 1.0), 1e-300)
+        chance = np.maximum((powers[0] * powers[1]).sum(axis=1) * np.maximum(correlated, 1.0), 1e-300)
         parts.append(np.stack([cross / norm, cross / chance, norm / chance]))
-    return _Found(*(np.concatenate(parts, axis=1) if parts else np.zeros((3, 0))))
+    return _Coherences(*(np.concatenate(parts, axis=1) if parts else np.zeros((3, 0))))
 
 
 def resonances(
@@ -280,12 +280,12 @@ def resonances(
     record: Record | None = None,
     settings: ResonanceSettings | None = None,
 ) -> xr.Dataset:
-    """Triads and quartets of wave vectors whose phases belong together, on resonance and off it.
+    """Triads and quartets of wave vectors whose phases are coupled, on resonance and off it.
 
     Parameters
     ----------
     field : DataArray, (time, y, x)
-        Best w of a cube; z will do. Read once, in pieces; computed at once.
+        Best w of a cube, or z. Read once, in pieces; computed at once.
     depth : float
         Depth of the water, m.
     gamma : float
@@ -293,7 +293,7 @@ def resonances(
     current : tuple of float
         Along x and y, m/s (`fit_dispersion`).
     density : DataArray, (omega, ky, kx), optional
-        Its spectrum, which tells where waves are; computed if not given.
+        Its spectrum, from which free waves are selected; computed if not given.
     record : Record, optional
         Rectangle and runs; found from the field if not given.
     settings : ResonanceSettings, optional
@@ -304,7 +304,7 @@ def resonances(
     Dataset
         The least probable ``quartet``: wave vectors ``quartet_kx``, ``quartet_ky`` and ``quartet_omega``
         (quartet, wave), k1 + k2 = k3 + k4; ``quartet_coherence``, its ``_std``, ``quartet_probability``,
-        ``quartet_significant``, ``quartet_mismatch``, how far in rad/s the fourth wave lies off the ridge.
+        ``quartet_significant``, ``quartet_mismatch``, rad/s by which the fourth wave is off the relation.
         The same for ``triad``, k1 + k2 = k3. Over ``mismatch``: ``coherence_excess``, the mean over all
         quartets of the squared coherence less what the surrogates give, its ``_std``, and ``quartets``, how
         many. Also ``quartet_tests``, ``triad_tests``, ``modes``, ``samples``.
@@ -319,16 +319,16 @@ def resonances(
     Squared coherence |<a1 a2 a3* a4*>|^2 / (<|a1 a2|^2> <|a3 a4|^2>), and |<a1 a2 a3*>|^2 / (<|a1 a2|^2>
     <|a3|^2>), within [0, 1]; a are lines of Hann-windowed segments at wave vectors on every second cell of
     the k plane, each at the line nearest to the dispersion relation but for the last, whose line makes the
-    sum of frequencies exact: within a line of the ridge it is a resonance, further off a forced wave. Pairs
-    that the windows do not tell apart are left out. Probabilities are those of records whose lines have the
-    same spectra and random phases, pooled over all quartets after division by their own memory; discoveries
-    are controlled over the whole map (Benjamini and Hochberg 1995). See Aubourg and Mordant 2015 (arXiv
-    1503.04110), Campagne et al. 2019 (arXiv 1906.06385). With N samples a single squared coherence is known
-    to 1 / N: smaller ones show in ``coherence_excess``.
+    sum of frequencies exact: within a line of the relation it is a resonance, further off a forced wave.
+    Pairs that the windows do not resolve are left out. Probabilities are those of records whose lines have
+    the same spectra and random phases, pooled over all quartets after division by their own correlation;
+    discoveries are controlled over all tests (Benjamini and Hochberg 1995). See Aubourg and Mordant 2015
+    (arXiv 1503.04110), Campagne et al. 2019 (arXiv 1906.06385). With N samples a single squared coherence is
+    determined to 1 / N: smaller ones show in ``coherence_excess``.
 
     Examples
     --------
-    Two hundred waves whose phases have nothing to do with each other.
+    Two hundred waves of independent phases.
 
     >>> rng = np.random.default_rng(0)
     >>> k, angle = rng.uniform(15, 45, 200), rng.uniform(-np.pi, np.pi, 200)
@@ -344,85 +344,80 @@ def resonances(
     >>> bool(found.quartet_significant.any()), bool(found.triad_significant.any())
     (False, False)
     """
-    s = settings or ResonanceSettings()
+    settings = settings or ResonanceSettings()
     name = "w" if field.name is None else str(field.name)
-    field = validate(field.to_dataset(name=name), name)[name] if name in ("z", "w", "z_t") else field
+    if name in ("z", "w", "z_t"):
+        field = validate(field.to_dataset(name=name), name)[name]
     record = find_record(field) if record is None else record
     if density is None:
         density = spectrum(field, record=record)["E"].compute()
-    lattice = _lattice(density, depth, gamma, current, record.dt, s)
+    lattice = _lattice(density, (depth, gamma), current, record.dt, settings)
     if lattice.free.size < 4:
         raise CubeError(
-            f"{lattice.free.size} wave vectors hold free waves that stand out: coherences of four need four"
+            f"{lattice.free.size} wave vectors hold free waves above the noise: coherences of four need four"
         )
-    x = segment_lines(_amplitudes(field, record, lattice), s.segment)
-    memory = memory_of(x)
+    x = _segment_lines(_amplitudes(field, record, lattice), settings.segment)
+    memory = _autocorrelation(x)
     kinds = {
-        "quartet": _quartets(lattice, x.shape[2], s.mismatch),
+        "quartet": _quartets(lattice, x.shape[2], settings.mismatch),
         "triad": _triads(lattice, x.shape[2]),
     }
-    nulls: dict[str, list[_Found]] = {kind: [] for kind in kinds}
-    for copy in surrogates(x, s.surrogates, np.random.default_rng(0)):
-        for kind, tests in kinds.items():
-            nulls[kind].append(_coherences(copy, memory, tests))
-    width = 2 * np.pi / (s.segment * record.dt)
-    coords = {"mismatch": np.arange(-s.mismatch, s.mismatch + 1) * width}
+    nulls: dict[str, list[_Coherences]] = {kind: [] for kind in kinds}
+    for surrogate in _surrogates(x, settings.surrogates, np.random.default_rng(0)):
+        for kind, groups in kinds.items():
+            nulls[kind].append(_coherences(surrogate, memory, groups))
+    width = 2 * np.pi / (settings.segment * record.dt)
+    coords = {"mismatch": np.arange(-settings.mismatch, settings.mismatch + 1) * width}
     out: dict[str, Any] = {"modes": ((), lattice.free.size), "samples": ((), x.shape[1])}
-    for kind, tests in kinds.items():
-        found, null = _coherences(x, memory, tests), nulls[kind]
-        near = np.abs(tests.mismatch) <= 1 if kind == "quartet" else np.ones(len(tests.who), bool)
+    for kind, groups in kinds.items():
+        measured, null = _coherences(x, memory, groups), nulls[kind]
+        resonant = np.ones(len(groups.cells), bool)
         if kind == "quartet":
-            out |= _curve(tests, found, null, s.mismatch)
-        chance = np.concatenate([n.score[near] for n in null])
-        out |= _listed(kind, tests[near], found[near], chance, lattice, width, s)
-        out[f"{kind}_tests"] = ((), int(near.sum()))
-    return annotate(xr.Dataset(out, coords, {"segment": s.segment}), "resonances")
+            resonant = np.abs(groups.mismatch) <= 1
+            out |= _excess_by_mismatch(groups, measured, null, settings.mismatch)
+        chance = np.concatenate([one.score[resonant] for one in null])
+        p = np.ones(int(resonant.sum()))
+        if chance.size > LEAST_NULL:
+            p = probabilities(measured.score[resonant], chance)
+        significant = significant_tests(p, settings.false_discovery)
+        first = np.argsort(p, kind="stable")[: settings.listed]
+        listed = groups[resonant][first]
+        out |= _listed(kind, measured[resonant][first], p[first], significant[first])
+        k, dims = lattice.k(listed.cells), (kind, f"{kind}_wave")
+        out |= {
+            f"{kind}_kx": (dims, k[..., 1]),
+            f"{kind}_ky": (dims, k[..., 0]),
+            f"{kind}_omega": (dims, listed.line * width),
+            f"{kind}_mismatch": (kind, listed.mismatch * width),
+            f"{kind}_tests": ((), p.size),
+        }
+    return annotate(xr.Dataset(out, coords, {"segment": settings.segment}), "resonances")
 
 
-def _curve(tests: _Tests, found: _Found, null: list[_Found], most: int) -> dict[str, Any]:
+def _excess_by_mismatch(
+    quartets: _Groups, measured: _Coherences, null: list[_Coherences], max_mismatch: int
+) -> dict[str, Any]:
     rows = []
-    for d in range(-most, most + 1):
-        there = tests.mismatch == d
-        if not there.any():
+    for mismatch in range(-max_mismatch, max_mismatch + 1):
+        chosen = quartets.mismatch == mismatch
+        if not chosen.any():
             rows.append((np.nan, np.nan, 0))
             continue
-        # quartets share waves: the spread of the surrogates' means tells how surely the mean is known
-        means = np.array([n.squared[there].mean() for n in null])
+        # quartets share waves: the standard error of the mean is that of the surrogates' means
+        means = np.array([one.squared[chosen].mean() for one in null])
         std = means.std(ddof=1) if means.size > 1 else np.nan
-        rows.append((found.squared[there].mean() - means.mean(), std, there.sum()))
-    excess, std, count = np.array(rows).T
-    return {
-        "coherence_excess": ("mismatch", excess),
-        "coherence_excess_std": ("mismatch", std),
-        "quartets": ("mismatch", count),
-    }
+        rows.append((measured.squared[chosen].mean() - means.mean(), std, chosen.sum()))
+    names = "coherence_excess", "coherence_excess_std", "quartets"
+    return {name: ("mismatch", column) for name, column in zip(names, np.array(rows).T)}
 
 
-def _listed(
-    kind: str,
-    tests: _Tests,
-    found: _Found,
-    null: Array,
-    lattice: _Lattice,
-    width: float,
-    s: ResonanceSettings,
-) -> dict[str, Any]:
-    p = probabilities(found.score, null) if null.size > 50 else np.ones(found.score.size)
-    significant = significant_tests(p, s.false_discovery)
-    first = np.argsort(p, kind="stable")[: s.listed]
-    best, which, dims = found[first], tests[first], (kind, f"{kind}_wave")
-    k = lattice.k(which.who)
-    value = best.squared
-    std = np.sqrt(2 * value / np.maximum(best.samples, 2)) * (1 - value)
+def _listed(kind: str, best: _Coherences, p: Array, significant: Array) -> dict[str, Any]:
+    std = np.sqrt(2 * best.squared / np.maximum(best.samples, 2)) * (1 - best.squared)
     return {
-        f"{kind}_kx": (dims, k[..., 1]),
-        f"{kind}_ky": (dims, k[..., 0]),
-        f"{kind}_omega": (dims, which.line * width),
-        f"{kind}_coherence": (kind, value),
+        f"{kind}_coherence": (kind, best.squared),
         f"{kind}_coherence_std": (kind, std),
-        f"{kind}_probability": (kind, p[first]),
-        f"{kind}_significant": (kind, significant[first]),
-        f"{kind}_mismatch": (kind, which.mismatch * width),
+        f"{kind}_probability": (kind, p),
+        f"{kind}_significant": (kind, significant),
     }
 
 

@@ -1,4 +1,4 @@
-"""Coherence of z_t with w and the nonlinear term at each wave vector, as the paper prints it."""
+"""Coherence of z_t with w and the nonlinear term at each wave vector."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ from wavefield.waves.spectra.cross_spectra import door, moving_welch, sources, t
 
 Array = NDArray[Any]
 
-_PIECE = 128  # steps taken in at a time
+STEPS_AT_A_TIME = 128
 
 
 def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
@@ -43,9 +43,9 @@ def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dat
     Notes
     -----
     |<conj(z_t) a>| / sqrt(<|z_t|^2> <|w - u . grad z|^2>) of Hann-windowed transforms in space, <> over time,
-    means over time taken off: the paper's equation. The modulus of a mean of few samples is never zero: N
-    independent ones leave about .9 / sqrt(N), which `coherence`, averaged over angle before the ratio,
-    does not have.
+    less the means over time: the equation of Aubourg et al. The modulus of a mean of few samples is never
+    zero: N independent ones leave about 0.9 / sqrt(N), which `coherence`, averaged over angle before the
+    ratio, does not have.
     """
     cube = door(cube, NAMES)
     welch = Welch.of(cube, None, record)
@@ -53,57 +53,49 @@ def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dat
     record, fields = welch.record, sources(NAMES)
     read = Reader([cube[field] for field in fields], record)
     sums: dict[str, Array] = {}
-    steps = 0
     for run in record.runs:
-        for a in range(run[0], run[1], _PIECE):
-            b = min(a + _PIECE, run[1])
-            given = dict(zip(fields, read(a, b, run)))
-            parts = transforms(given, NAMES, welch)
-            _take_in(sums, {name: part.astype(np.complex128) for name, part in parts.items()})
-            steps += b - a
-    found = _ratios(sums, steps)
+        for blocks in read.blocks(run, STEPS_AT_A_TIME):
+            parts = transforms(dict(zip(fields, blocks)), NAMES, welch)
+            for name, values in _sums({n: part.astype(np.complex128) for n, part in parts.items()}).items():
+                sums[name] = sums[name] + values if name in sums else values
+    steps = sum(b - a for a, b in record.runs)
     ny, nx = record.shape
-    plane = {n: np.fft.fftshift(c.reshape(ny, nx // 2 + 1), axes=0) for n, c in found.items()}
     kx = 2 * np.pi * np.fft.rfftfreq(nx, record.dx)
     ky = np.fft.fftshift(2 * np.pi * np.fft.fftfreq(ny, record.dy))
     table = welch.table
     ring = np.rint(np.hypot(ky[:, None], kx) / table.dk - table.k[0] / table.dk).astype(int)
+    inside = (ring >= 0) & (ring < table.k.size)
+    count = np.bincount(ring[inside], minlength=table.k.size)
     out: dict[str, Any] = {}
-    for name, values in plane.items():
-        out[f"plane_C_{name}"] = (("ky", "kx"), values)
-        inside = (ring >= 0) & (ring < table.k.size)
-        total = np.bincount(ring[inside], values[inside], table.k.size)
-        count = np.bincount(ring[inside], minlength=table.k.size)
-        out[f"mean_C_{name}"] = (
-            "k",
-            np.divide(total, count, out=np.full(count.size, np.nan), where=count > 0),
-        )
+    for name, values in _coherences({n: part / steps for n, part in sums.items()}).items():
+        plane = np.fft.fftshift(values.reshape(ny, nx // 2 + 1), axes=0)
+        out[f"plane_C_{name}"] = (("ky", "kx"), plane)
+        total = np.bincount(ring[inside], plane[inside], table.k.size)
+        mean = np.divide(total, count, out=np.full(count.size, np.nan), where=count > 0)
+        out[f"mean_C_{name}"] = ("k", mean)
     coords = {"ky": ky, "kx": kx} | k_coords(table.k)
     return annotate(xr.Dataset(out, coords, {"steps": steps}), "wave_vectors")
 
 
-def _take_in(sums: dict[str, Array], parts: dict[str, Array]) -> None:
-    # (cells,) sums of each term, of their products with z_t and of the powers
+def _sums(parts: dict[str, Array]) -> dict[str, Array]:
+    """Sums over steps of each term, of their products with z_t and of the powers, (cells,)."""
     z_t, w, nl = (parts[name] for name in NAMES)
-    total = w - nl
-    new = {
+    return {
         "z_t": z_t.sum(axis=1),
         "w": w.sum(axis=1),
         "nl": -nl.sum(axis=1),
         "z_t*w": (z_t.conj() * w).sum(axis=1),
         "z_t*nl": -(z_t.conj() * nl).sum(axis=1),
         "power": (np.abs(z_t) ** 2).sum(axis=1),
-        "total": (np.abs(total) ** 2).sum(axis=1),
+        "total": (np.abs(w - nl) ** 2).sum(axis=1),
     }
-    for name, values in new.items():
-        sums[name] = sums[name] + values if name in sums else values
 
 
-def _ratios(sums: dict[str, Array], steps: int) -> dict[str, Array]:
-    mean = {name: sums[name] / steps for name in ("z_t", "w", "nl")}
-    power = sums["power"] / steps - np.abs(mean["z_t"]) ** 2
-    total = sums["total"] / steps - np.abs(mean["w"] + mean["nl"]) ** 2
+def _coherences(mean: dict[str, Array]) -> dict[str, Array]:
+    """Moduli of the coherence of each term and of their sum, (cells,), from the means of `_sums`."""
+    power = mean["power"] - np.abs(mean["z_t"]) ** 2
+    total = mean["total"] - np.abs(mean["w"] + mean["nl"]) ** 2
     norm = np.sqrt(np.maximum(power * total, 1e-300))
-    cross = {n: sums[f"z_t*{n}"] / steps - mean["z_t"].conj() * mean[n] for n in ("w", "nl")}
+    cross = {n: mean[f"z_t*{n}"] - mean["z_t"].conj() * mean[n] for n in ("w", "nl")}
     cross["tot"] = cross["w"] + cross["nl"]
     return {name: np.abs(values) / norm for name, values in cross.items()}

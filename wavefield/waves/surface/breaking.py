@@ -1,5 +1,7 @@
-"""Crests about to break: the speed of the water at a crest over the speed of the crest, B = u / c."""
+"""Crests near breaking: the speed of the water at a crest over the speed of the crest, B = u / c."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,59 +17,62 @@ from wavefield.waves.nonlinear.kinematics import slopes
 
 Array = NDArray[Any]
 
-ONSET = 0.85  # crests that pass it break (Barthelemy et al. 2018)
-_NAMES = ("z", "z_t", "u", "v")
+ONSET = 0.85  # crests that exceed it break (Barthelemy et al. 2018)
+FIELDS = ("z", "z_t", "u", "v")
+WAVELENGTH_OVER_SMOOTHING = 12  # the speed of a crest is estimated over a part of the wavelength
+SAMPLED_STEPS = 32  # for the mean level, height and flow
+EVENT_SPAN = np.ones((3, 5, 5), bool)  # steps and nodes within which crests are one event
 
 
-def crest_ratio(
-    z: Array,
-    z_t: Array,
-    u: Array,
-    v: Array,
-    dy: float,
-    dx: float,
-    reach: float,
-    height: float,
-    drift: tuple[float, float] = (0.0, 0.0),
-) -> tuple[Array, Array]:
-    """B and the crest's speed at the crests of one step.
+@dataclass(frozen=True)
+class CrestSettings:
+    """Scales of the crests of a record."""
 
-    n is the direction of the water at the crest, seen by somebody who drifts with the mean flow, in whose
-    frame both u and c are taken. The crest's speed is that of the pattern around it, z_t = -c . grad z along
-    n by least squares: at the crest itself it would be a quotient of two small numbers.
+    distances: tuple[float, float]  # of nodes along y and x, m
+    smoothing: float  # m, over which the speed of a crest is estimated
+    height: float  # m: lower crests are left out
+    drift: tuple[float, float] = (0.0, 0.0)  # mean velocity of the water along x and y, m/s
 
-    With z, z_t, u, v (ny, nx), m/s; drift, m/s; returns ratio, speed (ny, nx): B = u . n / c and c, m/s.
+
+def crest_ratio(fields: Mapping[str, Array], settings: CrestSettings) -> tuple[Array, Array]:
+    """B = u . n / c and the crest's speed c, m/s, at the crests of one step, (ny, nx); NaN elsewhere.
+
+    n is the direction of the water at the crest in the frame of the mean flow, in which both u and c are
+    taken. The crest's speed is that of the pattern around it, z_t = -c . grad z along n by least squares: at
+    the crest itself it would be a quotient of two small numbers.
     """
-    z_y, z_x = (part[0] for part in slopes(np.ascontiguousarray(z)[None], dy, dx))
-    u, v = u - drift[0], v - drift[1]
-    rise = z_t + drift[0] * z_x + drift[1] * z_y  # as the drifting observer sees it
+    z, z_t = fields["z"], fields["z_t"]
+    drift = settings.drift
+    z_y, z_x = (part[0] for part in slopes(np.ascontiguousarray(z)[None], *settings.distances))
+    u, v = fields["u"] - drift[0], fields["v"] - drift[1]
+    rise = z_t + drift[0] * z_x + drift[1] * z_y  # in the frame of the mean flow
     speed = np.hypot(u, v)
     with np.errstate(invalid="ignore", divide="ignore"):
         n_x, n_y = u / speed, v / speed
-        sigma = (reach / dy, reach / dx)
-        mean = [
+        sigma = [settings.smoothing / distance for distance in settings.distances]
+        xx, xy, yy, tx, ty = (
             ndimage.gaussian_filter(part, sigma, mode="nearest", truncate=2.5)
             for part in (z_x * z_x, z_x * z_y, z_y * z_y, rise * z_x, rise * z_y)
-        ]
-        steep = n_x**2 * mean[0] + 2 * n_x * n_y * mean[1] + n_y**2 * mean[2]
-        crest_speed = -(n_x * mean[3] + n_y * mean[4]) / steep
+        )
+        slope_square = n_x**2 * xx + 2 * n_x * n_y * xy + n_y**2 * yy
+        crest_speed = -(n_x * tx + n_y * ty) / slope_square
     ratio = speed / crest_speed
-    there = _is_crest(z, n_y, n_x) & (z > height) & (crest_speed > 0)
-    return np.where(there, ratio, np.nan), np.where(there, crest_speed, np.nan)
+    crest = _is_crest(z, n_y, n_x) & (z > settings.height) & (crest_speed > 0)
+    return np.where(crest, ratio, np.nan), np.where(crest, crest_speed, np.nan)
 
 
 def _is_crest(z: Array, n_y: Array, n_x: Array) -> Array:
-    # no lower than the surface one node ahead and behind along n
+    """Whether a node is no lower than the surface one node ahead and behind along n."""
     ny, nx = z.shape
     row, column = np.meshgrid(np.arange(ny, dtype=float), np.arange(nx, dtype=float), indexing="ij")
     n_y, n_x = np.nan_to_num(n_y), np.nan_to_num(n_x)
-    beside = [
+    ahead, behind = (
         ndimage.map_coordinates(
             z, [row + sign * n_y, column + sign * n_x], order=1, mode="constant", cval=np.inf
         )
         for sign in (1, -1)
-    ]
-    return np.asarray((z >= beside[0]) & (z > beside[1]))
+    )
+    return np.asarray((z >= ahead) & (z > behind))
 
 
 def breaking(
@@ -77,7 +82,7 @@ def breaking(
     onset: float = ONSET,
     least: float = 1.0,
 ) -> xr.Dataset:
-    """B = u / c at every crest of a cube, and the crests that come near breaking, with their history.
+    """B = u / c at every crest of a cube, and the crests near breaking, with their history.
 
     Parameters
     ----------
@@ -104,8 +109,8 @@ def breaking(
 
     Notes
     -----
-    Barthelemy et al. 2018 (arXiv 1508.06002): crests whose B passes .85 break within a fraction of a period,
-    others do not. Both speeds are relative to the mean flow of the record.
+    Barthelemy et al. 2018 (arXiv 1508.06002): crests whose B exceeds 0.85 break within a fraction of a
+    period, others do not. Both speeds are relative to the mean flow of the record.
 
     Examples
     --------
@@ -124,77 +129,59 @@ def breaking(
     >>> bool((found.event_B > 0.85).all())
     True
     """
-    for name in _NAMES:
+    for name in FIELDS:
         if name not in cube:
-            raise CubeError(f"the cube has no {name!r}: B at crests needs {', '.join(_NAMES)}")
-    cube = validate(cube, *_NAMES)
+            raise CubeError(f"the cube has no {name!r}: B at crests needs {', '.join(FIELDS)}")
+    cube = validate(cube, *FIELDS)
     dt, dy, dx = check_axes(cube)
-    some = cube.isel(time=np.unique(np.linspace(0, cube.sizes["time"] - 1, 32).astype(int))).compute()
-    level, height = float(some["z"].mean()), float(some["z"].std())
-    drift = float(some["u"].mean()), float(some["v"].mean())
+    steps = cube.sizes["time"]
+    sampled = np.unique(np.linspace(0, steps - 1, SAMPLED_STEPS).astype(int))
+    sample = cube.isel(time=sampled).compute()
+    level, height = float(sample["z"].mean()), float(sample["z"].std())
+    drift = float(sample["u"].mean()), float(sample["v"].mean())
     if wavelength is None:
-        wavelength = _dominant(some["z"].values, dy, dx)
-    ratio = np.full(tuple(cube.sizes[name] for name in ("time", "y", "x")), np.nan, np.float32)
-    speed = ratio.copy()
-    for t in range(ratio.shape[0]):
-        now = {name: np.asarray(cube[name].isel(time=t).values, float) for name in _NAMES}
-        ratio[t], speed[t] = crest_ratio(
-            now["z"],
-            now["z_t"],
-            now["u"],
-            now["v"],
-            dy,
-            dx,
-            wavelength / 12,
-            level + least * height,
-            drift,
-        )
+        wavelength = _dominant_wavelength(sample["z"].values, dy, dx)
+    settings = CrestSettings((dy, dx), wavelength / WAVELENGTH_OVER_SMOOTHING, level + least * height, drift)
     dims = ("time", "y", "x")
-    coords = {name: cube[name] for name in dims}
-    out = xr.Dataset({"B": (dims, ratio), "crest_speed": (dims, speed)}, coords)
-    events = _events(ratio, onset, cube, dt, dy, dx)
-    out = out.assign(events).assign_attrs(onset=onset, wavelength=wavelength)
+    ratio = np.full(tuple(cube.sizes[name] for name in dims), np.nan, np.float32)
+    speed = ratio.copy()
+    for t in range(steps):
+        fields = {name: np.asarray(cube[name].isel(time=t).values, float) for name in FIELDS}
+        ratio[t], speed[t] = crest_ratio(fields, settings)
+    out = xr.Dataset({"B": (dims, ratio), "crest_speed": (dims, speed)}, {name: cube[name] for name in dims})
+    out = out.assign(_events(out["B"], onset, dt, dy, dx)).assign_attrs(onset=onset, wavelength=wavelength)
     return annotate(out, "breaking")
 
 
-def _dominant(z: Array, dy: float, dx: float) -> float:
-    # of a wave with the same rms elevation and slope; short waves steepen: it is a lower bound
+def _dominant_wavelength(z: Array, dy: float, dx: float) -> float:
+    """Length of a wave of the same rms elevation and slope: a lower bound, since short waves add slope."""
     z_y, z_x = slopes(np.ascontiguousarray(z, float), dy, dx)
     slope = float(np.sqrt(np.nanmean(z_y**2 + z_x**2)))
     return 2 * np.pi * float(np.nanstd(z)) / max(slope, 1e-12)
 
 
-def _events(ratio: Array, onset: float, cube: xr.Dataset, dt: float, dy: float, dx: float) -> dict[str, Any]:
-    # crests above the onset that touch in time and space are one event
-    near = np.nan_to_num(ratio) >= onset
-    joined = ndimage.binary_dilation(near, np.ones((3, 5, 5), bool))
+def _events(ratio: xr.DataArray, onset: float, dt: float, dy: float, dx: float) -> dict[str, Any]:
+    """Variables of the events: crests above the onset that touch in time and space."""
+    time, y, x = (ratio[name].values for name in ("time", "y", "x"))
+    above = np.nan_to_num(ratio.values) >= onset
+    joined = ndimage.binary_dilation(above, EVENT_SPAN)
     labels, count = ndimage.label(joined, np.ones((3, 3, 3), bool))
-    steps, rows, columns = np.nonzero(near)
-    table = pd.DataFrame(
-        {
-            "event": labels[near] - 1,
-            "step": steps,
-            "x": cube["x"].values[columns],
-            "y": cube["y"].values[rows],
-            "B": ratio[near],
-        }
-    )
-    history = np.full((count, ratio.shape[0]), np.nan, np.float32)
-    if count:
-        by_step = table.groupby(["event", "step"])["B"].max()
-        history[by_step.index.get_level_values(0), by_step.index.get_level_values(1)] = by_step.values
-    groups = table.groupby("event")
-    top = table.loc[groups["B"].idxmax()] if count else table
-    per_step = table.groupby(["event", "step"])[["x", "y"]].agg(["min", "max"])
-    length = np.hypot(
-        per_step["x"]["max"] - per_step["x"]["min"] + dx, per_step["y"]["max"] - per_step["y"]["min"] + dy
-    )
+    steps, rows, columns = np.nonzero(above)
+    values = {"event": labels[above] - 1, "step": steps, "x": x[columns], "y": y[rows]}
+    table = pd.DataFrame(values | {"B": ratio.values[above]})
+    events, by_step = table.groupby("event"), table.groupby(["event", "step"])
+    history = np.full((count, time.size), np.nan, np.float32)
+    largest = by_step["B"].max()
+    history[largest.index.get_level_values(0), largest.index.get_level_values(1)] = largest.values
+    top = table.loc[events["B"].idxmax()]
+    extent = by_step[["x", "y"]].max() - by_step[["x", "y"]].min()
+    length = np.hypot(extent["x"] + dx, extent["y"] + dy)
     return {
-        "event_time": ("event", cube["time"].values[top["step"].values]),
+        "event_time": ("event", time[top["step"].values]),
         "event_x": ("event", top["x"].values),
         "event_y": ("event", top["y"].values),
         "event_B": ("event", top["B"].values),
-        "event_duration": ("event", ((groups["step"].max() - groups["step"].min() + 1) * dt).values),
+        "event_duration": ("event", ((events["step"].max() - events["step"].min() + 1) * dt).values),
         "event_length": ("event", length.groupby("event").max().values),
         "history": (("event", "time"), history),
     }
