@@ -4,6 +4,7 @@ import numpy as np
 from scipy import fft, special  # scipy.stats takes half a second to import
 
 DEFAULT_SEGMENT = 512  # steps: 25.6 s at 20 Hz
+CORRELATED_CELLS = 1 + 2 * (4 / 9 + 1 / 36)  # along an axis of a spectrum under a Hann window
 
 
 def hann(n: int) -> np.ndarray:

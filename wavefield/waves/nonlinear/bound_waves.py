@@ -17,7 +17,7 @@ from wavefield.waves.dispersion_relation.current_used import CurrentUsed
 from wavefield.waves.estimation.segments import Reader, segment_length, spatial_window
 from wavefield.waves.estimation.wave_record import Record, find_record
 from wavefield.waves.estimation.welch import LOWEST, omega_coords
-from wavefield.waves.estimation.windows import hann
+from wavefield.waves.estimation.windows import CORRELATED_CELLS, hann
 from wavefield.waves.products import Product, register
 
 Array = NDArray[Any]
@@ -29,7 +29,6 @@ STRIP_CELLS = 0.5  # width of the strip next to the relation, from which bound w
 SIMULATED_WAVES = 600  # single waves whose leakage through the windows is averaged
 NEAR_CELLS = 5  # cells to either side of a simulated wave
 NOISE_LINES = 0.75  # of the Nyquist frequency: the noise is estimated from the lines above
-CORRELATED_CELLS = 1 + 2 * (4 / 9 + 1 / 36)  # along an axis under a Hann window
 MIN_WINDOW = 0.2  # of the spatial window: nearer to the edge its quotient is not given
 MIN_SPEED_ON_CURRENT = 0.3  # of the group velocity: a current that slows waves more smears them over all k
 

@@ -1,4 +1,4 @@
-"""Heights of crests and depths of troughs beside Rayleigh and Tayfun, and errors of moments by bootstrap."""
+"""Heights of crests and troughs compared with Rayleigh and Tayfun, and errors of moments by bootstrap."""
 
 from typing import Any
 
@@ -13,19 +13,19 @@ from wavefield.waves.estimation.wave_record import Record, find_record
 
 Array = NDArray[Any]
 
-_DISTANCE = 0.08  # m between the points
-_PERIODS = 10.0  # mean periods in a block: blocks know little of each other
-_FEWEST = 8  # blocks
-_DRAWS = 500
-_LEVELS = np.arange(0.0, 5.01, 0.25)  # standard deviations
-_PIECE = 512
+POINT_DISTANCE = 0.08  # m between the points
+PERIODS_IN_BLOCK = 10.0  # mean periods: blocks are nearly independent
+MIN_BLOCKS = 8
+BOOTSTRAP_DRAWS = 500
+LEVELS = np.arange(0.0, 5.01, 0.25)  # standard deviations
+STEPS_AT_A_TIME = 512
 
 
 def extremes(series: Array) -> tuple[Array, Array, Array]:
-    """Crests and troughs of a time series between its zero up-crossings.
+    """Waves of a time series (time,) between its zero up-crossings, each (waves,).
 
-    With series (time,); returns start (waves,): Step after which each wave begins; crest, trough (waves,):
-    Largest and smallest value, the latter turned, by a parabola through three steps.
+    The step after which each wave begins, its crest and its trough (positive downwards), both by a parabola
+    through three steps.
 
     Examples
     --------
@@ -35,56 +35,54 @@ def extremes(series: Array) -> tuple[Array, Array, Array]:
     """
     start = np.flatnonzero((series[:-1] < 0) & (series[1:] >= 0))
     if start.size < 2:
-        none = np.zeros(0)
-        return np.zeros(0, np.int64), none, none
-    out = []
+        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
+    heights = []
     for sign in (1, -1):
         values = sign * series
         peaks = values.copy()
         a, b, c = values[:-2], values[1:-1], values[2:]
-        top = (b >= a) & (b >= c) & (a - 2 * b + c < 0)
-        bend = np.where(top, a - 2 * b + c, -1.0)
-        peaks[1:-1] = np.where(top, b - (a - c) ** 2 / (8 * bend), b)
-        out.append(np.maximum.reduceat(peaks, start + 1)[:-1])
-    return start[:-1], out[0], out[1]
+        curvature = a - 2 * b + c
+        top = (b >= a) & (b >= c) & (curvature < 0)
+        peaks[1:-1] = np.where(top, b - (a - c) ** 2 / (8 * np.where(top, curvature, -1.0)), b)
+        heights.append(np.maximum.reduceat(peaks, start + 1)[:-1])
+    return start[:-1], heights[0], heights[1]
 
 
 def _series(field: xr.DataArray, record: Record) -> list[Array]:
-    # (time, points) of each run
+    """Elevations (time, points) of each run at points far apart."""
     read = Reader([field], record)
-    apart = tuple(max(1, round(_DISTANCE / step)) for step in (record.dy, record.dx))
+    apart_y, apart_x = (max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx))
     runs = []
     for run in record.runs:
         parts = []
-        for a in range(run[0], run[1], _PIECE):
-            block = read(a, min(a + _PIECE, run[1]), run)[0][:, :: apart[0], :: apart[1]]
-            parts.append(block.reshape(block.shape[0], -1).astype(float))
+        for (block,) in read.blocks(run, STEPS_AT_A_TIME):
+            points = block[:, ::apart_y, ::apart_x]
+            parts.append(points.reshape(points.shape[0], -1).astype(float))
         runs.append(np.concatenate(parts))
     return runs
 
 
 def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array, Array]:
-    # sums of powers 0 to 4 (blocks, 5); crests and troughs above each level (2, blocks, levels)
+    """Sums of powers 0 to 4, (blocks, 5); crests and troughs above each level, (blocks, levels)."""
     sums, above = [], []
     for run in runs:
         count = run.shape[0] // block
         for i in range(count):
             part = run[i * block : (i + 1) * block]
             sums.append([float((part**p).sum()) for p in range(5)])
-        counts = np.zeros((2, count, _LEVELS.size))
+        counts = np.zeros((2, count, LEVELS.size))
         for series in run.T:
             start, crest, trough = extremes(series)
             number = start // block
             inside = number < count
             for kind, values in enumerate((crest, trough)):
-                over = values[inside, None] >= sigma * _LEVELS
-                np.add.at(counts[kind], number[inside], over)
+                np.add.at(counts[kind], number[inside], values[inside, None] >= sigma * LEVELS)
         above.append(counts)
     return np.array(sums).reshape(-1, 5), *np.concatenate(above, axis=1)
 
 
 def _moments(sums: Array) -> Array:
-    # Hs, skewness, excess kurtosis, (..., 3), from sums of powers (..., 5)
+    """Hs, skewness, excess kurtosis, (..., 3), from sums of powers (..., 5)."""
     mean, m2, m3, m4 = (sums[..., p] / sums[..., 0] for p in (1, 2, 3, 4))
     variance = m2 - mean**2
     third = m3 - 3 * mean * m2 + 2 * mean**3
@@ -131,7 +129,7 @@ def crest_statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Da
     Notes
     -----
     At points 8 cm apart, about each one's mean over time. Uncertainties: bootstrap of blocks of ten mean
-    periods with all points in them, 500 draws; points in a field are not taken for independent.
+    periods with all points in them, 500 draws; points in a field do not count as independent.
 
     Examples
     --------
@@ -157,20 +155,19 @@ def crest_statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Da
     crossings = sum(float(((run[:-1] < 0) & (run[1:] >= 0)).sum()) for run in runs)
     steps = sum(run.shape[0] for run in runs)
     period = steps * mean.size / max(crossings, 1.0)
-    block = max(int(np.ceil(_PERIODS * period)), 2)
-    if sum(run.shape[0] // block for run in runs) < _FEWEST:
+    block = max(int(np.ceil(PERIODS_IN_BLOCK * period)), 2)
+    if sum(run.shape[0] // block for run in runs) < MIN_BLOCKS:
         raise CubeError(
-            f"the record of {steps} steps holds fewer than {_FEWEST} blocks of ten waves ({block} steps):"
-            " errors of its moments cannot be told"
+            f"the record of {steps} steps holds fewer than {MIN_BLOCKS} blocks of ten waves ({block} steps):"
+            " errors of its moments cannot be estimated"
         )
     sigma = float(np.sqrt(np.mean(np.concatenate(runs) ** 2)))
     sums, crests, troughs = _by_block(runs, block, sigma)
-    rng = np.random.default_rng(0)
-    drawn = rng.integers(0, len(sums), (_DRAWS, len(sums)))
+    drawn = np.random.default_rng(0).integers(0, len(sums), (BOOTSTRAP_DRAWS, len(sums)))
     moments = _moments(sums.sum(axis=0))
-    spread = _moments(sums[drawn].sum(axis=1)).std(axis=0, ddof=1)
+    errors = _moments(sums[drawn].sum(axis=1)).std(axis=0, ddof=1)
     out: dict[str, Any] = {}
-    for name, value, std in zip(("significant_height", "skewness", "kurtosis"), moments, spread):
+    for name, value, std in zip(("significant_height", "skewness", "kurtosis"), moments, errors):
         out[name], out[f"{name}_std"] = ((), value), ((), std)
     for name, above in (("crest", crests), ("trough", troughs)):
         total = above.sum(axis=0)
@@ -178,9 +175,9 @@ def crest_statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Da
         out[f"{name}_exceedance"] = ("level", total / total[0])
         out[f"{name}_exceedance_std"] = ("level", (resampled / resampled[:, :1]).std(axis=0, ddof=1))
     out |= {
-        "rayleigh": ("level", np.exp(-(_LEVELS**2) / 2)),
-        "tayfun": ("level", tayfun(_LEVELS, moments[1])),
+        "rayleigh": ("level", np.exp(-(LEVELS**2) / 2)),
+        "tayfun": ("level", tayfun(LEVELS, moments[1])),
         "mean_period": ((), period * record.dt),
         "waves": ((), crests[:, 0].sum()),
     }
-    return annotate(xr.Dataset(out, {"level": _LEVELS}, {"blocks": len(sums)}), "crests")
+    return annotate(xr.Dataset(out, {"level": LEVELS}, {"blocks": len(sums)}), "crests")

@@ -1,6 +1,6 @@
-"""Paths of the surface water and what they drift, beside the Stokes drift of the spectrum."""
+"""Paths of the surface water and their drift, and the Stokes drift of a spectrum."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -13,53 +13,53 @@ from wavefield.variables import annotate, validate
 from wavefield.water import GAMMA, dispersion
 from wavefield.waves.estimation.segments import Reader
 from wavefield.waves.estimation.wave_record import Record, find_record
+from wavefield.waves.estimation.welch import omega_coords
+from wavefield.waves.estimation.windows import CORRELATED_CELLS
 
 Array = NDArray[Any]
 
-_PIECE = 64
-_MARGIN = 2  # nodes: a spline is not trusted nearer to the edge
-# Adams and Bashforth's, then Adams and Moulton's weights of the last velocities, newest first
+STEPS_AT_A_TIME = 64
+MARGIN = 2  # nodes: a spline is inaccurate nearer to the edge
+# weights of the last velocities, newest first: Adams and Bashforth's, then Adams and Moulton's
 _PREDICT = ((1.0,), (3 / 2, -1 / 2), (23 / 12, -16 / 12, 5 / 12), (55 / 24, -59 / 24, 37 / 24, -9 / 24))
 _CORRECT = ((1 / 2, 1 / 2), (5 / 12, 8 / 12, -1 / 12), (9 / 24, 19 / 24, -5 / 24, 1 / 24))
 
 
 class _Velocity:
-    """Velocity between the nodes at one step, by cubic splines."""
+    """Velocity (v, u) at places (2, points) between the nodes at one step, by cubic splines."""
 
-    def __init__(self, u: Array, v: Array) -> None:
-        self.splines = [ndimage.spline_filter(part.astype(float), mode="mirror") for part in (u, v)]
+    def __init__(self, u: Array, v: Array, step: Array) -> None:
+        self.splines = [ndimage.spline_filter(part.astype(float), mode="mirror") for part in (v, u)]
+        self.step = step
 
-    def __call__(self, place: Array, step: Array) -> Array:
-        nodes = place / step[:, None]
+    def __call__(self, place: Array) -> Array:
+        nodes = place / self.step[:, None]
         return np.stack(
             [ndimage.map_coordinates(s, nodes, order=3, mode="mirror", prefilter=False) for s in self.splines]
-        )[::-1]  # rows first, as places are
+        )
 
 
-def follow(velocities: Iterator[tuple[Array, Array]], place: Array, step: Array, dt: float) -> Array:
-    """Follow points of the surface through steps of its velocity.
+def follow(velocities: Iterable[tuple[Array, Array]], place: Array, step: Array, dt: float) -> Array:
+    """Places (steps, 2, points) of points of the surface that start at `place` and move with (u, v), m/s.
 
-    Adams, Bashforth and Moulton of fourth order, corrected twice, from lower orders at the start.
-
-    With velocities (ndarray, ndarray), m/s; place (2, points); step (2,); returns (steps, 2, points): Their
-    places.
+    Adams, Bashforth and Moulton of fourth order, corrected twice, from lower orders at the start. Points that
+    leave the field are NaN.
     """
-    places, past = [place], list[Array]()
-    for number, (u, v) in enumerate(velocities):
-        velocity = _Velocity(u, v)
-        if number:
+    places: list[Array] = []
+    past: list[Array] = []
+    for u, v in velocities:
+        velocity = _Velocity(u, v, step)
+        if places:
             start = places[-1]
             weights = _PREDICT[min(len(past), len(_PREDICT)) - 1]
-            now = start + dt * sum(w * p for w, p in zip(weights, past))
+            place = start + dt * sum(w * p for w, p in zip(weights, past))
             weights = _CORRECT[min(len(past), len(_CORRECT)) - 1]
             for _ in range(2):
-                line = [velocity(now, step), *past]
-                now = start + dt * sum(w * p for w, p in zip(weights, line))
-            places.append(now)
-        top = (np.array(u.shape) - 1 - _MARGIN) * step
-        gone = ((places[-1] < _MARGIN * step[:, None]) | (places[-1] > top[:, None])).any(axis=0)
-        places[-1] = np.where(gone, np.nan, places[-1])
-        past = [velocity(places[-1], step), *past][:4]
+                place = start + dt * sum(w * p for w, p in zip(weights, [velocity(place), *past]))
+        top = (np.array(u.shape) - 1 - MARGIN) * step
+        left_field = ((place < MARGIN * step[:, None]) | (place > top[:, None])).any(axis=0)
+        places.append(np.where(left_field, np.nan, place))
+        past = [velocity(places[-1]), *past][:4]
     return np.array(places)
 
 
@@ -73,7 +73,7 @@ def surface_paths(
     cube : Dataset
         u, v over (time, y, x), m/s, at the surface. Read once, step by step; computed at once.
     duration : float
-        How long points are followed before others are set out, s.
+        How long points are followed before others start, s.
     spacing : float
         Distance between the points at the start, m.
     record : Record, optional
@@ -84,7 +84,7 @@ def surface_paths(
     Dataset
         ``path_x``, ``path_y`` (start, path, age), m, NaN once a point has left the field; ``start_time``
         (start); ``drift_x``, ``drift_y`` of those that stayed, and ``mean_x``, ``mean_y``, the mean velocity
-        at the nodes, m/s, with ``_std`` from the scatter between the starts; ``stayed``, their fraction.
+        at the nodes, m/s, with ``_std`` from the variance between the starts; ``stayed``, their fraction.
 
     Raises
     ------
@@ -95,8 +95,8 @@ def surface_paths(
     -----
     The mean velocity of the moving surface already holds half of the Stokes drift of deep-water waves (it is
     faster where the surface is high); paths hold all of it. Points that leave early are left out of the
-    drift, which favours slow ones where few stay: look at ``stayed``. Displacements oscillate: the drift is
-    told the better the more phases the points start at.
+    drift, which favours slow ones where few stay: compare ``stayed``. Displacements oscillate: the more
+    phases the points start at, the smaller is the error of the drift.
 
     Examples
     --------
@@ -121,45 +121,49 @@ def surface_paths(
             f" {record.dt:g} s, and five at least are needed"
         )
     read = Reader([fields["u"], fields["v"]], record)
-    size, step = np.array(record.shape), np.array([record.dy, record.dx])
-    axes = [np.arange(_MARGIN * h, (n - 1 - _MARGIN) * h, spacing) for n, h in zip(size, step)]
+    step = np.array([record.dy, record.dx])
+    axes = [np.arange(MARGIN * h, (n - 1 - MARGIN) * h, spacing) for n, h in zip(record.shape, step)]
     place = np.stack([part.ravel() for part in np.meshgrid(*axes, indexing="ij")])
     if not place.size:
         raise CubeError(f"no point fits into the field {spacing:g} m apart: choose a smaller spacing")
     paths, means = [], []
     for a, run in starts:
-        sums: list[Array] = []
-
-        def velocities(a: int = a, run: tuple[int, int] = run, sums: list[Array] = sums) -> Any:
-            for first in range(a, a + steps, _PIECE):
-                for u, v in zip(*read(first, min(first + _PIECE, a + steps), run)):
-                    sums.append(np.array([v.mean(dtype=float), u.mean(dtype=float)]))
-                    yield u, v
-
-        paths.append(follow(velocities(), place, step, record.dt))
-        means.append(np.mean(sums, axis=0))
+        total = np.zeros(2)
+        paths.append(follow(_velocities(read, a, a + steps, run, total), place, step, record.dt))
+        means.append(total / steps)
     moved = np.array([(p[-1] - p[0]) / ((steps - 1) * record.dt) for p in paths])  # (starts, 2, points)
-    stayed = np.isfinite(moved[:, 0])
-    if not stayed.any():
+    if not np.isfinite(moved).any():
         raise CubeError(f"no point stays in the field for {duration:g} s: choose a shorter duration")
     return _label(cube, record, np.array(paths), moved, np.array(means), [a for a, _ in starts])
+
+
+def _velocities(
+    read: Reader, start: int, stop: int, run: tuple[int, int], total: Array
+) -> Iterator[tuple[Array, Array]]:
+    """u and v of each step; their means over the nodes, (v, u), are added to `total`."""
+    for first in range(start, stop, STEPS_AT_A_TIME):
+        for u, v in zip(*read(first, min(first + STEPS_AT_A_TIME, stop), run)):
+            total += v.mean(dtype=float), u.mean(dtype=float)
+            yield u, v
 
 
 def _label(
     cube: xr.Dataset, record: Record, paths: Array, moved: Array, means: Array, starts: list[int]
 ) -> xr.Dataset:
-    origin = [float(cube[name][first]) for name, first in (("y", record.y[0]), ("x", record.x[0]))]
-    dims = ("start", "path", "age")
-    out: dict[str, Any] = {}
+    origin = {"y": float(cube["y"][record.y[0]]), "x": float(cube["x"][record.x[0]])}
+    stayed = np.isfinite(moved[:, 0])
+    out: dict[str, Any] = {"stayed": ((), float(stayed.mean()))}
     for i, name in enumerate("yx"):
-        out[f"path_{name}"] = (dims, origin[i] + np.moveaxis(paths[:, :, i], 1, 2))
-        every = moved[:, i][np.isfinite(moved[:, 0])]
-        inside = np.isfinite(moved[:, i]).any(axis=1)
-        each = np.nanmean(moved[inside, i], axis=1)
-        for kind, value, some in (("drift", every.mean(), each), ("mean", means[:, i].mean(), means[:, i])):
-            std = some.std(ddof=1) / np.sqrt(some.size) if some.size > 1 else np.nan
+        path = origin[name] + np.moveaxis(paths[:, :, i], 1, 2)
+        out[f"path_{name}"] = (("start", "path", "age"), path)
+        drift, mean = moved[:, i], means[:, i]
+        of_starts = np.nanmean(drift[stayed.any(axis=1)], axis=1)
+        for kind, value, by_start in (
+            ("drift", drift[stayed].mean(), of_starts),
+            ("mean", mean.mean(), mean),
+        ):
+            std = by_start.std(ddof=1) / np.sqrt(by_start.size) if by_start.size > 1 else np.nan
             out[f"{kind}_{name}"], out[f"{kind}_{name}_std"] = ((), float(value)), ((), float(std))
-    out["stayed"] = ((), float(np.isfinite(moved[:, 0]).mean()))
     coords = {
         "age": ("age", np.arange(paths.shape[1]) * record.dt),
         "start_time": ("start", cube["time"].values[starts]),
@@ -186,7 +190,7 @@ def stokes_drift(
     gamma : float
         Surface tension over density, m3/s2.
     current : tuple of float
-        Velocity of the water, m/s: cells from the ridge by more than two of the k plane are left out.
+        Velocity of the water, m/s: cells more than two of the k plane off the relation are left out.
     dof : float, optional
         Degrees of freedom of a cell, for the uncertainty.
 
@@ -199,8 +203,8 @@ def stokes_drift(
     Notes
     -----
     A wave of amplitude a drifts a^2 sigma k cosh(2 k h) / (2 sinh^2 k h), a^2 sigma k over deep water
-    (Ursell's mean for z = 0); a^2 / 2 is the spectrum's energy. Short waves weigh heavily: what the windows
-    take from them is missing, and noise on the ridge counts.
+    (Ursell's mean for z = 0); a^2 / 2 is the spectrum's energy. Short waves weigh heavily: energy that the
+    windows take from them is missing, and noise on the relation counts.
 
     Examples
     --------
@@ -222,22 +226,21 @@ def stokes_drift(
     sigma = dispersion(k, depth, gamma)
     factor = np.where(k > 0, sigma * np.cosh(2 * kh) / np.sinh(kh) ** 2, 0.0)
     steps = [float(density[name][1] - density[name][0]) for name in ("omega", "ky", "kx")]
-    seen = sigma + kx * current[0] + ky * current[1]
-    # a Hann window spreads a wave by two cells and two lines; sigma changes by so much over two cells of k
-    further = dispersion(k + 2 * max(steps[1:]), depth, gamma) - sigma
+    relation = sigma + kx * current[0] + ky * current[1]
+    # a Hann window spreads a wave by two lines and two cells, over which sigma changes by this
+    over_two_cells = dispersion(k + 2 * max(steps[1:]), depth, gamma) - sigma
     drift, variance = np.zeros((2, omega.size)), np.zeros(2)
     for i, line in enumerate(omega[1:], 1):
-        near = np.abs(line - seen) < further + 2 * steps[0]
+        near = np.abs(line - relation) < over_two_cells + 2 * steps[0]
         energy = np.where(near, density.values[i].astype(float), 0.0) * factor * steps[1] * steps[2]
-        for j, part in enumerate((kx, ky)):
-            drift[j, i] = (energy * part).sum()
-            variance[j] += ((energy * part) ** 2).sum()
+        for j, component in enumerate((kx, ky)):
+            drift[j, i] = (energy * component).sum()
+            variance[j] += ((energy * component) ** 2).sum()
     total = drift.sum(axis=1) * steps[0]
-    alike = (1 + 2 * (4 / 9 + 1 / 36)) ** 3  # cells that a Hann window makes of one
-    std = np.full(2, np.nan) if dof is None else np.sqrt(2 / dof * alike * variance) * steps[0]
+    correlated = CORRELATED_CELLS**3
+    std = np.full(2, np.nan) if dof is None else np.sqrt(2 / dof * correlated * variance) * steps[0]
     out: dict[str, Any] = {}
     for j, name in enumerate("xy"):
         out[f"stokes_{name}"], out[f"stokes_{name}_std"] = ((), total[j]), ((), std[j])
         out[f"stokes_by_omega_{name}"] = ("omega", drift[j])
-    coords = {"omega": ("omega", omega), "frequency": ("omega", omega / (2 * np.pi))}
-    return annotate(xr.Dataset(out, coords), "drift")
+    return annotate(xr.Dataset(out, omega_coords(omega)), "drift")

@@ -1,7 +1,6 @@
-"""Energy budget of the waves over a field: what it holds, what flows through, and what is left to explain."""
+"""Energy budget of the waves over a field: energy, flux, growth, viscous loss and the unexplained rest."""
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -21,8 +20,8 @@ Array = NDArray[Any]
 
 VISCOSITY = 1.0e-6  # m2 s-1, water at 20 C
 BANDS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0)  # Hz
-_LEAST_CELLS = 2.0  # of the k plane: longer waves lie within the window's reach of those that come back
-_FEWEST, _MOST = 4, 16  # blocks of time
+MIN_CELLS_FROM_ZERO = 2.0  # of the k plane: nearer to zero the window mixes waves k and -k
+MIN_BLOCKS, MAX_BLOCKS = 4, 16  # of time
 
 
 @dataclass(frozen=True)
@@ -34,46 +33,48 @@ class _WaterProperties:
     viscosity: float
 
 
-def _sums(E: xr.DataArray, water: _WaterProperties, least: float, edges: Array, frames: int) -> Array:
-    # energy J m-2, flux W m-1 along x and y, viscous loss W m-2 of each band, (4, bands)
+def _sums(E: xr.DataArray, water: _WaterProperties, least_k: float, edges: Array, frames: int) -> Array:
+    """Energy J m-2, flux W m-1 along x and y, viscous loss W m-2 of each band, (4, bands), from E of w."""
     ky, kx = np.meshgrid(E["ky"].values, E["kx"].values, indexing="ij")
     omega, k = E["omega"].values, np.hypot(ky, kx)
-    used = k > least
-    safe = np.maximum(k, least)
+    safe = np.maximum(k, least_k)
     sigma = dispersion(safe, water.depth, water.gamma)
     speed = group_velocity(safe, water.depth, water.gamma)
     cells = [float(E[name][1] - E[name][0]) for name in ("ky", "kx")]
-    drift = kx * water.current[0] + ky * water.current[1]
+    doppler_shift = kx * water.current[0] + ky * water.current[1]
     reach = 2 * max(cells) * (speed + np.hypot(*water.current)) + 2 * omega[1]
-    flow = [speed * part / safe + moved for part, moved in zip((kx, ky), water.current)]
-    weight = water.density * (GRAVITY + water.gamma * safe**2) * omega[1] * cells[0] * cells[1]
-    weights = [weight, weight * flow[0], weight * flow[1], weight * 4 * water.viscosity * safe**2]
-    out = np.zeros((4, edges.size - 1))
+    transport = [speed * part / safe + current for part, current in zip((kx, ky), water.current)]
+    energy = water.density * (GRAVITY + water.gamma * safe**2) * omega[1] * cells[0] * cells[1]
+    weights = [energy, energy * transport[0], energy * transport[1], energy * 4 * water.viscosity * safe**2]
+    bands = edges.size - 1
+    out = np.zeros((4, bands))
     for line, o in zip(E.values, omega):
-        still = o - drift  # as the water sees it: w is the rise of a particle that the current carries
-        band = np.digitize(still / (2 * np.pi), edges) - 1
-        on_ridge = used & (np.abs(o - sigma - drift) < reach) & (band >= 0) & (band < edges.size - 1)
-        if on_ridge.any():
-            z = line[on_ridge] * elevation_from_w(still[on_ridge], np.pi / omega[-1], frames)
-            out += [np.bincount(band[on_ridge], z * part[on_ridge], edges.size - 1) for part in weights]
+        intrinsic = o - doppler_shift  # w is the rise of a particle that the current carries
+        band = np.digitize(intrinsic / (2 * np.pi), edges) - 1
+        near = (k > least_k) & (np.abs(o - sigma - doppler_shift) < reach) & (band >= 0) & (band < bands)
+        if near.any():
+            z = line[near] * elevation_from_w(intrinsic[near], np.pi / omega[-1], frames)
+            out += [np.bincount(band[near], z * weight[near], bands) for weight in weights]
     return out
 
 
-def _halves(record: Record) -> dict[str, Record]:
+def _areas(record: Record) -> list[Record]:
+    """The complete rectangle and its left, right, lower and upper half."""
     (y0, y1), (x0, x1) = record.y, record.x
     ny, nx = (y1 - y0) // 2, (x1 - x0) // 2
-    return {
-        "left": replace(record, x=(x0, x0 + nx)),
-        "right": replace(record, x=(x1 - nx, x1)),
-        "bottom": replace(record, y=(y0, y0 + ny)),
-        "top": replace(record, y=(y1 - ny, y1)),
-    }
+    return [
+        record,
+        replace(record, x=(x0, x0 + nx)),
+        replace(record, x=(x1 - nx, x1)),
+        replace(record, y=(y0, y0 + ny)),
+        replace(record, y=(y1 - ny, y1)),
+    ]
 
 
-def _pieces(record: Record, segment: int) -> list[tuple[int, int]]:
-    # blocks of time of one segment and a half at least, equally long
+def _blocks_of_time(record: Record, segment: int) -> list[tuple[int, int]]:
+    """Blocks of one segment and a half at least, equally long."""
     steps = sum(b - a for a, b in record.runs)
-    length = max(steps // _MOST, 3 * segment // 2)
+    length = max(steps // MAX_BLOCKS, 3 * segment // 2)
     return [(a, a + length) for first, last in record.runs for a in range(first, last - length + 1, length)]
 
 
@@ -88,14 +89,14 @@ def energy_budget(
     segment: int | None = None,
     record: Record | None = None,
 ) -> xr.Dataset:
-    """Energy of the waves, its flux, its change in time and what viscosity takes, by bands of frequency.
+    """Energy of the waves, its flux, its change in time and its viscous loss, by bands of frequency.
 
     Parameters
     ----------
     cube : Dataset
         w over (time, y, x), m/s. Read five times; computed at once.
     bands : tuple of float
-        Edges of the bands, Hz as the water sees it.
+        Edges of the bands, Hz in the frame of the water.
     current : tuple of float
         Velocity of the water, m/s (`fit_dispersion`).
     depth : float, optional
@@ -114,9 +115,9 @@ def energy_budget(
     Dataset
         Over ``band`` (Hz, its middle): ``energy`` (J m-2), ``flux_x``, ``flux_y`` (W m-1), ``growth``
         dE/dt, ``divergence`` of the flux, ``viscous`` (W m-2) and ``unexplained``, growth + divergence +
-        viscous: what wind and other waves give less what breaking and a film on the water take; each but
-        ``viscous`` with ``_std``. ``longest_decay``: the decay length of the energy, m, that the divergence
-        would just show at two standard deviations; ``shortest_growth``: likewise the time of growth, s.
+        viscous: the input by wind and other waves less the loss by breaking and by a film on the water; each
+        but ``viscous`` with ``_std``. ``longest_decay``: the decay length of the energy, m, at which the
+        divergence is two standard deviations; ``shortest_growth``: likewise the time of growth, s.
         Attribute ``blocks``.
 
     Raises
@@ -126,13 +127,14 @@ def energy_budget(
 
     Notes
     -----
-    E = rho (g + gamma k^2) <z^2> over the cells of E(ky, kx, omega) near the ridge, z from w; flux
-    E (c_g k/|k| + U); viscous loss 4 nu k^2 E (Lamb), of clean water. The divergence is the difference of the
-    fluxes of the right and left half of the rectangle over half its side, and of the upper and lower; growth
-    is the slope of the energy over blocks of time. Their errors are the scatter between blocks. What the size
-    of a field forbids is NaN: bands with waves longer than half its shorter side, and the divergence of bands
-    with waves longer than a quarter of it. A decay length far above ``longest_decay`` cannot be told from
-    none, which is why the balance of a wave tank seldom closes within one field.
+    E = rho (g + gamma k^2) <z^2> over the cells of E(ky, kx, omega) near the dispersion relation, z from w;
+    flux E (c_g k/|k| + U); viscous loss 4 nu k^2 E (Lamb), of clean water. The divergence is the difference
+    of the fluxes of the right and left half of the rectangle over half its side, and of the upper and lower;
+    growth is the slope of the energy over blocks of time. Their errors are the standard errors over blocks.
+    Values that the size of a field does not allow are NaN: bands with waves longer than half its shorter
+    side, and the divergence of bands with waves longer than a quarter of it. A decay length far above
+    ``longest_decay`` cannot be distinguished from none, which is why the balance of a wave tank seldom closes
+    within one field.
 
     Examples
     --------
@@ -152,77 +154,71 @@ def energy_budget(
     field = validate(cube, "w")["w"]
     record = find_record(field) if record is None else record
     if segment is None:
-        requested = min(record.longest * 2 // (3 * _FEWEST), 256)
-        segment = max(requested - requested % 2, 8)
+        longest = min(record.longest * 2 // (3 * MIN_BLOCKS), 256)
+        segment = max(longest - longest % 2, 8)
     segment = segment_length(record, segment)
-    pieces = _pieces(record, segment)
-    if len(pieces) < _FEWEST:
+    blocks = _blocks_of_time(record, segment)
+    if len(blocks) < MIN_BLOCKS:
         raise CubeError(
-            f"the record holds {len(pieces)} blocks of one and a half segments of {segment} steps, and an"
-            f" energy budget wants {_FEWEST}: choose a shorter segment or a longer record"
+            f"the record holds {len(blocks)} blocks of one and a half segments of {segment} steps, and an"
+            f" energy budget needs {MIN_BLOCKS}: choose a shorter segment or a longer record"
         )
     depth, gamma = water_of(cube.attrs, depth)
     water = _WaterProperties(depth, gamma, current, density, viscosity)
-    areas = {"whole": record} | _halves(record)
-    shorter = min(n * h for n, h in zip(record.shape, (record.dy, record.dx)))
-    least = _LEAST_CELLS * 2 * np.pi / shorter
+    lengths = [n * h for n, h in zip(record.shape, (record.dy, record.dx))]
+    least_k = MIN_CELLS_FROM_ZERO * 2 * np.pi / min(lengths)
     edges, frames = np.asarray(bands, float), frames_of(field)
-    found = np.empty((len(areas), len(pieces), 4, edges.size - 1))
-    for i, area in enumerate(areas.values()):
-        for j, piece in enumerate(pieces):
-            bridged = tuple(n for n in area.bridged if piece[0] <= n < piece[1])
-            some = replace(area, runs=(piece,), bridged=bridged)
-            E = spectrum(field, segment=segment, record=some)["E"].compute()
-            found[i, j] = _sums(E, water, least, edges, frames)
-    middle = np.array([(a + b) / 2 for a, b in pieces]) * record.dt
-    sides = [n * h / 2 for n, h in zip(record.shape, (record.dy, record.dx))]
-    reached = _reached(edges, least, water), _reached(edges, 2 * least, water)
-    return _label(found, middle, (sides[0], sides[1]), edges, reached)
-
-
-def _reached(edges: Array, least: float, water: _WaterProperties) -> Array:
-    # whether the waves of a band are all shorter than that
-    lowest = float(dispersion(least, water.depth, water.gamma)) / (2 * np.pi)
-    return np.array([low >= lowest for low, _ in pairwise(edges)])
+    sums = np.empty((5, len(blocks), 4, edges.size - 1))
+    for i, area in enumerate(_areas(record)):
+        for j, block in enumerate(blocks):
+            bridged = tuple(n for n in area.bridged if block[0] <= n < block[1])
+            part = replace(area, runs=(block,), bridged=bridged)
+            E = spectrum(field, segment=segment, record=part)["E"].compute()
+            sums[i, j] = _sums(E, water, least_k, edges, frames)
+    time = np.array([(a + b) / 2 for a, b in blocks]) * record.dt
+    # bands whose waves are all shorter than the field allows, for its energy and for differences of its halves
+    lowest = [float(dispersion(k, depth, gamma)) / (2 * np.pi) for k in (least_k, 2 * least_k)]
+    allowed = [edges[:-1] >= frequency for frequency in lowest]
+    return _label(sums, time, (lengths[0] / 2, lengths[1] / 2), edges, allowed)
 
 
 def _mean(values: Array) -> tuple[Array, Array]:
-    # over blocks, with its error
+    """Mean over blocks, with its error."""
     return values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(len(values))
 
 
 def _slope(time: Array, values: Array) -> tuple[Array, Array]:
-    apart = time - time.mean()
-    slope = apart @ values / (apart @ apart)
-    left = values - values.mean(axis=0) - apart[:, None] * slope
-    return slope, np.sqrt((left**2).sum(axis=0) / max(time.size - 2, 1) / (apart @ apart))
+    """Slope over time, with its error."""
+    t = time - time.mean()
+    slope = t @ values / (t @ t)
+    residual = values - values.mean(axis=0) - t[:, None] * slope
+    return slope, np.sqrt((residual**2).sum(axis=0) / max(time.size - 2, 1) / (t @ t))
 
 
 def _label(
-    found: Array, time: Array, sides: tuple[float, float], edges: Array, reached: tuple[Array, Array]
+    sums: Array, time: Array, sides: tuple[float, float], edges: Array, allowed: list[Array]
 ) -> xr.Dataset:
-    whole, left, right, bottom, top = found
-    energy, flux_x, flux_y, viscous = (whole[:, i] for i in range(4))
-    across = (right[:, 1] - left[:, 1]) / sides[1] + (top[:, 2] - bottom[:, 2]) / sides[0]
+    complete, left, right, lower, upper = sums
+    energy, flux_x, flux_y, viscous = (complete[:, i] for i in range(4))
+    divergence = (right[:, 1] - left[:, 1]) / sides[1] + (upper[:, 2] - lower[:, 2]) / sides[0]
     rows = {
         "energy": _mean(energy),
         "flux_x": _mean(flux_x),
         "flux_y": _mean(flux_y),
         "growth": _slope(time, energy),
-        "divergence": _mean(across),
+        "divergence": _mean(divergence),
     }
     loss = viscous.mean(axis=0)
     parts = rows["growth"], rows["divergence"]
     rows["unexplained"] = parts[0][0] + parts[1][0] + loss, np.hypot(parts[0][1], parts[1][1])
-    out: dict[str, Any] = {}
+    out: dict[str, Any] = {"viscous": ("band", np.where(allowed[0], loss, np.nan))}
     for name, (value, std) in rows.items():
-        inside = reached[name in ("divergence", "unexplained")]
+        inside = allowed[name in ("divergence", "unexplained")]
         out[name] = ("band", np.where(inside, value, np.nan))
         out[f"{name}_std"] = ("band", np.where(inside, std, np.nan))
-    out["viscous"] = ("band", np.where(reached[0], loss, np.nan))
     with np.errstate(divide="ignore", invalid="ignore"):
-        flow = np.hypot(out["flux_x"][1], out["flux_y"][1])
-        out["longest_decay"] = ("band", flow / (2 * out["divergence_std"][1]))
+        flux = np.hypot(out["flux_x"][1], out["flux_y"][1])
+        out["longest_decay"] = ("band", flux / (2 * out["divergence_std"][1]))
         out["shortest_growth"] = ("band", out["energy"][1] / (2 * out["growth_std"][1]))
     coords = {"band": (edges[:-1] + edges[1:]) / 2}
     return annotate(xr.Dataset(out, coords, {"blocks": len(time), "edges": list(edges)}), "budget")

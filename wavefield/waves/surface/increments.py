@@ -14,13 +14,11 @@ from wavefield.waves.estimation.wave_record import Record, find_record
 Array = NDArray[Any]
 
 ORDERS = np.arange(1, 7)
-_DISTANCE = 0.08  # m between the points that are followed in time
-_APART = 0.2  # s between the steps that are differenced in space
-_LEAST = 8  # blocks of time
-_MOST = 64
-_DRAWS = 400
+POINT_DISTANCE = 0.08  # m between the points of differences in time
+STEP_DISTANCE_S = 0.2  # between the steps of differences in space
+MIN_BLOCKS, MAX_BLOCKS = 8, 64  # of time
+BOOTSTRAP_DRAWS = 400
 _AXES = ("time", "y", "x")
-_LAGS = ("lag_time", "lag_y", "lag_x")
 
 
 def lags(longest: int) -> Array:
@@ -31,10 +29,9 @@ def lags(longest: int) -> Array:
 
 
 def powers_of_differences(values: Array, axis: int, lag: int, differences: int) -> Array:
-    """Sums of the powers of a field's differences.
+    """Number of a field's differences and the sums of |difference|^p, p = 1 to 6, (7,).
 
-    Returns (7,): How many there are, and the sums of |difference|^p, p = 1 to 6; zeros where the field is too
-    short.
+    Zeros where the field is too short.
 
     Examples
     --------
@@ -46,19 +43,19 @@ def powers_of_differences(values: Array, axis: int, lag: int, differences: int) 
         return np.zeros(ORDERS.size + 1)
     parts = [np.take(values, range(i * lag, i * lag + size), axis) for i in range(differences + 1)]
     change = parts[1] - parts[0] if differences == 1 else parts[2] - 2 * parts[1] + parts[0]
-    size_of = np.abs(change.astype(float)).ravel()
-    out = [float(size_of.size)]
-    power = np.ones_like(size_of)
+    absolute = np.abs(change.astype(float)).ravel()
+    out = [float(absolute.size)]
+    power = np.ones_like(absolute)
     for _ in ORDERS:
-        power *= size_of
+        power *= absolute
         out.append(float(power.sum()))
     return np.array(out)
 
 
-def _blocks(record: Record, longest: int) -> list[tuple[int, int, tuple[int, int]]]:
-    # blocks of equal length within the runs, each several of the longest lags long where the record allows it
+def _blocks_of_time(record: Record, longest: int) -> list[tuple[int, int, tuple[int, int]]]:
+    """Blocks of equal length within the runs, each several longest lags long where the record allows it."""
     steps = sum(b - a for a, b in record.runs)
-    length = max(steps // _MOST, min(2 * longest, steps // _LEAST), 2)
+    length = max(steps // MAX_BLOCKS, min(2 * longest, steps // MIN_BLOCKS), 2)
     return [(a, a + length, run) for run in record.runs for a in range(run[0], run[1] - length + 1, length)]
 
 
@@ -76,8 +73,8 @@ def structure_functions(
     field : DataArray, (time, y, x)
         Any variable of a cube; s and m. Read once, in blocks of time; computed at once.
     differences : int
-        1 for f(s + r) - f(s); 2 for f(s + r) - 2 f(s) + f(s - r), which spectra steeper than the power -3
-        want: of these a first difference sees but the slope of the longest waves.
+        1 for f(s + r) - f(s); 2 for f(s + r) - 2 f(s) + f(s - r), needed for spectra steeper than the power
+        -3: a first difference is dominated there by the slope of the longest waves.
     longest : float, optional
         Longest lag in time, s; a 16th of the record, at most 10 s, if not given. In space it is a third of
         the rectangle.
@@ -102,9 +99,9 @@ def structure_functions(
     The null is a Gaussian field: flatness 3 at every lag, and S_p proportional to S_2^(p/2). Intermittency is
     a flatness that rises above 3 by more than its error as the lag falls (Falcon, Fauve and Laroche 2007, who
     take second differences of wave heights). Waves bound to others raise it too. In time at points 8 cm
-    apart, in space at steps .2 s apart, along whole rows and columns. Uncertainties: bootstrap of blocks of
-    time with all points in them, 400 draws. Noise of single nodes fills the shortest lags and is Gaussian:
-    look at S_2 before the flatness.
+    apart, in space at steps 0.2 s apart, along complete rows and columns. Uncertainties: bootstrap of blocks
+    of time with all points in them, 400 draws. Noise of single nodes dominates the shortest lags and is
+    Gaussian: check S_2 before the flatness.
 
     Examples
     --------
@@ -122,55 +119,46 @@ def structure_functions(
     requested = min(steps / 16, 10 / record.dt) if longest is None else longest / record.dt
     spans = [max(int(requested), 1), *(max(n // 3, 1) for n in record.shape)]
     chosen = [lags(span) for span in spans]
-    blocks = _blocks(record, differences * spans[0])
-    if len(blocks) < _LEAST:
+    blocks = _blocks_of_time(record, differences * spans[0])
+    if len(blocks) < MIN_BLOCKS:
         raise CubeError(
-            f"the record of {steps} steps holds {len(blocks)} blocks, and errors of increments want"
-            f" {_LEAST}: choose a shorter lag or a longer record"
+            f"the record of {steps} steps holds {len(blocks)} blocks, and errors of increments need"
+            f" {MIN_BLOCKS}: choose a shorter lag or a longer record"
         )
     read = Reader([field], record)
-    apart = tuple(max(1, round(_DISTANCE / step)) for step in (record.dy, record.dx))
-    every = max(1, round(_APART / record.dt))
+    apart_y, apart_x = (max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx))
+    every = max(1, round(STEP_DISTANCE_S / record.dt))
     sums = [np.empty((len(blocks), lag.size, ORDERS.size + 1)) for lag in chosen]
     for b, (start, stop, run) in enumerate(blocks):
         values = read(start, stop, run)[0]
-        for axis, part in enumerate((values[:, :: apart[0], :: apart[1]], values[::every], values[::every])):
+        in_space = values[::every]
+        for axis, part in enumerate((values[:, ::apart_y, ::apart_x], in_space, in_space)):
             for i, lag in enumerate(chosen[axis]):
                 sums[axis][b, i] = powers_of_differences(part, axis, int(lag), differences)
-    return _label(field, sums, chosen, (record.dt, record.dy, record.dx), differences)
-
-
-def _moments(sums: Array) -> tuple[Array, Array]:
-    # structure functions (..., lags, orders) and flatness (..., lags)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = sums[..., 1:] / sums[..., :1]
-        return mean, mean[..., 3] / mean[..., 1] ** 2
-
-
-def _label(
-    field: xr.DataArray,
-    sums: list[Array],
-    chosen: list[Array],
-    steps: tuple[float, float, float],
-    differences: int,
-) -> xr.Dataset:
-    rng = np.random.default_rng(0)
-    count = len(sums[0])
-    drawn = rng.integers(0, count, (_DRAWS, count))
+    drawn = np.random.default_rng(0).integers(0, len(blocks), (BOOTSTRAP_DRAWS, len(blocks)))
     out: dict[str, Any] = {}
-    for name, dim, part in zip(_AXES, _LAGS, sums):
+    coords: dict[str, Array] = {"order": ORDERS}
+    for name, lag, step, part in zip(_AXES, chosen, (record.dt, record.dy, record.dx), sums):
+        dim = f"lag_{name}"
+        coords[dim] = lag * step
         structure, flatness = _moments(part.sum(axis=0))
-        again, flat = _moments(part[drawn].sum(axis=1))
+        structures, flatnesses = _moments(part[drawn].sum(axis=1))
         out[f"structure_{name}"] = ((dim, "order"), structure)
-        out[f"structure_{name}_std"] = ((dim, "order"), again.std(axis=0, ddof=1))
+        out[f"structure_{name}_std"] = ((dim, "order"), structures.std(axis=0, ddof=1))
         out[f"flatness_{name}"] = (dim, flatness)
-        out[f"flatness_{name}_std"] = (dim, flat.std(axis=0, ddof=1))
-    coords = {dim: lag * step for dim, lag, step in zip(_LAGS, chosen, steps)} | {"order": ORDERS}
+        out[f"flatness_{name}_std"] = (dim, flatnesses.std(axis=0, ddof=1))
     attrs = {
         "field": "" if field.name is None else str(field.name),
         "field_units": str(field.attrs.get("units", "1")),
         "differences": differences,
-        "blocks": count,
+        "blocks": len(blocks),
         "gaussian_flatness": 3.0,
     }
     return annotate(xr.Dataset(out, coords, attrs), "increments")
+
+
+def _moments(sums: Array) -> tuple[Array, Array]:
+    """Structure functions (..., lags, orders) and flatness (..., lags)."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = sums[..., 1:] / sums[..., :1]
+        return mean, mean[..., 3] / mean[..., 1] ** 2

@@ -1,4 +1,4 @@
-"""Waves and vortices apart: the horizontal velocity split along and across the wave vector."""
+"""Waves and vortices: the horizontal velocity split along and across the wave vector."""
 
 import itertools
 from collections.abc import Callable
@@ -17,62 +17,64 @@ from wavefield.waves.estimation.welch import Welch, k_coords, omega_coords
 
 Array = NDArray[Any]
 
-_NAMES = ("along", "across", "leak")
+_PARTS = ("along", "across", "leak")
 
 
 def _headings(welch: Welch) -> tuple[Array, Array, Array]:
-    # cosine and sine of the wave vector's angle, and what the window turns across, of each cell of numpy's
-    # half plane, (cells, 1)
+    """Cosine and sine of the wave vector's angle, and the amplitude that the window turns across it.
+
+    Of each cell of numpy's half plane, (cells, 1). A Hann window blurs a wave by a third of a cell squared
+    along each axis, which turns it by the square root of that over k.
+    """
     record = welch.record
-    ny, nx = record.shape
+    (ny, nx), steps = record.shape, np.array((record.dy, record.dx))
     ky = 2 * np.pi * np.fft.fftfreq(ny, record.dy)[:, None]
     kx = 2 * np.pi * np.fft.rfftfreq(nx, record.dx)[None, :]
     k = np.hypot(ky, kx)
     k[0, 0] = np.inf
     cos, sin = kx / k, ky / k
-    # a Hann window smears a wave over a third of a cell squared along each axis: across k this angle squared
-    cells = 2 * np.pi / (np.array(record.shape) * np.array((record.dy, record.dx)))
-    turned = ((cos * cells[0]) ** 2 + (sin * cells[1]) ** 2) / (3 * k**2)
-    turned = np.minimum(turned, 1.0)
+    cells = 2 * np.pi / (np.array(record.shape) * steps)
+    turned = np.minimum(((cos * cells[0]) ** 2 + (sin * cells[1]) ** 2) / (3 * k**2), 1.0)
     return cos.reshape(-1, 1), sin.reshape(-1, 1), np.sqrt(turned).reshape(-1, 1)
 
 
 def _project(cos: Array, sin: Array) -> Callable[[list[Array], int], dict[str, Array]]:
-    def make(blocks: list[Array], first: int) -> dict[str, Array]:
+    """A function that transforms u and v in space and projects them along and across the wave vector."""
+
+    def project(blocks: list[Array], first: int) -> dict[str, Array]:
         v = segments.transform_space(blocks.pop())
         u = segments.transform_space(blocks.pop())
-        real = u.real.dtype
-        c, s = cos.astype(real), sin.astype(real)
+        c, s = cos.astype(u.real.dtype), sin.astype(u.real.dtype)
         return {"along": c * u + s * v, "across": c * v - s * u}
 
-    return make
+    return project
 
 
 def _powers(
     a: dict[str, Array], b: dict[str, Array], welch: Welch, turned: Array, begin: int
 ) -> dict[str, Array]:
+    """Powers of one segment, from its two halves, on the rings, and their totals."""
     cells, half = a["along"].shape
     table = welch.table
     shape = int(table.ring.max()) + 1, half + 1
-    mine = {name: np.zeros((2, *shape)) for name in _NAMES}
+    powers = {name: np.zeros((2, *shape)) for name in _PARTS}
     transform = segments.TimeTransform(half, a["along"].dtype)
     for slab in segments.slabs(cells):
-        start = table.start[slab.start : slab.stop + 1]
-        weights = table.ring, table.weight, table.spread
+        ring = table.start[slab.start : slab.stop + 1], table.ring, table.weight, table.spread
         for name in ("along", "across"):
             lines = transform(a[name][slab], b[name][slab])
-            wave_kernels.ring_powers(lines, start, *weights, mine[name])
+            wave_kernels.ring_powers(lines, *ring, powers[name])
             if name == "along":
                 lines *= turned[slab].astype(lines.real.dtype)
-                wave_kernels.ring_powers(lines, start, *weights, mine["leak"])
+                wave_kernels.ring_powers(lines, *ring, powers["leak"])
     out: dict[str, Array] = {}
-    for name in _NAMES:
-        out[name] = np.zeros_like(mine[name])
-        segment_variance.take_in(out, name, mine[name], begin)
-    inside = welch.valid.T
-    rest = float((mine["across"][0] - mine["leak"][0])[inside].sum())
-    whole = float((mine["across"][0] + mine["along"][0])[inside].sum())
-    return out | {"whole": np.array([rest, whole, rest**2, whole**2, rest * whole])}
+    for name in _PARTS:
+        out[name] = np.zeros_like(powers[name])
+        segment_variance.take_in(out, name, powers[name], begin)
+    valid = welch.valid.T
+    vortices = float((powers["across"][0] - powers["leak"][0])[valid].sum())
+    total = float((powers["across"][0] + powers["along"][0])[valid].sum())
+    return out | {"totals": np.array([vortices, total, vortices**2, total**2, vortices * total])}
 
 
 def waves_and_vortices(
@@ -93,9 +95,9 @@ def waves_and_vortices(
     -------
     Dataset
         ``E_waves``, ``E_vortices``, ``E_leak`` (omega, k), m3 s-1 rad-2: of the velocity along the wave
-        vector, of that across it without what the windows turn across, and that; ``low``, ``high``, the
+        vector, of that across it without the part that the windows turn across, and of that part; ``low``, ``high``, the
         factors of the 95 % interval of the velocity across; ``valid``; ``vortical_fraction`` of the variance
-        of (u, v) in what is valid, and its ``_std``.
+        of (u, v) in the valid cells, and its ``_std``.
 
     Raises
     ------
@@ -104,13 +106,13 @@ def waves_and_vortices(
 
     Notes
     -----
-    u^ = (k k/k^2) . u^ + rest: what moves along k has divergence and no vorticity, what moves across it the
-    reverse. Free waves move along k. The null is an irrotational sea: a Hann window smears a wave of wave
-    vector k by a third of a cell squared along each axis, which turns (cell / k)^2 / 3 of its energy across;
-    this is taken off, to first order, and the uncertainty joins chance (the scatter between segments) with
-    half of it. Velocities are those at the moving surface: its tilt adds to the vorticity of an irrotational
-    sea a part of the order of the squared slope, which stays in ``E_vortices``. Mean and trend in time of
-    each wave vector are taken off, so that a steady swirl does not count.
+    u^ = (k k/k^2) . u^ + rest: motion along k has divergence and no vorticity, motion across it the reverse.
+    Free waves move along k. The null is an irrotational sea: a Hann window blurs a wave of wave vector k by
+    a third of a cell squared along each axis, which turns (cell / k)^2 / 3 of its energy across; this is
+    subtracted, to first order, and the uncertainty joins chance (the segment variance) with half of it.
+    Velocities are those at the moving surface: its tilt adds to the vorticity of an irrotational sea a part
+    of the order of the squared slope, which remains in ``E_vortices``. Mean and trend in time of each wave
+    vector are removed, so that a steady swirl does not count.
 
     Examples
     --------
@@ -137,30 +139,26 @@ def waves_and_vortices(
         for begin, (a, b) in zip(itertools.count(start, welch.half), itertools.pairwise(run))
     ]
     sums = segments.in_order(parts).compute()
-    return _label(sums, welch)
-
-
-def _label(sums: dict[str, Array], welch: Welch) -> xr.Dataset:
     dims = ("omega", "k")
-    E = {name: sums[name][0].T * welch.ring_density for name in _NAMES}
+    E = {name: sums[name][0].T * welch.ring_density for name in _PARTS}
     dof = segment_variance.freedom(sums, "across", welch, gaussian=False)["both"].T
     interval = with_interval(xr.DataArray(E["across"], dims=dims), xr.DataArray(dof, dims=dims))
-    rest, whole, rest2, whole2, both = sums["whole"] / welch.count
-    fraction = rest / whole
-    # of a ratio of means, from the scatter between segments
-    variance = rest2 - 2 * fraction * both + fraction**2 * whole2
-    chance = np.sqrt(max(variance, 0.0) / max(welch.count - 1, 1)) / whole
-    inside = welch.valid
-    guessed = 0.5 * float(E["leak"][inside].sum() / (E["along"] + E["across"])[inside].sum())
+    vortices, total, vortices2, total2, product = sums["totals"] / welch.count
+    fraction = vortices / total
+    # of a ratio of means, from the segment variance
+    variance = vortices2 - 2 * fraction * product + fraction**2 * total2
+    chance = np.sqrt(max(variance, 0.0) / max(welch.count - 1, 1)) / total
+    valid = welch.valid
+    correction = 0.5 * float(E["leak"][valid].sum() / (E["along"] + E["across"])[valid].sum())
     out: dict[str, Any] = {
         "E_waves": (dims, E["along"] + E["leak"]),
         "E_vortices": (dims, E["across"] - E["leak"]),
         "E_leak": (dims, E["leak"]),
         "low": interval["low"],
         "high": interval["high"],
-        "valid": (dims, welch.valid),
+        "valid": (dims, valid),
         "vortical_fraction": ((), fraction),
-        "vortical_fraction_std": ((), float(np.hypot(chance, guessed))),
+        "vortical_fraction_std": ((), float(np.hypot(chance, correction))),
     }
     coords = omega_coords(welch.omega) | k_coords(welch.table.k)
     return annotate(xr.Dataset(out, coords, welch.attrs), "vortices")
