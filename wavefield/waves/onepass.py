@@ -135,7 +135,7 @@ def one_pass(
 ) -> Sums:
     """Read a cube once; with ``alike`` all fields are taken to have values where the first one has them."""
     record = welch.record
-    scale = statistics.pilot(cube, record, list(statistics.QUANTITIES.values()))
+    scale = statistics.rough_scales(cube, record, list(statistics.QUANTITIES.values()))
     read = segments.Reader([cube[name] for name in FIELDS], record, alike)
     chain = partial(
         _Chain, read, welch, scale, pairs, planes, max(1, record.steps_in_runs() // BALANCE_STEPS)

@@ -176,7 +176,7 @@ def energy_budget(
             E = spectrum(field, segment=segment, record=part)["E"].compute()
             sums[i, j] = _sums(E, water, least_k, edges, frames)
     time = np.array([(a + b) / 2 for a, b in blocks]) * record.dt
-    # bands whose waves are all shorter than the field allows, for its energy and for differences of its halves
+    # bands of short enough waves for the field, and for the difference of its halves
     lowest = [float(dispersion(k, depth, gamma)) / (2 * np.pi) for k in (least_k, 2 * least_k)]
     allowed = [edges[:-1] >= frequency for frequency in lowest]
     return _label(sums, time, (lengths[0] / 2, lengths[1] / 2), edges, allowed)

@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,27 +23,20 @@ from wavefield.waves.products import Noted, Product, register
 
 Array = NDArray[Any]
 
-QUANTITIES = {
-    "z": "z",
-    "dx": "u",
-    "dy": "v",
-    "dz": "w",
-}  # quantity -> field; displacements are velocity times dt
+QUANTITIES = {"z": "z", "dx": "u", "dy": "v", "dz": "w"}  # displacements are velocity times dt
 REACH, BINS = 6.0, 120  # of the distributions, in standard deviations
-_PILOT = 8  # steps that fix the bins
-_PIECE = 256  # steps of the error fields read at once
+SAMPLED_STEPS = 8  # that fix the bins
+STEPS_AT_A_TIME = 256
 ERRORS = ("eps_y", "eps_piv")
+Scales = Mapping[str, tuple[float, float]]  # rough mean and standard deviation of each field
 
 
-def pilot(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Rough mean and standard deviation from a few steps: they fix the bins of the distributions.
-
-    Returns (float, float): Mean and standard deviation.
-    """
+def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Mean and standard deviation from a few steps: they fix the bins of the distributions."""
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
-    chosen = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, _PILOT).astype(int)})
-    part = cube[list(names)].isel(time=chosen, y=slice(*record.y), x=slice(*record.x)).compute()
+    sampled = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, SAMPLED_STEPS).astype(int)})
+    part = cube[list(names)].isel(time=sampled, y=slice(*record.y), x=slice(*record.x)).compute()
     out = {}
     for name in names:
         values = part[name].values.astype(float)
@@ -52,14 +46,11 @@ def pilot(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, t
     return out
 
 
-def survey(fields: Mapping[str, Array], scale: Mapping[str, tuple[float, float]]) -> dict[str, Array]:
-    """Count and sum what the statistics need of a piece of a record.
-
-    With fields (steps, ny, nx); scale (float, float).
-    """
+def survey(fields: Mapping[str, Array], scales: Scales) -> dict[str, Array]:
+    """Sums of powers and counts in bins of fields (steps, ny, nx)."""
     out = {}
     for name, values in fields.items():
-        mean, std = scale[name]
+        mean, std = scales[name]
         flat = values.reshape(values.shape[0], -1)
         out[f"sums {name}"] = np.zeros(5)
         wave_kernels.moments(flat, mean, out[f"sums {name}"])
@@ -68,23 +59,25 @@ def survey(fields: Mapping[str, Array], scale: Mapping[str, tuple[float, float]]
     return out
 
 
-def time_sums(fields: Mapping[str, Array], scale: Mapping[str, tuple[float, float]]) -> dict[str, Array]:
-    """Sums over the steps at every node, "map name" (3, nodes), of the first powers about the rough mean.
-
-    With fields (steps, ny, nx); scale (float, float).
-    """
-    out: dict[str, Array] = {}
+def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -> dict[str, Array]:
+    """The survey, sums over steps at each node, and of squared slopes, of fields (steps, ny, nx)."""
+    out = survey(fields, scales)
     for name, values in fields.items():
         flat = values.reshape(values.shape[0], -1)
         out[f"map {name}"] = np.zeros((3, flat.shape[1]))
-        wave_kernels.node_powers(flat, scale[name][0], out[f"map {name}"])
+        wave_kernels.node_powers(flat, scales[name][0], out[f"map {name}"])
         out["steps"] = np.array([flat.shape[0]], float)
+    if "z" in fields:
+        z = fields["z"]
+        out["slopes"] = np.array([wave_kernels.slope_square(z, dy, dx), z.size], float)
     return out
 
 
-def _in_time(sums: Array, maps: Array, steps: float) -> tuple[Array, float]:
-    # sums of the powers about each node's own mean, and the standard deviation of these means: what stands
-    # still (an error of the calibration, mostly) is no wave
+def _about_node_means(sums: Array, maps: Array, steps: float) -> tuple[Array, float]:
+    """Sums of powers about each node's own mean, and the standard deviation of these means.
+
+    Differences of the means are no waves but, mostly, errors of the calibration.
+    """
     m = maps[0] / steps
     n, _, s2, s3, s4 = sums
     moved = [
@@ -97,16 +90,8 @@ def _in_time(sums: Array, maps: Array, steps: float) -> tuple[Array, float]:
     return np.array(moved), float(m.std())
 
 
-def slope_square(z: Array, dy: float, dx: float) -> Array:
-    """Sum of |grad z|^2 over the nodes of some steps, and their number, (2,)."""
-    return np.array([wave_kernels.slope_square(z, dy, dx), z.size], float)
-
-
-def central_moments(sums: Array, guess: float) -> dict[str, float]:
-    """Mean, standard deviation, skewness and excess kurtosis.
-
-    With sums (5,).
-    """
+def _central_moments(sums: Array, guess: float) -> dict[str, float]:
+    """Mean, standard deviation, skewness, excess kurtosis and count, from sums of powers about a guess."""
     n = sums[0]
     if n == 0:
         return dict.fromkeys(("mean", "std", "skewness", "kurtosis"), np.nan) | {"count": 0.0}
@@ -124,82 +109,62 @@ def central_moments(sums: Array, guess: float) -> dict[str, float]:
         }
 
 
-def rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, float]) -> Array:
-    """Probability density over (value - mean) / std from counts in rough bins, (bins,).
+def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, float]) -> Array:
+    """Probability density over (value - mean) / std, (bins,), from counts in rough bins.
 
-    The cumulative count is interpolated, so that no value is lost but beyond the last bin.
+    The cumulative count is interpolated: only values beyond the last bin are lost.
     """
     edges = np.linspace(-REACH, REACH, BINS + 1)
     if not moments["count"] or not moments["std"] > 0:
         return np.full(BINS, np.nan)
     rough = (edges * scale[1] + scale[0] - moments["mean"]) / moments["std"]
-    total = np.r_[0, np.cumsum(counts)]
-    return np.diff(np.interp(edges, rough, total)) / (np.diff(edges) * moments["count"])
+    cumulative = np.r_[0, np.cumsum(counts)]
+    return np.diff(np.interp(edges, rough, cumulative)) / (np.diff(edges) * moments["count"])
 
 
-def bin_centres() -> Array:
-    """Centres of the bins, (bins,), in standard deviations."""
+def _bin_centres() -> Array:
     edges = np.linspace(-REACH, REACH, BINS + 1)
     return (edges[1:] + edges[:-1]) / 2
 
 
-def label(
-    sums: Mapping[str, Array],
-    scale: Mapping[str, tuple[float, float]],
-    dt: float,
-    pixel_size: float | None,
-) -> xr.Dataset:
-    """Turn sums over a record into labelled statistics.
-
-    With scale (float, float).
-    """
-    names = [name for name, field in QUANTITIES.items() if f"sums {field}" in sums]
-    raw, rows = {}, {}
-    for name in names:
-        field = QUANTITIES[name]
-        raw[name] = central_moments(sums[f"sums {field}"], scale[field][0])
-        moved, still = _in_time(sums[f"sums {field}"], sums[f"map {field}"], sums["steps"][0])
-        rows[name] = central_moments(moved, 0.0) | {"mean": raw[name]["mean"], "static_std": still}
-    pdf = [rebin(sums[f"counts {QUANTITIES[name]}"], scale[QUANTITIES[name]], raw[name]) for name in names]
-    bins = bin_centres()
-    to_length = np.array([1.0 if name == "z" else dt for name in names])
-
-    def column(key: str) -> Array:
-        return np.array([rows[name][key] for name in names])
-
-    std = column("std") * to_length
-    out: dict[str, Any] = {
-        "pdf": (("quantity", "bin"), np.array(pdf)),
-        "gaussian": ("bin", np.exp(-(bins**2) / 2) / np.sqrt(2 * np.pi)),
-        "mean": ("quantity", column("mean") * to_length),
-        "std": ("quantity", std),
-        "skewness": ("quantity", column("skewness")),
-        "kurtosis": ("quantity", column("kurtosis")),
-        "count": ("quantity", column("count")),
-        "pdf_std": ("quantity", np.array([raw[name]["std"] for name in names]) * to_length),
-        "static_std": ("quantity", column("static_std") * to_length),
-        "wild": ("quantity", [rows[n]["count"] - sums[f"counts {QUANTITIES[n]}"].sum() for n in names]),
-    }
+def label(sums: Mapping[str, Array], scales: Scales, dt: float, pixel_size: float | None) -> xr.Dataset:
+    """Labelled statistics from sums over a record."""
+    fields = {name: field for name, field in QUANTITIES.items() if f"sums {field}" in sums}
+    rows: dict[str, list[Any]] = defaultdict(list)
+    for name, field in fields.items():
+        raw = _central_moments(sums[f"sums {field}"], scales[field][0])
+        about_means, static_std = _about_node_means(
+            sums[f"sums {field}"], sums[f"map {field}"], sums["steps"][0]
+        )
+        moments = _central_moments(about_means, 0.0)
+        to_length = 1.0 if name == "z" else dt
+        counts = sums[f"counts {field}"]
+        for key, value in {
+            "pdf": _rebin(counts, scales[field], raw),
+            "mean": raw["mean"] * to_length,
+            "std": moments["std"] * to_length,
+            "skewness": moments["skewness"],
+            "kurtosis": moments["kurtosis"],
+            "count": moments["count"],
+            "pdf_std": raw["std"] * to_length,
+            "static_std": static_std * to_length,
+            "wild": moments["count"] - counts.sum(),
+        }.items():
+            rows[key].append(value)
+    bins = _bin_centres()
+    out: dict[str, Any] = {key: ("quantity", np.array(row)) for key, row in rows.items() if key != "pdf"}
+    out["pdf"] = (("quantity", "bin"), np.array(rows["pdf"]))
+    out["gaussian"] = ("bin", np.exp(-(bins**2) / 2) / np.sqrt(2 * np.pi))
     if pixel_size:
-        out["std_px"] = ("quantity", std / pixel_size)
-    if "z" in names:
-        out["significant_height"] = ((), 4 * rows["z"]["std"])
+        out["std_px"] = ("quantity", out["std"][1] / pixel_size)
+    if "z" in fields:
+        out["significant_height"] = ((), 4 * rows["std"][list(fields).index("z")])
     if "slopes" in sums:
         square = float(sums["slopes"][0] / max(sums["slopes"][1], 1))
         out["mean_square_slope"] = ((), square)
         out["slope_rms"] = ((), float(np.sqrt(square)))
-    coords = {"quantity": ("quantity", names), "bin": ("bin", bins)}
+    coords = {"quantity": ("quantity", list(fields)), "bin": ("bin", bins)}
     return annotate(xr.Dataset(out, coords), "statistics")
-
-
-def sums_of(
-    fields: Mapping[str, Array], scale: Mapping[str, tuple[float, float]], dy: float, dx: float
-) -> dict[str, Array]:
-    """All sums over a piece of a record (steps, ny, nx): `survey`, `time_sums` and, of z, `slope_square`."""
-    out = survey(fields, scale) | time_sums(fields, scale)
-    if "z" in fields:
-        out["slopes"] = slope_square(fields["z"], dy, dx)
-    return out
 
 
 def statistics(
@@ -219,8 +184,8 @@ def statistics(
     Returns
     -------
     Dataset
-        ``pdf`` (quantity, bin) beside ``gaussian`` (bin); ``mean``, ``std``, ``skewness``, ``kurtosis``
-        (excess), ``count`` (quantity); ``std_px`` where the pixel size is known; ``significant_height``,
+        ``pdf`` (quantity, bin) and ``gaussian`` (bin); ``mean``, ``std``, ``skewness``, ``kurtosis``
+        (excess), ``count`` (quantity); ``std_px`` where the pixel size is given; ``significant_height``,
         ``mean_square_slope``, ``slope_rms``. Computed at once.
 
     Raises
@@ -241,32 +206,32 @@ def statistics(
     names = [field for field in QUANTITIES.values() if field in cube]
     cube = validate(cube, *names)
     record = find_record(cube) if record is None else record
-    scale = pilot(cube, record, names)
+    scales = rough_scales(cube, record, names)
 
-    def make(blocks: list[Array], first: int) -> dict[str, Array]:
-        return sums_of(dict(zip(names, blocks)), scale, record.dy, record.dx)
+    def of_block(blocks: list[Array], first: int) -> dict[str, Array]:
+        return sums_of(dict(zip(names, blocks)), scales, record.dy, record.dx)
 
-    parts = segments.pieces([cube[name] for name in names], record, _PIECE, make)
+    parts = segments.pieces([cube[name] for name in names], record, STEPS_AT_A_TIME, of_block)
     (sums,) = dask.compute(segments.in_order(parts))
-    return label(sums, scale, record.dt, pixel_size or cube.attrs.get("pixel_size"))
+    return label(sums, scales, record.dt, pixel_size or cube.attrs.get("pixel_size"))
 
 
 @dataclass(frozen=True)
-class _Errors:
-    """Counts and sums what the statistics need of some steps of the fields of error."""
+class _ErrorSurvey:
+    """The survey of some steps of a field of errors; a class, so that it can be sent to other processes."""
 
     fields: Mapping[str, xr.DataArray]
-    scales: Mapping[str, tuple[float, float]]
+    scales: Scales
     record: Record
 
-    def lay(self, name: str, steps: tuple[int, int]) -> Any:
+    def read(self, name: str, steps: tuple[int, int]) -> Any:
         return piece(self.fields[name], slice(*steps), slice(*self.record.y), slice(*self.record.x))
 
     def __call__(self, item: tuple[str, tuple[int, int]]) -> dict[str, Array]:
-        return _errors(self.lay(*item), self.scales[item[0]])
+        return _survey_errors(self.read(*item), self.scales[item[0]])
 
 
-def _errors(block: Any, scale: tuple[float, float]) -> dict[str, Array]:
+def _survey_errors(block: Any, scale: tuple[float, float]) -> dict[str, Array]:
     values = np.asarray(block).ravel()
     return survey({"e": values[np.isfinite(values)][None, None]}, {"e": scale})
 
@@ -274,37 +239,37 @@ def _errors(block: Any, scale: tuple[float, float]) -> dict[str, Array]:
 def error_statistics(cube: xr.Dataset, record: Record, each: Each | None = None) -> xr.Dataset:
     """Distributions and moments of the internal errors ``eps_y`` and ``eps_piv``, where the cube has them."""
     names = [name for name in ERRORS if name in cube]
-    cube = validate(cube, *names)
-    out: dict[str, Any] = {}
-    densities = []
     if not names:
         return xr.Dataset()
-    scales = pilot(cube, record, names)
-    work = _Errors({name: cube[name] for name in names}, scales, record)
-    pieces = [(i, min(i + _PIECE, b)) for a, b in record.runs for i in range(a, b, _PIECE)]
-    for name, sums in zip(names, _error_sums(work, names, pieces, each)):
-        moments = central_moments(sums["sums e"], scales[name][0])
-        rms = float(np.hypot(moments["mean"], moments["std"]))
-        for key, value in (("mean", moments["mean"]), ("std", moments["std"]), ("rms", rms)):
-            out[f"{name}_{key}"] = ((), value)
-        densities.append(rebin(sums["counts e"], scales[name], moments))
+    cube = validate(cube, *names)
+    scales = rough_scales(cube, record, names)
+    work = _ErrorSurvey({name: cube[name] for name in names}, scales, record)
+    steps = [(i, min(i + STEPS_AT_A_TIME, b)) for a, b in record.runs for i in range(a, b, STEPS_AT_A_TIME)]
+    out: dict[str, Any] = {}
+    densities = []
+    for name, sums in zip(names, _error_sums(work, names, steps, each)):
+        moments = _central_moments(sums["sums e"], scales[name][0])
+        out[f"{name}_mean"], out[f"{name}_std"] = ((), moments["mean"]), ((), moments["std"])
+        out[f"{name}_rms"] = ((), float(np.hypot(moments["mean"], moments["std"])))
+        densities.append(_rebin(sums["counts e"], scales[name], moments))
     out["eps_pdf"] = (("error", "eps_bin"), np.array(densities))
-    coords = {"error": ("error", names), "eps_bin": ("eps_bin", bin_centres())}
+    coords = {"error": ("error", names), "eps_bin": ("eps_bin", _bin_centres())}
     return annotate(xr.Dataset(out, coords), "statistics")
 
 
 def _error_sums(
-    work: _Errors, names: Sequence[str], pieces: Sequence[tuple[int, int]], each: Each | None
+    work: _ErrorSurvey, names: Sequence[str], steps: Sequence[tuple[int, int]], each: Each | None
 ) -> Iterator[dict[str, Array]]:
+    """Sums over the record for each name."""
     if each is not None:
-        parts = each(work, [(name, steps) for name in names for steps in pieces])
+        parts = each(work, [(name, some) for name in names for some in steps])
         for _ in names:
-            yield functools.reduce(segments.add, itertools.islice(parts, len(pieces)))
+            yield functools.reduce(segments.add, itertools.islice(parts, len(steps)))
         return
-    task = dask.delayed(_errors, pure=False)
+    task = dask.delayed(_survey_errors, pure=False)
     for name in names:
-        laid = [task(work.lay(name, steps), work.scales[name]) for steps in pieces]
-        yield from dask.compute(segments.in_order(laid))
+        parts_of_name = [task(work.read(name, some), work.scales[name]) for some in steps]
+        yield from dask.compute(segments.in_order(parts_of_name))
 
 
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:
@@ -321,11 +286,11 @@ def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma
 
 def _moments(
     sums: Mapping[str, Array],
-    scale: Mapping[str, tuple[float, float]],
+    scales: Scales,
     welch: Welch,
     pixel_size: float | None,
 ) -> xr.Dataset:
-    return label(sums, scale, welch.record.dt, pixel_size)
+    return label(sums, scales, welch.record.dt, pixel_size)
 
 
 def _error_group(cube: xr.Dataset, welch: Welch, each: Each | None) -> xr.Dataset:
@@ -341,7 +306,7 @@ def _statistics_group(
         counts = ", ".join(f"{n} of {q}" for q, n in wild.items())
         notes.append(
             f"Values beyond six standard deviations: {counts}. A single wild value lifts the floor of its"
-            " spectra: look at them before you trust what lies decades below the peak."
+            " spectra: check them before you use spectra decades below the peak."
         )
     out = spectral_peak(moments.assign(errors.data_vars), fused, depth, gamma)
     limited = without_short_peak(out, welch.record.steps_in_runs() * welch.record.dt)

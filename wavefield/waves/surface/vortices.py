@@ -95,9 +95,9 @@ def waves_and_vortices(
     -------
     Dataset
         ``E_waves``, ``E_vortices``, ``E_leak`` (omega, k), m3 s-1 rad-2: of the velocity along the wave
-        vector, of that across it without the part that the windows turn across, and of that part; ``low``, ``high``, the
-        factors of the 95 % interval of the velocity across; ``valid``; ``vortical_fraction`` of the variance
-        of (u, v) in the valid cells, and its ``_std``.
+        vector, of that across it without the part that the windows turn across, and of that part; ``low``,
+        ``high``, the factors of the 95 % interval of the velocity across; ``valid``; ``vortical_fraction`` of
+        the variance of (u, v) in the valid cells, and its ``_std``.
 
     Raises
     ------
