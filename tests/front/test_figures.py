@@ -121,7 +121,7 @@ def test_rig_is_drawn_with_its_cameras():
     rig, grid = paper_rig(), Grid((-1, 1), (-0.75, 0.75), 0.01)
     text = labels(figures.rig_views(rig, grid))
     for name in rig:
-        assert f"seen by {name}" in text
+        assert f"view of {name}" in text
     frames = {name: np.zeros(rig[name].size[::-1], "uint8") for name in rig}
     picture = figures.camera_frames(frames, rig, grid)
     assert "cam3, middle 10 cm" in labels(picture)
@@ -234,7 +234,7 @@ def test_pictures_of_crests_increments_vortices_drift_and_energy():
         assert word in labels(figure)
 
 
-def test_dispersion_curve_lies_on_the_ridge_of_the_map(waves):
+def test_dispersion_curve_of_the_map_is_exact(waves):
     figure = figures.komega_map(waves["spectra"].to_dataset(), waves["dispersion"].to_dataset())
     named = {line.get_label(): line for line in figure.axes[0].lines}
     curve = named["linear dispersion relation"].get_xydata()
@@ -272,5 +272,5 @@ def test_picture_of_the_dispersion_ridge():
     assert "refused" not in group.attrs
     figure = figures.dispersion_ridge(group)
     figure.draw_without_rendering()
-    for word in ("linear theory", "measured ridge", "ridge against theory (%)"):
+    for word in ("linear theory", "measured points", "points against theory (%)"):
         assert word in labels(figure)

@@ -4,11 +4,21 @@ Each takes plain xarray datasets (a cube, one step of it, a group of a wave stor
 `matplotlib.figure.Figure`, which a notebook shows and `savefig` writes.
 """
 
-from wavefield.figures.distributions import distributions, error_distributions, error_maps
-from wavefield.figures.kinematics_figures import balance_history, coherence_curves, kinematics_maps
-from wavefield.figures.nonlinear import bound_spectra, resonance_map
+from wavefield.figures.distributions import (
+    distributions,
+    error_distributions,
+    error_maps,
+    rest_distributions,
+)
+from wavefield.figures.kinematics_figures import (
+    balance_history,
+    coherence_curves,
+    kinematics_maps,
+    plane_coherence_maps,
+    vorticity_map,
+)
+from wavefield.figures.nonlinear import bicoherence_map, bound_spectra, resonance_map
 from wavefield.figures.oceans import breaking_map, current_profile
-from wavefield.figures.paper_figures import plane_coherence_maps, rest_distributions, vorticity_map
 from wavefield.figures.quality import (
     coverage_map,
     fault_history,
@@ -19,7 +29,6 @@ from wavefield.figures.quality import (
 )
 from wavefield.figures.rig_figures import camera_frames, method_diagram, rig_views
 from wavefield.figures.spectra_figures import (
-    bicoherence_map,
     directions,
     dispersion_ridge,
     elevation_spectra,

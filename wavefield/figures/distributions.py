@@ -1,6 +1,5 @@
 """Distributions of the elevation and of the displacements, and of their errors where the truth is known."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,32 +8,29 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from wavefield.figures.style import (
+    ABOVE,
     LINES,
-    POSITIVE,
     densities,
-    draw_map,
-    limit,
+    draw_positive_map,
+    finish,
     map_panels,
     panels,
-    plain_axes,
+    positive,
+    rms_in_time,
 )
 
-_COMPONENTS = {"u": "dx = u dt", "v": "dy = v dt", "w": "dz = w dt"}
+_DISPLACEMENTS = {"u": "dx = u dt", "v": "dy = v dt", "w": "dz = w dt"}
 
 
-def draw_density(
-    axes: Axes, values: np.ndarray, unit: str, named: str, style: dict[str, Any], span: float
+def _draw_density(
+    axes: Axes, values: np.ndarray, unit: str, name: str, style: dict[str, Any], span: float
 ) -> float:
-    """Draw the density of values about their mean."""
+    """Draw the density of values within `span` of their mean; gives their standard deviation."""
     finite = values[np.isfinite(values)]
-    sigma = float(finite.std()) if finite.size else 0.0
-    mean = float(finite.mean()) if finite.size else 0.0
+    sigma, mean = (float(finite.std()), float(finite.mean())) if finite.size else (0.0, 0.0)
     bins = np.linspace(mean - span, mean + span, 121) if span else np.linspace(-1, 1, 121)
-    density = densities(finite, bins)
-    centres = (bins[1:] + bins[:-1]) / 2
-    axes.semilogy(
-        centres, np.where(density > 0, density, np.nan), label=f"{named}, σ = {sigma:.3g} {unit}", **style
-    )
+    centres, density = (bins[1:] + bins[:-1]) / 2, positive(densities(finite, bins))
+    axes.semilogy(centres, density, label=f"{name}, σ = {sigma:.3g} {unit}", **style)
     return sigma
 
 
@@ -46,6 +42,17 @@ def _draw_gaussian(axes: Axes, sigma: float, mean: float, span: float) -> None:
         axes.set_ylim(3e-5 / sigma, 1.2 / sigma)
 
 
+def _displacements(cube: xr.Dataset, factor: float) -> dict[str, np.ndarray]:
+    """Displacements in one step times a factor, by component."""
+    rate = float(cube.attrs["frame_rate"])
+    return {name: factor / rate * cube[name].values.astype(float) for name in _DISPLACEMENTS}
+
+
+def _largest_std(fields: dict[str, np.ndarray]) -> float:
+    """Largest standard deviation of the fields that have values; 1 if none has."""
+    return max((float(np.nanstd(f)) for f in fields.values() if np.isfinite(f).any()), default=0.0) or 1.0
+
+
 def distributions(cube: xr.Dataset) -> Figure:
     """Densities of z and of the displacements in one step, with the Gaussian of the same spread.
 
@@ -55,29 +62,55 @@ def distributions(cube: xr.Dataset) -> Figure:
         A cube with z (m) and u, v, w (m s-1) and the attribute frame_rate (Hz); a long one may be thinned in
         time before.
 
-    Returns
-    -------
-    Figure
-
     Notes
     -----
     Counterpart of the paper's distributions of z, dx, dy and dz.
     """
-    rate = float(cube.attrs["frame_rate"])
     figure, axes = panels(2)
+    left, right = axes[0]
     z = 100 * cube.z.values.astype(float)
     span = 5 * float(np.nanstd(z)) if np.isfinite(z).any() else 1.0
-    sigma = draw_density(axes[0, 0], z, "cm", "z", LINES[1], span)
-    _draw_gaussian(axes[0, 0], sigma, float(np.nanmean(z)) if sigma else 0.0, span)
-    axes[0, 0].set(xlabel="z (cm)", ylabel="probability density (cm⁻¹)")
-    moves = {name: 100 / rate * cube[name].values.astype(float) for name in _COMPONENTS}
-    widest = max((float(np.nanstd(m)) for m in moves.values() if np.isfinite(m).any()), default=1.0)
-    for style, (name, label) in zip(LINES[1:], _COMPONENTS.items(), strict=False):
-        draw_density(axes[0, 1], moves[name], "cm", label, style, 5 * widest)
-    _draw_gaussian(axes[0, 1], widest, 0.0, 5 * widest)
-    axes[0, 1].set(xlabel="displacement in one step (cm)", ylabel="probability density (cm⁻¹)")
-    for ax in axes[0]:
-        plain_axes(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    sigma = _draw_density(left, z, "cm", "z", LINES[1], span)
+    _draw_gaussian(left, sigma, float(np.nanmean(z)) if sigma else 0.0, span)
+    finish(left, "z (cm)", "probability density (cm⁻¹)", ABOVE)
+    fields = _displacements(cube, 100)
+    widest = _largest_std(fields)
+    for style, (name, label) in zip(LINES[1:], _DISPLACEMENTS.items(), strict=False):
+        _draw_density(right, fields[name], "cm", label, style, 5 * widest)
+    _draw_gaussian(right, widest, 0.0, 5 * widest)
+    finish(right, "displacement in one step (cm)", "probability density (cm⁻¹)", ABOVE)
+    return figure
+
+
+def rest_distributions(rest: xr.Dataset, level: float = 0.0) -> Figure:
+    """Densities of z and of the displacements over still water.
+
+    Parameters
+    ----------
+    rest : Dataset, (time, y, x)
+        A cube of still water with z (m) and u, v, w (m s-1) and the attribute frame_rate (Hz).
+    level : float
+        Level of the water, m.
+
+    Notes
+    -----
+    Counterpart of the paper's figure at rest: z - z_rest with and without each node's mean over time, and
+    dx, dy, dz.
+    """
+    figure, axes = panels(2, height=4.6)
+    left, right = axes[0]
+    z = 1e3 * (rest.z.values.astype(float) - level)
+    measured = np.isfinite(z).sum(axis=0)
+    centred = z - np.nansum(z, axis=0) / np.maximum(measured, 1)
+    span = (5 * float(np.sqrt(np.nanmean(z**2))) if measured.any() else 0.0) or 1.0
+    _draw_density(left, z, "mm", "z − z_rest", LINES[1], span)
+    _draw_density(left, centred, "mm", "z − ⟨z⟩ − z_rest", LINES[2], span)
+    finish(left, "z (mm)", "probability density (mm⁻¹)", ABOVE | {"ncols": 1})
+    fields = _displacements(rest, 1e3)
+    widest = _largest_std(fields)
+    for style, (name, values) in zip(LINES[1:], fields.items(), strict=False):
+        _draw_density(right, values, "mm", _DISPLACEMENTS[name][:2], style, 5 * widest)
+    finish(right, "displacement in one step (mm)", "probability density (mm⁻¹)", ABOVE | {"ncols": 1})
     return figure
 
 
@@ -91,27 +124,18 @@ def error_distributions(errors: xr.Dataset, pixel: float) -> Figure:
     pixel : float
         Size of a pixel on the water, m.
 
-    Returns
-    -------
-    Figure
-
     Notes
     -----
     Counterpart of the paper's test on synthetic images and of its test with water at rest.
     """
-    rate = float(errors.attrs["frame_rate"])
     figure, axes = panels(2)
-    pieces: tuple[Mapping[str, np.ndarray], ...] = (
-        {"z": errors.z.values / pixel},
-        {label: errors[name].values / (rate * pixel) for name, label in _COMPONENTS.items()},
-    )
-    for ax, piece in zip(axes[0], pieces, strict=True):
-        span = 6 * max(float(np.nanstd(e)) for e in piece.values())
-        for style, (label, error) in zip(LINES[1:], piece.items(), strict=False):
-            draw_density(ax, error.astype(float), "px", label, style, span)
-        ax.set(xlabel="measured − exact (px)", ylabel="probability density (px⁻¹)")
-        plain_axes(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    axes[0, 0].set_xlabel(f"measured − exact (px; 1 px = {1e3 * pixel:.3g} mm on the water)")
+    moved = {_DISPLACEMENTS[name]: values for name, values in _displacements(errors, 1 / pixel).items()}
+    scale = f" (px; 1 px = {1e3 * pixel:.3g} mm on the water)", " (px)"
+    for ax, fields, unit in zip(axes[0], ({"z": errors.z.values / pixel}, moved), scale, strict=True):
+        span = 6 * max(float(np.nanstd(e)) for e in fields.values())
+        for style, (label, error) in zip(LINES[1:], fields.items(), strict=False):
+            _draw_density(ax, error.astype(float), "px", label, style, span)
+        finish(ax, f"measured − exact{unit}", "probability density (px⁻¹)", ABOVE)
     return figure
 
 
@@ -124,17 +148,11 @@ def error_maps(errors: xr.Dataset, pixel: float) -> Figure:
         Measured minus exact: z (m) and w (m s-1), with the attribute frame_rate (Hz).
     pixel : float
         Size of a pixel on the water, m.
-
-    Returns
-    -------
-    Figure
     """
     rate = float(errors.attrs["frame_rate"])
     figure, axes = map_panels(errors.z, 2)
-    for ax, name, scale, label in zip(
+    for ax, name, factor, label in zip(
         axes[0], ("z", "w"), (1 / pixel, 1 / (rate * pixel)), ("z", "dz = w dt"), strict=True
     ):
-        rms = (errors[name].astype(float) ** 2).mean("time") ** 0.5
-        top = scale * limit(rms, 99)
-        draw_map(ax, rms, f"rms error of {label} (px)", factor=scale, cmap=POSITIVE, scale=(0, top))
+        draw_positive_map(ax, rms_in_time(errors[name]), f"rms error of {label} (px)", factor)
     return figure

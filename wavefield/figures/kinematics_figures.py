@@ -1,10 +1,26 @@
-"""The nonlinear term, the residual of the kinematic condition, and how the terms cohere."""
+"""The nonlinear term, the residual of the kinematic condition, vorticity, and the coherence of the terms."""
 
 import numpy as np
 import xarray as xr
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from wavefield.figures.style import LINES, draw_map, limit, map_panels, moment_title, panels, plain_axes
+from wavefield.figures.style import (
+    CYCLES,
+    POSITIVE,
+    RIGHT,
+    cycles,
+    draw_cells,
+    draw_curves,
+    draw_map,
+    finish,
+    limit,
+    map_panels,
+    moment_title,
+    panels,
+)
+
+_COHERENCES = {"w": "z_t with w", "nl": "z_t with −u·∇z", "tot": "z_t with w − u·∇z"}
 
 
 def kinematics_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Figure:
@@ -17,29 +33,39 @@ def kinematics_maps(snapshot: xr.Dataset, cube: xr.Dataset | None = None) -> Fig
     cube : Dataset, (time, y, x), optional
         As `wavefield.waves.kinematics_at` takes it.
 
-    Returns
-    -------
-    Figure
-
     Notes
     -----
     Counterpart of the paper's maps of eta, u . grad eta and the error field. The residual has the scale of
-    the nonlinear term, so that one sees which part of it is measured.
+    the nonlinear term, for comparison.
     """
-    from wavefield.waves.nonlinear.kinematics import (
-        kinematics_at,  # imports all of the waves, other figures do not
-    )
+    from wavefield.waves.nonlinear.kinematics import kinematics_at  # imports compiled kernels
 
-    drawn = kinematics_at(snapshot, cube)
+    terms = kinematics_at(snapshot, cube)
     figure, axes = map_panels(snapshot.z, 2, 2)
-    draw_map(axes[0, 0], snapshot.z, "z (cm)", factor=100, title=f"elevation, {moment_title(snapshot)}")
-    draw_map(axes[0, 1], snapshot.w, "w (cm s⁻¹)", factor=100, title="vertical velocity")
-    half = 100 * limit(drawn.nonlinear)
-    for ax, name, title in (
-        (axes[1, 0], "nonlinear", "nonlinear term u·∇z"),
-        (axes[1, 1], "residual", "residual z_t − w + u·∇z"),
+    half = 100 * limit(terms.nonlinear)
+    for ax, field, label, title, scale in (
+        (axes[0, 0], snapshot.z, "z (cm)", f"elevation, {moment_title(snapshot)}", None),
+        (axes[0, 1], snapshot.w, "w (cm s⁻¹)", "vertical velocity", None),
+        (axes[1, 0], terms.nonlinear, "cm s⁻¹", "nonlinear term u·∇z", (-half, half)),
+        (axes[1, 1], terms.residual, "cm s⁻¹", "residual z_t − w + u·∇z", (-half, half)),
     ):
-        draw_map(ax, drawn[name], "cm s⁻¹", factor=100, scale=(-half, half), title=title)
+        draw_map(ax, field, label, factor=100, scale=scale, title=title)
+    return figure
+
+
+def vorticity_map(terms: xr.Dataset) -> Figure:
+    """Vertical vorticity and divergence of the surface water at one moment.
+
+    Parameters
+    ----------
+    terms : Dataset, (y, x)
+        One step of the result of `wavefield.kinematics`: vorticity and divergence, s-1.
+    """
+    figure, axes = map_panels(terms.vorticity, 2)
+    half = max(limit(terms.vorticity), limit(terms.divergence))
+    for ax, name in zip(axes[0], ("vorticity", "divergence"), strict=True):
+        title = f"{name}, {moment_title(terms)}"
+        draw_map(ax, terms[name], f"{name} (s⁻¹)", scale=(-half, half), title=title)
     return figure
 
 
@@ -51,10 +77,6 @@ def coherence_curves(coherence: xr.Dataset) -> Figure:
     coherence : Dataset
         Group ``/coherence`` of a wave store.
 
-    Returns
-    -------
-    Figure
-
     Notes
     -----
     Counterpart of the paper's coherence curves, with its common normalisation, on the left; the standard
@@ -62,16 +84,33 @@ def coherence_curves(coherence: xr.Dataset) -> Figure:
     """
     figure, axes = panels(2)
     left, right = axes[0]
-    cycles = coherence.k.values / (2 * np.pi)
-    labels = {"w": "z_t with w", "nl": "z_t with −u·∇z", "tot": "z_t with w − u·∇z"}
-    for style, (name, label) in zip((LINES[0], LINES[1], LINES[2]), labels.items(), strict=True):
-        left.plot(cycles, np.abs(coherence[f"C_{name}"].values), label=label, **style)
-        right.plot(cycles, coherence[f"gamma2_{name}"].values, label=label, **style)
-    left.set(xlabel="k / 2π (m⁻¹)", ylabel="|C(k)|, common normalisation (1)", ylim=(0, 1.1))
-    right.plot(cycles, coherence.level_w.values, color="0.5", linestyle=":", label="chance (5 %)")
-    right.set(xlabel="k / 2π (m⁻¹)", ylabel="γ²(k) (1)", ylim=(0, 1.05))
-    for ax in axes[0]:
-        plain_axes(ax)
+    k = cycles(coherence)
+    for ax, stem in ((left, "C_"), (right, "gamma2_")):
+        draw_curves(ax, k, {label: np.abs(coherence[stem + n].values) for n, label in _COHERENCES.items()})
+    right.plot(k, coherence.level_w.values, color="0.5", linestyle=":", label="chance (5 %)")
+    finish(left, CYCLES, "|C(k)|, common normalisation (1)", ylim=(0, 1.1))
+    finish(right, CYCLES, "γ²(k) (1)", ylim=(0, 1.05))
+    return figure
+
+
+def plane_coherence_maps(plane: xr.Dataset) -> Figure:
+    """Coherence with the sum at each wave vector, and the three curves averaged after the ratio.
+
+    Parameters
+    ----------
+    plane : Dataset
+        The result of `wavefield.waves.plane_coherence`.
+    """
+    figure, axes = panels(2, height=4.4)
+    left, right = axes[0]
+    kx, ky = (plane[name].values / (2 * np.pi) for name in ("kx", "ky"))
+    label = "|C(k)| of z_t with w − u·∇z"
+    norm = Normalize(0, 1)
+    draw_cells(left, kx, ky, plane.plane_C_tot.values, label, norm=norm, cmap=POSITIVE, extend="neither")
+    left.set(xlabel="kx / 2π (m⁻¹)", ylabel="ky / 2π (m⁻¹)", aspect="equal")
+    curves = {label: plane[f"mean_C_{name}"].values for name, label in _COHERENCES.items()}
+    draw_curves(right, cycles(plane), curves)
+    finish(right, CYCLES, "|C|, averaged after the ratio", ylim=(0, 1.1))
     return figure
 
 
@@ -82,22 +121,15 @@ def balance_history(kinematics: xr.Dataset) -> Figure:
     ----------
     kinematics : Dataset
         Group ``/kinematics`` of a wave store.
-
-    Returns
-    -------
-    Figure
     """
     figure, axes = panels(1, width=7.6, height=3.6)
-    ax = axes[0, 0]
     labels = {
         "w_rms": "w",
         "nonlinear_rms": "u·∇z",
         "residual_rms": "residual z_t − w + u·∇z",
         "finite_residual_rms": "residual along finite displacements",
     }
-    for style, (name, label) in zip(LINES, labels.items(), strict=False):
-        if name in kinematics:
-            ax.semilogy(kinematics.time.values, 100 * kinematics[name].values, label=label, **style)
-    ax.set(xlabel="time (s)", ylabel="rms over the grid (cm s⁻¹)")
-    plain_axes(ax, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    curves = {label: 100 * kinematics[name].values for name, label in labels.items() if name in kinematics}
+    draw_curves(axes[0, 0], kinematics.time.values, curves, log="y")
+    finish(axes[0, 0], "time (s)", "rms over the grid (cm s⁻¹)", RIGHT)
     return figure

@@ -1,10 +1,20 @@
-"""Waves that are not linear: free and bound ones."""
+"""Waves that are not linear: free and bound ones, coherences of three and four waves."""
 
 import numpy as np
 import xarray as xr
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from wavefield.figures.style import LINES, panels, plain_axes
+from wavefield.figures.style import (
+    HERTZ,
+    LINES,
+    POSITIVE,
+    draw_cells,
+    draw_curves,
+    finish,
+    hertz,
+    panels,
+)
 
 
 def bound_spectra(bound: xr.Dataset) -> Figure:
@@ -13,32 +23,21 @@ def bound_spectra(bound: xr.Dataset) -> Figure:
     Parameters
     ----------
     bound : Dataset
-        Group ``/bound`` of a wave store, or what `wavefield.free_and_bound` gives.
-
-    Returns
-    -------
-    Figure
+        Group ``/bound`` of a wave store, or the result of `wavefield.free_and_bound`.
     """
     figure, axes = panels(1, width=7.2, height=4.4)
-    ax = axes[0, 0]
-    hertz = bound.omega.values / (2 * np.pi)
+    top = float(bound.E_free.max())
     names = {
         "E_free": "free waves",
         "E_bound": "bound waves",
         "E_harmonic": "of these on the second harmonic",
     }
-    top = float(bound.E_free.max())
-    for (name, label), line in zip(names.items(), LINES):
-        values = bound[name].values
-        ax.semilogy(hertz, np.where(values > 1e-9 * top, values, np.nan), label=label, **line)
+    spectra = {label: bound[name].values for name, label in names.items()}
+    curves = {label: np.where(E > 1e-9 * top, E, np.nan) for label, E in spectra.items()}
+    draw_curves(axes[0, 0], hertz(bound), curves, log="y")
     fraction, std = 100 * float(bound.bound_fraction), 100 * float(bound.bound_fraction_std)
-    ax.set(
-        xlabel="ω / 2π (Hz)",
-        ylabel="E$^z$(ω) (m² s rad⁻¹)",
-        ylim=(1e-7 * top, 3 * top),
-        title=f"bound: {fraction:.2g} ± {std:.1g} % of the variance",
-    )
-    plain_axes(ax)
+    title = f"bound: {fraction:.2g} ± {std:.1g} % of the variance"
+    finish(axes[0, 0], HERTZ, "E$^z$(ω) (m² s rad⁻¹)", ylim=(1e-7 * top, 3 * top), title=title)
     return figure
 
 
@@ -48,44 +47,61 @@ def resonance_map(resonances: xr.Dataset) -> Figure:
     Parameters
     ----------
     resonances : Dataset
-        Group ``/resonances`` of a wave store, or what `wavefield.resonances` gives.
-
-    Returns
-    -------
-    Figure
+        Group ``/resonances`` of a wave store, or the result of `wavefield.resonances`.
 
     Notes
     -----
     Left: k1 and k2 as points, k3 and k4 as circles, joined by the parallelogram that they span; the ten least
     probable ones, each in a colour of its own. Right: squared coherence of all quartets less that of
-    surrogates against the frequency by which the fourth wave lies off the dispersion relation.
+    surrogates against the frequency by which the fourth wave is off the dispersion relation.
     """
     figure, axes = panels(2, height=4.4)
     left, right = axes[0]
     kx, ky = (resonances[f"quartet_k{axis}"].values / (2 * np.pi) for axis in "xy")
-    chosen = np.flatnonzero(resonances.quartet_significant.values)[:10]
-    for style, i in zip(LINES * 2, chosen):
+    significant = np.flatnonzero(resonances.quartet_significant.values)
+    for style, i in zip(LINES * 2, significant[:10], strict=False):
         left.plot(kx[i, [0, 2, 1, 3, 0]], ky[i, [0, 2, 1, 3, 0]], color=style["color"], linewidth=0.8)
         left.plot(kx[i, :2], ky[i, :2], "o", color=style["color"])
         left.plot(kx[i, 2:], ky[i, 2:], "o", color=style["color"], markerfacecolor="white")
-    if chosen.size:
+    if significant.size:
         left.plot([], [], "o", color="0.3", label="k₁, k₂")
         left.plot([], [], "o", color="0.3", markerfacecolor="white", label="k₃, k₄")
     half = 1.1 * max(float(np.abs(kx).max(initial=0)), float(np.abs(ky).max(initial=0)), 1.0)
-    tests = int(resonances.quartet_tests)
-    left.set(
-        xlabel="kx / 2π (m⁻¹)",
-        ylabel="ky / 2π (m⁻¹)",
+    finish(
+        left,
+        "kx / 2π (m⁻¹)",
+        "ky / 2π (m⁻¹)",
+        {"loc": "upper right"},
         xlim=(-half, half),
         ylim=(-half, half),
         aspect="equal",
-        title=f"{int(resonances.quartet_significant.sum())} significant of {tests} quartets",
+        title=f"{significant.size} significant of {int(resonances.quartet_tests)} quartets",
     )
-    plain_axes(left, loc="upper right")
-    hertz = resonances.mismatch.values / (2 * np.pi)
+    mismatch = resonances.mismatch.values / (2 * np.pi)
     excess, std = resonances.coherence_excess.values, resonances.coherence_excess_std.values
-    right.errorbar(hertz, 1e3 * excess, 2e3 * std, fmt="o-", color="#0072B2", capsize=3)
+    right.errorbar(mismatch, 1e3 * excess, 2e3 * std, fmt="o-", color="#0072B2", capsize=3)
     right.axhline(0.0, color="0.5", linewidth=0.8)
-    right.set(xlabel="frequency off resonance (Hz)", ylabel="10³ (mean γ² − surrogates)")
-    plain_axes(right)
+    finish(right, "frequency off resonance (Hz)", "10³ (mean γ² − surrogates)")
+    return figure
+
+
+def bicoherence_map(higher_order: xr.Dataset) -> Figure:
+    """Bicoherence above the level of chance.
+
+    Parameters
+    ----------
+    higher_order : Dataset
+        Group ``/higher_order`` of a wave store.
+    """
+    names = [name for name in ("bicoherence", "tricoherence") if name in higher_order]
+    figure, axes = panels(len(names))
+    first, second = (higher_order[d].values / (2 * np.pi) for d in ("omega1", "omega2"))
+    for ax, name in zip(axes[0], names, strict=True):
+        values = higher_order[name].transpose("omega1", "omega2").values
+        level = np.asarray(higher_order[f"{name}_level"].values, float)
+        above = np.where(values > level, values, np.nan)
+        ax.set_facecolor("0.92")
+        norm = Normalize(0, 1)
+        draw_cells(ax, second, first, above, f"{name} (1)", norm=norm, cmap=POSITIVE, extend="neither")
+        ax.set(xlabel="ω₂ / 2π (Hz)", ylabel="ω₁ / 2π (Hz)", title=f"{name}, grey: chance", aspect="equal")
     return figure

@@ -1,19 +1,19 @@
-"""Current by depth, and crests about to break."""
+"""Current by depth, and crests near breaking."""
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from wavefield.figures.style import LINES, draw_map, map_panels, moment_title, panels, plain_axes
+from wavefield.figures.style import LINES, RIGHT, draw_map, finish, map_panels, moment_title, panels
 
 
 def current_profile(shear: xr.Dataset) -> Figure:
-    """Current by depth, and what waves of each band feel at the depth 1 / 2k.
+    """Current by depth, and the Doppler velocity of each band of waves at the depth 1 / 2k.
 
     Parameters
     ----------
     shear : Dataset
-        Group ``/shear`` of a wave store, or what `wavefield.current_by_depth` gives.
+        Group ``/shear`` of a wave store, or the result of `wavefield.current_by_depth`.
 
     Returns
     -------
@@ -33,10 +33,9 @@ def current_profile(shear: xr.Dataset) -> Figure:
             fmt="o",
             color=style["color"],
             markersize=4,
-            label=f"felt by waves, {name}",
+            label=f"Doppler velocity along {name}",
         )
-    ax.set(xlabel="velocity (cm s⁻¹)", ylabel="z (cm)")
-    plain_axes(ax, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    finish(ax, "velocity (cm s⁻¹)", "z (cm)", RIGHT)
     return figure
 
 
@@ -46,7 +45,7 @@ def breaking_map(snapshot: xr.Dataset) -> Figure:
     Parameters
     ----------
     snapshot : Dataset, (y, x)
-        One step of a cube with z (m) and of what `wavefield.breaking` gives, with B.
+        One step of a cube with z (m), and B of `wavefield.breaking`.
 
     Returns
     -------
@@ -65,5 +64,5 @@ def breaking_map(snapshot: xr.Dataset) -> Figure:
         vmax=1,
         cmap="inferno",
     )
-    figure.colorbar(drawn, ax=ax, label="B = u / c (1), they break above .85")
+    figure.colorbar(drawn, ax=ax, label="B = u / c (1), crests break above 0.85")
     return figure

@@ -1,4 +1,4 @@
-"""Where and when the measurement is good: coverage, faults, misfits, uncertainties."""
+"""Coverage, faults, misfits and uncertainties of a measurement."""
 
 from typing import Any
 
@@ -10,12 +10,16 @@ from numpy.typing import NDArray
 from wavefield.figures.style import (
     LINES,
     POSITIVE,
+    RIGHT,
     densities,
     draw_map,
-    limit,
+    draw_positive_map,
+    finish,
     map_panels,
     panels,
     plain_axes,
+    positive,
+    rms_in_time,
 )
 from wavefield.variables import FrameStatus, Quality
 
@@ -29,7 +33,7 @@ _REASONS = {
 }
 
 
-# one word for each node, the first that fits: bit of `quality`, in words, colour (of Okabe and Ito's)
+# one kind for each node, the first that applies: bit of `quality`, in words, colour (of Okabe and Ito's)
 KINDS: tuple[tuple[str, str, str], ...] = (
     ("OUTSIDE", "outside the view", "#d9d9d9"),
     ("MASKED", "masked", "#000000"),
@@ -44,7 +48,7 @@ KINDS: tuple[tuple[str, str, str], ...] = (
 
 
 def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
-    """One kind for each node: the gravest thing that its bits say.
+    """Index into `KINDS` of each node, by the gravest of its bits.
 
     Examples
     --------
@@ -71,11 +75,12 @@ def quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
     Returns
     -------
     Dataset
-        One variable in [0, 1] for each of measured, filled and the rejections; nodes outside the
-        field seen, and masked ones, count as zero.
+        One variable in [0, 1] for each of measured, filled and the rejections; nodes outside the field of
+        view, and masked ones, count as zero.
     """
-    bits = {name: int(flag) for name, flag in _REASONS.items()}
-    return xr.Dataset({name: ((quality & np.uint16(bit)) != 0).mean(dims) for name, bit in bits.items()})
+    return xr.Dataset(
+        {name: ((quality & np.uint16(int(flag))) != 0).mean(dims) for name, flag in _REASONS.items()}
+    )
 
 
 def coverage_map(cube: xr.Dataset) -> Figure:
@@ -100,7 +105,7 @@ def coverage_map(cube: xr.Dataset) -> Figure:
 
 
 def fault_history(cube: xr.Dataset) -> Figure:
-    """Course of the measured and rejected shares of the nodes in view, and the ledger.
+    """Course of the measured and rejected shares of the nodes in view, and the status of the steps.
 
     Parameters
     ----------
@@ -112,16 +117,15 @@ def fault_history(cube: xr.Dataset) -> Figure:
     Figure
     """
     nothing = np.uint16(Quality.OUTSIDE | Quality.MASKED)  # older cubes hold 8 bits
-    inside = ((cube.quality & nothing) == 0) & (cube.quality != 0)
-    seen = inside.mean(("y", "x")).compute()
+    visible = (((cube.quality & nothing) == 0) & (cube.quality != 0)).mean(("y", "x")).compute()
     shares = quality_shares(cube.quality, ("y", "x")).compute()
     figure, axes = panels(1, 2, width=8.6, height=2.3)
     top, bottom = axes[:, 0]
     for style, name in zip(LINES, shares.data_vars, strict=False):
         with np.errstate(divide="ignore", invalid="ignore"):
-            top.plot(cube.time, 100 * shares[name] / seen.where(seen > 0), label=name, **style)
+            top.plot(cube.time, 100 * shares[name] / visible.where(visible > 0), label=name, **style)
     top.set(ylabel="fraction of nodes (%)", ylim=(-3, 103))
-    plain_axes(top, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    plain_axes(top, **RIGHT)
     bottom.plot(cube.time, cube.frame_status, drawstyle="steps-mid", **LINES[1])
     names = [status.name.lower().replace("_", " ") for status in FrameStatus]
     bottom.set(yticks=list(FrameStatus), yticklabels=names, xlabel="time (s)", ylim=(-0.5, 3.5))
@@ -142,12 +146,8 @@ def misfit_maps(cube: xr.Dataset) -> Figure:
     Figure
     """
     figure, axes = map_panels(cube.eps_y, 2)
-    for ax, name, label, factor in zip(
-        axes[0], ("eps_y", "eps_piv"), ("rms eps_y (mm)", "rms eps' (px)"), (1e3, 1.0), strict=True
-    ):
-        rms = ((cube[name].astype(float) ** 2).mean("time") ** 0.5).compute()
-        top = factor * limit(rms, 99)
-        draw_map(ax, rms, label, factor=factor, cmap=POSITIVE, scale=(0, top))
+    draw_positive_map(axes[0, 0], rms_in_time(cube.eps_y), "rms eps_y (mm)", 1e3)
+    draw_positive_map(axes[0, 1], rms_in_time(cube.eps_piv), "rms eps' (px)")
     return figure
 
 
@@ -168,24 +168,19 @@ def misfit_distributions(cube: xr.Dataset) -> Figure:
     Counterparts of the paper's distributions of its errors eps_Y and eps'.
     """
     figure, axes = panels(2)
-    left, right = axes[0]
-    eps = 1e3 * cube.eps_y.values.astype(float)
-    rms = float(np.sqrt(np.nanmean(eps**2))) if np.isfinite(eps).any() else 1.0
-    bins = np.linspace(-6 * rms, 6 * rms, 121)
-    centres = (bins[1:] + bins[:-1]) / 2
-    left.semilogy(centres, _positive(densities(eps, bins)), label=f"rms {rms:.3g} mm", **LINES[1])
-    gauss = np.exp(-((centres / rms) ** 2) / 2) / (rms * np.sqrt(2 * np.pi))
-    left.semilogy(centres, gauss, label="Gaussian of that rms", **LINES[2])
-    left.set(xlabel="eps_y (mm)", ylabel="probability density (mm⁻¹)", ylim=(1e-5 / rms, 1 / rms))
-    piv = cube.eps_piv.values.astype(float)
-    rms = float(np.sqrt(np.nanmean(piv**2))) if np.isfinite(piv).any() else 1.0
-    bins = np.linspace(0, 6 * rms, 101)
-    right.semilogy(
-        (bins[1:] + bins[:-1]) / 2, _positive(densities(piv, bins)), label=f"rms {rms:.3g} px", **LINES[1]
-    )
-    right.set(xlabel="eps' (px)", ylabel="probability density (px⁻¹)")
-    for ax in axes[0]:
-        plain_axes(ax)
+    for ax, values, lowest, label, unit in (
+        (axes[0, 0], 1e3 * cube.eps_y.values.astype(float), -6, "eps_y", "mm"),
+        (axes[0, 1], cube.eps_piv.values.astype(float), 0, "eps'", "px"),
+    ):
+        rms = float(np.sqrt(np.nanmean(values**2))) if np.isfinite(values).any() else 1.0
+        bins = np.linspace(lowest * rms, 6 * rms, 121 if lowest else 101)
+        centres = (bins[1:] + bins[:-1]) / 2
+        ax.semilogy(centres, positive(densities(values, bins)), label=f"rms {rms:.3g} {unit}", **LINES[1])
+        if lowest:
+            gaussian = np.exp(-((centres / rms) ** 2) / 2) / (rms * np.sqrt(2 * np.pi))
+            ax.semilogy(centres, gaussian, label="Gaussian of that rms", **LINES[2])
+            ax.set_ylim(1e-5 / rms, 1 / rms)
+        finish(ax, f"{label} ({unit})", f"probability density ({unit}⁻¹)")
     return figure
 
 
@@ -202,11 +197,9 @@ def uncertainty_maps(cube: xr.Dataset) -> Figure:
     Figure
     """
     figure, axes = map_panels(cube.z_std, 2, 2)
-    for ax, name in zip(axes.flat, ("z_std", "u_std", "v_std", "w_std"), strict=True):
-        middle = _median_in_time(cube[name])
-        unit, factor = ("mm", 1e3) if name == "z_std" else ("mm s⁻¹", 1e3)
-        top = factor * limit(middle, 98)
-        draw_map(ax, middle, f"{name} ({unit})", factor=factor, cmap=POSITIVE, scale=(0, top))
+    for ax, name in zip(axes.ravel(), ("z_std", "u_std", "v_std", "w_std"), strict=True):
+        unit = "mm" if name == "z_std" else "mm s⁻¹"
+        draw_positive_map(ax, _median_in_time(cube[name]), f"{name} ({unit})", 1e3, percent=98)
     return figure
 
 
@@ -217,7 +210,3 @@ def _median_in_time(field: xr.DataArray) -> xr.DataArray:
         np.ma.median(np.ma.masked_invalid(part.values), axis=part.get_axis_num("time")), np.nan
     )
     return part.isel(time=0, drop=True).copy(data=values)
-
-
-def _positive(values: np.ndarray) -> np.ndarray:
-    return np.where(values > 0, values, np.nan)

@@ -1,8 +1,10 @@
-"""The cameras: where they stand, what they see, how a step is made from their frames."""
+"""The cameras: their places and views, and how a step is measured from their frames."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
@@ -12,7 +14,7 @@ from wavefield.rig import Rig
 
 
 def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
-    """The rig from the side and from above, and a raised point as each camera sees it.
+    """The rig from the side and from above, and the apparent position of a raised point for each camera.
 
     Parameters
     ----------
@@ -43,8 +45,8 @@ def rig_views(rig: Rig, grid: Grid, height: float = 0.05) -> Figure:
         cx, cy, cz = camera.centre
         for end in grid.x:
             side.plot([cx, end], [cz, 0], **style | {"linewidth": 0.8})
-        seen = np.vstack([camera.corners(0.0), camera.corners(0.0)[:1]])
-        above.plot(*seen.T, label=f"seen by {name}", **style)
+        view = np.vstack([camera.corners(0.0), camera.corners(0.0)[:1]])
+        above.plot(*view.T, label=f"view of {name}", **style)
         for ax, height_or_y in ((side, cz), (above, cy)):
             ax.plot(cx, height_or_y, "o", color=style["color"])
             ax.annotate(name, (cx, height_or_y), textcoords="offset points", xytext=(0, 7), ha="center")
@@ -96,8 +98,8 @@ def camera_frames(frames: Mapping[str, np.ndarray], rig: Rig, grid: Grid) -> Fig
     for (top, bottom), (name, image) in zip(axes.T, frames.items(), strict=True):
         camera = rig[name]
         low, high = np.percentile(image, (1, 99.7))
-        shown = {"cmap": "gray", "vmin": low, "vmax": max(high, low + 1)}
-        top.imshow(image, **shown)
+        grey = {"cmap": "gray", "vmin": low, "vmax": max(high, low + 1)}
+        top.imshow(image, **grey)
         top.plot(*camera.project(outline_x, outline_y, 0.0), color="#F0E442", linewidth=1.5)
         h, w = image.shape
         top.set(
@@ -106,7 +108,7 @@ def camera_frames(frames: Mapping[str, np.ndarray], rig: Rig, grid: Grid) -> Fig
         middle = np.mean(grid.x), np.mean(grid.y)
         cx, cy = (float(v) for v in camera.project(*middle, 0.0))
         half = 0.05 * float(np.abs(np.linalg.det(camera.jacobian(*middle, 0.0)[:, :2])) ** 0.5)
-        bottom.imshow(image, interpolation="nearest", **shown)
+        bottom.imshow(image, interpolation="nearest", **grey)
         bottom.set(xlim=(cx - half, cx + half), ylim=(cy + half, cy - half))
         bottom.set(title=f"{name}, middle 10 cm", xlabel="column (px)", ylabel="row (px)")
         top.plot(
@@ -119,7 +121,7 @@ def camera_frames(frames: Mapping[str, np.ndarray], rig: Rig, grid: Grid) -> Fig
 
 
 def method_diagram(pairs: Sequence[tuple[str, str]], velocity: Sequence[str]) -> Figure:
-    """How one step is made from the frames of all cameras.
+    """How one step is measured from the frames of all cameras.
 
     Parameters
     ----------
@@ -143,37 +145,36 @@ def method_diagram(pairs: Sequence[tuple[str, str]], velocity: Sequence[str]) ->
     order = [*outer[: len(outer) // 2], *middle, *outer[len(outer) // 2 :]]
     figure, axes = panels(1, width=8.6, height=3.9)
     ax = axes[0, 0]
+    blue, orange = LINES[1]["color"], LINES[2]["color"]
     place = {name: 1.0 - i for i, name in enumerate(order)}
     wide = max(_width(f"{name}, t + dt") for name in order)
-    later = wide + 0.7
-    for column, moment in ((0.0, "t"), (later, "t + dt")):
+    second = wide + 0.7
+    for column, moment in ((0.0, "t"), (second, "t + dt")):
         for name, row in place.items():
             _box(ax, column, row, f"{name}, {moment}", "#DDEBF7", wide)
         for a, b in pairs:
-            _arrow(ax, (column, place[a]), (column, place[b]), LINES[1]["color"], gap=22)
+            _arrow(ax, (column, place[a]), (column, place[b]), blue, gap=22)
     for name in velocity:
-        _arrow(ax, (wide / 2, place[name]), (later - wide / 2, place[name]), LINES[2]["color"])
+        _arrow(ax, (wide / 2, place[name]), (second - wide / 2, place[name]), orange)
     bottom = min(place.values())
     middle_row = (1.0 + bottom) / 2
-    stereo, motion = (
-        "surface at t and t + dt,\nits neighbours: z at mid-time",
-        "displacement of each camera\nat its mid-time place",
-    )
+    stereo = "surface at t and t + dt,\nits neighbours: z at mid-time"
+    motion = "displacement of each camera\nat its mid-time place"
     broad = max(_width(stereo), _width(motion))
-    seen = later + wide / 2
-    found = seen + 0.8 + broad / 2
-    right = found + broad / 2
-    _box(ax, found, 1.0, stereo, "#EAF4EC", broad)
-    _box(ax, found, bottom, motion, "#FBEFE4", broad)
+    end = second + wide / 2
+    third = end + 0.8 + broad / 2
+    right = third + broad / 2
+    _box(ax, third, 1.0, stereo, "#EAF4EC", broad)
+    _box(ax, third, bottom, motion, "#FBEFE4", broad)
     result = "u, v, w\non the surface\nat t + dt/2"
     _box(ax, right + 0.8 + _width(result) / 2, middle_row, result, "#F3EAF4", _width(result))
-    _arrow(ax, (seen, middle_row + 0.35), (seen + 0.8, 0.95), LINES[1]["color"])
-    _arrow(ax, (seen, middle_row - 0.35), (seen + 0.8, bottom + 0.05), LINES[2]["color"])
+    _arrow(ax, (end, middle_row + 0.35), (end + 0.8, 0.95), blue)
+    _arrow(ax, (end, middle_row - 0.35), (end + 0.8, bottom + 0.05), orange)
     _arrow(ax, (right, 0.85), (right + 0.8, middle_row + 0.2), "0.2")
     _arrow(ax, (right, bottom + 0.15), (right + 0.8, middle_row - 0.2), "0.2")
-    _arrow(ax, (found, 0.66), (found, bottom + 0.34), "0.2")
-    ax.plot([], [], color=LINES[1]["color"], label="stereo: parallax between cameras")
-    ax.plot([], [], color=LINES[2]["color"], label="PIV: displacement in time")
+    _arrow(ax, (third, 0.66), (third, bottom + 0.34), "0.2")
+    ax.plot([], [], color=blue, label="stereo: parallax between cameras")
+    ax.plot([], [], color=orange, label="PIV: displacement in time")
     ax.legend(loc="lower center", ncols=2, bbox_to_anchor=(0.5, -0.12), frameon=False)
     ax.set(xlim=(-wide / 2 - 0.1, right + 0.9 + _width(result)), ylim=(bottom - 0.75, 1.5))
     ax.axis("off")
@@ -185,35 +186,27 @@ def _width(text: str) -> float:
     return max(0.064 * max(map(len, text.split("\n"))) + 0.25, 1.0)
 
 
-def _box(ax, x: float, y: float, text: str, colour: str, w: float) -> None:  # type: ignore[no-untyped-def]
-    h = 0.26 * len(text.split("\n")) + 0.16
-    ax.add_patch(
-        FancyBboxPatch(
-            (x - w / 2, y - h / 2),
-            w,
-            h,
-            boxstyle="round,pad=0.02",
-            facecolor=colour,
-            edgecolor="0.35",
-            zorder=2,
-        )
-    )
+def _box(ax: Axes, x: float, y: float, text: str, colour: str, width: float) -> None:
+    height = 0.26 * len(text.split("\n")) + 0.16
+    corner = x - width / 2, y - height / 2
+    style: dict[str, Any] = {
+        "boxstyle": "round,pad=0.02",
+        "facecolor": colour,
+        "edgecolor": "0.35",
+        "zorder": 2,
+    }
+    ax.add_patch(FancyBboxPatch(corner, width, height, **style))
     ax.text(x, y, text, ha="center", va="center", fontsize=9, zorder=3)
 
 
-def _arrow(  # type: ignore[no-untyped-def]
-    ax, start: tuple[float, float], end: tuple[float, float], colour: str, gap: float = 2
+def _arrow(
+    ax: Axes, start: tuple[float, float], end: tuple[float, float], colour: str, gap: float = 2
 ) -> None:
-    ax.add_patch(
-        FancyArrowPatch(
-            start,
-            end,
-            arrowstyle="-|>",
-            mutation_scale=12,
-            color=colour,
-            linewidth=1.6,
-            shrinkA=gap,
-            shrinkB=gap,
-            zorder=1,
-        )
-    )
+    line: dict[str, Any] = {
+        "arrowstyle": "-|>",
+        "mutation_scale": 12,
+        "color": colour,
+        "linewidth": 1.6,
+        "zorder": 1,
+    }
+    ax.add_patch(FancyArrowPatch(start, end, shrinkA=gap, shrinkB=gap, **line))

@@ -1,22 +1,25 @@
-"""What all figures share: sizes, colours, and how a field is drawn as a map.
+"""Sizes, colours, maps and axes that all figures share.
 
 Colour maps: red-blue, balanced about zero, for signed fields; cividis for positive ones. Both keep their
 order for colour-blind readers. Lines differ by dash as well as by colour.
 """
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import matplotlib
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
 
 SIGNED, POSITIVE = "RdBu_r", "cividis"
 
-# Okabe and Ito's colours that stand out from white, each with its own dash
+# Okabe and Ito's colours that contrast with white, each with its own dash
 LINES: tuple[dict[str, Any], ...] = (
     {"color": "#000000", "linestyle": "-"},
     {"color": "#0072B2", "linestyle": "-"},
@@ -25,6 +28,9 @@ LINES: tuple[dict[str, Any], ...] = (
     {"color": "#CC79A7", "linestyle": (0, (1, 1))},
     {"color": "#7A5195", "linestyle": (0, (5, 1, 1, 1, 1, 1))},
 )
+HERTZ, CYCLES = "ω / 2π (Hz)", "k / 2π (m⁻¹)"
+ABOVE: dict[str, object] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 2}
+RIGHT: dict[str, object] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
 
 _RC: Any = {
     "font.size": 10.5,
@@ -37,7 +43,7 @@ _RC: Any = {
 }
 
 
-class _Shown(Figure):
+class NotebookFigure(Figure):
     """A figure that a notebook shows by itself, whatever its backend."""
 
     def _repr_png_(self) -> bytes:
@@ -46,39 +52,27 @@ class _Shown(Figure):
         return buffer.getvalue()
 
 
-def panels(columns: int, rows: int = 1, *, width: float = 5.2, height: float = 4.1) -> tuple[Figure, Any]:
-    """Make a figure with panels, without any global state.
-
-    Returns axes (rows, columns).
-    """
+def panels(
+    columns: int, rows: int = 1, *, width: float = 5.2, height: float = 4.1, projection: str | None = None
+) -> tuple[Figure, NDArray[np.object_]]:
+    """A figure with panels, axes (rows, columns), without any global state."""
     with matplotlib.rc_context(_RC):
-        figure = _Shown(figsize=(width * columns, height * rows), layout="constrained")
-        axes = figure.subplots(rows, columns, squeeze=False)
+        figure = NotebookFigure(figsize=(width * columns, height * rows), layout="constrained")
+        axes = figure.subplots(rows, columns, squeeze=False, subplot_kw={"projection": projection})
     return figure, axes
 
 
-def map_panels(field: xr.DataArray, columns: int, rows: int = 1, *, width: float = 5.2) -> tuple[Figure, Any]:
-    """Make a figure with panels of the shape of a field's rectangle.
-
-    With field (y, x); returns axes (rows, columns).
-    """
+def map_panels(
+    field: xr.DataArray, columns: int, rows: int = 1, *, width: float = 5.2
+) -> tuple[Figure, NDArray[np.object_]]:
+    """A figure with panels, axes (rows, columns), of the shape of a field's rectangle (y, x)."""
     wide, high = (float(np.ptp(field[d].values)) or 1.0 for d in ("x", "y"))
     height = float(np.clip(0.74 * width * high / wide + 0.85, 1.6, 1.5 * width))
     return panels(columns, rows, width=width, height=height)
 
 
-def panel_3d(*, width: float = 7.2, height: float = 4.8) -> tuple[Figure, Any]:
-    """Make a figure with one three-dimensional panel."""
-    with matplotlib.rc_context(_RC):
-        figure = _Shown(figsize=(width, height), layout="constrained")
-        axes = figure.add_subplot(projection="3d")
-    return figure, axes
-
-
 def edges(centres: np.ndarray) -> np.ndarray:
-    """Edges of the cells around equally spaced centres.
-
-    With centres (n,); returns (n + 1,).
+    """Edges, (n + 1,), of the cells around equally spaced centres, (n,).
 
     Examples
     --------
@@ -90,11 +84,35 @@ def edges(centres: np.ndarray) -> np.ndarray:
     return np.concatenate([centres - step / 2, centres[-1:] + step / 2])
 
 
-def limit(values: Any, percent: float = 99.5) -> float:
+def limit(values: ArrayLike, percent: float = 99.5) -> float:
     """Half-width of a balanced colour scale."""
     finite = np.abs(np.asarray(values, float))
     finite = finite[np.isfinite(finite)]
     return float(np.percentile(finite, percent)) or 1e-9 if finite.size else 1.0
+
+
+def draw_cells(
+    axes: Axes,
+    x: np.ndarray,
+    y: np.ndarray,
+    values: np.ndarray,
+    label: str,
+    *,
+    norm: Normalize,
+    cmap: str,
+    extend: str = "both",
+) -> None:
+    """Draw values (y, x) of cells around their centres, with a colour bar as high as the panel."""
+    drawn = axes.pcolormesh(
+        edges(x), edges(y), np.ma.masked_invalid(values), norm=norm, cmap=cmap, rasterized=True
+    )
+    colour_bar(axes, drawn, label, extend)
+
+
+def colour_bar(axes: Axes, drawn: ScalarMappable, label: str, extend: str = "both") -> None:
+    """Put a colour bar next to a panel, as high as the panel."""
+    bar = axes.inset_axes((1.025, 0.0, 0.035, 1.0))
+    axes.figure.colorbar(drawn, cax=bar, label=label, extend=extend)
 
 
 def draw_map(
@@ -106,35 +124,30 @@ def draw_map(
     cmap: str = SIGNED,
     scale: tuple[float, float] | None = None,
     title: str = "",
-) -> Any:
-    """Draw a field over the physical plane, with its colour bar.
-
-    With field (y, x).
-    """
+) -> None:
+    """Draw a field (y, x) over the physical plane, with its colour bar."""
     values = factor * np.asarray(field.transpose("y", "x").values, float)
     if scale is None:
         half = limit(values)
         scale = (-half, half)
     axes.set_facecolor("0.85")
-    mesh = axes.pcolormesh(
-        edges(field.x.values),
-        edges(field.y.values),
-        np.ma.masked_invalid(values),
-        cmap=cmap,
-        vmin=scale[0],
-        vmax=scale[1],
-        rasterized=True,
-    )
     axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", title=title)
-    beyond = "neither" if scale == (0, 100) else "max" if scale[0] == 0 else "both"
-    colour_bar(axes, mesh, label, beyond)
-    return mesh
+    extend = "neither" if scale == (0, 100) else "max" if scale[0] == 0 else "both"
+    norm = Normalize(*scale)
+    draw_cells(axes, field.x.values, field.y.values, values, label, norm=norm, cmap=cmap, extend=extend)
 
 
-def colour_bar(axes: Axes, drawn: Any, label: str, extend: str = "both") -> None:
-    """Put a colour bar beside a panel, as high as the panel."""
-    bar = axes.inset_axes((1.025, 0.0, 0.035, 1.0))
-    axes.figure.colorbar(drawn, cax=bar, label=label, extend=extend)
+def draw_positive_map(
+    axes: Axes, field: xr.DataArray, label: str, factor: float = 1.0, percent: float = 99
+) -> None:
+    """Draw a field (y, x) without negative values, on a scale up to a percentile."""
+    top = factor * limit(field, percent)
+    draw_map(axes, field, label, factor=factor, cmap=POSITIVE, scale=(0, top))
+
+
+def rms_in_time(field: xr.DataArray) -> xr.DataArray:
+    """Root mean square over time of a field (time, y, x)."""
+    return ((field.astype(float) ** 2).mean("time") ** 0.5).compute()
 
 
 def moment_title(snapshot: xr.Dataset) -> str:
@@ -142,21 +155,56 @@ def moment_title(snapshot: xr.Dataset) -> str:
     return f"t = {round(float(snapshot.time), 3):g} s" if "time" in snapshot.coords else ""
 
 
-def plain_axes(axes: Axes, **legend: Any) -> None:
+def hertz(group: xr.Dataset | xr.DataArray) -> np.ndarray:
+    """Frequencies of a group of a wave store, Hz."""
+    return np.asarray(group.omega.values / (2 * np.pi))
+
+
+def cycles(group: xr.Dataset | xr.DataArray) -> np.ndarray:
+    """Wavenumbers of a group of a wave store, cycles per metre."""
+    return np.asarray(group.k.values / (2 * np.pi))
+
+
+def positive(values: ArrayLike) -> np.ndarray:
+    """Values for a logarithmic axis: NaN where not positive."""
+    array = np.asarray(values)
+    return np.where(array > 0, array, np.nan)
+
+
+def draw_curves(
+    axes: Axes,
+    x: np.ndarray,
+    curves: Mapping[str, ArrayLike],
+    styles: Iterable[Mapping[str, Any]] = LINES,
+    *,
+    log: str = "",
+) -> None:
+    """Draw curves over x by their labels, each in its style; `log` names logarithmic axes, such as "xy"."""
+    for style, (label, values) in zip(styles, curves.items(), strict=False):
+        axes.plot(x, positive(values) if "y" in log else np.asarray(values), label=label, **style)
+    axes.set(**{f"{name}scale": "log" for name in log})
+
+
+def plain_axes(axes: Axes, **legend: object) -> None:
     """Give a line plot a light grid, and its legend if it has named lines."""
     axes.grid(True, which="major", color="0.88", linewidth=0.7)
     axes.set_axisbelow(True)
     if axes.get_legend_handles_labels()[1]:
-        axes.legend(**{"frameon": False, "fontsize": 9} | legend)
+        options: dict[str, Any] = {"frameon": False, "fontsize": 9} | legend
+        axes.legend(**options)
 
 
-def densities(values: Sequence[float] | np.ndarray, bins: np.ndarray) -> np.ndarray:
-    """Probability density of values in bins.
+def finish(
+    axes: Axes, xlabel: str, ylabel: str, legend: Mapping[str, object] | None = None, **properties: object
+) -> None:
+    """Label the axes of a line plot and set other properties; then grid and legend."""
+    axes.set(xlabel=xlabel, ylabel=ylabel, **properties)
+    plain_axes(axes, **(legend or {}))
 
-    With bins (n + 1,); returns (n,): Density, per unit of the values.
-    """
+
+def densities(values: ArrayLike, bins: np.ndarray) -> np.ndarray:
+    """Probability density of values in bins between edges (n + 1,), per unit of the values, (n,)."""
     finite = np.asarray(values, float).ravel()
     finite = finite[np.isfinite(finite)]
     counts, _ = np.histogram(finite, bins)
-    out: np.ndarray = counts / (max(finite.size, 1) * np.diff(bins))
-    return out
+    return np.asarray(counts / (max(finite.size, 1) * np.diff(bins)))

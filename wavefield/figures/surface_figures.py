@@ -3,13 +3,15 @@
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from wavefield.figures.style import SIGNED, draw_map, limit, map_panels, moment_title, panel_3d
+from wavefield.figures.style import SIGNED, draw_map, limit, map_panels, moment_title, panels
 
-_MOST_POLYGONS = 70  # per axis in 3D: more takes seconds and looks the same
+MAX_POLYGONS = 70  # per axis in 3D: more takes seconds without a visible difference
+ARROWS_ACROSS = 26
 
 
 def surface_3d(snapshot: xr.Dataset) -> Figure:
@@ -26,29 +28,28 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
 
     Notes
     -----
-    Counterpart of the paper's 3D snapshot. Heights are exaggerated; the axes tell by how much.
+    Counterpart of the paper's 3D snapshot. Heights are exaggerated: compare the axes.
     """
-    stride = {d: slice(None, None, -(-snapshot.sizes[d] // _MOST_POLYGONS)) for d in ("y", "x")}
+    stride = {d: slice(None, None, -(-snapshot.sizes[d] // MAX_POLYGONS)) for d in ("y", "x")}
     part = snapshot[["z", "w"]].isel(stride).transpose("y", "x")
     z, w = 100 * part.z.values.astype(float), 100 * part.w.values.astype(float)
-    figure, axes = panel_3d()
+    figure, grid = panels(1, width=7.2, height=4.8, projection="3d")
+    axes = grid[0, 0]
     half = limit(w)
-    colours = Normalize(-half, half)
-    mapped = figure.colorbar(
-        _mappable(colours), ax=axes, label="w (cm s⁻¹)", shrink=0.6, pad=0.13, extend="both"
-    ).mappable
+    colours = ScalarMappable(Normalize(-half, half), SIGNED)
+    figure.colorbar(colours, ax=axes, label="w (cm s⁻¹)", shrink=0.6, pad=0.13, extend="both")
     x, y = np.meshgrid(part.x.values, part.y.values)
-    faces = mapped.to_rgba(w)
+    faces = colours.to_rgba(w)
     faces[..., :3] *= _relief(z)[..., None]
     corners = np.stack([x, y, z], axis=-1)
     quads = np.stack([corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]], axis=2)
     quads = quads.reshape(-1, 4, 3)
-    # whole ones only: matplotlib computes with memory that it never wrote where faces have fewer corners
-    whole = np.isfinite(quads).all(axis=(1, 2))
-    if whole.any():
-        shown = faces[:-1, :-1].reshape(-1, 4)[whole]
+    # matplotlib computes with uninitialised memory where faces have fewer corners
+    complete = np.isfinite(quads).all(axis=(1, 2))
+    if complete.any():
+        colour = faces[:-1, :-1].reshape(-1, 4)[complete]
         axes.add_collection3d(
-            Poly3DCollection(quads[whole], facecolors=shown, linewidths=0, antialiaseds=False)
+            Poly3DCollection(quads[complete], facecolors=colour, linewidths=0, antialiaseds=False)
         )
     height = 1.6 * limit(z, 100)
     span = np.ptp(part.x.values), np.ptp(part.y.values)
@@ -67,24 +68,14 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
 
 
 def _relief(z: np.ndarray) -> np.ndarray:
-    """Light from one side, weak enough to leave the colours readable: factors from .72 to 1."""
+    """Factors from 0.72 to 1, as of light from one side."""
     slope = np.nan_to_num(np.gradient(z, axis=1) - np.gradient(z, axis=0))
-    out: np.ndarray = 0.86 + 0.14 * np.clip(slope / limit(slope, 95), -1, 1)
-    return out
+    return np.asarray(0.86 + 0.14 * np.clip(slope / limit(slope, 95), -1, 1))
 
 
-def _mappable(colours: Normalize):  # type: ignore[no-untyped-def]
-    from matplotlib.cm import ScalarMappable
-
-    return ScalarMappable(colours, SIGNED)
-
-
-def draw_vectors(axes: Axes, snapshot: xr.Dataset, *, across: int = 26) -> None:
-    """Draw horizontal velocity as arrows, with a key.
-
-    With snapshot (y, x), m s-1.
-    """
-    stride = max(1, round(max(snapshot.sizes["x"], snapshot.sizes["y"]) / across))
+def _draw_vectors(axes: Axes, snapshot: xr.Dataset) -> None:
+    """Draw the horizontal velocity as arrows, with a key."""
+    stride = max(1, round(max(snapshot.sizes["x"], snapshot.sizes["y"]) / ARROWS_ACROSS))
     thin = slice(stride // 2, None, stride)
     part = snapshot[["u", "v"]].isel(x=thin, y=thin).transpose("y", "x")
     u, v = 100 * part.u.values.astype(float), 100 * part.v.values.astype(float)
@@ -101,13 +92,9 @@ def draw_vectors(axes: Axes, snapshot: xr.Dataset, *, across: int = 26) -> None:
         width=0.0028,
         color="black",
     )
-    key = _round_down(fastest)
+    power = 10.0 ** np.floor(np.log10(fastest))
+    key = float(power * max(m for m in (1, 2, 5) if m * power <= fastest * (1 + 1e-9)))
     axes.quiverkey(arrows, 0.86, 1.04, key, f"{key:g} cm s⁻¹", labelpos="E", coordinates="axes")
-
-
-def _round_down(value: float) -> float:
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))
 
 
 def velocity_map(snapshot: xr.Dataset) -> Figure:
@@ -129,7 +116,7 @@ def velocity_map(snapshot: xr.Dataset) -> Figure:
     figure, axes = map_panels(snapshot.w, 1, width=7.4)
     draw_map(axes[0, 0], snapshot.w, "w (cm s⁻¹)", factor=100)
     axes[0, 0].set_title(moment_title(snapshot), loc="left")
-    draw_vectors(axes[0, 0], snapshot)
+    _draw_vectors(axes[0, 0], snapshot)
     return figure
 
 

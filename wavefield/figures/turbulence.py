@@ -1,20 +1,20 @@
-"""Crests, increments, vortices, drift and energy: what `wavefield.crest_statistics` and its kin give."""
+"""Crests, increments, vortices, drift and energy."""
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from wavefield.figures.style import LINES, panels, plain_axes
+from wavefield.figures.style import CYCLES, LINES, cycles, draw_curves, finish, panels
 
 
 def crest_curves(crests: xr.Dataset) -> Figure:
-    """How many crests and troughs exceed a level, beside the laws of Rayleigh and of Tayfun.
+    """Fraction of crests and troughs that exceed a level, with the laws of Rayleigh and of Tayfun.
 
     Parameters
     ----------
     crests : Dataset
-        What `wavefield.crest_statistics` gives.
+        The result of `wavefield.crest_statistics`.
 
     Returns
     -------
@@ -23,17 +23,16 @@ def crest_curves(crests: xr.Dataset) -> Figure:
     figure, axes = panels(1, width=5.6)
     ax = axes[0, 0]
     level = crests.level.values
-    for style, name in zip(LINES[1:], ("crest", "trough")):
+    for style, name in zip(LINES[1:], ("crest", "trough"), strict=False):
         part, std = crests[f"{name}_exceedance"].values, crests[f"{name}_exceedance_std"].values
-        seen = part > 0
-        ax.semilogy(level[seen], part[seen], label=f"{name}s", **style)
+        some = part > 0
+        ax.semilogy(level[some], part[some], label=f"{name}s", **style)
         low = np.maximum(part - 2 * std, part / 20)
-        ax.fill_between(level[seen], low[seen], (part + 2 * std)[seen], color=style["color"], alpha=0.2)
-    for dash, name in zip(("--", ":"), ("rayleigh", "tayfun")):
+        ax.fill_between(level[some], low[some], (part + 2 * std)[some], color=style["color"], alpha=0.2)
+    for dash, name in (("--", "rayleigh"), (":", "tayfun")):
         ax.semilogy(level, crests[name].values, color="0.35", linestyle=dash, label=name.capitalize())
     smallest = 0.3 / max(float(crests.waves), 10.0)
-    ax.set(xlabel="level (standard deviations)", ylabel="fraction beyond it", ylim=(smallest, 1.5))
-    plain_axes(ax)
+    finish(ax, "level (standard deviations)", "fraction beyond it", ylim=(smallest, 1.5))
     return figure
 
 
@@ -43,7 +42,7 @@ def flatness_curves(structure: xr.Dataset) -> Figure:
     Parameters
     ----------
     structure : Dataset
-        What `wavefield.structure_functions` gives.
+        The result of `wavefield.structure_functions`.
 
     Returns
     -------
@@ -60,12 +59,10 @@ def flatness_curves(structure: xr.Dataset) -> Figure:
             below.semilogx(lag, flat, label=f"along {name}", **style)
             below.fill_between(lag, flat - 2 * std, flat + 2 * std, color=style["color"], alpha=0.2)
         below.axhline(3, color="0.35", linestyle="--", label="Gaussian field")
-        above.set(ylabel="S₂, the mean squared increment")
-        below.set(xlabel=f"lag ({unit})", ylabel="flatness S₄ / S₂²")
         for ax in (above, below):
             ax.xaxis.set_minor_formatter(NullFormatter())
-        plain_axes(above)
-        plain_axes(below)
+        finish(above, "", "S₂, the mean squared increment")
+        finish(below, f"lag ({unit})", "flatness S₄ / S₂²")
     return figure
 
 
@@ -75,7 +72,7 @@ def vortex_spectra(split: xr.Dataset) -> Figure:
     Parameters
     ----------
     split : Dataset
-        What `wavefield.waves_and_vortices` gives.
+        The result of `wavefield.waves_and_vortices`.
 
     Returns
     -------
@@ -85,14 +82,12 @@ def vortex_spectra(split: xr.Dataset) -> Figure:
     ax = axes[0, 0]
     step = float(split.omega[1] - split.omega[0])
     names = {"waves": "waves", "vortices": "vortices", "leak": "waves that the windows turn across"}
-    for style, (name, label) in zip(LINES[1:], names.items()):
-        energy = (split[f"E_{name}"].where(split.valid).sum("omega") * step).values
-        ax.loglog(split.k.values / (2 * np.pi), np.where(energy > 0, energy, np.nan), label=label, **style)
+    over_k = {n: (split[f"E_{n}"].where(split.valid).sum("omega") * step).values for n in names}
+    draw_curves(ax, cycles(split), {names[n]: E for n, E in over_k.items()}, LINES[1:], log="xy")
+    ax.xaxis.set_minor_formatter(NullFormatter())
     part, std = (100 * float(split[name]) for name in ("vortical_fraction", "vortical_fraction_std"))
     title = f"vortices: ({part:.2g} ± {std:.1g}) % of the variance"
-    ax.set(xlabel="k / 2π (m⁻¹)", ylabel="E(k) of (u, v) (m³ s⁻² rad⁻¹)", title=title)
-    ax.xaxis.set_minor_formatter(NullFormatter())
-    plain_axes(ax)
+    finish(ax, CYCLES, "E(k) of (u, v) (m³ s⁻² rad⁻¹)", title=title)
     return figure
 
 
@@ -102,7 +97,7 @@ def path_map(paths: xr.Dataset, start: int = 0) -> Figure:
     Parameters
     ----------
     paths : Dataset
-        What `wavefield.surface_paths` gives.
+        The result of `wavefield.surface_paths`.
     start : int
         Which of its starts.
 
@@ -119,8 +114,7 @@ def path_map(paths: xr.Dataset, start: int = 0) -> Figure:
         f"{a} {100 * float(paths[f'drift_{a}']):.2g} ± {100 * float(paths[f'drift_{a}_std']):.1g}"
         for a in "xy"
     )
-    ax.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title=f"drift: {drift} cm s⁻¹")
-    plain_axes(ax)
+    finish(ax, "x (m)", "y (m)", aspect="equal", title=f"drift: {drift} cm s⁻¹")
     return figure
 
 
@@ -130,7 +124,7 @@ def energy_bars(budget: xr.Dataset) -> Figure:
     Parameters
     ----------
     budget : Dataset
-        What `wavefield.energy_budget` gives.
+        The result of `wavefield.energy_budget`.
 
     Returns
     -------
@@ -146,6 +140,5 @@ def energy_bars(budget: xr.Dataset) -> Figure:
         ax.bar(at, 1e3 * budget[name].values, 0.18, yerr=std, color=style["color"], label=name, ecolor="0.4")
     ax.axhline(0, color="0.3", linewidth=0.8)
     ax.set_xticks(place, [f"{f:.3g}" for f in budget.band.values])
-    ax.set(xlabel="middle of the band (Hz)", ylabel="power (mW m⁻²)")
-    plain_axes(ax)
+    finish(ax, "middle of the band (Hz)", "power (mW m⁻²)")
     return figure
