@@ -8,7 +8,7 @@ from wavefield.images import write_image
 
 
 def number_image(number: int, shape: tuple[int, int] = (6, 8)) -> np.ndarray:
-    """An image from which its frame number can be told."""
+    """An image that contains its frame number."""
     image = np.arange(shape[0] * shape[1], dtype=np.uint8).reshape(shape)
     image[0, 0] = number % 256
     return image

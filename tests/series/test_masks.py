@@ -33,7 +33,7 @@ def opened(lab, mask, rig=None):
     return masks.covered_series(experiment.mask, series, rig or Rig({}), lab, 0.05)
 
 
-def test_a_polygon_covers_what_lies_inside_it_and_nothing_of_other_cameras(lab):
+def test_a_polygon_covers_its_inside_and_nothing_of_other_cameras(lab):
     series = opened(lab, "{cam1: {polygon: [[10, 5], [30, 5], [30, 25], [10, 25]]}}")
     covered = series["cam1"].covered(2)
     wanted = np.zeros(SIZE, bool)
@@ -67,7 +67,7 @@ def test_an_image_for_every_frame_moves_with_the_frames_also_in_a_window(lab):
     assert "its mask" in frame.message
 
 
-def test_whole_images_are_looked_at_without_what_is_covered(lab):
+def test_complete_images_are_even_where_they_are_covered(lab):
     series = opened(lab, "{cam1: {polygon: [[10, 5], [30, 5], [30, 25], [10, 25]]}}")["cam1"]
     part = series.read_uncovered(0)[5:26, 10:31]
     assert part.min() == part.max()
@@ -107,7 +107,7 @@ def test_only_what_covers_nodes_is_an_outline_on_the_water():
     assert radius.max() < 0.501
 
 
-def test_the_recipe_knows_what_an_image_of_a_mask_holds(lab):
+def test_the_recipe_depends_on_the_content_of_an_image_of_a_mask(lab):
     cv2.imwrite(str(lab / "m.png"), np.zeros(SIZE, np.uint8))
     one = masks.as_data({"cam1": [masks.MaskSection(image="m.png")]}, lab)
     cv2.imwrite(str(lab / "m.png"), np.eye(*SIZE, dtype=np.uint8))
@@ -119,7 +119,7 @@ def test_a_cylinder_without_height_is_refused(lab):
         opened(lab, "{water: {cylinder: {x: 0, y: 0, radius: 1, top: 0, bottom: 1}}}")
 
 
-def test_drawn_polygons_are_written_beside_what_was_typed(lab):
+def test_drawn_polygons_are_written_after_what_was_typed(lab):
     opened(lab, "{cam1: {polygon: [[10, 5], [30, 5], [30, 25]]}}  # the wall")
     path = lab / "experiment.yaml"
     path.write_text("# a note\n" + path.read_text() + "# the end\nwater: {depth: 0.7}  # at noon\n")

@@ -1,4 +1,4 @@
-"""Fifty damaged files of each kind are told in one sentence each; videos, DNG and DaVis' buffers are read."""
+"""Damaged files of each kind are reported in one sentence; videos, DNG and DaVis' buffers are read."""
 
 import cv2
 import numpy as np
@@ -74,10 +74,10 @@ def look(path):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_damaged_files_are_told_in_one_sentence(tmp_path, name):
+def test_damaged_files_are_reported_in_one_sentence(tmp_path, name):
     path = tmp_path / f"a.{name}"
     FILES[name](path)
-    whole, rng, told = path.read_bytes(), np.random.default_rng(1), 0
+    whole, rng, reported = path.read_bytes(), np.random.default_rng(1), 0
     assert look(path) == ""
     for k in range(50):
         data = bytearray(whole[: rng.integers(0, len(whole))] if k % 2 else whole)
@@ -85,14 +85,14 @@ def test_damaged_files_are_told_in_one_sentence(tmp_path, name):
             data[place] = int(rng.integers(0, 256))
         path.write_bytes(data)
         words = look(path)
-        told += bool(words)
+        reported += bool(words)
         assert not words or path.name in words
         assert "\n" not in words
-    assert told >= 15  # most that were cut; of many images the first ones may be whole
+    assert reported >= 15  # most that were cut; of many images the first ones may be whole
 
 
-def test_a_zarr_array_that_lost_or_broke_a_part_is_told(tmp_path):
-    path, rng, told = tmp_path / "cam1.zarr", np.random.default_rng(2), 0
+def test_a_zarr_array_that_lost_or_broke_a_part_is_reported(tmp_path):
+    path, rng, reported = tmp_path / "cam1.zarr", np.random.default_rng(2), 0
     for k in range(50):
         array = zarr.create_array(
             str(path), shape=(3, ROWS, COLUMNS), dtype="u2", chunks=(1, ROWS, COLUMNS), overwrite=True
@@ -107,10 +107,10 @@ def test_a_zarr_array_that_lost_or_broke_a_part_is_told(tmp_path):
             data[place] = int(rng.integers(0, 256))
         part.write_bytes(data)
         words = look(path)
-        told += bool(words)
+        reported += bool(words)
         assert not words or "cam1.zarr" in words
         assert "\n" not in words
-    assert told >= 30
+    assert reported >= 30
 
 
 @pytest.mark.parametrize(("name", "code"), [("a.avi", "MJPG"), ("a.mp4", "mp4v"), ("a.mkv", "FFV1")])

@@ -32,7 +32,7 @@ def reads(monkeypatch):
     return seen
 
 
-def test_xarray_knows_the_engine(experiment):
+def test_xarray_finds_the_engine(experiment):
     assert "wavefield" in xr.backends.list_engines()
     assert xr.backends.list_engines()["wavefield"].guess_can_open(experiment)
     assert not xr.backends.list_engines()["wavefield"].guess_can_open(experiment.with_name("x.nc"))
@@ -48,7 +48,7 @@ def test_one_node_per_camera_with_times_from_frame_numbers(experiment):
     assert tree.attrs == {"experiment": "basin", "frame_rate": 20.0, "water_depth": 0.5}
 
 
-def test_opening_reads_one_frame_per_camera_and_nothing_else_before_it_is_asked_for(experiment, reads):
+def test_opening_reads_one_frame_per_camera_and_nothing_else_before_it_is_needed(experiment, reads):
     tree = xr.open_datatree(experiment, engine="wavefield")
     repr(tree)
     part = tree["cam1"].image.isel(time=slice(2, 5), row=0)
@@ -85,7 +85,7 @@ def test_missing_frames_are_zeros_and_a_warning(experiment):
     assert int(tree["cam1"].image[5, 0, 0]) == 8
 
 
-def test_images_may_lie_elsewhere(experiment, tmp_path):
+def test_images_may_be_elsewhere(experiment, tmp_path):
     moved = tmp_path / "away" / "experiment.yaml"
     moved.parent.mkdir()
     moved.write_text(experiment.read_text())

@@ -1,4 +1,4 @@
-"""The experiment file: what it may say, and what is said of mistakes."""
+"""The experiment file: what it may contain, and how mistakes are reported."""
 
 import pytest
 from series_cases import write_experiment, write_frames
@@ -52,7 +52,7 @@ def test_a_lab_note_is_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "line", "says"),
+    ("old", "new", "line", "expected"),
     [
         ("frame_rate: 20.0 ", "frame_rte: 20.0 ", 2, "did you mean 'frame_rate'?"),
         ("frame_rate: 20.0 ", "frame_rate: -1 ", 2, "frame_rate should be greater than 0"),
@@ -76,10 +76,10 @@ def test_a_lab_note_is_read(tmp_path):
         ("depth: 0.70", "depth: deep", 15, "water.depth should be a valid number"),
     ],
 )
-def test_mistakes_are_named_with_line_and_remedy(tmp_path, old, new, line, says):
+def test_mistakes_are_named_with_line_and_remedy(tmp_path, old, new, line, expected):
     assert old in LAB_NOTE
     message = complaint(tmp_path, LAB_NOTE.replace(old, new))
-    assert says in message
+    assert expected in message
     assert "experiment.yaml" in message
     if line:
         assert f"line {line}" in message
@@ -98,7 +98,7 @@ def test_what_is_not_an_experiment_is_refused(tmp_path):
         Experiment.load(tmp_path / "binary.yaml")
 
 
-def test_several_mistakes_are_told_at_once(tmp_path):
+def test_several_mistakes_are_reported_at_once(tmp_path):
     message = complaint(
         tmp_path, LAB_NOTE.replace("frame_rate: 20.0 ", "frame_rate: 0 ").replace("step: 0.01", "step: -1")
     )
@@ -106,7 +106,7 @@ def test_several_mistakes_are_told_at_once(tmp_path):
     assert "line 14" in message
 
 
-def test_a_file_may_stand_for_another(tmp_path):
+def test_a_file_may_refer_to_another(tmp_path):
     load(tmp_path, LAB_NOTE)
     (tmp_path / "runs").mkdir()
     pointer = tmp_path / "runs" / "pointer.yaml"
@@ -157,7 +157,7 @@ LAUGHS = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "expected"),
     [
         ("frame_rate: .inf", "frame_rate should be a finite number"),
         ("water: {depth: .nan}", "water.depth should be a finite number"),
@@ -168,13 +168,13 @@ LAUGHS = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
         ("cameras: {Left: {image: 3}}", "cameras.Left.image is not a known key; did you mean 'images'?"),
     ],
 )
-def test_what_no_lab_note_says_is_refused_at_once(tmp_path, text, says):
+def test_what_no_lab_note_contains_is_refused_at_once(tmp_path, text, expected):
     message = complaint(tmp_path, text)
-    assert says in message
+    assert expected in message
     assert "experiment.yaml" in message
 
 
-def test_a_file_of_another_kind_gets_one_sentence_and_a_block_is_not_told_to_be_a_word(tmp_path):
+def test_a_file_of_another_kind_gets_one_sentence_and_a_block_is_not_compared_with_a_word(tmp_path):
     path = tmp_path / "experiment.yaml"
     path.write_text("cluster: local\nworkers: 3\nmemory: 2 GB\ndashboard: x\nsecurity: tls\ntime_limit: 3h\n")
     with pytest.raises(ExperimentError) as caught:

@@ -95,13 +95,14 @@ def test_a_corrupt_png_is_refused(tmp_path, picture):
 
 
 @pytest.mark.parametrize(
-    ("content", "says"), [(None, "no such image"), (b"", "is empty"), (b"GIF89 not at all", "not an image")]
+    ("content", "message"),
+    [(None, "no such image"), (b"", "is empty"), (b"GIF89 not at all", "not an image")],
 )
-def test_what_is_not_an_image_is_named(tmp_path, content, says):
+def test_what_is_not_an_image_is_named(tmp_path, content, message):
     path = tmp_path / "frame.tif"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(FrameError, match=says):
+    with pytest.raises(FrameError, match=message):
         read_image(path)
 
 
@@ -120,7 +121,7 @@ def test_writing_where_nothing_can_be_written(tmp_path, picture):
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif"])
-def test_a_truncated_file_is_named_by_us_alone(tmp_path, picture, capfd, name):
+def test_a_truncated_file_is_reported_once(tmp_path, picture, capfd, name):
     path = tmp_path / name
     cv2.imwrite(str(path), picture)
     raw = path.read_bytes()

@@ -26,8 +26,8 @@ def open_frames(tmp_path, cameras, rest=""):
     return Experiment.load(write_experiment(tmp_path, cameras, rest)).open_frames()
 
 
-def numbers_seen(series):
-    """Frame number -> what the image at that place says its number is."""
+def numbers_read(series):
+    """Frame number -> the number that the image at that place contains."""
     frames = [series.read(i) for i in range(len(series))]
     return {series.first + i: int(f.image[0, 0]) for i, f in enumerate(frames) if f.image is not None}
 
@@ -39,7 +39,7 @@ def test_a_missing_file_does_not_shift_the_rest(tmp_path, images):
     there = [3, 4, 7, 8, 12]
     write_frames(tmp_path / "cam1", there)
     series = open_frames(tmp_path, f'cam1: "{{camera}}/{images}"')["cam1"]
-    assert numbers_seen(series) == {n: n for n in there}
+    assert numbers_read(series) == {n: n for n in there}
     assert list(series.missing) == [5, 6, 9, 10, 11]
     assert series.read(2).fault is FrameFault.MISSING
     assert "cam1 frame 5 is missing" in series.read(2).message
@@ -91,12 +91,12 @@ def test_range_and_offset(tmp_path):
     write_frames(tmp_path / "b", range(100, 110))
     cameras = 'cam1: a/*.tif\ncam2: {images: "b/*.tif", offset: -100}'
     series = open_frames(tmp_path, cameras, "frames: {first: 2, last: 5}\n")
-    assert numbers_seen(series["cam1"]) == {n: n for n in range(2, 6)}
-    assert numbers_seen(series["cam2"]) == {n: n + 100 for n in range(2, 6)}
+    assert numbers_read(series["cam1"]) == {n: n for n in range(2, 6)}
+    assert numbers_read(series["cam2"]) == {n: n + 100 for n in range(2, 6)}
 
 
 @pytest.mark.parametrize(
-    ("names", "images", "says"),
+    ("names", "images", "message"),
     [
         (["a_1_1.tif", "a_2_2.tif"], "*.tif", "more than one number varies"),
         (["a_1.tif", "b_2.tif"], "*.tif", "names of different kinds"),
@@ -105,10 +105,10 @@ def test_range_and_offset(tmp_path):
         (["a_1.tif"], "a_1.tif", "one frame only"),
     ],
 )
-def test_names_that_cannot_be_numbered_are_refused(tmp_path, names, images, says):
+def test_names_that_cannot_be_numbered_are_refused(tmp_path, names, images, message):
     for name in names:
         write_frames(tmp_path / "cam1", [1], name)
-    with pytest.raises(ExperimentError, match=says):
+    with pytest.raises(ExperimentError, match=message):
         open_frames(tmp_path, f'cam1: "cam1/{images}"')
 
 
@@ -137,7 +137,7 @@ def test_a_list_keeps_its_order_and_gaps(tmp_path):
     write_frames(tmp_path, [5, 1, 9])
     cameras = "cam1: [img_00005.tif, null, img_00001.tif, img_00009.tif, img_00077.tif]"
     series = open_frames(tmp_path, cameras)["cam1"]
-    assert numbers_seen(series) == {0: 5, 2: 1, 3: 9}
+    assert numbers_read(series) == {0: 5, 2: 1, 3: 9}
     assert list(series.missing) == [1]  # what is listed last and not there ends the series earlier
 
 
@@ -156,7 +156,7 @@ def test_several_multi_page_tiffs_follow_each_other(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", stack[:4], photometric="minisblack")
     tifffile.imwrite(tmp_path / "b.tif", stack[4:], photometric="minisblack")
     series = open_frames(tmp_path, "cam1: [a.tif, b.tif]")["cam1"]
-    assert numbers_seen(series) == {n: n for n in range(7)}
+    assert numbers_read(series) == {n: n for n in range(7)}
 
 
 def test_truncated_multi_page_tiff_marks_its_frames(tmp_path):
@@ -191,7 +191,7 @@ def test_zarr_array(tmp_path):
     zarr.open_group(tmp_path / "group.zarr", mode="w").create_array("image", data=stack)
     series = open_frames(tmp_path, "cam1: cam1.zarr\ncam2: group.zarr\ncam3: group.zarr/image")
     for one in series.values():
-        assert numbers_seen(one) == {n: n for n in range(5)}
+        assert numbers_read(one) == {n: n for n in range(5)}
     zarr.save_array(tmp_path / "flat.zarr", stack[0])
     with pytest.raises(ExperimentError, match="images need three"):
         open_frames(tmp_path, "cam1: flat.zarr")
@@ -206,11 +206,11 @@ def test_time_stamps_show_dropped_frames(tmp_path):
         + "".join(f"{i}, {1e5 + t:.6f}\n" for i, t in enumerate(kept / 20.0 + jitter))
     )
     series = open_frames(tmp_path, 'cam1: {images: "cam1/*.tif", times: times.txt}')["cam1"]
-    assert numbers_seen(series) == dict(zip(kept, range(6)))
+    assert numbers_read(series) == dict(zip(kept, range(6)))
 
 
 @pytest.mark.parametrize(
-    ("lines", "says"),
+    ("lines", "message"),
     [
         ("0\n0.05\n", "holds 2 times, but cam1 has 3 images"),
         ("0\n0.05\n0.03\n", "must hold increasing times"),
@@ -218,14 +218,14 @@ def test_time_stamps_show_dropped_frames(tmp_path):
         ("0\n0.05\n0.173\n", "do not fit a frame rate of 20.0 Hz"),
     ],
 )
-def test_time_stamps_that_do_not_fit_are_refused(tmp_path, lines, says):
+def test_time_stamps_that_do_not_fit_are_refused(tmp_path, lines, message):
     write_frames(tmp_path / "cam1", range(3))
     (tmp_path / "times.txt").write_text(lines)
-    with pytest.raises(ExperimentError, match=says):
+    with pytest.raises(ExperimentError, match=message):
         open_frames(tmp_path, 'cam1: {images: "cam1/*.tif", times: times.txt}')
 
 
-def test_bad_frames_keep_their_place_and_are_told_apart(tmp_path):
+def test_bad_frames_keep_their_place_and_are_distinguished(tmp_path):
     folder = tmp_path / "cam1"
     write_frames(folder, range(7))
     (folder / "img_00001.tif").write_bytes((folder / "img_00001.tif").read_bytes()[:150])

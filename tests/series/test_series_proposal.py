@@ -1,4 +1,4 @@
-"""A lab note proposed from a folder: what names say is there, what nobody can see is marked."""
+"""A lab note proposed from a folder: what names show is there, the rest is marked."""
 
 import pytest
 
@@ -49,7 +49,7 @@ def test_numbers_that_outgrow_their_zeros_stay_one_record(tmp_path):
     assert "4 images, 8 to 11" in propose(tmp_path)
 
 
-def test_a_folder_without_two_cameras_says_what_is_there(tmp_path):
+def test_a_folder_without_two_cameras_is_refused_with_its_content(tmp_path):
     (tmp_path / "notes.txt").write_text("nothing")
     with pytest.raises(ExperimentError, match="there are no numbered images"):
         propose(tmp_path)

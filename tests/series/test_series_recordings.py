@@ -213,7 +213,7 @@ def test_the_frame_rate_is_the_recording_s_where_the_note_has_none(recording, tm
     )
 
 
-def test_cameras_recorded_at_different_rates_are_told(tmp_path):
+def test_cameras_recorded_at_different_rates_are_reported(tmp_path):
     write_seq(tmp_path / "a.seq", 8)
     write_photron(tmp_path / "b.mraw", 8)
     (tmp_path / "b.cihx").write_bytes((tmp_path / "b.cihx").read_bytes().replace(b"2000", b"1000"))
@@ -223,7 +223,7 @@ def test_cameras_recorded_at_different_rates_are_told(tmp_path):
         Experiment.load(note(tmp_path, "a: nowhere.seq, b: img_*.tif"))
 
 
-def test_damaged_files_are_told_in_one_sentence(recording):
+def test_damaged_files_are_reported_in_one_sentence(recording):
     path, _ = recording
     whole, rng = path.read_bytes(), np.random.default_rng(1)
     for k in range(50):
@@ -259,7 +259,7 @@ def test_a_recording_that_was_cut_short_keeps_the_images_before(tmp_path):
     assert open_recording(tmp_path / "a.seq").count == COUNT - 2
 
 
-def test_several_datasets_are_told_apart_by_name(tmp_path):
+def test_several_datasets_are_distinguished_by_name(tmp_path):
     with h5py.File(tmp_path / "run.h5", "w") as file:
         file["cam1/images"], file["cam2/images"] = images(8), images(8)[:, ::-1]
     with pytest.raises(FrameError, match=r"name one, as run\.h5/cam1/images"):
@@ -313,9 +313,11 @@ def test_images_that_a_camera_dropped_leave_gaps_where_its_file_holds_times(tmp_
         series = experiment.open_frames()
         assert series["a"].missing.tolist() == [3, 4]
         np.testing.assert_array_equal(series["a"].read(6).image, images(8)[4])
-        told = [str(remark) for remark in remark_on_recordings(experiment, series)]
-        assert len(told) == 1
-        assert told[0].startswith("a: 2 images were dropped, by its clock, the first after frame 2 (0.001 s")
+        reported = [str(remark) for remark in remark_on_recordings(experiment, series)]
+        assert len(reported) == 1
+        assert reported[0].startswith(
+            "a: 2 images were dropped, by its clock, the first after frame 2 (0.001 s"
+        )
     write(tmp_path / name, 8, times=taken[[0, 2, 1, 3, 4]])
     with pytest.raises(ExperimentError, match=f"{name} holds no increasing times of its images"):
         experiment.open_frames()
@@ -323,34 +325,34 @@ def test_images_that_a_camera_dropped_leave_gaps_where_its_file_holds_times(tmp_
 
 
 def remarks_on(folder, **cameras):
-    """What is said of recordings by the times in them, and the frames that are missing."""
+    """Remarks on recordings by the times in them, and the frames that are missing."""
     for name, times in cameras.items():
         write_seq(folder / f"{name}.seq", 8, times)
     named = ", ".join(f"{name}: {name}.seq" for name in cameras)
     experiment = Experiment.load(note(folder, named, "frame_rate: 2000\n"))
     series = experiment.open_frames()
-    told = {(r.subject, r.kind): r for r in remark_on_recordings(experiment, series)}
+    reported = {(r.subject, r.kind): r for r in remark_on_recordings(experiment, series)}
     close_files()
-    return told, {name: one.missing.tolist() for name, one in series.items()}
+    return reported, {name: one.missing.tolist() for name, one in series.items()}
 
 
-def test_a_camera_that_alone_dropped_images_stays_beside_the_others(tmp_path):
+def test_a_camera_that_alone_dropped_images_stays_aligned_with_the_others(tmp_path):
     even = 9.0 + np.arange(80) / 2000
-    told, missing = remarks_on(tmp_path, a=even, b=np.delete(even, [7, 8, 40]) + 0.3)
+    reported, missing = remarks_on(tmp_path, a=even, b=np.delete(even, [7, 8, 40]) + 0.3)
     assert missing == {"a": [], "b": [7, 8, 40]}
-    assert list(told) == [("b", "dropped images")]
-    assert told["b", "dropped images"].values == {"dropped": 3, "first": 6}
+    assert list(reported) == [("b", "dropped images")]
+    assert reported["b", "dropped images"].values == {"dropped": 3, "first": 6}
 
 
-def test_clocks_that_drift_apart_are_told_and_their_jitter_is_not(tmp_path):
+def test_clocks_that_drift_apart_are_reported_and_their_jitter_is_not(tmp_path):
     even, jitter = np.arange(80) / 2000, np.random.default_rng(1).uniform(-1, 1, (2, 80)) / 2000 / 10
-    told, missing = remarks_on(tmp_path, a=9.0 + even + jitter[0], b=9.3 + even + jitter[1])
-    assert (told, missing) == ({}, {"a": [], "b": []})
-    told, missing = remarks_on(
+    reported, missing = remarks_on(tmp_path, a=9.0 + even + jitter[0], b=9.3 + even + jitter[1])
+    assert (reported, missing) == ({}, {"a": [], "b": []})
+    reported, missing = remarks_on(
         tmp_path, a=9.0 + even, b=9.3 + 1.005 * even
     )  # in the end by .4 of an interval
-    assert list(told) == [("b", "drift")]
-    assert told["b", "drift"].values["intervals"] == pytest.approx(0.375, abs=0.02)
+    assert list(reported) == [("b", "drift")]
+    assert reported["b", "drift"].values["intervals"] == pytest.approx(0.375, abs=0.02)
     assert missing == {"a": [], "b": []}
 
 
@@ -370,10 +372,10 @@ def test_times_of_no_whole_intervals_are_told_and_shift_no_frame(tmp_path):
     late = np.where(np.arange(80) == 20, even + 0.6 / 2000, even)  # a stamp that came late
     bursts = np.where(np.arange(80) < 40, even, even + 3600.0)
     for times, first in ((late, 19), (bursts, 39)):
-        told, missing = remarks_on(tmp_path, a=times)
+        reported, missing = remarks_on(tmp_path, a=times)
         assert missing == {"a": []}
-        assert list(told) == [("a", "uneven times")]
-        assert told["a", "uneven times"].values["first"] == first
+        assert list(reported) == [("a", "uneven times")]
+        assert reported["a", "uneven times"].values["first"] == first
 
 
 @pytest.mark.parametrize("attached", [True, False], ids=["coordinate", "beside"])

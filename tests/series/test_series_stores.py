@@ -1,4 +1,4 @@
-"""Images and cubes in object stores, by way of fsspec: one that lives in memory stands for them all."""
+"""Images and cubes in object stores, by way of fsspec: one in memory represents them all."""
 
 import cv2
 import fsspec
@@ -44,7 +44,7 @@ def test_images_are_listed_once_and_read_one_by_one(store, tmp_path):
     assert "memory://lab/cam1/img_00001.tif: there is nothing" in series["cam1"].read(1).message
 
 
-def test_a_zarr_array_of_images_is_read_where_it_lies(store, tmp_path):
+def test_a_zarr_array_of_images_is_read_in_place(store, tmp_path):
     for k in range(5):
         put(store, f"cam1/img_{k:05d}.tif", number_image(k))
     array = zarr.create_array("memory://lab/cam2.zarr", shape=(5, 6, 8), dtype="u1", chunks=(1, 6, 8))
@@ -67,7 +67,7 @@ def test_a_zarr_array_of_images_is_read_where_it_lies(store, tmp_path):
 def test_what_cannot_be_reached_is_named(store, tmp_path, name, words):
     for k in range(3):
         put(store, f"cam1/img_{k:05d}.tif", number_image(k))
-    with pytest.raises((ExperimentError, FrameError)) as told:
+    with pytest.raises((ExperimentError, FrameError)) as reported:
         experiment(tmp_path, name).open_frames()
-    assert words in str(told.value)
-    assert "\n" not in str(told.value)
+    assert words in str(reported.value)
+    assert "\n" not in str(reported.value)

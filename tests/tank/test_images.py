@@ -16,7 +16,7 @@ def small(**parts):
 
 
 @pytest.mark.parametrize("sigma", [0.45, 0.65, 0.9])
-def test_spots_are_where_they_should_be_and_keep_their_light(sigma, rng):
+def test_spots_have_their_places_and_their_light(sigma, rng):
     X, Y = np.meshgrid(np.arange(12, 190, 20.0), np.arange(12, 190, 20.0))
     X, Y = X + rng.uniform(-0.5, 0.5, X.shape), Y + rng.uniform(-0.5, 0.5, Y.shape)
     image = np.zeros((200, 200), np.float32)
@@ -103,7 +103,7 @@ def test_cropped_and_scaled_rigs_see_the_same_middle():
         assert scaled == pytest.approx([2.0, 2.0], rel=1e-3)
 
 
-def test_paper_rig_is_as_the_paper_says():
+def test_paper_rig_has_the_paper_s_numbers():
     rig = paper_rig()
     assert [rig[n].size for n in rig] == [(1024, 1024), (1024, 1024), (2432, 1728)]
     centre = {n: rig[n].centre for n in rig}
@@ -116,7 +116,7 @@ def test_paper_rig_is_as_the_paper_says():
         assert np.linalg.det(rig[name].R) == pytest.approx(1.0)
 
 
-def test_rays_meet_the_surface_and_the_texture_is_seen_through_them():
+def test_rays_meet_the_surface_and_the_texture_is_read_along_them():
     scene = small(
         surface={"kind": "texture", "contrast": 40.0},
         light=QUIET,
@@ -180,7 +180,7 @@ def test_faults_change_what_a_camera_records_and_nothing_else():
     assert np.array_equal(swapped.target_image("flat", "cam1"), sound.target_image("flat", "cam1"))
 
 
-def test_a_late_shutter_sees_the_same_beads_a_moment_later():
+def test_a_late_shutter_takes_the_same_beads_a_moment_later():
     tank = Tank(small(light=QUIET, surface={"renewal": 0.0}))
     between = Tank(small(light=QUIET, surface={"renewal": 0.0}, faults={"cam2": {"delay": 0.05}}))
     seen, next_frame = between.render(1), tank.render(2)

@@ -109,7 +109,7 @@ class Experiment(RecordSection):
         Parameters
         ----------
         path : path
-            The file; one that holds only ``experiment: other.yaml`` (and perhaps ``folder``) stands for
+            The file; one that holds only ``experiment: other.yaml`` (and perhaps ``folder``) refers to
             the other.
         folder : path, optional
             Folder of the images, in place of the one the file names.
@@ -157,7 +157,7 @@ class Experiment(RecordSection):
         Parameters
         ----------
         name : path
-            As in the file; ``{folder}`` stands for the folder of the images.
+            As in the file; ``{folder}`` is the folder of the images.
 
         Returns
         -------
@@ -185,7 +185,7 @@ class Experiment(RecordSection):
         if absent:
             raise ExperimentError(f"{self.path}: rest names no images of {', '.join(absent)}")
         if isinstance(self.rest, str) and len(self.cameras) > 1 and "{camera}" not in self.rest:
-            raise ExperimentError(f"{self.path}: rest: {self.rest} does not say where {{camera}} is")
+            raise ExperimentError(f"{self.path}: rest: {self.rest} does not contain {{camera}}")
         unknown = [name for name in patterns if name not in self.cameras]
         if unknown:
             raise ExperimentError(f"{self.path}: rest names {unknown[0]!r}, which is no camera of it")
@@ -199,7 +199,7 @@ class Experiment(RecordSection):
         Returns
         -------
         dict of str to FrameSeries
-            All on the same range of frame numbers, gaps kept: of missing files, and of images that a camera
+            All on the same range of frame numbers, with gaps: of missing files, and of images that a camera
             dropped, by its `times` or by those in its recording.
 
         Raises
@@ -256,7 +256,7 @@ class Experiment(RecordSection):
     def load_rig(
         self, path: str | Path | None = None, series: Mapping[str, FrameSeries] | None = None
     ) -> Rig:
-        """Load the rig, in any format that `wavefield.rig.formats` knows.
+        """Load the rig, in any format of `wavefield.rig.formats`.
 
         Parameters
         ----------

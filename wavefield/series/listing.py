@@ -28,7 +28,7 @@ _FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
 
 
 def has_pattern(name: str) -> bool:
-    """Whether a name stands for several files: with ``{frame}`` or wildcards."""
+    """Whether a name matches several files: with ``{frame}`` or wildcards."""
     return bool(_FRAME.search(name)) or any(c in name for c in "*?[")
 
 
@@ -174,7 +174,7 @@ def _numbers_by_glob(names: Sequence[str], pattern: str, camera: str) -> dict[in
         kinds = sorted({"#".join(p[::2]) for p in parts})
         raise ExperimentError(
             f"images of {camera}: {pattern!r} fits names of different kinds ({', '.join(kinds[:3])}, # for "
-            "digits); say where the frame number is, as in img_{frame:05d}.tif"
+            "digits); mark the frame number, as in img_{frame:05d}.tif"
         )
     digits = [[int(d) for d in p[1::2]] for p in parts]
     varying = [k for k in range(len(digits[0])) if len({d[k] for d in digits}) > 1]
@@ -183,8 +183,8 @@ def _numbers_by_glob(names: Sequence[str], pattern: str, camera: str) -> dict[in
     if len(varying) != 1:
         problem = "more than one number varies" if varying else "no number varies"
         raise ExperimentError(
-            f"images of {camera}: {problem} among the names that fit {pattern!r}; say where the frame "
-            "number is, as in img_{frame:05d}.tif"
+            f"images of {camera}: {problem} among the names that fit {pattern!r}; mark the frame "
+            "number, as in img_{frame:05d}.tif"
         )
     out: dict[int, str] = {}
     for numbers, name in zip(digits, names):

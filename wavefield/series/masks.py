@@ -45,7 +45,7 @@ class CylinderSection(ConfigSection):
 
 
 class MaskSection(ConfigSection):
-    """One thing that covers the water; exactly one of these."""
+    """One shape that covers the water; exactly one of these."""
 
     polygon: list[tuple[float, float]] | None = Field(
         default=None,

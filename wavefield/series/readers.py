@@ -90,7 +90,7 @@ _open_files: OrderedDict[tuple[str, int], _Closable] = OrderedDict()
 
 
 def close_files() -> None:
-    """Close all files that were kept open for further reading."""
+    """Close all files that stay open for further reading."""
     with _lock:
         while _open_files:
             _open_files.popitem()[1].close()

@@ -68,7 +68,7 @@ def _refuse_sparse_numbers(path: Path, numbered: Sequence[Numbered], first: int,
     if count > MAX_FRAMES or count > MAX_NUMBERS_PER_FRAME * max(present, 1):
         raise ExperimentError(
             f"{path}: the record runs from frame {first} to {last}, but only {present} of these {count} "
-            "numbers have a file; correct `frames`, or remove files whose number leaps"
+            "numbers have a file; correct `frames`, or remove files with numbers far from the others"
         )
 
 

@@ -48,7 +48,7 @@ def _no_images(experiment: Experiment, camera: str, patterns: Sequence[str]) -> 
 
 
 def _poses(experiment: Experiment, pattern: str, camera: str) -> dict[str, Path]:
-    """Images that fit a pattern, by pose: what its wildcards stand for, the same in all cameras."""
+    """Images that fit a pattern, by pose: the part that its wildcards match, the same in all cameras."""
     folder = experiment.image_folder
     named = pattern.replace("{camera}", glob.escape(camera))
     groups = {"*": "(.*?)", "?": "(.)"}

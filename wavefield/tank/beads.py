@@ -16,7 +16,7 @@ Velocity = Callable[[Array, Array], Array]  # x, y to u, v (and w), (2 or 3, ...
 MAX_SUBSTEP_S = 0.025
 GROUP_SIZE = 6  # beads of a cluster
 GROUP_SPREAD = 0.002  # m, standard deviation of their positions
-KEPT_FRAMES = 8  # before the latest one
+REMEMBERED_FRAMES = 8  # before the latest one
 
 
 def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, end: Velocity) -> Array:
@@ -99,13 +99,10 @@ class Population:
         for hole_x, hole_y, diameter in _holes(scene, settings):
             empty |= (px - hole_x) ** 2 + (py - hole_y) ** 2 < (diameter / 2) ** 2
         count = int(np.sum(~empty))
-        # a gamma law: most beads alike, a few bright ones, none negative
-        spread = settings.spread
-        own = rng.gamma(spread**-2, spread**2, count) if spread else np.ones(count)
-        each = np.exp(rng.normal(0.0, settings.spread_between, (cameras, count)))
+        brightness = settings.draw_brightness(cameras, count, rng)
         only = rng.integers(0, cameras, count)
         hidden = (rng.uniform(size=count) < settings.one_camera) & (np.arange(cameras)[:, None] != only)
-        self._brightness = np.where(hidden, 0.0, own * each)
+        self._brightness = np.where(hidden, 0.0, brightness)
         self._below = np.zeros(count)  # m under the surface
         if settings.submerged:
             rng = np.random.default_rng([scene.seed, 12])
@@ -122,8 +119,8 @@ class Population:
             last = max(number for number in self._frames if number <= frame)
             for number in range(last, frame):
                 self._frames[number + 1] = self._advance(self._frames[number], number)
-            kept = {0, *range(frame - KEPT_FRAMES, frame + 1)}
-            self._frames = {number: beads for number, beads in self._frames.items() if number in kept}
+            remembered = {0, *range(frame - REMEMBERED_FRAMES, frame + 1)}
+            self._frames = {number: beads for number, beads in self._frames.items() if number in remembered}
         return self._frames[frame]
 
     def _field(self, x: Array, y: Array, frame: int) -> BeadField:

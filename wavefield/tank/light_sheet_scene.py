@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
-from wavefield.tank.beads import KEPT_FRAMES, BeadField, centred_path, runge_kutta
+from wavefield.tank.beads import REMEMBERED_FRAMES, BeadField, centred_path, runge_kutta
 from wavefield.tank.scene import Scene
 from wavefield.tank.scene_parts import Sheet
 from wavefield.tank.truth import Truth
@@ -102,8 +102,7 @@ class Particles:
         rng = np.random.default_rng([scene.seed, 12])
         # density counts those whose light is above 1/e^2: in the middle half of the layer
         count = round(SLAB_THICKNESS * settings.density * (x[1] - x[0]) * (y[1] - y[0]))
-        own = rng.gamma(settings.spread**-2, settings.spread**2, count)
-        self._brightness = own * np.exp(rng.normal(0.0, settings.spread_between, (cameras, count)))
+        self._brightness = settings.draw_brightness(cameras, count, rng)
         self._places = {0: np.stack([rng.uniform(*x, count), rng.uniform(*y, count), rng.random(count)])}
 
     def frame(self, frame: int) -> BeadField:
@@ -112,8 +111,8 @@ class Particles:
             last = max(number for number in self._places if number <= frame)
             for number in range(last, frame):
                 self._places[number + 1] = self._advance(self._places[number])
-            kept = {0, *range(frame - KEPT_FRAMES, frame + 1)}
-            self._places = {number: p for number, p in self._places.items() if number in kept}
+            remembered = {0, *range(frame - REMEMBERED_FRAMES, frame + 1)}
+            self._places = {number: p for number, p in self._places.items() if number in remembered}
         x, y, height = self._places[frame]
         n = (height - 0.5) * SLAB_THICKNESS * self._settings.thickness
         light = np.exp(-8.0 * (n / self._settings.thickness) ** 2)

@@ -2,6 +2,8 @@
 
 from typing import Annotated, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field
 
 from wavefield.config_files import ConfigSection
@@ -41,7 +43,7 @@ class SceneRecord(Part):
 
 
 class PaperRig(Part):
-    """The paper's three cameras; its two oblique ones alone, or a fourth that looks across them."""
+    """The paper's three cameras; its two oblique ones alone, or a fourth at right angles to them."""
 
     cameras: Literal[2, 3, 4] = 3
     scale: Annotated[float, Field(gt=0, le=2)] = Field(default=1.0, description="image size over full size")
@@ -53,7 +55,7 @@ class PaperRig(Part):
 
 
 class SheetRig(Part):
-    """Cameras around a light sheet: two that look from both sides, and a vertical one between."""
+    """Cameras around a light sheet: two on both sides, and a vertical one between."""
 
     cameras: Literal[2, 3] = 2
     angle: Annotated[float, Field(ge=5, le=70)] = Field(
@@ -78,17 +80,28 @@ class RigFile(Part):
         return Rig.load(self.file)
 
 
-class Beads(Part):
-    """Floating beads."""
+class Spots(Part):
+    """Brightness of beads or particles in the images."""
 
-    kind: Literal["beads"] = "beads"
-    density: Positive = Field(default=1.1e4, description="beads per m2; 1.1e4 is 17.6 per 4 x 4 cm")
-    diameter: NotNegative = Field(default=0.7e-3, description="m")
     brightness: Positive = Field(default=110.0, description="mean height of a spot, grey levels of 255")
     spread: NotNegative = Field(default=0.35, description="relative spread of brightness over beads")
     spread_between: NotNegative = Field(
         default=0.15, description="relative spread between cameras for one bead"
     )
+
+    def draw_brightness(self, cameras: int, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Relative brightness of each bead in each camera, (cameras, count)."""
+        # a gamma law: most beads alike, a few bright ones, none negative
+        own = rng.gamma(self.spread**-2, self.spread**2, count) if self.spread else np.ones(count)
+        return own * np.exp(rng.normal(0.0, self.spread_between, (cameras, count)))
+
+
+class Beads(Spots):
+    """Floating beads."""
+
+    kind: Literal["beads"] = "beads"
+    density: Positive = Field(default=1.1e4, description="beads per m2; 1.1e4 is 17.6 per 4 x 4 cm")
+    diameter: NotNegative = Field(default=0.7e-3, description="m")
     one_camera: Share = Field(default=0.0, description="share of beads that only one camera sees")
     clustered: Share = Field(default=0.0, description="share of beads in groups of six within 8 mm")
     holes: Annotated[int, Field(ge=0)] = Field(default=0, description="number of round places without beads")
@@ -114,7 +127,7 @@ class Texture(Part):
     )
 
 
-class Sheet(Part):
+class Sheet(Spots):
     """Particles in a light sheet and a flow through it, instead of a water surface; the sea must be still."""
 
     kind: Literal["sheet"] = "sheet"
@@ -125,13 +138,6 @@ class Sheet(Part):
     )
     density: Positive = Field(default=6e5, description="particles in the sheet per m2")
     diameter: NotNegative = Field(default=1e-4, description="m")
-    brightness: Positive = Field(
-        default=110.0, description="mean height of a spot in the middle, grey levels of 255"
-    )
-    spread: Positive = Field(default=0.35, description="relative spread of brightness over particles")
-    spread_between: NotNegative = Field(
-        default=0.15, description="relative spread between cameras for one particle"
-    )
     speed: NotNegative = Field(default=0.015, description="rms of u and of v, m/s")
     speed_across: NotNegative = Field(default=0.003, description="rms of w, m/s")
     shortest: Positive = Field(default=0.03, description="shortest wavelength of the flow, m")

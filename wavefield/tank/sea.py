@@ -1,4 +1,4 @@
-"""A water surface known exactly: elevation and horizontal surface velocity as sums of waves.
+"""An exact water surface: elevation and horizontal surface velocity as sums of waves.
 
 The elevation z(x, y, t) and the horizontal velocity of the surface water u, v(x, y, t) are prescribed by
 potential theory to first or second order; the vertical velocity is then *defined* by the kinematic condition
@@ -42,7 +42,7 @@ class Sea:
     surface_tension : float, default that of clean water
         Surface tension over density, m3 s-2.
     current : tuple of float, default (0, 0)
-        Velocity of the water as a whole, m/s.
+        Uniform velocity of the water, m/s.
     bound : int, default 0
         How many free waves, the steepest, get second-order waves bound to them; 0 for a linear sea.
 
@@ -214,7 +214,7 @@ def _needed(names: Sequence[str]) -> tuple[str, ...]:
 
 @compiled(fastmath=True)
 def _product(a: Array, b: Array) -> Array:
-    """Matrix product on one thread: BLAS would start threads of its own inside each of ours."""
+    """Matrix product on one thread: BLAS would start threads inside each thread that draws."""
     out = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
         for k in range(a.shape[1]):

@@ -33,9 +33,7 @@ class PlaneWave(Part):
 class _SeaSettings(Part):
     depth: Positive = Field(default=0.7, description="depth of the water, m; .inf for deep water")
     surface_tension: NotNegative = Field(default=GAMMA, description="surface tension over density, m3 s-2")
-    current: tuple[float, float] = Field(
-        default=(0.0, 0.0), description="velocity of the water as a whole, m/s"
-    )
+    current: tuple[float, float] = Field(default=(0.0, 0.0), description="uniform velocity of the water, m/s")
     added: tuple[PlaneWave, ...] = Field(default=(), description="free waves besides")
 
     def _sea(self, kx: ArrayLike, ky: ArrayLike, amplitude: ArrayLike, bound: int) -> Sea:

@@ -260,7 +260,7 @@ class Tank:
 
 
 def _shifted(camera: Camera, shift: tuple[float, float]) -> Camera:
-    """A camera whose whole picture has moved by columns and rows, px."""
+    """A camera whose picture has moved by columns and rows, px."""
     return replace(camera, cx=camera.cx + shift[0], cy=camera.cy + shift[1]) if any(shift) else camera
 
 

@@ -1,4 +1,4 @@
-"""Pixels of 10 or 12 bits that lie one after another in a file."""
+"""Pixels of 10 or 12 bits one after another in a file."""
 
 import sys
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""One image after another in a file: where they start, how whole pixels are read."""
+"""One image after another in a file: their places, and pixels of complete bytes."""
 
 from bisect import bisect_right
 from collections.abc import Callable
