@@ -17,11 +17,10 @@ from wavefield.waves.estimation import segments
 from wavefield.waves.estimation.wave_record import Each
 from wavefield.waves.estimation.welch import Welch
 from wavefield.waves.nonlinear import kinematics
-from wavefield.waves.spectra import cross_spectra
+from wavefield.waves.spectra.segment_sums import Requested, add_segment, empty_sums, transforms
 from wavefield.waves.surface import statistics
 
 Array = NDArray[Any]
-Pairs = Sequence[tuple[str, str]]
 
 FIELDS = ("z", "z_t", "u", "v", "w")
 BALANCE_STEPS = 200  # at which the kinematic balance is taken
@@ -35,7 +34,7 @@ class Sums:
     """What one pass over a cube gives."""
 
     scale: dict[str, tuple[float, float]]  # rough mean and standard deviation of each field
-    ring_sums: dict[str, Array]  # as `cross_spectra.combine` gives it, over all segments
+    ring_sums: dict[str, Array]  # as `segment_sums.sum_segment` gives it, over all segments
     survey_sums: dict[str, Array]  # as `statistics.sums_of` gives it
     balance_rows: list[dict[str, float]]  # of `kinematics.balance`, each with its "step"
     point_series: Array  # (time, points), w at points far apart
@@ -66,14 +65,12 @@ class _Chain:
     read: segments.Reader
     welch: Welch
     scale: dict[str, tuple[float, float]]
-    pairs: Pairs
-    planes: Sequence[str]
+    requested: Requested
     every: int  # steps from one kinematic balance to the next
     report_progress: Callable[[], None] | None = None
 
     def __call__(self, links: Sequence[segments.Link]) -> _Partial:
         out = _Partial()
-        names, wanted = cross_spectra.NAMES, (cross_spectra.NAMES, self.pairs, self.planes, self.welch)
         previous: dict[str, Array] = {}
         oldest: dict[str, Array] = {}  # its memory is used again
         for start, stop, run, new in links:
@@ -81,11 +78,12 @@ class _Chain:
             if new:
                 self._survey(fields, start, out)
             # transforms come last: they release the fields
-            half = cross_spectra.transforms(fields, names, self.welch, oldest)
+            half = transforms(fields, self.requested.names, self.welch, oldest)
             if previous:
                 if not out.ring_sums:
-                    out.ring_sums = cross_spectra.empty_sums(half["z"], *wanted[:3], self.welch.table)
-                cross_spectra.add_segment(out.ring_sums, previous, half, *wanted, start - self.welch.half)
+                    out.ring_sums = empty_sums(half["z"], self.requested, self.welch.table)
+                begin = start - self.welch.half
+                add_segment(out.ring_sums, previous, half, self.requested, self.welch, begin)
             previous, oldest = half, previous
             if self.report_progress:
                 self.report_progress()
@@ -128,8 +126,7 @@ def one_pass(
     cube: xr.Dataset,
     welch: Welch,
     alike: bool,
-    pairs: Pairs,
-    planes: Sequence[str],
+    requested: Requested,
     progress: Progress | None,
     each: Each | None = None,
 ) -> Sums:
@@ -137,9 +134,7 @@ def one_pass(
     record = welch.record
     scale = statistics.rough_scales(cube, record, list(statistics.QUANTITIES.values()))
     read = segments.Reader([cube[name] for name in FIELDS], record, alike)
-    chain = partial(
-        _Chain, read, welch, scale, pairs, planes, max(1, record.steps_in_runs() // BALANCE_STEPS)
-    )
+    chain = partial(_Chain, read, welch, scale, requested, max(1, record.steps_in_runs() // BALANCE_STEPS))
     chains = segments.chains(record, welch.segment)
     # steps that no segment holds could end a run as well
     remainders = segments.remainders(record, welch.segment) if alike else []

@@ -34,6 +34,7 @@ from wavefield.waves.estimation.wave_record import Each, Record, find_record
 from wavefield.waves.estimation.welch import Welch
 from wavefield.waves.estimation.window_gain import gain_of
 from wavefield.waves.onepass import FIELDS, Progress, one_pass
+from wavefield.waves.spectra.segment_sums import NAMES, Requested
 
 MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz; 2.8 is the paper's
 
@@ -195,7 +196,7 @@ def _analyze(
     values = {**given, "welch": welch, "mean_current": (mean, mean_std), "pairs": pairs}
     waiting = list(registered)
     notes = products.compute_ready(waiting, values, each)  # mistakes are found before the long pass
-    values |= vars(one_pass(cube, welch, alike, pairs, planes, progress, each))
+    values |= vars(one_pass(cube, welch, alike, Requested(NAMES, pairs, planes), progress, each))
     notes |= products.compute_ready(waiting, values, each)
 
     order = list(GROUPS)

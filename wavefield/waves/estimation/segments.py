@@ -5,7 +5,8 @@ depend on how the data are chunked.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import pairwise
+from functools import reduce
+from itertools import count, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,9 +19,9 @@ from wavefield.waves.estimation import wave_kernels
 from wavefield.waves.estimation.wave_record import LONGEST_BRIDGE, Record, fill, is_whole, piece
 from wavefield.waves.estimation.windows import choose_segment, hann, segment_count
 
-_FRAMES = 4  # steps transformed in space at once: they fit the cache
+STEPS_AT_ONCE = 4  # transformed in space: they fit the cache
 CELLS = 128  # cells transformed in time at once: so do their segments
-_CHAIN = 8  # segments in a row that are summed one after the other
+CHAIN_LENGTH = 8  # segments in a row that are summed one after the other
 
 
 def segment_length(record: Record, segment: int | None) -> int:
@@ -48,7 +49,7 @@ def _values(part: Any) -> np.ndarray:
     return block if block.dtype.kind == "f" else block.astype(np.float64)
 
 
-def _half(
+def _prepared(
     make: Callable[..., dict[str, Any]], pieces: Sequence[Any], missing: np.ndarray, inner: slice, first: int
 ) -> dict[str, Any]:
     return make([np.ascontiguousarray(fill(_values(part), missing)[inner]) for part in pieces], first)
@@ -57,8 +58,8 @@ def _half(
 def _span(
     record: Record, a: int, b: int, run: tuple[int, int]
 ) -> tuple[tuple[slice, slice, slice], np.ndarray, slice]:
-    # what to read for the steps a to b, which of it is missing, and where a to b lie in it:
-    # interpolation in time wants good steps on either side
+    """What to read for the steps a to b, which of it is missing, and where a to b are in it."""
+    # interpolation in time needs measured steps on either side
     bridged = np.asarray(record.bridged, int)
     reach = LONGEST_BRIDGE + 2 if ((bridged >= a - 1) & (bridged <= b)).any() else 0
     lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
@@ -66,7 +67,7 @@ def _span(
     return (slice(lo, hi), slice(*record.y), slice(*record.x)), missing, slice(a - lo, b - lo)
 
 
-def _lay(
+def _task(
     arrays: Sequence[xr.DataArray],
     record: Record,
     a: int,
@@ -76,7 +77,7 @@ def _lay(
 ) -> Any:
     area, missing, inner = _span(record, a, b, run)
     pieces = [piece(array, *area) for array in arrays]
-    return delayed(_half, pure=False)(make, pieces, missing, inner, a)
+    return delayed(_prepared, pure=False)(make, pieces, missing, inner, a)
 
 
 class Link(NamedTuple):
@@ -129,8 +130,8 @@ def remainders(record: Record, segment: int) -> list[tuple[int, int, tuple[int, 
     half = segment // 2
     out = []
     for run in record.runs:
-        count = segment_count(run[1] - run[0], segment)
-        start = run[0] + (count + 1) * half if count else run[0]
+        number = segment_count(run[1] - run[0], segment)
+        start = run[0] + (number + 1) * half if number else run[0]
         out += [(a, min(a + half, run[1]), run) for a in range(start, run[1], half)]
     return out
 
@@ -140,44 +141,57 @@ def chains(record: Record, segment: int) -> list[list[Link]]:
     half = segment // 2
     out = []
     for run in record.runs:
-        count = segment_count(run[1] - run[0], segment)
-        for some in np.array_split(np.arange(count), -(-count // _CHAIN)) if count else ():
-            halves = range(int(some[0]), int(some[-1]) + 2)
+        number = segment_count(run[1] - run[0], segment)
+        for chain in np.array_split(np.arange(number), -(-number // CHAIN_LENGTH)) if number else ():
+            halves = range(int(chain[0]), int(chain[-1]) + 2)
             starts = [run[0] + i * half for i in halves]
-            out.append([Link(a, a + half, run, i > some[0] or i == 0) for i, a in zip(halves, starts)])
+            out.append([Link(a, a + half, run, i > chain[0] or i == 0) for i, a in zip(halves, starts)])
     return out
 
 
 def half_segments(
     arrays: Sequence[xr.DataArray], record: Record, half: int, make: Callable[..., dict[str, Any]]
 ) -> list[list[Any]]:
-    """Lay out the tasks that turn half segments of a record into whatever `make` gives."""
-    runs = []
-    for run in record.runs:
-        count = (run[1] - run[0]) // half
-        ends = [run[0] + i * half for i in range(count + 1)]
-        runs.append([_lay(arrays, record, a, b, run, make) for a, b in pairwise(ends)])
-    return runs
+    """Tasks, by run, that turn half segments of a record into what ``make(blocks, first step)`` gives."""
+    return [
+        [_task(arrays, record, a, a + half, run, make) for a in range(run[0], run[1] - half + 1, half)]
+        for run in record.runs
+    ]
+
+
+def sum_segments(
+    arrays: Sequence[xr.DataArray],
+    record: Record,
+    half: int,
+    make: Callable[..., dict[str, Any]],
+    combine: Callable[..., dict[str, Any]],
+) -> Any:
+    """Delayed sum over all segments of ``combine(first, second, begin=step)`` of halves from `make`."""
+    task = delayed(combine, pure=False)
+    runs = zip(half_segments(arrays, record, half, make), record.runs)
+    return in_order(
+        [
+            task(first, second, begin=begin)
+            for halves, run in runs
+            for begin, (first, second) in zip(count(run[0], half), pairwise(halves))
+        ]
+    )
 
 
 def pieces(
     arrays: Sequence[xr.DataArray], record: Record, length: int, make: Callable[..., dict[str, Any]]
 ) -> list[Any]:
-    """Lay out tasks as `half_segments` does, over every step of a run; the last may be shorter."""
-    out = []
-    for run in record.runs:
-        for a in range(run[0], run[1], length):
-            out.append(_lay(arrays, record, a, min(a + length, run[1]), run, make))
-    return out
+    """Tasks as of `half_segments`, over every step of all runs; the last of a run may be shorter."""
+    return [
+        _task(arrays, record, a, min(a + length, run[1]), run, make)
+        for run in record.runs
+        for a in range(run[0], run[1], length)
+    ]
 
 
 def in_order(parts: Sequence[Any]) -> Any:
     """Sum delayed dictionaries of arrays one after the other, in their order."""
-    task = delayed(add, pure=False)
-    total = parts[0]
-    for part in parts[1:]:
-        total = task(total, part)
-    return total
+    return reduce(delayed(add, pure=False), parts)
 
 
 def add(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
@@ -196,21 +210,18 @@ def window_energy(segment: int, ny: int, nx: int) -> float:
 
 
 def transform_space(block: Any, out: np.ndarray | None = None) -> np.ndarray:
-    """Transform each step in space.
-
-    With block (steps, ny, nx).
-    """
+    """Windowed transform of each step (ny, nx) in space, (cells, steps), cells being ky x kx with kx >= 0."""
     steps, ny, nx = block.shape
     window = spatial_window(ny, nx).astype(block.dtype)
     shape = steps, ny, nx // 2 + 1
     if out is None:
         out = np.empty((steps, ny * shape[2]), np.result_type(block.dtype, np.complex64)).T
     planes = out.T.reshape(shape)
-    some = np.empty((min(_FRAMES, steps), ny, nx), block.dtype)
-    for a in range(0, steps, _FRAMES):
-        part = block[a : a + _FRAMES]
-        windowed = np.multiply(part, window, out=some[: part.shape[0]])
-        planes[a : a + _FRAMES] = fft.rfft2(windowed, axes=(1, 2))
+    memory = np.empty((min(STEPS_AT_ONCE, steps), ny, nx), block.dtype)
+    for a in range(0, steps, STEPS_AT_ONCE):
+        part = block[a : a + STEPS_AT_ONCE]
+        windowed = np.multiply(part, window, out=memory[: part.shape[0]])
+        planes[a : a + STEPS_AT_ONCE] = fft.rfft2(windowed, axes=(1, 2))
     return out
 
 
@@ -231,11 +242,7 @@ class TimeTransform:
         self.halves = np.empty((2, half * CELLS), dtype)
 
     def __call__(self, first: np.ndarray, second: np.ndarray, name: int = 0) -> np.ndarray:
-        """Transform a slab.
-
-        With first, second (cells, n / 2); returns (cells, n): Mean and trend taken off, Hann window, numpy's
-        signs.
-        """
+        """Transform (cells, n) of the two halves of a slab, without mean and trend, windowed."""
         cells = first.shape[0]
         halves = [part[: self.half * cells].reshape(self.half, cells) for part in self.halves]
         for part, given in zip(halves, (first, second)):

@@ -205,11 +205,8 @@ def gain_of(cube: xr.Dataset, asked: Any = None) -> xr.Dataset | None:
     return own.assign_attrs(origin="linear theory, from what the run learned of its record")
 
 
-def kept(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Factor that undoes a gain in the power of a field, and where that can be done.
-
-    With k, rad/m.
-    """
+def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Factor that corrects the power of a field for a gain, and where that can be done; k in rad/m."""
     if f"gain_{name}" not in gain:
         return np.ones_like(k), np.ones(k.shape, bool)
     power = ring_gain(gain, name, name, k)

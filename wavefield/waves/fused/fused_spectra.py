@@ -29,6 +29,7 @@ from wavefield.waves.estimation.window_gain import LEAST, read_gain, ring_gain
 from wavefield.waves.products import Product, register
 from wavefield.waves.spectra.cross_spectra import door, label, lazy_sums
 from wavefield.waves.spectra.field_spectra import density, frequency_spectrum
+from wavefield.waves.spectra.segment_sums import Requested
 
 Array = NDArray[Any]
 Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
@@ -408,7 +409,7 @@ def fused_spectra(
     gain = None if gain is None else read_gain(gain)
     cube = door(cube, NAMES)
     welch = Welch.of(cube, segment, record)
-    (sums,) = dask.compute(lazy_sums(cube, NAMES, PAIRS, ("w", *PLANES), welch))
+    (sums,) = dask.compute(lazy_sums(cube, Requested(NAMES, PAIRS, ("w", *PLANES)), welch))
     moving = SpectraOnCurrent.of(sums, welch, water, current)
     return from_spectra(label(sums, NAMES, PAIRS, welch), water, gain, moving)
 

@@ -12,7 +12,8 @@ from wavefield.waves.estimation.segments import Reader
 from wavefield.waves.estimation.wave_record import Record
 from wavefield.waves.estimation.welch import Welch, k_coords
 from wavefield.waves.nonlinear.coherence import NAMES
-from wavefield.waves.spectra.cross_spectra import door, moving_welch, sources, transforms
+from wavefield.waves.spectra.cross_spectra import door, moving_welch
+from wavefield.waves.spectra.segment_sums import sources, transforms
 
 Array = NDArray[Any]
 

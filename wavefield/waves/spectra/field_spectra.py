@@ -3,7 +3,7 @@
 Every spectrum is a density in rad/m and rad/s, one-sided in omega; k points where the wave goes.
 """
 
-import itertools
+from functools import partial
 from typing import Any
 
 import dask
@@ -23,12 +23,11 @@ from wavefield.waves.estimation.windows import interval
 Array = NDArray[Any]
 
 
-def _field(field: Any) -> xr.DataArray:
+def _check(field: object) -> None:
     if not isinstance(field, xr.DataArray):
         raise CubeError(
             f"expected one variable over time, y and x (for example cube.w), got {type(field).__name__}"
         )
-    return field
 
 
 def _name(field: xr.DataArray) -> str:
@@ -40,26 +39,24 @@ def finish(dataset: xr.Dataset, field: xr.DataArray) -> xr.Dataset:
     return dataset if field.chunks is not None else dataset.compute()
 
 
-# ---- E(ky, kx, omega) --------------------------------------------------------------------------------------
 def _transform(blocks: list[Array], first: int) -> dict[str, Array]:
     return {"f": segments.transform_space(blocks.pop())}
 
 
-def _powers(a: dict[str, Array], b: dict[str, Array], begin: int) -> dict[str, Array]:
-    cells, half = a["f"].shape
-    power = np.zeros((cells, 2 * half), a["f"].real.dtype)
-    transform = segments.TimeTransform(half, a["f"].dtype)
+def _powers(first: dict[str, Array], second: dict[str, Array], begin: int) -> dict[str, Array]:
+    cells, half = first["f"].shape
+    power = np.zeros((cells, 2 * half), first["f"].real.dtype)
+    transform = segments.TimeTransform(half, first["f"].dtype)
     for slab in segments.slabs(cells):
-        wave_kernels.add_powers(transform(a["f"][slab], b["f"][slab]), power[slab])
+        wave_kernels.add_powers(transform(first["f"][slab], second["f"][slab]), power[slab])
     return {"power": power} | segment_variance.keep_lines(power, begin)
 
 
 def unfold(power: Array, ny: int, nx: int) -> Array:
-    """Bring the power on the half plane to omega >= 0 and the full plane, k pointing where the wave goes.
+    """Power on the half plane, one-sided in omega on the full plane (n // 2 + 1, ny, nx), k ascending.
 
-    cos(k . x - omega t) appears in numpy's transform at (k, -omega) and (-k, omega).
-
-    Returns (n // 2 + 1, ny, nx): One-sided in omega, k ascending along both axes.
+    cos(k . x - omega t), whose k points where the wave goes, is at (k, -omega) and (-k, omega) in numpy's
+    transform.
     """
     n = power.shape[-1]
     power = power.reshape(ny, nx // 2 + 1, n)
@@ -76,8 +73,8 @@ def unfold(power: Array, ny: int, nx: int) -> Array:
 
 def _map(total: dict[str, Array], welch: Welch) -> dict[str, Any]:
     dof = segment_variance.cell_freedom(total, "f", welch)
-    found = {"E": density(total["power"], welch), "dof": np.array(dof)}
-    return found | dict(zip(("low", "high"), interval(dof)))
+    low, high = interval(dof)
+    return {"E": density(total["power"], welch), "dof": np.array(dof), "low": low, "high": high}
 
 
 def density(power: Array, welch: Welch) -> Array:
@@ -128,17 +125,9 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     >>> round(float(total(E) / (0.01**2 / 2)), 2)
     1.0
     """
-    field = _field(field)
+    _check(field)
     welch = Welch.of(field, segment, record)
-    runs = segments.half_segments([field], welch.record, welch.half, _transform)
-    task = dask.delayed(_powers, pure=False)
-    summed = segments.in_order(
-        [
-            task(a, b, begin)
-            for run, (start, _) in zip(runs, welch.record.runs)
-            for begin, (a, b) in zip(itertools.count(start, welch.half), itertools.pairwise(run))
-        ]
-    )
+    summed = segments.sum_segments([field], welch.record, welch.half, _transform, _powers)
     lazy = dask.delayed(_map, pure=False)(summed, welch)
     dtype = np.float32 if field.dtype == np.float32 else np.float64
     shape = (welch.omega.size, *welch.record.shape)
@@ -150,10 +139,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
 
 
 def plane_density(values: Any, name: str, units: str, welch: Welch) -> xr.Dataset:
-    """Label E(ky, kx, omega).
-
-    With values (omega, ky, kx).
-    """
+    """Labelled E(ky, kx, omega) of a field from values (omega, ky, kx)."""
     low, high = interval(welch.dof)
     parts = {"E": values, "dof": ((), welch.dof), "low": ((), float(low)), "high": ((), float(high))}
     out = xr.Dataset(parts, coords=omega_coords(welch.omega) | welch.plane, attrs=welch.attrs)
@@ -182,25 +168,18 @@ def total(density: xr.DataArray) -> xr.DataArray:
     return out
 
 
-# ---- E(k, omega) -------------------------------------------------------------------------------------------
 def _ring_powers(
-    a: dict[str, Array],
-    b: dict[str, Array],
-    start: Array,
-    ring: Array,
-    weight: Array,
-    spread: Array,
-    begin: int,
+    table: rings.Rings, first: dict[str, Array], second: dict[str, Array], begin: int
 ) -> dict[str, Array]:
-    cells, half = a["f"].shape
-    shape = int(ring.max()) + 1, half + 1
-    mine = np.zeros((2, *shape))
-    transform = segments.TimeTransform(half, a["f"].dtype)
+    cells, half = first["f"].shape
+    power = np.zeros((2, table.k.size, half + 1))
+    transform = segments.TimeTransform(half, first["f"].dtype)
     for slab in segments.slabs(cells):
-        lines = transform(a["f"][slab], b["f"][slab])
-        wave_kernels.ring_powers(lines, start[slab.start : slab.stop + 1], ring, weight, spread, mine)
-    out = {"f": np.zeros_like(mine)}
-    segment_variance.take_in(out, "f", mine, begin)
+        lines = transform(first["f"][slab], second["f"][slab])
+        start = table.start[slab.start : slab.stop + 1]
+        wave_kernels.ring_powers(lines, start, table.ring, table.weight, table.spread, power)
+    out = {"f": np.zeros_like(power)}
+    segment_variance.take_in(out, "f", power, begin)
     return out
 
 
@@ -245,8 +224,8 @@ def komega(
     Notes
     -----
     Each cell of the k plane is shared between rings by area, so energy is conserved to rounding; the corners
-    beyond the Nyquist wavenumber of the axes are kept, and ``coverage`` says how much of a ring they fill.
-    The degrees of freedom follow from the data (`ring_freedom`): waves from few directions have fewer.
+    beyond the Nyquist wavenumber of the axes are kept, and ``coverage`` is the part of a ring that they fill.
+    The degrees of freedom follow from the data: waves from few directions have fewer.
 
     Examples
     --------
@@ -257,19 +236,11 @@ def komega(
     >>> E.E.dims, int(E.segments)
     (('omega', 'k'), 7)
     """
-    field = _field(field)
+    _check(field)
     welch = Welch.of(field, segment, record, dk)
     table = welch.table
-    runs = segments.half_segments([field], welch.record, welch.half, _transform)
-    task = dask.delayed(_ring_powers, pure=False)
-    weights = table.start, table.ring, table.weight, table.spread
-    summed = segments.in_order(
-        [
-            task(a, b, *weights, begin)
-            for run, (start, _) in zip(runs, welch.record.runs)
-            for begin, (a, b) in zip(itertools.count(start, welch.half), itertools.pairwise(run))
-        ]
-    )
+    ring_powers = partial(_ring_powers, table)
+    summed = segments.sum_segments([field], welch.record, welch.half, _transform, ring_powers)
     found = dask.delayed(_estimates, pure=False)(summed, welch)
     parts = da.from_delayed(found["parts"], (4, welch.omega.size, table.k.size), np.float64)
     names = ("E", "dof", "low", "high")
@@ -285,7 +256,6 @@ def komega(
     return finish(out, field)
 
 
-# ---- reductions of spectra ---------------------------------------------------------------------------------
 def angular_integral(density: xr.DataArray, dk: float | None = None) -> xr.DataArray:
     """Integrate a density over the plane (ky, kx) along rings of |k|.
 
@@ -350,12 +320,10 @@ def at_frequency(density: xr.DataArray, frequency: float, bandwidth: float | Non
     lines = density["omega"].values / (2 * np.pi)
     if not 0 <= frequency <= lines[-1]:
         raise CubeError(f"{frequency:g} Hz is outside the spectrum, which ends at {lines[-1]:g} Hz")
-    if bandwidth is None:
-        chosen = np.array([np.abs(lines - frequency).argmin()])
-    else:
-        chosen = np.flatnonzero(np.abs(lines - frequency) <= bandwidth / 2 + 1e-9)
-        if not chosen.size:
-            chosen = np.array([np.abs(lines - frequency).argmin()])
+    distance = np.abs(lines - frequency)
+    chosen = np.flatnonzero(distance <= (bandwidth or 0.0) / 2 + 1e-9)
+    if bandwidth is None or not chosen.size:
+        chosen = np.array([distance.argmin()])
     out = density.isel(omega=chosen).mean("omega")
     out.attrs = dict(density.attrs)
     return out.assign_coords(frequency=float(lines[chosen].mean()))
@@ -377,8 +345,8 @@ def frequency_spectrum(komega: xr.Dataset) -> xr.Dataset:
 
     Notes
     -----
-    The degrees of freedom follow from the scatter between the segments; with fewer than four of those from
-    the degrees of the rings and the spread of the energy over them.
+    The degrees of freedom follow from the variance between the segments; with fewer than four of those from
+    the degrees of the rings and the distribution of the energy over them.
     """
     step = float(komega["k"][1] - komega["k"][0])
     energy = komega["E"].sum("k", dtype=np.float64) * step
@@ -389,8 +357,8 @@ def frequency_spectrum(komega: xr.Dataset) -> xr.Dataset:
     out = with_interval(energy, dof)
     out["valid"] = ("omega", inner(out.sizes["omega"]))
     out = annotate(out, "frequency")
-    words = str(komega["E"].attrs.get("long_name", "")).partition(" of ")[2] or "the field"
+    field = str(komega["E"].attrs.get("long_name", "")).partition(" of ")[2] or "the field"
     out["E"].attrs = TABLE["frequency/E"].of(
-        words, product((komega["E"].attrs.get("units", "1"), 1), (K_UNITS, 1))
+        field, product((komega["E"].attrs.get("units", "1"), 1), (K_UNITS, 1))
     )
     return out
