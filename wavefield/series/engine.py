@@ -35,7 +35,7 @@ class FrameArray(BackendArray):
         out: np.ndarray = indexing.explicit_indexing_adapter(key, self.shape, support, self._read)
         return out
 
-    def _read(self, key: tuple[Any, ...]) -> np.ndarray:
+    def _read(self, key: tuple[int | slice | np.ndarray, ...]) -> np.ndarray:
         time, inside = key[0], key[1:]
         if isinstance(time, int | np.integer):
             return np.asarray(self._frame(int(time))[inside])

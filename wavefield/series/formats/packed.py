@@ -1,13 +1,15 @@
 """Pixels of 10 or 12 bits one after another in a file."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numba as nb
 import numpy as np
 from llvmlite import ir
-from numba import int64, uint8, uint16, void
+from numba import int64, types, uint8, uint16, void
+from numba.core.base import BaseContext
+from numba.core.typing.templates import Signature
 
 from wavefield.compiled import compiled
 from wavefield.images.plain_tiff import fill
@@ -56,12 +58,16 @@ def _together(bits: int) -> Any:
     recording takes three to six times as long, as LLVM does not use the one instruction that gathers bytes.
     """
 
-    def eight(_: Any, raw: Any, place: Any, out: Any, to: Any) -> tuple[Any, Any]:
+    def eight(
+        _: object, raw: types.Array, place: types.Integer, out: types.Array, to: types.Integer
+    ) -> tuple[Any, Any]:
         octets, words = ir.VectorType(ir.IntType(8), LOADED_BYTES), ir.VectorType(ir.IntType(16), LANES)
         first = [k * bits // 8 for k in range(LANES)]
         shifts = [16 - bits - k * bits % 8 for k in range(LANES)]
 
-        def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        def build(
+            context: BaseContext, builder: ir.IRBuilder, signature: Signature, arguments: Sequence[ir.Value]
+        ) -> Any:
             source, target = (
                 context.make_array(signature.args[n])(context, builder, arguments[n]).data for n in (0, 2)
             )
@@ -78,8 +84,8 @@ def _together(bits: int) -> Any:
             stored.align = 2
             return context.get_dummy_value()
 
-        index = nb.types.intp
-        return nb.types.void(raw, index, out, index), build
+        index = types.intp
+        return types.void(raw, index, out, index), build
 
     return nb.extending.intrinsic(eight)
 
