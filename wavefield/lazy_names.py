@@ -1,4 +1,7 @@
-"""Public names of a package that are imported on first use: `import wavefield` and its rooms stay quick."""
+"""Public names of a package that are imported on first use: `import wavefield` and its rooms stay quick.
+
+In place of lazy_loader.attach_stub, which accepts neither absolute imports nor other names (`as`) in a stub.
+"""
 
 import ast
 from collections.abc import Callable

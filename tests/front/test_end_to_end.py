@@ -109,7 +109,7 @@ def test_run_again_measures_nothing_and_status_agrees(folder, capsys):
 
 def test_check_says_that_the_cameras_agree(checked):
     assert checked.startswith("verdict: sound\n")
-    assert re.search(r"cameras agree: cam1-cam2 \d+ %, miss 0.0\d px", checked)
+    assert re.search(r"patches matched: cam1-cam2 \d+ %, epipolar error 0.0\d px", checked)
 
 
 def _changed(folder, tmp_path, **entries):

@@ -26,7 +26,7 @@ from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus, Quality, v
 STEPS = FRAMES - 1
 
 
-def blocks_of(size, **more):
+def chunks_of(size, **more):
     return Workflow(cluster="none", steps_per_block=size, **more)
 
 
@@ -85,12 +85,12 @@ def test_plain_xarray_opens_it_without_a_warning(reference):
 
 @pytest.mark.parametrize("size", [1, 7])  # the reference is one chunk
 def test_values_do_not_depend_on_the_size_of_blocks(tank, reference, tmp_path, size):
-    run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(size))
+    run(tank, out=tmp_path / "cube.zarr", workflow=chunks_of(size))
     assert different(tmp_path / "cube.zarr", reference) == []
 
 
 def test_packing_rounds_as_documented(tank, reference, tmp_path):
-    run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(8, packing="int16"))
+    run(tank, out=tmp_path / "cube.zarr", workflow=chunks_of(8, packing="int16"))
     packed, plain = open_cube(tmp_path / "cube.zarr").load(), open_cube(reference).load()
     for name, scale in PACKING.items():
         assert packed[name].dtype == "float32"
@@ -109,7 +109,7 @@ def test_packing_marks_what_does_not_fit():
 
 def test_default_place_progress_and_log(own_tank):
     told = []
-    state = run(own_tank, workflow=blocks_of(8), progress=lambda *args: told.append(args))
+    state = run(own_tank, workflow=chunks_of(8), progress=lambda *args: told.append(args))
     assert state.store == own_tank.parent / "cube.zarr"
     assert state.complete
     assert [done for done, _, _ in told][-1] == STEPS
@@ -125,14 +125,14 @@ def test_default_place_progress_and_log(own_tank):
 def test_an_interrupted_run_goes_on_with_what_is_missing(tank, reference, tmp_path, measured):
     out = tmp_path / "cube.zarr"
     with pytest.raises(RunStopped, match=f"stopped after 8 of {STEPS} steps; nothing is lost"):
-        run(tank, out=out, workflow=blocks_of(4), progress=stop_after(8))
+        run(tank, out=out, workflow=chunks_of(4), progress=stop_after(8))
     assert status(out).left == STEPS - 8
     assert "run the same command again" in str(status(out))
     assert np.isnan(open_cube(out).z[8:]).all()
-    run(tank, out=out, workflow=blocks_of(4))
+    run(tank, out=out, workflow=chunks_of(4))
     assert measured == [0, 4, 8, 12]
     assert different(out, reference) == []
-    run(tank, out=out, workflow=blocks_of(4))
+    run(tank, out=out, workflow=chunks_of(4))
     assert measured == [0, 4, 8, 12]
 
 
@@ -144,7 +144,7 @@ def test_signals_stop_as_ctrl_c_does(tank, tmp_path, name):
 
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(RunStopped, match=f"stopped by {name} after 4 of"):
-        run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(4), progress=progress)
+        run(tank, out=tmp_path / "cube.zarr", workflow=chunks_of(4), progress=progress)
     assert signal.getsignal(signal.SIGTERM) is before
 
 
@@ -156,7 +156,7 @@ def test_a_time_limit_stops_the_run(tank, tmp_path, monkeypatch):
     left = []
     monkeypatch.setattr(chunk_worker, "measure_chunk", alarm_rings)
     with pytest.raises(RunStopped, match="stopped by its time limit after 0 of"):
-        run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(4, time_limit="1h"))
+        run(tank, out=tmp_path / "cube.zarr", workflow=chunks_of(4, time_limit="1h"))
     assert 0 < left[0] <= 3600
     assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
 
@@ -170,15 +170,15 @@ def test_a_block_is_not_done_before_all_its_data_are_there(tank, reference, tmp_
 
     monkeypatch.setattr(write_cube, "pack", dying)
     with pytest.raises(RunStopped):
-        run(tank, out=out, workflow=blocks_of(8, packing="int16"))
+        run(tank, out=out, workflow=chunks_of(8, packing="int16"))
     assert status(out).left == STEPS
     shutil.rmtree(out)
     with pytest.raises(RunStopped):
-        run(tank, out=out, workflow=blocks_of(8), progress=stop_after(8))
+        run(tank, out=out, workflow=chunks_of(8), progress=stop_after(8))
     (out / "z" / "c" / "1" / "0").mkdir(parents=True)
     (out / "z" / "c" / "1" / "0" / f"0.{4 * 'deadbeef'}.partial").write_bytes(b"half a shard")
     (tmp_path / ".cube.zarr.12345678.partial").mkdir()
-    run(tank, out=out, workflow=blocks_of(8))
+    run(tank, out=out, workflow=chunks_of(8))
     assert different(out, reference) == []
     assert not list(tmp_path.rglob("*.partial"))
 
@@ -186,12 +186,12 @@ def test_a_block_is_not_done_before_all_its_data_are_there(tank, reference, tmp_
 def test_two_recipes_are_not_mixed(tank, tmp_path):
     out = tmp_path / "cube.zarr"
     with pytest.raises(RunStopped):
-        run(tank, out=out, workflow=blocks_of(4), progress=stop_after(4))
+        run(tank, out=out, workflow=chunks_of(4), progress=stop_after(4))
     before = status(out)
     with pytest.raises(
         StoreError, match=r"another recipe \(settings.eps_limit: 3.0 there, 4.0 here\); write to another"
     ):
-        run(tank, out=out, workflow=blocks_of(4, settings={"eps_limit": 4.0}))
+        run(tank, out=out, workflow=chunks_of(4, settings={"eps_limit": 4.0}))
     assert status(out) == before
 
 
@@ -276,7 +276,7 @@ def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference, spoil,
     numbers = (5, 11)
     for number, spoil_one in zip(numbers, spoil):
         spoil_one(own_tank.parent / "cam2" / f"img_{number:05d}.tif")
-    state = run(own_tank, workflow=blocks_of(4))
+    state = run(own_tank, workflow=chunks_of(4))
     cube, good = open_cube(state.store).load(), open_cube(reference).load()
     touched = [4, 5, 10, 11]  # the two steps of each frame
     assert list(np.flatnonzero(cube.frame_status != FrameStatus.DONE)) == touched
@@ -310,15 +310,15 @@ def test_a_frame_that_was_copied_again_is_measured(own_tank, reference, measured
     whole = [frame.read_bytes() for frame in frames]
     for frame in frames:
         frame.unlink()
-    state = run(own_tank, workflow=blocks_of(4))
+    state = run(own_tank, workflow=chunks_of(4))
     assert state.bad_frames[0].numbers == (8, 13)
     frames[0].write_bytes(whole[0])
     measured.clear()
-    state = run(own_tank, workflow=blocks_of(4))
+    state = run(own_tank, workflow=chunks_of(4))
     assert measured == [4, 8]
     assert state.bad_frames[0].numbers == (13,)
     frames[1].write_bytes(whole[1])
-    state = run(own_tank, workflow=blocks_of(4))
+    state = run(own_tank, workflow=chunks_of(4))
     assert not state.bad_frames
     assert different(state.store, reference) == []
 
@@ -369,10 +369,10 @@ def test_a_measurement_that_breaks_is_reported_and_tried_again(tank, reference, 
         with pytest.raises(
             StoreError, match=r"1 of 4 chunks failed, the first \(steps 4 to 7\) with ZeroDivisionError"
         ):
-            run(tank, out=out, workflow=blocks_of(4))
+            run(tank, out=out, workflow=chunks_of(4))
     assert status(out).left == 4
     assert "deep inside" in (tmp_path / "cube.log").read_text()
-    run(tank, out=out, workflow=blocks_of(4))
+    run(tank, out=out, workflow=chunks_of(4))
     assert different(out, reference) == []
 
 
@@ -385,7 +385,7 @@ def test_when_every_block_breaks_the_run_gives_up(tank, tmp_path, monkeypatch):
 
     monkeypatch.setattr(chunk_worker, "measure_chunk", breaking)
     with pytest.raises(StoreError, match="always"):
-        run(tank, out=tmp_path / "cube.zarr", workflow=blocks_of(1))
+        run(tank, out=tmp_path / "cube.zarr", workflow=chunks_of(1))
     assert len(calls) == 3
 
 
@@ -394,12 +394,12 @@ def test_when_every_block_breaks_the_run_gives_up(tank, tmp_path, monkeypatch):
 
 @pytest.fixture
 def small_disk(tmp_path):
-    """A file system of 700 kB."""
+    """A file system of 1000 kB."""
     place = tmp_path / "disk"
     place.mkdir()
     mounted = os.name == "posix" and hasattr(os, "geteuid") and os.geteuid() == 0
     if mounted:
-        command = ["mount", "-t", "tmpfs", "-o", "size=700k", "tmpfs", str(place)]
+        command = ["mount", "-t", "tmpfs", "-o", "size=1000k", "tmpfs", str(place)]
         mounted = (
             shutil.which("mount") is not None and subprocess.run(command, capture_output=True).returncode == 0
         )
@@ -421,17 +421,17 @@ def fill(disk):
 def test_a_full_disk_is_one_sentence_and_nothing_is_lost(tank, reference, small_disk):
     out = small_disk / "cube.zarr"
     with pytest.raises(RunStopped):
-        run(tank, out=out, workflow=blocks_of(4), progress=stop_after(4))
+        run(tank, out=out, workflow=chunks_of(4), progress=stop_after(4))
     filler = fill(small_disk)
     with pytest.raises(
         StoreError, match=r"the disk that holds .* is full; nothing that was written is lost"
     ) as caught:
-        run(tank, out=out, workflow=blocks_of(4))
+        run(tank, out=out, workflow=chunks_of(4))
     assert "\n" not in str(caught.value)
     assert status(out).left == STEPS - 4
     assert different(out, reference, slice(0, 4)) == []
     filler.unlink()
-    run(tank, out=out, workflow=blocks_of(4))
+    run(tank, out=out, workflow=chunks_of(4))
     assert different(out, reference) == []
 
 

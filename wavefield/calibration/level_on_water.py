@@ -9,6 +9,7 @@ import numpy as np
 from wavefield.calibration.relative_pose import Levelled, Pixels, level_on_water, match_features, place_second
 from wavefield.errors import RigError
 from wavefield.rig import Rig
+from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment
 
 
@@ -62,8 +63,7 @@ def level_experiment(
     if distance is None and any(np.allclose(loaded[first].centre, loaded[n].centre) for n in others):
         raise RigError("the rig says nothing of where its cameras are: state the distance between them")
     count = len(series[first])
-    instants_used = min(frames, count)
-    instants = [int((k + 0.5) * count / instants_used) for k in range(instants_used)]
+    instants = evenly_spaced(count, frames)
     matches: list[dict[tuple[str, str], Pixels]] = []
     for done, instant in enumerate(instants, 1):
         images = {name: series[name].read(instant).image for name in names}

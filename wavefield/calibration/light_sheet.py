@@ -16,6 +16,7 @@ from wavefield.rig import Rig
 from wavefield.rig.field import common_field
 from wavefield.rig.pairs import pairs_of
 from wavefield.rig.resolution import pixel_at
+from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment
 
 Array = NDArray[np.float64]
@@ -110,8 +111,7 @@ def find_sheet(
     series = experiment.open_frames()
     loaded = experiment.load_rig(rig, series)
     count = min(len(one) for one in series.values())
-    instants_used = min(frames, count)
-    instants = [int((k + 0.5) * count / instants_used) for k in range(instants_used)]
+    instants = evenly_spaced(count, frames)
     return sheet_of(lambda name, k: series[name].read(k).image, instants, loaded, progress)
 
 

@@ -1,13 +1,23 @@
 """`wavefield analyze`, `wavefield report` and `wavefield paper`: from a cube to waves and to pages."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import click
 
 from wavefield.commands import campaign_commands
 from wavefield.commands.progress import Progress
 from wavefield.store.store_paths import beside
+
+
+class AnalyzeOptions(TypedDict):
+    """Options of `wavefield analyze` that are parameters of the analysis."""
+
+    segment: int | None  # Steps
+    probes: Path | None
+    gain: str | None
+    fit: dict[str, str]
+
 
 _STORE = click.Path(exists=True, file_okay=False, path_type=Path)
 _SOURCE = click.Path(exists=True, path_type=Path)
@@ -54,59 +64,54 @@ def analyze(
     entries: tuple[str, ...],
     parameters: dict[str, str],
     output: Path | None,
-    segment: int | None,
-    probes: Path | None,
-    gain: str | None,
-    fit: dict[str, str],
     workflow: Path | None,
+    **options: Unpack[AnalyzeOptions],
 ) -> None:
     """Compute the waves of a cube: spectra, coherence, statistics.
 
     Also dispersion, fusion of z and w, directions, bicoherence. Writes one Zarr store;
-    `xarray.open_datatree` reads it. Of a catalog, the waves of every run.
+    `xarray.open_datatree` reads it. For a catalog: the waves of every run.
     """
-    asked: dict[str, Any] = {"segment": segment, "probes": probes, "gain": gain, "fit": fit or None}
 
     def work(cube: Path) -> int:
-        return _analyze(cube, output, workflow, asked)
+        return _analyze(cube, output, workflow, options)
 
-    if campaign_commands.is_campaign(source, entries, parameters):
-        if output:
-            raise click.UsageError("the waves of a campaign lie beside its cubes; leave out -o")
+    if not campaign_commands.is_campaign(source, entries, parameters):
+        exit_status = work(campaign_commands.one_cube(source))
+    elif output:
+        raise click.UsageError("the waves of a campaign are written next to its cubes; leave out -o")
+    else:
         cubes = campaign_commands.cubes_of(source, entries, parameters)
-        found = campaign_commands.each(cubes, campaign_commands.with_cube(work))
-        click.echo(f"Next: wavefield report {source}")
-        context.exit(found)
-    found = work(campaign_commands.one_cube(source))
+        exit_status = campaign_commands.each(cubes, campaign_commands.with_cube(work))
     click.echo(f"Next: wavefield report {source}")
-    context.exit(found)
+    context.exit(exit_status)
 
 
-def _analyze(store: Path, output: Path | None, workflow: Path | None, asked: dict[str, Any]) -> int:
-    from wavefield.pipeline import open_run, predicted_gain
+def _analyze(store: Path, output: Path | None, workflow: Path | None, options: AnalyzeOptions) -> int:
+    from wavefield.pipeline import analyze_on_workers, open_run, predicted_gain
     from wavefield.store.ledger import unfinished_note
+    from wavefield.waves import analyze as analyze_cube
 
     note = unfinished_note(store)
     if note:
         click.echo(f"note: {note}", err=True)
     output = output or beside(store, "waves", ".zarr")
     run = open_run(store)
-    probes = asked["probes"] or run.probes
+    probes = options["probes"] or run.probes
     if probes is None and run.experiment is not None and run.experiment.probes:
         click.echo(f"note: without the probes {run.reason('probes')}", err=True)
-    undone: Any = False if asked["gain"] == "none" else asked["gain"]
-    if undone == "theory":
-        undone = predicted_gain(run.cube)
+    gain = {"none": False, "theory": True}.get(options["gain"] or "", options["gain"])
+    more: dict[str, Any] = {
+        "segment": options["segment"],
+        "probes": probes,
+        "gain": predicted_gain(run.cube) if gain is True else gain,
+        "fit": options["fit"] or None,
+    }
     with Progress(f"Analysing {store}") as progress:
-        asked = asked | {"probes": probes, "gain": undone, "progress": progress}
         if workflow:
-            from wavefield.pipeline import analyze_on_workers
-
-            analyze_on_workers(store, output, workflow, **asked)
+            analyze_on_workers(store, output, workflow, progress=progress, **more)
         else:
-            from wavefield.waves import analyze as analyze_cube
-
-            analyze_cube(store, output, **asked)
+            analyze_cube(store, output, progress=progress, **more)
     click.echo(f"Wrote {output}.")
     return 3 if note else 0
 

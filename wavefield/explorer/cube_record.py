@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-import zarr
 from numpy.typing import NDArray
 
 from wavefield.errors import StoreError, WavefieldError
@@ -15,6 +14,7 @@ from wavefield.explorer.selections import MISSING, decode
 from wavefield.figures.display import BALANCE, DERIVED
 from wavefield.store import preview as previews
 from wavefield.store.checked import chunk_path
+from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import WATCHED
 from wavefield.store.ledger_files import LEDGER, check_chunks
 from wavefield.store.read import open_group, read_layout
@@ -176,7 +176,9 @@ class Preview:
         for count, index in enumerate(chunks, 1):
             start, stop = bounds[index]
             try:
-                thinned = previews.stored_thinned(preview, start, stop) if ready[index] else None
+                thinned = None
+                if preview is not None and ready[index]:
+                    thinned = previews.stored_thinned(preview, start, stop)
                 if thinned is None:
                     thinned = previews.read_thinned(record.group, self.thin, start, stop)
                     if preview is not None:
@@ -189,7 +191,7 @@ class Preview:
             if progress:
                 progress(count, chunks.size)
 
-    def _open(self) -> zarr.Group | None:
+    def _open(self) -> CubeGroup | None:
         """The stored preview; it is made if there is none."""
         record = self._record
         preview = previews.open_preview(record.path, record.group)
@@ -207,7 +209,8 @@ class Preview:
             return
         try:
             writable = previews.open_preview(self._record.path, self._record.group, "r+")
-            previews.store_thinned(self._record.path, writable, start, thinned)
+            if writable is not None:
+                previews.store_thinned(self._record.path, writable, start, thinned)
         except Exception as error:  # of any library that reads a damaged preview: the cube has all of it
             self.trouble = f"the preview cannot be stored: {error}"
 

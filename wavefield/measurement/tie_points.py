@@ -55,15 +55,3 @@ def matched_pixels(
             f"{', '.join(parts)}: nothing to match"
         )
     return {name: np.concatenate(pixels) for name, pixels in parts.items()}
-
-
-def spread(count: int, requested: int) -> list[int]:
-    """Positions of some frames, evenly over a record.
-
-    Examples
-    --------
-    >>> spread(100, 4)
-    [12, 37, 62, 87]
-    """
-    requested = min(count, requested)
-    return [int((i + 0.5) * count / requested) for i in range(requested)]

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from wavefield.errors import StoreError
+from wavefield.sampling import from_first_to_last
 from wavefield.series import FrameSeries
 
-_SAMPLES = 3  # frames of each camera: first, middle and last
+SAMPLE_FRAMES = 3  # frames of each camera: first, middle and last
 
 Fingerprints = dict[str, dict[str, int]]
 
@@ -17,8 +18,7 @@ def fingerprints(series: Mapping[str, FrameSeries]) -> Fingerprints:
     """Checksums of the grey levels of some frames."""
     out: Fingerprints = {}
     for name, frames in series.items():
-        indices = np.unique(np.linspace(0, len(frames) - 1, _SAMPLES).astype(int))
-        read = {str(k): frames.read(int(k)).image for k in indices}
+        read = {str(k): frames.read(k).image for k in from_first_to_last(len(frames), SAMPLE_FRAMES)}
         out[name] = {k: _sum(image) for k, image in read.items() if image is not None}
     return out
 

@@ -1,10 +1,9 @@
-"""What is there, what is missing, and what a run will cost: before a night is spent on it."""
+"""What an experiment has, what is missing, and what its run will cost."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from wavefield.pipeline.magnitudes import refuse_small_fields
 from wavefield.pipeline.prepare import expected_coverage, load_files, prepare
 from wavefield.pipeline.run_quality import clocks, compare_cameras
 from wavefield.pipeline.still_water import remark_on_rest
-from wavefield.quality.camera_faults import CameraFaults
 from wavefield.quality.frame_remarks import FrameInspection, inspect_frames, remark_on_frames, sample_frames
 from wavefield.quality.recording_remarks import remark_on_recordings
 from wavefield.rig import Rig
@@ -27,9 +25,9 @@ from wavefield.store.verdict import Remark, Verdict
 from wavefield.text import spell_ranges, spell_time
 from wavefield.variables import FrameFault
 
-_UNUSUAL_SIZE = 0.005  # of the usual size of a camera's files
-_UNUSUAL_SPREADS = 8.0  # times the median deviation from it
-_MAX_UNUSUAL_READ = 24  # files of a camera
+MIN_SIZE_DEVIATION = 0.005  # of the median size of a camera's files
+MIN_SIZE_DEVIATIONS = 8.0  # median deviations from it
+MAX_UNUSUAL_FILES = 24  # files of a camera
 
 
 @dataclass(frozen=True)
@@ -95,21 +93,18 @@ class Check:
         Cameras of the rig; empty if there is none.
     grid : Grid or None
         The nodes.
-    coverage : float or None
-        Share of the nodes that every measuring camera sees at rest.
-    measured : float or None
-        Fraction of the nodes in view that the step tried measured; filled ones do not count.
+    shares : mapping of str to float
+        ``coverage``, of the nodes that every measuring camera sees at rest, and ``measured``, of the nodes in
+        view that the step tried measured without the filled ones; without what could not be found.
     cost : Cost or None
         What a run will take; None if it cannot run yet.
     problems : tuple of str
         What prevents a run.
     verdict : Verdict or None
         On the cameras' images; None if they could not be compared.
-    motion, heights, clocks : str
-        How far the water moves from frame to frame, how high it rises, and whether the cameras take their
-        frames at the same moment, in words.
-    advice : str
-        What would help where little is measured.
+    sentences : mapping of str to str
+        ``motion`` of the water from frame to frame, ``heights`` that it rises to, ``advice`` where little is
+        measured, ``clocks``: whether the cameras take their frames at the same moment.
     """
 
     experiment: str
@@ -119,15 +114,11 @@ class Check:
     cameras: tuple[CameraCheck, ...]
     rig: tuple[str, ...]
     grid: Grid | None
-    coverage: float | None
-    measured: float | None
+    shares: Mapping[str, float]
     cost: Cost | None
     problems: tuple[str, ...]
-    verdict: Verdict | None = None
-    motion: str = ""
-    heights: str = ""
-    clocks: str = ""
-    advice: str = ""
+    verdict: Verdict | None
+    sentences: Mapping[str, str]
 
     @property
     def exit_status(self) -> int:
@@ -136,15 +127,20 @@ class Check:
             return 1
         return self.verdict.exit_status if self.verdict else 0
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Plain data, as for ``--json``.
 
         Returns
         -------
         dict
         """
-        out = asdict(self) | {"path": str(self.path), "exit_status": self.exit_status}
-        return out | {"verdict": self.verdict.to_dict() if self.verdict else None}
+        out: dict[str, object] = asdict(self)
+        del out["shares"], out["sentences"]
+        shares = {"coverage": None, "measured": None, **self.shares}
+        sentences = dict.fromkeys(("motion", "heights", "clocks", "advice"), "") | dict(self.sentences)
+        verdict = self.verdict.to_dict() if self.verdict else None
+        more = {"path": str(self.path), "exit_status": self.exit_status, "verdict": verdict}
+        return out | shares | sentences | more
 
     @property
     def ready(self) -> bool:
@@ -171,29 +167,27 @@ class Check:
                 f"  grid: x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m, every {self.grid.step:g} m: "
                 f"{nx} x {ny} nodes"
             )
-        if self.coverage is not None:
-            text = f"  coverage: all cameras see {100 * self.coverage:.0f} % of the nodes"
-            if self.measured is not None:
-                text += f"; the step tried measured {100 * self.measured:.0f} %"
+        if "coverage" in self.shares:
+            text = f"  coverage: all cameras see {100 * self.shares['coverage']:.0f} % of the nodes"
+            if "measured" in self.shares:
+                text += f"; the step tried measured {100 * self.shares['measured']:.0f} %"
             lines.append(text)
         if self.cost:
             lines.append(f"  a run will take {self.cost}")
             lines += [f"  {self.cost.reading}"] if self.cost.reading else []
-        lines += [f"  {words}" for words in (self.motion, self.heights, self.advice) if words]
-        lines += self._pair_consistencies()
-        lines += [f"  clocks: {self.clocks}"] if self.clocks else []
+        texts = (self.sentences.get(name) for name in ("motion", "heights", "advice"))
+        lines += [f"  {text}" for text in texts if text]
+        if self.verdict and self.verdict.pairs:
+            pairs = [
+                f"{pair} {100 * float(np.median(one['agreement'])):.0f} %, "
+                f"epipolar error {np.median(one['eps_y']):.2f} px"
+                for pair, one in self.verdict.pairs.items()
+            ]
+            lines.append(f"  patches matched: {'; '.join(pairs)}")
+        lines += [f"  clocks: {self.sentences['clocks']}"] if self.sentences.get("clocks") else []
         lines += [f"  not ready: {problem}" for problem in self.problems]
         lines += [f"  {remark}" for remark in (self.verdict.remarks if self.verdict else ())]
         return "\n".join(lines)
-
-    def _pair_consistencies(self) -> list[str]:
-        """How well the cameras agree, in a line."""
-        pairs = self.verdict.pairs if self.verdict else {}
-        words = [
-            f"{pair} {100 * float(np.median(of['agreement'])):.0f} %, miss {np.median(of['eps_y']):.2f} px"
-            for pair, of in pairs.items()
-        ]
-        return [f"  cameras agree: {'; '.join(words)}"] if words else []
 
 
 def check(
@@ -201,7 +195,7 @@ def check(
     rig: str | Path | Rig | None = None,
     workflow: str | Path | Workflow | None = None,
 ) -> Check:
-    """Look at an experiment and measure a few of its steps; changes nothing.
+    """Count the frames of an experiment and measure a few of its steps; changes nothing.
 
     Parameters
     ----------
@@ -240,9 +234,10 @@ def check(
     cameras = tuple(
         _summary(one, inspections[name], experiment.cameras[name].offset) for name, one in series.items()
     )
-    steps = len(next(iter(series.values()))) - 1
     problems: list[str] = []
-    prepared, cost, coverage, measured, advice = None, None, None, None, ""
+    shares: dict[str, float] = {}
+    sentences: dict[str, str] = {}
+    prepared, cost = None, None
     try:
         prepared = prepare(experiment, rig, workflow)
         refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
@@ -251,63 +246,58 @@ def check(
     except (RigError, ExperimentError) as error:
         problems.append(str(error))
     if prepared:
-        coverage = expected_coverage(prepared.rig, prepared.grid)
+        shares["coverage"] = expected_coverage(prepared.rig, prepared.grid)
+        first = {"motion": prepared.motion, "heights": prepared.heights}
+        sentences = {name: one.sentence for name, one in first.items() if one}
         with one_thread():
             try:
-                cost, measured = measure_cost(prepared)
+                cost, shares["measured"] = measure_cost(prepared)
             except ExperimentError as error:
                 problems.append(str(error))
-            advice = advise(prepared, measured or 0.0)
-    seen = compare_cameras(prepared) if prepared and not problems else None
-    clock_text, late = "", list[Remark]()
-    if prepared and seen and not any(one.weight == "grave" for one in seen.remarks):
-        clock_text, late = clocks(prepared)
-    remarks = [
-        *remark_on_frames(measuring, {name: inspections[name] for name in measuring}, sample),
-        *_disk(cost),
-        *(seen.remarks if seen else ()),
-        *late,
-        *remark_on_recordings(experiment, series),
-    ]
+            sentences["advice"] = advise(prepared, shares.get("measured", 0.0))
+    remarks = [*remark_on_frames(measuring, {name: inspections[name] for name in measuring}, sample)]
+    if cost and cost.free < MIN_FREE_SHARE * cost.disk:
+        remarks.append(_remark_on_disk(cost))
+    faults = compare_cameras(prepared) if prepared and not problems else None
+    if prepared and faults:
+        remarks += faults.remarks
+        if not any(one.weight == "grave" for one in faults.remarks):
+            sentences["clocks"], late = clocks(prepared)
+            remarks += late
+    remarks += remark_on_recordings(experiment, series)
     if prepared:
         remarks.append(remark_on_rest(prepared.experiment, prepared.rig))
+    verdict = None
+    if faults:
+        verdict = Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
+    elif remarks:
+        verdict = Verdict.of(remarks)
     return Check(
         experiment=experiment.name,
         path=experiment.path,
-        steps=steps,
+        steps=len(next(iter(series.values()))) - 1,
         frame_rate=experiment.frame_rate,
         cameras=cameras,
         rig=tuple(prepared.rig) if prepared else (),
         grid=prepared.grid if prepared else None,
-        coverage=coverage,
-        measured=measured,
+        shares=shares,
         cost=cost,
         problems=tuple(problems),
-        verdict=_verdict(remarks, seen),
-        motion=prepared.motion.sentence if prepared and prepared.motion else "",
-        heights=prepared.heights.sentence if prepared and prepared.heights else "",
-        clocks=clock_text,
-        advice=advice,
+        verdict=verdict,
+        sentences=sentences,
     )
 
 
-def _verdict(remarks: list[Remark], seen: CameraFaults | None) -> Verdict | None:
-    if seen:
-        return Verdict.of(remarks, seen.cameras, seen.pairs, seen.frames)
-    return Verdict.of(remarks) if remarks else None
-
-
-def _disk(cost: Cost | None) -> Iterator[Remark]:
-    if cost and cost.free < MIN_FREE_SHARE * cost.disk:
-        yield Remark(
-            "disk",
-            "room",
-            "remark",
-            f"a run writes {spell_size(cost.disk)}, but only {spell_size(cost.free)} are free",
-            f"{MIN_FREE_SHARE} times as much",
-            "free some room or write elsewhere with -o",
-            {"bytes": cost.disk, "free": cost.free},
-        )
+def _remark_on_disk(cost: Cost) -> Remark:
+    return Remark(
+        "disk",
+        "room",
+        "remark",
+        f"a run writes {spell_size(cost.disk)}, but only {spell_size(cost.free)} are free",
+        f"{MIN_FREE_SHARE} times as much",
+        "free some room or write elsewhere with -o",
+        {"bytes": cost.disk, "free": cost.free},
+    )
 
 
 def _unusual_files(series: FrameSeries) -> list[int]:
@@ -324,8 +314,8 @@ def _unusual_files(series: FrameSeries) -> list[int]:
     size = np.array(list(sizes.values()))
     usual = float(np.median(size))
     apart = np.abs(size - usual)
-    unusual = apart > max(_UNUSUAL_SIZE * usual, _UNUSUAL_SPREADS * float(np.median(apart)))
-    largest_first = sorted(np.flatnonzero(unusual), key=lambda k: -apart[k])[:_MAX_UNUSUAL_READ]
+    unusual = apart > max(MIN_SIZE_DEVIATION * usual, MIN_SIZE_DEVIATIONS * float(np.median(apart)))
+    largest_first = sorted(np.flatnonzero(unusual), key=lambda k: -apart[k])[:MAX_UNUSUAL_FILES]
     chosen = {*largest_first, *np.flatnonzero(size < usual / 2)}
     return [index for k, index in enumerate(sizes) if k in chosen]
 

@@ -24,6 +24,7 @@ from wavefield.pipeline.magnitudes import (
 )
 from wavefield.quality.stabilized import refuse_unless_in_a_row
 from wavefield.rig import Rig
+from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, FrameSeries, masks
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_FIELDS, TABLE
@@ -31,7 +32,7 @@ from wavefield.variables import CUBE_FIELDS, TABLE
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, LearnedRecord, Model
 
-_SAMPLE_STEPS = 4  # steps over the record by which the range of displacements is found
+SAMPLE_STEPS = 4  # steps over the record by which the range of displacements is found
 MAX_CHUNK_STEPS = 100  # steps; a chunk costs one to two steps more for its five extra frames
 
 
@@ -151,7 +152,7 @@ class _SampleImages:
     def __init__(self, series: Mapping[str, FrameSeries], geometry: "GridGeometry") -> None:
         self.series, self.geometry = series, geometry
         count = min(len(series[name]) for name in geometry.cameras) - 1
-        self.steps = sorted({int((i + 0.5) * count / _SAMPLE_STEPS) for i in range(_SAMPLE_STEPS)})
+        self.steps = evenly_spaced(count, SAMPLE_STEPS)
         self._widths: dict[str, float] = {}  # of the beads, measured in the first image of a camera
         self._twice: dict[tuple[str, int], Any] = {}  # images that motion and elevation are both seen in
 

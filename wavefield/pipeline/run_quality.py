@@ -1,8 +1,8 @@
 """The verdict on an experiment before its run, and on a cube after it."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,37 +18,48 @@ from wavefield.quality.patch_matching import PatchMatcher
 from wavefield.quality.probe_remarks import remark_on_probes
 from wavefield.quality.recording_remarks import remark_on_recordings
 from wavefield.quality.stored_values import remark_on_stored_values
+from wavefield.sampling import evenly_spaced
+from wavefield.store.cube_group import CubeGroup
 from wavefield.store.ledger import Status
 from wavefield.store.read import open_group
 from wavefield.store.verdict import Remark, Verdict
 from wavefield.text import spell_ranges
 from wavefield.variables import Quality
 
-_INSTANTS = 4  # of a record, compared before a run and after it
-_SYNCHRONY = 24  # of a record, by which delays of cameras are measured after its run
-_FIRST_CHECK = 4  # the same before it
-_STEPS = 12  # of a cube, checked after its run
-_EPS = (0.15, 0.5)  # px: median eps' that is remarked upon, that makes values useless
-_ALONE = (0.01, 0.1)  # of the nodes measured without one camera: that is noted, that is remarked upon
-MIN_STEPS_COMPARED = 5  # of a record: shorter ones have no neighbours to compare with
-_LEAST_IN_VIEW = (0.5, 0.05)  # of the grid in common view: less is remarked upon, is worth nothing
-_LEAST_MEASURED = (0.7, 0.2)  # of what all cameras see: less is remarked upon, is worth nothing
-_MANY = 0.01  # of the steps with bad frames: fewer are only noted
+
+@dataclass(frozen=True)
+class RunLimits:
+    """What the verdict on a run samples, and from which values on it remarks."""
+
+    instants: int = 4  # of a record, compared before a run and after it
+    instants_for_delays: int = 24  # of a record, by which delays of cameras are measured after its run
+    instants_for_first_delays: int = 4  # the same before it
+    steps: int = 12  # of a cube whose stored values are read
+    steps_compared: int = 5  # of a record: shorter ones have no neighbours to compare with
+    eps_piv: tuple[float, float] = (0.15, 0.5)  # px, median: more is remarked upon, makes values useless
+    without_camera: tuple[float, float] = (0.01, 0.1)  # fraction of the nodes: more is noted, remarked upon
+    in_view: tuple[float, float] = (0.5, 0.05)  # fraction of the grid: less is remarked upon, is useless
+    measured: tuple[float, float] = (0.7, 0.2)  # fraction of the nodes in view: likewise
+    faulty: float = 0.01  # of the steps with bad frames: fewer are only noted
+
+
+LIMITS = RunLimits()
 
 
 def compare_cameras(prepared: PreparedRun) -> CameraFaults:
     """Compare the cameras' images at some instants of the record."""
     count = prepared.steps + 1
-    frames = sorted({int((k + 0.5) * count / _INSTANTS) for k in range(_INSTANTS)})
+    frames = evenly_spaced(count, LIMITS.instants)
     with one_thread():  # each of them
         return find_camera_faults(_patch_matcher(prepared), count, frames, threads_here(prepared.workflow))
 
 
-def synchrony_of(prepared: PreparedRun, instants: int = _SYNCHRONY) -> tuple[dict[str, Delay], float]:
+def synchrony_of(
+    prepared: PreparedRun, instants: int = LIMITS.instants_for_delays
+) -> tuple[dict[str, Delay], float]:
     """Whether the cameras take their frames at the same moment."""
     count = prepared.steps + 1
-    even = ((k + 0.5) * count / instants for k in range(instants))
-    frames = sorted({min(max(int(k), 2), count - 3) for k in even}) if count >= 5 else []
+    frames = sorted({min(max(k, 2), count - 3) for k in evenly_spaced(count, instants)}) if count >= 5 else []
     rate = prepared.experiment.frame_rate
     with one_thread():  # each of them
         return camera_delay.delays(
@@ -63,7 +74,7 @@ def synchrony_of(prepared: PreparedRun, instants: int = _SYNCHRONY) -> tuple[dic
 
 def clocks(prepared: PreparedRun) -> tuple[str, list[Remark]]:
     """First estimate of the delays between cameras, at a few instants."""
-    found, speed = synchrony_of(prepared, _FIRST_CHECK)
+    found, speed = synchrony_of(prepared, LIMITS.instants_for_first_delays)
     return camera_delay.sentence(found), list(camera_delay.remarks(found, speed))
 
 
@@ -71,12 +82,16 @@ def _patch_matcher(prepared: PreparedRun) -> PatchMatcher:
     return PatchMatcher(lambda name, k: prepared.series[name].read_uncovered(k), prepared.rig, prepared.grid)
 
 
-def assess_run(prepared: PreparedRun, status: Status, seen: CameraFaults | None = None) -> Verdict:
+def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
     """The verdict on a cube whose run has ended."""
-    seen = compare_cameras(prepared) if seen is None else seen
+    faults = compare_cameras(prepared)
     remarks = [
-        *seen.remarks,
-        *([] if any(one.weight == "grave" for one in seen.remarks) else _clocks_and_mounts(prepared, status)),
+        *faults.remarks,
+        *(
+            []
+            if any(one.weight == "grave" for one in faults.remarks)
+            else _clocks_and_mounts(prepared, status)
+        ),
         remark_on_rest(prepared.experiment, prepared.rig, _level_std(status.store)),
         *remark_on_recordings(prepared.experiment, prepared.series),
         *remark_on_probes(prepared.experiment, status.store),
@@ -84,7 +99,7 @@ def assess_run(prepared: PreparedRun, status: Status, seen: CameraFaults | None 
         *_fields(status.store, expected_coverage(prepared.rig, prepared.grid)),
         *_stored_values(prepared, status),
     ]
-    return Verdict.of(remarks, seen.cameras, seen.pairs, seen.frames)
+    return Verdict.of(remarks, faults.cameras, faults.pairs, faults.frames)
 
 
 def _level_std(store: Path) -> float:
@@ -95,7 +110,9 @@ def _level_std(store: Path) -> float:
 
 def _clocks_and_mounts(prepared: PreparedRun, status: Status) -> Iterator[Remark]:
     """Remarks on delays and motion of cameras, from the epipolar errors."""
-    instants = min(_SYNCHRONY, max(_INSTANTS, prepared.steps // 6))  # of a short record, not most of its cost
+    instants = min(
+        LIMITS.instants_for_delays, max(LIMITS.instants, prepared.steps // 6)
+    )  # of a short record, not most of its cost
     yield from camera_delay.remarks(*synchrony_of(prepared, instants))
     first = next(iter(prepared.series.values())).first
     yield from camera_motion.remarks(
@@ -120,9 +137,9 @@ def _steps(status: Status) -> Iterator[Remark]:
         yield Remark(
             "record",
             "bad frames",
-            "remark" if status.faulty > _MANY * status.steps else "note",
+            "remark" if status.faulty > LIMITS.faulty * status.steps else "note",
             f"{status.faulty} of {status.steps} steps have bad frames around them",
-            f"less than {100 * _MANY:.0f} %",
+            f"less than {100 * LIMITS.faulty:.0f} %",
             "copy these frames again and run the same command",
             {"faulty": status.faulty, "steps": status.steps},
         )
@@ -130,16 +147,16 @@ def _steps(status: Status) -> Iterator[Remark]:
 
 def _stored_values(prepared: PreparedRun, status: Status) -> Iterator[Remark]:
     """What the stored fields show when they are compared with each other."""
-    if status.done < MIN_STEPS_COMPARED or prepared.geometry.settings.sheet_thickness is not None:
+    if status.done < LIMITS.steps_compared or prepared.geometry.settings.sheet_thickness is not None:
         return
     first = next(iter(prepared.series.values())).first
-    yield from remark_on_stored_values(status.store, _some(status.steps), first)
+    yield from remark_on_stored_values(status.store, evenly_spaced(status.steps, LIMITS.steps), first)
 
 
-def _fields(store: Path, seen: float) -> Iterator[Remark]:
+def _fields(store: Path, in_view: float) -> Iterator[Remark]:
     """Remarks on the stored values, at some steps."""
     group = open_group(store)
-    steps = _some(group["z"].shape[0])
+    steps = evenly_spaced(group["z"].shape[0], LIMITS.steps)
     z = np.stack([np.asarray(group["z"][k]) for k in steps])
     if group["z"].dtype == np.int16:
         z = np.where(z == group["z"].attrs["_FillValue"], np.nan, z.astype(np.float32))
@@ -151,60 +168,56 @@ def _fields(store: Path, seen: float) -> Iterator[Remark]:
     misfit = (
         float(np.median(np.abs(eps[found & np.isfinite(eps)]))) if (found & np.isfinite(eps)).any() else 0.0
     )
-    if misfit > _EPS[0]:
+    if misfit > LIMITS.eps_piv[0]:
         yield Remark(
             "velocity",
             "eps'",
-            "grave" if misfit > _EPS[1] else "remark",
+            "grave" if misfit > LIMITS.eps_piv[1] else "remark",
             f"the cameras are inconsistent on the motion of the water: median eps' {misfit:.2f} px",
-            f"less than {_EPS[0]} px",
+            f"less than {LIMITS.eps_piv[0]} px",
             "are the frames of the same moments, and of the same order, for all cameras?",
             {"eps_piv": misfit},
         )
     yield from _left_out(group, steps)
     quality = np.stack([np.asarray(group["quality"][k]) for k in steps])
     measured = fraction_measured(quality)
-    if seen < _LEAST_IN_VIEW[0]:
+    if in_view < LIMITS.in_view[0]:
         yield Remark(
             "grid",
             "coverage",
-            "grave" if seen < _LEAST_IN_VIEW[1] else "remark",
-            f"the cameras have {100 * seen:.2g} % of the grid's nodes in common view",
-            f"{100 * _LEAST_IN_VIEW[0]:.0f} % at least",
+            "grave" if in_view < LIMITS.in_view[1] else "remark",
+            f"the cameras have {100 * in_view:.2g} % of the grid's nodes in common view",
+            f"{100 * LIMITS.in_view[0]:.0f} % at least",
             "check the extent of the grid, which is in metres, or leave it out: `grid: auto`",
-            {"fraction": seen},
+            {"fraction": in_view},
         )
-    if measured < _LEAST_MEASURED[0]:
+    if measured < LIMITS.measured[0]:
         yield Remark(
             "surface",
             "holes",
-            "grave" if measured < _LEAST_MEASURED[1] else "remark",
+            "grave" if measured < LIMITS.measured[1] else "remark",
             f"{100 * measured:.0f} % of the nodes in view were measured; the others are filled or empty",
-            f"{100 * _LEAST_MEASURED[0]:.0f} % at least",
+            f"{100 * LIMITS.measured[0]:.0f} % at least",
             "check seeding and light; `quality` gives the reason why nodes were rejected",
             {"fraction": measured},
         )
 
 
-def _left_out(group: Any, steps: Sequence[int]) -> Iterator[Remark]:
+def _left_out(group: CubeGroup, steps: Sequence[int]) -> Iterator[Remark]:
     """Cameras without which much was measured."""
     quality = np.stack([np.asarray(group["quality"][k]) for k in steps])
     seen = (quality & np.uint16(Quality.MEASURED | Quality.FILLED)) != 0
     for number, camera in enumerate(group.attrs["cameras"]):
         bit = np.uint16(Quality.without(number) & ~Quality.FEWER_CAMERAS)
         fraction = float(((quality & bit) != 0)[seen].mean()) if seen.any() else 0.0
-        if fraction > _ALONE[0]:
+        if fraction > LIMITS.without_camera[0]:
             yield Remark(
                 camera,
                 "left out",
-                "remark" if fraction > _ALONE[1] else "note",
+                "remark" if fraction > LIMITS.without_camera[1] else "note",
                 f"{100 * fraction:.1f} % of the nodes were measured without {camera}: its frame was missing,"
                 " or it was inconsistent with the others there",
-                f"less than {100 * _ALONE[0]:.0f} %",
+                f"less than {100 * LIMITS.without_camera[0]:.0f} %",
                 f"check the images of {camera}: a drop on its window, a reflection, focus, a late frame?",
                 {"fraction": fraction},
             )
-
-
-def _some(count: int) -> Sequence[int]:
-    return sorted({int((k + 0.5) * count / _STEPS) for k in range(_STEPS)})

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from wavefield.pipeline.prepare import prepare
 from wavefield.rig import Rig
 from wavefield.rig.water_level import WaterPlane
+from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment
 from wavefield.store.verdict import Remark
 
@@ -27,7 +28,7 @@ def level_at_rest(
 ) -> tuple[Rig, RigCheck, WaterPlane]:
     """Mend and level a rig by a record of still, seeded water."""
     from wavefield.calibration.still_water_correction import refine_and_level
-    from wavefield.measurement.tie_points import matched_pixels, spread
+    from wavefield.measurement.tie_points import matched_pixels
 
     prepared = prepare(experiment, rig)
     series = prepared.series
@@ -36,7 +37,7 @@ def level_at_rest(
         return series[camera].read(frame).image
 
     count = len(next(iter(series.values())))
-    matches = matched_pixels(read, spread(count, frames), prepared.geometry, progress)
+    matches = matched_pixels(read, evenly_spaced(count, frames), prepared.geometry, progress)
     return refine_and_level(prepared.rig, matches)
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from wavefield.quality.patch_matching import PatchMatcher
 from wavefield.quality.stabilized import shifts
 from wavefield.robust import PER_MEDIAN
+from wavefield.sampling import from_first_to_last
 from wavefield.store.preview import read_steps
 from wavefield.store.read import open_group, read_layout
 from wavefield.store.verdict import Remark
@@ -60,11 +61,7 @@ def camera_motion(store: Path, steps: Sequence[int] | None = None) -> CameraMoti
     pixel = float(group.attrs["pixel_size"])
     x, y = np.meshgrid(*(np.linspace(-1, 1, n)[::every] for n in (nx, ny)))
     design = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=-1)
-    requested = (
-        np.unique(np.linspace(0, count - 1, min(count, _SAMPLE_STEPS)).astype(int))
-        if steps is None
-        else steps
-    )
+    requested = from_first_to_last(count, _SAMPLE_STEPS) if steps is None else steps
     kept, low, std = [], [], []
     block = read_layout(group).chunk_steps
     for first in range(0, count, block):

@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import zarr
@@ -19,6 +19,7 @@ from zarr.codecs import BloscCodec
 
 from wavefield.atomic_write import Product, atomic, write_error, zarr_store
 from wavefield.errors import StoreError
+from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import COMPRESSION, MISSING, PACKING, StoreLayout
 from wavefield.store.read import measured_rate, read_layout
 from wavefield.variables import CUBE_FIELDS, TABLE
@@ -49,7 +50,7 @@ def preview_path(cube: str | Path) -> Path:
     return cube.with_name(f"{cube.name.removesuffix('.zarr')}_preview.zarr")
 
 
-def thinning(group: Any) -> Thinning:
+def thinning(group: CubeGroup) -> Thinning:
     """How a cube is thinned: every fourth node of an usual one, all of a small one."""
     names = tuple(name for name in CUBE_FIELDS if name in group)
     steps, ny, nx = group[names[0]].shape
@@ -59,7 +60,7 @@ def thinning(group: Any) -> Thinning:
     return Thinning(math.ceil(math.sqrt(ny * nx / most)), names, scales)
 
 
-def create_preview(cube: Path, group: Any) -> None:
+def create_preview(cube: Path, group: CubeGroup) -> None:
     """Make an empty preview next to a new cube, in place of an old one."""
     path, layout, thin = preview_path(cube), read_layout(group), thinning(group)
     shape = _shape(group, thin)
@@ -99,18 +100,18 @@ def create_preview(cube: Path, group: Any) -> None:
         )
 
 
-def _shape(group: Any, thin: Thinning) -> tuple[int, int]:
+def _shape(group: CubeGroup, thin: Thinning) -> tuple[int, int]:
     _, ny, nx = group[thin.names[0]].shape
     return -(-ny // thin.every), -(-nx // thin.every)
 
 
-def _mark(group: Any) -> str:
+def _mark(group: CubeGroup) -> str:
     """What a preview must share with its cube: recipe and size."""
     layout = read_layout(group)
     return f"{group.attrs['recipe_hash']} {layout.steps} {layout.chunk_steps}"
 
 
-def open_preview(cube: Path, group: Any, mode: Any = "r") -> Any | None:
+def open_preview(cube: Path, group: CubeGroup, mode: Literal["r", "r+"] = "r") -> CubeGroup | None:
     """The preview that belongs to a cube."""
     path = preview_path(cube)
     if not path.is_dir():
@@ -142,7 +143,7 @@ def thin_chunk(fields: Mapping[str, NDArray[Any]], thin: Thinning) -> NDArray[np
     return np.ascontiguousarray(np.moveaxis(np.array(out), 1, -1))
 
 
-def write_preview(cube: Path, group: Any, start: int, fields: Mapping[str, NDArray[Any]]) -> None:
+def write_preview(cube: Path, group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any]]) -> None:
     """Write one chunk of the preview, if the cube has one.
 
     With fields (n, ny, nx).
@@ -154,7 +155,7 @@ def write_preview(cube: Path, group: Any, start: int, fields: Mapping[str, NDArr
         store_thinned(cube, preview, start, thin_chunk(fields, thin))
 
 
-def store_thinned(cube: Path, preview: Any, start: int, thinned: NDArray[np.int16]) -> None:
+def store_thinned(cube: Path, preview: CubeGroup, start: int, thinned: NDArray[np.int16]) -> None:
     """Put a thinned chunk into the preview, its ledger last.
 
     With thinned (variable, y, x, n).
@@ -168,7 +169,7 @@ def store_thinned(cube: Path, preview: Any, start: int, thinned: NDArray[np.int1
         raise write_error(preview_path(cube), error) from None
 
 
-def stored_thinned(preview: Any, start: int, stop: int) -> NDArray[np.int16] | None:
+def stored_thinned(preview: CubeGroup, start: int, stop: int) -> NDArray[np.int16] | None:
     """A chunk as the preview holds it, (variable, y, x, n); None where it is not as it was written."""
     try:
         thinned = np.ascontiguousarray(preview["fields"][..., start:stop])
@@ -178,7 +179,7 @@ def stored_thinned(preview: Any, start: int, stop: int) -> NDArray[np.int16] | N
     return thinned if zlib.crc32(thinned.tobytes()) == kept else None
 
 
-def chunks_stored(preview: Any, layout: StoreLayout) -> NDArray[np.bool_]:
+def chunks_stored(preview: CubeGroup, layout: StoreLayout) -> NDArray[np.bool_]:
     """Which chunks the preview's ledger calls done; none where it cannot be read."""
     try:
         return chunks_done(np.asarray(preview["done"][:]), layout)
@@ -186,7 +187,7 @@ def chunks_stored(preview: Any, layout: StoreLayout) -> NDArray[np.bool_]:
         return np.zeros(len(layout.chunks()), bool)
 
 
-def read_thinned(group: Any, thin: Thinning, start: int, stop: int) -> NDArray[np.int16]:
+def read_thinned(group: CubeGroup, thin: Thinning, start: int, stop: int) -> NDArray[np.int16]:
     """Thin a chunk of the cube itself.
 
     Returns (variable, y, x, n).
@@ -196,7 +197,7 @@ def read_thinned(group: Any, thin: Thinning, start: int, stop: int) -> NDArray[n
 
 
 def read_steps(
-    group: Any,
+    group: CubeGroup,
     name: str,
     start: int,
     stop: int,

@@ -2,12 +2,13 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import zarr
 
 from wavefield.errors import StoreError
 from wavefield.store.checked import CheckedStore
+from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import PACKING, StoreLayout
 from wavefield.store.ledger_files import check_chunks
 from wavefield.store.metadata import check_metadata
@@ -16,7 +17,7 @@ if TYPE_CHECKING:  # not needed by workers, and slow to import
     import xarray as xr
 
 
-def open_group(path: Path, mode: Any = "r") -> Any:
+def open_group(path: Path, mode: Literal["r", "r+"] = "r") -> CubeGroup:
     """Open a store made by `create_store`."""
     if not path.exists():
         raise StoreError(f"{path}: no such store; make one with `wavefield run`")
@@ -28,7 +29,7 @@ def open_group(path: Path, mode: Any = "r") -> Any:
         if "recipe" in group.attrs and "frame_status" in group:
             read_layout(group)
             json.loads(str(group.attrs["recipe"]))
-            return group
+            return cast(CubeGroup, group)
     except Exception as error:
         raise StoreError(
             f"{path} cannot be opened as a cube ({' '.join(str(error).split())[:200]}); if it is one, it is "
@@ -37,7 +38,7 @@ def open_group(path: Path, mode: Any = "r") -> Any:
     raise StoreError(f"{path} is not a cube of `wavefield run`; choose another name")
 
 
-def read_layout(group: Any) -> StoreLayout:
+def read_layout(group: CubeGroup) -> StoreLayout:
     """Sizes of an open store."""
     frames = group["frame"]
     return StoreLayout(
@@ -48,7 +49,7 @@ def read_layout(group: Any) -> StoreLayout:
     )
 
 
-def measured_rate(group: Any) -> float:
+def measured_rate(group: CubeGroup) -> float:
     """Frame rate that velocities are stored for; the cube's own may have been corrected since."""
     return float(group.attrs.get("measured_frame_rate", group.attrs["frame_rate"]))
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from wavefield import __version__
 from wavefield.errors import StoreError
+from wavefield.store.cube_group import CubeGroup
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ def _hash_of(recipe: str) -> str:
         return ""
 
 
-def check_recipe(path: Path, group: Any, recipe: Recipe) -> None:
+def check_recipe(path: Path, group: CubeGroup, recipe: Recipe) -> None:
     """Refuse to go on with a store that was made with another recipe."""
     there = str(group.attrs["recipe"])
     if _hash_of(there) == recipe.hash:

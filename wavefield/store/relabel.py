@@ -16,6 +16,7 @@ import numpy as np
 import zarr
 
 from wavefield.atomic_write import write_error
+from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import PACKING, gather_metadata
 from wavefield.store.metadata import ARCHIVE, keep_metadata
 from wavefield.store.read import measured_rate, open_group
@@ -58,7 +59,7 @@ def _gathered(path: Path) -> bool:
 _OURS = ("experiment_file", "image_folder", "water_depth", "surface_tension_over_density", "description")
 
 
-def _write(group: Any, path: Path, recipe: Recipe, attributes: Mapping[str, Any]) -> None:
+def _write(group: CubeGroup, path: Path, recipe: Recipe, attributes: Mapping[str, Any]) -> None:
     measured = measured_rate(group)
     group.attrs["measured_frame_rate"] = measured
     factor = recipe.frame_rate / measured

@@ -9,12 +9,12 @@ all its data.
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from wavefield.atomic_write import make_durable, write_error
 from wavefield.store.checked import checksum, chunk_path, stored_bytes
+from wavefield.store.cube_group import CubeGroup
 from wavefield.store.layout import MISSING, PACKING, WATCHED
 from wavefield.store.preview import write_preview
 from wavefield.store.read import open_group, read_layout
@@ -77,7 +77,7 @@ def _ledger_file(frame_status: np.ndarray, chunk: int) -> bytes:
     return bytes(frame_status.astype(np.uint8)) + bytes(chunk - frame_status.size)
 
 
-def _keep_checksums(path: Path, group: Any, chunk: int, ledger: bytes) -> None:
+def _keep_checksums(path: Path, group: CubeGroup, chunk: int, ledger: bytes) -> None:
     """Keep what a chunk's files must be later; cubes begun before there were such records have none."""
     for name, of_file, of_ledger in (
         ("checksum", checksum, zlib.crc32(ledger) or 1),

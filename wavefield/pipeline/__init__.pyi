@@ -1,0 +1,31 @@
+# The public names and their modules: read by type checkers, and by __init__.py, which imports on first use.
+from wavefield.execution.workflow import Workflow
+from wavefield.pipeline.analysis import analyze_on_workers
+from wavefield.pipeline.catalog import catalog_add, is_catalog, run_catalog
+from wavefield.pipeline.forecast import Check, check
+from wavefield.pipeline.gain_prediction import predicted_gain
+from wavefield.pipeline.lazy import reconstruct
+from wavefield.pipeline.opened_run import Run, open_run
+from wavefield.pipeline.running import run
+from wavefield.store.export import export
+from wavefield.store.ledger import Status, status
+from wavefield.store.read import open_cube
+
+__all__ = [
+    "Check",
+    "Run",
+    "Status",
+    "Workflow",
+    "analyze_on_workers",
+    "catalog_add",
+    "check",
+    "export",
+    "is_catalog",
+    "open_cube",
+    "open_run",
+    "predicted_gain",
+    "reconstruct",
+    "run",
+    "run_catalog",
+    "status",
+]
