@@ -295,13 +295,13 @@ def test_a_bad_frame_is_marked_and_the_rest_is_right(own_tank, reference, spoil,
 def test_repeated_frames_of_all_cameras_leave_no_values_whatever_the_chunks(own_tank, tmp_path):
     for camera in ("cam1", "cam2", "cam3"):
         repeat(own_tank.parent / camera / "img_00006.tif")  # the first frame that the chunk from step 8 uses
-    state = run(own_tank, workflow=blocks_of(4))
+    state = run(own_tank, workflow=chunks_of(4))
     assert state.failed_steps == (5, 6)
     assert {bad.fault for bad in state.bad_frames} == {FrameFault.REPEATED}
-    other = run(own_tank, tmp_path / "other.zarr", workflow=blocks_of(8))
+    other = run(own_tank, tmp_path / "other.zarr", workflow=chunks_of(8))
     assert different(other.store, state.store) == []
     before = dict(state.bad_frames[0].__dict__)
-    again = run(own_tank, workflow=blocks_of(4))
+    again = run(own_tank, workflow=chunks_of(4))
     assert before == dict(again.bad_frames[0].__dict__)
 
 
