@@ -14,9 +14,6 @@ from wavefield.variables.table import CUBE_DIMS, TABLE, Variable, annotate, find
 from wavefield.variables.units import factor, product
 from wavefield.variables.waves_table import GROUPS
 
-# isort: split
-import wavefield.variables.estimators  # noqa: F401  its rows join the table
-
 __all__ = [
     "AROUND",
     "CUBE_DIMS",

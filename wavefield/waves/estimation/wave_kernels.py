@@ -1,9 +1,9 @@
 """Inner loops of the spectral estimators, on plain arrays.
 
-Layout: the spatial transform of a piece of a record is held step by step, cells being ky x kx with kx >= 0;
-`join` turns it into lines along time, one per cell, for the transform in time and the sums over rings. Loops
-run along contiguous memory and are written so that they vectorise: real and imaginary parts apart, no
-branches, unsigned indices where they run backwards (signed ones are checked for wrapping around).
+The spatial transform of a piece of a record is held step by step, cells being ky x kx with kx >= 0; `join`
+turns it into lines along time, one per cell. Loops run along contiguous memory and vectorise: real and
+imaginary parts apart, no branches, unsigned indices where they run backwards (signed ones are checked for
+wrapping around).
 """
 
 from typing import Any
@@ -26,10 +26,7 @@ _BATCH = 1024  # values sorted into bins at once
 
 @_loose
 def join(first: Array, second: Array, window: Array, out: Array) -> None:
-    """Put two halves of a segment together, take off mean and trend in time, window, and turn around.
-
-    With first, second (n / 2, 2 * cells); window (n,); out (cells, 2 * n).
-    """
+    """Join two halves (n / 2, 2 * cells) of a segment, less mean and trend, windowed: (cells, 2 * n)."""
     half, columns = first.shape
     n = 2 * half
     middle = (n - 1) / 2
@@ -83,10 +80,9 @@ def frames(
     """Elevation at the first frame of each step of a segment, from mid-time elevation and rate of rise.
 
     z_0 = z + (dt / 16)(z_t after - z_t before) - (dt / 2) z_t, exact for z = (9 (z_0 + z_1) - z_-1 - z_2) /
-    16. The first and last step follow from their neighbour by z_t alone: what lies outside the segment is not
-    needed, and the mid-time z at the ends of a record, which had no fourth frame, is not used.
-
-    With z_first, z_second, rate_first, rate_second (n / 2, columns); first, second (n / 2, columns wanted).
+    16. The first and last step follow from their neighbour by z_t alone: nothing outside the segment is
+    needed, and the mid-time z at the ends of a record, which had no fourth frame, is not used. All (n / 2,
+    columns).
     """
     half, columns = first.shape
     end = begin + columns
@@ -113,10 +109,7 @@ def _add_row(row: Array, factor: float, out: Array) -> None:
 
 @_loose
 def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Array, out: Array) -> None:
-    """Add power and squared power of every cell to its rings, +-omega folded: k points where the wave goes.
-
-    With f (cells, n); start (cells + 1,); out (2, rings, n // 2 + 1).
-    """
+    """Add power and squared power of f (cells, n) to rings (2, rings, n // 2 + 1), +-omega folded."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n, f.real.dtype)
@@ -142,10 +135,7 @@ def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Arra
 
 @_rounded
 def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Array, out: Array) -> None:
-    """As the power in `ring_powers`, for conj(f) g; ``out`` holds real and imaginary parts.
-
-    The phase is that of waves exp(i (k . x - omega t)), omega > 0.
-    """
+    """As `ring_powers`, conj(f) g (real, imaginary), in phase with exp(i (k . x - omega t)), omega > 0."""
     cells, n = f.shape
     half = n // 2
     real = np.empty(n, f.real.dtype)
@@ -170,10 +160,7 @@ def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Ar
 
 @_loose
 def add_powers(f: Array, out: Array) -> None:
-    """Add |f|^2.
-
-    With f (cells, n); out (cells, n).
-    """
+    """Add |f|^2, (cells, n)."""
     for c in range(f.shape[0]):
         line = f[c]
         to = out[c]
@@ -183,10 +170,7 @@ def add_powers(f: Array, out: Array) -> None:
 
 @_rounded
 def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) -> None:
-    """Add a part of conj(f) g.
-
-    With f, g (cells, n); real, imaginary (n,); out (cells, n).
-    """
+    """Add real and imaginary part of conj(f) g, (cells, n), times a factor (n,) each."""
     for c in range(f.shape[0]):
         a = f[c]
         b = g[c]
@@ -198,7 +182,7 @@ def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) 
 
 @_fast
 def _along(z: Array, factor: float, out: Array) -> None:
-    # derivative of a line by central differences of sixth order, of lower order at the ends
+    """Derivative of a line by central differences of sixth order, of lower order at the ends."""
     n = z.size
     if n > 6:
         a, b, c, d, e, f = z[4:], z[2:], z[5:], z[1:], z[6:], z
@@ -223,7 +207,7 @@ def _along(z: Array, factor: float, out: Array) -> None:
 
 @_fast
 def _across(z: Array, i: int, factor: float, out: Array) -> None:
-    # the same along the first axis, for one row
+    """The same along the first axis, for one row."""
     ny, nx = z.shape
     room = min(i, ny - 1 - i)
     if room >= 3:
@@ -250,10 +234,7 @@ def _across(z: Array, i: int, factor: float, out: Array) -> None:
 
 @_fast
 def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
-    """Gradient of each step by central differences of sixth order, of lower order at the edges.
-
-    With z (steps, y, x); z_y, z_x (steps, y, x).
-    """
+    """Gradient (steps, y, x) by central differences of sixth order, of lower order at the edges."""
     for t in range(z.shape[0]):
         for i in range(z.shape[1]):
             _along(z[t, i], 1 / dx, z_x[t, i])
@@ -262,12 +243,7 @@ def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
 
 @_fast
 def two_frame_mean(z: Array, z_t: Array, t: int, slope: float, rise: float, out: Array) -> None:
-    """Mean elevation of the two frames of a step, from mid-time elevation and rate of rise.
-
-    As `frames`: the first and last step follow from their neighbour by z_t.
-
-    With z, z_t (steps, y, x); out (y, x).
-    """
+    """Mean elevation (y, x) of the two frames of a step, from z and z_t as in `frames`."""
     last = z.shape[0] - 1
     if last < 2:
         out[:] = z[t]
@@ -298,10 +274,7 @@ def advection(
     dx: float,
     out: Array,
 ) -> None:
-    """Nonlinear term u . grad z of some steps, the gradient as `gradient` takes it.
-
-    With z, z_t, u, v (steps, y, x); out (steps wanted, y, x).
-    """
+    """Nonlinear term u . grad z of the steps (y, x) from ``first`` on, the gradient that of `gradient`."""
     mean = np.empty(z.shape[1:], z.dtype)
     z_y = np.empty(z.shape[2], z.dtype)
     z_x = np.empty(z.shape[2], z.dtype)
@@ -319,10 +292,7 @@ def advection(
 
 @_fast
 def slope_square(z: Array, dy: float, dx: float) -> float:
-    """Sum of |grad z|^2 over all nodes and steps, the gradient as `gradient` takes it.
-
-    With z (steps, y, x).
-    """
+    """Sum of |grad z|^2 over all nodes and steps, the gradient that of `gradient`."""
     z_y = np.empty(z.shape[2], z.dtype)
     z_x = np.empty(z.shape[2], z.dtype)
     total = 0.0
@@ -337,15 +307,12 @@ def slope_square(z: Array, dy: float, dx: float) -> float:
 
 @_fast
 def histogram(values: Array, mean: float, std: float, reach: float, counts: Array) -> None:
-    """Count values in equal bins of (value - mean) / std from -reach to reach; the rest is left out.
-
-    With values (n,); counts (bins,).
-    """
+    """Count values in equal bins of (value - mean) / std from -reach to reach; the rest is left out."""
     bins = counts.size
     scale = bins / (2.0 * reach * std)
     origin = mean - reach * std
     place = np.empty(_BATCH, np.int32)
-    # neighbours often share a bin: in two tables they need not wait for each other; the last bin is the rest
+    # neighbours often share a bin: two tables avoid waiting for each other; the last bin is the rest
     even = np.zeros(bins + 1, np.int64)
     odd = np.zeros(bins + 1, np.int64)
     for begin in range(0, values.size, _BATCH):
@@ -365,10 +332,7 @@ def histogram(values: Array, mean: float, std: float, reach: float, counts: Arra
 
 @_loose
 def node_powers(values: Array, mean: float, sums: Array) -> None:
-    """Add the first three powers of (value - mean) at every node to ``sums``.
-
-    With values (steps, nodes); sums (3, nodes).
-    """
+    """Add the first three powers of (value - mean), (steps, nodes), at every node to ``sums`` (3, nodes)."""
     for r in range(values.shape[0]):
         for i in range(values.shape[1]):
             d = np.float64(values[r, i]) - mean
@@ -380,12 +344,7 @@ def node_powers(values: Array, mean: float, sums: Array) -> None:
 
 @_loose
 def moments(values: Array, mean: float, sums: Array) -> None:
-    """Add the first four powers of (value - mean) to ``sums`` (5,), the first entry being the count.
-
-    Rows are summed one by one, so that single values do not drown in a long sum.
-
-    With values (rows, n); sums (5,).
-    """
+    """Add count and first four powers of (value - mean), row by row for precision, to ``sums`` (5,)."""
     for r in range(values.shape[0]):
         row = values[r]
         s1 = 0.0
@@ -408,7 +367,7 @@ def moments(values: Array, mean: float, sums: Array) -> None:
 
 @_fast
 def _lagrange(fraction: float, scale: Array, weights: Array) -> None:
-    # weights of the nodes -(m/2 - 1) .. m/2 for a point at `fraction` in [0, 1); `scale`: `_denominators`
+    """Weights of the nodes -(m/2 - 1) .. m/2 for a point at `fraction` in [0, 1)."""
     m = weights.size
     first = -(m // 2 - 1)
     product = 1.0
@@ -433,10 +392,7 @@ def _denominators(m: int) -> Array:
 
 @_loose
 def sample(field: Array, row: Array, column: Array, out: Array, points: int) -> None:
-    """Interpolate a field between its nodes by Lagrange polynomials; NaN where the stencil runs out.
-
-    With field (y, x); row, column (n,); out (n,).
-    """
+    """Field (y, x) at rows and columns (n,) by Lagrange polynomials; NaN near the edges."""
     ny, nx = field.shape
     wy = np.empty(points)
     wx = np.empty(points)
@@ -464,10 +420,10 @@ def sample(field: Array, row: Array, column: Array, out: Array, points: int) -> 
 def windowed_sums(
     energy: Array, noise: Array, cells: Array, k: Array, heading: Array, first: Array, last: Array, out: Array
 ) -> None:
-    """Sum the energy less the noise over a window of cells of each line, and with it wavenumber and heading.
+    """Sums (8, lines) over a window of cells, from first to last, of each line of a spectrum (lines, cells).
 
-    With energy (lines, all cells); noise (lines, all cells); cells (cells,); k (cells,); heading (2, cells);
-    first, last (lines,); out (8, lines).
+    Of the energy less the noise: itself, times k, times both components of the heading; of the squared
+    energy: itself, times k, times k^2; of the noise.
     """
     for i in range(first.size):
         out[:, i] = 0.0
@@ -486,10 +442,7 @@ def windowed_sums(
 
 @_loose
 def spread_waves(first: Array, weights: Array, power: Array, out: Array) -> None:
-    """Add waves to a spectrum as windows spread them over neighbouring cells.
-
-    With first (3, waves); weights (3, waves, near); power (waves,); out (lines, ny, nx).
-    """
+    """Add waves to a spectrum (lines, ny, nx): weights (3, waves, near) from cells ``first`` (3, waves)."""
     lines, ny, nx = out.shape
     near = weights.shape[2]
     columns = np.empty(near, np.int64)
