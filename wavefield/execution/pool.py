@@ -1,9 +1,11 @@
 """Worker processes of this machine.
 
-They are forked from one process that has imported what they need once for all, and end with their work. One
-that dies is replaced and its item done again. Where compiled code made it crash, what is kept of such code is
-removed first, once, and new processes compile it again.
+They are forked from one process that has made the imports, and end with their work. One that dies is replaced
+and its item done again. Where compiled code made it crash, the cache of such code is cleared first, once, and new
+processes compile it again.
 """
+# concurrent.futures.ProcessPoolExecutor loses all work when one worker dies, hides how it died and which item
+# it was at, and leaves its workers running when the parent is killed.
 
 import functools
 import logging
@@ -15,7 +17,7 @@ import sys
 import threading
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -28,10 +30,10 @@ from wavefield.errors import StoreError
 from wavefield.execution.deferred_signals import deferred_signals
 from wavefield.execution.worker_settings import settle_worker
 
-_MOST_DEATHS = 3  # of workers over one item: it is the item
+MAX_DEATHS = 3  # of workers over one item: it is the item
 _WORK, _ITEM = b"w", b"i"  # what a message to a worker begins with
-_POLL_SECONDS = 1.0  # between checks of the workers' memory
-_CRASHES = ("SIGSEGV", "SIGBUS", "SIGILL", "SIGFPE", "SIGABRT")  # what ends a process that runs faulty code
+MEMORY_CHECK_S = 1.0
+CRASH_SIGNALS = ("SIGSEGV", "SIGBUS", "SIGILL", "SIGFPE", "SIGABRT")  # of a process that runs faulty code
 
 log = logging.getLogger("wavefield.run")
 
@@ -40,8 +42,8 @@ log = logging.getLogger("wavefield.run")
 class _Worker:
     process: BaseProcess
     connection: Connection
-    index: int | None = None  # of the item that it is at work on
-    compiled_anew: bool = False  # it began after kept compiled code had been removed
+    index: int | None = None  # of its item
+    cache_cleared: bool = False  # before it started
 
 
 class Pool:
@@ -58,8 +60,8 @@ class Pool:
         self._workers: list[_Worker] = []
         self._starter: ThreadPoolExecutor | None = None
         self._started: Future[None] | None = None
-        self._cleared = False  # whether kept compiled code was removed
-        # the C library's threads and the image of the caller's memory are not what a worker should inherit
+        self._cache_cleared = False
+        # a plain fork would inherit the C library's threads and the caller's memory
         method = "forkserver" if sys.platform == "linux" else "spawn"
         self._context = multiprocessing.get_context(method)
 
@@ -78,11 +80,11 @@ class Pool:
             self._started = self._starter.submit(self._start_all)
 
     def stop(self) -> None:
-        """End the processes, whatever they are doing: a block is written whole or not at all."""
+        """End the processes, whatever they are doing: writing a chunk is atomic."""
         if self._starter is None:
             return
         with deferred_signals():
-            self._starter.shutdown(wait=True)  # or it would start processes that nobody ends
+            self._starter.shutdown(wait=True)  # or it would start processes later
             for worker in self._workers:
                 worker.process.terminate()
                 worker.connection.close()
@@ -96,9 +98,9 @@ class Pool:
     def map_unordered(
         self, work: Callable[[Any], Any], items: Sequence[Any]
     ) -> Generator[tuple[Any, Any], None, None]:
-        """Do work for every item, as processes get free, and end them unless they are to last.
+        """Do work for every item; yields (item, result or exception) as they are done.
 
-        Returns (item, result or exception): As they are done.
+        Ends the processes, unless they are to last.
         """
         try:
             with deferred_signals():
@@ -111,17 +113,16 @@ class Pool:
                 self.stop()
 
     def _start_all(self) -> None:
-        for _ in range(self._count):
-            self._workers.append(self._start_one())
+        self._workers += [self._start_one() for _ in range(self._count)]
 
     def _start_one(self) -> _Worker:
-        # the process that others are forked from may have read compiled code before it was removed
-        context = multiprocessing.get_context("spawn") if self._cleared else self._context
+        # the process that others are forked from may have read faulty compiled code
+        context: Any = multiprocessing.get_context("spawn") if self._cache_cleared else self._context
         here, there = context.Pipe()
-        process = context.Process(target=_serve, args=(there,), daemon=True)  # type: ignore[attr-defined]
-        _start_deaf(context, process)
+        process = context.Process(target=_serve, args=(there,), daemon=True)
+        _start_ignoring_signals(context, process)
         there.close()
-        return _Worker(process, here, compiled_anew=self._cleared)
+        return _Worker(process, here, cache_cleared=self._cache_cleared)
 
     def _work_off(self, work: bytes, items: Sequence[Any]) -> Generator[tuple[Any, Any], None, None]:
         todo, deaths = deque(range(len(items))), Counter[int]()
@@ -133,18 +134,17 @@ class Pool:
                     worker.index = todo.popleft()
                     self._send(worker, _ITEM + pickle.dumps(items[worker.index]))
             busy = {worker.connection: worker for worker in self._workers if worker.index is not None}
-            ready = connections.wait(list(busy), _POLL_SECONDS if self._memory else None)
-            for one in ready:
-                worker = busy[one]  # type: ignore[index]
+            ready = connections.wait(list(busy), MEMORY_CHECK_S if self._memory else None)
+            for worker in [busy[one] for one in busy if one in ready]:
                 index = worker.index
                 assert index is not None
                 try:
                     result = pickle.loads(worker.connection.recv_bytes())
                 except (EOFError, OSError):
-                    counts = worker.compiled_anew
+                    cache_cleared = worker.cache_cleared
                     code = self._replace(worker, work)
-                    deaths[index] += counts or _crash(code) is None
-                    if deaths[index] < _MOST_DEATHS:
+                    deaths[index] += cache_cleared or _crash(code) is None
+                    if deaths[index] < MAX_DEATHS:
                         todo.appendleft(index)
                         continue
                     result = _lost(code, self._memory)
@@ -154,33 +154,33 @@ class Pool:
 
     @staticmethod
     def _send(worker: _Worker, message: bytes) -> None:
-        with suppress(OSError):  # it is dead, which is seen when it is read from
+        with suppress(OSError):  # it is dead, which `_work_off` handles
             worker.connection.send_bytes(message)
 
     def _replace(self, worker: _Worker, work: bytes) -> int | None:
-        """Put a new process in the place of a dead one; returns how that ended."""
+        """Replace a dead process; returns its exit code."""
         worker.connection.close()
         worker.process.join(5.0)
         code = worker.process.exitcode
         crash = _crash(code)
-        if crash and not self._cleared:
+        if crash and not self._cache_cleared:
             from wavefield.compiled import clear_compiled
 
-            self._cleared = True
+            self._cache_cleared = True
             log.warning(
                 "a worker crashed in compiled code (%s): removed %d files of compiled code kept by earlier "
-                "processes, and going on with new workers, which compile it again (one to two minutes)",
+                "processes, and continuing with new workers, which compile it again (one to two minutes)",
                 crash,
                 clear_compiled(),
             )
         with deferred_signals():
             new = self._start_one()
         worker.process, worker.connection, worker.index = new.process, new.connection, None
-        worker.compiled_anew = new.compiled_anew
+        worker.cache_cleared = new.cache_cleared
         self._send(worker, _WORK + work)
         return code
 
-    def _end_the_large(self, workers: Any) -> None:
+    def _end_the_large(self, workers: Iterable[_Worker]) -> None:
         if not self._memory:
             return
         import psutil
@@ -194,14 +194,15 @@ class Pool:
 def _crash(code: int | None) -> str | None:
     """Name of the signal of a process that ended by a crash in compiled code; None if it ended otherwise."""
     name = signal.Signals(-code).name if code is not None and code < 0 else None
-    return name if name in _CRASHES else None
+    return name if name in CRASH_SIGNALS else None
 
 
 def _lost(code: int | None, memory: int | None) -> StoreError:
+    """The error for an item over which workers died."""
     crash = _crash(code)
     if crash:
         return StoreError(
-            f"the process that worked on it crashed in compiled code ({crash}), {_MOST_DEATHS} times, also "
+            f"the process that worked on it crashed in compiled code ({crash}), {MAX_DEATHS} times, also "
             "after it was compiled again: a fault of the program, of a library or of the machine's memory; "
             "run the same command again or on another machine, and if it stays, report it"
         )
@@ -213,13 +214,13 @@ def _lost(code: int | None, memory: int | None) -> StoreError:
 
     limit = f" beyond the workflow's `memory` of {format_bytes(memory)}" if memory else ""
     return StoreError(
-        f"the process that worked on it {how}, {_MOST_DEATHS} times: if memory ran out{limit}, ask for fewer "
+        f"the process that worked on it {how}, {MAX_DEATHS} times: if memory ran out{limit}, ask for fewer "
         "`workers` or a smaller `steps_per_block` in the workflow; in a script, call `run` below "
         '`if __name__ == "__main__":`'
     )
 
 
-def _start_deaf(context: Any, process: BaseProcess) -> None:
+def _start_ignoring_signals(context: Any, process: BaseProcess) -> None:
     """Start a process that ignores Ctrl-C and Slurm's warning, also while it imports."""
     if not hasattr(signal, "pthread_sigmask"):
         process.start()
@@ -233,10 +234,10 @@ def _start_deaf(context: Any, process: BaseProcess) -> None:
 
 
 def _serve(connection: Connection) -> None:
-    """What a worker does: take work, then one item after the other, then other work."""
+    """Loop of a worker: receives work, then items, then perhaps other work."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if sys.platform != "win32":
-        # locks that libraries make (Blosc's) then have no name that would be left when this process is ended
+        # locks of libraries (Blosc's) then have no name, which would remain when this process is ended
         multiprocessing.set_start_method("fork", force=True)
     settle_worker()
     work = b""
@@ -265,7 +266,7 @@ def _attempt(work: bytes, item: bytes) -> bytes:
 
 
 def portable(error: Exception) -> Exception:
-    """An exception that can travel to another process: exceptions of libraries may not be made for it."""
+    """An exception that can be pickled, which those of libraries often cannot."""
     error.add_note(f"in a worker process:\n{traceback.format_exc()}")
     try:
         pickle.loads(pickle.dumps(error))
@@ -275,7 +276,7 @@ def portable(error: Exception) -> Exception:
 
 
 def _end_with_parent() -> None:
-    """End at once when the run was killed, rather than after this block."""
+    """End at once when the run was killed, rather than after this chunk."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         connections.wait([parent.sentinel])
