@@ -1,8 +1,8 @@
 """Worker processes of this machine.
 
-They are forked from one process that has made the imports, and end with their work. One that dies is replaced
-and its item done again. Where compiled code made it crash, the cache of such code is cleared first, once, and new
-processes compile it again.
+They are forked from one process that has made the imports, and end with their work. One that dies is
+replaced and its item done again. Where compiled code made it crash, the cache of such code is cleared first,
+once, and new processes compile it again.
 """
 # concurrent.futures.ProcessPoolExecutor loses all work when one worker dies, hides how it died and which item
 # it was at, and leaves its workers running when the parent is killed.

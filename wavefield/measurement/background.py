@@ -1,4 +1,4 @@
-"""Beads apart from what lies below them: a floor, caustics, glare."""
+"""Separating beads from what is below them: a floor, caustics, glare."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_SURROUNDINGS = 4.0  # px: sigma of what is not a bead
-_WIDTHS = 1.5, 8.0  # px: of beads at half their height
-_NOISE = 1.0  # px: sigma that takes the noise of single pixels away
-_SKEW = 0.3  # of the brightness: less is a texture
-_SIDE = 3.0  # widths: what is larger is not a bead
+SURROUNDINGS_SIGMA_PX = 4.0
+BEAD_WIDTHS_PX = 1.5, 8.0  # at half their height
+NOISE_SIGMA_PX = 1.0  # of the blur that removes the noise of single pixels
+MIN_SKEWNESS = 0.3  # of the brightness: less is a texture
+MAX_SIZE_TO_WIDTH = 3.0  # of a bead
 
 
 def bead_width(image: NDArray[Any]) -> float:
@@ -20,10 +20,8 @@ def bead_width(image: NDArray[Any]) -> float:
 
     Of the image less its surroundings (sigma 4 px). White noise adds to the correlation without shift alone,
     so the width follows from those for shifts of 1 and 2 px: a Gaussian bead of standard deviation s has
-    exp(-r^2 / 4 s^2). The surroundings take some of a bead with them: widths of 2 to 7 px come out
-    a tenth to a third too small. Beads make the brightness skew, a texture does not.
-
-    With image (row, column).
+    exp(-r^2 / 4 s^2). Subtracting the surroundings removes part of a bead: widths of 2 to 7 px come out a
+    tenth to a third too small. Beads skew the distribution of brightness, a texture does not: its width is 0.
 
     Examples
     --------
@@ -33,8 +31,8 @@ def bead_width(image: NDArray[Any]) -> float:
     2.8
     """
     part = np.ascontiguousarray(image, np.float32)
-    around = cv2.GaussianBlur(part, (0, 0), _SURROUNDINGS)
-    if _skewness(cv2.GaussianBlur(part, (0, 0), _NOISE) - around) < _SKEW:
+    around = cv2.GaussianBlur(part, (0, 0), SURROUNDINGS_SIGMA_PX)
+    if _skewness(cv2.GaussianBlur(part, (0, 0), NOISE_SIGMA_PX) - around) < MIN_SKEWNESS:
         return 0.0
     part = part - around
     part = np.clip(part, *np.percentile(part[::4, ::4], (1, 99.5)))
@@ -43,9 +41,9 @@ def bead_width(image: NDArray[Any]) -> float:
         0.5 * float((part[:, k:] * part[:, :-k]).mean() + (part[k:] * part[:-k]).mean()) for k in (1, 2)
     )
     if one <= 0:
-        return _WIDTHS[0]
+        return BEAD_WIDTHS_PX[0]
     fall = max(np.log(one / max(two, 1e-6 * one)) / 3.0, 0.02)  # 1 / 4 s^2
-    return float(np.clip(np.sqrt(8 * np.log(2.0)) * np.sqrt(0.25 / fall), *_WIDTHS))
+    return float(np.clip(np.sqrt(8 * np.log(2.0)) * np.sqrt(0.25 / fall), *BEAD_WIDTHS_PX))
 
 
 def _skewness(part: NDArray[Any]) -> float:
@@ -58,13 +56,10 @@ def _skewness(part: NDArray[Any]) -> float:
 
 
 def above_floor(image: NDArray[Any], width: float) -> NDArray[Any]:
-    """What is brighter than anything as large as three beads: a white top-hat.
-
-    With image (row, column); width, px; returns (row, column).
-    """
+    """Brightness in excess of anything as large as three beads: a white top-hat."""
     if not width:
         return image
-    side = int(np.ceil(_SIDE * width)) // 2 * 2 + 3
+    side = int(np.ceil(MAX_SIZE_TO_WIDTH * width)) // 2 * 2 + 3
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     if image.dtype not in (np.uint8, np.uint16, np.float32):
         image = image.astype(np.float32)

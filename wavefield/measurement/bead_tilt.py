@@ -1,4 +1,4 @@
-"""Beads stand above the water: what is seen of them is too high, and swings as the surface tilts."""
+"""Beads are visible above the water: z is too high, and they move with the tilt of the surface."""
 
 from __future__ import annotations
 
@@ -16,22 +16,20 @@ if TYPE_CHECKING:
 
 Float = NDArray[Any]
 
-_UNKNOWN = 0.2  # of a height: what is seen of a bead changes with light and view
+RELATIVE_HEIGHT_STD = 0.2  # the visible part of a bead changes with light and view
 HEIGHT_PER_WIDTH = 0.2  # of beads on still water, by their width in the images: 0.17 to 0.20 when path-traced
 
 
 def bead_tilt(rise: Float, step: float, height: float) -> tuple[Float, Float]:
-    """What beads move beyond the water that carries them.
+    """Motion of beads per step along x and y in excess of the water's, and its std, (2, ny, nx), metres.
 
-    What stands h above the water along its normal lies -h grad z beside it, so that it moves by
-    -h d(grad z)/dt more: of a wave (1 - h k) of the horizontal motion is seen.
-
-    With rise (ny, nx), metres; step, metres; height, metres; returns moved, std (2, ny, nx): Motion per step
-    along x and y beyond the water's, and its standard uncertainty, metres.
+    A point at height h above the water along its normal is displaced by -h grad z, so that it moves by
+    -h d(grad z)/dt more: of a wave, (1 - h k) of the horizontal motion is measured. With the rise per step
+    (ny, nx), the step of the grid and the height, all in metres.
 
     Examples
     --------
-    A surface that tilts by .1 about the y axis in a step:
+    A surface that tilts by 0.1 about the y axis in a step:
 
     >>> rise = 0.1 * np.tile(np.arange(4) * 0.01, (3, 1))
     >>> along_x, along_y = bead_tilt(rise, 0.01, 4e-4)[0][:, 1, 1]
@@ -40,15 +38,15 @@ def bead_tilt(rise: Float, step: float, height: float) -> tuple[Float, Float]:
     """
     along_y, along_x = np.gradient(rise, step)
     moved = np.nan_to_num(-height * np.stack([along_x, along_y]))
-    return moved, _UNKNOWN * np.abs(moved)
+    return moved, RELATIVE_HEIGHT_STD * np.abs(moved)
 
 
 def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
-    """Standard uncertainty of z = 0, metres, the same for all nodes and times; NaN where nothing was learned.
+    """Standard uncertainty of z = 0, metres, common to all nodes and times; NaN where nothing was learned.
 
-    A rig that is levelled on still water contains the height of the beads. Otherwise z is too high by it: by
+    A rig that is levelled on still water includes the height of the beads. Otherwise z is too high by it: by
     the stated `bead_height`, or by about a fifth of the width of the beads' images on the water, which is
-    taken from the camera that resolves most.
+    taken from the camera with the finest pixels.
     """
     levelled = geometry.rig.provenance.get("levelled")
     if geometry.settings.sheet_thickness is not None:

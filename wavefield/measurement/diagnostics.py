@@ -1,4 +1,4 @@
-"""How well the cameras agree: the paper's accuracy section, step by step."""
+"""How well the cameras agree: the paper's accuracy section, for single steps."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from wavefield.variables import Quality
 Pair = tuple[str, str]
 Frames = Mapping[str, Sequence[NDArray[Any] | None]]
 
-_STEPS = 3  # measured to compare the pairs of cameras
-_TRIED = 12  # around the one asked for, where frames are missing or bad
+COMPARED_STEPS = 3
+MAX_TRIED_STEPS = 12  # around the requested one, where frames are missing or bad
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Diagnosis:
         Misfit of the cameras' displacements, px of the binned images: of each pair alone, and of all the
         cameras that the geometry takes for the velocity.
     carried : dict of str to dict of str to float
-        Wavelength of which these images keep half in z, u, v, w, metres (`shortest_carried`): ``now``, with
+        Wavelength at which the gain is one half in z, u, v, w, metres (`shortest_carried`): ``now``, with
         ``half the noise``, with ``twice the beads``, with beads ``in focus`` (`in_focus`).
     noise : dict of str to float
         Median standard uncertainty of z and of the displacements dx, dy, dz per step, metres.
@@ -176,7 +176,7 @@ def diagnose(
     pixel: float | None = None,
     masks: Frames | None = None,
 ) -> Diagnosis:
-    """Compare what pairs of cameras say about the same surface, and cameras about the same motion.
+    """Compare the surfaces of pairs of cameras, and the motion by each pair.
 
     Parameters
     ----------
@@ -315,18 +315,15 @@ def diagnose_around(
     pixel: float,
     covered: Callable[[str, int], NDArray[Any] | None] | None = None,
 ) -> Diagnosis | None:
-    """Compare the pairs of cameras on a few steps of a record.
-
-    With pixel, metres.
-    """
+    """Compare the pairs of cameras on a few steps of a record; pixel in metres."""
     found: list[Diagnosis] = []
-    for step in sorted(range(steps), key=lambda step: abs(step - middle))[:_TRIED]:
+    for step in sorted(range(steps), key=lambda step: abs(step - middle))[:MAX_TRIED_STEPS]:
         frames = {name: [read(name, step + k) for k in (0, 1)] for name in geometry.cameras}
         masks = {n: [covered(n, step + k) for k in (0, 1)] for n in geometry.cameras} if covered else None
         try:
             found.append(diagnose(frames, geometry, model, pixel, masks))
         except ValueError:  # a frame is missing or bad
             continue
-        if len(found) == _STEPS:
+        if len(found) == COMPARED_STEPS:
             break
     return pooled(found) if found else None

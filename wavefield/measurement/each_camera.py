@@ -11,22 +11,21 @@ from scipy.special import gammaincinv
 
 Float = NDArray[Any]
 
-_MEDIAN = 2.0 * float(gammaincinv(0.5, 0.5))  # of chi^2 of one degree of freedom
-_MIN_FREEDOM = 0.1  # of the best told: combinations of cameras of which less is told keep what all have
-_FREE = 0.05  # of a row's variance: what less is left over of says nothing of its noise
-_LEAST = 0.2  # of what all have
+MEDIAN_CHI2 = 2.0 * float(gammaincinv(0.5, 0.5))  # of chi^2 of one degree of freedom
+MIN_RELATIVE_FREEDOM = 0.1  # of the best determined combination of cameras: others keep the common noise
+MIN_FREEDOM = 0.05  # part of a row's variance in its residual
+MIN_FACTOR = 0.2  # of the common one
 
 
 def noise_of_each(jacobian: Float, moved: Float, noise: Float, weight: Float) -> Float:
-    """Factor on the noise of each camera, from what is left of its displacements.
+    """Factor on the noise of each camera, (N,), from the residuals of its displacements.
 
-    What is left is r = M dX with M = 1 - J (J^T W J)^-1 J^T W, of variance sum_j M_ij^2 f_j noise_j in row i:
+    The residual is r = M dX with M = 1 - J (J^T W J)^-1 J^T W, of variance sum_j M_ij^2 f_j noise_j in row i:
     linear equations for the factors f of the cameras (variance components; Helmert 1907), row by row, the
-    median of r^2 in place of its mean. Two cameras leave but one combination over, and then both have the
-    same factor; three leave the rows across the line between them, whose differences tell all three apart.
+    median of r^2 in place of its mean. Two cameras have only one redundant combination, and then both have
+    the same factor; three have the rows across the line between them, whose differences determine all three.
 
-    With jacobian (n, 2N, 3), px per metre; moved (n, 2N), px; noise (n, 2N), px^2; weight (n, 2N), px^-2;
-    returns (N,): What the noise of every camera must be multiplied by.
+    With jacobian (n, 2N, 3), px per metre; moved (n, 2N), px; noise (n, 2N), px^2; weight (n, 2N), px^-2.
 
     Examples
     --------
@@ -45,22 +44,22 @@ def noise_of_each(jacobian: Float, moved: Float, noise: Float, weight: Float) ->
     parts = np.square(left) * noise[:, None, :]
     expected = parts.sum(axis=2)
     free = np.median(expected / noise, axis=0)
-    determined = free > _FREE
+    determined = free > MIN_FREEDOM
     if not determined.any():
         return np.ones(rows // 2)
     rest = np.square(np.einsum("nij,nj->ni", left, moved))
-    found = np.median(rest[:, determined] / expected[:, determined], axis=0) / _MEDIAN
+    found = np.median(rest[:, determined] / expected[:, determined], axis=0) / MEDIAN_CHI2
     of_each = np.median(parts[:, determined] / expected[:, determined, None], axis=0)
     of_each = of_each[:, ::2] + of_each[:, 1::2]
     of_each /= of_each.sum(axis=1, keepdims=True)
     root = np.sqrt(free[determined])
     common = float(np.sum(free[determined] * found) / np.sum(free[determined]))
-    more = np.linalg.lstsq(of_each * root[:, None], (found - common) * root, rcond=_MIN_FREEDOM)[0]
-    return np.asarray(np.maximum(common + more, _LEAST * common))
+    more = np.linalg.lstsq(of_each * root[:, None], (found - common) * root, rcond=MIN_RELATIVE_FREEDOM)[0]
+    return np.asarray(np.maximum(common + more, MIN_FACTOR * common))
 
 
 def own_noise(steps: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Factor on the noise of each camera beside that of all, from several steps.
+    """Factor on the noise of each camera relative to that of all, from several steps; at least 1.
 
     Examples
     --------

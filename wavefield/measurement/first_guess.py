@@ -1,4 +1,4 @@
-"""How far the water moves between two frames: a coarse look over the record, before it is measured.
+"""How far the water moves between two frames: a coarse search over the record, before it is measured.
 
 The matching starts from a search of whole pixels within a range. Here that range is found from the images
 themselves, once per run, and written into the recipe, so that every block of the run starts alike.
@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from wavefield.measurement.measurement_settings import Settings
 
-TILE = 64  # px: side of the pieces that are looked for
-REACH = 256  # px: how far
-ACROSS = 6  # pieces along each side of an image
-SURE = 0.25  # correlation of a piece that is found: no more is left of particles that leave a light sheet
-_SURE_SMALL = 0.4  # of a smaller piece, as small images have them: chance reaches further there
-ALONE = 0.85  # second-best correlation over the best, above which there is no telling
-NEAR = 8.0  # px: pieces that moved alike differ by less than this and a quarter of their motion
-_NEAR = 4  # px: how far a piece is looked for around where images of half the size have it
-MARGIN = 12.0  # px added to what was found, and a quarter of its span
+PATCH_PX = 64  # side of the patches that are searched for
+REACH_PX = 256
+PATCHES_ACROSS = 6  # along each side of an image
+MIN_CORRELATION = 0.25  # no more is left of particles that leave a light sheet
+MIN_CORRELATION_SMALL = 0.4  # of the smaller patches of small images, which correlate more by chance
+MAX_SECOND_BEST = 0.85  # correlation over the best, above which the match is ambiguous
+AGREEMENT_PX = 8.0  # patches that moved alike differ by less than this and a quarter of their motion
+REFINEMENT_PX = 4  # around where images of half the size have a patch
+MARGIN_PX = 12.0  # added to the range found, and a quarter of its span
 
 Float = NDArray[np.float32]
 
@@ -30,18 +30,14 @@ Float = NDArray[np.float32]
 class FirstGuess:
     """Range of the displacements from one frame to the next."""
 
-    # (float, float): Smallest and largest displacement that was found, px of the image as it is matched
-    x: tuple[float, float]
+    x: tuple[float, float]  # smallest and largest displacement, px of the image as it is matched
     y: tuple[float, float]
-    found: int  # Pieces of images that were found again, and all that were looked for
+    found: int  # patches of images that were found again, and all that were searched for
     tried: int
-    steps: int  # Steps looked at
+    steps: int  # steps searched
 
     def search(self, usual: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """Ranges to search along x and y; None where the usual one holds what was found, or nothing was.
-
-        With usual (float, float), px; returns (float, float): Along x and along y, px.
-        """
+        """Ranges to search along x and y, px; None where the usual one suffices or nothing was found."""
         if not self.found:
             return None
         if all(low >= usual[0] and high <= usual[1] for low, high in (self.x, self.y)):
@@ -50,58 +46,56 @@ class FirstGuess:
 
     @property
     def sentence(self) -> str:
-        """All this for a person."""
+        """The range in words."""
         if self.found < 0.1 * self.tried:
             return (
-                f"motion: only {self.found} of {self.tried} pieces of images are found in the next frame; "
+                f"motion: only {self.found} of {self.tried} patches of images are found in the next frame; "
                 "are frames of one camera in order, bright and seeded, and the step short enough?"
             )
         along = (f"{low:+.0f} to {high:+.0f} px" for low, high in (self.x, self.y))
         return (
             f"motion: {next(along)} along x, {next(along)} along y from frame to frame "
-            f"({self.found} of {self.tried} pieces of {self.steps} steps found)"
+            f"({self.found} of {self.tried} patches of {self.steps} steps found)"
         )
 
 
 def _widened(ends: tuple[float, float]) -> tuple[float, float]:
-    margin = MARGIN + 0.25 * (ends[1] - ends[0])
+    margin = MARGIN_PX + 0.25 * (ends[1] - ends[0])
     return float(np.floor(ends[0] - margin)), float(np.ceil(ends[1] + margin))
 
 
 def shifts(
-    a: Float, b: Float, side: int = TILE, reach: tuple[int, int] = (REACH, REACH)
+    a: Float, b: Float, side: int = PATCH_PX, reach: tuple[int, int] = (REACH_PX, REACH_PX)
 ) -> NDArray[np.float64]:
-    """Whole-pixel displacement of pieces of one image to the next.
+    """Whole-pixel displacement of patches of one image to the next.
 
-    Normalised correlation of the pieces within the reach around their place. A piece counts if its best
-    correlation exceeds .25 (.4 where images are too small for pieces of 64 px) and all others further than
-    3 px from it are less than .85 of that. Large pieces are looked for in images of half the size, and
-    then within a few pixels of where they were found.
-
-    With a, b (row, column); side, px; reach (int, int), px; returns (n, 5): Displacement along x and y, px,
-    correlation, and middle (x, y) of every piece that has light and shade.
+    Normalised correlation of the patches within the reach around their place. A patch counts if its best
+    correlation exceeds 0.25 (0.4 where images are too small for patches of 64 px) and all others further than
+    3 px from it are less than 0.85 of that. Large patches are searched for in images of half the size, and
+    then within a few pixels of where they were found. Returns (n, 5): displacement along x and y, px, NaN
+    where not found, correlation, and middle (x, y) of every patch with contrast.
     """
     a, b = (np.asarray(image, np.float32) for image in (a, b))  # of any depth
     height, width = a.shape
-    tile = min(side, height // 4, width // 4)
-    if tile < 16:
+    size = min(side, height // 4, width // 4)
+    if size < 16:
         return np.zeros((0, 5))
-    rows = np.linspace(0, height - tile, ACROSS).astype(int)
-    columns = np.linspace(0, width - tile, ACROSS).astype(int)
+    rows = np.linspace(0, height - size, PATCHES_ACROSS).astype(int)
+    columns = np.linspace(0, width - size, PATCHES_ACROSS).astype(int)
     contrast = float(a.std())
     small_a, small_b = _half(a), _half(b)
     out = []
     for y in rows.tolist():
         for x in columns.tolist():
-            piece = a[y : y + tile, x : x + tile]
-            if not float(piece.std()) > 0.2 * contrast:
+            patch = a[y : y + size, x : x + size]
+            if not float(patch.std()) > 0.2 * contrast:
                 continue
-            middle = x + 0.5 * (tile - 1), y + 0.5 * (tile - 1)
-            if tile < TILE:
-                found = _found(a, b, (x, y), tile, reach, _SURE_SMALL)
+            middle = x + 0.5 * (size - 1), y + 0.5 * (size - 1)
+            if size < PATCH_PX:
+                found = _found(a, b, (x, y), size, reach, MIN_CORRELATION_SMALL)
             else:
-                found = _found(small_a, small_b, (x // 2, y // 2), tile // 2, (reach[0] // 2, reach[1] // 2))
-                found = _near(a, b, (x, y), tile, found)
+                found = _found(small_a, small_b, (x // 2, y // 2), size // 2, (reach[0] // 2, reach[1] // 2))
+                found = _refined(a, b, (x, y), size, found)
             out.append((*found, *middle))
     return np.array(out, float).reshape(-1, 5)
 
@@ -112,51 +106,54 @@ def _half(image: Float) -> Float:
     return np.asarray(small, np.float32)
 
 
-def _near(
-    a: Float, b: Float, at: tuple[int, int], tile: int, found: tuple[float, float, float]
+def _refined(
+    a: Float, b: Float, at: tuple[int, int], size: int, found: tuple[float, float, float]
 ) -> tuple[float, float, float]:
-    """The same piece in the whole images, near where it was found in those of half the size."""
+    """The same patch in the images of full size, near where it was found in those of half the size."""
     if not np.isfinite(found[0]):
         return found
     dx, dy = (int(2 * d) for d in found[:2])
     x, y = at[0] + dx, at[1] + dy
-    x0, y0 = max(0, x - _NEAR), max(0, y - _NEAR)
+    x0, y0 = max(0, x - REFINEMENT_PX), max(0, y - REFINEMENT_PX)
     score = _scores(
-        a[at[1] : at[1] + tile, at[0] : at[0] + tile], b[y0 : y + tile + _NEAR, x0 : x + tile + _NEAR]
+        a[at[1] : at[1] + size, at[0] : at[0] + size],
+        b[y0 : y + size + REFINEMENT_PX, x0 : x + size + REFINEMENT_PX],
     )
     _, best, _, (column, row) = cv2.minMaxLoc(score)
-    if not best > SURE:
+    if not best > MIN_CORRELATION:
         return np.nan, np.nan, float(best)
     return float(x0 + column - at[0]), float(y0 + row - at[1]), float(best)
 
 
-def _scores(piece: Float, around: Float) -> Float:
-    score = cv2.matchTemplate(np.ascontiguousarray(around), np.ascontiguousarray(piece), cv2.TM_CCOEFF_NORMED)
+def _scores(patch: Float, around: Float) -> Float:
+    score = cv2.matchTemplate(np.ascontiguousarray(around), np.ascontiguousarray(patch), cv2.TM_CCOEFF_NORMED)
     return np.asarray(score, np.float32)
 
 
 def _found(
-    a: Float, b: Float, at: tuple[int, int], tile: int, reach: tuple[int, int], sure: float = SURE
+    a: Float,
+    b: Float,
+    at: tuple[int, int],
+    size: int,
+    reach: tuple[int, int],
+    min_correlation: float = MIN_CORRELATION,
 ) -> tuple[float, float, float]:
-    """Displacement of one piece and its correlation; NaN where it is not found for sure."""
+    """Displacement of one patch and its correlation; NaN where it is not found or ambiguous."""
     x0, y0 = max(0, at[0] - reach[0]), max(0, at[1] - reach[1])
-    piece = a[at[1] : at[1] + tile, at[0] : at[0] + tile]
-    score = _scores(piece, b[y0 : at[1] + tile + reach[1], x0 : at[0] + tile + reach[0]])
+    patch = a[at[1] : at[1] + size, at[0] : at[0] + size]
+    score = _scores(patch, b[y0 : at[1] + size + reach[1], x0 : at[0] + size + reach[0]])
     _, best, _, (column, row) = cv2.minMaxLoc(score)
     rest = score.copy()
     rest[max(0, row - 3) : row + 4, max(0, column - 3) : column + 4] = -1.0
-    if not best > sure or rest.max() > ALONE * best:
+    if not best > min_correlation or rest.max() > MAX_SECOND_BEST * best:
         return np.nan, np.nan, float(best)
     return float(x0 + column - at[0]), float(y0 + row - at[1]), float(best)
 
 
-def borne_out(moved: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Displacements that another piece of the same images shares, nearly.
-
-    With moved (n, 2), px; returns (m, 2).
-    """
+def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Displacements (n, 2), px, that another patch of the same images nearly shares, (m, 2)."""
     moved = moved[np.isfinite(moved[:, 0])]
-    apart = np.hypot(*(moved[:, None] - moved).T) - NEAR - 0.25 * np.hypot(*moved.T)
+    apart = np.hypot(*(moved[:, None] - moved).T) - AGREEMENT_PX - 0.25 * np.hypot(*moved.T)
     out: NDArray[np.float64] = moved[(apart < 0).sum(axis=0) > 1]
     return out
 
@@ -164,7 +161,7 @@ def borne_out(moved: NDArray[np.float64]) -> NDArray[np.float64]:
 def first_guess(
     read: Callable[[str, int], NDArray[np.float32] | None], cameras: Sequence[str], steps: Sequence[int]
 ) -> FirstGuess:
-    """Look at some steps of a record."""
+    """Range of the displacements in some steps of a record."""
     kept: list[NDArray[np.float64]] = []
     tried = seen = 0
     for step in steps:
@@ -175,7 +172,7 @@ def first_guess(
             seen += name == cameras[0]
             moved = shifts(np.asarray(a, np.float32), np.asarray(b, np.float32))
             tried += len(moved)
-            kept.append(borne_out(moved[:, :2]))
+            kept.append(confirmed(moved[:, :2]))
     found = np.concatenate(kept) if kept else np.zeros((0, 2))
     if not len(found):
         return FirstGuess((0.0, 0.0), (0.0, 0.0), 0, tried, seen)
@@ -184,7 +181,7 @@ def first_guess(
 
 
 def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
-    """Settings that search as far as the water moves."""
+    """Settings whose search includes the motion of the water."""
     piv = settings.piv
     wide = guess.search(searched(settings)[0])
     if wide is None:
@@ -199,10 +196,7 @@ def searched(settings: Settings) -> tuple[tuple[float, float], tuple[float, floa
 
 
 def beyond(settings: Settings, moved: NDArray[np.float64]) -> bool:
-    """Whether most of what is found for sure has moved further than is searched.
-
-    With moved (n, 2), px.
-    """
+    """Whether most of the displacements (n, 2), px, are outside the range that is searched."""
     if len(moved) < 3:
         return False
     out = np.zeros(len(moved), bool)

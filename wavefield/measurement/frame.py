@@ -1,4 +1,4 @@
-"""One frame of one camera as it is measured: whether it can be, and beads of any brightness count alike."""
+"""One frame of one camera before matching: whether it is usable, and making beads equally bright."""
 
 from __future__ import annotations
 
@@ -13,17 +13,14 @@ from wavefield.images import made_even
 from wavefield.measurement.background import above_floor, bead_width
 from wavefield.measurement.rectify import bin_pixels
 
-_KNEE = 0.5  # of the contrast: darker than this above the background, the logarithm is nearly a line
-_PLACES = 0.01, 0.5, 0.99
+KNEE_TO_CONTRAST = 0.5  # above the background; below, the logarithm is nearly linear
+LEVEL_QUANTILES = 0.01, 0.5, 0.99
 BETWEEN_CAMERAS, IN_TIME = 1.5, 0.6  # `sharpened` for the surface and for displacements
-_SCALE = 5000.0  # grey levels for a factor e: log(65535) still fits 16 bits
+GREY_LEVELS_PER_E = 5000.0  # log(65535) still fits 16 bits
 
 
 def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
-    """Whether a frame can be measured at all.
-
-    With size, px.
-    """
+    """Whether a frame has the size of its camera (width, height), numbers and contrast."""
     if image is None or np.ndim(image) != 2 or image.shape != (size[1], size[0]):
         return False
     if image.dtype.kind not in "uif":
@@ -35,10 +32,9 @@ def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
 def ready(
     image: NDArray[Any], count: int, width: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
-    """A usable frame as it is matched: the floor taken off, brightness evened out, pixels binned.
+    """A usable frame as it is matched: the floor subtracted, brightness evened out, pixels binned.
 
-    With image (row, column); count, px; width, px; covered (row, column); returns (row // count, column //
-    count).
+    With the width of its beads, px (found if None), and the mask of pixels that do not count.
     """
     if covered is not None:
         image = made_even(image, covered)
@@ -46,7 +42,7 @@ def ready(
     if width:
         image = above_floor(image, width)
         low, half, _ = _levels(image, covered)
-        # what half of the image lies below is no bead: twice as far above, grains of a floor and noise drown
+        # beads are brighter than the median: a black level above it suppresses grains of a floor and noise
         return bin_pixels(even_out(image, half + (half - low), covered), count)
     return bin_pixels(even_out(image, covered=covered), count)
 
@@ -89,10 +85,10 @@ def even_out(
     """
     low, _, high = _levels(image, covered)
     low = low if black is None else black
-    knee = max(_KNEE * (high - low), 1e-6 * max(abs(low), abs(high), 1e-30))
+    knee = max(KNEE_TO_CONTRAST * (high - low), 1e-6 * max(abs(low), abs(high), 1e-30))
     if image.dtype in (np.uint8, np.uint16):
         grey = np.arange(256 if image.dtype == np.uint8 else 65536, dtype=np.float64)
-        table = np.rint(_SCALE * np.log1p(np.maximum(grey - low, 0.0) / knee))
+        table = np.rint(GREY_LEVELS_PER_E * np.log1p(np.maximum(grey - low, 0.0) / knee))
         table = np.minimum(table, 65535.0).astype(np.uint16)
         image = np.ascontiguousarray(image)
         if image.dtype == np.uint8:
@@ -101,7 +97,7 @@ def even_out(
         _table_value(image, table, out)
         return out
     above = np.maximum(image.astype(np.float32) - np.float32(low), np.float32(0.0))
-    result: NDArray[Any] = np.float32(_SCALE) * np.log(np.float32(1.0) + above / np.float32(knee))
+    result: NDArray[Any] = np.float32(GREY_LEVELS_PER_E) * np.log(np.float32(1.0) + above / np.float32(knee))
     return result
 
 
@@ -131,5 +127,5 @@ def _levels(image: NDArray[Any], covered: NDArray[np.bool_] | None = None) -> tu
         return 0.0, 0.0, 0.0
     # between grey levels: whole ones, far apart where 8 bit are dark, would jump from frame to frame
     rank = np.cumsum(counts) - 0.5 * counts
-    low, half, high = np.interp(sample.size * np.array(_PLACES), rank, grey)
+    low, half, high = np.interp(sample.size * np.array(LEVEL_QUANTILES), rank, grey)
     return float(low), float(half), float(high)

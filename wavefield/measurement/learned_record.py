@@ -1,4 +1,4 @@
-"""What sample frames of a whole record say, once per run: kept in the recipe, so that every step is alike."""
+"""What sample frames show of a record, once per run: stored in the recipe, so that all steps are alike."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ class LearnedRecord:
         Of each velocity camera's displacement from frame to frame, px of the binned image.
     moved : (float, float, float)
         Standard deviation of dx, dy, dz of the water from frame to frame, metres.
-    temporal_truncation : Unresolved
-        What frames so far apart leave out.
+    temporal_truncation : TemporalTruncation
+        Error of the finite time step.
     noise : tuple of (str, float)
-        Noise of each camera's displacement over what all cameras' misfit says; 1 where not named.
+        Noise of each camera's displacement relative to that of all; 1 where not named.
     camera_jitter : (float, float)
-        Rms motion of the cameras' pictures from frame to frame, along the line on which they stand and across
-        it, px of the binned image.
+        Rms motion of the cameras' pictures from frame to frame, along the row of cameras and across it, px of
+        the binned image.
     path_frames : int
-        Frames that velocities and the rate of rise come from: 6 where less is wrong so, else 4.
+        Frames of velocities and of the rate of rise: 6 where that has the smaller error, else 4.
     """
 
     beads: tuple[tuple[str, float], ...]
@@ -49,7 +49,7 @@ class LearnedRecord:
         return dict(self.beads)[camera]
 
     def own_noise(self, camera: str) -> float:
-        """Noise of a camera's displacement over what all cameras' misfit says."""
+        """Noise of a camera's displacement relative to that of all."""
         return dict(self.noise).get(camera, 1.0)
 
     def to_dict(self) -> dict[str, Any]:
@@ -81,7 +81,7 @@ class LearnedRecord:
 
         Returns
         -------
-        Record
+        LearnedRecord
         """
         x, y, z = map(float, data["moved"])
         along, across = map(float, data["camera_jitter"])

@@ -1,4 +1,4 @@
-"""What is masked, as matching and the nodes want it."""
+"""Masks of images, prepared for matching and read at the nodes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Masks = Mapping[str, Pixels | None]
 
 @dataclass(frozen=True)
 class Covered:
-    """What is masked in one image of one camera."""
+    """Mask of one image of one camera, ready for matching."""
 
     raw: Mask  # Of the binned image, for matching in time
     flat: Mask | None  # Of the rectified image; None for a camera that does not measure the surface
@@ -36,20 +36,17 @@ class Covered:
 
 
 def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
-    """Masks of one instant, made ready; one that stays the same is worked out once.
-
-    With masks (row, column).
-    """
+    """Masks of one instant, ready for matching; one that stays the same is prepared once."""
     out = {}
     for name in geometry.cameras:
         pixels = masks.get(name)
         if pixels is None:
             continue
-        known = geometry.prepared_masks.get(name)
-        if known is None or known[0] is not pixels:
-            known = pixels, _ready(pixels, name, geometry)
-            geometry.prepared_masks[name] = known
-        out[name] = known[1]
+        last = geometry.prepared_masks.get(name)
+        if last is None or last[0] is not pixels:
+            last = pixels, _ready(pixels, name, geometry)
+            geometry.prepared_masks[name] = last
+        out[name] = last[1]
     return out
 
 
@@ -66,17 +63,17 @@ def _ready(pixels: Pixels, name: str, geometry: GridGeometry) -> Covered:
     return Covered(Mask.of(good > 250, geometry.settings.piv), flat)
 
 
-_LEAST = 0.1  # what is less than this bare tells nothing of the rest
+MIN_BARE_FRACTION = 0.1
 
 
 def bare_of_camera(covered: Sequence[Covered | None]) -> float:
     """Fraction of a camera's blocks that are masked in none of some images."""
     levels = [one.raw.levels[0] > 0 for one in covered if one is not None]
-    return max(float(np.logical_and.reduce(levels).mean()), _LEAST) if levels else 1.0
+    return max(float(np.logical_and.reduce(levels).mean()), MIN_BARE_FRACTION) if levels else 1.0
 
 
 def bare_of_pairs(covered: Mapping[str, Covered], geometry: GridGeometry) -> float:
-    """Fraction of what pairs of cameras both see that is masked in neither, mean over the pairs."""
+    """Fraction of the common views of pairs that is masked in neither camera, mean over the pairs."""
 
     def level(name: str, mask: Mask | None) -> Pixels:
         return (geometry.views[name].mask if mask is None else mask).levels[0] > 0
@@ -88,7 +85,7 @@ def bare_of_pairs(covered: Mapping[str, Covered], geometry: GridGeometry) -> flo
     for a, b in geometry.pairs:
         bare += float((level(a, flat.get(a)) & level(b, flat.get(b))).sum())
         seen += float((level(a, None) & level(b, None)).sum())
-    return max(bare / max(seen, 1.0), _LEAST)
+    return max(bare / max(seen, 1.0), MIN_BARE_FRACTION)
 
 
 def masked_nodes(
@@ -97,10 +94,9 @@ def masked_nodes(
     z: NDArray[Any],
     geometry: GridGeometry,
 ) -> Pixels:
-    """Nodes that are masked: by an outline on the water, or for too many cameras.
+    """Nodes (ny, nx) masked by an outline on the water, or for too many cameras, on the surface z, metres.
 
-    With z (ny, nx), metres; returns (ny, nx): True where no pair of the surface's cameras, or fewer than two
-    of the velocity's, are left.
+    True where no pair of the surface's cameras, or fewer than two of the velocity's, are left.
     """
     hidden = {}
     for name in {*covered[0], *covered[1]}:

@@ -1,4 +1,4 @@
-"""What the most probable fields keep of a wave, by linear theory, from what was learned of the record."""
+"""Gain of the measurement for waves, by linear theory: that of the MAP fields, read between the blocks."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from wavefield.measurement.regrid import interpolation_gain
 
 Float = NDArray[np.floating[Any]]
 
-_SHARP = 2.0  # px: width of a bead's image that is in focus
+FOCUSED_WIDTH_PX = 2.0  # of a bead's image
 DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
-_NUMBERS = 200  # of wavenumber, up to the corner of what the grid resolves
+WAVENUMBERS = 200  # up to the corner of those that the grid resolves
 
 
 def tabulated(geometry: GridGeometry, record: LearnedRecord | None) -> dict[str, Float]:
-    """Gains of a geometry as they are stored with a cube.
+    """Gains as they are stored with a cube.
 
     Returns ``direction`` (8,), rad, over half a turn.
     """
-    k = np.linspace(0, np.sqrt(2) * np.pi / geometry.grid.step, _NUMBERS)
+    k = np.linspace(0, np.sqrt(2) * np.pi / geometry.grid.step, WAVENUMBERS)
     direction = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
-    unknown = np.full((DIRECTIONS, _NUMBERS), np.nan)
+    unknown = np.full((DIRECTIONS, WAVENUMBERS), np.nan)
     found = dict.fromkeys("zuvw", unknown)
     if record is not None:
         found = gains(geometry, record, k * np.cos(direction[:, None]), k * np.sin(direction[:, None]))
@@ -39,7 +39,7 @@ def tabulated(geometry: GridGeometry, record: LearnedRecord | None) -> dict[str,
 
 
 def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> dict[str, Float]:
-    """Amplitude gains of what a geometry measures.
+    """Amplitude gains of the measured fields.
 
     Parameters
     ----------
@@ -53,13 +53,11 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
     Returns
     -------
     dict of str to ndarray
-        z, u, v and w, each of the wavenumbers' shape; what the mean over four frames does comes on top.
+        z, u, v and w, each of the wavenumbers' shape; without the gain of paths in time (`time_weights`).
 
-    Notes
-    -----
-    The most probable field keeps S / (S + N) of a wave, with the spectrum S and the noise N of the blocks
-    that were learned from sample frames; for velocities each camera's displacement in its own pixels at the
-    middle of the grid, then the least squares of all.
+    Notes ----- The MAP field has the gain S / (S + N), with the spectrum S and the noise N of the blocks that
+    were learned from sample frames; for velocities that of each camera's displacement in its own pixels at
+    the middle of the grid, then the least squares of all.
     """
     velocity = gain_of_velocity(geometry, record, kx, ky)
     out = {name: velocity[..., i, i] for i, name in enumerate("uvw")}
@@ -69,7 +67,7 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
 def shortest_carried(
     geometry: GridGeometry, record: LearnedRecord, better: float | Mapping[str, float] = 1.0
 ) -> dict[str, float]:
-    """Wavelengths of which the measurement keeps half, by linear theory."""
+    """Wavelengths, metres, at which the gain is one half, with blocks of so many times the information."""
     each = better if isinstance(better, Mapping) else dict.fromkeys(geometry.cameras, better)
     both = 1.0 / float(np.mean([1.0 / each[name] for name in geometry.surface_cameras]))  # noises add
     record = replace(
@@ -93,11 +91,11 @@ def shortest_carried(
 
 
 def in_focus(record: LearnedRecord) -> dict[str, float]:
-    """What every block of a camera would tell more if its beads' images were two pixels wide.
+    """Factor on each camera's information if its beads' images were two pixels wide.
 
     The same light in a spot of width s has gradients whose squares sum up to s^-4.
     """
-    return {name: max(record.width(name) / _SHARP, 1.0) ** 4 for name, _ in record.beads}
+    return {name: max(record.width(name) / FOCUSED_WIDTH_PX, 1.0) ** 4 for name, _ in record.beads}
 
 
 def _information_weight(prior: Prior, factor: float) -> Prior:
@@ -105,10 +103,7 @@ def _information_weight(prior: Prior, factor: float) -> Prior:
 
 
 def gain_of_elevation(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> Float:
-    """Gain of z.
-
-    With kx, ky, rad/m.
-    """
+    """Gain of z at wavenumbers kx, ky, rad/m."""
     step = BLOCK * geometry.pixel
     gain: Float = _gain_between_blocks(record.elevation, kx * step, ky * step)[0]
     gain /= 1.0 + geometry.settings.smoothing * (np.square(kx * step) + np.square(ky * step)) ** 2
@@ -116,11 +111,7 @@ def gain_of_elevation(geometry: GridGeometry, record: LearnedRecord, kx: Float, 
 
 
 def gain_of_velocity(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> Float:
-    """Displacement measured for one that is there, at the middle of the grid.
-
-    With kx, ky S, rad/m; returns S + (3, 3): Measured (dx, dy, dz) by true (dx, dy, dz): each camera's gain
-    in its own pixels, then the least squares of all.
-    """
+    """Measured (dx, dy, dz) by true (dx, dy, dz), S + (3, 3), at wavenumbers kx, ky S, rad/m."""
     grid = geometry.grid
     middle = 0.5 * (grid.x[0] + grid.x[1]), 0.5 * (grid.y[0] + grid.y[1])
     priors = dict(record.displacement)

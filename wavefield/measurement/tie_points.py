@@ -1,4 +1,4 @@
-"""Pieces of the surface seen by several cameras: by them a rig is checked, and refined on water at rest."""
+"""Points of still water matched in several cameras, by which a rig is checked and refined."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,7 +11,7 @@ from wavefield.measurement import pair_surface
 from wavefield.measurement.frame import ready, usable
 from wavefield.measurement.geometry import GridGeometry
 
-_APART = 5  # blocks: nearer ones share their window, and say the same
+_STRIDE_BLOCKS = 5  # nearer ones share their window
 
 
 def matched_pixels(
@@ -20,12 +20,9 @@ def matched_pixels(
     geometry: GridGeometry,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Match the cameras' images of some instants.
-
-    Returns (n, 2): Pixels (column, row) of the same pieces of surface in each camera.
-    """
+    """Pixels (column, row) of the same points of the surface in each camera's images, (n, 2)."""
     rig = geometry.rig
-    cells = np.s_[::_APART, ::_APART]
+    cells = np.s_[::_STRIDE_BLOCKS, ::_STRIDE_BLOCKS]
     x, y = (v[cells] for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))
     parts: dict[str, list[NDArray[np.float64]]] = {name: [] for name in geometry.surface_cameras}
     for done, index in enumerate(frames, 1):
