@@ -21,8 +21,9 @@ import numpy as np
 from wavefield.calibration import Target, TargetPoints, calibrate, find_target
 from wavefield.calibration.bundle import fit
 from wavefield.calibration.observations import Geometry, collect
-from wavefield.calibration.start import calibrate_alone
-from wavefield.calibration.still_water_correction import check_rig, refine_and_level, sight_points
+from wavefield.calibration.sight_line_fit import sight_points
+from wavefield.calibration.start import calibrate_single
+from wavefield.calibration.still_water_correction import check_rig, refine_and_level
 from wavefield.errors import CalibrationError
 from wavefield.images import read_image
 from wavefield.matching import MatchSettings, match
@@ -311,7 +312,7 @@ def chessboard():
     )
     row("real chessboards, baseline less 99.8", 0.4, abs(base - 99.8), "mm")
     o = collect({"left": wide}, 0.03)
-    alone = calibrate_alone(o)
+    alone = calibrate_single(o)
     R, t = (np.stack([alone.poses[p][n] for p in o.poses]) for n in (0, 1))
     frame = Geometry(
         alone.lens[None], R[:1], t[:1], R[0].T @ R, (t - t[0]) @ R[0], np.zeros((len(o.nodes), 3))

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.calibration.light_sheet import sheet_of
+from wavefield.calibration.light_sheet import fit_sheet
 from wavefield.measurement import GridGeometry, Settings, measure
 from wavefield.rig import Rig
 from wavefield.tank import Scene, Tank
@@ -77,10 +77,10 @@ def main(words: Sequence[str]) -> int:
         for seed in options.seeds:
             tank = Tank(Scene.load("sheet").with_(frames=options.frames, seed=seed, **changes))
             images = [tank.render(frame) for frame in range(options.frames)]
-            found = sheet_of(lambda camera, k, i=images: i[k][camera], range(options.frames), tank.rig)  # type: ignore[misc]
+            found = fit_sheet(lambda camera, k, i=images: i[k][camera], range(options.frames), tank.rig)  # type: ignore[misc]
             print(f"| {name}, rig as it is | {seed} | {errors(tank, images, tank.rig)} |")
             print(f"| {name}, after `rig sheet` | {seed} | {errors(tank, images, found.rig)} |")
-            if found.elsewhere:
+            if found.position_ambiguity:
                 moved = beside(tank, found.rig)
                 there = f"{1e3 * moved[0]:+.2f}, {1e3 * moved[1]:+.2f} mm beside"
                 print(f"| the same, {there} | {seed} | {errors(tank, images, found.rig, moved)} |")

@@ -1,4 +1,6 @@
-"""Spread of values among which there are blunders: once, for every room."""
+"""Estimators that blunders hardly change: once, for every room."""
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,3 +17,19 @@ def robust_std(values: NDArray[np.floating]) -> float:
     1.4826
     """
     return PER_MEDIAN * float(np.median(np.abs(values))) if values.size else 0.0
+
+
+def reweighted_lstsq(
+    design: NDArray[np.float64],
+    values: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    reweight: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    iterations: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Solution and residuals of least squares with weights (n,) that follow from the last fit's residuals."""
+    for _ in range(iterations):
+        rows = weight.reshape(-1, *[1] * (values.ndim - 1))
+        solution = np.asarray(np.linalg.lstsq(design * weight[:, None], values * rows, rcond=None)[0])
+        residual = values - design @ solution
+        weight = reweight(residual)
+    return solution, residual

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from wavefield.calibration.light_sheet import sheet_of
+from wavefield.calibration.light_sheet import fit_sheet
 from wavefield.commands.cli import cli
 from wavefield.errors import CalibrationError, ExperimentError
 from wavefield.measurement import GridGeometry, Settings, measure
@@ -31,7 +31,7 @@ def beside():
     """A tank whose sheet lies beside the target's plane, its images, and what was found of it."""
     tank = Tank(scene(surface=BESIDE))
     images = [tank.render(k) for k in range(FRAMES)]
-    return tank, images, sheet_of(lambda name, k: images[k][name], range(FRAMES), tank.rig)
+    return tank, images, fit_sheet(lambda name, k: images[k][name], range(FRAMES), tank.rig)
 
 
 def velocities(tank, images, rig):
@@ -54,8 +54,8 @@ def test_plane_and_thickness_of_a_sheet_are_found_from_its_particles(beside):
     assert found.height == pytest.approx(0.002, abs=2e-5)
     assert np.degrees(np.arctan(found.slope)) == pytest.approx((0.8, -0.5), abs=0.05)
     assert found.thickness == pytest.approx(1e-3, rel=0.3)
-    assert found.before > 10
-    assert found.after < 0.3
+    assert found.disparity_before > 10
+    assert found.disparity < 0.3
     assert "no camera has moved" in found.sentence
 
 
@@ -91,10 +91,10 @@ def test_a_knocked_camera_is_named_and_mended():
         )
     )
     images = [tank.render(k) for k in range(3)]
-    found = sheet_of(lambda name, k: images[k][name], range(3), tank.rig)
+    found = fit_sheet(lambda name, k: images[k][name], range(3), tank.rig)
     assert found.check.moved == "cam1"
     assert "cam1 had moved" in found.sentence
-    assert "is mended" in found.sentence
+    assert "is corrected" in found.sentence
     x, y = np.meshgrid(tank.scene.grid.x_nodes, tank.scene.grid.y_nodes)
     exact = sheet_points(tank, x, y)
     for name in ("cam2", "cam3"):  # which were not knocked
@@ -109,18 +109,18 @@ def test_of_two_cameras_a_knock_is_mended_and_how_far_places_may_lie_elsewhere_i
 
     tank = Tank(scene(surface=BESIDE, faults={"cam1": {"turned": [0.05, 0.03, 0.0]}}))
     images = [tank.render(k) for k in range(FRAMES - 1)]
-    found = sheet_of(lambda name, k: images[k][name], range(3), tank.rig)
+    found = fit_sheet(lambda name, k: images[k][name], range(3), tank.rig)
     assert found.check.faulty_cameras == ("cam1", "cam2")
-    assert found.after < 0.3
+    assert found.disparity < 0.3
     x, y = np.meshgrid(tank.scene.grid.x_nodes, tank.scene.grid.y_nodes)
     exact = sheet_points(tank, x, y)
     seen = np.stack(tank.rig["cam2"].unproject(*found.rig["cam2"].project(x, y, 0.0), exact[2]))
     beside = np.mean(seen - exact[:2], axis=(1, 2))  # cam2 was not knocked
-    assert 1e-4 < np.hypot(*beside) < found.elsewhere < 2e-3
-    assert f"may lie some {1e3 * found.elsewhere:.1f} mm elsewhere" in found.sentence
+    assert 1e-4 < np.hypot(*beside) < found.position_ambiguity < 2e-3
+    assert f"may be shifted by some {1e3 * found.position_ambiguity:.1f} mm" in found.sentence
     said = remark_on_rest(SimpleNamespace(settings={"sheet_thickness": 1e-3}), found.rig)
     assert said.weight == "remark"
-    assert f"some {1e3 * found.elsewhere:.1f} mm elsewhere" in str(said)
+    assert f"some {1e3 * found.position_ambiguity:.1f} mm elsewhere" in str(said)
     # the velocities are true, at the places where the cameras really look
     cube, measured, *_ = velocities(tank, images, found.rig)
     assert measured.mean() > 0.98
@@ -151,10 +151,10 @@ def test_images_that_show_nothing_in_common_are_told():
     images = [tank.render(k) for k in range(4)]
     mixed = {"cam1": lambda k: images[k]["cam1"], "cam2": lambda k: images[k]["cam1"][::-1, ::-1]}
     with pytest.raises(CalibrationError, match="windows of 4 instants show the same particles"):
-        sheet_of(lambda name, k: mixed[name](k), range(4), tank.rig)
+        fit_sheet(lambda name, k: mixed[name](k), range(4), tank.rig)
 
 
-def test_command_finds_the_sheet_of_an_experiment(tmp_path):
+def test_command_finds_the_fit_sheet_an_experiment(tmp_path):
     folder = tmp_path / "sheet"
     simulate(scene(surface=BESIDE, frames=3, calibration={"tilted": 0}), folder)
     command = [

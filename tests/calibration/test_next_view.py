@@ -51,16 +51,16 @@ def few():
 def test_the_view_brings_what_was_said(few):
     advice = next_view(few)
     assert advice.helps
-    assert advice.z_std[0] == few.derived.z_std
+    assert advice.z_std[0] == few.predicted.z_std
     box = np.stack([camera.corners() for camera in few.rig.cameras.values()])
     lo, hi = box.min(axis=1).max(axis=0), box.max(axis=1).min(axis=0)
     shift = (lo + hi) / 2 + 0.3 * np.array(advice.place) * (hi - lo) / 2
     then = calibrate(views([*FEW, pose(advice.tilt, shift)]), MESH, model="paper")
-    assert then.derived.z_std == pytest.approx(advice.z_std[1], rel=0.2)
-    assert max(then.derived.reprojection.values()) == pytest.approx(advice.reprojection[1], rel=0.2)
+    assert then.predicted.z_std == pytest.approx(advice.z_std[1], rel=0.2)
+    assert max(then.predicted.reprojection.values()) == pytest.approx(advice.reprojection[1], rel=0.2)
     # and more than the same view again
     again = calibrate(views([*FEW, FEW[1]]), MESH, model="paper")
-    assert then.derived.z_std < again.derived.z_std
+    assert then.predicted.z_std < again.predicted.z_std
 
 
 def test_a_target_tilted_one_way_only_is_asked_for_the_other_way():

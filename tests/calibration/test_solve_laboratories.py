@@ -8,9 +8,9 @@ import pytest
 from solve_cases import nodes, poses
 
 from wavefield.calibration import calibrate
-from wavefield.calibration.derived_uncertainty import derive
 from wavefield.calibration.pointfile import read_points, write_points
 from wavefield.calibration.points import TargetPoints
+from wavefield.calibration.predicted_errors import predict_errors
 from wavefield.commands.cli import main
 from wavefield.errors import CalibrationError
 from wavefield.rig import Camera, Rig
@@ -93,10 +93,10 @@ def test_a_good_pair_is_judged_where_its_target_was_and_by_what_its_model_predic
     richest = min(found.models, key=lambda row: row.bic)
     assert best[found.model].parameters < richest.parameters  # BIC would have taken another
     assert best[found.model].expected < 1.05 * min(row.expected for row in found.models)
-    assert max(found.derived.reprojection.values()) < 0.1
+    assert max(found.predicted.reprojection.values()) < 0.1
     # on the plane of the first view, which lies anywhere, it would have been refused
-    elsewhere = derive(found.observations, found.fit, level=True)
-    assert max(elsewhere.reprojection.values()) > 3 * max(found.derived.reprojection.values())
+    elsewhere = predict_errors(found.observations, found.fit, level=True)
+    assert max(elsewhere.reprojection.values()) > 3 * max(found.predicted.reprojection.values())
 
 
 def test_a_refused_rig_is_written_on_request_and_says_so(tmp_path, capsys, undrawn):

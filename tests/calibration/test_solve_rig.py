@@ -8,7 +8,7 @@ from solve_cases import MESH, nodes, poses, views
 
 from wavefield.calibration import Target, calibrate
 from wavefield.calibration.points import TargetPoints
-from wavefield.calibration.still_water_correction import sight_points
+from wavefield.calibration.sight_line_fit import sight_points
 from wavefield.errors import CalibrationError
 from wavefield.figures.style import panels
 from wavefield.reports.calibration import write_calibration
@@ -74,7 +74,7 @@ def test_simulated_rig_is_found(good, rig):
     assert reprojection(found.rig, rig) < 0.003
     assert z_error(found.rig, rig, lambda x, y: 0 * x) < 5e-6
     assert z_error(found.rig, rig, wavy) < 5e-6
-    assert found.derived.z_std < 5e-6
+    assert found.predicted.z_std < 5e-6
     assert found.fit.scale == pytest.approx(1.0, abs=0.03)
 
 

@@ -12,7 +12,7 @@ from rendering import Picture, aprilgrid, camera_at, centred, charuco, chessboar
 from wavefield.calibration import Target, find_target
 from wavefield.calibration.pointfile import read_points, write_points
 from wavefield.calibration.points import TargetPoints
-from wavefield.calibration.target_lattice import SmoothMap
+from wavefield.calibration.smooth_map import SmoothMap
 from wavefield.errors import CalibrationError
 from wavefield.images import read_image
 

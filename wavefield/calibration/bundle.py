@@ -11,6 +11,8 @@ from wavefield.calibration.parameters import ParameterLayout, layout, linearised
 from wavefield.rig.lens import Array
 from wavefield.robust import robust_std
 
+HUBER_LIMIT = 4.0  # standard deviations beyond which the loss grows linearly
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -18,9 +20,9 @@ class Fit:
 
     geometry: Geometry  # Cameras, poses and node offsets
     layout: ParameterLayout  # The parameters
-    covariance: Array  # (p, p): Of the parameters, scaled by the observed scatter
+    covariance: Array  # (p, p): Of the parameters, scaled by the residuals
     residual: Array  # (n, 2): Observed less predicted, px
-    scale: float  # Scatter of the residuals over their stated uncertainty
+    scale: float  # Robust standard deviation of the residuals over their stated uncertainty
     chi2: float  # Robust sum of squares of the independent residuals, in units of the stated uncertainty
     steps: int  # Evaluations of the Jacobian
 
@@ -35,11 +37,9 @@ def fit(
     noise_scale: float | None = None,
     placed: Sequence[int] = (),
 ) -> Fit:
-    """Fit cameras and poses to all observations.
+    """Fit cameras and poses to all observations; target_std (metres) is the prior of the nodes' offsets.
 
     Levenberg-Marquardt with the analytic Jacobian and Huber's loss at four standard deviations.
-
-    With target_std, metres.
     """
     o = observations
     plan = layout(o, models, reference, flat, placed)
@@ -58,30 +58,27 @@ def fit(
 
     x = np.zeros(len(plan.names))
     steps = 0
-    # the bend depends on the scatter, and the whitening on the geometry: approach, then settle
+    stated_limit = HUBER_LIMIT * noise_scale if noise_scale else None
+    # the limit depends on the residuals, and the whitening on the geometry: a coarse fit first
     for tolerance in (1e-2, 1e-7):
         if target_std > 0.0:
             whitener = Whitener(o.node, linearised(start, plan, x, o)[2] / o.std[:, None, None], target_std)
-        x, bend, count = minimise(
-            residual, with_jacobian, x, 4.0 * noise_scale if noise_scale else None, tolerance
-        )
+        x, limit, count = minimise(residual, with_jacobian, x, stated_limit, tolerance)
         steps += count
     r, J = with_jacobian(x)
-    # exact points leave no scatter at all; a covariance of nothing helps no one
+    # exact points leave no residuals at all, but a covariance of zero is of no use
     scale = max(robust_std(r) * np.sqrt(len(r) / max(len(r) - len(x), 1)), 1e-6)
-    weight = np.minimum(1.0, bend / np.maximum(np.abs(r), 1e-300))
+    weight = np.minimum(1.0, limit / np.maximum(np.abs(r), 1e-300))
     normal = J.T @ (weight[:, None] * J)
     d = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    covariance = (
-        scale**2 * np.linalg.pinv(normal * np.outer(d, d), rcond=1e-15, hermitian=True) * np.outer(d, d)
-    )
+    units = np.outer(d, d)
+    covariance = scale**2 * np.linalg.pinv(normal * units, rcond=1e-15, hermitian=True) * units
     geometry = moved(start, plan, x)
-    predicted = predict(moved(start, plan, x), o)
+    predicted = predict(geometry, o)
     if whitener:
-        miss = (o.pixel - predicted).ravel() * inverse
         offset = np.zeros_like(start.offset)
-        found = whitener.offsets(miss)
-        offset[: len(found)] = found
+        estimate = whitener.offsets((o.pixel - predicted).ravel() * inverse)
+        offset[: len(estimate)] = estimate
         geometry = replace(geometry, offset=offset)
         predicted = predict(geometry, o)
-    return Fit(geometry, plan, covariance, o.pixel - predicted, float(scale), huber(r, bend), steps)
+    return Fit(geometry, plan, covariance, o.pixel - predicted, float(scale), huber(r, limit), steps)

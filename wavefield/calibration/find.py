@@ -1,19 +1,18 @@
 """Finding a calibration target in an image, whatever its kind."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.calibration.patterns import find_charuco, find_chessboard, find_dots
-from wavefield.calibration.points import TargetPoints
+from wavefield.calibration.dots import find_dots
+from wavefield.calibration.patterns import find_charuco, find_chessboard
+from wavefield.calibration.points import Image, TargetPoints
 from wavefield.calibration.strings import find_strings
 from wavefield.calibration.tags import find_aprilgrid
 from wavefield.calibration.target import Target
 from wavefield.calibration.two_level import find_two_level
 from wavefield.errors import CalibrationError
 
-_FINDERS = {
+FINDERS = {
     "strings": find_strings,
     "chessboard": find_chessboard,
     "dots": find_dots,
@@ -21,9 +20,12 @@ _FINDERS = {
     "aprilgrid": find_aprilgrid,
     "two-level": find_two_level,
 }
+MIN_SIDE = 32  # px
+MIN_CONTRAST = 4.0 / 255.0  # of the brightest grey
+MAX_SATURATED = 0.2  # of the image: if nothing is found in more, overexposure is named as the cause
 
 
-def find_target(image: NDArray[Any], target: Target) -> TargetPoints:
+def find_target(image: NDArray[np.generic], target: Target) -> TargetPoints:
     """Find the nodes of a calibration target in one image.
 
     Parameters
@@ -31,7 +33,7 @@ def find_target(image: NDArray[Any], target: Target) -> TargetPoints:
     image : ndarray, (row, column), any real dtype
         The image; bright where the strings are white.
     target : Target
-        What to look for.
+        Kind and dimensions of the target.
 
     Returns
     -------
@@ -43,28 +45,30 @@ def find_target(image: NDArray[Any], target: Target) -> TargetPoints:
     CalibrationError
         If the image is empty or overexposed, or shows no such target, or a mirrored one, or too little of it.
     """
-    grey = _check(image)
+    grey = _scaled(image)
     try:
-        return _FINDERS[target.kind](grey, target)
+        return FINDERS[target.kind](grey, target)
     except CalibrationError as error:
         saturated = float(np.mean(grey >= grey.max()))
-        if saturated > 0.2:
+        if saturated > MAX_SATURATED:
             raise CalibrationError(
                 f"{error}; {saturated:.0%} of the image is overexposed: photograph it again with less light"
             ) from None
         raise
 
 
-def _check(image: NDArray[Any]) -> NDArray[np.float32]:
-    """The image as float32 with its brightest grey at 255, refused when there is nothing to see in it."""
+def _scaled(image: NDArray[np.generic]) -> Image:
+    """The image as float32 with its brightest grey at 255, refused when it cannot show a target."""
     image = np.asarray(image)
-    if image.ndim != 2 or min(image.shape) < 32:
-        raise CalibrationError(f"a target image must be one grey image of 32 px or more, not {image.shape}")
+    if image.ndim != 2 or min(image.shape) < MIN_SIDE:
+        raise CalibrationError(
+            f"a target image must be one grey image of {MIN_SIDE} px or more, not {image.shape}"
+        )
     grey = image.astype(np.float32)
     if not np.isfinite(grey).all():
         raise CalibrationError("the image holds values that are not numbers; export it from the camera again")
     low, high = float(grey.min()), float(grey.max())
-    if high - low < 4.0 / 255.0 * max(abs(high), 1e-12):
+    if high - low < MIN_CONTRAST * max(abs(high), 1e-12):
         raise CalibrationError(
             "the image is empty: all its pixels have one grey; check light, cap and exposure"
         )

@@ -26,35 +26,36 @@ from wavefield.series import Experiment
 from wavefield.series.target_listing import find_views
 
 TABLES = (".csv", ".txt")  # points found by another program
+MAX_WORKERS = 8
 
 
 @dataclass(frozen=True)
 class TargetRig:
-    """What came of calibrating an experiment."""
+    """Result of calibrating an experiment."""
 
     calibration: Calibration  # The rig and how far it can be trusted
-    views: dict[str, dict[str, TargetPoints]]  # What was found in the images
+    views: dict[str, dict[str, TargetPoints]]  # Points found in the images
     images: dict[str, dict[str, Path]]  # The images
     notes: tuple[str, ...]  # Images without a target
     mesh: float  # Of the target, m
 
 
-def _find_in_file(path: Path, target: Target, size: tuple[int, int] | None) -> TargetPoints | str:
+def _find_in_file(path: Path, target: Target) -> TargetPoints | str:
     """Find the target in one image; a sentence where it cannot be found."""
     try:
         if path.suffix.lower() in TABLES:
-            return read_points(path, size)
+            return read_points(path)
         return find_target(read_image(path), target)
     except (CalibrationError, FrameError) as error:
-        words = str(error)
-        return words if str(path) in words else f"{path}: {words}"
+        sentence = str(error)
+        return sentence if str(path) in sentence else f"{path}: {sentence}"
 
 
-def start_workers_from() -> BaseContext:
-    """How processes that find targets are started, and where that can be the start of what they import.
+def worker_context() -> BaseContext:
+    """How processes that find targets are started.
 
-    They are forked from one process that imports while the caller does, which is half of the time of few
-    images.
+    On Linux they are forked from one process that imports while the caller does, which halves the time for a
+    few images.
     """
     if sys.platform != "linux":
         return get_context("spawn")
@@ -64,8 +65,7 @@ def start_workers_from() -> BaseContext:
     return context
 
 
-def _settle() -> None:
-    """What a worker does first: one thread each, and an end with the caller."""
+def _start_worker() -> None:
     cv2.setNumThreads(1)
     leave_with_parent()
 
@@ -84,10 +84,7 @@ def leave_with_parent() -> None:
 
 
 def placed_at(points: TargetPoints, height: float) -> TargetPoints:
-    """Points of a target that lies parallel to z = 0 at a known height, its axes along those of the frame.
-
-    With height, metres.
-    """
+    """Points of a target parallel to z = 0 at a known height (metres), its axes along those of the frame."""
     own = np.zeros(len(points)) if points.z is None else points.z
     return replace(points, z=own + height, placed=True)
 
@@ -102,7 +99,7 @@ def calibrate_experiment(
     experiment : path or Experiment
         With a calibration block.
     progress : callable, optional
-        Told (images done, all images).
+        Called with (images done, all images).
 
     Returns
     -------
@@ -111,7 +108,7 @@ def calibrate_experiment(
     Raises
     ------
     CalibrationError
-        If target images are not there.
+        If target images are missing.
 
     Examples
     --------
@@ -126,21 +123,19 @@ def calibrate_experiment(
     images = find_views(experiment)
     section = experiment.calibration
     assert section is not None
-    strange = sorted(set(section.heights) - {pose for poses in images.values() for pose in poses})
-    if strange:
-        known = ", ".join(sorted({pose for poses in images.values() for pose in poses}))
+    poses = {pose for by_pose in images.values() for pose in by_pose}
+    unknown = sorted(set(section.heights) - poses)
+    if unknown:
         raise CalibrationError(
-            f"{experiment.path}: heights names {', '.join(strange)}; the poses are {known}"
+            f"{experiment.path}: heights names {', '.join(unknown)}; the poses are {', '.join(sorted(poses))}"
         )
     target = Target.from_dict(section.target, experiment.path)
-    jobs = [(camera, pose, path) for camera, poses in images.items() for pose, path in poses.items()]
+    jobs = [(camera, pose, path) for camera, by_pose in images.items() for pose, path in by_pose.items()]
     views: dict[str, dict[str, TargetPoints]] = {camera: {} for camera in images}
     notes = []
-    workers = min(os.cpu_count() or 1, len(jobs), 8)
-    with ProcessPoolExecutor(workers, mp_context=start_workers_from(), initializer=_settle) as pool:
-        found = pool.map(
-            _find_in_file, [path for _, _, path in jobs], [target] * len(jobs), [None] * len(jobs)
-        )
+    workers = min(os.cpu_count() or 1, len(jobs), MAX_WORKERS)
+    with ProcessPoolExecutor(workers, mp_context=worker_context(), initializer=_start_worker) as pool:
+        found = pool.map(_find_in_file, [path for _, _, path in jobs], [target] * len(jobs))
         for done, ((camera, pose, _), points) in enumerate(zip(jobs, found, strict=True), 1):
             if isinstance(points, str):
                 notes.append(points)
@@ -150,8 +145,8 @@ def calibrate_experiment(
             if progress:
                 progress(done, len(jobs))
     named = {
-        camera: {pose: os.path.relpath(path, experiment.path.parent) for pose, path in poses.items()}
-        for camera, poses in images.items()
+        camera: {pose: os.path.relpath(path, experiment.path.parent) for pose, path in by_pose.items()}
+        for camera, by_pose in images.items()
     }
     calibration = calibrate(
         views,

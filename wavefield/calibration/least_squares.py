@@ -13,12 +13,11 @@ from wavefield.robust import robust_std
 class Whitener:
     """Errors of the target's nodes as noise shared by all views of a node.
 
-    A node that is off by an unknown e (standard deviation ``target_std`` per axis) shifts its image in
+    A node with an unknown offset e (standard deviation ``target_std`` per axis) shifts its image in
     every view by B e. Residuals of one node then have the covariance C = I + target_std^2 B B^T (in units
     of their own uncertainty); multiplied by C^(-1/2) they are independent again. That is the same as
     solving for all e with a prior, at the cost of a fit without them.
-
-    With node (n,); by_node (n, 2, 3); target_std, metres.
+    node (n,) and the derivatives by_node (n, 2, 3) belong to the observations; target_std in metres.
     """
 
     def __init__(self, node: NDArray[np.int64], by_node: Array, target_std: float):
@@ -39,18 +38,12 @@ class Whitener:
         self._gain = target_std * _blocks((axes / (1.0 + size)[:, None, :]) @ axes.transpose(0, 2, 1))
 
     def __call__(self, rows: Array) -> Array:
-        """Make residuals (2n,) or Jacobian rows (2n, p) independent.
-
-        With rows (2n,).
-        """
+        """Make residuals (2n,) or Jacobian rows (2n, p) independent."""
         independent: Array = rows - self._B @ (self._half @ (self._Bt @ rows))
         return independent
 
     def offsets(self, residual: Array) -> Array:
-        """Most probable offsets of the nodes.
-
-        With residual (2n,); returns (highest node + 1, 3): Metres.
-        """
+        """Most probable offsets of the nodes, (highest node + 1, 3), metres, from residuals (2n,)."""
         offsets: Array = (self._gain @ (self._Bt @ residual)).reshape(-1, 3)
         return offsets
 
@@ -64,27 +57,25 @@ def _blocks(matrices: Array) -> sparse.csr_array:
     )
 
 
-def huber(r: Array, bend: float) -> float:
-    """Sum of squares, growing linearly beyond the bend."""
+def huber(r: Array, limit: float) -> float:
+    """Sum of squares, growing linearly beyond the limit."""
     size = np.abs(r)
-    return float(np.sum(np.where(size <= bend, size * size, bend * (2.0 * size - bend))))
+    return float(np.sum(np.where(size <= limit, size * size, limit * (2.0 * size - limit))))
 
 
 def minimise(
     residual: Callable[[Array], Array],
     with_jacobian: Callable[[Array], tuple[Array, Array]],
     x: Array,
-    bend: float | None,
+    limit: float | None,
     tolerance: float,
 ) -> tuple[Array, float, int]:
     """Least squares with Huber's loss, by Levenberg and Marquardt.
 
     Normal equations of scaled parameters, p x p: thousands of observations and some seventy parameters make
     `scipy.optimize.least_squares`, which decomposes the whole Jacobian at each step, thirty times slower for
-    the same minimum (a test holds the two against each other). Steps end where the gradient does, so the
-    squared condition number costs steps at most, not accuracy.
-
-    With x (p,); returns x (p,): Minimum.
+    the same minimum (a test compares the two). Steps end where the gradient does, so the squared condition
+    number costs steps at most, not accuracy. Returns the minimum (p,), the limit of the loss, and the steps.
     """
     damping = 1e-4
     diagonal = np.zeros_like(x)
@@ -93,7 +84,7 @@ def minimise(
     while steps < 60:
         r, J = with_jacobian(x)
         steps += 1
-        scale = bend or max(4.0 * robust_std(r), 1e-9)
+        scale = limit or max(4.0 * robust_std(r), 1e-9)
         cost = huber(r, scale)
         weight = np.minimum(1.0, scale / np.maximum(np.abs(r), 1e-300))
         gradient = J.T @ (weight * r)
@@ -103,11 +94,11 @@ def minimise(
         scaled, slope = normal / np.outer(d, d), gradient / d
         while True:
             step = -np.linalg.solve(scaled + damping * np.eye(len(x)), slope)
-            promise = -(2.0 * slope @ step + step @ scaled @ step)
-            if promise <= tolerance * cost or cost < 1e-24 * len(r):
-                return x + step / d if promise > 0.0 else x, scale, steps
+            decrease = -(2.0 * slope @ step + step @ scaled @ step)
+            if decrease <= tolerance * cost or cost < 1e-24 * len(r):
+                return x + step / d if decrease > 0.0 else x, scale, steps
             trial = residual(x + step / d)
-            gain = (cost - huber(trial, scale)) / promise
+            gain = (cost - huber(trial, scale)) / decrease
             if gain > 0.0 and np.isfinite(gain):
                 x = x + step / d
                 damping = max(damping * max(1.0 / 30.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12)

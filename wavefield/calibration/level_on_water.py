@@ -1,7 +1,6 @@
-"""Placing and levelling the cameras of an experiment by the moving water that they see."""
+"""Placing and levelling the cameras of an experiment by images of moving water."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ def level_experiment(
     frames: int = 20,
     progress: Callable[[int, int], None] | None = None,
 ) -> Levelled:
-    """Bring z = 0 to the mean surface of moving water, after placing the second camera if that is asked for.
+    """Bring z = 0 to the mean surface of moving water, after placing the second camera if requested.
 
     Parameters
     ----------
@@ -29,11 +28,12 @@ def level_experiment(
     rig : path, optional
         In place of the one that the experiment names; its frame may be any, such as that of a camera.
     distance : float, optional
-        Between two cameras, metres: the second one is placed anew by what both see, its lens alone is used.
+        Between two cameras, metres: the second one's pose is computed from common features; only its lens is
+        used.
     frames : int
         Instants to use, spread over the record.
     progress : callable, optional
-        Told (instants done, all instants).
+        Called with (instants done, all instants).
 
     Returns
     -------
@@ -42,7 +42,7 @@ def level_experiment(
     Raises
     ------
     RigError
-        If too little is seen alike, or the cameras are in one place and no distance is stated.
+        If the cameras share too few features, or are in one place and no distance is stated.
 
     Examples
     --------
@@ -56,31 +56,26 @@ def level_experiment(
         experiment = Experiment.load(experiment)
     series = experiment.open_frames()
     loaded = experiment.load_rig(rig, series)
-    names = list(loaded)
-    first, *others = names
-    if distance is not None and len(names) != 2:
-        raise RigError(f"a distance places the second of two cameras; this rig has {len(names)}")
+    first, *others = loaded
+    if distance is not None and len(others) != 1:
+        raise RigError(f"a distance places the second of two cameras; this rig has {len(loaded)}")
     if distance is None and any(np.allclose(loaded[first].centre, loaded[n].centre) for n in others):
-        raise RigError("the rig says nothing of where its cameras are: state the distance between them")
-    count = len(series[first])
-    instants = evenly_spaced(count, frames)
+        raise RigError(
+            "the rig does not contain the positions of its cameras: state the distance between them"
+        )
+    instants = evenly_spaced(len(series[first]), frames)
     matches: list[dict[tuple[str, str], Pixels]] = []
     for done, instant in enumerate(instants, 1):
-        images = {name: series[name].read(instant).image for name in names}
-        one = images[first]
-        seen = {
-            (first, n): match_features(one, other)
-            for n in others
-            if (other := images[n]) is not None and one is not None
-        }
-        matches.append(seen)
+        images = {name: image for name in loaded if (image := series[name].read(instant).image) is not None}
+        pairs = [(first, n) for n in others if first in images and n in images]
+        matches.append({(a, b): match_features(images[a], images[b]) for a, b in pairs})
         if progress:
             progress(done, len(instants))
     if distance is not None:
         pair = first, others[0]
-        found = [seen[pair] for seen in matches if pair in seen]
-        both = tuple(np.concatenate([m[side] for m in found] or [np.empty((0, 2))]) for side in (0, 1))
-        second = place_second(loaded[first], loaded[others[0]], (both[0], both[1]), distance)
-        note = {"distance_m": distance, "matches": len(both[0])}
+        found = [by_pair[pair] for by_pair in matches if pair in by_pair]
+        a, b = (np.concatenate([m[side] for m in found] or [np.empty((0, 2))]) for side in (0, 1))
+        second = place_second(loaded[first], loaded[others[0]], (a, b), distance)
+        note = {"distance_m": distance, "matches": len(a)}
         loaded = Rig({first: loaded[first], others[0]: second}, {**loaded.provenance, "placed": note})
-    return level_on_water(replace(loaded), matches)
+    return level_on_water(loaded, matches)

@@ -1,4 +1,4 @@
-"""Which lens model predicts best where the rig is used."""
+"""The lens model that predicts best where the rig is used."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from wavefield.calibration.bundle import Fit
-from wavefield.calibration.derived_uncertainty import at_points, volume
 from wavefield.calibration.observations import Observations
 from wavefield.calibration.parameters import TERMS
+from wavefield.calibration.predicted_errors import at_points, volume
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import LENS, Array
 
@@ -32,7 +32,8 @@ CANDIDATES = (
     *("f c k1", "f", "f k1", "f c", "f tilt k1", "paper", "tilt"),
     *("paper k2", "paper p", "paper k2 p", "opencv"),
 )
-ALIKE = 1.05  # ratio of expected errors that tells two models apart
+EQUIVALENT_RATIO = 1.05  # of expected errors: models within it count as equally good
+SIGNIFICANCE = 10.0  # standard deviations from a perfect camera's value: a term that is needed
 
 
 @dataclass(frozen=True)
@@ -41,23 +42,20 @@ class Choice:
 
     model: str  # Name in `MODELS`
     parameters: int  # Free parameters of the joint fit
-    rms: float  # Scatter of the residuals in units of the stated uncertainty
+    rms: float  # Rms of the residuals in units of the stated uncertainty
     bic: float  # Bayes' information criterion
-    # Expected error of a pixel where the rig will be used, px; the smallest is chosen, and of those within
-    # five per cent of it the one with the fewest parameters
+    # Expected error of a pixel where the rig will be used, px: among the models within five per cent of the
+    # smallest, the one with the fewest parameters is chosen
     expected: float
 
 
 def terms_of(model: str | Sequence[str]) -> tuple[str, tuple[str, ...]] | None:
-    """Name and free terms of a model given by name or as a list of terms.
-
-    Returns (str, tuple of str): None for ``auto``..
-    """
+    """Name and free terms of a model given by name or as a list of terms; None for ``auto``."""
     if isinstance(model, str):
         if model == "auto":
             return None
         if model not in MODELS:
-            raise CalibrationError(f"camera model {model!r} is not known; use auto, {', '.join(MODELS)}")
+            raise CalibrationError(f"camera model {model!r} is unknown; use auto, {', '.join(MODELS)}")
         return model, MODELS[model]
     unknown = [term for term in model if term not in TERMS]
     if unknown or "f" not in model:
@@ -65,21 +63,18 @@ def terms_of(model: str | Sequence[str]) -> tuple[str, tuple[str, ...]] | None:
     return " ".join(model), tuple(model)
 
 
-def beyond_doubt(fit: Fit, sizes: Sequence[tuple[int, int]]) -> set[str]:
-    """Terms that some camera needs: ten times their uncertainty away from a perfect camera's.
-
-    With sizes (width, height), px.
-    """
+def significant_terms(fit: Fit, sizes: Sequence[tuple[int, int]]) -> set[str]:
+    """Terms that some camera needs: ten times their uncertainty away from a perfect camera's."""
     std = np.sqrt(np.diag(fit.covariance))
-    sure = set()
+    needed = set()
     for c, columns in enumerate(fit.layout.lens):
         perfect = {"cx": (sizes[c][0] - 1) / 2, "cy": (sizes[c][1] - 1) / 2, "k1": 0.0}
         for k, column in columns:
             if column in perfect:
                 away = abs(fit.geometry.lens[c, LENS.index(column)] - perfect[column])
-                if away > 10.0 * std[k]:
-                    sure.add("k1" if column == "k1" else "c")
-    return sure
+                if away > SIGNIFICANCE * std[k]:
+                    needed.add("k1" if column == "k1" else "c")
+    return needed
 
 
 def choose(
@@ -87,31 +82,32 @@ def choose(
 ) -> tuple[str, dict[str, Fit], list[Choice]]:
     """Fit the candidates and choose the one that predicts best where the rig will be used.
 
-    Expected error of a pixel within the volume (`derived.volume`): the variance that the fit predicts, and
-    the square of the model's own error, which is its difference from the model that Bayes' criterion takes
+    Expected error of a pixel within the volume (`predicted_errors.volume`): the variance that the fit
+    predicts, and the square of the model's own error: its difference from the model of the best
+    Bayes' criterion
     (BIC = n ln(chi2 / n) + k ln n), less what the noise of the two differs by (a focused criterion:
-    Claeskens and Hjort 2003). BIC alone judges by the images' edges: it may take a lens that fits them a
-    little better and knows the middle ten times worse.
+    Claeskens and Hjort 2003). BIC alone is dominated by the images' edges: it may select a lens that fits
+    them a little better and predicts the middle ten times worse.
     """
     o, count = observations, 2 * len(observations)
     fits: dict[str, Fit] = {}
     bic: dict[str, float] = {}
-    sure: set[str] = set()
+    needed: set[str] = set()
     for name in CANDIDATES:
         terms = MODELS[name]
-        if sure - set(terms) - ({"c"} if "tilt" in terms else set()):
+        if needed - set(terms) - ({"c"} if "tilt" in terms else set()):
             continue
-        fits[name] = found = fit_model(terms)
-        sure = sure or beyond_doubt(found, o.sizes)
-        k = len(found.layout.names)
-        bic[name] = float(count * np.log(max(found.chi2, 1e-300) / count) + k * np.log(count))
-    points = volume(o, fits[min(bic, key=lambda name: bic[name])], level)
-    expected = _expected(fits, min(bic, key=lambda name: bic[name]), o, points)
+        fits[name] = result = fit_model(terms)
+        needed = needed or significant_terms(result, o.sizes)
+        k = len(result.layout.names)
+        bic[name] = float(count * np.log(max(result.chi2, 1e-300) / count) + k * np.log(count))
+    reference = min(bic, key=lambda name: bic[name])
+    expected = _expected(fits, reference, o, volume(o, fits[reference], level))
     table = [
         Choice(name, len(f.layout.names), float(np.sqrt(f.chi2 / count)), bic[name], expected[name])
         for name, f in fits.items()
     ]
-    near = [row for row in table if row.expected <= ALIKE * min(expected.values())]
+    near = [row for row in table if row.expected <= EQUIVALENT_RATIO * min(expected.values())]
     return min(near, key=lambda row: row.parameters).model, fits, table
 
 

@@ -1,6 +1,7 @@
-"""What the residuals of a calibration say, in px and mm: the numbers of the report."""
+"""Residuals of a calibration in px and mm: the numbers of its report."""
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from wavefield.robust import robust_std
 class FlatSurface:
     """The flat target as the rig measures it."""
 
-    x: Array  # (n,): Nodes seen by two cameras at least, triangulated from their pixels, metres
+    x: Array  # (n,): Nodes in view of two cameras at least, triangulated from their pixels, metres
     y: Array
     z: Array
     plane: WaterPlane  # Through them
@@ -27,12 +28,16 @@ class FlatSurface:
     @property
     def rms(self) -> float:
         """Of z about zero, metres."""
-        return float(np.sqrt(np.mean(self.z[self.plane.kept] ** 2)))
+        return _rms(self.z[self.plane.kept])
 
     @property
     def tilt(self) -> float:
         """Of the plane, milliradians."""
         return float(1e3 * np.hypot(*self.plane.slope))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> FlatSurface | None:
@@ -46,33 +51,30 @@ def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> F
         sight[c] = np.stack(rig[name].sight_line(*apparent[c]))
     x, y, z, _ = triangulate(apparent, sight)
     z = z - fit.geometry.offset[:, 2] - o.plan[:, 2]
-    seen = np.isfinite(z)
-    if seen.sum() < 10:
+    measured = np.isfinite(z)
+    if measured.sum() < 10:
         return None
-    return FlatSurface(x[seen], y[seen], z[seen], fit_plane(x[seen], y[seen], z[seen]))
+    x, y, z = x[measured], y[measured], z[measured]
+    return FlatSurface(x, y, z, fit_plane(x, y, z))
 
 
 def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, str], Array]:
-    """How far nodes seen by two cameras are from each other's epipolar lines.
-
-    Returns (camera, camera): Signed distances in the second camera's image, px.
-    """
+    """Distances of nodes from the epipolar lines of each pair of cameras, px in the second image."""
     o = observations
     key = o.pose * len(o.nodes) + o.node
     out = {}
-    for a in range(len(o.cameras)):
-        for b in range(a + 1, len(o.cameras)):
-            rows_a, rows_b = np.flatnonzero(o.camera == a), np.flatnonzero(o.camera == b)
-            _, ia, ib = np.intersect1d(key[rows_a], key[rows_b], return_indices=True)
-            if len(ia):
-                names = o.cameras[a], o.cameras[b]
-                pa, pb = o.pixel[rows_a[ia]], o.pixel[rows_b[ib]]
-                out[names] = epipolar_distance(rig[names[0]], rig[names[1]], *pa.T, *pb.T)
+    for a, b in combinations(range(len(o.cameras)), 2):
+        rows_a, rows_b = np.flatnonzero(o.camera == a), np.flatnonzero(o.camera == b)
+        _, ia, ib = np.intersect1d(key[rows_a], key[rows_b], return_indices=True)
+        if len(ia):
+            one, other = o.cameras[a], o.cameras[b]
+            pa, pb = o.pixel[rows_a[ia]], o.pixel[rows_b[ib]]
+            out[one, other] = epipolar_distance(rig[one], rig[other], *pa.T, *pb.T)
     return out
 
 
-def pixel_size(fit: Fit, observations: Observations, camera: int) -> float:
-    """Size of a pixel on the target where a camera saw it, metres (median)."""
+def _pixel_on_target(fit: Fit, observations: Observations, camera: int) -> float:
+    """Size of a camera's pixel on the target, metres (median)."""
     g = fit.geometry
     world = g.world(observations)[observations.camera == camera]
     depth = (world @ g.R[camera].T + g.T[camera])[:, 2]
@@ -82,20 +84,17 @@ def pixel_size(fit: Fit, observations: Observations, camera: int) -> float:
 def numbers(
     observations: Observations, fit: Fit, rig: Rig, reference: str
 ) -> tuple[dict[str, Any], FlatSurface | None]:
-    """All numbers of the report that come from residuals."""
+    """All numbers of the report that follow from residuals."""
     o = observations
     cameras = {}
     for c, name in enumerate(o.cameras):
         rows = o.camera == c
-        miss, mm = fit.residual[rows], 1e3 * pixel_size(fit, o, c)
-        rms, worst = float(np.sqrt(np.mean(miss**2))), float(np.abs(miss).max())
-        views = {
-            o.poses[p]: {
-                "points": int((rows & (o.pose == p)).sum()),
-                "rms_px": float(np.sqrt(np.mean(fit.residual[rows & (o.pose == p)] ** 2))),
-            }
-            for p in np.unique(o.pose[rows])
-        }
+        mm = 1e3 * _pixel_on_target(fit, o, c)
+        rms, worst = _rms(fit.residual[rows]), float(np.abs(fit.residual[rows]).max())
+        views = {}
+        for p in np.unique(o.pose[rows]):
+            view = rows & (o.pose == p)
+            views[o.poses[p]] = {"points": int(view.sum()), "rms_px": _rms(fit.residual[view])}
         cameras[name] = {
             "rms_px": rms,
             "rms_mm": rms * mm,
@@ -108,7 +107,7 @@ def numbers(
         "cameras": cameras,
         "epipolar": {
             f"{a} - {b}": {
-                "rms_px": float(np.sqrt(np.mean(d**2))),
+                "rms_px": _rms(d),
                 "median_px": float(np.median(np.abs(d))),
                 "scatter_px": robust_std(d),
                 "max_px": float(np.abs(d).max()),

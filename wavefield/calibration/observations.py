@@ -1,109 +1,94 @@
-"""All nodes seen in all views, as flat arrays, and the geometry that is fitted to them."""
+"""All nodes observed in all views, as flat arrays, and the geometry that is fitted to them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from wavefield.calibration.points import TargetPoints
+from wavefield.calibration.points import Mask, Nodes, TargetPoints
 from wavefield.rig.camera import Camera
 from wavefield.rig.lens import LENS, Array
 
-Index = NDArray[np.int64]
+Index = Nodes
 
 
 @dataclass(frozen=True)
 class Observations:
-    """Nodes of the target seen by the cameras."""
+    """Nodes of the target observed by the cameras."""
 
-    cameras: tuple[str, ...]  # Names; the integer arrays below count into these
+    cameras: tuple[str, ...]  # Names; the integer arrays below are indices of these
     poses: tuple[str, ...]
-    sizes: tuple[tuple[int, int], ...]  # (width, height): Image size of each camera, px
-    nodes: Index  # (N, 2): Indices (i, j) of the target's nodes that were seen
+    sizes: tuple[tuple[int, int], ...]  # Image (width, height) of each camera, px
+    nodes: Index  # (N, 2): Indices (i, j) of the target's nodes that were observed
+    plan: Array  # (N, 3): Their positions on a perfect target, metres
     mesh: float  # Distance of neighbouring nodes, metres
-    camera: Index  # (n,): Who saw which node in which pose of the target
+    camera: Index  # (n,): Which camera observed which node in which pose of the target
     pose: Index
     node: Index
-    pixel: Array  # (n, 2): Where, px
+    pixel: Array  # (n, 2): Position in the image, px
     std: Array  # (n,): Standard uncertainty per axis, px
-    origin: tuple[float, float] = (0.0, 0.0)  # (float, float): Where node (0, 0) lies, metres
-    height: Array | None = None  # (N,): Of the nodes above the target's plane, metres; zero if left out
     placed: tuple[int, ...] = ()  # Poses whose nodes are in the physical frame already
 
     def __len__(self) -> int:
         return len(self.camera)
 
-    @property
-    def plan(self) -> Array:
-        """Positions of the nodes on a perfect target, (N, 3), metres."""
-        height = np.zeros(len(self.nodes)) if self.height is None else self.height
-        return np.column_stack([self.origin + self.nodes * self.mesh, height])
-
-    def only(self, keep: NDArray[np.bool_]) -> "Observations":
-        """Some of the observations; names and nodes stay.
-
-        With keep (n,).
-        """
+    def only(self, keep: Mask) -> "Observations":
+        """Some of the observations; names and nodes stay."""
         parts = {key: getattr(self, key)[keep] for key in ("camera", "pose", "node", "pixel", "std")}
         return replace(self, **parts)
 
-    def of_camera(self, camera: int) -> "Observations":
-        """What one camera saw, with the poses it saw."""
-        part = self.only(self.camera == camera)
-        seen = np.unique(part.pose)
-        return replace(
-            part,
-            cameras=(self.cameras[camera],),
-            sizes=(self.sizes[camera],),
-            poses=tuple(self.poses[p] for p in seen),
-            placed=tuple(int(np.searchsorted(seen, p)) for p in self.placed if p in seen),
-            camera=np.zeros(len(part), np.int64),
-            pose=np.searchsorted(seen, part.pose),
+    @staticmethod
+    def of_points(
+        cameras: tuple[str, ...], sizes: tuple[tuple[int, int], ...], poses: tuple[str, ...], count: int
+    ) -> "Observations":
+        """Free points, each observed by every camera in the last pose, camera by camera; pixels are zero."""
+        n = len(cameras) * count
+        return Observations(
+            cameras,
+            poses,
+            sizes,
+            nodes=np.zeros((count, 2), np.int64),
+            plan=np.zeros((count, 3)),
+            mesh=1.0,
+            camera=np.repeat(np.arange(len(cameras)), count),
+            pose=np.full(n, len(poses) - 1),
+            node=np.tile(np.arange(count), len(cameras)),
+            pixel=np.zeros((n, 2)),
+            std=np.ones(n),
         )
 
 
 def collect(
     views: Mapping[str, Mapping[str, TargetPoints]], mesh: float, origin: tuple[float, float] = (0.0, 0.0)
 ) -> Observations:
-    """Flatten the views of all cameras.
-
-    With mesh, metres; origin (float, float), metres.
-    """
+    """Flatten the views of all cameras; mesh and origin (of node (0, 0)) in metres."""
     cameras = tuple(views)
-    poses: list[str] = []
-    for of_camera in views.values():
-        poses += [pose for pose in of_camera if pose not in poses]
+    poses = tuple(dict.fromkeys(pose for by_pose in views.values() for pose in by_pose))
     rows = [
         (c, poses.index(pose), points)
         for c, name in enumerate(cameras)
         for pose, points in views[name].items()
         if len(points)
     ]
-
-    def stack(parts: Sequence[NDArray[Any]], width: int) -> NDArray[Any]:
-        return np.concatenate(parts) if parts else np.zeros((0, width) if width > 1 else 0)
-
+    none = np.zeros((0, 2))
     heights = [np.zeros(len(p)) if p.z is None else np.asarray(p.z, float) for _, _, p in rows]
-    nanometres = np.rint(1e9 * stack(heights, 1)).astype(np.int64)
-    all_nodes = np.column_stack([stack([p.node for _, _, p in rows], 2).astype(np.int64), nanometres])
-    unique, node = np.unique(all_nodes, axis=0, return_inverse=True)
+    nanometres = np.rint(1e9 * np.concatenate([none[:, 0], *heights])).astype(np.int64)
+    all_nodes = np.concatenate([none.astype(np.int64), *(p.node for _, _, p in rows)])
+    unique, node = np.unique(np.column_stack([all_nodes, nanometres]), axis=0, return_inverse=True)
     counts = [len(p) for _, _, p in rows]
     return Observations(
         cameras,
-        tuple(poses),
+        poses,
         tuple(next(((p.size[0], p.size[1]) for p in views[name].values()), (0, 0)) for name in cameras),
-        unique[:, :2],
-        float(mesh),
-        np.repeat([c for c, _, _ in rows], counts).astype(np.int64),
-        np.repeat([q for _, q, _ in rows], counts).astype(np.int64),
-        np.ravel(node).astype(np.int64),
-        stack([np.asarray(p.pixel, float) for _, _, p in rows], 2),
-        stack([np.asarray(p.std, float) for _, _, p in rows], 1),
-        origin,
-        np.asarray(1e-9 * unique[:, 2], float) if unique[:, 2].any() else None,
-        tuple(sorted({q for _, q, points in rows if points.placed})),
+        nodes=unique[:, :2],
+        plan=np.column_stack([origin + unique[:, :2] * float(mesh), 1e-9 * unique[:, 2]]),
+        mesh=float(mesh),
+        camera=np.repeat([c for c, _, _ in rows], counts).astype(np.int64),
+        pose=np.repeat([q for _, q, _ in rows], counts).astype(np.int64),
+        node=np.ravel(node).astype(np.int64),
+        pixel=np.concatenate([none, *(np.asarray(p.pixel, float) for _, _, p in rows)]),
+        std=np.concatenate([none[:, 0], *(np.asarray(p.std, float) for _, _, p in rows)]),
+        placed=tuple(sorted({q for _, q, points in rows if points.placed})),
     )
 
 
@@ -116,23 +101,35 @@ class Geometry:
     T: Array
     pose_R: Array  # (P, 3, 3): Target to world, metres
     pose_t: Array
-    # (N, 3): How far each node is from its place on a perfect target, metres, in the target's axes
-    offset: Array
+    offset: Array  # (N, 3): Of each node from its position on a perfect target, metres, in the target's axes
 
-    def camera(self, c: int, size: tuple[int, int]) -> Camera:
-        """One camera as the rig wants it.
+    def cameras(self, sizes: Sequence[tuple[int, int]]) -> list[Camera]:
+        """The cameras, with images of given sizes (width, height), px."""
+        return [
+            Camera(rotation=R, translation=T, size=size, **dict(zip(LENS, lens.tolist(), strict=True)))
+            for lens, R, T, size in zip(self.lens, self.R, self.T, sizes, strict=True)
+        ]
 
-        With size (width, height), px.
-        """
-        terms = dict(zip(LENS, self.lens[c].tolist(), strict=True))
-        return Camera(rotation=self.R[c], translation=self.T[c], size=size, **terms)
+    def with_pose(self, R: Array, t: Array) -> "Geometry":
+        """The same with one more pose of the target."""
+        return replace(
+            self,
+            pose_R=np.concatenate([self.pose_R, R[None]]),
+            pose_t=np.concatenate([self.pose_t, t[None]]),
+        )
 
     def world(self, observations: Observations) -> Array:
-        """Where the nodes were, (n, 3), metres.
-
-        Returns (n, 3).
-        """
+        """Positions of the observed nodes in the world, (n, 3), metres."""
         points = (observations.plan + self.offset)[observations.node]
         pose = observations.pose
         world: Array = np.einsum("nij,nj->ni", self.pose_R[pose], points) + self.pose_t[pose]
         return world
+
+
+def common_extent(cameras: Sequence[Camera], plan: Array) -> tuple[Array, Array]:
+    """Lower and upper (x, y) of the field that all cameras see on z = 0, or else of the target's plan, m."""
+    box = np.stack([camera.corners() for camera in cameras])
+    lo, hi = box.min(axis=1).max(axis=0), box.max(axis=1).min(axis=0)
+    if np.isfinite(box).all() and (hi > lo).all():
+        return lo, hi
+    return plan[:, :2].min(axis=0), plan[:, :2].max(axis=0)

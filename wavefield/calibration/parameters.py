@@ -1,8 +1,7 @@
-"""The parameters of the joint fit: which moves what, and what the images become when they move."""
+"""The parameters of the joint fit: which of them moves what, and the derivatives of the pixels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -24,7 +23,7 @@ TERMS: dict[str, tuple[str, ...]] = {
 }
 
 
-def _turn(rotation: Array, vector: Array) -> tuple[Array, Array]:
+def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
     """Rotation . exp(vector), and its derivatives (3, 3, 3) with respect to the vector."""
     R, jacobian = cv2.Rodrigues(np.asarray(vector, float))
     derivative = np.asarray(jacobian, float).reshape(3, 3, 3)
@@ -35,13 +34,24 @@ def _turn(rotation: Array, vector: Array) -> tuple[Array, Array]:
 class ParameterLayout:
     """Which parameter moves what."""
 
-    names: tuple[str, ...]  # One per parameter, for people
-    lens: tuple[tuple[tuple[int, str], ...], ...]  # (int, str): Per camera, (parameter, moved term)
-    # Per camera, the first of its six parameters of pose (rotation vector, translation)
-    camera: tuple[int, ...]
-    # (int, int): Per pose of the target, (parameter, which of the six); none for the pose that defines the
-    # frame
+    names: tuple[str, ...]  # One per parameter
+    lens: tuple[tuple[tuple[int, str], ...], ...]  # Per camera, (parameter, moved term)
+    camera: tuple[int, ...]  # Per camera, the first of its six (rotation vector, translation)
+    # Per pose of the target, (parameter, which of the six); none for the pose that defines the frame
     pose: tuple[tuple[tuple[int, int], ...], ...]
+
+    def pose_step(self, p: int, x: Array) -> Array:
+        """Rotation vector and translation by which parameters x move a pose, (6,)."""
+        step = np.zeros(6)
+        for k, which in self.pose[p]:
+            step[which] = x[k]
+        return step
+
+    def with_pose(self, name: str, free: Sequence[int]) -> "ParameterLayout":
+        """The layout for one more pose, some of whose six parameters are free."""
+        moves = tuple((len(self.names) + k, which) for k, which in enumerate(free))
+        names = (f"{name} {('R1', 'R2', 'R3', 'x', 'y', 'z')[which]}" for which in free)
+        return replace(self, names=(*self.names, *names), pose=(*self.pose, moves))
 
 
 def layout(
@@ -53,27 +63,23 @@ def layout(
 ) -> ParameterLayout:
     """Lay out the parameters of the joint fit."""
     names: list[str] = []
-    lens, camera, pose = [], [], []
+    lens, camera = [], []
     for c, name in enumerate(observations.cameras):
-        moved = [column for term in models[c] for column in TERMS[term]]
-        lens.append(tuple((len(names) + k, column) for k, column in enumerate(moved)))
-        names += [f"{name} {column}" for column in moved]
+        columns = [column for term in models[c] for column in TERMS[term]]
+        lens.append(tuple((len(names) + k, column) for k, column in enumerate(columns)))
+        names += [f"{name} {column}" for column in columns]
         camera.append(len(names))
-        names += [f"{name} {what}" for what in ("R1", "R2", "R3", "T1", "T2", "T3")]
-    seen = set(np.unique(observations.pose).tolist())
+        names += [f"{name} {part}" for part in ("R1", "R2", "R3", "T1", "T2", "T3")]
+    plan = ParameterLayout(tuple(names), tuple(lens), tuple(camera), ())
+    observed = set(np.unique(observations.pose).tolist())
     for p, name in enumerate(observations.poses):
-        held = p == reference or p in placed or p not in seen
-        free = [] if held else [2, 3, 4] if p in flat else list(range(6))
-        pose.append(tuple((len(names) + k, which) for k, which in enumerate(free)))
-        names += [f"{name} {('R1', 'R2', 'R3', 'x', 'y', 'z')[which]}" for which in free]
-    return ParameterLayout(tuple(names), tuple(lens), tuple(camera), tuple(pose))
+        fixed = p == reference or p in placed or p not in observed
+        plan = plan.with_pose(name, () if fixed else (2, 3, 4) if p in flat else range(6))
+    return plan
 
 
 def moved(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
-    """The geometry at given parameters, counted from a start.
-
-    With x (p,).
-    """
+    """The geometry at given parameters x (p,), relative to a start."""
     lens, R, T = start.lens.copy(), start.R.copy(), start.T.copy()
     pose_R, pose_t = start.pose_R.copy(), start.pose_t.copy()
     for c, columns in enumerate(plan.lens):
@@ -85,38 +91,32 @@ def moved(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
             else:
                 lens[c, LENS.index(column)] += x[k]
         k = plan.camera[c]
-        R[c] = _turn(R[c], x[k : k + 3])[0]
+        R[c] = _turned(R[c], x[k : k + 3])[0]
         T[c] += x[k + 3 : k + 6]
-    for p, moves in enumerate(plan.pose):
-        step = np.zeros(6)
-        for k, which in moves:
-            step[which] = x[k]
-        pose_R[p] = _turn(pose_R[p], step[:3])[0]
+    for p in range(len(plan.pose)):
+        step = plan.pose_step(p, x)
+        pose_R[p] = _turned(pose_R[p], step[:3])[0]
         pose_t[p] += step[3:]
     return replace(start, lens=lens, R=R, T=T, pose_R=pose_R, pose_t=pose_t)
 
 
 def predict(geometry: Geometry, observations: Observations) -> Array:
-    """Pixels predicted by a geometry.
-
-    Returns (n, 2): Pixels.
-    """
-    o = observations
-    world = geometry.world(o)
-    pixel = np.empty((len(o), 2))
-    for c, size in enumerate(o.sizes):
-        rows = o.camera == c
-        pixel[rows] = np.stack(geometry.camera(c, size).project(*world[rows].T), axis=-1)
+    """Pixels predicted by a geometry, (n, 2)."""
+    world = geometry.world(observations)
+    pixel = np.empty((len(observations), 2))
+    for c, camera in enumerate(geometry.cameras(observations.sizes)):
+        rows = observations.camera == c
+        pixel[rows] = np.stack(camera.project(*world[rows].T), axis=-1)
     return pixel
 
 
 def linearised(
     start: Geometry, plan: ParameterLayout, x: Array, observations: Observations
 ) -> tuple[Array, Array, Array]:
-    """Pixels predicted at given parameters, with derivatives.
+    """Pixels (n, 2) predicted at given parameters (p,), with derivatives.
 
-    Returns pixel (n, 2): Pixels; jacobian (n, 2, p): Derivatives with respect to the parameters; by_node (n,
-    2, 3): Derivatives with respect to the nodes' offsets, px per metre.
+    The derivatives are (n, 2, p) with respect to the parameters, and (n, 2, 3) with respect to the nodes'
+    offsets, px per metre.
     """
     o = observations
     now = moved(start, plan, x)
@@ -138,22 +138,16 @@ def linearised(
             else:
                 J[rows, :, k] = by_lens[..., LENS.index(column)]
         k = plan.camera[c]
-        _, turn = _turn(start.R[c], x[k : k + 3])
+        _, turn = _turned(start.R[c], x[k : k + 3])
         for i in range(3):
             J[rows, :, k + i] = np.einsum("nij,nj->ni", by_point, world[rows] @ turn[i].T)
         J[rows, :, k + 3 : k + 6] = by_point
         by_world = by_point @ R
         by_node[rows] = by_world @ now.pose_R[o.pose[rows]]
         for p in np.unique(o.pose[rows]):
-            columns = plan.pose[p]
-            if not columns:
-                continue
             here = o.pose[rows] == p
-            step = np.zeros(6)
-            for k, which in columns:
-                step[which] = x[k]
-            _, turn = _turn(start.pose_R[p], step[:3])
-            for k, which in columns:
+            _, turn = _turned(start.pose_R[p], plan.pose_step(p, x)[:3])
+            for k, which in plan.pose[p]:
                 if which < 3:
                     J[rows[here], :, k] = np.einsum(
                         "nij,nj->ni", by_world[here], local[rows[here]] @ turn[which].T
@@ -163,12 +157,11 @@ def linearised(
     return pixel, J, by_node
 
 
-def covariance_to_dict(names: tuple[str, ...], covariance: Array, cameras: tuple[str, ...]) -> dict[str, Any]:
-    """The cameras' part of a fit's covariance, as the rig's file keeps it.
-
-    With covariance (p, p).
-    """
-    pick = [k for k, name in enumerate(names) if name.rsplit(" ", 1)[0] in cameras]
-    part = covariance[np.ix_(pick, pick)]
+def covariance_to_dict(
+    names: tuple[str, ...], covariance: Array, cameras: tuple[str, ...]
+) -> dict[str, list[str] | list[list[float]]]:
+    """The cameras' part of a fit's covariance (p, p), as the rig's file stores it."""
+    columns = [k for k, name in enumerate(names) if name.rsplit(" ", 1)[0] in cameras]
+    part = covariance[np.ix_(columns, columns)]
     rows = [[float(f"{v:.12g}") for v in row[: k + 1]] for k, row in enumerate(part)]
-    return {"parameters": [names[k] for k in pick], "lower": rows}
+    return {"parameters": [names[k] for k in columns], "lower": rows}

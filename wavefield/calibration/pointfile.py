@@ -4,25 +4,23 @@ import csv
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavefield.atomic_write import ANY_FILE, write_text
 from wavefield.calibration.points import TargetPoints
 from wavefield.errors import CalibrationError
+from wavefield.rig.lens import Array
 
 COLUMNS = ("i", "j", "X", "Y")
 
 
 def read_points(path: str | Path, size: tuple[int, int] | None = None, std: float = 0.1) -> TargetPoints:
-    """Read target points from a CSV file.
+    """Read target points from a CSV file; size and std (px) are used where the file states none.
 
-    The file has a header `i,j,X,Y`, and `std` and `z` if known: indices of the node (right-handed seen from
-    above, node at x = i * mesh, y = j * mesh), its pixel coordinates (column, row; 0-based, centres of pixels
-    at integers), its standard uncertainty per axis in px. With z, the node's height in the physical frame in
-    metres, the view's pose is known: so are views of a target that a traverse moves along z. Lines that
+    The file has a header `i,j,X,Y`, and `std` and `z` where available: indices of the node (right-handed seen
+    from above, node at x = i * mesh, y = j * mesh), its pixel coordinates (column, row; 0-based, centres of
+    pixels at integers), its standard uncertainty per axis in px. With z, the node's height in the physical
+    frame in metres, the view's pose is given: as for a target that a traverse moves along z. Lines that
     begin with `#` are comments; a line `# size 1024 1024` states width and height of the image.
-
-    With size, px; std, px.
 
     Examples
     --------
@@ -44,8 +42,8 @@ def read_points(path: str | Path, size: tuple[int, int] | None = None, std: floa
         raise CalibrationError(f"{path}: i and j must be whole numbers, X and Y finite and std positive")
     if len(np.unique(np.column_stack([node, data[:, 5]]), axis=0)) != len(node):
         raise CalibrationError(f"{path} holds the same node twice; keep one line per node")
-    notes = (f"points read from {path.name}",)
     z = data[:, 5] if placed else None
+    notes = (f"points read from {path.name}",)
     return TargetPoints(node, data[:, 2:4], data[:, 4], size, notes, z, placed)
 
 
@@ -70,7 +68,7 @@ def _stated_size(lines: list[str], path: Path) -> tuple[int, int] | None:
     return None
 
 
-def _table(lines: list[str], path: Path, std: float) -> tuple[NDArray[np.float64], bool]:
+def _table(lines: list[str], path: Path, std: float) -> tuple[Array, bool]:
     """Columns i, j, X, Y, std, z, and whether the file has z."""
     rows = csv.DictReader(
         (line for line in lines if line.strip() and not line.startswith("#")), skipinitialspace=True

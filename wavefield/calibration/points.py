@@ -1,19 +1,23 @@
-"""Points of a target found in one image."""
+"""Points of a target found in one image, and the array types of this room."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+Image = NDArray[np.float32]  # (row, column), 255 where brightest
+Nodes = NDArray[np.int64]  # (n, 2): indices (i, j) of a target's nodes
+Mask = NDArray[np.bool_]
+
 
 @dataclass(frozen=True)
 class TargetPoints:
-    """Nodes of a target seen in one image.
+    """Nodes of a target found in one image.
 
     Parameters
     ----------
     node : ndarray of int, (n, 2)
-        Indices (i, j): the node lies at x = i * mesh, y = j * mesh on the target;
+        Indices (i, j): the node is at x = i * mesh, y = j * mesh on the target;
         right-handed seen from above.
     pixel : ndarray, (n, 2)
         Position (X, Y) = (column, row), px.
@@ -22,15 +26,14 @@ class TargetPoints:
     size : tuple of int
         Image (width, height), px.
     notes : tuple of str
-        What a person should know (marks not found, partly out of view, ...).
+        Remarks for the user (marks not found, partly out of view, ...).
     z : ndarray, (n,), optional
-        Height of the nodes above the target's plane, metres, where they do not all lie in it.
+        Height of the nodes above the target's plane, metres, where they are not all on it.
     placed : bool
-        Whether nodes and z are in the physical frame: the target was put where it is known to be, as one
-        that is moved along z by a traverse.
+        Whether nodes and z are in the physical frame, as for a target that a traverse moves along z.
     """
 
-    node: NDArray[np.int64]
+    node: Nodes
     pixel: NDArray[np.float64]
     std: NDArray[np.float64]
     size: tuple[int, int]

@@ -2,24 +2,20 @@
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from wavefield.compiled import compiled
+from wavefield.rig.lens import Array
 
-Array = NDArray[np.float64]
-
-PLACES = 64  # distances from a string's middle at which its profile is worked out
+PLACES = 64  # distances from a string's middle at which its profile is tabulated
 
 
 @compiled()
 def profile_of(u: float, s: float, out: Array) -> float:
     """Profile of a string averaged over a pixel, and its derivatives with respect to d and u.
 
-    All pixels of a crossing share it: it is worked out at `PLACES` distances from the middle, (places, 3),
-    the last of them six standard deviations beyond the box, where there is nothing; the second column is the
-    slope from one place to the next. Three points of Gauss-Legendre stand for the pixel's extent along one
-    axis. Returns the inverse of the distance between places, 1/px.
+    All pixels of a crossing share this table, (places, 3): the last distance is six standard deviations
+    beyond the box, where the profile is zero; the second column is the slope from one place to the next.
+    Three points of Gauss-Legendre average over the pixel along one axis. Returns the inverse of the
+    distance between places, 1/px.
     """
     step = (math.sqrt(max(u, 0.0)) + 6.2 * s + 0.4) / (PLACES - 1)
     for k in range(PLACES - 1):
@@ -35,7 +31,7 @@ def profile_of(u: float, s: float, out: Array) -> float:
 
 
 @compiled(inline="always")
-def at(profile: Array, inverse: float, d: float) -> tuple[float, float, float]:
+def profile_at(profile: Array, inverse: float, d: float) -> tuple[float, float, float]:
     """Profile and derivatives at a distance d: a cubic through values and slopes, its slope, a line."""
     x = abs(d) * inverse
     if x >= PLACES - 1:
@@ -56,9 +52,9 @@ def at(profile: Array, inverse: float, d: float) -> tuple[float, float, float]:
 
 @compiled(inline="always")
 def _above(x: float, density: float) -> float:
-    """How much of a normal distribution lies above x, to 1e-7, from its density at x.
+    """Fraction of a normal distribution above x, to 1e-7, from its density at x.
 
-    Abramowitz and Stegun 26.2.17: a third of the time of an error function, since the density is known.
+    Abramowitz and Stegun 26.2.17: a third of the time of an error function, since the density is given.
     """
     t = 1.0 / (1.0 + 0.2316419 * abs(x))
     out = (

@@ -1,4 +1,4 @@
-"""What comes of a calibration: a rig, and how far it can be trusted."""
+"""Result of a calibration: a rig, and how far it can be trusted."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wavefield.calibration.bundle import Fit
-from wavefield.calibration.derived_uncertainty import Derived
 from wavefield.calibration.model_choice import Choice
 from wavefield.calibration.observations import Observations
+from wavefield.calibration.predicted_errors import PredictedErrors
 from wavefield.rig import Rig
 from wavefield.rig.lens import Array
 
@@ -26,17 +26,17 @@ class Calibration:
     problems : tuple of str
         Why not, and what to photograph again.
     notes : tuple of str
-        What was left out, and what a person should know.
+        What was left out, and other remarks.
     model : str
         The camera model, a name of `wavefield.calibration.model_choice.MODELS`.
     models : tuple of Choice
         The models that were compared.
     observations : Observations, optional
-        What the fit used.
+        The points that were fitted.
     fit : Fit, optional
         The joint fit.
-    derived : Derived, optional
-        What the uncertainty of the parameters means for pixels and for z.
+    predicted : PredictedErrors, optional
+        Uncertainty of pixels and of z that follows from that of the parameters.
     left_out : dict of str to int
         Points left out per view ("camera pose"), all of them where the view is.
     target_std : float
@@ -53,12 +53,12 @@ class Calibration:
     models: tuple[Choice, ...] = ()
     observations: Observations | None = None
     fit: Fit | None = None
-    derived: Derived | None = None
+    predicted: PredictedErrors | None = None
     left_out: Mapping[str, int] = field(default_factory=dict)
     target_std: float = 0.0
     reference: str = ""
 
     @property
     def node_offsets(self) -> Array:
-        """How far each of ``observations.nodes`` was found from its place on the target, (N, 3), metres."""
+        """Offset of each of ``observations.nodes`` from its position on the target, (N, 3), metres."""
         return np.zeros((0, 3)) if self.fit is None else self.fit.geometry.offset

@@ -1,27 +1,32 @@
-"""From target points to a rig: the whole way, with everything that can be wrong told in a sentence."""
+"""From target points to a rig, with a sentence for everything that may be wrong."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavefield.calibration.bundle import Fit, fit
-from wavefield.calibration.compare import chained
-from wavefield.calibration.derived_uncertainty import derive
 from wavefield.calibration.findings import Findings
 from wavefield.calibration.model_choice import MODELS, Choice, choose, terms_of
 from wavefield.calibration.observations import Geometry, Observations, collect
+from wavefield.calibration.points import Mask
+from wavefield.calibration.pose_consistency import chained
+from wavefield.calibration.poses import Pose, mean_pose
+from wavefield.calibration.predicted_errors import predict_errors
 from wavefield.calibration.result import Calibration
-from wavefield.calibration.start import Alone, mean_rotation
+from wavefield.calibration.start import SingleCamera
 from wavefield.calibration.target import Target
 from wavefield.calibration.trust import assess_rig
 from wavefield.calibration.trust import provenance as own_provenance
-from wavefield.calibration.views import Views, agreeing, each_alone, sound_views
+from wavefield.calibration.views import Views, calibrate_each, consistent_cameras, usable_views
 from wavefield.rig import Rig
-from wavefield.rig.lens import LENS, Array
+from wavefield.rig.lens import LENS
 from wavefield.robust import robust_std
+
+OUTLIER_DEVIATIONS = 6.0  # of a point or view from the fit, over the typical deviation
+MIN_OUTLIER_VIEW_PX = 0.1  # a view that misses the fit by less is not left out
+MAX_ROUNDS = 4  # of leaving out outliers
 
 
 def calibrate(
@@ -39,7 +44,7 @@ def calibrate(
     Parameters
     ----------
     views : mapping of camera to mapping of pose to TargetPoints
-        What was found in each image. The same name of a pose is the same pose of the target for all
+        The points of each image. The same name of a pose is the same pose of the target for all
         cameras. Points of views that are ``placed`` are in the physical frame already (a target moved along
         z by known steps).
     target : Target or float
@@ -61,7 +66,7 @@ def calibrate(
     Returns
     -------
     Calibration
-        ``usable`` says whether it can be trusted, ``problems`` why not. Bad input gives no exception.
+        ``usable`` states whether it can be trusted, ``problems`` why not. Bad input gives no exception.
 
     Notes
     -----
@@ -91,26 +96,24 @@ def calibrate(
     mesh, origin = (target, (0.0, 0.0)) if isinstance(target, float | int) else (target.mesh, target.origin)
     flats = [name for name in ([flat] if isinstance(flat, str) else flat) if name]
     findings = Findings()
-    good = sound_views(views, findings)
-    alone = each_alone(good, mesh, origin, flats, findings)
-    if not alone:
+    usable = usable_views(views, findings)
+    single = calibrate_each(usable, mesh, origin, flats, findings)
+    if not single:
         if not findings.problems:
             findings.problems.append("no camera has a view of the target: photograph it with all cameras")
         return Calibration(
             Rig({}), False, tuple(findings.problems), tuple(findings.notes), left_out=findings.left_out
         )
-    together = agreeing(alone, good, mesh, findings)
-    observations = collect({name: dict(good[name]) for name in together}, mesh, origin)
-    frame = _frame(observations, flats, findings)
-    geometry = _together(observations, together, frame)
-    observations, result, chosen, table = _settle(
+    consistent = consistent_cameras(single, usable, mesh, findings)
+    observations = collect({name: usable[name] for name in consistent}, mesh, origin)
+    frame = _physical_frame(observations, flats, findings)
+    geometry = _start(observations, consistent, frame)
+    observations, result, chosen, table = _fit_and_choose(
         observations, geometry, frame, terms_of(model), target_std, findings
     )
-    derived = derive(observations, result, frame.level)
-    assess_rig(observations, result, derived, target_std, camera_distance or {}, findings)
-    cameras = {
-        name: result.geometry.camera(c, observations.sizes[c]) for c, name in enumerate(observations.cameras)
-    }
+    predicted = predict_errors(observations, result, frame.level)
+    assess_rig(observations, result, predicted, target_std, camera_distance or {}, findings)
+    cameras = dict(zip(observations.cameras, result.geometry.cameras(observations.sizes), strict=True))
     calibration = Calibration(
         Rig(cameras),
         not findings.problems,
@@ -120,7 +123,7 @@ def calibrate(
         tuple(table),
         observations,
         result,
-        derived,
+        predicted,
         findings.left_out,
         target_std,
         observations.poses[frame.reference],
@@ -129,25 +132,22 @@ def calibrate(
 
 
 @dataclass(frozen=True)
-class _Frame:
-    """What defines the physical frame: a pose that is not moved, and others on its plane, or all placed."""
+class _PhysicalFrame:
+    """The poses that define the frame: one that is not moved, and others on its plane, or all placed."""
 
     reference: int
-    flat: tuple[int, ...]
-    placed: tuple[int, ...]
-    level: bool  # whether z = 0 is known
+    flat: tuple[int, ...] = ()
+    placed: tuple[int, ...] = ()
+    level: bool = True  # whether z = 0 is given
 
 
-def _frame(observations: Observations, flats: Sequence[str], findings: Findings) -> _Frame:
-    """The pose that defines the frame."""
+def _physical_frame(observations: Observations, flats: Sequence[str], findings: Findings) -> _PhysicalFrame:
     o = observations
-    placed = tuple(o.placed)
+    if o.placed:  # the frame is that of the stated positions
+        return _PhysicalFrame(o.placed[0], placed=o.placed)
     flat = tuple(o.poses.index(name) for name in flats if name in o.poses)
-    if placed:
-        flat = tuple(p for p in flat if p in placed)  # the frame is that of the stated positions
-        return _Frame(placed[0], (), placed, True)
     if flat:
-        return _Frame(flat[0], flat, (), True)
+        return _PhysicalFrame(flat[0], flat)
     if flats:
         findings.problems.append(
             f"no camera has a usable flat view ({', '.join(flats)}): photograph the target on the plane z = 0"
@@ -157,30 +157,26 @@ def _frame(observations: Observations, flats: Sequence[str], findings: Findings)
             f"no flat view: z = 0 is the target's plane in view {o.poses[0]}; "
             "level the rig on the water at rest before measuring"
         )
-    # the pose that most cameras saw
-    seen = [len(np.unique(o.camera[o.pose == p])) for p in range(len(o.poses))]
-    return _Frame(int(np.argmax(seen)), (), (), False)
+    n_cameras = [len(np.unique(o.camera[o.pose == p])) for p in range(len(o.poses))]
+    return _PhysicalFrame(int(np.argmax(n_cameras)), level=False)
 
 
-def _together(observations: Observations, alone: Mapping[str, Alone], frame: _Frame) -> Geometry:
-    """All cameras and poses in the frame of the reference pose, from what each camera found on its own."""
+def _start(observations: Observations, single: Mapping[str, SingleCamera], frame: _PhysicalFrame) -> Geometry:
+    """All cameras and poses in the frame of the reference pose, from each camera's own calibration."""
     o = observations
-    pose = o.poses[frame.reference]
-    first = max(alone, key=lambda n: (pose in alone[n].poses, len(alone[n].poses)))
-    links = chained(alone, first)
-    in_first: dict[str, tuple[Array, Array]] = {}
+    reference = o.poses[frame.reference]
+    first = max(single, key=lambda n: (reference in single[n].poses, len(single[n].poses)))
+    links = chained(single, first)
+    in_first: dict[str, Pose] = {}  # poses of the target in the first camera's frame
     for p in o.poses:
         found = []
         for name, (R, t) in links.items():
-            if p in alone[name].poses:
-                Rp, tp = alone[name].poses[p]
+            if p in single[name].poses:
+                Rp, tp = single[name].poses[p]
                 found.append((R.T @ Rp, R.T @ (tp - t)))
-        in_first[p] = (
-            mean_rotation(np.stack([R for R, _ in found])),
-            np.median([t for _, t in found], axis=0),
-        )
-    Q, origin = in_first[pose]
-    lens = np.stack([alone[name].lens for name in o.cameras])
+        in_first[p] = mean_pose(found)
+    Q, origin = in_first[reference]
+    lens = np.stack([single[name].lens for name in o.cameras])
     R = np.stack([links[name][0] @ Q for name in o.cameras])
     T = np.stack([links[name][0] @ origin + links[name][1] for name in o.cameras])
     pose_R = np.stack([Q.T @ in_first[p][0] for p in o.poses])
@@ -195,36 +191,29 @@ def _together(observations: Observations, alone: Mapping[str, Alone], frame: _Fr
     return Geometry(lens, R, T, pose_R, pose_t, np.zeros((len(o.nodes), 3)))
 
 
-def _settle(
+def _fit_and_choose(
     observations: Observations,
     start: Geometry,
-    frame: _Frame,
+    frame: _PhysicalFrame,
     model: tuple[str, tuple[str, ...]] | None,
     target_std: float,
     findings: Findings,
 ) -> tuple[Observations, Fit, str, list[Choice]]:
-    """Joint fit, leaving out what does not fit, and the choice of the model."""
+    """Joint fit without outliers, and the choice of the model."""
     o = observations
     name, terms = model or ("paper", MODELS["paper"])
 
     def run(terms: tuple[str, ...], begin: Geometry, scale: float | None = None) -> Fit:
-        return fit(
-            o,
-            _restricted(begin, terms, o),
-            [terms] * len(o.cameras),
-            frame.reference,
-            frame.flat,
-            target_std,
-            scale,
-            frame.placed,
-        )
+        begin = _restricted(begin, terms, o)
+        models = [terms] * len(o.cameras)
+        return fit(o, begin, models, frame.reference, frame.flat, target_std, scale, frame.placed)
 
     result = run(terms, start)
-    for _ in range(4):
-        keep = _fitting(o, result, findings)
-        if keep.all():
+    for _ in range(MAX_ROUNDS):
+        inlier = _inliers(o, result, findings)
+        if inlier.all():
             break
-        o = o.only(keep)
+        o = o.only(inlier)
         result = run(terms, result.geometry)
     if model:
         return o, result, name, []
@@ -239,8 +228,7 @@ def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observat
     free = {"f": (0, 1), "c": (2, 3), "k1": (4,), "k2": (5,), "p": (6, 7), "k3": (8,), "tilt": (9, 10)}
     fixed = [column for term, columns in free.items() if term not in terms for column in columns]
     perfect = np.zeros_like(lens)
-    for c, size in enumerate(observations.sizes):
-        perfect[c, 2:4] = (size[0] - 1) / 2, (size[1] - 1) / 2
+    perfect[:, 2:4] = (np.array(observations.sizes) - 1) / 2
     lens[:, fixed] = perfect[:, fixed]
     lens[:, LENS.index("skew")] = 0.0
     if "aspect" not in terms:
@@ -248,31 +236,33 @@ def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observat
     return replace(geometry, lens=lens)
 
 
-def _fitting(o: Observations, result: Fit, findings: Findings) -> NDArray[np.bool_]:
-    """Which observations fit: whole views first, then points."""
-    size = np.abs(result.residual).max(axis=1) / o.std
+def _inliers(o: Observations, result: Fit, findings: Findings) -> Mask:
+    """Observations that fit: an outlier view is left out first, then single points."""
+    deviation = np.abs(result.residual).max(axis=1) / o.std
     view = o.camera * len(o.poses) + o.pose
-    scatter = {
-        v: robust_std((result.residual[view == v] / o.std[view == v, None]).ravel()) for v in np.unique(view)
+    spread = {
+        v: robust_std((result.residual[view == v] / o.std[view == v, None]).ravel())
+        for v in np.unique(view).tolist()
     }
-    usual = float(np.median(list(scatter.values())))
-    worst = max(scatter, key=lambda v: scatter[v])
+    typical = float(np.median(list(spread.values())))
+    worst = max(spread, key=lambda v: spread[v])
     px = robust_std(result.residual[view == worst].ravel())
-    if scatter[worst] > 6.0 * usual and px > 0.1 and len(scatter) > 4:
-        findings.leave_out(
-            *_view(o, worst),
-            int((view == worst).sum()),
-            f"its points miss the common fit by {px:.2f} px, {scatter[worst] / usual:.0f} times "
+
+    def leave_out(v: int, points: Mask, reason: str = "") -> None:
+        camera, pose = divmod(v, len(o.poses))
+        findings.leave_out(o.cameras[camera], o.poses[pose], int(points.sum()), reason)
+
+    if spread[worst] > OUTLIER_DEVIATIONS * typical and px > MIN_OUTLIER_VIEW_PX and len(spread) > 4:
+        leave_out(
+            worst,
+            view == worst,
+            f"its points miss the common fit by {px:.2f} px, {spread[worst] / typical:.0f} times "
             "as much as those of the other views (target moved or bent, image blurred?)",
         )
-        others: NDArray[np.bool_] = view != worst
+        others: Mask = view != worst
         return others
-    limit = 6.0 * np.array([max(scatter[v], usual) for v in view.tolist()])
-    keep: NDArray[np.bool_] = size <= limit
-    for v in np.unique(view[~keep]).tolist():
-        findings.leave_out(*_view(o, v), int((~keep & (view == v)).sum()))
-    return keep
-
-
-def _view(o: Observations, index: int) -> tuple[str, str]:
-    return o.cameras[index // len(o.poses)], o.poses[index % len(o.poses)]
+    limit = OUTLIER_DEVIATIONS * np.array([max(spread[v], typical) for v in view.tolist()])
+    inlier: Mask = deviation <= limit
+    for v in np.unique(view[~inlier]).tolist():
+        leave_out(v, ~inlier & (view == v))
+    return inlier

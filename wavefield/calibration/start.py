@@ -1,51 +1,52 @@
 """Starting values: each camera on its own, by Zhang's method."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from wavefield.calibration.bundle import Fit, fit
+from wavefield.calibration.bundle import fit
+from wavefield.calibration.limits import LIMITS
 from wavefield.calibration.observations import Geometry, Observations
+from wavefield.calibration.poses import Pose
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import LENS, Array
 from wavefield.robust import robust_std
 
-FEWEST_NODES = 12  # of the target in a view
+MAX_HOMOGRAPHY_MISFIT = 8.0  # px: of an inlier, before the lens distortion is fitted
+FOCAL_LENGTHS = 0.2, 200.0  # image widths: outside of this range a focal length is not plausible
+MAX_MEDIAN_MISFIT = 0.02  # image widths: of points with known z
 
 
 @dataclass(frozen=True)
-class Alone:
+class SingleCamera:
     """One camera calibrated on its own."""
 
     lens: Array  # (12,): `LENS`
-    poses: dict[str, tuple[Array, Array]]  # (3, 3): Target to camera for each pose seen, metres
+    poses: dict[str, Pose]  # Target to camera for each pose observed
     rms: dict[str, float]  # Robust scatter of each view, px
     spread: float  # Largest angle between two views of the target, degrees
-    deep: bool = False  # Whether nodes in known places tell the focal length, however parallel the views
+    deep: bool = False  # Whether nodes of known height determine the focal length, however parallel the views
 
 
 def homography(plan: Array, pixel: Array) -> Array | None:
-    """Homography from the target's plane to the image, blunders and lens notwithstanding.
+    """Homography (3, 3) from the target's plane (n, 2), metres, to the image (n, 2), robust to outliers.
 
-    With plan (n, 2), metres; pixel (n, 2), px; returns (3, 3): None if the nodes lie on a line or agree with
-    no homography.
+    None if the nodes are on a line or consistent with no homography.
     """
     if len(plan) < 6 or np.linalg.matrix_rank(plan - plan.mean(0), tol=1e-9) < 2:
         return None
     cv2.setRNGSeed(1)
-    H, kept = cv2.findHomography(plan, pixel, cv2.RANSAC, 8.0, maxIters=500)
-    if H is None or kept.sum() < 0.5 * len(plan):
+    H, inliers = cv2.findHomography(plan, pixel, cv2.RANSAC, MAX_HOMOGRAPHY_MISFIT, maxIters=500)
+    if H is None or inliers.sum() < 0.5 * len(plan):
         return None
     return np.asarray(H, float)
 
 
 def focal_length(homographies: list[Array], centre: Array) -> float | None:
-    """Focal length from plane views, square pixels and a known principal point assumed.
+    """Focal length, px, from plane views, square pixels and a known principal point assumed.
 
     Zhang (2000): with w = diag(u, u, 1), u = 1/f^2, h1^T w h2 = 0 and h1^T w h1 = h2^T w h2.
-
-    With homographies (3, 3); centre (2,), px.
     """
     shift = np.eye(3)
     shift[:2, 2] = -centre
@@ -61,38 +62,43 @@ def focal_length(homographies: list[Array], centre: Array) -> float | None:
     return float(1.0 / np.sqrt(u)) if u > 0.0 else None
 
 
-def plane_pose(H: Array, lens: Array) -> tuple[Array, Array]:
-    """Pose of a plane from its homography.
+def _pinhole(f: float, size: tuple[int, int]) -> tuple[Array, Array]:
+    """A lens without distortion as `LENS` (12,) and as a camera matrix (3, 3)."""
+    cx, cy = (size[0] - 1) / 2, (size[1] - 1) / 2
+    lens = np.zeros(len(LENS))
+    lens[:4] = f, f, cx, cy
+    return lens, np.array([[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]])
 
-    With H (3, 3); lens (12,); returns R, t (3, 3): Plane to camera, metres.
-    """
-    K = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
+
+def plane_pose(H: Array, K: Array) -> Pose:
+    """Pose of a plane, to the camera of matrix K (3, 3), from its homography."""
     h = np.linalg.solve(K, H)
     h /= 0.5 * (np.linalg.norm(h[:, 0]) + np.linalg.norm(h[:, 1]))
     if h[2, 2] < 0.0:  # in front of the camera
         h = -h
     U, _, V = np.linalg.svd(np.column_stack([h[:, :2], np.cross(h[:, 0], h[:, 1])]))
-    return U @ V, h[:, 2]
+    rotation: Array = U @ V
+    return rotation, np.asarray(h[:, 2], float)
 
 
-def calibrate_alone(observations: Observations) -> Alone:
+def calibrate_single(observations: Observations) -> SingleCamera:
     """Calibrate one camera by Zhang's method, then by a fit of its own."""
     o = observations
-    start, seen, deep = _from_places(o) if o.placed else _from_planes(o)
-    used = o.only(np.isin(o.pose, seen))
-    terms = ("f", "k1") if len(seen) < 3 else ("f", "c", "k1")
-    result: Fit = fit(used, start, [terms], seen[0], placed=o.placed)
+    start, poses = _from_known_heights(o) if o.placed else _from_planes(o)
+    used = o.only(np.isin(o.pose, poses))
+    terms = ("f", "k1") if len(poses) < 3 else ("f", "c", "k1")
+    result = fit(used, start, [terms], poses[0], placed=o.placed)
     g = result.geometry
-    found = {o.poses[p]: (g.R[0] @ g.pose_R[p], g.R[0] @ g.pose_t[p] + g.T[0]) for p in seen}
-    rms = {o.poses[p]: robust_std(result.residual[used.pose == p]) for p in seen}
-    normals = np.stack([R[:, 2] for R, _ in found.values()])
+    fitted = {o.poses[p]: (g.R[0] @ g.pose_R[p], g.R[0] @ g.pose_t[p] + g.T[0]) for p in poses}
+    rms = {o.poses[p]: robust_std(result.residual[used.pose == p]) for p in poses}
+    normals = np.stack([R[:, 2] for R, _ in fitted.values()])
     spread = float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)).max()))
-    return Alone(g.lens[0], found, rms, spread, deep)
+    return SingleCamera(g.lens[0], fitted, rms, spread, deep=bool(o.placed))
 
 
-def _from_planes(o: Observations) -> tuple[Geometry, list[int], bool]:
-    """Start from views of a plane target in unknown positions (Zhang's method)."""
-    (name,) = o.cameras
+def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
+    """Start from views of a plane target in unknown poses (Zhang's method), and the poses found."""
+    (name,), (size,) = o.cameras, o.sizes
     maps: dict[int, Array] = {}
     depth: dict[int, float] = {}
     for p in range(len(o.poses)):
@@ -109,102 +115,75 @@ def _from_planes(o: Observations) -> tuple[Geometry, list[int], bool]:
             maps[p] = H
     if not maps:
         raise CalibrationError(f"no view of {name} shows a plane target: photograph it again")
-    centre = np.array([(n - 1) / 2 for n in o.sizes[0]])
-    f = focal_length(list(maps.values()), centre)
-    if f is None or not 0.2 * max(o.sizes[0]) < f < 200 * max(o.sizes[0]):
+    f = focal_length(list(maps.values()), np.array([(n - 1) / 2 for n in size]))
+    shortest, longest = (width * max(size) for width in FOCAL_LENGTHS)
+    if f is None or not shortest < f < longest:
         raise CalibrationError(
-            f"the views of {name} do not tell its focal length (all are parallel to its sensor, or show no "
-            "plane target): photograph the target tilted by 20 to 40 degrees, to several sides, or state the "
-            "heights of a target that was moved along z"
+            f"the views of {name} do not determine its focal length (all are parallel to its sensor, or show "
+            "no plane target): photograph the target tilted by 20 to 40 degrees, to several sides, or state "
+            "the heights of a target that was moved along z"
         )
-    lens = np.zeros(len(LENS))
-    lens[:4] = f, f, *centre
-    poses = {p: plane_pose(H, lens) for p, H in maps.items()}
-    poses = {p: (R, t - depth[p] * R[:, 2]) for p, (R, t) in poses.items()}
-    count = len(o.poses)
+    lens, K = _pinhole(f, size)
+    pose_R, pose_t = np.tile(np.eye(3), (len(o.poses), 1, 1)), np.zeros((len(o.poses), 3))
+    for p, H in maps.items():
+        R, t = plane_pose(H, K)
+        pose_R[p], pose_t[p] = R, t - depth[p] * R[:, 2]
     start = Geometry(
-        lens[None],
-        np.eye(3)[None],
-        np.zeros((1, 3)),
-        np.stack([poses[p][0] if p in poses else np.eye(3) for p in range(count)]),
-        np.stack([poses[p][1] if p in poses else np.zeros(3) for p in range(count)]),
-        np.zeros((len(o.nodes), 3)),
+        lens[None], np.eye(3)[None], np.zeros((1, 3)), pose_R, pose_t, np.zeros((len(o.nodes), 3))
     )
     # the frame is the camera's own: its pose stays, all target poses move
-    return _seen_from(start, min(maps)), sorted(maps), False
+    return _in_frame_of_pose(start, min(maps)), sorted(maps)
 
 
-def _from_places(o: Observations) -> tuple[Geometry, list[int], bool]:
-    """Start from nodes in known places: the focal length by which they are seen best."""
-    (name,) = o.cameras
+def _from_known_heights(o: Observations) -> tuple[Geometry, list[int]]:
+    """Start from nodes in known positions: the focal length with the smallest misfit, and the poses found."""
+    (name,), (size,) = o.cameras, o.sizes
     rows = np.isin(o.pose, o.placed)
     points, pixel = o.plan[o.node[rows]], o.pixel[rows]
     if np.ptp(points[:, 2]) <= 0.0:
         raise CalibrationError(
-            f"all points of {name} with known z lie in one plane, which does not tell its focal length: "
+            f"all points of {name} with known z are in one plane, which does not determine its focal length: "
             "move the target along z"
         )
-    best: tuple[float, Array, Array, Array] | None = None
-    for f in max(o.sizes[0]) * np.geomspace(0.3, 60.0, 28):
-        K = np.array([[f, 0.0, (o.sizes[0][0] - 1) / 2], [0.0, f, (o.sizes[0][1] - 1) / 2], [0.0, 0.0, 1.0]])
+    best: tuple[float, float, Array, Array] | None = None
+    for f in max(size) * np.geomspace(0.3, 60.0, 28):
+        K = _pinhole(f, size)[1]
         ok, rvec, tvec = cv2.solvePnP(points, pixel, K, np.zeros(4), flags=cv2.SOLVEPNP_SQPNP)
         if ok:
-            miss = cv2.projectPoints(points, rvec, tvec, K, np.zeros(4))[0][:, 0] - pixel
-            size = float(np.median(np.hypot(*miss.T)))
-            if best is None or size < best[0]:
+            residual = cv2.projectPoints(points, rvec, tvec, K, np.zeros(4))[0][:, 0] - pixel
+            misfit = float(np.median(np.hypot(*residual.T)))
+            if best is None or misfit < best[0]:
                 turn: Array = np.asarray(cv2.Rodrigues(rvec)[0], float)
-                best = size, K, turn, np.asarray(tvec, float).ravel()
-    if best is None or best[0] > 0.02 * max(o.sizes[0]):
+                best = misfit, f, turn, np.asarray(tvec, float).ravel()
+    if best is None or best[0] > MAX_MEDIAN_MISFIT * max(size):
         raise CalibrationError(
             f"the points of {name} with known z do not fit a camera: are indices, mesh and heights (metres) "
             "right?"
         )
-    _, K, R, T = best
-    lens = np.zeros(len(LENS))
-    lens[:4] = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    _, f, R, T = best
+    lens, K = _pinhole(f, size)
     count = len(o.poses)
     pose_R, pose_t = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
-    seen = sorted(set(o.placed))
-    for p in range(count):  # tilted views beside those in known places
-        mine = o.pose == p
-        if p in o.placed or mine.sum() < FEWEST_NODES:
+    poses = sorted(set(o.placed))
+    for p in range(count):  # tilted views in addition to those in known positions
+        own = o.pose == p
+        if p in o.placed or own.sum() < LIMITS.min_nodes:
             continue
-        ok, rvec, tvec = cv2.solvePnP(o.plan[o.node[mine]], o.pixel[mine], K, np.zeros(4))
+        ok, rvec, tvec = cv2.solvePnP(o.plan[o.node[own]], o.pixel[own], K, np.zeros(4))
         if ok:
             view = np.asarray(cv2.Rodrigues(rvec)[0], float)
             pose_R[p], pose_t[p] = R.T @ view, R.T @ (tvec.ravel() - T)
-            seen.append(p)
-    geometry = Geometry(lens[None], R[None], T[None], pose_R, pose_t, np.zeros((len(o.nodes), 3)))
-    return geometry, seen, True
+            poses.append(p)
+    return Geometry(lens[None], R[None], T[None], pose_R, pose_t, np.zeros((len(o.nodes), 3))), poses
 
 
-def _seen_from(geometry: Geometry, pose: int) -> Geometry:
+def _in_frame_of_pose(geometry: Geometry, pose: int) -> Geometry:
     """The geometry of one camera in the frame of one pose of the target."""
     Q, o = geometry.pose_R[pose], geometry.pose_t[pose]
-    return Geometry(
-        geometry.lens,
-        geometry.R @ Q,
-        geometry.R @ o + geometry.T,
-        Q.T @ geometry.pose_R,
-        (geometry.pose_t - o) @ Q,
-        geometry.offset,
+    return replace(
+        geometry,
+        R=geometry.R @ Q,
+        T=geometry.R @ o + geometry.T,
+        pose_R=Q.T @ geometry.pose_R,
+        pose_t=(geometry.pose_t - o) @ Q,
     )
-
-
-def mean_rotation(rotations: Array) -> Array:
-    """Mean of rotations that are near each other.
-
-    With rotations (n, 3, 3); returns (3, 3): The rotation nearest to their mean.
-    """
-    U, _, V = np.linalg.svd(np.mean(rotations, axis=0))
-    nearest: Array = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
-    return nearest
-
-
-def angle_between(A: Array, B: Array) -> float:
-    """Angle of the rotation from one orientation to another.
-
-    With A, B (3, 3).
-    """
-    chord = np.linalg.norm(A - B) / np.sqrt(8.0)
-    return float(np.degrees(2.0 * np.arcsin(min(chord, 1.0))))

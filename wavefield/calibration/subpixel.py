@@ -4,20 +4,21 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from wavefield.calibration.profile import PLACES, at, profile_of
+from wavefield.calibration.points import Image, Mask
+from wavefield.calibration.profile import PLACES, profile_at, profile_of
 from wavefield.compiled import compiled
+from wavefield.rig.lens import Array
 from wavefield.robust import PER_MEDIAN
 
-Array = NDArray[np.float64]
 Pair = tuple[float, float]
 
 # order of the parameters of one crossing
 CX, CY, ANGLE1, ANGLE2, WIDTH1, WIDTH2, FLUX1, FLUX2, GROUND, SLOPE_X, SLOPE_Y, OVERLAP = range(12)
 COUNT = 12
 LINEAR = 6  # the parameters from FLUX1 on enter linearly
-CLOSE = 2e-4  # px
+TOLERANCE = 2e-4  # px: a fit ends when the centre moves less
+MAX_ARM = 18.0  # px: of a string on either side of a crossing
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,12 @@ class Crossings:
     arms: Array  # (n, 4): Brightness of each of the four arms relative to its string's
     misfit: Array  # (n,): Residual relative to the noise; about 1 where the model holds
     parameters: Array  # (n, 12): All parameters, to start a further fit from
-    # (n, 4): Mean grey and mean squared residual beside the strings, and the same on the strings
+    # (n, 4): Mean grey and mean squared residual next to the strings, and the same on the strings
     noise: Array
+
+    def only(self, keep: Mask) -> "Crossings":
+        """Some of the crossings."""
+        return Crossings(**{name: value[keep] for name, value in vars(self).items()})
 
 
 @compiled()
@@ -66,8 +71,8 @@ def _cholesky_solve(a: Array, b: Array, n: int) -> bool:
 
 
 @compiled()
-def _pixels_near(image: Array, start: Array, arm1: Array, arm2: Array, band: float) -> Array:
-    """Pixels of the parallelogram of the arms that lie close to either string: x, y and value, (3, n)."""
+def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: float) -> Array:
+    """Pixels of the parallelogram of the arms that are close to either string: x, y and value, (3, n)."""
     rows, columns = image.shape
     det = arm1[0] * arm2[1] - arm1[1] * arm2[0]
     wide, tall = abs(arm1[0]) + abs(arm2[0]), abs(arm1[1]) + abs(arm2[1])
@@ -113,8 +118,8 @@ def _rows(
     for k in range(pixels.shape[1]):
         dx, dy = pixels[0, k] - p[CX], pixels[1, k] - p[CY]
         d1, d2 = -s1 * dx + c1 * dy, -s2 * dx + c2 * dy
-        f1, g1, u1 = at(profile1, inverse1, d1)
-        f2, g2, u2 = at(profile2, inverse2, d2)
+        f1, g1, u1 = profile_at(profile1, inverse1, d1)
+        f2, g2, u2 = profile_at(profile2, inverse2, d2)
         model = (
             p[GROUND]
             + p[SLOPE_X] * dx
@@ -126,7 +131,7 @@ def _rows(
         r = pixels[2, k] - model
         w = 1.0 / math.sqrt(variance[0] + variance[1] * max(model, 0.0))
         misses[0, k], misses[1, k] = r, abs(r) * w
-        t = min(misses[1, k] / spread, 1.0)  # biweight: what lies beyond six deviations has no say
+        t = min(misses[1, k] / spread, 1.0)  # biweight: residuals beyond six deviations have no weight
         count += t < 1.0
         w *= 1.0 - t * t
         rows[0, k], rows[1, k], rows[2, k] = w * f1, w * f2, w
@@ -218,7 +223,7 @@ def _evaluate(
     arms: Array,
     noise: Array,
 ) -> None:
-    """Is each arm there, and how noisy are ground and strings."""
+    """Brightness of each arm relative to its string, and noise of ground and strings."""
     c1, s1, c2, s2 = math.cos(angles[0]), math.sin(angles[0]), math.cos(angles[1]), math.sin(angles[1])
     v1, v2 = math.sqrt(blur * blur + p[WIDTH1] / 3.0), math.sqrt(blur * blur + p[WIDTH2] / 3.0)
     profile1, profile2 = np.empty((PLACES, 3)), np.empty((PLACES, 3))
@@ -230,8 +235,8 @@ def _evaluate(
     for k in range(pixels.shape[1]):
         dx, dy, value, residual = pixels[0, k] - p[CX], pixels[1, k] - p[CY], pixels[2, k], misses[0, k]
         d1, d2 = -s1 * dx + c1 * dy, -s2 * dx + c2 * dy
-        f1, _, _ = at(profile1, inverse1, d1)
-        f2, _, _ = at(profile2, inverse2, d2)
+        f1, _, _ = profile_at(profile1, inverse1, d1)
+        f2, _, _ = profile_at(profile2, inverse2, d2)
         above = value - p[GROUND] - p[SLOPE_X] * dx - p[SLOPE_Y] * dy
         if abs(d1) < v1 and abs(d2) > 2.5 * v2:
             arm = 0 if c1 * dx + s1 * dy > 0 else 1
@@ -300,30 +305,17 @@ def _fit_one(
 
 @compiled()
 def _fit_all(
-    image: Array,
-    arm1: Array,
-    arm2: Array,
-    blur: float,
-    band: Array,
-    variance: Pair,
-    parameters: Array,
-    covariance: Array,
-    arms: Array,
-    noise: Array,
-    misfit: Array,
-    close: float,
+    image: Image, arms: Array, blur: float, band: Array, variance: Pair, close: float, p: Array, out: Array
 ) -> None:
-    for k in range(len(parameters)):
-        p = parameters[k]
-        pixels = _pixels_near(image, p, arm1[k], arm2[k], band[k])
-        misfit[k] = _fit_one(pixels, blur, variance, p, covariance[k], arms[k], noise[k], close)
+    """Fit crossings with arms (n, 2, 2): parameters p (n, 12) in place, results (n, 11) as sliced below."""
+    for k in range(len(p)):
+        pixels = _pixels_near(image, p[k], arms[k, 0], arms[k, 1], band[k])
+        covariance, brightness, noise = out[k, :2], out[k, 2:6], out[k, 6:10]
+        out[k, 10] = _fit_one(pixels, blur, variance, p[k], covariance, brightness, noise, close)
 
 
 def start_parameters(pixel: Array, slopes: Array, sigma: float, blur: float) -> Array:
-    """Parameters to begin a fit with: brightness is left to the fit's first, linear step.
-
-    With pixel (n, 2), px; slopes (n, 2, 2), px; sigma, px; blur, px; returns (n, 12).
-    """
+    """Parameters (n, 12) to begin a fit with, all lengths in px; the first, linear step fits the rest."""
     p = np.zeros((len(pixel), COUNT))
     p[:, CX], p[:, CY] = pixel.T
     p[:, ANGLE1] = np.arctan2(slopes[:, 0, 1], slopes[:, 0, 0])
@@ -333,44 +325,30 @@ def start_parameters(pixel: Array, slopes: Array, sigma: float, blur: float) -> 
 
 
 def fit_crossings(
-    image: NDArray[np.float32],
+    image: Image,
     start: Array,
     slopes: Array,
     blur: float,
     noise: tuple[float, float] = (1.0, 0.0),
-    longest: float = 18.0,
-    close: float = CLOSE,
+    tolerance: float = TOLERANCE,
 ) -> Crossings:
     """Fit two crossing strings to the pixels around each expected crossing.
 
-    Twelve parameters: centre, two directions, two squared half widths, two fluxes, a plane ground, and
-    what is missing in brightness where the strings overlap. A string is a box convolved with a Gaussian.
-    Damped Gauss-Newton with biweights at six robust deviations.
-
-    With image (row, column); start (n, 12); slopes (n, 2, 2), px; blur, px; longest, px; close, px.
+    Twelve parameters (start, (n, 12)): centre, two directions, two squared half widths, two fluxes, a plane
+    ground, and the brightness missing where the strings overlap. A string is a box convolved with a Gaussian
+    (blur, px). Damped Gauss-Newton with biweights at six robust deviations.
     """
-    n = len(start)
     parameters = np.array(start, float)
-    covariance = np.full((n, 2), np.inf)
-    arms, quiet, misfit = np.zeros((n, 4)), np.zeros((n, 4)), np.full(n, -1.0)
     length = np.hypot(slopes[..., 0], slopes[..., 1])
-    arm = slopes * (np.minimum(0.45, longest / np.maximum(length, 1e-9)))[..., None]
+    arms = slopes * (np.minimum(0.45, MAX_ARM / np.maximum(length, 1e-9)))[..., None]
     variance = blur**2 + start[:, WIDTH1 : WIDTH2 + 1].max(1) / 3.0
     band = 3.0 * np.sqrt(np.maximum(variance, 0.25)) + 1.5
-    _fit_all(
-        np.ascontiguousarray(image, np.float32),
-        np.ascontiguousarray(arm[:, 0]),
-        np.ascontiguousarray(arm[:, 1]),
-        float(blur),
-        band,
-        (float(noise[0]), float(noise[1])),
-        parameters,
-        covariance,
-        arms,
-        quiet,
-        misfit,
-        float(close),
-    )
+    results = np.zeros((len(start), 11))
+    results[:, :2], results[:, 10] = np.inf, -1.0
+    pixels = np.ascontiguousarray(image, np.float32)
+    grey_variance = float(noise[0]), float(noise[1])
+    _fit_all(pixels, arms, float(blur), band, grey_variance, float(tolerance), parameters, results)
+    covariance, misfit = results[:, :2], results[:, 10]
     good = (misfit >= 0) & np.isfinite(parameters).all(1) & (covariance > 0).all(1)
     # the biweight makes Gaussian residuals smaller by a factor 1.08 than it makes the estimate sharper
     std = np.where(good, 1.08 * np.sqrt(np.where(good, covariance.sum(1), 0) / 2), np.inf)
@@ -380,8 +358,8 @@ def fit_crossings(
         angle=parameters[:, ANGLE1 : ANGLE2 + 1],
         sigma=np.sqrt(np.maximum(blur**2 + parameters[:, WIDTH1 : WIDTH2 + 1] / 3.0, 1e-6)),
         flux=parameters[:, FLUX1 : FLUX2 + 1],
-        arms=arms,
+        arms=results[:, 2:6],
         misfit=misfit,
         parameters=parameters,
-        noise=quiet,
+        noise=results[:, 6:10],
     )

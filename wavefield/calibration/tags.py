@@ -4,75 +4,61 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.calibration.patterns import as_bytes, make_points, shape_of
-from wavefield.calibration.points import TargetPoints
+from wavefield.calibration.points import Image, Nodes, TargetPoints
+from wavefield.calibration.printed_points import (
+    as_bytes,
+    corner_subpixel,
+    make_points,
+    marker_dictionary,
+    shape_of,
+)
 from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
+from wavefield.rig.lens import Array
 
-Array = NDArray[np.float64]
-
-_FEWEST = 8  # tags
+MIN_TAGS = 8
 
 
-def find_aprilgrid(image: NDArray[np.float32], target: Target) -> TargetPoints:
-    """Find the middles of the tags of an AprilGrid, also when it is partly out of view.
-
-    With image (row, column).
-    """
+def find_aprilgrid(image: Image, target: Target) -> TargetPoints:
+    """Find the middles of the tags of an AprilGrid, also when it is partly out of view."""
     nx, ny = shape_of(target)
-    code = getattr(cv2.aruco, target.dictionary, None)
-    if not isinstance(code, int):
-        raise CalibrationError(
-            f"tag family {target.dictionary!r} is not known; use OpenCV's name, e.g. DICT_APRILTAG_36h11"
-        )
-    ids, corners, edge = _detect(as_bytes(image), code)
-    known = (ids < nx * ny) & (np.bincount(ids, minlength=nx * ny)[ids] == 1)
-    room = np.array([_half(tag, edge) + 2 for tag in corners])[:, None]  # for the window around each corner
+    ids, corners, border = _detect(as_bytes(image), marker_dictionary(target, "tag family"))
+    usable = (ids < nx * ny) & (np.bincount(ids, minlength=nx * ny)[ids] == 1)
+    margin = np.array([_half_window(tag, border) + 2 for tag in corners])[:, None]
     size = np.array(image.shape[::-1])
-    known &= ((corners.min(1) > room) & (corners.max(1) < size - 1 - room)).all(1)
-    ids, corners = ids[known], corners[known]
-    if len(ids) < _FEWEST:
+    usable &= ((corners.min(1) > margin) & (corners.max(1) < size - 1 - margin)).all(1)
+    ids, corners = ids[usable], corners[usable]
+    if len(ids) < MIN_TAGS:
         raise CalibrationError(
-            f"only {len(ids)} tags of an AprilGrid of {nx} x {ny} were found; at least {_FEWEST} are needed "
+            f"only {len(ids)} tags of an AprilGrid of {nx} x {ny} were found; at least {MIN_TAGS} are needed "
             "(check dictionary, focus and light, and that the image is not mirrored)"
         )
     node = np.stack([ids % nx, ids // nx], -1).astype(np.int64)
-    return make_points(image, node, _middles(_refined(image, corners, edge)), ())
+    refined = np.array([corner_subpixel(image, tag, _half_window(tag, border)) for tag in corners])
+    return make_points(image, node, _middles(refined))
 
 
-def _detect(image: NDArray[np.uint8], code: int) -> tuple[NDArray[np.int64], Array, float]:
-    """Numbers (n,) and corners (n, 4, 2) of tags, and what fraction of their sides their black border is.
+def _detect(image: NDArray[np.uint8], dictionary: cv2.aruco.Dictionary) -> tuple[Nodes, Array, float]:
+    """Numbers (n,) and corners (n, 4, 2) of tags, and the fraction of their sides that is black border.
 
     The border is two cells wide (Kalibr) or one.
     """
-    most: tuple[NDArray[np.int64], Array, float] = (np.empty(0, np.int64), np.empty((0, 4, 2)), 0.0)
-    dictionary = cv2.aruco.getPredefinedDictionary(code)
-    for border in (2, 1):
-        how = cv2.aruco.DetectorParameters()
-        how.markerBorderBits = border
-        how.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
-        corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, how).detectMarkers(image)
-        if ids is not None and len(ids) > len(most[0]):
-            edge = border / (dictionary.markerSize + 2 * border)
-            most = ids.ravel().astype(np.int64), np.asarray(corners, float).reshape(-1, 4, 2), edge
-    return most
+    best: tuple[Nodes, Array, float] = (np.empty(0, np.int64), np.empty((0, 4, 2)), 0.0)
+    for cells in (2, 1):
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.markerBorderBits = cells
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
+        corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)
+        if ids is not None and len(ids) > len(best[0]):
+            border = cells / (dictionary.markerSize + 2 * cells)
+            best = ids.ravel().astype(np.int64), np.asarray(corners, float).reshape(-1, 4, 2), border
+    return best
 
 
-def _refined(image: NDArray[np.float32], corners: Array, edge: float) -> Array:
-    """Corners where the edges of each tag cross, seen in windows that reach no cell within its border."""
-    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
-    out = np.empty_like(corners)
-    for k, tag in enumerate(corners):
-        half = _half(tag, edge)
-        start = tag.astype(np.float32).reshape(-1, 1, 2)
-        out[k] = cv2.cornerSubPix(image, start, (half, half), (-1, -1), criteria).reshape(-1, 2)
-    return out
-
-
-def _half(tag: Array, edge: float) -> int:
-    """Half of the side of a window that reaches no cell within a tag's border, px."""
+def _half_window(tag: Array, border: float) -> int:
+    """Half the side of a window that reaches no cell within a tag's border, px."""
     side = float(np.hypot(*(tag - np.roll(tag, 1, axis=0)).T).min())
-    return int(np.clip(0.8 * edge * side, 2, 15))
+    return int(np.clip(0.8 * border * side, 2, 15))
 
 
 def _middles(corners: Array) -> Array:

@@ -1,44 +1,40 @@
-"""Dots on two parallel planes, as stereo PIV has them: one level's lattice, then the other's, then the marks.
+"""Dots on two parallel planes, as in stereo PIV: one level's lattice, then the other's, then the marks.
 
-The dots of one level form a square lattice; those of the other lie in the middle of its cells, displaced by
+The dots of one level form a square lattice; those of the other are in the middle of its cells, displaced by
 the parallax between the levels, so that rows seem unevenly spaced. A square in place of a dot marks the
-origin, a triangle the x axis; both lie on one level.
+origin, a triangle the x axis; both are on one level.
 """
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from wavefield.calibration.blobs import centroid_bias, centroids, find_blobs
-from wavefield.calibration.patterns import make_points
-from wavefield.calibration.points import TargetPoints
+from wavefield.calibration.blobs import find_blobs
+from wavefield.calibration.points import Image, Mask, Nodes, TargetPoints
+from wavefield.calibration.printed_points import dot_centres, make_points
+from wavefield.calibration.smooth_map import SmoothMap
 from wavefield.calibration.target import Target
-from wavefield.calibration.target_lattice import Candidates, SmoothMap, TargetLattice
+from wavefield.calibration.target_lattice import Candidates, TargetLattice, cross, most_central
 from wavefield.errors import CalibrationError
+from wavefield.rig.lens import Array
 
-Array = NDArray[np.float64]
-Node = NDArray[np.int64]
-
-FEWEST = 12  # dots of a level
-_FULL = 0.7  # a blob's area over that of an ellipse of its moments; .83 for a triangle
-_OFF = 0.4  # of a cell: most that the parallax may set the other level's dots off the middles
-_ODD = 6.0  # robust deviations by which a mark differs from the usual dot
-_HALF = 0.4  # of all blobs: a level that has them needs no rival
-_REACH = 0.19  # of a cell of one level: what is looked at around a dot
-_PATCH = 25  # samples along each side of a dot's patch
+MIN_DOTS = 12  # of a level
+MIN_FULLNESS = 0.7  # a blob's area over that of an ellipse of its moments; 0.83 for a triangle
+MAX_PARALLAX = 0.4  # of a cell: most that the other level's dots may be off the middles
+MARK_DEVIATIONS = 6.0  # robust deviations by which a mark differs from the usual dot
+DECISIVE_FRACTION = 0.4  # of all blobs: a level that has them is taken without further trials
+PATCH_REACH = 0.19  # of a cell of one level: half the side of the patch around a dot
+PATCH_SAMPLES = 25  # along each side of it
 
 
-def find_two_level(image: NDArray[np.float32], target: Target) -> TargetPoints:
+def find_two_level(image: Image, target: Target) -> TargetPoints:
     """Find the dots of a two-level target, dark on bright or bright on dark, also partly out of view.
 
     The parallax between the levels must be less than a mesh, else dots are taken for their neighbours.
-
-    With image (row, column).
     """
-    best: tuple[int, NDArray[np.float32], _Level, _Level] | None = None
+    best: tuple[int, Image, _Level, _Level] | None = None
     for polarity in (image, 255.0 - image):
-        centre, area = find_blobs(polarity, _FULL)
+        centre, area = find_blobs(polarity, MIN_FULLNESS)
         one = _first_level(centre, area, polarity.shape[::-1])
         other = None if one is None else _second_level(one, centre)
         if one is not None and other is not None:
@@ -47,8 +43,8 @@ def find_two_level(image: NDArray[np.float32], target: Target) -> TargetPoints:
                 best = count, polarity, one, other
     if best is None:
         raise CalibrationError(
-            f"no two levels of at least {FEWEST} dots each were found; the target must be in focus, its dots "
-            "at least four pixels wide"
+            f"no two levels of at least {MIN_DOTS} dots each were found; the target must be in focus, its "
+            "dots at least four pixels wide"
         )
     _, polarity, one, other = best
     for marked, second in ((one, other), (other, one)):
@@ -64,165 +60,157 @@ def find_two_level(image: NDArray[np.float32], target: Target) -> TargetPoints:
 class _Level:
     """Dots of one level: indices of its own lattice, pixels, the map between.
 
-    In meshes a dot lies at ``2 node + shift``: the second level's lattice is set off by one.
+    In meshes a dot is at ``2 node + shift``: the second level's lattice is set off by one.
     """
 
-    def __init__(self, node: Node, pixel: Array, shift: int = 0) -> None:
+    def __init__(self, node: Nodes, pixel: Array, shift: int = 0) -> None:
         self.node, self.pixel, self.shift = node, pixel, shift
         self.smooth = SmoothMap(node, pixel, 2.0)
         slopes = self.smooth.slopes(node)
         self.side = float(np.median(np.hypot(slopes[..., 0], slopes[..., 1])))
 
-    @property
-    def meshes(self) -> Node:
-        """Places of the dots in meshes."""
-        return 2 * self.node + self.shift
-
     def index_of(self, pixel: Array) -> Array:
-        """Indices, not whole, of any pixels: the map inverted."""
+        """Fractional indices (n, 2) of any pixels: the map inverted."""
         inverse = np.linalg.inv(self.smooth.matrix)
         q = np.c_[pixel, np.ones(len(pixel))] @ inverse.T
-        at: Array = q[:, :2] / q[:, 2:]
+        index: Array = q[:, :2] / q[:, 2:]
         for _ in range(4):
-            slopes = np.moveaxis(self.smooth.slopes(at), 1, 2)
-            at = at + np.linalg.solve(slopes, (pixel - self.smooth(at))[..., None])[..., 0]
-        return at
+            slopes = np.moveaxis(self.smooth.slopes(index), 1, 2)
+            index = index + np.linalg.solve(slopes, (pixel - self.smooth(index))[..., None])[..., 0]
+        return index
 
 
-def _first_level(centre: Array, area: Array, size: tuple[int, int]) -> _Level | None:
+def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> _Level | None:
     """The largest lattice whose cells have a dot of the other level about their middle."""
-    if len(centre) < 2 * FEWEST:
+    if len(centre) < 2 * MIN_DOTS:
         return None
     tree = cKDTree(centre)
     best, most = None, 0
-    for k in np.argsort(np.hypot(*(centre - np.median(centre, 0)).T))[:5]:
-        for e1, e2 in _arms(centre, tree, int(k)):
+    for k in most_central(centre, 5):
+        for e1, e2 in _repeated_vectors(centre, tree, k):
             lattice = TargetLattice(centre[k], e1, e2)
             lattice.grow(Candidates(centre, area, 1.0), size)
-            if len(lattice) <= max(most, FEWEST - 1):
+            if len(lattice) <= max(most, MIN_DOTS - 1):
                 continue
-            level = _trimmed(lattice.node, lattice.pixel)
+            level = _without_outliers(lattice.node, lattice.pixel)
             if level is not None and len(level.node) > most and _middles_filled(level, centre):
                 best, most = level, len(level.node)
-                if most > _HALF * len(centre):
+                if most > DECISIVE_FRACTION * len(centre):
                     return best
     return best
 
 
-def _trimmed(node: Node, pixel: Array, shift: int = 0) -> _Level | None:
-    """The level without what does not lie where the others say."""
+def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> _Level | None:
+    """The level without dots that are off the smooth map through the others."""
     try:
         level = _Level(node, pixel, shift)
     except (ValueError, np.linalg.LinAlgError):
         return None
-    sound = level.smooth.misfit < max(6 * level.smooth.spread, 0.05 * level.side)
-    if sound.sum() < FEWEST:
+    inlier = level.smooth.misfit < max(6 * level.smooth.spread, 0.05 * level.side)
+    if inlier.sum() < MIN_DOTS:
         return None
-    return level if sound.all() else _Level(node[sound], pixel[sound], shift)
+    return level if inlier.all() else _Level(node[inlier], pixel[inlier], shift)
 
 
-def _arms(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array, Array]]:
+def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array, Array]]:
     """Pairs of vectors from a dot to others that repeat around it, shortest cells first."""
     _, near = tree.query(centre[k], min(22, len(centre)))
-    around = centre[near[1:]] - centre[k]
-    lengths = np.hypot(*around.T)
-    reach = cKDTree(around)
-    back = reach.query(-around)[0] < 0.15 * lengths  # a dot opposite
-    around = around[back]
+    vectors = centre[near[1:]] - centre[k]
+    ends = cKDTree(vectors)
+    vectors = vectors[ends.query(-vectors)[0] < 0.15 * np.hypot(*vectors.T)]  # with a dot opposite
     out = []
-    for a in range(len(around)):
-        for b in range(len(around)):
-            one, two = around[a], around[b]
-            cross = one[0] * two[1] - one[1] * two[0]
+    for one in vectors:
+        for two in vectors:
+            area = cross(one, two)
             size = np.hypot(*one) * np.hypot(*two)
             shorter = min(one @ one, two @ two)
-            if cross < 0.5 * size or one[0] < 0 or abs(one @ two) > 0.6 * shorter:
+            if area < 0.5 * size or one[0] < 0 or abs(one @ two) > 0.6 * shorter:
                 continue  # each lattice once, by its shortest vectors
-            if reach.query(one + two)[0] < 0.15 * np.sqrt(size):
-                out.append((cross, one, two))
+            if ends.query(one + two)[0] < 0.15 * np.sqrt(size):
+                out.append((area, one, two))
     out.sort(key=lambda row: row[0])
     return [(one, two) for _, one, two in out[:12]]
 
 
 def _middles_filled(level: _Level, centre: Array) -> bool:
-    """Whether the other dots lie about the middles of the cells, and not on their edges."""
-    rest = _others(level, centre)
-    if len(rest) < FEWEST:
+    """Whether the other dots are about the middles of the cells, and not on their edges."""
+    rest = _other_dots(level, centre)
+    if len(rest) < MIN_DOTS:
         return False
     off = np.mod(level.index_of(rest), 1.0) - 0.5
-    return bool(np.mean((np.abs(off) < _OFF).all(1)) > 0.8)
+    return bool(np.mean((np.abs(off) < MAX_PARALLAX).all(1)) > 0.8)
 
 
-def _others(level: _Level, centre: Array) -> Array:
-    """Dots that are not the level's own, where it reaches."""
-    taken, _ = cKDTree(level.pixel).query(centre)
-    rest = centre[taken > 0.1 * level.side]
+def _other_dots(level: _Level, centre: Array) -> Array:
+    """Dots within the level's extent that are not its own, (n, 2), px."""
+    distance, _ = cKDTree(level.pixel).query(centre)
+    rest = centre[distance > 0.1 * level.side]
     if not len(rest):
         return np.empty((0, 2))
-    at = level.index_of(rest)
-    out: Array = rest[((at > level.node.min(0) - 1.6) & (at < level.node.max(0) + 1.6)).all(1)]
+    index = level.index_of(rest)
+    out: Array = rest[((index > level.node.min(0) - 1.6) & (index < level.node.max(0) + 1.6)).all(1)]
     return out
 
 
 def _second_level(one: _Level, centre: Array) -> _Level | None:
     """The other level: dots off the middles of the first one's cells by a parallax that varies slowly."""
-    rest = _others(one, centre)
-    if len(rest) < FEWEST:
+    rest = _other_dots(one, centre)
+    if len(rest) < MIN_DOTS:
         return None
-    at = one.index_of(rest)
-    off = np.angle(np.exp(2j * np.pi * (at - 0.5)).mean(0)) / (2 * np.pi)
+    index = one.index_of(rest)
+    off = np.angle(np.exp(2j * np.pi * (index - 0.5)).mean(0)) / (2 * np.pi)
     for _ in range(3):  # first one parallax for all, then one that varies as a plane
-        node = np.floor(at - off).astype(np.int64)
-        left = at - node - 0.5
-        basis = np.c_[np.ones(len(at)), at]
-        sound = (np.abs(left - np.median(left - off, 0) - off) < 0.22).all(1)
-        if sound.sum() < FEWEST:
+        node = np.floor(index - off).astype(np.int64)
+        parallax = index - node - 0.5
+        basis = np.c_[np.ones(len(index)), index]
+        inlier = (np.abs(parallax - np.median(parallax - off, 0) - off) < 0.22).all(1)
+        if inlier.sum() < MIN_DOTS:
             return None
-        off = basis @ np.linalg.lstsq(basis[sound], left[sound], rcond=None)[0]
-    node = np.floor(at - off).astype(np.int64)
-    sound = (np.abs(at - node - 0.5 - off) < 0.15).all(1)
-    _, first = np.unique(node[sound], axis=0, return_index=True)
-    if len(first) < FEWEST:
+        off = basis @ np.linalg.lstsq(basis[inlier], parallax[inlier], rcond=None)[0]
+    node = np.floor(index - off).astype(np.int64)
+    inlier = (np.abs(index - node - 0.5 - off) < 0.15).all(1)
+    _, first = np.unique(node[inlier], axis=0, return_index=True)
+    if len(first) < MIN_DOTS:
         return None
-    return _trimmed(node[sound][first], rest[sound][first], shift=1)
+    return _without_outliers(node[inlier][first], rest[inlier][first], shift=1)
 
 
-def _marks(image: NDArray[np.float32], level: _Level) -> tuple[Node, Node] | None:
-    """Nodes of the square and of the triangle: the two dots that look unlike the usual one."""
+def _marks(image: Image, level: _Level) -> tuple[Nodes, Nodes] | None:
+    """Nodes of the square and of the triangle: the two dots that differ most from the usual one."""
     patch = _patches(image, level)
-    usual = np.median(patch, 0)
-    odd = np.abs(patch - usual).mean(1)
-    middle = np.median(odd)
-    spread = 1.4826 * np.median(np.abs(odd - middle)) + 1e-6
-    strange = np.flatnonzero(odd > middle + _ODD * spread)
-    if len(strange) < 2:
+    difference = np.abs(patch - np.median(patch, 0)).mean(1)
+    middle = np.median(difference)
+    spread = 1.4826 * np.median(np.abs(difference - middle)) + 1e-6
+    unusual = np.flatnonzero(difference > middle + MARK_DEVIATIONS * spread)
+    if len(unusual) < 2:
         return None
-    strange = strange[np.argsort(-odd[strange])][:2]
-    lean = [_lean(patch[k]) for k in strange]
-    square, triangle = strange[np.argsort(lean)]
-    if max(lean) < 2.0 * min(lean):  # a triangle leans to three sides, a square to none
+    unusual = unusual[np.argsort(-difference[unusual])][:2]
+    skewness = [_skewness(patch[k]) for k in unusual]
+    square, triangle = unusual[np.argsort(skewness)]
+    if max(skewness) < 2.0 * min(skewness):  # a square is symmetric
         return None
     return level.node[square], level.node[triangle]
 
 
-def _patches(image: NDArray[np.float32], level: _Level) -> Array:
+def _patches(image: Image, level: _Level) -> Array:
     """Surroundings of every dot in coordinates of the target, (n, samples), brightness 0 to 1."""
-    a = _REACH * np.linspace(-1, 1, _PATCH)
+    a = PATCH_REACH * np.linspace(-1, 1, PATCH_SAMPLES)
     offset = np.stack(np.meshgrid(a, a), -1).reshape(-1, 2)
-    at = level.smooth((level.node[:, None] + offset).reshape(-1, 2)).astype(np.float32)
+    places = level.smooth((level.node[:, None] + offset).reshape(-1, 2)).astype(np.float32)
     own = level.pixel - level.smooth(level.node)
-    at = at.reshape(len(level.node), -1, 2) + own[:, None].astype(np.float32)
-    values = cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    places = places.reshape(len(level.node), -1, 2) + own[:, None].astype(np.float32)
+    x, y = places[..., 0], places[..., 1]
+    values = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     low, high = np.percentile(values, [10, 95], axis=1, keepdims=True)
     out: Array = np.clip((values - low) / np.maximum(high - low, 1.0), 0, 1).astype(float)
-    out[:, np.hypot(*offset.T) > _REACH] = 0  # dots of the other level may lie in the corners
+    out[:, np.hypot(*offset.T) > PATCH_REACH] = 0  # dots of the other level may be in the corners
     return out
 
 
-def _lean(patch: Array) -> float:
-    """Third moments of a patch over those that its size lets expect: large for a triangle alone."""
+def _skewness(patch: Array) -> float:
+    """Third moments of a patch over its size cubed: large for a triangle, small for symmetric shapes."""
     light = np.where(patch > 0.3, patch, 0.0)
-    a = np.linspace(-1, 1, _PATCH)
+    a = np.linspace(-1, 1, PATCH_SAMPLES)
     x, y = (v.ravel() for v in np.meshgrid(a, a))
     total = light.sum()
     x, y = x - light @ x / total, y - light @ y / total
@@ -232,7 +220,7 @@ def _lean(patch: Array) -> float:
 
 
 def _numbered(
-    image: NDArray[np.float32], marked: _Level, second: _Level, marks: tuple[Node, Node], target: Target
+    image: Image, marked: _Level, second: _Level, marks: tuple[Nodes, Nodes], target: Target
 ) -> TargetPoints:
     """Nodes of both levels in meshes, x from the square to the triangle, right-handed seen from above."""
     square, triangle = marks
@@ -240,38 +228,23 @@ def _numbered(
     turns = [np.array(t) for t in ((1, 0), (0, 1), (-1, 0), (0, -1))]
     x = turns[int(np.argmax([t @ (triangle - square) for t in turns]))]
     y = np.array([-x[1], x[0]])
-    along, up = x @ slopes, y @ slopes
-    if along[0] * up[1] - along[1] * up[0] > 0:  # rows count down: seen from above y lies to the left of x
+    if cross(x @ slopes, y @ slopes) > 0:  # rows run downwards: seen from above y is to the left of x
         y = -y
     origin = 2 * square + marked.shift
-    parts = []
-    for level in (marked, second):
-        keep = np.ones(len(level.node), bool)
-        if level is marked:
-            keep = ~(level.node == square).all(1) & ~(level.node == triangle).all(1)
-        node = (level.meshes[keep] - origin) @ np.stack([x, y], -1)
-        parts.append(_measured(image, level, keep, node, target))
-    one, two = parts
-    depth = float(target.depth or 0.0)
+    no_mark = ~(marked.node == square).all(1) & ~(marked.node == triangle).all(1)
+
+    def located(level: _Level, dots: Mask) -> TargetPoints:
+        own = level.node[dots]
+        node = (2 * own + level.shift - origin) @ np.stack([x, y], -1)
+        pixel, noise, notes = dot_centres(image, own, level.pixel[dots], target, meshes=2)
+        return make_points(image, node, pixel, notes, noise)
+
+    one, two = located(marked, no_mark), located(second, np.ones(len(second.node), bool))
     return TargetPoints(
         np.concatenate([one.node, two.node]),
         np.concatenate([one.pixel, two.pixel]),
         np.concatenate([one.std, two.std]),
         one.size,
         tuple(dict.fromkeys((*one.notes, *two.notes))),
-        np.concatenate([np.zeros(len(one)), np.full(len(two), -depth)]),
+        np.concatenate([np.zeros(len(one)), np.full(len(two), -float(target.depth or 0.0))]),
     )
-
-
-def _measured(
-    image: NDArray[np.float32], level: _Level, keep: NDArray[np.bool_], node: Node, target: Target
-) -> TargetPoints:
-    """Dots of a level to a hundredth of a pixel."""
-    own = level.node[keep]
-    notes: tuple[str, ...] = ()
-    pixel, noise = centroids(image, 2 * own, level.pixel[keep])  # half a cell: the other level stays outside
-    if target.diameter is None:
-        notes = ("centroids not corrected for perspective: state the target's diameter",)
-    else:
-        pixel = pixel - centroid_bias(own, pixel, 0.25 * target.diameter / target.mesh)
-    return make_points(image, node, pixel, notes, noise)

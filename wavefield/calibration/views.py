@@ -1,50 +1,52 @@
-"""Views of the target before any fit: which of them can be used."""
+"""Views of the target before any joint fit: which of them can be used."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from wavefield.calibration.compare import ViewAgreement, compare, mirrored
 from wavefield.calibration.findings import Findings
+from wavefield.calibration.limits import LIMITS
 from wavefield.calibration.observations import collect
 from wavefield.calibration.points import TargetPoints
-from wavefield.calibration.start import FEWEST_NODES, Alone, calibrate_alone
+from wavefield.calibration.pose_consistency import PoseConsistency, compare_poses, mirrored
+from wavefield.calibration.start import SingleCamera, calibrate_single
 from wavefield.errors import CalibrationError
 
 Views = Mapping[str, Mapping[str, TargetPoints]]
-Good = dict[str, dict[str, TargetPoints]]
+UsableViews = dict[str, dict[str, TargetPoints]]
 
-SPREAD = 10.0  # degrees between views of the target, below which the focal length is a guess
+MIN_STD = 1e-4  # px: no image gives a smaller uncertainty
 
 
-def sound_views(views: Views, findings: Findings) -> Good:
+def usable_views(views: Views, findings: Findings) -> UsableViews:
     """Views with enough points, of one size per camera."""
-    good: Good = {}
-    for name, of_camera in views.items():
-        common = _common_size(name, of_camera, findings)
-        good[name] = {}
-        for pose, given in of_camera.items():
+    usable: UsableViews = {}
+    for name, by_pose in views.items():
+        size = _common_size(name, by_pose, findings)
+        usable[name] = {}
+        for pose, given in by_pose.items():
             points = _finite(given)
-            if tuple(points.size) != common:
+            if tuple(points.size) != size:
                 findings.leave_out(name, pose, len(points))
-            elif len(points) < FEWEST_NODES:
-                what = f"only {len(points)} nodes of the target" if len(points) else "no target"
-                findings.leave_out(name, pose, len(points), f"{what} found")
+            elif len(points) < LIMITS.min_nodes:
+                content = f"only {len(points)} nodes of the target" if len(points) else "no target"
+                findings.leave_out(name, pose, len(points), f"{content} found")
             else:
-                good[name][pose] = points
-        if not good[name]:
+                usable[name][pose] = points
+        if not usable[name]:
             findings.problems.append(f"no target was found in any view of {name}: photograph it again")
     if not views:
         findings.problems.append("there are no views of the target")
-    return good
+    return usable
 
 
 def _common_size(
-    name: str, of_camera: Mapping[str, TargetPoints], findings: Findings
+    name: str, by_pose: Mapping[str, TargetPoints], findings: Findings
 ) -> tuple[int, int] | None:
+    """Size of most of a camera's images; other sizes are a problem."""
     sizes: dict[tuple[int, int], list[str]] = {}
-    for pose, points in of_camera.items():
+    for pose, points in by_pose.items():
         sizes.setdefault((int(points.size[0]), int(points.size[1])), []).append(pose)
     if not sizes:
         return None
@@ -59,36 +61,33 @@ def _common_size(
 
 
 def _finite(points: TargetPoints) -> TargetPoints:
-    """Points that are numbers; no uncertainty is below what an image can give."""
-    sound = np.isfinite(points.pixel).all(axis=-1) & np.isfinite(points.std)
+    """Points that are numbers, with uncertainties that an image can give."""
+    finite = np.isfinite(points.pixel).all(axis=-1) & np.isfinite(points.std)
     return replace(
         points,
-        node=points.node[sound],
-        pixel=points.pixel[sound],
-        std=np.maximum(points.std[sound], 1e-4),
-        z=None if points.z is None else points.z[sound],
+        node=points.node[finite],
+        pixel=points.pixel[finite],
+        std=np.maximum(points.std[finite], MIN_STD),
+        z=None if points.z is None else points.z[finite],
     )
 
 
-def each_alone(
-    good: Good, mesh: float, origin: tuple[float, float], flats: Sequence[str], findings: Findings
-) -> dict[str, Alone]:
-    """Each camera calibrated on its own; views that are no plane grid are taken out of `good`.
-
-    With mesh, metres; origin (float, float), metres.
-    """
-    alone: dict[str, Alone] = {}
-    for name in good:
-        if not good[name]:
+def calibrate_each(
+    usable: UsableViews, mesh: float, origin: tuple[float, float], flats: Sequence[str], findings: Findings
+) -> dict[str, SingleCamera]:
+    """Each camera calibrated on its own; views that are no plane grid are removed from `usable`."""
+    single: dict[str, SingleCamera] = {}
+    for name, views in usable.items():
+        if not views:
             continue
         try:
-            alone[name] = calibrate_alone(collect({name: good[name]}, mesh, origin))
+            single[name] = calibrate_single(collect({name: views}, mesh, origin))
         except CalibrationError as error:
             findings.problems.append(str(error))
-    for name, camera in alone.items():
-        for pose in [p for p in good[name] if p not in camera.poses]:
-            findings.leave_out(name, pose, len(good[name].pop(pose)), "its points are no plane grid")
-        if camera.deep:  # positions of known height tell the focal length, however parallel
+    for name, camera in single.items():
+        for pose in [p for p in usable[name] if p not in camera.poses]:
+            findings.leave_out(name, pose, len(usable[name].pop(pose)), "its points are no plane grid")
+        if camera.deep:
             continue
         tilted = [p for p in camera.poses if p not in flats]
         if len(camera.poses) < 3:
@@ -96,57 +95,56 @@ def each_alone(
                 f"{name} has {len(camera.poses)} usable view{'s' * (len(camera.poses) != 1)} of the target; "
                 "photograph at least five tilted ones and a flat one"
             )
-        elif len(tilted) < 2 or camera.spread < SPREAD:
+        elif len(tilted) < 2 or camera.spread < LIMITS.min_tilt_range:
             findings.problems.append(
                 f"the views of {name} are parallel (at most {camera.spread:.1f} degrees apart): its "
                 "focal length is unknown; photograph the target tilted by 20 to 40 degrees, to several "
                 "sides, or state the heights of a target that was moved along z"
             )
-    return alone
+    return single
 
 
-def agreeing(alone: dict[str, Alone], good: Good, mesh: float, findings: Findings) -> dict[str, Alone]:
-    """Cameras that saw the target move alike; views that disagree are taken out of `alone` and `good`.
-
-    With mesh, metres.
-    """
-    agreement = compare(alone, mesh)
-    _remark_on_disagreement(agreement, alone, mesh, findings)
-    for name, pose in agreement.wrong_views:
+def consistent_cameras(
+    single: dict[str, SingleCamera], usable: UsableViews, mesh: float, findings: Findings
+) -> dict[str, SingleCamera]:
+    """Cameras with consistent poses of the target; views that differ are removed from both arguments."""
+    consistency = compare_poses(single, mesh)
+    _report_inconsistency(consistency, single, mesh, findings)
+    for name, pose in consistency.wrong_views:
         findings.leave_out(
             name,
             pose,
-            len(good[name].pop(pose)),
-            "the target's pose is not the one the other cameras saw "
+            len(usable[name].pop(pose)),
+            "the target's pose is not the one that the other cameras found "
             "(its nodes are counted from another origin or turned, or it was moved between shots)",
         )
-        del alone[name].poses[pose]
-    together = {
-        n: a for n, a in alone.items() if n not in agreement.wrong_cameras and n not in agreement.alone
-    }
-    if len(together) < 2:  # one camera, or cameras that have nothing in common: the first with the most views
-        name = max(alone, key=lambda n: len(alone[n].poses))
-        together = together or {name: alone[name]}
-    return together
+        del single[name].poses[pose]
+    excluded = consistency.wrong_cameras + consistency.alone
+    consistent = {name: camera for name, camera in single.items() if name not in excluded}
+    if consistent:
+        return consistent
+    # cameras that have nothing in common: the first with the most views
+    name = max(single, key=lambda n: len(single[n].poses))
+    return {name: single[name]}
 
 
-def _remark_on_disagreement(
-    agreement: ViewAgreement, alone: Mapping[str, Alone], mesh: float, findings: Findings
+def _report_inconsistency(
+    consistency: PoseConsistency, single: Mapping[str, SingleCamera], mesh: float, findings: Findings
 ) -> None:
-    trusted = [n for n in alone if n not in agreement.wrong_cameras]
-    for name in agreement.wrong_cameras:
-        trial = compare({**{n: alone[n] for n in trusted}, name: mirrored(alone[name])}, mesh)
-        who = name if len(alone) > 2 else f"{name} or {trusted[0]}"
-        if name not in trial.wrong_cameras:
+    right = [name for name in single if name not in consistency.wrong_cameras]
+    for name in consistency.wrong_cameras:
+        flipped = compare_poses({**{n: single[n] for n in right}, name: mirrored(single[name])}, mesh)
+        if name not in flipped.wrong_cameras:
+            candidates = name if len(single) > 2 else f"{name} or {right[0]}"
             findings.problems.append(
-                f"the images of {who} are mirrored: flip them left to right, or take the mirror away"
+                f"the images of {candidates} are mirrored: flip them left to right, or take the mirror away"
             )
         else:
             findings.problems.append(
-                f"{name} saw the target move differently from {' and '.join(trusted)}: are its views in "
-                "the same order, and was the target still while all cameras took their image?"
+                f"the target moved differently in the views of {name} and of {' and '.join(right)}: are its "
+                "views in the same order, and was the target still while all cameras took their image?"
             )
-    for name in agreement.alone:
+    for name in consistency.alone:
         findings.problems.append(
             f"{name} shares no view of the target with another camera: "
             "photograph the target where all cameras see it at once"

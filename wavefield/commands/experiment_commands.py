@@ -196,7 +196,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     from concurrent.futures import ProcessPoolExecutor
 
     from wavefield.atomic_write import PAGE, RIG, check_writable
-    from wavefield.calibration.images import calibrate_experiment, leave_with_parent, start_workers_from
+    from wavefield.calibration.images import calibrate_experiment, leave_with_parent, worker_context
     from wavefield.reports.calibration import NUMBERS, write_calibration
     from wavefield.reports.target_pictures import draw_found
     from wavefield.series import Experiment
@@ -210,7 +210,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     with Progress("Finding the target", "images") as progress:
         result = calibrate_experiment(loaded, progress)
     calibration = result.calibration
-    with ProcessPoolExecutor(1, start_workers_from(), leave_with_parent) as pool:
+    with ProcessPoolExecutor(1, worker_context(), leave_with_parent) as pool:
         drawn = pool.submit(draw_found, result)  # takes as long as all other pictures
         page = write_calibration(calibration, folder, drawn.result)
     for note in (*result.notes, *calibration.notes):

@@ -93,10 +93,10 @@ def so_far(views: Mapping[str, Mapping[str, TargetPoints]], section: Calibration
         placed, Target.from_dict(section.target), flat="flat" if section.flat else "",
         model=section.model or _MODEL, target_std=section.target_std,
     )  # fmt: skip
-    if result.derived is None:
+    if result.predicted is None:
         return f"Rig: {'; '.join(result.problems)}"
-    pixels = ", ".join(f"{name} to {std:.2g} px" for name, std in result.derived.reprojection.items())
-    z = "" if np.isnan(result.derived.z_std) else f", z to {1e3 * result.derived.z_std:.2g} mm"
+    pixels = ", ".join(f"{name} to {std:.2g} px" for name, std in result.predicted.reprojection.items())
+    z = "" if np.isnan(result.predicted.z_std) else f", z to {1e3 * result.predicted.z_std:.2g} mm"
     then = next_view(result)
     helps = then is not None and then.helps
     advice = f"Next: {then.words}" if then and helps else "Another view would hardly improve it: calibrate"

@@ -42,7 +42,7 @@ def write_calibration(
         title = "The target as it was found in an image of each camera"
         drawn.append(CalibrationPicture("target.png", title, found))
     observations, fit = calibration.observations, calibration.fit
-    if observations is not None and fit is not None and calibration.derived is not None:
+    if observations is not None and fit is not None and calibration.predicted is not None:
         fitted, surface = numbers(observations, fit, calibration.rig, calibration.reference)
         content |= fitted | _predicted(calibration)
         content["parameters"] = _parameters(calibration, observations, fit)
@@ -62,7 +62,7 @@ def write_calibration(
 
 def _predicted(calibration: Calibration) -> dict[str, Any]:
     """The models that were compared, and the uncertainties predicted from the fit."""
-    derived = calibration.derived
+    derived = calibration.predicted
     assert derived is not None
     return {
         "model": calibration.model,

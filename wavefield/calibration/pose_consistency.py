@@ -1,0 +1,136 @@
+"""Before the joint fit: are the cameras consistent about how the target moved?
+
+The target has one pose per view, whichever camera observes it. So the passage from one camera's frame to
+another's, from any view of both, must be the same. With a view indexed wrongly, or mirrored, it is not.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+
+from wavefield.calibration.poses import Pose, angle_between, mean_pose, passage
+from wavefield.calibration.start import SingleCamera
+from wavefield.rig.lens import Array
+
+# what a view may differ by: five times the median of all views, within these limits
+ANGLE_LIMITS = 0.3, 1.5  # degrees; good views differ by hundredths, wrong ones by 3 and more
+SHIFT_LIMITS = 0.1, 0.4  # of a mesh; a view counted from another node is off by one mesh
+
+
+@dataclass(frozen=True)
+class PoseConsistency:
+    """Cameras and views whose poses of the target differ from the others'."""
+
+    wrong_views: list[tuple[str, str]]  # (camera, pose) of single views that differ from all others
+    wrong_cameras: list[str]  # Cameras that are consistent with no other
+    alone: list[str]  # Cameras that share no view with another
+    angle: dict[tuple[str, str], float]  # Largest difference of each pair of cameras over good views, degrees
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Consistency of two cameras: of the pair, by how much they differ, and of each view."""
+
+    consistent: bool
+    angle: float | None = None  # degrees; None where they share one view only
+    good: Mapping[str, bool] = field(default_factory=dict)  # by pose, where they are consistent
+
+
+def passages(a: SingleCamera, b: SingleCamera) -> dict[str, Pose]:
+    """From camera a's frame to camera b's, by each pose of the target that both observed."""
+    return {pose: passage(a.poses[pose], b.poses[pose]) for pose in a.poses if pose in b.poses}
+
+
+def compare_poses(cameras: Mapping[str, SingleCamera], mesh: float) -> PoseConsistency:
+    """Compare the poses of the target that the cameras found each on its own; mesh in metres."""
+    names = list(cameras)
+    compared = {(a, b): _compare_pair(cameras[a], cameras[b], mesh) for a, b in combinations(names, 2)}
+    pairs = {names: pair for names, pair in compared.items() if pair is not None}
+    alone = [name for name in names if not any(name in pair for pair in pairs)] if len(names) > 1 else []
+    # the largest group of consistent cameras is right; the others are wrong
+    links = [names for names, pair in pairs.items() if pair.consistent]
+    group = max((_linked(name, links) for name in names), key=len, default=[])
+    return PoseConsistency(
+        _wrong_views(names, pairs),
+        [name for name in names if name not in group and name not in alone],
+        alone,
+        {names: pair.angle for names, pair in pairs.items() if pair.angle is not None},
+    )
+
+
+def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> _Pair | None:
+    """Consistency of two cameras; None where they share no view."""
+    common = passages(a, b)
+    if len(common) < 2:
+        return _Pair(True) if common else None
+    angles = np.array([[angle_between(A, B) for B, _ in common.values()] for A, _ in common.values()])
+    medoid = list(common.values())[int(np.argmin(np.median(angles, axis=1)))][0]
+    shift = np.median([t for _, t in common.values()], axis=0)
+    angle = {pose: angle_between(R, medoid) for pose, (R, _) in common.items()}
+    # translations of oblique views scatter along the sight line: compare them where the target is
+    offset = {pose: float(np.linalg.norm(_at_target(a, b, pose, medoid, shift))) / mesh for pose in common}
+    max_angle, max_offset = _limit(angle, ANGLE_LIMITS), _limit(offset, SHIFT_LIMITS)
+    good = {pose: max(angle[pose] / max_angle, offset[pose] / max_offset) <= 1.0 for pose in common}
+    count = sum(good.values())
+    if count > len(good) / 2 or (count >= 2 and len(good) <= 4):
+        return _Pair(True, max(angle[pose] for pose in common if good[pose]), good)
+    return _Pair(False, float(np.median(list(angle.values()))))
+
+
+def _wrong_views(names: Sequence[str], pairs: Mapping[tuple[str, str], _Pair]) -> list[tuple[str, str]]:
+    """Views that differ from all others; of two cameras it cannot be determined which one is wrong."""
+    comparisons: dict[tuple[str, str], list[bool]] = {}  # (camera, pose): is it good, once per partner
+    for cameras, pair in pairs.items():
+        for pose, good in pair.good.items():
+            for name in cameras:
+                comparisons.setdefault((name, pose), []).append(good)
+    wrong = {view for view, good in comparisons.items() if not any(good)}
+    out = []
+    for name, pose in comparisons:
+        others = {(n, pose) in wrong for n in names if n != name and (n, pose) in comparisons}
+        if (name, pose) in wrong and len(others) < 2:  # none of the others is, or all of them are
+            out.append((name, pose))
+    return out
+
+
+def _limit(differences: Mapping[str, float], bounds: tuple[float, float]) -> float:
+    return float(np.clip(5.0 * np.median(list(differences.values())), *bounds))
+
+
+def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
+    """A camera, those linked with it, those linked with them, and so on."""
+    group = [name]
+    for member in group:
+        partners = [b if a == member else a for a, b in links if member in (a, b)]
+        group += [partner for partner in partners if partner not in group]
+    return group
+
+
+def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) -> Array:
+    """Distance between the target's origins of the two cameras, across b's sight line, metres."""
+    expected = R @ a.poses[pose][1] + t
+    observed = b.poses[pose][1]
+    along = observed / np.linalg.norm(observed)
+    difference = expected - observed
+    return difference - along * (along @ difference)
+
+
+def mirrored(camera: SingleCamera) -> SingleCamera:
+    """The camera as it would have been found from images flipped left to right."""
+    F, G = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
+    return replace(camera, poses={pose: (F @ R @ G, F @ t) for pose, (R, t) in camera.poses.items()})
+
+
+def chained(cameras: Mapping[str, SingleCamera], first: str) -> dict[str, Pose]:
+    """Passage from the first camera's frame to each camera's, by the views they share."""
+    out: dict[str, Pose] = {first: (np.eye(3), np.zeros(3))}
+    while True:
+        links = [(len(passages(cameras[a], cameras[b])), a, b) for a in out for b in cameras if b not in out]
+        count, a, b = max(links, default=(0, "", ""))
+        if not count:
+            return out
+        R, t = mean_pose(passages(cameras[a], cameras[b]).values())
+        Ra, ta = out[a]
+        out[b] = R @ Ra, R @ ta + t

@@ -1,0 +1,203 @@
+"""The fit of the cameras' parameters that makes the sight lines of matched pixels meet."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import gammaincinv
+
+from wavefield.calibration.least_squares import huber, minimise
+from wavefield.calibration.observations import Geometry, Observations
+from wavefield.calibration.parameters import TERMS, ParameterLayout, layout, linearised, moved
+from wavefield.errors import CalibrationError
+from wavefield.rig import Rig
+from wavefield.rig.lens import LENS, Array
+from wavefield.rig.stereo import jacobians, solve_displacement, triangulate
+
+MIN_MATCHES = 50
+MAX_MATCHES = 3000  # more do not change the result
+MOVED_TURN = np.radians(1.0)  # prior of a camera that may have moved
+MOVED_SHIFT = 0.005  # metres
+CALIBRATED_TURN = np.radians(0.002)  # prior of a camera without a covariance in the rig's file
+CALIBRATED_SHIFT = 2e-4  # metres
+HUBER_LIMIT = 4.0  # standard deviations
+FREE_TERMS = {column for columns in TERMS.values() for column in columns}
+
+Matches = Mapping[str, ArrayLike]  # by camera: pixels (n, 2) of the same points of the surface
+
+
+def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
+    """Cameras in the rig's order, and their matched pixels, (n, cameras, 2)."""
+    names = [name for name in rig if name in matches]
+    unknown = [name for name in matches if name not in rig.cameras]
+    if unknown:
+        raise CalibrationError(f"matches are given for {', '.join(unknown)}, which the rig does not have")
+    if len(names) < 2:
+        raise CalibrationError("matches of two cameras at least are needed to check a rig")
+    pixel = np.stack([np.asarray(matches[name], float) for name in names], axis=1)
+    if pixel.ndim != 3 or pixel.shape[2] != 2:
+        raise CalibrationError("matches are arrays (n, 2) of pixels, of the same length for all cameras")
+    return names, pixel
+
+
+def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array]:
+    """Points x, y, z (n,), metres, where the sight lines of matched pixels meet, and the misfit in pixels.
+
+    The misfit, (n, cameras, 2), is observed less re-projected, in the rig's order of the matches' cameras.
+    """
+    names, pixel = stack_matches(rig, matches)
+    cameras = [rig[name] for name in names]
+    apparent = np.stack([np.stack(c.unproject(*pixel[:, k].T)) for k, c in enumerate(cameras)])
+    sight = np.stack([np.stack(c.sight_line(*p)) for c, p in zip(cameras, apparent)])
+    point = np.stack(triangulate(apparent, sight)[:3], axis=-1)
+
+    def misfit(point: Array) -> Array:
+        return pixel - np.stack([np.stack(c.project(*point.T), -1) for c in cameras], axis=1)
+
+    for _ in range(2):  # from least squares on the plane to least squares in pixels
+        residual = misfit(point).reshape(len(point), -1)
+        point = point + solve_displacement(jacobians(cameras, *point.T), residual)[0]
+    return point[:, 0], point[:, 1], point[:, 2], misfit(point)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Most probable parameters of the cameras."""
+
+    x: Array  # (p,): Relative to the rig as it is
+    misfit: float  # Robust distance of sight lines, px
+    chi2: float  # With the prior's part
+
+
+class SightLineFit:
+    """Misfit of matched pixels as a function of the cameras' parameters, with their prior."""
+
+    def __init__(self, rig: Rig, matches: Matches, std: float):
+        self.names, pixel = stack_matches(rig, matches)
+        in_two = np.isfinite(pixel).all(axis=2).sum(axis=1) >= 2
+        usable = np.flatnonzero(in_two & np.isfinite(sight_points(rig, matches)[2]))
+        if len(usable) < MIN_MATCHES:
+            raise CalibrationError(
+                f"{len(usable)} matches between cameras: fifty at least are needed to check a rig"
+            )
+        count = min(MAX_MATCHES, len(usable))
+        self.pixel = pixel[usable[np.linspace(0, len(usable) - 1, count).astype(int)]]
+        self.visible = np.isfinite(self.pixel).all(axis=2)
+        self.rig, self.std, self.n = rig, std, len(self.pixel)
+        cameras = [rig[name] for name in self.names]
+        self.start = Geometry(
+            np.array([[getattr(c, term) for term in LENS] for c in cameras]),
+            np.stack([c.R for c in cameras]),
+            np.stack([c.T for c in cameras]),
+            np.eye(3)[None],
+            np.zeros((1, 3)),
+            np.zeros((self.n, 3)),
+        )
+        self.observations = Observations.of_points(
+            tuple(self.names), tuple(c.size for c in cameras), ("world",), self.n
+        )
+        self.layout, covariance = _prior(rig, self.names, self.observations)
+        scale = np.sqrt(np.diag(covariance))
+        value, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+        # no calibration determines a combination of parameters better than that
+        self.covariance = (axes * np.maximum(value, 1e-12)) @ axes.T * np.outer(scale, scale)
+
+    @property
+    def matches(self) -> dict[str, Array]:
+        """The pixels used, by camera."""
+        return {name: self.pixel[:, k] for k, name in enumerate(self.names)}
+
+    def rig_at(self, x: Array) -> Rig:
+        """The rig with its cameras moved by parameters."""
+        cameras = moved(self.start, self.layout, x).cameras(self.observations.sizes)
+        return Rig({**self.rig.cameras, **dict(zip(self.names, cameras))}, self.rig.provenance)
+
+    def solve(self, loose: Sequence[str]) -> Solution:
+        """Most probable parameters if the cameras named may have moved."""
+        covariance = self.covariance.copy()
+        for name in loose:
+            k = self.layout.camera[self.names.index(name)]
+            covariance[range(k, k + 6), range(k, k + 6)] += np.repeat([MOVED_TURN**2, MOVED_SHIFT**2], 3)
+        scale = np.sqrt(np.diag(covariance))
+        root = np.linalg.cholesky(covariance / np.outer(scale, scale))
+        prior = np.linalg.inv(root) / scale
+
+        def with_jacobian(x: Array) -> tuple[Array, Array]:
+            r, J = self._linearised(x)
+            return np.concatenate([r.ravel(), prior @ x]), np.concatenate([J.reshape(-1, len(x)), prior])
+
+        x, _, _ = minimise(
+            lambda x: with_jacobian(x)[0],
+            with_jacobian,
+            np.zeros(len(self.layout.names)),
+            HUBER_LIMIT,
+            1e-6,
+        )
+        r = with_jacobian(x)[0]
+        return Solution(x, self.misfit(r[: self.pixel.size]), huber(r, HUBER_LIMIT))
+
+    def _linearised(self, x: Array) -> tuple[Array, Array]:
+        """Residuals (n, 2 cameras, 1) over std and derivatives (n, 2 cameras, p), the points taken out."""
+        point = np.stack(sight_points(self.rig_at(x), self.matches)[:3], axis=-1)
+        pixel, J, A = linearised(replace(self.start, offset=point), self.layout, x, self.observations)
+
+        def by_point(values: Array) -> Array:
+            """Per point, of the cameras that see it: (cameras n, 2, ...) becomes (n, cameras, 2, ...)."""
+            own = np.moveaxis(values.reshape(len(self.names), self.n, 2, -1), 0, 1)
+            return np.ascontiguousarray(np.where(self.visible[..., None, None], own, 0.0))
+
+        r = by_point(pixel) - np.where(self.visible[..., None], self.pixel, 0.0)[..., None]
+        r = r.reshape(self.n, -1, 1) / self.std
+        J = by_point(J).reshape(*r.shape[:2], -1) / self.std
+        # the residual that the point itself can remove is no misfit: project it out
+        Q = np.linalg.qr(by_point(A).reshape(*r.shape[:2], 3))[0]
+        return r - Q @ (Q.transpose(0, 2, 1) @ r), J - Q @ (Q.transpose(0, 2, 1) @ J)
+
+    def angle(self, solution: Solution, name: str) -> float:
+        """By how much a solution turns a camera, degrees."""
+        k = self.layout.camera[self.names.index(name)]
+        return float(np.degrees(np.linalg.norm(solution.x[k : k + 3])))
+
+    def turn(self, solution: Solution, name: str) -> float:
+        """By how much a solution turns a camera, px of its image."""
+        return self.rig[name].fx * float(np.radians(self.angle(solution, name)))
+
+    def misfit(self, projected: Array) -> float:
+        """Robust distance of sight lines, px, from residuals over std without three per point."""
+        norm = np.sqrt(np.sum(projected.reshape(self.n, -1) ** 2, axis=1)) * self.std
+        # each point's misfit, made comparable to a standard deviation by its degrees of freedom
+        median = np.sqrt(2 * gammaincinv(self.visible.sum(axis=1) - 1.5, 0.5))  # of chi
+        return float(np.median(norm / median))
+
+    def misfit_at_start(self) -> float:
+        """The same for the rig as it is."""
+        residual = sight_points(self.rig, self.matches)[3]
+        return self.misfit(np.where(self.visible[..., None], residual, 0.0).reshape(-1) / self.std)
+
+
+def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[ParameterLayout, Array]:
+    """Parameters of the cameras and their covariance, from the calibration if the rig's file holds it."""
+    stated = rig.provenance.get("covariance")
+    columns: dict[str, list[str]] = {name: [] for name in names}
+    if stated:
+        for parameter in stated["parameters"]:
+            name, column = parameter.rsplit(" ", 1)
+            if name in columns and column in FREE_TERMS:
+                columns[name].append(column)
+    models = [
+        [term for term, parts in TERMS.items() if all(part in columns[name] for part in parts)]
+        for name in names
+    ]
+    plan = layout(observations, models, 0)
+    if stated:
+        order = {parameter: k for k, parameter in enumerate(stated["parameters"])}
+        full = np.zeros((len(order), len(order)))
+        for k, row in enumerate(stated["lower"]):
+            full[k, : k + 1] = full[: k + 1, k] = row
+        rows = [order[parameter] for parameter in plan.names]
+        return plan, full[np.ix_(rows, rows)]
+    covariance = np.zeros((len(plan.names), len(plan.names)))
+    for k in plan.camera:
+        covariance[range(k, k + 6), range(k, k + 6)] = np.repeat([CALIBRATED_TURN**2, CALIBRATED_SHIFT**2], 3)
+    return plan, covariance
