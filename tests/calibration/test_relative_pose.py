@@ -101,5 +101,5 @@ def test_a_grid_is_chosen_though_the_horizon_is_in_view():
 def test_images_that_share_nothing_are_refused(sea):
     left, right = sea_rig().values()
     one, other = (photograph(left, texture(seed), 0.0, seed) for seed in (50, 60))
-    with pytest.raises(RigError, match="features are seen alike by both cameras"):
+    with pytest.raises(RigError, match="features match between both cameras"):
         place_second(left, right, match_features(one, other), 2.0)

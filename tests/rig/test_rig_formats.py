@@ -192,7 +192,7 @@ def test_vic_at_the_pole_of_its_angles(tmp_path):
 
 @pytest.mark.parametrize("save", [save_vic, lambda rig, path: save_uvmat(rig["cam1"], path)])
 def test_terms_the_other_program_lacks_are_refused(tmp_path, save):
-    with pytest.raises(RigError, match=r"does not know .*p1"):
+    with pytest.raises(RigError, match=r"does not have .*p1"):
         save(two(), tmp_path / "x.xml")
 
 
@@ -452,5 +452,5 @@ def test_a_calibration_of_davis_that_is_not_read_says_what_to_do(tmp_path, old, 
 def test_a_correction_field_of_davis_is_not_passed_over(tmp_path):
     path = write_davis(tmp_path, two("k3", "tau_x", "tau_y", "skew"))
     (tmp_path / "Correction field").mkdir()
-    with pytest.raises(RigError, match="correction field of DaVis' self-calibration lies beside it"):
+    with pytest.raises(RigError, match="correction field of DaVis' self-calibration is next to it"):
         load_rig(path)

@@ -24,7 +24,7 @@ def test_an_oblique_camera_resolves_less_along_its_view():
 def test_a_place_behind_the_camera_has_no_pixel():
     camera = paper_rig()["cam1"]
     behind = camera.centre - 100.0 * camera.R[2]
-    with pytest.raises(RigError, match="does not look"):
+    with pytest.raises(RigError, match="does not see the middle"):
         pixel_sides(camera, *behind[:2])
 
 

@@ -13,10 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wavefield.errors import RigError
-from wavefield.rig.lens import Array, distort, distort_jacobian, tilt_matrix
+from wavefield.rig.lens import Array, apply_homography, distort, distort_jacobian, tilt_matrix
 from wavefield.rig.rotation import rotation_about
-
-IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -116,9 +114,7 @@ class Camera:
     @cached_property
     def _tilt(self) -> Array | None:
         """Homography of the tilted sensor (OpenCV's CALIB_TILTED_MODEL), or None."""
-        if self.tau_x == 0.0 and self.tau_y == 0.0:
-            return None
-        return tilt_matrix(self.tau_x, self.tau_y).real
+        return tilt_matrix(self.tau_x, self.tau_y).real if self.tau_x or self.tau_y else None
 
     # -- sensor: tangents of the viewing angles <-> pixels -------------------------------------------
 
@@ -133,9 +129,7 @@ class Camera:
     def _to_pixels(self, a: Array, b: Array) -> tuple[Array, Array]:
         x, y = distort(a, b, self._radial, self._tangential)
         if self._tilt is not None:
-            h = self._tilt
-            s = h[2, 0] * x + h[2, 1] * y + h[2, 2]
-            x, y = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / s, (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / s
+            x, y, _ = apply_homography(self._tilt, x, y)
         X = self.fx * x + self.cx
         if self.skew:
             X = X + self.skew * y
@@ -145,9 +139,7 @@ class Camera:
         y = (Y - self.cy) / self.fy
         x = (X - self.cx - self.skew * y) / self.fx
         if self._tilt is not None:
-            h = np.linalg.inv(self._tilt)
-            s = h[2, 0] * x + h[2, 1] * y + h[2, 2]
-            x, y = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / s, (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / s
+            x, y, _ = apply_homography(np.asarray(np.linalg.inv(self._tilt), float), x, y)
         k, p = self._radial, self._tangential
         if not any(k + p):
             return x, y
@@ -163,10 +155,10 @@ class Camera:
                 break
         return a, b
 
-    # -- what the other rooms call -------------------------------------------------------------------
+    # -- physical frame <-> pixels --------------------------------------------------------------------
 
     def tangents(self, X: ArrayLike, Y: ArrayLike) -> tuple[Array, Array]:
-        """Tangents of the viewing angles of pixels: lens and sensor undone.
+        """Tangents of the viewing angles of pixels, without lens distortion.
 
         Parameters
         ----------
@@ -176,7 +168,7 @@ class Camera:
         Returns
         -------
         a, b : ndarray
-            xc / zc and yc / zc of the points that the pixels see.
+            xc / zc and yc / zc of the points that project to these pixels.
         """
         return self._to_tangents(*np.broadcast_arrays(np.asarray(X, float), np.asarray(Y, float)))
 
@@ -270,10 +262,7 @@ class Camera:
         ya = xb
         if self._tilt is not None:
             h = self._tilt
-            u, v = distort(a, b, self._radial, self._tangential)
-            s = h[2, 0] * u + h[2, 1] * v + h[2, 2]
-            U = (h[0, 0] * u + h[0, 1] * v + h[0, 2]) / s
-            V = (h[1, 0] * u + h[1, 1] * v + h[1, 2]) / s
+            U, V, s = apply_homography(h, *distort(a, b, self._radial, self._tangential))
             t00, t01 = (h[0, 0] - U * h[2, 0]) / s, (h[0, 1] - U * h[2, 1]) / s
             t10, t11 = (h[1, 0] - V * h[2, 0]) / s, (h[1, 1] - V * h[2, 1]) / s
             xa, xb, ya, yb = (

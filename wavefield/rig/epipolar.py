@@ -1,20 +1,19 @@
-"""How well matched pixels of two cameras agree with the rig, whatever the surface."""
+"""Epipolar error: the misfit of matched pixels of two cameras, whatever the surface."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wavefield.rig.camera import Camera
+from wavefield.rig.lens import Array
 
 
 def epipolar_distance(
     a: Camera, b: Camera, Xa: ArrayLike, Ya: ArrayLike, Xb: ArrayLike, Yb: ArrayLike
-) -> NDArray[np.float64]:
-    """Distance of matched pixels from the epipolar lines of their partners.
+) -> Array:
+    """Signed distance (n,) of matched pixels from the epipolar lines of their partners, px in image b.
 
     With Euclidean lines in the undistorted images: x_b^T E x_a over the length of its gradient with respect
     to x_b, where the gradient is taken in distorted pixels by the chain rule.
-
-    With Xa, Ya, Xb, Yb (n,); returns (n,): Signed distance in image b, px.
     """
     xa = np.stack([*a.tangents(Xa, Ya), np.ones(np.shape(Xa))])
     Xb, Yb = np.asarray(Xb, float), np.asarray(Yb, float)
@@ -23,7 +22,7 @@ def epipolar_distance(
     t = b.T - R @ a.T
     line = np.cross(t, R @ xa, axis=0)  # in the tangents of b
     value = np.sum(xb * line, axis=0)
-    # d(tangents)/d(pixels) of b by central differences: smooth functions, a hundredth of a pixel suffices
+    # d(tangents)/d(pixels) of b by central differences: tangents are smooth in pixels
     h = 0.01
     gradient = [
         (line[0] * (p[0] - m[0]) + line[1] * (p[1] - m[1])) / (2 * h)
@@ -32,5 +31,5 @@ def epipolar_distance(
             (b.tangents(Xb, Yb + h), b.tangents(Xb, Yb - h)),
         )
     ]
-    out: NDArray[np.float64] = value / np.hypot(*gradient)
+    out: Array = value / np.hypot(*gradient)
     return out

@@ -10,9 +10,9 @@ from wavefield.grid import Grid, largest_rectangle
 from wavefield.rig.camera import Camera
 from wavefield.rig.resolution import pixel_sides
 
-_SAMPLES = 65  # pixels along each side of an image that shows the horizon
-_FAR = 3.0  # times the nearest water: what lies further towards the horizon is too coarse to be measured
-_LATTICE = 401  # candidate corners along each axis: the rectangle is right to a quarter per cent
+HORIZON_SAMPLES = 65  # pixels along each side of an image that shows the horizon
+MAX_DISTANCE_RATIO = 3.0  # times the nearest water: further towards the horizon pixels are too coarse
+CORNER_CANDIDATES = 401  # along each axis: the rectangle is accurate to a quarter per cent
 
 
 def common_field(
@@ -55,19 +55,19 @@ def common_field(
     hi = np.min([points.max(axis=0) for points in views], axis=0)
     if not (hi > lo).all():
         raise RigError("the cameras have no common field at z = 0: is it the right rig for these images?")
-    x, y = np.linspace(lo[0], hi[0], _LATTICE), np.linspace(lo[1], hi[1], _LATTICE)
-    seen = np.ones((_LATTICE, _LATTICE), bool)
+    x, y = np.linspace(lo[0], hi[0], CORNER_CANDIDATES), np.linspace(lo[1], hi[1], CORNER_CANDIDATES)
+    visible = np.ones((CORNER_CANDIDATES, CORNER_CANDIDATES), bool)
     for camera in cameras:
         for z in {-height, height}:
-            seen &= camera.sees(x[None, :], y[:, None], z, margin)
-    (y0, y1), (x0, x1) = largest_rectangle(seen)
+            visible &= camera.sees(x[None, :], y[:, None], z, margin)
+    (y0, y1), (x0, x1) = largest_rectangle(visible)
     y1, x1 = y1 - 1, x1 - 1
     if step is None:
         middle = 0.5 * (x[x0] + x[x1]), 0.5 * (y[y0] + y[y1])
         step = _round_up(4.0 * max(pixel_sides(camera, *middle)[1] for camera in cameras))
     ends = []
     for first, last in ((x[x0], x[x1]), (y[y0], y[y1])):
-        # both ends are seen; whole multiples inside them are too
+        # both ends are visible, and so are whole multiples between them
         nodes = np.ceil(first / step - 1e-9), np.floor(last / step + 1e-9)
         if nodes[1] - nodes[0] < 1:
             raise RigError(f"the cameras' common field is narrower than one grid step of {step} m")
@@ -80,14 +80,14 @@ def _view(camera: Camera) -> NDArray[np.float64]:
     corners = camera.corners()
     if np.isfinite(corners).all():
         return corners
-    pixel = [np.linspace(0.0, n - 1.0, _SAMPLES) for n in camera.size]
+    pixel = [np.linspace(0.0, n - 1.0, HORIZON_SAMPLES) for n in camera.size]
     x, y = camera.unproject(*np.meshgrid(*pixel))
     distance = np.sqrt((x - camera.centre[0]) ** 2 + (y - camera.centre[1]) ** 2 + camera.centre[2] ** 2)
-    seen = np.isfinite(distance)
-    if not seen.any():
+    visible = np.isfinite(distance)
+    if not visible.any():
         raise RigError("a camera does not see the water: is z = 0 its level, and z up?")
-    seen &= distance < _FAR * distance[seen].min()
-    return np.stack([x[seen], y[seen]], axis=-1)
+    visible &= distance < MAX_DISTANCE_RATIO * distance[visible].min()
+    return np.stack([x[visible], y[visible]], axis=-1)
 
 
 def _round_up(length: float) -> float:

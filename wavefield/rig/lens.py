@@ -1,4 +1,4 @@
-"""The lens and the sensor behind it, with their derivatives: once, for cameras and for calibrating them.
+"""The lens and the sensor behind it, with their derivatives, for cameras and for their calibration.
 
 Tangents of the viewing angles (a, b) = (xc / zc, yc / zc) become distorted ones by the lens, and pixels by
 the sensor, which may be tilted (Scheimpflug). All terms are OpenCV's.
@@ -14,10 +14,7 @@ LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", 
 
 
 def distort(a: Array, b: Array, k: tuple[float, float, float], p: tuple[float, float]) -> tuple[Array, Array]:
-    """What the lens makes of tangents.
-
-    With k (float, float, float); p (float, float).
-    """
+    """Distorted tangents."""
     r2 = a * a + b * b
     radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]))
     x, y = a * radial, b * radial
@@ -42,10 +39,7 @@ def distort_jacobian(
 
 
 def tilt_matrix(tau_x: complex, tau_y: complex) -> NDArray[np.complex128]:
-    """Homography of a tilted sensor (OpenCV's CALIB_TILTED_MODEL), for real or complex angles.
-
-    Returns (3, 3).
-    """
+    """Homography (3, 3) of a tilted sensor (OpenCV's CALIB_TILTED_MODEL), for real or complex angles."""
     cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
     about_y = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]], complex)
     about_x = np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]], complex)
@@ -56,11 +50,16 @@ def tilt_matrix(tau_x: complex, tau_y: complex) -> NDArray[np.complex128]:
     return onto
 
 
-def project(lens: Array, points: Array) -> tuple[Array, Array, Array]:
-    """Pixels of points in a camera's frame, with all derivatives.
+def apply_homography(h: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Points mapped by a homography (3, 3), and the denominator."""
+    s = h[2, 0] * x + h[2, 1] * y + h[2, 2]
+    return (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / s, (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / s, s
 
-    With lens (12,); points (n, 3), metres; returns pixel (n, 2): Pixels; by_point (n, 2, 3): Derivatives with
-    respect to the points, px per metre; by_lens (n, 2, 12): Derivatives with respect to `LENS`..
+
+def project(lens: Array, points: Array) -> tuple[Array, Array, Array]:
+    """Pixels (n, 2) of points (n, 3), metres, in a camera's frame, with all derivatives.
+
+    The derivatives are (n, 2, 3) with respect to the points, px per metre, and (n, 2, 12) to the lens.
     """
     fx, fy, cx, cy, k1, k2, p1, p2, k3, tau_x, tau_y, skew = lens.tolist()
     k, p = (k1, k2, k3), (p1, p2)

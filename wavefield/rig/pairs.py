@@ -1,4 +1,4 @@
-"""Which cameras are compared with which: the one rule, for measuring and for telling of it."""
+"""Which cameras are compared with which."""
 
 from collections.abc import Sequence
 
@@ -25,9 +25,6 @@ def middle_camera(rig: Rig, names: Sequence[str]) -> str:
 
 
 def pairs_of(rig: Rig, names: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """The middle camera with each of the others.
-
-    Returns (str, str).
-    """
+    """The middle camera with each of the others."""
     reference = middle_camera(rig, names)
     return tuple((reference, n) for n in names if n != reference)

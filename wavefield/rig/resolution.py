@@ -1,4 +1,4 @@
-"""How large a pixel is on the water: the unit in which errors are told."""
+"""Size of a pixel on the water: the unit of errors."""
 
 import numpy as np
 
@@ -9,9 +9,7 @@ from wavefield.rig.rig import Rig
 
 
 def pixel_sides(camera: Camera, x: float, y: float) -> tuple[float, float]:
-    """Shorter and longer side of a camera's pixel on the water at rest.
-
-    With x, y, metres.
+    """Shorter and longer side, metres, of a camera's pixel on the still water.
 
     Examples
     --------
@@ -21,20 +19,17 @@ def pixel_sides(camera: Camera, x: float, y: float) -> tuple[float, float]:
     """
     jacobian = camera.jacobian(x, y, 0.0)[:, :2]
     if not np.isfinite(jacobian).all():
-        raise RigError("a camera does not look at the middle of the grid: does the grid lie in its view?")
+        raise RigError("a camera does not see the middle of the grid: is the grid in its view?")
     most, least = np.linalg.svd(jacobian, compute_uv=False)
     return float(1.0 / most), float(1.0 / least)
 
 
 def pixel_at(camera: Camera, x: float, y: float) -> float:
-    """Size of a camera's pixel on the water at rest: the side of a square of the same area.
-
-    With x, y, metres.
-    """
+    """Size of a camera's pixel on the still water, metres: the side of a square of the same area."""
     return float(np.sqrt(np.prod(pixel_sides(camera, x, y))))
 
 
 def pixel_size(rig: Rig, grid: Grid) -> float:
-    """Size of a pixel on the water: of the camera that resolves least, in the middle of the grid."""
+    """Size of a pixel on the water, metres: of the coarsest camera, in the middle of the grid."""
     x, y = float(np.mean(grid.x)), float(np.mean(grid.y))
     return max(pixel_at(camera, x, y) for camera in rig.cameras.values())

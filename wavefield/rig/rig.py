@@ -1,4 +1,4 @@
-"""A rig: several named cameras that look at the same water."""
+"""A rig: several named cameras in view of the same water."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -30,14 +30,14 @@ def read_rig_text(path: Path) -> str:
 
 @dataclass(frozen=True)
 class Rig:
-    """Named cameras in one physical frame, with where they come from.
+    """Named cameras in one physical frame, with their provenance.
 
     Parameters
     ----------
     cameras : mapping of str to Camera
         The cameras, in the order of the experiment.
     provenance : mapping, optional
-        Images, date, model, residuals, uncertainties: whatever the calibration has to say, in plain
+        Images, date, model, residuals, uncertainties: whatever the calibration states, in plain
         numbers, texts, lists and mappings.
 
     Examples
@@ -148,7 +148,7 @@ class Rig:
         Raises
         ------
         RigError
-            If a camera is incomplete, a rotation is none, or the units are others than m, px, rad.
+            If a camera is incomplete, a rotation is not one, or the units are others than m, px, rad.
         """
         units = data.get("units") or {}
         for what, unit in units.items():
@@ -161,7 +161,7 @@ class Rig:
             except (TypeError, ValueError) as error:
                 raise RigError(f"camera {name!r}: {error}") from None
             if unreal := [key for key, value in camera.to_dict().items() if not np.isfinite(value).all()]:
-                raise RigError(f"camera {name!r}: {unreal[0]} is no finite number")
+                raise RigError(f"camera {name!r}: {unreal[0]} is not a finite number")
             wrong = np.abs(camera.R @ camera.R.T - np.eye(3)).max()
             if not wrong < 1e-6 or np.linalg.det(camera.R) < 0:
                 raise RigError(f"camera {name!r}: `rotation` is not a right-handed rotation matrix")

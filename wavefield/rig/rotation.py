@@ -7,9 +7,7 @@ from wavefield.rig.lens import Array
 
 
 def rotation_about(vector: ArrayLike) -> Array:
-    """Rotation matrix of a rotation vector (Rodrigues).
-
-    With vector (3,); returns (3, 3).
+    """Rotation matrix (3, 3) of a rotation vector (3,) (Rodrigues).
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""From positions and displacements seen by several cameras to points and displacements in space.
+"""From positions and displacements in several images to points and displacements in space.
 
 Pure functions on arrays, a few milliseconds for the 30,000 nodes of a grid.
 """
@@ -8,13 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from numba import float64, void
-from numba.core.types import Array as Given
-from numpy.typing import ArrayLike, NDArray
+from numba.core.types import Array as ArrayType
+from numpy.typing import ArrayLike
 
 from wavefield.compiled import compiled
 from wavefield.rig.camera import Camera
-
-Array = NDArray[np.float64]
+from wavefield.rig.lens import Array
 
 
 def triangulate(
@@ -24,10 +23,8 @@ def triangulate(
 
     Least squares for x_k = x - D_k z + error with weights w_k = 1 / std_k^2. For two cameras
     z = -(dD . d) / |dD|^2 with d = x_2 - x_1 and dD = D_2 - D_1; for more, the mean of the pairs' z with
-    weights w_a w_b |dD|^2.
-
-    With apparent (N, 2, ...), metres; sight (N, 2, ...); std (N, ...), metres; returns x, y, z Position,
-    metres; eps (N, 2, ...): What each camera's apparent position is off, x_k - (x - D_k z), metres.
+    weights w_a w_b |dD|^2. Apparent positions and sight are (N, 2, ...), std (N, ...); returns x, y, z, and
+    the misfit of each camera's apparent position, x_k - (x - D_k z), (N, 2, ...), all in metres.
 
     Examples
     --------
@@ -36,10 +33,12 @@ def triangulate(
     0.010 0.000 0.020
     """
     p, D = np.asarray(apparent, float), np.asarray(sight, float)
-    seen = np.isfinite(p).all(1) & np.isfinite(D).all(1)
+    visible = np.isfinite(p).all(1) & np.isfinite(D).all(1)
     weight = np.ones(1) if std is None else 1.0 / np.square(np.asarray(std, float))
-    weight = np.where(seen, weight.reshape(weight.shape + (1,) * (seen.ndim - weight.ndim)), 0.0)[:, None]
-    p0, D0 = np.where(seen[:, None], p, 0.0), np.where(seen[:, None], D, 0.0)
+    weight = np.where(visible, weight.reshape(weight.shape + (1,) * (visible.ndim - weight.ndim)), 0.0)[
+        :, None
+    ]
+    p0, D0 = np.where(visible[:, None], p, 0.0), np.where(visible[:, None], D, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         total = np.sum(weight, axis=0)
         p_mean, D_mean = np.sum(weight * p0, axis=0) / total, np.sum(weight * D0, axis=0) / total
@@ -53,11 +52,7 @@ def triangulate(
 
 
 def jacobians(cameras: Sequence[Camera], x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Array:
-    """Jacobians of several cameras, stacked for `solve_displacement`.
-
-    With x, y, z S, metres; returns S + (2N, 3): Derivatives of (X_1, Y_1, X_2, Y_2, ...) with respect to (x,
-    y, z), px per metre.
-    """
+    """Derivatives of (X_1, Y_1, X_2, Y_2, ...) with respect to (x, y, z), (..., 2N, 3), px per metre."""
     shape = np.broadcast_shapes(np.shape(x), np.shape(y), np.shape(z))
     out = np.empty((*shape, 2 * len(cameras), 3))
     for n, camera in enumerate(cameras):
@@ -65,19 +60,19 @@ def jacobians(cameras: Sequence[Camera], x: ArrayLike, y: ArrayLike, z: ArrayLik
     return out
 
 
-_given = [Given(float64, axes, "A", readonly=True) for axes in (3, 2, 2, 2)]
+_inputs = [ArrayType(float64, axes, "A", readonly=True) for axes in (3, 2, 2, 2)]
 
 
-@compiled(void(*_given, float64[:, ::1], float64[::1], float64[:, ::1]))
+@compiled(void(*_inputs, float64[:, ::1], float64[::1], float64[:, ::1]))
 def _solve(
-    jacobian: Array, seen: Array, weight: Array, noise: Array, out: Array, eps: Array, std: Array
+    jacobian: Array, observed: Array, weight: Array, noise: Array, out: Array, eps: Array, std: Array
 ) -> None:
-    for n in range(seen.shape[0]):
+    for n in range(observed.shape[0]):
         a = b = c = d = e = f = 0.0  # normal matrix [[a, b, c], [b, d, e], [c, e, f]]
         p = q = r = 0.0
         rows = 0
-        for i in range(seen.shape[1]):
-            s, w = seen[n, i], weight[n, i]
+        for i in range(observed.shape[1]):
+            s, w = observed[n, i], weight[n, i]
             if not (np.isfinite(s) and w > 0.0 and np.isfinite(jacobian[n, i, 0])):
                 continue
             rows += 1
@@ -92,7 +87,7 @@ def _solve(
             p += w0 * s
             q += w1 * s
             r += w2 * s
-        # Cholesky: exact for what the cameras see well, and a pivot tells when they do not see a direction
+        # Cholesky; a small pivot means that the cameras do not determine a direction
         ok = rows >= 3 and a > 0.0
         if ok:
             lb, lc = b / a, c / a
@@ -114,12 +109,14 @@ def _solve(
         x = p / a - lb * y - lc * z
         out[n, 0], out[n, 1], out[n, 2] = x, y, z
         total = vx = vy = vz = 0.0
-        for i in range(seen.shape[1]):
-            if np.isfinite(seen[n, i]) and weight[n, i] > 0.0 and np.isfinite(jacobian[n, i, 0]):
-                miss = seen[n, i] - (jacobian[n, i, 0] * x + jacobian[n, i, 1] * y + jacobian[n, i, 2] * z)
-                total += miss * miss
+        for i in range(observed.shape[1]):
+            if np.isfinite(observed[n, i]) and weight[n, i] > 0.0 and np.isfinite(jacobian[n, i, 0]):
+                misfit = observed[n, i] - (
+                    jacobian[n, i, 0] * x + jacobian[n, i, 1] * y + jacobian[n, i, 2] * z
+                )
+                total += misfit * misfit
                 w = weight[n, i]
-                w0, w1, w2 = w * jacobian[n, i, 0], w * jacobian[n, i, 1], w * jacobian[n, i, 2]
+                w0, w1, w2 = w * j0, w * j1, w * j2
                 w1 -= lb * w0
                 kz = (w2 - lc * w0 - le * w1) / f1
                 ky = w1 / d1 - le * kz
@@ -142,16 +139,16 @@ def solve_displacement(
     d = argmin sum w (J d - dX)^2 with w = 1 / std^2: normal equations, 3 x 3, in closed form.
     For two cameras eps_piv is the paper's eps' = |J d - dX| / 2.
     """
-    J, seen = np.asarray(jacobian, float), np.asarray(displacement, float)
+    J, observed = np.asarray(jacobian, float), np.asarray(displacement, float)
     with np.errstate(divide="ignore"):
         weight = np.ones(1) if std is None else 1.0 / np.square(np.asarray(std, float))
         variance = 1.0 / weight if noise is None else np.square(np.asarray(noise, float))
-    shape = np.broadcast_shapes(J.shape[:-2], *(f.shape[:-1] for f in (seen, weight, variance)))
-    count, rows = math.prod(shape), seen.shape[-1]
-    weight, variance, seen = (
-        np.broadcast_to(f, (*shape, rows)).reshape(count, rows) for f in (weight, variance, seen)
+    shape = np.broadcast_shapes(J.shape[:-2], *(f.shape[:-1] for f in (observed, weight, variance)))
+    count, rows = math.prod(shape), observed.shape[-1]
+    weight, variance, observed = (
+        np.broadcast_to(f, (*shape, rows)).reshape(count, rows) for f in (weight, variance, observed)
     )
     J = np.broadcast_to(J, (*shape, rows, 3)).reshape(count, rows, 3)
     d, eps, d_std = np.empty((count, 3)), np.empty(count), np.empty((count, 3))
-    _solve(J, seen, weight, variance, d, eps, d_std)
+    _solve(J, observed, weight, variance, d, eps, d_std)
     return d.reshape(*shape, 3), eps.reshape(shape), d_std.reshape(*shape, 3)

@@ -1,4 +1,4 @@
-"""The reference plane: bring z = 0 to the water at rest."""
+"""The reference plane: bring z = 0 to the still water."""
 
 from dataclasses import dataclass
 
@@ -6,10 +6,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wavefield.errors import RigError
+from wavefield.rig.lens import Array
 from wavefield.rig.rig import Rig
-from wavefield.robust import robust_std
+from wavefield.robust import reweighted_lstsq, robust_std
 
-_NEARLY = 10.0  # degrees: a frame tilted by more is not the water's
+MAX_TILT = 10.0  # degrees: a frame tilted by more is a camera's, not the water's
+MIN_POINTS = 10
+OUTLIER_DEVIATIONS = 4.0  # robust standard deviations from the plane
 
 
 @dataclass(frozen=True)
@@ -18,11 +21,11 @@ class WaterPlane:
 
     height: float  # Of the plane at x = y = 0, metres
     slope: tuple[float, float]  # Along x and y
-    rms: float  # Of the points kept, across the plane, metres
+    rms: float  # Of these points, across the plane, metres
     kept: NDArray[np.bool_]  # (n,): Points that belong to the plane
 
     @property
-    def axes(self) -> NDArray[np.float64]:
+    def axes(self) -> Array:
         """Axes of a frame on the plane as columns, (3, 3): z across it, x in the old x-z plane."""
         bx, by = self.slope
         z = np.array([-bx, -by, 1.0]) / np.sqrt(1.0 + bx * bx + by * by)
@@ -30,73 +33,70 @@ class WaterPlane:
         return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> WaterPlane:
-    """Plane through surface points, blunders left out.
-
-    With x, y, z, metres.
-    """
+def _points(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
+    """Points (n, 3), and which of them are numbers."""
     points = np.stack([np.ravel(v) for v in np.broadcast_arrays(x, y, z)], axis=-1).astype(float)
-    kept = np.isfinite(points).all(axis=1)
-    if kept.sum() < 10:
-        raise RigError(f"{kept.sum()} points of the surface at rest: ten at least are needed for its plane")
-    finite = kept.copy()
-    design = np.column_stack([np.ones(len(points)), points[:, :2]])
-    weight = kept.astype(float)
-    for _ in range(20):
-        # first the median-like fit, which blunders do not move, then least squares on what agrees with it
-        A, b = design[kept] * weight[kept, None], points[kept, 2] * weight[kept]
-        solution, _, rank, _ = np.linalg.lstsq(A, b, rcond=1e-9)
-        if rank < 3:
-            raise RigError("the points of the surface at rest lie on a line: a plane needs a field")
-        miss = np.where(finite, points[:, 2] - design @ solution, np.inf)
-        spread = robust_std(miss[finite])
-        weight = np.where(finite, 1.0 / np.sqrt(np.maximum(np.abs(miss), 0.1 * spread + 1e-12)), 0.0)
-    kept = np.abs(miss) <= 4.0 * spread + 1e-12
+    finite = np.isfinite(points).all(axis=1)
+    if finite.sum() < MIN_POINTS:
+        raise RigError(f"{finite.sum()} points of the still water: ten at least are needed for its plane")
+    return points, finite
+
+
+def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> WaterPlane:
+    """Plane through surface points (metres), without outliers."""
+    points, finite = _points(x, y, z)
+    height = points[finite, 2]
+    design = np.column_stack([np.ones(len(height)), points[finite, :2]])
+    if np.linalg.matrix_rank(design, rtol=1e-9) < 3:
+        raise RigError("the points of the still water are on a line: a plane needs a field")
+
+    def least_absolute(residual: Array) -> Array:
+        weight: Array = 1.0 / np.sqrt(np.maximum(np.abs(residual), 0.1 * robust_std(residual) + 1e-12))
+        return weight
+
+    # first the median-like fit, which outliers do not move, then least squares on what agrees with it
+    _, residual = reweighted_lstsq(design, height, np.ones(len(height)), least_absolute, 20)
+    inlier = np.abs(residual) <= OUTLIER_DEVIATIONS * robust_std(residual) + 1e-12
     for _ in range(10):
-        solution = np.linalg.lstsq(design[kept], points[kept, 2], rcond=None)[0]
-        miss = np.where(finite, points[:, 2] - design @ solution, np.inf)
-        new = np.abs(miss) <= 4.0 * robust_std(miss[kept]) + 1e-12
-        if (new == kept).all():
+        solution = np.linalg.lstsq(design[inlier], height[inlier], rcond=None)[0]
+        residual = height - design @ solution
+        new = np.abs(residual) <= OUTLIER_DEVIATIONS * robust_std(residual[inlier]) + 1e-12
+        if (new == inlier).all():
             break
-        kept = new
-    height, bx, by = (float(v) for v in solution)
-    rms = float(np.sqrt(np.mean(miss[kept] ** 2) / (1.0 + bx * bx + by * by)))
-    return WaterPlane(height, (bx, by), rms, kept)
+        inlier = new
+    at_origin, bx, by = (float(v) for v in solution)
+    rms = float(np.sqrt(np.mean(residual[inlier] ** 2) / (1.0 + bx * bx + by * by)))
+    kept = finite.copy()
+    kept[finite] = inlier
+    return WaterPlane(at_origin, (bx, by), rms, kept)
 
 
 def level(rig: Rig, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Rig, WaterPlane]:
-    """Re-express a rig so that the plane of surface points at rest is z = 0.
-
-    With x, y, z, metres.
-    """
-    turned = rig
-    points = np.stack([np.ravel(v) for v in np.broadcast_arrays(x, y, z)], axis=-1).astype(float)
-    axes, origin = _across(rig, points)
-    steep = float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0))))
-    if steep > _NEARLY:  # the frame is a camera's, not the water's: turn it first, then level as any other
-        turned = rig.moved(axes, origin)
-        points = (points - origin) @ axes
+    """Re-express a rig so that the plane of points of still water (metres) is z = 0."""
+    points, finite = _points(x, y, z)
+    axes, origin = _frame_on_plane(rig, points[finite])
+    tilt = float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0))))
+    coarse = tilt > MAX_TILT  # the frame is a camera's: turn it first, then level as any other
+    if coarse:
+        rig, points = rig.moved(axes, origin), (points - origin) @ axes
     plane = fit_plane(*points.T)
     note = {
         "height_m": plane.height,
-        "tilt_deg": steep if steep > _NEARLY else float(np.degrees(np.arctan(np.hypot(*plane.slope)))),
+        "tilt_deg": tilt if coarse else float(np.degrees(np.arctan(np.hypot(*plane.slope)))),
         "rms_m": plane.rms,
         "points": int(plane.kept.sum()),
     }
-    return turned.moved(plane.axes, (0.0, 0.0, plane.height), levelled=note), plane
+    return rig.moved(plane.axes, (0.0, 0.0, plane.height), levelled=note), plane
 
 
-def _across(rig: Rig, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Axes (as columns) and origin of a frame on the plane of points, however it lies: z to the cameras."""
-    finite = points[np.isfinite(points).all(axis=1)]
-    if len(finite) < 10:
-        raise RigError(f"{len(finite)} points of the surface at rest: ten at least are needed for its plane")
-    middle, weight = np.median(finite, axis=0), np.ones(len(finite))
-    for _ in range(20):  # the plane that blunders do not move
-        middle = weight @ finite / weight.sum()
-        normal = np.linalg.svd((finite - middle) * np.sqrt(weight)[:, None], full_matrices=False)[2][2]
-        miss = np.abs((finite - middle) @ normal)
-        weight = 1.0 / np.maximum(miss, 0.1 * robust_std(miss) + 1e-12)
+def _frame_on_plane(rig: Rig, points: Array) -> tuple[Array, Array]:
+    """Axes (as columns) and origin of a frame on the plane of points, however tilted: z to the cameras."""
+    middle, weight = np.median(points, axis=0), np.ones(len(points))
+    for _ in range(20):  # the plane that outliers do not move
+        middle = weight @ points / weight.sum()
+        normal = np.linalg.svd((points - middle) * np.sqrt(weight)[:, None], full_matrices=False)[2][2]
+        distance = np.abs((points - middle) @ normal)
+        weight = 1.0 / np.maximum(distance, 0.1 * robust_std(distance) + 1e-12)
     above = np.mean([camera.centre for camera in rig.cameras.values()], axis=0) - middle
     z = normal * (1.0 if above @ normal > 0 else -1.0)
     along = np.eye(3)[0] if abs(z[0]) < 0.9 else np.eye(3)[1]
@@ -106,8 +106,5 @@ def _across(rig: Rig, points: NDArray[np.float64]) -> tuple[NDArray[np.float64],
 
 
 def with_water_level(rig: Rig, height: float) -> Rig:
-    """Re-express a rig when the water stands above or below the flat target by a known height.
-
-    With height, metres.
-    """
+    """Re-express a rig when the water is above (or, negative, below) the flat target by a known height, m."""
     return rig.moved(np.eye(3), (0.0, 0.0, height), water_above_target_m=float(height))

@@ -11,7 +11,7 @@ import cv2
 import yaml
 
 from wavefield.errors import RigError
-from wavefield.rig.formats.common import LENGTHS, Size, Stated
+from wavefield.rig.formats.common import LENGTHS, ImportOptions, Size
 from wavefield.rig.formats.davis_rig import load_davis
 from wavefield.rig.formats.kalibr import is_kalibr, load_kalibr
 from wavefield.rig.formats.matlab_rig import load_matlab
@@ -42,7 +42,7 @@ def load_rig(
     names: Sequence[str] | None = None,
     unit: str = "m",
 ) -> Rig:
-    """Read a rig in any known format, recognised from the file's content.
+    """Read a rig in any supported format, recognised from the file's content.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def load_rig(
     Raises
     ------
     RigError
-        If a file is missing, is of no known kind, or lacks what a camera in space needs.
+        If a file is missing, is of no supported kind, or lacks what a camera in space needs.
 
     Examples
     --------
@@ -79,46 +79,47 @@ def load_rig(
         rigs = {name: load_rig(p, sizes, [name], unit) for name, p in path.items()}
         several = [name for name, rig in rigs.items() if len(rig) != 1]
         if several:
-            raise RigError(
-                f"{path[several[0]]} holds {len(rigs[several[0]])} cameras: give it as the rig alone"
-            )
+            count = len(rigs[several[0]])
+            raise RigError(f"{path[several[0]]} holds {count} cameras: give it as the rig alone")
         return Rig(
             {name: rig[name] for name, rig in rigs.items()},
             {"imported": {name: rig.provenance.get("imported", {}) for name, rig in rigs.items()}},
         )
     path = Path(path)
-    stated = Stated(sizes, names, unit)
+    options = ImportOptions(sizes, names, unit)
     try:
-        return _load(path, stated)
+        return _load(path, options)
     except RigError as error:
-        words = str(error)
-        raise RigError(words if str(path) in words else f"{path} is not a usable rig file: {words}") from None
+        sentence = str(error)
+        if str(path) not in sentence:
+            sentence = f"{path} is not a usable rig file: {sentence}"
+        raise RigError(sentence) from None
     except _BROKEN as error:
         raise RigError(f"{path} is not a rig file: {' '.join(str(error).split())}") from None
 
 
-def _load(path: Path, stated: Stated) -> Rig:
+def _load(path: Path, options: ImportOptions) -> Rig:
     if path.is_dir():
-        return load_wass(path, stated)
+        return load_wass(path, options)
     if path.suffix == ".mat" and path.exists():
-        return load_matlab(path, stated)
+        return load_matlab(path, options)
     text = read_rig_text(path)
     if text.lstrip().startswith("<"):
-        return _load_xml(path, stated)
+        return _load_xml(path, options)
     if text.startswith("%YAML:1.0") or "opencv-matrix" in text:
-        return load_opencv(path, stated)
+        return load_opencv(path, options)
     data = yaml.safe_load(text)
-    return load_kalibr(data, path, stated) if is_kalibr(data) else Rig.load(path)
+    return load_kalibr(data, path, options) if is_kalibr(data) else Rig.load(path)
 
 
-def _load_xml(path: Path, stated: Stated) -> Rig:
+def _load_xml(path: Path, options: ImportOptions) -> Rig:
     root = ET.fromstring(path.read_bytes())
     if root.tag == "ImaDoc":
-        return load_uvmat(root, path, stated)
+        return load_uvmat(root, path, options)
     if root.tag == "opencv_storage":
-        return load_opencv(path, stated)
+        return load_opencv(path, options)
     if root.find("calibration") is not None:
-        return load_vic(root, path, stated)
+        return load_vic(root, path, options)
     if root.find(".//CoordinateMapper") is not None:
-        return load_davis(root, path, stated)
+        return load_davis(root, path, options)
     raise RigError(f"its outermost element is <{root.tag}>: neither UVMAT's, VIC-3D's, DaVis' nor OpenCV's")

@@ -1,4 +1,4 @@
-"""What reading other programs' calibrations has in common."""
+"""Parts of readers and writers of other programs' calibrations."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
@@ -9,6 +9,7 @@ import numpy as np
 from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
 from wavefield.rig.lens import Array
+from wavefield.rig.rig import Rig
 from wavefield.rig.rotation import rotation_about
 
 Size = tuple[int, int]
@@ -24,13 +25,17 @@ LENGTHS = {
 }
 
 
-@dataclass(frozen=True)
-class Stated:
-    """What the user says of a file that the file does not."""
+Pose = tuple[Array, Array]  # rotation (3, 3), translation (3,), metres: world to camera
+FIRST_CAMERA: Pose = np.eye(3), np.zeros(3)
+NO_WORLD_POSE = "no pose in the world: the frame is that of the first camera; level it on the water"
 
-    sizes: Mapping[str, Size] | None = None  # (width, height): Image size per camera, px
-    # Names for the cameras, in the file's order; cam1, cam2, ... if left out
-    names: Sequence[str] | None = None
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """What the user states about a file that the file itself may not contain."""
+
+    sizes: Mapping[str, Size] | None = None  # Image (width, height) per camera, px
+    names: Sequence[str] | None = None  # Of the cameras, in the file's order; cam1, cam2, ... if left out
     unit: str = "m"  # Unit of length, or a number of metres
 
     @property
@@ -45,9 +50,9 @@ class Stated:
                 f"{self.unit!r} is no unit of length; use one of {', '.join(LENGTHS)}, or a number of metres"
             ) from None
 
-    def size(self, name: str, program: str, found: tuple[float, float] | None = None) -> Size:
-        """Image size of a camera: as stated, or as found in the file."""
-        size = (self.sizes or {}).get(name) or found
+    def size(self, name: str, program: str, stored: tuple[float, float] | None = None) -> Size:
+        """Image size of a camera: as stated, or as stored in the file."""
+        size = (self.sizes or {}).get(name) or stored
         if size is None:
             raise RigError(
                 f"{program} does not store the image size: state it for {name!r} (`sizes`, width and height)"
@@ -63,24 +68,50 @@ class Stated:
         return list(self.names)
 
 
+@dataclass(frozen=True)
+class StoredCamera:
+    """A camera of a file, with OpenCV's lens model."""
+
+    K: Array  # (3, 3), px
+    D: Array | Sequence[float] | None  # Distortion coefficients in OpenCV's order
+    pose: Pose = FIRST_CAMERA
+    size: tuple[float, float] | None = None  # Image (width, height), px, where the file stores it
+
+
+def rig_of_file(
+    cameras: Sequence[StoredCamera], options: ImportOptions, origin: str, note: Mapping[str, object]
+) -> Rig:
+    """The rig of a file's cameras; origin names the program in messages, note is its provenance."""
+    if cameras[0].pose is FIRST_CAMERA:
+        note = {"left_out": NO_WORLD_POSE, **note}
+    named = dict(zip(options.named(len(cameras)), cameras, strict=True))
+    return Rig(
+        {
+            name: Camera.from_opencv(one.K, one.D, *one.pose, options.size(name, origin, one.size))
+            for name, one in named.items()
+        },
+        {"imported": note},
+    )
+
+
 def rotation_near(matrix: Array) -> Array:
-    """Nearest rotation: files round to a few digits."""
+    """The rotation nearest to a matrix (3, 3), which files round to a few digits."""
     U, _, V = np.linalg.svd(matrix)
     nearest: Array = U @ V
     if not np.abs(nearest - matrix).max() < 1e-3 or np.linalg.det(nearest) < 0:
-        raise RigError("its rotation matrix is none")
+        raise RigError("its rotation matrix is not a rotation")
     return nearest
 
 
 def turned_about_axes(alpha: float, beta: float, gamma: float) -> Array:
-    """R = Rz(gamma) Ry(beta) Rx(alpha), radians: what fits the matches of VIC-3D and the marks of DaVis."""
+    """R = Rz(gamma) Ry(beta) Rx(alpha), radians, as in VIC-3D and DaVis."""
     about_x, about_y, about_z = (rotation_about(a * e) for a, e in zip((alpha, beta, gamma), np.eye(3)))
     turn: Array = about_z @ about_y @ about_x
     return turn
 
 
 def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[float]:
-    """Numbers of an element: all, or so many; a `RigError` where it has others."""
+    """Numbers of an element, of which there must be so many if stated."""
     element = parent.find(tag)
     if element is None or element.text is None:
         raise RigError(f"<{tag}> is missing")
@@ -90,15 +121,15 @@ def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[f
     return values
 
 
-def refuse_terms(camera: Camera, program: str, *known: str) -> None:
-    """Refuse a camera with terms that another program does not know."""
+def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
+    """Refuse a camera with lens terms that another program does not have."""
     extra = [
         term
         for term in ("k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew")
-        if term not in known and getattr(camera, term) != 0.0
+        if term not in terms and getattr(camera, term) != 0.0
     ]
     if extra:
         raise RigError(
-            f"{program} does not know {', '.join(extra)}: calibrate again with a model of "
-            f"fx, fy, cx, cy{', ' if known else ''}{', '.join(known)}"
+            f"{program} does not have {', '.join(extra)}: calibrate again with a model of "
+            f"fx, fy, cx, cy{', ' if terms else ''}{', '.join(terms)}"
         )

@@ -1,10 +1,9 @@
 """DaVis' Calibration.xml of pinhole cameras ("PinholeOpenCV"), lengths in millimetres.
 
-LaVision describes the file nowhere. That the angles are R = Rz Ry Rx, that FocalLengthPixel is in
-millimetres and that PrincipalPoint and marks count pixels alike rests on public readers. One of them finds
-DaVis' own FitError again from its table of marks, to fourteen digits; with the angles as a rotation vector,
-which another takes them for, it misses the marks by a thousand times as much. Where the table lies beside the
-file, the same is checked here.
+LaVision does not document the file. According to public readers the angles are R = Rz Ry Rx,
+FocalLengthPixel is in millimetres, and PrincipalPoint and marks count pixels alike. One of these readers
+reproduces DaVis' own FitError from its table of marks to fourteen digits. Where the table is in the folder of
+the file, the same is checked here.
 """
 
 import xml.etree.ElementTree as ET
@@ -14,54 +13,52 @@ import numpy as np
 
 from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
-from wavefield.rig.formats.common import Stated, turned_about_axes
+from wavefield.rig.formats.common import ImportOptions, turned_about_axes
 from wavefield.rig.rig import Rig
 
-_AGAIN = (
+AGAIN = (
     "calibrate again from its target images, which are read as they are (.im7), or from tables of its marks"
 )
-_TABLE = "MarkPositionTable.xml"
-_ALIKE = 2.0  # times the error that DaVis states, by which its marks may be missed
-_LEAST = 0.1  # px, which marks may be missed by in any case
-_UNIT = 1e-3  # m
+MARK_TABLE = "MarkPositionTable.xml"
+MAX_ERROR_RATIO = 2.0  # of the marks' misfit over the error that DaVis states
+ACCEPTED_MISFIT = 0.1  # px, in any case
+MILLIMETRE = 1e-3  # m
 
 
-def load_davis(root: ET.Element, path: Path, stated: Stated) -> Rig:
+def load_davis(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
     """Read a calibration of DaVis."""
-    if any(beside.is_dir() for beside in path.parent.glob("[Cc]orrection field")):
+    if any(folder.is_dir() for folder in path.parent.glob("[Cc]orrection field")):
         raise RigError(
-            "a correction field of DaVis' self-calibration lies beside it, which is not read: take the "
-            f"calibration before that from `Calibration History`, or {_AGAIN}"
+            "a correction field of DaVis' self-calibration is next to it, which is not read: take the "
+            f"calibration before that from `Calibration History`, or {AGAIN}"
         )
     systems = [one for one in root.iter() if one.find("CoordinateMapper") is not None]
     if len(systems) > 1:
-        raise RigError(
-            f"it holds {len(systems)} coordinate systems, one for each view of the plate: {_AGAIN}"
-        )
+        raise RigError(f"it holds {len(systems)} coordinate systems, one for each view of the plate: {AGAIN}")
     mappers = systems[0].findall("CoordinateMapper")
-    strange = [one for one in mappers if one.get("Type") != "PinholeOpenCV"]
-    if strange:
+    other = [one for one in mappers if one.get("Type") != "PinholeOpenCV"]
+    if other:
         raise RigError(
-            f"it is DaVis', of the kind {strange[0].get('Type', 'unknown')}, not PinholeOpenCV: {_AGAIN}"
+            f"it is DaVis', of the kind {other[0].get('Type', 'unknown')}, not PinholeOpenCV: {AGAIN}"
         )
-    names = stated.named(len(mappers))
+    names = options.named(len(mappers))
     cameras = {name: _camera(mapper) for name, mapper in zip(names, mappers, strict=True)}
     note: dict[str, object] = {"program": "DaVis", "file": path.name, "unit": "mm"}
-    missed = {}
+    misfits = {}
     for name, mapper in zip(names, mappers, strict=True):
-        rms = _missed(cameras[name], path.parent, mapper.get("CameraIdentifier", ""))
+        rms = _misfit_of_marks(cameras[name], path.parent, mapper.get("CameraIdentifier", ""))
         if rms is None:
             continue
-        missed[name] = round(rms, 4)
+        misfits[name] = round(rms, 4)
         stated_rms = _number(mapper, "FitError", "RMS", np.inf)
-        if rms > max(_ALIKE * stated_rms, _LEAST):
+        if rms > max(MAX_ERROR_RATIO * stated_rms, ACCEPTED_MISFIT):
             raise RigError(
-                f"{name} misses its own marks ({_TABLE}) by {rms:.2f} px, where DaVis states "
-                f"{stated_rms:.2f}: if "
-                f"it was calibrated on particles since, take the table away from there; if not, {_AGAIN}"
+                f"{name} misses its own marks ({MARK_TABLE}) by {rms:.2f} px, where DaVis states "
+                f"{stated_rms:.2f}: if it was calibrated on particles since, remove the table; if not, "
+                f"{AGAIN}"
             )
-    if missed:
-        note["marks_px"] = missed
+    if misfits:
+        note["marks_px"] = misfits
     return Rig(cameras, {"imported": note})
 
 
@@ -74,7 +71,7 @@ def _camera(mapper: ET.Element) -> Camera:
         _number(mapper, "TangentialDistortion", f"tangentialDistortionCoefficient{n}", 0.0) for n in (1, 2)
     )
     R = turned_about_axes(*(_number(mapper, "RotationAngles", name) for name in ("Rx", "Ry", "Rz")))
-    T = [_UNIT * _number(mapper, "TranslationMm", name) for name in ("Tx", "Ty", "Tz")]
+    T = [MILLIMETRE * _number(mapper, "TranslationMm", name) for name in ("Tx", "Ty", "Tz")]
     width, height = (int(_number(mapper, "OriginalImageSize", name)) for name in ("Width", "Height"))
     return Camera(fx, fy, cx, cy, R, T, (width, height), k1=k1, k2=k2, p1=p1, p2=p2)
 
@@ -89,12 +86,12 @@ def _number(mapper: ET.Element, tag: str, name: str, absent: float | None = None
     return float(text)
 
 
-def _missed(camera: Camera, folder: Path, number: str) -> float | None:
-    """Rms distance of the marks from where a camera sees them, weighted as DaVis does, px; None without any.
+def _misfit_of_marks(camera: Camera, folder: Path, number: str) -> float | None:
+    """Rms distance of marks from their projections by a camera, weighted as in DaVis, px; None without any.
 
     The tables in the cameras' folders are alike: each holds the marks of all cameras.
     """
-    tables = sorted([*folder.glob(_TABLE), *folder.glob(f"*/{_TABLE}")])
+    tables = sorted([*folder.glob(MARK_TABLE), *folder.glob(f"*/{MARK_TABLE}")])
     if not tables:
         return None
     rows = []
@@ -106,6 +103,6 @@ def _missed(camera: Camera, folder: Path, number: str) -> float | None:
     if not rows:
         return None
     x, y, z, column, row, weight = np.array(rows).T
-    seen = camera.project(_UNIT * x, _UNIT * y, _UNIT * z)
-    apart = (seen[0] - column) ** 2 + (seen[1] - row) ** 2
+    X, Y = camera.project(MILLIMETRE * x, MILLIMETRE * y, MILLIMETRE * z)
+    apart = (X - column) ** 2 + (Y - row) ** 2
     return float(np.sqrt((weight * apart).sum() / max(weight.sum(), 1e-12)))

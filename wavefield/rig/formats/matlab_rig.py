@@ -1,20 +1,18 @@
 """MATLAB's .mat files: Bouguet's toolbox, and the structs of MATLAB's own Camera Calibrator."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from wavefield.errors import RigError
-from wavefield.rig.camera import Camera
-from wavefield.rig.formats.common import Stated, rotation_near
-from wavefield.rig.lens import Array
+from wavefield.rig.formats.common import ImportOptions, Pose, StoredCamera, rig_of_file, rotation_near
 from wavefield.rig.rig import Rig
 
-_LEVEL = "no pose in the world: the frame is that of the first camera; level it on the water"
 
-
-def load_matlab(path: Path, stated: Stated) -> Rig:
+def load_matlab(path: Path, options: ImportOptions) -> Rig:
     """Read a calibration made in MATLAB."""
     import scipy.io  # half a second that no other rig needs
 
@@ -22,60 +20,54 @@ def load_matlab(path: Path, stated: Stated) -> Rig:
         data = scipy.io.loadmat(str(path), simplify_cells=True)
     except NotImplementedError:
         raise RigError("it is of version 7.3: save it in MATLAB with the option '-v7'") from None
+
+    def second(R: Any, T: Any) -> Pose:
+        """Pose of the second camera, from what the file stores."""
+        return rotation_near(np.asarray(R, float)), options.length * np.ravel(np.asarray(T, float))
+
     if "fc_left" in data:
-        lenses = [_bouguet(data, "_left"), _bouguet(data, "_right")]
-        R, T = np.asarray(data["R"], float), np.asarray(data["T"], float).ravel()
+        right = _bouguet(data, "_right")
+        cameras = [_bouguet(data, "_left"), replace(right, pose=second(data["R"], data["T"]))]
     elif "fc" in data:
-        lenses, R, T = [_bouguet(data, "")], np.eye(3), np.zeros(3)
+        cameras = [_bouguet(data, "")]
     else:
-        lenses, R, T = _structs(data)
-    names = stated.named(len(lenses))
-    poses = [(np.eye(3), np.zeros(3)), (rotation_near(R), stated.length * T)]
-    cameras = {
-        name: Camera.from_opencv(K, D, *pose, stated.size(name, "this .mat file", size))
-        for name, (K, D, size), pose in zip(names, lenses, poses, strict=False)
-    }
-    note = {"program": "MATLAB", "file": path.name, "unit": stated.unit, "left_out": _LEVEL}
-    return Rig(cameras, {"imported": note})
+        structs = [value for value in data.values() if isinstance(value, dict)]
+        pairs = [value for value in structs if {"CameraParameters1", "CameraParameters2"} <= set(value)]
+        single = [value for value in structs if "RadialDistortion" in value]
+        if pairs:
+            pair = pairs[0]
+            if isinstance(pair.get("PoseCamera2"), dict):
+                pose = second(pair["PoseCamera2"]["R"], pair["PoseCamera2"]["Translation"])
+            else:  # rows of points there: x2 = x1 R + t
+                pose = second(np.asarray(pair["RotationOfCamera2"], float).T, pair["TranslationOfCamera2"])
+            one, two = _struct(pair["CameraParameters1"]), _struct(pair["CameraParameters2"])
+            cameras = [one, replace(two, pose=pose)]
+        elif single:
+            cameras = [_struct(single[0])]
+        else:
+            raise RigError(
+                "it holds no calibration: save Bouguet's results, or toStruct(params) of MATLAB's Camera "
+                "Calibrator"
+            )
+    note = {"program": "MATLAB", "file": path.name, "unit": options.unit}
+    return rig_of_file(cameras, options, "this .mat file", note)
 
 
-Lens = tuple[Array, Array, tuple[float, float] | None]
-
-
-def _bouguet(data: dict[str, Any], side: str) -> Lens:
-    """Pixels count from zero here, as ours."""
+def _bouguet(data: Mapping[str, Any], side: str) -> StoredCamera:
+    """A camera of Bouguet's toolbox, where pixels count from zero as here."""
     fx, fy = np.ravel(data[f"fc{side}"]).tolist()
     cx, cy = np.ravel(data[f"cc{side}"]).tolist()
     skew = float(np.ravel(data.get(f"alpha_c{side}", 0.0))[0]) * fx
     K = np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     size = (float(data["nx"]), float(data["ny"])) if "nx" in data and "ny" in data else None
-    return K, np.ravel(np.asarray(data[f"kc{side}"], float)), size
+    return StoredCamera(K, np.ravel(np.asarray(data[f"kc{side}"], float)), size=size)
 
 
-def _structs(data: dict[str, Any]) -> tuple[list[Lens], Array, Array]:
-    for value in data.values():
-        if isinstance(value, dict) and "CameraParameters1" in value and "CameraParameters2" in value:
-            lenses = [_own(value["CameraParameters1"]), _own(value["CameraParameters2"])]
-            if "PoseCamera2" in value and isinstance(value["PoseCamera2"], dict):
-                pose = value["PoseCamera2"]
-                return lenses, np.asarray(pose["R"], float), np.ravel(np.asarray(pose["Translation"], float))
-            # rows of points there: x2 = x1 R + t
-            R = np.asarray(value["RotationOfCamera2"], float).T
-            return lenses, R, np.ravel(np.asarray(value["TranslationOfCamera2"], float))
-    for value in data.values():
-        if isinstance(value, dict) and "RadialDistortion" in value:
-            return [_own(value)], np.eye(3), np.zeros(3)
-    raise RigError(
-        "it holds no calibration: save Bouguet's results, or toStruct(params) of MATLAB's Camera Calibrator"
-    )
-
-
-def _own(value: dict[str, Any]) -> Lens:
-    """MATLAB's own: the matrix transposed in older versions, and pixels count from one."""
+def _struct(value: Mapping[str, Any]) -> StoredCamera:
+    """A camera of MATLAB's Calibrator: the matrix transposed in older versions, pixels counted from one."""
     K = np.asarray(value["K"] if "K" in value else np.transpose(value["IntrinsicMatrix"]), float).copy()
     K[:2, 2] -= 1.0
     k = [*np.ravel(value["RadialDistortion"]).tolist(), 0.0, 0.0][:3]
     p = [*np.ravel(value.get("TangentialDistortion", (0.0, 0.0))).tolist(), 0.0, 0.0][:2]
-    D = np.array([k[0], k[1], *p, k[2]])
     size = np.ravel(value["ImageSize"]).tolist() if np.size(value.get("ImageSize", ())) == 2 else None
-    return K, D, None if size is None else (size[1], size[0])
+    return StoredCamera(K, [k[0], k[1], *p, k[2]], size=None if size is None else (size[1], size[0]))

@@ -1,167 +1,154 @@
-"""OpenCV's YAML or XML, whatever the program that wrote it called its nodes."""
+"""OpenCV's YAML or XML, whatever the names of its nodes."""
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 
 from wavefield.errors import RigError
-from wavefield.rig.camera import Camera
-from wavefield.rig.formats.common import Stated, rotation_near
+from wavefield.rig.formats.common import (
+    FIRST_CAMERA,
+    ImportOptions,
+    Pose,
+    StoredCamera,
+    rig_of_file,
+    rotation_near,
+)
 from wavefield.rig.lens import Array
 from wavefield.rig.rig import Rig
 
-_LENS = ("m", "k", "cameramatrix", "intrinsics", "intrinsic", "intrinsicspinhole", "camera", "mtx", "kmat")
-_DISTORTION = (
-    "d",
-    "distcoeffs",
-    "distortioncoefficients",
-    "distortion",
-    "dist",
-    "distcoefs",
-    "kc",
-    "distcoeff",
-)
-_ROTATION = ("r", "rotation", "rotationmatrix", "rmat", "om")
-_TRANSLATION = ("t", "translation", "translationvector", "tvec")
-_WIDTH, _HEIGHT = ("imagewidth", "width"), ("imageheight", "height")
+# names of nodes, in small letters and digits only, without the number of the camera
+MATRICES = ("m", "k", "cameramatrix", "intrinsics", "intrinsic", "intrinsicspinhole", "camera", "mtx", "kmat")
+DISTORTIONS = {"d", "kc", "dist", "distcoeff", "distcoeffs", "distcoefs"}
+DISTORTIONS |= {"distortion", "distortioncoefficients"}
+ROTATIONS = ("r", "rotation", "rotationmatrix", "rmat")
+TRANSLATIONS = ("t", "translation", "translationvector", "tvec")
+MIN_DETERMINANT = 100.0  # of a matrix with focal lengths in px, unlike a rotation's
+
+Nodes = list[tuple[str, Array]]  # names and values of a file
+Parts = dict[str, Array]  # of one camera: K, D, size or width and height, worldr and worldt
 
 
-@dataclass(frozen=True)
-class _Node:
-    """A value of the file: its name in small letters and digits only, and what it holds."""
-
-    name: str
-    value: Array
-
-
-def _nodes(storage: cv2.FileStorage) -> list[_Node]:
+def _nodes(storage: cv2.FileStorage) -> Nodes:
     """All matrices and numbers at the file's first two levels."""
-    out: list[_Node] = []
+    out: Nodes = []
 
-    def take(node: Any, prefix: str, depth: int) -> None:
+    def collect(node: cv2.FileNode, prefix: str, depth: int) -> None:
         for key in list(node.keys()):
             child = node.getNode(key)
             name = re.sub(r"[^a-z0-9]", "", f"{prefix}{key}".lower())
             if child.isInt() or child.isReal():
-                out.append(_Node(name, np.array(child.real())))
+                out.append((name, np.array(child.real())))
             elif child.isSeq() and child.size() and (child.at(0).isInt() or child.at(0).isReal()):
-                out.append(_Node(name, np.array([child.at(k).real() for k in range(child.size())])))
+                out.append((name, np.array([child.at(k).real() for k in range(child.size())])))
             elif child.isMap():
                 matrix = child.mat()
                 if matrix is not None and matrix.size:
-                    out.append(_Node(name, np.asarray(matrix, float)))
+                    out.append((name, np.asarray(matrix, float)))
                 elif depth:
-                    take(child, key, depth - 1)
+                    collect(child, key, depth - 1)
 
-    take(storage.root(), "", 1)
+    collect(storage.root(), "", 1)
     return out
 
 
-def _camera_nodes(nodes: list[_Node]) -> dict[str, dict[str, Array]]:
-    """Per camera, told by the number (or left, right) in a node's name: K, D and the image size."""
-    found: dict[str, dict[str, Array]] = {}
-    for node in nodes:
-        head = re.match(r"(?:cam(?:era)?)?(\d+)", node.name)
-        tail = re.search(r"(\d+|left|right|l|r)$", node.name)
-        candidates = [("", node.name)]
-        candidates += [(head[1], node.name[head.end() :])] if head else []
-        candidates += [(tail[1], node.name[: tail.start()])] if tail else []
-        for which, stem in candidates:
-            kind = _kind(stem, node.value)
-            if kind:
-                found.setdefault(which, {}).setdefault(kind, node.value)
+def _parts_of_cameras(nodes: Nodes) -> dict[str, Parts]:
+    """The parts of each camera, by the number (or left, right) in a node's name; "" where it has none."""
+    out: dict[str, Parts] = {}
+    for name, value in nodes:
+        head = re.match(r"(?:cam(?:era)?)?(\d+)", name)
+        tail = re.search(r"(\d+|left|right|l|r)$", name)
+        candidates = [("", name)]
+        candidates += [(head[1], name[head.end() :])] if head else []
+        candidates += [(tail[1], name[: tail.start()])] if tail else []
+        for camera, stem in candidates:
+            part = _part(stem, value)
+            if part:
+                out.setdefault(camera, {}).setdefault(part, value)
                 break
-    return found
+    return out
 
 
-def _kind(stem: str, value: Array) -> str:
-    if value.shape == (3, 3) and stem in _LENS and value[2, 2] == 1.0:
+def _part(stem: str, value: Array) -> str:
+    if value.shape == (3, 3) and stem in MATRICES and value[2, 2] == 1.0:
         return "K"
-    if stem in _DISTORTION and value.size in (4, 5, 8, 12, 14):
+    if stem in DISTORTIONS and value.size in (4, 5, 8, 12, 14):
         return "D"
-    if stem in _WIDTH and value.size == 1:
+    if stem in ("imagewidth", "width") and value.size == 1:
         return "width"
-    if stem in _HEIGHT and value.size == 1:
+    if stem in ("imageheight", "height") and value.size == 1:
         return "height"
     if stem in ("imagesize", "size", "resolution") and value.size == 2:
         return "size"
-    if stem in ("worldr", "worldt"):
-        return stem
-    return ""
+    return stem if stem in ("worldr", "worldt") else ""
 
 
-def load_opencv(path: Path, stated: Stated) -> Rig:
+def load_opencv(path: Path, options: ImportOptions) -> Rig:
     """Read OpenCV's storage: one camera, or several with the pose of the second from the first."""
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     try:
         nodes = _nodes(storage)
     finally:
         storage.release()
-    lenses = _lenses(nodes)
-    by_name = {node.name: node.value for node in nodes}
-    cameras: dict[str, Camera] = {}
-    note: dict[str, Any] = {"program": "OpenCV", "file": path.name, "unit": stated.unit}
-    for n, (name, lens) in enumerate(zip(stated.named(len(lenses)), lenses, strict=True)):
-        R, T = _pose(n, name, lens, by_name, note)
-        D = lens.get("D", np.zeros(0)).ravel()
-        size = stated.size(name, "this OpenCV file", _stored_size(lens, by_name))
-        cameras[name] = Camera.from_opencv(lens["K"], D, R, stated.length * T, size)
-    return Rig(cameras, {"imported": note})
+    note = {"program": "OpenCV", "file": path.name, "unit": options.unit}
+    all_parts = _cameras(nodes)
+    cameras = []
+    for n, (name, parts) in enumerate(zip(options.named(len(all_parts)), all_parts, strict=True)):
+        R, T = _pose(n, name, parts, dict(nodes))
+        D = parts.get("D", np.zeros(0)).ravel()
+        pose = FIRST_CAMERA if R is FIRST_CAMERA[0] else (R, options.length * T)
+        cameras.append(StoredCamera(parts["K"], D, pose, _stored_size(parts)))
+    return rig_of_file(cameras, options, "this OpenCV file", note)
 
 
-def _lenses(nodes: list[_Node]) -> list[dict[str, Array]]:
-    found = _camera_nodes(nodes)
-    order = sorted((which for which in found if "K" in found[which]), key=_order)
+def _cameras(nodes: Nodes) -> list[Parts]:
+    """The parts of the cameras in their order, each with the parts that all share."""
+    found = _parts_of_cameras(nodes)
+    shared = found.get("", {})
+    order = sorted((camera for camera in found if "K" in found[camera]), key=_order)
     if "" in order and len(order) > 1:  # numbered cameras, and an own matrix such as P or K of something else
         order.remove("")
-    if not order:
-        odd = [node for node in nodes if node.value.shape == (3, 3) and node.value[2, 2] == 1.0]
-        odd = [
-            node for node in odd if abs(np.linalg.det(node.value)) > 100.0
-        ]  # no rotation: focal lengths in px
-        if not odd:
-            raise RigError("it holds no camera matrix (3 x 3, with focal lengths in px)")
-        rest = [node for node in nodes if node.value.size in (4, 5, 8, 12, 14) and node.value.ndim == 2]
-        return [
-            {"K": node.value, **({"D": rest[n].value} if n < len(rest) else {}), **found.get("", {})}
-            for n, node in enumerate(odd)
-        ]
-    return [{**found.get("", {}), **found[which]} for which in order]
+    if order:
+        return [{**shared, **found[camera]} for camera in order]
+    matrices = [value for _, value in nodes if value.shape == (3, 3) and value[2, 2] == 1.0]
+    matrices = [value for value in matrices if abs(np.linalg.det(value)) > MIN_DETERMINANT]
+    if not matrices:
+        raise RigError("it holds no camera matrix (3 x 3, with focal lengths in px)")
+    distortions = [value for _, value in nodes if value.size in (4, 5, 8, 12, 14) and value.ndim == 2]
+    return [
+        {"K": K, **({"D": distortions[n]} if n < len(distortions) else {}), **shared}
+        for n, K in enumerate(matrices)
+    ]
 
 
-def _order(which: str) -> tuple[int, str]:
-    return (int(which) if which.isdigit() else {"left": 0, "l": 0, "right": 1, "r": 1}.get(which, -1), which)
+def _order(camera: str) -> tuple[int, str]:
+    sides = {"left": 0, "l": 0, "right": 1, "r": 1}
+    return (int(camera) if camera.isdigit() else sides.get(camera, -1), camera)
 
 
-def _stored_size(lens: dict[str, Array], by_name: dict[str, Array]) -> tuple[float, float] | None:
-    if "width" in lens and "height" in lens:
-        return float(lens["width"]), float(lens["height"])
-    if "size" in lens:
-        return float(lens["size"].ravel()[0]), float(lens["size"].ravel()[1])
+def _stored_size(parts: Parts) -> tuple[float, float] | None:
+    if "width" in parts and "height" in parts:
+        return float(parts["width"]), float(parts["height"])
+    if "size" in parts:
+        width, height = parts["size"].ravel().tolist()
+        return width, height
     return None
 
 
-def _pose(
-    n: int, name: str, lens: dict[str, Array], by_name: dict[str, Array], note: dict[str, Any]
-) -> tuple[Array, Array]:
-    if "worldr" in lens and "worldt" in lens:
-        return rotation_near(lens["worldr"]), lens["worldt"].ravel()
+def _pose(n: int, name: str, parts: Parts, by_name: Mapping[str, Array]) -> Pose:
+    """Pose of the camera at position n: in the world if stored, else of the second from the first."""
+    if "worldr" in parts and "worldt" in parts:
+        return rotation_near(parts["worldr"]), parts["worldt"].ravel()
     if n == 0:
-        note["left_out"] = (
-            "no pose in the world: the frame is that of the first camera; level it on the water"
-        )
-        return np.eye(3), np.zeros(3)
-    R = next((by_name[key] for key in ("r", "rotation", "rotationmatrix", "rmat") if key in by_name), None)
-    T = next(
-        (by_name[key] for key in ("t", "translation", "translationvector", "tvec") if key in by_name), None
+        return FIRST_CAMERA
+    R, T = (
+        next((by_name[key] for key in keys if key in by_name), None) for keys in (ROTATIONS, TRANSLATIONS)
     )
     if n == 1 and R is not None and T is not None:
-        full = np.asarray(cv2.Rodrigues(R)[0], float) if R.size == 3 else R
-        return rotation_near(full), T.ravel()
+        matrix = np.asarray(cv2.Rodrigues(R)[0], float) if R.size == 3 else R
+        return rotation_near(matrix), T.ravel()
     raise RigError(f"camera {name!r} has no pose: a stereo file holds R and T of the second camera")
 
 

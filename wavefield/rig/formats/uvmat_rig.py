@@ -9,14 +9,14 @@ import numpy as np
 
 from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
-from wavefield.rig.formats.common import LENGTHS, Stated, numbers_of, refuse_terms, rotation_near
+from wavefield.rig.formats.common import LENGTHS, ImportOptions, numbers_of, refuse_terms, rotation_near
 from wavefield.rig.rig import Rig
 
 # UVMAT counts Y upwards, so its camera frame is left-handed: turn its y axis
 _FLIP = np.diag([1.0, -1.0, 1.0])
 
 
-def load_uvmat(root: ET.Element, path: Path, stated: Stated) -> Rig:
+def load_uvmat(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
     """Read UVMAT's ImaDoc of one camera."""
     calibration = root.find("GeometryCalib")
     if calibration is None:
@@ -26,8 +26,8 @@ def load_uvmat(root: ET.Element, path: Path, stated: Stated) -> Rig:
         raise RigError(
             "its calibration is not in three dimensions: redo it in UVMAT as 3D_linear or 3D_extrinsic"
         )
-    (name,) = stated.named(1, [path.stem])
-    size = stated.size(name, "UVMAT")
+    (name,) = options.named(1, [path.stem])
+    size = options.size(name, "UVMAT")
     _check_size(calibration, size)
     unit = (calibration.findtext("CoordUnit") or "").strip()
     if unit not in LENGTHS:

@@ -7,18 +7,18 @@ import numpy as np
 
 from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
-from wavefield.rig.formats.common import Stated, numbers_of, refuse_terms, turned_about_axes
+from wavefield.rig.formats.common import ImportOptions, numbers_of, refuse_terms, turned_about_axes
 from wavefield.rig.rig import Rig
 
 
-def load_vic(root: ET.Element, path: Path, stated: Stated) -> Rig:
+def load_vic(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
     """Read VIC-3D's project."""
     elements = root.findall("calibration/camera")
     if not elements:
         raise RigError("it has no <camera>: the project was not calibrated")
     mask = root.find(".//polygonmask")
     cameras = {}
-    for name, element in zip(stated.named(len(elements)), elements, strict=True):
+    for name, element in zip(options.named(len(elements)), elements, strict=True):
         values = [float(v) for v in (element.text or "").split()]
         if len(values) not in (5, 6, 7, 8):
             raise RigError(f"a <camera> holds {len(values)} numbers instead of cx cy fx fy skew k1 k2 k3")
@@ -26,7 +26,7 @@ def load_vic(root: ET.Element, path: Path, stated: Stated) -> Rig:
         radial = dict(zip(("k1", "k2", "k3"), values[5:]))
         pose = numbers_of(element, "orientation", 6)
         stored = None if mask is None else (int(mask.attrib["width"]), int(mask.attrib["height"]))
-        size = stated.size(name, "this VIC-3D file", stored)
+        size = options.size(name, "this VIC-3D file", stored)
         T = 1e-3 * np.array(pose[3:])
         cameras[name] = Camera(
             fx, fy, cx, cy, turned_about_axes(*np.radians(pose[:3])), T, size, skew=skew, **radial
