@@ -62,8 +62,8 @@ def write_calibration(
 
 def _predicted(calibration: Calibration) -> dict[str, Any]:
     """The models that were compared, and the uncertainties predicted from the fit."""
-    derived = calibration.predicted
-    assert derived is not None
+    errors = calibration.predicted
+    assert errors is not None
     return {
         "model": calibration.model,
         "models_compared": [
@@ -77,12 +77,12 @@ def _predicted(calibration: Calibration) -> dict[str, Any]:
             for c in calibration.models
         ],
         "predicted": {
-            "reprojection_px": dict(derived.reprojection),
-            "z_mm": 1e3 * derived.z_std,
-            "z_of_which_tilt_mm": 1e3 * derived.z_tilt,
-            "image_covered": dict(derived.coverage),
-            "condition_number": derived.condition,
-            "strongest_correlations": [[a, b, round(r, 6)] for a, b, r in derived.correlation],
+            "reprojection_px": dict(errors.reprojection),
+            "z_mm": 1e3 * errors.z_std,
+            "z_of_which_tilt_mm": 1e3 * errors.z_tilt,
+            "image_covered": dict(errors.coverage),
+            "condition_number": errors.condition,
+            "strongest_correlations": [[a, b, round(r, 6)] for a, b, r in errors.correlation],
         },
     }
 

@@ -35,9 +35,8 @@ def triangulate(
     p, D = np.asarray(apparent, float), np.asarray(sight, float)
     visible = np.isfinite(p).all(1) & np.isfinite(D).all(1)
     weight = np.ones(1) if std is None else 1.0 / np.square(np.asarray(std, float))
-    weight = np.where(visible, weight.reshape(weight.shape + (1,) * (visible.ndim - weight.ndim)), 0.0)[
-        :, None
-    ]
+    weight = weight.reshape(weight.shape + (1,) * (visible.ndim - weight.ndim))
+    weight = np.where(visible, weight, 0.0)[:, None]
     p0, D0 = np.where(visible[:, None], p, 0.0), np.where(visible[:, None], D, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         total = np.sum(weight, axis=0)
@@ -111,9 +110,8 @@ def _solve(
         total = vx = vy = vz = 0.0
         for i in range(observed.shape[1]):
             if np.isfinite(observed[n, i]) and weight[n, i] > 0.0 and np.isfinite(jacobian[n, i, 0]):
-                misfit = observed[n, i] - (
-                    jacobian[n, i, 0] * x + jacobian[n, i, 1] * y + jacobian[n, i, 2] * z
-                )
+                j0, j1, j2 = jacobian[n, i, 0], jacobian[n, i, 1], jacobian[n, i, 2]
+                misfit = observed[n, i] - (j0 * x + j1 * y + j2 * z)
                 total += misfit * misfit
                 w = weight[n, i]
                 w0, w1, w2 = w * j0, w * j1, w * j2
