@@ -27,6 +27,7 @@ from wavefield.measurement.pair_surface import PairMatch
 Float = NDArray[np.floating]
 
 _ROUNDS = 2  # of spectrum and field in turn
+_HALF_WITHIN = 0.6745  # standard deviations of a Gaussian; of half of a field, so that edges do not count
 _FREEDOM = 0.6  # fraction of the scores' noise that windows leave in them, about
 
 
@@ -83,6 +84,13 @@ class ElevationSample:
         found = map_elevation(combine(turned), turned, self.prepared, modes, self.pixel, noise_across=False)
         information = float(found.information.mean()) / self.bare
         return ((found.waves - found.mean) / np.sqrt(self.bare), information) if information > 0 else None
+
+    def summary(self, modes: Modes) -> tuple[float, float, float]:
+        """Information of a block, variance of z, and of the smooth epipolar error, square metres."""
+        found = map_elevation(self.blocks, self.matches, self.prepared, modes, self.pixel)
+        z = modes.field(found.waves - found.mean)[0][found.information > 0]
+        std = float(np.median(np.abs(z - np.median(z)))) / _HALF_WITHIN if z.size else 0.0
+        return float(found.information.mean()) / self.bare, std**2, found.epipolar**2
 
 
 class DisplacementSample:

@@ -25,7 +25,6 @@ from wavefield.measurement.frame import usable
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.instant import Images, images_of
 from wavefield.measurement.learned_record import LearnedRecord
-from wavefield.measurement.map_elevation import map_elevation
 from wavefield.measurement.masked import Masks, bare_of_camera, bare_of_pairs
 from wavefield.measurement.model import Model
 from wavefield.measurement.temporal_truncation import temporal_truncation
@@ -35,7 +34,6 @@ Float = NDArray[np.floating]
 
 SAMPLES = 4  # steps of a record
 _NOISE_FACTORS = 0.1, 10.0  # accepted range
-_HALF_WITHIN = 0.6745  # standard deviations of a Gaussian; of half of a field, so that edges do not count
 _FLAT = Prior.isotropic((0.0, np.pi), (1e-12, 1e-12), 1.0)  # of a light sheet: no waves
 
 
@@ -209,14 +207,9 @@ def _learn_elevation(
     prior = FieldSamples.of(samples, geometry.settings.stereo, pool).prior
     modes = Modes(prior, geometry.lattice.shape)
 
-    def summarize(sample: ElevationSample) -> tuple[float, float, float]:
-        """Information of a block, variance of z, and of the smooth epipolar error."""
-        estimate = map_elevation(sample.blocks, sample.matches, sample.prepared, modes, geometry.pixel)
-        z = modes.field(estimate.waves - estimate.mean)[0][estimate.information > 0]
-        std = float(np.median(np.abs(z - np.median(z)))) / _HALF_WITHIN if z.size else 0.0
-        return float(estimate.information.mean()) / sample.bare, std**2, estimate.epipolar**2
-
-    information, variance, epipolar = np.mean(list(pool.map(summarize, samples)), axis=0)
+    information, variance, epipolar = np.mean(
+        list(pool.map(lambda sample: sample.summary(modes), samples)), axis=0
+    )
     prior = replace(prior, information=float(information))
     waves, noise = (float(part[0]) for part in prior.variances(modes.lattice))
     return replace(prior, waves=matching.shrinkage(variance, noise + epipolar, waves))
