@@ -273,7 +273,7 @@ def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
     d, parallax = one.difference - other.difference, one.parallax - other.parallax
     eps_y = (parallax[1] * d[0] - parallax[0] * d[1]) / np.hypot(*parallax)
     rejected, matched = one.rejected | other.rejected, one.matched & other.matched
-    return PairMatch((other.pair[1], one.pair[1]), d, parallax, eps_y, rejected, matched, one.found)
+    return PairMatch(one.pair, d, parallax, eps_y, rejected, matched, one.found)  # on the lattice of `one`
 
 
 def _matched(view: Images, geometry: GridGeometry) -> dict[Pair, PairMatch]:
