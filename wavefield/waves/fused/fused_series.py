@@ -1,5 +1,6 @@
 """The best elevation as a time series: stereo and integrated velocity, filtered without phase."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import dask
@@ -24,67 +25,80 @@ from wavefield.waves.spectra.cross_spectra import door
 Array = NDArray[Any]
 
 
-def _filter(
-    pieces: list[Any],
-    steps: Array,
-    first: int,
-    missing: Array,
-    segment: int,
-    distances: Distances,
-    frames: tuple[int, int],
-    with_flow: bool,
-    weight: Array,
-    gain: Array,
-    current: tuple[float, float],
-    water: tuple[float, float],
-    noise: float,
-) -> Array:
-    dt = distances[0]
-    z, z_t, w = (fill(np.asarray(part), missing) for part in pieces)
-    # beyond the ends of a run the waves run backwards in time: z even, its rates odd
-    inside = np.clip(steps, first, first + z.shape[0] - 1)
-    mirrored = np.where(steps < first, 2 * first - 1 - steps, steps)
-    last = first + z.shape[0]
-    mirrored = np.where(steps >= last, 2 * last - 1 - steps, mirrored) - first
-    sign = np.where(inside == steps, 1.0, -1.0).astype(z.dtype)[:, None, None]
-    z, z_t, w = z[mirrored], z_t[mirrored] * sign, w[mirrored] * sign
-    half = segment // 2
-    shape = z.shape[1:]
-    window = hann(segment).astype(z.dtype)[:, None]
-    omega = 2 * np.pi * np.arange(half + 1) / (segment * dt)
-    b = omega * dt / 2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # numpy's signs: exp(+i omega t)
-        still = -1j * dt / (2 * np.sin(b) * path_factor(omega, dt, frames[0]))
-    still[0] = 0
-    advance = np.exp(1j * b)
-    out = np.zeros((half, *shape), z.dtype)
-    for start, kept in ((0, slice(half, None)), (half, slice(0, half))):
-        part = slice(start, start + segment)
-        z_flat, z_t_flat = (array[part].reshape(segment, -1) for array in (z, z_t))
-        starts = np.empty_like(z_flat)
-        halves = [array[some] for array in (z_flat, z_t_flat) for some in (slice(half), slice(half, None))]
-        if frames[0] == 2:
-            given = *halves, z.dtype.type(dt), 0, starts[:half], starts[half:]
-            wave_kernels.frames(*given)
-            lines = fft.rfft(starts * window, axis=0)
-        else:
-            lines = fft.rfft(z_flat * window, axis=0)
-            if with_flow and any(current):
-                lines *= advance.conj()[:, None]
+@dataclass(frozen=True)
+class _Filter:
+    """Combines stereo and integrated velocity of half a segment, from the segments on either side of it."""
+
+    segment: int
+    distances: Distances
+    frames: tuple[int, int]  # that velocities and that elevations come from
+    with_flow: bool  # whether z is interpolated in time in a frame that moves with the mean flow
+    weight: Array  # (omega,), of stereo, on still water
+    gain: Array  # (omega,)
+    current: tuple[float, float]  # m/s
+    water: tuple[float, float]  # depth, surface tension over density
+    noise: float  # variance of z over that of dz
+
+    def __call__(self, pieces: list[Any], steps: Array, first: int, missing: Array) -> Array:
+        """Elevation (n / 2, ny, nx) from z, z_t and w from the step `first` on, for steps (3 n / 2,)."""
+        segment, dt, flows = self.segment, self.distances[0], any(self.current)
+        z, z_t, w = (fill(np.asarray(part), missing) for part in pieces)
+        # beyond the ends of a run the waves run backwards in time: z even, its rates odd
+        last = first + z.shape[0]
+        mirrored = np.where(steps < first, 2 * first - 1 - steps, steps)
+        mirrored = np.where(steps >= last, 2 * last - 1 - steps, mirrored) - first
+        sign = np.where((steps >= first) & (steps < last), 1.0, -1.0).astype(z.dtype)[:, None, None]
+        z, z_t, w = z[mirrored], z_t[mirrored] * sign, w[mirrored] * sign
+        half, shape = segment // 2, z.shape[1:]
+        window = hann(segment).astype(z.dtype)[:, None]
+        omega = 2 * np.pi * np.arange(half + 1) / (segment * dt)
+        b = omega * dt / 2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # numpy's signs: exp(+i omega t)
+            integral = -1j * dt / (2 * np.sin(b) * path_factor(omega, dt, self.frames[0]))
+        integral[0] = 0
+        out = np.zeros((half, *shape), z.dtype)
+        for start, used in ((0, slice(half, None)), (half, slice(0, half))):
+            part = slice(start, start + segment)
+            z_flat, z_t_flat, w_flat = (array[part].reshape(segment, -1) for array in (z, z_t, w))
+            lines = self._z_lines(z_flat, z_t_flat, window, omega)
+            lines *= np.exp(1j * b)[:, None]
+            w_lines = fft.rfft(w_flat * window, axis=0)
+            if flows:
+                z_plane, w_plane = (array.reshape(-1, *shape) for array in (lines, w_lines))
+                blended = blend(
+                    z_plane,
+                    w_plane,
+                    omega,
+                    self.distances,
+                    self.current,
+                    self.water,
+                    self.noise,
+                    self.frames[0],
+                )
+                lines = blended.reshape(lines.shape)
             else:
-                lines += fft.rfft(z_t_flat * window, axis=0) * to_frame_time(omega, dt, *frames)[:, None]
-        lines *= advance[:, None]
-        risen = fft.rfft(w[part].reshape(segment, -1) * window, axis=0)
-        if any(current):
-            by_z, by_w = (array.reshape(-1, *shape) for array in (lines, risen))
-            moved = blend(by_z, by_w, omega, distances, current, water, noise, frames[0])
-            lines = moved.reshape(lines.shape)
+                weight = self.weight[:, None]
+                lines = lines * weight + w_lines * (integral * (1 - self.weight))[:, None]
+            lines *= self.gain[:, None]
+            out += fft.irfft(lines, segment, axis=0)[used].reshape(half, *shape).astype(z.dtype)
+        return out
+
+    def _z_lines(self, z: Array, z_t: Array, window: Array, omega: Array) -> Array:
+        """Transform in time, (lines, nodes), of z at the first frames of the steps."""
+        dt, half = self.distances[0], self.segment // 2
+        if self.frames[0] == 2:
+            starts = np.empty_like(z)
+            halves = [array[part] for array in (z, z_t) for part in (slice(half), slice(half, None))]
+            arguments = *halves, z.dtype.type(dt), 0, starts[:half], starts[half:]
+            wave_kernels.frames(*arguments)
+            return np.asarray(fft.rfft(starts * window, axis=0))
+        lines = np.asarray(fft.rfft(z * window, axis=0))
+        if self.with_flow and any(self.current):
+            lines *= np.exp(1j * (omega * dt / 2)).conj()[:, None]
         else:
-            lines = lines * weight[:, None] + risen * (still * (1 - weight))[:, None]
-        lines *= gain[:, None]
-        out += fft.irfft(lines, segment, axis=0)[kept].reshape(half, *shape).astype(z.dtype)
-    return out
+            lines += fft.rfft(z_t * window, axis=0) * to_frame_time(omega, dt, *self.frames)[:, None]
+        return lines
 
 
 def fused_series(
@@ -101,8 +115,8 @@ def fused_series(
     cube : Dataset
         z, z_t, w over (time, y, x), m and m/s.
     fusion : Dataset
-        As `fusion` gives it: its ``weight_z``, segment and current are used; on a current its ``sigma_z`` and
-        ``sigma_dz`` in place of the weight.
+        As `fused_spectra` gives it: its ``weight_z``, segment and current are used; on a current its
+        ``sigma_z`` and ``sigma_dz`` in place of the weight.
     gain : DataArray, (omega,), optional
         A gain besides, such as ``fusion.wiener``, which gives the least error but too little variance.
     record : Record, optional
@@ -121,13 +135,14 @@ def fused_series(
     Notes
     -----
     Overlapping Hann-windowed segments, filtered without phase and added up. On a current w is integrated at
-    omega - k . U and weighted cell by cell, waves that pass faster than frames follow included; within what
-    water goes in .4 s from the edges the result passes to stereo alone.
+    omega - k . U and weighted cell by cell, waves that pass faster than frames follow included; nearer to the
+    edges than water moves in 0.4 s the result is stereo alone.
     """
     names = ["z", "z_t", "w"]
     cube = door(cube, NAMES)
-    known = [*names, "quality"] if "quality" in cube else names
-    record = find_record(cube[known]) if record is None else record
+    record = (
+        find_record(cube[[*names, "quality"] if "quality" in cube else names]) if record is None else record
+    )
     segment = int(fusion.attrs["segment"])
     if record.longest < segment:
         raise CubeError(
@@ -136,40 +151,42 @@ def fused_series(
         )
     half = segment // 2
     weight = fusion["weight_z"].values
-    more = np.ones_like(weight) if gain is None else np.asarray(gain.values, float)
-    task = dask.delayed(_filter, pure=False)
-    bridged = np.asarray(record.bridged, int)
-    ny, nx = record.shape
-    dtype = cube["z"].dtype
-    distances = record.dt, record.dy, record.dx
     ux, uy = fusion.attrs.get("current", (0.0, 0.0))
-    noise = float((fusion["sigma_z"] / fusion["sigma_dz"]) ** 2) if float(fusion["sigma_dz"]) > 0 else np.inf
-    moving = (float(ux), float(uy)), water_of(fusion.attrs), noise
-    rows, steps_used = [], []
-    for run in record.runs:
-        if run[1] - run[0] < segment:
+    filtered = _Filter(
+        segment,
+        (record.dt, record.dy, record.dx),
+        (frames_of(cube), frames_of_z(cube)),
+        moves_with_flow(cube),
+        weight,
+        np.ones_like(weight) if gain is None else np.asarray(gain.values, float),
+        (float(ux), float(uy)),
+        water_of(fusion.attrs),
+        float((fusion["sigma_z"] / fusion["sigma_dz"]) ** 2) if float(fusion["sigma_dz"]) > 0 else np.inf,
+    )
+    task = dask.delayed(filtered, pure=False)
+    area = slice(*record.y), slice(*record.x)
+    blocks, steps_used = [], []
+    for start, stop in record.runs:
+        if stop - start < segment:
             continue
-        for a in range(run[0], run[1], half):
+        for a in range(start, stop, half):
             requested = np.arange(a - half, a + 2 * half)
-            lo, hi = max(a - half, run[0]), min(a + 2 * half, run[1])
-            if hi - lo < 2 * half:  # the end of a run: enough to mirror
-                lo = max(hi - 2 * half, run[0])
-            area = slice(*record.y), slice(*record.x)
-            pieces = [piece(cube[name], slice(lo, hi), *area) for name in names]
-            missing = np.isin(np.arange(lo, hi), bridged)
-            frames = frames_of(cube), frames_of_z(cube)
-            given = segment, distances, frames, moves_with_flow(cube), weight, more
-            block = task(pieces, requested, lo, missing, *given, *moving)
-            count = min(half, run[1] - a)
-            rows.append(da.from_delayed(block, (half, ny, nx), dtype)[:count])
+            first, last = max(a - half, start), min(a + 2 * half, stop)
+            if last - first < segment:  # the end of a run: enough to mirror
+                first = max(last - segment, start)
+            pieces = [piece(cube[name], slice(first, last), *area) for name in names]
+            missing = np.isin(np.arange(first, last), record.bridged)
+            count = min(half, stop - a)
+            block = task(pieces, requested, first, missing)
+            blocks.append(da.from_delayed(block, (half, *record.shape), cube["z"].dtype)[:count])
             steps_used.append(np.arange(a, a + count))
     steps = np.concatenate(steps_used)
     out = xr.DataArray(
-        da.concatenate(rows),
+        da.concatenate(blocks),
         {
             "time": cube["time"].isel(time=steps),
-            "y": cube["y"].isel(y=slice(*record.y)),
-            "x": cube["x"].isel(x=slice(*record.x)),
+            "y": cube["y"].isel(y=area[0]),
+            "x": cube["x"].isel(x=area[1]),
         },
         CUBE_DIMS,
         name="z",
