@@ -1,7 +1,7 @@
 """All benchmarks, one table: `python -m benchmarks`, or some: `python -m benchmarks matching waves`.
 
 Each is a module of its own (`python -m benchmarks.matching`) and prints its table; this runs them one after
-the other, so that none disturbs another's timing, and says at the end which ran.
+the other, so that none disturbs another's timing, and lists at the end which ran.
 """
 
 import os
@@ -24,7 +24,7 @@ def available() -> list[str]:
 
 
 def main(names: list[str]) -> int:
-    """Run the benchmarks and print what each says."""
+    """Run the benchmarks and print their tables."""
     unknown = [name for name in names if name not in available()]
     if unknown:
         print(f"there is no benchmark {unknown[0]!r}; there are {', '.join(available())}", file=sys.stderr)

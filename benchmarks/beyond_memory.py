@@ -6,7 +6,6 @@ move data from chunk to chunk (rechunk), the most memory of a worker, and whethe
 CUBE is made as by `benchmarks.waves` where it is not there: 12,000 x 150 x 200, 1.4 GB a variable.
 """
 
-import argparse
 import sys
 import threading
 import time
@@ -21,6 +20,7 @@ import xarray as xr
 from dask.distributed import Client, LocalCluster
 
 import wavefield.waves as wv
+from benchmarks.options import parser_of
 from benchmarks.waves import row, title, write_cube
 
 _SEGMENT = 512
@@ -53,8 +53,8 @@ class _Watch:
 
 
 def main(words: Sequence[str]) -> int:
-    """Measure and say."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    """Measure and print."""
+    parser = parser_of(__doc__)
     parser.add_argument("cube", type=Path)
     parser.add_argument("--memory", type=float, default=0.5, help="GB of each worker")
     parser.add_argument("--workers", type=int, default=2)

@@ -6,7 +6,6 @@ found from the measured elevation, from the exact one, and from the exact one wi
 printed beside the exact part. Then B = u / c at crests, beside that of the exact fields.
 """
 
-import argparse
 import dataclasses
 import tempfile
 from pathlib import Path
@@ -17,6 +16,7 @@ import xarray as xr
 import wavefield as wf
 import wavefield.waves as wv
 from benchmarks import crests
+from benchmarks.options import parser_of
 from wavefield.tank import Scene, Sea, simulate
 
 
@@ -64,9 +64,7 @@ def tables(folder: Path, scene: Scene, segments: list[int]) -> None:
 
 def main() -> None:
     """Simulate, measure, print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--frames", type=int, default=391)
     parser.add_argument("--seed", type=int, default=401)

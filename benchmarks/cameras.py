@@ -1,17 +1,15 @@
-"""Cameras that lie, cameras that are missing, two, three and four cameras.
+"""Faulty cameras, missing cameras, two, three and four cameras.
 
-    python -m benchmarks.cameras [--only lying half shaking missing number] [--seeds N ...]
+    python -m benchmarks.cameras [--only faulty half shaking missing number] [--seeds N ...]
 
-Lying: mirrored, swapped with another, one frame late, moved by 2 px, out of focus; per cent of all nodes
-that are called measured and wrong by more than five of their standard uncertainties (any of z, u, v, w).
-Shaking: the same of cameras whose pictures move from frame to frame, at random, along the line on which they
-stand.
+Faulty: mirrored, swapped with another, one frame late, moved by 2 px, out of focus; per cent of all nodes
+that are flagged as measured and wrong by more than five of their standard uncertainties (any of z, u, v, w).
+Shaking: the same for cameras whose images move from frame to frame, at random, along the line of the cameras.
 The random sea, half size (see `benchmarks.scenes`), calibrated cameras; four cameras: exact ones.
 """
 
 import argparse
 import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -19,6 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from benchmarks.options import run_parts
 from benchmarks.scenes import MIDDLE, SEEDS, Case, calibrated, draw, reconstruct, scene
 from benchmarks.scores import Score
 from wavefield.measurement import Settings
@@ -26,7 +25,7 @@ from wavefield.rig import Rig
 from wavefield.tank import paper_rig
 from wavefield.variables import Quality
 
-LYING: dict[str, dict[str, dict[str, Any]]] = {
+FAULTS: dict[str, dict[str, dict[str, Any]]] = {
     "sound": {},
     "cam1 mirrored": {"cam1": {"mirrored": True}},
     "cam1 and cam2 swapped": {"cam1": {"shows": "cam2"}, "cam2": {"shows": "cam1"}},
@@ -39,10 +38,11 @@ LYING: dict[str, dict[str, dict[str, Any]]] = {
     "cam3 out of focus by 6 px": {"cam3": {"defocus": 6.0}},
 }
 
+WRONG = "measured and wrong by more than 5 std"
 HALVES = ("cam1 mirrored", "cam1 one frame late", "cam3 one frame late", "cam1 moved by 2 px along x")
 
 THREE, TWO = ("cam1", "cam2", "cam3"), ("cam1", "cam2")
-SHAKEN = (
+SHAKING = (
     (THREE, ("cam1",), 0.1),
     (THREE, ("cam1",), 0.3),
     (THREE, ("cam3",), 0.1),
@@ -52,39 +52,37 @@ SHAKEN = (
 
 
 def reasons(case: Case, cubes: Sequence[dict[str, Any]]) -> str:
-    """How many nodes bear each bit of ``quality``, per cent."""
+    """Share of the nodes with each bit of ``quality``, per cent."""
     quality = np.concatenate([cube["quality"] for cube in cubes])
     count = {bit.name: 100 * float(np.mean((quality & bit) > 0)) for bit in Quality}
     return ", ".join(f"{name} {value:.1f}" for name, value in count.items() if name and value >= 0.05)
 
 
-def lying(options: argparse.Namespace) -> None:
-    """Every kind of lie: how much of it is believed."""
-    for kind, faults in LYING.items():
+def faulty(options: argparse.Namespace) -> None:
+    """Every kind of fault in one camera."""
+    for kind, faults in FAULTS.items():
         score, cubes = Score(), []
         for seed in options.seeds:
             case = draw(scene("random", seed, faults=faults), calibrated(False))
             cubes.append(reconstruct(case, Settings()))
             score.add(case, cubes[-1])
-        print(f"{kind}\n    measured and wrong by more than 5 std: {score.wrong():.2f} % (asked .5)")
-        print("".join(f"    {line}\n" for line in (*score.lines(), reasons(case, cubes))), end="", flush=True)
+        score.report(f"{kind}\n    {WRONG}: {score.wrong():.2f} % (asked 0.5)", reasons(case, cubes))
 
 
-def half_lying(options: argparse.Namespace) -> None:
-    """The same lies in the left half of a camera's image alone: the others do the work there."""
+def half_faulty(options: argparse.Namespace) -> None:
+    """The same faults in the left half of a camera's image alone."""
     for kind in HALVES:
         score, cubes = Score(), []
         for seed in options.seeds:
             case = draw(scene("random", seed), calibrated(False))
-            lies = draw(scene("random", seed, faults=LYING[kind]), calibrated(False))
+            bad = draw(scene("random", seed, faults=FAULTS[kind]), calibrated(False))
             frames = {
-                name: [_left_of(image, other) for image, other in zip(lies.frames[name], images, strict=True)]
+                name: [_left_of(image, other) for image, other in zip(bad.frames[name], images, strict=True)]
                 for name, images in case.frames.items()
             }
             cubes.append(reconstruct(replace(case, frames=frames), Settings()))
             score.add(case, cubes[-1])
-        print(f"left half of {kind}\n    measured and wrong by more than 5 std: {score.wrong():.2f} %")
-        print("".join(f"    {line}\n" for line in (*score.lines(), reasons(case, cubes))), end="", flush=True)
+        score.report(f"left half of {kind}\n    {WRONG}: {score.wrong():.2f} %", reasons(case, cubes))
 
 
 def _left_of(image: Any, other: Any) -> Any:
@@ -95,20 +93,19 @@ def _left_of(image: Any, other: Any) -> Any:
 
 
 def shaking(options: argparse.Namespace) -> None:
-    """Cameras that shake along the line on which they stand."""
-    for seen, shaken, px in SHAKEN:
+    """Cameras that shake along the line of the cameras."""
+    for present, shaken, px in SHAKING:
         score = Score()
         for seed in options.seeds:
             case = draw(scene("random", seed), calibrated(False))
             rng = np.random.default_rng(seed)
-            frames = {name: case.frames[name] for name in seen}
+            frames = {name: case.frames[name] for name in present}
             for name in shaken:
                 frames[name] = [_moved(image, rng.normal(0.0, px)) for image in case.frames[name]]
-            case = replace(case, frames=frames, rig=Rig({name: case.rig[name] for name in seen}))
+            case = replace(case, frames=frames, rig=Rig({name: case.rig[name] for name in present}))
             score.add(case, reconstruct(case, Settings()))
-        print(f"{', '.join(shaken)} of {len(seen)} shaking by {px} px rms")
-        print(f"    measured and wrong by more than 5 std: {score.wrong():.2f} % (asked .5)")
-        print("".join(f"    {line}\n" for line in score.lines()), end="", flush=True)
+        head = f"{', '.join(shaken)} of {len(present)} shaking by {px} px rms"
+        score.report(f"{head}\n    {WRONG}: {score.wrong():.2f} % (asked 0.5)")
 
 
 def _moved(image: Any, px: float) -> Any:
@@ -130,8 +127,7 @@ def missing(options: argparse.Namespace) -> None:
             marked &= bool((cube["quality"][MIDDLE - 2] & Quality.FEWER_CAMERAS).all())
             only = {name: field[MIDDLE - 2 : MIDDLE - 1] for name, field in cube.items()}
             score.add(replace(case, truth=case.truth[MIDDLE - 2 : MIDDLE - 1]), only)
-        print(f"{lost} missing in one frame; the step is marked: {marked}")
-        print("".join(f"    {line}\n" for line in score.lines()), end="", flush=True)
+        score.report(f"{lost} missing in one frame; the step is marked: {marked}")
 
 
 def number(options: argparse.Namespace) -> None:
@@ -141,30 +137,17 @@ def number(options: argparse.Namespace) -> None:
         for seed in options.seeds:
             case = draw(scene("random", seed, rig={"cameras": count}), rig)
             score.add(case, reconstruct(case, Settings()))
-        print(f"{count} cameras")
-        print("".join(f"    {line}\n" for line in score.lines()), end="", flush=True)
+        score.report(f"{count} cameras")
 
 
 PARTS: dict[str, Callable[[argparse.Namespace], None]] = {
-    "lying": lying,
-    "half": half_lying,
+    "faulty": faulty,
+    "half": half_faulty,
     "shaking": shaking,
     "missing": missing,
     "number": number,
 }
 
 
-def main(words: Sequence[str]) -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--only", nargs="+", default=list(PARTS), choices=list(PARTS))
-    parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
-    options = parser.parse_args(words)
-    for name in options.only:
-        began = time.process_time()
-        PARTS[name](options)
-        print(f"({name}: CPU {time.process_time() - began:.0f} s)", flush=True)
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(run_parts(__doc__, PARTS, sys.argv[1:], SEEDS))

@@ -7,7 +7,6 @@ interval holds it: E(k, omega) of w and of u . grad z, D(theta), E(omega) and E(
 seas that know nothing of each other exceed the 5 % level of coherence.
 """
 
-import argparse
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import fft
 
+from benchmarks.options import parser_of
 from wavefield.water import dispersion
 from wavefield.waves import cross_spectra, directions, spectrum
 from wavefield.waves.estimation.windows import interval
@@ -112,9 +112,7 @@ def row(s: float, steps: int, segment: int, draws: int, seed: int) -> None:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--draws", type=int, default=8)
     parser.add_argument("--steps", type=int, default=1280)
     parser.add_argument("--segments", type=int, nargs="+", default=[64, 256])

@@ -21,7 +21,7 @@ def inside(cube: xr.Dataset) -> xr.Dataset:
 
 
 def print_table(cube: xr.Dataset, truth: xr.Dataset) -> None:
-    """Print how far B from images lies from B of the exact fields, by the same estimator.
+    """Print the difference of B from images and B of the exact fields, by the same estimator.
 
     Compared are nodes where both have a crest and the exact B is below 1.
     """

@@ -6,7 +6,6 @@ depth. Of each fit: the error of the current, mm/s, the same over its stated err
 true one, and what was refused.
 """
 
-import argparse
 import itertools
 from typing import Any
 
@@ -15,6 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import fft
 
+from benchmarks.options import parser_of
 from wavefield.errors import CubeError
 from wavefield.water import GAMMA, dispersion, group_velocity
 from wavefield.waves import fit_dispersion, spectrum
@@ -79,9 +79,7 @@ def row(
 
 def main() -> None:
     """Print the table and its summary."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--steps", type=int, default=1536)
     parser.add_argument("--seed", type=int, default=1000)
     parser.add_argument("--spreads", type=float, nargs="+", default=[5, 10, 50])

@@ -9,7 +9,6 @@ Where pixels are compressed, the last columns are what reading the bytes and the
 memory cost by themselves. Packed pixels fill 1.33 and 1.6 times as many bytes in memory as in the file.
 """
 
-import argparse
 import struct
 import tempfile
 import time
@@ -24,6 +23,7 @@ import numpy as np
 import tifffile
 import zarr
 
+from benchmarks.options import parser_of
 from wavefield.series.listing import number_frames
 from wavefield.series.readers import close_files, read_entry
 
@@ -141,7 +141,7 @@ def pages(folder: Path, count: int) -> tuple[str, int]:
 
 
 def video(folder: Path, count: int) -> tuple[str, int]:
-    count = min(count, 200)  # the header says how many there are: opening does not depend on it
+    count = min(count, 200)  # the header holds their number: opening does not depend on it
     film = cv2.VideoWriter(
         str(folder / "a.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 20.0, (COLUMNS, ROWS), isColor=True
     )
@@ -192,7 +192,7 @@ DECODERS: dict[str, Callable[[], Callable[[], object]]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--frames", type=int, default=12000)
     parser.add_argument("--folder", type=Path, help="where to write, and take away again (some 100 MB)")
     options = parser.parse_args()

@@ -5,7 +5,6 @@ The cases of other programs and the real images are read from the folder that WA
 imported. `--only` chooses parts, `--pictures DIR` saves the fields of the real images.
 """
 
-import argparse
 import os
 import subprocess
 import sys
@@ -21,6 +20,7 @@ import numba as nb
 import numpy as np
 
 from benchmarks import particle_images as images
+from benchmarks.options import parser_of
 from wavefield.images import read_image
 from wavefield.matching import (
     Displacement,
@@ -161,7 +161,7 @@ def _pivtools() -> Callable:
 
     logging.disable(logging.CRITICAL)
     before, folder = Path.cwd(), tempfile.mkdtemp()
-    os.chdir(folder)  # it reads and writes config.yaml where it stands
+    os.chdir(folder)  # it reads and writes config.yaml in the current folder
     try:
         create_default_config(Path("config.yaml"))
         text = yaml.safe_load(Path("config.yaml").read_text())
@@ -366,7 +366,7 @@ before = peak(); match(a, b, MatchSettings.{0}()); print(before, peak())
 def memory() -> None:
     title("Memory of a pair of 2432 x 1728 (peak of the whole process)")
     if not Path("/proc/self/status").exists():
-        print("  Only Linux tells the peak of a process: skipped.")
+        print("  Only Linux reports the peak memory of a process: skipped.")
         return
     for preset in ("piv", "stereo"):
         done = subprocess.run(
@@ -605,7 +605,7 @@ PARTS = {f.__name__: f for f in (peers, speed, stereo, hard, memory, profile, re
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--pictures", type=Path, help="folder for pictures of the real fields")
     options = parser.parse_args()

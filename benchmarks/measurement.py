@@ -22,6 +22,7 @@ import numpy as np
 import yaml
 
 from benchmarks import path_traced
+from benchmarks.options import parser_of
 from benchmarks.scenes import FRAMES, SCENES, SEEDS, Case, calibrated, draw, inside, reconstruct, scene
 from benchmarks.scores import Score, rms
 from wavefield.measurement import Settings
@@ -68,8 +69,8 @@ def cases(name: str, options: argparse.Namespace) -> Iterator[Case]:
         yield draw(described, Tank(described).rig if options.exact else calibrated(options.full))
 
 
-def judge(name: str, options: argparse.Namespace, settings: Settings) -> list[str]:
-    """Measure a row and say what came out."""
+def compare(name: str, options: argparse.Namespace, settings: Settings) -> list[str]:
+    """Measure a row: its results in words."""
     score, shares, steepest = Score(), [], 0.0
     began = time.process_time()
     for case in cases(name, options):
@@ -79,16 +80,16 @@ def judge(name: str, options: argparse.Namespace, settings: Settings) -> list[st
         steepest = max(steepest, float(slope[inside(case, case.truth[0]["z"])].max()))
         if name in RESIDUAL:
             shares.append(residual(case, cube))
-    said = score.lines()
+    lines = score.lines()
     if shares:
         measured, exact = np.mean(shares, axis=0)
-        said.append(f"residual over nonlinear term {measured:.3f}; of exact fields {exact:.3f}")
+        lines.append(f"residual over nonlinear term {measured:.3f}; of exact fields {exact:.3f}")
     took = time.process_time() - began
-    return [*said, f"largest slope {steepest:.2f}; {len(options.seeds)} seeds; CPU {took:.0f} s"]
+    return [*lines, f"largest slope {steepest:.2f}; {len(options.seeds)} seeds; CPU {took:.0f} s"]
 
 
 def read_options(words: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--only", nargs="+", default=list(ASKED), choices=list(ASKED), metavar="ROW")
     parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
     parser.add_argument("--full", action="store_true", help="the paper's whole field")
@@ -105,13 +106,13 @@ def main(words: Sequence[str]) -> int:
     print(f"1 px = 1.8 mm; {size}; {FRAMES} frames of each scene, seeds {options.seeds}", flush=True)
     for name in options.only:
         if name in SCENES:
-            said = judge(name, options, settings)
+            lines = compare(name, options, settings)
         elif path_traced.folder() is None:
-            said = ["skipped: no path-traced images (set WAVEFIELD_SHARED)"]
+            lines = ["skipped: no path-traced images (set WAVEFIELD_SHARED)"]
         else:
-            said = path_traced.judge(name, settings)
+            lines = path_traced.compare(name, settings)
         print(f"{name}\n    asked: {ASKED[name]}{RESIDUAL.get(name, '')}", flush=True)
-        print("".join(f"    {line}\n" for line in said), end="", flush=True)
+        print("".join(f"    {line}\n" for line in lines), end="", flush=True)
     return 0
 
 

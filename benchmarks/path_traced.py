@@ -17,7 +17,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.scenes import Case, kept, reconstruct
+from benchmarks.scenes import Case, cached, reconstruct
 from benchmarks.scores import Score
 from wavefield.grid import Grid
 from wavefield.measurement import Settings
@@ -66,7 +66,7 @@ def rig() -> Rig:
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
         paths = {record: write_experiment(record, directory) for record in ("tank", "rest")}
-        first, refined = kept("path_traced.yaml"), directory / "refined.yaml"
+        first, refined = cached("path_traced.yaml"), directory / "refined.yaml"
         commands: list[list[str | Path]] = [["refine", paths["rest"], "--rig", first, "-o", refined]]
         if not first.exists():
             commands.insert(0, ["calibrate", paths["tank"], "-o", first])
@@ -79,7 +79,7 @@ def rig() -> Rig:
 
 
 def load(name: str) -> Case:
-    """A record; two frames stand alone, of more every step but the first and the last is judged.
+    """A record; two frames are one step; of more every step but the first and the last is compared.
 
     It ends there: its outer steps have but one frame on one side.
     """
@@ -100,15 +100,15 @@ def load(name: str) -> Case:
     return Case(rig(), GRID, FRAME_RATE, frames, truth)
 
 
-def judge(name: str, settings: Settings) -> list[str]:
-    """Measure a record and say what came out."""
+def compare(name: str, settings: Settings) -> list[str]:
+    """Measure a record: its results in words."""
     case = load(name)
     began = time.process_time()
     score, without = Score(), Score()
     height = round(float(case.rig.provenance["levelled"]["height_m"]), 5)
     score.add(case, reconstruct(case, replace(settings, bead_height=height)))
     without.add(case, reconstruct(case, settings))
-    lines = [f"bead_height {1e3 * height:.2f} mm, as the water at rest says", *score.lines()]
+    lines = [f"bead_height {1e3 * height:.2f} mm, from still water", *score.lines()]
     lines += [f"without it {line}" for line in without.lines()[:2]]
     apart = np.sqrt(score.rms("z") ** 2 - score.bias("z") ** 2)
     return [*lines, f"z without its bias {apart:.4f}; CPU {time.process_time() - began:.0f} s"]

@@ -2,10 +2,9 @@
 
 PATH is a Python in which any of OpenPIV, pivtools and fluidimage are installed (they may want other versions
 of libraries than this program); by default this one. Every program gets the same pair of 1024 x 1024, one
-thread, one run to warm up; CPU time, the least of three. What is missing is said.
+thread, one run to warm up; CPU time, the least of three. Missing programs are named.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -17,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import particle_images as images
+from benchmarks.options import parser_of
 
 RECORD = 12_000  # steps
 CAMERAS = 3  # a pair each per step
@@ -76,7 +76,7 @@ from pathlib import Path
 import pivtools_core.config as config
 from pivtools_cli.cli import create_default_config
 from pivtools_cli.piv.piv_backend.cpu_instantaneous import InstantaneousCorrelatorCPU
-os.chdir(tempfile.mkdtemp())  # it reads and writes config.yaml where it stands
+os.chdir(tempfile.mkdtemp())  # it reads and writes config.yaml in the current folder
 create_default_config(Path("config.yaml"))
 text = yaml.safe_load(Path("config.yaml").read_text())
 text["instantaneous_piv"].update(window_size=[[n, n] for n in (64, 32, 32, 32)], overlap=[50, 50, 75, 75],
@@ -129,7 +129,7 @@ def timed(python: str, program: str, pair: Path) -> tuple[float, int] | str:
 
 
 def main(words: Sequence[str]) -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--python", default=sys.executable, help="where the other programs are installed")
     options = parser.parse_args(words)
     hours = RECORD * CAMERAS / CORES / 3600

@@ -7,7 +7,6 @@ pivtools are installed, as for `benchmarks.peers`; windows 64-32-32, overlap 50 
 over the vectors of the other program that ours calls valid.
 """
 
-import argparse
 import os
 import subprocess
 import sys
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from benchmarks.options import parser_of
 from benchmarks.peers import OPENPIV, PIVTOOLS
 from wavefield.images import read_image
 from wavefield.matching import Displacement, match
@@ -85,7 +85,7 @@ def difference(ours: Displacement, found: dict[str, NDArray[np.float64]]) -> str
 
 
 def main(words: Sequence[str]) -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--python", default=sys.executable, help="where the other programs are installed")
     options = parser.parse_args(words)

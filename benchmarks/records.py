@@ -2,23 +2,23 @@
 
     python -m benchmarks.records [--only waves shortest rate seeding current] [--seeds N ...]
 
-Waves: of 20, 12 and 8 cm, slope .03 each, are added to the random sea; what of them is left in z and w,
+Waves: of 20, 12 and 8 cm, slope 0.03 each, are added to the random sea: their gain in z and w,
 in good and in poor light. Shortest: four scenes without waves below 8 cm, where they have them down to 5 cm:
-half of the squared error of velocities lies in waves of 5 to 7 cm. Rate: half and twice as many frames per
+half of the squared error of velocities is that of waves of 5 to 7 cm. Rate: half and twice as many frames per
 second. Seeding: a third and three times the beads. Current: of 0.72 m/s, 20 px a frame,
-which sweeps short waves past a node, beside still water: the random sea and one that is lower (JONSWAP). Half
+which sweeps short waves past a node, and still water: the random sea and one that is lower (JONSWAP). Half
 size (see `benchmarks.scenes`), calibrated cameras.
 """
 
 import argparse
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.options import run_parts
 from benchmarks.scenes import SEEDS, Case, calibrated, draw, inside, reconstruct, scene
 from benchmarks.scores import Score
 from wavefield.measurement import GridGeometry, LearnedRecord, Model, Settings, learn, measure, sample_steps
@@ -26,7 +26,7 @@ from wavefield.measurement.response import gains as theory
 
 SLOPE = 0.03
 WAVES = {0.20: 30.0, 0.12: 100.0, 0.08: 250.0}  # length, m: where it goes, degrees
-ASKED_GAIN = {"random": "1.00 .99 .93", "low_light": ".85 at 8 cm"}
+ASKED_GAIN = {"random": "1.00 0.99 0.93", "low_light": "0.85 at 8 cm"}
 
 
 def added() -> list[dict[str, float]]:
@@ -43,14 +43,14 @@ def wave_vectors() -> tuple[NDArray[Any], NDArray[Any]]:
     return k * np.cos(angle), k * np.sin(angle)
 
 
-def known(case: Case) -> tuple[GridGeometry, LearnedRecord, dict[str, NDArray[Any]]]:
-    """The geometry, what is learned of a case's frames, and the cube that they give."""
+def measured(case: Case) -> tuple[GridGeometry, LearnedRecord, dict[str, NDArray[Any]]]:
+    """The geometry, the learned record of a case's frames, and their cube."""
     geometry = GridGeometry(case.rig, case.grid, Settings())
     steps = sample_steps(len(next(iter(case.frames.values()))) - 1)
     pairs = [tuple({n: f[k + i] for n, f in case.frames.items()} for i in (0, 1)) for k in steps]
     record = learn(pairs, geometry)
     if record is None:
-        raise SystemExit("nothing of these frames can be measured")
+        raise SystemExit("these frames cannot be measured")
     return geometry, record, measure(case.frames, geometry, case.frame_rate, Model(geometry, record))
 
 
@@ -82,19 +82,19 @@ def gains(case: Case, cube: dict[str, Any]) -> dict[str, tuple[NDArray[Any], NDA
 
 
 def waves(options: argparse.Namespace) -> None:
-    """What is left of short waves."""
+    """Gain of short waves."""
     for name, asked in ASKED_GAIN.items():
         sums: dict[str, list[Any]] = {"z": [0.0, 0.0], "w": [0.0, 0.0]}
         undone: dict[str, list[Any]] = {"z": [], "w": []}
         for seed in options.seeds:
             case = draw(scene(name, seed, sea={"added": added()}), calibrated(False))
-            geometry, record, cube = known(case)
+            geometry, record, cube = measured(case)
             predicted = theory(geometry, record, *wave_vectors())
             for key, parts in gains(case, cube).items():
                 sums[key] = [total + part for total, part in zip(sums[key], parts, strict=True)]
                 undone[key].append(parts[0].real / parts[1] / predicted[key])
         lengths = ", ".join(f"{100 * length:.0f}" for length in WAVES)
-        print(f"{name} with waves of {lengths} cm: gain left (asked {asked})")
+        print(f"{name} with waves of {lengths} cm: gain (asked {asked})")
         for key, (cross, power) in sums.items():
             gain = cross / power
             print(f"    {key}: {' '.join(f'{g.real:.3f}' for g in gain)}", end="")
@@ -109,8 +109,7 @@ def compare(kinds: dict[str, dict[str, Any]], options: argparse.Namespace, name:
         for seed in options.seeds:
             case = draw(scene(name, seed, **changes), calibrated(False))
             score.add(case, reconstruct(case, Settings()))
-        print(f"{kind}: beyond 5 std {score.wrong():.2f} %")
-        print("".join(f"    {line}\n" for line in score.lines()), end="", flush=True)
+        score.report(f"{kind}: beyond 5 std {score.wrong():.2f} %")
 
 
 def shortest(options: argparse.Namespace) -> None:
@@ -149,17 +148,5 @@ PARTS: dict[str, Callable[[argparse.Namespace], None]] = {
 }
 
 
-def main(words: Sequence[str]) -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--only", nargs="+", default=list(PARTS), choices=list(PARTS))
-    parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
-    options = parser.parse_args(words)
-    for name in options.only:
-        began = time.process_time()
-        PARTS[name](options)
-        print(f"({name}: CPU {time.process_time() - began:.0f} s)", flush=True)
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(run_parts(__doc__, PARTS, sys.argv[1:], SEEDS))

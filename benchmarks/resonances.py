@@ -4,13 +4,13 @@
 quartet of wave vectors whose fourth wave goes in part with the other three.
 """
 
-import argparse
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from benchmarks.options import parser_of
 from wavefield.water import dispersion
 from wavefield.waves import resonances
 
@@ -58,18 +58,18 @@ def plant(w: xr.DataArray, amplitude: float, part: float, seed: int) -> xr.DataA
 
 
 def _planted(found: xr.Dataset) -> tuple[float, bool]:
-    wanted = {tuple(cell) for cell in CELLS.tolist()}
+    planted_cells = {tuple(cell) for cell in CELLS.tolist()}
     for i in range(found.sizes["quartet"]):
         rows = (found.quartet_ky[i] * NY * STEP / (4 * np.pi)).round().astype(int).values
         columns = (found.quartet_kx[i] * NX * STEP / (4 * np.pi)).round().astype(int).values
-        if set(zip(rows.tolist(), columns.tolist())) == wanted:
+        if set(zip(rows.tolist(), columns.tolist())) == planted_cells:
             return float(found.quartet_coherence[i]), bool(found.quartet_significant[i])
     return float("nan"), False
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--seas", type=int, default=40)
     parser.add_argument("--planted", type=int, default=4)
     given = parser.parse_args()

@@ -1,4 +1,4 @@
-"""The simulated scenes that the measurement is judged on, with the exact answer for every step.
+"""The simulated scenes with which the measurement is compared, with the truth of every step.
 
 Half size: the middle half of every sensor at full resolution (512 x 512, 512 x 512, 1216 x 864 px), 0.9 x 0.7
 m. Full size: the paper's cameras, 2 x 1.5 m. 1 px = 1.8 mm.
@@ -27,7 +27,7 @@ from wavefield.tank import Scene, Tank
 cv2.setNumThreads(1)
 
 PIXEL = 1.8e-3
-MARGIN = 0.04  # nodes nearer to the edge of the common view are not judged, metres
+MARGIN = 0.04  # nodes nearer to the edge of the common view are not compared, m
 FRAMES, MIDDLE = 8, 3  # frames drawn of each scene: three steps with two on either side; the middle one
 SEEDS = (71, 72, 73)
 HALF = {"rig": {"scale": 1.0, "crop": 0.5}, "grid": {"x": (-0.45, 0.45), "y": (-0.35, 0.35), "step": 0.01}}
@@ -52,7 +52,7 @@ SCENES: dict[str, tuple[str, dict[str, Any]]] = {
 
 @dataclass(frozen=True)
 class Case:
-    """Frames of a record with the exact answer: ``truth`` per step, from the third frame on."""
+    """Frames of a record with their ``truth`` per step, from the third frame on."""
 
     rig: Rig
     grid: Grid
@@ -62,7 +62,7 @@ class Case:
 
 
 def scene(name: str, seed: int, full: bool = False, **changes: Any) -> Scene:
-    """A scene that is judged; ``changes`` as for `Scene.with_`."""
+    """A scene of the benchmarks; ``changes`` as for `Scene.with_`."""
     preset, own = SCENES[name]
     made = Scene.load(preset).with_(frames=FRAMES, seed=seed, **(FULL if full else HALF)).with_(**own)
     return made.with_(**changes)
@@ -78,25 +78,25 @@ def draw(described: Scene, rig: Rig) -> Case:
 
 def truths(tank: Tank) -> list[Fields]:
     """z, z_t (m, m/s), u, v, w (m/s), each (ny, nx), of the steps with two frames on either side."""
-    found = []
+    out = []
     for step in range(2, tank.scene.frames - 3):
         exact = vars(tank.truth(step))
         moved = {"w_chord": exact["dz"] * tank.scene.frame_rate}
-        found.append({k: exact[k] for k in ("z", "z_t", "u", "v", "w", "z_start", "z_end")} | moved)
-    return found
+        out.append({k: exact[k] for k in ("z", "z_t", "u", "v", "w", "z_start", "z_end")} | moved)
+    return out
 
 
 @cache
 def calibrated(full: bool) -> Rig:
     """The cameras as calibrated from simulated images of the target; kept for the next run of this code."""
-    path = kept("full.yaml" if full else "half.yaml")
+    path = cached("full.yaml" if full else "half.yaml")
     if not path.exists():
         _calibrate(full).save(path)
     return Rig.load(path)
 
 
-def kept(name: str) -> Path:
-    """A file for what takes long and depends on calibration, rig and tank alone: of this very code."""
+def cached(name: str) -> Path:
+    """A file in a folder of this version of calibration, rig and tank."""
     rooms = [Path(wavefield.__file__).parent / room for room in ("calibration", "rig", "tank")]
     files = sorted(p for room in rooms for p in room.rglob("*") if p.suffix in (".py", ".yaml"))
     code = hashlib.sha256(b"".join(p.read_bytes() for p in [Path(__file__), *files])).hexdigest()[:16]
@@ -109,14 +109,14 @@ def _calibrate(full: bool) -> Rig:
     target = {} if full else {"calibration": {"target": SMALL_TARGET}}
     tank = Tank(scene("random", 5, full, **target))
     mesh = tank.scene.calibration.target.mesh
-    wanted = Target.from_dict(
+    strings = Target.from_dict(
         {"kind": "strings", "mesh": mesh, "origin_mark": "disc", "x_mark": "small disc"}
     )
     views = {
-        camera: {pose: find_target(tank.target_image(pose, camera), wanted) for pose in tank.target_poses}
+        camera: {pose: find_target(tank.target_image(pose, camera), strings) for pose in tank.target_poses}
         for camera in tank.rig
     }
-    result = calibrate(views, wanted)
+    result = calibrate(views, strings)
     if not result.usable:
         raise SystemExit(f"calibration is not usable: {result.problems}")
     return result.rig
@@ -133,7 +133,9 @@ def inside(case: Case, z: NDArray[Any], margin: float = MARGIN) -> NDArray[np.bo
     x, y = (
         nodes[0] + step * np.arange(-n, nodes.size + n) for nodes in (case.grid.x_nodes, case.grid.y_nodes)
     )
-    wide = np.pad(z, n, mode="edge")
-    seen = np.all([camera.sees(*np.meshgrid(x, y), wide) for camera in case.rig.cameras.values()], axis=0)
-    distance = cv2.distanceTransform(np.pad(seen, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    padded = np.pad(z, n, mode="edge")
+    visible = np.all(
+        [camera.sees(*np.meshgrid(x, y), padded) for camera in case.rig.cameras.values()], axis=0
+    )
+    distance = cv2.distanceTransform(np.pad(visible, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
     return np.asarray((distance * step > margin)[n:-n, n:-n])

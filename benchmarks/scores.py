@@ -1,4 +1,4 @@
-"""How far a cube is from the truth, and how far it says it is."""
+"""Errors of a cube against the truth, and against its stated uncertainty."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -22,8 +22,8 @@ def rms(values: NDArray[Any]) -> float:
 class Score:
     """Errors gathered over steps and seeds, px of 1.8 mm (velocities times the step's length).
 
-    ``error`` and ``std`` of z, u, v, w: of nodes called measured; ``filled``, ``filled_std``: of the
-    others; ``nodes``: all that are judged.
+    ``error`` and ``std`` of z, u, v, w: of nodes flagged as measured; ``filled``, ``filled_std``: of
+    the others; ``nodes``: all that are compared.
     """
 
     error: dict[str, list[Array]] = field(default_factory=lambda: {n: [] for n in NAMES})
@@ -35,20 +35,20 @@ class Score:
     missing: int = 0
 
     def add(self, case: Case, cube: Mapping[str, NDArray[Any]]) -> None:
-        """Take in every step of a cube."""
+        """Add every step of a cube."""
         for step, truth in enumerate(case.truth):
-            judged = inside(case, truth["z"])
-            found = (cube["quality"][step] & Quality.MEASURED) > 0
-            self.nodes += int(judged.sum())
-            self.measured += int((judged & found).sum())
-            self.missing += int((judged & ~np.isfinite(cube["z"][step])).sum())
+            compared = inside(case, truth["z"])
+            measured = (cube["quality"][step] & Quality.MEASURED) > 0
+            self.nodes += int(compared.sum())
+            self.measured += int((compared & measured).sum())
+            self.missing += int((compared & ~np.isfinite(cube["z"][step])).sum())
             for name in NAMES:
                 scale = (1.0 if name == "z" else 1.0 / case.frame_rate) / PIXEL
                 error = (np.asarray(cube[name][step], float) - truth[name]) * scale
                 std = np.asarray(cube[f"{name}_std"][step], float) * scale
                 for where, errors, stds in (
-                    (judged & found, self.error, self.std),
-                    (judged & ~found & np.isfinite(error), self.filled, self.filled_std),
+                    (compared & measured, self.error, self.std),
+                    (compared & ~measured & np.isfinite(error), self.filled, self.filled_std),
                 ):
                     errors[name].append(error[where])
                     stds[name].append(std[where])
@@ -69,26 +69,31 @@ class Score:
         return within[0], within[1], 100.0 - within[2]
 
     def outliers(self) -> int:
-        """Nodes called measured of which any variable is off by more than a pixel, or is not a number."""
+        """Nodes flagged as measured of which any variable is off by more than a pixel, or is not a number."""
         error = np.array([np.concatenate(self.error[name]) for name in NAMES])
         return int(np.sum(~(np.abs(error) <= 1).all(axis=0)))
 
     def wrong(self, times: float = 5.0) -> float:
-        """Per cent of the judged nodes that are called measured and off by more than so many std."""
+        """Per cent of the compared nodes that are flagged as measured and off by more than so many std."""
         off = [
             ~(np.abs(np.concatenate(self.error[name])) <= times * np.concatenate(self.std[name]))
             for name in NAMES
         ]
         return 100.0 * float(np.sum(np.any(off, axis=0))) / max(self.nodes, 1)
 
+    def report(self, head: str, *more: str) -> None:
+        """Print a head and the lines of the score below it."""
+        print(head)
+        print("".join(f"    {line}\n" for line in (*self.lines(), *more)), end="", flush=True)
+
     def lines(self) -> list[str]:
-        """What there is to say, a line each."""
+        """The results in words, a line each."""
 
         def columns(values: Iterable[float], form: str) -> str:
             return " ".join(form.format(v) for v in values)
 
         shares = np.array([self.fractions(name) for name in NAMES]).T
-        said = [
+        lines = [
             f"rms z {self.rms('z'):.4f}; u v w {columns((self.rms(n) for n in 'uvw'), '{:.4f}')}"
             f"; bias z {self.bias('z'):+.4f}, u {self.bias('u'):+.4f}",
             f"within 1 std: {columns(shares[0], '{:.0f}')}; 2: {columns(shares[1], '{:.0f}')}"
@@ -98,10 +103,10 @@ class Score:
         ]
         if self.filled["z"] and np.concatenate(self.filled["z"]).size > 20:
             shares = np.array([self.fractions(name, True) for name in NAMES]).T
-            said.append(
+            lines.append(
                 f"filled: rms z {self.rms('z', True):.3f}; u v w "
                 f"{columns((self.rms(n, True) for n in 'uvw'), '{:.3f}')}; within 1: "
                 f"{columns(shares[0], '{:.0f}')}; 2: {columns(shares[1], '{:.0f}')}; beyond 3: "
                 f"{columns(shares[2], '{:.1f}')} %"
             )
-        return said
+        return lines

@@ -5,7 +5,6 @@ shallow) with currents to 0.4 m/s in any direction, spreads from isotropic to s 
 fitted current: the error, mm/s, the same over its standard uncertainty, and what was refused.
 """
 
-import argparse
 import sys
 import time
 from multiprocessing import Pool
@@ -18,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "waves"))
 
 from independent_seas import FAMILIES, Sea, family
 
+from benchmarks.options import parser_of
 from wavefield.errors import CubeError
 from wavefield.waves import fit_dispersion, spectrum
 
@@ -37,9 +37,7 @@ def current_of(case: tuple[str, int]) -> tuple[str, int, Any, Any, str]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--seeds", type=int, nargs=2, default=[500, 505], help="first and last")
     parser.add_argument("--families", nargs="+", default=list(FAMILIES), choices=FAMILIES)
     parser.add_argument("--processes", type=int, default=1)

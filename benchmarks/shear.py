@@ -3,12 +3,11 @@
 Free waves of 1 to 6 Hz, cos^(2s) (theta / 2) wide, through 1.5 x 2 m, over a current of .1 exp(z / .1 m) m/s
 that shifts them as linear theory has it; u and v of the surface are given as they are measured, 2 mm/s off at
 random. Of each sea, over the depths that waves reach: the rms error of U(z), the same where every band's
-Doppler velocity is put at the depth 1 / 2k, and the first over what is stated. Beside it stands what the
+Doppler velocity is put at the depth 1 / 2k, and the first over what is stated. Next to it is what the
 bands' own errors allow, the bound of Cramer and Rao for the polynomial that was chosen, and what a polynomial
 of that degree leaves out.
 """
 
-import argparse
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from benchmarks.currents import BASIN, SEGMENT, STEP, sea
+from benchmarks.options import parser_of
 from wavefield.waves import current_by_depth, fit_dispersion, spectrum
 
 SURFACE, FALL, SURFACE_STD = 0.1, 0.1, 0.002  # m/s, m, m/s
@@ -86,9 +86,7 @@ def row(s: float, steps: int, seed: int) -> tuple[float, float]:
 
 def main() -> None:
     """Print the table and its summary."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--steps", type=int, nargs="+", default=[1024, 4096])
     parser.add_argument("--seed", type=int, default=1000)
     parser.add_argument("--seas", type=int, default=3, help="of each spread")

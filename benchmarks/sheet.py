@@ -1,16 +1,15 @@
-"""A light sheet: three components from two and three cameras, and where the sheet lies, from its particles.
+"""A light sheet: three components from two and three cameras, and the place of the sheet, from its particles.
 
     python -m benchmarks.sheet [--seeds N ...] [--frames N]
 
 The scene `sheet` (1 mm thick, .2 mm a pixel, rms displacements 3.7 px along and .75 px across the sheet). The
-sheet lies 2 mm beside the target's plane and is tilted by .8 and -.5 degrees; in the second row camera 1 was
+sheet is 2 mm off the target's plane and is tilted by .8 and -.5 degrees; in the second row camera 1 was
 knocked as well. Rows: what the rig as it is measures, and what it does after the self-calibration; errors in
 px of .2 mm over all nodes called measured, steps with a frame before and after. A turn along the parallax of
 two cameras passes for another height of the sheet and moves x = 0: in the third row of a knocked pair the
-truth is taken at the places where the cameras really look.
+truth is taken at the places that the cameras really image.
 """
 
-import argparse
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -18,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.options import parser_of
 from wavefield.calibration.light_sheet import fit_sheet
 from wavefield.measurement import GridGeometry, Settings, measure
 from wavefield.rig import Rig
@@ -36,7 +36,7 @@ ROWS: dict[str, dict[str, Any]] = {
 
 
 def beside(tank: Tank, rig: Rig) -> NDArray[Any]:
-    """By how much the nodes of a rig that was found lie beside their places in the sheet, (x, y), metres."""
+    """Distance of the nodes of a fitted rig from their places in the sheet, (x, y), metres."""
     x, y = np.meshgrid(tank.scene.grid.x_nodes, tank.scene.grid.y_nodes)
     axes, origin = plane(tank.scene.surface)  # type: ignore[arg-type]
     place = np.einsum("ij,jyx->iyx", axes, np.stack([x, y, 0 * x])) + origin[:, None, None]
@@ -47,7 +47,7 @@ def beside(tank: Tank, rig: Rig) -> NDArray[Any]:
 def errors(
     tank: Tank, images: Sequence[dict[str, NDArray[Any]]], rig: Rig, at: Sequence[float] = (0.0, 0.0)
 ) -> str:
-    """Fraction measured, rms errors of u, v, w and how often they lie within their uncertainty."""
+    """Fraction measured, rms errors of u, v, w and how often they are within their uncertainty."""
     settings = Settings.from_dict({"preset": "sheet", "sheet_thickness": 1e-3})
     rate = tank.scene.frame_rate
     frames = {name: [None, *(image[name] for image in images), None] for name in rig}
@@ -68,7 +68,7 @@ def errors(
 
 
 def main(words: Sequence[str]) -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--seeds", nargs="+", type=int, default=[71, 72, 73])
     parser.add_argument("--frames", type=int, default=12)
     options = parser.parse_args(words)

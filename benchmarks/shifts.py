@@ -8,7 +8,6 @@ what both frames show; bare are those with a patch of 17 px within 33 px around 
 scatters by less than 3 % of its range: there is nothing to measure, or the edge of nothing.
 """
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.options import parser_of
 from wavefield import matching
 from wavefield.images import read_image
 from wavefield.measurement import Settings
@@ -70,7 +70,7 @@ def line(name: str, image: Image, shift: int) -> str:
 
 
 def main(words: Sequence[str]) -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--shifts", nargs="+", type=int, default=[5, 30, 90, 200])
     parser.add_argument("--only", nargs="+", default=list(IMAGES), choices=list(IMAGES))

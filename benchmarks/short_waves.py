@@ -6,11 +6,10 @@ Random seas whose waves are all 6 to 8 or 4 to 6 cm long, single waves of 5.5 an
 a sea of 2 cm, water at rest, the tank's random sea, and a reference sea (JONSWAP, significant height 5 cm,
 peak at 1 Hz, 0.7 to 5.5 Hz). Exact cameras, a part of every sensor at full resolution. Per row: errors of z,
 u, v, w in px of 1.8 mm (velocities per frame), their median stated standard uncertainty, the share of nodes
-within one and two standard uncertainties and beyond three, the share of judged nodes where any variable errs
+within one and two standard uncertainties and beyond three, the share of nodes where any variable errs
 by more than five, and the share of nodes that are flagged as measured.
 """
 
-import argparse
 import sys
 import time
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.options import parser_of
 from benchmarks.scenes import BRIGHT, FRAMES, draw, reconstruct
 from benchmarks.scores import NAMES, Score
 from wavefield.measurement import Settings
@@ -101,7 +101,7 @@ def lines(score: Score) -> list[str]:
 
 
 def main(words: Sequence[str]) -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--only", nargs="+", default=list(ROWS), choices=list(ROWS), metavar="ROW")
     parser.add_argument("--seeds", nargs="+", type=int, default=[401, 402, 403])
     parser.add_argument("--crop", type=float, default=0.3, help="part of every sensor; 0.5 is half size")

@@ -6,7 +6,6 @@ FOLDER holds images/, cal.xml and reference/. The reference's matches (left to r
 under load) are turned into positions with the same rig; the measurement sees the images alone.
 """
 
-import argparse
 import os
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
@@ -20,6 +19,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from benchmarks.options import parser_of
 from wavefield.grid import Grid
 from wavefield.images import read_image
 from wavefield.measurement import GridGeometry, measure
@@ -95,7 +95,7 @@ def differences(folder: Path, loads: Sequence[int] = range(1, 6)) -> tuple[GridG
         measured = ((out["quality"] & Quality.MEASURED) > 0).astype(float)
         ok = good & (tables[n]["MATCH"] >= 0) & (read(measured, x, y) > 0.99)
         moved = left[0] + tables[n]["DISPLACEMENT_X"], left[1] + tables[n]["DISPLACEMENT_Y"]
-        # left-left alone does not say how far a point came forward: that is taken from the measurement
+        # left-left alone does not give the motion in depth: that is taken from the measurement
         start, end = rig["left"].unproject(*left, z), rig["left"].unproject(*moved, z + read(out["w"], x, y))
         dx, dy = end[0] - start[0], end[1] - start[1]
         middle = x + 0.5 * dx, y + 0.5 * dy
@@ -163,7 +163,7 @@ def draw(out, grid: Grid, path: Path) -> None:
 
 def main() -> None:
     cv2.setNumThreads(1)
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--pictures", type=Path, help="folder for pictures of the fields")
     options = parser.parse_args()

@@ -5,7 +5,6 @@ several, over that of two runs of OpenCV's DIS optical flow (MEDIUM) on 1024 x 1
 because absolute times move with the machine. ``--profile``: where the time goes, function by function.
 """
 
-import argparse
 import cProfile
 import pstats
 import sys
@@ -17,6 +16,7 @@ import cv2
 import numpy as np
 import yaml
 
+from benchmarks.options import parser_of
 from benchmarks.scenes import Case, draw, scene
 from wavefield.measurement import GridGeometry, Model, Settings, learn, measure
 from wavefield.tank import Tank
@@ -38,7 +38,7 @@ def seconds(case: Case, geometry: GridGeometry, model: Model) -> float:
 
 
 def main(words: Sequence[str]) -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--half", action="store_true", help="half size")
     parser.add_argument("--set", type=Path, help="YAML of measurement settings that differ")
     parser.add_argument("--repeats", type=int, default=5)

@@ -1,4 +1,4 @@
-"""Two people look at a job that is running: what it costs the job.
+"""Two people watch a job that is running: its cost for the job.
 
     python -m benchmarks.viewers [--steps 240] [--repeats 2]
 
@@ -8,7 +8,6 @@ itself. Other people's browsers draw on their machines: here they run as well, o
 server leave to them (policy IDLE; `--browsers-too` lets them compete).
 """
 
-import argparse
 import resource
 import statistics
 import subprocess
@@ -23,7 +22,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "explorer
 
 from browser import FLAGS, Browser, chromium
 
-from benchmarks.cubes import say, write_tank
+from benchmarks.command_runs import print_row, write_tank
+from benchmarks.options import parser_of
 from benchmarks.scenes import HALF
 from wavefield.tank import Scene
 
@@ -89,7 +89,7 @@ def _last(folder: Path) -> str:
 
 
 def watched(experiment: Path, out: Path, compete: bool) -> tuple[float, float, int, list[str]]:
-    """A run that two people look at; also how often a page has shown something new."""
+    """A run that two people watch; also how often a page has shown something new."""
     from playwright.sync_api import sync_playwright
 
     job = Run(experiment, out)
@@ -124,7 +124,7 @@ def watched(experiment: Path, out: Path, compete: bool) -> tuple[float, float, i
 
 
 def main(words: Sequence[str]) -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--steps", type=int, default=240)
     parser.add_argument("--repeats", type=int, default=2)
     parser.add_argument("--browsers-too", action="store_true", help="let the browsers compete with the run")
@@ -144,12 +144,12 @@ def main(words: Sequence[str]) -> int:
             views += seen
         for k, (what, asked) in enumerate((("wall", "+ 2 %"), ("CPU of the run", ""))):
             one, two = (statistics.median(times[k] for times in both) for both in (alone, used_blocks))
-            say(
+            print_row(
                 f"a job with two people looking, {what}",
                 asked,
                 f"{100 * (two / one - 1):+.1f} %  ({one:.1f} s alone)",
             )
-        say("    views they saw; console errors", "", f"{views}; {len(errors)}")
+        print_row("    views they saw; console errors", "", f"{views}; {len(errors)}")
     return 0
 
 

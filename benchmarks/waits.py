@@ -20,13 +20,14 @@ from pathlib import Path
 import cv2
 import psutil
 
-from benchmarks.cubes import finish, same, say, small_scene, start, workers_of, write_tank
+from benchmarks.command_runs import finish, print_row, same, small_scene, start, workers_of, write_tank
+from benchmarks.options import parser_of
 from wavefield.execution.stop_signals import log_path
 from wavefield.images import read_image
 from wavefield.tank import Scene, simulate
 
 IMPORTS = "import xarray, dask.distributed, numba, cv2"
-# what the log of a run says when a part of it begins
+# lines of the log of a run when a part of it begins
 MARKS = {"learning": r"learning beads", "blocks": r"blocks to do", "verdict": r"INFO done"}
 
 
@@ -87,16 +88,18 @@ def beginning(folder: Path, options: argparse.Namespace) -> None:
     """Until help is there, and until the first frame of a run is measured."""
     least = seconds([sys.executable, "-c", "import click"], 7)
     helped = seconds(wavefield("--help"), 7)
-    say("wavefield --help over importing click", "3", f"{helped / least:.1f}  ({helped:.2f} s)")
+    print_row("wavefield --help over importing click", "3", f"{helped / least:.1f}  ({helped:.2f} s)")
     experiment = write_tank(folder / "first", small_scene(), 4)
     imported = seconds([sys.executable, "-c", IMPORTS], 5)
     parts = [run(experiment, folder / "start.zarr", 2)[1] for _ in range(5)]
     first, blocks = (min(part[name] for part in parts) for name in ("learning", "blocks"))
     detail = f"({first:.2f} s, {imported:.2f} s; small images)"
-    say(
+    print_row(
         "from the command to the first frame measured, over imports", "2", f"{first / imported:.2f}  {detail}"
     )
-    say("    to the first block, beads and spectra learned", "", f"{blocks / imported:.2f}  ({blocks:.2f} s)")
+    print_row(
+        "    to the first block, beads and spectra learned", "", f"{blocks / imported:.2f}  ({blocks:.2f} s)"
+    )
 
 
 def record(folder: Path, options: argparse.Namespace) -> None:
@@ -109,16 +112,16 @@ def record(folder: Path, options: argparse.Namespace) -> None:
         wall, parts, memory = run(experiment, folder / f"run{workers}.zarr", workers)
         took[workers] = wall
         over = f"{workers * wall / steps / dis:.2f}  ({wall:.1f} s; {1e3 * dis:.0f} ms; {steps} steps)"
-        say(f"run, {workers} workers: wall x {workers} / steps over two DIS", "0.80", over)
+        print_row(f"run, {workers} workers: wall x {workers} / steps over two DIS", "0.80", over)
         ends = [0.0, *parts.values(), wall]
         names = ("preparing", "learning", "blocks", "verdict")
         shown = ", ".join(f"{name} {b - a:.1f}" for name, a, b in zip(names, ends, ends[1:]))
-        say("    of it, s", "", shown)
-        say("    most memory of a worker", "0.5 GB", f"{memory:.2f} GB" if workers > 1 else "")
+        print_row("    of it, s", "", shown)
+        print_row("    most memory of a worker", "0.5 GB", f"{memory:.2f} GB" if workers > 1 else "")
     if len(took) > 1:
-        say("2 workers over 1", "0.53", f"{took[2] / took[1]:.3f}")
+        print_row("2 workers over 1", "0.53", f"{took[2] / took[1]:.3f}")
         equal = same(folder / "run1.zarr", folder / "run2.zarr")
-        say("    the two cubes are the same to the bit", "yes", "yes" if equal else "no")
+        print_row("    the two cubes are the same to the bit", "yes", "yes" if equal else "no")
 
 
 def calibration(folder: Path, options: argparse.Namespace) -> None:
@@ -128,7 +131,7 @@ def calibration(folder: Path, options: argparse.Namespace) -> None:
         simulate(Scene.load("full").with_(frames=2), place)
     images = len(list((place / "calib").rglob("*.tif")))
     wall = seconds(wavefield("-q", "calibrate", place / "experiment.yaml"))
-    say(f"calibrate, {images} full-size images", "15 s", f"{wall:.1f} s")
+    print_row(f"calibrate, {images} full-size images", "15 s", f"{wall:.1f} s")
 
 
 def checking(folder: Path, options: argparse.Namespace) -> None:
@@ -138,10 +141,12 @@ def checking(folder: Path, options: argparse.Namespace) -> None:
         simulate(Scene.load("demo"), place)
     given = ["--rig", place / "truth" / "rig.yaml"]
     wall = min(seconds(wavefield("-q", "check", place / "experiment.yaml", *given)) for _ in range(3))
-    say("check, the demo's images", "6 s", f"{wall:.1f} s")
+    print_row("check, the demo's images", "6 s", f"{wall:.1f} s")
     full = folder / f"full-{options.steps}"
     if full.exists():
-        say("check, full size", "", f"{seconds(wavefield('-q', 'check', full / 'experiment.yaml')):.1f} s")
+        print_row(
+            "check, full size", "", f"{seconds(wavefield('-q', 'check', full / 'experiment.yaml')):.1f} s"
+        )
 
 
 PARTS = {"start": beginning, "run": record, "calibrate": calibration, "check": checking}
@@ -149,7 +154,7 @@ PARTS = {"start": beginning, "run": record, "calibrate": calibration, "check": c
 
 def main(words: Sequence[str]) -> int:
     """Measure the parts that are asked for."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--steps", type=int, default=400)
     parser.add_argument("--workers", type=int, nargs="+", default=[2, 1])

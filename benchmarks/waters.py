@@ -12,7 +12,6 @@ that are flagged as measured and wrong by more than five standard uncertainties 
 is no remark. ``--only`` repeats single draws.
 """
 
-import argparse
 import shutil
 import sys
 import tempfile
@@ -31,6 +30,7 @@ import yaml
 from numpy.typing import NDArray
 
 import wavefield as wf
+from benchmarks.options import parser_of
 from benchmarks.scenes import Case, inside
 from wavefield.errors import WavefieldError
 from wavefield.images import write_image
@@ -337,7 +337,7 @@ def run_draws(
 
 
 def main(words: Sequence[str]) -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--draws", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="+", type=int, help="numbers of single draws")

@@ -13,7 +13,6 @@ where it can be imported. Times of single estimators are CPU times on one thread
 time.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -33,6 +32,7 @@ import xarray as xr
 
 import wavefield.waves as wv
 from benchmarks.from_images import experiment, row, title
+from benchmarks.options import parser_of
 from wavefield.waves.estimation import rings
 
 STEPS, NY, NX, SEGMENT = 12_000, 150, 200, 512
@@ -227,9 +227,7 @@ def whole(path: Path, steps: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--steps", type=int, default=STEPS, help="length of the record")
     parser.add_argument("--cube", type=Path, help="where the cube is kept between runs; by default it is not")
     parser.add_argument("--store", type=Path, help="a cube measured from a simulated experiment")
