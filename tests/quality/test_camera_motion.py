@@ -10,8 +10,8 @@ import zarr
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, Settings
 from wavefield.quality.camera_delay import Delay, Sample, delays, regress, remarks
-from wavefield.quality.camera_motion import camera_jitter, camera_motion, jump, knocks, shaking, size
-from wavefield.quality.patch_matching import PatchMatcher
+from wavefield.quality.camera_motion import camera_jitter, camera_motion, jump, knocks, shaking
+from wavefield.quality.patch_matching import PatchMatcher, rms_over_field
 from wavefield.tank import Scene, Tank
 
 
@@ -69,7 +69,7 @@ def test_a_steady_record_has_no_knock(reference):
 def test_a_slow_drift_and_waves_are_no_knock():
     t = np.linspace(0, 1, 200)[:, None]
     assert jump(np.hstack([0.2 * np.sin(60 * t), 0 * t, 0 * t])) is None
-    assert size(np.array([0.3, 0.0, 0.0])) == pytest.approx(0.3)
+    assert rms_over_field(np.array([0.3, 0.0, 0.0])) == pytest.approx(0.3)
 
 
 def samples(delay, rng, instants=10, shake=0.3):

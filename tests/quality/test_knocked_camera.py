@@ -7,7 +7,8 @@ import pytest
 from cube_cases import HERE, KNOCKED
 
 from wavefield.pipeline import Workflow, check, open_cube, run
-from wavefield.quality.camera_motion import camera_motion, size
+from wavefield.quality.camera_motion import camera_motion
+from wavefield.quality.patch_matching import rms_over_field
 from wavefield.rig import Rig
 
 
@@ -29,7 +30,7 @@ def test_and_is_turned_back_where_that_is_asked_for(knocked, tmp_path):
     assert abs(shift[0, :KNOCKED]).max() < 0.05
     assert abs(shift[1:]).max() < 0.05
     left = camera_motion(state.store).low
-    assert max(size(one) for one in left) < 0.03
+    assert max(rms_over_field(one) for one in left) < 0.03
     (note,) = [r for r in state.verdict.remarks if r.kind == "turned back" and r.subject == "cam1"]
     assert note.values["frame"] == KNOCKED
 

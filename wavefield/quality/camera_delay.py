@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.quality.patch_matching import (
-    ALIKE,
+    MIN_CORRELATION,
     REACH,
     SIDE,
     Array,
@@ -27,20 +27,20 @@ from wavefield.quality.patch_matching import (
     Pair,
     PatchMatcher,
     compare,
+    scaled,
 )
+from wavefield.quality.quality_limits import LIMITS
 from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark
 
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, LearnedRecord
 
-_FEWEST = 12  # patches of an instant
-_CELLS = 4  # matched ones of a patch
-_BESIDE = 16  # px: search radius around the place to which a patch's motion takes it
+MIN_PATCHES = 12  # of an instant
+MIN_BLOCKS = 4  # matched ones of a patch
+NARROW_REACH = 16  # px: search radius around the place to which a patch's motion takes it
 _SLOPE = {3: {1: 1 / 2}, 5: {1: 2 / 3, 2: -1 / 12}}  # by how many frames: of x(k) - x(-k), px per frame
-_SURE = 4.0  # standard deviations
-_SHORTEST = 2e-5  # s: less is noted nowhere
-_MATTERS = 0.1  # px that a bead moves meanwhile
+SIGNIFICANCE = 4.0  # standard deviations
 
 
 @dataclass(frozen=True)
@@ -100,11 +100,11 @@ def sample(
     shown = [(v + d)[good] for v, d in zip((x, y), match.difference)]  # where the second camera shows it
     means = _over_patches(patch_matcher, shown, [v[good] for v in (match.eps_y, p, q)])
     known = np.isfinite(means[:, 0]) & np.isfinite(moved).all(axis=1)
-    if known.sum() < _FEWEST:
+    if known.sum() < MIN_PATCHES:
         return None
     (miss, p, q), (dx, dy) = means[known].T, moved[known].T * patch_matcher.pixel
     low = np.stack(
-        [np.ones(known.sum()), _scaled(patch_matcher.x[known]), _scaled(patch_matcher.y[known])], axis=-1
+        [np.ones(known.sum()), scaled(patch_matcher.x[known]), scaled(patch_matcher.y[known])], axis=-1
     )
     speed = float(np.sqrt((dx**2 + dy**2).mean())) / geometry.pixel
     return Sample(miss / geometry.pixel, (q * dx - p * dy) / geometry.pixel, low, speed)
@@ -134,25 +134,23 @@ def _moved(patch_matcher: PatchMatcher, name: str, frame: int, furthest: int) ->
     after = find(1, still.astype(float), furthest)
     if after is None:
         return None
-    first = np.where(after.peak_correlation[:, None] > ALIKE, after.moved, np.nan)
-    before = find(-1, -first, _BESIDE)
+    first = np.where(after.peak_correlation[:, None] > MIN_CORRELATION, after.moved, np.nan)
+    before = find(-1, -first, NARROW_REACH)
     if before is None:
         return None
-    last = np.where(before.peak_correlation[:, None] > ALIKE, before.moved, np.nan)
+    last = np.where(before.peak_correlation[:, None] > MIN_CORRELATION, before.moved, np.nan)
     found: dict[int, Comparison | None] = {1: after, -1: before}
     # and two frames away about where a parabola goes
-    found |= {k: find(k, k * (first - last) / 2 + 2 * (first + last), _BESIDE) for k in (-2, 2)}
+    found |= {k: find(k, k * (first - last) / 2 + 2 * (first + last), NARROW_REACH) for k in (-2, 2)}
     for slope in (_SLOPE[5], _SLOPE[3]):
         around = [(weight, found[k], found[-k]) for k, weight in slope.items()]
         sides = [(weight, a, b) for weight, a, b in around if a is not None and b is not None]
         if len(sides) < len(around):
             continue
         moved = sum((weight * (a.moved - b.moved) for weight, a, b in sides), np.zeros(1))
-        alike = np.all(
-            [(a.peak_correlation > ALIKE) & (b.peak_correlation > ALIKE) for _, a, b in sides], axis=0
-        )
-        moved = np.where(alike[:, None], moved, np.nan)
-        if np.isfinite(moved).all(axis=1).sum() >= _FEWEST:
+        worst = np.min([np.minimum(a.peak_correlation, b.peak_correlation) for _, a, b in sides], axis=0)
+        moved = np.where(worst[:, None] > MIN_CORRELATION, moved, np.nan)
+        if np.isfinite(moved).all(axis=1).sum() >= MIN_PATCHES:
             return np.asarray(moved)
     return None
 
@@ -172,11 +170,7 @@ def _over_patches(patch_matcher: PatchMatcher, at: Sequence[Array], values: Sequ
     which, own = (row * nx + column)[inside], own_row * nx + own_column
     count = np.bincount(which, minlength=nx * ny)[own]
     means = [np.bincount(which, v[inside], nx * ny)[own] / np.maximum(count, 1) for v in values]
-    return np.where(count[:, None] >= _CELLS, np.stack(means, axis=-1), np.nan)
-
-
-def _scaled(v: Array) -> Array:
-    return np.asarray((v - v.mean()) / max(float(np.ptp(v)) / 2, 1e-12))
+    return np.where(count[:, None] >= MIN_BLOCKS, np.stack(means, axis=-1), np.nan)
 
 
 def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
@@ -279,16 +273,16 @@ def delays(
 def remarks(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
     """Remarks on delays."""
     for name, one in found.items():
-        if abs(one.seconds) < max(_SURE * one.std, _SHORTEST):
+        if abs(one.seconds) < max(SIGNIFICANCE * one.std, LIMITS.delay):
             continue
         off, word = abs(one.seconds) * speed, "later" if one.seconds > 0 else "earlier"
         yield Remark(
             name,
             "delayed",
-            "remark" if off > _MATTERS else "note",
+            "remark" if off > LIMITS.delay_motion else "note",
             f"its frames are taken {1e3 * abs(one.seconds):.3f} ms {word} than the others' "
             f"(+- {1e3 * one.std:.3f} ms): the water moves {off:.2f} px meanwhile",
-            f"{_MATTERS} px at most",
+            f"{LIMITS.delay_motion} px at most",
             "trigger all cameras by one signal and give them one exposure time",
             {"delay": one.seconds, "std": one.std, "px": off},
         )

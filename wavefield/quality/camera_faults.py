@@ -12,21 +12,14 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.quality.pair_consistency import LEAST, ConsistencyTable, covered, score, size
-from wavefield.quality.patch_matching import (
-    Pair,
-    PairConsistency,
-    PatchMatcher,
-)
+from wavefield.quality.pair_consistency import ConsistencyTable, covered, score
+from wavefield.quality.patch_matching import FLIPS, Pair, PairConsistency, PatchMatcher, rms_over_field
+from wavefield.quality.quality_limits import LIMITS
 from wavefield.rig.resolution import pixel_at
 from wavefield.robust import PER_MEDIAN
-from wavefield.store.verdict import Remark, Weight
+from wavefield.store.verdict import Remark
 
-_FEWEST = 6  # patches: with fewer no camera is judged
-_MATTERS = 0.1  # px: smallest improvement for which correcting a rig is advised
-_BLURRED = 1.6  # times the blur of the other cameras, in px and on the water
-_COVERED = 0.08  # of the patches
-_FLIPS = ("mirrored", "upside down", "turned by 180 degrees")
+MIN_PATCHES = 6  # with fewer no camera is judged
 
 
 @dataclass(frozen=True)
@@ -46,37 +39,32 @@ def find_camera_faults(
 ) -> CameraFaults:
     """Compare cameras at some instants, and name what is wrong with them."""
     names = list(patch_matcher.rig)
-    whole = tuple(k for k in frames if all(patch_matcher.read(name, k) is not None for name in names))
-    if len(patch_matcher.x) < _FEWEST or not whole or len(names) < 2:
-        return CameraFaults((), {}, {}, whole)
-    table = ConsistencyTable(patch_matcher, names, whole, threads)
+    complete = tuple(k for k in frames if all(patch_matcher.read(name, k) is not None for name in names))
+    if len(patch_matcher.x) < MIN_PATCHES or not complete or len(names) < 2:
+        return CameraFaults((), {}, {}, complete)
+    table = ConsistencyTable(patch_matcher, names, complete, threads)
     remarks = [*_covered(table), *_blurred(table)]
     inconsistent, explained = _inconsistent(table, count)
-    seen = {remark.subject: remark for remark in remarks}
+    own = {remark.subject: remark for remark in remarks}
     explained = [  # cameras that are too blurred or covered to match are not inconsistent
-        replace(seen[one.subject], weight="grave")
-        if one.kind == "contradicts" and one.subject in seen
-        else one
+        replace(own[one.subject], weight="grave") if one.kind == "contradicts" and one.subject in own else one
         for one in explained
     ]
     remarks = [remark for remark in remarks if remark.subject not in inconsistent] + explained
     remarks += _knocked(table, inconsistent) or _uneven(table, inconsistent)
-    return CameraFaults(tuple(remarks), table.camera_numbers(), table.pair_numbers(), whole)
-
-
-# -- one thing after another -------------------------------------------------------------------------------
+    return CameraFaults(tuple(remarks), table.camera_numbers(), table.pair_numbers(), complete)
 
 
 def _covered(table: ConsistencyTable) -> Iterator[Remark]:
     for name in table.names:
         fraction = float(np.median(covered(table, name)))
-        if fraction > _COVERED:
+        if fraction > LIMITS.covered:
             yield Remark(
                 name,
                 "covered",
-                "grave" if fraction > 0.6 else "remark",
+                "grave" if fraction > LIMITS.covered_grave else "remark",
                 f"it shows nothing in {100 * fraction:.0f} % of the field where the others do",
-                f"less than {100 * _COVERED:.0f} %",
+                f"less than {100 * LIMITS.covered:.0f} %",
                 "check for objects in front of it and for missing light; what it does not "
                 "show is not measured",
                 {"fraction": fraction},
@@ -97,7 +85,7 @@ def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
         usual = float(np.median([widths[other] for other in others]))
         on_water = float(np.median([widths[other] * pixels[other] for other in others]))
         wider = min(width / max(usual, 1e-9), width * pixels[name] / max(on_water, 1e-12))
-        if wider > _BLURRED and width > 1.0:
+        if wider > LIMITS.blur_ratio and width > 1.0:
             yield Remark(
                 name,
                 "out of focus",
@@ -141,7 +129,7 @@ def _nobody(table: ConsistencyTable) -> Remark:
         "disagree",
         "grave",
         f"no two of them see the same water: at best {100 * best:.0f} % of the patches are found again",
-        f"more than {100 * LEAST:.0f} %",
+        f"more than {100 * LIMITS.agreement:.0f} %",
         "is the rig theirs, are the frames of the same moments (`offset`), is the water seeded?",
         {"agreement": best},
     )
@@ -158,7 +146,7 @@ def _swapped(table: ConsistencyTable, level: float) -> Remark | None:
             score([table.compare((a, b), k, turned.get(a, a), turned.get(b, b)) for k in table.frames[:2]])
             for a, b in table.pairs
         ]
-        if min(scores) > LEAST / 2 and float(np.mean(scores)) > best:
+        if min(scores) > LIMITS.agreement / 2 and float(np.mean(scores)) > best:
             best, which = float(np.mean(scores)), (one, other)
     if which is None:
         return None
@@ -176,80 +164,64 @@ def _swapped(table: ConsistencyTable, level: float) -> Remark | None:
 def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
     """What makes a camera agree with its partners, tried at two instants."""
     frames = table.frames[:2]
-    candidates: dict[tuple[str, str, str], float] = {}
+    candidates: list[tuple[float, str, str]] = []  # agreement, kind and detail
     for partner in partners:
         pair = (partner, name)
-        for change in _FLIPS:
+        for change in FLIPS:
             found = [table.compare(pair, k, partner, name, change=change) for k in frames]
-            _keep(candidates, ("mirrored", change, partner), score(found))
+            candidates.append((score(found), "mirrored", change))
         for later in (-2, -1, 1, 2):
             some = [k for k in frames if 0 <= k + later < count]
             found = [table.compare(pair, k, partner, name, later=later) for k in some]
-            _keep(candidates, ("late" if later > 0 else "early", str(abs(later)), partner), score(found))
+            candidates.append((score(found), "late" if later > 0 else "early", str(abs(later))))
         some = [k for k in frames if abs(count - 1 - 2 * k) > 1]
         found = [table.compare(pair, k, partner, name, later=count - 1 - 2 * k) for k in some]
-        _keep(candidates, ("reversed", "", partner), score(found))
+        candidates.append((score(found), "reversed", ""))
         for other in table.names:
             if other not in (name, partner):
                 found = [table.compare((partner, other), k, partner, name) for k in frames]
-                _keep(candidates, ("swapped", other, partner), score(found))
-    (kind, what, _), best = max(candidates.items(), key=lambda item: item[1])
+                candidates.append((score(found), "swapped", other))
+    best, kind, detail = max(candidates, key=lambda one: one[0])
     now = max(score(table.found[pair]) for pair in table.pairs if name in pair)
-    if best < max(LEAST, level, 2 * now):
+    if best < max(LIMITS.agreement, level, 2 * now):
         return _inconsistent_pairs(table, name, now)
-    return replace(_WORDS[kind](name, what), values={"agreement": best, "as it is": now})
+    return _explained(name, kind, detail, {"agreement": best, "as it is": now})
 
 
-def _keep(candidates: dict[tuple[str, str, str], float], key: tuple[str, str, str], value: float) -> None:
-    candidates[key] = max(value, candidates.get(key, 0.0))
-
-
-def _grave(name: str, kind: str, sentence: str, remedy: str) -> Remark:
-    return Remark(name, kind, "grave", sentence, "images as the rig has them, of the same moments", remedy)
-
-
-_WORDS = {
-    "mirrored": lambda name, what: _grave(
-        name,
-        "mirrored",
-        f"it agrees with the others when its images are {what}",
+# What is wrong with a camera that agrees with the others when its images are taken otherwise, and the remedy.
+_EXPLANATIONS = {
+    "mirrored": (
+        "its images are {}",
         "correct its images, or calibrate it with target images that are oriented alike",
     ),
-    "late": lambda name, what: _grave(
-        name,
-        "late",
-        f"it agrees with the others when its frames are taken {what} later",
-        f"take {what} from its `offset` in the experiment file",
-    ),
-    "early": lambda name, what: _grave(
-        name,
-        "early",
-        f"it agrees with the others when its frames are taken {what} before",
-        f"add {what} to its `offset` in the experiment file",
-    ),
-    "reversed": lambda name, what: _grave(
-        name,
-        "reversed",
-        "it agrees with the others when its record is run backwards",
-        "number its images in the order of time",
-    ),
-    "swapped": lambda name, what: _grave(
-        name,
-        "swapped",
-        f"its images are those that {what} would take",
-        f"correct its `images` in the experiment file: they show what {what} sees",
-    ),
+    "late": ("its frames are taken {} later", "take {} from its `offset` in the experiment file"),
+    "early": ("its frames are taken {} before", "add {} to its `offset` in the experiment file"),
+    "reversed": ("its record is run backwards", "number its images in the order of time"),
 }
+
+
+def _explained(name: str, kind: str, detail: str, values: Mapping[str, float]) -> Remark:
+    if kind == "swapped":
+        sentence = f"its images are those that {detail} would take"
+        remedy = f"correct its `images` in the experiment file: they show what {detail} sees"
+    else:
+        cause, remedy = (part.format(detail) for part in _EXPLANATIONS[kind])
+        sentence = f"it agrees with the others when {cause}"
+    expected = "images as the rig has them, of the same moments"
+    return Remark(name, kind, "grave", sentence, expected, remedy, values)
 
 
 def _inconsistent_pairs(table: ConsistencyTable, name: str, now: float) -> Remark:
     usual = max(score(found) for found in table.found.values())
+    expected = f"more than {100 * LIMITS.agreement:.0f} %"
+    if usual:
+        expected = f"{100 * usual:.0f} % as the others among themselves"
     return Remark(
         name,
         "contradicts",
         "grave",
         f"it agrees with no other camera: {100 * now:.0f} % of its patches are found again",
-        f"{100 * usual:.0f} % as the others among themselves" if usual else f"more than {100 * LEAST:.0f} %",
+        expected,
         "is it sharp and bright, are its frames of the same moments, is the rig that of these images?",
         {"agreement": now, "usual": usual},
     )
@@ -262,8 +234,12 @@ def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
         for pair, found in table.found.items()
         if not inconsistent & set(pair) and any(one.fraction > 0 for one in found)
     }
-    missed = {pair: size(value) for pair, value in smooth.items()}
-    wrong = [pair for pair, value in missed.items() if value > _MATTERS and _sure(table.found[pair]) > 4]
+    missed = {pair: rms_over_field(value) for pair, value in smooth.items()}
+    wrong = [
+        pair
+        for pair, value in missed.items()
+        if value > LIMITS.epipolar_error and _significance(table.found[pair]) > 4
+    ]
     if not wrong:
         return []
     most = max(missed[pair] for pair in wrong)
@@ -273,19 +249,22 @@ def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
         if all(name in pair for pair in wrong)
         and all(value < most / 3 for pair, value in missed.items() if name not in pair)
     ]
-    weight: Weight = "grave" if most > 0.5 else "remark"
     subject = faulty_cameras[0] if len(faulty_cameras) == 1 else "rig"
     between = " and of ".join("-".join(pair) for pair in wrong)
-    remark = Remark(
+    sentence = f"the sight lines of {between} miss each other by {most:.2f} px on the water"
+    return [_moved(subject, most, sentence, {f"eps_y {'-'.join(pair)}": px for pair, px in missed.items()})]
+
+
+def _moved(subject: str, off: float, sentence: str, values: Mapping[str, float]) -> Remark:
+    return Remark(
         subject,
         "moved",
-        weight,
-        f"the sight lines of {between} miss each other by {most:.2f} px on the water",
-        f"less than {_MATTERS} px",
+        "grave" if off > LIMITS.epipolar_error_grave else "remark",
+        sentence,
+        f"less than {LIMITS.epipolar_error} px",
         "correct the rig with a still-water record (`rest:`, or `wavefield refine`), or calibrate again",
-        {f"eps_y {'-'.join(pair)}": value for pair, value in missed.items()},
+        values,
     )
-    return [remark]
 
 
 def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
@@ -300,40 +279,33 @@ def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
             continue  # both search the same camera's patches
         apart = [_apart(table, first, second, k) for k in range(len(table.frames))]
         values = np.concatenate(apart)
-        if len(values) < _FEWEST * 4:
+        if len(values) < MIN_PATCHES * 4:
             continue
         off = float(np.median(values))
         spread = float(PER_MEDIAN * np.median(np.abs(values - off)) / np.sqrt(len(values) / 4)) + 1e-3
         if abs(off) > abs(worst):
             worst, sure, which = off, abs(off) / spread, (first, second)
-    if abs(worst) <= _MATTERS or sure < 6:
+    if abs(worst) <= LIMITS.epipolar_error or sure < 6:
         return []
     names = " and ".join("-".join(pair) for pair in which)
-    return [
-        Remark(
-            "rig",
-            "moved",
-            "grave" if abs(worst) > 0.5 else "remark",
-            f"{names} see the same water at different heights, as if a camera had moved "
-            f"{abs(worst):.2f} px along the parallax",
-            f"less than {_MATTERS} px",
-            "correct the rig with a still-water record (`rest:`, or `wavefield refine`), or calibrate again",
-            {"height": worst},
-        )
-    ]
+    sentence = (
+        f"{names} see the same water at different heights, as if a camera had moved "
+        f"{abs(worst):.2f} px along the parallax"
+    )
+    return [_moved("rig", abs(worst), sentence, {"height": worst})]
 
 
 def _apart(table: ConsistencyTable, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:
-    """By how much the heights of two pairs differ where both found a patch, px of parallax."""
+    """Difference of the heights of two pairs in patches that both matched, px of parallax."""
     a, b = table.found[first][k], table.found[second][k]
     both, ia, ib = np.intersect1d(a.places, b.places, return_indices=True)
     parallax = np.minimum(table.patch_matcher.parallax(first), table.patch_matcher.parallax(second))[both]
     return np.asarray((a.height[ia] - b.height[ib]) * parallax / table.patch_matcher.pixel)
 
 
-def _sure(found: Sequence[PairConsistency]) -> float:
+def _significance(found: Sequence[PairConsistency]) -> float:
     """The smooth part over its uncertainty."""
     one = max(found, key=lambda each: each.fraction)
     if len(one.eps_y) < 8:
         return 0.0
-    return float(size(one.smooth) / max(float(one.eps_y.std()) / np.sqrt(len(one.eps_y) - 3), 1e-3))
+    return float(rms_over_field(one.smooth) / max(float(one.eps_y.std()) / np.sqrt(len(one.eps_y) - 3), 1e-3))

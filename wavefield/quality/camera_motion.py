@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.quality.patch_matching import PatchMatcher
+from wavefield.quality.patch_matching import PatchMatcher, rms_over_field
+from wavefield.quality.quality_limits import LIMITS
 from wavefield.quality.stabilized import shifts
 from wavefield.robust import PER_MEDIAN
 from wavefield.sampling import from_first_to_last
@@ -26,14 +27,11 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_SAMPLE_STEPS = 600  # steps that are read, evenly over the record
-_NODES = 2000  # of each
-_FEWEST = 50  # nodes of a step: fewer are not used
-_SIDE = 3  # steps on either side of a jump, at least
-_JUMP = 0.05  # px: a smaller one is not separated from jitter
-_MATTERS = 0.1  # px
-_MIN_JITTER = 0.02  # px: noise makes .006 of it in poor light
-_MOST = 3  # knocks that are searched for
+MAX_STEPS = 600  # steps that are read, evenly over the record
+MAX_NODES = 2000  # of each
+MIN_NODES = 50  # of a step
+MAX_KNOCKS = 3
+MIN_STEPS_PER_SIDE = 3  # of a jump
 
 
 @dataclass(frozen=True)
@@ -57,11 +55,11 @@ def camera_motion(store: Path, steps: Sequence[int] | None = None) -> CameraMoti
     """Fit the low-order part of eps_y at steps of a cube."""
     group = open_group(store)
     count, ny, nx = group["eps_y"].shape
-    every = max(1, int(np.sqrt(ny * nx / _NODES)))
+    every = max(1, int(np.sqrt(ny * nx / MAX_NODES)))
     pixel = float(group.attrs["pixel_size"])
     x, y = np.meshgrid(*(np.linspace(-1, 1, n)[::every] for n in (nx, ny)))
     design = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=-1)
-    requested = from_first_to_last(count, _SAMPLE_STEPS) if steps is None else steps
+    requested = from_first_to_last(count, MAX_STEPS) if steps is None else steps
     kept, low, std = [], [], []
     block = read_layout(group).chunk_steps
     for first in range(0, count, block):
@@ -80,30 +78,17 @@ def camera_motion(store: Path, steps: Sequence[int] | None = None) -> CameraMoti
 
 def _fit(design: Array, values: Array) -> tuple[Array, Array] | None:
     good = np.isfinite(values)
-    if good.sum() < _FEWEST:
+    if good.sum() < MIN_NODES:
         return None
     middle = np.median(values[good])
     spread = PER_MEDIAN * np.median(np.abs(values[good] - middle)) + 1e-6
     good &= np.abs(values - middle) < 4 * spread + 1.0
     A, b = design[good], values[good].astype(float)
-    if len(b) < _FEWEST:
+    if len(b) < MIN_NODES:
         return None
     found = np.linalg.lstsq(A, b, rcond=None)[0]
     variance = float(np.var(b - A @ found))
     return found, np.sqrt(variance * np.diag(np.linalg.pinv(A.T @ A)))
-
-
-def size(low: Array) -> float:
-    """Rms over the field of a low-order eps_y.
-
-    With low (3,).
-
-    Examples
-    --------
-    >>> size(np.array([0.3, 0.0, 0.0]))
-    0.3
-    """
-    return float(np.sqrt(low[0] ** 2 + (low[1] ** 2 + low[2] ** 2) / 3))
 
 
 def jump(low: Array) -> int | None:
@@ -120,15 +105,15 @@ def jump(low: Array) -> int | None:
     12
     """
     n = len(low)
-    if n < 2 * _SIDE:
+    if n < 2 * MIN_STEPS_PER_SIDE:
         return None
     total, squares = np.cumsum(low, axis=0), float((low**2).sum())
-    cuts = np.arange(_SIDE, n - _SIDE + 1)
+    cuts = np.arange(MIN_STEPS_PER_SIDE, n - MIN_STEPS_PER_SIDE + 1)
     before, after = total[cuts - 1] / cuts[:, None], (total[-1] - total[cuts - 1]) / (n - cuts)[:, None]
     left = squares - (before**2).sum(axis=1) * cuts - (after**2).sum(axis=1) * (n - cuts)
     best = int(np.argmin(left))
     scatter = float(np.sqrt(max(left[best], 0.0) / max(n - 2, 1)))
-    if size(after[best] - before[best]) < max(_JUMP, 2 * scatter):
+    if rms_over_field(after[best] - before[best]) < max(LIMITS.jump, 2 * scatter):
         return None
     return int(cuts[best])
 
@@ -137,7 +122,7 @@ def knocks(store: Path, found: CameraMotion) -> list[Knock]:
     """Jumps of a record, each dated to a frame."""
     pieces = [(0, len(found.steps))]
     cuts: list[int] = []
-    while pieces and len(cuts) < _MOST:
+    while pieces and len(cuts) < MAX_KNOCKS:
         a, b = pieces.pop(0)
         at = jump(found.low[a:b])
         if at is not None:
@@ -153,7 +138,7 @@ def knocks(store: Path, found: CameraMotion) -> list[Knock]:
         # a step shows the mean of its two frames: the one in which the knock falls is half way
         whole = near.steps[along > 0.75]
         frame = int(whole[0]) if whole.size else int(found.steps[at])
-        out.append(Knock(frame, size(after - before)))
+        out.append(Knock(frame, rms_over_field(after - before)))
     return out
 
 
@@ -177,7 +162,10 @@ def who(geometry: "GridGeometry", patch_matcher: PatchMatcher, frame: int, count
     Returns size By how much its sight lines miss the others' more, px.
     """
     sides = []
-    for frames in (range(max(frame - _SIDE, 0), frame), range(frame, min(frame + _SIDE, count))):
+    for frames in (
+        range(max(frame - MIN_STEPS_PER_SIDE, 0), frame),
+        range(frame, min(frame + MIN_STEPS_PER_SIDE, count)),
+    ):
         found = [
             shifts({name: patch_matcher.read(name, k) for name in geometry.cameras}, geometry) for k in frames
         ]
@@ -185,7 +173,7 @@ def who(geometry: "GridGeometry", patch_matcher: PatchMatcher, frame: int, count
     if not all(sides):
         return "rig", 0.0
     middle = [{name: np.median([one[name] for one in side], axis=0) for name in side[0]} for side in sides]
-    moved = {name: size(middle[1][name] - middle[0][name]) for name in middle[0]}
+    moved = {name: rms_over_field(middle[1][name] - middle[0][name]) for name in middle[0]}
     first, *others = sorted(moved, key=lambda name: -moved[name])
     if len(moved) < 3 or moved[first] < 2 * moved[others[0]]:
         return "rig", 0.0
@@ -203,7 +191,7 @@ def remarks(
     yield from _turned_back(store, first_frame)
     yield from camera_jitter(record)
     found = camera_motion(store)
-    if len(found.steps) < 2 * _SIDE:
+    if len(found.steps) < 2 * MIN_STEPS_PER_SIDE:
         return
     jumps = knocks(store, found)
     count = int(open_group(store)["frame"].shape[0])
@@ -213,23 +201,23 @@ def remarks(
         yield Remark(
             name,
             "knocked",
-            "grave" if off > 10 * _MATTERS else "remark",
+            "grave" if off > 10 * LIMITS.motion else "remark",
             f"it moved between frames {first_frame + one.frame - 1} and {first_frame + one.frame}: since "
             f"then sight lines miss each other by {off:.2f} px more",
-            f"less than {_JUMP} px",
+            f"less than {LIMITS.jump} px",
             "run the two parts by themselves (`frames: {first, last}`), the second with a rig corrected by "
             "`wavefield refine`",
             {"frame": first_frame + one.frame, "px": off},
         )
     rms, std = shaking(found, [one.frame for one in jumps])
-    if rms > max(_JUMP, 3 * std):
+    if rms > max(LIMITS.jump, 3 * std):
         yield Remark(
             "cameras",
             "shaking",
-            "remark" if rms > _MATTERS else "note",
+            "remark" if rms > LIMITS.motion else "note",
             f"their pictures shake by {rms:.3f} +- {std:.3f} px from step to step "
             "(tilt and roll across the sight lines)",
-            f"{_MATTERS} px at most",
+            f"{LIMITS.motion} px at most",
             "stiffen their mounts, or let no carriage, pump or person move while they record",
             {"px": rms, "std": std},
         )
@@ -241,15 +229,15 @@ def camera_jitter(record: "LearnedRecord | None") -> Iterator[Remark]:
     eps_y does not show this; the displacements of three cameras do.
     """
     along = record.camera_jitter[0] if record else 0.0
-    if along > _MIN_JITTER:
+    if along > LIMITS.jitter:
         yield Remark(
             "cameras",
             "trembling",
-            "remark" if along > _MATTERS else "note",
+            "remark" if along > LIMITS.motion else "note",
             f"their pictures move by {along:.3f} px from frame to frame along the line on which they are "
             f"placed; "
             "which of them moves cannot be determined: the uncertainties of z, u, v and w include it",
-            f"less than {_MIN_JITTER} px",
+            f"less than {LIMITS.jitter} px",
             "stiffen their mounts, or let no carriage, pump or person move while they record",
             {"px": along},
         )
@@ -264,10 +252,10 @@ def _turned_back(store: Path, first_frame: int) -> Iterator[Remark]:
         known = np.flatnonzero(np.isfinite(low).all(axis=1))
         if not known.size:
             continue
-        rms = float(np.sqrt(np.mean([size(one) ** 2 for one in low[known]])))
+        rms = float(np.sqrt(np.mean([rms_over_field(one) ** 2 for one in low[known]])))
         at = jump(low[known])
         when = "" if at is None else f", most of it from frame {first_frame + int(known[at])} on"
-        if rms > _JUMP / 5:
+        if rms > LIMITS.jump / 5:
             yield Remark(
                 name,
                 "turned back",

@@ -7,16 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.quality.quality_limits import LIMITS
 from wavefield.series import FrameSeries
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
 from wavefield.variables import FrameFault
 
 MAX_FRAMES_READ_ALL = 40  # a record of no more frames is read as a whole
-_SAMPLED_STEPS = 12  # of a longer one
-_MAX_BAD_SHARE = 0.1  # of the frames of a camera: more are remarked upon
-MIN_USABLE_SHARE = 0.5  # of the steps
-_FAULT_WORDS = {
+SAMPLED_STEPS = 12  # of a longer one
+FAULT_WORDS = {
     FrameFault.UNREADABLE: ("unreadable", "cannot be read", "copy them again from the recording"),
     FrameFault.BLANK: ("blank", "are blank (all pixels equal)", "was the lens covered, or the light off?"),
     FrameFault.WRONG_SIZE: (
@@ -50,7 +49,7 @@ def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
     if len(present) <= MAX_FRAMES_READ_ALL:
         return tuple(range(len(present)))
     steps = np.flatnonzero(present[:-1] & present[1:])
-    drawn = np.random.default_rng(0).permutation(steps)[:_SAMPLED_STEPS]
+    drawn = np.random.default_rng(0).permutation(steps)[:SAMPLED_STEPS]
     return tuple(sorted({int(frame) for step in drawn for frame in (step, step + 1)}))
 
 
@@ -84,27 +83,27 @@ def remark_on_frames(
         read = [index for index in found.read if index in set(sample)]
         if not read:
             continue
-        for fault, (kind, words, remedy) in _FAULT_WORDS.items():
+        for fault, (kind, words, remedy) in FAULT_WORDS.items():
             bad = [index for index in read if index in found.faults and found.faults[index][0] == fault]
-            if len(bad) > max(1, _MAX_BAD_SHARE * len(read)):
+            if len(bad) > max(1, LIMITS.bad_frames * len(read)):
                 numbers = spell_ranges([series[name].first + index for index in bad], 3)
                 yield Remark(
                     name,
                     kind,
-                    "grave" if len(bad) > MIN_USABLE_SHARE * len(read) else "remark",
+                    "grave" if len(bad) > LIMITS.usable_steps * len(read) else "remark",
                     f"{len(bad)} of {len(read)} frames read {words}: frames {numbers} "
                     f"({found.faults[bad[0]][1]})",
-                    f"{100 * _MAX_BAD_SHARE:.0f} % at most",
+                    f"{100 * LIMITS.bad_frames:.0f} % at most",
                     remedy,
                     {"bad": len(bad), "read": len(read)},
                 )
         pairs = sum(index - 1 in read for index in read)
-        if len(found.repeated) > max(1, _MAX_BAD_SHARE * pairs):
+        if len(found.repeated) > max(1, LIMITS.bad_frames * pairs):
             numbers = spell_ranges([series[name].first + index for index in sorted(found.repeated)], 3)
             yield Remark(
                 name,
                 "frozen",
-                "grave" if len(found.repeated) > MIN_USABLE_SHARE * pairs else "remark",
+                "grave" if len(found.repeated) > LIMITS.usable_steps * pairs else "remark",
                 f"{len(found.repeated)} of {pairs} frames read equal the frame before them in every pixel: "
                 f"frames {numbers}",
                 "none",
@@ -132,13 +131,13 @@ def _usable(
         for index in drawn
     ]
     share = float(complete.mean()) * float(np.mean(usable)) if usable else 0.0
-    if share < MIN_USABLE_SHARE and complete.any() and not all(usable):
+    if share < LIMITS.usable_steps and complete.any() and not all(usable):
         yield Remark(
             "record",
             "few usable steps",
             "grave",
             f"only about {100 * share:.0f} % of {len(complete)} steps have two good frames of every camera",
-            f"{100 * MIN_USABLE_SHARE:.0f} % at least",
+            f"{100 * LIMITS.usable_steps:.0f} % at least",
             "copy the frames named here again, or state a range of good ones (`frames`)",
             {"share": share, "steps": len(complete)},
         )
@@ -156,7 +155,7 @@ def remark_on_absent_frames(series: Mapping[str, FrameSeries]) -> Iterator[Remar
     """Report cameras with many missing frames, and cameras that have few steps in common."""
     for name, one in series.items():  # recordings with a clock report dropped images themselves
         missing = one.missing
-        if one.times is not None or len(missing) <= _MAX_BAD_SHARE * len(one):
+        if one.times is not None or len(missing) <= LIMITS.bad_frames * len(one):
             continue
         there = one.first + np.flatnonzero([entry is not None for entry in one.entries])
         gap = int(np.argmax(np.diff(there))) if len(there) > 1 else 0
@@ -168,9 +167,9 @@ def remark_on_absent_frames(series: Mapping[str, FrameSeries]) -> Iterator[Remar
         yield Remark(
             name,
             "missing frames",
-            "grave" if len(missing) > MIN_USABLE_SHARE * len(one) else "remark",
+            "grave" if len(missing) > LIMITS.usable_steps * len(one) else "remark",
             f"{len(missing)} of {len(one)} are missing: frames {spell_ranges(missing.tolist(), 3)}{leap}",
-            f"{100 * _MAX_BAD_SHARE:.0f} % at most",
+            f"{100 * LIMITS.bad_frames:.0f} % at most",
             "copy them, or state the range of frames that is complete (`frames`)",
             {"missing": len(missing), "frames": len(one)},
         )
@@ -178,13 +177,13 @@ def remark_on_absent_frames(series: Mapping[str, FrameSeries]) -> Iterator[Remar
         return
     present = _present(series)
     share = float((present[:-1] & present[1:]).mean())
-    if share < MIN_USABLE_SHARE:
+    if share < LIMITS.usable_steps:
         yield Remark(
             "record",
             "few common steps",
             "grave",
             f"only {100 * share:.0f} % of {len(present) - 1} steps have both frames of every camera",
-            f"{100 * MIN_USABLE_SHARE:.0f} % at least",
+            f"{100 * LIMITS.usable_steps:.0f} % at least",
             "copy the missing frames; do the frames of one moment have one number (`offset`)?",
             {"share": share, "steps": len(present) - 1},
         )

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from itertools import combinations
 
 import cv2
 import numpy as np
@@ -15,13 +15,11 @@ from wavefield.quality.patch_matching import (
     agreement,
     compare,
     grounds,
-    pairs_of_all,
-    pooled,
+    rms_over_field,
 )
+from wavefield.quality.quality_limits import LIMITS
 
-LEAST = 0.2  # of the patches: two cameras that agree in fewer do not agree
-_BESIDE = 0.5  # of what the best pair of cameras agrees in
-_SCATTER = 0.4  # px of eps_y: more is not the same water
+MAX_SCATTER = 0.4  # px of eps_y: more is not the same water
 
 
 class ConsistencyTable:
@@ -31,7 +29,7 @@ class ConsistencyTable:
         self, patch_matcher: PatchMatcher, names: list[str], frames: tuple[int, ...], threads: int = 1
     ) -> None:
         self.patch_matcher, self.names, self.frames = patch_matcher, names, frames
-        self.pairs = pairs_of_all(names)
+        self.pairs: list[Pair] = list(combinations(names, 2))
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(lambda name: patch_matcher.patches(name, frames[0]), names))  # lays out its lens
             self.grounds = dict(zip(frames, pool.map(lambda k: grounds(patch_matcher, k, names), frames)))
@@ -59,7 +57,9 @@ class ConsistencyTable:
 
     def level(self) -> float:
         """Fraction of patches from which on two cameras agree."""
-        return max(LEAST, _BESIDE * max(score(found) for found in self.found.values()))
+        return max(
+            LIMITS.agreement, LIMITS.agreement_to_best * max(score(found) for found in self.found.values())
+        )
 
     def good(self) -> list[Pair]:
         """Pairs of cameras that agree."""
@@ -82,30 +82,27 @@ class ConsistencyTable:
         return {
             "-".join(pair): {
                 "agreement": [round(one.fraction, 3) for one in found],
-                "eps_y": [round(size(one.smooth), 3) for one in found],
+                "eps_y": [round(rms_over_field(one.smooth), 3) for one in found],
             }
             for pair, found in self.found.items()
         }
 
-    def _image(self, name: str, frame: int) -> NDArray[Any]:
+    def _image(self, name: str, frame: int) -> NDArray[np.floating]:
         return np.asarray(self.patch_matcher.read(name, frame))
 
 
 def score(found: Sequence[PairConsistency]) -> float:
     """How well two cameras agree over some instants: patches found, nothing if they scatter."""
     scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= 4]
-    return pooled(found) if scatter and float(np.median(scatter)) < _SCATTER else 0.0
+    if not scatter or float(np.median(scatter)) >= MAX_SCATTER:
+        return 0.0
+    return float(np.mean([one.fraction for one in found]))
 
 
-def size(smooth: NDArray[np.float64]) -> float:
-    """Rms over the field of the smooth part of eps_y, px."""
-    return float(np.sqrt(smooth[0] ** 2 + (smooth[1] ** 2 + smooth[2] ** 2) / 3))
+def blur(image: NDArray[np.generic] | None) -> float:
+    """Standard deviation of the finest details of an image, px, from the correlation of neighbouring pixels.
 
-
-def blur(image: NDArray[Any] | None) -> float:
-    """Width of the finest things in an image, px: from how alike neighbouring pixels are.
-
-    With image (rows, columns).
+    Unlike `bead_width`, also of images without beads and of any width.
     """
     if image is None:
         return float("nan")
@@ -114,10 +111,11 @@ def blur(image: NDArray[Any] | None) -> float:
     power = float((fine * fine).mean())
     if power <= 0:
         return float("nan")
-    alike = [float((fine[1:] * fine[:-1]).mean()), float((fine[:, 1:] * fine[:, :-1]).mean())]
-    across = [float((fine[2:] * fine[:-2]).mean()), float((fine[:, 2:] * fine[:, :-2]).mean())]
-    # two pixels aside against one: noise, which is alike in no two pixels, has no part in it
-    ratio = np.clip(np.array(across) / np.maximum(alike, 1e-6 * power), 1e-4, 0.9999)
+    one, two = (
+        [float((fine[k:] * fine[:-k]).mean()), float((fine[:, k:] * fine[:, :-k]).mean())] for k in (1, 2)
+    )
+    # two pixels apart over one: white noise has no part in either
+    ratio = np.clip(np.array(two) / np.maximum(one, 1e-6 * power), 1e-4, 0.9999)
     return float(np.sqrt(-3 / (4 * np.log(np.sqrt(ratio.prod())))))
 
 

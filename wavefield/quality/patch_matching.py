@@ -7,8 +7,6 @@ parallax of the two cameras; what is displaced across it (eps_y) cannot be water
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
-from typing import Any
 
 import cv2
 import numpy as np
@@ -25,14 +23,14 @@ Pair = tuple[str, str]
 
 SIDE = 32  # px of a patch
 REACH = 40  # px: search radius of a patch
-_MOST = 120  # patches
-ALIKE = 0.5  # correlation of patches that show the same water
-_FLIPS: dict[str, Any] = {
+MAX_PATCHES = 120
+MIN_CORRELATION = 0.5  # of patches that show the same water
+FLIPS: dict[str, tuple[slice, ...]] = {
     "mirrored": np.s_[:, ::-1],
-    "upside down": np.s_[::-1],
+    "upside down": np.s_[::-1, :],
     "turned by 180 degrees": np.s_[::-1, ::-1],
 }
-_NEAR = 1.5  # px of eps_y from its smooth part
+MAX_DEPARTURE = 1.5  # px of eps_y from its smooth part
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,7 @@ class Comparison:
 
 @dataclass
 class PatchMatcher:
-    """Patches of all cameras on the water at rest, taken as they are asked for."""
+    """Patches of all cameras on the plane of still water, sampled on demand."""
 
     read: Read  # From camera and frame to the image, or None
     rig: Rig  # The cameras
@@ -63,12 +61,12 @@ class PatchMatcher:
         limits = (self.grid.x, self.grid.y)
         x, y = (np.arange(low + pitch / 2, high - pitch / 2 + 1e-9, pitch) for low, high in limits)
         X, Y = (v.ravel() for v in np.meshgrid(x, y))
-        seen = np.ones(X.shape, bool)
+        visible = np.ones(X.shape, bool)
         for camera in self.rig.cameras.values():
             for a, b in ((-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)):
-                seen &= camera.sees(X + a * pitch, Y + b * pitch, 0.0)
-        chosen = np.flatnonzero(seen)
-        chosen = chosen[np.linspace(0, max(len(chosen) - 1, 0), min(_MOST, len(chosen))).astype(int)]
+                visible &= camera.sees(X + a * pitch, Y + b * pitch, 0.0)
+        chosen = np.flatnonzero(visible)
+        chosen = chosen[np.linspace(0, max(len(chosen) - 1, 0), min(MAX_PATCHES, len(chosen))).astype(int)]
         return X[chosen], Y[chosen]
 
     def _map(self, name: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -87,33 +85,22 @@ class PatchMatcher:
     def patches(
         self, name: str, frame: int, change: str = "", through: str = ""
     ) -> NDArray[np.float32] | None:
-        """Patches of one image, with what is around them.
+        """Patches of one image with their surroundings, (n, SIDE + 2 REACH, SIDE + 2 REACH) grey levels.
 
-        Returns (n, SIDE + 2 REACH, SIDE + 2 REACH): Grey levels.
+        The image may be flipped (`change`) and taken `through` the lens of another camera.
         """
         key = (name, frame, change, through)
         if key not in self._patches:
             image = self.read(name, frame)
-            if image is None:
-                self._patches[key] = None
-            else:
-                flat = np.ascontiguousarray(
-                    np.asarray(image)[_FLIPS[change]] if change else image, np.float32
-                )
-                laid = cv2.remap(
-                    flat, *self._map(through or name), cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, np.nan
-                )
-                side = SIDE + 2 * REACH
-                self._patches[key] = np.asarray(laid, np.float32).reshape(-1, side, side)
+            if image is not None and change:
+                image = np.asarray(image)[FLIPS[change]]
+            self._patches[key] = _sampled(image, *self._map(through or name), SIDE + 2 * REACH)
         return self._patches[key]
 
     def around(
         self, name: str, frame: int, near: NDArray[np.int64], reach: int
     ) -> NDArray[np.float32] | None:
-        """What is around places near those of the patches, read anew.
-
-        With near (n, 2), px; returns (n, SIDE + 2 reach, SIDE + 2 reach): Grey levels.
-        """
+        """Surroundings (n, SIDE + 2 reach, SIDE + 2 reach) of places `near` (n, 2), px, from the patches."""
         image = self.read(name, frame)
         if image is None or len(near) == 0:
             return None
@@ -121,9 +108,7 @@ class PatchMatcher:
         column, row = (part.reshape(-1, whole, whole) for part in self._map(name))
         cuts = [np.s_[k, y : y + side, x : x + side] for k, (x, y) in enumerate(near + REACH - reach)]
         column, row = (np.concatenate([part[cut] for cut in cuts]) for part in (column, row))
-        flat = np.ascontiguousarray(image, np.float32)
-        laid = cv2.remap(flat, column, row, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, np.nan)
-        return np.asarray(laid, np.float32).reshape(-1, side, side)
+        return _sampled(image, column, row, side)
 
     def contrast(self, name: str, frame: int) -> Array | None:
         """Standard deviation of each patch, grey levels."""
@@ -146,11 +131,19 @@ class PatchMatcher:
         return np.asarray((at - b[:2]) / b[2] - (at - a[:2]) / a[2])
 
 
-def middle(patches: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The patches without what is around them.
+def _sampled(
+    image: NDArray[np.generic] | None, column: NDArray[np.float32], row: NDArray[np.float32], side: int
+) -> NDArray[np.float32] | None:
+    """Squares (n, side, side) of an image at pixels (n side, side); NaN outside of it."""
+    if image is None:
+        return None
+    flat = np.ascontiguousarray(image, np.float32)
+    sampled = cv2.remap(flat, column, row, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, np.nan)
+    return np.asarray(sampled, np.float32).reshape(-1, side, side)
 
-    With patches (n, SIDE + 2 reach, SIDE + 2 reach); returns (n, SIDE, SIDE).
-    """
+
+def middle(patches: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The patches (n, SIDE, SIDE) without their surroundings."""
     reach = (patches.shape[1] - SIDE) // 2
     return patches[:, reach : reach + SIDE, reach : reach + SIDE]
 
@@ -160,10 +153,7 @@ def compare(
     second: NDArray[np.float32] | None,
     near: NDArray[np.int64] | None = None,
 ) -> Comparison | None:
-    """Look for the middle of each patch in another.
-
-    With first, second (n, SIDE + 2 reach, SIDE + 2 reach); near (n, 2), px.
-    """
+    """Find the middle of each patch in another, (n, SIDE + 2 reach, SIDE + 2 reach), sampled `near` px."""
     if first is None or second is None:
         return None
     moved = np.full((len(first), 2), np.nan)
@@ -202,10 +192,7 @@ class PairConsistency:
 def agreement(
     patch_matcher: PatchMatcher, pair: Pair, found: Comparison | None, ground: NDArray[np.bool_] | None = None
 ) -> PairConsistency:
-    """How far one camera's patches found in another's could be the same water.
-
-    With pair (str, str); ground (n,).
-    """
+    """How far one camera's patches found in another's could be the same water; of the patches in `ground`."""
     n = len(patch_matcher.x)
     nothing = PairConsistency(0.0, np.zeros(0), np.zeros(3), np.zeros(0, np.intp))
     counted = n if ground is None else int(ground.sum())
@@ -214,47 +201,42 @@ def agreement(
     along, across = patch_matcher.across(pair)
     eps_y = (found.moved * across).sum(axis=1)
     height = (found.moved * along).sum(axis=1) * patch_matcher.pixel / patch_matcher.parallax(pair)
-    good = (found.peak_correlation > ALIKE) & np.isfinite(eps_y)
+    good = (found.peak_correlation > MIN_CORRELATION) & np.isfinite(eps_y)
     if ground is not None:
         good &= ground
     if good.sum() < 4:
         return nothing
-    design = np.stack([np.ones(n), *(_scaled(v) for v in (patch_matcher.x, patch_matcher.y))], axis=-1)
+    design = np.stack([np.ones(n), *(scaled(v) for v in (patch_matcher.x, patch_matcher.y))], axis=-1)
     smooth = np.array([np.median(eps_y[good]), 0.0, 0.0])
     for _ in range(4):  # refit the smooth part to what is near it
-        near = good & (np.abs(eps_y - design @ smooth) < _NEAR)
+        near = good & (np.abs(eps_y - design @ smooth) < MAX_DEPARTURE)
         if near.sum() < 8:
             break
         smooth = np.linalg.lstsq(design[near], eps_y[near], rcond=None)[0]
-    near = good & (np.abs(eps_y - design @ smooth) < _NEAR)
+    near = good & (np.abs(eps_y - design @ smooth) < MAX_DEPARTURE)
     return PairConsistency(
         float(near.sum() / counted), eps_y[near], smooth, np.flatnonzero(near), height[near]
     )
 
 
-def _scaled(v: Array) -> Array:
-    scaled: Array = (v - v.mean()) / max(float(np.ptp(v)) / 2, 1e-12)
-    return scaled
+def scaled(v: Array) -> Array:
+    """Coordinates scaled to -1 to 1."""
+    return np.asarray((v - v.mean()) / max(float(np.ptp(v)) / 2, 1e-12))
 
 
-def pairs_of_all(names: Sequence[str]) -> list[Pair]:
-    """Every camera with every other.
+def rms_over_field(smooth: Array) -> float:
+    """Rms over the field of an eps_y that is constant and linear along x and y, (3,).
 
-    Returns (str, str).
+    Examples
+    --------
+    >>> rms_over_field(np.array([0.3, 0.0, 0.0]))
+    0.3
     """
-    return list(combinations(names, 2))
-
-
-def pooled(pair_consistencies: Sequence[PairConsistency]) -> float:
-    """Mean fraction over instants."""
-    return float(np.mean([a.fraction for a in pair_consistencies])) if pair_consistencies else 0.0
+    return float(np.sqrt(smooth[0] ** 2 + (smooth[1] ** 2 + smooth[2] ** 2) / 3))
 
 
 def grounds(patch_matcher: PatchMatcher, frame: int, names: Sequence[str]) -> Mapping[str, NDArray[np.bool_]]:
-    """Where each camera shows something: contrast of a fifth of its median at least.
-
-    Returns (n,).
-    """
+    """Patches (n,) in which each camera shows something: contrast of a fifth of its median at least."""
     out = {}
     for name in names:
         contrast = patch_matcher.contrast(name, frame)

@@ -12,9 +12,9 @@ from wavefield.store.preview import read_steps
 from wavefield.store.read import open_group
 from wavefield.store.verdict import Remark
 
-_STEPS = 1500  # of a long record, in its middle
-_NODES = 2000  # of each
-_PIECE = 64  # steps read at once
+MAX_STEPS = 1500  # of a long record, in its middle
+MAX_NODES = 2000  # of each
+STEPS_PER_READ = 64  # steps read at once
 
 
 def remark_on_probes(experiment: Experiment, store: Path) -> Iterator[Remark]:
@@ -42,12 +42,12 @@ def _elevation(store: Path) -> xr.DataArray:
     """z of the middle of the record, thinned in space."""
     group = open_group(store)
     count, ny, nx = group["z"].shape
-    every = max(1, int(np.sqrt(ny * nx / _NODES)))
-    first = max(0, (count - _STEPS) // 2)
-    last = min(count, first + _STEPS)
+    every = max(1, int(np.sqrt(ny * nx / MAX_NODES)))
+    first = max(0, (count - MAX_STEPS) // 2)
+    last = min(count, first + MAX_STEPS)
     pieces = [
-        read_steps(group, "z", k, min(k + _PIECE, last))[:, ::every, ::every]
-        for k in range(first, last, _PIECE)
+        read_steps(group, "z", k, min(k + STEPS_PER_READ, last))[:, ::every, ::every]
+        for k in range(first, last, STEPS_PER_READ)
     ]
     coords = {
         "time": np.asarray(group["time"][first:last]),

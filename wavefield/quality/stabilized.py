@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Image = NDArray[Any]
 
-_APART = 5  # blocks: nearer ones share their window
-_FEWEST = 40  # of them, to correct a frame
-_KEPT = 2 * AROUND + 2  # frames
-_ALONG = 0.9  # cosine: cameras in one line share the direction across their sight lines
+BLOCKS_APART = 5  # blocks: nearer ones share their window
+MIN_BLOCKS = 40  # of them, to correct a frame
+FRAMES_KEPT = 2 * AROUND + 2  # frames
+MIN_COSINE = 0.9  # cosine: cameras in one line share the direction across their sight lines
 
 
 def refuse_unless_in_a_row(geometry: "GridGeometry") -> None:
@@ -40,7 +40,7 @@ def refuse_unless_in_a_row(geometry: "GridGeometry") -> None:
     (first, of_first), *others = along.items()
     for pair, direction in others:
         cosine = abs(float(direction @ of_first))
-        if cosine <= _ALONG:
+        if cosine <= MIN_COSINE:
             raise ExperimentError(
                 f"`vibration: correct` is for cameras in a row: the sight lines of {'-'.join(first)} and of "
                 f"{'-'.join(pair)} part in directions {np.degrees(np.arccos(cosine)):.0f} degrees apart, and "
@@ -63,7 +63,7 @@ class Stabilizer:
         if position not in self._kept:
             raw = {name: one[position] for name, one in self.frames.items()}
             self._kept[position], self.shifts[position] = corrected(raw, self.geometry)
-            while len(self._kept) > _KEPT:
+            while len(self._kept) > FRAMES_KEPT:
                 del self._kept[next(iter(self._kept))]
         return self._kept[position]
 
@@ -123,7 +123,7 @@ def shifts(images: Mapping[str, Image | None], geometry: "GridGeometry") -> dict
     }
     found: dict[str, Array] = {geometry.reference: np.zeros(3)}
     first: Array | None = None
-    cells = np.s_[::_APART, ::_APART]
+    cells = np.s_[::BLOCKS_APART, ::BLOCKS_APART]
     design = np.stack([part[cells] for part in _scaled(geometry)], axis=-1)
     for a, b in geometry.pairs:
         match = pair_surface.match_pair(flat[a], flat[b], (a, b), geometry)
@@ -132,7 +132,7 @@ def shifts(images: Mapping[str, Image | None], geometry: "GridGeometry") -> dict
             return {}
         normal = _across(match.parallax)
         first = normal if first is None else first
-        turn = float(np.sign(normal @ first)) if abs(normal @ first) > _ALONG else 0.0
+        turn = float(np.sign(normal @ first)) if abs(normal @ first) > MIN_COSINE else 0.0
         if turn == 0.0:
             return {}  # cameras that are not in one line: which one moved is not a matter of signs
         found[b] = turn * low
@@ -147,7 +147,7 @@ def _scaled(geometry: "GridGeometry") -> tuple[Array, Array, Array]:
 
 
 def _fit(design: Array, values: Array) -> Array | None:
-    if len(values) < _FEWEST:
+    if len(values) < MIN_BLOCKS:
         return None
     weight: NDArray[Any] = np.ones(len(values))
     found: Array = np.zeros(3)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield.quality.quality_limits import LIMITS
 from wavefield.store.read import open_cube
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
@@ -28,11 +29,6 @@ USABLE_CONTINUITY = (
     0.7,
     1.3,
 )  # of the record's median: outside it waves are too fast for neighbours to predict
-MAX_DEPARTURE = 0.3  # of a step's continuity from 1; sound steps depart by 0.15 at most
-KINEMATIC_MISFIT = (
-    1.6,
-    3.0,
-)  # medians that are remarked upon, that make values useless; sound seas have 0.1 to 1.1
 
 
 def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float) -> Array:
@@ -80,7 +76,7 @@ def discontinuous(continuities: Array) -> NDArray[np.intp]:
     lowest, highest = USABLE_CONTINUITY
     if found.sum() < 3 or not lowest < float(np.median(continuities[found])) < highest:
         return np.empty(0, np.intp)
-    return np.flatnonzero(found & (np.abs(continuities - 1.0) > MAX_DEPARTURE))
+    return np.flatnonzero(found & (np.abs(continuities - 1.0) > LIMITS.discontinuity))
 
 
 def continuities_of(cube: Any) -> Array:
@@ -111,14 +107,14 @@ def remark_on_stored_values(store: Path, steps: Sequence[int], first: int) -> It
     misfits = kinematic_misfit({name: part[name].values for name in names}, measured, spacing)
     if np.isfinite(misfits).any():
         misfit = float(np.nanmedian(misfits))
-        if misfit > KINEMATIC_MISFIT[0]:
+        if misfit > LIMITS.kinematic_misfit:
             yield Remark(
                 "record",
                 "kinematics",
-                "grave" if misfit > KINEMATIC_MISFIT[1] else "remark",
+                "grave" if misfit > LIMITS.kinematic_misfit_grave else "remark",
                 f"the surface does not rise as its water moves: z_t - w + u . grad z is {misfit:.1f} times"
                 " its standard uncertainty",
-                f"at most {KINEMATIC_MISFIT[0]}",
+                f"at most {LIMITS.kinematic_misfit}",
                 "check frame rate, synchronisation and seeding; waves may be too short for the images",
                 {"kinematic_misfit": misfit},
             )
