@@ -11,27 +11,23 @@ from wavefield.matching.matching_kernels import BLOCK
 from wavefield.matching.matching_settings import MatchSettings
 
 PERIOD = 128  # blocks: period of the Fourier transforms below
-FOOTPRINT_VARIANCE = (
-    6.0  # px^2: variance of the area that a block's value stands for, beads' own images included
-)
-AVERAGED_VARIANCE = (
-    4.0  # px^2: variance of the area over which blocks and beads' images average displacements
-)
+FOOTPRINT_VARIANCE = 6.0  # px^2: of the area that a block's value is taken to represent, with beads' images
+AVERAGED_VARIANCE = 4.0  # px^2: of the area over which blocks and beads' images average displacements
 
 
 def transfer_function(
     settings: MatchSettings, kx: np.ndarray, ky: np.ndarray, gain: float = 1.0
 ) -> np.ndarray:
-    """Gain of the displacement field that windows, smoother and steps leave, linear theory.
+    """Gain of windows, smoother and steps for waves of displacement, by linear theory.
 
     Parameters
     ----------
-    settings : Settings
+    settings : MatchSettings
         Those of the match.
     kx, ky : ndarray, shapes that broadcast
         Wavenumbers along columns and rows, rad per block.
     gain : float
-        What a step achieves of the way to the solution (1 on clean images, less where noise shortens steps).
+        Fraction of the distance to the solution that a step covers (1 on clean images, less with noise).
 
     Returns
     -------
@@ -61,7 +57,7 @@ def transfer_function(
 
 
 def footprint(kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
-    """Gain of the area that a block's value stands for.
+    """Gain of the area that a block's value is taken to represent.
 
     Parameters
     ----------
@@ -78,7 +74,7 @@ def footprint(kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
 
 
 def footprint_excess(k: np.ndarray) -> np.ndarray:
-    """By how much displacements are raised because a block is thought to stand for more than it averages.
+    """Factor on displacements because a block is taken to represent a larger area than it averages over.
 
     Parameters
     ----------
@@ -88,7 +84,7 @@ def footprint_excess(k: np.ndarray) -> np.ndarray:
     Returns
     -------
     ndarray
-        Factor on the amplitude of a wave that stands out from noise, 1 or more.
+        Factor on the amplitude of a wave that exceeds the noise, 1 or more.
 
     Examples
     --------
@@ -101,10 +97,7 @@ def footprint_excess(k: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=32)
 def transfer_kernel(settings: MatchSettings, gain: float = 1.0) -> np.ndarray:
-    """Weight of each block's own displacement in the final vector, linear theory.
-
-    Returns (2 r + 1, 2 r + 1): The kernel, its centre at [r, r]; it sums to nearly 1..
-    """
+    """Weights (2 r + 1, 2 r + 1) of the surrounding blocks in a displacement, by linear theory."""
     kx = 2 * np.pi * np.fft.fftfreq(PERIOD)
     ky = kx[:, None]
     total = transfer_function(settings, kx, ky, gain)

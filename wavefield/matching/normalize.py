@@ -1,7 +1,7 @@
 """Local normalisation of an image: zero mean and unit variance over its surroundings, in two passes.
 
 The first takes sums over square cells, the second writes the image with mean and scale interpolated between
-the cells; all that lies between works on the small fields. As in `kernels.py` the loops run along whole rows.
+the cells; between them work is done on the small fields. As in `matching_kernels` loops run along rows.
 """
 
 from __future__ import annotations
@@ -16,10 +16,8 @@ from wavefield.compiled import compiled
 F = np.float32
 
 MAX_CELL_SIDE = 8  # px: side of the cells
-MIN_RELATIVE_CONTRAST = F(
-    0.05
-)  # of the image's median local standard deviation: less contrast is not amplified
-MIN_USABLE_SHARE = F(1e-3)  # share of usable pixels below which there is no telling
+MIN_RELATIVE_CONTRAST = F(0.05)  # of the image's median local standard deviation: less is not amplified
+MIN_USABLE_SHARE = F(1e-3)  # of the pixels around a cell
 NO_MASK = np.empty((0, 0), np.uint8)
 
 # pixels that are not finite must reach the sums as they are: no fast-math but fused multiply-adds
@@ -28,7 +26,7 @@ njit = compiled(fastmath={"contract"}, error_model="numpy")
 
 @njit
 def _fold(row: np.ndarray, count: int, side: int, out: np.ndarray) -> None:
-    """Sum `side` neighbours of the first `count` elements of `row`; what is left over goes to the last."""
+    """Sum `side` neighbours of the first `count` elements of `row`; the rest is added to the last."""
     n = len(out)
     if side == 8:  # the usual one: a loop that becomes vector code
         for i in range(n):
@@ -119,10 +117,7 @@ def _normalize(
 
 
 class NormalizationCells:
-    """Sums over the cells of one image.
-
-    With image (h, w); width, px; good (h, w).
-    """
+    """Sums over the cells of one image (h, w) for surroundings of a width, px."""
 
     def __init__(self, image: np.ndarray, width: float, usable: np.ndarray | None = None) -> None:
         self.image, self.width = np.ascontiguousarray(image), max(width, 1.0)
@@ -130,7 +125,7 @@ class NormalizationCells:
         h, w = self.image.shape
         self.side = _side(h, w, self.width)
         self.sums = np.empty((2, h // self.side, w // self.side), F)
-        rows = np.empty((3, w + (48 - w) % 256), F)  # never a page apart, as in `kernels.scratch`
+        rows = np.empty((3, w + (48 - w) % 256), F)  # never a page apart, as in `work_space`
         _cell_sums(self.image, self.usable, self.side, rows, self.sums)
         top = rows[2, :w]
         self.largest = float(top.max())
@@ -138,7 +133,7 @@ class NormalizationCells:
         self.finite = bool(np.isfinite(self.sums[0].sum()))
 
     def local(self, number: int) -> np.ndarray:
-        """(ny, nx) float32: values (0) or squares (1) of the usable pixels, averaged over all around."""
+        """(ny, nx) float32: values (0) or squares (1) of usable pixels, averaged over the surroundings."""
         mean = self.sums[number] * _inverse_area(self.image.shape, self.side)
         # averages over cells (variance 1/12), read linearly between them (1/6), are blurred already
         sigma = np.sqrt((self.width / self.side) ** 2 - 0.25)
@@ -146,16 +141,13 @@ class NormalizationCells:
         return out
 
     def normalized(self, share: np.ndarray | None, out: np.ndarray) -> None:
-        """Write the normalised image; pixels that are not usable become 0.
-
-        With share (ny, nx); out (h, w).
-        """
+        """Write the normalised image (h, w); pixels that are not usable become 0."""
         mean, square = self.local(0), self.local(1)
         if share is not None:
             mean /= share
             square /= share
         std = np.sqrt(np.maximum(square - mean * mean, 0))
-        # neighbouring cells hardly differ: one of four tells as much
+        # neighbouring cells hardly differ: one of four suffices
         every_second = std[::2, ::2]
         if share is not None:
             every_second = every_second[share[::2, ::2] > 0.5]
@@ -164,7 +156,7 @@ class NormalizationCells:
         _normalize(self.image, self.usable, self._spread(mean), self._spread(scale), self.side, out)
 
     def filled(self, share: np.ndarray, out: np.ndarray) -> None:
-        """Write the image with the mean of their surroundings in pixels that are not usable."""
+        """Write the image, its pixels that are not usable replaced by the mean of their surroundings."""
         h, w = out.shape
         np.copyto(out, self.image, casting="unsafe")
         mean = cv2.resize(self.local(0) / share, (w, h), interpolation=cv2.INTER_LINEAR)

@@ -1,7 +1,7 @@
-"""The most probable field on a lattice of blocks: what every block says, weighed against its spectrum.
+"""The MAP field (optimal interpolation) on a lattice of blocks: all blocks weighted against the spectrum.
 
 With the score s and the matched Hessian H of the blocks at the field u that matching reached, nu the noise
-that scores really have, A = H / nu, F the footprint of a block and S the field's spectrum, the field f solves
+of the scores, A = H / nu, F the footprint of a block and S the field's spectrum, the field f solves
 
     (F A F + 1/S) f = F (A u + s / nu).
 
@@ -15,7 +15,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
@@ -23,31 +22,25 @@ from wavefield.matching.cosines import Cosines, multiply
 from wavefield.matching.edges import EDGE_REACH, Edge, Slopes
 from wavefield.matching.matching_gain import footprint
 from wavefield.matching.noise import CLUSTER, hole_mask
+from wavefield.matching.preconditioner import Factor, Preconditioner
 from wavefield.matching.prior import Prior, wavenumbers
 
 Float = NDArray[Any]
 Mask = NDArray[np.bool_]
-Factor = tuple[Float, Float]
 
 F = np.float32
-MIN_SIGNAL_TO_NOISE = (
-    2e-2  # signal over noise below which a mode is left out: it would keep no more of itself
-)
-EXACT_MODES = 300  # modes of the highest signal over noise that the preconditioner solves exactly
+MIN_SIGNAL_TO_NOISE = 2e-2  # of a mode, and so the gain below which it is left out
 MAX_ITERATIONS = 200  # at most; some ten are usual
-HOLE_KERNEL = np.ones(
-    (5, 5), np.uint8
-)  # blocks, bare all of them: smaller holes are as soon solved as the rest
-TOLERANCES_WITH_HOLES = 0.03, 0.007  # tolerances of the solver at the first and the second look
-TOLERANCES = 0.1, 0.025  # the same without holes: only what lies far from any block converges late
+HOLE_KERNEL = np.ones((5, 5), np.uint8)  # blocks: smaller holes converge as fast as the rest
+TOLERANCES_WITH_HOLES = 0.03, 0.007  # of the solver, in the first and the second evaluation
+TOLERANCES = 0.1, 0.025  # the same without holes
 
-njit = compiled(error_model="numpy")
-# sums may be taken in any order, and are always taken in the same
+# sums may be reordered by the compiler, but in the same way on every call
 reassociating = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 
 
 class Modes:
-    """The cosine modes in which a field is sought: those with more than a fiftieth of signal over noise.
+    """The cosine modes of a MAP field: those with more than a fiftieth of signal over noise.
 
     Parameters
     ----------
@@ -73,13 +66,12 @@ class Modes:
     def __init__(self, prior: Prior, shape: tuple[int, int], requested: Mask | None = None) -> None:
         self.prior, self.lattice = prior, shape
         self._requested = np.ones(shape, np.bool_) if requested is None else requested.copy()
-        edge = int(EDGE_REACH)  # so near to it little is known anyway: that is no hole
+        edge = int(EDGE_REACH)  # the surroundings of the edge are no hole
         inside = np.zeros(shape, np.bool_)
         inside[edge:-edge, edge:-edge] = True
         self._requested &= inside
         kx, ky = wavenumbers(shape)
-        foot, spectrum = footprint(kx, ky), prior.spectrum(kx, ky)
-        ratio = foot**2 * prior.information * spectrum
+        foot, spectrum, ratio = footprint(kx, ky), prior.spectrum(kx, ky), prior.signal_to_noise(kx, ky)
         rows, columns = np.nonzero((ratio > MIN_SIGNAL_TO_NOISE).any(axis=0))
         # whole vectors, and as many even as odd ones
         my, mx = (
@@ -99,28 +91,9 @@ class Modes:
         self._truncated = self.edge.truncated_profiles(
             self.shape, (footprint(none, ky[:, 0]), footprint(kx, none))
         )
-        self._prepare_preconditioner(ratio[band].mean(axis=0), 1.0 / spectrum[band].mean(axis=0))
-
-    def _prepare_preconditioner(self, ratio: Float, inverse: Float) -> None:
-        """What the exact block of the preconditioner needs: one for all components."""
-        count = min(EXACT_MODES, ratio.size)
-        order = np.sort(np.argsort(-ratio.ravel(), kind="stable")[:count])
-        self._index = order
-        self._iy, self._ix = (i.astype(np.int64) for i in np.divmod(order, ratio.shape[1]))
-        sums = []
-        for n, i in zip(self.lattice, (self._iy, self._ix), strict=True):
-            m = np.arange(2 * int(i.max()) + 1)[:, None]
-            sums.append(np.cos(np.pi * m * (np.arange(n) + 0.5) / n).astype(np.float32))
-        self._sum_rows, self._sum_columns = sums[0], np.ascontiguousarray(sums[1].T)
-        norm = 0.5 * self.foot.ravel()[order].astype(np.float64)
-        for n, i in zip(self.lattice, (self._iy, self._ix), strict=True):
-            norm *= np.where(i == 0, np.sqrt(1.0 / n), np.sqrt(2.0 / n))
-        self._norm = norm.astype(np.float32)
-        self._own_inverse = inverse.ravel()[order].astype(np.float32)
-        self._square = np.square(self.foot.ravel()[order])
-        half = self.shape[1] // 2  # where they stand among coefficients by kind
-        line = (self._iy % 2 * (self.shape[0] // 2) + self._iy // 2) * 2 + self._ix % 2
-        self._positions = {c: (line * c + np.arange(c)[:, None]) * half + self._ix // 2 for c in (1, 2)}
+        self._preconditioner = Preconditioner(
+            shape, ratio[band].mean(axis=0), 1.0 / spectrum[band].mean(axis=0), self.foot
+        )
 
     def waves(self, field: Float) -> Float:
         """Coefficients (c, my, mx) of a field (c, ny, nx)."""
@@ -131,11 +104,11 @@ class Modes:
         return self._cosines.field(waves)
 
     def seen(self, waves: Float) -> Float:
-        """Field as blocks see it, (c, ny, nx): with their footprint over it."""
+        """Field averaged over the footprint of the blocks, (c, ny, nx)."""
         return self.field(self.foot * waves)
 
     def mean(self, field: Float) -> tuple[Float, Float, Slopes]:
-        """A smooth field that has the edge slopes of a given one: cosines have none there.
+        """A smooth field with the edge slopes of a given one, which cosines do not represent.
 
         Parameters
         ----------
@@ -147,8 +120,8 @@ class Modes:
         waves : ndarray of float32, (c, my, mx)
             Its coefficients.
         beyond : ndarray of float32, (c, ny, nx)
-            What these modes leave of it, as blocks see it: without it the field would ring far into the
-            lattice.
+            Its rest beyond these modes, averaged over the footprint: without it the field would ring far into
+            the lattice.
         slopes : Slopes
             The slopes, for `edge`.
         """
@@ -156,7 +129,7 @@ class Modes:
         return self.waves(self.edge.field(slopes)), self.edge.field(slopes, self._truncated), slopes
 
     def factor(self, information: Float) -> Factor:
-        """Preconditioner for some information: the strongest modes as they really couple.
+        """Preconditioner for some information.
 
         Parameters
         ----------
@@ -168,18 +141,10 @@ class Modes:
         tuple
             For `solve`.
         """
-        table = self._sum_rows @ information @ self._sum_columns
-        scale = 1.0 / np.sqrt(self._own_inverse + self._square * F(information.mean()))
-        count = self._index.size
-        matrix = np.zeros((count, count), np.float32)
-        _assemble(table, self._iy, self._ix, self._norm * scale, self._own_inverse * scale * scale, matrix)
-        lower, failed = scipy.linalg.lapack.spotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
-        if failed:  # by rounding: scaled as it is, its diagonal is about 1
-            lower = np.eye(count, dtype=np.float32, order="F")
-        return lower, scale.astype(np.float32)
+        return self._preconditioner.factor(information)
 
     def tolerances(self, information: Float) -> tuple[float, float]:
-        """How exactly to solve at the first and at the second look.
+        """Tolerances of the first and the second evaluation.
 
         Parameters
         ----------
@@ -189,7 +154,7 @@ class Modes:
         Returns
         -------
         float, float
-            For `solve`: closer where there are holes, in which the field follows last.
+            For `solve`: closer where there are holes, in which the field converges last.
         """
         hole = hole_mask(information, self.prior.information) & self._requested
         return TOLERANCES_WITH_HOLES if cv2.erode(hole.view(np.uint8), HOLE_KERNEL).any() else TOLERANCES
@@ -237,7 +202,7 @@ class Modes:
         diagonal = 1 / (foot**2 * typical + inverse)
         a = self._cosines.mirrored(a)
         step = np.empty_like(residual)
-        size = self._precondition(residual, diagonal, factor, step)
+        size = self._preconditioner.apply(residual, diagonal, factor, step)
         direction, image = step.copy(), np.empty_like(residual)
         for _ in range(MAX_ITERATIONS):
             if size <= tolerance * tolerance * waves.size:
@@ -249,20 +214,9 @@ class Modes:
             flat = direction.ravel(), image.ravel()
             length = F(size / _apply_prior(foot.ravel(), inverse.ravel(), *flat))
             _advance(length, *flat, waves.ravel(), residual.ravel())
-            size, before = self._precondition(residual, diagonal, factor, step), size
+            size, before = self._preconditioner.apply(residual, diagonal, factor, step), size
             _update_direction(F(size / before), step.ravel(), direction.ravel())
         return self._cosines.merge_parities(waves)
-
-    def _precondition(self, residual: Float, diagonal: Float, factor: Factor, out: Float) -> float:
-        """Write the next step; return its product with what is left."""
-        lower, scale = factor
-        positions = self._positions[residual.shape[3]]
-        gathered = np.empty(positions.shape, F)
-        _gather(residual.ravel(), positions, scale, gathered)
-        exact, _ = scipy.linalg.lapack.spotrs(lower, gathered.T, lower=0, overwrite_b=1)
-        return float(
-            _preconditioned(diagonal.ravel(), residual.ravel(), exact.T, positions, scale, out.ravel())
-        )
 
 
 def _apply_information(a: Float, field: Float) -> Float:
@@ -274,31 +228,8 @@ def _apply_information(a: Float, field: Float) -> Float:
 
 
 @reassociating
-def _gather(residual: Float, positions: Float, scale: Float, out: Float) -> None:
-    for n in range(len(positions)):
-        for k in range(len(scale)):
-            out[n, k] = residual[positions[n, k]] * scale[k]
-
-
-@reassociating
-def _preconditioned(
-    diagonal: Float, residual: Float, exact: Float, positions: Float, scale: Float, out: Float
-) -> F:
-    """Write what diagonal and exact part of the preconditioner make of ``residual``; return their product."""
-    for i in range(len(out)):
-        out[i] = diagonal[i] * residual[i]
-    for n in range(len(positions)):
-        for k in range(len(scale)):
-            out[positions[n, k]] = exact[n, k] * scale[k]
-    total = F(0)
-    for i in range(len(out)):
-        total += residual[i] * out[i]
-    return total
-
-
-@reassociating
 def _apply_prior(foot: Float, inverse: Float, direction: Float, image: Float) -> F:
-    """Make F A F direction, and 1/S of it, of A F direction; return its product with the direction."""
+    """Turn A F p into (F A F + 1/S) p for the direction p; return its product with p."""
     total = F(0)
     for i in range(len(image)):
         value = foot[i] * image[i] + inverse[i] * direction[i]
@@ -320,20 +251,8 @@ def _update_direction(ratio: F, step: Float, direction: Float) -> None:
         direction[i] = ratio * direction[i] + step[i]
 
 
-@njit
-def _assemble(table: Float, iy: Float, ix: Float, norm: Float, own: Float, out: Float) -> None:
-    """Lower triangle of F A F + 1/S among some modes, scaled: products of cosines are sums of cosines."""
-    for p in range(iy.size):
-        for q in range(p + 1):
-            y0, y1 = abs(iy[p] - iy[q]), iy[p] + iy[q]
-            x0, x1 = abs(ix[p] - ix[q]), ix[p] + ix[q]
-            total = table[y0, x0] + table[y0, x1] + table[y1, x0] + table[y1, x1]
-            out[p, q] = norm[p] * norm[q] * total
-        out[p, p] += own[p]
-
-
 def _freedom(gain: Float) -> float:
-    """Fraction of the variance of clusters of scores that a fit with this response leaves in them."""
+    """Fraction of the variance of clusters of scores that remains after a fit with this gain."""
     rows, columns = (_box(n) for n in gain.shape)
     power = np.square(rows[:, None] * columns)
     return float(max((power * (1.0 - gain)).sum() / power.sum(), 0.2))

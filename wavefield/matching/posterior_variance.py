@@ -1,4 +1,4 @@
-"""How uncertain the most probable field is: the posterior's variance from the information around a block."""
+"""Uncertainty of the MAP field: the posterior's variance from the information around a block."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ INFORMATION_LEVELS = 3.0 * 4.0 ** np.arange(0.0, -7.0, -1.0)  # of information o
 KERNEL_CUTOFF = 1e-3  # of a kernel's transform is left out
 HOLE_RADII = (1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0)  # of holes, blocks
 HOLE_DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the way from a hole's rim to its middle
-MIN_WAVE_FRACTION = 1e-3  # of a spectrum: there may always be so many waves
-RIM_WIDTH = 5  # blocks around a hole that are thought known
+MIN_WAVE_FRACTION = 1e-3  # of a spectrum
+MEASURED_RIM_WIDTH = 5  # blocks around a hole whose field is given
 
 
 class PosteriorVariance:
-    """Variance of the most probable field, split into noise and what the prior takes from waves.
+    """Variance of the MAP field, split into noise and the waves that the prior suppresses.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class PosteriorVariance:
     Notes
     -----
     For an even information A a mode's variance is 1 / (F^2 A + 1/S); of it F^2 A / (F^2 A + 1/S)^2 is noise
-    and 1/S / (F^2 A + 1/S)^2 what is missing of the waves. Where information differs from place to place the
+    and 1/S / (F^2 A + 1/S)^2 the missing part of the waves. Where information differs from place to place the
     level of A is taken that equals the information around, weighed by the squared impulse response of its own
     level. In a hole the variance given the rim adds to it, tabulated for round holes by radius and depth.
     """
@@ -81,11 +81,7 @@ class PosteriorVariance:
         ]
 
     def __call__(self, information: Float) -> tuple[Float, Float]:
-        """Variance of every block.
-
-        With information (ny, nx); returns noise, missing (1 or c, ny, nx): Variance by noise, and by what the
-        prior takes away or makes up, in the field's unit squared.
-        """
+        """Variance by noise and by missing waves, each (1 or c, ny, nx), for the information (ny, nx)."""
         waves = self._forward[0] @ (information @ self._forward[1])
         x = self._inverse[0] @ ((self._kernels * waves) @ self._inverse[1])
         log_variances = np.empty((len(self._variance), *x.shape[1:]), np.float32)
@@ -110,7 +106,7 @@ class PosteriorVariance:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
-    """Variances where the information around, x per level, equals that of the level it is taken at.
+    """Variances at the level whose information equals that of the surroundings, x per level.
 
     log (levels,) and variance (n, levels) are logarithms, the richest level first.
     """
@@ -138,18 +134,14 @@ def _impulse(gain: Float) -> Float:
 
 
 def _squared_response(gain: Float) -> Float:
-    """Response of the squared impulse response of a filter, made to have the sum 1."""
+    """Response of the squared impulse response of a filter, normalised to the sum 1."""
     out: Float = scipy.fft.dctn(_impulse(gain) ** 2, type=1)[:-1, :-1]
     out /= out[0, 0]
     return out
 
 
 def hole_variance(spectrum: Float, noise: float) -> Float:
-    """Variance of a field in a round hole whose rim is known.
-
-    With spectrum (ny, nx); returns (radii, depths): For holes of 1 to 16 blocks and from the rim to the
-    middle.
-    """
+    """Variance of a field of a spectrum (ny, nx) in round holes with measured rims, (radii, depths)."""
     ny, nx = spectrum.shape
     covariance = _impulse(spectrum)
     side = min(ny, nx)
@@ -163,11 +155,11 @@ def hole_variance(spectrum: Float, noise: float) -> Float:
 
     out = np.zeros((len(HOLE_RADII), len(HOLE_DEPTHS)))
     for i, radius in enumerate(HOLE_RADII):
-        g = np.arange(-np.ceil(radius + RIM_WIDTH), np.ceil(radius + RIM_WIDTH) + 1)
+        g = np.arange(-np.ceil(radius + MEASURED_RIM_WIDTH), np.ceil(radius + MEASURED_RIM_WIDTH) + 1)
         x, y = np.meshgrid(g, g)
         d = np.hypot(x, y)
-        sampled = (d < radius + 2) | ((x + y) % 2 == 0)  # further out every second block tells as much
-        rim = (d >= radius) & (d < radius + RIM_WIDTH) & sampled
+        sampled = (d < radius + 2) | ((x + y) % 2 == 0)  # further out every second block suffices
+        rim = (d >= radius) & (d < radius + MEASURED_RIM_WIDTH) & sampled
         p = np.stack([x[rim], y[rim]], axis=1)
         q = np.stack([radius * (1 - np.array(HOLE_DEPTHS)), np.zeros(len(HOLE_DEPTHS))], axis=1)
         measured = between(p, p) + noise * np.eye(len(p))
@@ -179,7 +171,7 @@ def hole_variance(spectrum: Float, noise: float) -> Float:
 
 
 def _in_holes(measured: Float, tables: Sequence[Float]) -> Float:
-    """Variance inside holes from how wide they are and how far the rim is, (tables, ny, nx)."""
+    """Variance inside holes from their width and the distance to the rim, (tables, ny, nx)."""
     depth = cv2.distanceTransform((~measured).astype(np.uint8), cv2.DIST_L2, 5)
     out = np.zeros((len(tables), *measured.shape), np.float32)
     inside = depth > 0

@@ -1,4 +1,4 @@
-"""What one image needs before it can be matched, done once however many times it is used."""
+"""Preparation of an image for matching, done once for all its matches."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from wavefield.matching.matching_kernels import BLOCK, PAD, gradient_moments, st
 from wavefield.matching.matching_settings import MatchSettings
 from wavefield.matching.normalize import NormalizationCells, usable_share
 
-FILL_SIGMA = 16.0  # px: masked pixels of an image that is not normalised get the mean of so wide surroundings
-SATURATED_SIDE = 5  # px: side of the smallest patch at the image's largest value that counts as saturated
+FILL_SIGMA = 16.0  # px: width of the surroundings whose mean fills masked pixels
+SATURATED_SIDE = 5  # px: of the smallest saturated patch
 MIN_LEVEL_SIDE = 8 * BLOCK  # px: pyramid levels with a smaller side are left out
 NO_MASK = np.empty((0, 0), np.uint8)
 
@@ -23,7 +23,7 @@ NO_MASK = np.empty((0, 0), np.uint8)
 class Level:
     """One pyramid level of a prepared image."""
 
-    padded: np.ndarray  # (h + 2 PAD, w + 2 PAD): The image with replicated border
+    padded: np.ndarray  # (h + 2 PAD, w + 2 PAD): the image with replicated border
     # (h, w): 1 where all pixels of a block around the pixel may be used; (0, 0) where nothing is masked
     good: np.ndarray
 
@@ -59,7 +59,7 @@ class Level:
 
 @dataclass(frozen=True)
 class PreparedImage:
-    """An image ready to be matched: its pyramid, finest level first.
+    """A pyramid of an image, ready to be matched.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class PreparedImage:
 
 @dataclass(frozen=True)
 class Mask:
-    """Which pixels may be used, worked out once for many images."""
+    """The pixels that may be used, computed once for many images."""
 
     good: np.ndarray  # (h, w): 1 where a pixel may be used
     levels: tuple[np.ndarray, ...]  # (h, w): `Level.good` of each pyramid level, finest first
@@ -88,10 +88,7 @@ class Mask:
 
     @staticmethod
     def of(good: np.ndarray, settings: MatchSettings) -> Mask:
-        """Prepare a mask.
-
-        With good (h, w).
-        """
+        """The mask of pixels (h, w) that may be used."""
         usable = good = np.array(good, bool, order="C").view(np.uint8)
         levels = [_usable_blocks(good, 0)]
         for number in range(1, level_count(good.shape, settings.levels)):
@@ -112,14 +109,14 @@ def prepare(
     image : (h, w) uint8, uint16, float32 or other real type
         The image; pixels that are not finite, and flat patches at the image's largest value
         (saturation), are left out.
-    settings : Settings
+    settings : MatchSettings
         Uses the number of levels and the normalisation.
     mask : (h, w) bool, or Mask, optional
         True where pixels may be used; make a Mask, for these settings, of one that many images share.
 
     Returns
     -------
-    Prepared
+    PreparedImage
 
     Raises
     ------
@@ -165,7 +162,7 @@ def prepare(
 
 
 def level_count(shape: tuple[int, ...], levels: int) -> int:
-    """Number of pyramid levels, at most `levels`, that an image of this shape is good for."""
+    """Number of pyramid levels of an image of this shape, at most `levels`."""
     side = min(shape)
     while levels > 1 and side >> (levels - 1) < MIN_LEVEL_SIDE:
         levels -= 1
@@ -173,7 +170,7 @@ def level_count(shape: tuple[int, ...], levels: int) -> int:
 
 
 def _normalize(image: np.ndarray, mask: Mask | None, settings: MatchSettings, out: np.ndarray) -> Mask | None:
-    """Write the normalised image; return the mask less what cannot be used of this image."""
+    """Write the normalised image; return the mask without the pixels that are not usable in this image."""
     width = settings.normalization or FILL_SIGMA
     cells = NormalizationCells(image, width, None if mask is None else mask.good)
     if not cells.finite and not (finite := np.isfinite(image)).all():
@@ -196,7 +193,7 @@ def _excluding(bad: np.ndarray, mask: Mask | None, settings: MatchSettings) -> M
 
 
 def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.ndarray | None:
-    """(h, w) bool, True in patches at the largest value, which these columns hold; None if there are none."""
+    """(h, w) bool, True in patches at the largest value, which is in these columns; None without any."""
     # every patch holds one pixel of a grid as wide as the patch
     columns = columns[columns % SATURATED_SIDE == SATURATED_SIDE - 1]
     if largest <= 0 or not (image[SATURATED_SIDE - 1 :: SATURATED_SIDE, columns] == largest).any():

@@ -1,6 +1,6 @@
-"""What is known of a field on a lattice of blocks before its images are looked at: its spectrum.
+"""Prior knowledge of a field on a lattice of blocks: its spectrum.
 
-Measured once per run from sample frames, and kept with the results, so that every frame is weighed alike.
+Measured once per run from sample frames and stored with the results, so that every frame is weighted alike.
 """
 
 from __future__ import annotations
@@ -20,30 +20,26 @@ Float = NDArray[np.floating[Any]]
 
 RINGS = 40  # of wavenumber, from 0 to pi per block
 SECTORS = 6  # of direction, from along columns to along rows
-SHRINKAGE_MODES = (
-    2.0  # modes: a sector of a ring in which so many were looked at is believed by half beside its ring
-)
-RING_SMOOTHING = (
-    np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0
-)  # rings in which waves are thought to have like directions
-MIN_SECTOR_FRACTION = 0.01  # of a ring: no sector of it is thought to be less
-MIN_SQUARED_WINDOW_GAIN = 0.15  # squared gain of the windows below which their field says nothing of a wave
-MIN_POWER_TO_PLATEAU = 3.0  # times the plateau of noise: what a windowed field shows there is signal
-DETECTED_SIGNAL_TO_NOISE = 0.3  # of the noise: what the posterior tells apart of a spectrum
+SHRINKAGE_MODES = 2.0  # a sector of so many modes and its ring have equal weights
+RING_SMOOTHING = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0  # weights of rings with similar directions
+MIN_SECTOR_FRACTION = 0.01  # of the ring: least power of a sector
+MIN_SQUARED_WINDOW_GAIN = 0.15  # of the windows: less, and a wave is not resolved
+MIN_POWER_TO_PLATEAU = 3.0  # of the windowed field over the plateau of noise, to be signal
+DETECTED_SIGNAL_TO_NOISE = 0.3  # least that the MAP field separates from noise
 SHORTEST_WAVENUMBER = 2.0  # rad per block: shorter waves are not searched for in gaps of a spectrum
-OPEN_SIGNAL_TO_NOISE = 1.0  # while a spectrum is learned, every wave may have so much at least
-FIRST_SIGNAL_TO_NOISE = 6.0  # the same at first, when the noise is thought several times too small
+OPEN_SIGNAL_TO_NOISE = 1.0  # least of every wave while a spectrum is learned
+FIRST_SIGNAL_TO_NOISE = 6.0  # the same in the first round, whose noise is several times too small
 MIN_STANDARD_DEVIATIONS = 4.0  # by which the power of a ring has to exceed noise to be waves
-MIN_SIGNAL_TO_NOISE = 1.5  # of a ring beyond one without waves: the noise of rings is not exactly known
-FIRST_NOISE_RING = 4  # longer waves across the sight lines are the calibration's fault, no noise
+MIN_RING_SIGNAL_TO_NOISE = 1.5  # of a ring beyond one without waves: the noise of rings is uncertain
+FIRST_NOISE_RING = 4  # longer waves across the sight lines are errors of the calibration, not noise
 NOISE_RINGS = 5  # over which the level of noise is averaged
-LIMIT_STANDARD_DEVIATIONS = 2.0  # above its power: what a ring may have without being significant
-MIN_POWER_TO_NOISE = 0.01  # of the noise: no spectrum is thought to be less before it drowns
-CERTAIN_NOISE_FRACTION = 0.9  # noise is known to a tenth
-FULL_WAVE_FRACTION = 0.5  # of the waves that a spectrum would bring: who finds so much believes in all
-FULL_SIGNAL_TO_NOISE = 3.0  # times the noise: what stands so far above it is waves
-SLOPE_RANGE = -9.0, -3.0  # of the power law by which a spectrum goes on
-SLOPE_RINGS = 6  # bins from which its slope is taken
+LIMIT_STANDARD_DEVIATIONS = 2.0  # above its power: upper limit of a ring that is not significant
+MIN_POWER_TO_NOISE = 0.01  # least of a spectrum before the power law
+CERTAIN_NOISE_FRACTION = 0.9  # the noise is uncertain by a tenth
+FULL_WAVE_FRACTION = 0.5  # of the variance that a spectrum gives: with so much all of it is waves
+FULL_SIGNAL_TO_NOISE = 3.0  # the same over the noise
+SLOPE_RANGE = -9.0, -3.0  # of the power law that extrapolates a spectrum
+SLOPE_RINGS = 6  # from which the slope is fitted
 
 SECTOR_ANGLES = (np.arange(SECTORS) + 0.5) * np.pi / (2 * SECTORS)  # middle of every sector, rad
 
@@ -52,7 +48,7 @@ Power = tuple[tuple[tuple[float, ...], ...], ...]
 
 @dataclass(frozen=True)
 class Prior:
-    """Spectrum of a field in both wavenumbers, and how much its blocks tell of it.
+    """Spectrum of a field in both wavenumbers, and the information of its blocks.
 
     Parameters
     ----------
@@ -63,18 +59,18 @@ class Prior:
         component (or one for all), for directions evenly from along columns to along rows (a quarter turn; or
         one for all), at the wavenumbers.
     information : float
-        Typical information of a block: inverse variance of its own say, per unit squared.
+        Typical information of a block: inverse variance of its own estimate, per unit squared.
     noise : float
-        Noise of the scores over what their clusters in one field tell, from the misfit of several fields.
+        Noise of the scores, from the misfit of several fields, over that of their clusters in one field.
     waves : float
-        Fraction of the spectrum that is waves: noise of long wavelength that hides among them, as on water at
-        rest, is not missing from a field.
+        Fraction of the spectrum that is waves: noise of long wavelength among them, as on still water, is not
+        missing from a field.
 
     Notes
     -----
     Waves have directions, a short wave moves the water along itself, and an oblique camera sees it shortened:
     each component of an image displacement has a spectrum of its own in both wavenumbers. Of the four
-    quarters of directions cosines know one.
+    quarters of directions cosines represent one.
     """
 
     k: tuple[float, ...]
@@ -85,18 +81,7 @@ class Prior:
 
     @classmethod
     def isotropic(cls, k: Sequence[float], power: Sequence[float], information: float) -> Prior:
-        """Prior of a field that is alike in all directions and components.
-
-        Parameters
-        ----------
-        k, power : sequence of float
-            Wavenumbers, rad per block, and spectrum there, in the field's unit squared.
-        information : float
-            Typical information of a block, per unit squared.
-
-        Returns
-        -------
-        Prior
+        """Prior of a field with the same spectrum at wavenumbers k in all directions and components.
 
         Examples
         --------
@@ -107,19 +92,8 @@ class Prior:
         return cls(tuple(map(float, k)), ((tuple(map(float, power)),),), float(information))
 
     def with_min_signal_to_noise(self, ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
-        """Prior that hides no resolved wave: its signal is nowhere less than a part of the noise.
+        """The prior with at least this signal over noise in every resolved mode.
 
-        Parameters
-        ----------
-        ratio : float, default 1
-            Least signal over noise of a mode.
-
-        Returns
-        -------
-        Prior
-
-        Notes
-        -----
         A prior that is small where a field has waves suppresses them, and what is learned from such a field
         is small there again. Spectra are therefore learned from fields that an open prior gave.
         """
@@ -130,18 +104,7 @@ class Prior:
         return replace(self, power=power)
 
     def spectrum(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Spectrum at any wavenumbers.
-
-        Parameters
-        ----------
-        kx, ky : ndarray, shapes that broadcast to S
-            Along columns and along rows, rad per block.
-
-        Returns
-        -------
-        ndarray of float64, (c,) + S
-            Of every component, or one for all, in the field's unit squared.
-        """
+        """Spectrum at wavenumbers kx, ky, rad per block, that broadcast to S: (1 or c,) + S."""
         table = np.log(np.array(self.power))
         directions = table.shape[1]
         at = np.interp(np.hypot(kx, ky), self.k, np.arange(len(self.k)))
@@ -157,49 +120,23 @@ class Prior:
         out += s * ((1 - t) * table[:, after, i] + t * table[:, after, i + 1])
         return np.asarray(np.exp(out))
 
+    def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
+        """F^2 A S of a wave, (1 or c,) + S, with F the footprint of a block and A the typical information."""
+        return np.asarray(footprint(kx, ky) ** 2 * self.information * self.spectrum(kx, ky))
+
     def gain(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """How much of a wave the most probable field keeps.
-
-        Parameters
-        ----------
-        kx, ky : ndarray, shapes that broadcast to S
-            Along columns and along rows, rad per block.
-
-        Returns
-        -------
-        ndarray of float64, (c,) + S
-            F^2 A S / (F^2 A S + 1), with F the footprint of a block and A the typical information.
-        """
-        ratio = footprint(kx, ky) ** 2 * self.information * self.spectrum(kx, ky)
+        """Fraction of a wave's amplitude that the MAP field keeps, F^2 A S / (F^2 A S + 1), (1 or c,) + S."""
+        ratio = self.signal_to_noise(kx, ky)
         return np.asarray(ratio / (ratio + 1.0))
 
     def mean_gain(self, k: Float) -> NDArray[np.float64]:
-        """How much of its waves the most probable field keeps, mean over directions and components.
-
-        Parameters
-        ----------
-        k : ndarray, shape S
-            Rad per block.
-
-        Returns
-        -------
-        ndarray of float64, S
-        """
+        """`gain` at wavenumbers k, rad per block, mean over directions and components."""
         return np.asarray(self.gain(*_in_all_directions(k)).mean(axis=(0, 1)))
 
     def variances(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Variance of the most probable field, where all blocks tell the typical, by waves and by noise.
+        """Variance of the MAP field by waves, G^2 S, and by noise, G^2 / (F^2 A), each (1 or c,).
 
-        Parameters
-        ----------
-        shape : tuple of int
-            Lattice (ny, nx).
-
-        Returns
-        -------
-        ndarray of float64, (c,), ndarray of float64, (c,)
-            Mean of G^2 S, if all of the spectrum is waves, and of G^2 / (F^2 A), in the field's unit squared;
-            the mean over the field not counted.
+        Where all blocks have the typical information; the mean over the field is not counted.
         """
         kx, ky = wavenumbers(shape)
         squared_gain = np.square(self.gain(kx, ky))
@@ -208,46 +145,23 @@ class Prior:
         return (squared_gain * self.spectrum(kx, ky)).mean(axis=(1, 2)), noise.mean(axis=(1, 2))
 
     def noise_power(self, k: Float) -> NDArray[np.float64]:
-        """Noise in the power of the most probable field's cosines, mean over directions and components.
+        """Noise G^2 / (F^2 A) in the power of the MAP field's cosines, mean over directions and components.
 
-        Parameters
-        ----------
-        k : ndarray, shape S
-            Rad per block.
-
-        Returns
-        -------
-        ndarray of float64, S
-            G^2 / (F^2 A), in the field's unit squared; 0 beyond the shortest wave of the lattice.
+        0 beyond the shortest wave of the lattice.
         """
         total_weight = footprint(k, np.zeros(1)) ** 2 * self.information
         squared_gain = np.square(self.gain(*_in_all_directions(k))).mean(axis=(0, 1))
         return np.where(k < np.pi, squared_gain / np.maximum(total_weight, 1e-30), 0.0)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for a recipe.
-
-        Returns
-        -------
-        dict
-        """
+        """Plain data for a recipe."""
         power = [[list(ring) for ring in directions] for directions in self.power]
         numbers = {"information": self.information, "noise": self.noise, "waves": self.waves}
         return {"k": list(self.k), "power": power} | numbers
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Prior:
-        """Inverse of `to_dict`.
-
-        Parameters
-        ----------
-        data : mapping
-            As given by `to_dict`.
-
-        Returns
-        -------
-        Prior
-        """
+        """Inverse of `to_dict`."""
         power = tuple(tuple(tuple(map(float, ring)) for ring in directions) for directions in data["power"])
         information, noise, waves = (float(data[name]) for name in ("information", "noise", "waves"))
         return cls(tuple(map(float, data["k"])), power, information, noise, waves)
@@ -266,14 +180,14 @@ def wavenumbers(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def first_prior(fields: Sequence[Float], window: Float, information: float) -> Prior:
-    """Prior from fields that windows have been over.
+    """Prior from windowed fields.
 
     Parameters
     ----------
     fields : sequence of ndarray, (c, ny, nx)
-        Windowed fields without holes, of sample frames, their edge slopes taken off.
+        Windowed fields of sample frames, without holes and less their edge slopes.
     window : ndarray, (ny, nx)
-        Gain that the windows leave of every cosine mode.
+        Gain of the windows for every cosine mode.
     information : float
         Typical information of a block.
 
@@ -283,8 +197,8 @@ def first_prior(fields: Sequence[Float], window: Float, information: float) -> P
 
     Notes
     -----
-    The spectrum over the windows' gain, less the plateau where waves drown in noise; it goes on as a power
-    law from where it no longer stands three times above.
+    The spectrum over the windows' gain, less the plateau of noise; a power law where it is less than three
+    times the plateau.
     """
     kx, ky = wavenumbers(window.shape)
     power = np.mean([np.square(_cosine_coefficients(f)).mean(axis=0) for f in fields], axis=0)
@@ -308,7 +222,7 @@ def better_prior(
     information: float,
     noise_alone: Sequence[tuple[Float, float]] = (),
 ) -> Prior:
-    """Prior from the most probable fields that a prior gave.
+    """Prior from the MAP fields that another prior gave.
 
     Parameters
     ----------
@@ -319,7 +233,7 @@ def better_prior(
     foot : ndarray, (my, mx)
         Gain of a block's footprint.
     waves : sequence of ndarray, (c, my, mx)
-        Cosine coefficients of the most probable fields of sample frames, less those of their prior mean.
+        Cosine coefficients of the MAP fields of sample frames, less those of their prior mean.
     information : float
         Mean information of a block in them.
     noise_alone : sequence of (ndarray, float), optional
@@ -332,14 +246,14 @@ def better_prior(
 
     Notes
     -----
-    Of a mode with spectrum S and noise N = 1 / (F^2 A), the most probable field keeps G = S / (S + N), and so
+    Of a mode with spectrum S and noise N = 1 / (F^2 A), the MAP field keeps G = S / (S + N), and so
     G^2 (S + N) of its power: S = sum(|D|^2 - G^2 N) / sum G^2 over the modes of a ring, and over those of
-    every sector of it. A spectrum may have gaps and several peaks: a ring counts where S exceeds the scatter
-    of N. In gaps S is the upper limit of what could be there undetected. Beyond the last ring that counts it
-    goes on as a power law, no higher than that limit, its sectors as they were. Neighbouring rings are
-    thought to have like directions, and sectors of few modes are drawn to their ring.
+    every sector of it. A spectrum may have gaps and several peaks: a ring counts where S is significant
+    against N. In gaps S is the upper limit of what could be there undetected. Beyond the last ring that
+    counts it is a power law, no higher than that limit, with constant sectors. Directions are averaged over
+    neighbouring rings, and sectors of few modes shrink to their ring.
     """
-    if information == 0.0:  # nothing was seen: there is nothing to learn
+    if information == 0.0:  # nothing was visible
         return prior
     noise = 1.0 / (np.square(foot, dtype=np.float64) * information)
     binning = _Rings(kx, ky)
@@ -395,9 +309,9 @@ def better_prior(
 
 
 def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
-    """Sectors over their rings, (c, sectors, rings), as neighbouring rings have it, and drawn to 1.
+    """Sectors over their rings, (c, sectors, rings), averaged over neighbouring rings and shrunk to 1.
 
-    Beyond the last ring of each component that is heard they stay as they are.
+    Constant beyond the last significant ring of each component.
     """
     for one, last in zip(weight, lasts):
         one[:, last:] = 0.0
@@ -414,22 +328,22 @@ def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDAr
 
 
 def shrinkage(variance: float, noise: float, waves: float) -> float:
-    """Fraction of a spectrum that is waves, from what fields vary by.
+    """Fraction of a spectrum that is waves, from the variance of fields.
 
     Parameters
     ----------
     variance : float
         Of a field.
     noise : float
-        What of it noise brings.
+        The part of it that noise gives.
     waves : float
-        What of it a spectrum would bring.
+        The part of it that the spectrum would give.
 
     Returns
     -------
     float
-        1 where fields vary by half of what the spectrum would bring, or by four times what noise does; less,
-        in proportion, where they do not.
+        1 where the variance is half of what the spectrum would give, or four times that of the noise; less in
+        proportion.
 
     Examples
     --------
@@ -442,7 +356,7 @@ def shrinkage(variance: float, noise: float, waves: float) -> float:
 
 
 def _plateau(ratio: NDArray[np.float64], count: NDArray[np.integer[Any]]) -> float:
-    """What power over noise falls to without waves: its least, of the mean of neighbouring rings."""
+    """Power over noise of rings without waves: the least mean over neighbouring rings."""
     if ratio.size < NOISE_RINGS:
         return 1.0
     box = np.ones(NOISE_RINGS)
@@ -464,7 +378,7 @@ class _Rings:
         self.sector_count = np.bincount(self._sector, minlength=SECTORS * RINGS).reshape(SECTORS, RINGS)
 
     def mean(self, field: NDArray[Any]) -> NDArray[np.float64]:
-        """Of a field over rings, (rings,)."""
+        """Mean of a field over rings, (rings,)."""
         total = np.bincount(self._which, field.ravel(), minlength=RINGS)
         return np.asarray(total / np.maximum(self.count, 1))
 
@@ -479,10 +393,10 @@ class _Rings:
         return np.asarray(total.reshape(-1, SECTORS, RINGS) / np.maximum(self.sector_count, 1))
 
     def significant(self, ratio: Float, samples: int) -> NDArray[np.bool_]:
-        """Rings (rings,) whose signal over noise is no chance.
+        """Rings (rings,) with a significant signal over noise.
 
-        Rings up to the first without waves have to stand out from the noise as it is known from theirs; waves
-        beyond such a gap have to do so by more, together with both neighbouring rings.
+        Waves beyond the first ring without any have to exceed the noise by more, together with both
+        neighbouring rings.
         """
         contiguous = np.arange(RINGS) < self.count_until_false(
             (self.count > 0) & (ratio > DETECTED_SIGNAL_TO_NOISE)
@@ -492,18 +406,18 @@ class _Rings:
         count_of_three = np.convolve(count, np.ones(3), mode="same")
         mean = sum_of_three / np.maximum(count_of_three, 1)
         chance = MIN_STANDARD_DEVIATIONS * np.sqrt(2.0 / np.maximum(count_of_three, 1))
-        sector_power = (
-            (mean > np.maximum(chance, MIN_SIGNAL_TO_NOISE))
+        beyond_gap = (
+            (mean > np.maximum(chance, MIN_RING_SIGNAL_TO_NOISE))
             & (ratio > DETECTED_SIGNAL_TO_NOISE)
             & (self.count > 0)
         )
-        sector_power &= ~contiguous & (self.middle < SHORTEST_WAVENUMBER)
-        if sector_power.any():  # the first three rings may belong to the gap
+        beyond_gap &= ~contiguous & (self.middle < SHORTEST_WAVENUMBER)
+        if beyond_gap.any():  # the first three rings may belong to the gap
             contiguous &= ratio > DETECTED_SIGNAL_TO_NOISE
-        return np.asarray(contiguous | sector_power)
+        return np.asarray(contiguous | beyond_gap)
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
-        """Level of noise (rings,) from that of single rings; long waves are the calibration's, no noise."""
+        """Level of noise (rings,) from single rings, without long waves, which are errors of calibration."""
         count = np.where((np.arange(RINGS) < FIRST_NOISE_RING), 0, self.count)
         weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
         total = np.convolve(ratio * count, np.ones(NOISE_RINGS), mode="same")
@@ -514,7 +428,7 @@ class _Rings:
 
     @staticmethod
     def count_until_false(flags: NDArray[np.bool_]) -> int:
-        """Number of rings before the first that is not good, at least three."""
+        """Number of flags before the first that is false, at least three."""
         return max(int(np.argmin(flags)) if not flags.all() else len(flags), 3)
 
 
@@ -525,11 +439,7 @@ def _extrapolated(
     noise: float,
     upper_limit: Float | float = np.inf,
 ) -> tuple[float, ...]:
-    """The spectrum with what lies beyond the first ``last`` rings replaced by a power law.
-
-    Where it is far below the noise, as of water at rest, nothing can be said of it but that; nor is it there
-    more than what would be heard.
-    """
+    """The spectrum with a power law, no higher than the upper limit, beyond its first `last` rings."""
     out = np.maximum(power, MIN_POWER_TO_NOISE * noise)
     first = max(last - SLOPE_RINGS, 1)
     slope = SLOPE_RANGE[1]
