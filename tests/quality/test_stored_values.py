@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wavefield.quality.quality_limits import LIMITS
+from wavefield.quality.quality_limits import RECORD_LIMITS
 from wavefield.quality.stored_values import (
     continuity,
     discontinuous,
@@ -53,7 +53,7 @@ def continuities(w, measured):
 def test_sound_seas_raise_no_alarm(seed):
     fields = sea(seed)
     measured = np.random.default_rng(seed).random(fields["z"].shape) < 0.9
-    assert np.nanmedian(kinematic_misfit(fields, measured, STEP)) < LIMITS.kinematic_misfit
+    assert np.nanmedian(kinematic_misfit(fields, measured, STEP)) < RECORD_LIMITS.kinematic_misfit
     assert discontinuous(continuities(fields["w"], measured)).size == 0
 
 
@@ -61,9 +61,9 @@ def test_water_that_rises_otherwise_than_its_surface_is_found():
     fields = sea(1)
     everywhere = np.ones(fields["z"].shape, bool)
     still = fields | {"w": 0 * fields["w"]}
-    assert np.nanmedian(kinematic_misfit(still, everywhere, STEP)) > LIMITS.kinematic_misfit_grave
+    assert np.nanmedian(kinematic_misfit(still, everywhere, STEP)) > RECORD_LIMITS.kinematic_misfit_grave
     other_rate = fields | {name: 1.3 * fields[name] for name in NAMES}
-    assert np.nanmedian(kinematic_misfit(other_rate, everywhere, STEP)) > LIMITS.kinematic_misfit
+    assert np.nanmedian(kinematic_misfit(other_rate, everywhere, STEP)) > RECORD_LIMITS.kinematic_misfit
 
 
 @pytest.mark.parametrize("seed", range(4))

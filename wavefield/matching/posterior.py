@@ -64,7 +64,7 @@ class Modes:
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int], requested: Mask | None = None) -> None:
-        self.prior, self.lattice = prior, shape
+        self.prior = prior
         self._requested = np.ones(shape, np.bool_) if requested is None else requested.copy()
         edge = int(EDGE_REACH)  # the surroundings of the edge are no hole
         inside = np.zeros(shape, np.bool_)
@@ -79,21 +79,30 @@ class Modes:
             for n, i in zip(shape, (rows, columns), strict=True)
         )
         band = np.s_[..., :my, :mx]
-        self.shape = my, mx
         self.kx, self.ky = kx[:mx], ky[:my]
         self.foot = np.ascontiguousarray(foot[band], np.float32)
         self.inverse = np.ascontiguousarray(1.0 / spectrum[band], np.float32)
-        self._cosines = Cosines(shape, self.shape)
-        self._foot, self._inverse = (self._cosines.split_parities(f) for f in (self.foot[None], self.inverse))
+        self._cosines = Cosines(shape, (my, mx))
+        self._by_parity = [self._cosines.split_parities(f) for f in (self.foot[None], self.inverse)]
         self.freedom = float(np.mean([_freedom(one / (one + 1.0)) for one in ratio]))
         self.edge = Edge(shape)
         none = np.zeros(1)
         self._truncated = self.edge.truncated_profiles(
-            self.shape, (footprint(none, ky[:, 0]), footprint(kx, none))
+            (my, mx), (footprint(none, ky[:, 0]), footprint(kx, none))
         )
         self._preconditioner = Preconditioner(
             shape, ratio[band].mean(axis=0), 1.0 / spectrum[band].mean(axis=0), self.foot
         )
+
+    @property
+    def lattice(self) -> tuple[int, int]:
+        """Rows and columns of blocks."""
+        return self._cosines.lattice
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of modes along y and x."""
+        return self._cosines.shape
 
     def waves(self, field: Float) -> Float:
         """Coefficients (c, my, mx) of a field (c, ny, nx)."""
@@ -197,7 +206,7 @@ class Modes:
         seen = self.seen(start) if seen is None else seen
         residual = self.foot * self.waves(right - _apply_information(a, seen)) + self.inverse * (mean - start)
         waves, residual = self._cosines.split_parities(start), self._cosines.split_parities(residual)
-        foot, inverse = (np.repeat(f, c // f.shape[3], axis=3) for f in (self._foot, self._inverse))
+        foot, inverse = (np.repeat(f, c // f.shape[3], axis=3) for f in self._by_parity)
         typical = np.array([a[0].mean(), a[-1].mean()], np.float32)[:c, None]
         diagonal = 1 / (foot**2 * typical + inverse)
         a = self._cosines.mirrored(a)

@@ -29,7 +29,7 @@ from wavefield.quality.patch_matching import (
     compare,
     scaled,
 )
-from wavefield.quality.quality_limits import LIMITS
+from wavefield.quality.quality_limits import CAMERA_LIMITS
 from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark
 
@@ -273,16 +273,16 @@ def delays(
 def remarks(found: Mapping[str, Delay], speed: float) -> Iterator[Remark]:
     """Remarks on delays."""
     for name, one in found.items():
-        if abs(one.seconds) < max(SIGNIFICANCE * one.std, LIMITS.delay):
+        if abs(one.seconds) < max(SIGNIFICANCE * one.std, CAMERA_LIMITS.delay):
             continue
         off, word = abs(one.seconds) * speed, "later" if one.seconds > 0 else "earlier"
         yield Remark(
             name,
             "delayed",
-            "remark" if off > LIMITS.delay_motion else "note",
+            "remark" if off > CAMERA_LIMITS.delay_motion else "note",
             f"its frames are taken {1e3 * abs(one.seconds):.3f} ms {word} than the others' "
             f"(+- {1e3 * one.std:.3f} ms): the water moves {off:.2f} px meanwhile",
-            f"{LIMITS.delay_motion} px at most",
+            f"{CAMERA_LIMITS.delay_motion} px at most",
             "trigger all cameras by one signal and give them one exposure time",
             {"delay": one.seconds, "std": one.std, "px": off},
         )

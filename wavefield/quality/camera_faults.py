@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wavefield.quality.pair_consistency import ConsistencyTable, covered, score
 from wavefield.quality.patch_matching import FLIPS, Pair, PairConsistency, PatchMatcher, rms_over_field
-from wavefield.quality.quality_limits import LIMITS
+from wavefield.quality.quality_limits import CAMERA_LIMITS
 from wavefield.rig.resolution import pixel_at
 from wavefield.robust import PER_MEDIAN
 from wavefield.store.verdict import Remark
@@ -58,13 +58,13 @@ def find_camera_faults(
 def _covered(table: ConsistencyTable) -> Iterator[Remark]:
     for name in table.names:
         fraction = float(np.median(covered(table, name)))
-        if fraction > LIMITS.covered:
+        if fraction > CAMERA_LIMITS.covered:
             yield Remark(
                 name,
                 "covered",
-                "grave" if fraction > LIMITS.covered_grave else "remark",
+                "grave" if fraction > CAMERA_LIMITS.covered_grave else "remark",
                 f"it shows nothing in {100 * fraction:.0f} % of the field where the others do",
-                f"less than {100 * LIMITS.covered:.0f} %",
+                f"less than {100 * CAMERA_LIMITS.covered:.0f} %",
                 "check for objects in front of it and for missing light; what it does not "
                 "show is not measured",
                 {"fraction": fraction},
@@ -85,7 +85,7 @@ def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
         usual = float(np.median([widths[other] for other in others]))
         on_water = float(np.median([widths[other] * pixels[other] for other in others]))
         wider = min(width / max(usual, 1e-9), width * pixels[name] / max(on_water, 1e-12))
-        if wider > LIMITS.blur_ratio and width > 1.0:
+        if wider > CAMERA_LIMITS.blur_ratio and width > 1.0:
             yield Remark(
                 name,
                 "out of focus",
@@ -129,7 +129,7 @@ def _nobody(table: ConsistencyTable) -> Remark:
         "disagree",
         "grave",
         f"no two of them see the same water: at best {100 * best:.0f} % of the patches are found again",
-        f"more than {100 * LIMITS.agreement:.0f} %",
+        f"more than {100 * CAMERA_LIMITS.agreement:.0f} %",
         "is the rig theirs, are the frames of the same moments (`offset`), is the water seeded?",
         {"agreement": best},
     )
@@ -146,7 +146,7 @@ def _swapped(table: ConsistencyTable, level: float) -> Remark | None:
             score([table.compare((a, b), k, turned.get(a, a), turned.get(b, b)) for k in table.frames[:2]])
             for a, b in table.pairs
         ]
-        if min(scores) > LIMITS.agreement / 2 and float(np.mean(scores)) > best:
+        if min(scores) > CAMERA_LIMITS.agreement / 2 and float(np.mean(scores)) > best:
             best, which = float(np.mean(scores)), (one, other)
     if which is None:
         return None
@@ -183,7 +183,7 @@ def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level:
                 candidates.append((score(found), "swapped", other))
     best, kind, detail = max(candidates, key=lambda one: one[0])
     now = max(score(table.found[pair]) for pair in table.pairs if name in pair)
-    if best < max(LIMITS.agreement, level, 2 * now):
+    if best < max(CAMERA_LIMITS.agreement, level, 2 * now):
         return _inconsistent_pairs(table, name, now)
     return _explained(name, kind, detail, {"agreement": best, "as it is": now})
 
@@ -213,7 +213,7 @@ def _explained(name: str, kind: str, detail: str, values: Mapping[str, float]) -
 
 def _inconsistent_pairs(table: ConsistencyTable, name: str, now: float) -> Remark:
     usual = max(score(found) for found in table.found.values())
-    expected = f"more than {100 * LIMITS.agreement:.0f} %"
+    expected = f"more than {100 * CAMERA_LIMITS.agreement:.0f} %"
     if usual:
         expected = f"{100 * usual:.0f} % as the others among themselves"
     return Remark(
@@ -238,7 +238,7 @@ def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
     wrong = [
         pair
         for pair, value in missed.items()
-        if value > LIMITS.epipolar_error and _significance(table.found[pair]) > 4
+        if value > CAMERA_LIMITS.epipolar_error and _significance(table.found[pair]) > 4
     ]
     if not wrong:
         return []
@@ -259,9 +259,9 @@ def _moved(subject: str, off: float, sentence: str, values: Mapping[str, float])
     return Remark(
         subject,
         "moved",
-        "grave" if off > LIMITS.epipolar_error_grave else "remark",
+        "grave" if off > CAMERA_LIMITS.epipolar_error_grave else "remark",
         sentence,
-        f"less than {LIMITS.epipolar_error} px",
+        f"less than {CAMERA_LIMITS.epipolar_error} px",
         "correct the rig with a still-water record (`rest:`, or `wavefield refine`), or calibrate again",
         values,
     )
@@ -285,7 +285,7 @@ def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
         spread = float(PER_MEDIAN * np.median(np.abs(values - off)) / np.sqrt(len(values) / 4)) + 1e-3
         if abs(off) > abs(worst):
             worst, sure, which = off, abs(off) / spread, (first, second)
-    if abs(worst) <= LIMITS.epipolar_error or sure < 6:
+    if abs(worst) <= CAMERA_LIMITS.epipolar_error or sure < 6:
         return []
     names = " and ".join("-".join(pair) for pair in which)
     sentence = (

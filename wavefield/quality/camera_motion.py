@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.quality.patch_matching import PatchMatcher, rms_over_field
-from wavefield.quality.quality_limits import LIMITS
+from wavefield.quality.quality_limits import CAMERA_LIMITS
 from wavefield.quality.stabilized import shifts
 from wavefield.robust import PER_MEDIAN
 from wavefield.sampling import from_first_to_last
@@ -113,7 +113,7 @@ def jump(low: Array) -> int | None:
     left = squares - (before**2).sum(axis=1) * cuts - (after**2).sum(axis=1) * (n - cuts)
     best = int(np.argmin(left))
     scatter = float(np.sqrt(max(left[best], 0.0) / max(n - 2, 1)))
-    if rms_over_field(after[best] - before[best]) < max(LIMITS.jump, 2 * scatter):
+    if rms_over_field(after[best] - before[best]) < max(CAMERA_LIMITS.jump, 2 * scatter):
         return None
     return int(cuts[best])
 
@@ -201,23 +201,23 @@ def remarks(
         yield Remark(
             name,
             "knocked",
-            "grave" if off > 10 * LIMITS.motion else "remark",
+            "grave" if off > 10 * CAMERA_LIMITS.motion else "remark",
             f"it moved between frames {first_frame + one.frame - 1} and {first_frame + one.frame}: since "
             f"then sight lines miss each other by {off:.2f} px more",
-            f"less than {LIMITS.jump} px",
+            f"less than {CAMERA_LIMITS.jump} px",
             "run the two parts by themselves (`frames: {first, last}`), the second with a rig corrected by "
             "`wavefield refine`",
             {"frame": first_frame + one.frame, "px": off},
         )
     rms, std = shaking(found, [one.frame for one in jumps])
-    if rms > max(LIMITS.jump, 3 * std):
+    if rms > max(CAMERA_LIMITS.jump, 3 * std):
         yield Remark(
             "cameras",
             "shaking",
-            "remark" if rms > LIMITS.motion else "note",
+            "remark" if rms > CAMERA_LIMITS.motion else "note",
             f"their pictures shake by {rms:.3f} +- {std:.3f} px from step to step "
             "(tilt and roll across the sight lines)",
-            f"{LIMITS.motion} px at most",
+            f"{CAMERA_LIMITS.motion} px at most",
             "stiffen their mounts, or let no carriage, pump or person move while they record",
             {"px": rms, "std": std},
         )
@@ -229,15 +229,15 @@ def camera_jitter(record: "LearnedRecord | None") -> Iterator[Remark]:
     eps_y does not show this; the displacements of three cameras do.
     """
     along = record.camera_jitter[0] if record else 0.0
-    if along > LIMITS.jitter:
+    if along > CAMERA_LIMITS.jitter:
         yield Remark(
             "cameras",
             "trembling",
-            "remark" if along > LIMITS.motion else "note",
+            "remark" if along > CAMERA_LIMITS.motion else "note",
             f"their pictures move by {along:.3f} px from frame to frame along the line on which they are "
             f"placed; "
             "which of them moves cannot be determined: the uncertainties of z, u, v and w include it",
-            f"less than {LIMITS.jitter} px",
+            f"less than {CAMERA_LIMITS.jitter} px",
             "stiffen their mounts, or let no carriage, pump or person move while they record",
             {"px": along},
         )
@@ -255,7 +255,7 @@ def _turned_back(store: Path, first_frame: int) -> Iterator[Remark]:
         rms = float(np.sqrt(np.mean([rms_over_field(one) ** 2 for one in low[known]])))
         at = jump(low[known])
         when = "" if at is None else f", most of it from frame {first_frame + int(known[at])} on"
-        if rms > LIMITS.jump / 5:
+        if rms > CAMERA_LIMITS.jump / 5:
             yield Remark(
                 name,
                 "turned back",

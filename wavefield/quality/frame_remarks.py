@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.quality.quality_limits import LIMITS
+from wavefield.quality.quality_limits import RECORD_LIMITS
 from wavefield.series import FrameSeries
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
@@ -85,25 +85,25 @@ def remark_on_frames(
             continue
         for fault, (kind, words, remedy) in FAULT_WORDS.items():
             bad = [index for index in read if index in found.faults and found.faults[index][0] == fault]
-            if len(bad) > max(1, LIMITS.bad_frames * len(read)):
+            if len(bad) > max(1, RECORD_LIMITS.bad_frames * len(read)):
                 numbers = spell_ranges([series[name].first + index for index in bad], 3)
                 yield Remark(
                     name,
                     kind,
-                    "grave" if len(bad) > LIMITS.usable_steps * len(read) else "remark",
+                    "grave" if len(bad) > RECORD_LIMITS.usable_steps * len(read) else "remark",
                     f"{len(bad)} of {len(read)} frames read {words}: frames {numbers} "
                     f"({found.faults[bad[0]][1]})",
-                    f"{100 * LIMITS.bad_frames:.0f} % at most",
+                    f"{100 * RECORD_LIMITS.bad_frames:.0f} % at most",
                     remedy,
                     {"bad": len(bad), "read": len(read)},
                 )
         pairs = sum(index - 1 in read for index in read)
-        if len(found.repeated) > max(1, LIMITS.bad_frames * pairs):
+        if len(found.repeated) > max(1, RECORD_LIMITS.bad_frames * pairs):
             numbers = spell_ranges([series[name].first + index for index in sorted(found.repeated)], 3)
             yield Remark(
                 name,
                 "frozen",
-                "grave" if len(found.repeated) > LIMITS.usable_steps * pairs else "remark",
+                "grave" if len(found.repeated) > RECORD_LIMITS.usable_steps * pairs else "remark",
                 f"{len(found.repeated)} of {pairs} frames read equal the frame before them in every pixel: "
                 f"frames {numbers}",
                 "none",
@@ -131,13 +131,13 @@ def _usable(
         for index in drawn
     ]
     share = float(complete.mean()) * float(np.mean(usable)) if usable else 0.0
-    if share < LIMITS.usable_steps and complete.any() and not all(usable):
+    if share < RECORD_LIMITS.usable_steps and complete.any() and not all(usable):
         yield Remark(
             "record",
             "few usable steps",
             "grave",
             f"only about {100 * share:.0f} % of {len(complete)} steps have two good frames of every camera",
-            f"{100 * LIMITS.usable_steps:.0f} % at least",
+            f"{100 * RECORD_LIMITS.usable_steps:.0f} % at least",
             "copy the frames named here again, or state a range of good ones (`frames`)",
             {"share": share, "steps": len(complete)},
         )
@@ -155,7 +155,7 @@ def remark_on_absent_frames(series: Mapping[str, FrameSeries]) -> Iterator[Remar
     """Report cameras with many missing frames, and cameras that have few steps in common."""
     for name, one in series.items():  # recordings with a clock report dropped images themselves
         missing = one.missing
-        if one.times is not None or len(missing) <= LIMITS.bad_frames * len(one):
+        if one.times is not None or len(missing) <= RECORD_LIMITS.bad_frames * len(one):
             continue
         there = one.first + np.flatnonzero([entry is not None for entry in one.entries])
         gap = int(np.argmax(np.diff(there))) if len(there) > 1 else 0
@@ -167,9 +167,9 @@ def remark_on_absent_frames(series: Mapping[str, FrameSeries]) -> Iterator[Remar
         yield Remark(
             name,
             "missing frames",
-            "grave" if len(missing) > LIMITS.usable_steps * len(one) else "remark",
+            "grave" if len(missing) > RECORD_LIMITS.usable_steps * len(one) else "remark",
             f"{len(missing)} of {len(one)} are missing: frames {spell_ranges(missing.tolist(), 3)}{leap}",
-            f"{100 * LIMITS.bad_frames:.0f} % at most",
+            f"{100 * RECORD_LIMITS.bad_frames:.0f} % at most",
             "copy them, or state the range of frames that is complete (`frames`)",
             {"missing": len(missing), "frames": len(one)},
         )
@@ -177,13 +177,13 @@ def remark_on_absent_frames(series: Mapping[str, FrameSeries]) -> Iterator[Remar
         return
     present = _present(series)
     share = float((present[:-1] & present[1:]).mean())
-    if share < LIMITS.usable_steps:
+    if share < RECORD_LIMITS.usable_steps:
         yield Remark(
             "record",
             "few common steps",
             "grave",
             f"only {100 * share:.0f} % of {len(present) - 1} steps have both frames of every camera",
-            f"{100 * LIMITS.usable_steps:.0f} % at least",
+            f"{100 * RECORD_LIMITS.usable_steps:.0f} % at least",
             "copy the missing frames; do the frames of one moment have one number (`offset`)?",
             {"share": share, "steps": len(present) - 1},
         )

@@ -17,7 +17,7 @@ from wavefield.quality.patch_matching import (
     grounds,
     rms_over_field,
 )
-from wavefield.quality.quality_limits import LIMITS
+from wavefield.quality.quality_limits import CAMERA_LIMITS
 
 MAX_SCATTER = 0.4  # px of eps_y: more is not the same water
 
@@ -58,7 +58,8 @@ class ConsistencyTable:
     def level(self) -> float:
         """Fraction of patches from which on two cameras agree."""
         return max(
-            LIMITS.agreement, LIMITS.agreement_to_best * max(score(found) for found in self.found.values())
+            CAMERA_LIMITS.agreement,
+            CAMERA_LIMITS.agreement_to_best * max(score(found) for found in self.found.values()),
         )
 
     def good(self) -> list[Pair]:

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class QualityLimits:
-    """Limits of the remarks."""
+class CameraLimits:
+    """Limits of the remarks on cameras."""
 
     covered: float = 0.08  # fraction of the patches in which a camera shows nothing
     covered_grave: float = 0.6
@@ -19,6 +19,12 @@ class QualityLimits:
     jump: float = 0.05  # px: a smaller one is not separated from jitter
     motion: float = 0.1  # px by which the pictures of cameras move
     jitter: float = 0.02  # px along the line of the cameras: noise gives 0.006 in poor light
+
+
+@dataclass(frozen=True)
+class RecordLimits:
+    """Limits of the remarks on frames, recordings and stored fields."""
+
     bad_frames: float = 0.1  # fraction of the frames of a camera
     usable_steps: float = 0.5  # fraction of the steps
     unused_frames: float = 0.02  # fraction of a camera's frames, before and after the record
@@ -32,4 +38,5 @@ class QualityLimits:
     kinematic_misfit_grave: float = 3.0
 
 
-LIMITS = QualityLimits()
+CAMERA_LIMITS = CameraLimits()
+RECORD_LIMITS = RecordLimits()

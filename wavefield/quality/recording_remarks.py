@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from wavefield.quality.frame_remarks import remark_on_absent_frames
-from wavefield.quality.quality_limits import LIMITS
+from wavefield.quality.quality_limits import RECORD_LIMITS
 from wavefield.robust import robust_std
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.rates import is_alike, recorded_rates
@@ -34,13 +34,13 @@ def _ends(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator
     given = experiment.frames.first is not None, experiment.frames.last is not None
     for name, one in series.items():
         ends = [n for n, stated in zip(one.beyond, given) if not stated]
-        if sum(ends) > max(2, LIMITS.unused_frames * len(one)):
+        if sum(ends) > max(2, RECORD_LIMITS.unused_frames * len(one)):
             yield Remark(
                 name,
                 "longer",
                 "remark",
                 f"{sum(ends)} of its frames are before or after the record, where another camera has none",
-                f"{100 * LIMITS.unused_frames:.0f} % of the record at most",
+                f"{100 * RECORD_LIMITS.unused_frames:.0f} % of the record at most",
                 "are the other cameras' images all there? do the frames of one moment have one number "
                 "(`offset`)?",
                 {"frames": sum(ends)},
@@ -51,13 +51,13 @@ def _duration(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iter
     """A record longer than anybody films."""
     frames = max((len(one) for one in series.values()), default=0)
     hours = frames / experiment.frame_rate / 3600.0
-    if hours > LIMITS.hours:
+    if hours > RECORD_LIMITS.hours:
         yield Remark(
             "record",
             "duration",
             "remark",
             f"{frames} frames at {experiment.frame_rate:g} Hz last {hours:.3g} h",
-            f"{LIMITS.hours:.0f} h at most",
+            f"{RECORD_LIMITS.hours:.0f} h at most",
             f"is frame_rate of {experiment.path.name} in Hz, and are the frames numbered one by one?",
             {"hours": hours},
         )
@@ -87,7 +87,7 @@ def _gaps(series: FrameSeries) -> Iterator[Remark]:
     if not len(places):
         return
     usual = float(np.median(intervals / places))
-    uneven = np.abs(intervals - places * usual) > LIMITS.uneven_interval * usual
+    uneven = np.abs(intervals - places * usual) > RECORD_LIMITS.uneven_interval * usual
     dropped = int((places - 1).sum())
     if dropped:
         first = int(there[np.argmax(places > 1)])
@@ -130,14 +130,14 @@ def _drifts(series: Mapping[str, FrameSeries], rate: float) -> Iterator[Remark]:
             continue
         drift = float(np.ptp([np.median(piece) for piece in np.array_split(apart, PIECES)]))
         jitter = robust_std(np.diff(apart)) / np.sqrt(len(apart) / PIECES)
-        if drift > max(LIMITS.clock_drift / rate, SIGNIFICANCE * jitter):
+        if drift > max(RECORD_LIMITS.clock_drift / rate, SIGNIFICANCE * jitter):
             yield Remark(
                 name,
                 "drift",
                 "remark",
                 f"its times and those of {first} drift apart by {1e3 * drift:.3g} ms in the record, "
                 f"{drift * rate:.2f} of an interval",
-                f"{LIMITS.clock_drift} of an interval at most",
+                f"{RECORD_LIMITS.clock_drift} of an interval at most",
                 "trigger all cameras by one signal; if one triggers them, their clocks alone differ, and all "
                 "is harmless where no camera is reported as delayed",
                 {"drift": drift, "intervals": drift * rate},

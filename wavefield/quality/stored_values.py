@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.quality.quality_limits import LIMITS
+from wavefield.quality.quality_limits import RECORD_LIMITS
 from wavefield.store.read import open_cube
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
@@ -76,7 +76,7 @@ def discontinuous(continuities: Array) -> NDArray[np.intp]:
     lowest, highest = USABLE_CONTINUITY
     if found.sum() < 3 or not lowest < float(np.median(continuities[found])) < highest:
         return np.empty(0, np.intp)
-    return np.flatnonzero(found & (np.abs(continuities - 1.0) > LIMITS.discontinuity))
+    return np.flatnonzero(found & (np.abs(continuities - 1.0) > RECORD_LIMITS.discontinuity))
 
 
 def continuities_of(cube: Any) -> Array:
@@ -107,14 +107,14 @@ def remark_on_stored_values(store: Path, steps: Sequence[int], first: int) -> It
     misfits = kinematic_misfit({name: part[name].values for name in names}, measured, spacing)
     if np.isfinite(misfits).any():
         misfit = float(np.nanmedian(misfits))
-        if misfit > LIMITS.kinematic_misfit:
+        if misfit > RECORD_LIMITS.kinematic_misfit:
             yield Remark(
                 "record",
                 "kinematics",
-                "grave" if misfit > LIMITS.kinematic_misfit_grave else "remark",
+                "grave" if misfit > RECORD_LIMITS.kinematic_misfit_grave else "remark",
                 f"the surface does not rise as its water moves: z_t - w + u . grad z is {misfit:.1f} times"
                 " its standard uncertainty",
-                f"at most {LIMITS.kinematic_misfit}",
+                f"at most {RECORD_LIMITS.kinematic_misfit}",
                 "check frame rate, synchronisation and seeding; waves may be too short for the images",
                 {"kinematic_misfit": misfit},
             )
