@@ -1,4 +1,4 @@
-"""Writing a file or a folder whole or not at all, and never in place of what this program did not write."""
+"""Writing a file or a folder completely or not at all, and never in place of what others wrote."""
 
 import errno
 import json
@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from wavefield.errors import StoreError
 
@@ -108,7 +107,7 @@ def check_replaceable(path: Path, product: Product) -> None:
         )
 
 
-def refuse_input(path: Path, *inputs: Any) -> None:
+def refuse_input(path: Path, *inputs: object) -> None:
     """Refuse to write over a file that the same command reads."""
     for one in inputs:
         if isinstance(one, str | Path) and Path(one).exists() and path.exists() and path.samefile(one):
@@ -119,8 +118,8 @@ def refuse_input(path: Path, *inputs: Any) -> None:
 def atomic(path: str | Path, product: Product) -> Iterator[Path]:
     """Write a file or a folder under another name, and let it take its place when it is finished.
 
-    A folder cannot be replaced in one go: the old one stays beside it as ``.NAME.xxxxxxxx.old`` until the new
-    one has its name, and gets its name back from the next `whole` if that never happened.
+    A folder cannot be replaced in one go: the old one is kept next to it as ``.NAME.xxxxxxxx.old`` until the
+    new one has its name, and gets its name back from the next `atomic` if that never happened.
 
     Examples
     --------
@@ -180,7 +179,7 @@ def make_durable(paths: Iterable[Path]) -> None:
 
 
 def write_text(path: str | Path, text: str, product: Product) -> None:
-    """Write a text file (UTF-8), whole or not at all."""
+    """Write a text file (UTF-8), completely or not at all."""
     with atomic(path, product) as draft:
         draft.write_text(text, encoding="utf-8")
 
@@ -200,7 +199,7 @@ def check_writable(path: str | Path, product: Product) -> None:
 
 
 def remove_leftovers(path: Path) -> None:
-    """Remove what killed writers of a file or folder left beside it and in it."""
+    """Remove what killed writers of a file or folder left next to it and in it."""
     for folder, _, names in os.walk(path):
         for name in names:
             if re.search(r"\.[0-9a-f]{32}\.partial$", name):  # as Zarr names them

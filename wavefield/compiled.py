@@ -19,7 +19,7 @@ _ENDING = ".nbc"
 _DIGEST_BYTES = hashlib.sha256().digest_size
 
 
-def compiled(*signature: Any, **options: Any) -> Callable[[Loop], Loop]:
+def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
     """Compile a function of plain arrays at its first call, keep the result on disk, run it without the lock.
 
     Where the disk has no room, or no folder can be written, it is compiled in every process. Any number of
@@ -55,11 +55,11 @@ class _CompiledFiles:
     or damaged is not used.
     """
 
-    def __init__(self, folder: Path, base: str, loop: Callable[..., Any]) -> None:
+    def __init__(self, folder: Path, base: str, loop: Callable[..., object]) -> None:
         self._folder, self._base = folder, base
         self._sources = _digest_of_sources(Path(loop.__code__.co_filename).parent)
 
-    def save(self, key: Any, data: Any) -> None:
+    def save(self, key: object, data: object) -> None:
         """Keep compiled code; where there is no room for it, the next process compiles again."""
         content = serialize.dumps((self._identity(key), data))
         path = self._path(key)
@@ -75,7 +75,7 @@ class _CompiledFiles:
                 with suppress(OSError):
                     old.unlink()
 
-    def load(self, key: Any) -> Any:
+    def load(self, key: object) -> Any:
         """Read compiled code; None where there is none that can be used."""
         try:
             stored = self._path(key).read_bytes()
@@ -92,10 +92,10 @@ class _CompiledFiles:
         for path in self._folder.glob(f"{self._base}.*"):
             path.unlink(missing_ok=True)
 
-    def _identity(self, key: Any) -> str:
+    def _identity(self, key: object) -> str:
         return f"{numba.__version__} {key!r}"
 
-    def _path(self, key: Any) -> Path:
+    def _path(self, key: object) -> Path:
         digest = hashlib.sha256(self._identity(key).encode()).hexdigest()[:20]
         return self._folder / f"{self._base}.{self._sources}-{digest}{_ENDING}"
 

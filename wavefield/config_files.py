@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
 
 from wavefield.errors import ExperimentError, WavefieldError
 
@@ -32,7 +33,7 @@ CHECKED = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
 class ConfigSection(BaseModel):
-    """A block of settings: refuses what it does not know, and numbers that are none."""
+    """A block of settings: refuses unknown keys, and numbers that are not finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
 
@@ -161,7 +162,7 @@ def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
             yield from _twice(value)
 
 
-# -- where something stands ----------------------------------------------------------------------------------
+# -- where a value is ----------------------------------------------------------------------------------
 
 
 def place_of(path: Path, location: Sequence[Key]) -> str:
@@ -188,11 +189,16 @@ def _line(node: yaml.Node | None, location: Sequence[Key]) -> int | None:
     return line
 
 
-# -- what to say ---------------------------------------------------------------------------------------------
+# -- messages ---------------------------------------------------------------------------------------------
 
 
 def _sentence(
-    problem: Any, kind: Any, path: Path | None, node: yaml.Node | None, location: Sequence[Key], name: str
+    problem: ErrorDetails,
+    kind: object,
+    path: Path | None,
+    node: yaml.Node | None,
+    location: Sequence[Key],
+    name: str,
 ) -> tuple[str, str]:
     """Where a problem is, and what it is."""
     inner = list(problem["loc"])
@@ -207,15 +213,15 @@ def _sentence(
     return where, words
 
 
-def _is_other_form(problem: Any, wrong: Sequence[Any]) -> bool:
-    """Whether it only says that a block is not the word that could stand in its place."""
+def _is_other_form(problem: ErrorDetails, wrong: Sequence[ErrorDetails]) -> bool:
+    """Whether it is only about the word that is allowed in place of a block."""
     if problem["type"] != "literal_error" or not isinstance(problem["input"], Mapping):
         return False
     place = problem["loc"][:-1]
     return any(other is not problem and other["loc"][: len(place)] == place for other in wrong)
 
 
-def _message(problem: Any, kinds: Sequence[Any]) -> str:
+def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
     sort, message = problem["type"], str(problem["msg"])
     if sort in _UNKNOWN:
         known = list(dict.fromkeys(name for member in kinds for name in _fields(member)))
@@ -230,11 +236,11 @@ def _message(problem: Any, kinds: Sequence[Any]) -> str:
     return message.replace("Input should", "should") + (f", not {value!r}" if _is_short(value) else "")
 
 
-def _is_short(value: Any) -> bool:
+def _is_short(value: object) -> bool:
     return value is not None and len(repr(value)) < 60
 
 
-def _follow(kind: Any, location: Sequence[Key]) -> tuple[list[Key], list[Any], str | None]:
+def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any], str | None]:
     """Follow a location through types: its names as the file has them, the last section, an example."""
     names: list[Key] = []
     sections = annotations = _members(kind)
@@ -254,12 +260,12 @@ def _follow(kind: Any, location: Sequence[Key]) -> tuple[list[Key], list[Any], s
             names.append(step)
             annotations, example = [m for part in inside for m in _members(part)], None
         elif not _is_branch(step, annotations) and step == location[-1]:
-            names.append(step)  # what nobody knows
+            names.append(step)  # an unknown key
             example = None
     return names, sections, example
 
 
-def _is_branch(step: Key, annotations: Sequence[Any]) -> bool:
+def _is_branch(step: Key, annotations: Sequence[object]) -> bool:
     # pydantic names the member of a union in locations: "str", "GridSection", "list[...]"
     if not isinstance(step, str):
         return False
@@ -267,7 +273,7 @@ def _is_branch(step: Key, annotations: Sequence[Any]) -> bool:
     return step in ("str", "float", "int", *classes) or step.startswith("constrained-") or "[" in step
 
 
-def _fields(kind: Any) -> dict[str, tuple[Any, str | None]]:
+def _fields(kind: object) -> dict[str, tuple[Any, str | None]]:
     """Names of a section's fields, each with its type and an example."""
     if not isinstance(kind, type):
         return {}
@@ -282,7 +288,7 @@ def _fields(kind: Any) -> dict[str, tuple[Any, str | None]]:
     return {}
 
 
-def _inside(annotation: Any) -> Sequence[Any]:
+def _inside(annotation: object) -> Sequence[Any]:
     """Types of the items of a list, or of the values of a mapping."""
     origin = typing.get_origin(annotation)
     if isinstance(origin, type) and issubclass(origin, Mapping | list | tuple | set | frozenset):
@@ -291,7 +297,7 @@ def _inside(annotation: Any) -> Sequence[Any]:
     return ()
 
 
-def _members(annotation: Any) -> list[Any]:
+def _members(annotation: object) -> list[Any]:
     """Types that an annotation allows, unions taken apart."""
     origin = typing.get_origin(annotation)
     if origin is typing.Annotated:

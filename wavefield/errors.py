@@ -1,16 +1,16 @@
 """The exceptions that a user can meet.
 
-Every message is one sentence that names the file or the setting at fault and says how to mend it.
+Every message is one sentence that names the file or the setting at fault and how to correct it.
 The command line prints it without a traceback.
 """
 
 
 class WavefieldError(Exception):
-    """Base of all errors that a user can mend."""
+    """Base of all errors that a user can correct."""
 
 
 class ExperimentError(WavefieldError):
-    """The experiment file, a catalog or a workflow does not say what is needed."""
+    """The experiment file, a catalog or a workflow lacks what is needed."""
 
 
 class FrameError(WavefieldError):

@@ -1,4 +1,4 @@
-"""The regular physical grid on which every quantity is wanted."""
+"""The regular physical grid on which every quantity is measured."""
 
 from dataclasses import dataclass
 

@@ -28,8 +28,8 @@ def tension_over_density(surface_tension: float | None = None, density: float | 
     return float(tension) / float(density or DENSITY)
 
 
-def water_of(attributes: Mapping[str, Any], depth: float | None = None) -> tuple[float, float]:
-    """Depth and surface tension over density, as a cube's attributes say.
+def water_of(attributes: Mapping[str, str | float], depth: float | None = None) -> tuple[float, float]:
+    """Depth and surface tension over density, from a cube's attributes.
 
     Examples
     --------

@@ -27,7 +27,7 @@ Examples:
 @click.option("--steps", help="Some of the steps, counted from 0: FIRST:STOP or FIRST:STOP:EVERY.")
 @click.pass_context
 def export(context: click.Context, store: Path, output: Path, steps: str | None) -> None:
-    """Write a cube for other programs; the ending of OUTPUT says which.
+    """Write a cube for other programs; the ending of OUTPUT chooses the format.
 
     The exit status is 3 where steps of the cube are missing.
     """
@@ -38,7 +38,7 @@ def export(context: click.Context, store: Path, output: Path, steps: str | None)
         raise click.UsageError(f"{output} is no format that is written: let its name end in {exports.KNOWN}")
     note = unfinished_note(store)
     with Progress(f"Writing {output}"), warnings.catch_warnings():
-        warnings.simplefilter("ignore" if note else "default", UserWarning)  # said below
+        warnings.simplefilter("ignore" if note else "default", UserWarning)  # printed below
         exports.export(store, output, _slice(steps))
     click.echo(f"Wrote {output}.")
     if note:
@@ -124,7 +124,7 @@ Examples:
 @click.option(
     "--to", type=click.Choice(_SAVERS), default="wavefield", show_default=True, help="Format to write."
 )
-@click.option("--size", multiple=True, help="Image size where the file does not say: WxH or camera=WxH.")
+@click.option("--size", multiple=True, help="Image size where the file does not state it: WxH or camera=WxH.")
 @click.option("--unit", default="m", show_default=True, help="Unit of length of OpenCV's files.")
 def convert(files: tuple[str, ...], output: Path | None, to: str, size: tuple[str, ...], unit: str) -> None:
     """Show a rig, or convert one from or to UVMAT, VIC-3D and OpenCV (from DaVis, too).

@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import click
 
 from wavefield.errors import StoreError, WavefieldError
+
+T = TypeVar("T")
 
 ENTRIES = click.argument("entries", nargs=-1, metavar="[RUN]...")
 
@@ -54,21 +56,18 @@ def one_cube(source: Path) -> Path:
     return source
 
 
-def each(runs: Sequence[tuple[str, Any]], work: Callable[[str, Any], int], quiet: bool = False) -> int:
-    """Do something with every run, saying which; what fails with one does not keep the others.
-
-    With runs (str, any).
-    """
-    found = []
-    for number, (run, known) in enumerate(runs, 1):
+def each(runs: Sequence[tuple[str, T]], work: Callable[[str, T], int], quiet: bool = False) -> int:
+    """Work on every run and print which; an error of one does not keep the others."""
+    statuses = []
+    for number, (run, item) in enumerate(runs, 1):
         if not quiet:
             click.echo(f"{run} ({number} of {len(runs)})")
         try:
-            found.append(work(run, known))
+            statuses.append(work(run, item))
         except WavefieldError as error:
             click.echo(f"  {error}", err=True)
-            found.append(1)
-    return worst(found)
+            statuses.append(1)
+    return worst(statuses)
 
 
 def worst(statuses: Sequence[int]) -> int:
@@ -77,7 +76,7 @@ def worst(statuses: Sequence[int]) -> int:
 
 
 def with_cube(work: Callable[[Path], int]) -> Callable[[str, Path], int]:
-    """Work on a cube as `each` wants it; a run that has none yet says so."""
+    """The same for `each`, with an error where a run has no cube yet."""
 
     def checked(run: str, cube: Path) -> int:
         if not cube.is_dir():
@@ -85,3 +84,12 @@ def with_cube(work: Callable[[Path], int]) -> Callable[[str, Path], int]:
         return work(cube)
 
     return checked
+
+
+def for_each_cube(
+    source: Path, entries: Sequence[str], parameters: Mapping[str, str], work: Callable[[Path], int]
+) -> int:
+    """Work on a cube, or on those of a catalog's runs; returns the exit status."""
+    if not is_campaign(source, entries, parameters):
+        return work(one_cube(source))
+    return each(cubes_of(source, entries, parameters), with_cube(work))

@@ -1,6 +1,6 @@
 """The command line: thin; each command calls one public function of a room.
 
-Exit status: 0 done, 1 a run that failed (one sentence says why), 2 wrong use.
+Exit status: 0 done, 1 a run that failed (one sentence gives the reason), 2 wrong use.
 """
 
 import logging
@@ -38,7 +38,7 @@ Your own data:  wavefield calibrate experiment.yaml
     help="Show the version and exit.",
 )
 @click.option("-q", "--quiet", is_flag=True, help="Only results, warnings and errors; no progress.")
-@click.option("-v", "--verbose", is_flag=True, help="Say more about what is done.")
+@click.option("-v", "--verbose", is_flag=True, help="Print more about what is done.")
 @click.option("--debug", is_flag=True, help="Show the whole traceback of an error.")
 def cli(quiet: bool, verbose: bool, debug: bool) -> None:
     """Water-surface elevation and velocity from three cameras, and the waves in them."""
@@ -106,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"wavefield: {error}", file=sys.stderr)
         return 1
     except BrokenPipeError:
-        sys.stderr.close()  # the reader of a pipe has gone: nothing more to say, not even at exit
+        sys.stderr.close()  # the reader of a pipe has gone: nothing more to print, not even at exit
         return 1
     except Exception as error:
         if debug:

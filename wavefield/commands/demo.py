@@ -45,7 +45,7 @@ def run_demo(
 
 
 def comparison(store: Path, directory: Path) -> str:
-    """Errors of a cube against the truth of its simulated experiment, beside the paper's."""
+    """Errors of a cube against the truth of its simulated experiment, next to the paper's."""
     from wavefield.pipeline import open_run
     from wavefield.reports import errors_against
     from wavefield.rig import Rig

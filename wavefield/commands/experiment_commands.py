@@ -25,7 +25,7 @@ _HOW = {
     "twice the beads": "seeding",
     "in focus": "focus, aperture",
 }
-_JSON = click.option("--json", "as_json", is_flag=True, help="Say it as JSON, for scripts.")
+_JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON, for scripts.")
 
 
 @click.command(
@@ -55,10 +55,10 @@ def check(
     pairs: bool,
     as_json: bool,
 ) -> None:
-    """Say what is there, what is missing, and what a run will cost.
+    """Show what is there, what is missing, and what a run will cost.
 
     SOURCE is an experiment file or a catalog. Counts the frames of each camera, names missing ones, shows how
-    much of the grid the cameras see, measures a few steps to tell the time, memory and disk of the whole run,
+    much of the grid the cameras see, measures a few steps to find the time, memory and disk of the whole run,
     and compares the cameras' images: is one mirrored, swapped, late, reversed, blurred, covered, or has it
     moved? Changes nothing. The exit status is 1 where something prevents a run, 3 where the verdict has
     remarks that matter.
@@ -78,20 +78,20 @@ def check(
     from wavefield.pipeline.catalog import find_experiment, runs_of
 
     runs = [(run, find_experiment(source, {"run": run, **parameters})) for run in runs_of(source, entries)]
-    seen: dict[str, Check] = {}
+    checks: dict[str, Check] = {}
 
     def work(run: str, experiment: Experiment) -> int:
         with Progress(f"Looking at {run}"):
-            seen[run] = pipeline.check(experiment, rig, workflow)
+            checks[run] = pipeline.check(experiment, rig, workflow)
         if not as_json:
-            _report(seen[run], experiment, rig, workflow, pairs)
-        return seen[run].exit_status
+            _report(checks[run], experiment, rig, workflow, pairs)
+        return checks[run].exit_status
 
     status_of_all = campaign_commands.each(runs, work, quiet=as_json)
     if as_json:
-        click.echo(json.dumps({run: one.to_dict() for run, one in seen.items()}, indent=1, default=str))
+        click.echo(json.dumps({run: one.to_dict() for run, one in checks.items()}, indent=1, default=str))
     else:
-        for run, one in seen.items():
+        for run, one in checks.items():
             click.echo(f"{run}: {one.line}")
     context.exit(status_of_all)
 
@@ -117,7 +117,7 @@ def _reader(prepared: PreparedRun) -> Callable[[str, int], Any]:
 
 
 def _probes_line(source: Path | Experiment) -> str:
-    """The experiment's probes and their clock beside the cameras', or what is wrong with their file."""
+    """The experiment's probes and their clock and the cameras', or what is wrong with their file."""
     from wavefield.errors import ExperimentError
     from wavefield.series import Experiment
 
@@ -175,23 +175,21 @@ def _carried_lines(found: Diagnosis, pixel: float) -> list[str]:
 @click.command(
     epilog="""\b
 Examples:
-  wavefield calibrate experiment.yaml               # writes rig.yaml beside it, and rig_report/
+  wavefield calibrate experiment.yaml               # writes rig.yaml next to it, and rig_report/
   wavefield calibrate experiment.yaml -o new.yaml
 """
 )
 @click.argument("experiment", type=_FILE)
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Rig file to write.")
-@click.option(
-    "--anyway", is_flag=True, help="Write the rig although it is refused; the file says why it was."
-)
+@click.option("--anyway", is_flag=True, help="Write the rig although it is refused; the file states why.")
 @click.pass_context
 def calibrate(context: click.Context, experiment: Path, output: Path | None, anyway: bool) -> None:
     """Find the rig from target images.
 
     Reads the calibration chunk of EXPERIMENT, finds the target in its tilted and flat views, solves for all
     cameras together, and writes the rig and a report with pictures. Where the experiment names a record of
-    the water at rest (`rest:`), it mends the rig and brings z = 0 to the water. When the rig cannot be
-    trusted the exit status is 1 and the report says what to photograph again.
+    the water at rest (`rest:`), it corrects the rig and brings z = 0 to the water. When the rig cannot be
+    trusted the exit status is 1 and the report lists what to photograph again.
     """
     from concurrent.futures import ProcessPoolExecutor
 
@@ -252,9 +250,9 @@ Example:
     "--frames", default=10, show_default=True, type=click.IntRange(min=1), help="How many frames to use."
 )
 def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
-    """Mend and level a rig from water at rest.
+    """Correct and level a rig with still-water images.
 
-    EXPERIMENT is a record of still, seeded water, or names one (`rest:`). Says whether a camera has moved
+    EXPERIMENT is a record of still, seeded water, or names one (`rest:`). Shows whether a camera has moved
     since the calibration, turns it back so that sight lines meet, brings z = 0 to the water's plane, and
     writes the new rig.
     """
@@ -277,10 +275,10 @@ def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> Non
 @click.command(
     epilog="""\b
 Examples:
-  wavefield run experiment.yaml                      # writes cube.zarr beside it
+  wavefield run experiment.yaml                      # writes cube.zarr next to it
   wavefield run experiment.yaml -o cube.zarr --workflow workflows/slurm.yaml
   wavefield run campaign.yaml run07 run08            # entries of a catalog
-  wavefield run campaign.yaml -p location=/disk2     # a catalog whose images lie elsewhere
+  wavefield run campaign.yaml -p location=/disk2     # a catalog whose images are elsewhere
 """
 )
 @click.argument("source", type=_FILE)
@@ -340,7 +338,7 @@ def run(
 @_JSON
 @click.pass_context
 def status(context: click.Context, store: Path, as_json: bool) -> None:
-    """Say how far a run is, which frames failed and why, and whether the cube can be trusted.
+    """Show the progress of a run, failed frames and why, and the verdict on the cube.
 
     The exit status is 3 where the verdict has remarks that matter, 1 where nothing could be measured.
     """
@@ -366,7 +364,7 @@ Examples:
     "--quick",
     is_flag=True,
     help="Read no data: every file there and as long as when it was written? Seconds, for any cube; bytes "
-    "that changed in place are not seen.",
+    "that changed in place are not found.",
 )
 @click.pass_context
 def verify(
@@ -376,7 +374,7 @@ def verify(
     parameters: dict[str, str],
     quick: bool,
 ) -> None:
-    """Make sure that a cube holds what its ledger says: every chunk there, and as it was written.
+    """Make sure that a cube holds what its ledger lists: every chunk there, and as it was written.
 
     The exit status is 1 where something is damaged; the command that measured the cube then measures those
     chunks again.
@@ -389,10 +387,7 @@ def verify(
         click.echo(str(found))
         return 0 if found.sound else 1
 
-    if campaign_commands.is_campaign(source, entries, parameters):
-        cubes = campaign_commands.cubes_of(source, entries, parameters)
-        context.exit(campaign_commands.each(cubes, campaign_commands.with_cube(work)))
-    context.exit(work(campaign_commands.one_cube(source)))
+    context.exit(campaign_commands.for_each_cube(source, entries, parameters, work))
 
 
 @click.command(epilog="\b\nExample:\n  wavefield init run07          # writes run07/experiment.yaml")
@@ -404,7 +399,7 @@ def init(folder: Path, output: Path | None) -> None:
     """Propose an experiment file for a folder of images, with a comment on every guess.
 
     Finds the numbered images of each camera, target images, a record at rest and probes by their names. What
-    no folder can say (frame rate, target, depth) is marked TO FILL IN. Never writes over a file.
+    no folder holds (frame rate, target, depth) is marked TO FILL IN. Never writes over a file.
     """
     from wavefield.atomic_write import NEW_FILE, write_text
     from wavefield.errors import ExperimentError

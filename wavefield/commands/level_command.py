@@ -61,10 +61,10 @@ Examples:
     "--frames", default=50, show_default=True, type=click.IntRange(min=1), help="How many instants to use."
 )
 def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
-    """Bring z = 0 to a light sheet, and mend a camera that has moved, from the particles themselves.
+    """Bring z = 0 to a light sheet, and correct a camera that has moved, from the particles themselves.
 
-    The cameras' images of one instant, dewarped to z = 0, are correlated; where they disagree, the sheet lies
-    beside the target's plane or a camera has moved. Says how thick the sheet is, too.
+    The cameras' images of one instant, dewarped to z = 0, are correlated; where they disagree, the sheet is
+    not at the target's plane or a camera has moved. Reports the thickness of the sheet, too.
     """
     from wavefield.calibration.light_sheet import find_sheet
 

@@ -10,7 +10,7 @@ LAST = 19  # niceness of a process that takes what the others leave
 
 
 def announce(url: str, port: int, open_page: bool) -> None:
-    """Say where a page is, and how to see it from another machine."""
+    """Print where a page is, and how to open it from another machine."""
     click.echo(f"Open {url} in a browser; Ctrl-C stops.")
     if os.environ.get("SSH_CONNECTION"):
         click.echo(f"From your own machine first: ssh -L {port}:localhost:{port} and this machine's name")
@@ -19,7 +19,7 @@ def announce(url: str, port: int, open_page: bool) -> None:
 
 
 def give_way(steps_to_come: int) -> None:
-    """Let a run that may be at work on this machine go first: looking at it should not cost it time."""
+    """Let a run that may be at work on this machine go first: the page should not slow it down."""
     if steps_to_come and hasattr(os, "nice"):  # Windows has none
         os.nice(LAST - os.nice(0))
 
@@ -28,7 +28,7 @@ def give_way(steps_to_come: int) -> None:
     epilog="""\b
 Examples:
   wavefield look cube.zarr
-  wavefield look experiment.yaml              # the cube that `wavefield run` writes beside it
+  wavefield look experiment.yaml              # the cube that `wavefield run` writes next to it
   wavefield look tank.yaml coriolis-07        # the cube of a run of a catalog
   wavefield look cube.zarr --port 5010        # behind ssh -L 5010:localhost:5010
 """
@@ -82,8 +82,8 @@ Examples:
 def follow(experiment: Path, rig: Path | None, port: int | None, open_page: bool) -> None:
     """Follow an experiment while its cameras write: the newest map, and lights.
 
-    Measures the newest set of frames that is whole, as often as it can, and says how many it skips.
-    Lights tell of brightness, saturation, seeding, focus, synchronisation, mismatch, coverage; they work
+    Measures the newest complete set of frames, as often as it can, and reports how many it skips.
+    Lights show brightness, saturation, seeding, focus, synchronisation, mismatch, coverage; they work
     before there is a rig, too. Writes nothing.
     """
     from wavefield.explorer.follow_page import follow_server
@@ -119,5 +119,5 @@ def _cube_of(source: Path, run: str | None = None) -> Path:
 
     cube = Experiment.load(source).resolve("cube.zarr")
     if not cube.exists():
-        raise StoreError(f"{source} has no cube beside it ({cube}); make it with `wavefield run {source}`")
+        raise StoreError(f"{source} has no cube next to it ({cube}); make it with `wavefield run {source}`")
     return cube

@@ -23,7 +23,7 @@ _STORE = click.Path(exists=True, file_okay=False, path_type=Path)
 _SOURCE = click.Path(exists=True, path_type=Path)
 
 
-@click.command(epilog="\b\nExample:\n  wavefield analyze cube.zarr      # writes waves.zarr beside it")
+@click.command(epilog="\b\nExample:\n  wavefield analyze cube.zarr      # writes waves.zarr next to it")
 @click.argument("source", metavar="CUBE|CATALOG", type=_SOURCE)
 @campaign_commands.ENTRIES
 @campaign_commands.PARAMETERS
@@ -76,13 +76,9 @@ def analyze(
     def work(cube: Path) -> int:
         return _analyze(cube, output, workflow, options)
 
-    if not campaign_commands.is_campaign(source, entries, parameters):
-        exit_status = work(campaign_commands.one_cube(source))
-    elif output:
+    if output and campaign_commands.is_campaign(source, entries, parameters):
         raise click.UsageError("the waves of a campaign are written next to its cubes; leave out -o")
-    else:
-        cubes = campaign_commands.cubes_of(source, entries, parameters)
-        exit_status = campaign_commands.each(cubes, campaign_commands.with_cube(work))
+    exit_status = campaign_commands.for_each_cube(source, entries, parameters, work)
     click.echo(f"Next: wavefield report {source}")
     context.exit(exit_status)
 
@@ -116,7 +112,7 @@ def _analyze(store: Path, output: Path | None, workflow: Path | None, options: A
     return 3 if note else 0
 
 
-@click.command(epilog="\b\nExample:\n  wavefield report cube.zarr      # writes report.html beside it")
+@click.command(epilog="\b\nExample:\n  wavefield report cube.zarr      # writes report.html next to it")
 @click.argument("source", metavar="CUBE|CATALOG", type=_SOURCE)
 @campaign_commands.ENTRIES
 @campaign_commands.PARAMETERS
@@ -137,7 +133,7 @@ def report(
 ) -> None:
     """Write the report of a cube as one HTML file that opens offline.
 
-    Of a catalog, the report of every run, and beside the catalog (or as -o says) one page that compares them.
+    For a catalog: the report of every run, and next to the catalog (or as -o) one page that compares them.
     """
     from wavefield.reports.compose import report as write
 
@@ -151,7 +147,7 @@ def report(
     if not campaign_commands.is_campaign(source, entries, parameters):
         context.exit(work(campaign_commands.one_cube(source), output))
     if waves:
-        raise click.UsageError("the waves of a campaign lie beside its cubes; leave out --waves")
+        raise click.UsageError("the waves of a campaign are next to its cubes; leave out --waves")
     from wavefield.reports.campaign_page import CampaignEntry, compare
 
     cubes = campaign_commands.cubes_of(source, entries, parameters)
@@ -162,19 +158,19 @@ def report(
 
 
 @click.command(
-    epilog="\b\nExample:\n  wavefield paper cube.zarr --rest rest.zarr      # writes paper.html beside it"
+    epilog="\b\nExample:\n  wavefield paper cube.zarr --rest rest.zarr      # writes paper.html next to it"
 )
 @click.argument("store", metavar="CUBE", type=_STORE)
 @click.option("--rest", type=_STORE, help="Cube of the water at rest, by the same cameras.")
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="HTML file to write.")
 @click.option(
-    "--waves", type=_STORE, help="Wave store; by default the one beside the cube, made if there is none."
+    "--waves", type=_STORE, help="Wave store; by default the one next to the cube, made if there is none."
 )
 def paper(store: Path, rest: Path | None, output: Path | None, waves: Path | None) -> None:
     """Write the figures and numbers of the method's paper for a cube.
 
     One HTML file: snapshot, distributions, spectra, nonlinear term and coherence, probes, water at rest, the
-    pairs of cameras over the whole record, and a table beside the paper's numbers.
+    pairs of cameras over the whole record, and a table with the paper's numbers.
     """
     from wavefield.reports.paper_page import paper as write
 

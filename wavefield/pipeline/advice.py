@@ -1,6 +1,6 @@
 """What would help where little is measured: other settings that measure more of the same step, or why not."""
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -8,6 +8,9 @@ from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.cost import fraction_measured, has_step, in_view, whole_step
 from wavefield.pipeline.prepare import PreparedRun
 from wavefield.variables import Quality
+
+if TYPE_CHECKING:
+    from wavefield.measurement import Settings
 
 ENOUGH = 0.8  # of the nodes in view: images that measure so much need no advice
 _GAIN = 0.1  # of the nodes in view: settings that measure no more than this besides are not worth a word
@@ -26,7 +29,7 @@ _WHY = {
 
 
 def advise(prepared: PreparedRun, measured: float) -> str:
-    """Say what would help, after trying it on the step that was tried."""
+    """What would measure more: other settings are tried on the step of the forecast."""
     if measured >= ENOUGH or not has_step(prepared.series):
         return ""
     settings = prepared.geometry.settings
@@ -48,7 +51,7 @@ def _why(quality: np.ndarray) -> str:
     return _WHY[max(_WHY, key=lambda flag: int((lost & flag != 0).sum()))]
 
 
-def _quality(prepared: PreparedRun, settings: Any) -> np.ndarray:
+def _quality(prepared: PreparedRun, settings: "Settings") -> np.ndarray:
     """Of the step that was tried, measured with some settings."""
     from wavefield.measurement import GridGeometry
 

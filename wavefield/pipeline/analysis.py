@@ -22,7 +22,7 @@ _PRELOADED = "wavefield.pipeline.worker_imports_waves"
 
 
 def analyze_on_workers(
-    cube: str | Path, out: str | Path, workflow: str | Path | Workflow, **asked: Any
+    cube: str | Path, out: str | Path, workflow: str | Path | Workflow, **options: Any
 ) -> "xr.DataTree":
     """Compute the waves of a cube on the workers of a workflow: bit for bit as `wavefield.analyze` does.
 
@@ -34,7 +34,7 @@ def analyze_on_workers(
         Zarr store to write, on such a disk: partial sums are stored next to it and removed at the end.
     workflow : path or Workflow
         Where to work.
-    **asked
+    **options
         Further keywords of `wavefield.analyze`: probes, segment, depth and others.
 
     Returns
@@ -77,7 +77,7 @@ def analyze_on_workers(
             with open_cluster(workflow, jobs_folder(target), True, True, _PRELOADED) as map_unordered:
                 from wavefield.waves.wave_analysis import analyze  # while the workers start
 
-                return analyze(source, target, each=_InOrder(map_unordered, Path(folder)), **asked)
+                return analyze(source, target, each=_InOrder(map_unordered, Path(folder)), **options)
         except KeyboardInterrupt as stop:
             why = f" by {stop}" if isinstance(stop, Stopped) else ""
             raise RunStopped(
@@ -87,36 +87,36 @@ def analyze_on_workers(
 
 @dataclass(frozen=True)
 class _ThroughDisk:
-    """Does work for an item in a file, leaves the result in one: both are large, messages should not be."""
+    """Does the work for an item in a file and writes the result to one: both are too large for messages."""
 
     work: Callable[[Any], Any]
     folder: Path
 
     def __call__(self, numbered: tuple[int, Path]) -> Path:
-        return _laid(self.work(_taken(numbered[1])), self.folder)
+        return _dump(self.work(_load(numbered[1])), self.folder)
 
 
-def _taken(path: Path) -> Any:
+def _load(path: Path) -> object:
     try:
         with path.open("rb") as stream:
             return pickle.load(stream)
     except FileNotFoundError:
-        raise _unseen(path.parent.parent) from None
+        raise _not_shared(path.parent.parent) from None
 
 
-def _laid(thing: Any, folder: Path) -> Path:
+def _dump(item: object, folder: Path) -> Path:
     path = folder / uuid.uuid4().hex
     try:
         with path.open("wb") as stream:
-            pickle.dump(thing, stream, pickle.HIGHEST_PROTOCOL)
+            pickle.dump(item, stream, pickle.HIGHEST_PROTOCOL)
     except FileNotFoundError:
-        raise _unseen(folder.parent) from None
+        raise _not_shared(folder.parent) from None
     except OSError as error:
         raise write_error(folder.parent, error) from None
     return path
 
 
-def _unseen(folder: Path) -> ExperimentError:
+def _not_shared(folder: Path) -> ExperimentError:
     return ExperimentError(
         f"a worker does not see {folder}: write the waves to a disk that all workers share"
     )
@@ -124,7 +124,7 @@ def _unseen(folder: Path) -> ExperimentError:
 
 @dataclass(frozen=True)
 class _InOrder:
-    """Gives results in the order of their items: what is done too early waits on the disk."""
+    """Yields results in the order of their items: what is done too early waits on the disk."""
 
     map_unordered: MapUnordered
     folder: Path
@@ -134,14 +134,14 @@ class _InOrder:
         requested = 0
         if not items:
             return
-        laid = list(enumerate(_laid(item, self.folder) for item in items))
-        with closing(self.map_unordered(_ThroughDisk(work, self.folder), laid)) as results:
+        paths = list(enumerate(_dump(item, self.folder) for item in items))
+        with closing(self.map_unordered(_ThroughDisk(work, self.folder), paths)) as results:
             for (number, _), result in results:
                 if isinstance(result, BaseException):
                     raise result
                 waiting[number] = result
                 while requested in waiting:
                     path = waiting.pop(requested)
-                    yield _taken(path)
+                    yield _load(path)
                     path.unlink()
                     requested += 1

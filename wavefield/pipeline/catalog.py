@@ -1,6 +1,6 @@
 """Intake catalogs: the frames, the cube and the waves of many runs under names, with stock readers.
 
-A catalog ``tank.yaml`` has a folder ``tank`` beside it, and in it one folder per run::
+A catalog ``tank.yaml`` has a folder ``tank`` next to it, and in it one folder per run::
 
     tank.yaml
     tank/coriolis-07/experiment.yaml        the experiment, or a file that points to it
@@ -8,7 +8,7 @@ A catalog ``tank.yaml`` has a folder ``tank`` beside it, and in it one folder pe
     tank/coriolis-07/1a2b3c4d/waves.zarr
     tank/coriolis-07/latest                 link to the recipe run last
 
-so that a changed recipe goes beside the old one. ``run`` and ``recipe`` are parameters of the catalog.
+so that a changed recipe is kept next to the old one. ``run`` and ``recipe`` are parameters of the catalog.
 """
 
 import errno
@@ -98,7 +98,7 @@ def new_catalog(stem: str) -> dict[str, Any]:
         out = {"cls": kind, "dtype": "str", "description": description, "default": default}
         return out if options is None else {**out, "options": options}
 
-    def data(kind: str, url: str, **more: Any) -> dict[str, Any]:
+    def data(kind: str, url: str, **more: object) -> dict[str, Any]:
         return {
             "datatype": f"intake.readers.datatypes:{kind}",
             "kwargs": {"url": url, "storage_options": None, **more},
@@ -106,7 +106,7 @@ def new_catalog(stem: str) -> dict[str, Any]:
             "user_parameters": {},
         }
 
-    def entry(source: str, description: str, **keywords: Any) -> dict[str, Any]:
+    def entry(source: str, description: str, **keywords: object) -> dict[str, Any]:
         return {
             "reader": _XARRAY,
             "kwargs": {"data": "{data(" + source + ")}", **keywords},
@@ -282,22 +282,16 @@ def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> Experimen
 def find_cube(catalog: str | Path, run: str | None = None) -> Path:
     """The cube of a run: that of the recipe that was run last."""
     path = Path(catalog).absolute()
-    runs = read_yaml(path).get("user_parameters", {}).get("run", {}).get("options", [])
-    if run is not None and run not in runs:
-        raise ExperimentError(f"{path} has no run {run!r}; it has {', '.join(runs) or 'none'}")
-    cubes = {
-        name: Path(_local(_open_entry(path, "cube", {"run": name}).kwargs["data"].url))
-        for name in (runs if run is None else [run])
-    }
-    there = {name: cube for name, cube in cubes.items() if cube.exists()}
-    if not there:
+    cubes = {name: cube_of(path, {"run": name}) for name in runs_of(path, () if run is None else [run])}
+    existing = {name: cube for name, cube in cubes.items() if cube.exists()}
+    if not existing:
         raise ExperimentError(
             f"{path} has no cube of {run or 'any run'} yet; make it with `wavefield run {path.name}"
             + (f" {run}`" if run else "`")
         )
-    if len(there) > 1:
-        raise ExperimentError(f"{path} has the cubes of {', '.join(there)}; name one of these runs")
-    return next(iter(there.values()))
+    if len(existing) > 1:
+        raise ExperimentError(f"{path} has the cubes of {', '.join(existing)}; name one of these runs")
+    return next(iter(existing.values()))
 
 
 def store_of(catalog: Path, chosen: Mapping[str, str], prepared: PreparedRun) -> Path:
@@ -321,7 +315,7 @@ def _local(url: str) -> str:
 
 
 def _link_latest(store: Path, prepared: PreparedRun) -> None:
-    """Let the link `latest` beside the recipe's folder point to it."""
+    """Let the link `latest` next to the recipe's folder point to it."""
     folder = store.parent
     if folder.name != prepared.recipe.hash[:8]:
         return
@@ -341,7 +335,7 @@ def _link_latest(store: Path, prepared: PreparedRun) -> None:
         ) from None
 
 
-def _save(catalog: Path, data: Mapping[str, Any]) -> None:
+def _save(catalog: Path, data: Mapping[str, object]) -> None:
     """Write the catalog, keeping the comment at its head."""
     head = []
     if catalog.exists():

@@ -65,7 +65,7 @@ class Measured:
     faults: dict[str, dict[int, FrameFault]]  # Bad frames of each camera, by index in the whole series
     messages: list[str]  # A sentence about each of them
     # (3,): By how much each camera was turned back in each frame, by index in the whole series
-    # (`wavefield.quality.stabilized`); empty unless the settings ask for it
+    # (`wavefield.quality.stabilized`); empty without `vibration: correct`
     shifts: dict[int, dict[str, np.ndarray]] = field(default_factory=dict)
 
 
@@ -97,7 +97,7 @@ def _read(
 
 
 class ChunkFrames(Sequence[np.ndarray | None]):
-    """The n + 5 frames of one camera, read when asked for; only the last few are kept in memory."""
+    """The n + 5 frames of one camera, read on demand; only the last few are kept in memory."""
 
     _KEEP = 2 * AROUND + 2  # as many as a step at mid-time uses
 

@@ -73,17 +73,17 @@ def measure_cost(prepared: PreparedRun) -> tuple[Cost, float]:
 
 
 class _Clocked:
-    """Frames of one camera that note when each is asked for."""
+    """Frames of one camera that note when each is requested."""
 
     def __init__(self, source: Source) -> None:
         self.source = source
-        self.asked: list[float] = []
+        self.requested: list[float] = []
 
     def __len__(self) -> int:
         return len(self.source)
 
     def read(self, index: int) -> Frame:
-        self.asked.append(time.perf_counter())
+        self.requested.append(time.perf_counter())
         return self.source.read(index)
 
     def covered(self, index: int) -> np.ndarray | None:
@@ -106,8 +106,8 @@ def _measured(prepared: PreparedRun, start: int, stop: int) -> tuple[Measured, f
     )
     whole = time.perf_counter() - since
     frames = chunk.steps + 2 * AROUND + 1
-    gaps = np.diff(next(iter(clocked.values())).asked[-frames:])
-    # each frame is asked for when all is done with those before: the first have no step to give yet
+    gaps = np.diff(next(iter(clocked.values())).requested[-frames:])
+    # each frame is requested when all is done with those before: the first have no step to give yet
     whole_steps = gaps[2 * AROUND + 1 :]
     return measured, float(whole_steps.mean()) if whole_steps.size else whole / frames
 
@@ -152,7 +152,7 @@ def _steps(series: Mapping[str, FrameSeries]) -> np.ndarray:
 
 
 def in_view(quality: np.ndarray) -> np.ndarray:
-    """Nodes that could be measured: seen by the cameras and not masked."""
+    """Nodes that could be measured: visible to the cameras and not masked."""
     return np.asarray((quality & (Quality.OUTSIDE | Quality.MASKED)) == 0)
 
 
@@ -164,5 +164,5 @@ def fraction_measured(quality: np.ndarray) -> float:
     >>> fraction_measured(np.array([Quality.MEASURED, Quality.FILLED, Quality.OUTSIDE]))
     0.5
     """
-    seen = in_view(quality)
-    return float((quality[seen] & Quality.MEASURED != 0).mean()) if seen.any() else 0.0
+    visible = in_view(quality)
+    return float((quality[visible] & Quality.MEASURED != 0).mean()) if visible.any() else 0.0

@@ -24,7 +24,7 @@ from wavefield.series.frames import check_content
 from wavefield.variables import CUBE_DIMS, CUBE_FIELDS, TABLE, FrameFault, annotate
 
 if TYPE_CHECKING:
-    from wavefield.measurement import GridGeometry, Model
+    from wavefield.measurement import GridGeometry, Model, Settings
 
 # One task measures a chunk and one more per variable hands it on: with fewer steps per chunk the graph of a
 # long series would grow beyond one task for five steps.
@@ -75,14 +75,14 @@ def reconstruct(
     frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray],
     rig: Rig,
     grid: Grid,
-    settings: Any = None,
+    settings: "Settings | None" = None,
     *,
     steps_per_task: int = STEPS_PER_TASK,
     record: Mapping[str, Any] | None = None,
 ) -> xr.Dataset:
     """Turn image series into a lazy cube of elevation and velocity.
 
-    Nothing is read or computed before values are asked for; then four sample steps of the whole series give
+    Nothing is read or computed before values are requested; then four sample steps of the whole series give
     the weights of every step: beads, spectra, noise. To measure a few steps only, select their
     frames first: ``reconstruct(frames.isel(time=slice(0, 4)), ...)``; to process a whole experiment into a
     store that survives interruptions, use `wavefield.pipeline.run`.
@@ -92,7 +92,7 @@ def reconstruct(
     frames : DataTree, Dataset or mapping of str to DataArray
         Images (time, row, column) per camera: a tree with one node per camera and ``image`` in it, as
         ``xr.open_datatree("experiment.yaml", engine="wavefield")`` gives, or arrays by name of camera.
-        ``mask`` beside an image, (row, column) or (time, row, column), is true where pixels do not count.
+        ``mask`` next to an image, (row, column) or (time, row, column), is true where pixels do not count.
         All have the same times, evenly spaced.
     rig : Rig
         The cameras.
@@ -118,7 +118,7 @@ def reconstruct(
 
     Examples
     --------
-    Images that are all black, of which nothing is read yet: work begins when values are asked for.
+    Images that are all black, of which nothing is read yet: work begins when values are requested.
 
     >>> from wavefield.tank import Scene
     >>> rig = Scene.load("demo").build_rig()
@@ -163,9 +163,10 @@ def reconstruct(
         name: (TABLE[name].dims, _assemble(name, tasks, token, edges, grid.shape))
         for name in (*CUBE_FIELDS, "frame_status")
     }
-    gain, axes = _gain(known, geometry)
-    path_frames = da.from_delayed(dask.delayed(_path_frames, pure=False)(known), (), np.uint8)
-    level = da.from_delayed(dask.delayed(_level_std, pure=False)(geometry, known), (), np.float64)
+    once: Any = dask.delayed(_from_record, pure=False)(geometry, known)
+    gain, axes = _gain(once, geometry)
+    path_frames = da.from_delayed(once["path_frames"], (), np.uint8)
+    level = da.from_delayed(once["z_level_std"], (), np.float64)
     mid = 0.5 * (times[:-1] + times[1:])
     coords = {"time": mid, "y": grid.y_nodes, "x": grid.x_nodes, "path_frames": path_frames} | axes
     out = xr.Dataset(variables | gain | {"z_level_std": ((), level)}, coords=coords)
@@ -178,16 +179,17 @@ def reconstruct(
     return annotate(out, "gain")
 
 
-def _gain(known: Delayed, geometry: "GridGeometry") -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _gain(
+    once: Mapping[str, Delayed], geometry: "GridGeometry"
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """The response of the measurement to waves, once its record was learned, and its axes."""
     from wavefield.measurement.response import tabulated
 
     table = tabulated(geometry, None)
-    found = dask.delayed(_tabulated, pure=False)(geometry, known)
     dims = TABLE["gain/gain_z"].dims
     shape = tuple(table[name].size for name in dims)
     gain = {
-        name: (dims, da.from_delayed(found[name], shape, np.float64)) for name in table if name not in dims
+        name: (dims, da.from_delayed(once[name], shape, np.float64)) for name in table if name not in dims
     }
     return gain, {name: table[name] for name in dims}
 
@@ -202,20 +204,14 @@ def _known(
     return Model(geometry, LearnedRecord.from_dict(learned)) if learned else None
 
 
-def _tabulated(geometry: "GridGeometry", model: "Model | None") -> dict[str, np.ndarray]:
+def _from_record(geometry: "GridGeometry", model: "Model | None") -> dict[str, np.ndarray]:
+    """What the cube holds once for all steps: response to waves, uncertainty of z = 0, frames of a path."""
+    from wavefield.measurement.bead_tilt import level_std
     from wavefield.measurement.response import tabulated
 
-    return tabulated(geometry, model.record if model else None)
-
-
-def _level_std(geometry: "GridGeometry", model: "Model | None") -> float:
-    from wavefield.measurement.bead_tilt import level_std
-
-    return level_std(geometry, model.record if model else None)
-
-
-def _path_frames(model: "Model | None") -> np.ndarray:
-    return np.asarray(model.record.path_frames if model else 4, np.uint8)
+    record = model.record if model else None
+    level, frames = np.float64(level_std(geometry, record)), np.uint8(record.path_frames if record else 4)
+    return tabulated(geometry, record) | {"z_level_std": np.asarray(level), "path_frames": np.asarray(frames)}
 
 
 def _measure(
@@ -244,7 +240,7 @@ def _assemble(
 def _arrays(
     frames: xr.DataTree | xr.Dataset | Mapping[str, xr.DataArray],
 ) -> tuple[dict[str, xr.DataArray], dict[str, Any]]:
-    """Images by camera, and the attributes of the whole."""
+    """Images by camera, and the attributes of all of them."""
     attributes = {str(name): value for name, value in getattr(frames, "attrs", {}).items()}
     if isinstance(frames, xr.DataTree):
         found = {

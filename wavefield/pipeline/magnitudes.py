@@ -2,18 +2,18 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
-from wavefield.rig import Rig
+from wavefield.rig import Camera, Rig
 from wavefield.rig.resolution import pixel_sides
 from wavefield.series import Experiment
 
 if TYPE_CHECKING:
-    from wavefield.measurement import GridGeometry
+    from wavefield.measurement import GridGeometry, Settings
 
 _UNITS = {"centimetres": 0.01, "millimetres": 0.001}
 _CAMERA_DISTANCES = (0.02, 200.0)  # m from the water: nearer or farther ones are given in another unit
@@ -65,7 +65,7 @@ def refuse_other_grids(experiment: Experiment, rig: Rig, grid: Grid, rig_file: s
         )
 
 
-def refuse_high_water(settings: Any, rig: Rig, source: str) -> None:
+def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
     """Refuse elevations that come near the cameras: they are not in metres."""
     room = _MAX_ELEVATION_SHARE * min(
         float(np.linalg.norm(_middle(camera)[1])) for camera in rig.cameras.values()
@@ -126,7 +126,7 @@ def _remedy(distance: float) -> str:
     return f"; {words}"
 
 
-def _middle(camera: Any) -> tuple[tuple[float, float], Any]:
+def _middle(camera: Camera) -> tuple[tuple[float, float], np.ndarray]:
     """Where the middle of an image is on the water, (x, y), and the way from there to the camera, metres."""
     width, height = camera.size
     x, y = (float(v) for v in camera.unproject(0.5 * (width - 1), 0.5 * (height - 1)))

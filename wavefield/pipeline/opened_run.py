@@ -29,7 +29,7 @@ DEFAULT_TROUGH_M = 0.05  # below z = 0: where a cylinder in the water ends if th
 class Run:
     """A cube and what belongs to it, each read when it is first used.
 
-    What is absent is None (or empty); `reason` says why.
+    What is absent is None (or empty); `reason` gives the reason.
 
     Parameters
     ----------

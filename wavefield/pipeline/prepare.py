@@ -30,7 +30,7 @@ from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_FIELDS, TABLE
 
 if TYPE_CHECKING:
-    from wavefield.measurement import GridGeometry, LearnedRecord, Model
+    from wavefield.measurement import GridGeometry, LearnedRecord, Model, Settings
 
 SAMPLE_STEPS = 4  # steps over the record by which the range of displacements is found
 MAX_CHUNK_STEPS = 100  # steps; a chunk costs one to two steps more for its five extra frames
@@ -53,7 +53,7 @@ class PreparedRun:
     # Range of elevations and of the rise; None where the settings state ``z_range``
     heights: FirstHeights | None = None
 
-    def with_prior(self, record: Mapping[str, Any]) -> "PreparedRun":
+    def with_prior(self, record: Mapping[str, object]) -> "PreparedRun":
         """The same with what sample frames of the record give."""
         from wavefield.measurement import LearnedRecord, Model
 
@@ -147,24 +147,25 @@ def _states_search(experiment: Experiment, workflow: Workflow) -> bool:
 
 
 class _SampleImages:
-    """Some steps over the whole record, their images as they are matched."""
+    """Sample steps of a record, their images as they are matched."""
 
     def __init__(self, series: Mapping[str, FrameSeries], geometry: "GridGeometry") -> None:
         self.series, self.geometry = series, geometry
         count = min(len(series[name]) for name in geometry.cameras) - 1
         self.steps = evenly_spaced(count, SAMPLE_STEPS)
         self._widths: dict[str, float] = {}  # of the beads, measured in the first image of a camera
-        self._twice: dict[tuple[str, int], Any] = {}  # images that motion and elevation are both seen in
+        # images of the sample steps: both motion and elevation are found in them
+        self._shared: dict[tuple[str, int], np.ndarray | None] = {}
 
-    def read(self, name: str, frame: int) -> Any:
+    def read(self, name: str, frame: int) -> np.ndarray | None:
         """Image of a camera; None where there is none that can be used."""
         if frame not in self.steps:
             return self._read(name, frame)
-        if (name, frame) not in self._twice:
-            self._twice[name, frame] = self._read(name, frame)
-        return self._twice[name, frame]
+        if (name, frame) not in self._shared:
+            self._shared[name, frame] = self._read(name, frame)
+        return self._shared[name, frame]
 
-    def _read(self, name: str, frame: int) -> Any:
+    def _read(self, name: str, frame: int) -> np.ndarray | None:
         from wavefield.measurement.background import bead_width
         from wavefield.measurement.frame import ready, usable
 
@@ -192,7 +193,7 @@ def make_recipe(
     series: Mapping[str, FrameSeries],
     rig: Rig,
     grid: Grid,
-    settings: Any,
+    settings: "Settings",
     packing: str = "float32",
 ) -> Recipe:
     """Collect the recipe of a run."""
@@ -223,13 +224,13 @@ def _images(experiment: Experiment, name: str) -> Any:
 def expected_coverage(rig: Rig, grid: Grid) -> float:
     """Share of the nodes that every camera sees while the water is at rest."""
     x, y = np.meshgrid(grid.x_nodes, grid.y_nodes)
-    seen = np.ones(x.shape, bool)
+    visible = np.ones(x.shape, bool)
     for name in rig:
-        seen &= rig[name].sees(x, y, 0.0)
-    return float(seen.mean())
+        visible &= rig[name].sees(x, y, 0.0)
+    return float(visible.mean())
 
 
-def make_settings(experiment: Experiment, workflow: Workflow) -> Any:
+def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
     """Measurement settings: defaults, then those of the experiment, then those of the workflow."""
     from wavefield.measurement.measurement_settings import Settings
 

@@ -206,10 +206,10 @@ def _fields(store: Path, in_view: float) -> Iterator[Remark]:
 def _left_out(group: CubeGroup, steps: Sequence[int]) -> Iterator[Remark]:
     """Cameras without which much was measured."""
     quality = np.stack([np.asarray(group["quality"][k]) for k in steps])
-    seen = (quality & np.uint16(Quality.MEASURED | Quality.FILLED)) != 0
+    has_value = (quality & np.uint16(Quality.MEASURED | Quality.FILLED)) != 0
     for number, camera in enumerate(group.attrs["cameras"]):
         bit = np.uint16(Quality.without(number) & ~Quality.FEWER_CAMERAS)
-        fraction = float(((quality & bit) != 0)[seen].mean()) if seen.any() else 0.0
+        fraction = float(((quality & bit) != 0)[has_value].mean()) if has_value.any() else 0.0
         if fraction > LIMITS.without_camera[0]:
             yield Remark(
                 camera,

@@ -68,7 +68,7 @@ def run(
     experiment : path or Experiment
         The experiment. `wavefield.pipeline.catalog.run_catalog` processes those of a catalog.
     out : path, optional
-        The store; by default ``cube.zarr`` beside the experiment file.
+        The store; by default ``cube.zarr`` next to the experiment file.
     rig : path or Rig, optional
         In place of the one that the experiment names.
     workflow : path or Workflow, optional
@@ -171,10 +171,10 @@ def _go_on(
     ranges = unfinished(path, layout, prepared.series)
     todo = [make_chunk(prepared.series, start, stop) for start, stop in ranges]
     tracker = _Tracker(layout.steps, layout.steps - sum(b.steps for b in todo), progress)
-    tracker.say(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} chunks to measure")
+    tracker.report(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} chunks to measure")
     if todo:
         _work_off(prepared, lock, todo, map_unordered, tracker)
-    tracker.say("done")
+    tracker.report("done")
 
 
 def _repair(path: Path) -> None:
@@ -336,7 +336,7 @@ class _Tracker:
 
     def start(self) -> None:
         self._since = time.monotonic()
-        self.say("")
+        self.report("")
 
     def add(self, steps: int) -> None:
         self.done += steps
@@ -348,7 +348,7 @@ class _Tracker:
             log.info("%d of %d steps%s", self.done, self.total, f", {sentence}" if sentence else "")
         self._report_progress(sentence)
 
-    def say(self, sentence: str) -> None:
+    def report(self, sentence: str) -> None:
         if sentence:
             log.info("%s", sentence)
         self._report_progress(sentence)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from wavefield.calibration.still_water_correction import RigCheck
 
 FRAMES = 10  # of the record at rest that are matched
-_BEADS = 1e-4, 2e-3  # metres: what may be seen of beads above the water
+BEAD_HEIGHTS_M = 1e-4, 2e-3  # of visible beads above the water, if they are plausible
 
 
 def level_at_rest(
@@ -26,7 +26,7 @@ def level_at_rest(
     frames: int = FRAMES,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Rig, RigCheck, WaterPlane]:
-    """Mend and level a rig by a record of still, seeded water."""
+    """Correct and level a rig with a record of still, seeded water."""
     from wavefield.calibration.still_water_correction import refine_and_level
     from wavefield.measurement.tie_points import matched_pixels
 
@@ -64,7 +64,7 @@ def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("n
             f"z = 0 is the water at rest: {found['points']} points of it were {height:+.2f} mm from the "
             f"target's plane, {rms:.2f} mm rms about their own",
             remedy=""
-            if stated or not _BEADS[0] < height / 1e3 < _BEADS[1]
+            if stated or not BEAD_HEIGHTS_M[0] < height / 1e3 < BEAD_HEIGHTS_M[1]
             else "if that plane was the water's level beads show so far above it: "
             f"`settings: {{bead_height: {height / 1e3:.2g}}}` corrects u and v for it",
             values={"height_m": height / 1e3, "rms_m": rms / 1e3},

@@ -1,4 +1,4 @@
-"""An open cube for type checkers: `zarr.Group` does not tell arrays from groups."""
+"""An open cube for type checkers: `zarr.Group` types arrays and groups alike."""
 
 from collections.abc import Iterator
 from typing import Any, Protocol

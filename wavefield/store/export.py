@@ -66,9 +66,9 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
         Cube written by `run`.
     path : path
         ``.nc``: one NetCDF-4 file that follows the CF conventions; ``.mat``: MATLAB 7.3; ``.pvd``: a list of
-        steps for ParaView, each a ``.vts`` in the folder ``NAME_steps`` beside it; ``.vtkhdf``: the same in
+        steps for ParaView, each a ``.vts`` in the folder ``NAME_steps`` next to it; ``.vtkhdf``: the same in
         one file, for ParaView 5.12 and later; ``.uvmat``: a folder of one NetCDF file per step. It appears
-        when it is whole.
+        when it is complete.
     steps : slice, optional
         Some of the steps; by default all.
 

@@ -3,7 +3,6 @@
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -41,7 +40,7 @@ def write_matlab(cube: xr.Dataset, blocks: Iterator[xr.Dataset], path: Path) -> 
 
 
 def _lay_out(file: h5py.File, name: str, variable: xr.Variable) -> None:
-    """A field without its values yet, or a whole vector; MATLAB reads dimensions in reverse."""
+    """A field without its values yet, or a vector; MATLAB reads dimensions in reverse."""
     if variable.ndim == 3:
         count, ny, nx = variable.shape
         data = file.create_dataset(
@@ -54,7 +53,7 @@ def _lay_out(file: h5py.File, name: str, variable: xr.Variable) -> None:
     data.attrs["MATLAB_class"] = np.bytes_(_CLASS.get(kind, kind))
 
 
-def _write_text(group: Any, name: str, text: str) -> None:
+def _write_text(group: h5py.Group, name: str, text: str) -> None:
     codes = np.frombuffer(text.encode("utf-16-le"), "<u2")
     data = group.create_dataset(name, data=codes[:, None] if codes.size else np.zeros((2,), "u8"))
     data.attrs["MATLAB_class"] = np.bytes_("char")

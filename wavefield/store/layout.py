@@ -1,4 +1,4 @@
-"""The cube's store: a Zarr v3 group, made whole before the first step is measured, filled chunk by chunk."""
+"""The cube's store: a Zarr v3 group, made complete but empty, then filled chunk by chunk."""
 
 import warnings
 from collections.abc import Mapping
@@ -92,7 +92,7 @@ def create_store(
     attributes: Mapping[str, Any],
     once: Mapping[str, np.ndarray | np.floating] | None = None,
 ) -> None:
-    """Make an empty store: metadata, coordinates, attributes. It appears whole or not at all.
+    """Make an empty store: metadata, coordinates, attributes. It appears complete or not at all.
 
     With x, y, metres; once: variables that are known before the run, such as the gain.
     """

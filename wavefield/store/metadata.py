@@ -83,7 +83,7 @@ def _read(path: Path) -> bytes | None:
 
 
 def mark_complete(path: Path, ledger_checksum: int | None) -> None:
-    """Keep the checksum of the whole ledger when a run has ended; None while one is at work."""
+    """Keep the checksum of the ledger when a run has ended; None while one is at work."""
     mark = path / _COMPLETE
     if ledger_checksum is None:
         mark.unlink(missing_ok=True)

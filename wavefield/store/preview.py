@@ -1,6 +1,6 @@
 """The thinned preview next to a cube: every fourth node in 16 bits, long in time, written as the run goes.
 
-``cube_preview.zarr`` beside ``cube.zarr`` holds one array ``fields`` (variable, y, x, time), one chunk per
+``cube_preview.zarr`` next to ``cube.zarr`` holds one array ``fields`` (variable, y, x, time), one chunk per
 chunk of steps, so that no two chunks touch the same file; its ledger ``done`` (time) is written last. It can
 be removed at any time: `read_thinned` thins the cube itself, and `wavefield look` writes it again.
 """

@@ -16,6 +16,8 @@ from wavefield.store.metadata import check_metadata
 if TYPE_CHECKING:  # not needed by workers, and slow to import
     import xarray as xr
 
+Chunks = dict[str, int] | int | Literal["auto"] | None
+
 
 def open_group(path: Path, mode: Literal["r", "r+"] = "r") -> CubeGroup:
     """Open a store made by `create_store`."""
@@ -54,7 +56,7 @@ def measured_rate(group: CubeGroup) -> float:
     return float(group.attrs.get("measured_frame_rate", group.attrs["frame_rate"]))
 
 
-def open_cube(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
+def open_cube(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
     """Open a cube, lazily.
 
     Parameters
@@ -102,7 +104,7 @@ def open_cube(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
     return cube
 
 
-def open_stored(path: str | Path, chunks: Any = "auto") -> "xr.Dataset":
+def open_stored(path: str | Path, chunks: Chunks = "auto") -> "xr.Dataset":
     """Open all that a cube's store holds, as it is stored; parameters and errors as of `open_cube`."""
     import xarray as xr
 

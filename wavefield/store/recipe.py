@@ -78,7 +78,7 @@ def differences(old: str, new: str) -> list[str]:
     return [f"{key}: {a.get(key)!r} there, {b.get(key)!r} here" for key in keys]
 
 
-def _leaves(data: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _leaves(data: object, prefix: str = "") -> Iterator[tuple[str, object]]:
     if isinstance(data, dict):
         for key, value in data.items():
             yield from _leaves(value, f"{prefix}.{key}" if prefix else str(key))

@@ -3,14 +3,13 @@
 Name, clock (number of the first frame, frame rate), depth of the water and places of files are labels: the
 values of a cube follow from its images alone, in metres and metres per frame. Velocities are stored at the
 frame rate they were measured with, ``measured_frame_rate``; another rate is a ``scale_factor`` of theirs,
-which every reader of CF knows.
+as CF has it.
 """
 
 import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import zarr
@@ -26,7 +25,7 @@ from wavefield.variables import CUBE_FIELDS, TABLE
 RATES = tuple(name for name in CUBE_FIELDS if TABLE[name].units == "m s-1")
 
 
-def relabel(path: Path, recipe: Recipe, attributes: Mapping[str, Any]) -> list[str]:
+def relabel(path: Path, recipe: Recipe, attributes: Mapping[str, object]) -> list[str]:
     """Give a cube the labels of another description of the same images.
 
     May be cut off anywhere: the recipe is written last, then the metadata are gathered for quick opening, and
@@ -59,7 +58,7 @@ def _gathered(path: Path) -> bool:
 _OURS = ("experiment_file", "image_folder", "water_depth", "surface_tension_over_density", "description")
 
 
-def _write(group: CubeGroup, path: Path, recipe: Recipe, attributes: Mapping[str, Any]) -> None:
+def _write(group: CubeGroup, path: Path, recipe: Recipe, attributes: Mapping[str, object]) -> None:
     measured = measured_rate(group)
     group.attrs["measured_frame_rate"] = measured
     factor = recipe.frame_rate / measured

@@ -122,5 +122,5 @@ def read_verdict(store: str | Path) -> Verdict | None:
         ) from None
 
 
-def _checksum(data: Mapping[str, Any]) -> int:
+def _checksum(data: Mapping[str, object]) -> int:
     return zlib.crc32(json.dumps(data, sort_keys=True).encode())

@@ -81,7 +81,7 @@ def verify(
         Called with (chunks done, all chunks).
     read : bool
         Whether to read the data. If not, what is compared is the size of every file: seconds, whatever the
-        cube, but bytes that changed in place are not seen.
+        cube, but bytes that changed in place are not found.
 
     Returns
     -------

@@ -17,7 +17,7 @@ WAVES = Product("a wave store", zarr_store("waves of ", "wavefield_version", "se
 
 
 def write_waves(tree: xr.DataTree, path: str | Path) -> None:
-    """Write spectra and what goes with them; the store appears whole or not at all."""
+    """Write the groups of an analysis; the store appears complete or not at all."""
     # Zarr 3 has strings of any length only
     tree = tree.map_over_datasets(
         lambda group: group.assign_coords(

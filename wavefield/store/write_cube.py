@@ -64,7 +64,8 @@ def write_chunk(
         write_preview(path, group, start, fields)
         chunk = start // layout.chunk_steps
         _to_disk(path, chunk, WATCHED[:-1])
-        _keep_checksums(path, group, chunk, _ledger_file(frame_status, layout.chunk_steps))
+        ledger = bytes(frame_status.astype(np.uint8)) + bytes(layout.chunk_steps - frame_status.size)
+        _keep_descriptions(path, group, chunk, ledger)
         _to_disk(path, chunk, ("checksum", "stored_bytes"))
         group["frame_status"][start:stop] = frame_status
         _to_disk(path, chunk, ("frame_status",))
@@ -72,20 +73,13 @@ def write_chunk(
         raise write_error(path, error) from None
 
 
-def _ledger_file(frame_status: np.ndarray, chunk: int) -> bytes:
-    """The file that the ledger of a chunk will be."""
-    return bytes(frame_status.astype(np.uint8)) + bytes(chunk - frame_status.size)
-
-
-def _keep_checksums(path: Path, group: CubeGroup, chunk: int, ledger: bytes) -> None:
-    """Keep what a chunk's files must be later; cubes begun before there were such records have none."""
-    for name, of_file, of_ledger in (
+def _keep_descriptions(path: Path, group: CubeGroup, number: int, ledger: bytes) -> None:
+    """Keep what a chunk's files must be later, that of the ledger before it is written."""
+    for name, describe, of_ledger in (
         ("checksum", checksum, zlib.crc32(ledger) or 1),
         ("stored_bytes", stored_bytes, len(ledger)),
     ):
-        if name in group:
-            row = [*(of_file(path, variable, chunk) for variable in WATCHED[:-1]), of_ledger]
-            group[name][chunk] = row
+        group[name][number] = [*(describe(path, variable, number) for variable in WATCHED[:-1]), of_ledger]
 
 
 def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
